@@ -5,6 +5,7 @@
 
 from argparse import ArgumentParser, Namespace
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +15,9 @@ from doo_ti.commands import options as given
 from doo_ti.commands.results import observed
 from doo_ti.errors import InputError
 from doo_ti.io.curves import UNITS_IN_MM
+from doo_ti.io.motion_file import TOOL_AXES, ClampPath, load_path
 from doo_ti.io.observations import Observations, load_observations
+from doo_ti.io.pose_table import NAMED
 from doo_ti.io.scene import Scene, Synthesis
 from doo_ti.terminal import in_line
 
@@ -31,10 +34,10 @@ RECORDINGS = ".npz (positions_mm, rate_hz), .csv of OptiTrack or Vicon, a table,
 FORMATS = ".npz, .csv, .parquet; or curves as .csv of OptiTrack or Vicon, .xml (MuJoCo), .usda, .txt"
 
 
-def add_loading(parser: ArgumentParser) -> None:
-    """How the file states the marks, and the direction of gravity."""
+def add_loading(parser: ArgumentParser, of: str = "OBS") -> None:
+    """How the files ``of`` some arguments state the marks, and the direction of gravity."""
     group = parser.add_argument_group("your own files", "docs/observations.md")
-    add_files(group, "OBS")
+    add_files(group, of)
     given.add_up(group)
 
 
@@ -44,6 +47,31 @@ def add_files(group, of: str) -> None:
                        "else mm)")
     group.add_argument("--columns", metavar="x=NAME,…|A,B,C", help="columns of a table that hold x, y, z, observation, vertex; "
                        "of other files, names of markers or curves in their order along the rod")
+
+
+def add_poses(group, option: str) -> None:
+    """How the file that ``option`` names states poses of grippers."""
+    group.add_argument("--motion-columns", metavar="time=NAME,…", help=f"in a .csv of {option}: the column of the time, and "
+                       "what the columns of the grippers begin with, as in start=left,end=right")
+    group.add_argument("--motion-axis", metavar="AXIS|AXIS,AXIS", default="x", help="the axis, x, y, z, -x, -y or -z, of the "
+                       f"tools at the start and at the end that points along the rod, where {option} states orientations "
+                       "(default x); write --motion-axis=-z")
+
+
+def poses(options: Namespace, source: str, unit: str | None, turn: np.ndarray | None = None) -> ClampPath:
+    """The path of the grippers in the file ``source``, lengths in ``unit`` and turned by ``turn`` (3, 3)."""
+    named, axes = None, [axis.strip() for axis in options.motion_axis.split(",")]
+    if options.motion_columns is not None:
+        parts = [part.partition("=") for part in options.motion_columns.split(",")]
+        named = {name.strip(): column.strip() for name, _, column in parts}
+        if not all(named.values()) or not named.keys() <= set(NAMED):
+            raise InputError(given.SOURCE, "--motion-columns", f"{options.motion_columns!r}",
+                             f"give NAME=COLUMN for some of {', '.join(NAMED)}")
+    axes = axes * 2 if len(axes) == 1 else axes
+    if len(axes) != 2 or not set(axes) <= TOOL_AXES.keys():
+        known = ", ".join(TOOL_AXES)
+        raise InputError(given.SOURCE, "--motion-axis", f"{options.motion_axis!r}", f"give one or two of {known}")
+    return load_path(Path(source), unit, named, tuple(axes), turn)
 
 
 def add_recordings(parser: ArgumentParser, default_up: str) -> None:

@@ -20,15 +20,17 @@ from doo_ti.commands.moving_rods import (
     stepping,
 )
 from doo_ti.commands.results import RODS, contact_lines, contact_summary, counted, report, save_arrays, shortened
+from doo_ti.commands.starting_rods import settled, with_frames
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
-from doo_ti.io.motion_file import ClampPath, load_path
-from doo_ti.io.observations import Observations
+from doo_ti.frames import matrix_from_quaternion, smallest_rotation
+from doo_ti.io.curves import UNITS_IN_MM
+from doo_ti.io.motion_file import ClampPath
 from doo_ti.io.scene import PRECISIONS
 from doo_ti.learning.objective import status_counts
-from doo_ti.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
+from doo_ti.start import check_experiment, observation_clamps
 from doo_ti.terminal import in_line, progress, warn
-from doo_ti.types import Clamps, Configuration, Material
+from doo_ti.types import Clamps, Configuration, Material, unit_up
 
 MOST_LISTED = 30
 LEAST_DEGREES, MOST_DEGREES = 1e-3, 30.0
@@ -76,7 +78,7 @@ def declare(add) -> None:
     parser = given.command(add, "predict", run, "predict the shapes of rods whose clamps move (§III-D)")
     parser.add_argument("source", metavar="OBS|SCENE.toml",
                         help=f"observations the rods start from: {loading.FORMATS}; or a scene of motion")
-    parser.add_argument("--motion", metavar="PATH", help="poses of the clamps over time: .npz or .csv")
+    parser.add_argument("--motion", metavar="PATH", help="poses of the clamps over time: .npz, or .csv such as a robot's log")
     parser.add_argument("--out", required=True, metavar="F.npz|F.csv", help="file to write")
     given.add_material(parser, "a number or LO:HI:N[:log|:lin]: all materials of the grid at once", given.SHAPE_ONLY)
     parser.add_argument("--relative", action="store_true",
@@ -87,7 +89,13 @@ def declare(add) -> None:
     parser.add_argument("--sub-step", metavar="DEG",
                         help="largest rotation of a clamp in one sub-step; rods are relaxed after each (default 5)")
     given.add_clamps(parser)
-    loading.add_loading(parser)
+    loading.add_loading(parser, "OBS and PATH")
+    group = parser.add_argument_group("the motion's file", "docs/twist.md")
+    loading.add_poses(group, "--motion")
+    group.add_argument("--motion-unit", choices=tuple(UNITS_IN_MM), help="unit of all lengths in PATH (default: --unit, else "
+                       "as its columns state, else mm)")
+    group.add_argument("--motion-up", metavar="X,Y,Z", help="direction against gravity in PATH, which is turned about the "
+                       "origin so that it becomes that of OBS (default: both have the same coordinates)")
     add_dynamic(parser, "moments of the motion per second (default: by its times)")
     given.add_obstacles(parser, "with friction, where an obstacle has any, from one step to the next")
     parser.add_argument("--precision", choices=PRECISIONS, default="mixed",
@@ -184,7 +192,8 @@ def _scene(options: Namespace, between: int | None) -> _Task:
     from doo_ti.contact.obstacle_file import obstacles_of
     from doo_ti.io.motion_scene import load_motion_scene
 
-    for name in ("motion", "theta", *given.MATERIAL, "linear_density", "clamp_start", "clamp_end", *loading.OF_FILES):
+    for name in ("motion", "motion_unit", "motion_up", "motion_columns", "theta", *given.MATERIAL, "linear_density",
+                 "clamp_start", "clamp_end", *loading.OF_FILES):
         if getattr(options, name) is not None:
             raise InputError(given.SOURCE, f"--{name.replace('_', '-')}", "given, but the scene has it",
                              "leave it out, or give observations")
@@ -208,8 +217,8 @@ def _observed(options: Namespace, out: Path, between: int | None) -> _Task:
     observations = loading.load(options, options.source)
     for source in (options.source, options.motion):
         given.refuse_overwriting(out, source)
-    path = load_path(Path(options.motion))
-    observations = _with_frames(observations, path, options.relative)
+    path = loading.poses(options, options.motion, options.motion_unit or options.unit, _turn(options, observations.up))
+    observations = with_frames(observations, path, options.relative)
     if path.count not in (1, observations.count) and observations.count > 1:
         raise InputError(options.motion, "positions_mm", f"{path.count} motions for {observations.count} observations",
                          "give one motion, or one for each observation")
@@ -221,7 +230,7 @@ def _observed(options: Namespace, out: Path, between: int | None) -> _Task:
     loading.warn(observations)
     _check_reach(path, clamps, float(observations.rest_length.sum()))
     materials = curved(options, grid.materials(), observations.rest_length, options.dynamic)
-    start, newtons = _settled(observations, clamps, materials, surroundings), given.newtons(options, materials.weight)
+    start, newtons = settled(observations, clamps, materials, surroundings), given.newtons(options, materials.weight)
     cells, rows = np.divmod(np.arange(materials.count * observations.count), observations.count)
     names = [f"cell {cell}, " * (materials.count > 1) + f"observation {observations.labels[row]}"
              for cell, row in zip(cells, rows, strict=True)]
@@ -229,6 +238,14 @@ def _observed(options: Namespace, out: Path, between: int | None) -> _Task:
                  np.where(observations.valid[..., None], observations.vertices, np.nan),
                  loaded=(loading.rod_line(observations),), labels=observations.labels, surroundings=surroundings,
                  newtons=None if newtons is None else np.repeat(newtons, observations.count))
+
+
+def _turn(options: Namespace, up: np.ndarray) -> np.ndarray | None:
+    """(3, 3) from the coordinates of the motion to those of the observations, whose direction against gravity is ``up``."""
+    if options.motion_up is None:
+        return None
+    own = unit_up(given.numbers("--motion-up", options.motion_up), given.SOURCE)
+    return matrix_from_quaternion(smallest_rotation(own, up))
 
 
 def _check_reach(path: ClampPath, clamps: Clamps, length: float) -> None:
@@ -252,34 +269,6 @@ def _warn_of_distance(path: ClampPath, clamps: Clamps, length: float, labels: np
             warn(f"{path.source}: {name}_mm: the motion begins {off.max():.4g} mm from the clamp of observation "
                  f"{labels[off.argmax()]}; give --relative where these are displacements")
             return
-
-
-def _with_frames(observations: Observations, path: ClampPath, relative: bool) -> Observations:
-    """The observations with the frames of the path's first moment, where they have none of their own and the path has:
-    the rods are held by them."""
-    if path.tangents_only or relative:
-        return observations
-    frames = {name: np.broadcast_to(value[0], (observations.count, 3, 3)) for name, value in
-              (("start_frame", path.start_frame), ("end_frame", path.end_frame))
-              if value is not None and getattr(observations, name) is None and value.shape[1] in (1, observations.count)}
-    return replace(observations, **frames)
-
-
-def _settled(observations: Observations, clamps: Clamps, materials: Material, surroundings: Surroundings) -> Configuration:
-    """(G·N) the rods at the start, material by material: of several whole turns that fit, the one nearest to what was seen."""
-    from doo_ti.metric import distance
-    from doo_ti.relaxation.relax import relax
-
-    index, turns = turn_hypotheses(observations, clamps)
-    starts = start_configuration(observations.take(index), clamps.take(index), turns)
-    if len(index) == observations.count:
-        return starts
-    of_material, row = np.divmod(np.arange(materials.count * len(index)), len(index))
-    solution = relax(starts, materials, clamps.take(index), up=observations.up, configuration_index=row,
-                     material_index=of_material, **surroundings.arguments)
-    score = distance(solution.configuration, observations, index[row])
-    best = choose_hypothesis(of_material * observations.count + index[row], score, solution.converged & solution.stable)
-    return starts.take(row[best])
 
 
 def _arrays(task: _Task, prediction) -> dict[str, np.ndarray]:

@@ -10,9 +10,11 @@ from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import require_length, step_lines, step_summary
 from doo_ti.commands.results import RODS, contact_lines, contact_summary, counted, report, save_arrays, shortened
+from doo_ti.commands.starting_rods import Moved, from_observations
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.contact.touch import Touch
 from doo_ti.errors import InputError
+from doo_ti.io.pose_table import holds_poses
 from doo_ti.learning.objective import status_counts
 from doo_ti.terminal import busy, in_line, progress
 from doo_ti.types import Clamp, Status
@@ -63,6 +65,9 @@ def declare(add) -> None:
                         help="arithmetic; mixed: f32, and f64 for rods that it cannot finish (default f64)")
     parser.add_argument("--quasi-static", action="store_true", help="without inertia and drag: every step is an equilibrium "
                         "(default: as the scene says)")
+    parser.add_argument("--start", metavar="OBS", help="observations from which the rods start, where MOTION holds poses "
+                        "of the grippers without markers: .npz or .csv, such as a robot's log (docs/twist.md)")
+    loading.add_poses(parser, "MOTION")
     given.add_obstacles(parser, "with friction")
     loading.add_recordings(parser, "the file's, else the one in THETA.json, else 0,0,1")
     parser.add_argument("--picture", metavar="F.png", help="also draw rods and errors over time (default: no)")
@@ -78,7 +83,12 @@ def run(options: Namespace, words: list[str]) -> int:
         ("picture", options.picture), ("recording", options.recording), ("animation", options.animation)) if text is not None}
     up = given.world_up(options)
     from_scene = Path(options.source).suffix == ".toml"
-    found = _scene(options, changes, up) if from_scene else _recorded(options, out, changes, up)
+    if from_scene:
+        found = _scene(options, changes, up)
+    else:
+        from_poses = options.start is not None or holds_poses(Path(options.source))
+        found = _carried(options, *from_observations(options, out, changes)) if from_poses else \
+            _recorded(options, out, changes, up)
     for path in shown.values():
         path.parent.mkdir(parents=True, exist_ok=True)
     arrays, summary = _results(found, out)
@@ -153,10 +163,9 @@ def _contact(surroundings: Surroundings, positions: np.ndarray, force, work, tou
 
 def _scene(options: Namespace, changes: dict, up: np.ndarray) -> _Simulated:
     from doo_ti.dynamics.scene import load_dynamic_scene
-    from doo_ti.dynamics.simulate import simulate
     from doo_ti.relaxation.relax import relax
 
-    for name in ("theta", "fill_gaps", "rate", "smoothing", "free_end", *loading.OF_FILES):
+    for name in ("theta", "fill_gaps", "rate", "smoothing", "free_end", "start", "motion_columns", *loading.OF_FILES):
         if getattr(options, name):
             raise InputError(given.SOURCE, f"--{name.replace('_', '-')}", "given, but a scene has its own rods", "leave it out")
     scene = load_dynamic_scene(options.source)
@@ -175,28 +184,39 @@ def _scene(options: Namespace, changes: dict, up: np.ndarray) -> _Simulated:
         first_force = first_force if solution.contact_force is None else solution.contact_force
         start, pairs = solution.configuration, (np.arange(count), np.arange(count))
     grippers = scene.grippers.take(pairs[0] * 0) if start.count > 1 else scene.grippers
+    moved = Moved(scene.name, list(scene.names), start, scene.material, grippers, scene.dynamics,
+                   replace(scene.stepping, **changes), up, pairs, surroundings,
+                   given.newtons(options, scene.material.weight) if scene.newtons is None else scene.newtons)
+    return _carried(options, moved, first_force)
+
+
+def _carried(options: Namespace, moved: Moved, first_force) -> _Simulated:
+    """The rods at all instants; ``first_force`` is what they touch at the first."""
+    from doo_ti.dynamics.simulate import simulate
+
+    count, instants = len(moved.names), moved.grippers.instants
+    stepping = replace(moved.stepping, detailed=True)
     with progress() as bar:
-        task = bar.add_task(scene.name, total=count * (grippers.instants - 1), unit="rods x frames")
-        stepping = replace(scene.stepping, detailed=True, **changes)
+        task = bar.add_task(moved.name, total=count * (instants - 1), unit="rods x frames")
         try:
-            found = simulate(start, scene.material, grippers, scene.dynamics, stepping, up=up, pairs=pairs,
-                             progress=lambda done: bar.update(task, completed=count * done), **surroundings.arguments)
+            found = simulate(moved.start, moved.material, moved.grippers, moved.dynamics, stepping, up=moved.up,
+                             pairs=moved.pairs, progress=lambda done: bar.update(task, completed=count * done),
+                             **moved.surroundings.arguments)
         except InputError as error:
             own = error.field == "obstacles" and options.obstacles is None
             raise InputError(options.source if own else error.source, error.field, error.problem, error.remedy) from None
-    first = start.vertices[pairs[0]]
-    positions = np.concatenate([first[:, None], found.positions], axis=1)
+    positions = np.concatenate([moved.start.vertices[moved.pairs[0]][:, None], found.positions], axis=1)
     status = np.concatenate([np.zeros((count, 1), dtype=np.int8), found.status], axis=1)
     contact = {}
-    if surroundings:
+    if moved.surroundings:
         work = np.pad(found.friction_work, ((0, 0), (1, 0)))
-        force = np.concatenate([first_force[:, None], found.contact_force], axis=1)
-        contact = _contact(surroundings, positions, force, work, np.pad(found.touch, ((0, 0), (1, 0), (0, 0))))
-    return _Simulated(scene.name, list(scene.names), positions, status, stepping.rate, up,
+        first = np.broadcast_to(first_force, found.contact_force[:, 0].shape)
+        force = np.concatenate([first[:, None], found.contact_force], axis=1)
+        contact = _contact(moved.surroundings, positions, force, work, np.pad(found.touch, ((0, 0), (1, 0), (0, 0))))
+    return _Simulated(moved.name, moved.names, positions, status, stepping.rate, moved.up,
                       energies={} if found.detail is None else found.detail.energies, substeps=found.substeps,
                       step_error=None if stepping.tolerance is None else found.error, tolerance=stepping.tolerance,
-                      surroundings=surroundings, contact=contact,
-                      newtons=given.newtons(options, scene.material.weight) if scene.newtons is None else scene.newtons)
+                      surroundings=moved.surroundings, contact=contact, newtons=moved.newtons)
 
 
 def _results(found: _Simulated, out: Path) -> tuple[dict, dict]:

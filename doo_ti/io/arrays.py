@@ -32,11 +32,6 @@ _UNREADABLE = (ValueError, OSError, EOFError, KeyError, RuntimeError, MemoryErro
                TypeError, TokenError, zipfile.BadZipFile, zlib.error)
 
 
-def position_columns(name: str) -> tuple[str, ...]:
-    """Of a position in mm."""
-    return tuple(f"{name}_{axis}_mm" for axis in AXES)
-
-
 def frame_columns(name: str) -> tuple[str, ...]:
     """Of a frame with the columns t, m1, m2, row by row: ``NAME_t_x``, ``NAME_m1_x``, …"""
     return tuple(f"{name}_{director}_{axis}" for axis in AXES for director in ("t", "m1", "m2"))
@@ -98,10 +93,8 @@ def check_unpacked(path: Path, content: bytes, size: int) -> None:
         raise InputError(path, "file", f"unpacks to {size:,} bytes", f"give arrays of at most {most:,}")
 
 
-def read_arrays(path: Path, known: dict[str, tuple[tuple[int, ...], tuple[str, ...]]], only_npz=()) -> dict[str, np.ndarray]:
+def read_arrays(path: Path, known: dict[str, tuple[tuple[int, ...], tuple[str, ...]]]) -> dict[str, np.ndarray]:
     """The arrays of a file, those of a CSV file (N, \\*shape), as float64.
-
-    only_npz  further keys, of any shape, that no CSV file holds
 
     Raises InputError for files that cannot be read, unknown columns, entries that are not finite numbers, and where none of
     the known keys is there.
@@ -109,10 +102,14 @@ def read_arrays(path: Path, known: dict[str, tuple[tuple[int, ...], tuple[str, .
     path = Path(path)
     if path.suffix not in (".npz", ".csv"):
         raise InputError(path, "file", f"suffix {path.suffix!r}", "name a .npz or .csv file")
-    keys = (*known, *only_npz)
-    arrays = read_npz(path, read_content(path), keys) if path.suffix == ".npz" else _from_table(path, known)
+    arrays = read_npz(path, read_content(path), tuple(known)) if path.suffix == ".npz" else _from_table(path, known)
     if not arrays:
-        raise InputError(path, "file", "has none of the known keys", f"give some of {', '.join(keys)}")
+        raise InputError(path, "file", "has none of the known keys", f"give some of {', '.join(known)}")
+    return checked_arrays(path, arrays)
+
+
+def checked_arrays(path: Path, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """``arrays``, changed to float64. Raises InputError for those that are not finite numbers."""
     for key, value in arrays.items():
         if value.dtype.kind not in "fiu":
             raise InputError(path, key, f"dtype {value.dtype} is not numeric", "store real numbers")

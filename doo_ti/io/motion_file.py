@@ -3,16 +3,19 @@
     time_s                                 (T,), rising; by default 0, 1, 2, …
     start_position_mm, end_position_mm     (T, 3)
     start_frame, end_frame                 (T, 3, 3) columns t, m1, m2 of the first edge and of the last
+    start_quaternion, end_quaternion       (T, 4) instead of frames, the scalar first: orientations of tools
     end_rotation_deg                       (T,) by which the last frame has turned about the rod, whole turns included
     positions_mm                           (T, V, 3) or (N, T, V, 3), npz only, instead of the others: marks of a rod, or of N
                                            rods, whose first and last edges are clamped
 
-in an npz, or in a CSV file, one row per moment, with the columns start_x_mm, …, end_frame_t_x, end_frame_m1_x, … Omitted
-quantities do not change. Between two moments frames turn by less than half a turn, unless ``end_rotation_deg`` is given.
+in an npz, or in a CSV file, one row per moment (:mod:`doo_ti.io.pose_table`). Omitted quantities do not change. A tool's x axis
+points along the rod, from its start to its end, unless another is named. Between two moments frames turn by less than half a
+turn, unless ``end_rotation_deg`` is given.
 
 Axes: T moments, N motions.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -33,18 +36,21 @@ from doo_ti.frames import (
     quaternion_product,
     smallest_rotation,
 )
-from doo_ti.io.arrays import frame_columns, position_columns, read_arrays
+from doo_ti.io.arrays import checked_arrays, read_npz
+from doo_ti.io.curves import UNITS_IN_MM
+from doo_ti.io.files import read_content
+from doo_ti.io.pose_table import frame_of_quaternion, read_poses
 from doo_ti.short_repr import short_repr
 from doo_ti.types import Clamps
 
-KNOWN = {
-    "time_s": ((), ("time_s",)),
-    "start_position_mm": ((3,), position_columns("start")), "end_position_mm": ((3,), position_columns("end")),
-    "start_frame": ((3, 3), frame_columns("start_frame")), "end_frame": ((3, 3), frame_columns("end_frame")),
-    "end_rotation_deg": ((), ("end_rotation_deg",)),
-}
+SHAPES = {"time_s": (), "start_position_mm": (3,), "end_position_mm": (3,), "start_frame": (3, 3), "end_frame": (3, 3),
+          "start_quaternion": (4,), "end_quaternion": (4,), "end_rotation_deg": ()}
+"""Of the keys, at a moment."""
+TOOL_AXES = {f"{sign}{name}": (axis, -1.0 if sign else 1.0) for sign in ("", "-") for axis, name in enumerate("xyz")}
+"""Of a tool: which points along the rod, from its start to its end."""
 _POSES = {"start_position_mm": "start_position", "end_position_mm": "end_position", "start_frame": "start_frame",
           "end_frame": "end_frame"}
+_LENGTHS = {"start_position_mm", "end_position_mm", "positions_mm"}
 HALF_TURN = np.radians(179.0)
 """A larger turn of a frame from one moment to the next could also be a turn the other way round."""
 CONTRADICTION = np.radians(45.0)
@@ -52,6 +58,7 @@ CONTRADICTION = np.radians(45.0)
 MOST_MM = 1e6
 """From the origin to a clamp."""
 MOST_TURNS = 1000.0
+MOST_MOMENTS = 1_000_000
 
 
 @owning
@@ -141,6 +148,30 @@ class ClampPath:
                        start_frame=turned(self.start_frame, clamps.start_frame),
                        end_frame=turned(self.end_frame, clamps.end_frame))
 
+    def resampled(self, rate: float) -> "ClampPath":
+        """The same path at ``rate`` moments per second, on monotone cubics between its own."""
+        from scipy.interpolate import PchipInterpolator
+
+        count = int(np.floor((self.time[-1] - self.time[0]) * rate * (1 + 1e-9))) + 1
+        if not 2 <= count <= MOST_MOMENTS:
+            raise InputError(self.source, "time_s", f"{count} moments at {rate:g} per second", f"choose 2 to {MOST_MOMENTS:,}")
+        time = self.time[0] + np.arange(count) / rate
+        now = np.minimum(time, self.time[-1])
+
+        def smooth(path):
+            return None if path is None else PchipInterpolator(self.time, path)(now)
+
+        def turning(frames):
+            if frames is None:
+                return None
+            q = quaternion_from_matrix(frames)
+            q[1:] *= np.cumprod(np.where((q[1:] * q[:-1]).sum(axis=-1) < 0, -1.0, 1.0), axis=0)[..., None]
+            between = smooth(q)
+            return matrix_from_quaternion(between / np.linalg.norm(between, axis=-1, keepdims=True))
+        return replace(self, time=time, start_position=smooth(self.start_position), end_position=smooth(self.end_position),
+                       start_frame=turning(self.start_frame), end_frame=turning(self.end_frame),
+                       end_rotation=smooth(self.end_rotation))
+
     def _check_frames(self, name: str, frames: np.ndarray) -> None:
         bad = (orthonormality_error(frames) > FRAME_TOLERANCE) | (handedness(frames) < 0)
         if bad.any():
@@ -182,23 +213,73 @@ def path_of_marks(positions: np.ndarray, time: np.ndarray | None = None, source:
                      tangents_only=True, source=source)
 
 
-def load_path(path: Path) -> ClampPath:
-    """The clamps' path from a motion file. Raises InputError for files that cannot be read or do not describe a path."""
-    arrays = read_arrays(Path(path), KNOWN, ("positions_mm", "rate_hz"))
+def load_path(path: Path, unit: str | None = None, named: Mapping[str, str] | None = None, axes: tuple[str, str] = ("x", "x"),
+              turn: np.ndarray | None = None) -> ClampPath:
+    """The clamps' path from a motion file.
+
+    unit   "mm", "cm" or "m": the unit of all lengths, whatever the file states
+    named  of a CSV file, some of :data:`doo_ti.io.pose_table.NAMED`: how the file calls them
+    axes   of :data:`TOOL_AXES`, of the tools at the start and at the end whose orientations the file states
+    turn   (3, 3) by which the path is turned about the origin, into the coordinates of the rods
+
+    Raises InputError for files that cannot be read or do not describe a path.
+    """
+    path = Path(path)
+    arrays, stated = _read(path, named)
+    for key in arrays.keys() & _LENGTHS:
+        arrays[key] = arrays[key] * (stated.get(key, 1.0) if unit is None else UNITS_IN_MM[unit])
+    if turn is not None:
+        arrays |= {key: arrays[key] @ turn.T for key in arrays.keys() & _LENGTHS}
+    arrays = checked_arrays(path, arrays)
     rate = arrays.pop("rate_hz", None)
     if "positions_mm" in arrays:
         return _of_positions(path, arrays, rate)
-    lengths = {key: len(value) if value.ndim else 0 for key, value in arrays.items()}
-    count = max(lengths.values(), default=0)
-    for key, value in arrays.items():
-        if value.shape != (count, *KNOWN[key][0]):
-            raise InputError(path, key, f"shape {value.shape}", f"make it {(count, *KNOWN[key][0])}: T moments")
+    for end, axis in zip(("start", "end"), axes, strict=True):
+        tool = arrays.pop(f"{end}_orientation", None)
+        if tool is not None:
+            arrays[f"{end}_frame"] = _along_rod(tool, axis)
+        if turn is not None and f"{end}_frame" in arrays:
+            arrays[f"{end}_frame"] = turn @ arrays[f"{end}_frame"]
     if not arrays.keys() - {"time_s"}:
         raise InputError(path, "end_position_mm", "missing, so nothing moves",
                          f"give some of {', '.join([*_POSES, 'end_rotation_deg'])}")
+    count = len(next(iter(arrays.values())))
     poses = {name: arrays[key][:, None] for key, name in _POSES.items() if key in arrays}
     rotation = np.radians(arrays["end_rotation_deg"])[:, None] if "end_rotation_deg" in arrays else None
     return ClampPath(arrays.get("time_s", np.arange(count, dtype=np.float64)), end_rotation=rotation, source=str(path), **poses)
+
+
+def _read(path: Path, named: Mapping[str, str] | None) -> tuple[dict[str, np.ndarray], dict[str, float]]:
+    """The keys of a file, those of poses with T moments each; and mm in the units of its positions, where it states them."""
+    if path.suffix == ".csv":
+        return read_poses(path, named)
+    if path.suffix != ".npz":
+        raise InputError(path, "file", f"suffix {path.suffix!r}", "name a .npz or .csv file")
+    if named is not None:
+        raise InputError(path, "columns", "an npz has keys", "leave them out")
+    keys = (*SHAPES, "positions_mm", "rate_hz")
+    arrays = read_npz(path, read_content(path), keys)
+    if not arrays:
+        raise InputError(path, "file", "has none of the known keys", f"give some of {', '.join(keys)}")
+    arrays = checked_arrays(path, arrays)
+    if "positions_mm" not in arrays:
+        count = max((len(value) if value.ndim else 0 for key, value in arrays.items() if key in SHAPES), default=0)
+        for key in arrays.keys() & SHAPES.keys():
+            if arrays[key].shape != (count, *SHAPES[key]):
+                raise InputError(path, key, f"shape {arrays[key].shape}", f"make it {(count, *SHAPES[key])}: T moments")
+        for end in ("start", "end"):
+            if (quaternion := arrays.pop(f"{end}_quaternion", None)) is not None:
+                if f"{end}_frame" in arrays:
+                    raise InputError(path, f"{end}_quaternion", f"given beside {end}_frame", "give one of them")
+                arrays[f"{end}_orientation"] = frame_of_quaternion(path, f"{end}_quaternion", quaternion)
+    return arrays, {}
+
+
+def _along_rod(tool: np.ndarray, axis: str) -> np.ndarray:
+    """(T, 3, 3) frames t, m1, m2 of tools (T, 3, 3) whose ``axis`` points along the rod; m1 is the axis after it."""
+    number, sign = TOOL_AXES[axis]
+    t, m1 = sign * tool[..., number], tool[..., (number + 1) % 3]
+    return np.stack([t, m1, np.cross(t, m1)], axis=-1)
 
 
 def _of_positions(path: Path, arrays: dict[str, np.ndarray], rate: np.ndarray | None) -> ClampPath:

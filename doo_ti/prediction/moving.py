@@ -53,7 +53,7 @@ def predict_moving(
                                          Surroundings(obstacle_list("predict_moving", obstacles, True), radius).at(0))
     rows = np.arange(len(rods)) % len(clamps.start_position)
     lengths = configuration.rest_length if configuration.rest_length.ndim == 1 else configuration.rest_length[: rows.max() + 1]
-    grippers = refined_within_reach(_grippers(path, held), between, lengths)
+    grippers = refined_within_reach(grippers_along(path, held), between, lengths)
     pairs = np.arange(len(rods)), rods
     rate = stepping.rate * between
     done = 0
@@ -101,7 +101,7 @@ def rate_of(path: ClampPath) -> float:
     return float(1.0 / step.mean())
 
 
-def _grippers(path: ClampPath, held: Clamps) -> Grippers:
+def grippers_along(path: ClampPath, held: Clamps) -> Grippers:
     """The grippers of N motions at the moments of ``path``, ``held`` at the first."""
     turns = [path.rotation(k, len(held.start_position)) for k in range(path.moments - 1)]
     if turns[0] is not None and np.abs(turns).max() > MOST_TURN:

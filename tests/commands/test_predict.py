@@ -10,6 +10,7 @@ import pytest
 from doo_ti.cli import main
 from doo_ti.commands.results import plain
 from doo_ti.dynamics.theta import MotionTheta, load_theta, save_form
+from doo_ti.frames import quaternion_from_matrix
 from doo_ti.io.observations import Observations, load_observations, save_observations
 from doo_ti.relaxation.relax import relax
 from doo_ti.start import observation_clamps, start_configuration
@@ -61,6 +62,55 @@ def test_840_degrees_are_reported_as_840_degrees(folder, capsys):
     np.testing.assert_allclose(found["end_rotation_deg"][:, 0], [0, 210, 420, 630, 840], atol=1e-6)
     np.testing.assert_allclose(found["time_s"], [0, 0.5, 1, 1.5, 2])
     assert found["vertices_mm"].shape == (5, 2, 21, 3) and found["jumps"].shape == found["energy"].shape == (5, 2)
+
+
+def log_of(poses, turn: np.ndarray, scale: float) -> str:
+    """A robot's log of both grippers: metres, quaternions of tools whose z axes point along the rod, other columns."""
+    names = ["stamp", "joint_1"]
+    rows = [[f"{0.5 * k}", "0.1"] for k in range(len(poses["end_frame"]))]
+    for end in ("start", "end"):
+        names += [f"{end}/position/{axis}" for axis in "xyz"] + [f"{end}/orientation/{part}" for part in "xyzw"]
+        tool = turn @ poses[f"{end}_frame"][..., [1, 2, 0]]
+        quaternion = quaternion_from_matrix(tool)[:, [1, 2, 3, 0]]
+        places = scale * poses[f"{end}_position_mm"] @ turn.T
+        rows = [row + [repr(float(x)) for x in (*place, *q)] for row, place, q in zip(rows, places, quaternion, strict=True)]
+    return "\n".join(map(",".join, [names, *rows]))
+
+
+def test_logs_of_robots(folder):
+    """In another unit, with y up, and grippers of other names: the same motion as in the keys of a motion file."""
+    seen = load_observations(folder / "seen.npz").take([0])
+    save_observations(folder / "one.npz", seen)
+    poses = dict(np.load(folder / "frames.npz"))
+    poses |= {f"{end}_position_mm": np.repeat(seen.vertices[:, k], 2, axis=0) for end, k in (("start", 0), ("end", -1))}
+    np.savez(folder / "poses.npz", **poses, time_s=[0.0, 0.5])
+    assert main(words(folder, "one.npz", "poses.npz")) == 0
+    expected = written(folder / "f.npz")
+    upright = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # z becomes y
+    log = log_of(poses, upright, 1e-3)
+    (folder / "log.csv").write_text(log)
+    log = log.replace("start/", "left/").replace("end/", "right/")
+    (folder / "german.csv").write_text(log.replace(",", ";").replace(".", ","))
+    options = ["--motion-axis", "z", "--motion-up", "0,1,0", "--motion-unit", "m"]
+    for name, more in (("log.csv", []), ("german.csv", ["--motion-columns", "start=left,end=right,time=stamp"])):
+        assert main([*words(folder, "one.npz", name), *options, *more]) == 0
+        found = written(folder / "f.npz")
+        np.testing.assert_allclose(found["vertices_mm"], expected["vertices_mm"], atol=1e-3)
+        np.testing.assert_array_equal(found["time_s"], [0, 0.5])
+    np.savez(folder / "metres.npz", vertices_mm=1e-3 * seen.vertices, rest_length_mm=1e-3 * seen.rest_length,
+             start_frame=seen.start_frame, end_frame=seen.end_frame, total_twist_deg=[0.0])
+    assert main([*words(folder, "metres.npz", "log.csv"), *options[:4], "--unit", "m"]) == 0
+    np.testing.assert_allclose(written(folder / "f.npz")["vertices_mm"], expected["vertices_mm"], atol=1e-3)
+
+
+@pytest.mark.parametrize("options, said", [
+    (["--motion-columns", "hand=left"], "--motion-columns"), (["--motion-columns", "end=right"], "none begins with 'right'"),
+    (["--motion-axis", "w"], "--motion-axis"), (["--motion-up", "0,0,0"], "up"), (["--motion-columns", "time=clock"], "clock"),
+])
+def test_wrong_options_of_motions(folder, capsys, options, said):
+    assert main([*words(folder, "seen.npz", "turn.csv"), *options]) == 2
+    printed = capsys.readouterr().err
+    assert said in printed and printed.count("\n") == 1
 
 
 def test_materials_and_starts_at_once(folder, capsys):

@@ -1,0 +1,166 @@
+"""Poses of grippers in CSV files, of this package and of robots' logs: one row per moment, to the keys of motion files.
+
+    time_s                               or time, timestamp, t; in other units time_ms, time_us, time_ns
+    start_x_mm, … end_z_mm               positions; also start_x_m, start_x_cm, or start_x, which is mm
+    end_qw, end_qx, end_qy, end_qz       orientation as a quaternion, or
+    end_rx, end_ry, end_rz               as a rotation vector, rad, or
+    end_roll, end_pitch, end_yaw         as turns about the fixed x, then y, then z, rad
+    end_frame_t_x, …, end_rotation_deg   (:mod:`doo_ti.io.motion_file`)
+
+Names are known in any case, with points or slashes for underscores, and as logs write them: ``end.pose.position.x``,
+``end/orientation/w``. Columns without ``start`` and ``end`` are those of the end gripper, where none has them. Angles that end
+in ``_deg`` are degrees. Other columns are ignored.
+"""
+
+import re
+from collections.abc import Mapping
+from difflib import get_close_matches
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti.errors import InputError
+from doo_ti.frames import matrix_from_quaternion, rotation_matrix
+from doo_ti.io.arrays import AXES, NEARLY, frame_columns, given_columns, read_npz
+from doo_ti.io.csv_table import CsvTable, read_csv
+from doo_ti.io.curves import UNITS_IN_MM
+from doo_ti.io.files import read_content
+
+ENDS = ("start", "end")
+NAMED = ("time", *ENDS)
+"""What a user may say is called otherwise: the column of the time, and what the columns of a gripper begin with."""
+FORM = "time_s, start_x_mm, start_y_mm, start_z_mm, start_qw, …, end_x_mm, …, end_rotation_deg"
+_TIMES = {f"{name}{unit}": factor for name in ("time", "timestamp", "stamp", "t")
+          for unit, factor in (("_s", 1.0), ("", 1.0), ("_ms", 1e-3), ("_us", 1e-6), ("_ns", 1e-9))}
+_POSITION, _ORIENTATION = re.compile(r"^(pose_)?(position|translation|pos|t)_?(?=[xyz](_|$))"), re.compile(
+    r"^(pose_)?(orientation|quaternion|quat|q)_?(?=[wxyz]$)")
+_QUATERNION, _VECTOR, _TURNS = ("qw", "qx", "qy", "qz"), ("rx", "ry", "rz"), ("roll", "pitch", "yaw")
+LARGEST_MISFIT = 1e-2
+"""Of the length of a quaternion from one."""
+
+
+def read_poses(path: Path, named: Mapping[str, str] | None = None) -> tuple[dict[str, np.ndarray], dict[str, float]]:
+    """The keys of motion files from a CSV file, and mm in the unit of each position, in which it still is.
+
+    named  some of :data:`NAMED`: their names in the file
+
+    Raises InputError for files without poses, columns that lack others, and orientations that are none.
+    """
+    table = read_csv(path, (), form=FORM)
+    columns = {_plain(name): name for name in table.columns}
+    keys, units = {}, {}
+    time = _time(path, columns, dict(named or {}))
+    if time is not None:
+        keys["time_s"] = time[1] * table.numbers(time[0])
+    prefixes = {end: _plain((named or {}).get(end, end)) for end in ENDS}
+    found = {end: _local(columns, f"{prefix}_") for end, prefix in prefixes.items()}
+    for end in (end for end in ENDS if end in (named or {}) and not found[end]):
+        listed = ", ".join(list(table.columns)[:20])
+        raise InputError(path, "columns", f"none begins with {named[end]!r}", f"the file has {listed}")
+    if not any(_poses(local) for local in found.values()):
+        found["end"] = _local(columns, "") | found["end"]
+    for end, local in found.items():
+        _add(table, end, local, keys, units)
+    if "end_rotation_deg" in columns:
+        keys["end_rotation_deg"] = table.numbers(columns["end_rotation_deg"])
+    if not keys.keys() - {"time_s"}:
+        first = next((name for name in table.columns if time is None or name != time[0]), "header")
+        raise InputError(path, first, "no pose of a gripper", f"give some of {FORM}")
+    used = {*_TIMES, "end_rotation_deg"}
+    alike = next((name for plain, name in columns.items() if plain not in used and
+                  get_close_matches(plain, ["end_rotation_deg"], 1, NEARLY)), None)
+    if alike is not None:
+        raise InputError(path, alike, f"unknown column {alike!r}", "name it end_rotation_deg, or otherwise")
+    return keys, units
+
+
+def holds_poses(path: Path) -> bool:
+    """Whether a CSV or npz file states poses of grippers, by its names."""
+    if path.suffix == ".npz":
+        names = tuple(f"{end}_{what}" for end in ENDS for what in ("position_mm", "frame", "quaternion"))
+        found = read_npz(path, read_content(path), (*names, "positions_mm")).keys()
+        return bool(found) and "positions_mm" not in found
+    if path.suffix != ".csv" or not path.is_file():
+        return False
+    try:
+        columns = {_plain(name): name for name in read_csv(path, ()).columns}
+    except InputError:
+        return False
+    return any(_poses(_local(columns, prefix)) for prefix in ("start_", "end_")) or "qw" in _local(columns, "")
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+
+
+def _local(columns: dict[str, str], prefix: str) -> dict[str, str]:
+    """The columns that begin with ``prefix``, by their short names without it."""
+    found = {}
+    for plain, name in columns.items():
+        if plain.startswith(prefix):
+            short = _POSITION.sub("", plain[len(prefix) :])
+            found.setdefault(_ORIENTATION.sub("q", short), name)
+    return found
+
+
+def _poses(local: dict[str, str]) -> bool:
+    """Whether there is any pose among the columns of a gripper."""
+    positions = {f"{axis}{unit}" for axis in AXES for unit in ("", *(f"_{unit}" for unit in UNITS_IN_MM))}
+    angles = {f"{name}{unit}" for name in (*_VECTOR, *_TURNS) for unit in ("", "_rad", "_deg")}
+    return bool(local.keys() & (positions | angles | {*_QUATERNION} | {"frame_t_x"}))
+
+
+def _time(path: Path, columns: dict[str, str], named: dict[str, str]) -> tuple[str, float] | None:
+    """The column of the time, and s in its unit."""
+    if (own := named.get("time")) is not None:
+        if _plain(own) not in columns:
+            raise InputError(path, own, "the column is missing", f"the file has {', '.join(list(columns.values())[:20])}")
+        unit = re.search(r"_(ms|us|ns)$", _plain(own))
+        return columns[_plain(own)], _TIMES[f"time_{unit[1]}"] if unit else 1.0
+    return next(((columns[name], factor) for name, factor in _TIMES.items() if name in columns), None)
+
+
+def _add(table: CsvTable, end: str, local: dict[str, str], keys: dict, units: dict) -> None:
+    """Add the pose of one gripper to ``keys``."""
+    for unit in (*(f"_{unit}" for unit in UNITS_IN_MM), ""):
+        names = [f"{axis}{unit}" for axis in AXES]
+        if values := _columns(table, local, names):
+            keys[f"{end}_position_mm"] = np.stack(values, axis=-1)
+            units[f"{end}_position_mm"] = UNITS_IN_MM[unit[1:]] if unit else 1.0
+            break
+    frames = {}
+    if values := _columns(table, local, list(frame_columns("frame"))):
+        frames["frame"] = np.stack(values, axis=-1).reshape(-1, 3, 3)
+    if values := _columns(table, local, list(_QUATERNION)):
+        frames["quaternion"] = frame_of_quaternion(table.path, local["qw"], np.stack(values, axis=-1))
+    for unit, factor in (("", 1.0), ("_rad", 1.0), ("_deg", np.pi / 180)):
+        if values := _columns(table, local, [f"{name}{unit}" for name in _VECTOR]):
+            frames["rotation vector"] = rotation_matrix(factor * np.stack(values, axis=-1))
+        if values := _columns(table, local, [f"{name}{unit}" for name in _TURNS]):
+            about = [rotation_matrix(factor * value[:, None] * np.eye(3)[k]) for k, value in enumerate(values)]
+            frames["turns"] = about[2] @ about[1] @ about[0]
+    if len(frames) > 1:
+        raise InputError(table.path, end, f"orientation as {' and as '.join(frames)}", "give one of them")
+    for kind, frame in frames.items():
+        keys[f"{end}_frame" if kind == "frame" else f"{end}_orientation"] = frame
+
+
+def _columns(table: CsvTable, local: dict[str, str], names: list[str]) -> list[np.ndarray]:
+    """The numbers in the columns with those short names, none where there are none of them. Raises InputError for some."""
+    if not local.keys() & set(names):
+        return []
+    first = next(name for name in names if name in local)
+    before, _, behind = local[first].lower().rpartition(first)
+    whole = {name: local.get(name, f"{before}{name}{behind}") for name in names}
+    given_columns(table.path, tuple(whole.values()), table.columns)
+    return [table.numbers(name) for name in whole.values()]
+
+
+def frame_of_quaternion(path: Path, field: str, quaternion: np.ndarray) -> np.ndarray:
+    """(T, 3, 3) of (T, 4) unit quaternions, the scalar first. Raises InputError for others."""
+    length = np.linalg.norm(quaternion, axis=-1, keepdims=True)
+    wrong = np.flatnonzero(~(np.abs(length[:, 0] - 1) < LARGEST_MISFIT))
+    if len(wrong):
+        raise InputError(path, field, f"moment {wrong[0]} has a quaternion of length {length[wrong[0], 0]:.4g}",
+                         "give unit quaternions, the scalar as qw")
+    return matrix_from_quaternion(quaternion / length)
