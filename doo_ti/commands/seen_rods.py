@@ -1,5 +1,6 @@
 """The tasks of `doo-ti perceive` and `doo-ti track`: their options and files, checked before any image is read."""
 
+import re
 from argparse import Namespace
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,7 @@ from doo_ti.commands.moving_rods import is_dynamic, losses
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
 from doo_ti.io.arrays import read_npz
-from doo_ti.io.csv_table import read_csv
+from doo_ti.io.csv_table import decoded, read_csv
 from doo_ti.io.files import MOST_TEXT_BYTES, read_content
 from doo_ti.io.observations import load_observations
 from doo_ti.terminal import in_line
@@ -136,7 +137,7 @@ def read_rest_length(text: str) -> np.ndarray:
         raise InputError(given.SOURCE, option, f"{text!r}: {error.problem}", remedy) from None
     try:
         values = read_npz(path, content, ("rest_length_mm",)).get("rest_length_mm") if path.suffix == ".npz" else \
-            np.array(content.decode("utf-8").replace(",", " ").split(), dtype=np.float64)
+            np.array(_words(path, decoded(content)), dtype=np.float64)
     except ValueError as error:
         if isinstance(error, InputError):
             raise
@@ -146,6 +147,15 @@ def read_rest_length(text: str) -> np.ndarray:
         raise InputError(path, "rest_length_mm", f"missing, or not 2 or more numbers from {LEAST_MM:g} to {MOST_MM:g}",
                          "give one for each edge, in mm")
     return values.astype(np.float64)
+
+
+def _words(path: Path, text: str) -> list[str]:
+    """The numbers of a text, between commas, semicolons or spaces. Raises InputError where commas may also be in them."""
+    words = text.replace(";", " ").split()
+    if len(words) > 1 and all(re.fullmatch(r"\d+,\d+", word) for word in words):
+        raise InputError(path, "rest_length_mm", f"{words[0]!r} is one number, or two", "write decimals behind a point, and "
+                         "numbers between spaces")
+    return " ".join(words).replace(",", " ").split()
 
 
 def _sets(options: Namespace, rig):

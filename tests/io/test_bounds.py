@@ -23,6 +23,7 @@ from doo_ti.io.scene import load_scene
 from doo_ti.learning.pairs import load_pairs
 from doo_ti.vision.cameras.rig import load_rig
 from doo_ti.vision.cameras.views import read_views
+from doo_ti.vision.detection.image_size import stated_size
 from doo_ti.vision.detection.images import load_sets, read_image
 from tests.learning.lab import small_lab
 
@@ -89,6 +90,20 @@ def test_images_longer_than_any_camera_takes(tmp_path, size):
         read_image(tmp_path / "long.png")
     (tmp_path / "good.png").write_bytes(png(30, 20))
     assert read_image(tmp_path / "good.png").shape == (20, 30)
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "tiff"])
+def test_the_size_that_an_image_states_is_known_before_it_is_unpacked(tmp_path, suffix):
+    cv2 = pytest.importorskip("cv2")
+    content = cv2.imencode(f".{suffix}", np.zeros((20, 30), dtype=np.uint8))[1].tobytes()
+    assert sorted(stated_size(content)) == [20, 30]
+    for short in range(0, len(content), 7):
+        assert len(stated_size(content[:short])) in (0, 1, 2)
+    if suffix == "jpg":
+        at = content.index(b"\xff\xc0") + 5
+        (tmp_path / "huge.jpg").write_bytes(content[:at] + struct.pack(">HH", 60_000, 60_000) + content[at + 4 :])
+        with pytest.raises(InputError, match="60000 x 60000"):
+            read_image(tmp_path / "huge.jpg")
 
 
 def test_a_parquet_of_cells_is_no_table_of_observations(tmp_path):

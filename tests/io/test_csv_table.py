@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from doo_ti.commands.seen_rods import read_rest_length
 from doo_ti.errors import InputError
 from doo_ti.io.csv_table import parse_csv, read_csv
 
@@ -76,3 +77,12 @@ def test_a_cell_that_is_no_number_is_named_with_its_line(tmp_path, cell):
 def test_incomplete_rows_are_named(tmp_path):
     with pytest.raises(InputError, match="'1.5' in line 3"):
         parse_csv(tmp_path / "x.csv", b"a\n1\n1.5\n", ("a",)).whole("a")
+
+
+def test_lengths_with_decimal_commas_are_not_taken_for_two(tmp_path):
+    (tmp_path / "x.txt").write_text("2,5\n2,5\n")
+    with pytest.raises(InputError, match="'2,5' is one number, or two"):
+        read_rest_length(str(tmp_path / "x.txt"))
+    for text in ("2.5 3\n2.5", "2.5;3;2.5", "2.5,3,2.5", "2.5, 3\n2.5"):
+        (tmp_path / "x.txt").write_text(text)
+        assert read_rest_length(str(tmp_path / "x.txt")).tolist() == [2.5, 3, 2.5]

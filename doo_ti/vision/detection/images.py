@@ -7,7 +7,6 @@ out of the whole file, not of a line: a set's score is a sum over cameras, and s
 """
 
 import os
-import struct
 import sys
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -21,10 +20,10 @@ from doo_ti.io.csv_table import CsvTable, read_csv
 from doo_ti.io.files import read_content
 from doo_ti.vision.cameras.camera import MOST_SIDE, Camera
 from doo_ti.vision.cameras.rig import Rig
+from doo_ti.vision.detection.image_size import stated_size
 
 SEED = ("seed_x", "seed_y", "seed_z", "dir_x", "dir_y", "dir_z")
 FEWEST_CAMERAS = 2
-PNG = b"\x89PNG"
 _changing, _silent = Lock(), []
 """One copy of the original standard error for each image that is being decoded."""
 
@@ -42,7 +41,7 @@ def read_image(path: str | os.PathLike[str], camera: Camera | None = None) -> np
         cv2.setLogLevel(0)  # the caller reports on damaged files; OpenCV shall not do so as well
     path = Path(path)
     stored = np.frombuffer(read_content(path, remedy="name a readable image"), dtype=np.uint8)
-    _check_side(path, *_png_size(stored[:24].tobytes()))  # before it is unpacked
+    _check_side(path, *stated_size(stored.tobytes()))  # before it is unpacked
     try:
         with _silenced():
             image = cv2.imdecode(stored, cv2.IMREAD_GRAYSCALE) if stored.size else None
@@ -55,11 +54,6 @@ def read_image(path: str | os.PathLike[str], camera: Camera | None = None) -> np
         raise InputError(path, "size", f"{image.shape[1]} x {image.shape[0]} px, but {camera.name} of {camera.source} takes "
                          f"{camera.width} x {camera.height}", "give the rig's own images, neither scaled nor cropped")
     return image
-
-
-def _png_size(head: bytes) -> tuple[int, ...]:
-    """Width and height of a PNG, from its first bytes; nothing for other files."""
-    return struct.unpack(">II", head[16:24]) if head.startswith(PNG) and len(head) == 24 else ()
 
 
 def _check_side(path: Path, *sides: int) -> None:
