@@ -22,8 +22,8 @@ LEAST_ACROSS = 1e-6
 """Of the direction against gravity, across a chord: below, the chord is vertical and any plane does."""
 
 
-def straight_rod(length: float, edges: int, start: ArrayLike = (0.0, 0.0, 0.0), direction: ArrayLike = (1.0, 0.0, 0.0), *,
-                 vertex_clamps: bool = False) -> Configuration:
+def straight_rod(length: float, edges: int, start: ArrayLike = (0.0, 0.0, 0.0),
+                 direction: ArrayLike = (1.0, 0.0, 0.0), *, vertex_clamps: bool = False) -> Configuration:
     """One straight rod without twist, ``length`` mm long, from ``start`` (3,) mm in ``direction`` (3,) of any length.
 
     vertex_clamps  with an edge of length zero before the first of the ``edges`` and after the last: clamps of both ends then act

@@ -157,9 +157,9 @@ class Clamps:
     start_position, end_position  (R, 3) mm; unused where the end is free
     start_frame, end_frame        (R, 3, 3) columns t, m1, m2; only t counts for a tangent clamp; unused below that
 
-    A clamp that holds a direction holds the end edge, so that the rod begins to bend at that edge's middle: it acts there, half an
-    edge from the end vertex, and forces and deflections converge with the first order of the edge. Where the end edge has a
-    ``rest_length`` of zero the clamp acts at the end vertex itself, with second order (``straight_rod(…, vertex_clamps=True)``).
+    A clamp that holds a direction holds the end edge, so that the rod begins to bend at that edge's middle: it acts there, half
+    an edge from the end vertex, and forces and deflections converge with the first order of the edge. Where the end edge has a
+    ``rest_length`` of zero the clamp acts at the end vertex itself, with second order: ``straight_rod(…, vertex_clamps=True)``.
     """
 
     start: np.ndarray

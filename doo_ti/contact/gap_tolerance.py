@@ -6,6 +6,8 @@ GAP_TOLERANCE = 2e-4
 """Of a rod's radius, unless another is given: a gap may be off by that, or a force by that times the stiffness κ."""
 GAP_TOLERANCE_OF_OBSTACLES = 1e-5
 """The same in ``relax`` of rods that may touch obstacles only, whose forces settle with the steps and so at little cost."""
+GAP_TOLERANCE_IN_MOTION = 4e-5
+"""The same of rods in motion that may touch obstacles only: a gap that closes lifts the rod, which costs energy."""
 LEAST, MOST = 1e-10, 0.1
 """What may be given; smaller ones are below rounding."""
 

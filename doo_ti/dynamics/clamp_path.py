@@ -6,7 +6,7 @@ import numpy as np
 
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.frames import quaternion_from_matrix, smallest_rotation
-from doo_ti.relaxation.time_loading import PATH_ANCHOR, PATH_COLUMNS, PATH_ENDS, PATH_TARGET
+from doo_ti.relaxation.time_loading import PATH_ANCHOR, PATH_COLUMNS, PATH_ENDS, PATH_STILL, PATH_TARGET
 from doo_ti.types import Clamp, Configuration
 
 
@@ -26,7 +26,19 @@ def clamp_path(grippers: Grippers, start: Configuration, steps: slice) -> np.nda
     for column, kind, frames in ((PATH_ENDS, kinds[0], grippers.start_frame), (PATH_ENDS + 4, kinds[1], grippers.end_frame)):
         if (kind >= Clamp.TANGENT).any():
             path[..., column : column + 4] = _frames(frames[:, after], kind)
+    path[..., PATH_STILL] = _still(grippers, kinds, steps)
     return path
+
+
+def _still(grippers: Grippers, kinds: list[np.ndarray], steps: slice) -> np.ndarray:
+    """(S, steps) whether what the grippers hold is where it was at the step's beginning."""
+    still = np.ones((grippers.count, steps.stop - steps.start), dtype=bool)
+    for kind, position, frame in zip(kinds, (grippers.start_position, grippers.end_position),
+                                     (grippers.start_frame, grippers.end_frame), strict=True):
+        for least, poses in ((Clamp.POSITION, position), (Clamp.TANGENT, frame.reshape(*frame.shape[:2], 9))):
+            moves = (poses[:, steps.start : steps.stop] != poses[:, steps.start + 1 : steps.stop + 1]).any(axis=-1)
+            still &= ~moves | (kind < least)[:, None]
+    return still
 
 
 def refined_within_reach(grippers: Grippers, parts: int, rest_length: np.ndarray) -> Grippers:

@@ -138,7 +138,7 @@ class Account:
 
     def _keep(self, memory: Memory) -> None:
         """What the next step needs of the memory before it."""
-        self._velocity = memory.places[..., 9:12].copy()
+        self._velocities = memory.places[..., 6:9].copy(), memory.places[..., 9:12].copy()
         self._before = memory.frames.copy(), memory.places[..., :3].copy()
 
     def _store(self, memory: Memory) -> None:
@@ -151,9 +151,12 @@ class Account:
         those of ``contact`` (R, V, 3) on the vertices."""
         older, last = self._strains
         now = joint_strains(memory.frames)
-        rate, extrapolation = self.scheme
-        rates = rate * (now - last - extrapolation * (last - older))
-        forces = self._gripper_forces(memory, end_force, contact, now, rates)
+        # After an impact, whose step is one of backward Euler, a rod remembers that velocity only.
+        euler = (memory.places[..., 6:9] == memory.places[..., 9:12]).all(axis=(1, 2))[:, None, None]
+        rate, extrapolation = np.where(euler, 1.0 / self.step, self.scheme[0]), np.where(euler, 0.0, self.scheme[1])
+        rates, acceleration = (rate * (new - old - extrapolation * (old - before)) for new, old, before in (
+            (now, last, older), (memory.places[..., 6:9], *self._velocities)))
+        forces = self._gripper_forces(memory, end_force, contact, now, rates, acceleration)
         before = forces if self._forces is None else [
             np.where(np.isnan(old), new, old) for old, new in zip(self._forces, forces, strict=True)]
         frames, places = self._before
@@ -168,22 +171,21 @@ class Account:
         new["work"] = np.where(np.isnan(work), stored - self._stored + sum(new.values()), work)
         self._stored = stored
         self._flows = {name: self._flows[name] + new[name] for name in FLOWS}
-        self._forces, self._contact, self._strains = forces, contact, (last, now)
+        self._forces, self._contact, self._strains = forces, contact, (np.where(euler, now, last), now)
         self._keep(memory)
         if is_frame:
             self._store(memory)
 
     def _gripper_forces(self, memory: Memory, end_force: np.ndarray, contact: np.ndarray | float, strains: np.ndarray,
-                        rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+                        rates: np.ndarray, acceleration: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """((R, 2, 3) forces, (R, 2, 3) moments) of the grippers on the first and the last vertex and edge; ``rates`` are those
-        of the ``strains``.
+        of the ``strains``, ``acceleration`` (R, V, 3) that of the vertices.
 
         Of the forces f on the vertices, with inertia, drag and contact, the chain carries N_e = −Σ_{i>e} f_i − F_end through
         edge e; an edge is in balance under the joints' moments T, the gripper's and l t × (−N).
         """
-        own, (rate, extrapolation) = self.losses, self.scheme
-        place, velocity, last = (memory.places[..., k : k + 3] for k in (0, 6, 9))
-        acceleration = rate * (velocity - last - extrapolation * (last - self._velocity))
+        own = self.losses
+        place, velocity = (memory.places[..., k : k + 3] for k in (0, 6))
         speed = np.linalg.norm(velocity, axis=-1)
         force = (-own.mass[..., None] * acceleration - (own.drag + own.drag_by_speed * speed)[..., None] * velocity
                  - own.weight[..., None] * own.up - own.spring_stiffness[..., None] * (place - own.spring_point) + contact)

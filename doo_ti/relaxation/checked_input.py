@@ -31,8 +31,8 @@ def check_shapes(configuration: Configuration, clamps: Clamps) -> None:
 
 
 def rest_lengths(configuration: Configuration) -> np.ndarray:
-    """(1 or S, E) rest lengths. Raises InputError where they do not match or are not positive; those of the first and of the last
-    edge may be zero, where at least two others are between them."""
+    """(1 or S, E) rest lengths. Raises InputError where they do not match or are not positive; those of the first and of the
+    last edge may be zero, where at least two others are between them."""
     count, edges = configuration.count, configuration.edges
     lengths = real_array("configuration", "rest_length", configuration.rest_length, "give positive lengths in mm")
     # A copy: the result must not change when the caller's array does.

@@ -109,13 +109,19 @@ class Contacts(ContactRounds):
             self.set_item(rod, WORK, done, self.item(rod, WORK) + self.friction_work(rod))
         if ti.static(self.moves):
             self.remember_poses(rod, done)
-        self.set_item(rod, PHASE, done, zero + ROUGH)
-        self.set_item(rod, CHANGE, done, zero + 1e30)
-        self.set_item(rod, STIFFNESS, done, self.item(rod, FIRST_STIFFNESS))
-        self.tighten(rod, done)
-        for item in ti.static((RETRIED, SETTLING, EARLY)):
-            self.set_item(rod, item, done, zero)
+        self.begin_rounds(rod, done)
         return midway
+
+    @ti.func
+    def begin_rounds(self, rod, where):
+        """Begin with the rounds of a step, from the forces that there are, in the lanes ``where``."""
+        zero = 0.0 * rod.total
+        self.set_item(rod, PHASE, where, zero + ROUGH)
+        self.set_item(rod, CHANGE, where, zero + 1e30)
+        self.set_item(rod, STIFFNESS, where, self.item(rod, FIRST_STIFFNESS))
+        self.tighten(rod, where)
+        for item in ti.static((RETRIED, SETTLING, EARLY)):
+            self.set_item(rod, item, where, zero)
 
     @ti.func
     def friction_work(self, rod):

@@ -18,8 +18,8 @@ NEXT, TRIPS, LANES = 0, 1, 2
 @ti.func
 def stiffness_scale(material: ti.template(), clamp: ti.template(), g, s):
     """Stiffness, mm³, by which the residual of the rod (configuration s, material g) is measured: the largest eigenvalue of B,
-    or where a hundredth of its weight's moment about the clamp, times the length, or a thousandth of β is more, that: rounding of
-    a joint's twist is a moment of a rod that twists much harder than it bends."""
+    or where a hundredth of its weight's moment about the clamp, times the length, or a thousandth of β is more, that: of a rod
+    that twists much harder than it bends, rounding of a joint's twist is a moment."""
     weight = material[g, of.WEIGHT] * clamp[s, of.HANGING] * (clamp[s, of.TOTAL] / REFERENCE_LENGTH)
     return ti.max(ti.max(material[g, of.LARGEST_BEND], weight), 1e-3 * material[g, of.STIFFEST])
 

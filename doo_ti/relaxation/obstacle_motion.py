@@ -66,6 +66,15 @@ class ObstacleLoading(Loading):
             self.put_items(scratch, at + CARRIED * self.stride, slot, minus(shift, rotated(carry, before)))
 
     @ti.func
+    def rest_of_poses(self, tables, row, step):
+        """One where no obstacle moves in step ``step``, else zero."""
+        i, still = ti.min(row, tables.poses.shape[0] - 1), ti.cast(1.0, ti.f64)
+        for o, k in ti.ndrange(tables.kinds.shape[0], POSE_COLUMNS):
+            if tables.poses[i, step, o, k] != tables.poses[i, step + 1, o, k]:
+                still = 0.0
+        return still
+
+    @ti.func
     def pose_from(self, tables, row, instant, o, unit):
         """The record of ``turn`` and ``shift`` of an obstacle at an instant, lengths over ``unit``."""
         i, shift = ti.min(row, tables.poses.shape[0] - 1), ti.static(POSE_SHIFT)

@@ -13,13 +13,14 @@ from doo_ti.relaxation.dense_elimination import DenseElimination
 from doo_ti.relaxation.newton_policy import UP
 from doo_ti.relaxation.pair_layout import self_contact_items
 from doo_ti.relaxation.self_contacts import SelfContacts
+from doo_ti.relaxation.time_impact import TimeImpact
 from doo_ti.relaxation.time_loop import TimeLoop
 from doo_ti.relaxation.time_slope_loop import TimeSlopeLoop
 from doo_ti.relaxation.time_slopes import OWN, SHARED, TimeSlopes
 from doo_ti.relaxation.time_sweep import TimeSweep
 
 
-class DenseTimeSweep(DenseElimination, TimeSweep):
+class DenseTimeSweep(DenseElimination, TimeImpact):
     """The time step of rods that may touch themselves."""
 
 
@@ -81,7 +82,7 @@ def time_contact_kernel(number: Number, isotropic: bool, stride: int, block: int
     if itself:
         sweep = DenseTimeSweep(number, isotropic, stride, SelfContacts(number, stride, kinds, rub, moves))
     else:
-        sweep = TimeSweep(number, isotropic, stride, Contacts(number, stride, kinds, rub, moves))
+        sweep = TimeImpact(number, isotropic, stride, Contacts(number, stride, kinds, rub, moves))
     size = self_contact_items if itself else contact_items
     loop = TimeLoop(sweep)
     table1, table2, table3, table4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))

@@ -13,7 +13,9 @@ from doo_ti.relaxation.time_sweep import (
     FRAME_2,
     INERTIA,
     OF_BEND_SHARE,
+    OF_EULER,
     OF_INERTIA,
+    OF_STILL,
     OF_VERTEX,
     PLACE_1,
     SPRING_POINT,
@@ -21,8 +23,9 @@ from doo_ti.relaxation.time_sweep import (
     TimeSweep,
 )
 
-# Columns of the clamps at an instant: the point the chain hangs from, the far point from there, mm, the first and last frame.
-PATH_ANCHOR, PATH_TARGET, PATH_ENDS, PATH_COLUMNS = 0, 3, 6, 14
+# Columns of the clamps at an instant: the point the chain hangs from, the far point from there, mm, the first and last frame,
+# and one where all that is as it was at the instant before.
+PATH_ANCHOR, PATH_TARGET, PATH_ENDS, PATH_STILL, PATH_COLUMNS = 0, 3, 6, 14, 15
 
 
 @ti.data_oriented
@@ -66,6 +69,8 @@ class MotionLoading(ReachLoading):
             self.put_items(scratch, at + FRAME_1 * self.stride, slot, self.frame_from(tables.frames, place))
             self.put_items(scratch, at + FRAME_2 * self.stride, slot, self.frame_from(tables.frames_before, place))
             at += self.edge_stride
+        if ti.static(self.touches):
+            self.put(scratch, own + OF_EULER * self.stride, slot, 0.0)
         self.load_last_reach(tables, scratch, head, slot, tables.rods[rod, of.CLAMP_ROW])
 
     @ti.func
@@ -100,8 +105,13 @@ class MotionLoading(ReachLoading):
         self.put_items(scratch, head + chain.OF_TARGET * self.stride, slot, scaled(line, 1.0 / unit))
         first = self.load_path_end(tables, s, step, share, 0, scratch, origin, slot)
         last = self.load_path_end(tables, s, step, share, 1, scratch, origin + (edges - 1) * self.edge_stride, slot)
-        if ti.static(self.moves):
-            self.next_poses(tables, scratch, slot, tables.rods[rod, of.RESULT_ROW], step, share, unit)
+        if ti.static(self.touches):
+            still = tables.path[s, step, PATH_STILL]
+            if ti.static(self.moves):
+                row = tables.rods[rod, of.RESULT_ROW]
+                self.next_poses(tables, scratch, slot, row, step, share, unit)
+                still *= self.rest_of_poses(tables, row, step)
+            self.put(scratch, head + (self.time_parameters + OF_STILL) * self.stride, slot, still)
         return self.load_reach(tables, scratch, head, slot, s, line, first, last)
 
     @ti.func

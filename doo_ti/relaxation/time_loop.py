@@ -3,7 +3,7 @@
 import taichi as ti
 
 from doo_ti.physical_units import STANDARD_GRAVITY
-from doo_ti.physics.tuples import chosen, plus, put_lane, record, repeated, scaled
+from doo_ti.physics.tuples import chosen, plus, put_lane, repeated, scaled
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.clamp_table import INFEASIBLE, TAUT
@@ -14,7 +14,6 @@ from doo_ti.relaxation.newton_policy import TOLERANCE
 from doo_ti.relaxation.time_loading import MotionLoading
 from doo_ti.relaxation.time_reach import BOWED
 from doo_ti.relaxation.time_sweep import (
-    EXTRAPOLATION,
     LEAST_WAY,
     OF_INERTIA,
     OF_REACH,
@@ -52,8 +51,7 @@ class TimeLoop(NewtonLoop):
         """Give every finished lane the next step of its rod; where that step was the last, or failed, another rod."""
         zero, one = self.constant(0.0), self.constant(1.0)
         done = (lane.finished > 0.5) & (lane.active > 0.5)
-        time = record(step=zero + ti.cast(tables.time[STEP], self.scalar), rate=zero + ti.cast(tables.time[RATE], self.scalar),
-                      extrapolation=zero + ti.cast(tables.time[EXTRAPOLATION], self.scalar))
+        time = self.sweep.steps_of(tables, scratch, head)
         up = (ti.cast(tables.up[0], self.scalar), ti.cast(tables.up[1], self.scalar), ti.cast(tables.up[2], self.scalar))
         rod = self.sweep.rods(tables, scratch, head, lane.coarse)
         once_more, least = done & (lane.active < 0.5), zero + ti.cast(tables.time[LEAST_WAY], self.scalar)
@@ -62,6 +60,10 @@ class TimeLoop(NewtonLoop):
             failed = done & (lane.status > 0.5) & ~(blocked & self.sweep.contacts.pinched(rod, lane.miss))
             reach = scratch[head + (self.sweep.time_parameters + OF_REACH) * self.stride]
             once_more = self.sweep.contacts.retry(rod, failed, blocked, reach > BOWED - 0.5, least)
+            impact = self.sweep.impact(rod, time, up)
+            bounced = done & (lane.status < 0.5) & impact.bounces
+            self.sweep.make_euler(rod, bounced)
+            time.kept, once_more = impact.kept, once_more | bounced
             known = self.sweep.load3(scratch, tables.contacts + MULTIPLIER * self.stride)
             lane.multiplier = chosen(once_more, known, lane.multiplier)
             done = done & ~once_more
@@ -72,6 +74,8 @@ class TimeLoop(NewtonLoop):
         if tables.time[WATCHED] > 0.0:
             self.sweep.watch(rod)
         self.sweep.remember(rod, time, done)
+        if ti.static(self.touches):
+            self.sweep.end_euler(rod, done)
         steps_made = supply.places + (tables.queue.shape[0] - LANES) // 2
         for slot in range(self.width):
             if self.lane(lane.finished, slot) > 0.5:
@@ -99,7 +103,7 @@ class TimeLoop(NewtonLoop):
         going = (lane.finished > 0.5) & (lane.active > 0.5)
         if self.largest(ti.select(going, one, zero)) > 0.5:
             next_rod = self.sweep.rods(tables, scratch, head, lane.coarse)
-            self.sweep.prepare(next_rod, time, up, going)
+            self.sweep.prepare(next_rod, self.sweep.steps_of(tables, scratch, head), up, going)
             for slot in range(self.width):
                 if self.lane(lane.finished, slot) > 0.5 and self.lane(lane.active, slot) > 0.5:
                     reach = self.loading.load_path(tables, scratch, head, slot, tables.queue[supply.places + slot],

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from doo_ti import runtime
+from doo_ti.contact.gap_tolerance import GAP_TOLERANCE, GAP_TOLERANCE_IN_MOTION
 from doo_ti.frames import quaternion_product
 from doo_ti.relaxation import newton
 from doo_ti.relaxation import tables as of
@@ -24,7 +25,8 @@ class Memory:
     """The state of R rods at their last two instants; changed in place as they move.
 
     frames, frames_before  (R, E, 4) unit quaternions at the last instant and at the one before
-    places                 (R, V, 12): positions at both, mm, and velocities at both, mm/s
+    places                 (R, V, 12): positions at both, mm, and velocities at both, mm/s. After a step of backward Euler among
+                           others both velocities are that at its end, and both frames
     drift                  (R, 3) mm from the anchor to vertex 0 where that is free, else zero
     multiplier             (R, 3) λ of closure, in the kernel's units
     status                 (R,) Status: a rod whose step failed stays there
@@ -128,8 +130,10 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
         if contact is not None:
             kernel, items, parameters = time_contact_kernel(
                 number, isotropic, stride, block, contact.known, contact.rubs, contact.itself, moves)
-            settles = not (contact.rubs or contact.itself)
-            more = *contact.arguments(forces, options.gap_tolerance, settles), touches, poses, contact.pair_memory
+            tolerance = options.gap_tolerance
+            if tolerance is None:
+                tolerance = GAP_TOLERANCE if contact.itself else GAP_TOLERANCE_IN_MOTION
+            more = *contact.arguments(forces, tolerance, False), touches, poses, contact.pair_memory
             size = parameters + items * table.edges + contact.items(table.edges, len(contact.kinds))
         elif slopes is None:
             kernel, items, parameters = time_kernel(number, isotropic, stride, block)

@@ -15,7 +15,7 @@ import taichi as ti
 from doo_ti.physics import pair
 from doo_ti.physics.angle import passed_half_turn, turned_about_own_tangent
 from doo_ti.physics.quaternion import normalised, product, relative_rotation, tangent
-from doo_ti.physics.tuples import chosen, dot, minus, plus, repeated, scaled, variable
+from doo_ti.physics.tuples import chosen, dot, minus, plus, record, repeated, scaled, variable
 from doo_ti.relaxation.chain import FRAME, LENGTH, LOADED_PARAMETERS, OF_DRIFT, REST
 from doo_ti.relaxation.contact_layout import VISCOSITY
 from doo_ti.relaxation.contacts import Contacts
@@ -31,8 +31,9 @@ PLACE_1, PLACE_2, VELOCITY_1, VELOCITY_2, INERTIA, DRAG, DRAG_BY_SPEED, LOAD, SP
 # begins the rest curvature of its left and its right frame and its rest twist, for the step being made.
 FRAME_1, FRAME_2, REST_LEFT, REST_RIGHT, REST_TWIST, EDGE_ITEMS = 20, 24, 28, 30, 32, 33
 # Parameters of a rod: shares of the rest curvature and twist that damping makes, the sum of the inertia κ of all vertices, by
-# how much its link has changed, how its clamps reach (:mod:`.clamp_table`), and the items of vertex 0.
-OF_BEND_SHARE, OF_TWIST_SHARE, OF_INERTIA, OF_RELINKED, OF_REACH, OF_VERTEX = 0, 1, 2, 3, 4, 5
+# how much its link has changed, how its clamps reach (:mod:`.clamp_table`), one where the step is one of backward Euler though
+# others are not, and where neither clamps nor obstacles move in it, and the items of vertex 0.
+OF_BEND_SHARE, OF_TWIST_SHARE, OF_INERTIA, OF_RELINKED, OF_REACH, OF_EULER, OF_STILL, OF_VERTEX = 0, 1, 2, 3, 4, 5, 6, 7
 PARAMETERS = OF_VERTEX + VERTEX_ITEMS
 
 # What a launch is given after the policy of Newton: the step h in s, a and b above, and the least share of the clamps' way
@@ -45,6 +46,8 @@ class TimeSweep(LoadedElimination):
     """The chain under the springs of a time step, whose points it sets itself.
 
     damped: joints have rest curvatures and twists of their own; ``isotropic`` rods are undamped. ``contacts`` with obstacles.
+
+    Its functions take a record ``time`` of the lanes' steps (:meth:`steps_of`).
     """
 
     def __init__(self, number, isotropic: bool, stride: int, contacts: Contacts | None = None):
@@ -59,6 +62,20 @@ class TimeSweep(LoadedElimination):
         self.parameters += PARAMETERS
 
     @ti.func
+    def steps_of(self, tables, scratch: ti.template(), head):
+        """The record of the lanes' steps: h, ``step``, in s; a, ``rate``; b, ``extrapolation``; a over that of the launch,
+        ``share``, below one where a step is one of backward Euler though others are not; h over the launch's a, ``interval``;
+        and the share of their speed that vertices keep at its end, ``kept``."""
+        one = 0.0 * scratch[head] + 1.0
+        step, rate = ti.cast(tables.time[STEP], self.number.scalar), ti.cast(tables.time[RATE], self.number.scalar)
+        euler = 0.0 * one
+        if ti.static(self.touches):
+            euler = scratch[head + (self.time_parameters + OF_EULER) * self.stride]
+        own = rate * one - (rate - 1.0) * euler
+        return record(kept=one, step=step * one, rate=own, share=own / rate, interval=step / rate * one,
+                      extrapolation=ti.cast(tables.time[EXTRAPOLATION], self.number.scalar) * (one - euler))
+
+    @ti.func
     def rest(self, scratch: ti.template(), at):
         """u̅ of the left frame and of the right one, and m̅."""
         own = at + self.motion * self.stride
@@ -71,7 +88,9 @@ class TimeSweep(LoadedElimination):
 
     @ti.func
     def remember(self, rod, time, done):
-        """Make the present shape the last instant, and the last instant the one before it, in the lanes that are ``done``."""
+        """Make the present shape the last instant, and the last instant the one before it, in the lanes that are ``done``.
+        After a step of backward Euler among others the velocities and frames before it do not count any more: they are as if
+        they had not changed in it."""
         place = variable(plus(rod.anchor, self.drift(rod)))
         vertex = rod.head + (self.time_parameters + OF_VERTEX) * self.stride
         self.remember_vertex(rod, vertex, place, time, done)
@@ -87,7 +106,8 @@ class TimeSweep(LoadedElimination):
                 self.contacts.remember(rod, e + 1, place, done)
             last = self.load4(rod.scratch, own + FRAME_1 * self.stride)
             before = self.load4(rod.scratch, own + FRAME_2 * self.stride)
-            self.store(rod.scratch, own + FRAME_2 * self.stride, chosen(done, last, before))
+            last_but_one = chosen(time.share < 1.0, q, last)
+            self.store(rod.scratch, own + FRAME_2 * self.stride, chosen(done, last_but_one, before))
             self.store(rod.scratch, own + FRAME_1 * self.stride, chosen(done, q, last))
             at += self.edge_stride
 
@@ -115,12 +135,19 @@ class TimeSweep(LoadedElimination):
         last, before = self.load3(rod.scratch, at + PLACE_1 * self.stride), self.load3(rod.scratch, at + PLACE_2 * self.stride)
         velocity = self.load3(rod.scratch, at + VELOCITY_1 * self.stride)
         older = self.load3(rod.scratch, at + VELOCITY_2 * self.stride)
-        # By differences, which f32 rounds less.
-        change = minus(scaled(minus(x, last), time.rate), scaled(minus(last, before), time.rate - 1.0))
+        new = variable(scaled(self.end_velocity(rod, at, x, time), time.kept))
         self.store(rod.scratch, at + PLACE_2 * self.stride, chosen(done, last, before))
         self.store(rod.scratch, at + PLACE_1 * self.stride, chosen(done, x, last))
-        self.store(rod.scratch, at + VELOCITY_2 * self.stride, chosen(done, velocity, older))
-        self.store(rod.scratch, at + VELOCITY_1 * self.stride, chosen(done, scaled(change, 1.0 / time.step), velocity))
+        self.store(rod.scratch, at + VELOCITY_2 * self.stride, chosen(done, chosen(time.share < 1.0, new, velocity), older))
+        self.store(rod.scratch, at + VELOCITY_1 * self.stride, chosen(done, new, velocity))
+
+    @ti.func
+    def end_velocity(self, rod, at, x, time):
+        """mm/s at the end of a step that takes the vertex whose items begin at ``at`` to ``x``, mm."""
+        last, before = self.load3(rod.scratch, at + PLACE_1 * self.stride), self.load3(rod.scratch, at + PLACE_2 * self.stride)
+        # By differences, which f32 rounds less.
+        change = minus(scaled(minus(x, last), time.rate), scaled(minus(last, before), time.rate - 1.0))
+        return scaled(change, 1.0 / time.step)
 
     # --- the step to be made ---
 
@@ -158,8 +185,8 @@ class TimeSweep(LoadedElimination):
         """(point, stiffness) of the spring of a step at the vertex whose items begin at ``at``, and x̂, mm."""
         s = self.stride
         y, ahead, fast = self.extrapolated(rod, at, time)
-        drag = rod.scratch[at + DRAG * s] + rod.scratch[at + DRAG_BY_SPEED * s] * ti.sqrt(dot(fast, fast))
-        inertia, stiffness = rod.scratch[at + INERTIA * s], rod.scratch[at + SPRING * s]
+        drag = time.share * (rod.scratch[at + DRAG * s] + rod.scratch[at + DRAG_BY_SPEED * s] * ti.sqrt(dot(fast, fast)))
+        inertia, stiffness = time.share * time.share * rod.scratch[at + INERTIA * s], rod.scratch[at + SPRING * s]
         k = inertia + drag + stiffness
         pull = variable(plus(plus(scaled(ahead, inertia), scaled(y, drag)),
                              scaled(self.load3(rod.scratch, at + SPRING_POINT * s), stiffness)))
@@ -188,12 +215,21 @@ class TimeSweep(LoadedElimination):
         s = self.stride
         own = at + self.motion * s
         curved = self.extrapolated_curvature(rod, at, time)
-        bend = rod.scratch[rod.head + (self.time_parameters + OF_BEND_SHARE) * s]
-        twist = rod.scratch[rod.head + (self.time_parameters + OF_TWIST_SHARE) * s]
-        rest1, rest2 = rod.scratch[at + REST * s], rod.scratch[at + (REST + 1) * s]
+        stiff, stiff_twist = self.stiffness_shares(rod, time)
+        bend = time.share / stiff * rod.scratch[rod.head + (self.time_parameters + OF_BEND_SHARE) * s]
+        twist = time.share / stiff_twist * rod.scratch[rod.head + (self.time_parameters + OF_TWIST_SHARE) * s]
+        rest1, rest2 = rod.scratch[at + REST * s] / stiff, rod.scratch[at + (REST + 1) * s] / stiff
         self.store(rod.scratch, own + REST_LEFT * s, (rest1 + bend * curved[0], rest2 + bend * curved[1]))
         self.store(rod.scratch, own + REST_RIGHT * s, (rest1 + bend * curved[2], rest2 + bend * curved[3]))
         rod.scratch[own + REST_TWIST * s] = twist * curved[4]
+
+    @ti.func
+    def stiffness_shares(self, rod, time):
+        """Of the stiffness of bending and of twist that the launch is given, with what damping adds in its steps, what those of
+        the lanes have."""
+        own = rod.head + self.time_parameters * self.stride
+        bend, twist = rod.scratch[own + OF_BEND_SHARE * self.stride], rod.scratch[own + OF_TWIST_SHARE * self.stride]
+        return 1.0 - bend * (1.0 - time.share), 1.0 - twist * (1.0 - time.share)
 
     @ti.func
     def extrapolated_curvature(self, rod, at, time):
