@@ -212,7 +212,7 @@ class TimeLoop(NewtonLoop):
         given = given * ti.min(weight, zero + 1.0)
         if ti.static(self.touches):
             given = self.sweep.contacts.tolerance(rod, given)
-        return ti.select(rounding > ti.static(RESOLVED) * weight, zero - 1.0, given + rounding)
+        return ti.select(rounding * rod.longest > ti.static(RESOLVED) * weight * lever, zero - 1.0, given + rounding)
 
     @ti.func
     def multiplier(self, lane, fitted):
