@@ -26,8 +26,8 @@ def straight_rod(length: float, edges: int, start: ArrayLike = (0.0, 0.0, 0.0),
                  direction: ArrayLike = (1.0, 0.0, 0.0), *, vertex_clamps: bool = False) -> Configuration:
     """One straight rod without twist, ``length`` mm long, from ``start`` (3,) mm in ``direction`` (3,) of any length.
 
-    vertex_clamps  with an edge of length zero before the first of the ``edges`` and after the last: clamps of both ends then act
-                   at the end vertices, not half an edge further in (:class:`~doo_ti.types.Clamps`)
+    vertex_clamps  with an edge of length zero before the first of the ``edges`` and after the last: clamps of both ends then
+                   act at the end vertices, not half an edge further in (:class:`~doo_ti.types.Clamps`)
 
     Raises InputError for a length that is not positive, fewer than two edges or no direction.
     """
