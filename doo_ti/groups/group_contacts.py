@@ -1,11 +1,4 @@
-"""The contacts of a group: of its rods with obstacles, with each other and with themselves, and its ties (docs/groups.md).
-
-A tie holds a vertex at another one or, as a clamp does, at a place. With its force λ from the round before, the energy
-
-    λ · d + κ |d|²/2
-
-of the miss d is minimised; a round ends with λ ← λ + κ d. λ is exact where no tie misses, for any κ.
-"""
+"""The contacts of a group: of its rods with obstacles, with each other and with themselves (docs/groups.md)."""
 
 import taichi as ti
 
@@ -13,33 +6,36 @@ from doo_ti.groups.layout import (
     ACTIVE,
     BEGIN,
     BEGIN_STANDING,
-    FIRST_TIE_STIFFNESS,
+    GIVE,
     GROUP_EDGE_ITEMS,
     GROUP_HEAD,
     GROUP_ROD_ITEMS,
     GROUP_VERTEX_ITEMS,
     HELD,
-    MOST_TIE_STIFFNESS,
+    MOST_GROWTH,
+    NO_BORDER,
+    NOTABLE_MISS,
     REST,
-    SLOW_TIES,
     SPIN,
     SPRING,
     SPRING_POINT,
-    STIFFER_TIES,
+    STIFFNESS_OF_TIES,
     TARGET,
     THICKER,
+    TIE_BOUND,
     TIE_FORCE,
+    TIE_GIVE,
     TIE_ITEMS,
-    TIE_MISS,
     TIE_MOMENT,
     TIE_STIFFNESS,
     TIE_TOLERANCE,
-    TURNED,
+    TIE_WORK,
     UNIT,
     WEIGHT,
 )
+from doo_ti.groups.ties import Ties
 from doo_ti.physics.algebra import absolute, largest_of
-from doo_ti.physics.tuples import chosen, dot, identity, minus, negated, plus, scaled, variable
+from doo_ti.physics.tuples import chosen, dot, identity, minus, plus, scaled, variable
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_layout import (
     CONTACT_ITEMS,
@@ -57,14 +53,15 @@ from doo_ti.relaxation.contact_layout import (
     TOLERANCE,
     VERTEX_ITEMS,
     WORK,
+    contact_items,
 )
 from doo_ti.relaxation.loading import stiffness_scale
-from doo_ti.relaxation.pair_layout import APART, PAIR_ITEMS, self_contact_items
+from doo_ti.relaxation.pair_layout import APART, PAIR_ITEMS, pair_items
 from doo_ti.relaxation.self_contacts import SelfContacts
 
 
 @ti.data_oriented
-class GroupContacts(SelfContacts):
+class GroupContacts(Ties, SelfContacts):
     """The contacts and ties of a group.
 
     Of the record ``rod`` its functions read ``begins``, of every edge zero or, of a break, the number of the rod after it;
@@ -77,7 +74,7 @@ class GroupContacts(SelfContacts):
     @ti.func
     def group(self, rod):
         """Where the items of the group begin."""
-        return rod.contacts + self_contact_items(rod.edges, rod.obstacles) * self.stride
+        return self.own(rod) + pair_items(rod.edges) * self.stride
 
     @ti.func
     def edge(self, rod, index):
@@ -95,6 +92,10 @@ class GroupContacts(SelfContacts):
     @ti.func
     def tie(self, rod, index):
         return self.member(rod, rod.rods) + index * TIE_ITEMS * self.stride
+
+    @ti.func
+    def matrix_at(self, rod):
+        return self.tie(rod, rod.ties.shape[0])
 
     # --- what a rod that touches itself has otherwise ---
 
@@ -142,6 +143,7 @@ class GroupContacts(SelfContacts):
         for g in range(rod.rods):
             at = self.member(rod, g)
             self.store(rod.scratch, at + BEGIN_STANDING * self.stride, self.load3(rod.scratch, at + BEGIN * self.stride))
+        self.stand_forces(rod)
 
     @ti.func
     def restore_pairs(self, rod, lost):
@@ -151,8 +153,9 @@ class GroupContacts(SelfContacts):
             standing = self.load3(rod.scratch, at + BEGIN_STANDING * self.stride)
             place = self.load3(rod.scratch, at + BEGIN * self.stride)
             self.store(rod.scratch, at + BEGIN * self.stride, chosen(lost > 0.5, standing, place))
+        self.restore_forces(rod, lost)
 
-    # --- weight, springs and ties ---
+    # --- weight and springs ---
 
     @ti.func
     def hang(self, rod):
@@ -167,33 +170,6 @@ class GroupContacts(SelfContacts):
             self.add_load(rod, v, plus(weight, scaled(stretch, stiffness)))
             self.add_diagonal(rod, v, scaled(identity(0.0 * stiffness), stiffness))
 
-    @ti.func
-    def missed(self, rod, k):
-        """How far a tie misses."""
-        place, second = variable(self.load3(rod.scratch, self.tie(rod, k) + TARGET * self.stride)), rod.ties[k, 1]
-        if second >= 0:
-            place = self.place(rod, second)
-        return minus(self.place(rod, rod.ties[k, 0]), place)
-
-    @ti.func
-    def bind(self, rod):
-        """Add the ties to the energy, the gradient and the second derivatives."""
-        stiffness = rod.scratch[self.group(rod) + TIE_STIFFNESS * self.stride]
-        for k in range(rod.ties.shape[0]):
-            at, first, second = self.tie(rod, k), rod.ties[k, 0], rod.ties[k, 1]
-            active = rod.scratch[at + ACTIVE * self.stride]
-            miss, force = self.missed(rod, k), self.load3(rod.scratch, at + TIE_FORCE * self.stride)
-            work, stretch = active * dot(force, miss), 0.5 * active * stiffness * dot(miss, miss)
-            self.add_penalty(rod, work + stretch, absolute(work) + stretch)
-            pull = scaled(plus(force, scaled(miss, stiffness)), active)
-            block = scaled(identity(0.0 * stiffness), active * stiffness)
-            self.add_load(rod, first, pull)
-            self.add_diagonal(rod, first, block)
-            if second >= 0:
-                self.add_load(rod, second, negated(pull))
-                self.add_diagonal(rod, second, block)
-                self.add_block(rod, first, second, negated(block))
-
     # --- rounds ---
 
     @ti.func
@@ -205,36 +181,19 @@ class GroupContacts(SelfContacts):
         return ti.select(self.behind(rod), ti.max(given, 0.0 * given + ROUGHEST), given) + noise
 
     @ti.func
+    def end_round(self, rod, lane, calm, rests, entered):
+        """As of one rod; but where ties still miss that the next step closes, it is taken first."""
+        missing = ~self.draws(rod) & (self.miss(rod) > TIE_TOLERANCE)
+        return SelfContacts.end_round(self, rod, lane, calm & ~missing, rests & ~missing, entered) | (rests & missing)
+
+    @ti.func
     def settle(self, rod, due):
-        """End a round with new forces of contacts and ties. Returns the largest change of a gap that they mean, or what a tie
-        misses times the ratio of their tolerances."""
-        change = SelfContacts.settle(self, rod, due)
-        zero = 0.0 * rod.total
-        head = self.group(rod)
-        stiffness = rod.scratch[head + TIE_STIFFNESS * self.stride]
-        most = zero
-        for k in range(rod.ties.shape[0]):
-            at = self.tie(rod, k)
-            active, miss = rod.scratch[at + ACTIVE * self.stride], self.missed(rod, k)
-            old = self.load3(rod.scratch, at + TIE_FORCE * self.stride)
-            new = plus(old, scaled(miss, stiffness * active))
-            self.store(rod.scratch, at + TIE_FORCE * self.stride, chosen(due, new, old))
-            most = largest_of(most, active * dot(miss, miss))
-            if rod.ties[k, 2] >= 0:
-                turned = self.load3(rod.scratch, at + TURNED * self.stride)
-                held = self.load3(rod.scratch, at + TIE_MOMENT * self.stride)
-                stiffer = plus(held, scaled(turned, stiffness * active * rod.total * rod.total))
-                self.store(rod.scratch, at + TIE_MOMENT * self.stride, chosen(due, stiffer, held))
-                most = largest_of(most, active * dot(turned, turned) * rod.total * rod.total)
-        most = ti.sqrt(most)
-        before = rod.scratch[head + TIE_MISS * self.stride]
-        allowed = TIE_TOLERANCE * rod.total
-        limit = MOST_TIE_STIFFNESS / (rod.total * rod.total * rod.total)
-        slow = due & (most > SLOW_TIES * before) & (most > allowed)
-        rod.scratch[head + TIE_STIFFNESS * self.stride] = ti.select(slow, ti.min(STIFFER_TIES * stiffness, limit), stiffness)
-        rod.scratch[head + TIE_MISS * self.stride] = ti.select(due, most, before)
+        """End a round with new forces of contacts and, a first one, of ties. Returns the largest change of a gap that they
+        mean, or what a tie misses times the ratio of their tolerances."""
+        change, zero = SelfContacts.settle(self, rod, due), 0.0 * rod.total
+        self.settle_ties(rod, due)
         self.set_item(rod, WORK, due, self.friction_work(rod))
-        return largest_of(change, ti.select(due, most / allowed * self.item(rod, TOLERANCE), zero))
+        return largest_of(change, ti.select(due, self.miss(rod) / TIE_TOLERANCE * self.item(rod, TOLERANCE), zero))
 
     # --- into scratch and out of it ---
 
@@ -249,10 +208,10 @@ class GroupContacts(SelfContacts):
             self.put(scratch, base + PHASE * self.stride, slot, FINE)
         self.load_apart(tables, scratch, slot, row)
         self.load_previous(tables, scratch, slot, row, unit)
-        head = base + self_contact_items(edges, tables.kinds.shape[0]) * self.stride
-        total = scale.total
-        self.put(scratch, head + TIE_STIFFNESS * self.stride, slot, FIRST_TIE_STIFFNESS * scale.bend / (total * total * total))
-        self.put(scratch, head + TIE_MISS * self.stride, slot, 1e30)
+        head = base + (contact_items(edges, tables.kinds.shape[0]) + pair_items(edges)) * self.stride
+        stiffness = STIFFNESS_OF_TIES / (scale.total * scale.total * scale.total)
+        self.put(scratch, head + TIE_STIFFNESS * self.stride, slot, stiffness)
+        self.put(scratch, head + TIE_WORK * self.stride, slot, 0.0)
         self.put(scratch, head + UNIT * self.stride, slot, unit)
         force_unit = stiffness_scale(tables.material, tables.clamp, tables.rods[rod, of.MATERIAL_ROW],
                                      tables.rods[rod, of.CLAMP_ROW]) / (unit * unit)
@@ -285,6 +244,14 @@ class GroupContacts(SelfContacts):
             for k in ti.static(range(4)):
                 self.put(scratch, tie + (REST + k) * self.stride, slot, tables.targets[row, t, 4 + k])
             self.put(scratch, tie + ACTIVE * self.stride, slot, tables.targets[row, t, 3])
+        most = ti.cast(0.0, ti.f64)
+        for t in range(ties):
+            for k in ti.static(range(3)):
+                moment = tables.tie_forces[row, t, 3 + k] / tables.clamp[tables.rods[rod, of.CLAMP_ROW], of.TOTAL]
+                most = ti.max(most, ti.abs(tables.tie_forces[row, t, k]), ti.abs(moment))
+        bound = MOST_GROWTH * (most / force_unit + NOTABLE_MISS * scale.total * stiffness)
+        self.put(scratch, head + TIE_BOUND * self.stride, slot, ti.select(most > 0.0, bound, 0.0 * bound))
+        self.put(scratch, head + TIE_GIVE * self.stride, slot, ti.select(most > 0.0, GIVE, NO_BORDER) / stiffness)
 
     @ti.func
     def load_apart(self, tables, scratch: ti.template(), slot, row):
@@ -317,7 +284,7 @@ class GroupContacts(SelfContacts):
         SelfContacts.unload_forces(self, tables, scratch, slot, place, force_unit)
         self.unload_touch(tables, scratch, slot, place)
         edges, rods = tables.rest_length.shape[1], tables.places.shape[1]
-        head = tables.contacts + self_contact_items(edges, tables.kinds.shape[0]) * self.stride
+        head = tables.contacts + (contact_items(edges, tables.kinds.shape[0]) + pair_items(edges)) * self.stride
         unit = ti.cast(self.get(scratch, head + UNIT * self.stride, slot), ti.f64)
         tables.works[place] = self.get(scratch, tables.contacts + WORK * self.stride, slot) * force_unit * unit
         first = head + (GROUP_HEAD + edges * GROUP_EDGE_ITEMS + (edges + 1) * GROUP_VERTEX_ITEMS) * self.stride

@@ -7,6 +7,7 @@ vertices behind an edge end with its rod.
 
 import taichi as ti
 
+from doo_ti.groups.border import Border
 from doo_ti.groups.group_contacts import GroupContacts
 from doo_ti.groups.joint_rest import JOINT_ITEMS, LEFT, RIGHT, TWIST, JointRest
 from doo_ti.groups.layout import BEGIN, BEGIN_STEP, MOMENT, SPIN, TILT, TIP
@@ -42,7 +43,7 @@ from doo_ti.relaxation.pair_layout import LOAD, MOVE
 
 
 @ti.data_oriented
-class GroupElimination(Welds, DenseElimination, LoadedElimination):
+class GroupElimination(Border, Welds, DenseElimination, LoadedElimination):
     """The chain of a group. No rod is closed: ties hold their far ends."""
 
     def __init__(self, number, stride: int, contacts: GroupContacts):
@@ -60,7 +61,7 @@ class GroupElimination(Welds, DenseElimination, LoadedElimination):
     def rods(self, tables, scratch: ti.template(), head, coarse):
         """As of one rod, with what :class:`.GroupContacts` reads."""
         rod = Chain.rods(self, tables, scratch, head, coarse)
-        return extended(rod, begins=tables.begins, ties=tables.ties, rods=tables.places.shape[1])
+        return extended(rod, begins=tables.begins, ties=tables.ties, borders=tables.borders, rods=tables.places.shape[1])
 
     @ti.func
     def freedom(self, rod, edge):
@@ -77,6 +78,7 @@ class GroupElimination(Welds, DenseElimination, LoadedElimination):
         none = repeated(zero, 3)
         stepping = (scale > 0.0) | (scale < 0.0)
         self.contacts.stand_pairs(rod)
+        self.contacts.step_forces(rod, scale, stepping)
         at = rod.origin
         for _ in range(rod.edges):
             # In a lane that does not step the rotation is undefined and may be NaN.
@@ -217,6 +219,7 @@ class GroupElimination(Welds, DenseElimination, LoadedElimination):
         force = plus(force, self.load3(rod.scratch, self.contacts.own_vertex(rod, 0) + LOAD * self.stride))
         self.assemble_begin(rod, 0, repeated(rod.loose, 3), shift, force, found)
         self.add_welds(rod)
+        self.add_border(rod, search, found)
 
     @ti.func
     def pulled(self, rod, e, at, slope, bent, force):
@@ -259,6 +262,7 @@ class GroupElimination(Welds, DenseElimination, LoadedElimination):
     @ti.func
     def substitute(self, rod, found):
         decrement = self.solve_backward(rod, found.change)
+        self.keep_forces(rod)
         x = variable(self.solution(rod, 0))
         self.store(rod.scratch, rod.head + OF_DRIFT_STEP * self.stride, x)
         self.store(rod.scratch, self.contacts.own_vertex(rod, 0) + MOVE * self.stride, x)

@@ -17,12 +17,13 @@ from doo_ti.physics.tuples import record
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.batch import UNTOUCHED, buffers, fitting, layout_for, policy_row
+from doo_ti.relaxation.contact_layout import contact_items
 from doo_ti.relaxation.contact_table import ContactTable
 from doo_ti.relaxation.loaded_elimination import FORCE_ITEMS
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.newton_loop import NewtonLoop
 from doo_ti.relaxation.newton_policy import TRACE_IN_CONTACT, UP
-from doo_ti.relaxation.pair_layout import self_contact_items
+from doo_ti.relaxation.pair_layout import pair_items
 from doo_ti.types import Status
 
 
@@ -69,6 +70,13 @@ class GroupTables:
     radii: np.ndarray
     feasible: np.ndarray
 
+    @property
+    def borders(self) -> np.ndarray:
+        """(-, 2) int32: the ties that there are in any group, and once more, with a one, those that are welds."""
+        used = (self.targets[..., 3] > 0).any(axis=0)
+        held, welds = np.flatnonzero(used), np.flatnonzero(used & (self.ties[:, 2] >= 0))
+        return np.array([*((tie, 0) for tie in held), *((tie, 1) for tie in welds)], dtype=np.int32).reshape(-1, 2)
+
 
 @cache
 def group_kernel(number: Number, stride: int, block: int, obstacles: frozenset[int]):
@@ -86,7 +94,8 @@ def group_kernel(number: Number, stride: int, block: int, obstacles: frozenset[i
         outer: table3, space: ti.types.ndarray(dtype=ti.f32, ndim=1),
         obstacles: table3, kinds: index1, grids: table1, radius: table1, gap_tolerance: ti.f64, memory: table4,
         forces: table3, self_friction: table1,  # all of these as :func:`.contact_kernel` has them
-        barrier: ti.i32, begins: index1, ties: index2, targets: table3, free: table3, burden: table3, apart: index2,
+        barrier: ti.i32, begins: index1, ties: index2, borders: index2, targets: table3, free: table3, burden: table3,
+        apart: index2,
         places: table3,  # [group, rod, 3] mm: where the rods begin, the first left out, in and out
         tie_forces: table3,  # [group, tie, 6] force, energy per mm, and moment in the axes of the later edge, in and out
         previous: table3,  # [group, vertex, 3] mm, at the moment before
@@ -97,14 +106,16 @@ def group_kernel(number: Number, stride: int, block: int, obstacles: frozenset[i
         for thread in range(threads):
             up = (policy[UP], policy[UP + 1], policy[UP + 2])
             edges = rest_length.shape[1]
-            size = self_contact_items(edges, kinds.shape[0]) + group_items(edges, places.shape[1], ties.shape[0])
+            size = contact_items(edges, kinds.shape[0]) + pair_items(edges)
+            size += group_items(edges, places.shape[1], ties.shape[0], borders.shape[0])
             contacts = sweep.behind(threads, thread, edges, size)
             tables = record(start=start, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods,
                             policy=policy, queue=queue, frames=frames, results=results, numbers=outer, field=space,
                             contacts=contacts, obstacles=obstacles, kinds=kinds, grids=grids, radius=radius,
                             tolerance=gap_tolerance, memory=memory, forces=forces, self_friction=self_friction,
-                            barrier=barrier, begins=begins, ties=ties, targets=targets, free=free, burden=burden,
-                            apart=apart, places=places, tie_forces=tie_forces, previous=previous, touches=touches, works=works)
+                            barrier=barrier, begins=begins, ties=ties, borders=borders, targets=targets, free=free,
+                            burden=burden, apart=apart, places=places, tie_forces=tie_forces, previous=previous,
+                            touches=touches, works=works)
             loop.work(tables, scratch, threads, thread)
 
     return runtime.compiled_briefly(newton_of_groups)
@@ -169,7 +180,8 @@ def _launch(table: GroupTables, options: Newton, state: GroupState, previous: np
     contact, joints = table.contact, JointRest(table.rest)
     number, threads, stride, block = layout_for(len(rows), 64, True)
     items = chain.LOADED_PARAMETERS + (chain.item_count(False) + joints.items + FORCE_ITEMS) * edges
-    items += self_contact_items(edges, len(contact.kinds)) + group_items(edges, state.places.shape[1], len(table.ties))
+    items += contact_items(edges, len(contact.kinds)) + pair_items(edges)
+    items += group_items(edges, state.places.shape[1], len(table.ties), len(table.borders))
     threads, stride = fitting(threads, stride, items)
     kernel = group_kernel(number, stride, block, contact.known)
     scratch, queue = buffers(number, threads, items)
@@ -177,5 +189,5 @@ def _launch(table: GroupTables, options: Newton, state: GroupState, previous: np
         table.start.reshape(-1), table.rest_length, table.clamp, table.material, rods, policy_row(table.up, options, 64),
         threads, scratch, queue, state.frames.reshape(-1), state.results, joints.numbers(), joints.field(),
         *contact.arguments(state.forces, options.gap_tolerance, settles=False), int(table.barrier), table.begins, table.ties,
-        table.targets, table.free, table.burden, table.apart, state.places, state.tie_forces, previous, state.touch,
-        state.friction_work)
+        table.borders, table.targets, table.free, table.burden, table.apart, state.places, state.tie_forces, previous,
+        state.touch, state.friction_work)

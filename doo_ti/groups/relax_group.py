@@ -42,7 +42,8 @@ class GroupSolution:
                    rad
     iterations     (N,) of the solver
     status         (N,) Status
-    stable         (N,) True where all pivots of the Newton matrix, ties and contacts included, certify a minimum
+    stable         (N,) True where the pivots of the Newton matrix, ties and contacts included, certify a minimum. Motions at no
+                   cost, such as that of a loop about a nail, count as stable
     tie_force      (N, K, 3) of each tie on its ``first`` vertex; on the other the opposite
     tie_moment     (N, K, 3) the same of welds' moments on the edge at ``first``, energy (mm²)
     start_force    (N, G, 3) of the clamps on the rods' starts; zero where these are free

@@ -2,7 +2,7 @@
 
 With r = conj(q) p conj(p₀), where q and p are the frames of both edges and p₀ is what conj(q) p is to be, of the sign that
 makes its scalar positive, u = 2 vec r is zero where the weld holds, and the turn by which it misses where that is small. As
-for a tie the energy μ·u + κ |u|²/2 is minimised, and a round ends with μ ← μ + κ u.
+for a tie the energy is μ·u + κ |u|²/2, with the moment μ.
 """
 
 import taichi as ti

@@ -40,7 +40,7 @@ from doo_ti.relaxation.chain import LENGTH, LOADED_PARAMETERS, OF_DRIFT_STEP, RO
 from doo_ti.relaxation.contact_layout import END_CURVATURES, END_GRADIENT, ENERGY, MAGNITUDE
 from doo_ti.relaxation.dense_factors import DenseFactors
 from doo_ti.relaxation.elimination import held_pivot
-from doo_ti.relaxation.pair_layout import LOAD, MOVE, unknowns
+from doo_ti.relaxation.pair_layout import LOAD, MOVE
 
 
 @traced
@@ -99,7 +99,7 @@ class DenseElimination(DenseFactors):
     def clear(self, rod):
         """Begin the sums of the gradient and of K."""
         zero = 0.0 * rod.total
-        size = unknowns(rod.edges)
+        size = self.unknowns(rod)
         first = self.contacts.matrix_at(rod)
         for k in range(size * (size + 1) // 2):
             rod.scratch[first + k * self.stride] = zero

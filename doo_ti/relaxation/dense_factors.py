@@ -2,9 +2,8 @@
 
 import taichi as ti
 
-from doo_ti.physics.algebra import factor
+from doo_ti.physics.algebra import factor_in_turn
 from doo_ti.physics.tuples import minus, plus, repeated, scaled, traced, variable
-from doo_ti.relaxation.pair_layout import unknowns
 
 COLUMNS = 4
 """Of the right-hand side: that of the step and the three of closure."""
@@ -24,8 +23,18 @@ class DenseFactors:
     # --- places in scratch, behind the matrix ---
 
     @ti.func
+    def lines(self, rod):
+        """Of 3×3 blocks: one for the place of vertex 0 and one for the rotation of each edge."""
+        return rod.edges + 1
+
+    @ti.func
+    def unknowns(self, rod):
+        """Numbers of a step."""
+        return 3 * self.lines(rod)
+
+    @ti.func
     def behind_matrix(self, rod):
-        size = unknowns(rod.edges)
+        size = self.unknowns(rod)
         return self.contacts.matrix_at(rod) + size * (size + 1) // 2 * self.stride
 
     @ti.func
@@ -36,12 +45,12 @@ class DenseFactors:
     @ti.func
     def pivot(self, rod, line):
         """The inverse of a pivot."""
-        return self.behind_matrix(rod) + (3 * unknowns(rod.edges) + line) * self.stride
+        return self.behind_matrix(rod) + (3 * self.unknowns(rod) + line) * self.stride
 
     @ti.func
     def side(self, rod, line):
         """A row of the right-hand side."""
-        return self.behind_matrix(rod) + (4 * unknowns(rod.edges) + COLUMNS * line) * self.stride
+        return self.behind_matrix(rod) + (4 * self.unknowns(rod) + COLUMNS * line) * self.stride
 
     @ti.func
     def load_block(self, rod, line, column):
@@ -76,7 +85,7 @@ class DenseFactors:
     @ti.func
     def factor_rows(self, rod, found):
         """L D Lᵀ in the place of the matrix, three rows after three."""
-        for p in range(rod.edges + 1):
+        for p in range(self.lines(rod)):
             for q in range(p):
                 self.eliminate_block(rod, p, q)
             rest = variable(self.load_diagonal(rod, p))
@@ -88,7 +97,7 @@ class DenseFactors:
                     rod.scratch[lines[r] + k * self.stride] = low[r]
                 rest = (rest[0] - own[0] * low[0], rest[1] - own[0] * low[1], rest[2] - own[0] * low[2],
                         rest[3] - own[1] * low[1], rest[4] - own[1] * low[2], rest[5] - own[2] * low[2])
-            f = factor(rest, self.tiny)
+            f = factor_in_turn(rest)
             found.negative = found.negative + f[6]
             for r in ti.static(range(3)):
                 rod.scratch[self.pivot(rod, 3 * p + r)] = f[r]
@@ -124,7 +133,7 @@ class DenseFactors:
         """L⁻¹ of the right-hand sides, in their place; returns what closure needs: Aᵀ H⁻¹ A and Aᵀ H⁻¹ b."""
         zero = 0.0 * rod.total
         schur, right = variable(repeated(zero, 6)), variable(repeated(zero, 3))
-        for line in range(unknowns(rod.edges)):
+        for line in range(self.unknowns(rod)):
             y = variable(self.load4(rod.scratch, self.side(rod, line)))
             at = self.entry(rod, line, 0)
             for k in range(line):
@@ -141,7 +150,7 @@ class DenseFactors:
     def solve_backward(self, rod, change):
         """L⁻ᵀ D⁻¹ of the right-hand side of the step less those of closure times ``change``, in its place. Returns the Newton
         decrement."""
-        size = unknowns(rod.edges)
+        size = self.unknowns(rod)
         decrement = 0.0 * rod.total
         for line in range(size):
             y = self.load4(rod.scratch, self.side(rod, line))

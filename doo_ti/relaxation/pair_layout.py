@@ -32,19 +32,19 @@ LEAST_DISTANCE = 1e-3
 
 
 @picked
-def unknowns(edges):
-    """Numbers of a step: the place of vertex 0 and the rotations of all edges."""
-    return 3 * (edges + 1)
-
-
-@picked
 def pair_items(edges):
     """Numbers of a rod's contact with itself in scratch, without the matrix."""
     return ROD_ITEMS + (edges + 1) * VERTEX_ITEMS + edges * (edges - 1) // 2 * PAIR_ITEMS
 
 
 @picked
+def matrix_items(lines):
+    """Numbers of a dense Newton system of so many ``lines`` of 3×3 blocks."""
+    size = 3 * lines
+    return size * (size + 1) // 2 + 3 * size + size + 4 * size
+
+
+@picked
 def self_contact_items(edges, obstacles):
     """Numbers of all contacts of a rod that may touch itself in scratch, with those of its dense Newton system."""
-    size = unknowns(edges)
-    return contact_items(edges, obstacles) + pair_items(edges) + size * (size + 1) // 2 + 3 * size + size + 4 * size
+    return contact_items(edges, obstacles) + pair_items(edges) + matrix_items(edges + 1)
