@@ -191,8 +191,9 @@ class Solution:
 
     configuration  the relaxed rods
     energy         (R,) E(Γ) of §III-C, gravity measured from z = 0
-    residual       (R,) the largest moment left on a free edge, times the length, over the largest eigenvalue of B (no unit); of
-                   a taut rod, whose edges cannot tilt, only moments about tangents count
+    residual       (R,) the largest moment left on a free edge, times the length, over the largest eigenvalue of B (no unit), or
+                   over a thousandth of β; of a taut rod, whose edges cannot tilt, only moments about tangents count. Of soft
+                   parts beside stiff ones it says little: converged rods also have a small Newton decrement (docs/chain.md)
     closure        (R,) distance by which the far end misses its clamp over the rod's length
     iterations     (R,) number of solver iterations
     status         (R,) Status
