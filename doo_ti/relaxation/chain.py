@@ -87,7 +87,8 @@ class Chain:
         self.largest = number.lanes().largest
         self.twist_angle = twist_angle_function(number)
         # What makes AᵀA regular: a share of its trace, and where that is zero a number whose cube is not.
-        self.regular, self.least = (1e-6, 1e-12) if number.bits == 32 else (1e-16, 1e-30)
+        # Without closure the edges of a straight rod are parallel; with it they never quite are, and λ has to be exact.
+        self.regular, self.regular_open, self.least = (1e-6, 0.0, 1e-12) if number.bits == 32 else (1e-16, 1e-13, 1e-30)
         self.tiny = 1e-30 if number.bits == 32 else 1e-100  # see :func:`.factor`
 
     # --- access to scratch ---
@@ -300,7 +301,7 @@ class Chain:
             moving = self.step_start(rod, scale, moving, reached, goal)
             reached = self.displaced(rod, reached)
         miss = scaled(minus(reached, goal), rod.closed)
-        normal = self._regular(normal)
+        normal = self._regular(rod, normal)
         x, minors = solve_symmetric(normal, miss)
         # x·miss is the sum of the squared rotations: keep their root mean square below 0.15 rad in one projection.
         size = ti.sqrt(ti.max(dot(x, miss), zero) / ti.cast(rod.edges, self.number.scalar)) + 1e-30
@@ -308,9 +309,10 @@ class Chain:
         return scaled(x, shrink), normal
 
     @ti.func
-    def _regular(self, n):
+    def _regular(self, rod, n):
         """AᵀA made regular where all free edges are parallel, or none may tilt."""
-        return on_diagonal(n, self.regular * (n[0] + n[3] + n[5]) + self.least)
+        share = self.regular + self.regular_open * (1.0 - rod.closed)
+        return on_diagonal(n, share * (n[0] + n[3] + n[5]) + self.least)
 
     @ti.func
     def close(self, rod, x, normal):

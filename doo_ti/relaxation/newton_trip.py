@@ -60,6 +60,7 @@ class NewtonTrip:
         self.patience = fixed.PATIENCE_32 if single else patience
         self.trace = 0.0 if single else fixed.TRACE_IN_CONTACT if self.among_obstacles else fixed.TRACE
         self.trace_at_rest = 0.0 if single else fixed.TRACE_AT_REST
+        self.by_decrement = not single
         self.converged, self.limit = int(Status.CONVERGED), int(Status.ITERATION_LIMIT)
         self.stalled, self.not_finite, self.infeasible = map(int, (Status.STALLED, Status.NOT_FINITE, Status.INFEASIBLE))
         self.growth, self.first_shift = (  # of the shift, where a step is rejected
@@ -212,7 +213,7 @@ class NewtonTrip:
             # Large forces on a limp rod: rounding limits the residual, and the next step bounds the error of the shape.
             still = (size <= self.still) & (lane.shift <= 0.0)
             at_rest = at_rest | (still & (lane.residual * rod.total <= fixed.BY_ROUNDING * tolerance))
-        if ti.static(not self.single):
+        if ti.static(self.by_decrement):
             # The residual is measured by the stiffest part of a rod: what the next step would gain bounds the error of others.
             turn = fixed.TURN_LEFT * tolerance
             enough = (turn * turn + fixed.NEUTRAL * size * size) * rod.softest / rod.total

@@ -43,6 +43,8 @@ class TimeLoop(NewtonLoop):
 
     def __init__(self, sweep: TimeSweep):
         super().__init__(sweep)
+        # A step begins near its end, and inertia bears the soft parts of a rod.
+        self.by_decrement, self.trace_at_rest = False, self.trace
         self.loading = MotionLoading(sweep)
         self.number_bits = sweep.number.bits
 
