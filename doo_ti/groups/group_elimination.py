@@ -261,7 +261,7 @@ class GroupElimination(Border, Welds, DenseElimination, LoadedElimination):
 
     @ti.func
     def substitute(self, rod, found):
-        self.solve_backward(rod, found.change)
+        decrement = self.solve_backward(rod, found.change)
         self.keep_forces(rod)
         x = variable(self.solution(rod, 0))
         self.store(rod.scratch, rod.head + OF_DRIFT_STEP * self.stride, x)
@@ -289,4 +289,4 @@ class GroupElimination(Border, Welds, DenseElimination, LoadedElimination):
             self.store(rod.scratch, self.contacts.own_vertex(rod, e + 1) + MOVE * self.stride, x)
             at += self.edge_stride
         longest = largest_of(largest_of(longest, size), self.contacts.approach_itself(rod))
-        return ti.sqrt(longest), ti.sqrt(size), 0.0 * size
+        return ti.sqrt(longest), ti.sqrt(size), decrement

@@ -83,7 +83,7 @@ def group_kernel(number: Number, stride: int, block: int, obstacles: frozenset[i
     """The kernel, compiled on first use, for one kind of number and obstacles of those kinds."""
     sweep = GroupElimination(number, stride, GroupContacts(number, stride, obstacles, rub=True))
     loop = NewtonLoop(sweep, sweep.functions)
-    loop.trace = TRACE_IN_CONTACT
+    loop.trace, loop.by_decrement = TRACE_IN_CONTACT, False
     table1, table2, table3, table4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))
     index1, index2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))
 

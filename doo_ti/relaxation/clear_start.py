@@ -27,8 +27,6 @@ CLEARANCE, FURTHER = 1.05, 0.5
 """Radii from the centreline to an obstacle to which vertices are pulled, and how many more in each round."""
 LEAST = 0.1
 """Radii: a centreline that is so far outside is clear."""
-PLACES = 8
-"""Of an edge, that are looked at."""
 
 
 def move_out(table: Tables, frames: np.ndarray, results: np.ndarray) -> np.ndarray:
@@ -39,9 +37,9 @@ def move_out(table: Tables, frames: np.ndarray, results: np.ndarray) -> np.ndarr
     bodies = table.contact.surroundings.bodies
     if not len(rows) or not bodies:
         return rows[:0]
-    before = results[rows].copy()
+    before = results[rows]
     springs = _Springs(table, rows, Surroundings(bodies, table.contact.radius).take(rows))
-    frames[rows] = whole_start(table.start, table.clamp)[table.configuration_index[rows]]
+    frames[rows] = whole_start(table.start[springs.of_start], table.clamp[springs.of_start])
     results[rows, of.DRIFT:] = 0.0
     stuck = np.ones(len(rows), dtype=bool)
     for number in range(ROUNDS):
@@ -91,4 +89,4 @@ class _Springs:
     def are_inside(self, frames: np.ndarray, results: np.ndarray) -> np.ndarray:
         """(N,) whether the centreline of a rod is inside an obstacle, or hardly outside."""
         least = (LEAST - 1.0) * np.reshape(self.around.radius, -1)
-        return ~(self.around.smallest_gap(self.vertices(frames, results), PLACES) > least)
+        return ~(self.around.smallest_gap(self.vertices(frames, results)) > least)

@@ -131,8 +131,7 @@ def evened(table: Tables, most: float) -> tuple[Tables, np.ndarray]:
     rows of the results (-,) of the rods that this changes."""
     stiffest, softest = table.material[:, of.STIFFEST], table.material[:, of.SOFTEST]
     uneven = (stiffest > UNEVEN * softest) & (stiffest > most * softest)
-    changed = uneven[table.material_index]
-    if not changed.any():
+    if not uneven.any():
         return table, np.zeros(0, dtype=np.int64)
     material = table.material.copy()
     rows = material[uneven]
@@ -150,7 +149,8 @@ def evened(table: Tables, most: float) -> tuple[Tables, np.ndarray]:
     rows[:, of.STIFFEST] = np.minimum(rows[:, of.STIFFEST], most * smallest)
     rows[:, of.SOFTEST] = np.maximum(rows[:, of.SOFTEST], smallest / most)
     material[uneven] = rows
-    return replace(table, material=material), np.flatnonzero(changed & table.feasible[table.configuration_index])
+    changed = uneven[table.material_index] & table.feasible[table.configuration_index]
+    return replace(table, material=material), np.flatnonzero(changed)
 
 
 def projectable(start: np.ndarray, lengths: np.ndarray, clamp: np.ndarray, found: np.ndarray, up: np.ndarray,

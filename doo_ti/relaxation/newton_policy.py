@@ -9,10 +9,10 @@ SHIFT_REJECTED, SHIFT_REJECTED_IN_CONTACT, GROWTH_IN_CONTACT = 1e-5, 1e-3, 10.0
 MOST_SHIFT = 1e3  # times what is stiff at an edge: no shift is larger there
 DECAY, NEGLIGIBLE = 1 / 16, 1e-5  # each accepted step multiplies the shift by DECAY, below NEGLIGIBLE it is zero;
 DECAY_TROUBLED, NEGLIGIBLE_TROUBLED = 1 / 4, 1e-6  # the same once a step was refused or the inertia was wrong
+CUT = 0.1  # a step of which a smaller share may be taken does not make the shift smaller
 # Of rods that may touch something: a step of which a smaller share was taken does not make the shift smaller; the part of it
 # that is tried after it was refused; the square of what a step towards closure leaves of the miss at most; and the share below
 # which a step is too large to be shortened.
-CUT = 0.1  # a step of which a smaller share may be taken does not make the shift smaller
 SHORTENED, PART, NEARER, LEAST_SHARE = 0.8, 0.3, 0.98, 1e-4
 STILL, BY_ROUNDING = 1e-10, 1e3  # rad: a smaller step is rounding, and by how much the residual then may exceed its tolerance
 VAGUE = 1e3  # tolerances: above them a step that raises the energy, even by less than rounding, may not raise the residual

@@ -44,7 +44,7 @@ class NewtonTrip:
         self.largest, self.lane, self.with_lane, self.constant, self.get = (
             lanes.largest, lanes.lane, lanes.with_lane, lanes.constant, lanes.get)
         self.scalar = number.scalar
-        self.single = single = number.bits == 32
+        single = number.bits == 32
         self.rounding = 2e-6 if single else 1e-10
         self.closure_rounding = 0.0 if single else 1e-15  # of a rod's length
         self.shape_tolerance = fixed.SHAPE_TOLERANCE_32 if single else 1e30

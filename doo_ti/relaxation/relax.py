@@ -258,11 +258,12 @@ def _solution(table: Tables, frames: np.ndarray, results: np.ndarray, bits: np.n
     rest_length = table.rest_length[0].copy() if len(table.rest_length) == 1 else table.rest_length[index]
     configuration = Configuration(start, frames, rest_length)
     status, stable = results[:, of.STATUS].astype(np.int8), results[:, of.STABLE] == 1
-    frames[status == INFEASIBLE], start[status == INFEASIBLE] = np.nan, np.nan
+    infeasible = status == INFEASIBLE
+    frames[infeasible], start[infeasible] = np.nan, np.nan
     # The kernels compute relative to the anchor and do not read its place.
     lost = ~np.isfinite(anchor).all(axis=1)
     if lost.any():
-        rods = lost[index] & (status != INFEASIBLE)
+        rods = lost[index] & ~infeasible
         frames[rods], results[rods, : of.ITERATIONS], results[rods, of.FORCE : of.RESULTS] = np.nan, np.nan, np.nan
         status[rods], stable[rods], energy[rods] = Status.NOT_FINITE, False, np.nan
     taut = np.flatnonzero((table.clamp[:, of.TILT_INNER] == 0)[index])

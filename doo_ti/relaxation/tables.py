@@ -143,20 +143,23 @@ class Tables:
         rods[:, START_ROW] = np.where(usable[rows], rows, FROM_RESULTS)
         return rods
 
+    def by_material(self, rods: np.ndarray) -> list[tuple[bool, np.ndarray]]:
+        """``rods`` (-, ROD_COLUMNS) parted by whether they are isotropic. A rod's own material decides which kernel takes it,
+        so that its result does not depend on the others of a call."""
+        return _parted(rods, self.isotropic[rods[:, MATERIAL_ROW]])
+
     def by_kernel(self, rods: np.ndarray) -> list[tuple[bool, bool, np.ndarray]]:
-        """``rods`` (-, ROD_COLUMNS) parted by the kernel that takes them: (isotropic, any_ends, rods). A rod's own material and
-        clamps decide, so that its result does not depend on the others of a call. A rod whose vertex 0 is loose always needs a
-        kernel that moves it, ``any_ends``."""
-        isotropic, ends = self.isotropic[rods[:, MATERIAL_ROW]], self.clamp[rods[:, CLAMP_ROW], LOOSE] > 0
+        """``rods`` parted by the kernel that relaxes them: (isotropic, any_ends, rods), by their own materials and clamps. A
+        rod whose vertex 0 is loose always needs a kernel that moves it, ``any_ends``."""
+        return [(isotropic, any_ends, part) for isotropic, own in self.by_material(rods)
+                for any_ends, part in _parted(own, self._any_ends(own))]
+
+    def _any_ends(self, rods: np.ndarray) -> np.ndarray:
+        """(-,) whether the kernel of a rod has to know held far ends and loose starts."""
         if self.contact is not None:
-            ends[:] = True
-        elif self.external is not None:
-            ends |= self.clamp[rods[:, CLAMP_ROW], CLOSED] > 0
-        kind = 2 * isotropic + ends
-        first = kind[0] if len(kind) else 0
-        if (kind == first).all():  # as nearly always
-            return [(bool(first & 2), bool(first & 1), rods)] if len(kind) else []
-        return [(bool(one & 2), bool(one & 1), rods[kind == one]) for one in np.unique(kind)]
+            return np.ones(len(rods), dtype=bool)
+        loose = self.clamp[rods[:, CLAMP_ROW], LOOSE] > 0
+        return loose if self.external is None else loose | (self.clamp[rods[:, CLAMP_ROW], CLOSED] > 0)
 
     def restarted(self, frames: np.ndarray) -> "Tables":
         """The same rods with a start each, ``frames`` (R, E, 4); infeasible ones keep what they had."""
@@ -171,6 +174,13 @@ class Tables:
         return replace(
             self, start=start, rest_length=lengths if len(lengths) == 1 else lengths[of_start], clamp=clamp, rods=rods,
             feasible=feasible, configuration_index=np.arange(self.count))
+
+
+def _parted(rods: np.ndarray, flag: np.ndarray) -> list[tuple[bool, np.ndarray]]:
+    """(flag, rods) of those that have it and of those that have it not, where there are any."""
+    if flag.all() or not flag.any():  # as nearly always
+        return [(bool(flag[0]), rods)] if len(rods) else []
+    return [(True, rods[flag]), (False, rods[~flag])]
 
 
 def rod_rows(of_clamp, of_material, of_result, of_start, of_external) -> np.ndarray:

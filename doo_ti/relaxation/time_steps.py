@@ -125,7 +125,7 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
     poses = poses if moves else np.zeros((1, 1, 1, 1))
     results = np.zeros((table.count, of.LOADED_RESULTS))
     results[:, of.FORCE : of.FORCE + 3], results[:, of.DRIFT:] = memory.multiplier, memory.drift
-    for isotropic, _, part in table.by_kernel(rods):
+    for isotropic, part in table.by_material(rods):
         number, threads, stride, block = layout_for(len(part), bits, contact is not None and contact.itself)
         if contact is not None:
             kernel, items, parameters = time_contact_kernel(
