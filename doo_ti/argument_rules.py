@@ -1,7 +1,8 @@
 """What the annotations of arguments ask of values (:mod:`doo_ti.arguments`).
 
 An array may have a shape, ``Annotated[np.ndarray, "R E 4"]``, or several, ``"E | 1R E"``. A letter is one number for all fields
-of an object or arguments of a call; ``1R`` is that or one, ``V-1`` one less, and ``()`` a scalar.
+of an object or arguments of a call; ``1R`` is that or one, ``V-1`` one less, and ``()`` a scalar. Of an object with a ``count``
+the shape is that many rows, ``Annotated[Clamps, "R"]``.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -76,6 +77,13 @@ class _Shape:
                 return False
         sizes.update(found)
         return True
+
+
+def shape_of(value: Any) -> tuple[int, ...]:
+    """Of an array, or of an object, which has so many rows."""
+    if isinstance(value, np.ndarray):
+        return value.shape
+    return (value.count,) if isinstance(getattr(type(value), "count", None), property) else np.shape(value)
 
 
 class _Number(Rule):
@@ -190,8 +198,8 @@ class _Either(Rule):
         self.array = next((rule for rule in rules if isinstance(rule, _Array)), None)
 
     def take(self, value: Any) -> Any:
-        if isinstance(value, np.ndarray) and self.array is not None:
-            return self.array.take(value)
+        if isinstance(value, np.ndarray) and self.array is not None and value.dtype.kind in NUMERIC:
+            return value
         return super().take(value)
 
     def adapted(self, value: Any) -> Any:

@@ -1,9 +1,9 @@
 """Arguments of public functions and fields of public classes, checked by what their annotations say.
 
-    @checked
+    @typed
     def straight_rod(length: float, edges: int, ...) -> Configuration:
 
-    @checked
+    @typed
     @dataclass(frozen=True)
     class Configuration:
         start: Annotated[np.ndarray, "R 3"]
@@ -21,7 +21,7 @@ from typing import Any, TypeVar, get_type_hints
 
 import numpy as np
 
-from doo_ti.argument_rules import Mismatch, Rule, rule_of
+from doo_ti.argument_rules import Mismatch, Rule, rule_of, shape_of
 from doo_ti.errors import InputError
 
 MOST_REMEMBERED = 1000
@@ -30,13 +30,13 @@ MOST_REMEMBERED = 1000
 _Target = TypeVar("_Target")
 
 
-def checked(target: _Target) -> _Target:
+def typed(target: _Target) -> _Target:
     """``target`` with its arguments checked: a function, or a class, whose are those of its constructor."""
     return _applied(target, False)
 
 
 def owning(target: _Target) -> _Target:
-    """A dataclass that is :func:`checked` and whose arrays are copies that cannot be written to."""
+    """A dataclass that is :func:`typed` and whose arrays are copies that cannot be written to."""
     return _applied(target, True)
 
 
@@ -89,7 +89,7 @@ class _Checked:
             if not any(one.fits(shape, sizes) for one in wanted):
                 known = ", ".join(f"{letter} = {size}" for letter, size in sizes.items())
                 words = " or ".join(one.words for one in wanted)
-                raise InputError(self.source, name, f"shape {shape}", f"give an array {words}" + f" with {known}" * bool(known))
+                raise InputError(self.source, name, f"shape {shape}", f"give {words}" + f" with {known}" * bool(known))
         if len(self.fitting) < MOST_REMEMBERED:
             self.fitting.add(shapes)
 
@@ -103,7 +103,7 @@ class _Checked:
         except Mismatch as wrong:
             raise InputError(self.source, name, wrong.problem, f"give {wrong.remedy}") from None
         if rule.shapes and value is not None:
-            shapes.append((name, value.shape if isinstance(value, np.ndarray) else np.shape(value)))
+            shapes.append((name, shape_of(value)))
         return value
 
 

@@ -7,6 +7,9 @@ from numbers import Integral, Real
 
 import numpy as np
 
+MOST_EDGES = 1_000_000
+"""Of a rod."""
+
 
 class InputError(ValueError):
     """Wrong input. The command line prints it as one line and exits with code 2. It replaces arguments of the library by its
@@ -42,10 +45,11 @@ def require_number(source: str, field: str, value) -> None:
         raise InputError(source, field, f"{value!r} is not a number", "give a number")
 
 
-def require_whole(source: str, field: str, value, least: int) -> None:
-    """Raise InputError unless ``value`` is a whole number from ``least`` to the largest that kernels can count to."""
-    if not isinstance(value, Integral) or isinstance(value, bool) or not least <= value < 2**31:
-        raise InputError(source, field, f"{value!r}", f"give a whole number from {least} up, below 2**31")
+def require_whole(source: str, field: str, value, least: int, most: int = 2**31 - 1) -> None:
+    """Raise InputError unless ``value`` is a whole number from ``least`` to ``most``, at most what kernels can count to."""
+    if not isinstance(value, Integral) or isinstance(value, bool) or not least <= value <= most:
+        shown = "beyond all bounds" if isinstance(value, Integral) and abs(value) > 2**63 else f"{value!r}"
+        raise InputError(source, field, shown, f"give a whole number from {least} to {most}")
 
 
 def real_array(source: str, field: str, value, remedy: str, kinds: str = "fiu") -> np.ndarray:

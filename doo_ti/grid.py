@@ -4,11 +4,12 @@ Axes: G grid cells. Bend and twist in mm³, weight relative (footnote 6).
 """
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.arguments import typed
 from doo_ti.errors import InputError
 from doo_ti.short_repr import short_repr
 from doo_ti.types import LARGEST, Material
@@ -19,6 +20,7 @@ MOST_VALUES = 1_000_000
 _FORM = "give a number or LO:HI:N[:log|:lin], such as 5e4:1e7:25"
 
 
+@typed
 @dataclass(frozen=True)
 class Axis:
     """One parameter's values: ``name`` from UNITS, ``values`` (n,) increasing, ``log`` if spaced by factors."""
@@ -26,7 +28,7 @@ class Axis:
     __repr__ = short_repr
 
     name: str
-    values: np.ndarray
+    values: Annotated[np.ndarray, "() | K"]
     log: bool = True
 
     if TYPE_CHECKING:  # what it takes; the field is the array that it makes of it
@@ -51,6 +53,7 @@ class Axis:
         return len(self.values)
 
 
+@typed
 @dataclass(frozen=True)
 class Grid:
     """The cells Θ of a search: every combination of the axes' values, in C order.
@@ -172,6 +175,7 @@ class Grid:
         return cls(axes, bend_12, source)
 
 
+@typed
 @dataclass(frozen=True)
 class Interval:
     """One parameter in a landscape: its value in the best cell, and the range of cells with nearly the smallest error.

@@ -9,7 +9,8 @@ Lengths are in mm.
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.errors import InputError, real_array, require_whole
+from doo_ti.arguments import typed
+from doo_ti.errors import MOST_EDGES, InputError, real_array, require_whole
 from doo_ti.frames import across, bishop_frames, quaternion_from_matrix
 from doo_ti.types import Configuration
 
@@ -28,6 +29,7 @@ LOOP_EDGE = 0.5
 """Of the loop's radius: the longest edges elsewhere."""
 
 
+@typed
 def rod_along(points: ArrayLike, edges: int | ArrayLike) -> Configuration:
     """One rod along the curve through ``points`` (N, 3) mm, from the first to the last and without twist. Its vertices are on
     the curve, so that it is a little shorter.
@@ -41,7 +43,7 @@ def rod_along(points: ArrayLike, edges: int | ArrayLike) -> Configuration:
     if points.ndim != 2 or points.shape[-1:] != (3,) or len(points) < 2 or not np.isfinite(points).all():
         raise InputError("rod_along", "points", f"shape {points.shape}, or not finite", "give at least two points (N, 3) in mm")
     if np.ndim(edges) == 0:
-        require_whole("rod_along", "edges", edges, 2)
+        require_whole("rod_along", "edges", edges, 2, MOST_EDGES)
         edges = np.ones(edges)
     shares = real_array("rod_along", "edges", edges, "give a number, or the lengths of at least two").astype(np.float64)
     if shares.ndim != 1 or len(shares) < 2 or not ((shares > 0) & (shares < np.inf)).all():
@@ -61,6 +63,7 @@ def rod_along(points: ArrayLike, edges: int | ArrayLike) -> Configuration:
     return Configuration(vertices[:1].copy(), quaternion_from_matrix(frames), chord)
 
 
+@typed
 def overhand_knot(length: float, edges: int, *, radius: float, loop: float, finer: float | None = None) -> Configuration:
     """One rod of that ``radius`` with an open overhand knot in its middle, both ends along x, its middle above the origin.
 
@@ -75,7 +78,7 @@ def overhand_knot(length: float, edges: int, *, radius: float, loop: float, fine
     for name, value in (("length", length), ("radius", radius), ("loop", loop), ("finer", 1.0 if finer is None else finer)):
         if not 0 < value < np.inf:
             raise InputError("overhand_knot", name, f"{value!r}", "give a positive number")
-    require_whole("overhand_knot", "edges", edges, 2)
+    require_whole("overhand_knot", "edges", edges, 2, MOST_EDGES)
     half, offset = max(BRAID * radius, WIDE_BRAID * np.sqrt(radius * loop)), APART * radius
     strand = np.linspace(-half, half, SAMPLES)
     angle = 0.5 * np.pi + 1.5 * np.pi * (strand / half + 1.0)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.arguments import typed
 from doo_ti.errors import InputError, real_array
 from doo_ti.physical_units import bend_or_twist, force_in_newton
 from doo_ti.short_repr import counted, span_text
@@ -17,6 +18,7 @@ LARGEST = 1e30
 """Upper bound of all inputs: squares of larger numbers overflow in f32 or f64 arithmetic."""
 
 
+@typed
 @dataclass(frozen=True)
 class Material:
     """Θ = (B, β, μ) of §III-C for R materials; scalars broadcast.
@@ -90,6 +92,7 @@ class Material:
             object.__setattr__(self, name, value)
 
     @classmethod
+    @typed
     def diagonal(cls, bend_1: ArrayLike, bend_2: ArrayLike, twist: ArrayLike, weight: ArrayLike = 1.0) -> "Material":
         """B = diag(bend_1, bend_2) along the material frame: bend_1 weighs bending about m2, bend_2 about m1."""
         first, second = np.atleast_1d(_finite("bend_1", bend_1), _finite("bend_2", bend_2))
@@ -100,6 +103,7 @@ class Material:
         return cls(first[:, None, None] * np.diag([1.0, 0.0]) + second[:, None, None] * np.diag([0.0, 1.0]), twist, weight)
 
     @classmethod
+    @typed
     def from_physical(cls, EI: ArrayLike, GJ: ArrayLike, weight_per_length: ArrayLike) -> "Material":  # noqa: N803
         """The round rods of stiffness EI and GJ in N m² that weigh ``weight_per_length`` in N/m, scalars or (R,); μ is 1.
         Forces and moments of these rods come out in N and N m (:func:`doo_ti.relaxation.end_loads.end_loads`).

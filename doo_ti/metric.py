@@ -10,12 +10,14 @@ import taichi as ti
 from numpy.typing import ArrayLike
 
 from doo_ti import runtime
+from doo_ti.arguments import typed
 from doo_ti.errors import InputError
 from doo_ti.io.observations import Observations
 from doo_ti.physics.quaternion import first_director, tangent
 from doo_ti.types import Configuration
 
 
+@typed
 @runtime.exclusive
 def distance(configuration: Configuration, observations: Observations, index: ArrayLike | None = None,
              frame_weight: float = 0.0) -> np.ndarray:

@@ -12,7 +12,8 @@ Axes: R rods, E edges. Lengths are in mm.
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.errors import InputError, real_array, require_whole
+from doo_ti.arguments import typed
+from doo_ti.errors import MOST_EDGES, InputError, real_array, require_whole
 from doo_ti.frames import across, bishop_frames, quaternion_from_matrix
 from doo_ti.types import LARGEST, Clamp, Clamps, Configuration, unit_up
 
@@ -22,6 +23,7 @@ LEAST_ACROSS = 1e-6
 """Of the direction against gravity, across a chord: below, the chord is vertical and any plane does."""
 
 
+@typed
 def straight_rod(length: float, edges: int, start: ArrayLike = (0.0, 0.0, 0.0),
                  direction: ArrayLike = (1.0, 0.0, 0.0), *, vertex_clamps: bool = False) -> Configuration:
     """One straight rod without twist, ``length`` mm long, from ``start`` (3,) mm in ``direction`` (3,) of any length.
@@ -39,6 +41,7 @@ def straight_rod(length: float, edges: int, start: ArrayLike = (0.0, 0.0, 0.0),
     return _with_end_edges(rod) if vertex_clamps else rod
 
 
+@typed
 def hanging(length: ArrayLike, edges: int, start: ArrayLike, end: ArrayLike, *, clamp: Clamp = Clamp.POSITION,
             up: ArrayLike = (0.0, 0.0, 1.0), vertex_clamps: bool = False) -> tuple[Configuration, Clamps]:
     """R ropes that hang between two points, ready for ``relax``: the start Γ, an arc that sags, and the clamps C.
@@ -77,6 +80,7 @@ def hanging(length: ArrayLike, edges: int, start: ArrayLike, end: ArrayLike, *, 
     return rope, Clamps(held.start, held.end, held.start_position, end.copy(), held.start_frame, held.end_frame)
 
 
+@typed
 def end_clamps(configuration: Configuration, start: Clamp = Clamp.FRAME, end: Clamp = Clamp.FREE) -> Clamps:
     """The clamps that hold R rods by their ends where those are."""
     vertices, frames = configuration.vertices, configuration.frames
@@ -110,7 +114,7 @@ def _lengths(function: str, length: ArrayLike, edges: int) -> np.ndarray:
     if values.ndim > 1 or not values.size or wrong.any():
         problem = f"{values[wrong].flat[0]:g}" if wrong.any() else f"shape {values.shape}"
         raise InputError(function, "length", problem, "give a positive number of mm, or (R,) of them")
-    require_whole(function, "edges", edges, 2)
+    require_whole(function, "edges", edges, 2, MOST_EDGES)
     return np.atleast_1d(values)
 
 

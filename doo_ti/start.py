@@ -1,9 +1,11 @@
 """From an observation to the input of F: its clamps C, the start Γ, and the whole turns it may hold (§III-B, §III-D)."""
 
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 
+from doo_ti.arguments import typed
 from doo_ti.errors import InputError
 from doo_ti.frames import (
     across,
@@ -29,6 +31,7 @@ MOST_LENGTHS_OFF = 1e9
 """Largest coordinate, over the rod's length."""
 
 
+@typed
 def observation_clamps(observations: Observations, start: Clamp | None = None, end: Clamp | None = None) -> Clamps:
     """The clamps of D observations; by default the whole frame where it is given, else the tangent.
 
@@ -118,7 +121,9 @@ def span_excess(clamps: Clamps, rest_length: np.ndarray) -> np.ndarray:
     return np.where(loose, -np.inf, np.linalg.norm(far - near, axis=-1) - free)
 
 
-def turn_hypotheses(observations: Observations, clamps: Clamps) -> tuple[np.ndarray, np.ndarray]:
+@typed
+def turn_hypotheses(observations: Annotated[Observations, "D"], clamps: Annotated[Clamps, "D"]
+                    ) -> tuple[np.ndarray, np.ndarray]:
     """(N,) observation_index and (N,) whole turns: the rods to start for D observations.
 
     The turns are added to the angle in (−π, π] that the clamped frames leave. Between two whole frames without a hint
@@ -155,20 +160,23 @@ def held_spins(observations: Observations, clamps: Clamps, spin: np.ndarray) -> 
     return replace(whole, start_frame=start_frame, end_frame=end_frame)
 
 
-def choose_hypothesis(observation_index: np.ndarray, score: np.ndarray, sound: np.ndarray) -> np.ndarray:
+@typed
+def choose_hypothesis(observation_index: Annotated[np.ndarray, "N"], score: Annotated[np.ndarray, "N"],
+                      sound: Annotated[np.ndarray, "N"]) -> np.ndarray:
     """(D,) rows of the (N,) hypotheses with the smallest score of each observation, among those that are ``sound`` (N,)
     where there are any: a rod that did not converge is still near its start, so that its score means little. NaN counts as the
     largest.
 
     Equal scores go to the first row.
     """
-    order = np.lexsort((np.where(np.isnan(score), np.inf, score), ~sound, observation_index))
-    first = np.concatenate([[True], np.diff(observation_index[order]) != 0])
+    order = np.lexsort((np.where(np.isnan(score), np.inf, score), ~sound.astype(bool), observation_index))
+    first = np.concatenate([[True], np.diff(observation_index[order]) != 0])[: len(order)]
     return order[first]
 
 
+@typed
 def start_configuration(
-    observations: Observations, clamps: Clamps, turns: np.ndarray | None = None
+    observations: Annotated[Observations, "D"], clamps: Annotated[Clamps, "D"], turns: Annotated[np.ndarray | None, "D"] = None
 ) -> Configuration:
     """The start Γ of D rods: observed edge directions, rest lengths, and frames that meet the clamped ones.
 

@@ -11,12 +11,13 @@ bend and twist come out in mm³ (footnote 6: only ratios of the parameters matte
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from enum import IntEnum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.errors import InputError, real_array
+from doo_ti.arguments import typed
+from doo_ti.errors import MOST_EDGES, InputError, real_array, require_whole
 from doo_ti.frames import (
     across,
     bishop_frames,
@@ -76,6 +77,7 @@ def sticky(before: np.ndarray, status: np.ndarray) -> np.ndarray:
     return np.where(before == Status.CONVERGED, status, before)
 
 
+@typed
 @dataclass(frozen=True)
 class Configuration:
     """Γ = (V, E, M) of §III-A for R rods, kept as a chain of frames so that edge lengths hold exactly. It refers to the arrays
@@ -86,9 +88,9 @@ class Configuration:
     rest_length  (E,) or (R, E), mm; zero for a first or last edge that only has a direction, see :class:`Clamps`
     """
 
-    start: np.ndarray
-    quaternions: np.ndarray
-    rest_length: np.ndarray
+    start: Annotated[np.ndarray, "R 3"]
+    quaternions: Annotated[np.ndarray, "R E 4"]
+    rest_length: Annotated[np.ndarray, "E | 1R E"]
 
     @property
     def count(self) -> int:
@@ -133,12 +135,17 @@ class Configuration:
         return Configuration(picked(self.start, index), picked(self.quaternions, index), lengths)
 
     @classmethod
-    def straight(cls, start: np.ndarray, direction: np.ndarray, length: float, edges: int) -> "Configuration":
-        """One rod of that ``length`` in mm, straight from ``start`` (3,) in the unit ``direction`` (3,), without twist."""
+    @typed
+    def straight(cls, start: Annotated[np.ndarray, "3"], direction: Annotated[np.ndarray, "3"], length: float, edges: int
+                 ) -> "Configuration":
+        """One rod of that ``length`` in mm, straight from ``start`` (3,) in the unit ``direction`` (3,), without twist. Raises
+        InputError for fewer than one edge."""
+        require_whole("Configuration.straight", "edges", edges, 1, MOST_EDGES)
         frame = quaternion_from_matrix(bishop_frames(direction[None, None], across(direction[None])))
         return cls(np.array(start, dtype=np.float64)[None], np.tile(frame, (1, edges, 1)), np.full(edges, length / edges))
 
     @classmethod
+    @typed
     def concatenate(cls, parts: Sequence["Configuration"]) -> "Configuration":
         """The rods of several, one after the other; their lengths are shared where all have the same."""
         first = parts[0].rest_length
@@ -149,6 +156,7 @@ class Configuration:
         return cls(np.concatenate(starts), np.concatenate(frames), lengths)
 
 
+@typed
 @dataclass(frozen=True)
 class Clamps:
     """C of §III-B: how the two ends of R rods are held. Inextensibility needs no entry: the chain of frames is inextensible.
@@ -162,20 +170,33 @@ class Clamps:
     ``rest_length`` of zero the clamp acts at the end vertex itself, with second order: ``straight_rod(…, vertex_clamps=True)``.
     """
 
-    start: np.ndarray
-    end: np.ndarray
-    start_position: np.ndarray
-    end_position: np.ndarray
-    start_frame: np.ndarray
-    end_frame: np.ndarray
+    start: Annotated[np.ndarray, "() | 1R"]
+    end: Annotated[np.ndarray, "() | 1R"]
+    start_position: Annotated[np.ndarray, "R 3"]
+    end_position: Annotated[np.ndarray, "R 3"]
+    start_frame: Annotated[np.ndarray, "R 3 3"]
+    end_frame: Annotated[np.ndarray, "R 3 3"]
 
     if TYPE_CHECKING:  # one kind serves for all rods
         def __init__(self, start: Clamp | ArrayLike, end: Clamp | ArrayLike, start_position: np.ndarray,
                      end_position: np.ndarray, start_frame: np.ndarray, end_frame: np.ndarray) -> None: ...
 
+    def __post_init__(self) -> None:
+        for name in ("start", "end"):
+            kind = getattr(self, name)
+            if not isinstance(kind, Clamp):
+                kind = np.asarray(kind)
+                if kind.dtype.kind not in "iuf" or not ((kind >= 0) & (kind < len(Clamp)) & (kind == np.round(kind))).all():
+                    raise InputError("Clamps", name, f"{kind.tolist()!r}", "give a Clamp, or one for each rod")
+
     def __repr__(self) -> str:
         start, end = (" or ".join(Clamp(kind).name.lower() for kind in np.unique(kinds)) for kinds in (self.start, self.end))
-        return f"Clamps({counted(len(self.start_position), 'rod')}: start {start}, end {end})"
+        return f"Clamps({counted(self.count, 'rod')}: start {start}, end {end})"
+
+    @property
+    def count(self) -> int:
+        """R."""
+        return len(self.start_position)
 
     def take(self, index: Rows) -> "Clamps":
         """The clamps of the rods named by ``index``, in that order, in arrays of their own."""
@@ -185,6 +206,7 @@ class Clamps:
             picked(self.end_position, index), picked(self.start_frame, index), picked(self.end_frame, index))
 
 
+@typed
 @dataclass(frozen=True)
 class Solution:
     """The result of F: one entry per rod.
@@ -208,21 +230,26 @@ class Solution:
     """
 
     configuration: Configuration
-    energy: np.ndarray
-    residual: np.ndarray
-    closure: np.ndarray
-    iterations: np.ndarray
-    status: np.ndarray
-    stable: np.ndarray
-    end_force: np.ndarray
-    precision: np.ndarray
+    energy: Annotated[np.ndarray, "R"]
+    residual: Annotated[np.ndarray, "R"]
+    closure: Annotated[np.ndarray, "R"]
+    iterations: Annotated[np.ndarray, "R"]
+    status: Annotated[np.ndarray, "R"]
+    stable: Annotated[np.ndarray, "R"]
+    end_force: Annotated[np.ndarray, "R 3"]
+    precision: Annotated[np.ndarray, "R"]
     tables: object = field(default=None, repr=False)
-    contact_force: np.ndarray | None = None
+    contact_force: Annotated[np.ndarray | None, "R V 3"] = None
 
     def __post_init__(self) -> None:
         table = getattr(self.tables, "contact", None)
         if self.contact_force is None and table is not None:
             object.__setattr__(self, "contact_force", table.forces)
+        if self.status.size and not 0 <= self.status.min() <= self.status.max() < len(Status):
+            raise InputError("Solution", "status", f"{self.status.min()} to {self.status.max()}", "give a Status for each rod")
+        for count in (self.configuration.count, getattr(self.tables, "count", len(self.status))):
+            if count != len(self.status):
+                raise InputError("Solution", "status", f"{len(self.status)} for {count} rods", "give one for each")
 
     @property
     def contact(self) -> Any:
@@ -236,6 +263,7 @@ class Solution:
         """(R,) bool."""
         return self.status == Status.CONVERGED
 
+    @typed
     def end_force_in_newton(self, weight_per_length: ArrayLike, weight: ArrayLike = 1.0) -> np.ndarray:
         """(R, 3) ``end_force`` in N, of rods that weigh ``weight_per_length`` in N/m, a scalar or (R, 1), and whose material's
         weight μ is ``weight``."""

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.arguments import typed
 from doo_ti.contact.obstacles import GRID, Distances, Obstacle, Placed, require_rotation
 from doo_ti.errors import InputError, real_array
 from doo_ti.short_repr import short_repr
@@ -22,6 +23,7 @@ HEADER = 4
 SIXTH = 1.0 / 6.0
 
 
+@typed
 @dataclass(frozen=True, eq=False, repr=False)
 class DistanceGrid(Obstacle):
     """An obstacle by its signed distances ``values`` (X, Y, Z) in mm, negative inside, at points that are ``spacing`` mm apart.
@@ -52,6 +54,7 @@ class DistanceGrid(Obstacle):
                      friction: ArrayLike = 0.0) -> None: ...
 
     @classmethod
+    @typed
     def from_mesh(cls, mesh: str | Path | tuple[ArrayLike, ArrayLike], spacing: float, margin: float | None = None,
                   **pose: ArrayLike) -> "DistanceGrid":
         """The grid of a closed surface: a file that trimesh reads (STL, PLY, OBJ), in mm, or its vertices (N, 3) and triangles

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.arguments import typed
 from doo_ti.contact.obstacles import Obstacle
 
 ITSELF = -1
@@ -16,6 +17,7 @@ PAIRS_AT_ONCE = 2_000_000
 """Of edges, whose distances are measured together."""
 
 
+@typed
 @dataclass(frozen=True)
 class Itself(Obstacle):
     """The rod itself: no part of it passes through another one, or comes nearer to it than twice the radius."""

@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.arguments import typed
 from doo_ti.contact.itself import Itself
 from doo_ti.contact.obstacles import Obstacle, require_rotation
 from doo_ti.errors import InputError, real_array
 from doo_ti.short_repr import short_repr
 
 
+@typed
 @dataclass(frozen=True, eq=False, repr=False)
 class Moving:
     """An obstacle at the T instants of a motion, those of its grippers: a place x of it is at pivot + rotation (x − pivot) +

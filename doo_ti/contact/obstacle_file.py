@@ -40,6 +40,7 @@ from typing import Annotated, Literal
 import msgspec
 import numpy as np
 
+from doo_ti.arguments import typed
 from doo_ti.contact.distance_grid import DistanceGrid
 from doo_ti.contact.itself import Itself
 from doo_ti.contact.moving import Moving
@@ -101,6 +102,7 @@ class _File(Table):
     obstacles: Annotated[list, msgspec.Meta(min_length=1)]
 
 
+@typed
 def load_obstacles(path: str | Path) -> list[Obstacle]:
     """The obstacles of a TOML file. Raises InputError for unreadable files, unknown kinds and keys, wrong types and values."""
     path = Path(path)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.arguments import typed
 from doo_ti.errors import InputError, real_array
 
 # Kinds, as the kernels number them.
@@ -123,6 +124,7 @@ class Obstacle:
         raise NotImplementedError
 
 
+@typed
 @dataclass(frozen=True)
 class Plane(Obstacle):
     """A half space: all that lies behind the plane through ``point`` (3,) whose outward normal is ``normal`` (3,)."""
@@ -150,6 +152,7 @@ class Plane(Obstacle):
         return local[..., 2], np.broadcast_to([0.0, 0.0, 1.0], local.shape)
 
 
+@typed
 @dataclass(frozen=True)
 class Sphere(Obstacle):
     """A ball of that ``radius`` about ``centre`` (3,)."""
@@ -198,6 +201,7 @@ class _Rod(Obstacle):
         return 0.5 * (self.start + self.end), _axes_about(axis), np.stack([radius, half, 0 * radius], -1), depth
 
 
+@typed
 @dataclass(frozen=True)
 class Capsule(_Rod):
     """A cylinder with round ends: all within ``radius`` of the segment from ``start`` (3,) to ``end`` (3,)."""
@@ -213,6 +217,7 @@ class Capsule(_Rod):
         return _to_core(np.concatenate([local[..., :2], axial[..., None]], -1), sizes[..., :1])
 
 
+@typed
 @dataclass(frozen=True)
 class Cylinder(_Rod):
     """A cylinder with flat ends, whose axis goes from ``start`` (3,) to ``end`` (3,): a peg."""
@@ -234,6 +239,7 @@ class Cylinder(_Rod):
         return np.where(beyond, rim, np.maximum(side, cap)), normal
 
 
+@typed
 @dataclass(frozen=True)
 class Ring(Obstacle):
     """A torus: all within ``thickness`` of the circle of that ``radius`` about ``centre`` (3,) and ``axis`` (3,)."""
@@ -270,6 +276,7 @@ class Ring(Obstacle):
         return _to_core(beside, sizes[..., 1:2])
 
 
+@typed
 @dataclass(frozen=True)
 class Box(Obstacle):
     """A box with edges of those lengths ``size`` (3,) about ``centre`` (3,), along the columns of ``rotation`` (3, 3)."""

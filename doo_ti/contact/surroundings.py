@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.arguments import typed
 from doo_ti.contact.itself import Itself, smallest_self_gap
 from doo_ti.contact.moving import Moving
 from doo_ti.contact.obstacles import Obstacle
@@ -34,6 +35,7 @@ def obstacle_list(source: str, obstacles: Iterable[Obstacle | Moving], moving: b
     return found
 
 
+@typed
 @dataclass(frozen=True)
 class Surroundings:
     """What rods may touch.

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.errors import InputError, real_array
+from doo_ti.arguments import typed
+from doo_ti.errors import InputError, real_array, require_whole
 from doo_ti.frames import (
     FRAME_TOLERANCE,
     matrix_from_quaternion,
@@ -16,6 +17,7 @@ from doo_ti.short_repr import short_repr
 from doo_ti.types import Clamp, Clamps, Rows
 
 
+@typed
 @dataclass(frozen=True)
 class Grippers:
     """The clamps of S rods at T instants, the first of which is where the motion starts.
@@ -69,8 +71,10 @@ class Grippers:
         return self.start_position.shape[1]
 
     @classmethod
+    @typed
     def resting(cls, clamps: Clamps, instants: int) -> "Grippers":
-        """Clamps that do not move."""
+        """Clamps that do not move, at two instants or more."""
+        require_whole("Grippers.resting", "instants", instants, 2)
         def still(array):
             array = np.asarray(array, dtype=np.float64)
             return np.broadcast_to(array[:, None], (len(array), instants, *array.shape[1:]))
@@ -81,14 +85,17 @@ class Grippers:
         kinds = [kind if np.ndim(kind) == 0 else np.asarray(kind)[rows] for kind in (self.start, self.end)]
         return Grippers(*kinds, *(getattr(self, name)[rows] for name in _PATHS))
 
+    @typed
     def at(self, instant: int) -> Clamps:
         """The clamps at one instant."""
         return Clamps(self.start, self.end, *(np.ascontiguousarray(getattr(self, name)[:, instant]) for name in _PATHS))
 
+    @typed
     def until(self, instant: int) -> "Grippers":
         """The motion up to ``instant``, which is the last."""
         return Grippers(self.start, self.end, *(getattr(self, name)[:, : instant + 1] for name in _PATHS))
 
+    @typed
     def refined(self, parts: int) -> "Grippers":
         """With ``parts`` equal steps between neighbouring instants: positions and frames on cubics through their neighbours."""
         if parts == 1:

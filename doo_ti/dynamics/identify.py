@@ -12,6 +12,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.arguments import typed
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.layout import require_smoothing, roll_reference
 from doo_ti.dynamics.parameters import Stepping
@@ -34,6 +35,7 @@ FRICTIONS = (0.1, 0.3, 0.6)
 """Coefficients to begin with."""
 
 
+@typed
 @dataclass(frozen=True)
 class IdentifyOptions:
     """How Θ is found.
@@ -126,6 +128,7 @@ class Identified:
         return self.unknowns.intervals(self.vector, self.covariance, used - 1)
 
 
+@typed
 def identify(motion: RecordedMotion, begin: MotionTheta, options: IdentifyOptions = IdentifyOptions(),
              report: Callable[[int, int, float], None] | None = None, stills: Sequence[Stills] = ()) -> Identified:
     """The Θ of the rod that all recordings of ``motion`` show, from ``begin`` on.
@@ -172,6 +175,7 @@ def require_clear_grippers(motion: RecordedMotion, theta: MotionTheta, options: 
                          "inside an obstacle", "correct the obstacle's place, or give a smaller radius")
 
 
+@typed
 def identify_from_guesses(motion: RecordedMotion, options: IdentifyOptions, bend: float | None = None,
                           up: ArrayLike = (0.0, 0.0, 1.0), report: Callable[[int, int, float], None] | None = None,
                           stills: Sequence[Observations] = ()) -> Identified:

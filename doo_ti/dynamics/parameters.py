@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.arguments import typed
 from doo_ti.contact.gap_tolerance import require_gap_tolerance
 from doo_ti.errors import InputError, real_array, require_number, require_whole
 from doo_ti.short_repr import short_repr
@@ -31,6 +32,7 @@ def vertex_lengths(rest_length: np.ndarray) -> np.ndarray:
     return length
 
 
+@typed
 @dataclass(frozen=True)
 class Stepping:
     """The instants of a motion and the time steps between them.
@@ -91,6 +93,7 @@ class Stepping:
         return LEAST_WAY if self.quasi_static else 1.0
 
 
+@typed
 @dataclass(frozen=True)
 class MovingStart:
     """S rods as a motion begins.
@@ -121,6 +124,7 @@ class MovingStart:
         object.__setattr__(self, "velocity", velocity)
 
 
+@typed
 @dataclass(frozen=True)
 class Dynamics:
     """Mass and losses of G rods, scalars or (G,); rows go with those of :class:`doo_ti.types.Material`.
@@ -190,6 +194,7 @@ class Dynamics:
         return np.broadcast_to(mass, (count, vertices))
 
 
+@typed
 @dataclass(frozen=True)
 class Direction:
     """A parameter by which a motion is differentiated: the material and the dynamics of the G rods at two near values of it.

@@ -3,10 +3,12 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.arguments import typed
 from doo_ti.dynamics.parameters import LEAST_RATE, MOST_RATE
 from doo_ti.errors import InputError
 from doo_ti.io.motion_recording import read_recording
@@ -31,6 +33,7 @@ GRIPPED = (0, 1, -2, -1)
 """Vertices of the first and last edge."""
 
 
+@typed
 @dataclass(frozen=True)
 class RecordedMotion:
     """R rods of V markers at T frames.
@@ -51,17 +54,18 @@ class RecordedMotion:
 
     __repr__ = short_repr
 
-    positions: np.ndarray
+    positions: Annotated[np.ndarray, "R T V 3"]
     rate: float
     names: tuple[str, ...]
-    elapsed: np.ndarray
-    confused: np.ndarray
+    elapsed: Annotated[np.ndarray, "R T"]
+    confused: Annotated[np.ndarray, "R T 2"]
     alone: bool = False
-    up: np.ndarray | None = None
+    up: Annotated[np.ndarray | None, "3"] = None
     free_end: bool = False
     frames: np.ndarray | None = None
 
     @classmethod
+    @typed
     def of(cls, positions: ArrayLike, rate: float, names: Iterable[object] | None = None, source: str = "motion",
            free_end: bool = False, frames: np.ndarray | None = None) -> "RecordedMotion":
         """With ``elapsed`` found from how the grippers move; ``free_end``: no gripper holds the last edge."""
@@ -97,6 +101,7 @@ class RecordedMotion:
         return found
 
     @classmethod
+    @typed
     def load(cls, path: str | Path, fill_gaps: bool = False, unit: str | None = None,
              columns: Mapping[str, str] | Sequence[str] | None = None, rate: float | None = None,
              free_end: bool = False) -> "RecordedMotion":

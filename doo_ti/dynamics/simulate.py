@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.arguments import typed
 from doo_ti.contact.moving import Moving
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings
@@ -54,6 +55,7 @@ NUMBERS_AT_ONCE = 32_000_000
 """Numbers of positions that a launch writes."""
 
 
+@typed
 def simulate(
     start: Configuration | MovingStart,
     material: Material,

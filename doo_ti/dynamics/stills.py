@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.polynomial import legendre
 
+from doo_ti.arguments import typed
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.theta import MotionTheta, Unknowns, rest_places
 from doo_ti.errors import InputError
@@ -23,6 +24,7 @@ LEAST_ACROSS = 0.2
 """Of the roll reference, a unit vector: its part across the first edge of a still without a frame."""
 
 
+@typed
 @dataclass(frozen=True)
 class Stills:
     """D shapes at rest, with the clamps that hold them.
@@ -40,6 +42,7 @@ class Stills:
     surroundings: Surroundings = Surroundings()
 
     @classmethod
+    @typed
     def of(cls, observations: Observations, reference: np.ndarray, length: float,
            surroundings: Surroundings = Surroundings()) -> "Stills":
         """The stills of a rod of that ``length``, mm. Raises InputError for rods of another length, first edges along the

@@ -3,11 +3,12 @@
 import json
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.polynomial import legendre
 
-from doo_ti.arguments import owning
+from doo_ti.arguments import owning, typed
 from doo_ti.dynamics.parameters import Dynamics
 from doo_ti.errors import InputError
 from doo_ti.io.files import MOST_TEXT_BYTES, read_content
@@ -47,10 +48,10 @@ class MotionTheta:
     drag: float
     quadratic_drag: float
     marker_share: float
-    rest: np.ndarray
-    rest_length: np.ndarray
-    reference: np.ndarray
-    up: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
+    rest: Annotated[np.ndarray, "2 K"]
+    rest_length: Annotated[np.ndarray, "E"]
+    reference: Annotated[np.ndarray, "3"]
+    up: Annotated[np.ndarray, "3"] = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
     friction: float | None = None
 
     @property
@@ -78,6 +79,7 @@ def save_form(theta: MotionTheta) -> dict:
         "roll_reference": theta.reference, "up": theta.up, FRICTION: theta.friction}
 
 
+@typed
 def load_theta(path: str | Path) -> MotionTheta:
     """Θ of a JSON file that ``doo-ti identify`` has written. Raises InputError for files that cannot be read, missing keys and
     values that no rod has."""

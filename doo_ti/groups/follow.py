@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.arguments import typed
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.errors import InputError
@@ -16,6 +17,7 @@ from doo_ti.relaxation.newton import Newton
 from doo_ti.types import Clamps, Configuration
 
 
+@typed
 def follow_group(group: Group, clamps: Sequence[Sequence[Clamps]], solver: Newton | None = None, *, up: ArrayLike | None = None,
                  obstacles: Sequence[Obstacle] = (), radius: ArrayLike | None = None, contact: bool = True,
                  dynamics: Dynamics | Sequence[Dynamics] | None = None, rate: float | None = None, scheme: str = "bdf2"

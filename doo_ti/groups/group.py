@@ -7,10 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.arguments import typed
 from doo_ti.errors import InputError, real_array, require_number, require_whole
 from doo_ti.types import Clamps, Configuration, Material, Rows
 
 
+@typed
 @dataclass(frozen=True)
 class Tie:
     """Two vertices that stay at one place.
@@ -41,6 +43,7 @@ class Tie:
             raise InputError("Tie", "weight", f"{self.weight}", "give a finite number from zero up")
 
 
+@typed
 @dataclass(frozen=True)
 class Group:
     """N groups of G rods, what :func:`.relax_group` takes.

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti import runtime
+from doo_ti.arguments import typed
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings, obstacle_list
 from doo_ti.errors import InputError
@@ -86,6 +87,7 @@ class GroupSolution:
                 f"stable)")
 
 
+@typed
 def relax_group(group: Group, solver: Newton | None = None, *, up: ArrayLike | None = None,
                 obstacles: Sequence[Obstacle] = (), radius: ArrayLike | None = None, contact: bool = True,
                 before: GroupSolution | None = None) -> GroupSolution:

@@ -18,10 +18,11 @@ Axes: T moments, N motions.
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
-from doo_ti.arguments import owning
+from doo_ti.arguments import owning, typed
 from doo_ti.errors import InputError
 from doo_ti.frames import (
     FRAME_TOLERANCE,
@@ -79,12 +80,12 @@ class ClampPath:
 
     __repr__ = short_repr
 
-    time: np.ndarray
-    start_position: np.ndarray | None = None
-    end_position: np.ndarray | None = None
-    start_frame: np.ndarray | None = None
-    end_frame: np.ndarray | None = None
-    end_rotation: np.ndarray | None = None
+    time: Annotated[np.ndarray, "T"]
+    start_position: Annotated[np.ndarray | None, "T N 3"] = None
+    end_position: Annotated[np.ndarray | None, "T N 3"] = None
+    start_frame: Annotated[np.ndarray | None, "T N 3 3"] = None
+    end_frame: Annotated[np.ndarray | None, "T N 3 3"] = None
+    end_rotation: Annotated[np.ndarray | None, "T N"] = None
     tangents_only: bool = False
     source: str = "motion"
 
@@ -213,6 +214,7 @@ def path_of_marks(positions: np.ndarray, time: np.ndarray | None = None, source:
                      tangents_only=True, source=source)
 
 
+@typed
 def load_path(path: Path, unit: str | None = None, named: Mapping[str, str] | None = None, axes: tuple[str, str] = ("x", "x"),
               turn: np.ndarray | None = None) -> ClampPath:
     """The clamps' path from a motion file.

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.arguments import typed
 from doo_ti.errors import InputError, real_array
 from doo_ti.frames import FRAME_TOLERANCE, handedness, orthonormality_error
 from doo_ti.io.curves import UNITS_IN_MM
@@ -36,6 +37,7 @@ LEAST_SIGMA_MM, MOST_SIGMA_MM = 1e-9, 1e6
 """Of labels: the information in them grows with the inverse square."""
 
 
+@typed
 @dataclass(frozen=True)
 class Observations:
     """D observed configurations Γ^d of one rod, and how its ends were held.
@@ -74,7 +76,7 @@ class Observations:
     name: str = "observations"
     source: str = "observations"
     sha256: str = ""
-    labels: np.ndarray | None = None
+    labels: np.ndarray | Sequence[str] | None = None
 
     if TYPE_CHECKING:  # what it takes; the fields are the arrays that it makes of them
         def __init__(self, vertices: ArrayLike, valid: ArrayLike | None = None, rest_length: ArrayLike | None = None,
@@ -242,6 +244,7 @@ class Observations:
         return frames
 
 
+@typed
 def load_observations(path: str | os.PathLike[str], up: ArrayLike | None = None, unit: str | None = None,
                       columns: Mapping[str, str] | Sequence[str] | None = None) -> Observations:
     """Read and check observations of an ``.npz``, ``.csv`` or ``.parquet`` file, or curves of another program: motion capture
@@ -257,7 +260,8 @@ def load_observations(path: str | os.PathLike[str], up: ArrayLike | None = None,
     path = Path(path)
     with np.errstate(over="ignore"):  # what is no longer finite in mm is refused below
         content, keys = read_keys(path, columns)
-        values = {name: keys[key] for name, key in KEYS.items() if key in keys}
+        values = {name: keys[key] if name == "labels" else real_array(path, key, keys[key], "store real numbers", "fiub")
+                  for name, key in KEYS.items() if key in keys}
         if unit is not None:
             values = _in_mm(values, keys.get("unit", 1.0), unit)
     if "vertices_mm" not in keys:
@@ -275,8 +279,7 @@ def _in_mm(values: dict, read_as: float, unit: str) -> dict:
     if unit not in UNITS_IN_MM:
         raise InputError("load_observations", "unit", f"{unit!r}", f"give one of {', '.join(UNITS_IN_MM)}")
     factor = UNITS_IN_MM[unit] / read_as
-    return {name: value * factor if name in LENGTHS and np.asarray(value).dtype.kind in "fiu" else value
-            for name, value in values.items()}
+    return {name: value * factor if name in LENGTHS and value.dtype.kind != "b" else value for name, value in values.items()}
 
 
 def _check_turns(observations: Observations) -> None:
@@ -289,6 +292,7 @@ def _check_turns(observations: Observations) -> None:
                          f"give degrees; {observations.edges} edges hold at most {most:g}")
 
 
+@typed
 def save_observations(path: str | os.PathLike[str], observations: Observations) -> None:
     """Write ``observations`` to an ``.npz``, ``.csv`` or ``.parquet`` file, whole or not at all.
 

@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
+from doo_ti.arguments import typed
 from doo_ti.contact.obstacle_arrays import described
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError, require_number, require_whole
@@ -28,6 +29,7 @@ LEAST_SUB_STEP = 1e-5
 """rad: smaller sub-steps change no result and take too long."""
 
 
+@typed
 @dataclass(frozen=True)
 class SweepOptions:
     """Options of a sweep.

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from doo_ti.arguments import typed
 from doo_ti.errors import InputError
 from doo_ti.grid import Grid, Interval, valley
 from doo_ti.learning.chunks import RODS, Terms, cell_files, rods_in, terms_in, whole_rods_in
@@ -160,6 +161,7 @@ class Landscape(Summed):
         return {name: column[cell] for name, column in columns.items()}
 
 
+@typed
 def read_landscape(run: Path | str) -> Landscape:
     """The landscape in the folder of a finished sweep. Raises InputError where it holds none."""
     run = Path(run)

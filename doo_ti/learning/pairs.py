@@ -5,9 +5,11 @@ Axes: P pairs.
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
+from doo_ti.arguments import typed
 from doo_ti.errors import InputError
 from doo_ti.io.arrays import read_arrays
 from doo_ti.io.files import write_whole
@@ -25,6 +27,7 @@ MOST_TURNS = 100
 COLUMNS = ("from", "to", "weight", "rotation_deg")
 
 
+@typed
 @dataclass(frozen=True)
 class Pairs:
     """The motions of Eq. 3.
@@ -38,10 +41,10 @@ class Pairs:
     Raises InputError for a pair of an observation with itself, one given twice, and weights that are negative or all zero.
     """
 
-    from_index: np.ndarray
-    to_index: np.ndarray
-    weight: np.ndarray
-    rotation: np.ndarray | None = None
+    from_index: Annotated[np.ndarray, "P"]
+    to_index: Annotated[np.ndarray, "P"]
+    weight: Annotated[np.ndarray, "P"]
+    rotation: Annotated[np.ndarray | None, "P"] = None
     source: str = "pairs"
 
     def __post_init__(self) -> None:

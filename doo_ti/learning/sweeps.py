@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from doo_ti.arguments import typed
 from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.grid import Grid
 from doo_ti.io.observations import Observations
@@ -40,6 +41,7 @@ CHUNK_BYTES = 32 << 20
 MOST_RODS = 1_000_000_000
 
 
+@typed
 def sweep(run: Path | str, observations: Observations, grid: Grid, *, options: SweepOptions = SweepOptions(),
           pairs: Pairs | None = None, command: Sequence[str] = (), linear_density: float | None = None) -> dict[str, object]:
     """Relax ``observations`` under every cell of ``grid`` (Eq. 2 or 3), store the rods in the folder ``run``, and return the

@@ -2,9 +2,11 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
+from doo_ti.arguments import typed
 from doo_ti.errors import InputError
 from doo_ti.frames import (
     matrix_from_quaternion,
@@ -26,6 +28,7 @@ MOST_STEPS = 100_000
 """Sub-steps of a motion."""
 
 
+@typed
 @dataclass(frozen=True)
 class Motion:
     """Motion of the clamps of R rods: positions move along lines, each frame turns about one axis, all uniformly.
@@ -37,11 +40,11 @@ class Motion:
     """
 
     clamps: Clamps
-    start_shift: np.ndarray | None = None
-    end_shift: np.ndarray | None = None
-    start_turn: np.ndarray | None = None
-    end_turn: np.ndarray | None = None
-    end_spin: np.ndarray | None = None
+    start_shift: Annotated[np.ndarray | None, "R 3"] = None
+    end_shift: Annotated[np.ndarray | None, "R 3"] = None
+    start_turn: Annotated[np.ndarray | None, "R 3"] = None
+    end_turn: Annotated[np.ndarray | None, "R 3"] = None
+    end_spin: Annotated[np.ndarray | None, "R"] = None
 
     def at(self, share: float) -> Clamps:
         """The clamps after ``share`` of the motion, 0 to 1."""

@@ -23,6 +23,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.arguments import typed
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
 from doo_ti.perception.growth import rank_distinct
@@ -120,6 +121,7 @@ class Perception:
         return cls(configuration=whole, **values)
 
 
+@typed
 def perceive(
     maps: DistanceMaps, rig: Rig, point: ArrayLike, direction: ArrayLike, rest_length: ArrayLike, material: Material, *,
     up: ArrayLike = (0.0, 0.0, 1.0),

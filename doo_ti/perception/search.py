@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from doo_ti.arguments import typed
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError, require_whole
 from doo_ti.frames import (
@@ -40,6 +41,7 @@ LOST = 1e30
 """1/mm: E_vis of a rod that failed while growing. Its start is kept if its set has no better hypothesis."""
 
 
+@typed
 @dataclass(frozen=True)
 class PerceptionOptions:
     """Options of Algorithm 1.

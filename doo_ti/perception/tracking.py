@@ -16,6 +16,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.arguments import typed
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Dynamics, MovingStart, Stepping
@@ -53,6 +54,7 @@ class How(IntEnum):
     LOST = 2
 
 
+@typed
 @dataclass(frozen=True)
 class TrackingOptions:
     """When a rod counts as lost.
@@ -74,6 +76,7 @@ class TrackingOptions:
                 raise InputError("TrackingOptions", name, f"{getattr(self, name)}", "give a positive number")
 
 
+@typed
 @dataclass(frozen=True)
 class Inertia:
     """For rods that move fast: what is needed to carry the rod of the last two frames on by its own velocity.
@@ -123,6 +126,7 @@ class _Rod:
         return self.status == Status.CONVERGED
 
 
+@typed
 class Tracker:
     """Tracks a rod frame by frame.
 
@@ -144,6 +148,7 @@ class Tracker:
         self._usual = np.inf  # px, mean over the cameras: the least since the last run of Algorithm 1
         self._turn: np.ndarray | None = None  # (E, 4) of each edge, from the frame before the last one to the last one
 
+    @typed
     def see(self, detected: list[Detection], point: ArrayLike, direction: ArrayLike, far: Motion | None = None,
             elapsed: float | None = None) -> TrackedFrame:
         """The rod in the next frame.

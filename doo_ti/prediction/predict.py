@@ -16,6 +16,7 @@ from itertools import accumulate
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.arguments import typed
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings, obstacle_list
 from doo_ti.errors import InputError
@@ -95,6 +96,7 @@ class Prediction:
         return Configuration(self.start[moment], self.quaternions[moment], self.rest_length)
 
 
+@typed
 def predict(
     configuration: Configuration, material: Material, clamps: Clamps, path: ClampPath, *, sub_step: float = LARGEST_TURN,
     between: int = 1, up: ArrayLike = (0.0, 0.0, 1.0), solver: Newton | None = None, precision: str = "mixed",
@@ -153,6 +155,7 @@ def begun(configuration: Configuration, material: Material, clamps: Clamps, path
     return travel, rods // motions, (solution, approach.at(1.0), jumps)
 
 
+@typed
 def predict_step(
     configuration: Configuration, material: Material, clamps: Clamps, goal: Clamps, *,
     rotation: ArrayLike | None = None, sub_step: float = LARGEST_TURN, up: ArrayLike = (0.0, 0.0, 1.0), precision: str = "f32",

@@ -6,12 +6,14 @@ Axes: T iterations, D observations (one rod each), V vertices.
 import os
 from dataclasses import dataclass
 from itertools import count
+from typing import Annotated
 
 import numpy as np
 import rerun
 import rerun.blueprint as blueprint
 
 from doo_ti import report
+from doo_ti.arguments import typed
 from doo_ti.grid import UNITS, Interval
 from doo_ti.record.stream import (
     FAILED,
@@ -35,6 +37,7 @@ MINIMUM = (255, 255, 255)
 MOST_POINTS = 20_000
 
 
+@typed
 @dataclass(frozen=True)
 class SweepTrajectory:
     """The relaxation of D rods.
@@ -46,13 +49,14 @@ class SweepTrajectory:
 
     __repr__ = short_repr
 
-    vertices: np.ndarray
-    energy: np.ndarray
-    residual: np.ndarray
-    status: np.ndarray
-    distance: np.ndarray
+    vertices: Annotated[np.ndarray, "T D V 3"]
+    energy: Annotated[np.ndarray, "T D"]
+    residual: Annotated[np.ndarray, "T D"]
+    status: Annotated[np.ndarray, "D"]
+    distance: Annotated[np.ndarray, "D"]
 
 
+@typed
 def record_sweep(path: str | os.PathLike[str], *, run_id: str, name: str, observed: Observed, trajectory: SweepTrajectory,
                  properties: dict[str, object], plane: LandscapePlane | None = None, intervals: tuple[Interval, ...] = (),
                  region: np.ndarray | None = None) -> None:

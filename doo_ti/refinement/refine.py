@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from doo_ti.arguments import typed
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
 from doo_ti.io.observations import Observations
@@ -48,6 +49,7 @@ FIRST_TURN = 0.3
 side, and with a much smaller curvature the side changes with every small change of the unknowns."""
 
 
+@typed
 @dataclass(frozen=True)
 class RefinementOptions:
     """Options of a fit.
@@ -140,6 +142,7 @@ class Refinement:
         return dict(zip(names.tolist(), counts.tolist(), strict=True))
 
 
+@typed
 def refine(observations: Observations, clamps: Clamps, theta: Theta | Sequence[Theta],
            options: RefinementOptions = RefinementOptions()) -> Refinement:
     """Fit Θ and the other unknowns of the experiment to ``observations`` (maximum a posteriori), with 95 % intervals.

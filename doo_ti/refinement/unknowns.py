@@ -16,12 +16,13 @@ Axes: D observations, P unknowns, the first T of them Θ's, K knots, E edges bet
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.errors import InputError
+from doo_ti.arguments import typed
+from doo_ti.errors import InputError, require_whole
 from doo_ti.frames import rotation_matrix
 from doo_ti.refinement.held_rod import POSE, HeldRod, Mesh
 from doo_ti.refinement.priors import Scales, covariance, knots_of, values_at
@@ -37,6 +38,7 @@ CLIP_MEDIAN, CLIP_FACTOR = 0.75, 0.7
 """Prior of a clip's length: median, in spacings of the outer marks, and standard deviation of its logarithm."""
 
 
+@typed
 @dataclass(frozen=True)
 class Theta:
     """One material and the direction of gravity.
@@ -46,11 +48,11 @@ class Theta:
 
     __repr__ = short_repr
 
-    bend: np.ndarray
+    bend: Annotated[np.ndarray, "2 2"]
     twist: float
     weight: float = 1.0
-    rest_curvature: np.ndarray | None = None
-    up: np.ndarray = (0.0, 0.0, 1.0)
+    rest_curvature: Annotated[np.ndarray | None, "2 | J 2"] = None
+    up: Annotated[np.ndarray, "3"] = (0.0, 0.0, 1.0)
 
     if TYPE_CHECKING:  # what it takes; the fields are the arrays that it makes of them
         def __init__(self, bend: ArrayLike, twist: float, weight: float = 1.0, rest_curvature: ArrayLike | None = None,
@@ -62,10 +64,12 @@ class Theta:
                 object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64))
 
     @classmethod
+    @typed
     def of(cls, material: Material, row: int = 0, up: ArrayLike = (0.0, 0.0, 1.0)) -> "Theta":
         """Row ``row`` of ``material``. Raises InputError where bend or twist vary along the rod."""
         if material.bend.shape[1] > 1 or material.twist.shape[1] > 1:
             raise InputError("refine", "material", "bend or twist vary along the rod", "give one value for the whole rod")
+        require_whole("Theta.of", "row", row, 0, material.count - 1)
         rest = material.rest_curvature
         rest = None if rest is None else rest[row, 0] if rest.shape[1] == 1 else rest[row]
         return cls(material.bend[row, 0], float(material.twist[row, 0]), float(material.weight[row]), rest, np.asarray(up))

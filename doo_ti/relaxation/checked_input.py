@@ -7,40 +7,28 @@ import numpy as np
 
 from doo_ti.errors import InputError, real_array
 from doo_ti.relaxation.external import External
-from doo_ti.relaxation.tables import FRAME, FREE
-from doo_ti.types import Clamp, Clamps, Configuration, Material
+from doo_ti.types import Clamps, Configuration, Material
 
 
 def check_shapes(configuration: Configuration, clamps: Clamps) -> None:
-    """Raise InputError unless starts and clamps are tables of the same rods."""
-    shape = np.shape(configuration.quaternions)
-    if not isinstance(configuration.quaternions, np.ndarray) or configuration.quaternions.dtype.kind != "f":
+    """Raise InputError unless starts and clamps are tables of the same rods, of two edges at least."""
+    if configuration.quaternions.dtype.kind != "f":
         raise InputError("configuration", "quaternions", "not an array of floating-point numbers", "give an array (R, E, 4)")
-    if len(shape) != 3 or shape[2] != 4 or shape[1] < 2:
-        raise InputError("configuration", "quaternions", f"shape {shape}", "give an array (R, E, 4) with at least two edges")
-    needed = {"start_position": (shape[0], 3), "end_position": (shape[0], 3),
-              "start_frame": (shape[0], 3, 3), "end_frame": (shape[0], 3, 3)}
-    for source, field, array, wanted in (
-        ("configuration", "start", configuration.start, (shape[0], 3)),
-        *(("clamps", name, getattr(clamps, name), size) for name, size in needed.items()),
-    ):
-        if not isinstance(array, np.ndarray) or array.shape != wanted:
-            raise InputError(source, field, f"shape {np.shape(array)}", f"give an array {wanted}, a row for each start")
-        if array.dtype.kind not in "fiu":
-            raise InputError(source, field, f"dtype {array.dtype}", "give real numbers")
+    if configuration.edges < 2:
+        raise InputError("configuration", "quaternions", f"{configuration.edges} edges", "give two or more")
+    if len(clamps.start_position) != configuration.count:
+        raise InputError("clamps", "start_position", f"{len(clamps.start_position)} rows for {configuration.count} starts",
+                         "give a row for each start")
 
 
 def rest_lengths(configuration: Configuration) -> np.ndarray:
-    """(1 or S, E) rest lengths. Raises InputError where they do not match or are not positive; those of the first and of the
-    last edge may be zero, where at least two others are between them."""
-    count, edges = configuration.count, configuration.edges
+    """(1 or S, E) rest lengths. Raises InputError where they are not positive; those of the first and of the last edge may be
+    zero, where at least two others are between them."""
     lengths = real_array("configuration", "rest_length", configuration.rest_length, "give positive lengths in mm")
     # A copy: the result must not change when the caller's array does.
     lengths = np.array(lengths, dtype=np.float64, order="C")
     if lengths.ndim == 1:
         lengths = lengths[None]
-    if lengths.shape not in ((1, edges), (count, edges)):
-        raise InputError("configuration", "rest_length", f"shape {lengths.shape}", f"give ({edges},) or ({count}, {edges})")
     wrong = ~((lengths > 0) & (lengths < np.inf))
     wrong[:, [0, -1]] &= lengths[:, [0, -1]] != 0
     if wrong.any():
@@ -65,15 +53,9 @@ def check_material(material: Material, edges: int, floating: bool) -> None:
 
 
 def clamp_kinds(clamps: Clamps, count: int) -> np.ndarray:
-    """(S, 2) Clamp numbers of both ends. Raises InputError for anything that is not one Clamp, or one for each start."""
+    """(S, 2) Clamp numbers of both ends."""
     kinds = np.empty((count, 2), dtype=np.int64)
-    for end, (name, kind) in enumerate((("start", clamps.start), ("end", clamps.end))):
-        if not isinstance(kind, Clamp):
-            kind = real_array("clamps", name, kind, "give a Clamp, or one for each start")
-            known = (kind >= FREE) & (kind <= FRAME) & (kind == np.round(kind))
-            if kind.shape not in ((), (1,), (count,)) or not known.all():
-                raise InputError("clamps", name, f"{kind.tolist()!r}", "give a Clamp, or one for each start")
-        kinds[:, end] = kind
+    kinds[:, 0], kinds[:, 1] = clamps.start, clamps.end
     return kinds
 
 

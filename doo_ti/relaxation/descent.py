@@ -15,6 +15,7 @@ from functools import cache
 import taichi as ti
 
 from doo_ti import runtime
+from doo_ti.arguments import typed
 from doo_ti.errors import InputError, require_number, require_whole
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import chosen, put_lane, record, repeated
@@ -25,6 +26,7 @@ from doo_ti.relaxation.vertex_energy import VertexEnergy
 from doo_ti.types import Status
 
 
+@typed
 @dataclass(frozen=True)
 class Descent:
     """Options of the descent solver.

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from doo_ti import runtime
+from doo_ti.arguments import typed
 from doo_ti.errors import InputError
 from doo_ti.physical_units import force_in_newton
 from doo_ti.relaxation import tables as of
@@ -58,6 +59,7 @@ class EndLoads:
         return cls(*(loads[:, k] for k in range(4)), physical)
 
 
+@typed
 @runtime.exclusive
 def end_loads(solution: Solution) -> EndLoads:
     """The forces and moments at both ends of every rod of ``solution``, which also holds its materials, clamps and the

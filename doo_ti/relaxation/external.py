@@ -10,6 +10,7 @@ from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
+from doo_ti.arguments import typed
 from doo_ti.errors import InputError
 from doo_ti.physics.number import Number
 from doo_ti.short_repr import short_repr
@@ -69,6 +70,7 @@ class External(Protocol):
         """For one kind of number, its items in scratch from ``first`` on."""
 
 
+@typed
 @dataclass(frozen=True)
 class Springs:
     """½ k |x_i − p_i|² at every vertex: the simplest external energy.

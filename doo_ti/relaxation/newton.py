@@ -11,6 +11,7 @@ from functools import cache
 import taichi as ti
 
 from doo_ti import runtime
+from doo_ti.arguments import typed
 from doo_ti.contact.gap_tolerance import require_gap_tolerance
 from doo_ti.errors import InputError, require_number, require_whole
 from doo_ti.physics.number import Number
@@ -29,6 +30,7 @@ MOST_IN_CONTACT = 1000
 """Iterations allowed per rod where no solver is given and rods may touch something: on a slope they slide far."""
 
 
+@typed
 @dataclass(frozen=True)
 class Newton:
     """Options of the Newton solver.

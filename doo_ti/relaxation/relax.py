@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti import runtime
+from doo_ti.arguments import typed
 from doo_ti.contact.obstacles import Obstacle, Ring
 from doo_ti.contact.surroundings import Surroundings, obstacle_list
 from doo_ti.errors import InputError
@@ -40,6 +41,7 @@ INSIDE, CLOSE_PLACES = 1e-2, 29
 """Radii by which an edge of a rod that has converged may be inside a ring; and places of it that are measured for that."""
 
 
+@typed
 @runtime.exclusive
 def relax(
     x0: Configuration | Solution,
@@ -99,6 +101,8 @@ def relax(
             _check_same_rods(x0, up, external, configuration_index, external_index, obstacles or None, radius)
             table = under(x0.tables, material, material_index)
         else:
+            if clamps is None:
+                raise InputError("relax", "clamps", "missing", "give Clamps; a Solution alone keeps those that it has")
             start = x0.configuration if isinstance(x0, Solution) else x0
             table = tables(start, material, clamps, unit_up((0.0, 0.0, 1.0) if up is None else up, "relax"),
                            configuration_index, material_index, external, external_index, obstacles, radius)

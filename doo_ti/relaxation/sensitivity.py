@@ -34,6 +34,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from doo_ti import runtime
+from doo_ti.arguments import typed
 from doo_ti.contact.itself import smallest_self_gap
 from doo_ti.errors import InputError
 from doo_ti.frames import matrix_from_quaternion, smallest_rotation
@@ -81,6 +82,7 @@ class Sensitivity:
         return frames[..., 2, None] * about_t - frames[..., 0, None] * about_m2
 
 
+@typed
 @runtime.exclusive
 def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist", "weight"), modes: np.ndarray | None = None,
                 first: int = 0, last: int | None = None) -> Sensitivity:
@@ -128,6 +130,7 @@ def _touch_themselves(solution: Solution) -> np.ndarray:
     return smallest_self_gap(solution.configuration.vertices, contact.radius) < CLOSED * contact.radius
 
 
+@typed
 def gripper_jacobian(solution: Solution) -> Sensitivity:
     """The derivatives of R rods at rest by the poses of both grippers, 12 columns: displacement of the start clamp (mm) and its
     rotation about its vertex (rad), then of the end clamp, all in the axes of the world.

@@ -4,9 +4,11 @@ Axes: D observations, V vertices.
 """
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
+from doo_ti.arguments import typed
 from doo_ti.io.observations import Observations
 from doo_ti.report.extent import box, deviations, widest
 from doo_ti.short_repr import short_repr
@@ -18,6 +20,7 @@ SLENDER = 0.1
 UNITS = {"mm": " mm", "deg": "°"}
 
 
+@typed
 @dataclass(frozen=True)
 class Observed:
     """Observations as recordings show them.
@@ -31,12 +34,13 @@ class Observed:
 
     __repr__ = short_repr
 
-    vertices: np.ndarray
+    vertices: Annotated[np.ndarray, "D V 3"]
     labels: dict[str, np.ndarray] = field(default_factory=dict)
-    up: np.ndarray = (0.0, 0.0, 1.0)
-    numbers: np.ndarray | None = None
+    up: Annotated[np.ndarray, "3"] = (0.0, 0.0, 1.0)
+    numbers: Annotated[np.ndarray | None, "D"] = None
 
     @classmethod
+    @typed
     def of(cls, observations: Observations) -> "Observed":
         labels = {"end_distance_mm": observations.end_distance, "end_rotation_deg": observations.end_rotation}
         return cls(np.where(observations.valid[..., None], observations.vertices, np.nan),

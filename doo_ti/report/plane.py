@@ -10,6 +10,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.arguments import typed
 from doo_ti.short_repr import short_repr
 
 REGIMES = ("β > B₁₁ and B₂₂", "B₂₂ > B₁₁ > β", "B₁₁ > B₂₂ > β")
@@ -23,6 +24,7 @@ GridAxis = tuple[str, Sequence[float] | np.ndarray, bool, str]
 """(name, values, is_log, unit)."""
 
 
+@typed
 @dataclass(frozen=True)
 class LandscapePlane:
     """A landscape over at most two free axes, A × B cells (B = 1 where there is one).
@@ -58,6 +60,7 @@ class LandscapePlane:
     twist: float | None
 
     @classmethod
+    @typed
     def of(cls, axes: Sequence[GridAxis], values: ArrayLike, minimum: Sequence[int] | None = None,
            unfinished: ArrayLike | None = None) -> "LandscapePlane":
         """The landscape over its first two free axes.

@@ -8,11 +8,13 @@ Axes: N observations, K groups that share a φ, n of them, f angles.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
+from doo_ti.arguments import typed
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.errors import InputError
+from doo_ti.errors import InputError, require_whole
 from doo_ti.frames import angle_about, matrix_from_quaternion, smallest_rotation
 from doo_ti.io.arrays import frame_columns, read_arrays
 from doo_ti.io.observations import Observations
@@ -23,6 +25,7 @@ from doo_ti.relaxation.relax import relax
 from doo_ti.start import observation_clamps, start_configuration
 from doo_ti.types import Clamp, Clamps, Configuration, Material
 
+MOST_OBSERVATIONS = 10_000_000
 RODS_AT_ONCE = 1 << 15
 """Rods of one launch, which bounds the memory for their frames."""
 
@@ -152,9 +155,14 @@ KNOWN = {"offset_deg": ((), ("offset_deg",)), "total_twist_deg": ((), ("total_tw
          "start_frame": ((3, 3), frame_columns("start_frame")), "end_frame": ((3, 3), frame_columns("end_frame"))}
 
 
+@typed
 def consecutive_groups(count: int, together: int, regrasps: Sequence[int] = ()) -> np.ndarray:
     """(count,) groups of ``together`` consecutive observations; a new grasp begins at each of the rows ``regrasps``, and the
-    last group before it may be smaller."""
+    last group before it may be smaller. Raises InputError for numbers and rows that are none of observations."""
+    require_whole("consecutive_groups", "count", count, 1, MOST_OBSERVATIONS)
+    require_whole("consecutive_groups", "together", together, 1)
+    if any(not 0 <= row < count for row in regrasps):
+        raise InputError("consecutive_groups", "regrasps", f"{list(regrasps)}", f"give rows from 0 to {count - 1}")
     begins = np.zeros(count, dtype=np.int64)
     begins[np.array([0, *regrasps], dtype=np.int64)] = 1
     first = np.maximum.accumulate(np.where(begins == 1, np.arange(count), 0))
@@ -162,7 +170,8 @@ def consecutive_groups(count: int, together: int, regrasps: Sequence[int] = ()) 
     return np.cumsum(starts) - 1
 
 
-def end_offsets(observations: Observations, group: np.ndarray) -> np.ndarray:
+@typed
+def end_offsets(observations: Annotated[Observations, "N"], group: Annotated[np.ndarray, "N"]) -> np.ndarray:
     """(N,) τ: the angle in rad from the last Bishop frame of each shape to its known end frame.
 
     Whole turns are chosen nearest to ``total_twist`` if that is given. Else the first τ of each group is within half a turn of

@@ -19,6 +19,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.arguments import typed
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
 from doo_ti.io.observations import Observations
@@ -43,6 +44,7 @@ class TwistVerdict(IntEnum):
     UNDETERMINED = 3
 
 
+@typed
 @dataclass(frozen=True)
 class TwistOptions:
     """Options of the search of Eq. 4.
@@ -120,6 +122,7 @@ class TwistEstimate:
         return self.phi[self.group] + self.offset
 
 
+@typed
 def estimate_twist(
     observations: Observations, material: Material, group: ArrayLike | None = None, offset: ArrayLike | None = None,
     options: TwistOptions = TwistOptions(),

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from doo_ti.arguments import typed
 from doo_ti.errors import InputError, real_array
 from doo_ti.frames import FRAME_TOLERANCE, handedness, orthonormality_error
 
@@ -93,6 +94,7 @@ def bent_third(lens, x, y, kept=_unchanged):
     )
 
 
+@typed
 @dataclass(frozen=True)
 class Camera:
     """One calibrated camera.
@@ -155,6 +157,7 @@ class Camera:
         """(3,) mm: where the camera is in the world."""
         return -self.rotation.T @ self.translation
 
+    @typed
     def project(self, points: np.ndarray) -> np.ndarray:
         """(..., 2) px of (..., 3) points in the world, distorted as the lens does; NaN for points that are not in front."""
         x, y, _ = self._normalised(points)

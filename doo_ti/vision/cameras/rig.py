@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from doo_ti.arguments import typed
 from doo_ti.errors import InputError
 from doo_ti.io.files import read_content, write_text
 from doo_ti.io.opencv_yaml import read_opencv_yaml
@@ -21,6 +22,7 @@ OTHER_COLUMNS = ("name", "frame", "time_s", "view", "seed_x", "seed_y", "seed_z"
 """Of tables that have a column of images for each camera, named as it is."""
 
 
+@typed
 @dataclass(frozen=True)
 class Rig:
     """C cameras that look at one scene. Raises InputError for names that occur twice, and for no camera at all."""
@@ -63,6 +65,7 @@ def check_camera_names(source: str, names: list[str]) -> None:
                              "that name" if name else "a camera without a name", "name it otherwise, such as cam0")
 
 
+@typed
 def load_rig(path: str | os.PathLike[str]) -> Rig:
     """The rig of an OpenCV FileStorage YAML file: a sequence ``cameras`` of maps name, width, height, K, dist, R, t.
 

@@ -9,9 +9,11 @@ of ever coarser images: a line stands out as a ridge at the level that fits its 
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
+from doo_ti.arguments import typed
 from doo_ti.errors import InputError
 from doo_ti.short_repr import short_repr
 from doo_ti.vision.detection.ridge import (
@@ -45,6 +47,7 @@ MOST_WIDTH_PX = 1000.0
 """Largest width of a thread: samples are taken across it."""
 
 
+@typed
 @dataclass(frozen=True)
 class DetectionOptions:
     """Options of the detection.
@@ -79,6 +82,7 @@ class DetectionOptions:
             raise InputError("detection", "width_px", f"{self.width_px:g}", f"give {MOST_WIDTH_PX:g} px at most")
 
 
+@typed
 @dataclass(frozen=True)
 class Detection:
     """The centre line found in one image; N = 0 where no thread was found.
@@ -92,9 +96,9 @@ class Detection:
     method     of :class:`DetectionOptions`
     """
 
-    points: np.ndarray
-    direction: np.ndarray
-    strength: np.ndarray
+    points: Annotated[np.ndarray, "N 2"]
+    direction: Annotated[np.ndarray, "N 2"]
+    strength: Annotated[np.ndarray, "N"]
     width_px: float
     polarity: str
     shape: tuple[int, int]
@@ -121,6 +125,7 @@ class Appearance:
     box: tuple[int, int, int, int]
 
 
+@typed
 def detect(image: np.ndarray, options: DetectionOptions = DetectionOptions()) -> Detection:
     """The thread's centre line in an image (H, W) of grey levels, 0 to 255.
 

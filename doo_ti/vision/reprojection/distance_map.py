@@ -8,11 +8,13 @@ lines down and up, and along each line both ways.
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import taichi as ti
 
 from doo_ti import runtime
+from doo_ti.arguments import typed
 from doo_ti.errors import InputError
 from doo_ti.short_repr import short_repr
 from doo_ti.vision.detection.detect import Detection
@@ -29,6 +31,7 @@ PIXELS_AT_ONCE = 1 << 24
 """Approximate number of pixels that are searched at a time, which bounds the memory."""
 
 
+@typed
 @dataclass(frozen=True)
 class DistanceMaps:
     """Distances in px around the detected lines, for A sets of C images, one window each.
@@ -39,10 +42,11 @@ class DistanceMaps:
 
     __repr__ = short_repr
 
-    values: np.ndarray
-    window: np.ndarray
+    values: Annotated[np.ndarray, "N"]
+    window: Annotated[np.ndarray, "A C 5"]
 
 
+@typed
 @runtime.exclusive
 def distance_maps(detections: list[list[Detection]], margin_px: int = 50) -> DistanceMaps:
     """The maps of A sets of C detections: each of the box around a detection and ``margin_px`` more, within the image.

@@ -14,6 +14,7 @@ from typing import ClassVar
 import numpy as np
 import taichi as ti
 
+from doo_ti.arguments import typed
 from doo_ti.errors import InputError
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import minus, scaled
@@ -28,6 +29,7 @@ NU = COLUMNS
 """The column of ν, after those of the edge integral."""
 
 
+@typed
 @dataclass(frozen=True)
 class Reprojection:
     """ν Σ_c E_proj^c as an external energy of :func:`doo_ti.relaxation.relax.relax`, for rods of any number of edges.

@@ -12,6 +12,7 @@ import taichi as ti
 from numpy.typing import ArrayLike
 
 from doo_ti import runtime
+from doo_ti.arguments import typed
 from doo_ti.errors import InputError
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import cross, dot, minus, put_lane, record, repeated, variable
@@ -42,6 +43,7 @@ class Score:
     unseen: np.ndarray
 
 
+@typed
 @runtime.exclusive
 def score(
     vertices: np.ndarray, maps: DistanceMaps, set_index: ArrayLike, rig: Rig, nu: float, material: Material | None = None,
