@@ -2,7 +2,8 @@
 
 Started on first use, on the calling thread, so that importing the package costs nothing and worker processes (spawned, never
 forked) start their own. The settings are measured ones: packs stay vectors in the generated code, and the loop over threads
-is not cut into blocks.
+is not cut into blocks. Where a program calls ``ti.init`` itself, before or after, what it began is used
+(:mod:`doo_ti.running_program`).
 """
 
 import os
@@ -12,13 +13,13 @@ from functools import wraps
 from io import StringIO
 from pathlib import Path
 from threading import RLock, get_ident
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
+from doo_ti import running_program
 from doo_ti.errors import InputError
 from doo_ti.kernel_cache import kernel_folder
+from doo_ti.running_program import TAICHI_NAMES
 
-TAICHI_NAMES = {"cpu": ("x64", "arm64"), "cuda": ("cuda",)}
-"""Architectures, and Taichi's names for them."""
 KERNELS = "TI_OFFLINE_CACHE_FILE_PATH"
 """The environment variable with the folder of Taichi's compiled kernels."""
 TASKS = Path("/proc/self/task")
@@ -32,12 +33,18 @@ _begun = False
 _forked = False
 _one_at_a_time = RLock()
 _holder: int | None = None
+_program: Any = None  # what running_program.running says of the program that _architecture is of
+_of_user = False  # whether the user's own code began it
+_settings_of_user: tuple | None = None  # while ours are in force
+_arrays: dict[Any, Any] = {}
 
 
 def _after_fork() -> None:
     """Note in a forked child that what it has of Taichi does not work: its threads stayed with the parent."""
     global _forked
     _forked = _begun
+    if _begun:
+        running_program.leave_to_parent()
 
 
 if hasattr(os, "register_at_fork"):
@@ -45,21 +52,56 @@ if hasattr(os, "register_at_fork"):
 
 
 def start(architecture: str | None = None, threads: int | None = None, pinned: bool = True) -> str:
-    """Start Taichi once and return the architecture that runs; later calls only return it.
+    """Start Taichi, or use the program that the user's own code has begun, and return the architecture that runs; later calls
+    only return it, unless Taichi was started anew in the meantime.
 
-    architecture  "cpu" or "cuda"; by default what the environment variable DOO_TI_ARCHITECTURE says, else "cpu"
+    architecture  "cpu" or "cuda"; by default what the environment variable DOO_TI_ARCHITECTURE says, else "cpu", or what the
+                  user's program runs on
     threads       on a CPU; by default one per processor
     pinned        whether threads may be kept on processors of their own: not in processes that share the machine out
 
-    Raises InputError as :func:`check_architecture` does, and in a process forked from one that had started Taichi.
+    Raises InputError as :func:`check_architecture` does, in a process forked from one that had started Taichi, and where the
+    user's program runs elsewhere or has fields without a place.
     """
-    global _architecture, _begun
+    global _architecture, _begun, _program, _of_user, _settings_of_user
     _refuse_forked()
     with _one_at_a_time:
-        if _architecture is None:
-            _begun = True
-            _architecture = _started(check_architecture(architecture), threads, pinned)
+        state = running_program.running()
+        if _program is not state or state.prog is None:
+            _forget_arrays()
+            if state.prog is None:
+                _architecture, _of_user = _started(check_architecture(architecture), threads, pinned), False
+            else:
+                wanted = architecture or os.environ.get("DOO_TI_ARCHITECTURE")
+                _architecture, _of_user = running_program.architecture_of_user(wanted and check_architecture(wanted)), True
+                running_program.require_ready()
+            if not _begun and not os.environ.get("DOO_TI_DEBUG"):
+                _spare_quotations()
+            _begun, _program = True, running_program.running()
+        if _of_user and _holder == get_ident() and _settings_of_user is None:
+            _settings_of_user = running_program.put(*running_program.with_usual(_settings(_architecture)))
     return _architecture
+
+
+def array_for(key: Any, size: int, kind: Any) -> Any:
+    """An array of Taichi's of ``size`` values or more of that ``kind``, kept under ``key`` as long as the program.
+
+    It at least doubles when it grows: Taichi never frees arrays of packs, and so all earlier ones together are smaller than the
+    last.
+    """
+    import taichi as ti
+
+    kept = _arrays.get(key)
+    if kept is None or kept.shape[0] < size:
+        kept = _arrays[key] = ti.ndarray(kind, size if kept is None else max(size, 2 * kept.shape[0]))
+    return kept
+
+
+def _forget_arrays() -> None:
+    """Those of a program that is no more. They would free themselves in the next one."""
+    for array in _arrays.values():
+        array.arr = None
+    _arrays.clear()
 
 
 def check_architecture(architecture: str | None = None) -> str:
@@ -86,14 +128,19 @@ def exclusive(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _
     kernels' memory. A call takes all processors by itself."""
     @wraps(function)
     def alone(*arguments: _Arguments.args, **options: _Arguments.kwargs) -> _Result:
-        global _holder
+        global _holder, _settings_of_user
         _refuse_forked()
         with _one_at_a_time:
             before, _holder = _holder, get_ident()
             try:
+                if before is None and _begun:
+                    start()  # or what the user's code has begun since
                 return function(*arguments, **options)
             finally:
                 _holder = before
+                if before is None and _settings_of_user is not None:
+                    running_program.put(*_settings_of_user)
+                    _settings_of_user = None
 
     return alone
 
@@ -145,6 +192,13 @@ def _refuse_forked() -> None:
                          "start processes by spawn or forkserver, or fork before the first use")
 
 
+def _settings(architecture: str) -> dict[str, Any]:
+    """How our kernels are compiled, in the words of ``ti.init``."""
+    briefly = architecture == "cpu" and os.environ.get("DOO_TI_COMPILE") == "briefly"
+    return {"fast_math": False, "real_matrix_scalarize": False, "make_cpu_multithreading_loop": False,
+            "cpu_block_dim_adaptive": False, "advanced_optimization": not briefly}
+
+
 def _started(architecture: str, threads: int | None, pinned: bool) -> str:
     """The architecture, after starting Taichi there."""
     import taichi as ti
@@ -161,28 +215,21 @@ def _started(architecture: str, threads: int | None, pinned: bool) -> str:
     with redirect_stdout(StringIO()):  # it greets on standard output, which belongs to the commands' results
         ti.init(
             arch={"cpu": ti.cpu, "cuda": ti.cuda}[architecture],
-            default_fp=ti.f32,
-            fast_math=False,
-            real_matrix_scalarize=False,
-            make_cpu_multithreading_loop=False,
-            cpu_block_dim_adaptive=False,
-            advanced_optimization=architecture != "cpu" or os.environ.get("DOO_TI_COMPILE") != "briefly",
             offline_cache=folder is not None,
             enable_fallback=False,
             log_level=ti.ERROR,
+            **_settings(architecture),
             **options,
         )
         # What only the thread that started Taichi may do, and would be done with the first kernel.
-        ti.lang.impl.get_runtime().materialize()
+        running_program.running().materialize()
     if architecture == "cpu" and pinned and os.environ.get("DOO_TI_PINNED") != "0":
         pin(sorted(_tasks() - others))
-    if not os.environ.get("DOO_TI_DEBUG"):
-        _spare_quotations()
     return architecture
 
 
 def _spare_quotations() -> None:
-    """Have Taichi leave out the piece of source it quotes for every expression of a kernel, should it be wrong.
+    """Have Taichi leave out the piece of source it quotes for every expression of a kernel of ours, should it be wrong.
 
     Laying them out takes half of the time until a kernel runs, in every process, and ours compile. With DOO_TI_DEBUG set an
     error in a kernel is quoted again.
@@ -191,7 +238,8 @@ def _spare_quotations() -> None:
 
     context = getattr(ast_transformer_utils, "ASTTransformerContext", None)
     if hasattr(context, "get_pos_info"):
-        context.get_pos_info = lambda self, node: ""
+        quoted = context.get_pos_info
+        context.get_pos_info = lambda self, node: quoted(self, node) if _holder is None else ""
 
 
 def _tasks() -> set[int]:

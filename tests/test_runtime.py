@@ -127,14 +127,15 @@ def test_cuda_without_a_device_is_refused(tmp_path):
 FORKED = """
 import os
 import signal
-from doo_ti import InputError, runtime
-from doo_ti.metric import distance
+from doo_ti import InputError, Observations, distance, runtime, straight_rod
 
+rod = straight_rod(9.0, 3)
+seen = Observations(rod.vertices)
 runtime.start()
 child = os.fork()
 if child == 0:
     signal.alarm(20)  # ends it where it waits
-    for use in (runtime.start, lambda: distance(None, None)):
+    for use in (runtime.start, lambda: distance(rod, seen)):
         try:
             use()
         except InputError as error:

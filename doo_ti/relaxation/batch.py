@@ -27,7 +27,6 @@ UNTOUCHED = np.full(of.RESULTS, np.nan)
 """The results of an infeasible rod, which no kernel relaxes."""
 UNTOUCHED[[of.ITERATIONS, of.STATUS]] = 0.0, Status.INFEASIBLE
 
-_scratch: dict = {}
 _queues: dict[Number, np.ndarray] = {}
 
 
@@ -210,17 +209,8 @@ def fitting(threads: int, stride: int, items: int) -> tuple[int, int]:
 
 
 def scratch_for(number: Number, size: int):
-    """Scratch of ``size`` values or more, kept from call to call.
-
-    It at least doubles when it grows: Taichi never frees arrays of packs, and so all earlier ones together are smaller than the
-    last.
-    """
-    import taichi as ti
-
-    kept = _scratch.get(number)
-    if kept is None or kept.shape[0] < size:
-        kept = _scratch[number] = ti.ndarray(number.type, size if kept is None else max(size, 2 * kept.shape[0]))
-    return kept
+    """Scratch of ``size`` values or more, kept from call to call."""
+    return runtime.array_for(number, size, number.type)
 
 
 def buffers(number: Number, threads: int, items: int):
