@@ -157,7 +157,7 @@ class _Array(Rule):
 
 
 class _Items(Rule):
-    """Several values, each as ``rule`` has it, or by turns as ``each`` have them; arrays and Sequences as they are."""
+    """Several values, each as ``rule`` has it, or by turns as ``each`` have them: a tuple where one is declared, no array."""
 
     def __init__(self, kind: type, rule: Rule | None = None, each: tuple[Rule | None, ...] | None = None):
         self.kind, self.rule, self.each = kind, rule, each
@@ -173,9 +173,10 @@ class _Items(Rule):
             raise Mismatch(f"{len(items)} values", self.wanted)
         rules = self.each or (self.rule,) * len(items)
         found = [item if rule is None else rule.take(item) for rule, item in zip(rules, items, strict=True)]
-        if all(new is old for new, old in zip(found, items, strict=True)):
-            return items
-        return tuple(found) if isinstance(items, tuple) else found
+        if self.kind is tuple:
+            return tuple(found)
+        same = all(new is old for new, old in zip(found, items, strict=True)) and not isinstance(items, np.ndarray)
+        return items if same else tuple(found) if isinstance(items, tuple) else found
 
 
 class _Table(Rule):

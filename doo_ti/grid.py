@@ -81,7 +81,7 @@ class Grid:
         object.__setattr__(self, "axes", tuple(axes[name] for name in UNITS if name in axes))
         # The smallest entries make the least definite B of the grid.
         first, second = self.axes[0].values[0], self.axes[0 if "bend" in axes else 1].values[0]
-        if self.bend_12**2 >= first * second:
+        if abs(self.bend_12) > LARGEST or self.bend_12**2 >= first * second:
             raise _indefinite(self.source, "bend", first, second, self.bend_12)
 
     @property

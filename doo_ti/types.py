@@ -156,6 +156,15 @@ class Configuration:
         return cls(np.concatenate(starts), np.concatenate(frames), lengths)
 
 
+def require_kinds(source: str, start: Clamp | np.ndarray, end: Clamp | np.ndarray) -> None:
+    """Raise InputError unless both are members of Clamp, or whole numbers of such."""
+    for name, kind in (("start", start), ("end", end)):
+        if not isinstance(kind, Clamp):
+            kind = np.asarray(kind)
+            if kind.dtype.kind not in "iuf" or not ((kind >= 0) & (kind < len(Clamp)) & (kind == np.round(kind))).all():
+                raise InputError(source, name, f"{kind.tolist()!r:.60}", "give a Clamp, or one for each rod")
+
+
 @typed
 @dataclass(frozen=True)
 class Clamps:
@@ -182,12 +191,7 @@ class Clamps:
                      end_position: np.ndarray, start_frame: np.ndarray, end_frame: np.ndarray) -> None: ...
 
     def __post_init__(self) -> None:
-        for name in ("start", "end"):
-            kind = getattr(self, name)
-            if not isinstance(kind, Clamp):
-                kind = np.asarray(kind)
-                if kind.dtype.kind not in "iuf" or not ((kind >= 0) & (kind < len(Clamp)) & (kind == np.round(kind))).all():
-                    raise InputError("Clamps", name, f"{kind.tolist()!r}", "give a Clamp, or one for each rod")
+        require_kinds("Clamps", self.start, self.end)
 
     def __repr__(self) -> str:
         start, end = (" or ".join(Clamp(kind).name.lower() for kind in np.unique(kinds)) for kinds in (self.start, self.end))
@@ -242,6 +246,8 @@ class Solution:
     contact_force: Annotated[np.ndarray | None, "R V 3"] = None
 
     def __post_init__(self) -> None:
+        if self.tables is not None and not hasattr(self.tables, "material_index"):
+            raise InputError("Solution", "tables", f"a {type(self.tables).__name__}", "leave out what relax keeps for itself")
         table = getattr(self.tables, "contact", None)
         if self.contact_force is None and table is not None:
             object.__setattr__(self, "contact_force", table.forces)
@@ -266,7 +272,11 @@ class Solution:
     @typed
     def end_force_in_newton(self, weight_per_length: ArrayLike, weight: ArrayLike = 1.0) -> np.ndarray:
         """(R, 3) ``end_force`` in N, of rods that weigh ``weight_per_length`` in N/m, a scalar or (R, 1), and whose material's
-        weight μ is ``weight``."""
+        weight μ is ``weight``, of the same shapes. Raises InputError where either is not positive."""
+        for name, value in (("weight_per_length", np.asarray(weight_per_length)), ("weight", np.asarray(weight))):
+            if value.shape not in ((), (1,), (1, 1), (len(self.end_force), 1)) or not ((value > 0) & (value <= LARGEST)).all():
+                raise InputError("end_force_in_newton", name, f"{value.tolist()!r:.60}",
+                                 "give a positive number, or (R, 1) of them")
         return force_in_newton(self.end_force, weight_per_length, weight)
 
     def __repr__(self) -> str:

@@ -206,7 +206,7 @@ def twisted(value: object, rng: np.random.Generator) -> object:
     if isinstance(value, int | float | np.number) and not isinstance(value, bool):
         return [-value, 0 * value, 1e300, value + 0.5, np.array(value), np.array([value]), str(value), [value] * 3,
                 2**31][rng.integers(9)]
-    if is_dataclass(value):
+    if type(value).__name__ in d.__all__ and is_dataclass(value):
         entry = fields(value)[rng.integers(len(fields(value)))]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

@@ -2,6 +2,7 @@
 
 from copy import copy
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from doo_ti.frames import (
     quaternion_from_matrix,
 )
 from doo_ti.short_repr import short_repr
-from doo_ti.types import Clamp, Clamps, Rows
+from doo_ti.types import Clamp, Clamps, Rows, require_kinds
 
 
 @typed
@@ -29,21 +30,19 @@ class Grippers:
 
     __repr__ = short_repr
 
-    start: np.ndarray
-    end: np.ndarray
-    start_position: np.ndarray
-    end_position: np.ndarray
-    start_frame: np.ndarray
-    end_frame: np.ndarray
+    start: Annotated[np.ndarray, "() | 1S"]
+    end: Annotated[np.ndarray, "() | 1S"]
+    start_position: Annotated[np.ndarray, "S T 3"]
+    end_position: Annotated[np.ndarray, "S T 3"]
+    start_frame: Annotated[np.ndarray, "S T 3 3"]
+    end_frame: Annotated[np.ndarray, "S T 3 3"]
 
     def __post_init__(self) -> None:
-        shape = np.shape(self.start_position)
+        require_kinds("Grippers", self.start, self.end)
+        if self.instants < 2:
+            raise InputError("Grippers", "start_position", f"{self.instants} instants", "give two or more")
         for name in _PATHS:
-            wanted = (*shape[:2], 3, 3) if name.endswith("frame") else (*shape[:2], 3)
             value = real_array("Grippers", name, getattr(self, name), "give real numbers").astype(np.float64)
-            if len(shape) != 3 or value.shape != wanted or shape[1] < 2:
-                raise InputError("Grippers", name, f"shape {value.shape}",
-                                 "give positions (S, T, 3) and frames (S, T, 3, 3) at two instants or more")
             self._check(name, value)
             object.__setattr__(self, name, value)
         for name in ("start", "end"):

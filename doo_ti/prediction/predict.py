@@ -12,6 +12,7 @@ Axes: T moments, G materials, N motions, R = G·N rods, material by material, E 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -157,9 +158,9 @@ def begun(configuration: Configuration, material: Material, clamps: Clamps, path
 
 @typed
 def predict_step(
-    configuration: Configuration, material: Material, clamps: Clamps, goal: Clamps, *,
-    rotation: ArrayLike | None = None, sub_step: float = LARGEST_TURN, up: ArrayLike = (0.0, 0.0, 1.0), precision: str = "f32",
-    watch: bool = True, obstacles: Sequence[Obstacle] = (), radius: ArrayLike | None = None,
+    configuration: Configuration, material: Material, clamps: Clamps, goal: Annotated[Clamps, "K"], *,
+    rotation: Annotated[ArrayLike | None, "() | 1K"] = None, sub_step: float = LARGEST_TURN, up: ArrayLike = (0.0, 0.0, 1.0),
+    precision: str = "f32", watch: bool = True, obstacles: Sequence[Obstacle] = (), radius: ArrayLike | None = None,
 ) -> tuple[Solution, np.ndarray | None]:
     """One rod after each of K candidate motions of its clamps, for planners: the solution, K rods, and (K,) how often each has
     jumped to another branch.

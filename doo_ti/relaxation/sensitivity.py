@@ -36,7 +36,7 @@ import numpy as np
 from doo_ti import runtime
 from doo_ti.arguments import typed
 from doo_ti.contact.itself import smallest_self_gap
-from doo_ti.errors import InputError
+from doo_ti.errors import InputError, require_whole
 from doo_ti.frames import matrix_from_quaternion, smallest_rotation
 from doo_ti.relaxation import parameter_gradient as change
 from doo_ti.relaxation import tables as of
@@ -102,10 +102,12 @@ def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist"
     """
     table = own_tables(solution, "sensitivity")
     _check(parameters, modes, table.edges)
+    last = table.count if last is None else last
+    require_whole("sensitivity", "first", first, 0, table.count)
+    require_whole("sensitivity", "last", last, first, table.count)
     names, directions, along = parameter_directions(parameters, table.edges, table.up, modes)
     usable = solution.converged & solution.stable & ~_touch_themselves(solution)
     runtime.start()
-    last = table.count if last is None else last
     vertices, rotations, loads, _, sound = run_sensitivity(solution, usable, directions, along, first, last)
     start = table.configuration_index[first:last]
     hanging = table.released[start]
