@@ -145,6 +145,13 @@ def warn(observations: Observations) -> None:
             terminal.warn(f"{in_line(observations.source)}: {doubt}")
 
 
+def up_text(other: dict | None) -> str | None:
+    """That another axis fits far better than the given direction, ``other_up`` of a summary, as text."""
+    from doo_ti.learning.up_axes import OtherUp
+
+    return None if other is None else OtherUp(**other).text
+
+
 def rod_line(observations: Observations) -> str:
     """What was loaded, as a line of text."""
     seen = observations.valid.all(axis=1)

@@ -73,7 +73,8 @@ def add_clamps(parser: ArgumentParser, default: str = CLAMP_DEFAULT) -> None:
 
 
 def add_up(parser: ArgumentParser, default: str = "the file's, else 0,0,1") -> None:
-    parser.add_argument("--up", metavar="X,Y,Z", help=f"direction against gravity (default: {default})")
+    parser.add_argument("--up", metavar="X,Y,Z|AXIS", help="direction against gravity: numbers, or x, y, z, -x, -y or -z, "
+                        f"as in --up=-z (default: {default})")
 
 
 def add_frame_weight(parser: ArgumentParser, default: str) -> None:
@@ -197,7 +198,12 @@ def frame_weight(options: Namespace, default: float = 0.0) -> float:
 
 def up(options: Namespace) -> np.ndarray | None:
     """(3,) unit vector against gravity, or None."""
-    return None if options.up is None else unit_up(numbers("--up", options.up), SOURCE)
+    if options.up is None:
+        return None
+    axis = options.up.removeprefix("-")
+    if axis in tuple("xyz"):
+        return np.where(np.array(tuple("xyz")) == axis, 1.0 if axis == options.up else -1.0, 0.0)
+    return unit_up(numbers("--up", options.up), SOURCE)
 
 
 def world_up(options: Namespace) -> np.ndarray:

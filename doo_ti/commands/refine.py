@@ -2,7 +2,7 @@
 
 import json
 from argparse import Namespace
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,7 +18,7 @@ from doo_ti.io.arrays import read_npz
 from doo_ti.io.files import read_content
 from doo_ti.io.observations import Observations
 from doo_ti.start import check_experiment, observation_clamps
-from doo_ti.terminal import busy, in_line
+from doo_ti.terminal import busy, in_line, warn
 from doo_ti.types import Clamps
 
 if TYPE_CHECKING:  # it reads Parquet
@@ -109,7 +109,8 @@ def run(options: Namespace, words: list[str]) -> int:
             with busy(f"cross-validating {task.observations.name} in {folds} folds"):
                 begin = replace(found.theta, rest_curvature=None)
                 held_out = refine_held_out(task.observations, task.clamps, begin, split, chosen)
-        summaries.append(summary_of(task.observations, task.surroundings, found, held_out, task.density))
+        summary = summary_of(task.observations, task.surroundings, found, held_out, task.density)
+        summaries.append(summary | {"other_up": _other_up(task, found.theta)})
         written = [] if task.landscape is None else _kept(task.landscape, found, summaries[-1])
         if not options.json:
             first, *rest = summary_lines(summaries[-1])
@@ -117,6 +118,8 @@ def run(options: Namespace, words: list[str]) -> int:
             if not written and out is None:
                 kept = [f"  {'written to':<18} no file: give --out F.json to keep this"]
             print("\n".join([first, loading.rod_line(task.observations), *rest, *kept]))
+        if doubt := loading.up_text(summaries[-1]["other_up"]):
+            warn(f"{in_line(task.observations.source)}: {doubt}")
     if out is not None:
         save_json(out, summaries)
     if options.json:
@@ -125,6 +128,15 @@ def run(options: Namespace, words: list[str]) -> int:
         print(f"written to {in_line(out)}")
     note_theta(options)
     return 0
+
+
+def _other_up(task: Task, theta) -> dict | None:
+    """An axis that fits far better than the direction ``up`` of the fit, as JSON holds it; None where the rods have no
+    weight."""
+    from doo_ti.learning.up_axes import other_up
+
+    found = None if theta.weight == 0 else other_up(task.observations, task.clamps, theta.up, task.surroundings)
+    return None if found is None else asdict(found)
 
 
 def _kept(landscape, found, summary: dict) -> list[Path]:

@@ -4,6 +4,7 @@ from dataclasses import asdict
 
 import numpy as np
 
+from doo_ti.commands.loading import up_text
 from doo_ti.commands.results import counted
 from doo_ti.contact.obstacle_arrays import described
 from doo_ti.contact.surroundings import Surroundings
@@ -93,6 +94,8 @@ def summary_lines(summary: dict) -> list[str]:
     lines = [f"{in_line(summary['material'])}: {summary['rods_used']} of {summary['observations']} observations, {steps}"]
     lines += [_line(parameter["name"], interval_text(**{k: parameter[k] for k in ("value", "low", "high", "unit")}))
               for parameter in summary["parameters"] if not parameter["name"].startswith("up[")]
+    if doubt := up_text(summary["other_up"]):
+        lines.insert(1, _line("WARNING", doubt))
     if not summary["converged"]:
         lines.insert(1, _line("stopped", "before its optimum: values and intervals may be far off. Begin elsewhere (--starts N "
                               "of a run, else other --bend and --twist), or with fewer unknowns (--clip MM, --clamps exact, "
@@ -165,7 +168,7 @@ def _adequacy_lines(summary: dict) -> list[str]:
                                         "rod; the intervals include that"))
     lines += [_line("try", f"{one['option']} ({one['meaning']}: twice the log evidence rises by {one['gain']:.3g})")
               for one in summary["advice"][:2]]
-    if not summary["reaches_noise"] and not summary["advice"]:
+    if not summary["reaches_noise"] and not summary["advice"] and summary["other_up"] is None:
         lines.append(_line("try", "no option explains it. Noise of the two outer marks of an end, which say how the rod is "
                                   "held, has this effect; else check the misfits, --sigma, and how the marks were made"))
     return lines

@@ -19,7 +19,7 @@ from doo_ti.learning.pairs import Pairs, load_pairs
 from doo_ti.learning.summary import SUMMARY
 from doo_ti.physical_units import relative_stiffness, stiffness
 from doo_ti.start import check_experiment, observation_clamps
-from doo_ti.terminal import in_line
+from doo_ti.terminal import in_line, warn
 from doo_ti.types import Clamp
 
 if TYPE_CHECKING:  # it brings the solvers, and Taichi with them
@@ -87,6 +87,8 @@ def run(options: Namespace, words: list[str]) -> int:
         if not options.json:
             made_again = [name for name in now if now[name] != before.get(name, now[name])]
             print("\n".join(_lines(search, summary, finished_before, made_again)))
+        if doubt := loading.up_text(summary.get("other_up")):
+            warn(f"{in_line(search.observations.source)}: {doubt}")
     if options.json:
         print(json.dumps(plain(summaries if len(options.sources) > 1 else summaries[0])))
     else:
@@ -153,6 +155,8 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
 def _lines(search: _Search, summary: dict, finished_before: bool, made_again: list[str]) -> list[str]:
     first, *rest = run_lines(summary)
     lines = [first, loading.rod_line(search.observations), *rest, *hypotheses_lines(summary)]
+    if doubt := loading.up_text(summary.get("other_up")):
+        lines.insert(2, f"  WARNING     {doubt}")
     clamps = observation_clamps(search.observations, search.options.clamp_start, search.options.clamp_end)
     rolls = search.grid.is_isotropic and Clamp.FRAME > min(clamps.start, clamps.end) and not search.options.spins
     if search.density is not None:

@@ -13,7 +13,7 @@ import shlex
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
@@ -32,6 +32,7 @@ from doo_ti.learning.landscape import gather_overview
 from doo_ti.learning.pairs import Pairs
 from doo_ti.learning.run_folder import claim, finished, identity_of, provenance
 from doo_ti.learning.summary import DENSITY, write_summary
+from doo_ti.learning.up_axes import other_up
 from doo_ti.learning.workers import ThisProcess, Workers, started_workers
 from doo_ti.start import check_experiment
 from doo_ti.terminal import progress
@@ -95,7 +96,7 @@ def _swept(run: Path, experiment: Experiment, workers: ThisProcess | Workers, co
         summary = {
             **overview.as_dict(), "observations": observations.count,
             **({} if experiment.pairs is None else {"pairs": experiment.pairs.count}), "hypotheses": resolution,
-            **({} if linear_density is None else {DENSITY: linear_density}),
+            **({} if linear_density is None else {DENSITY: linear_density}), "other_up": _other_up(experiment),
             "timing": {"relaxed_rods": rods * sum(last - first for first, last in left), "loading_s": loading,
                        "relaxation_s": seconds},
             "provenance": provenance(experiment, identity, command),
@@ -103,6 +104,14 @@ def _swept(run: Path, experiment: Experiment, workers: ThisProcess | Workers, co
         draw(run, experiment, overview, identity)
         summary["timing"]["total_s"] = time.monotonic() - began
         return write_summary(run, summary)
+
+
+def _other_up(experiment: Experiment) -> dict | None:
+    """What :func:`doo_ti.learning.up_axes.other_up` finds, as JSON holds it; None where the grid's rods have no weight."""
+    heaviest = experiment.grid.axes[-1].values[-1]
+    found = None if heaviest == 0 else other_up(experiment.observations, experiment.clamps,
+                                                surroundings=experiment.options.surroundings)
+    return None if found is None else asdict(found)
 
 
 @contextmanager

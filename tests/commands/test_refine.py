@@ -2,12 +2,14 @@
 
 import json
 from functools import partialmethod
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from doo_ti import Material, Observations, relax, save_observations
 from doo_ti.cli import main
+from doo_ti.io.observations import load_observations
 from tests.references.rods import clamps_at
 from tests.relaxation.rods import wandering
 
@@ -137,3 +139,32 @@ def test_wrong_input_is_reported_in_a_line_and_nothing_is_written(observed, tmp_
     captured = capsys.readouterr()
     assert message in captured.err and captured.err.count("\n") == 1 and not captured.out
     assert sorted(tmp_path.iterdir()) == before
+
+
+CABLE = Path(__file__).resolve().parents[2] / "docs/examples/data/cable.csv"
+
+
+@pytest.mark.thorough
+def test_data_recorded_y_up_and_read_as_z_up_are_found_out(tmp_path, capsys):
+    words = [str(CABLE), "--unit", "m", "--columns", "observation=pose,vertex=mark"]
+    run = tmp_path / "run"
+    assert main(["sweep", *words, "--bend", "1e6:1e9:4", "--out", str(run)]) == 0
+    out, err = capsys.readouterr()
+    assert "--up y" in out and "--up y" in err
+    other = json.loads((run / "summary.json").read_text())["other_up"]
+    assert other["up"] == [0, 1, 0] and other["misfit_mm"] < 0.3 * other["given_misfit_mm"]
+    assert main(["refine", str(run), "--parameters", "bend,up", "--no-models", "--clamps", "exact", "--clip", "0",
+                 "--rest-curvature", "none"]) == 0
+    out, err = capsys.readouterr()
+    assert "--up y" in out and "--up y" in err and "no option explains it" not in out
+    assert json.loads((run / "refined.json").read_text())[0]["other_up"]["option"] == "--up y"
+
+    assert main(["sweep", *words, "--up", "y", "--bend", "1e6:1e9:4", "--out", str(tmp_path / "right"), "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)["other_up"] is None and "--up" not in err
+
+
+@pytest.mark.parametrize("words, up", [("y", [0, 1, 0]), ("-z", [0, 0, -1]), ("0,0,2", [0, 0, 1])])
+def test_up_is_three_numbers_or_an_axis(observed, tmp_path, words, up):
+    assert main(["convert", str(observed), str(tmp_path / "turned.npz"), f"--up={words}"]) == 0
+    assert load_observations(tmp_path / "turned.npz").up.tolist() == up
