@@ -160,10 +160,10 @@ def _report(problem: object, code: int) -> int:
 
 
 def _joined(argv: list[str]) -> list[str]:
-    """``--up -1,0,0`` as ``--up=-1,0,0``: argparse takes a value that starts with a minus for an option."""
+    """``--up -1,0,0`` as ``--up=-1,0,0``, and ``--up -z`` as ``--up=-z``: argparse takes a value that starts with a minus for an option."""
     words: list[str] = []
     for word in argv:
-        if re.match(r"-[\d.]", word) and words and re.fullmatch(r"--[\w-]+", words[-1]):
+        if re.match(r"-([\d.]|[xyz](,|$))", word) and words and re.fullmatch(r"--[\w-]+", words[-1]):
             words[-1] += f"={word}"
         else:
             words.append(word)

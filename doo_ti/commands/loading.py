@@ -55,7 +55,7 @@ def add_poses(group, option: str) -> None:
                        "what the columns of the grippers begin with, as in start=left,end=right")
     group.add_argument("--motion-axis", metavar="AXIS|AXIS,AXIS", default="x", help="the axis, x, y, z, -x, -y or -z, of the "
                        f"tools at the start and at the end that points along the rod, where {option} states orientations "
-                       "(default x); write --motion-axis=-z")
+                       "(default x)")
 
 
 def poses(options: Namespace, source: str, unit: str | None, turn: np.ndarray | None = None) -> ClampPath:

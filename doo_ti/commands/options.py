@@ -73,8 +73,8 @@ def add_clamps(parser: ArgumentParser, default: str = CLAMP_DEFAULT) -> None:
 
 
 def add_up(parser: ArgumentParser, default: str = "the file's, else 0,0,1") -> None:
-    parser.add_argument("--up", metavar="X,Y,Z|AXIS", help="direction against gravity: numbers, or x, y, z, -x, -y or -z, "
-                        f"as in --up=-z (default: {default})")
+    parser.add_argument("--up", metavar="X,Y,Z|AXIS", help="direction against gravity: three numbers, or x, y, z, -x, -y or "
+                        f"-z (default: {default})")
 
 
 def add_frame_weight(parser: ArgumentParser, default: str) -> None:

@@ -105,9 +105,7 @@ def other_up(observations: Observations, clamps: Clamps, up: ArrayLike | None = 
     also = tuple(_name(axes[k]) for k in np.argsort(others, kind="stable")[1:]
                  if rules_out(others[k], given) and not rules_out(others[best], others[k]))
     size = [float(np.sqrt(max(np.exp(2 * misfit) - floor, 0.0))) for misfit in (others[best], given, nothing)]
-    name = _name(axes[best])
-    option = f"--up{'=' if name.startswith('-') else ' '}{name}"
-    return OtherUp(tuple((axes[best] + 0.0).tolist()), option, also, *size, trial.observations.count)
+    return OtherUp(tuple((axes[best] + 0.0).tolist()), f"--up {_name(axes[best])}", also, *size, trial.observations.count)
 
 
 def _name(axis: ArrayLike) -> str:

@@ -166,5 +166,5 @@ def test_data_recorded_y_up_and_read_as_z_up_are_found_out(tmp_path, capsys):
 
 @pytest.mark.parametrize("words, up", [("y", [0, 1, 0]), ("-z", [0, 0, -1]), ("0,0,2", [0, 0, 1])])
 def test_up_is_three_numbers_or_an_axis(observed, tmp_path, words, up):
-    assert main(["convert", str(observed), str(tmp_path / "turned.npz"), f"--up={words}"]) == 0
+    assert main(["convert", str(observed), str(tmp_path / "turned.npz"), "--up", words]) == 0
     assert load_observations(tmp_path / "turned.npz").up.tolist() == up
