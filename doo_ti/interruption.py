@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM as a KeyboardInterrupt that is raised where commands expect one.
+"""Ctrl-C, SIGTERM and the end of the terminal (SIGHUP) as a KeyboardInterrupt that is raised where commands expect one.
 
 Raised anywhere, it could be mistaken for a failed import, or be lost in a destructor.
 """
@@ -16,6 +16,9 @@ AGAIN_SECONDS = 0.05
 MOST_POSTPONED = 200
 """Times in succession: only an import that runs the program takes longer."""
 
+HANGUP = getattr(signal, "SIGHUP", None)
+"""The terminal is closed; not on Windows."""
+
 _postponed = 0
 
 
@@ -28,10 +31,13 @@ def before_anything_is_begun() -> bool:
 
 
 def while_running(interruptible: bool) -> None:
-    """Have both signals raise KeyboardInterrupt: finished work is kept, and the way to resume is printed."""
+    """Have the signals raise KeyboardInterrupt: finished work is kept, what was started ends, and the way to resume is printed.
+    Under nohup the end of the terminal stays ignored."""
     if interruptible:
         signal.signal(signal.SIGINT, _interrupt)
     signal.signal(signal.SIGTERM, _interrupt)
+    if HANGUP is not None and signal.getsignal(HANGUP) is signal.SIG_DFL:
+        signal.signal(HANGUP, _interrupt)
     sys.unraisablehook = _not_lost
 
 
@@ -44,13 +50,13 @@ def when_all_is_done() -> None:
 def kept_from_children() -> Iterator[None]:
     """Start processes inside: they ignore Ctrl-C, which a terminal sends to them too; their parent ends them.
 
-    The parent handles Ctrl-C and SIGTERM only when the block ends: Python would raise in its main thread while that starts a
+    The parent handles the signals only when the block ends: Python would raise in its main thread while that starts a
     process, which would then end with a traceback or stay behind.
     """
     postponed: list[int] = []
     before = {}
     if current_thread() is main_thread():
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in (signal.SIGINT, signal.SIGTERM, *([] if HANGUP is None else [HANGUP])):
             if callable(signal.getsignal(number)):
                 before[number] = signal.signal(number, lambda received, frame: postponed.append(received))
     masked = hasattr(signal, "pthread_sigmask")  # not on Windows

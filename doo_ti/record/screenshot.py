@@ -10,7 +10,7 @@ from rerun.experimental import ViewerClient
 
 from doo_ti.errors import InterruptedRunError
 from doo_ti.io.files import write_whole
-from doo_ti.record.viewer import end_viewer, free_port, start_viewer
+from doo_ti.record.viewer import free_port, running_viewer
 
 
 def save_screenshot(path: str | Path, picture: str | Path, size: tuple[int, int] = (1600, 900)) -> None:
@@ -19,9 +19,7 @@ def save_screenshot(path: str | Path, picture: str | Path, size: tuple[int, int]
     Raises InputError where there is no recording, InterruptedRunError where the viewer does not start.
     """
     port = free_port()
-    viewer = start_viewer(path, "--headless", "--port", str(port), "--window-size", "{}x{}".format(*size), own_group=True,
-                          log=subprocess.DEVNULL)
-    try:
+    with running_viewer(path, "--headless", "--port", str(port), "--window-size", "{}x{}".format(*size)) as viewer:
         client = _connect(viewer, port)
         client.run_command("ui.toggle_top_panel")
         time.sleep(12)  # until the viewer's notices disappear and its plots are drawn
@@ -29,8 +27,6 @@ def save_screenshot(path: str | Path, picture: str | Path, size: tuple[int, int]
         with TemporaryDirectory() as folder:
             client.save_screenshot(str(Path(folder) / "view.png"))
             write_whole(Path(picture), lambda file: file.write((Path(folder) / "view.png").read_bytes()))
-    finally:
-        end_viewer(viewer)
 
 
 def _connect(viewer: subprocess.Popen, port: int) -> ViewerClient:

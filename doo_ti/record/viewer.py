@@ -1,20 +1,26 @@
-"""Starting the rerun viewer."""
+"""Starting the rerun viewer, as one process that ends with the command."""
 
 import os
-import signal
 import socket
 import subprocess
-import sys
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryFile
 
 from doo_ti.errors import InputError, InterruptedRunError
+from doo_ti.interruption import kept_from_children
+from doo_ti.record.web_page import local_page
 
 FILE = "run.rrd"
-PROGRAM = "import sys; from rerun_cli.__main__ import main; sys.exit(main())"
-"""``python -m rerun_cli`` ends with 0 even where the viewer fails."""
+PROGRAMS = ("Rerun.app/Contents/MacOS/Rerun", "rerun.exe", "rerun")
+"""Where the package of the viewer may have its program."""
+NOWHERE = "http://127.0.0.1:9"
+"""A proxy that nobody runs."""
+ALONE = {"CI": "true", **{name: NOWHERE for name in ("ALL_PROXY", "HTTPS_PROXY", "HTTP_PROXY")}}
+"""The viewer's environment. By default it reports its use, which CI=true stops, and asks a server for new versions, which no
+option stops: its requests go to a proxy, and there is none."""
+SECONDS_TO_END = 10.0
 
 
 def open_viewer(path) -> None:
@@ -23,8 +29,9 @@ def open_viewer(path) -> None:
     Raises InputError where there is no recording, InterruptedRunError where the viewer fails, as without a window.
     """
     with TemporaryFile() as log:
-        if not start_viewer(path, "--port", "auto", log=log).wait():
-            return
+        with running_viewer(path, "--port", "auto", log=log) as viewer:
+            if not viewer.wait():
+                return
         log.seek(0)
         reasons = [line for line in log.read().decode(errors="replace").splitlines() if line.startswith("Error: ")]
     reason = reasons[-1].removeprefix("Error: ") if reasons else "without a reason"
@@ -36,23 +43,14 @@ def serve_viewer(path, announce: Callable[[str], None]) -> None:
     """Serve a run's recording (the run's folder or the .rrd file) to browsers on this machine until interrupted; ``announce``
     gets the address. Raises InputError where there is no recording, InterruptedRunError where the server fails."""
     web, data = free_port(), free_port()
-    server = start_viewer(path, "--serve-web", "--web-viewer-port", str(web), "--port", str(data), own_group=True,
-                          log=subprocess.DEVNULL)
-    announce(f"http://127.0.0.1:{web}?url=rerun%2Bhttp://127.0.0.1:{data}/proxy")
     try:
-        if server.wait():
-            raise InterruptedRunError(f"view: the server ended with exit code {server.returncode}")
+        with (running_viewer(path, "--serve-web", "--web-viewer-port", str(web), "--port", str(data)) as server,
+              local_page(web, data) as page):
+            announce(f"http://127.0.0.1:{page}?url=rerun%2Bhttp://127.0.0.1:{data}/proxy")
+            if server.wait():
+                raise InterruptedRunError(f"view: the server ended with exit code {server.returncode}")
     except KeyboardInterrupt:  # the way to end it
         pass
-    finally:
-        end_viewer(server)
-
-
-def end_viewer(process: subprocess.Popen) -> None:
-    """End a viewer that has a process group of its own: the command, and the program that it started."""
-    with suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGTERM)
-    process.wait()
 
 
 def free_port() -> int:
@@ -62,12 +60,43 @@ def free_port() -> int:
         return free.getsockname()[1]
 
 
-def start_viewer(path, *options: str, own_group: bool = False, log=None) -> subprocess.Popen:
-    """The process of the viewer on a recording, in a process group of its own if ``own_group``; errors go to the file ``log``.
-    Raises InputError where there is no recording."""
+@contextmanager
+def running_viewer(path, *options: str, log=subprocess.DEVNULL) -> Iterator[subprocess.Popen]:
+    """The process of the viewer on a recording, as a context that ends it; errors go to the file ``log``. Raises InputError
+    where there is no recording."""
     file = Path(path) / FILE if Path(path).is_dir() else Path(path)
     if not file.is_file():
         raise InputError(path, FILE, "there is no recording", "name a folder that doo-ti sweep has written")
-    # By default the viewer listens on every network interface and reports its use; CI=true stops the reports.
-    command = [sys.executable, "-c", PROGRAM, "--bind", "127.0.0.1", *options, str(file)]
-    return subprocess.Popen(command, env=os.environ | {"CI": "true"}, start_new_session=own_group, stderr=log)
+    # By default the viewer listens on every network interface.
+    command = [_program(), "--bind", "127.0.0.1", *options, str(file)]
+    environment = {name: value for name, value in os.environ.items() if name.upper() not in (*ALONE, "NO_PROXY")} | ALONE
+    process = None
+    try:
+        with kept_from_children():
+            process = subprocess.Popen(command, env=environment, stderr=log)
+        yield process
+    finally:
+        if process is not None:
+            _end(process)
+
+
+def _end(process: subprocess.Popen) -> None:
+    process.terminate()
+    try:
+        process.wait(SECONDS_TO_END)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+def _program() -> str:
+    """The viewer itself: the program that its package starts would have to be ended, too."""
+    if own := os.environ.get("RERUN_CLI_PATH"):  # as that package does
+        return own
+    import rerun_cli
+
+    folder = Path(rerun_cli.__file__).parent
+    found = [str(folder / name) for name in PROGRAMS if (folder / name).is_file()]
+    if not found:
+        raise InterruptedRunError(f"view: {folder} has no viewer; install rerun-sdk again")
+    return found[0]

@@ -1,12 +1,15 @@
 """Ctrl-C at any moment: one line, exit code 1, no traceback, and it is never ignored."""
 
 import os
+import re
 import signal
+import socket
 import subprocess
 import sys
 import threading
 import time
 from pathlib import Path
+from urllib.request import urlopen
 
 import pytest
 
@@ -80,7 +83,7 @@ def test_a_program_whose_caller_ignores_it_does_so_too(tmp_path):
     assert done.stdout.endswith("lost\n") and done.stderr == ""
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_while_processes_are_started_waits_for_them(number):
     """Another thread receives it, which the mask of the main one does not prevent."""
     heard, before = [], signal.signal(number, lambda received, frame: heard.append(received))
@@ -97,6 +100,46 @@ def test_a_signal_while_processes_are_started_waits_for_them(number):
         stop.set()
         other.join()
         signal.signal(number, before)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_served_viewer_ends_with_its_command(tmp_path, number):
+    """Also where the terminal is closed, which signals only that."""
+    (tmp_path / "run.rrd").write_bytes(b"RRF2")
+    command = subprocess.Popen([sys.executable, "-m", "doo_ti", "view", "run.rrd", "--web"], cwd=tmp_path, text=True,
+                               stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True,
+                               env={**os.environ, "PYTHONPATH": str(ROOT)})
+    try:
+        ports = [int(port) for port in re.findall(r"127\.0\.0\.1:(\d+)", command.stdout.readline())]
+        assert len(ports) == 2 and all(answers(port) for port in ports)
+        with urlopen(f"http://127.0.0.1:{ports[0]}/") as page:
+            assert f"'self' http://127.0.0.1:{ports[1]} " in page.headers["Content-Security-Policy"]
+            assert b"<canvas" in page.read()
+        command.send_signal(number)
+        out, err = command.communicate(timeout=30)
+        assert command.returncode == 0 and err == ""
+        assert not any(answers(port, seconds=0) for port in ports)
+    finally:
+        os.killpg(command.pid, signal.SIGKILL) if command.poll() is None else None
+
+
+def test_under_nohup_the_end_of_the_terminal_is_ignored(tmp_path):
+    script = ("import os, signal, time\nfrom doo_ti import interruption\nsignal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
+              "interruption.while_running(True)\nos.kill(os.getpid(), signal.SIGHUP)\ntime.sleep(0.05)\nprint('goes on')")
+    assert run_script(script, tmp_path).stdout == "goes on\n"
+
+
+def answers(port: int, seconds: float = 20.0) -> bool:
+    """Whether a program listens on a port of this machine, within some time."""
+    deadline = time.monotonic() + seconds
+    while True:
+        with socket.socket() as client:
+            if client.connect_ex(("127.0.0.1", port)) == 0:
+                return True
+        if time.monotonic() >= deadline:
+            return False
+        time.sleep(0.1)
 
 
 @pytest.mark.thorough

@@ -222,11 +222,14 @@ def test_viewer_listens_on_this_machine_only_and_reports_nothing(tmp_path, monke
     calls = []
 
     class Viewer:
-        def __init__(self, command, *, env, start_new_session, stderr):
+        def __init__(self, command, *, env, stderr):
             calls.append((command, env))
 
-        def wait(self):
+        def wait(self, timeout=None):
             return 0
+
+        def terminate(self):
+            pass
 
     monkeypatch.setattr(viewer.subprocess, "Popen", Viewer)
     (tmp_path / "run.rrd").touch()
@@ -234,7 +237,7 @@ def test_viewer_listens_on_this_machine_only_and_reports_nothing(tmp_path, monke
     ((command, environment),) = calls
     assert command[command.index("--bind") + 1] == "127.0.0.1"
     assert command[-1] == str(tmp_path / "run.rrd")
-    assert environment["CI"] == "true"
+    assert environment["CI"] == "true" and environment["HTTPS_PROXY"].startswith("http://127.0.0.1:")
 
 
 @pytest.mark.thorough
