@@ -160,7 +160,7 @@ def _report(problem: object, code: int) -> int:
 
 
 def _joined(argv: list[str]) -> list[str]:
-    """``--up -1,0,0`` as ``--up=-1,0,0``, and ``--up -z`` as ``--up=-z``: argparse takes a value that starts with a minus for an option."""
+    """``--up -1,0,0`` and ``--up -z`` with an equals sign: argparse takes a value that starts with a minus for an option."""
     words: list[str] = []
     for word in argv:
         if re.match(r"-([\d.]|[xyz](,|$))", word) and words and re.fullmatch(r"--[\w-]+", words[-1]):

@@ -6,6 +6,7 @@ from argparse import Namespace
 from doo_ti.commands import options as given
 from doo_ti.commands.results import report, save_json
 
+RODS, ROUNDS = 65_536, 3
 MOST_ROUNDS = 1000
 MOST_RODS = 1 << 22
 """Four times as many are relaxed at once to measure the memory they need: some 20 GB."""
@@ -13,17 +14,17 @@ MOST_RODS = 1 << 22
 
 def declare(add) -> None:
     parser = given.command(add, "bench", run, "measure throughput and accuracy on this machine, in one table")
-    parser.add_argument("--rods", metavar="N", help="rods in the large batches (default 65536)")
+    parser.add_argument("--rods", metavar="N", help=f"rods in the large batches (default {RODS})")
     parser.add_argument("--threads", metavar="N", help="threads of the kernels (default: one per processor)")
-    parser.add_argument("--rounds", metavar="N", help="number of measurements; their median is printed (default 3)")
+    parser.add_argument("--rounds", metavar="N", help=f"number of measurements; their median is printed (default {ROUNDS})")
     parser.add_argument("--out", metavar="FOLDER", help="folder for bench.json (default: not written)")
 
 
 def run(options: Namespace, words: list[str]) -> int:
     """Throughput and accuracy on this machine; with a folder also as JSON."""
-    rods = given.whole("--rods", options.rods, 1, MOST_RODS) or 65_536
+    rods = given.whole("--rods", options.rods, 1, MOST_RODS) or RODS
     threads = given.whole("--threads", options.threads, 1, os.cpu_count() or 1)
-    rounds = given.whole("--rounds", options.rounds, 1, MOST_ROUNDS) or 3
+    rounds = given.whole("--rounds", options.rounds, 1, MOST_ROUNDS) or ROUNDS
     out = given.output_folder(options.out)
 
     from doo_ti import runtime

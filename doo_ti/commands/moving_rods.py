@@ -13,17 +13,21 @@ from doo_ti.types import Material
 
 LOSSES = {"bend_damping": "s", "twist_damping": "s", "drag": "1/s", "quadratic_drag": "1/mm"}
 STEPS = ("rate", "substeps", "tolerance")
+SUBSTEPS = 1
+"""Of predictions, unless given."""
 MOST_STRETCH = 0.1
 """By which the rod's length may differ from that of THETA.json."""
 
 
-def add_dynamic(parser, rate: str) -> None:
-    """The options of rods with inertia; ``rate`` says what --rate is the number of, and its default."""
+def add_dynamic(parser, rate: str, substeps: int = SUBSTEPS, tolerance: bool = True) -> None:
+    """The options of rods with inertia; ``rate`` says what --rate is the number of, and its default, ``substeps`` is that of
+    --substeps, and without ``tolerance`` the error of the time steps is not estimated."""
     group = parser.add_argument_group("inertia", "for fast motion (docs/dynamics.md); the default is statics at every instant")
     group.add_argument("--dynamic", action="store_true", help="rods have inertia, and losses as --theta or these options say")
     group.add_argument("--rate", metavar="HZ", help=rate)
-    group.add_argument("--substeps", metavar="N", help="time steps between the states that are returned (default 1)")
-    group.add_argument("--tolerance", metavar="MM", help="double them for each rod until the estimated error is below this")
+    group.add_argument("--substeps", metavar="N", help=f"time steps between the states that are returned (default {substeps})")
+    if tolerance:
+        group.add_argument("--tolerance", metavar="MM", help="double them for each rod until the estimated error is below this")
     group.add_argument("--bend-damping", metavar="S", help="bending at the rate ω̇ is resisted by S B ω̇ (default 0)")
     group.add_argument("--twist-damping", metavar="S", help="the same of twist (default 0)")
     group.add_argument("--drag", metavar="C", help="force −C v on each unit of mass, 1/s (default 0)")
@@ -34,7 +38,7 @@ def is_dynamic(options: Namespace) -> bool:
     """Whether rods have inertia. Raises InputError where only options of such rods are given."""
     if not options.dynamic:
         for name in (*STEPS, *LOSSES):
-            if getattr(options, name) is not None:
+            if getattr(options, name, None) is not None:
                 raise InputError(given.SOURCE, f"--{name.replace('_', '-')}", "given without --dynamic", "give both")
     return options.dynamic
 
@@ -43,7 +47,7 @@ def stepping(options: Namespace, rate: float):
     """The time steps of a motion with ``rate`` returned states per second."""
     from doo_ti.dynamics.parameters import Stepping
 
-    return Stepping(rate, given.whole("--substeps", options.substeps, 1, 1000) or 1,
+    return Stepping(rate, given.whole("--substeps", options.substeps, 1, 1000) or SUBSTEPS,
                     tolerance=given.length("--tolerance", options.tolerance))
 
 

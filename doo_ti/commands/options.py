@@ -49,22 +49,26 @@ def add_old_name(parser: ArgumentParser, old: str, argument: str) -> None:
     parser.add_argument(old, dest=argument, default=SUPPRESS, help=SUPPRESS)
 
 
-def add_material(parser: ArgumentParser, form: str, theta: str = STIFFNESS_ONLY) -> None:
-    """``theta`` says what the command uses of ``--theta`` and what it ignores."""
+def add_material(parser: ArgumentParser, form: str, theta: str = STIFFNESS_ONLY, density: str = "for --EI and --GJ",
+                 round_rod: bool = False) -> None:
+    """``theta`` says what the command uses of ``--theta`` and what it ignores, ``density`` what it needs --linear-density for;
+    with ``round_rod`` it takes rods only that are the same in all directions across them."""
     parser.set_defaults(theta_note=theta)
     group = parser.add_argument_group("material", f"bend and twist stiffness in mm³; {form}")
-    group.add_argument("--bend", metavar="A", help="bend stiffness α of a round rod, or the matrix of another one, A1,A2[,A12]")
-    group.add_argument("--bend-1", metavar="A1", help="stiffness against bending about m2")
-    group.add_argument("--bend-2", metavar="A2", help="stiffness against bending about m1")
+    others = "" if round_rod else " of a round rod, or the matrix of another one, A1,A2[,A12]"
+    group.add_argument("--bend", metavar="A", help=f"bend stiffness α{others}")
+    if round_rod:
+        parser.set_defaults(bend_1=None, bend_2=None)
+    else:
+        group.add_argument("--bend-1", metavar="A1", help="stiffness against bending about m2")
+        group.add_argument("--bend-2", metavar="A2", help="stiffness against bending about m1")
     group.add_argument("--twist", metavar="B", help="twist stiffness β")
-    group.add_argument("--twist-ratio", metavar="R", help="β divided by α, or by A1 (default 1)")
+    group.add_argument("--twist-ratio", metavar="R", help=f"β divided by α{'' if round_rod else ', or by A1'} (default 1)")
     group.add_argument("--weight", metavar="M", help="half the weight per length, relative (default 1)")
     group.add_argument("--EI", metavar="NM2", help="bend stiffness in N m², instead of --bend; needs --linear-density")
     group.add_argument("--GJ", metavar="NM2", help="twist stiffness in N m², instead of --twist; needs --linear-density")
-    group.add_argument("--theta", metavar="THETA.json",
-                       help=f"the rod as doo-ti identify wrote it: {theta}")
-    group.add_argument("--linear-density", metavar="G_PER_M",
-                       help="mass per length of the rod in g/m, for --EI, --GJ and results in N m²")
+    group.add_argument("--theta", metavar="THETA.json", help=f"the rod as doo-ti identify wrote it: {theta}")
+    group.add_argument("--linear-density", metavar="G_PER_M", help=f"mass per length of the rod in g/m, {density}")
 
 
 def add_clamps(parser: ArgumentParser, default: str = CLAMP_DEFAULT) -> None:

@@ -35,7 +35,7 @@ def declare(add) -> None:
     parser.add_argument("--out", required=True, metavar="F.npz|F.csv",
                         help="file to write; F.png and F.rrd are written beside it")
     given.add_material(parser, "one number each; perceived rods are round; without any, "
-                       f"--bend {GUESSED_BEND:g}, which is near enough for most shapes")
+                       f"--bend {GUESSED_BEND:g}, which is near enough for most shapes", round_rod=True)
     search = parser.add_argument_group("search")
     search.add_argument("--nu", metavar="NU", help="weight ν of the images against the rod's energy, in 1/(mm px²) "
                         "(default 0.005)")
@@ -45,7 +45,8 @@ def declare(add) -> None:
     given.add_thread(search)
     given.add_obstacles(parser, "without friction; the first run compiles for minutes")
     shown = parser.add_argument_group("pictures and recording")
-    shown.add_argument("--truth", metavar="OBS", help="true rods to compare with: observations, matched by name or in order")
+    shown.add_argument("--truth", metavar="OBS", help="true rods to draw, and to compare with where they have as "
+                       "many marks: observations, matched by the names in an .npz, else in the order of the sets")
     loading.add_files(shown, "--truth")
     shown.add_argument("--no-picture", action="store_true", help="do not write F.png")
     shown.add_argument("--no-recording", action="store_true", help="do not write F.rrd")

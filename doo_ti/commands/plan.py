@@ -19,6 +19,7 @@ from doo_ti.terminal import in_line
 
 SIGMA_MM = 0.1
 """Label uncertainty where none is given."""
+PICKS = 10
 
 
 def declare(add) -> None:
@@ -29,7 +30,7 @@ def declare(add) -> None:
     parser.add_argument("--end-distances", metavar="MM,MM,…", help="end distances, instead of the scene's")
     parser.add_argument("--end-rotations", metavar="DEG,DEG,…", help="end rotations, instead of the scene's")
     parser.add_argument("--sigma", metavar="MM", help=f"label uncertainty (default: the source's, else {SIGMA_MM:g})")
-    parser.add_argument("--picks", metavar="K", help="how many configurations to rank (default 10)")
+    parser.add_argument("--picks", metavar="K", help=f"how many configurations to rank (default {PICKS})")
     parser.add_argument("--measured", metavar="I,I,…", help="row numbers, from 0, of the configurations already measured")
     given.add_clamps(parser)
     given.add_obstacles(parser, "without friction; the rods of a scene begin where they would be without obstacles")
@@ -43,7 +44,7 @@ def run(options: Namespace, words: list[str]) -> int:
     scene = load_scene(options.source) if Path(options.source).suffix == ".toml" else None
     grid = given.grid(options, scene.grid if scene else None)
     out = given.output_folder(options.out)
-    picks = given.whole("--picks", options.picks, 1) or 10
+    picks = given.whole("--picks", options.picks, 1) or PICKS
     sigma = given.length("--sigma", options.sigma)
     configurations = _configurations(options, scene)
     measured = given.rows("--measured", options.measured, configurations.count)

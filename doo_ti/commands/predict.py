@@ -80,7 +80,8 @@ def declare(add) -> None:
                         help=f"observations the rods start from: {loading.FORMATS}; or a scene of motion")
     parser.add_argument("--motion", metavar="PATH", help="poses of the clamps over time: .npz, or .csv such as a robot's log")
     parser.add_argument("--out", required=True, metavar="F.npz|F.csv", help="file to write")
-    given.add_material(parser, "a number or LO:HI:N[:log|:lin]: all materials of the grid at once", given.SHAPE_ONLY)
+    given.add_material(parser, "a number or LO:HI:N[:log|:lin]: all materials of the grid at once", given.SHAPE_ONLY,
+                       "for --EI, --GJ and forces in N")
     parser.add_argument("--relative", action="store_true",
                         help="apply the motion relative to each observation's own clamps, instead of as absolute poses")
     parser.add_argument("--steps-between", dest="between", metavar="N",

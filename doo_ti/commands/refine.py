@@ -39,7 +39,8 @@ def declare(add) -> None:
     parser.add_argument("sources", nargs="+", metavar="RUN|OBS",
                         help="folders that sweep wrote, to start from their best cells, or "
                         f"observations: {loading.FORMATS}")
-    given.add_material(parser, "one number each: the start of the fit where observations are given")
+    given.add_material(parser, "one number each: the start of the fit where observations are given",
+                       density="for --EI, --GJ and results in N m²")
     parser.add_argument("--parameters", metavar="A,B", default="bend,twist",
                         help="material parameters to learn, of bend, bend-1, "
                         "bend-2, bend-12, twist, weight, and up, the direction against gravity (default bend,twist)")

@@ -24,6 +24,8 @@ LEAST_MM, MOST_MM = 1e-3, 1e4
 """Of an edge."""
 RECORDED = 3
 """Sets in a recording."""
+SUBSTEPS = 4
+"""Time steps from one frame to the next, unless given: a hand moves a rod far between the frames of a video."""
 GUESSED_BEND = 1e6
 """mm³, of a rod in images whose stiffness is not given: E_vis takes the rod's energy relative to its stiffness, so that only
 its weight and twist against its bending depend on it."""
@@ -108,8 +110,6 @@ def _inertia(options: Namespace, count: int, time: np.ndarray | None) -> tuple:
     if not is_dynamic(options):
         return None, time
     rate = given.positive("--rate", options.rate, "frames per second")
-    if options.tolerance is not None:
-        raise InputError(given.SOURCE, "--tolerance", "given to track", "give --substeps")
     if rate is None and time is None:
         raise InputError(given.SOURCE, "--rate", "missing, and the frames have no time_s", "give frames per second")
 
@@ -117,7 +117,7 @@ def _inertia(options: Namespace, count: int, time: np.ndarray | None) -> tuple:
 
     substeps = given.whole("--substeps", options.substeps, 1, 1000)
     options.theta_note = "bend, twist, damping and drag are used; rest curvature is ignored, markers count as the rod's weight"
-    inertia = Inertia(losses(options, markers=False), **({} if substeps is None else {"substeps": substeps}))
+    inertia = Inertia(losses(options, markers=False), substeps or SUBSTEPS)
     return inertia, time if rate is None else np.arange(count) / rate
 
 

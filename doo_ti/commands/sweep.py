@@ -36,7 +36,8 @@ def declare(add) -> None:
                         help=f"scenes, or observations: {loading.FORMATS}; each "
                         "of several gets a folder of its name below RUN")
     parser.add_argument("--out", required=True, metavar="RUN", help="folder to write; an unfinished run in it is resumed")
-    given.add_material(parser, "a number or LO:HI:N[:log|:lin]; overrides the scene's axis")
+    given.add_material(parser, "a number or LO:HI:N[:log|:lin]; overrides the scene's axis",
+                       density="for --EI, --GJ and results in N m²")
     given.add_relaxation(parser, None)
     loading.add_loading(parser)
     given.add_obstacles(parser, "without friction, which acts in simulate and predict")

@@ -12,7 +12,7 @@ from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import add_dynamic
 from doo_ti.commands.perceive import LEAST_SIGMA_MM
 from doo_ti.commands.results import RODS, report, save_arrays
-from doo_ti.commands.seen_rods import TrackingTask, tracking_task
+from doo_ti.commands.seen_rods import SUBSTEPS, TrackingTask, tracking_task
 from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.terminal import in_line, progress
 
@@ -29,11 +29,11 @@ def declare(add) -> None:
     parser.add_argument("--frames", required=True, metavar="FRAMES.csv",
                         help="columns frame, one of images per camera, time_s (optional), and the seed: seed_x … dir_z")
     parser.add_argument("--out", required=True, metavar="F.npz|F.csv", help="file to write; F.rrd is written beside it")
-    given.add_material(parser, "one number each; tracked rods are round")
+    given.add_material(parser, "one number each; tracked rods are round", round_rod=True)
     parser.add_argument("--motion", metavar="PATH", help="poses of the far clamp, one moment for each frame: .npz or .csv")
     given.add_thread(parser)
     given.add_obstacles(parser, "without friction, but of rods with inertia; the first run compiles for minutes")
-    add_dynamic(parser, "frames per second (default: by their time_s)")
+    add_dynamic(parser, "frames per second (default: by their time_s)", SUBSTEPS, tolerance=False)
     parser.add_argument("--no-recording", action="store_true", help="do not write F.rrd")
 
 

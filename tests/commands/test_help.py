@@ -1,8 +1,11 @@
-"""The help: every command in one group with two examples that are valid; wrong words name the right one."""
+"""The help: every command in one group with two examples that are valid; wrong words name the right one; the defaults that it
+states are those of the code."""
 
+import re
 import shlex
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from doo_ti.cli import _parser, main
@@ -44,3 +47,51 @@ def test_wrong_words_name_the_right_one(argv, meant, capsys):
     assert main(argv) == 2
     out, err = capsys.readouterr()
     assert not out and meant in err and err.count("\n") == 1
+
+
+def defaults() -> dict[tuple[str, str], float]:
+    """The numbers that commands take where an option is absent, by where the code has them."""
+    from doo_ti.commands import bench, moving_rods, plan, refine, seen_rods, synth, view
+    from doo_ti.dynamics.identify import IdentifyOptions
+    from doo_ti.dynamics.parameters import Dynamics, Stepping
+    from doo_ti.learning.experiment import SweepOptions
+    from doo_ti.motion.path import LARGEST_TURN
+    from doo_ti.perception.search import PerceptionOptions
+    from doo_ti.perception.tracking import Inertia
+    from doo_ti.types import Material
+
+    assert seen_rods.SUBSTEPS == Inertia.substeps
+    found = {("simulate", "--most-substeps"): Stepping.most_substeps, ("simulate", "--substeps"): Stepping.substeps,
+             ("predict", "--substeps"): moving_rods.SUBSTEPS, ("track", "--substeps"): seen_rods.SUBSTEPS,
+             ("predict", "--sub-step"): np.degrees(LARGEST_TURN), ("predict", "--steps-between"): 1,
+             ("identify", "--modes"): IdentifyOptions.modes, ("identify", "--robust"): IdentifyOptions.delta,
+             ("identify", "--substeps"): IdentifyOptions.substeps, ("perceive", "--nu"): PerceptionOptions.nu,
+             ("perceive", "--hypotheses"): PerceptionOptions.hypotheses, ("perceive", "--recorded-sets"): seen_rods.RECORDED,
+             ("refine", "--starts"): refine.STARTS, ("plan", "--picks"): plan.PICKS, ("synth", "--diameter"): synth.DIAMETER_MM,
+             ("figures", "--cells"): view.MOST_CELLS, ("bench", "--rods"): bench.RODS, ("bench", "--rounds"): bench.ROUNDS,
+             ("sweep", "--roll-hypotheses"): SweepOptions.spins, ("relax", "--frame-weight"): SweepOptions.frame_weight}
+    found |= {("twist", "--observations"): 1, ("simulate", "--smoothing"): 1, ("identify", "--smoothing"): 1}
+    for command in COMMANDS:
+        found |= {(command, "--weight"): Material.weight, (command, "--twist-ratio"): 1}
+        found |= {(command, f"--{name.replace('_', '-')}"): getattr(Dynamics, name) for name in moving_rods.LOSSES}
+    return found
+
+
+def test_the_defaults_in_the_help_are_those_of_the_code():
+    known, wrong = defaults(), []
+    for command in COMMANDS:
+        for action in _parser().command(command)._actions:
+            option = (action.option_strings or [action.dest])[-1]
+            stated = re.search(r"\(default:? (?:at most )?([-+\w.]+)", action.help or "")
+            number = stated and re.fullmatch(r"\d[\d.e+]*", stated[1].rstrip("."))
+            if action.default in (None, False, "==SUPPRESS==", []):
+                right = not number or known.get((command, option), 0) == float(stated[1])
+            elif option == "--fit":
+                right = "(default: the first four)" in action.help
+            elif number:
+                right = float(stated[1]) == float(action.default)
+            else:
+                right = re.search(rf"default:? {action.default}\b|{action.default}: [^;:]*\(default\)", action.help)
+            if not right:
+                wrong.append((command, option, stated and stated[1], action.default))
+    assert not wrong

@@ -133,7 +133,8 @@ def test_wrong_frames_are_reported(filmed, tmp_path, capsys, change, words):
 @pytest.mark.parametrize("change, words", [
     (("--bend", "1e5:1e6:5"), ("--bend", "grid")), (("--bend", "1e5,2e5"), ("--bend", "round")),
     (("--rest-length", "3:x"), ("--rest-length",)), (("--frames", "missing.csv"), ("missing.csv",)),
-    (("--rate", "30"), ("--rate", "--dynamic")), (("--dynamic", "--tolerance", "1"), ("--tolerance",)),
+    (("--rate", "30"), ("--rate", "--dynamic")),
+    (("--tolerance", "1"), ("--tolerance", "unknown")), (("--bend-1", "1e5"), ("--bend-1", "unknown")),
     (("--width", "0"), ("--width",)), (("--up", "0,0"), ("--up",)), (("--motion", "missing.npz"), ("missing.npz",))])
 def test_wrong_options_are_reported(filmed, tmp_path, capsys, change, words):
     argv = of(filmed, tmp_path / "new" / "f.npz")
