@@ -8,8 +8,8 @@ is not cut into blocks. Where a program calls ``ti.init`` itself, before or afte
 
 import os
 from collections.abc import Callable
-from contextlib import redirect_stdout, suppress
-from functools import wraps
+from contextlib import ExitStack, redirect_stdout, suppress
+from functools import partial, wraps
 from io import StringIO
 from pathlib import Path
 from threading import RLock, get_ident
@@ -19,6 +19,7 @@ from doo_ti import running_program
 from doo_ti.errors import InputError
 from doo_ti.kernel_cache import kernel_folder
 from doo_ti.running_program import TAICHI_NAMES
+from doo_ti.terminal import compiling
 
 KERNELS = "TI_OFFLINE_CACHE_FILE_PATH"
 """The environment variable with the folder of Taichi's compiled kernels."""
@@ -149,7 +150,7 @@ def kernel(function: Callable[_Arguments, None]) -> Callable[_Arguments, None]:
     """``function`` as a kernel of Taichi: the one door to kernels.
 
     A launch raises RuntimeError unless its thread is in an :func:`exclusive` function: one that could meet a launch of another
-    thread fails at once and always, also where there is no other thread.
+    thread fails at once and always, also where there is no other thread. The terminal shows when it compiles the kernel first.
     """
     import taichi as ti
 
@@ -159,9 +160,19 @@ def kernel(function: Callable[_Arguments, None]) -> Callable[_Arguments, None]:
     def launch(*arguments: _Arguments.args, **options: _Arguments.kwargs) -> None:
         if _holder != get_ident():
             raise RuntimeError(f"the kernel {function.__name__} is launched outside of runtime.exclusive")
-        compiled(*arguments, **options)
+        with ExitStack() as first:
+            compiled._primal.materialize = partial(_shown, first, compiled._primal)
+            compiled(*arguments, **options)
 
     return launch
+
+
+def _shown(launch: ExitStack, primal, key=None, *rest, **options) -> None:
+    """What Taichi does before it launches a kernel; where it has not been compiled before, the terminal shows until the end of
+    the ``launch`` that it is."""
+    if key not in primal.compiled_kernels:
+        launch.enter_context(compiling())
+    type(primal).materialize(primal, key, *rest, **options)
 
 
 def compiled_briefly(kernel: Callable[_Arguments, None]) -> Callable[_Arguments, None]:

@@ -6,10 +6,28 @@ Names of materials, files and cameras come from others; an escape sequence in on
 import sys
 import threading
 import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 LINE_SECONDS = 30.0
 """Between two lines of a long run whose standard error is no terminal."""
+COMPILING = "compiling …"
+
+_shown: list[Callable[[bool], None]] = []
+"""Those that show the current step on a terminal; each is told whether kernels are being compiled."""
+
+
+@contextmanager
+def compiling() -> Iterator[None]:
+    """What the terminal shows says inside that kernels are being compiled: the step takes long, at its first time on a machine,
+    and is not to be seen to advance."""
+    for show in _shown:
+        show(True)
+    try:
+        yield
+    finally:
+        for show in _shown:
+            show(False)
 
 
 def visible(text: str) -> str:
@@ -46,12 +64,24 @@ def warn(text: str) -> None:
 def busy(doing: str):
     """A context in which a terminal shows the current step; elsewhere a line is printed every :data:`LINE_SECONDS`."""
     from rich.console import Console
-    from rich.text import Text
 
     console = Console(stderr=True)
-    if not console.is_terminal:
-        return _lines_meanwhile(doing)
-    return console.status(Text(visible(doing)))  # as Text: [markup] in a string would be obeyed
+    return _status(console, visible(doing)) if console.is_terminal else _lines_meanwhile(doing)
+
+
+@contextmanager
+def _status(console, doing: str):
+    from rich.text import Text
+
+    with console.status(Text(doing)) as status:  # as Text: [markup] in a string would be obeyed
+        def show(is_compiling: bool) -> None:  # naming the spinner has it drawn at once: Taichi keeps other threads waiting
+            status.update(Text(f"{doing}: {COMPILING}" if is_compiling else doing), spinner="dots")
+
+        _shown.append(show)
+        try:
+            yield
+        finally:
+            _shown.remove(show)
 
 
 @contextmanager
@@ -86,7 +116,11 @@ def progress(*, keep: bool = False):
     from rich.text import Text
 
     class Rate(ProgressColumn):
+        is_compiling = False
+
         def render(self, task) -> Text:
+            if self.is_compiling and not task.finished:
+                return Text(COMPILING)
             speed = task.finished_speed or task.speed
             speed = "" if speed is None else f"{speed:,.{0 if speed >= 10 else 2}f} {task.fields['unit']}/s"
             return Text(task.fields.get("rate", speed))
@@ -101,6 +135,19 @@ def progress(*, keep: bool = False):
         """Reports in lines where there is no terminal."""
 
         reported = time.monotonic()
+
+        def start(self) -> None:
+            super().start()
+            _shown.append(self.show)
+
+        def stop(self) -> None:
+            if self.show in _shown:
+                _shown.remove(self.show)
+            super().stop()
+
+        def show(self, is_compiling: bool) -> None:
+            rate.is_compiling = is_compiling
+            self.refresh()
 
         def update(self, task_id, **changes) -> None:
             super().update(task_id, **changes)
@@ -120,6 +167,6 @@ def progress(*, keep: bool = False):
                 print(f"{in_line(task.description)}: {task.completed:,.0f}{of_all} {task.fields['unit']}{left}",
                       file=sys.stderr, flush=True)
 
-    console = Console(stderr=True)
-    columns = BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[unit]}"), Rate(), TimeRemainingColumn()
+    console, rate = Console(stderr=True), Rate()
+    columns = BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[unit]}"), rate, TimeRemainingColumn()
     return Lines(Description(), *columns, console=console, transient=not keep, disable=not (keep or console.is_terminal))

@@ -4,8 +4,10 @@ import io
 import sys
 import time
 
+import numpy as np
 import pytest
 
+from doo_ti import runtime
 from doo_ti import terminal as terminal_module
 from doo_ti.cli import main
 from doo_ti.terminal import busy, in_line, progress, visible
@@ -59,6 +61,31 @@ def test_long_work_reports_in_lines_without_a_terminal(monkeypatch, capsys, keep
         time.sleep(0.12)
     lines = capsys.readouterr().err.splitlines()
     assert lines[0].startswith(f"refining {SHOWN}: 0 s so far") and len(lines) < 4
+
+
+@pytest.mark.parametrize("shown", ["bar", "busy"])
+def test_a_kernel_s_first_launch_says_that_it_is_compiled(monkeypatch, shown):
+    import taichi as ti
+
+    runtime.start()
+
+    @runtime.kernel
+    def twice(values: ti.types.ndarray(dtype=ti.f32, ndim=1)):
+        for k in values:
+            values[k] *= 2.0
+
+    values = np.ones(3, dtype=np.float32)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setattr(sys, "stderr", terminal := Terminal())
+    with progress() if shown == "bar" else busy("growth") as bar:
+        if shown == "bar":
+            bar.add_task("growth", total=2, unit="edges")
+        for said in (True, False):
+            terminal.truncate(0)
+            runtime.exclusive(twice)(values)
+            assert ("compiling" in terminal.getvalue()) == said
+    assert values.tolist() == [4, 4, 4] and not terminal_module._shown
 
 
 @pytest.mark.parametrize("code", [0, 2])
