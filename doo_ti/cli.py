@@ -31,6 +31,7 @@ from doo_ti.commands import (
     track,
     twist,
     view,
+    warm,
 )
 from doo_ti.commands.help_text import nearest, overview
 from doo_ti.errors import InputError, InterruptedRunError
@@ -176,6 +177,6 @@ def _parser() -> _Parser:
     parser.add_argument("--version", action="version", version=f"doo-ti {__version__}")
     add = parser.add_subparsers(dest="command", required=True, metavar="COMMAND").add_parser
     for commands in (relax, sweep, learn, refine, predict, simulate, group, identify, twist, plan, view, synth, bench, cameras,
-                     perceive, track):
+                     perceive, track, warm):
         commands.declare(add)
     return parser

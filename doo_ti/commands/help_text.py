@@ -8,7 +8,7 @@ GROUPS = {
     "Predict shapes": ("relax", "group", "predict", "twist"),
     "Images": ("calibrate", "triangulate", "perceive", "track"),
     "Motion": ("simulate", "identify"),
-    "Utilities": ("synth", "convert", "view", "bench"),
+    "Utilities": ("synth", "convert", "view", "bench", "warm"),
 }
 """Commands by what they are for, in the order of their use."""
 EXAMPLES = {
@@ -54,6 +54,7 @@ EXAMPLES = {
                 ("convert suture.npz suture.parquet", "to a table for other programs")),
     "view": ("recording", ("view runs/vicryl", "a recording in the viewer's window"),
              ("view runs/vicryl --screenshot run.png", "as a picture, without a display")),
+    "warm": ("library", ("warm perceive track", "before the first images"), ("warm", "for all commands, in minutes")),
     "bench": ("chain", ("bench", "throughput and accuracy on this machine, as a table"),
               ("bench --out bench", "and as files")),
 }
