@@ -92,10 +92,10 @@ def test_images_longer_than_any_camera_takes(tmp_path, size):
     assert read_image(tmp_path / "good.png").shape == (20, 30)
 
 
-@pytest.mark.parametrize("suffix", ["jpg", "tiff"])
+@pytest.mark.parametrize("suffix", ["jpg", "tiff", "png", "bmp", "ppm"])
 def test_the_size_that_an_image_states_is_known_before_it_is_unpacked(tmp_path, suffix):
     cv2 = pytest.importorskip("cv2")
-    content = cv2.imencode(f".{suffix}", np.zeros((20, 30), dtype=np.uint8))[1].tobytes()
+    content = cv2.imencode(f".{suffix}", np.zeros((20, 30, 3), dtype=np.uint8))[1].tobytes()
     assert sorted(stated_size(content)) == [20, 30]
     for short in range(0, len(content), 7):
         assert len(stated_size(content[:short])) in (0, 1, 2)

@@ -8,20 +8,25 @@ import io
 import multiprocessing
 import pickle
 import struct
+import time
 import zipfile
+import zlib
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pyarrow
 import pyarrow.parquet
 import pytest
 
+from doo_ti import Observations
 from doo_ti.errors import InputError
 from tests.io.test_formats import CABLE, MARKS, motive, nexus, table, usda
 
 resource = pytest.importorskip("resource", reason="the memory of a process is limited on Unix only")
 ROOT = Path(__file__).parents[2]
 MOST_BYTES, MOST_ADDRESSES, MOST_SECONDS = 1 << 30, 8 << 30, 300
+MOST_SECONDS_EACH = 10.0
 DAMAGED = 60
 """Copies of each good file."""
 
@@ -113,7 +118,34 @@ def small() -> dict[str, bytes]:
         "rows.parquet": parquet(10_000_000), "damaged.stl": b"solid \xe9\xff" + bytes(range(256)),
         "entities.xml": f'<!DOCTYPE m [<!ENTITY a0 "{"x" * 900}">{ENTITIES}]><mujoco>&a9;</mujoco>'.encode("utf-16"),
         "count.stl": bytes(80) + b"\xff" * 4 + bytes(50), "elements.ply": HEAVY + b"\xff" * 40,
-        "charset.obj": b"v 0 0 \xff\xfe\x81\n"}
+        "charset.obj": b"v 0 0 \xff\xfe\x81\n", "points.xyz": b"1 2 3\n\n" * 1400, **images()}
+
+
+def images() -> dict[str, bytes]:
+    """Images whose few bytes state many pixels, of every format that OpenCV knows, some under another one's name."""
+    size, most = 30_000, 9_900
+
+    def png(width: int, height: int) -> bytes:
+        parts = (b"IHDR" + struct.pack(">IIBBBBB", width, height, 16, 6, 0, 0, 0),
+                 b"IDAT" + zlib.compress(bytes(9_000_000))[:9000], b"IEND")
+        return b"\x89PNG\r\n\x1a\n" + b"".join(
+            struct.pack(">I", len(part) - 4) + part + struct.pack(">I", zlib.crc32(part)) for part in parts)
+
+    def bmp(side: int) -> bytes:
+        return b"BM" + struct.pack("<IHHI", 1080, 0, 0, 1078) + struct.pack(
+            "<IiiHHIIiiII", 40, side, side, 1, 8, 1, 4, 0, 0, 256, 0) + bytes(1024) + b"\0\1"
+
+    gif = b"GIF89a" + struct.pack("<HHBBB", size, size, 0x80, 0, 0) + bytes(6) + b"\x2c" + struct.pack(
+        "<HHHHB", 0, 0, size, size, 0) + b"\x02\x02\x44\x01\x00\x3b"
+    tags = ((256, 4, most), (257, 4, most), (258, 3, 8), (259, 3, 8), (262, 3, 1), (273, 4, 8), (277, 3, 1), (278, 4, most),
+            (279, 4, 9))
+    tiff = struct.pack("<2sHIH", b"II", 42, 8, len(tags)) + b"".join(
+        struct.pack("<HHII", tag, kind, 1, value) for tag, kind, value in tags) + bytes(4)
+    radiance = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y %d +X %d\n" % (size, size)
+    return {"large.png": png(size, size), "most.png": png(most, most), "gif.png": gif, "large.gif": gif, "large.bmp": bmp(size),
+            "most.bmp": bmp(most), "most.tif": tiff, "sunk.ras": struct.pack(">8I", 0x59A66A95, size, size, 8, 0, 2, 0, 0),
+            "large.pgm": b"P5 %d %d 255\n" % (size, size), "most.pgm": b"P2\n# a\n%d %d\n255\n0 0" % (most, most),
+            "most.pfm": b"Pf\n%d %d\n-1.0\n" % (most, most), "large.hdr": radiance}
 
 
 CORNERS, FACES = np.array([[0.0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]]), [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]
@@ -135,6 +167,8 @@ def good() -> dict[str, bytes]:
                                                                                 for a, b, c in FACES),
         "a.ply": TETRAHEDRON + corners + "".join("3 %d %d %d\n" % tuple(face) for face in FACES)}
     return {name: text.encode() for name, text in texts.items()} | {
+        "a.png": cv2.imencode(".png", np.eye(40, dtype=np.uint8))[1].tobytes(),
+        "a.jpg": cv2.imencode(".jpg", np.eye(40, dtype=np.uint8))[1].tobytes(),
         "a.npz": archive.getvalue(), "a.parquet": columns.getvalue(), "a.pkl": pickle.dumps(list(MARKS), 4),
         "a.stl": bytes(80) + struct.pack("<I", 4) + b"".join(triangles)}
 
@@ -152,6 +186,8 @@ def damaged(content: bytes, rng) -> bytes:
 
 def readers() -> dict[str, list]:
     """Whatever reads a file with that suffix."""
+    from doo_ti.commands.refine import read_groups
+    from doo_ti.commands.seen_rods import load_frames, read_rest_length
     from doo_ti.contact.distance_grid import DistanceGrid
     from doo_ti.contact.obstacle_file import load_obstacles, obstacles_of
     from doo_ti.dynamics.scene import load_dynamic_scene
@@ -164,24 +200,33 @@ def readers() -> dict[str, list]:
     from doo_ti.io.observations import load_observations
     from doo_ti.io.pickled_arrays import read_pickled_array
     from doo_ti.io.scene import load_scene
+    from doo_ti.learning.chunks import read_columns
+    from doo_ti.learning.pairs import load_pairs
     from doo_ti.learning.summary import read_table
+    from doo_ti.twist.curves import load_offsets
     from doo_ti.vision.cameras.rig import load_rig
     from doo_ti.vision.cameras.views import read_views
-    from doo_ti.vision.detection.images import load_sets
+    from doo_ti.vision.detection.images import load_sets, read_image
 
     def read_motion_scene(path):
         found = load_motion_scene(path)
         obstacles_of(path, found.obstacles, found.path.states(found.between))
 
-    rig = load_rig(ROOT / "scenes/rig.yaml")
+    rig, seen = load_rig(ROOT / "scenes/rig.yaml"), Observations(MARKS, rest_length=np.ones(3))
     curves = [load_observations, lambda path: read_recording(path, rate=10.0)]
     mesh = [lambda path: DistanceGrid.from_mesh(path, 3.0)]
     return {
         ".csv": [*curves, load_path, lambda path: read_marks(path, rig), lambda path: read_labels(path, ("a",)), read_views,
-                 lambda path: load_sets(path, rig)],
-        ".npz": [*curves, load_path], ".json": [load_theta, read_table], ".yaml": [load_rig], ".pkl": [read_pickled_array],
+                 lambda path: load_sets(path, rig), lambda path: load_frames(path, rig), lambda path: load_pairs(path, seen),
+                 lambda path: load_offsets(path, seen)],
+        ".npz": [*curves, load_path, lambda path: read_rest_length(str(path)), lambda path: load_offsets(path, seen),
+                 lambda path: read_groups(f"{path}:vertices_mm", seen)],
+        **dict.fromkeys((".png", ".jpg", ".gif", ".bmp", ".tif", ".ras", ".pgm", ".pfm", ".hdr"), [read_image]),
+        ".json": [load_theta, read_table], ".yaml": [load_rig], ".pkl": [read_pickled_array],
         ".toml": [load_scene, read_motion_scene, load_dynamic_scene, load_group_scene, load_obstacles],
-        ".stl": mesh, ".ply": mesh, ".obj": mesh, **dict.fromkeys((".parquet", ".xml", ".usda", ".txt"), curves)}
+        ".stl": mesh, ".ply": mesh, ".obj": mesh, **dict.fromkeys((".xml", ".usda"), curves),
+        ".parquet": [*curves, lambda path: read_columns(path, ["x"])], ".xyz": curves,
+        ".txt": [*curves, lambda path: read_rest_length(str(path))]}
 
 
 def read_all(folder: Path, answers) -> None:
@@ -193,6 +238,7 @@ def read_all(folder: Path, answers) -> None:
     wrong, before = [], resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     for path in sorted(folder.iterdir()):
         for number, read in enumerate(by_suffix[path.suffix]):
+            began = time.process_time()
             try:
                 read(path)
             except InputError as error:
@@ -200,6 +246,8 @@ def read_all(folder: Path, answers) -> None:
                     wrong.append((path.name, number, str(error)))
             except BaseException as error:
                 wrong.append((path.name, number, repr(error)[:300]))
+            if (spent := time.process_time() - began) > MOST_SECONDS_EACH:
+                wrong.append((path.name, number, f"{spent:.1f} s"))
             most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
             if 1024 * (most - before) > MOST_BYTES:
                 wrong.append((path.name, number, f"{most - before} KiB"))

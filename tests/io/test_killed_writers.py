@@ -1,4 +1,4 @@
-"""A process that is killed while it writes leaves under a file's name what was there before, or the whole file: never a part."""
+"""A process that is killed while it writes leaves under a file's name what was there before, or the whole file."""
 
 import os
 import signal

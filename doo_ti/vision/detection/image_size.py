@@ -1,8 +1,11 @@
 """The size that an image file states, before it is unpacked: a few bytes may state one that fills the memory."""
 
+import re
 import struct
 
-PNG, JPEG = b"\x89PNG", b"\xff\xd8"
+PNG, JPEG, BMP = b"\x89PNG", b"\xff\xd8", b"BM"
+PNM = re.compile(rb"P[1-6]\s+(?:#[^\n]*\n\s*)*(\d{1,9})\s+(?:#[^\n]*\n\s*)*(\d{1,9})\s")
+KNOWN = "PNG, JPEG, TIFF, BMP, PGM or PPM"
 TIFF = {b"II*\0": "<", b"MM\0*": ">"}
 """Beginnings of files, and the order of bytes."""
 _NO_FRAME = (0xC4, 0xC8, 0xCC)
@@ -11,12 +14,17 @@ _WIDTH, _HEIGHT = 256, 257
 
 
 def stated_size(content: bytes) -> tuple[int, ...]:
-    """Width and height of a PNG, JPEG or TIFF file, or its height and width; nothing for other and damaged files."""
+    """Width and height of an image file of a format that is :data:`KNOWN`, or its height and width; nothing for other and
+    damaged files."""
     try:
         if content.startswith(PNG):
             return struct.unpack(">II", content[16:24])
         if content.startswith(JPEG):
             return _of_jpeg(content)
+        if content.startswith(BMP):
+            return tuple(map(abs, struct.unpack("<ii", content[18:26])))
+        if stated := PNM.match(content[:1000]):
+            return tuple(map(int, stated.groups()))
         if content[:4] in TIFF:
             return _of_tiff(content, TIFF[content[:4]])
     except struct.error:  # it ends before

@@ -20,16 +20,18 @@ from doo_ti.io.csv_table import CsvTable, read_csv
 from doo_ti.io.files import read_content
 from doo_ti.vision.cameras.camera import MOST_SIDE, Camera
 from doo_ti.vision.cameras.rig import Rig
-from doo_ti.vision.detection.image_size import stated_size
+from doo_ti.vision.detection.image_size import KNOWN, stated_size
 
 SEED = ("seed_x", "seed_y", "seed_z", "dir_x", "dir_y", "dir_z")
 FEWEST_CAMERAS = 2
 _changing, _silent = Lock(), []
 """One copy of the original standard error for each image that is being decoded."""
+MOST_PIXELS = 100_000_000
+"""Of an image: while it is unpacked each takes up to eight bytes."""
 
 
 def read_image(path: str | os.PathLike[str], camera: Camera | None = None) -> np.ndarray:
-    """(H, W) uint8 grey levels of any image file that OpenCV reads, turned as its orientation tag says.
+    """(H, W) uint8 grey levels of an image file, PNG, JPEG, TIFF, BMP, PGM or PPM, turned as its orientation tag says.
 
     camera  that took the image
 
@@ -41,14 +43,15 @@ def read_image(path: str | os.PathLike[str], camera: Camera | None = None) -> np
         cv2.setLogLevel(0)  # the caller reports on damaged files; OpenCV shall not do so as well
     path = Path(path)
     stored = np.frombuffer(read_content(path, remedy="name a readable image"), dtype=np.uint8)
-    _check_side(path, *stated_size(stored.tobytes()))  # before it is unpacked
+    sides = stated_size(stored.tobytes())
+    _check_side(path, *sides)  # before it is unpacked: a few bytes may state one that fills the memory
     try:
         with _silenced():
-            image = cv2.imdecode(stored, cv2.IMREAD_GRAYSCALE) if stored.size else None
+            image = cv2.imdecode(stored, cv2.IMREAD_GRAYSCALE) if sides else None
     except cv2.error:
         image = None
     if image is None:
-        raise InputError(path, "file", "cannot be read as an image", "give a PNG, JPEG or TIFF file")
+        raise InputError(path, "file", "cannot be read as an image", f"give a {KNOWN} file")
     _check_side(path, *image.shape)
     if camera is not None and image.shape != (camera.height, camera.width):
         raise InputError(path, "size", f"{image.shape[1]} x {image.shape[0]} px, but {camera.name} of {camera.source} takes "
@@ -57,8 +60,10 @@ def read_image(path: str | os.PathLike[str], camera: Camera | None = None) -> np
 
 
 def _check_side(path: Path, *sides: int) -> None:
-    if max(sides, default=0) > MOST_SIDE:
-        raise InputError(path, "size", f"{' x '.join(map(str, sides))} px", f"give images of at most {MOST_SIDE:,} px a side")
+    """Raise InputError for an image that is larger than memory should hold."""
+    if max(sides, default=0) > MOST_SIDE or np.prod(sides, dtype=float) > MOST_PIXELS:
+        raise InputError(path, "size", f"{' x '.join(map(str, sides))} px",
+                         f"give images of at most {MOST_SIDE:,} px a side and {MOST_PIXELS / 1e6:,.0f} megapixels")
 
 
 @contextmanager
