@@ -2,7 +2,7 @@
 
 An array may have a shape, ``Annotated[np.ndarray, "R E 4"]``, or several, ``"E | 1R E"``. A letter is one number for all fields
 of an object or arguments of a call; ``1R`` is that or one, ``V-1`` one less, and ``()`` a scalar. Of an object with a ``count``
-the shape is that many rows, ``Annotated[Clamps, "R"]``.
+the shape is that many rows, ``Annotated[Clamps, "R"]``. Entries may have a kind, ``Annotated[np.ndarray, "R", int]``.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -14,8 +14,9 @@ from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 import numpy as np
 from numpy.typing import ArrayLike
 
-NUMERIC = "fiub"
-"""NumPy's letters of the kinds of dtype of numbers and flags."""
+KINDS = {float: "fiub", int: "iu", bool: "b"}
+"""NumPy's letters of the kinds of dtype of numbers, or of whole ones or flags alone."""
+NUMERIC = KINDS[float]
 MOST_SHOWN = 40
 """Characters of a value in a message."""
 INDEX_BITS = 63
@@ -136,9 +137,9 @@ class _Interface(Rule):
 
 
 class _Array(Rule):
-    """Numbers or flags, in an array or in lists."""
+    """Numbers or flags, in an array or in lists; of a ``kind``, only whole numbers or flags."""
 
-    wanted = "numbers"
+    wanted, kind = "numbers", float
 
     def take(self, value: Any) -> Any:
         if isinstance(value, np.ndarray):
@@ -150,9 +151,9 @@ class _Array(Rule):
                 array = np.asarray(value)
             except (TypeError, ValueError, OverflowError):
                 raise Mismatch("rows of different lengths, or not numbers", self.wanted) from None
-        if array.dtype.kind not in NUMERIC:
-            problem = _shown(value) if array.dtype.kind == "O" else f"dtype {array.dtype} is not numeric"
-            raise Mismatch(problem, self.wanted)
+        if array.dtype.kind not in KINDS[self.kind] and (array.size or array.dtype.kind not in NUMERIC):
+            problem = _shown(value) if array.dtype.kind == "O" else f"dtype {array.dtype}"
+            raise Mismatch(problem, {int: "whole numbers", bool: "flags"}.get(self.kind, self.wanted))
         return array
 
 
@@ -199,7 +200,7 @@ class _Either(Rule):
         self.array = next((rule for rule in rules if isinstance(rule, _Array)), None)
 
     def take(self, value: Any) -> Any:
-        if isinstance(value, np.ndarray) and self.array is not None and value.dtype.kind in NUMERIC:
+        if isinstance(value, np.ndarray) and self.array is not None and value.dtype.kind in KINDS[self.array.kind]:
             return value
         return super().take(value)
 
@@ -221,7 +222,7 @@ def rule_of(annotation: Any) -> Rule | None:
     """None where any value will do."""
     origin, parts = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
-        return _shaped(rule_of(parts[0]), parts[1].split("|"))
+        return _shaped(rule_of(parts[0]), parts[1].split("|"), *parts[2:])
     if origin in (Union, UnionType):
         every = set(parts)
         rules = [_Array()] if every >= _ARRAY or np.ndarray in every else []
@@ -256,9 +257,11 @@ def _of_class(annotation: type) -> Rule:
     return _Table() if annotation is dict else _Items(annotation) if annotation in (list, tuple) else _Instance(annotation)
 
 
-def _shaped(rule: Rule | None, shapes: list[str]) -> Rule:
-    """``rule`` with those shapes for its arrays."""
+def _shaped(rule: Rule | None, shapes: list[str], kind: type | None = None) -> Rule:
+    """``rule`` with those shapes for its arrays, and their entries of that ``kind``."""
     rule = _Array() if rule is None else rule
+    if kind is not None:
+        (rule.array if isinstance(rule, _Either) else rule).kind = kind
     rule.shapes = tuple(_Shape(words) for words in shapes)
     return rule
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from doo_ti.arguments import typed
 from doo_ti.errors import MOST_EDGES, InputError, real_array, require_whole
 from doo_ti.frames import across, bishop_frames, quaternion_from_matrix
-from doo_ti.types import Configuration
+from doo_ti.types import LARGEST, Configuration
 
 EQUALISATIONS = 60
 """Rounds in which the vertices along a curve are moved until all edges have their lengths."""
@@ -40,13 +40,13 @@ def rod_along(points: ArrayLike, edges: int | ArrayLike) -> Configuration:
     that are not positive.
     """
     points = real_array("rod_along", "points", points, "give points (N, 3) in mm").astype(np.float64)
-    if points.ndim != 2 or points.shape[-1:] != (3,) or len(points) < 2 or not np.isfinite(points).all():
+    if points.ndim != 2 or points.shape[-1:] != (3,) or len(points) < 2 or not (np.abs(points) <= LARGEST).all():
         raise InputError("rod_along", "points", f"shape {points.shape}, or not finite", "give at least two points (N, 3) in mm")
     if np.ndim(edges) == 0:
         require_whole("rod_along", "edges", edges, 2, MOST_EDGES)
         edges = np.ones(edges)
     shares = real_array("rod_along", "edges", edges, "give a number, or the lengths of at least two").astype(np.float64)
-    if shares.ndim != 1 or len(shares) < 2 or not ((shares > 0) & (shares < np.inf)).all():
+    if shares.ndim != 1 or len(shares) < 2 or not ((shares > 0) & (shares <= LARGEST)).all():
         raise InputError("rod_along", "edges", f"shape {shares.shape}, or not positive", "give the lengths of at least two")
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=-1))])
     if not arc[-1] > 0:
@@ -76,7 +76,7 @@ def overhand_knot(length: float, edges: int, *, radius: float, loop: float, fine
     its knot.
     """
     for name, value in (("length", length), ("radius", radius), ("loop", loop), ("finer", 1.0 if finer is None else finer)):
-        if not 0 < value < np.inf:
+        if not 0 < value <= LARGEST:
             raise InputError("overhand_knot", name, f"{value!r}", "give a positive number")
     require_whole("overhand_knot", "edges", edges, 2, MOST_EDGES)
     half, offset = max(BRAID * radius, WIDE_BRAID * np.sqrt(radius * loop)), APART * radius

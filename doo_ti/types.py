@@ -237,11 +237,11 @@ class Solution:
     energy: Annotated[np.ndarray, "R"]
     residual: Annotated[np.ndarray, "R"]
     closure: Annotated[np.ndarray, "R"]
-    iterations: Annotated[np.ndarray, "R"]
-    status: Annotated[np.ndarray, "R"]
-    stable: Annotated[np.ndarray, "R"]
+    iterations: Annotated[np.ndarray, "R", int]
+    status: Annotated[np.ndarray, "R", int]
+    stable: Annotated[np.ndarray, "R", bool]
     end_force: Annotated[np.ndarray, "R 3"]
-    precision: Annotated[np.ndarray, "R"]
+    precision: Annotated[np.ndarray, "R", int]
     tables: object = field(default=None, repr=False)
     contact_force: Annotated[np.ndarray | None, "R V 3"] = None
 

@@ -315,7 +315,7 @@ def output_file(text: str | Path, suffix: str | tuple[str, ...] | None = None, o
         checked_suffix(path)
     elif path.suffix not in wanted:
         raise InputError(SOURCE, option, f"suffix {path.suffix!r} of {path}", f"name a file that ends in {' or '.join(wanted)}")
-    if path.is_dir():
+    if os.path.isdir(path):
         raise InputError(SOURCE, option, f"{path} is a folder", "name a file")
     if len(os.fsencode(path.name)) > LONGEST_NAME:
         raise InputError(SOURCE, option, f"{path.name[:20]}… is too long a name", f"name a file in {LONGEST_NAME} bytes")
@@ -325,7 +325,7 @@ def output_file(text: str | Path, suffix: str | tuple[str, ...] | None = None, o
 
 def refuse_overwriting(out: Path, source: str, option: str = "--out") -> None:
     """Raise InputError where the file to write is also the one to read."""
-    if out.exists() and Path(source).exists() and out.samefile(source):
+    if os.path.exists(out) and os.path.exists(source) and out.samefile(source):
         raise InputError(SOURCE, option, f"{out} is the input itself", "name another file")
 
 
@@ -352,7 +352,7 @@ def _decimal(option: str, text: str, wanted: str, minimum: float = -np.inf) -> f
 def _check_folder(folder: Path, option: str = "--out") -> None:
     """Raise InputError unless files can be written in ``folder``, which may not exist yet."""
     existing = next(path for path in (folder, *folder.absolute().parents) if os.path.lexists(path))
-    if not existing.is_dir():
+    if not os.path.isdir(existing):
         raise InputError(SOURCE, option, f"{existing} is a file, not a folder", "name another folder")
     if not os.access(existing, os.W_OK | os.X_OK):
         raise InputError(SOURCE, option, f"{existing} is not writable", "name another folder")

@@ -1,6 +1,7 @@
 """Material parameters with intervals, fitted from a grid's best cells or from one Θ (§III-E)."""
 
 import json
+import os
 from argparse import Namespace
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -169,7 +170,7 @@ def _draw(landscape, found, path: Path) -> Path | None:
 def _task(options: Namespace, source: str, starts: int) -> Task:
     """The task of ``source``, a run's folder or a file of observations, checked."""
     density = given.positive("--linear-density", options.linear_density, "g/m")
-    if Path(source).is_dir():
+    if os.path.isdir(source):
         observations, thetas, kinds, weight, around, landscape = _of_run(options, Path(source), starts)
         density = run_density(Path(source)) if density is None else density
     else:

@@ -1,5 +1,6 @@
 """The tasks of `doo-ti perceive` and `doo-ti track`: their options and files, checked before any image is read."""
 
+import os
 import re
 from argparse import Namespace
 from dataclasses import dataclass
@@ -125,7 +126,7 @@ def read_rest_length(text: str) -> np.ndarray:
     """(E,) mm, from ``3:33`` or a file."""
     option, remedy = "--rest-length", "give MM:COUNT, such as 3:33, or a file of lengths in mm"
     length, _, count = text.partition(":")
-    if count and not Path(text).exists():
+    if count and not os.path.exists(text):
         edges, each = given.whole(option, count, 2, MOST_EDGES), given.length(option, length)
         if not LEAST_MM <= each <= MOST_MM:
             raise InputError(given.SOURCE, option, f"edges of {each:g} mm", f"give {LEAST_MM:g} to {MOST_MM:g} mm")
@@ -219,7 +220,7 @@ def load_frames(path: Path, rig):
     cameras = cameras_in(table, rig, ("frame", "time_s", *SEED))
     paths = images_in(table, cameras)
     for camera, name in enumerate(cameras):
-        table.refuse(name, np.array([not images[camera].is_file() for images in paths]), "is not a file",
+        table.refuse(name, np.array([not os.path.isfile(images[camera]) for images in paths]), "is not a file",
                      "name an image, relative to this file")
     seeded = np.array([row == 0 or any(table.columns[key][row] for key in SEED) for row in range(table.count)])
     seeds = np.stack([table.rows(seeded).numbers(key) for key in SEED], axis=-1)[np.cumsum(seeded) - 1]

@@ -1,6 +1,7 @@
 """The search over a grid (§III-E)."""
 
 import json
+import os
 import shlex
 import time
 from argparse import Namespace
@@ -114,13 +115,13 @@ def _searches(options: Namespace) -> list[_Search]:
     if len(set(names)) < len(names):
         twice = max(names, key=names.count)
         raise InputError(given.SOURCE, "SOURCE", f"two of the name {twice!r}", "name the scenes or files apart")
-    if (out / "cells").exists():
+    if os.path.exists(out / "cells"):
         raise InputError(out, "--out", "holds the sweep of a single source", "name another folder")
     return [replace(search, run=out / name) for search, name in zip(searches, names, strict=True)]
 
 
 def _search(options: Namespace, source: str, run: Path) -> _Search:
-    if not Path(source).exists():
+    if not os.path.exists(source):
         raise InputError(source, "file", "no such file", "name a scene or observations")
     if Path(source).suffix == ".toml":
         scene = load_scene(source)

@@ -1,5 +1,6 @@
 """Observations to files: from the virtual lab (§V-A), with images of its rods if wanted, and from one format to another."""
 
+import os
 from argparse import Namespace
 from dataclasses import fields, replace
 from pathlib import Path
@@ -49,7 +50,7 @@ def run_convert(options: Namespace, words: list[str]) -> int:
     one npz."""
     out = given.output_file(options.out, option="OUT")
     source = Path(options.observations)
-    if source.suffix == ".pkl" or source.is_dir():
+    if source.suffix == ".pkl" or os.path.isdir(source):
         if out.suffix != ".npz":
             raise InputError(given.SOURCE, "OUT", f"{out.name!r}", "name a .npz file for recorded motion")
         save_recordings(out, *read_recordings(source))

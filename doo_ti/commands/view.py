@@ -47,8 +47,8 @@ def declare(add) -> None:
 def run(options: Namespace, words: list[str]) -> int:
     """Open the rerun viewer on a run, serve it, or save its picture; of an unfinished sweep with the cells stored so far."""
     path = Path(options.recording)
-    if not path.exists() or (path.is_file() and path.suffix != ".rrd"):
-        problem = "not a recording" if path.exists() else "no such file or directory"
+    if not os.path.exists(path) or (os.path.isfile(path) and path.suffix != ".rrd"):
+        problem = "not a recording" if os.path.exists(path) else "no such file or directory"
         raise InputError(path, "run", problem, "name the folder of a run, or an .rrd file")
     unfinished = path.is_dir() and not (path / RECORDING).exists() and (path / PLAN).exists()
     out = given.output_folder(options.out)

@@ -3,6 +3,7 @@
 Axes: R recordings, T frames, V markers.
 """
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ def read_recordings(path: Path) -> tuple[np.ndarray, np.ndarray]:
     Each pickle holds T frames (3, V) in m. Raises InputError for other content, and for recordings of different shapes.
     """
     path = Path(path)
-    paths = [path] if not path.is_dir() else sorted(path.glob("*.pkl"), key=_number)
+    paths = [path] if not os.path.isdir(path) else sorted(path.glob("*.pkl"), key=_number)
     if not 1 <= len(paths) <= MOST_RECORDINGS:
         raise InputError(path, "folder", f"{len(paths)} files *.pkl", "name a folder of recordings")
     found = []

@@ -7,6 +7,7 @@
     .usda             curves of USD scenes
 """
 
+import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -64,7 +65,7 @@ def read_curves(path: Path, columns=None) -> Curves | None:
 
 def _opened(path: Path) -> tuple[bytes, Callable[..., Curves] | None]:
     """The bytes of a file, and the reader of curves for it; None where it is in a format of this package."""
-    if path.is_file():  # else the reason is that it is missing, or a folder
+    if os.path.isfile(path):  # else the reason is that it is missing, or a folder
         checked_suffix(path, (*OWN, *OF_OTHERS))
     most = MOST_CSV_BYTES if path.suffix == ".csv" else MOST_TEXT_BYTES if path.suffix in OF_OTHERS else MOST_BYTES
     content = read_content(path, most)

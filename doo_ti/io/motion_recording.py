@@ -8,6 +8,7 @@
 Axes: R recordings, T frames, V markers.
 """
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -55,7 +56,7 @@ def read_recording(path: str | Path, unit: str | None = None, columns: Mapping[s
     Raises InputError for files that cannot be read, and where neither the file nor ``rate`` states the rate.
     """
     path = Path(path)
-    if path.suffix == ".npz" or path.suffix == ".pkl" or path.is_dir():
+    if path.suffix == ".npz" or path.suffix == ".pkl" or os.path.isdir(path):
         if columns is not None:
             raise InputError(path, "columns", "the file has no columns", "leave `columns` out")
         found = _of_arrays(path, rate) if path.suffix == ".npz" else _of_cable_data(path, rate)

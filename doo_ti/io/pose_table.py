@@ -12,6 +12,7 @@ Names are known in any case, with points or slashes for underscores, and as logs
 in ``_deg`` are degrees. Other columns are ignored.
 """
 
+import os
 import re
 from collections.abc import Mapping
 from difflib import get_close_matches
@@ -80,7 +81,7 @@ def holds_poses(path: Path) -> bool:
         names = tuple(f"{end}_{what}" for end in ENDS for what in ("position_mm", "frame", "quaternion"))
         found = read_npz(path, read_content(path), (*names, "positions_mm")).keys()
         return bool(found) and "positions_mm" not in found
-    if path.suffix != ".csv" or not path.is_file():
+    if path.suffix != ".csv" or not os.path.isfile(path):
         return False
     try:
         columns = {_plain(name): name for name in read_csv(path, ()).columns}

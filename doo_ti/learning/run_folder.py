@@ -64,7 +64,7 @@ def claim(run: Path, identity: str, experiment: Experiment) -> None:
     path, made = run / "cells" / IDENTITY, maker_text(maker())
     for folder in (run, path.parent, run / "hypotheses"):
         remove_leftovers(folder)
-    if not path.exists():
+    if not os.path.exists(path):
         if not _is_free(run) and not path.exists():  # checked again: another process may have claimed and filled it
             raise InputError(run, "run", "the folder holds something else than a sweep", "name another folder")
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -93,7 +93,7 @@ def _save_text(path: Path, text: str) -> None:
 
 def _save_once(path: Path, save, content) -> None:
     """Have ``save`` write ``content``, unless the file holds exactly that: an incomplete or changed file is replaced."""
-    if path.is_file():
+    if os.path.isfile(path):
         with TemporaryDirectory() as folder:
             own = Path(folder) / path.name
             save(own, content)

@@ -111,7 +111,7 @@ def _digests(run: Path, names: list[str]) -> dict[str, str | None]:
 
 
 def _digest(path: Path) -> str | None:
-    if not path.is_file():
+    if not os.path.isfile(path):
         return None
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

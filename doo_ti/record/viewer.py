@@ -64,8 +64,8 @@ def free_port() -> int:
 def running_viewer(path, *options: str, log=subprocess.DEVNULL) -> Iterator[subprocess.Popen]:
     """The process of the viewer on a recording, as a context that ends it; errors go to the file ``log``. Raises InputError
     where there is no recording."""
-    file = Path(path) / FILE if Path(path).is_dir() else Path(path)
-    if not file.is_file():
+    file = Path(path) / FILE if os.path.isdir(path) else Path(path)
+    if not os.path.isfile(file):
         raise InputError(path, FILE, "there is no recording", "name a folder that doo-ti sweep has written")
     # By default the viewer listens on every network interface.
     command = [_program(), "--bind", "127.0.0.1", *options, str(file)]

@@ -4,6 +4,7 @@ A list of views is a CSV file: a column ``view`` with names, and a column for ea
 relative to the file, empty where that camera did not see the view.
 """
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,7 +49,7 @@ def read_views(path: Path) -> Views:
     images = {(view, camera): path.parent / table.columns[name][view] for view in range(table.count)
               for camera, name in enumerate(cameras) if table.columns[name][view]}
     for (view, camera), image in images.items():
-        if not image.is_file():
+        if not os.path.isfile(image):
             raise InputError(path, cameras[camera], f"no such file: {image} (view {names[view]})", "correct the path")
     return Views(names, cameras, images, str(path))
 
