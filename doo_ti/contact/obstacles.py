@@ -60,7 +60,7 @@ class Obstacle:
             if field.name in self.positive and not (value > 0).all():
                 raise InputError(name, field.name, f"{value.min():g}", "give a positive length in mm")
             value = value.reshape(-1, *size)
-            if len(value) not in (1, count) and count > 1:
+            if not len(value) or len(value) not in (1, count) and count > 1:
                 raise InputError(name, field.name, f"{len(value)} rows beside {count}", "give one, or one for each rod")
             count = max(count, len(value))
             value.setflags(write=False)

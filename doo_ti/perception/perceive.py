@@ -30,7 +30,7 @@ from doo_ti.perception.growth import rank_distinct
 from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search
 from doo_ti.perception.shape_uncertainty import vertex_sigma
 from doo_ti.short_repr import short_repr
-from doo_ti.types import Configuration, Material, Status
+from doo_ti.types import LARGEST, Configuration, Material, Status, unit_up
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.reprojection.distance_map import DistanceMaps
 from doo_ti.vision.reprojection.score import score
@@ -155,22 +155,31 @@ def perceive(
 
 
 def _checked(maps, rig, point, direction, rest_length, material, up, options) -> Search:
-    sets = len(maps.window)
+    point, direction = checked_seeds("perceive", point, direction, len(maps.window))
+    rest_length, up = checked_rod("perceive", rest_length, material, up)
+    return Search(maps, rig, point, direction, rest_length, material, up, options)
+
+
+def checked_seeds(function: str, point: ArrayLike, direction: ArrayLike, sets: int) -> tuple[np.ndarray, np.ndarray]:
+    """(A, 3) points, and unit directions. Raises InputError, naming ``function``."""
     point, direction = (np.atleast_2d(np.asarray(value, dtype=np.float64)) for value in (point, direction))
     for name, value in (("point", point), ("direction", direction)):
-        if value.shape != (sets, 3) or not np.isfinite(value).all():
-            raise InputError("perceive", name, f"shape {value.shape}", f"give ({sets}, 3) finite numbers, a row for each set")
-    up = np.asarray(up, dtype=np.float64)
-    for name, value in (("direction", direction), ("up", up[None] if up.shape == (3,) else np.zeros((1, 3)))):
-        if not (np.linalg.norm(value, axis=-1) > 0).all():
-            raise InputError("perceive", name, "no direction", "give a vector of some length")
-    rest_length = np.asarray(rest_length, dtype=np.float64)
-    if rest_length.ndim != 1 or len(rest_length) < 2 or not (np.isfinite(rest_length) & (rest_length > 0)).all():
-        raise InputError("perceive", "rest_length", f"shape {rest_length.shape}", "give two or more lengths (E,) in mm")
+        if value.shape != (sets, 3) or not (np.abs(value) <= LARGEST).all():
+            raise InputError(function, name, f"shape {value.shape}", f"give ({sets}, 3) finite numbers, a row for each set")
+    length = np.linalg.norm(direction, axis=-1, keepdims=True)
+    if not (length > 0).all():
+        raise InputError(function, "direction", "no direction", "give a vector of some length")
+    return point, direction / length
+
+
+def checked_rod(function: str, rest_length: ArrayLike, material: Material, up: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    """(E,) lengths in an array of their own, and the unit vector against gravity. Raises InputError, naming ``function``."""
+    lengths = np.array(rest_length, dtype=np.float64)
+    if lengths.ndim != 1 or len(lengths) < 2 or not ((lengths > 0) & (lengths <= LARGEST)).all():
+        raise InputError(function, "rest_length", f"shape {lengths.shape}", "give two or more lengths (E,) in mm")
     if material.count != 1:
-        raise InputError("perceive", "material", f"{material.count} rows", "give one material")
-    direction = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
-    return Search(maps, rig, point, direction, rest_length, material, up / np.linalg.norm(up), options)
+        raise InputError(function, "material", f"{material.count} rows", "give one material")
+    return lengths, unit_up(up, function)
 
 
 def check_seeds(surroundings: Surroundings, point: np.ndarray) -> Surroundings:

@@ -19,12 +19,12 @@ from numpy.typing import ArrayLike
 from doo_ti.arguments import typed
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.grippers import Grippers
-from doo_ti.dynamics.parameters import Dynamics, MovingStart, Stepping
+from doo_ti.dynamics.parameters import LEAST_RATE, MOST_RATE, Dynamics, MovingStart, Stepping
 from doo_ti.dynamics.simulate import simulate
 from doo_ti.errors import InputError
 from doo_ti.frames import quaternion_product, smallest_rotation, tangent_from_quaternion
 from doo_ti.motion.path import Motion
-from doo_ti.perception.perceive import check_seeds, perceive
+from doo_ti.perception.perceive import check_seeds, checked_rod, checked_seeds, perceive
 from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search
 from doo_ti.perception.shape_uncertainty import vertex_sigma
 from doo_ti.prediction.predict import predict_step
@@ -140,8 +140,7 @@ class Tracker:
                  search: PerceptionOptions = PerceptionOptions(), options: TrackingOptions = TrackingOptions(),
                  inertia: Inertia | None = None, surroundings: Surroundings = Surroundings()) -> None:
         self._rig, self._material, self._search, self._options = rig, material, search, options
-        self._rest_length = np.array(rest_length, dtype=np.float64)
-        self._up = np.asarray(up, dtype=np.float64) / np.linalg.norm(up)
+        self._rest_length, self._up = checked_rod("Tracker", rest_length, material, up)
         self._inertia, self._surroundings = inertia, surroundings
         self._last: _Rod | None = None
         self._velocity: np.ndarray | None = None  # (V, 3) mm/s, from the frame before the last one to the last one
@@ -162,12 +161,17 @@ class Tracker:
 
         Raises InputError as :func:`doo_ti.perception.perceive.perceive` does.
         """
-        seeing = [name for name, found in zip(self._rig.names, detected, strict=True) if found.count]
+        names = self._rig.names
+        if len(detected) != len(names):
+            raise InputError("Tracker.see", "detected", f"{len(detected)}", f"give one for each camera, {len(names)}")
+        if elapsed is not None and not 1.0 / MOST_RATE <= elapsed <= 1.0 / LEAST_RATE:
+            raise InputError("Tracker.see", "elapsed", f"{elapsed:g} s", "give the seconds since the frame before, or None")
+        point, direction = checked_seeds("Tracker.see", point, direction, 1)
+        seeing = [name for name, found in zip(names, detected, strict=True) if found.count]
         if len(seeing) < FEWEST_CAMERAS:
             return self._lost()
-        point, direction = (np.asarray(value, dtype=np.float64).reshape(1, 3) for value in (point, direction))
         search = Search(distance_maps([[found for found in detected if found.count]]), self._rig.only(seeing), point,
-                        direction / np.linalg.norm(direction), self._rest_length, self._material, self._up, self._search,
+                        direction, self._rest_length, self._material, self._up, self._search,
                         check_seeds(self._surroundings, point))
         rod, how = None if self._last is None else self._tracked(search, far, elapsed), How.TRACKED
         if rod is None or self._doubtful(rod):

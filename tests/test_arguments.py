@@ -1,0 +1,93 @@
+"""Wrong arguments of public functions and classes: an InputError in one line, whatever they are, and no array is changed."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Annotated
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike
+
+import doo_ti
+from doo_ti import InputError
+from doo_ti.arguments import typed
+from tests import hostile_calls
+
+NOT_CALLED = {"Contacts", "Obstacle", "EndLoads", "GroupSolution", "Hypotheses", "Identified", "Landscape", "Perception",
+              "Prediction", "Refinement", "Score", "Sensitivity", "TrackedFrame", "Trajectory", "TwistEstimate", "External"}
+"""Results, and what obstacles and energies have in common: a program does not make them."""
+LONG = {"DistanceGrid.from_mesh", "Tracker.see", "detect", "estimate_twist", "follow_group", "identify",
+        "identify_from_guesses", "perceive", "predict_moving", "record_sweep", "refine", "relax_group", "score", "sweep"}
+"""Functions that take seconds where an argument turns out right, left to the long run."""
+
+
+def test_every_public_name_is_called():
+    called = {name.partition(" ")[0].partition(".")[0] for name in hostile_calls.constructors() | hostile_calls.functions()}
+    kinds = {name for name in doo_ti.__all__ if isinstance(getattr(doo_ti, name), type) and issubclass(
+        getattr(doo_ti, name), Exception | IntEnum)}
+    assert set(doo_ti.__all__) - called == NOT_CALLED | kinds
+
+
+def test_hostile_calls_are_refused_in_words():
+    assert hostile_calls.main(1500, 7, without=LONG) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(5))
+def test_ten_thousand_hostile_calls_are_refused_in_words(seed):
+    assert hostile_calls.main(2000, seed) == []
+
+
+class Shade(IntEnum):
+    DARK = 0
+    LIGHT = 1
+
+
+@typed
+@dataclass(frozen=True)
+class Several:
+    places: Annotated[np.ndarray, "R 3"]
+    flags: Annotated[np.ndarray, "1R", bool]
+    numbers: Annotated[np.ndarray | None, "R-1", int] = None
+
+    @property
+    def count(self) -> int:
+        return len(self.places)
+
+
+@typed
+def mixed(several: Annotated[Several, "R"], weight: Annotated[ArrayLike, "() | R"] = 1.0, *, shade: Shade = Shade.DARK,
+          names: tuple[str, ...] = (), size: int = 1) -> tuple:
+    return weight, shade, names, size
+
+
+TWO = Several([[0, 0, 0], [1, 1, 1]], [True], [7])
+
+
+def test_what_stands_for_a_value_is_taken():
+    assert isinstance(TWO.places, np.ndarray) and TWO.numbers.tolist() == [7]
+    weight, shade, names, size = mixed(TWO, [1, 2], shade=1, names=np.array(["a"]), size=np.array(3))
+    assert weight.tolist() == [1, 2] and shade is Shade.LIGHT and names == ("a",) and size == 3
+
+
+@pytest.mark.parametrize(("call", "source", "field"), [
+    (lambda: Several(np.zeros((2, 2)), [True]), "Several", "places"),
+    (lambda: Several([[0, 0, 0], [1, 1]], [True]), "Several", "places"),
+    (lambda: Several(["a"], [True]), "Several", "places"),
+    (lambda: Several(np.zeros((2, 3)), [1, 0]), "Several", "flags"),
+    (lambda: Several(np.zeros((2, 3)), np.ones(3, bool)), "Several", "flags"),
+    (lambda: Several(np.zeros((2, 3)), [True], [0.5]), "Several", "numbers"),
+    (lambda: Several(np.zeros((2, 3)), [True], [1, 2]), "Several", "numbers"),
+    (lambda: mixed(1.0), "mixed", "several"),
+    (lambda: mixed(TWO, [1, 2, 3]), "mixed", "weight"),
+    (lambda: mixed(TWO, "heavy"), "mixed", "weight"),
+    (lambda: mixed(TWO, shade=2), "mixed", "shade"),
+    (lambda: mixed(TWO, names="abc"), "mixed", "names"),
+    (lambda: mixed(TWO, names=(1,)), "mixed", "names"),
+    (lambda: mixed(TWO, size=1.5), "mixed", "size"),
+    (lambda: mixed(TWO, size=True), "mixed", "size"),
+    (lambda: mixed(TWO, size=10**400), "mixed", "size")])
+def test_what_does_not_is_named(call, source, field):
+    with pytest.raises(InputError) as caught:
+        call()
+    assert (caught.value.source, caught.value.field) == (source, field) and "\n" not in str(caught.value)
