@@ -58,7 +58,7 @@ class Material:
             bend = bend[:, None]
         twist = _finite("twist", self.twist)
         twist = twist.reshape(-1, 1) if twist.ndim <= 1 else twist
-        if twist.ndim != 2:
+        if twist.ndim != 2 or not twist.size:
             raise InputError("material", "twist", f"shape {twist.shape}", "give β, (R,) or (R, E-1)")
         weight = _per_rod("weight", self.weight)
         newton = None if self.weight_per_length is None else _per_rod("weight_per_length", self.weight_per_length)
@@ -68,7 +68,7 @@ class Material:
             rest = {1: rest[None, None] if rest.ndim == 1 else None, 2: rest[:, None] if rest.ndim == 2 else None}.get(
                 rest.ndim, rest
             )
-            if rest.ndim != 3 or rest.shape[-1] != 2:
+            if rest.ndim != 3 or rest.shape[-1] != 2 or not rest.size:
                 raise InputError("material", "rest_curvature", f"shape {rest.shape}", "give (2,), (R, 2) or (R, E-1, 2)")
         _check_bend(bend)
         if (twist <= 0).any():

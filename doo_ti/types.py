@@ -253,9 +253,12 @@ class Solution:
             object.__setattr__(self, "contact_force", table.forces)
         if self.status.size and not 0 <= self.status.min() <= self.status.max() < len(Status):
             raise InputError("Solution", "status", f"{self.status.min()} to {self.status.max()}", "give a Status for each rod")
-        for count in (self.configuration.count, getattr(self.tables, "count", len(self.status))):
-            if count != len(self.status):
-                raise InputError("Solution", "status", f"{len(self.status)} for {count} rods", "give one for each")
+        rods = self.configuration.count, self.configuration.edges
+        if self.tables is not None and rods != (self.tables.count, self.tables.edges):
+            raise InputError("Solution", "configuration", f"{rods[0]} rods of {rods[1]} edges beside other tables",
+                             "give the configuration that was relaxed, or no tables")
+        if rods[0] != len(self.status):
+            raise InputError("Solution", "status", f"{len(self.status)} for {rods[0]} rods", "give one for each")
 
     @property
     def contact(self) -> Any:

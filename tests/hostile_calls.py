@@ -24,7 +24,8 @@ NONE = np.arange(0)
 FEWER = 0.1
 """Share of calls whose arguments all have no row, or two."""
 SLOW = {"refine": 60, "identify": 200, "identify_from_guesses": 200, "perceive": 20, "sweep": 60, "Tracker.see": 20,
-        "estimate_twist": 10, "record_sweep": 20, "simulate": 2, "follow_group": 4, "relax_group": 4, "predict_moving": 3,
+        "estimate_twist": 10, "relax in contact": 4, "simulate in contact": 4,
+        "record_sweep": 20, "simulate": 2, "follow_group": 4, "relax_group": 4, "predict_moving": 3,
         "DistanceGrid.from_mesh": 10, "detect": 3}
 """Functions that are called so many times more rarely than the others."""
 
@@ -106,6 +107,10 @@ def functions() -> dict[str, tuple[Callable, dict]]:
         "simulate": (d.simulate, {
             "start": ROPE, "material": MATERIAL, "grippers": o["Grippers"], "dynamics": o["Dynamics"], "stepping": STEPPING,
             "springs": None, "up": (0, 0, 1), "pairs": None, "directions": (), **around, "progress": None}),
+        "relax in contact": (d.relax, {"x0": ROPE, **relaxed, "obstacles": [o["Plane"], d.Itself()], "radius": 1.0}),
+        "simulate in contact": (d.simulate, {
+            "start": ROPE, "material": MATERIAL, "grippers": o["Grippers"], "dynamics": o["Dynamics"], "stepping": STEPPING,
+            "obstacles": [o["Plane"], d.Itself()], "radius": 1.0}),
         "predict": (d.predict, {**moved, "path": path(), "sub_step": 0.1, "between": 1, "up": (0, 0, 1), "solver": None,
                                 "precision": "mixed", "advance": print_nothing, **around}),
         "predict_step": (d.predict_step, {**moved, "goal": CLAMPS, "rotation": [0.1], "sub_step": 0.1, "up": (0, 0, 1),
@@ -227,6 +232,14 @@ def twisted_array(value: np.ndarray, rng: np.random.Generator) -> object:
     return ways[rng.integers(len(ways))]
 
 
+def of_rows(value: object, rows: np.ndarray) -> object:
+    """``value`` with other rows, where it has any and may have so many."""
+    try:
+        return value if isinstance(value, np.ndarray | d.Surroundings) else value.take(rows)
+    except (AttributeError, d.InputError):
+        return value
+
+
 def calls(count: int, seed: int, without: Collection[str] = ()) -> Iterator[tuple[str, Callable, dict, str]]:
     """(name, function, arguments, what was done to them), the same for the same seed; of all but some."""
     rng = np.random.default_rng(seed)
@@ -240,8 +253,7 @@ def calls(count: int, seed: int, without: Collection[str] = ()) -> Iterator[tupl
         given, said = dict(arguments), []
         if rng.random() < FEWER:
             rows = [NONE, np.zeros(2, int)][rng.integers(2)]
-            given = {key: value.take(rows) if hasattr(value, "take") and not isinstance(value, np.ndarray | list) else value
-                     for key, value in given.items()}
+            given = {key: of_rows(value, rows) for key, value in given.items()}
             said.append(f"rows {rows.tolist()}")
         for key in rng.choice(list(given), size=min(len(given), int(not said or rng.random() < 0.5) + (rng.random() < 0.3)),
                               replace=False):

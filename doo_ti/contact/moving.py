@@ -53,7 +53,7 @@ class Moving:
             raise InputError("Moving", "rotation", f"{rotation.shape[1]} instants beside {shift.shape[1]} of shift",
                              "give both at the same instants, two or more")
         rows = {len(value) for value in (shift, rotation, pivot)} | {self.obstacle.count}
-        if len(rows - {1}) > 1:
+        if 0 in rows or len(rows - {1}) > 1:
             raise InputError("Moving", "shift", f"rows for {' and '.join(map(str, sorted(rows)))} rods",
                              "give one, or one for each rod")
         for name, value in (("shift", shift), ("rotation", rotation), ("pivot", pivot)):

@@ -321,7 +321,7 @@ def _require_direction(name: str, field: str, value: np.ndarray, what: str = "of
 
 def require_rotation(name: str, rotation: np.ndarray) -> None:
     """Raise InputError unless every matrix is a rotation."""
-    off = np.abs(np.swapaxes(rotation, -1, -2) @ rotation - np.eye(3)).max()
+    off = np.abs(np.swapaxes(rotation, -1, -2) @ rotation - np.eye(3)).max(initial=0.0)
     if not off <= 1e-6:
         raise InputError(name, "rotation", f"off a rotation by {off:.2g}", "give a 3×3 rotation matrix")
     if not (np.linalg.det(rotation) > 0).all():

@@ -130,7 +130,7 @@ class Surroundings:
         rod, measured at ``places`` of each edge; negative inside an obstacle, NaN for a rod without places."""
         share = np.linspace(0.0, 1.0, places)[:, None]
         points = vertices[:, :-1, None] + share * np.diff(vertices, axis=1)[:, :, None]
-        points = points.reshape(len(vertices), -1, 3)
+        points = points.reshape(len(vertices), places * (vertices.shape[1] - 1), 3)
         least = np.full(len(vertices), np.inf)
         for obstacle in self.bodies:
             least = np.minimum(least, obstacle.distance(points)[0].min(axis=1))

@@ -158,7 +158,7 @@ class _Motion:
         """(numbers (N, V, -), shares (N, 2), (R,) row of each rod), see :func:`.make_steps`."""
         lengths = table.rest_length
         vertices = self.start.edges + 1
-        of_rod = self.springs is not None and self.springs.count > 1 or len(lengths) > 1
+        of_rod = self.springs is not None and self.springs.count != 1 or len(lengths) > 1
         rows = table.count if of_rod else self.material.count
         of_material = table.material_index if of_rod else np.arange(rows)
         if len(lengths) > 1:
@@ -253,7 +253,7 @@ class _Motion:
         time = np.array([self.step, factor, (factor - 1.0) / factor, self.stepping.least_way, self.watched])
         frames = (self.grippers.instants - 1) // self.substeps
         numbers_a_frame = 3 * table.count * (table.edges + 1) * (1 if slopes is None else 1 + slopes.count)
-        at_once = max(1, min(frames, NUMBERS_AT_ONCE // numbers_a_frame))
+        at_once = max(1, min(frames, NUMBERS_AT_ONCE // max(1, numbers_a_frame)))
 
         def launch(first: int, last: int, every: int):
             path = clamp_path(self.grippers, self.start, slice(first, last))

@@ -140,7 +140,9 @@ def begun(configuration: Configuration, material: Material, clamps: Clamps, path
           solver: Newton, precision: str, surroundings: Surroundings):
     """The beginning of :func:`predict`: (the travel, the rods' (R,) rows of ``material``, (the R rods at rest at the path's
     first moment, their N clamps there, (R,) jumps on the way))."""
-    motions = len(clamps.start_position)
+    motions = clamps.count
+    if not motions:
+        raise InputError(path.source, "motion", "no clamps to move", "give those of one rod or more")
     if configuration.count not in (motions, motions * material.count) or path.count not in (1, motions):
         raise InputError(path.source, "motion", f"{path.count} motions and {configuration.count} rods for {motions} clamps and "
                          f"{material.count} materials", "give one motion for all, or one for each rod")
@@ -250,7 +252,7 @@ class _Film:
 
 def _moves(motion: Motion) -> bool:
     parts = (motion.start_shift, motion.end_shift, motion.start_turn, motion.end_turn)
-    return any(np.linalg.norm(part, axis=-1).max() > STILL for part in parts if part is not None)
+    return any((np.linalg.norm(part, axis=-1) > STILL).any() for part in parts if part is not None)
 
 
 def _part(motion: Motion, first: float, last: float) -> Motion:

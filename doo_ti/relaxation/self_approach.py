@@ -309,6 +309,8 @@ def approach_in_motion(before: np.ndarray, after: np.ndarray, length_row: np.nda
     The way between is not straight there: rods are found too that come as near to touching as a quarter of the largest way of a
     vertex.
     """
+    if not len(after):
+        return np.zeros(0, dtype=bool)
     rows = np.stack([length_row, np.arange(len(after))], axis=1).astype(np.int32)
     before, after = np.ascontiguousarray(before), np.ascontiguousarray(after)
     more = BENT * np.sqrt(((after - before) ** 2).sum(axis=-1).max(axis=1))
