@@ -14,9 +14,9 @@ from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 import numpy as np
 from numpy.typing import ArrayLike
 
-KINDS = {float: "fiub", int: "iu", bool: "b"}
-"""NumPy's letters of the kinds of dtype of numbers, or of whole ones or flags alone."""
-NUMERIC = KINDS[float]
+KINDS = {None: "fiub", float: "fiu", int: "iu", bool: "b"}
+"""NumPy's letters of the kinds of dtype of numbers and flags, or of numbers, whole ones or flags alone."""
+NUMERIC = KINDS[None]
 MOST_SHOWN = 40
 """Characters of a value in a message."""
 INDEX_BITS = 63
@@ -137,9 +137,10 @@ class _Interface(Rule):
 
 
 class _Array(Rule):
-    """Numbers or flags, in an array or in lists; of a ``kind``, only whole numbers or flags."""
+    """Numbers or flags, in an array or in lists; of a ``kind``, only those."""
 
-    wanted, kind = "numbers", float
+    wanted = "numbers"
+    kind: type | None = None
 
     def take(self, value: Any) -> Any:
         if isinstance(value, np.ndarray):

@@ -84,7 +84,8 @@ class _Checked:
     def check_shapes(self, shapes: tuple[tuple[str, tuple[int, ...]], ...]) -> None:
         """Raise InputError unless the arrays of a call have the shapes that their annotations state."""
         sizes: dict[str, int] = {}
-        for name, shape in shapes:
+        given = dict(shapes)
+        for name, shape in ((name, given[name]) for name in self.rules if name in given):
             wanted = self.rules[name].shapes
             if not any(one.fits(shape, sizes) for one in wanted):
                 known = ", ".join(f"{letter} = {size}" for letter, size in sizes.items())

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from doo_ti.arguments import typed
 from doo_ti.errors import MOST_EDGES, InputError, real_array, require_whole
 from doo_ti.frames import across, bishop_frames, quaternion_from_matrix
+from doo_ti.plausible import doubt_length
 from doo_ti.types import LARGEST, Configuration
 
 EQUALISATIONS = 60
@@ -79,6 +80,7 @@ def overhand_knot(length: float, edges: int, *, radius: float, loop: float, fine
         if not 0 < value <= LARGEST:
             raise InputError("overhand_knot", name, f"{value!r}", "give a positive number")
     require_whole("overhand_knot", "edges", edges, 2, MOST_EDGES)
+    doubt_length("overhand_knot", "length", length)
     half, offset = max(BRAID * radius, WIDE_BRAID * np.sqrt(radius * loop)), APART * radius
     strand = np.linspace(-half, half, SAMPLES)
     angle = 0.5 * np.pi + 1.5 * np.pi * (strand / half + 1.0)

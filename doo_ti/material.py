@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from doo_ti.arguments import typed
 from doo_ti.errors import InputError, real_array
 from doo_ti.physical_units import bend_or_twist, force_in_newton
+from doo_ti.plausible import doubt_weight
 from doo_ti.short_repr import counted, span_text
 
 Rows = ArrayLike | slice
@@ -51,6 +52,7 @@ class Material:
     def __post_init__(self) -> None:
         bend = _finite("bend", self.bend)
         if bend.ndim <= 1:
+            bend = _positive("bend", bend, " mm³", "give mm³")
             bend = bend.reshape(-1, 1, 1, 1) * np.eye(2)
         elif bend.ndim == 2:
             bend = bend[None, None]
@@ -95,8 +97,8 @@ class Material:
     @typed
     def diagonal(cls, bend_1: ArrayLike, bend_2: ArrayLike, twist: ArrayLike, weight: ArrayLike = 1.0) -> "Material":
         """B = diag(bend_1, bend_2) along the material frame: bend_1 weighs bending about m2, bend_2 about m1."""
-        first, second = np.atleast_1d(_finite("bend_1", bend_1), _finite("bend_2", bend_2))
-        if first.ndim != 1 or second.ndim != 1 or (len(first) != len(second) and 1 not in (len(first), len(second))):
+        first, second = (_positive(name, value, " mm³", "give mm³") for name, value in (("bend_1", bend_1), ("bend_2", bend_2)))
+        if (len(first) != len(second) and 1 not in (len(first), len(second))):
             shapes = f"shapes {first.shape}, {second.shape}"
             raise InputError("material", "bend_1, bend_2", shapes, "give one value or one per rod")
         first, second = np.broadcast_arrays(first, second)
@@ -110,11 +112,14 @@ class Material:
 
         Raises InputError as the class does, and for a rod without weight, which has no stiffness relative to it.
         """
-        weight = np.atleast_1d(_finite("weight_per_length", weight_per_length))
-        if not (weight > 0).all():
-            raise InputError("material", "weight_per_length", f"{weight.min():g} N/m is not positive",
-                             "give N/m; for a rod without weight give Material(bend, twist, weight=0)")
-        return cls(bend_or_twist(_finite("EI", EI), weight), bend_or_twist(_finite("GJ", GJ), weight), weight_per_length=weight)
+        weight = _positive("weight_per_length", weight_per_length, " N/m",
+                           "give N/m; for a rod without weight give Material(bend, twist, weight=0)")
+        bend, twist = (_positive(name, value, " N m²", "give N m²") for name, value in (("EI", EI), ("GJ", GJ)))
+        rows = {len(value) for value in (bend, twist, weight)} - {1}
+        if len(rows) > 1:
+            raise InputError("material", "EI, GJ, weight_per_length", f"{sorted(rows)} rows", "give one value or one per rod")
+        doubt_weight("Material.from_physical", bend, weight)
+        return cls(bend_or_twist(bend, weight), bend_or_twist(twist, weight), weight_per_length=weight)
 
     @property
     def count(self) -> int:
@@ -170,6 +175,15 @@ def _per_rod(name: str, value) -> np.ndarray:
     if array.ndim > 1:
         raise InputError("material", name, f"shape {array.shape}", "give one value or (R,)")
     return np.atleast_1d(array)
+
+
+def _positive(name: str, value, unit: str, remedy: str) -> np.ndarray:
+    """(1,) or (R,)."""
+    array = _per_rod(name, value)
+    if not array.size or not (array > 0).all():
+        problem = f"{array.min():g}{unit} is not positive" if array.size else "no rows"
+        raise InputError("material", name, problem, remedy)
+    return array
 
 
 def _check_bend(bend: np.ndarray) -> None:

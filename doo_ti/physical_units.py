@@ -8,6 +8,8 @@ mm³ and no more. The weight per length, or a linear density ρ with w = ρ g, g
 
 import numpy as np
 
+UNITS_IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
+"""mm in one unit of length, by its name on the command line."""
 STANDARD_GRAVITY = 9.80665
 """m/s²."""
 

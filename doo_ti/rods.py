@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from doo_ti.arguments import typed
 from doo_ti.errors import MOST_EDGES, InputError, real_array, require_whole
 from doo_ti.frames import across, bishop_frames, quaternion_from_matrix
+from doo_ti.plausible import doubt_length
 from doo_ti.types import LARGEST, Clamp, Clamps, Configuration, unit_up
 
 HALVINGS = 60
@@ -34,8 +35,6 @@ def straight_rod(length: float, edges: int, start: ArrayLike = (0.0, 0.0, 0.0),
     Raises InputError for a length that is not positive, fewer than two edges or no direction.
     """
     length = _lengths("straight_rod", length, edges)
-    if len(length) > 1:
-        raise InputError("straight_rod", "length", f"{len(length)} lengths", "give one number of mm")
     rod = Configuration.straight(_points("straight_rod", "start", start)[0], _direction("straight_rod", direction),
                                  float(length[0]), edges)
     return _with_end_edges(rod) if vertex_clamps else rod
@@ -115,6 +114,7 @@ def _lengths(function: str, length: ArrayLike, edges: int) -> np.ndarray:
         problem = f"{values[wrong].flat[0]:g}" if wrong.any() else f"shape {values.shape}"
         raise InputError(function, "length", problem, "give a positive number of mm, or (R,) of them")
     require_whole(function, "edges", edges, 2, MOST_EDGES)
+    doubt_length(function, "length", values)
     return np.atleast_1d(values)
 
 

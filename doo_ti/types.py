@@ -88,9 +88,9 @@ class Configuration:
     rest_length  (E,) or (R, E), mm; zero for a first or last edge that only has a direction, see :class:`Clamps`
     """
 
-    start: Annotated[np.ndarray, "R 3"]
-    quaternions: Annotated[np.ndarray, "R E 4"]
-    rest_length: Annotated[np.ndarray, "E | 1R E"]
+    start: Annotated[np.ndarray, "R 3", float]
+    quaternions: Annotated[np.ndarray, "R E 4", float]
+    rest_length: Annotated[np.ndarray, "E | 1R E", float]
 
     @property
     def count(self) -> int:
@@ -181,10 +181,10 @@ class Clamps:
 
     start: Annotated[np.ndarray, "() | 1R"]
     end: Annotated[np.ndarray, "() | 1R"]
-    start_position: Annotated[np.ndarray, "R 3"]
-    end_position: Annotated[np.ndarray, "R 3"]
-    start_frame: Annotated[np.ndarray, "R 3 3"]
-    end_frame: Annotated[np.ndarray, "R 3 3"]
+    start_position: Annotated[np.ndarray, "R 3", float]
+    end_position: Annotated[np.ndarray, "R 3", float]
+    start_frame: Annotated[np.ndarray, "R 3 3", float]
+    end_frame: Annotated[np.ndarray, "R 3 3", float]
 
     if TYPE_CHECKING:  # one kind serves for all rods
         def __init__(self, start: Clamp | ArrayLike, end: Clamp | ArrayLike, start_position: np.ndarray,

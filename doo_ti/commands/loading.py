@@ -14,18 +14,17 @@ from doo_ti import terminal
 from doo_ti.commands import options as given
 from doo_ti.commands.results import observed
 from doo_ti.errors import InputError
-from doo_ti.io.curves import UNITS_IN_MM
 from doo_ti.io.motion_file import TOOL_AXES, ClampPath, load_path
 from doo_ti.io.observations import Observations, load_observations
 from doo_ti.io.pose_table import NAMED
 from doo_ti.io.scene import Scene, Synthesis
+from doo_ti.physical_units import UNITS_IN_MM
+from doo_ti.plausible import likely_unit
 from doo_ti.terminal import in_line
 
 if TYPE_CHECKING:  # the kernels of moving rods
     from doo_ti.dynamics.recorded import RecordedMotion
 
-LEAST_MM, MOST_MM = 10.0, 20_000.0
-"""Lengths of rods that raise no doubt about the unit."""
 MOST_UNEVEN = 20.0
 """Longest edge over the median one, above which the marks may be of several rods."""
 OF_FILES = ("unit", "columns")
@@ -166,9 +165,9 @@ def rod_line(observations: Observations) -> str:
 def unit_doubt(observations: Observations) -> str | None:
     """Why the unit of the lengths may be another one than stated, or None."""
     length = float(observations.rest_length.sum())
-    if LEAST_MM <= length <= MOST_MM:
+    likely = likely_unit(length)
+    if likely == "":
         return None
-    likely = next((unit for unit in ("m", "cm") if LEAST_MM <= length * UNITS_IN_MM[unit] <= MOST_MM), None)
     remedy = "check the unit of the file" if likely is None else f"if the file is in {likely}, give --unit {likely}"
     return f"a rod {length:.4g} mm long; {remedy}"
 

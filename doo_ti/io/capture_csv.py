@@ -18,7 +18,8 @@ import numpy as np
 
 from doo_ti.errors import InputError
 from doo_ti.io.csv_table import csv_rows, number_in
-from doo_ti.io.curves import UNITS_IN_MM, Curves, chosen_names
+from doo_ti.io.curves import Curves, chosen_names
+from doo_ti.physical_units import UNITS_IN_MM
 
 MOTIVE_UNITS = {"meters": "m", "centimeters": "cm", "millimeters": "mm"}
 REMEDY = "export the markers' trajectories as CSV again"

@@ -14,9 +14,6 @@ import numpy as np
 from doo_ti.errors import InputError
 from doo_ti.types import LARGEST
 
-UNITS_IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
-"""mm in one unit of length, by its name on the command line."""
-
 
 @dataclass(frozen=True)
 class Curves:

@@ -38,9 +38,10 @@ from doo_ti.frames import (
     smallest_rotation,
 )
 from doo_ti.io.arrays import checked_arrays, read_npz
-from doo_ti.io.curves import UNITS_IN_MM
 from doo_ti.io.files import read_content
 from doo_ti.io.pose_table import frame_of_quaternion, read_poses
+from doo_ti.physical_units import UNITS_IN_MM
+from doo_ti.plausible import doubt_angle
 from doo_ti.short_repr import short_repr
 from doo_ti.types import Clamps
 
@@ -81,11 +82,11 @@ class ClampPath:
     __repr__ = short_repr
 
     time: Annotated[np.ndarray, "T"]
-    start_position: Annotated[np.ndarray | None, "T N 3"] = None
-    end_position: Annotated[np.ndarray | None, "T N 3"] = None
-    start_frame: Annotated[np.ndarray | None, "T N 3 3"] = None
-    end_frame: Annotated[np.ndarray | None, "T N 3 3"] = None
-    end_rotation: Annotated[np.ndarray | None, "T N"] = None
+    start_position: Annotated[np.ndarray | None, "T 1N 3"] = None
+    end_position: Annotated[np.ndarray | None, "T 1N 3"] = None
+    start_frame: Annotated[np.ndarray | None, "T 1N 3 3"] = None
+    end_frame: Annotated[np.ndarray | None, "T 1N 3 3"] = None
+    end_rotation: Annotated[np.ndarray | None, "T 1N"] = None
     tangents_only: bool = False
     source: str = "motion"
 
@@ -101,6 +102,7 @@ class ClampPath:
             frames = getattr(self, name)
             if frames is not None:
                 self._check_frames(name, frames)
+        doubt_angle("ClampPath", "end_rotation", self.end_rotation)
         if self.end_frame is not None and self.end_rotation is not None and not self.tangents_only:
             self._check_rotation()
 

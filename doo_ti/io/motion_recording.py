@@ -18,10 +18,10 @@ import numpy as np
 from doo_ti.errors import InputError
 from doo_ti.io.arrays import read_npz
 from doo_ti.io.cable_recordings import RATE_HZ, read_recordings
-from doo_ti.io.curves import UNITS_IN_MM
 from doo_ti.io.files import read_content
 from doo_ti.io.formats import read_curves
 from doo_ti.io.observations import load_observations
+from doo_ti.physical_units import UNITS_IN_MM
 from doo_ti.types import unit_up
 
 MOST_LEFT_OUT = 10

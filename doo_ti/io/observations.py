@@ -17,10 +17,11 @@ from numpy.typing import ArrayLike
 from doo_ti.arguments import typed
 from doo_ti.errors import InputError, real_array
 from doo_ti.frames import FRAME_TOLERANCE, handedness, orthonormality_error
-from doo_ti.io.curves import UNITS_IN_MM
 from doo_ti.io.files import write_whole
 from doo_ti.io.formats import TABLES, checked_suffix, read_keys
 from doo_ti.io.observation_tables import write_table
+from doo_ti.physical_units import UNITS_IN_MM
+from doo_ti.plausible import doubt_angle
 from doo_ti.short_repr import counted
 from doo_ti.terminal import in_line
 from doo_ti.types import LARGEST, Rows
@@ -106,6 +107,7 @@ class Observations:
         for name in ("total_twist", "end_distance", "end_rotation"):
             if getattr(self, name) is not None:
                 self._set(**{name: self._finite(name, self._numbers(name, ("D",), size))})
+        doubt_angle("Observations", "total_twist", self.total_twist)
         if self.end_distance is not None and (self.end_distance < 0).any():
             raise self._error("end_distance", f"{self.end_distance.min():g} mm", "give zero or positive distances in mm")
 
@@ -262,16 +264,16 @@ def load_observations(path: str | os.PathLike[str], up: ArrayLike | None = None,
         content, keys = read_keys(path, columns)
         values = {name: keys[key] if name == "labels" else real_array(path, key, keys[key], "store real numbers", "fiub")
                   for name, key in KEYS.items() if key in keys}
+        if "total_twist" in values and values["total_twist"].dtype.kind != "b":
+            values["total_twist"] = np.radians(values["total_twist"].astype(np.float64))
         if unit is not None:
             values = _in_mm(values, keys.get("unit", 1.0), unit)
     if "vertices_mm" not in keys:
         raise InputError(path, "vertices_mm", "the key is missing", "store the vertices as vertices_mm (D, V, 3)")
     observations = Observations(**values, name=in_line(path.stem), source=str(path), sha256=hashlib.sha256(content).hexdigest())
-    changed = {} if up is None else {"up": np.asarray(up)}
     if observations.total_twist is not None:
         _check_turns(observations)
-        changed["total_twist"] = np.radians(observations.total_twist)
-    return replace(observations, **changed)
+    return observations if up is None else replace(observations, up=np.asarray(up))
 
 
 def _in_mm(values: dict, read_as: float, unit: str) -> dict:
@@ -283,11 +285,12 @@ def _in_mm(values: dict, read_as: float, unit: str) -> dict:
 
 
 def _check_turns(observations: Observations) -> None:
-    """Raise InputError for a total twist, still in degrees, above half a turn at each joint."""
+    """Raise InputError for a total twist above half a turn at each joint."""
     most = 180.0 * (observations.edges - 1)
-    bad = np.flatnonzero(np.abs(observations.total_twist) > most)
+    degrees = np.degrees(observations.total_twist)
+    bad = np.flatnonzero(np.abs(degrees) > most * (1.0 + 1e-12))
     if len(bad):
-        hint = f"{observations.total_twist[bad[0]]:g} of observation {observations.labels[bad[0]]}"
+        hint = f"{degrees[bad[0]]:g} of observation {observations.labels[bad[0]]}"
         raise InputError(observations.source, "total_twist_deg", hint,
                          f"give degrees; {observations.edges} edges hold at most {most:g}")
 

@@ -24,8 +24,8 @@ from doo_ti.errors import InputError
 from doo_ti.frames import matrix_from_quaternion, rotation_matrix
 from doo_ti.io.arrays import AXES, NEARLY, frame_columns, given_columns, read_npz
 from doo_ti.io.csv_table import CsvTable, read_csv
-from doo_ti.io.curves import UNITS_IN_MM
 from doo_ti.io.files import read_content
+from doo_ti.physical_units import UNITS_IN_MM
 
 ENDS = ("start", "end")
 NAMED = ("time", *ENDS)

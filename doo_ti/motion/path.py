@@ -66,6 +66,9 @@ class Motion:
 
         Raises InputError where that would take more than ``MOST_STEPS``.
         """
+        if not 0 < largest_turn <= np.pi:
+            raise InputError("motion", "sub_step", f"{largest_turn:g} rad",
+                             f"give radians, at most pi: 5 degrees are {np.radians(5.0):.4g}")
         end_turn = _size(self.end_turn) + np.abs(0.0 if self.end_spin is None else self.end_spin)
         shift = np.maximum(_size(self.start_shift), _size(self.end_shift)) / (SHIFT_PER_TURN * rest_length.sum(axis=-1))
         need = np.maximum(np.maximum(_size(self.start_turn), end_turn), shift) / largest_turn

@@ -25,6 +25,7 @@ from doo_ti.frames import angle_about, matrix_from_quaternion, smallest_rotation
 from doo_ti.io.motion_file import ClampPath
 from doo_ti.motion.journey import Journey
 from doo_ti.motion.path import LARGEST_TURN, Motion, motion_between
+from doo_ti.plausible import doubt_angle
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.short_repr import short_repr
@@ -182,6 +183,7 @@ def predict_step(
                        ("clamps", len(clamps.start_position))):
         if rows != 1:
             raise InputError("predict_step", name, f"{rows} rows", "give one; only `goal` has a row for each motion")
+    doubt_angle("predict_step", "rotation", rotation)
     count = len(goal.start_position)
     surroundings = Surroundings.checked("predict_step", obstacles, radius, count)
     rows = np.zeros(count, dtype=np.int64)

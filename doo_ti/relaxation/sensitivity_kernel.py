@@ -92,7 +92,7 @@ def run_sensitivity(solution: Solution, usable: np.ndarray, directions: np.ndarr
                    np.empty((count, 6)), np.zeros(count, dtype=np.int32))
     # Those of f32 are unit quaternions to seven digits.
     frames = solution.configuration.quaternions[first:last]
-    frames = np.ascontiguousarray(frames / np.sqrt(np.einsum("rek,rek->re", frames, frames))[..., None])
+    frames = np.ascontiguousarray(frames / np.sqrt(np.einsum("rek,rek->re", frames, frames))[..., None], dtype=np.float64)
     results = np.zeros((count, of.LOADED_RESULTS))
     results[:, of.FORCE : of.FORCE + 3] = np.nan_to_num(solution.end_force[first:last])
     results[:, of.DRIFT :] = solution.configuration.start[first:last] - table.anchor[table.configuration_index[first:last]]

@@ -23,6 +23,7 @@ from doo_ti.arguments import typed
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
 from doo_ti.io.observations import Observations
+from doo_ti.plausible import doubt_angle
 from doo_ti.relaxation.newton import Newton
 from doo_ti.short_repr import short_repr
 from doo_ti.twist.curves import TwistCurves
@@ -139,6 +140,7 @@ def estimate_twist(
     Raises InputError where the arguments do not match, for a rod that is not round while the start's roll is unknown, and for
     rods inside obstacles.
     """
+    doubt_angle("estimate_twist", "offset", offset)
     curves = TwistCurves.of(observations, material, group, offset, options.solver, options.precision, options.surroundings,
                             advance)
     angles = options.angles
