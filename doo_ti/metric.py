@@ -37,12 +37,6 @@ def distance(configuration: Configuration, observations: Observations, index: Ar
             observations.source, "vertices_mm",
             f"{observations.edges} edges in {len(index)} observations for {configuration.count} rods of "
             f"{configuration.edges} edges", "compare rods with their own observations")
-    shape, (rods, edges) = configuration.quaternions.shape, configuration.quaternions.shape[:2]
-    if configuration.start.shape != (rods, 3) or np.shape(configuration.rest_length) not in (
-            (edges,), (1, edges), (rods, edges)) or len(shape) != 3 or shape[2] != 4:
-        raise InputError("configuration", "start, rest_length",
-                         f"shapes {configuration.start.shape}, {np.shape(configuration.rest_length)} beside frames {shape}",
-                         f"give ({rods}, 3) and ({edges},), or a row of lengths for each rod")
     if index.dtype.kind not in "iu" or (index.size and not 0 <= index.min() <= index.max() < observations.count):
         raise InputError(observations.source, "index", "not rows of the observations",
                          f"give whole numbers below {observations.count}")

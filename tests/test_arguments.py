@@ -1,5 +1,6 @@
 """Wrong arguments of public functions and classes: an InputError in one line, whatever they are, and no array is changed."""
 
+import json
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Annotated
@@ -11,6 +12,7 @@ from numpy.typing import ArrayLike
 import doo_ti
 from doo_ti import InputError
 from doo_ti.arguments import typed
+from doo_ti.dynamics.theta import save_form
 from tests import hostile_calls
 
 NOT_CALLED = {"Contacts", "Obstacle", "EndLoads", "GroupSolution", "Hypotheses", "Identified", "Landscape", "Perception",
@@ -52,6 +54,16 @@ def test_no_rods_are_no_error(around):
     still = doo_ti.Grippers.resting(NO_CLAMPS, 3)
     trajectory = doo_ti.simulate(NO_ROPE, material, still, doo_ti.Dynamics(), hostile_calls.STEPPING, **around)
     assert trajectory.positions.shape == (0, 2, 13, 3)
+
+
+@pytest.mark.parametrize("key", ["bend_mm3", "rest_length_mm", "up", "friction"])
+def test_a_number_of_hundreds_of_digits_in_a_file_is_refused(tmp_path, key):
+    path = tmp_path / "THETA.json"
+    form = {name: np.asarray(value).tolist() for name, value in save_form(hostile_calls.theta()).items()}
+    path.write_text(json.dumps(form | {key: 10**400}))
+    with pytest.raises(InputError) as caught:
+        doo_ti.load_theta(path)
+    assert caught.value.field == key in form
 
 
 class Shade(IntEnum):

@@ -112,7 +112,7 @@ def _numbers(path, content: dict, key: str, shape: tuple, positive: bool = False
         raise InputError(path, key, "missing", "name a file that doo-ti identify has written")
     try:
         value = np.array(content[key], dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):  # OverflowError: a whole number of hundreds of digits
         value = np.array(np.nan)
     fits = value.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, value.shape, strict=True))
     if not fits or not (np.abs(value) <= LARGEST).all():

@@ -91,10 +91,7 @@ class Springs:
     has_coarse: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        try:
-            points, stiffness = (np.array(value, dtype=np.float64) for value in (self.points, self.stiffness))
-        except (TypeError, ValueError):
-            raise InputError("Springs", "points, stiffness", "not arrays of numbers", "give (A, V, 3) and (A, V)") from None
+        points, stiffness = (np.array(value, dtype=np.float64) for value in (self.points, self.stiffness))
         if points.ndim != 3 or points.shape[-1] != 3 or stiffness.shape != points.shape[:2]:
             shapes = f"shapes {points.shape} and {stiffness.shape}"
             raise InputError("Springs", "points, stiffness", shapes, "give (A, V, 3) and (A, V)")
