@@ -13,7 +13,7 @@ others against their forces, as a loop turns about a nail.
 
 import taichi as ti
 
-from doo_ti.groups.layout import ACTIVE, FORCE_STEP, REST, STEPPING, TIE_GIVE, TURNED
+from doo_ti.groups.layout import ACTIVE, FORCE_STEP, REST, STEPPING, TIE_GIVE, TIE_SCALE, TURNED
 from doo_ti.groups.welds import against_columns
 from doo_ti.physics.quaternion import first_director, second_director, tangent
 from doo_ti.physics.tuples import column_scaled, dot, repeated, scaled
@@ -37,7 +37,8 @@ class Border:
         for b in range(rod.borders.shape[0]):
             k, line = rod.borders[b, 0], rod.edges + 1 + b
             at = self.contacts.tie(rod, k)
-            active, give = rod.scratch[at + ACTIVE * self.stride], rod.scratch[head + TIE_GIVE * self.stride]
+            active = rod.scratch[at + ACTIVE * self.stride]
+            give = rod.scratch[head + TIE_GIVE * self.stride] / rod.scratch[at + TIE_SCALE * self.stride]
             if rod.borders[b, 1] == 0:
                 self.add_way(rod, line, rod.ties[k, 0], active)
                 if rod.ties[k, 1] >= 0:
@@ -77,8 +78,12 @@ class Border:
 
     @ti.func
     def keep_forces(self, rod):
-        """Keep δλ for the next step."""
+        """Keep δλ for the next step. Returns d · δλ, what the border takes from the Newton decrement of H alone."""
+        taken = 0.0 * rod.total
         for b in range(rod.borders.shape[0]):
             stepping = rod.scratch[self.contacts.group(rod) + STEPPING * self.stride]
-            self.store(rod.scratch, self.contacts.bordered_force(rod, b) + FORCE_STEP * self.stride,
-                       scaled(self.solution(rod, rod.edges + 1 + b), stepping))
+            change = self.solution(rod, rod.edges + 1 + b)
+            active = rod.scratch[self.contacts.tie(rod, rod.borders[b, 0]) + ACTIVE * self.stride]
+            taken = taken + active * dot(self.contacts.bordered_miss(rod, b), change)
+            self.store(rod.scratch, self.contacts.bordered_force(rod, b) + FORCE_STEP * self.stride, scaled(change, stepping))
+        return taken

@@ -27,6 +27,7 @@ from doo_ti.groups.layout import (
     TIE_GIVE,
     TIE_ITEMS,
     TIE_MOMENT,
+    TIE_SCALE,
     TIE_STIFFNESS,
     TIE_TOLERANCE,
     TIE_WORK,
@@ -213,8 +214,9 @@ class GroupContacts(Ties, SelfContacts):
         self.put(scratch, head + TIE_STIFFNESS * self.stride, slot, stiffness)
         self.put(scratch, head + TIE_WORK * self.stride, slot, 0.0)
         self.put(scratch, head + UNIT * self.stride, slot, unit)
-        force_unit = stiffness_scale(tables.material, tables.clamp, tables.rods[rod, of.MATERIAL_ROW],
-                                     tables.rods[rod, of.CLAMP_ROW]) / (unit * unit)
+        divisor = stiffness_scale(tables.material, tables.clamp, tables.rods[rod, of.MATERIAL_ROW],
+                                  tables.rods[rod, of.CLAMP_ROW])
+        force_unit = divisor / (unit * unit)
         at = head + GROUP_HEAD * self.stride
         for e in range(edges):
             for k in ti.static(range(2)):
@@ -244,12 +246,14 @@ class GroupContacts(Ties, SelfContacts):
             for k in ti.static(range(4)):
                 self.put(scratch, tie + (REST + k) * self.stride, slot, tables.targets[row, t, 4 + k])
             self.put(scratch, tie + ACTIVE * self.stride, slot, tables.targets[row, t, 3])
+            self.put(scratch, tie + TIE_SCALE * self.stride, slot, tables.targets[row, t, 8] / divisor)
         most = ti.cast(0.0, ti.f64)
         for t in range(ties):
             for k in ti.static(range(3)):
                 moment = tables.tie_forces[row, t, 3 + k] / tables.clamp[tables.rods[rod, of.CLAMP_ROW], of.TOTAL]
-                most = ti.max(most, ti.abs(tables.tie_forces[row, t, k]), ti.abs(moment))
-        bound = MOST_GROWTH * (most / force_unit + NOTABLE_MISS * scale.total * stiffness)
+                largest = ti.max(ti.abs(tables.tie_forces[row, t, k]), ti.abs(moment))
+                most = ti.max(most, largest * (unit * unit) / tables.targets[row, t, 8])
+        bound = MOST_GROWTH * (most + NOTABLE_MISS * scale.total * stiffness)
         self.put(scratch, head + TIE_BOUND * self.stride, slot, ti.select(most > 0.0, bound, 0.0 * bound))
         self.put(scratch, head + TIE_GIVE * self.stride, slot, ti.select(most > 0.0, GIVE, NO_BORDER) / stiffness)
 

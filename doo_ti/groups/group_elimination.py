@@ -255,14 +255,14 @@ class GroupElimination(Border, Welds, DenseElimination, LoadedElimination):
         """The diagonal block and the right-hand side of where a rod begins, all of which bears ``force``."""
         slope = products(free, force)
         self.observe_moment(found, scaled(slope, rod.total))
-        shifted = on_diagonal(self.load_diagonal(rod, line), shift / (rod.total * rod.total))
+        tilt = self.shifts(rod, rod.origin + line * self.edge_stride, shift)[1]  # of the rod's first edge
+        shifted = on_diagonal(self.load_diagonal(rod, line), tilt / (rod.total * rod.total))
         self.store_diagonal(rod, line, held_pivot(shifted, free))
         self.store_side(rod, line, negated(slope), repeated(0.0 * rod.total, 9))
 
     @ti.func
     def substitute(self, rod, found):
-        decrement = self.solve_backward(rod, found.change)
-        self.keep_forces(rod)
+        decrement = self.solve_backward(rod, found.change) + self.keep_forces(rod)
         x = variable(self.solution(rod, 0))
         self.store(rod.scratch, rod.head + OF_DRIFT_STEP * self.stride, x)
         self.store(rod.scratch, self.contacts.own_vertex(rod, 0) + MOVE * self.stride, x)

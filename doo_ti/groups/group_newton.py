@@ -41,7 +41,8 @@ class GroupTables:
     begins_at    (N, G, 3) mm, where the rods begin at the start
     ties         (K, 4) int32: the vertex that a tie holds, and the one before it that it is held at, or -1 for a place; and of
                  a weld the edges at both, the later first, else -1
-    targets      (N, K, 8) the place, mm; one where there is this tie; and the rest rotation of a weld, a quaternion
+    targets      (N, K, 9) the place, mm; one where there is this tie; the rest rotation of a weld, a quaternion; and the
+                 stiffness, mm³, of the softer of its rods
     free         (N, E, 2) one where an edge may spin, and tilt; of a break twice whether the rod behind it may leave its begin
     burden       (N, V, 7) weight of a vertex as the length that the material's weight multiplies, mm; one where it is held; by
                  how much its rod is thicker than the thinnest, mm of radius; and of a spring its point, mm, and its stiffness,
@@ -83,7 +84,7 @@ def group_kernel(number: Number, stride: int, block: int, obstacles: frozenset[i
     """The kernel, compiled on first use, for one kind of number and obstacles of those kinds."""
     sweep = GroupElimination(number, stride, GroupContacts(number, stride, obstacles, rub=True))
     loop = NewtonLoop(sweep, sweep.functions)
-    loop.trace, loop.by_decrement = TRACE_IN_CONTACT, False
+    loop.trace = TRACE_IN_CONTACT
     table1, table2, table3, table4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))
     index1, index2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))
 
@@ -152,16 +153,16 @@ class GroupState:
             getattr(self, part.name)[rows] = getattr(start, part.name)[rows]
 
 
-def run_groups(table: GroupTables, options: Newton, state: GroupState, previous: np.ndarray) -> None:
-    """Relax all feasible groups, in place. Friction acts from ``previous`` (N, V, 3) mm on, where the vertices were at the
+def run_groups(table: GroupTables, options: Newton, state: GroupState, previous: np.ndarray, rows: np.ndarray) -> None:
+    """Relax the groups ``rows``, in place. Friction acts from ``previous`` (N, V, 3) mm on, where the vertices were at the
     moment before.
 
     Groups whose solver stalls, as it can in tight knots with friction, are relaxed once more from their start with the other
     first shift, which leads through other shapes. Their iterations are those of both attempts.
     """
     start = deepcopy(state)
-    _launch(table, options, state, previous, np.flatnonzero(table.feasible))
-    stalled = np.flatnonzero(state.results[:, of.STATUS] == Status.STALLED)
+    _launch(table, options, state, previous, rows)
+    stalled = rows[state.results[rows, of.STATUS] == Status.STALLED]
     if len(stalled):
         spent = state.results[stalled, of.ITERATIONS]
         state.reset(start, stalled)

@@ -1,5 +1,7 @@
 """A group as one chain of edges and breaks: the tables that its kernel reads (docs/groups.md)."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from doo_ti.contact.itself import Itself
@@ -13,7 +15,8 @@ from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.checked_input import check_material, check_shapes, clamp_kinds, rest_lengths
 from doo_ti.relaxation.clamp_table import INFEASIBLE, STRAIGHT, clamp_table
 from doo_ti.relaxation.contact_table import contact_table, require_margin
-from doo_ti.relaxation.input_tables import material_table, projectable
+from doo_ti.relaxation.input_tables import bending_range, evened_materials, material_table, projectable
+from doo_ti.relaxation.loading import REFERENCE_LENGTH
 from doo_ti.relaxation.pair_layout import DEEPEST_STEP
 from doo_ti.types import Clamp, Clamps, Configuration, Material
 
@@ -56,6 +59,16 @@ class Member:
         clamp = self.clamp
         free[:, 0], free[:, -1] = clamp[:, [of.SPIN_START, of.TILT_START]], clamp[:, [of.SPIN_END, of.TILT_END]]
         return free
+
+    @property
+    def stiffness(self) -> np.ndarray:
+        """(N,) mm³ of the rod as a whole: of its joints one after the other, each bent its softer way, and at least what weight
+        makes of it (:func:`.stiffness_scale`)."""
+        along = self.material[:, of.STIFFNESS:].reshape(len(self.material), -1, of.STIFFNESS_COLUMNS)
+        softer, _ = bending_range(along[..., of.BEND], along[..., of.BEND + 1], along[..., of.BEND + 2])
+        whole = self.lengths.sum(axis=1) / (self.lengths / softer).sum(axis=1)
+        weight = self.material[:, of.WEIGHT] * self.clamp[:, of.HANGING] * self.clamp[:, of.TOTAL] / REFERENCE_LENGTH
+        return np.maximum(whole, weight)
 
     @property
     def weights(self) -> np.ndarray:
@@ -198,6 +211,29 @@ def _materials(group: Group, members: list[Member]) -> tuple[np.ndarray, np.ndar
     return np.concatenate([head, stiffness.reshape(rows, -1)], axis=1), burden
 
 
+def evened_group(table: GroupTables, most: float) -> tuple[GroupTables, np.ndarray]:
+    """The same groups with the stiffness of each uneven rod made even (:func:`.evened`), and (N,) bool of the groups that this
+    changes."""
+    material = table.material.copy()
+    along = material[:, of.STIFFNESS:].reshape(len(material), -1, of.STIFFNESS_COLUMNS)
+    heads, changed = [], np.zeros(len(material), dtype=bool)
+    ends = np.append(np.flatnonzero(table.begins), len(table.begins))
+    for first, end in zip(np.append(0, ends[:-1] + 1), ends, strict=True):
+        own = along[:, first:end]
+        softest, largest = bending_range(own[..., of.BEND], own[..., of.BEND + 1], own[..., of.BEND + 2])
+        twist, head = own[..., of.TWIST], material[:, : of.STIFFNESS].copy()
+        head[:, of.LARGEST_BEND] = largest.max(axis=1)
+        head[:, of.STIFFEST] = np.maximum(largest.max(axis=1), twist.max(axis=1))
+        head[:, of.SOFTEST] = np.minimum(softest.min(axis=1), twist.min(axis=1))
+        even, uneven = evened_materials(np.concatenate([head, own.reshape(len(own), -1)], axis=1), most)
+        own[...] = even[:, of.STIFFNESS:].reshape(own.shape)
+        heads.append(even[:, : of.STIFFNESS])
+        changed |= uneven
+    for column, whole in ((of.LARGEST_BEND, np.max), (of.STIFFEST, np.max), (of.SOFTEST, np.min)):
+        material[:, column] = whole([head[:, column] for head in heads], axis=0)
+    return replace(table, material=material), np.broadcast_to(changed, len(table.start))
+
+
 def _ties(group: Group, members: list[Member]) -> tuple[np.ndarray, np.ndarray]:
     """The ties of the kernel, first the group's own, then those that draw the rods' far ends and then their starts to the
     clamps, see :class:`.GroupTables`."""
@@ -206,13 +242,15 @@ def _ties(group: Group, members: list[Member]) -> tuple[np.ndarray, np.ndarray]:
     ends = np.concatenate([first[1:] - 1, first[:-1]])
     ties = np.full((len(own) + len(ends), 4), -1, dtype=np.int32)
     ties[: len(own), :2], ties[len(own):, 0] = own, ends
-    targets = np.zeros((group.count, len(ties), 8))
+    targets = np.zeros((group.count, len(ties), 9))
+    stiffness = group.at_vertices(np.stack([member.stiffness for member in members], axis=1))
+    targets[..., 8] = np.minimum(stiffness[:, ties[:, 0]], stiffness[:, np.where(ties[:, 1] < 0, ties[:, 0], ties[:, 1])])
     targets[:, : len(own), 3] = 1.0
     # Not as the members have them: of straight rods these are bowed.
     frames = _joined([rod.quaternions / np.linalg.norm(rod.quaternions, axis=-1, keepdims=True) for rod in group.rods], 1.0)
     for number, (late, early) in group.welded.items():
         ties[number, 2:] = late, early
-        targets[:, number, 4:] = quaternion_product(frames[:, late] * [1.0, -1.0, -1.0, -1.0], frames[:, early])
+        targets[:, number, 4:8] = quaternion_product(frames[:, late] * [1.0, -1.0, -1.0, -1.0], frames[:, early])
     for number, (end, member) in enumerate(((1 - late, member) for late in (0, 1) for member in members), start=len(own)):
         targets[:, number, :3], targets[:, number, 3] = member.places[:, end], member.drawn[:, end]
     return ties, targets

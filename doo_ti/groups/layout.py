@@ -19,12 +19,13 @@ WEIGHT, HELD, THICKER, SPRING_POINT, SPRING, GROUP_VERTEX_ITEMS = 0, 1, 2, 3, 6,
 # Of a rod where it begins, also before the step, the step of that place, and where the rod ends.
 BEGIN, BEGIN_STANDING, BEGIN_STEP, TIP, GROUP_ROD_ITEMS = 0, 3, 6, 9, 12
 # Of a tie the place that it holds a vertex at, its force, and one where there is this tie; of a weld the rest rotation, its
-# moment, by how much it misses, and its second derivatives by the later edge, by the earlier one, and by both. Behind a force
-# and a moment lie the same before the step, and their step.
-TARGET, TIE_FORCE, ACTIVE, REST, TIE_MOMENT, TURNED, OF_LATE, OF_EARLY, MIXED, TIE_ITEMS = 0, 3, 12, 13, 17, 26, 29, 35, 41, 50
+# moment, by how much it misses, and its second derivatives by the later edge, by the earlier one, and by both. Then by what κ
+# and 1/ε are multiplied. Behind a force and a moment lie the same before the step, and their step.
+TARGET, TIE_FORCE, ACTIVE, REST, TIE_MOMENT, TURNED, OF_LATE, OF_EARLY, MIXED, TIE_SCALE, TIE_ITEMS = (
+    0, 3, 12, 13, 17, 26, 29, 35, 41, 50, 51)
 FORCE_STANDING, FORCE_STEP = 3, 6
 STIFFNESS_OF_TIES, MOST_TIE_STIFFNESS, STIFFER_TIES = 1e4, 1e7, 10.0
-"""κ of ties at first and at most, over B/L³ or what :func:`.stiffness_scale` makes of weight, and its growth."""
+"""κ of ties at first and at most, over B/L³ of the softer rod or what its weight makes of that, and its growth."""
 GIVE, NO_BORDER = 1e-8, 1e8
 """ε over 1/κ, and in rounds in which forces do not change: points far apart are drawn together by κ alone."""
 MOST_GROWTH, NOTABLE_MISS = 10.0, 1e-2

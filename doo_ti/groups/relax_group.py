@@ -22,9 +22,10 @@ from doo_ti.frames import matrix_from_quaternion
 from doo_ti.groups.apart import smallest_gap
 from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupState, GroupTables, run_groups
-from doo_ti.groups.group_tables import group_tables
+from doo_ti.groups.group_tables import evened_group, group_tables
 from doo_ti.groups.inertia import MovingGroups
 from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.input_tables import RATIOS
 from doo_ti.relaxation.newton import MOST_IN_CONTACT, Newton
 from doo_ti.types import Configuration, Status, unit_up
 
@@ -133,9 +134,26 @@ def relaxed(group: Group, solver: Newton | None, up: ArrayLike | None, obstacles
             table, previous = replace(table, contact=table.contact.smooth), np.zeros_like(state.forces)
         else:
             previous = _previous(group, before)
-        run_groups(table, Newton(max_iterations=MOST_IN_CONTACT) if solver is None else solver, state, previous)
+        solver = Newton(max_iterations=MOST_IN_CONTACT) if solver is None else solver
+        _through_ratios(table, solver, state, previous, RATIOS if before is None else ())
         solution = _solution(group, table, state)
         return solution if motion is None else _moved(solution, table, motion)
+
+
+def _through_ratios(table: GroupTables, solver: Newton, state: GroupState, previous: np.ndarray,
+                    ratios: Sequence[float]) -> None:
+    """Relax all feasible groups, in place; those with uneven rods, as :func:`.relax` does, with these made even to one of the
+    ``ratios`` after the other first."""
+    rows = table.feasible
+    for ratio in (*ratios, np.inf):
+        even, later = evened_group(table, ratio) if ratio < np.inf else (table, np.zeros(len(rows), dtype=bool))
+        spent = state.results[:, of.ITERATIONS].copy()
+        run_groups(even, solver, state, previous, np.flatnonzero(rows))
+        state.results[rows, of.ITERATIONS] += spent[rows]
+        rows = later & np.isin(state.results[:, of.STATUS], (Status.CONVERGED, Status.STALLED, Status.ITERATION_LIMIT))
+        if not rows.any():
+            return
+        table = replace(table, start=np.where(rows[:, None, None], state.frames, table.start))
 
 
 def _moved(solution: GroupSolution, table: GroupTables, motion: MovingGroups) -> GroupSolution:
@@ -215,7 +233,7 @@ def _solution(group: Group, table: GroupTables, state: GroupState) -> GroupSolut
     result, moment = replace(group, rods=tuple(rods), clamps=held_so), np.zeros((group.count, far, 3))
     for number, (late, early) in _welded_frames(result).items():
         moment[:, number] = -_sign(group)[number] * np.einsum("nij,nj->ni", late, tie_forces[:, number, 3:])
-        rest = matrix_from_quaternion(table.targets[:, number, 4:])
+        rest = matrix_from_quaternion(table.targets[:, number, 4:8])
         apart = np.einsum("nji,njk->nik", late, early) - rest
         miss[:, number] = np.maximum(miss[:, number], np.linalg.norm(apart, axis=(1, 2)) / np.sqrt(2.0) * clamp[:, of.TOTAL])
     held = np.stack([np.broadcast_to(np.asarray(clamps.start) > 0, (group.count,)) for clamps in group.clamps], axis=1)

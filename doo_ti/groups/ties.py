@@ -26,6 +26,7 @@ from doo_ti.groups.layout import (
     TIE_FORCE,
     TIE_GIVE,
     TIE_MOMENT,
+    TIE_SCALE,
     TIE_STIFFNESS,
     TIE_WORK,
     TIE_WORK_STANDING,
@@ -85,11 +86,12 @@ class Ties:
     def bind(self, rod):
         """Add the ties to the energy, the gradient and the second derivatives."""
         head = self.group(rod)
-        stiffness = rod.scratch[head + TIE_STIFFNESS * self.stride]
-        self.add_penalty(rod, 0.0 - rod.scratch[head + TIE_WORK * self.stride], 0.0 * stiffness)
+        whole = rod.scratch[head + TIE_STIFFNESS * self.stride]
+        self.add_penalty(rod, 0.0 - rod.scratch[head + TIE_WORK * self.stride], 0.0 * whole)
         for k in range(rod.ties.shape[0]):
             at, first, second = self.tie(rod, k), rod.ties[k, 0], rod.ties[k, 1]
             active = rod.scratch[at + ACTIVE * self.stride]
+            stiffness = whole * rod.scratch[at + TIE_SCALE * self.stride]
             miss, force = self.missed(rod, k), self.load3(rod.scratch, at + TIE_FORCE * self.stride)
             work, stretch = active * dot(force, miss), 0.5 * active * stiffness * dot(miss, miss)
             self.add_penalty(rod, work + stretch, absolute(work) + stretch)
@@ -135,12 +137,14 @@ class Ties:
 
     @ti.func
     def largest_force(self, rod, scale):
-        """The largest force of a tie, or moment of a weld over the length of the longest rod, after that share of a step."""
+        """The largest force of a tie, or moment of a weld over the length of the longest rod, after that share of a step; each
+        over what its κ is multiplied by."""
         most = 0.0 * rod.total
         for b in range(rod.borders.shape[0]):
             at = self.bordered_force(rod, b)
             force = plus(self.load3(rod.scratch, at), scaled(self.load3(rod.scratch, at + FORCE_STEP * self.stride), scale))
-            most = largest_of(most, dot(force, force) / (self.lever(rod, b) * self.lever(rod, b)))
+            unit = self.lever(rod, b) * rod.scratch[self.tie(rod, rod.borders[b, 0]) + TIE_SCALE * self.stride]
+            most = largest_of(most, dot(force, force) / (unit * unit))
         return ti.sqrt(most)
 
     @ti.func
@@ -177,8 +181,9 @@ class Ties:
         stiffness, first = rod.scratch[head + TIE_STIFFNESS * self.stride], due & self.draws(rod)
         for b in range(rod.borders.shape[0]):
             tie, at, lever = self.tie(rod, rod.borders[b, 0]), self.bordered_force(rod, b), self.lever(rod, b)
-            old, active = self.load3(rod.scratch, at), rod.scratch[tie + ACTIVE * self.stride]
-            new = plus(old, scaled(self.bordered_miss(rod, b), stiffness * active * lever * lever))
+            old, scale = self.load3(rod.scratch, at), rod.scratch[tie + ACTIVE * self.stride] * rod.scratch[
+                tie + TIE_SCALE * self.stride]
+            new = plus(old, scaled(self.bordered_miss(rod, b), stiffness * scale * lever * lever))
             self.store(rod.scratch, at, chosen(first, new, old))
         again = first & (rod.scratch[head + TIE_BOUND * self.stride] > 0.0) & ~self.behind(rod)
         self.bound_forces(rod, first)

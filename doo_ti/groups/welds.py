@@ -15,6 +15,7 @@ from doo_ti.groups.layout import (
     OF_LATE,
     REST,
     TIE_MOMENT,
+    TIE_SCALE,
     TIE_STIFFNESS,
     TURNED,
 )
@@ -95,7 +96,7 @@ class Welds:
     @ti.func
     def weld_edges(self, rod, at, late, early, whole):
         """The same of one weld, whose items begin ``at``."""
-        stiffness = whole * rod.scratch[at + ACTIVE * self.stride]
+        stiffness = whole * rod.scratch[at + ACTIVE * self.stride] * rod.scratch[at + TIE_SCALE * self.stride]
         rest = self.load4(rod.scratch, at + REST * self.stride)
         turn = relative_rotation(self.load4(rod.scratch, rod.origin + late * self.edge_stride),
                                  self.load4(rod.scratch, rod.origin + early * self.edge_stride))

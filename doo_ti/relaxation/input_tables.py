@@ -19,6 +19,8 @@ from doo_ti.types import Clamps, Configuration, Material
 
 UNEVEN = 1e3
 """Of the largest stiffness of a rod to its smallest, above which it is relaxed with evener ones first (:func:`evened`)."""
+RATIOS = (1e2, 1e4, 1e6, 1e8)
+"""Of their stiffness then, one after the other."""
 
 
 def tables(
@@ -112,28 +114,41 @@ def material_table(material: Material, edges: int) -> np.ndarray:
     along[..., of.BEND], along[..., of.BEND + 1], along[..., of.BEND + 2] = first, second, mixed
     along[:, 0, of.TWIST] = twist[:, 0]  # where the kernel of isotropic rods, whose stiffness is uniform, finds it
     joints[..., of.TWIST] = twist
-    half, apart = 0.5 * (first + second), 0.5 * (first - second)
-    largest = half + np.hypot(apart, mixed)
-    table[:, of.ROUND] = ((apart == 0) & (mixed == 0)).all(axis=1)
+    smallest, largest = bending_range(first, second, mixed)
+    table[:, of.ROUND] = ((first == second) & (mixed == 0)).all(axis=1)
     if rest is not None:
         joints[..., of.REST : of.REST + 2] = rest
         table[:, of.ROUND] *= (rest == 0).all(axis=(1, 2))
     table[:, of.WEIGHT] = material.weight
     table[:, of.LARGEST_BEND] = largest.max(axis=1)
     table[:, of.STIFFEST] = np.maximum(table[:, of.LARGEST_BEND], twist.max(axis=1))
-    smallest = (first * second - mixed**2) / largest
     table[:, of.SOFTEST] = np.minimum(smallest.min(axis=1), twist.min(axis=1))
     return table
+
+
+def bending_range(first: np.ndarray, second: np.ndarray, mixed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The smaller and the larger eigenvalue of B."""
+    largest = 0.5 * (first + second) + np.hypot(0.5 * (first - second), mixed)
+    return (first * second - mixed**2) / largest, largest
 
 
 def evened(table: Tables, most: float) -> tuple[Tables, np.ndarray]:
     """The same rods with every stiffness of uneven ones within a factor ``most`` of their smallest bending stiffness, and the
     rows of the results (-,) of the rods that this changes."""
-    stiffest, softest = table.material[:, of.STIFFEST], table.material[:, of.SOFTEST]
-    uneven = (stiffest > UNEVEN * softest) & (stiffest > most * softest)
+    material, uneven = evened_materials(table.material, most)
     if not uneven.any():
         return table, np.zeros(0, dtype=np.int64)
-    material = table.material.copy()
+    changed = uneven[table.material_index] & table.feasible[table.configuration_index]
+    return replace(table, material=material), np.flatnonzero(changed)
+
+
+def evened_materials(material: np.ndarray, most: float) -> tuple[np.ndarray, np.ndarray]:
+    """The same for a table of materials: the table and which of its rows this changes."""
+    stiffest, softest = material[:, of.STIFFEST], material[:, of.SOFTEST]
+    uneven = (stiffest > UNEVEN * softest) & (stiffest > most * softest)
+    if not uneven.any():
+        return material, uneven
+    material = material.copy()
     rows = material[uneven]
     along = rows[:, of.STIFFNESS :].reshape(len(rows), -1, of.STIFFNESS_COLUMNS)
     bend = along[..., [of.BEND, of.BEND + 2, of.BEND + 2, of.BEND + 1]].reshape(*along.shape[:2], 2, 2)
@@ -149,8 +164,7 @@ def evened(table: Tables, most: float) -> tuple[Tables, np.ndarray]:
     rows[:, of.STIFFEST] = np.minimum(rows[:, of.STIFFEST], most * smallest)
     rows[:, of.SOFTEST] = np.maximum(rows[:, of.SOFTEST], smallest / most)
     material[uneven] = rows
-    changed = uneven[table.material_index] & table.feasible[table.configuration_index]
-    return replace(table, material=material), np.flatnonzero(changed)
+    return material, uneven
 
 
 def projectable(start: np.ndarray, lengths: np.ndarray, clamp: np.ndarray, found: np.ndarray, up: np.ndarray,

@@ -22,7 +22,7 @@ from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.clear_start import move_out
 from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.external import External
-from doo_ti.relaxation.input_tables import evened, tables, under
+from doo_ti.relaxation.input_tables import RATIOS, evened, tables, under
 from doo_ti.relaxation.newton import MOST_IN_CONTACT, Newton
 from doo_ti.relaxation.self_approach import approach_in_relaxation, stays_in_order
 from doo_ti.relaxation.tables import Tables
@@ -35,8 +35,6 @@ PRECISIONS = ("f32", "f64", "mixed")
 F32_ONLY = "f32 only"
 ITERATIONS_32 = 300
 """After which f64 takes over from f32, which can repeat the same few steps without end."""
-RATIOS = (1e2, 1e4, 1e6, 1e8)
-"""Of the stiffness of uneven rods, one after the other."""
 INSIDE, CLOSE_PLACES = 1e-2, 29
 """Radii by which an edge of a rod that has converged may be inside a ring; and places of it that are measured for that."""
 
