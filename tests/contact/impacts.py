@@ -3,8 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from doo_ti.contact.obstacles import Capsule, Plane, Sphere
+from doo_ti.contact.obstacles import Box, Capsule, Plane, Sphere
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.dynamics.simulate import simulate
@@ -14,7 +15,8 @@ from tests.references.rods import clamps_at
 
 EDGES, FRAMES = 15, 100
 SCENES = ("flat", "table", "slope", "ball", "wall", "peg")
-"""Rods fall level or at an angle on a table, on a slope and on a ball; held at one end they swing into a wall and a peg."""
+"""Rods fall level or at an angle on a table, on a slope and on a ball; held at one end they swing into a wall and a peg.
+Besides these there is "box", a turned one on the table."""
 
 
 def along(tangents: np.ndarray, length: np.ndarray) -> Configuration:
@@ -42,6 +44,12 @@ def falling(rng, scene: str, length: np.ndarray, radius: np.ndarray):
         size = rng.uniform(0.1, 0.3, count) * length
         top = below + 0.9 * (fall - radius)
         obstacles.append(Sphere(x.mean(axis=1) * [1.0, 1.0, 0.0] + np.stack([zero, zero, top - size], axis=-1), size))
+    if scene == "box":
+        size = rng.uniform(0.1, 0.4, (count, 3)) * length[:, None]
+        turn = Rotation.from_rotvec(np.stack([zero, zero, rng.uniform(0.0, 1.5, count)], axis=-1)).as_matrix()
+        top = below + 0.9 * (fall - radius)
+        middle = x.mean(axis=1) * [1.0, 1.0, 0.0] + np.stack([zero, zero, top - 0.5 * size[:, 2]], axis=-1)
+        obstacles.append(Box(middle, size, turn))
     return rods, Clamp.FREE, obstacles
 
 
