@@ -202,10 +202,11 @@ def _information(seen: Observations, clamps, grid: Grid, names: tuple[str, ...],
         for cell in cells:
             theta = Theta.of(grid.materials(np.array([cell])), up=seen.up)
             values = unknowns.begun(theta, unknowns.clip_prior)
-            solution = rod.relaxed(unknowns.material(values), values.clip, unknowns.pose(values), Newton(), theta.up)
+            solution = rod.relaxed(unknowns.material(values), unknowns.lengths(values), unknowns.pose(values), Newton(),
+                                   theta.up)
             sound = solution.converged & solution.stable
             linear, _ = comparison.linear(solution, values, sound)
-            found.append(information(linear, scales))
+            found.append(information(unknowns, linear, scales))
             bar.advance(task, 1)
     prior, _ = unknowns.precision(scales)
     logs = np.log(_values(grid, slice(None), names))

@@ -36,9 +36,10 @@ def observation_clamps(observations: Observations, start: Clamp | None = None, e
     """The clamps of D observations; by default the whole frame where it is given, else the tangent.
 
     Positions are the observed vertices 0 and E, tangents those of the given frame, else of the observed edge; they do not
-    depend on the rest lengths. A FRAME clamp may also use the measured ``frames``.
+    depend on the rest lengths, unless an outer mark is missing: then it is taken to be on the line through the two marks next
+    to it. A FRAME clamp may also use the measured ``frames``.
 
-    Raises InputError for a FRAME clamp without a frame, and for a missing mark that the clamp needs.
+    Raises InputError for a FRAME clamp without a frame.
     """
     kinds, positions, frames = [], [], []
     for end_name, kind, given in (("start", start, observations.start_frame), ("end", end, observations.end_frame)):
@@ -94,11 +95,16 @@ def _check_reach(observations: Observations) -> None:
                          f"{steps[both].mean():.4g} mm apart on average", "give lengths in mm of the edges between marks")
 
 
+def reachable(observations: Observations, clamps: Clamps) -> np.ndarray:
+    """(D,) bool: where clamps are no further apart than the rod is long."""
+    # A taut rod has no slack: rounding must not make it infeasible.
+    return span_excess(clamps, observations.rest_length) <= 1e-9 * observations.rest_length.sum()
+
+
 def check_feasible(observations: Observations, clamps: Clamps) -> None:
     """Raise InputError where clamps are further apart than the rod is long, naming the observation and by how much."""
     excess = span_excess(clamps, observations.rest_length)
-    # A taut rod has no slack: rounding must not make it infeasible.
-    bad = np.flatnonzero(excess > 1e-9 * observations.rest_length.sum())
+    bad = np.flatnonzero(~reachable(observations, clamps))
     if len(bad):
         worst = bad[np.argmax(excess[bad])]
         others = f" (and {len(bad) - 1} more observations)" if len(bad) > 1 else ""
@@ -227,15 +233,6 @@ def _check_clamp(observations: Observations, end: str, kind: Clamp, has_frame: b
     if kind == Clamp.FRAME and not has_frame:
         raise InputError(observations.source, f"{end}_frame", f"missing, but `clamp_{end}` frame needs it",
                          f"add {end}_frame (D, 3, 3), or clamp that end's tangent or position")
-    needed = 0 if kind == Clamp.FREE else 1 if kind == Clamp.POSITION or has_frame else 2
-    for step in range(needed):
-        vertex = step if end == "start" else observations.edges - step
-        missing = np.flatnonzero(~observations.valid[:, vertex])
-        if len(missing):
-            raise InputError(observations.source, "valid",
-                             f"vertex {vertex} of observation {observations.labels[missing[0]]} is missing, but the {end} "
-                             "clamp rests on it",
-                             f"leave the observation out, or give `clamp_{end}` free")
 
 
 def _end_positions(observations: Observations, end: str) -> np.ndarray:

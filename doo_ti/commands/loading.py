@@ -20,14 +20,22 @@ from doo_ti.io.pose_table import NAMED
 from doo_ti.io.scene import Scene, Synthesis
 from doo_ti.physical_units import UNITS_IN_MM
 from doo_ti.plausible import likely_unit
+from doo_ti.start import observation_clamps, reachable
 from doo_ti.terminal import in_line
+from doo_ti.types import Clamp
 
 if TYPE_CHECKING:  # the kernels of moving rods
     from doo_ti.dynamics.recorded import RecordedMotion
 
+FEW = 0.25
+"""Share of observations that may be left out; of more a file or an option is wrong."""
+MEASURED = 0.02
+"""Relative error of a length between marks that somebody measured."""
 MOST_UNEVEN = 20.0
 """Longest edge over the median one, above which the marks may be of several rods."""
 OF_FILES = ("unit", "columns")
+"""Options that only files of marks have a use for."""
+OF_OBSERVATIONS = (*OF_FILES, "rest_length")
 """Options that only files of observations have a use for."""
 RECORDINGS = ".npz (positions_mm, rate_hz), .csv of OptiTrack or Vicon, a table, .pkl of the public cable data"
 FORMATS = ".npz, .csv, .parquet; or curves as .csv of OptiTrack or Vicon, .xml (MuJoCo), .usda, .txt"
@@ -37,6 +45,9 @@ def add_loading(parser: ArgumentParser, of: str = "OBS") -> None:
     """How the files ``of`` some arguments state the marks, and the direction of gravity."""
     group = parser.add_argument_group("your own files", "docs/observations.md")
     add_files(group, of)
+    group.add_argument("--rest-length", metavar="MM|FILE", help="length of the rod from the first mark to the last, along it; "
+                       "or a .npz with rest_length_mm, or a text file, of the lengths between the marks (default: as the file "
+                       "states, else arcs through the marks)")
     given.add_up(group)
 
 
@@ -123,17 +134,46 @@ def columns(options: Namespace) -> dict[str, str] | list[str] | None:
 
 def load(options: Namespace, source: str) -> Observations:
     """The observations of ``source``."""
-    return load_observations(source, given.up(options), options.unit, columns(options))
+    observations = load_observations(source, given.up(options), options.unit, columns(options))
+    return observations if options.rest_length is None else _measured(observations, options.rest_length)
+
+
+def _measured(observations: Observations, text: str) -> Observations:
+    """``observations`` with the lengths of ``--rest-length``: of a number the marks share the rod as they were."""
+    if Path(text).suffix in (".npz", ".txt", ".csv"):
+        from doo_ti.commands.seen_rods import read_rest_length
+
+        return replace(observations, rest_length=read_rest_length(text), spacing_error=MEASURED)
+    share = given.length("--rest-length", text) / observations.rest_length.sum()
+    return replace(observations, rest_length=share * observations.rest_length, spacing_error=MEASURED)
 
 
 def of_scene(options: Namespace, scene: Scene) -> Observations:
     """A scene's observations, loaded or synthesised, under the scene's name."""
     if isinstance(scene.observations, Synthesis):
-        for option in OF_FILES:
+        for option in OF_OBSERVATIONS:
             if getattr(options, option) is not None:
-                raise InputError(given.SOURCE, f"--{option}", "given, but the scene is simulated", "leave it out")
+                raise InputError(given.SOURCE, f"--{option.replace('_', '-')}", "given, but the scene is simulated",
+                                 "leave it out")
         return observed(scene, given.up(options))
     return replace(load(options, scene.observations), name=scene.name)
+
+
+def with_ends_in_reach(observations: Observations, start: Clamp | None, end: Clamp | None) -> Observations:
+    """``observations`` without the few whose ends are further apart than the rod is long, of which a warning is printed: marks
+    in reverse order, or two that are swapped, do that. All where these are more than :data:`FEW`."""
+    clamps = observation_clamps(observations, start, end)
+    within = reachable(observations, clamps)
+    if within.all() or (~within).sum() > FEW * len(within):
+        return observations
+    backwards = replace(observations, vertices=observations.vertices[:, ::-1], valid=observations.valid[:, ::-1],
+                        rest_length=observations.rest_length[::-1])
+    turned = reachable(backwards, observation_clamps(backwards, start, end))
+    for row in np.flatnonzero(~within):
+        why = "; its marks are in reverse order" if turned[row] else ""
+        terminal.warn(f"{in_line(observations.source)}: observation {observations.labels[row]} is left out: its ends are "
+                      f"further apart than the rod is long{why}")
+    return observations.take(np.flatnonzero(within))
 
 
 def warn(observations: Observations) -> None:

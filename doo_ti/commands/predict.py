@@ -194,7 +194,7 @@ def _scene(options: Namespace, between: int | None) -> _Task:
     from doo_ti.io.motion_scene import load_motion_scene
 
     for name in ("motion", "motion_unit", "motion_up", "motion_columns", "theta", *given.MATERIAL, "linear_density",
-                 "clamp_start", "clamp_end", *loading.OF_FILES):
+                 "clamp_start", "clamp_end", *loading.OF_OBSERVATIONS):
         if getattr(options, name) is not None:
             raise InputError(given.SOURCE, f"--{name.replace('_', '-')}", "given, but the scene has it",
                              "leave it out, or give observations")

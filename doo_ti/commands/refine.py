@@ -17,7 +17,7 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
 from doo_ti.io.arrays import read_npz
 from doo_ti.io.files import read_content
-from doo_ti.io.observations import Observations
+from doo_ti.io.observations import UNKNOWN_SPACING, Observations
 from doo_ti.start import check_experiment, observation_clamps
 from doo_ti.terminal import busy, in_line, warn
 from doo_ti.types import Clamps
@@ -30,7 +30,7 @@ REFINED = "refined.json"
 STARTS = 3
 LEAST = 1e-6
 """Least spread and range of a rest curvature, in 1/mm and mm; the largest is the inverse."""
-CURVATURES = ("field", "uniform", "none")
+CURVATURES = ("auto", "field", "uniform", "none")
 OLD_CURVATURES = {"rest_curvature": "uniform", "rest_curvature_per_joint": "field"}
 """Old names in --parameters for a rest curvature."""
 
@@ -46,16 +46,21 @@ def declare(add) -> None:
                         help="material parameters to learn, of bend, bend-1, "
                         "bend-2, bend-12, twist, weight, and up, the direction against gravity (default bend,twist)")
     parser.add_argument("--starts", metavar="N", help=f"number of best cells of a run to start from (default {STARTS})")
+    parser.add_argument("--spacing-error", metavar="SHARE",
+                        help="how far each length between marks may be off, as 0.02: these are learned with that prior "
+                        "(default: the file's; lengths that it states are exact, those of --rest-length are off by "
+                        f"{loading.MEASURED:g}, others by {UNKNOWN_SPACING:g})")
     parser.add_argument("--sigma", metavar="MM", help="label uncertainty (default: the file's, else learned)")
     model = parser.add_argument_group("the model of the experiment")
     model.add_argument("--clip", metavar="MM|unknown", default="unknown",
                        help="length of rod that a clip holds, from the outer mark on; 0: it ends at that mark "
                        "(default: unknown, which is learned)")
     model.add_argument("--rest-curvature", choices=CURVATURES, default=None,
-                       help="curvature of the unloaded rod (default: field, a smooth function along the rod)")
-    model.add_argument("--clamps", choices=("auto", "loose", "exact"), default="auto",
-                       help="exact: the reported poses of clamps have no error; loose: their errors are learned; auto: loose "
-                       "unless the evidence is clearly for exact (default)")
+                       help="curvature of the unloaded rod: field, a smooth function along it; uniform; none; auto, field "
+                       "unless frames are missing and the evidence is for a straight rod (default)")
+    model.add_argument("--clamps", choices=("auto", "loose", "exact"), default="loose",
+                       help="loose: errors of reported frames are learned, and what is not reported is unknown in each "
+                       "observation (default); auto: the same; exact: all is as reported, and as the outer marks say")
     model.add_argument("--edges", metavar="N",
                        help="edges of the mesh (default: twice those between marks, with a correction for the mesh error)")
     model.add_argument("--curvature-spread", metavar="1/MM", help="standard deviation of the rest curvature (default: learned)")
@@ -182,7 +187,12 @@ def _task(options: Namespace, source: str, starts: int) -> Task:
     sigma = given.length("--sigma", options.sigma)
     if sigma is not None:
         observations = replace(observations, sigma=np.array(sigma))
-    kinds = (kind if own is None else own for own, kind in zip(given.clamps(options), kinds, strict=True))
+    error = given.not_negative("--spacing-error", options.spacing_error, "a share")
+    if error is not None:
+        observations = replace(observations, spacing_error=error)
+    kinds = tuple(kind if own is None else own for own, kind in zip(given.clamps(options), kinds, strict=True))
+    if options.groups is None:
+        observations = loading.with_ends_in_reach(observations, *kinds)
     clamps = observation_clamps(observations, *kinds)
     check_experiment(observations, clamps, max(theta.weight for theta in thetas), weight)
     task = Task(observations, clamps, thetas, weight, around, density, landscape)
@@ -203,8 +213,9 @@ def _of_run(options: Namespace, run: Path, starts: int):
     from doo_ti.learning.landscape import read_landscape
     from doo_ti.learning.run_folder import read_experiment
     from doo_ti.refinement.fit import lowest_cells, theta_of_cell
+    from doo_ti.refinement.unknowns import common_rod
 
-    for name in (*given.MATERIAL, *loading.OF_FILES, "obstacles", "radius"):
+    for name in (*given.MATERIAL, *loading.OF_OBSERVATIONS, "obstacles", "radius"):
         if getattr(options, name) is not None:
             raise InputError(given.SOURCE, f"--{name.replace('_', '-')}", f"given, but {run} is the run of a sweep",
                              "leave it out, or name a file of observations")
@@ -222,6 +233,7 @@ def _of_run(options: Namespace, run: Path, starts: int):
     if not len(cells):
         raise InputError(run, "distance_mm", "no cell has an error", "look at the rods' status in cells/")
     thetas = tuple(theta_of_cell(experiment.grid, cell, observations.up) for cell in cells)
+    thetas += (common_rod(thetas[0]),)  # the best cells of rods taken for straight may all be wrong in twist
     return (observations, thetas, (experiment.options.clamp_start, experiment.options.clamp_end),
             given.frame_weight(options, experiment.options.frame_weight), experiment.options.surroundings, landscape)
 
@@ -242,7 +254,7 @@ def _refinement_options(options: Namespace, task: Task):
             raise InputError(given.SOURCE, option, f"{value:g}", f"give {LEAST:g} to {1 / LEAST:g}")
     clip = None if options.clip == "unknown" else given.not_negative("--clip", options.clip, "mm")
     return RefinementOptions(
-        tuple(names), clip, curvature or "field", options.clamps, task.frame_weight,
+        tuple(names), clip, curvature or "auto", "exact" if options.clamps == "exact" else "loose", task.frame_weight,
         curvature_spread=spread, curvature_range=reach,
         edges=given.whole("--edges", options.edges, 6), models=not options.no_models, surroundings=task.surroundings)
 
@@ -250,12 +262,11 @@ def _refinement_options(options: Namespace, task: Task):
 def _check_model(chosen, task: Task) -> None:
     """Raise InputError for options that do not fit the observations or each other, before anything is relaxed."""
     from doo_ti.refinement.held_rod import HeldRod
-    from doo_ti.refinement.refine import FEWEST_EDGES, check
-    from doo_ti.refinement.unknowns import Unknowns
+    from doo_ti.refinement.refine import FEWEST_EDGES, check, unknowns_of
 
     check(task.observations, task.clamps, chosen)
     rod = HeldRod(task.observations, task.clamps, FEWEST_EDGES)
-    unknowns = Unknowns(rod, chosen.parameters, chosen.clip is None, chosen.curvature)
+    unknowns = unknowns_of(rod, chosen)
     unknowns.begun(task.thetas[0], unknowns.clip_prior)
 
 

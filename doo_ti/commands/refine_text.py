@@ -16,10 +16,8 @@ LISTED = 6  # observations named individually
 CLEAR_ODDS = 3.0  # ln of the odds, about 20 to 1: models closer than that predict as well
 SYMBOLS = {"bend": "EI", "bend_1": "EI_1", "bend_2": "EI_2", "twist": "GJ"}
 MODELS = {
-    "straight": "straight at rest, clamped in the middle of the outer edges",
-    "curved": "curved at rest, clamped there",
-    "clips": "curved, clips of unknown length, clamps exact",
-    "clamps": "curved, clips of unknown length, clamps loose",
+    "straight": "straight at rest",
+    "curved": "curved at rest",
     "ribbon": "as fitted, bend stiffness different about m1 and m2",
 }
 
@@ -34,7 +32,7 @@ def summary_of(observations: Observations, surroundings: Surroundings, found, he
     names = estimate.names
     pairs = [(first, second) for k, first in enumerate(names) for second in names[k + 1 :]
              if not (first.startswith("up") or second.startswith("up"))]
-    constant = estimate.values.constant.reshape(2, 2, 2, 3)
+    constant = estimate.values.constant.reshape(2, 2, 3)
     return {
         "material": observations.name, "source": observations.source, "observations": observations.count,
         "theta": _theta(found.theta), "parameters": [asdict(parameter) for parameter in estimate.parameters],
@@ -43,10 +41,8 @@ def summary_of(observations: Observations, surroundings: Surroundings, found, he
         "stiffness": _stiffness(estimate, density),
         "rest_curvature_per_mm": {"spread": scales["curvature"], "range_mm": scales["range"],
                                   "root_mean_square": _size(found.theta.rest_curvature)},
-        "clamp_errors": {"turn_deg": np.degrees(np.linalg.norm(constant[:, 0], axis=-1)).max(axis=0),
-                         "shift_mm": np.linalg.norm(constant[:, 1], axis=-1).max(axis=0),
-                         "turn_scatter_deg": float(np.degrees(scales["turn_scatter"])),
-                         "shift_scatter_mm": scales["shift_scatter"]},
+        "clamp_errors": {"turn_deg": np.degrees(np.linalg.norm(constant, axis=-1)).max(axis=0),
+                         "turn_scatter_deg": float(np.degrees(scales["turn_scatter"]))},
         "tilt_deg": float(np.degrees(np.arccos(np.clip(np.dot(found.theta.up, observations.up), -1.0, 1.0)))),
         "sigma_mm": found.adequacy.noise, "sigma_stated": found.adequacy.stated, "excess": found.adequacy.excess,
         "gap_mm": found.adequacy.gap, "neighbour_correlation": found.adequacy.correlation,
@@ -114,9 +110,9 @@ def summary_lines(summary: dict) -> list[str]:
                                              f"over a range of {curvature['range_mm']:.3g} mm"))
     errors = summary["clamp_errors"]
     if max(errors["turn_deg"]) > 0:
-        (turn_start, turn_end), (shift_start, shift_end) = errors["turn_deg"], errors["shift_mm"]
-        lines.append(_line("clamp errors", f"{turn_start:.2g}° and {shift_start:.2g} mm (start), {turn_end:.2g}° and "
-                                           f"{shift_end:.2g} mm (end); {errors['turn_scatter_deg']:.2g}° between observations"))
+        start, end = errors["turn_deg"]
+        lines.append(_line("frames", f"off by {start:.2g}° (start) and {end:.2g}° (end); {errors['turn_scatter_deg']:.2g}° "
+                                     "between observations"))
     if summary["obstacles"] is not None:
         touched = summary["obstacles"]
         lines.append(_line("obstacles", f"{', '.join(touched['kinds'])}; rods of radius {touched['radius_mm']:g} mm"))
@@ -169,8 +165,7 @@ def _adequacy_lines(summary: dict) -> list[str]:
     lines += [_line("try", f"{one['option']} ({one['meaning']}: twice the log evidence rises by {one['gain']:.3g})")
               for one in summary["advice"][:2]]
     if not summary["reaches_noise"] and not summary["advice"] and summary["other_up"] is None:
-        lines.append(_line("try", "no option explains it. Noise of the two outer marks of an end, which say how the rod is "
-                                  "held, has this effect; else check the misfits, --sigma, and how the marks were made"))
+        lines.append(_line("try", "no option explains it: check the misfits, --sigma, and how the marks were made"))
     return lines
 
 

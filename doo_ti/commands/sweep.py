@@ -137,9 +137,11 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
     observations = loading.of_scene(options, scene)
     clamp_start, clamp_end = (own if chosen is None else chosen for own, chosen in zip(
         (scene.clamp_start, scene.clamp_end), given.clamps(options), strict=True))
+    objective = options.objective or scene.objective
+    if objective == "static":
+        observations = loading.with_ends_in_reach(observations, clamp_start, clamp_end)
     clamps = observation_clamps(observations, clamp_start, clamp_end)
     check_experiment(observations, clamps, grid.axes[-1].values[-1], frame_weight)
-    objective = options.objective or scene.objective
     spins = given.whole("--roll-hypotheses", options.spins, 0, MOST_ROLLS)
     pairs = _pairs(options, scene, observations, objective)
 

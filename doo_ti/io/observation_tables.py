@@ -40,9 +40,10 @@ KEYS_IN_TABLES = {
     "start_frame": ("observation", (3, 3), frame_columns("start_frame")),
     "end_frame": ("observation", (3, 3), frame_columns("end_frame")),
     "up": ("observation", (3,), tuple(f"up_{axis}" for axis in AXES)),
+    "spacing_error": ("observation", (), ("spacing_error",)),
 }
 # Keys that hold one value for all observations.
-_SHARED = ("rest_length_mm", "up")
+_SHARED = ("rest_length_mm", "up", "spacing_error")
 _POSITION = KEYS_IN_TABLES["vertices_mm"][2]
 _COLUMNS = ("observation", "vertex", *(name for _, _, names in KEYS_IN_TABLES.values() for name in names))
 LABELS = "observation"

@@ -31,9 +31,12 @@ KEYS = {
     "vertices": "vertices_mm", "valid": "valid", "rest_length": "rest_length_mm", "start_frame": "start_frame",
     "end_frame": "end_frame", "frames": "frames", "total_twist": "total_twist_deg", "up": "up", "sigma": "sigma_mm",
     "end_distance": "end_distance_mm", "end_rotation": "end_rotation_deg", "labels": "observation",
+    "spacing_error": "spacing_error",
 }
 LENGTHS = ("vertices", "rest_length", "sigma", "end_distance")
 """Fields in mm."""
+UNKNOWN_SPACING = 0.1
+"""Relative error of rest lengths that were not measured, but taken from the marks."""
 LEAST_SIGMA_MM, MOST_SIGMA_MM = 1e-9, 1e6
 """Of labels: the information in them grows with the inverse square."""
 
@@ -56,6 +59,8 @@ class Observations:
     name         name of the rod, used as the label of its material
     source       where it comes from, for messages
     sha256       hex digest of the file's bytes, or ""
+    spacing_error  relative standard deviation of each rest length about the rod's own; by default 0, and 0.1 where rest lengths
+                 are not given
     labels       (D,) whole numbers or texts: what the file calls each observation, for messages; 0, 1, … by default
 
     Raises InputError, naming ``source``, the file's key, the value and the remedy, for whatever breaks these shapes,
@@ -78,13 +83,15 @@ class Observations:
     source: str = "observations"
     sha256: str = ""
     labels: np.ndarray | Sequence[str] | None = None
+    spacing_error: float | None = None
 
     if TYPE_CHECKING:  # what it takes; the fields are the arrays that it makes of them
         def __init__(self, vertices: ArrayLike, valid: ArrayLike | None = None, rest_length: ArrayLike | None = None,
                      start_frame: ArrayLike | None = None, end_frame: ArrayLike | None = None, frames: ArrayLike | None = None,
                      total_twist: ArrayLike | None = None, up: ArrayLike = (0.0, 0.0, 1.0), sigma: ArrayLike | None = None,
                      end_distance: ArrayLike | None = None, end_rotation: ArrayLike | None = None, name: str = "observations",
-                     source: str = "observations", sha256: str = "", labels: ArrayLike | None = None) -> None: ...
+                     source: str = "observations", sha256: str = "", labels: ArrayLike | None = None,
+                     spacing_error: float | None = None) -> None: ...
 
     def __repr__(self) -> str:
         length = self.rest_length.sum()
@@ -100,6 +107,7 @@ class Observations:
         valid = self._checked_valid(vertices)
         self._set(vertices=np.where(valid[..., None], vertices, np.nan), valid=valid)
         self._check_neighbours()
+        self._set(spacing_error=self._checked_spacing_error())
         self._set(rest_length=self._checked_rest_length(size), up=self._checked_up(), sigma=self._checked_sigma(size))
         for name, axes in (("start_frame", ("D", 3, 3)), ("end_frame", ("D", 3, 3)), ("frames", ("D", "E", 3, 3))):
             if getattr(self, name) is not None:
@@ -203,8 +211,7 @@ class Observations:
             if not seen.any(axis=0).all():
                 edge = np.flatnonzero(~seen.any(axis=0))[0]
                 raise self._error("rest_length", f"missing, and no rod shows edge {edge}", "give rest_length_mm (E,)")
-            length = np.linalg.norm(np.diff(self.vertices, axis=1), axis=-1)
-            return np.nanmedian(np.where(seen, length, np.nan), axis=0)
+            return _arcs(self.vertices)
         array = real_array(self.source, KEYS["rest_length"], self.rest_length, "store real numbers")
         if array.ndim == 1 and len(array) != size["E"]:
             raise self._error("rest_length", f"{len(array)} lengths for {size['E']} edges", "give one length per edge")
@@ -213,6 +220,14 @@ class Observations:
             edge = int(np.argmin(length))
             raise self._error("rest_length", f"{length[edge]:g} mm at edge {edge}", "give positive lengths in mm")
         return length
+
+    def _checked_spacing_error(self) -> np.ndarray:
+        if self.spacing_error is None:
+            return np.array(UNKNOWN_SPACING if self.rest_length is None else 0.0)
+        error = self._finite("spacing_error", self._numbers("spacing_error", ()))
+        if not 0 <= error <= 1:
+            raise self._error("spacing_error", f"{error:g}", "give a share of the spacing from 0 to 1, such as 0.02")
+        return error
 
     def _checked_up(self) -> np.ndarray:
         up = self._finite("up", self._numbers("up", (3,)))
@@ -244,6 +259,28 @@ class Observations:
                 raise self._error(name, f"the frame at {list(at)} is {problem}: {np.round(frames[at], 4).tolist()}",
                                   "give unit, orthogonal columns t, m1, m2 with m2 = t x m1")
         return frames
+
+
+def _arcs(vertices: np.ndarray) -> np.ndarray:
+    """(E,) median length of the rod between neighbouring marks, from their places (D, V, 3), NaN where unseen.
+
+    A chord is shorter than its arc by a share (κh)²/24, that of two edges by four times as much; so a third of what two chords
+    exceed the chord of both by is added to them. Where a neighbour is missing the chord itself counts.
+    """
+    chords = np.linalg.norm(np.diff(vertices, axis=1), axis=-1)
+    excess = chords[:, 1:] + chords[:, :-1] - np.linalg.norm(vertices[:, 2:] - vertices[:, :-2], axis=-1)
+    share = excess / (3 * (chords[:, 1:] + chords[:, :-1]))
+    return np.nanmedian(chords, axis=0) * (1 + _over_edges(share))
+
+
+def _over_edges(share: np.ndarray) -> np.ndarray:
+    """(E,) mean over the two joints of each edge of the medians of ``share`` (D, E − 1), without those that no rod shows."""
+    seen = ~np.isnan(share).all(axis=0)
+    median = np.zeros(share.shape[1])
+    median[seen] = np.nanmedian(share[:, seen], axis=0)
+    both = np.stack([np.append(median, 0.0), np.append(0.0, median)])
+    count = np.stack([np.append(seen, False), np.append(False, seen)])
+    return both.sum(axis=0) / np.maximum(count.sum(axis=0), 1)
 
 
 @typed
@@ -306,6 +343,8 @@ def save_observations(path: str | os.PathLike[str], observations: Observations) 
     keys = {KEYS[field.name]: getattr(observations, field.name) for field in fields(observations) if field.name in KEYS}
     if observations.valid.all():
         keys["valid"] = None
+    if observations.spacing_error == 0:
+        keys["spacing_error"] = None
     if np.array_equal(observations.labels, np.arange(observations.count)):
         keys["observation"] = None
     if observations.total_twist is not None:

@@ -7,11 +7,9 @@ Extensions of the model are tried on the linear model at the end of the fit, and
 models are fitted, and each observation is predicted from all others (leave-one-out); the score of a model is the sum of the
 logarithms of the predicted probability densities of the observations:
 
-    straight        no rest curvature, each clamp in the middle of the outermost edge, as in Eq. 2
+    straight        no rest curvature
     curved          with a field of rest curvature
-    clips           curved, and the clips' lengths unknown
-    clamps          clips, and clamps that may be off
-    ribbon          clamps, and different bend stiffness about m1 and m2, for ends whose whole frames are held
+    ribbon          different bend stiffness about m1 and m2, for ends whose whole frames are held
 """
 
 from dataclasses import dataclass, replace
@@ -93,12 +91,12 @@ def _correlation(rows: np.ndarray, counts: np.ndarray) -> float:
 
 def _advice(fit: Fit, fitted: Fitted) -> tuple[Advice, ...]:
     gains = ((option, meaning, fitted.posterior.value - _evidence(fit, fitted, unknowns))
-             for option, meaning, unknowns in _extensions(fit.unknowns, fitted.state.values.clip))
+             for option, meaning, unknowns in _extensions(fit.unknowns))
     return tuple(sorted((Advice(*one) for one in gains if one[-1] > WORTH), key=lambda one: -one.gain))
 
 
-def _extensions(unknowns: Unknowns, clip: np.ndarray):
-    """(option, meaning, unknowns) of each extension. Unknown lengths of clips are factors: of zero there are none to try."""
+def _extensions(unknowns: Unknowns):
+    """(option, meaning, unknowns) of each extension."""
 
     def with_parameters(*names):
         return f"parameters={','.join(name.replace('_', '-') for name in names)}", replace(unknowns, parameters=names)
@@ -110,12 +108,12 @@ def _extensions(unknowns: Unknowns, clip: np.ndarray):
     if "bend" in names and _held_by_frames(unknowns):
         option, extended = with_parameters("bend_1", "bend_2", "bend_12", *(name for name in names if name != "bend"))
         yield option, "a section that is not round", extended
-    if not unknowns.clips and unknowns.rod.clamped.any() and clip.all():
+    if not unknowns.clips and unknowns.rod.clamped.any():
         yield "clip=unknown", "clips of another length", replace(unknowns, clips=True)
     if unknowns.curvature != "field":
         yield "rest_curvature=field", "rest curvature that varies along the rod", replace(unknowns, curvature="field")
-    if not unknowns.clamps:
-        yield "clamps=loose", "clamps that are off what was reported", replace(unknowns, clamps=True)
+    if unknowns.rod.exact:
+        yield "clamps=loose", "clamps that are off what was reported", replace(unknowns, rod=replace(unknowns.rod, exact=False))
 
 
 def _held_by_frames(unknowns: Unknowns) -> bool:
@@ -170,9 +168,7 @@ def scores(fit: Fit, fitted: Fitted) -> tuple[Score, ...]:
 
 def _variants(unknowns: Unknowns) -> dict[str, Unknowns]:
     """The models of the list above, without that of ``unknowns`` itself."""
-    straight = replace(unknowns, curvature="none", clips=False, clamps=False)
-    found = {"straight": straight, "curved": replace(straight, curvature="field"),
-             "clips": replace(unknowns, curvature="field", clamps=False), "clamps": replace(unknowns, clamps=True)}
+    found = {name: replace(unknowns, curvature=curvature) for name, curvature in (("straight", "none"), ("curved", "field"))}
     if "bend" in unknowns.parameters and _held_by_frames(unknowns):
         others = tuple(name for name in unknowns.parameters if name != "bend")
         found["ribbon"] = replace(unknowns, parameters=("bend_1", "bend_2", *others))
@@ -182,13 +178,8 @@ def _variants(unknowns: Unknowns) -> dict[str, Unknowns]:
 def fitted_variant(fit: Fit, fitted: Fitted, unknowns: Unknowns, steps: int = STEPS) -> tuple[Fit, Fitted]:
     """The fit of the model ``unknowns`` to what ``fit`` compares, from the values and sizes at the end of ``fitted``."""
     before = fitted.state.values
-    lengths = unknowns.rod.observations.rest_length
-    clip = 0.5 * np.array([lengths[0], lengths[-1]])
-    if unknowns.clips:
-        clip = np.where(before.clip > 0, before.clip, unknowns.clip_prior)
     same_field = unknowns.curvature == fit.unknowns.curvature
-    values = replace(before, clip=clip, curvature=before.curvature if same_field else np.zeros((len(unknowns.knots), 2)),
-                     constant=before.constant * unknowns.clamps, scatter=before.scatter * unknowns.clamps)
-    own = Fit(replace(fit.comparison, unknowns=unknowns), replace(fit.origin, clip=clip), fit.solver, fit.rods)
+    values = replace(before, curvature=before.curvature if same_field else np.zeros((len(unknowns.knots), 2)))
+    own = Fit(replace(fit.comparison, unknowns=unknowns), fit.origin, fit.solver, fit.rods)
     scales = fitted.state.scales.learning(unknowns.scale_names)
     return own, own.run(own.at(values, scales, fitted.state.solution), steps)

@@ -140,6 +140,9 @@ def estimated(fit: Fit, fitted: Fitted, profiled: bool = True) -> Estimate:
     theta = unknowns.theta_at(values)
     found = {}
     for name, direction in _directions(unknowns.names, count).items():
+        if name.startswith("twist") and unknowns.rod.twist_unknown:  # it is that of a common rod
+            found[name] = Interval(None, None, float(np.sqrt(direction @ fitted.posterior.covariance @ direction)))
+            continue
         by_profile = profiled and not name.startswith(("up", "clip"))
         found[name] = (interval if by_profile else _by_covariance)(fit, fitted, direction, degrees)
     suffix = "/weight" if "weight" in unknowns.names else ""

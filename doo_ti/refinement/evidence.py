@@ -21,9 +21,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize
 
-from doo_ti.refinement.held_rod import POSE
 from doo_ti.refinement.priors import NAMES, Scales, covariance
-from doo_ti.refinement.residuals import GAP_MODES, Moments, Residuals, effect_scales
+from doo_ti.refinement.residuals import GAP_MODES, Moments, Residuals
 from doo_ti.refinement.unknowns import Unknowns
 
 STEPS = 60
@@ -77,8 +76,8 @@ class Evidence:
         return replace(self, basis=full[:, 1 : len(direction)], along=amount * direction / (direction @ direction))
 
     def posterior(self, scales: Scales) -> Posterior:
-        kinds = effect_scales(self.moments[0].effects.shape[-1])
-        weights, variance, mixed, inner, slope_z = _effects(self.moments, scales)
+        kinds = effect_scales(self.unknowns)
+        weights, variance, mixed, inner, slope_z = _effects(self.unknowns, self.moments, scales)
         slope = sum(w * kind.shared_slope for w, kind in zip(weights, self.moments, strict=True))
         passed = mixed @ inner
         precision, log_prior = self.unknowns.precision(scales)
@@ -113,7 +112,7 @@ class Evidence:
     def left_out(self, linear: tuple[Residuals, ...], scales: Scales) -> np.ndarray:
         """(D,) ln of the probability density of each observation, given all others, at these sizes: half of the decrease of F
         when that observation is left out. ``linear``: the residuals from which the moments follow."""
-        own, slope, squares, constant = _integrated(linear, scales)
+        own, slope, squares, constant = _integrated(self.unknowns, linear, scales)
         precision, _ = self.unknowns.precision(scales)
         hessian, total = precision + own.sum(axis=0), slope.sum(axis=0) + precision @ self.offset
         without, rest = hessian - own, total - slope
@@ -148,8 +147,9 @@ class Evidence:
     def _counts(self, scales: Scales) -> np.ndarray:
         """(H,) how many squares each learned size is the mean of; the range is not one, and is not changed here."""
         rods, knots = len(self.moments[0].effects), max(len(self.unknowns.columns("curvature")), 2)
-        counts = {"curvature": knots, "range": np.inf, "turn": POSE, "shift": POSE, "turn_scatter": 6 * rods,
-                  "shift_scatter": 6 * rods, "gap": 3 * GAP_MODES * rods}
+        turns = self.unknowns.rod.pose_scales.count("turn_scatter")
+        counts = {"curvature": knots, "range": np.inf, "turn": 2 * turns, "turn_scatter": turns * rods,
+                  "gap": 3 * GAP_MODES * rods}
         counts |= {kind.scale: max(kind.count, 1.0) for kind in self.moments}
         return np.array([counts.get(name, 1.0) for name, free in zip(NAMES, scales.learned, strict=True) if free], dtype=float)
 
@@ -172,10 +172,8 @@ class Evidence:
     def _prior_gradient(self, gradient: dict[str, float], scales: Scales, second: np.ndarray) -> None:
         """Adds the derivatives of the prior of the unknowns, whose second moments about its mean are ``second``."""
         unknowns = self.unknowns
-        clamps = unknowns.columns("clamps")
-        for name, turns in (("turn", True), ("shift", False)):
-            own = clamps[unknowns.is_turn[: len(clamps)] == turns]
-            gradient[name] += 2 * float((1 - np.diag(second)[own] / scales[name] ** 2).sum())
+        own = unknowns.columns("clamps")
+        gradient["turn"] += 2 * float((1 - np.diag(second)[own] / scales["turn"] ** 2).sum())
         knots = unknowns.columns("curvature")
         if not len(knots):
             return
@@ -203,25 +201,43 @@ def _inverse(hessian: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, fl
     return inverse.T @ inverse, 2 * float(np.log(np.diag(root)).sum())
 
 
-def _effects(moments: Sequence[Moments], scales: Scales):
+def effect_scales(unknowns: Unknowns) -> tuple[str, ...]:
+    """(Q,) the scale of each effect of an observation: poses first, then the gap's amplitudes. A number of a pose that is not
+    unknown has no derivatives; its scale does not matter."""
+    return tuple(name or "turn_scatter" for name in unknowns.rod.pose_scales if unknowns.clamps) + ("gap",) * (3 * GAP_MODES)
+
+
+def _effects(unknowns: Unknowns, moments: Sequence[Moments], scales: Scales):
     """1/σ² of each kind, the diagonal of S (Q,), and of each observation JᵀWZ (D, P, Q), M_d⁻¹ (D, Q, Q) and ZᵀWr (D, Q)."""
     weights = [1 / scales[kind.scale] ** 2 for kind in moments]
-    variance = np.array([scales[name] for name in effect_scales(moments[0].effects.shape[-1])]) ** 2
+    variance = np.array([scales[name] for name in effect_scales(unknowns)]) ** 2
     pairs = list(zip(weights, moments, strict=True))
     inner = np.linalg.inv(np.diag(1 / variance) + sum(w * kind.effects for w, kind in pairs))
     mixed, slope_z = sum(w * kind.mixed for w, kind in pairs), sum(w * kind.effects_slope for w, kind in pairs)
     return weights, variance, mixed, inner, slope_z
 
 
-def information(linear: tuple[Residuals, ...], scales: Scales) -> np.ndarray:
+def best_effects(unknowns: Unknowns, linear: tuple[Residuals, ...], scales: Scales) -> np.ndarray:
+    """(D, Q) the most probable effects of each observation where the unknowns stay."""
+    _, _, _, inner, slope_z = _effects(unknowns, [Moments.of(kind) for kind in linear], scales)
+    return -(inner @ slope_z[..., None])[..., 0]
+
+
+def integrated(unknowns: Unknowns, linear: tuple[Residuals, ...], scales: Scales) -> tuple[np.ndarray, np.ndarray]:
+    """B (D, P, P) and s (D, P) of what each observation says of the unknowns x, its own effects integrated out: −2 ln of its
+    density is 2 s·x + xᵀBx besides what does not depend on x."""
+    return _integrated(unknowns, linear, scales)[:2]
+
+
+def information(unknowns: Unknowns, linear: tuple[Residuals, ...], scales: Scales) -> np.ndarray:
     """(D, P, P) information that each observation holds about the unknowns, its own effects integrated out."""
-    return _integrated(linear, scales)[0]
+    return _integrated(unknowns, linear, scales)[0]
 
 
-def _integrated(linear: tuple[Residuals, ...], scales: Scales):
+def _integrated(unknowns: Unknowns, linear: tuple[Residuals, ...], scales: Scales):
     """−2 ln of the density of each observation's residuals, its effects integrated out, as c + q + 2 s·x + xᵀBx in the
     unknowns x: B (D, P, P), s (D, P), q and c (D,); c does not depend on the residuals."""
-    weights, variance, mixed, inner, slope_z = _effects([Moments.of(kind) for kind in linear], scales)
+    weights, variance, mixed, inner, slope_z = _effects(unknowns, [Moments.of(kind) for kind in linear], scales)
     pairs, slope_z = list(zip(weights, linear, strict=True)), slope_z[..., None]
     own = sum(w * np.swapaxes(k.shared, 1, 2) @ k.shared for w, k in pairs) - mixed @ inner @ np.swapaxes(mixed, 1, 2)
     slope = (sum(w * np.swapaxes(k.shared, 1, 2) @ k.values[..., None] for w, k in pairs) - mixed @ inner @ slope_z)[..., 0]

@@ -9,6 +9,7 @@ observations, also with a whole turn more and less, and are left out where that 
 Axes: D observations, P unknowns, G cells of a grid.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +17,7 @@ from scipy.ndimage import generate_binary_structure, minimum_filter
 
 from doo_ti.errors import InputError
 from doo_ti.grid import Grid
-from doo_ti.refinement.evidence import Evidence, Posterior
+from doo_ti.refinement.evidence import Evidence, Posterior, best_effects
 from doo_ti.refinement.held_rod import POSE
 from doo_ti.refinement.priors import Scales
 from doo_ti.refinement.residuals import Comparison, Moments, Residuals
@@ -26,11 +27,14 @@ from doo_ti.types import Solution
 
 LARGEST_STEP = 1.0  # of an unknown of Θ or a clip: small steps keep rods on their branches
 LARGEST_TURN = 0.3  # rad, of a clamp
+POSE_STEPS, POSED = 12, 0.1  # of an observation's clamps alone, and by how much −2 ln of its posterior falls at least
+FOLLOWED = 3  # steps of the clamps after each of the shared unknowns, which they follow
+LARGEST_ROLL = 1.0  # rad, of a clamp in one observation
 SHORTENED = 1 / 3  # factor by which a step that does not help is shortened
 MOST_SHORTENED = 8
 LEAST_SHARE = 2e-3  # share of a step: if no longer step helps, the fit stops
 SETTLED = 0.03  # standard errors: the fit is done when Θ moves by less
-SCALE_STEPS = 25  # of the search for the sizes, in each step
+SCALE_STEPS = 12  # of the search for the sizes, in each step
 ODD = 9.0
 """Times the others' mean square, three times their size: a rod with such residuals is a misfit."""
 REFITTED = 0.5  # a misfit relaxed again is better if its squares are below this share of those before
@@ -93,19 +97,74 @@ class Fit:
 
     def begin(self, values: Values, scales: Scales) -> State:
         """Rods relaxed from their observations. Raises InputError where none is converged and stable."""
-        rod, unknowns = self.unknowns.rod, self.unknowns
-        solution = rod.relaxed(unknowns.material(values), values.clip, unknowns.pose(values), self.solver, values.theta.up)
-        state = self._state(values, scales, solution)
+        state = self.from_marks(values, scales)
         if not state.used.any():
-            raise InputError(rod.observations.source, "vertices_mm", "no rod is converged and stable at the first Θ",
+            raise InputError(self.unknowns.rod.observations.source, "vertices_mm",
+                             "no rod is converged and stable at the first Θ",
                              "begin with another Θ, or inspect the rods with relax")
         return state
+
+    def from_marks(self, values: Values, scales: Scales) -> State:
+        """Rods relaxed from their observations, those without reported frames with the most probable clamps."""
+        unknowns = self.unknowns
+        solution = unknowns.rod.relaxed(unknowns.material(values), unknowns.lengths(values), unknowns.pose(values), self.solver,
+                                        values.theta.up)
+        state = self._state(values, scales, solution)
+        return self.posed(state, solution.converged & solution.stable) if self.unknowns.rod.direction_unknown else state
+
+    def best_of(self, states: Sequence[State]) -> State:
+        """Of each observation that with the most probable clamps, at the same shared unknowns and sizes."""
+        best, *others = states
+        for other in others:
+            sound = other.solution.converged & other.solution.stable
+            lower = self._of_rods(other, best.scales) < self._of_rods(best, best.scales)
+            best = self._merged(best, other, sound & (lower | ~(best.solution.converged & best.solution.stable)))
+        return best
 
     def at(self, values: Values, scales: Scales, solution: Solution) -> State:
         """``values`` with rods relaxed from ``solution``, which is on the same mesh."""
         unknowns = self.unknowns
         return self._state(values, scales, unknowns.rod.followed(
-            solution, unknowns.material(values), values.clip, unknowns.pose(values), self.solver, values.theta.up))
+            solution, unknowns.material(values), unknowns.lengths(values), unknowns.pose(values), self.solver, values.theta.up))
+
+    def posed(self, state: State, rows: np.ndarray, steps: int = POSE_STEPS) -> State:
+        """``state`` with the most probable clamps of the observations ``rows`` (D,) bool, all shared unknowns as they are:
+        Gauss–Newton, each observation with steps of its own. Where no frame was reported marks alone say how a rod is held,
+        and the direction between two of them is only where that begins."""
+        if not self.unknowns.clamps:
+            return state
+        share, before = np.ones(len(rows)), self._of_rods(state, state.scales)
+        for _ in range(steps):
+            sound = rows & state.solution.converged & state.solution.stable
+            linear, usable = self.comparison.linear(state.solution, state.values, sound, leave_out_soft=False)
+            wanted = best_effects(self.unknowns, linear, state.scales)[:, :POSE]
+            step = np.where(usable[:, None], self._turned(wanted - state.values.scatter), 0.0)
+            trial = self.at(replace(state.values, scatter=state.values.scatter + share[:, None] * step), state.scales,
+                            state.solution)
+            after = self._of_rods(trial, state.scales)
+            better = usable & trial.solution.converged & trial.solution.stable & (after < before)
+            share = np.where(better, np.minimum(1.0, share / SHORTENED), share * SHORTENED)
+            gained = np.where(better, before - after, 0.0)
+            if better.any():
+                state = trial if (better | ~usable).all() else self._merged(state, trial, better)
+            before = np.where(better, after, before)
+            if not ((gained > POSED) | (usable & ~better & (share > LEAST_SHARE))).any():
+                break
+        return state
+
+    def _merged(self, state: State, other: State, rows: np.ndarray) -> State:
+        """``other`` in the observations ``rows``, ``state`` elsewhere."""
+        quaternions, start, scatter = (np.where(rows[(slice(None),) + (None,) * (new.ndim - 1)], new, old) for new, old in (
+            (other.solution.configuration.quaternions, state.solution.configuration.quaternions),
+            (other.solution.configuration.start, state.solution.configuration.start),
+            (other.values.scatter, state.values.scatter)))
+        shape = replace(state.solution.configuration, quaternions=quaternions, start=start)
+        return self.at(replace(state.values, scatter=scatter), state.scales, replace(state.solution, configuration=shape))
+
+    @staticmethod
+    def _turned(step: np.ndarray) -> np.ndarray:
+        """A change of poses (D, POSE), shortened where it turns a clamp too far for one step."""
+        return step * np.minimum(1.0, LARGEST_ROLL / np.maximum(np.abs(step[:, :6]).max(axis=1), 1e-300))[:, None]
 
     def run(self, state: State, steps: int, held: tuple[np.ndarray, float] | None = None) -> Fitted:
         """The best values that are reached from ``state``; with ``held`` = (v, a), those whose v·x is larger by a than that of
@@ -158,8 +217,10 @@ class Fit:
 
     def _share(self, step: np.ndarray) -> float:
         names = self.unknowns.names
-        limits = np.array([LARGEST_TURN if name.startswith("clamps") else np.inf if name.startswith("curvature")
-                           else LARGEST_STEP for name in names])
+        limits = np.full(len(names), LARGEST_STEP)
+        outer = self.unknowns.rod.observations.rest_length[[0, -1]]
+        for prefix, size in (("clamps", LARGEST_TURN), ("curvature", np.inf), ("clip_start", outer[0]), ("clip_end", outer[1])):
+            limits[self.unknowns.columns(prefix)] = size
         return float(min(1.0, 1 / max((np.abs(step) / limits).max(), 1e-300)))
 
     def _stepped(self, fitted: Fitted, share: float, moving: bool) -> tuple[State, float]:
@@ -167,11 +228,15 @@ class Fit:
         where no step does. A step ``moving`` a held combination of unknowns may raise it."""
         state, found, unknowns = fitted.state, fitted.posterior, self.unknowns
         effects = found.effects[:, :POSE] if unknowns.clamps else 0 * state.values.scatter
-        effects = np.where(state.used[:, None], effects, 0.0)
+        effects = np.where(state.used[:, None], effects, state.values.scatter)
+        largest = np.abs(effects - state.values.scatter)[:, :6].max()
+        share = min(share, LARGEST_ROLL / max(largest, 1e-300))
         before = self._objective(state, state.used, state.scales)
         for _ in range(MOST_SHORTENED):
             values = unknowns.moved(state.values, share * found.step, share * (effects - state.values.scatter))
             trial = self.at(values, state.scales, state.solution)
+            if unknowns.rod.direction_unknown:
+                trial = self.posed(trial, state.used, FOLLOWED)
             kept = trial.solution.converged & trial.solution.stable
             if kept[state.used].all() and (moving or self._objective(trial, state.used, state.scales) <= before):
                 return trial, share
@@ -180,19 +245,22 @@ class Fit:
 
     def _objective(self, state: State, used: np.ndarray, scales: Scales) -> float:
         """−2 ln of the posterior without its constant, the gap integrated out, over the rods ``used``."""
-        gap = self.comparison.gap_weight(scales)
-        total = 0.0
-        for name, kind in zip(("marks", "frames"), state.residuals, strict=False):
-            rows = kind[used] / scales[name]
-            total += float((rows**2).sum())
-            if name == "marks":
-                total -= float(((rows @ gap) ** 2).sum())
         precision, _ = self.unknowns.precision(scales)
         offset = self.unknowns.offset(state.values, self.origin)
-        total += float(offset @ precision @ offset)
+        return float(self._of_rods(state, scales)[used].sum() + offset @ precision @ offset)
+
+    def _of_rods(self, state: State, scales: Scales) -> np.ndarray:
+        """(D,) the part of that of each observation: its residuals, and the errors of its clamps."""
+        gap = self.comparison.gap_weight(scales)
+        total = np.zeros(len(state.used))
+        for name, kind in zip(("marks", "frames"), state.residuals, strict=False):
+            rows = kind / scales[name]
+            total += (rows**2).sum(axis=1)
+            if name == "marks":
+                total -= ((rows @ gap) ** 2).sum(axis=1)
         if self.unknowns.clamps:
-            sizes = np.repeat([scales["turn_scatter"], scales["shift_scatter"]], 6)
-            total += float(((state.values.scatter[used] / sizes) ** 2).sum())
+            sizes = np.array([scales[name] if name else np.inf for name in self.unknowns.rod.pose_scales])
+            total += ((state.values.scatter / sizes) ** 2).sum(axis=1)
         return total
 
     def _misfits_relaxed_again(self, state: State) -> tuple[State, bool]:
@@ -203,19 +271,17 @@ class Fit:
             return state, False
         unknowns, values = self.unknowns, state.values
         values = replace(values, scatter=np.where(state.used[:, None], values.scatter, 0.0))
-        anew = unknowns.rod.relaxed(unknowns.material(values), values.clip, unknowns.pose(values), self.solver,
+        anew = unknowns.rod.relaxed(unknowns.material(values), unknowns.lengths(values), unknowns.pose(values), self.solver,
                                     values.theta.up, misfits, any_turn=True)
         quaternions = state.solution.configuration.quaternions.copy()
         quaternions[misfits] = anew.configuration.quaternions
         moved = replace(state.solution, configuration=replace(state.solution.configuration, quaternions=quaternions))
-        trial = self.at(values, state.scales, moved)
+        trial = self.posed(self.at(values, state.scales, moved), ~state.used)
         nearer = self.mean_squares(trial.residuals) < REFITTED * self.mean_squares(state.residuals)
         nearer = (nearer | ~good) & trial.solution.converged & trial.solution.stable & ~state.used
         if not nearer.any():
             return state, False
-        keep = np.where(nearer[:, None, None], quaternions, state.solution.configuration.quaternions)
-        merged = replace(state.solution, configuration=replace(state.solution.configuration, quaternions=keep))
-        return self.at(values, state.scales, merged), True
+        return self._merged(state, trial, nearer), True
 
 
 # --- where to begin -------------------------------------------------------------------------------------------------------

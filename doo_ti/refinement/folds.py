@@ -9,9 +9,10 @@ import numpy as np
 
 from doo_ti.errors import InputError
 from doo_ti.io.observations import Observations
+from doo_ti.refinement.fit import Fit
 from doo_ti.refinement.held_rod import POSE, HeldRod
 from doo_ti.refinement.refine import Refinement, RefinementOptions, refine, unknowns_of
-from doo_ti.refinement.residuals import mark_distance
+from doo_ti.refinement.residuals import Comparison, mark_distance
 from doo_ti.refinement.unknowns import Theta
 from doo_ti.types import Clamps
 
@@ -76,12 +77,16 @@ def refine_held_out(observations: Observations, clamps: Clamps, theta: Theta, fo
 def _predicted(found: Refinement, observations: Observations, clamps: Clamps, options: RefinementOptions
                ) -> tuple[np.ndarray, np.ndarray]:
     """(D,) Eq. 1 in mm of observations that ``found`` was not fitted to, each rod relaxed from its observation, and (D,) bool
-    whether it is converged and stable. The clamps' errors in a single observation are unknown here, and taken as zero."""
+    whether it is converged and stable. What is not known of its clamps is fitted to each observation."""
     edges = 2 * found.mesh_edges if found.mesh_error is not None else found.mesh_edges
-    rod = HeldRod(observations, clamps, edges, options.surroundings)
+    rod = HeldRod(observations, clamps, edges, options.surroundings, options.clamps == "exact")
     unknowns = unknowns_of(rod, options)
+    if not len(found.estimate.values.curvature):
+        unknowns = replace(unknowns, curvature="none")
     values = replace(found.estimate.values, scatter=np.zeros((observations.count, POSE)))
-    solution = rod.relaxed(unknowns.material(values), values.clip, unknowns.pose(values), options.solver, values.theta.up)
-    frames = rod.directors(solution, values.clip) if options.frame_weight > 0 else None
-    return (mark_distance(rod.marks(solution, values.clip), observations, frames, options.frame_weight),
+    fit = Fit(Comparison.of(unknowns, options.frame_weight > 0), values, options.solver)
+    state = fit.from_marks(values, found.estimate.scales)
+    solution = fit.posed(state, state.solution.converged & state.solution.stable).solution
+    frames = rod.directors(solution, unknowns.lengths(values)) if options.frame_weight > 0 else None
+    return (mark_distance(rod.marks(solution, unknowns.lengths(values)), observations, frames, options.frame_weight),
             solution.converged & solution.stable)

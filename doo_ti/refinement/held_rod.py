@@ -5,13 +5,16 @@ at the end of the clip, ``clip`` mm from the first mark, and likewise at the oth
 
     h = (L − c_0 − c_1)/(N − 1)        with both ends clamped, L the length between the outer marks.
 
-Marks lie between the mesh's vertices, by cubic interpolation; inside a clip the rod is straight. A clamp may be off its
-reported pose by six numbers: a rotation about the clip's end and a displacement, both in the axes of the reported frame.
+A clip that ends before the outer mark has a negative length. Marks lie between the mesh's vertices, by cubic interpolation;
+inside a clip the rod is straight. A clamp may be off its reported pose by six numbers: a rotation about the clip's end and a
+displacement, both in the axes of the reported frame. Where no frame was reported the pose is that of the outer two marks, and
+its roll is unknown: then the six numbers are what holds the rod, and have no limits worth the name.
 
 Axes: D observations, M marks, N edges of the mesh, Q = 12 numbers of the two poses.
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -20,7 +23,7 @@ from doo_ti.frames import rotation_matrix
 from doo_ti.io.observations import Observations
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.start import choose_hypothesis, fill_missing, start_configuration, turn_hypotheses
+from doo_ti.start import choose_hypothesis, fill_missing, held_spins, start_configuration, turn_hypotheses
 from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution
 
 POSE = 12
@@ -28,13 +31,39 @@ POSE = 12
 
 
 @dataclass(frozen=True)
+class Lengths:
+    """Where marks and clips are along the rod.
+
+    clip     (2,) mm from the outer marks inwards to where the clips end
+    spacing  (M − 1,) mm of rod between neighbouring marks
+    """
+
+    clip: np.ndarray
+    spacing: np.ndarray
+
+    @property
+    def mark_place(self) -> np.ndarray:
+        """(M,) arc length of the marks from the first one, mm."""
+        return np.concatenate([[0.0], np.cumsum(self.spacing)])
+
+    @property
+    def mark_slope(self) -> np.ndarray:
+        """(M, M − 1) derivative of :attr:`mark_place` by the logarithm of each spacing."""
+        return np.tri(len(self.spacing) + 1, len(self.spacing), -1) * self.spacing
+
+
+GEOMETRY = 3
+"""Columns of derivatives by both clip lengths and by L."""
+
+
+@dataclass(frozen=True)
 class Mesh:
-    """The mesh for one pair of clip lengths.
+    """The mesh for given lengths.
 
     edge         h, mm
     place        (N + 1,) arc length of its vertices from the first mark, mm
-    edge_slope   (2,) derivative of ``edge`` by each clip length
-    first_slope  (2,) derivative of ``place[0]`` by each clip length
+    edge_slope   (GEOMETRY,) derivative of ``edge``
+    first_slope  (GEOMETRY,) derivative of ``place[0]``
     """
 
     edge: float
@@ -49,7 +78,7 @@ class Mesh:
 
     @property
     def joint_slope(self) -> np.ndarray:
-        """(N − 1, 2) derivative of :attr:`joints` by each clip length."""
+        """(N − 1, GEOMETRY) derivative of :attr:`joints`."""
         steps = np.arange(1, len(self.place) - 1)[:, None]
         return self.first_slope + steps * self.edge_slope
 
@@ -68,7 +97,7 @@ class Mesh:
         return weights, slopes
 
     def slide(self, place: np.ndarray) -> np.ndarray:
-        """(X, 2) derivative of u = (s − s_0)/h by each clip length at given arc lengths s."""
+        """(X, GEOMETRY) derivative of u = (s − s_0)/h at given arc lengths s."""
         u = (place - self.place[0]) / self.edge
         return -(self.first_slope + u[:, None] * self.edge_slope) / self.edge
 
@@ -81,87 +110,152 @@ class HeldRod:
     clamps        of the ends, at the outer marks, as reported
     edges         N of the mesh
     surroundings  what the rods touch, with one row for all observations or one for each
+    exact         whether the clamps are exactly where they were reported, and where the outer marks say
     """
 
     observations: Observations
     clamps: Clamps
     edges: int
     surroundings: Surroundings = Surroundings()
+    exact: bool = False
 
-    @property
+    @cached_property
     def mark_place(self) -> np.ndarray:
-        """(M,) arc length of the marks, mm."""
+        """(M,) arc length of the marks as the observations state it, mm."""
         return np.concatenate([[0.0], np.cumsum(self.observations.rest_length)])
 
     @property
     def length(self) -> float:
-        """L, mm."""
+        """L as the observations state it, mm."""
         return float(self.observations.rest_length.sum())
+
+    @property
+    def reported(self) -> tuple[bool, bool]:
+        """Whether the frame of each end was reported."""
+        seen = self.observations
+        return tuple(frame is not None or seen.frames is not None for frame in (seen.start_frame, seen.end_frame))
+
+    @cached_property
+    def held(self) -> Clamps:
+        """The clamps of the model. Where the frame was not reported the roll is unknown, not free: clips hold it."""
+        if self.exact:
+            return self.clamps
+        count = self.observations.count
+        kinds, hidden = [], []
+        for kind, reported in zip((self.clamps.start, self.clamps.end), self.reported, strict=True):
+            kind = np.broadcast_to(np.asarray(kind), count)
+            hidden.append(not reported and kind.max() >= Clamp.TANGENT)
+            kinds.append(np.where(kind == Clamp.TANGENT, Clamp.FRAME, kind) if hidden[-1] else kind)
+        clamps = replace(self.clamps, start=kinds[0], end=kinds[1])
+        if any(hidden) and all(np.min(kind) == Clamp.FRAME for kind in kinds):
+            # Begin without twist: an end of unknown roll follows the other.
+            at = replace(self.clamps, start=np.full(count, Clamp.TANGENT if hidden[0] and not hidden[1] else Clamp.FRAME),
+                         end=np.full(count, Clamp.TANGENT if hidden[1] else Clamp.FRAME))
+            clamps = held_spins(self.observations, at, np.zeros(count))
+        return clamps
+
+    @cached_property
+    def pose_scales(self) -> tuple[str, ...]:
+        """(POSE,) the size, of :mod:`doo_ti.refinement.priors`, of what is unknown about each number of the clamps' poses in
+        one observation; "" where nothing is."""
+        turns, shifts = [], []
+        twisted = all(np.max(kind) == Clamp.FRAME for kind in (self.held.start, self.held.end))
+        for end, (kind, reported) in enumerate(zip((self.clamps.start, self.clamps.end), self.reported, strict=True)):
+            held = np.max(kind)
+            roll = "any_roll" if end == 0 and self.rolled_together or not twisted else "any_twist"
+            turn = ("turn_scatter",) * 3 if reported else (roll, "any_turn", "any_turn")
+            turns += ("",) * 3 if self.exact or held < Clamp.TANGENT else turn
+            shifts += ("",) * 3 if self.exact or held < Clamp.POSITION else ("any_shift",) * 3
+        return (*turns, *shifts)
+
+    @cached_property
+    def rolled_together(self) -> bool:
+        """Whether the rolls of both ends are unknown: then the end's counts from the start's, and is the twist of the rod."""
+        return not (self.exact or any(self.reported)) and all(
+            np.max(kind) == Clamp.FRAME for kind in (self.held.start, self.held.end))
+
+    @property
+    def direction_unknown(self) -> bool:
+        """Whether marks alone say which way an end points."""
+        return "any_turn" in self.pose_scales
+
+    @property
+    def twist_unknown(self) -> bool:
+        """Whether marks alone say how far the rod is twisted."""
+        return "any_twist" in self.pose_scales
 
     @property
     def clamped(self) -> np.ndarray:
         """(2,) bool: ends with a clip, where the clamp holds at least the tangent."""
         return np.array([np.max(kind) >= Clamp.TANGENT for kind in (self.clamps.start, self.clamps.end)])
 
-    def mesh(self, clip: np.ndarray) -> Mesh:
-        """The mesh for clips of ``clip`` (2,) mm; the length at an end without clip is ignored."""
+    def mesh(self, lengths: Lengths) -> Mesh:
+        """The mesh for ``lengths``; the length of a clip at an end without one is ignored."""
         held = self.clamped.astype(float)
         count = self.edges - 0.5 * held.sum()
-        edge = (self.length - held @ clip) / count
-        slope = -held / count
-        first = held[0] * (clip[0] - 0.5 * edge)
-        first_slope = held[0] * (np.array([1.0, 0.0]) - 0.5 * slope)
+        edge = (lengths.spacing.sum() - held @ lengths.clip) / count
+        slope = np.append(-held, 1.0) / count
+        first = held[0] * (lengths.clip[0] - 0.5 * edge)
+        first_slope = held[0] * (np.eye(GEOMETRY)[0] - 0.5 * slope)
         return Mesh(edge, first + edge * np.arange(self.edges + 1), slope, first_slope)
 
-    def mesh_clamps(self, clip: np.ndarray, pose: np.ndarray) -> Clamps:
+    def mesh_clamps(self, lengths: Lengths, pose: np.ndarray) -> Clamps:
         """The clamps of the mesh, off their reported poses by ``pose`` (D, Q)."""
-        mesh = self.mesh(clip)
+        mesh, clip = self.mesh(lengths), lengths.clip
         positions, frames = [], []
         for end, (position, frame) in enumerate(self._reported):
-            turned = frame @ rotation_matrix(pose[:, 3 * end : 3 * end + 3])
+            turned = self._rolled(frame, end, pose) @ rotation_matrix(pose[:, 3 * end : 3 * end + 3])
             position = position + np.einsum("dij,dj->di", frame, pose[:, 6 + 3 * end : 9 + 3 * end])
             if self.clamped[end]:
                 inwards = 1.0 if end == 0 else -1.0
                 position = position + inwards * (clip[end] * frame[..., 0] - 0.5 * mesh.edge * turned[..., 0])
             positions.append(position)
             frames.append(turned)
-        return Clamps(self.clamps.start, self.clamps.end, *positions, *frames)
+        return Clamps(self.held.start, self.held.end, *positions, *frames)
 
-    def clamp_slopes(self, clip: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of the clamps of the mesh by the clips and the poses: displacements (2, D, 3, 2 + Q) of the start's and
-        the end's vertex, and rotations in the world (2, D, 3, 2 + Q)."""
-        mesh, count = self.mesh(clip), self.observations.count
-        moved, turned = np.zeros((2, 2, count, 3, 2 + POSE))
+    def clamp_slopes(self, lengths: Lengths, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of the clamps of the mesh by the lengths and the poses: displacements (2, D, 3, GEOMETRY + Q) of the
+        start's and the end's vertex, and rotations in the world (2, D, 3, GEOMETRY + Q)."""
+        mesh, count = self.mesh(lengths), self.observations.count
+        moved, turned = np.zeros((2, 2, count, 3, GEOMETRY + POSE))
         for end, (_, frame) in enumerate(self._reported):
-            rotation, offset = slice(2 + 3 * end, 5 + 3 * end), slice(8 + 3 * end, 11 + 3 * end)
+            first = GEOMETRY + 3 * end
+            rotation, offset = slice(first, first + 3), slice(first + 6, first + 9)
             moved[end][..., offset] = frame
             turn = pose[:, 3 * end : 3 * end + 3]
-            now = frame @ rotation_matrix(turn)
+            now = self._rolled(frame, end, pose) @ rotation_matrix(turn)
             turned[end][..., rotation] = now @ right_jacobian(turn)
+            if end == 1 and self.rolled_together:
+                turned[end][..., GEOMETRY] = frame[..., 0]
             if not self.clamped[end]:
                 continue
             inwards = 1.0 if end == 0 else -1.0
             tangent = now[..., 0]
             moved[end][..., end] += inwards * frame[..., 0]
-            moved[end][..., :2] -= inwards * 0.5 * tangent[..., None] * mesh.edge_slope
-            moved[end][..., rotation] -= inwards * 0.5 * mesh.edge * np.cross(
-                turned[end][..., rotation], tangent[..., None], axis=1)
+            moved[end][..., :GEOMETRY] -= inwards * 0.5 * tangent[..., None] * mesh.edge_slope
+            moved[end] -= inwards * 0.5 * mesh.edge * np.cross(turned[end], tangent[..., None], axis=1)
         return moved, turned
+
+    def _rolled(self, frame: np.ndarray, end: int, pose: np.ndarray) -> np.ndarray:
+        """``frame`` (D, 3, 3) of the end, rolled by as much as the start where their rolls count together."""
+        if end == 0 or not self.rolled_together:
+            return frame
+        return frame @ rotation_matrix(pose[:, :1] * [1.0, 0.0, 0.0])
 
     @property
     def _reported(self):
-        clamps = self.clamps
+        clamps = self.held
         return (clamps.start_position, clamps.start_frame), (clamps.end_position, clamps.end_frame)
 
-    def relaxed(self, material: Material, clip: np.ndarray, pose: np.ndarray, solver: Newton, up: np.ndarray,
+    def relaxed(self, material: Material, lengths: Lengths, pose: np.ndarray, solver: Newton, up: np.ndarray,
                 rows: np.ndarray | None = None, any_turn: bool = False) -> Solution:
         """F from the observations, or from those of ``rows`` alone; of several whole turns the one nearest to the marks.
 
         any_turn  try a turn more and one less than the observed twist, too
         """
         rows = np.arange(self.observations.count) if rows is None else rows
-        clamps = self.mesh_clamps(clip, pose).take(rows)
-        seen = self._on_mesh(clip).take(rows)
+        clamps = self.mesh_clamps(lengths, pose).take(rows)
+        seen = self._on_mesh(lengths).take(rows)
         index, turns = turn_hypotheses(seen, clamps)
         if any_turn and seen.total_twist is not None and len(index) == len(rows):
             index, turns = np.repeat(index, 3), np.repeat(turns, 3) + np.tile([0, -1, 1], len(turns))
@@ -170,50 +264,46 @@ class HeldRod:
         solution = relax(starts, material, clamps.take(index), solver, up=up, **around.arguments)
         if len(index) == len(rows):
             return solution
-        apart = self.marks(solution, clip) - np.nan_to_num(self.observations.vertices[rows][index])
+        apart = self.marks(solution, lengths) - np.nan_to_num(self.observations.vertices[rows][index])
         error = np.where(self.observations.valid[rows][index], (apart**2).sum(axis=-1), 0.0).sum(axis=1)
         best = choose_hypothesis(index, error, solution.converged & solution.stable)
         around = self.surroundings.take(rows[index[best]])
         return relax(starts.take(best), material, clamps.take(index[best]), solver, up=up, **around.arguments)
 
-    def followed(self, solution: Solution, material: Material, clip: np.ndarray, pose: np.ndarray, solver: Newton,
+    def followed(self, solution: Solution, material: Material, lengths: Lengths, pose: np.ndarray, solver: Newton,
                  up: np.ndarray) -> Solution:
         """F from ``solution``, which keeps every rod on its branch."""
-        clamps = self.mesh_clamps(clip, pose)
-        lengths = np.full(self.edges, self.mesh(clip).edge)
-        begin = Configuration(clamps.start_position, solution.configuration.quaternions, lengths)
+        clamps = self.mesh_clamps(lengths, pose)
+        edges = np.full(self.edges, self.mesh(lengths).edge)
+        begin = Configuration(clamps.start_position, solution.configuration.quaternions, edges)
         if (np.asarray(self.clamps.start) == Clamp.FREE).any():
             begin = replace(begin, start=solution.configuration.start)
         return relax(begin, material, clamps, replace(solver, first_shift=0.0), up=up, **self.surroundings.arguments)
 
-    def marks(self, solution: Solution, clip: np.ndarray) -> np.ndarray:
+    def marks(self, solution: Solution, lengths: Lengths) -> np.ndarray:
         """(R, M, 3) places of the marks of relaxed rods, mm."""
-        return self.mesh(clip).at(self.mark_place)[0] @ solution.configuration.vertices
+        return self.mesh(lengths).at(lengths.mark_place)[0] @ solution.configuration.vertices
 
-    def directors(self, solution: Solution, clip: np.ndarray) -> np.ndarray:
+    def directors(self, solution: Solution, lengths: Lengths) -> np.ndarray:
         """(R, M − 1, 3) m1 of relaxed rods half-way between their marks."""
-        place = self.mark_place
-        return self.mesh(clip).at_edges(0.5 * (place[1:] + place[:-1]))[0] @ solution.configuration.frames[..., 1]
+        place = lengths.mark_place
+        return self.mesh(lengths).at_edges(0.5 * (place[1:] + place[:-1]))[0] @ solution.configuration.frames[..., 1]
 
-    def _on_mesh(self, clip: np.ndarray) -> Observations:
+    def _on_mesh(self, lengths: Lengths) -> Observations:
         """The observed curves, and frames if these were measured, on the mesh: the start of relaxations."""
-        seen, mesh = self.observations, self.mesh(clip)
-        marks = fill_missing(seen)
-        place, last = np.clip(mesh.place, 0.0, self.length), len(self.mark_place) - 2
-        low = np.clip(np.searchsorted(self.mark_place, place, side="right") - 1, 0, last)
-        share = ((place - self.mark_place[low]) / seen.rest_length[low])[:, None]
+        seen, mesh, mark_place = self.observations, self.mesh(lengths), lengths.mark_place
+        marks, last = fill_missing(seen), len(mark_place) - 2
+        low = np.clip(np.searchsorted(mark_place, mesh.place, side="right") - 1, 0, last)
+        # Beyond the outer marks the mesh goes straight on.
+        share = ((mesh.place - mark_place[low]) / lengths.spacing[low])[:, None]
         vertices = (1 - share) * marks[:, low] + share * marks[:, low + 1]
-        # The mesh extends beyond the outer marks by half an edge at most.
-        for end, inner in ((0, 1), (-1, -2)):
-            direction = marks[:, end] - marks[:, inner]
-            direction = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
-            vertices[:, end] += direction * (abs(mesh.place[end] - place[end]))
-        middles = 0.5 * (place[1:] + place[:-1])
-        nearest = np.clip(np.searchsorted(self.mark_place, middles, side="right") - 1, 0, last)
+        middles = 0.5 * (mesh.place[1:] + mesh.place[:-1])
+        nearest = np.clip(np.searchsorted(mark_place, middles, side="right") - 1, 0, last)
         return Observations(
             vertices=vertices, rest_length=np.full(self.edges, mesh.edge), start_frame=seen.start_frame,
             end_frame=seen.end_frame, frames=None if seen.frames is None else seen.frames[:, nearest],
-            total_twist=seen.total_twist, up=seen.up, name=seen.name, source=seen.source)
+            total_twist=np.zeros(seen.count) if self.twist_unknown else seen.total_twist, up=seen.up, name=seen.name,
+            source=seen.source)
 
 
 def right_jacobian(turn: np.ndarray) -> np.ndarray:

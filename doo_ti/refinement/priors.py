@@ -14,16 +14,22 @@ marginal likelihood (:mod:`doo_ti.refinement.evidence`).
     frames          σ of each component of a measured m1
     curvature       d of the rest curvature, 1/mm
     range           ρ of the rest curvature, mm
-    turn, shift     standard deviation of a clamp's constant error, rad and mm
-    turn_scatter, shift_scatter   standard deviation of a clamp's additional error in one observation, rad and mm
+    turn            standard deviation of the constant error of a reported frame, rad
+    turn_scatter    standard deviation of its additional error in one observation, rad
     gap             amplitude of the smooth displacements that the model does not explain, mm
+    any_turn, any_roll, any_twist, any_shift   what is not reported of a clamp's pose in one observation: its direction, its
+                    roll, the angle by which the rod is twisted, rad, and its place, mm. So wide that the marks decide; not
+                    learned
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-NAMES = ("marks", "frames", "curvature", "range", "turn", "shift", "turn_scatter", "shift_scatter", "gap")
+NAMES = ("marks", "frames", "curvature", "range", "turn", "turn_scatter", "gap", "any_turn", "any_roll", "any_twist",
+         "any_shift")
+ANY_TURN, ANY_ROLL, ANY_TWIST, ANY_SHIFT = 0.5, 3.0, 3.0, 0.1
+"""rad, rad, rad, and over the rod's length: of the direction of two marks, a parallel frame, no twist, the outermost mark."""
 BOUND, BOUND_OF_RANGE = 9.0, 2.5
 """Largest |ln| of a size over its typical value; for the range: from about a hundredth of the rod's length to all of it."""
 MOST_KNOTS = 40
@@ -84,7 +90,8 @@ def typical_scales(length: float, spacing: float, learned: set[str], fixed: dict
     fixed    values of others; sizes in neither stay at their typical values
     """
     typical = {"marks": 0.1 * spacing, "frames": 0.1, "curvature": 0.1 / length, "range": 0.1 * length, "turn": 0.01,
-               "shift": 0.01 * spacing, "turn_scatter": 0.003, "shift_scatter": 0.003 * spacing, "gap": 3e-4 * length}
+               "turn_scatter": 0.003, "gap": 3e-4 * length, "any_turn": ANY_TURN, "any_roll": ANY_ROLL, "any_twist": ANY_TWIST,
+               "any_shift": ANY_SHIFT * length}
     factor = {"marks": 5.0, "frames": 2.0, "curvature": 1.5, "range": 1.0}
     value = np.array([fixed.get(name, typical[name]) for name in NAMES])
     return Scales(value, np.array([typical[name] for name in NAMES]), np.array([factor.get(name, 1.5) for name in NAMES]),

@@ -22,12 +22,13 @@ from doo_ti.arguments import typed
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
 from doo_ti.io.observations import Observations
-from doo_ti.refinement.adequacy import Adequacy, Score, adequacy, fitted_variant, scores
+from doo_ti.refinement.adequacy import Adequacy, Score, adequacy, scores
 from doo_ti.refinement.estimate import Estimate, estimated
 from doo_ti.refinement.fit import Fit, Fitted
 from doo_ti.refinement.held_rod import HeldRod
 from doo_ti.refinement.priors import Scales, typical_scales
 from doo_ti.refinement.residuals import Comparison, mark_distance
+from doo_ti.refinement.rolls import more_probable, rolled
 from doo_ti.refinement.unknowns import Theta, Unknowns, Values
 from doo_ti.relaxation.contact_table import require_clear
 from doo_ti.relaxation.newton import Newton
@@ -42,8 +43,6 @@ TRIED_FIRST = 4
 ASYMPTOTIC = 1.0
 """Times the noise: a larger correction of the mesh is not reliable, and the mesh is made twice as fine."""
 CORRECTIONS = 2
-CLEAR = 6.0
-"""−2 ln of the evidence: a simpler model is chosen where it is better by at least this."""
 FIRST_TURN = 0.3
 """rad, the initial rest curvature times the rod's length where the rolls at both ends are free: a straight rod has no preferred
 side, and with a much smaller curvature the side changes with every small change of the unknowns."""
@@ -59,8 +58,10 @@ class RefinementOptions:
                       weight
     clip              length that a clip holds from the outer mark on, mm, the same at both ends; 0: it ends at that
                       mark; None: unknown
-    curvature         rest curvature: "field", "uniform" along the rod, or "none"
-    clamps            "loose": they may be off their reported poses; "exact"; or "auto": exact if the evidence is for it
+    curvature         rest curvature: "field", "uniform" along the rod, "none", or "auto": a field, but none where the rolls of
+                      both ends are unknown and the evidence is for straight rods
+    clamps            "loose": reported frames may be off, positions are those of marks with noise, and what is not reported is
+                      unknown in each observation; or "exact": all as reported, and as the outer marks say
     frame_weight      w_m of Eq. 1 in mm; where it is positive measured frames are compared too
     curvature_spread  standard deviation of the rest curvature, 1/mm; None: learned
     curvature_range   distance over which it is correlated, mm; None: learned
@@ -76,8 +77,8 @@ class RefinementOptions:
 
     parameters: tuple[str, ...] = ("bend", "twist")
     clip: float | None = None
-    curvature: str = "field"
-    clamps: str = "auto"
+    curvature: str = "auto"
+    clamps: str = "loose"
     frame_weight: float = 0.0
     curvature_spread: float | None = None
     curvature_range: float | None = None
@@ -159,32 +160,33 @@ def refine(observations: Observations, clamps: Clamps, theta: Theta | Sequence[T
     correction = None
     if options.edges is None:
         fit, fitted, correction = _corrected(fit, fitted, options)
-    if options.clamps == "auto":
-        fit, fitted = _simpler(fit, fitted)
     found = scores(fit, fitted) if options.models else ()
     return _refinement(fit, fitted, options, correction, found)
 
 
 def unknowns_of(rod: HeldRod, options: RefinementOptions) -> Unknowns:
     """The unknowns of a fit to ``rod``."""
-    return Unknowns(rod, tuple(options.parameters), options.clip is None, options.curvature, options.clamps != "exact")
+    curvature = "field" if options.curvature == "auto" else options.curvature
+    return Unknowns(rod, tuple(options.parameters), options.clip is None, curvature)
 
 
 def _fitted(observations: Observations, clamps: Clamps, thetas: tuple[Theta, ...], options: RefinementOptions):
     """The fit on its first mesh, from the best of ``thetas``."""
     check(observations, clamps, options)
     edges = options.edges or int(np.clip(2 * observations.edges, FEWEST_EDGES, MOST_EDGES))
-    rod = HeldRod(observations, clamps, edges, options.surroundings)
-    unknowns = unknowns_of(rod, options)
+    rod = HeldRod(observations, clamps, edges, options.surroundings, options.clamps == "exact")
+    wanted = unknowns_of(rod, options)
+    straight_first = rod.rolled_together and wanted.curvature != "none" and all(one.rest_curvature is None for one in thetas)
+    unknowns = replace(wanted, curvature="none") if straight_first else wanted
     scales = _scales(unknowns, options)
     comparison = Comparison.of(unknowns, options.frame_weight > 0)
     clip = unknowns.clip_prior if options.clip is None else np.full(2, options.clip)
     tried = []
     for theta in thetas:
         values = unknowns.begun(theta, clip)
-        if _rolls_free(clamps) and not values.curvature.any():
+        if _rolls_free(rod.held) and len(values.curvature) and not values.curvature.any():
             values.curvature[:] = [FIRST_TURN / rod.length, 0.0]
-        fit = Fit(comparison, replace(values, theta=thetas[0]), options.solver)
+        fit = Fit(comparison, replace(values, theta=unknowns.expected(thetas[0])), options.solver)
         try:
             state = fit.begin(values, scales)
         except InputError as error:
@@ -199,22 +201,19 @@ def _fitted(observations: Observations, clamps: Clamps, thetas: tuple[Theta, ...
     if len(thetas) > 1:
         further = fit.run(fitted.state, options.iterations)
         fitted = replace(further, steps=further.steps + fitted.steps)
+    if straight_first:
+        straight = fit, fitted
+        fit, state = rolled(fit, fitted, wanted.curvature)
+        curved = fit.run(state, options.iterations)
+        fitted = replace(curved, steps=curved.steps + fitted.steps)
+        if options.curvature == "auto":
+            fit, fitted = more_probable(straight, (fit, fitted))
     return fit, fitted
 
 
 def _rolls_free(clamps: Clamps) -> bool:
     """Whether no clamp holds the roll of any rod."""
     return bool(np.all((np.asarray(clamps.start) < Clamp.FRAME) & (np.asarray(clamps.end) < Clamp.FRAME)))
-
-
-def _simpler(fit: Fit, fitted: Fitted) -> tuple[Fit, Fitted]:
-    """The model with exact clamps where the evidence of the same rods is clearly for it, else the given one."""
-    exact = replace(fit, rods=fitted.state.used)
-    exact, found = fitted_variant(exact, fitted, replace(fit.unknowns, clamps=False))
-    same = found.state.used.sum() == fitted.state.used.sum()
-    if not (same and found.converged and found.posterior.value < fitted.posterior.value - CLEAR):
-        return fit, fitted
-    return replace(exact, rods=None), replace(found, steps=found.steps + fitted.steps)
 
 
 def check(observations: Observations, clamps: Clamps, options: RefinementOptions) -> None:
@@ -224,8 +223,8 @@ def check(observations: Observations, clamps: Clamps, options: RefinementOptions
     if options.clip is not None and not 0 <= options.clip < 0.25 * observations.rest_length.sum():
         raise InputError(observations.source, "clip", f"{options.clip:g} mm of a rod of {observations.rest_length.sum():g} mm",
                          "give a length from zero up, below a quarter of the rod's")
-    for name, value, known in (("curvature", options.curvature, ("field", "uniform", "none")),
-                               ("clamps", options.clamps, ("auto", "loose", "exact")),
+    for name, value, known in (("curvature", options.curvature, ("auto", "field", "uniform", "none")),
+                               ("clamps", options.clamps, ("loose", "exact")),
                                ("intervals", options.intervals, ("profile", "covariance"))):
         if value not in known:
             raise InputError("refine", name, f"{value!r} is unknown", f"give one of {', '.join(known)}")
@@ -257,9 +256,10 @@ def _scales(unknowns: Unknowns, options: RefinementOptions) -> Scales:
 def _refinement(fit: Fit, fitted: Fitted, options: RefinementOptions, correction, found: tuple[Score, ...]) -> Refinement:
     state, rod = fitted.state, fit.unknowns.rod
     sound = state.solution.converged & state.solution.stable
-    marks = rod.marks(state.solution, state.values.clip) + fit.comparison.correction
+    lengths = fit.unknowns.lengths(state.values)
+    marks = rod.marks(state.solution, lengths) + fit.comparison.correction
     marks = np.where(sound[:, None, None], marks, np.nan)
-    frames = rod.directors(state.solution, state.values.clip) if options.frame_weight > 0 else None
+    frames = rod.directors(state.solution, lengths) if options.frame_weight > 0 else None
     return Refinement(
         estimate=estimated(fit, fitted, profiled=options.intervals == "profile"), adequacy=adequacy(fit, fitted), scores=found,
         marks=marks, mean_squares=fit.mean_squares(state.residuals), distance=mark_distance(marks, rod.observations, frames,
@@ -301,8 +301,9 @@ def mesh_correction(unknowns: Unknowns, values: Values, solution: Solution, solv
     coarse = unknowns.rod
     finer = replace(unknowns, rod=replace(coarse, edges=2 * coarse.edges - 1))
     fine = relaxed_on(finer, values, solution, coarse, solver)
-    h, k = (rod.mesh(values.clip).edge for rod in (coarse, finer.rod))
-    change = finer.rod.marks(fine, values.clip) - coarse.marks(solution, values.clip)
+    lengths = unknowns.lengths(values)
+    h, k = (rod.mesh(lengths).edge for rod in (coarse, finer.rod))
+    change = finer.rod.marks(fine, lengths) - coarse.marks(solution, lengths)
     sound = solution.converged & solution.stable & fine.converged & fine.stable
     sound &= np.abs(np.nan_to_num(change, nan=np.inf)).max(axis=(1, 2)) < h
     return np.where(sound[:, None, None], change, 0.0) * h**2 / (h**2 - k**2)
@@ -311,7 +312,8 @@ def mesh_correction(unknowns: Unknowns, values: Values, solution: Solution, solv
 def relaxed_on(unknowns: Unknowns, values: Values, solution: Solution, before: HeldRod, solver: Newton) -> Solution:
     """F on the mesh of ``unknowns``, starting from ``solution``, which is on the mesh of ``before``."""
     rod = unknowns.rod
-    mesh, old = rod.mesh(values.clip), before.mesh(values.clip)
+    lengths = unknowns.lengths(values)
+    mesh, old = rod.mesh(lengths), before.mesh(lengths)
     middles = 0.5 * (mesh.place[1:] + mesh.place[:-1])
     weights = old.at_edges(middles)[0]
     quaternions = solution.configuration.quaternions
@@ -320,7 +322,7 @@ def relaxed_on(unknowns: Unknowns, values: Values, solution: Solution, before: H
     sign = np.concatenate([np.ones((len(sign), 1)), np.cumprod(np.where(sign == 0, 1.0, sign), axis=1)], axis=1)
     between = np.einsum("xe,rek->rxk", weights, sign[..., None] * quaternions)
     between /= np.linalg.norm(between, axis=-1, keepdims=True)
-    clamps = rod.mesh_clamps(values.clip, unknowns.pose(values))
+    clamps = rod.mesh_clamps(lengths, unknowns.pose(values))
     start = np.where(np.isfinite(clamps.start_position), clamps.start_position, solution.configuration.start)
     begin = Configuration(start, between, np.full(rod.edges, mesh.edge))
     return relax(begin, unknowns.material(values), clamps, replace(solver, first_shift=0.0), up=values.theta.up,

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from doo_ti.io.observations import Observations
-from doo_ti.refinement.held_rod import POSE, Mesh
+from doo_ti.refinement.held_rod import GEOMETRY, POSE, Mesh
 from doo_ti.refinement.priors import Scales
 from doo_ti.refinement.unknowns import Unknowns, Values
 from doo_ti.relaxation.sensitivity import sensitivity
@@ -94,13 +94,6 @@ def smooth_modes(place: np.ndarray, held: tuple[bool, bool], count: int) -> np.n
     return modes / k**2
 
 
-def effect_scales(effects: int) -> tuple[str, ...]:
-    """(Q,) the scale of each effect of an observation: poses first, if there are any, then the gap's amplitudes."""
-    poses = ("turn_scatter",) * 6 + ("shift_scatter",) * 6
-    gap = ("gap",) * (3 * GAP_MODES)
-    return poses + gap if effects == POSE + len(gap) else gap
-
-
 def mark_distance(marks: np.ndarray, observations: Observations, directors: np.ndarray | None = None,
                   frame_weight: float = 0.0) -> np.ndarray:
     """(D,) Eq. 1 in mm between ``marks`` (D, M, 3), and m1 half-way between them, and the observations."""
@@ -118,12 +111,14 @@ class _Quantity:
     """A vector interpolated between the mesh's vertices or edges, at X places of the rod.
 
     place    (X,) arc lengths, mm
+    slope    (X, M − 1) their derivatives by the logarithms of the marks' spacings
     weights  (X, ·) of the interpolation, and their derivatives by u (:meth:`Mesh.at`)
     present  (rods, ·, 3) the vectors on the mesh
     changes  (rods, ·, 3, columns) their derivatives, from :func:`doo_ti.relaxation.sensitivity.sensitivity`
     """
 
     place: np.ndarray
+    slope: np.ndarray
     weights: tuple[np.ndarray, np.ndarray]
     present: np.ndarray
     changes: np.ndarray
@@ -135,8 +130,10 @@ class _Quantity:
         return (weights @ changes.reshape(count, changes.shape[1], -1)).reshape(count, len(weights), 3, -1)
 
     def sliding(self, mesh: Mesh) -> np.ndarray:
-        """(rods, X, 3, 2) derivatives by each clip's length as the mesh slides along the rod."""
-        return np.einsum("mv,rvk,me->rmke", self.weights[1], self.present, mesh.slide(self.place))
+        """(rods, X, 3, GEOMETRY + M − 1) derivatives as the mesh slides along the rod by its lengths, and the places by the
+        spacings."""
+        by_place = np.concatenate([mesh.slide(self.place), self.slope / mesh.edge], axis=1)
+        return np.einsum("mv,rvk,me->rmke", self.weights[1], self.present, by_place)
 
 
 @dataclass(frozen=True)
@@ -159,7 +156,7 @@ class Comparison:
         seen, clamps = unknowns.rod.observations, unknowns.rod.clamps
         counts = seen.valid.copy()
         ends = ((clamps.start, 0, 1, seen.start_frame), (clamps.end, -1, -2, seen.end_frame))
-        for kind, outer, inner, frame in ends:
+        for kind, outer, inner, frame in ends if unknowns.rod.exact else ():
             counts[:, outer] &= np.asarray(kind) < Clamp.POSITION
             if frame is None:  # the tangent is that of the observed edge
                 counts[:, inner] &= np.asarray(kind) < Clamp.TANGENT
@@ -181,11 +178,12 @@ class Comparison:
         """(D, 3 M) residuals of the marks and, if these are compared, (D, 3 (M − 1)) of the directors."""
         rod = self.unknowns.rod
         seen = rod.observations
-        marks = self.weight[..., None] * (rod.marks(solution, values.clip) + self.correction - np.nan_to_num(seen.vertices))
+        places = rod.marks(solution, self.unknowns.lengths(values)) + self.correction
+        marks = self.weight[..., None] * (places - np.nan_to_num(seen.vertices))
         found = (np.where(self.weight[..., None] > 0, marks, 0.0).reshape(len(marks), -1),)
         if self.directors is None:
             return found
-        apart = rod.directors(solution, values.clip) - seen.frames[..., 1]
+        apart = rod.directors(solution, self.unknowns.lengths(values)) - seen.frames[..., 1]
         return (*found, (self.directors[..., None] * apart).reshape(len(apart), -1))
 
     def linear(self, solution: Solution, values: Values, used: np.ndarray, leave_out_soft: bool = True
@@ -246,13 +244,15 @@ class Comparison:
         modes, mesh = unknowns.modes(values)
         found = sensitivity(solution, (*elementary, "modes", "length", "end_shift", "start_turn", "end_turn"), modes,
                             rows.start, rows.stop)
-        moved, turned = (slopes[:, rows] for slopes in unknowns.rod.clamp_slopes(values.clip, unknowns.pose(values)))
-        place, shape = unknowns.rod.mark_place, found.configuration
-        marks = _Quantity(place, mesh.at(place), shape.vertices, found.vertices)
+        lengths, shape = unknowns.lengths(values), found.configuration
+        moved, turned = (slopes[:, rows] for slopes in unknowns.rod.clamp_slopes(lengths, unknowns.pose(values)))
+        place, slope = lengths.mark_place, lengths.mark_slope
+        marks = _Quantity(place, slope, mesh.at(place), shape.vertices, found.vertices)
         kinds = [self._combined(marks, chain, values, mesh, (moved[1] - moved[0], *turned), moved[0], rows)]
         if self.directors is not None:
             middles = 0.5 * (place[1:] + place[:-1])
-            directors = _Quantity(middles, mesh.at_edges(middles), shape.frames[..., 1], found.directors)
+            slope = 0.5 * (slope[1:] + slope[:-1])
+            directors = _Quantity(middles, slope, mesh.at_edges(middles), shape.frames[..., 1], found.directors)
             kinds.append(self._combined(directors, chain, values, mesh, (moved[1] - moved[0], *turned), None, rows))
         return kinds, found.usable
 
@@ -261,24 +261,27 @@ class Comparison:
         """(J, Z) of a quantity by the unknowns and the poses: the chain rule over its derivatives on the mesh.
 
         chain    (columns of Θ, unknowns of Θ), from :meth:`Unknowns.chain`
-        clamps   (R, 3, 2 + Q) each: the far clamp's displacement beyond the start's, and the rotations of both
-        carried  (R, 3, 2 + Q) displacement of the start, which carries the whole rod along; None for directions
+        clamps   (R, 3, GEOMETRY + Q) each: the far clamp's displacement beyond the start's, and the rotations of both
+        carried  (R, 3, GEOMETRY + Q) displacement of the start, which carries the whole rod along; None for directions
         """
         unknowns, at = self.unknowns, quantity.at_places()
         theta, knots = chain.shape[0], len(unknowns.columns("curvature"))
-        of_theta, of_knots, of_joints, length, *of_clamps = np.split(at, np.cumsum([theta, knots, 2, 1, 3, 3]), axis=-1)
-        # Columns of the two clips, then of the pose.
+        of_theta, of_knots, of_joints, length, *of_clamps = np.split(at, np.cumsum([theta, knots, GEOMETRY, 1, 3, 3]), axis=-1)
+        # Columns of the lengths, then of the pose.
         by_shift, by_start, by_end = (np.einsum("rmab,rbq->rmaq", *pair) for pair in zip(of_clamps, clamps, strict=True))
         by_clamps = by_shift + (by_start + by_end)
         if carried is not None:
             by_clamps = by_clamps + carried[:, None]
-        by_clips = by_clamps[..., :2] + of_joints + length * (mesh.edge_slope / mesh.edge) + quantity.sliding(mesh)
-        by_pose = by_clamps[..., 2:]
+        sliding = quantity.sliding(mesh)
+        by_lengths = by_clamps[..., :GEOMETRY] + of_joints + length * (mesh.edge_slope / mesh.edge) + sliding[..., :GEOMETRY]
+        by_pose = by_clamps[..., GEOMETRY:]
         names = unknowns.names
-        ends = (end for end, name in enumerate(("clip_start", "clip_end")) if name in names)
-        parts = [of_theta @ chain, *(by_clips[..., [end]] * values.clip[end] for end in ends), of_knots]
-        if unknowns.clamps:
+        ends = [end for end, name in enumerate(("clip_start", "clip_end")) if name in names]
+        parts = [of_theta @ chain, by_lengths[..., ends], of_knots]
+        if unknowns.turns:
             parts.append(np.einsum("rmaq,rqc->rmac", by_pose, unknowns.constant_slopes()[rows]))
+        if len(unknowns.columns("spacing")):
+            parts.append(by_lengths[..., 2:] * unknowns.lengths(values).spacing + sliding[..., GEOMETRY:])
         shared = np.concatenate(parts, axis=-1).reshape(len(at), -1, len(names))
         effects = by_pose * unknowns.loose if unknowns.clamps else by_pose[..., :0]
         return shared, effects.reshape(len(at), shared.shape[1], -1)

@@ -5,11 +5,13 @@
     bend_12                 artanh of that correlation, so that B stays positive definite
     twist, weight           ln β, ln μ
     up                      two tilts from the present up, rad
-    clip_start, clip_end    ln of the length that a clip holds, from the outer mark on
+    clip_start, clip_end    mm from the outer mark inwards to where a clip ends; negative where it ends before that mark
     curvature               L ω̄ at the knots of :mod:`doo_ti.refinement.priors`, two components each, or of the whole rod
-    clamps                  constant errors of the clamps: 12 numbers in the axes of the reported frames, and 12 in the world's
+    clamps                  constant errors of the reported frames: a rotation of each in its own axes, and one in the world's
+    spacing                 ln of the rod's length between neighbouring marks over that which the observations state
 
-The prior of the first five is so wide that it matters only along directions that the observations do not determine.
+The prior of the first five is so wide that it matters only along directions that the observations do not determine; only twist
+over bend is expected to be that of a common rod (:data:`RATIO`) where nothing says how far the rod is twisted.
 
 Axes: D observations, P unknowns, the first T of them Θ's, K knots, E edges between marks, N edges of the mesh.
 """
@@ -24,18 +26,23 @@ from numpy.typing import ArrayLike
 from doo_ti.arguments import typed
 from doo_ti.errors import InputError, require_whole
 from doo_ti.frames import rotation_matrix
-from doo_ti.refinement.held_rod import POSE, HeldRod, Mesh
+from doo_ti.refinement.held_rod import POSE, HeldRod, Lengths, Mesh
 from doo_ti.refinement.priors import Scales, covariance, knots_of, values_at
 from doo_ti.relaxation.sensitivity import tilt_axes
 from doo_ti.short_repr import short_repr
 from doo_ti.types import Material
 
 PARAMETERS = ("bend", "bend_1", "bend_2", "bend_12", "twist", "weight", "up")
-LOGARITHMIC = ("bend", "bend_1", "bend_2", "twist", "weight", "clip_start", "clip_end")
+LOGARITHMIC = ("bend", "bend_1", "bend_2", "twist", "weight")
 WIDE = 7.0  # standard deviation of the logarithm of a positive unknown: a factor of a thousand either way
 TILT = 0.1  # rad, of gravity's direction, where that is learned
-CLIP_MEDIAN, CLIP_FACTOR = 0.75, 0.7
-"""Prior of a clip's length: median, in spacings of the outer marks, and standard deviation of its logarithm."""
+CLIP_MEAN, CLIP_SPREAD = 0.75, 0.75
+"""Prior of where a clip ends: mean and standard deviation, in spacings of the outer marks, inwards from the outermost."""
+RATIO, RATIO_FACTOR = 0.8, 0.4
+"""Prior of twist over bend stiffness where nothing says how far the rod is twisted: median, and standard deviation of its
+logarithm."""
+TURNS = 12
+"""Numbers of the constant errors of clamps."""
 
 
 @typed
@@ -94,8 +101,9 @@ class Values:
     theta      Θ without its rest curvature
     clip       (2,) mm
     curvature  (K, 2) 1/mm at the knots, (1, 2) of the whole rod, or (0, 2)
-    constant   (2 POSE,) constant errors of the clamps, in the axes of the reported frames and in the world's
+    constant   (TURNS,) rad, constant errors of the reported frames: of start and end in their axes, and in the world's
     scatter    (D, POSE) additional errors of the clamps in each observation
+    spacing    (M − 1,) logarithms of the spacings of the marks over the stated ones
     """
 
     theta: Theta
@@ -103,6 +111,7 @@ class Values:
     curvature: np.ndarray
     constant: np.ndarray
     scatter: np.ndarray
+    spacing: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -113,7 +122,6 @@ class Unknowns:
     parameters  of Θ, from PARAMETERS
     clips       whether the clips' lengths are unknown
     curvature   "field", "uniform" or "none"
-    clamps      whether clamps may be off their reported poses
 
     Raises InputError for parameters that are unknown, repeated or contradict each other.
     """
@@ -122,7 +130,6 @@ class Unknowns:
     parameters: tuple[str, ...]
     clips: bool = True
     curvature: str = "field"
-    clamps: bool = True
 
     def __post_init__(self) -> None:
         names = self.parameters
@@ -149,8 +156,19 @@ class Unknowns:
         parts = [(name,) if name != "up" else ("up[0]", "up[1]") for name in self.parameters]
         ends = [name for name, held in zip(("clip_start", "clip_end"), self.rod.clamped, strict=True) if held and self.clips]
         knots = [f"curvature[{k}]" for k in range(2 * len(self.knots))]
+        spacing = len(self.rod.observations.rest_length) if self.rod.observations.spacing_error > 0 else 0
         return tuple(name for part in parts for name in part) + tuple(ends) + tuple(knots) + tuple(
-            f"clamps[{k}]" for k in range(2 * POSE if self.clamps else 0))
+            f"clamps[{k}]" for k in range(TURNS if self.turns else 0)) + tuple(f"spacing[{k}]" for k in range(spacing))
+
+    @property
+    def clamps(self) -> bool:
+        """Whether the clamps of an observation may be off their poses."""
+        return not self.rod.exact
+
+    @property
+    def turns(self) -> bool:
+        """Whether reported frames may have constant errors."""
+        return "turn_scatter" in self.rod.pose_scales
 
     @property
     def theta_count(self) -> int:
@@ -160,7 +178,7 @@ class Unknowns:
     @property
     def scale_names(self) -> set[str]:
         """The sizes of :mod:`doo_ti.refinement.priors` that occur in the prior of the unknowns."""
-        found = {"turn", "shift", "turn_scatter", "shift_scatter"} if self.clamps else set()
+        found = {"turn", "turn_scatter"} if self.turns else set()
         if self.curvature != "none":
             found |= {"curvature"} | ({"range"} if self.curvature == "field" else set())
         return found
@@ -187,8 +205,12 @@ class Unknowns:
             joints = np.cumsum(self.rod.observations.rest_length)[:-1]
             curvature[:] = own if len(own) == 1 else np.stack([np.interp(self.knots, joints, c) for c in own.T], axis=1)
         count = self.rod.observations.count
-        return Values(replace(theta, rest_curvature=None), np.array(clip, dtype=float), curvature, np.zeros(2 * POSE),
-                      np.zeros((count, POSE)))
+        return Values(replace(theta, rest_curvature=None), np.array(clip, dtype=float), curvature, np.zeros(TURNS),
+                      np.zeros((count, POSE)), np.zeros(self.rod.observations.edges))
+
+    def lengths(self, values: Values) -> Lengths:
+        """Where marks and clips are along the rod."""
+        return Lengths(values.clip, self.rod.observations.rest_length * np.exp(values.spacing))
 
     def moved(self, values: Values, step: np.ndarray, scatter: np.ndarray) -> Values:
         """``values`` with the unknowns changed by ``step`` (P,) and the clamps' scatter by ``scatter`` (D, POSE)."""
@@ -204,10 +226,12 @@ class Unknowns:
         theta = Theta(np.diag(root**2) + correlation * root.prod() * (1 - np.eye(2)),
                       theta.twist * float(np.exp(of.get("twist", 0.0))), theta.weight * float(np.exp(of.get("weight", 0.0))),
                       None, up / np.linalg.norm(up))
-        clip = values.clip * np.exp([of.get("clip_start", 0.0), of.get("clip_end", 0.0)])
+        clip = values.clip + [of.get("clip_start", 0.0), of.get("clip_end", 0.0)]
         curvature = values.curvature + step[self.columns("curvature")].reshape(-1, 2) / self.rod.length
-        constant = values.constant + (step[self.columns("clamps")] if self.clamps else 0.0)
-        return Values(theta, clip, curvature, constant, values.scatter + scatter)
+        constant = values.constant + (step[self.columns("clamps")] if self.turns else 0.0)
+        spacing, own = values.spacing.copy(), self.columns("spacing")
+        spacing[: len(own)] += step[own]
+        return Values(theta, clip, curvature, constant, values.scatter + scatter, spacing)
 
     def theta_at(self, values: Values, joints: np.ndarray | None = None) -> Theta:
         """Θ with the rest curvature at ``joints`` (·,), mm; by default at the E − 1 joints between the marks' edges."""
@@ -218,34 +242,31 @@ class Unknowns:
 
     def material(self, values: Values) -> Material:
         """The material on the mesh."""
-        return self.theta_at(values, self.rod.mesh(values.clip).joints).material
+        return self.theta_at(values, self.rod.mesh(self.lengths(values)).joints).material
 
     def pose(self, values: Values) -> np.ndarray:
         """(D, POSE) the error of each clamp's pose in each observation."""
         return values.scatter + np.einsum("dij,j->di", self.constant_slopes(), values.constant)
 
     def constant_slopes(self) -> np.ndarray:
-        """(D, POSE, 2 POSE) derivative of :meth:`pose` by the constant errors."""
-        clamps, count = self.rod.clamps, self.rod.observations.count
-        slopes = np.zeros((count, POSE, 2 * POSE))
-        slopes[:, np.arange(POSE), np.arange(POSE)] = 1.0
-        for block in range(4):
-            frame = clamps.start_frame if block % 2 == 0 else clamps.end_frame
-            rows = slice(3 * block, 3 * block + 3)
-            slopes[:, rows, POSE + 3 * block : POSE + 3 * block + 3] = np.swapaxes(frame, 1, 2)
-        return slopes * self.loose[:, None]
+        """(D, POSE, TURNS) derivative of :meth:`pose` by the constant errors."""
+        clamps, count = self.rod.held, self.rod.observations.count
+        slopes = np.zeros((count, POSE, TURNS))
+        for end, frame in enumerate((clamps.start_frame, clamps.end_frame)):
+            rows = slice(3 * end, 3 * end + 3)
+            slopes[:, rows, rows] = np.eye(3)
+            slopes[:, rows, 6 + 3 * end : 9 + 3 * end] = np.swapaxes(frame, 1, 2)
+        return slopes * (np.array(self.rod.pose_scales) == "turn_scatter")[:, None]
 
-    @property
+    @cached_property
     def loose(self) -> np.ndarray:
-        """(POSE,) one where a clamp's pose was reported, and may be off; zero where it was taken from the marks themselves."""
-        seen = self.rod.observations
-        ends = [frame is not None or seen.frames is not None for frame in (seen.start_frame, seen.end_frame)]
-        return np.repeat([*ends, *ends], 3).astype(float)
+        """(POSE,) one for each number of the clamps' poses that is unknown in each observation."""
+        return (np.array(self.rod.pose_scales) != "").astype(float)
 
     def modes(self, values: Values) -> tuple[np.ndarray, Mesh]:
-        """(2 K + 2, N − 1, 2) derivatives of the rest curvature on the mesh, by each unknown of the curvature and by the length
-        of each clip, with which the joints slide along the rod; and the mesh."""
-        mesh = self.rod.mesh(values.clip)
+        """(2 K + GEOMETRY, N − 1, 2) derivatives of the rest curvature on the mesh, by each unknown of the curvature and by the
+        lengths, with which the joints slide along the rod; and the mesh."""
+        mesh = self.rod.mesh(self.lengths(values))
         weights, slopes = values_at(mesh.joints, self.knots) if len(self.knots) else (np.zeros((len(mesh.joints), 0)),) * 2
         by_knot = np.einsum("jk,ab->kajb", weights, np.eye(2)).reshape(-1, len(mesh.joints), 2) / self.rod.length
         by_clip = np.einsum("jk,kb,je->ejb", slopes, values.curvature, mesh.joint_slope)
@@ -281,23 +302,28 @@ class Unknowns:
                 parts.append(_tilt(start.up, theta.up)[int(name[3])])
         for end, name in enumerate(("clip_start", "clip_end")):
             if name in self.names:
-                parts.append(np.log(values.clip[end] / clips[end]))
-        constant = values.constant if self.clamps else np.zeros(0)
-        return np.concatenate([parts, self.rod.length * values.curvature.ravel(), constant])
+                parts.append(values.clip[end] - clips[end])
+        constant = values.constant if self.turns else np.zeros(0)
+        return np.concatenate([parts, self.rod.length * values.curvature.ravel(), constant,
+                               values.spacing[: len(self.columns("spacing"))]])
 
     @property
     def clip_prior(self) -> np.ndarray:
-        """(2,) prior median of the clips' lengths, mm."""
-        lengths = self.rod.observations.rest_length
-        return CLIP_MEDIAN * np.array([lengths[0], lengths[-1]])
+        """(2,) prior mean of the clips' lengths, mm."""
+        return CLIP_MEAN * self.rod.observations.rest_length[[0, -1]]
 
     def precision(self, scales: Scales) -> tuple[np.ndarray, float]:
         """(P, P) inverse covariance of the prior, and ln of its determinant."""
-        spread = np.array([TILT if name.startswith("up") else CLIP_FACTOR if name.startswith("clip") else WIDE
-                           for name in self.names])
-        clamps, knots = self.columns("clamps"), self.columns("curvature")
-        spread[clamps] = np.where(self.is_turn[: len(clamps)], scales["turn"], scales["shift"])
-        matrix, logarithm = np.diag(1 / spread**2), float(-2 * np.log(np.delete(spread, knots)).sum())
+        spread = np.full(len(self.names), WIDE)
+        outer = CLIP_SPREAD * self.rod.observations.rest_length[[0, -1]]
+        for prefix, size in (("up", TILT), ("clip_start", outer[0]), ("clip_end", outer[1]), ("clamps", scales["turn"]),
+                             ("spacing", self.rod.observations.spacing_error)):
+            spread[self.columns(prefix)] = size
+        knots = self.columns("curvature")
+        matrix = np.diag(1 / spread**2)
+        if len(ratio := self._ratio):
+            matrix[: len(ratio), : len(ratio)] += np.outer(ratio, ratio) / RATIO_FACTOR**2
+        logarithm = float(np.linalg.slogdet(matrix)[1] + 2 * np.log(spread[knots]).sum())
         if len(knots):
             field, _ = covariance(self.knots, scales["curvature"] * self.rod.length, scales["range"])
             matrix[np.ix_(knots, knots)] = np.kron(np.linalg.inv(field), np.eye(2))
@@ -305,9 +331,22 @@ class Unknowns:
         return matrix, logarithm
 
     @property
-    def is_turn(self) -> np.ndarray:
-        """(2 POSE,) bool: which constant errors are rotations."""
-        return np.tile(np.arange(POSE) < 6, 2)
+    def _ratio(self) -> np.ndarray:
+        """(T,) direction of the logarithm of twist over bend stiffness, if both are learned; else (0,)."""
+        names = self.names[: self.theta_count]
+        bends = [name for name in ("bend", "bend_1", "bend_2") if name in names]
+        if not bends or "twist" not in names or not self.rod.twist_unknown:
+            return np.zeros(0)
+        return np.array([float(name == "twist") - (name in bends) / len(bends) for name in names])
+
+    def expected(self, theta: Theta) -> Theta:
+        """``theta`` as the mean of the prior: a common rod where that knows of the twist stiffness."""
+        return common_rod(theta) if len(self._ratio) else theta
+
+
+def common_rod(theta: Theta) -> Theta:
+    """``theta`` with the twist stiffness of a common rod of its bend stiffness."""
+    return replace(theta, twist=RATIO * float(np.sqrt(np.linalg.det(theta.bend))))
 
 
 def _correlation(bend: np.ndarray) -> float:

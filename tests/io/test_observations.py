@@ -55,11 +55,13 @@ def test_defaults(rng):
     vertices = wavy_vertices(rng, count=5)
     vertices[2, 1] += 0.5
     observations = Observations(vertices)
-    lengths = np.linalg.norm(np.diff(vertices, axis=1), axis=-1)
-    np.testing.assert_allclose(observations.rest_length, np.median(lengths, axis=0))
+    chords = np.median(np.linalg.norm(np.diff(vertices, axis=1), axis=-1), axis=0)
+    assert (observations.rest_length >= chords).all()
+    np.testing.assert_allclose(observations.rest_length, chords, rtol=1e-2)
+    assert observations.spacing_error == 0.1
     assert observations.valid.all() and observations.valid.shape == vertices.shape[:2]
     np.testing.assert_array_equal(observations.up, [0, 0, 1])
-    others = [name for name in KEYS if name not in ("vertices", "valid", "rest_length", "up", "labels")]
+    others = [name for name in KEYS if name not in ("vertices", "valid", "rest_length", "up", "labels", "spacing_error")]
     assert observations.labels.tolist() == [0, 1, 2, 3, 4]
     assert all(getattr(observations, name) is None for name in others)
 
@@ -71,7 +73,14 @@ def test_default_rest_length_leaves_missing_marks_out(rng):
     valid[0, 4] = False
     vertices[0, 4] = np.nan
     found = Observations(vertices, valid).rest_length
-    np.testing.assert_allclose(found[3:5], np.median(expected[:, 3:5], axis=0))
+    np.testing.assert_allclose(found[3:5], np.median(expected[:, 3:5], axis=0), rtol=2e-3)
+
+
+def test_default_rest_lengths_are_arcs():
+    """Of a circle with an eighth of a radian between marks: chords are too short by 6.5e-4."""
+    angle = np.arange(12) / 8.0
+    marks = 80.0 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=-1)
+    np.testing.assert_allclose(Observations(np.stack([marks, 2.0 + marks])).rest_length, 10.0, rtol=3e-6)
 
 
 def test_arrays_are_copies_that_cannot_be_written(rng):

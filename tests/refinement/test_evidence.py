@@ -7,9 +7,9 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from doo_ti import Newton
-from doo_ti.refinement.evidence import Evidence
+from doo_ti.refinement.evidence import Evidence, effect_scales
 from doo_ti.refinement.fit import Fit
-from doo_ti.refinement.residuals import Moments, effect_scales
+from doo_ti.refinement.residuals import Moments
 from tests.refinement.rods_between_clips import TRUTH, held, model, suture
 
 
@@ -34,7 +34,7 @@ def dense(evidence: Evidence, linear, scales):
     effects = [np.concatenate([kind.effects[d] for kind in linear]) for d in range(len(shared))]
     values = [np.concatenate([kind.values[d] for kind in linear]) for d in range(len(shared))]
     noise = np.concatenate([np.full(kind.values.shape[1], scales[kind.scale] ** 2) for kind in linear])
-    variance = np.array([scales[name] for name in effect_scales(effects[0].shape[1])]) ** 2
+    variance = np.array([scales[name] for name in effect_scales(evidence.unknowns)]) ** 2
     keep = [np.abs(j).max(axis=1) > 0 for j in shared]
     prior = np.linalg.inv(precision)
     # r + J x + Z z + ε = 0 with x about −offset: the observed part of −r.

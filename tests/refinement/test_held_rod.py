@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from doo_ti import Clamp, Newton
 from doo_ti.frames import rotation_matrix
-from doo_ti.refinement.held_rod import POSE, right_jacobian
+from doo_ti.refinement.held_rod import POSE, Lengths, right_jacobian
 from doo_ti.refinement.priors import covariance, knots_of, values_at
 from doo_ti.refinement.refine import mesh_correction, relaxed_on
 from doo_ti.refinement.unknowns import Unknowns
@@ -19,8 +19,8 @@ from tests.refinement.rods_between_clips import TRUTH, held, suture
 @pytest.mark.parametrize("kinds, count", [((None, None), 39), ((Clamp.POSITION, None), 39.5), ((None, Clamp.FREE), 39.5)])
 def test_edges_share_what_lies_between_the_clips(kinds, count):
     rod = held(suture(1), 40, kinds)
-    clip = np.array([1.7, 3.1])
-    mesh = rod.mesh(clip)
+    clip, spacing = np.array([1.7, 3.1]), rod.observations.rest_length
+    mesh = rod.mesh(Lengths(clip, spacing))
     free = 99.0 - clip[rod.clamped].sum()
     assert mesh.edge == pytest.approx(free / count)
     if rod.clamped[0]:  # the middle of the first edge is where the clip lets go
@@ -29,13 +29,13 @@ def test_edges_share_what_lies_between_the_clips(kinds, count):
         assert mesh.place[-2:].mean() == pytest.approx(99.0 - 3.1)
     for end in range(2):
         step = 1e-6 * np.eye(2)[end]
-        above, below = rod.mesh(clip + step), rod.mesh(clip - step)
+        above, below = (rod.mesh(Lengths(clip + sign * step, spacing)) for sign in (1, -1))
         assert mesh.edge_slope[end] == pytest.approx((above.edge - below.edge) / 2e-6, abs=1e-8)
         np.testing.assert_allclose(mesh.joint_slope[:, end], (above.joints - below.joints) / 2e-6, atol=1e-7)
 
 
 def test_marks_are_interpolated_to_the_third_order():
-    mesh = held(suture(1), 40).mesh(np.array([2.0, 2.0]))
+    mesh = held(suture(1), 40).mesh(Lengths(np.array([2.0, 2.0]), np.full(33, 3.0)))
     weights, slopes = mesh.at(np.linspace(8.0, 90.0, 17))
     for power in range(4):
         np.testing.assert_allclose(weights @ mesh.place**power, np.linspace(8.0, 90.0, 17) ** power, rtol=1e-10)
@@ -74,10 +74,11 @@ def test_the_corrected_mesh_is_close_to_a_very_fine_one():
     values = unknowns.begun(TRUTH, np.array([2.25, 2.25]))
     values = replace(values, curvature=1e-3 * np.ones_like(values.curvature))
     rod, solver, none = unknowns.rod, Newton(), np.zeros((seen.count, POSE))
-    coarse = rod.relaxed(unknowns.material(values), values.clip, none, solver, TRUTH.up)
+    lengths = unknowns.lengths(values)
+    coarse = rod.relaxed(unknowns.material(values), lengths, none, solver, TRUTH.up)
     finest = replace(unknowns, rod=replace(rod, edges=640))
-    exact = finest.rod.marks(relaxed_on(finest, values, coarse, rod, solver), values.clip)
-    before = np.abs(rod.marks(coarse, values.clip) - exact).max()
-    after = np.abs(rod.marks(coarse, values.clip) + mesh_correction(unknowns, values, coarse, solver) - exact).max()
+    exact = finest.rod.marks(relaxed_on(finest, values, coarse, rod, solver), lengths)
+    before = np.abs(rod.marks(coarse, lengths) - exact).max()
+    after = np.abs(rod.marks(coarse, lengths) + mesh_correction(unknowns, values, coarse, solver) - exact).max()
     print(f"off by {before:.4f} mm, corrected by {after:.4f} mm")
     assert 0.01 < before < 0.5 and after < 0.15 * before

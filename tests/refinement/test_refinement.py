@@ -55,13 +55,12 @@ def test_noise_free_straight_rods_between_known_clips_give_their_theta_back(rng)
 
 
 def test_clips_that_end_at_the_outer_marks(rng):
-    """Of length zero; beside them a model of clips of unknown length is tried, which begins elsewhere."""
+    """Of length zero, though they hold half an edge: the evidence is for clips of unknown length."""
     observations, truth = own_mesh(rng, count=6)
-    options = RefinementOptions(clip=0.0, curvature="none", clamps="exact", edges=14, intervals="covariance", models=True)
+    options = RefinementOptions(clip=0.0, curvature="none", clamps="exact", edges=14, intervals="covariance")
     out = refine(observations, observation_clamps(observations), Theta(truth.bend, truth.twist), options)
     assert out.converged and np.isfinite(out.mean_distance)
-    scores = {score.model: score.difference for score in out.scores}
-    assert np.isfinite(scores["clips"]) and scores["clips"] > 0, "these clips hold half an edge"
+    assert "clip=unknown" in {one.option for one in out.adequacy.advice}
     with pytest.raises(InputError, match="clip"):
         refine(observations, observation_clamps(observations), Theta(truth.bend, truth.twist), replace(options, clip=-1.0))
 
@@ -102,11 +101,10 @@ def test_intervals_hold_the_truth_of_a_curved_rod_between_clips(found):
     assert outline[:, 0].min() < found.theta.bend[0, 0] < outline[:, 0].max()
 
 
-def test_straight_rods_clamped_at_their_marks_fit_worse(seen):
+def test_straight_rods_fit_worse(seen):
     out = refine(seen, observation_clamps(seen), BEGIN, replace(QUICK, models=True))
     scores = {score.model: score for score in out.scores}
     assert scores["straight"].difference < -5 * scores["straight"].error
-    assert abs(scores["clamps"].difference) < 10  # these clamps are exact, and found to be
 
 
 @pytest.mark.thorough
@@ -140,11 +138,12 @@ def test_parameters_that_say_nothing_change_nothing_else(seen, found):
 
 @pytest.mark.thorough
 def test_a_parameter_the_rods_do_not_feel_changes_no_interval(rng):
-    """Twist where both spins are free: not determined, and bend as without it."""
-    rods = wandering(rng, 12, 12)
-    observations = Observations(rods.vertices + 0.05 * rng.normal(size=rods.vertices.shape), rest_length=np.full(12, 3.0))
+    """Twist where the rolls of both ends are unknown: not determined, and bend as without it."""
+    rods, truth = own_mesh(rng)
+    observations = replace(rods, vertices=rods.vertices + 0.02 * rng.normal(size=rods.vertices.shape), start_frame=None,
+                           end_frame=None)
     clamps = observation_clamps(observations)
-    with_twist, without = (refine(observations, clamps, Theta(2e3 * np.eye(2), 2e3), RefinementOptions(names, curvature="none"))
+    with_twist, without = (refine(observations, clamps, truth, RefinementOptions(names, curvature="none"))
                            for names in (("bend", "twist"), ("bend",)))
     assert with_twist.estimate.left_open and "twist" in with_twist.estimate.left_open
     own, alone = (out.estimate.parameter("bend") for out in (with_twist, without))

@@ -8,7 +8,7 @@ import pytest
 from doo_ti import Clamp, Newton
 from doo_ti.refinement.fit import Fit
 from doo_ti.refinement.held_rod import POSE
-from doo_ti.refinement.unknowns import Theta
+from doo_ti.refinement.unknowns import TURNS, Theta
 from tests.refinement.rods_between_clips import TRUTH, held, model, suture
 
 SHARP = Newton(tolerance=1e-10)
@@ -27,20 +27,26 @@ def moved_residuals(comparison, fit, state, step, scatter):
     (TRUTH, ("bend",), (Clamp.FRAME, Clamp.POSITION), {"clips": False}),
     (TRUTH, ("bend", "up"), (Clamp.FRAME, Clamp.FREE), {}),
     (RIBBON, ("bend_1", "bend_2", "bend_12", "twist"), (None, None), {"with_frames": True}),
+    (TRUTH, ("bend", "twist"), (None, None), {"bare": ("start_frame", "end_frame")}),
+    (TRUTH, ("bend", "twist"), (None, None), {"bare": ("start_frame",)}),
+    (TRUTH, ("bend",), (Clamp.POSITION, None), {"bare": ("start_frame", "end_frame")}),
 ])
 def test_residuals_follow_the_unknowns(rng, theta, parameters, kinds, fields):
     """J and Z of :class:`doo_ti.refinement.residuals.Comparison` by central differences, with clips of unequal lengths, a
-    curvature, and clamps that are already off."""
+    curvature, spacings that are off, and clamps that are already off, with and without reported frames."""
     seen = suture(2, frames=fields.get("with_frames", False)).take([0, 1, 4])
+    seen = replace(seen, spacing_error=0.02, **dict.fromkeys(fields.pop("bare", ()), None))
     rod = held(seen, 34, kinds)
     comparison, scales = model(rod, parameters, **fields)
     unknowns = comparison.unknowns
     values = unknowns.begun(theta, np.array([2.1, 3.4]))
     values = replace(values, curvature=1e-3 * rng.normal(size=values.curvature.shape))
     if unknowns.clamps:
-        values = replace(values, constant=1e-2 * rng.normal(size=2 * POSE), scatter=5e-3 * rng.normal(size=(3, POSE)))
+        values = replace(values, constant=1e-2 * rng.normal(size=TURNS), scatter=0.1 * rng.normal(size=(3, POSE)))
+    values = replace(values, spacing=0.01 * rng.normal(size=seen.edges))
     fit = Fit(comparison, values, SHARP)
-    state = fit.begin(values, scales)
+    pose, lengths = unknowns.pose(values), unknowns.lengths(values)
+    state = fit.at(values, scales, rod.relaxed(unknowns.material(values), lengths, pose, SHARP, theta.up))
     assert (state.solution.converged & state.solution.stable).all()
     linear, used = comparison.linear(state.solution, values, np.ones(3, dtype=bool))
     assert used.all()
@@ -58,14 +64,19 @@ def test_residuals_follow_the_unknowns(rng, theta, parameters, kinds, fields):
         np.testing.assert_allclose(own, expected, atol=1e-5 * max(np.abs(expected).max(), 1e-3 * largest), err_msg=name)
 
 
-def test_marks_that_a_clamp_was_taken_from_do_not_count():
+def exact(rod):
+    return replace(rod, exact=True)
+
+
+def test_marks_that_an_exact_clamp_was_taken_from_do_not_count():
     seen = suture(1)
-    counted = model(held(seen))[0].weight > 0
+    assert (model(held(seen))[0].weight > 0).all()
+    counted = model(exact(held(seen)))[0].weight > 0
     assert not counted[:, [0, -1]].any() and counted[:, 1:-1].all()
     bare = replace(seen, start_frame=None)
-    counted = model(held(bare))[0].weight > 0
+    counted = model(exact(held(bare)))[0].weight > 0
     assert not counted[:, [0, 1, -1]].any() and counted[:, 2:-1].all()
-    free = model(held(seen, kinds=(None, Clamp.FREE)))[0].weight > 0
+    free = model(exact(held(seen, kinds=(None, Clamp.FREE))))[0].weight > 0
     assert free[:, -1].all()
     missing = seen.valid.copy()
     missing[0, 9] = False
