@@ -16,11 +16,12 @@ PACKAGE = ROOT / "doo_ti"
 LAYERS = [
     {"argument_rules", "errors", "interruption", "short_repr", "terminal"},
     {"arguments", "frames", "physical_units"},
+    {"plausible"},
     {"material"},
     {"types"},
     {"grid", "knots", "rods"},
     {"io"},
-    {"kernel_cache"},
+    {"kernel_cache", "running_program"},
     {"physics", "runtime"},
     {"metric", "start", "contact"},
     {"relaxation"},
