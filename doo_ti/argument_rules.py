@@ -114,7 +114,8 @@ class _Flag(Rule):
 
 class _Instance(Rule):
     def __init__(self, kind: type):
-        self.kind, self.known, self.wanted = kind, (kind,), _WORDS.get(kind, f"a {kind.__name__}")
+        article = "an" if kind.__name__[0] in "AEIO" else "a"
+        self.kind, self.known, self.wanted = kind, (kind,), _WORDS.get(kind, f"{article} {kind.__name__}")
 
     def adapted(self, value: Any) -> Any:
         if issubclass(self.kind, Enum) and isinstance(value, Integral | str) and not isinstance(value, bool):

@@ -23,7 +23,7 @@ from typing import Annotated
 import numpy as np
 
 from doo_ti.arguments import owning, typed
-from doo_ti.errors import InputError
+from doo_ti.errors import InputError, require_whole
 from doo_ti.frames import (
     FRAME_TOLERANCE,
     across,
@@ -112,7 +112,9 @@ class ClampPath:
         return len(self.time)
 
     def states(self, between: int) -> np.ndarray:
-        """((T − 1) between + 1,) s of the states that a prediction returns, ``between`` of them for each interval."""
+        """((T − 1) between + 1,) s of the states that a prediction returns, ``between`` of them for each interval. Raises
+        InputError for none, and for more than a million."""
+        require_whole("prediction", "between", between, 1, MOST_MOMENTS // (self.moments - 1))
         return np.interp(np.arange(between * (self.moments - 1) + 1) / between, np.arange(self.moments), self.time)
 
     @property

@@ -51,6 +51,7 @@ def predict_moving(
     without the kinetic energy, and ``jumps`` are counted only on the way to the first moment. Raises InputError where numbers
     of rods and motions do not match, and for a far frame that turns by half a turn or more from one moment to the next.
     """
+    even = path.states(between)
     _, rods, (first, held, jumps) = begun(configuration, material, clamps, path, LARGEST_TURN, up, Newton(), "f64",
                                          Surroundings(obstacle_list("predict_moving", obstacles, True), radius).at(0))
     rows = np.arange(len(rods)) % len(clamps.start_position)
@@ -75,7 +76,7 @@ def predict_moving(
     for k in range(grippers.instants - 1):
         turned.append(turned[-1] + rotation_about_rod(motion_between(grippers.at(k), grippers.at(k + 1)))[rows])
 
-    time = path.states(between) if stepping.quasi_static else np.arange(grippers.instants) / rate + path.time[0]
+    time = even if stepping.quasi_static else np.arange(grippers.instants) / rate + path.time[0]
 
     def with_first(before, after):
         return np.concatenate([before[None], np.moveaxis(after, 1, 0)])

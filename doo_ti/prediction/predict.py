@@ -125,6 +125,7 @@ def predict(
     if surroundings.rub:
         raise InputError("predict", "obstacles", "with friction, which depends on the way",
                          "give predict_moving with quasi-static steps, or obstacles without friction")
+    time = path.states(between)
     travel, rods, (solution, held, jumps) = begun(configuration, material, clamps, path, sub_step, up, solver or Newton(),
                                                   precision, surroundings)
     motions = len(clamps.start_position)
@@ -134,7 +135,7 @@ def predict(
         for part in range(between):
             film.keep(*travel.go(film.configuration, _part(motion, part / between, (part + 1) / between)))
             advance(len(rods))
-    return film.developed(path.states(between), configuration.rest_length, rods, np.arange(len(rods)) % motions)
+    return film.developed(time, configuration.rest_length, rods, np.arange(len(rods)) % motions)
 
 
 def begun(configuration: Configuration, material: Material, clamps: Clamps, path: ClampPath, sub_step: float, up,

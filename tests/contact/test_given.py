@@ -72,7 +72,7 @@ def test_a_radius_that_is_none(obstacles, radius, problem):
             relax_group(Group([rod], MATERIAL, [end_clamps(rod, Clamp.FRAME, Clamp.FREE)]), obstacles=obstacles)
 
 
-@pytest.mark.parametrize("wrong, problem", [(FLOOR, "a Plane; give a list"), (None, "a NoneType"), (["x"], "str; give Plane"),
+@pytest.mark.parametrize("wrong, problem", [(FLOOR, "a Plane; give a list"), (None, "None"), (["x"], "'x'"),
                                             ([Itself(), Itself()], "Itself more than once")])
 def test_what_is_no_list_of_obstacles(wrong, problem):
     rod = straight_rod(60.0, 10)
