@@ -86,7 +86,7 @@ def test_windows_stay_within_the_image_and_do_not_depend_on_the_batch():
 
 
 def test_detections_without_a_map_are_refused():
-    none = replace(circle(30.0), points=np.empty((0, 2)), direction=np.empty((0, 2)))
+    none = replace(circle(30.0), points=np.empty((0, 2)), direction=np.empty((0, 2)), strength=np.empty(0))
     with pytest.raises(InputError, match="set 0, image 1: "):
         distance_maps([[circle(30.0), none]])
     for sets in ([], [[]], [[circle(30.0)], [circle(30.0)] * 2]):
