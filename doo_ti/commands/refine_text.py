@@ -48,6 +48,8 @@ def summary_of(observations: Observations, surroundings: Surroundings, found, he
         "gap_mm": found.adequacy.gap, "neighbour_correlation": found.adequacy.correlation,
         "reaches_noise": found.adequacy.reaches_noise,
         "advice": [asdict(one) | {"option": _option(one.option)} for one in found.adequacy.advice],
+        "sensitive": [{"observation": observations.labels[one.observation], "parameter": one.parameter, "factor": one.factor}
+                      for one in found.adequacy.influences],
         "models": [asdict(score) for score in found.scores],
         "obstacles": described(surroundings) if surroundings else None, "mesh_edges": found.mesh_edges,
         "mesh_correction_mm": found.mesh_error,
@@ -170,13 +172,15 @@ def _adequacy_lines(summary: dict) -> list[str]:
 
 
 def _rods_lines(summary: dict) -> list[str]:
-    """The observations that were left out, and those that do not fit."""
+    """The observations that were left out, those that do not fit, and those that a result rests on."""
     lines = [_line("left out", counted(summary["left_out"]))] if summary["left_out"] else []
     rows = summary["misfits"]
     if len(rows):
         more = f" and {len(rows) - LISTED} more" * (len(rows) > LISTED)
         listed = ", ".join(map(str, rows[:LISTED]))
         lines.append(_line("misfits", f"observations far from every equilibrium that was tried: {listed}{more}"))
+    lines += [_line("sensitive", f"without observation {one['observation']} {one['parameter']} would be {one['factor']:.3g} "
+                                 "times as large, which is beyond its interval") for one in summary["sensitive"][:LISTED]]
     return lines
 
 

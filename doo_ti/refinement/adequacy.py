@@ -19,7 +19,7 @@ import numpy as np
 from doo_ti.refinement.evidence import Evidence
 from doo_ti.refinement.fit import Fit, Fitted
 from doo_ti.refinement.residuals import Moments
-from doo_ti.refinement.unknowns import Unknowns
+from doo_ti.refinement.unknowns import LOGARITHMIC, Unknowns
 
 NOTABLE = 0.5
 """Times the noise: smaller gaps are not reported."""
@@ -28,6 +28,8 @@ EXCESS = 1.5
 WORTH = 6.0
 """−2 ln of the evidence: an extension that lowers it by more is worth trying."""
 STEPS = 10
+ERRORS = 2.0
+"""Standard errors by which a parameter moves without an observation that it is said to rest on."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,20 @@ class Advice:
 
 
 @dataclass(frozen=True)
+class Influence:
+    """An observation without which a parameter would be beyond its interval.
+
+    observation  its row
+    parameter    the name of the parameter, a positive one
+    factor       of the parameter without that observation
+    """
+
+    observation: int
+    parameter: str
+    factor: float
+
+
+@dataclass(frozen=True)
 class Adequacy:
     """What the residuals say about the model.
 
@@ -50,6 +66,7 @@ class Adequacy:
     gap            mm: root mean square of smooth displacements that the model does not explain
     correlation    of the residuals of neighbouring marks
     advice         extensions worth trying, the best first
+    influences     observations that a parameter rests on, the most influential first
     """
 
     noise: float
@@ -58,6 +75,7 @@ class Adequacy:
     gap: float
     correlation: float
     advice: tuple[Advice, ...]
+    influences: tuple[Influence, ...]
 
     @property
     def reaches_noise(self) -> bool:
@@ -76,7 +94,7 @@ def adequacy(fit: Fit, fitted: Fitted) -> Adequacy:
     gap = state.scales["gap"] * float(np.sqrt((comparison.gap_modes**2).sum(axis=1).mean()))
     degrees = max(3.0 * counts.sum() - len(fit.unknowns.names), 1.0)
     return Adequacy(noise, stated, float(np.sqrt((rows**2).sum() / degrees) / sigma), gap,
-                    _correlation(rows, counts), _advice(fit, fitted))
+                    _correlation(rows, counts), _advice(fit, fitted), _influences(fit, fitted))
 
 
 def _correlation(rows: np.ndarray, counts: np.ndarray) -> float:
@@ -84,6 +102,17 @@ def _correlation(rows: np.ndarray, counts: np.ndarray) -> float:
     crossed = (rows[:, 1:] * rows[:, :-1]).sum(axis=-1)[both]
     sizes = np.sqrt((rows[:, 1:] ** 2).sum(axis=-1)[both].sum() * (rows[:, :-1] ** 2).sum(axis=-1)[both].sum())
     return float(crossed.sum() / sizes) if sizes > 0 else 0.0
+
+
+def _influences(fit: Fit, fitted: Fitted) -> tuple[Influence, ...]:
+    found, names = fitted.posterior, fit.unknowns.names
+    moved = fitted.evidence.without_each(fitted.linear, fitted.state.scales) - found.step
+    errors = np.sqrt(np.diag(found.covariance))
+    pairs = [(row, k) for k, name in enumerate(names[: fit.unknowns.theta_count]) if name in LOGARITHMIC
+             if not (name == "twist" and fit.unknowns.rod.twist_unknown)
+             for row in np.flatnonzero(fitted.state.used & (np.abs(moved[:, k]) > ERRORS * errors[k]))]
+    pairs.sort(key=lambda pair: -abs(moved[pair]) / errors[pair[1]])
+    return tuple(Influence(int(row), names[k], float(np.exp(moved[row, k]))) for row, k in pairs)
 
 
 # --- extensions of the model ----------------------------------------------------------------------------------------------

@@ -88,6 +88,16 @@ def test_the_best_sizes_leave_no_slope(linear_model):
     assert np.abs(evidence.posterior(evidence.best(best)).gradient[inside]).max() < 0.5
 
 
+def test_steps_without_each_observation(linear_model):
+    evidence, linear, scales = linear_model
+    found = evidence.without_each(linear, scales)
+    for d in range(len(found)):
+        others = tuple(replace(kind, **{name: np.delete(getattr(kind, name), d, axis=0)
+                                        for name in ("values", "shared", "effects", "count")}) for kind in linear)
+        alone = replace(evidence, moments=tuple(Moments.of(kind) for kind in others)).posterior(scales)
+        np.testing.assert_allclose(found[d], alone.step, rtol=1e-6, atol=1e-9)
+
+
 def test_held_directions_stay(linear_model):
     evidence, _, scales = linear_model
     direction = np.zeros(len(evidence.offset))
