@@ -181,7 +181,7 @@ def _task(options: Namespace, source: str, starts: int) -> Task:
     else:
         from doo_ti.refinement.fit import theta_of_cell
 
-        observations, around, landscape = loading.load(options, source), given.surroundings(options), None
+        observations, around, landscape = loading.load(options, source).along_arcs(), given.surroundings(options), None
         grid = given.single_cell(options, "give one, or refine the run of a sweep")
         thetas, kinds, weight = (theta_of_cell(grid, 0, observations.up),), (None, None), given.frame_weight(options)
     sigma = given.length("--sigma", options.sigma)

@@ -134,7 +134,7 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
     if isinstance(scene.observations, Synthesis):
         seed = scene.observations.seed if seed is None else seed
         scene = replace(scene, observations=replace(scene.observations, seed=seed))
-    observations = loading.of_scene(options, scene)
+    observations = loading.of_scene(options, scene).along_arcs()
     clamp_start, clamp_end = (own if chosen is None else chosen for own, chosen in zip(
         (scene.clamp_start, scene.clamp_end), given.clamps(options), strict=True))
     objective = options.objective or scene.objective

@@ -129,6 +129,13 @@ class Observations:
         """E."""
         return self.vertices.shape[1] - 1
 
+    def along_arcs(self) -> "Observations":
+        """The same, with the lengths of arcs through the marks where rest lengths were not given. Marks on a rod of a material
+        are joined by arcs; chords, the default, are those of a discrete rod whose vertices they are."""
+        if self.spacing_error != UNKNOWN_SPACING:
+            return self
+        return replace(self, rest_length=_arcs(self.vertices))
+
     def take(self, index: Rows) -> "Observations":
         """The observations named by ``index``, in that order and as often."""
         per_observation = ("vertices", "valid", "labels", "start_frame", "end_frame", "frames", "total_twist", "end_distance",
@@ -211,7 +218,7 @@ class Observations:
             if not seen.any(axis=0).all():
                 edge = np.flatnonzero(~seen.any(axis=0))[0]
                 raise self._error("rest_length", f"missing, and no rod shows edge {edge}", "give rest_length_mm (E,)")
-            return _arcs(self.vertices)
+            return np.nanmedian(np.linalg.norm(np.diff(self.vertices, axis=1), axis=-1), axis=0)
         array = real_array(self.source, KEYS["rest_length"], self.rest_length, "store real numbers")
         if array.ndim == 1 and len(array) != size["E"]:
             raise self._error("rest_length", f"{len(array)} lengths for {size['E']} edges", "give one length per edge")

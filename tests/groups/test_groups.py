@@ -208,7 +208,7 @@ def test_wrong_groups_are_one_line():
         Group(starts, [MATERIAL] * 3, clamps)
     with pytest.raises(InputError, match="rods: a Configuration; give a list"):
         Group(starts[0], MATERIAL, clamps)
-    with pytest.raises(InputError, match="ties: a list; give a list, each a Tie"):
+    with pytest.raises(InputError, match="ties: a tuple; give a Tie"):
         Group(starts, MATERIAL, clamps, [((0, 1), (1, 0))])
     with pytest.raises(InputError, match="welds edge 19 of rod 0 to itself"):
         Group(starts, MATERIAL, clamps, [Tie((0, 19), (0, 20), weld=True)])
@@ -218,7 +218,7 @@ def test_wrong_groups_are_one_line():
         relax_group(Group(starts, MATERIAL, clamps), before="no solution")
     with pytest.raises(InputError, match="Tie: weight: -1"):
         Tie((0, 0), (1, 0), weight=-1.0)
-    with pytest.raises(InputError, match="Tie: first: 3; give .rod, vertex."):
+    with pytest.raises(InputError, match="Tie: first: 3; give 2 values, each a whole number"):
         Tie(3, (1, 0))
     loose = [clamps[0], end_clamps(starts[1], Clamp.FREE, Clamp.FREE)]
     with pytest.raises(InputError, match="rod 1 has weight and nothing holds it"):

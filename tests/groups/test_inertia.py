@@ -187,7 +187,8 @@ def test_what_does_not_match_is_named():
     for options, message in (
             ({"dynamics": Dynamics()}, "rate: missing beside dynamics"), ({"rate": 10.0}, "dynamics: missing beside rate"),
             ({"dynamics": Dynamics(), "rate": -1.0}, "rate"), ({"dynamics": [Dynamics()], "rate": 10.0}, "1 for 3 rods"),
-            ({"dynamics": 3.0, "rate": 10.0}, "a float"), ({"dynamics": Dynamics(), "rate": 10.0, "scheme": "rk4"}, "rk4"),
+            ({"dynamics": 3.0, "rate": 10.0}, "dynamics: 3.0; give a Dynamics"),
+            ({"dynamics": Dynamics(), "rate": 10.0, "scheme": "rk4"}, "rk4"),
             ({"dynamics": Dynamics(drag=[0.1, 0.2]), "rate": 10.0}, "2 rows for rod 0"),
             ({"dynamics": Dynamics(density=0.0), "rate": 10.0}, "rod 0: density"),
             ({"dynamics": Dynamics(point_mass=np.ones((1, 5))), "rate": 10.0}, "5 vertices")):

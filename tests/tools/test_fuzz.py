@@ -38,6 +38,7 @@ def test_every_command_is_in_it():
 
     sources = [path.read_text() for path in Path(__path__[0]).glob("*.py")]
     declared = {name for source in sources for name in re.findall(r'given\.command\(add, "(\w+)"', source)}
+    declared -= {"warm"}  # it reads nothing
     assert set(COMMANDS) == declared and {option for recipe in RECIPES for option in recipe.words} >= {"--out", "--rig"}
 
 
