@@ -144,7 +144,9 @@ def estimated(fit: Fit, fitted: Fitted, profiled: bool = True) -> Estimate:
             found[name] = Interval(None, None, float(np.sqrt(direction @ fitted.posterior.covariance @ direction)))
             continue
         by_profile = profiled and not name.startswith(("up", "clip"))
-        found[name] = (interval if by_profile else _by_covariance)(fit, fitted, direction, degrees)
+        farthest = np.inf if name.startswith("clip") else FARTHEST  # that is a length, not a logarithm
+        found[name] = (interval(fit, fitted, direction, degrees) if by_profile
+                       else _by_covariance(fitted, direction, degrees, farthest))
     suffix = "/weight" if "weight" in unknowns.names else ""
     return Estimate(
         theta=theta,
@@ -208,10 +210,10 @@ class Interval:
     error: float
 
 
-def _by_covariance(fit: Fit, fitted: Fitted, direction: np.ndarray, degrees: float) -> Interval:
+def _by_covariance(fitted: Fitted, direction: np.ndarray, degrees: float, farthest: float) -> Interval:
     error = float(np.sqrt(direction @ fitted.posterior.covariance @ direction))
     reach = float(np.sqrt(f_distribution.ppf(PROBABILITY, 1, degrees))) * error
-    return Interval(-reach, reach, error) if reach < FARTHEST else Interval(None, None, error)
+    return Interval(-reach, reach, error) if reach < farthest else Interval(None, None, error)
 
 
 def interval(fit: Fit, fitted: Fitted, direction: np.ndarray, degrees: float) -> Interval:

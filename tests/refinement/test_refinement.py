@@ -255,3 +255,15 @@ def test_wrong_options_are_refused(seen):
                          (dict(edges=2), "edges"), (dict(intervals="none"), "intervals")):
         with pytest.raises(InputError, match=word):
             refine(seen, clamps, BEGIN, replace(QUICK, **change))
+
+
+def test_clips_have_intervals_in_mm_however_wide():
+    """The end of a clip is a length: that it may be off by more than the logarithm of a factor of a thousand says nothing."""
+    angle = np.linspace(0.0, 1.0, 9)[:, None] * np.array([0.5, 0.8, 1.1])
+    arcs = np.stack([np.sin(angle), 0 * angle, 1 - np.cos(angle)], axis=-1).swapaxes(0, 1)
+    marks = 600.0 / angle[-1, :, None, None] * arcs
+    observations = Observations(marks)
+    out = refine(observations, observation_clamps(observations), Theta(1e7 * np.eye(2), 1e7),
+                 replace(QUICK, parameters=("bend",), curvature="none", iterations=2))
+    clip = out.estimate.parameter("clip_start")
+    assert clip.low is not None and clip.high - clip.low > 7.0
