@@ -10,7 +10,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import Timer, current_thread, main_thread
 from types import FrameType
+from typing import TYPE_CHECKING
 
+if TYPE_CHECKING:  # most commands start no process
+    from subprocess import Popen
+
+SECONDS_TO_END = 10.0
+"""That a process has to end by itself before it is killed."""
 AGAIN_SECONDS = 0.05
 """Delay before a signal that was raised where it is lost is sent again."""
 MOST_POSTPONED = 200
@@ -44,6 +50,20 @@ def while_running(interruptible: bool) -> None:
 def when_all_is_done() -> None:
     """Ignore Ctrl-C from now on: the process is about to end."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def ended(process: "Popen") -> None:
+    """End a process that this one has started, should it still run, and wait for it."""
+    from subprocess import TimeoutExpired
+
+    if process.poll() is not None:
+        return
+    process.terminate()
+    try:
+        process.wait(SECONDS_TO_END)
+    except TimeoutExpired:
+        process.kill()
+        process.wait()
 
 
 @contextmanager

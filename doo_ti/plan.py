@@ -20,7 +20,7 @@ from doo_ti.errors import InputError
 from doo_ti.grid import Grid
 from doo_ti.io.observations import LEAST_SIGMA_MM, MOST_SIGMA_MM, Observations
 from doo_ti.io.scene import Synthesis
-from doo_ti.refinement.evidence import information
+from doo_ti.refinement.evidence import integrated
 from doo_ti.refinement.held_rod import HeldRod
 from doo_ti.refinement.priors import typical_scales
 from doo_ti.refinement.refine import FEWEST_EDGES, MOST_EDGES
@@ -206,7 +206,7 @@ def _information(seen: Observations, clamps, grid: Grid, names: tuple[str, ...],
                                    theta.up)
             sound = solution.converged & solution.stable
             linear, _ = comparison.linear(solution, values, sound)
-            found.append(information(unknowns, linear, scales))
+            found.append(integrated(unknowns, linear, scales)[0])
             bar.advance(task, 1)
     prior, _ = unknowns.precision(scales)
     logs = np.log(_values(grid, slice(None), names))

@@ -12,6 +12,7 @@ import numpy as np
 
 from doo_ti import terminal
 from doo_ti.commands import options as given
+from doo_ti.commands.rest_length import read_rest_length
 from doo_ti.commands.results import observed
 from doo_ti.errors import InputError
 from doo_ti.io.motion_file import TOOL_AXES, ClampPath, load_path
@@ -141,8 +142,6 @@ def load(options: Namespace, source: str) -> Observations:
 def _measured(observations: Observations, text: str) -> Observations:
     """``observations`` with the lengths of ``--rest-length``: of a number the marks share the rod as they were."""
     if Path(text).suffix in (".npz", ".txt", ".csv"):
-        from doo_ti.commands.seen_rods import read_rest_length
-
         return replace(observations, rest_length=read_rest_length(text), spacing_error=MEASURED)
     share = given.length("--rest-length", text) / observations.rest_length.sum()
     return replace(observations, rest_length=share * observations.rest_length, spacing_error=MEASURED)

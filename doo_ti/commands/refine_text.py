@@ -180,7 +180,7 @@ def _rods_lines(summary: dict) -> list[str]:
         listed = ", ".join(map(str, rows[:LISTED]))
         lines.append(_line("misfits", f"observations far from every equilibrium that was tried: {listed}{more}"))
     lines += [_line("sensitive", f"without observation {one['observation']} {one['parameter']} would be {one['factor']:.3g} "
-                                 "times as large, which is beyond its interval") for one in summary["sensitive"][:LISTED]]
+                                 "times as large: more than two standard errors away") for one in summary["sensitive"][:LISTED]]
     return lines
 
 

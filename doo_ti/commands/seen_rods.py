@@ -1,7 +1,6 @@
 """The tasks of `doo-ti perceive` and `doo-ti track`: their options and files, checked before any image is read."""
 
 import os
-import re
 from argparse import Namespace
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,18 +10,17 @@ import numpy as np
 from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import is_dynamic, losses
+from doo_ti.commands.rest_length import read_rest_length
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
 from doo_ti.io.arrays import read_npz
-from doo_ti.io.csv_table import decoded, read_csv
-from doo_ti.io.files import MOST_TEXT_BYTES, read_content
+from doo_ti.io.csv_table import read_csv
+from doo_ti.io.files import read_content
 from doo_ti.io.observations import load_observations
 from doo_ti.terminal import in_line
 from doo_ti.types import Clamp, Clamps, Material
 
-MOST_EDGES, MOST_HYPOTHESES = 2000, 100_000
-LEAST_MM, MOST_MM = 1e-3, 1e4
-"""Of an edge."""
+MOST_HYPOTHESES = 100_000
 RECORDED = 3
 """Sets in a recording."""
 SUBSTEPS = 4
@@ -120,43 +118,6 @@ def _inertia(options: Namespace, count: int, time: np.ndarray | None) -> tuple:
     options.theta_note = "bend, twist, damping and drag are used; rest curvature is ignored, markers count as the rod's weight"
     inertia = Inertia(losses(options, markers=False), substeps or SUBSTEPS)
     return inertia, time if rate is None else np.arange(count) / rate
-
-
-def read_rest_length(text: str) -> np.ndarray:
-    """(E,) mm, from ``3:33`` or a file."""
-    option, remedy = "--rest-length", "give MM:COUNT, such as 3:33, or a file of lengths in mm"
-    length, _, count = text.partition(":")
-    if count and not os.path.exists(text):
-        edges, each = given.whole(option, count, 2, MOST_EDGES), given.length(option, length)
-        if not LEAST_MM <= each <= MOST_MM:
-            raise InputError(given.SOURCE, option, f"edges of {each:g} mm", f"give {LEAST_MM:g} to {MOST_MM:g} mm")
-        return np.full(edges, each)
-    path = Path(text)
-    try:
-        content = read_content(path, MOST_TEXT_BYTES, remedy)
-    except InputError as error:
-        raise InputError(given.SOURCE, option, f"{text!r}: {error.problem}", remedy) from None
-    try:
-        values = read_npz(path, content, ("rest_length_mm",)).get("rest_length_mm") if path.suffix == ".npz" else \
-            np.array(_words(path, decoded(content)), dtype=np.float64)
-    except ValueError as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(path, "file", "holds something that is not a number", remedy) from None
-    if values is None or values.dtype.kind not in "fiu" or values.ndim != 1 or not 2 <= len(values) <= MOST_EDGES \
-            or not ((values >= LEAST_MM) & (values <= MOST_MM)).all():
-        raise InputError(path, "rest_length_mm", f"missing, or not 2 or more numbers from {LEAST_MM:g} to {MOST_MM:g}",
-                         "give one for each edge, in mm")
-    return values.astype(np.float64)
-
-
-def _words(path: Path, text: str) -> list[str]:
-    """The numbers of a text, between commas, semicolons or spaces. Raises InputError where commas may also be in them."""
-    words = text.replace(";", " ").split()
-    if len(words) > 1 and all(re.fullmatch(r"\d+,\d+", word) for word in words):
-        raise InputError(path, "rest_length_mm", f"{words[0]!r} is one number, or two", "write decimals behind a point, and "
-                         "numbers between spaces")
-    return " ".join(words).replace(",", " ").split()
 
 
 def _sets(options: Namespace, rig):

@@ -15,14 +15,13 @@ import numpy as np
 from doo_ti.commands import options as given
 from doo_ti.commands.results import report
 from doo_ti.errors import InputError
-from doo_ti.interruption import kept_from_children
+from doo_ti.interruption import ended, kept_from_children
 from doo_ti.io.files import write_text
 from doo_ti.terminal import in_line, progress
 
 AT_ONCE = 2
 """Processes. Taichi compiles in one thread, and what two compile at the same time both compile."""
 POLL_SECONDS = 0.1
-SECONDS_TO_END = 10.0
 MATERIAL = "--bend 4e5 --twist 4e5"
 LAB, SEEN = "synth lab.toml --out lab.npz", f"--rig images/rig.yaml --rest-length 3:33 {MATERIAL} --no-recording"
 IMAGES = "synth seen.toml --images images --rig rig.yaml"
@@ -140,16 +139,6 @@ class _Job:
                                             stdout=log, stderr=log, env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)})
         return True
 
-    def end(self) -> None:
-        """End the present step, should it still run."""
-        if self.process is None or self.process.poll() is not None:
-            return
-        self.process.terminate()
-        try:
-            self.process.wait(SECONDS_TO_END)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-
 
 def run(options: Namespace, words: list[str]) -> int:
     """Run the commands' steps, and print how long each command took."""
@@ -184,7 +173,8 @@ def _done(jobs: list[_Job]) -> None:
                 time.sleep(POLL_SECONDS)
         finally:
             for job in running:
-                job.end()
+                if job.process is not None:
+                    ended(job.process)
 
 
 def _prepared(name: str, folder: Path) -> _Job:

@@ -132,7 +132,7 @@ class Observations:
     def along_arcs(self) -> "Observations":
         """The same, with the lengths of arcs through the marks where rest lengths were not given. Marks on a rod of a material
         are joined by arcs; chords, the default, are those of a discrete rod whose vertices they are."""
-        if self.spacing_error != UNKNOWN_SPACING:
+        if not np.array_equal(self.rest_length, _chords(self.vertices)):
             return self
         return replace(self, rest_length=_arcs(self.vertices))
 
@@ -218,7 +218,7 @@ class Observations:
             if not seen.any(axis=0).all():
                 edge = np.flatnonzero(~seen.any(axis=0))[0]
                 raise self._error("rest_length", f"missing, and no rod shows edge {edge}", "give rest_length_mm (E,)")
-            return np.nanmedian(np.linalg.norm(np.diff(self.vertices, axis=1), axis=-1), axis=0)
+            return _chords(self.vertices)
         array = real_array(self.source, KEYS["rest_length"], self.rest_length, "store real numbers")
         if array.ndim == 1 and len(array) != size["E"]:
             raise self._error("rest_length", f"{len(array)} lengths for {size['E']} edges", "give one length per edge")
@@ -268,6 +268,11 @@ class Observations:
         return frames
 
 
+def _chords(vertices: np.ndarray) -> np.ndarray:
+    """(E,) median distance of neighbouring marks, from their places (D, V, 3), NaN where unseen."""
+    return np.nanmedian(np.linalg.norm(np.diff(vertices, axis=1), axis=-1), axis=0)
+
+
 def _arcs(vertices: np.ndarray) -> np.ndarray:
     """(E,) median length of the rod between neighbouring marks, from their places (D, V, 3), NaN where unseen.
 
@@ -277,7 +282,7 @@ def _arcs(vertices: np.ndarray) -> np.ndarray:
     chords = np.linalg.norm(np.diff(vertices, axis=1), axis=-1)
     excess = chords[:, 1:] + chords[:, :-1] - np.linalg.norm(vertices[:, 2:] - vertices[:, :-2], axis=-1)
     share = excess / (3 * (chords[:, 1:] + chords[:, :-1]))
-    return np.nanmedian(chords, axis=0) * (1 + _over_edges(share))
+    return _chords(vertices) * (1 + _over_edges(share))
 
 
 def _over_edges(share: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryFile
 
 from doo_ti.errors import InputError, InterruptedRunError
-from doo_ti.interruption import kept_from_children
+from doo_ti.interruption import ended, kept_from_children
 from doo_ti.record.web_page import local_page
 
 FILE = "run.rrd"
@@ -20,7 +20,6 @@ NOWHERE = "http://127.0.0.1:9"
 ALONE = {"CI": "true", **{name: NOWHERE for name in ("ALL_PROXY", "HTTPS_PROXY", "HTTP_PROXY")}}
 """The viewer's environment. By default it reports its use, which CI=true stops, and asks a server for new versions, which no
 option stops: its requests go to a proxy, and there is none."""
-SECONDS_TO_END = 10.0
 
 
 def open_viewer(path) -> None:
@@ -77,16 +76,7 @@ def running_viewer(path, *options: str, log=subprocess.DEVNULL) -> Iterator[subp
         yield process
     finally:
         if process is not None:
-            _end(process)
-
-
-def _end(process: subprocess.Popen) -> None:
-    process.terminate()
-    try:
-        process.wait(SECONDS_TO_END)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
+            ended(process)
 
 
 def _program() -> str:

@@ -44,7 +44,7 @@ class Advice:
 
 @dataclass(frozen=True)
 class Influence:
-    """An observation without which a parameter would be beyond its interval.
+    """An observation without which a parameter would move by more than ERRORS standard errors.
 
     observation  its row
     parameter    the name of the parameter, a positive one

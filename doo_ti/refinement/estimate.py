@@ -140,11 +140,10 @@ def estimated(fit: Fit, fitted: Fitted, profiled: bool = True) -> Estimate:
     theta = unknowns.theta_at(values)
     found = {}
     for name, direction in _directions(unknowns.names, count).items():
-        if name.startswith("twist") and unknowns.rod.twist_unknown:  # it is that of a common rod
-            found[name] = Interval(None, None, float(np.sqrt(direction @ fitted.posterior.covariance @ direction)))
-            continue
-        by_profile = profiled and not name.startswith(("up", "clip"))
-        farthest = np.inf if name.startswith("clip") else FARTHEST  # that is a length, not a logarithm
+        assumed = name.startswith("twist") and unknowns.rod.twist_unknown  # to be that of a common rod
+        by_profile = profiled and not assumed and not name.startswith(("up", "clip"))
+        # A clip's end is a length, not a logarithm.
+        farthest = 0.0 if assumed else np.inf if name.startswith("clip") else FARTHEST
         found[name] = (interval(fit, fitted, direction, degrees) if by_profile
                        else _by_covariance(fitted, direction, degrees, farthest))
     suffix = "/weight" if "weight" in unknowns.names else ""
@@ -211,6 +210,7 @@ class Interval:
 
 
 def _by_covariance(fitted: Fitted, direction: np.ndarray, degrees: float, farthest: float) -> Interval:
+    """The interval of ``direction`` (P,) · x by the covariance, open where it reaches ``farthest``."""
     error = float(np.sqrt(direction @ fitted.posterior.covariance @ direction))
     reach = float(np.sqrt(f_distribution.ppf(PROBABILITY, 1, degrees))) * error
     return Interval(-reach, reach, error) if reach < farthest else Interval(None, None, error)

@@ -112,9 +112,8 @@ class Evidence:
     def left_out(self, linear: tuple[Residuals, ...], scales: Scales) -> np.ndarray:
         """(D,) ln of the probability density of each observation, given all others, at these sizes: half of the decrease of F
         when that observation is left out. ``linear``: the residuals from which the moments follow."""
-        own, slope, squares, constant = _integrated(self.unknowns, linear, scales)
-        precision, _ = self.unknowns.precision(scales)
-        hessian, total = precision + own.sum(axis=0), slope.sum(axis=0) + precision @ self.offset
+        own, slope, squares, constant = integrated(self.unknowns, linear, scales)
+        hessian, total = self._together(own, slope, scales)
         without, rest = hessian - own, total - slope
         decrease = squares - total @ np.linalg.solve(hessian, total) + np.einsum(
             "dp,dp->d", rest, np.linalg.solve(without, rest[..., None])[..., 0])
@@ -122,10 +121,14 @@ class Evidence:
 
     def without_each(self, linear: tuple[Residuals, ...], scales: Scales) -> np.ndarray:
         """(D, P) the most probable step without each observation in turn, at these sizes."""
-        own, slope, _, _ = _integrated(self.unknowns, linear, scales)
-        precision, _ = self.unknowns.precision(scales)
-        hessian, total = precision + own.sum(axis=0), slope.sum(axis=0) + precision @ self.offset
+        own, slope, _, _ = integrated(self.unknowns, linear, scales)
+        hessian, total = self._together(own, slope, scales)
         return -np.linalg.solve(hessian - own, (total - slope)[..., None])[..., 0]
+
+    def _together(self, own: np.ndarray, slope: np.ndarray, scales: Scales) -> tuple[np.ndarray, np.ndarray]:
+        """H (P, P) and the slope (P,) of all observations and the prior, from those of each (:func:`integrated`)."""
+        precision, _ = self.unknowns.precision(scales)
+        return precision + own.sum(axis=0), slope.sum(axis=0) + precision @ self.offset
 
     def best(self, scales: Scales, steps: int = STEPS) -> Scales:
         """The sizes with the largest evidence that is reached from ``scales``, each within a factor e² of its present value."""
@@ -230,20 +233,11 @@ def best_effects(unknowns: Unknowns, linear: tuple[Residuals, ...], scales: Scal
     return -(inner @ slope_z[..., None])[..., 0]
 
 
-def integrated(unknowns: Unknowns, linear: tuple[Residuals, ...], scales: Scales) -> tuple[np.ndarray, np.ndarray]:
-    """B (D, P, P) and s (D, P) of what each observation says of the unknowns x, its own effects integrated out: −2 ln of its
-    density is 2 s·x + xᵀBx besides what does not depend on x."""
-    return _integrated(unknowns, linear, scales)[:2]
-
-
-def information(unknowns: Unknowns, linear: tuple[Residuals, ...], scales: Scales) -> np.ndarray:
-    """(D, P, P) information that each observation holds about the unknowns, its own effects integrated out."""
-    return _integrated(unknowns, linear, scales)[0]
-
-
-def _integrated(unknowns: Unknowns, linear: tuple[Residuals, ...], scales: Scales):
+def integrated(unknowns: Unknowns, linear: tuple[Residuals, ...], scales: Scales
+               ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """−2 ln of the density of each observation's residuals, its effects integrated out, as c + q + 2 s·x + xᵀBx in the
-    unknowns x: B (D, P, P), s (D, P), q and c (D,); c does not depend on the residuals."""
+    unknowns x: B (D, P, P), the information that the observation holds about them, s (D, P), q and c (D,); c does not depend
+    on the residuals."""
     weights, variance, mixed, inner, slope_z = _effects(unknowns, [Moments.of(kind) for kind in linear], scales)
     pairs, slope_z = list(zip(weights, linear, strict=True)), slope_z[..., None]
     own = sum(w * np.swapaxes(k.shared, 1, 2) @ k.shared for w, k in pairs) - mixed @ inner @ np.swapaxes(mixed, 1, 2)

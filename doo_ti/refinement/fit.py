@@ -98,6 +98,8 @@ class Fit:
     def begin(self, values: Values, scales: Scales) -> State:
         """Rods relaxed from their observations. Raises InputError where none is converged and stable."""
         state = self.from_marks(values, scales)
+        if self.unknowns.rod.direction_unknown:
+            state = self.posed(state)
         if not state.used.any():
             raise InputError(self.unknowns.rod.observations.source, "vertices_mm",
                              "no rod is converged and stable at the first Θ",
@@ -105,12 +107,11 @@ class Fit:
         return state
 
     def from_marks(self, values: Values, scales: Scales) -> State:
-        """Rods relaxed from their observations, those without reported frames with the most probable clamps."""
+        """Rods relaxed from their observations."""
         unknowns = self.unknowns
         solution = unknowns.rod.relaxed(unknowns.material(values), unknowns.lengths(values), unknowns.pose(values), self.solver,
                                         values.theta.up)
-        state = self._state(values, scales, solution)
-        return self.posed(state, solution.converged & solution.stable) if self.unknowns.rod.direction_unknown else state
+        return self._state(values, scales, solution)
 
     def best_of(self, states: Sequence[State]) -> State:
         """Of each observation that with the most probable clamps, at the same shared unknowns and sizes."""
@@ -127,12 +128,14 @@ class Fit:
         return self._state(values, scales, unknowns.rod.followed(
             solution, unknowns.material(values), unknowns.lengths(values), unknowns.pose(values), self.solver, values.theta.up))
 
-    def posed(self, state: State, rows: np.ndarray, steps: int = POSE_STEPS) -> State:
-        """``state`` with the most probable clamps of the observations ``rows`` (D,) bool, all shared unknowns as they are:
-        Gauss–Newton, each observation with steps of its own. Where no frame was reported marks alone say how a rod is held,
-        and the direction between two of them is only where that begins."""
+    def posed(self, state: State, rows: np.ndarray | None = None, steps: int = POSE_STEPS) -> State:
+        """``state`` with the most probable clamps of the observations ``rows`` (D,) bool, or of all. The shared unknowns stay.
+
+        Gauss–Newton, each observation with steps of its own. Where no frame was reported, marks alone say how a rod is held:
+        the line through the outer two of them is only a first guess."""
         if not self.unknowns.clamps:
             return state
+        rows = np.ones(len(state.used), dtype=bool) if rows is None else rows
         share, before = np.ones(len(rows)), self._of_rods(state, state.scales)
         for _ in range(steps):
             sound = rows & state.solution.converged & state.solution.stable

@@ -85,8 +85,7 @@ def _predicted(found: Refinement, observations: Observations, clamps: Clamps, op
         unknowns = replace(unknowns, curvature="none")
     values = replace(found.estimate.values, scatter=np.zeros((observations.count, POSE)))
     fit = Fit(Comparison.of(unknowns, options.frame_weight > 0), values, options.solver)
-    state = fit.from_marks(values, found.estimate.scales)
-    solution = fit.posed(state, state.solution.converged & state.solution.stable).solution
+    solution = fit.posed(fit.from_marks(values, found.estimate.scales)).solution
     frames = rod.directors(solution, unknowns.lengths(values)) if options.frame_weight > 0 else None
     return (mark_distance(rod.marks(solution, unknowns.lengths(values)), observations, frames, options.frame_weight),
             solution.converged & solution.stable)

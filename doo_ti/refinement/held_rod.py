@@ -122,7 +122,7 @@ class HeldRod:
     @cached_property
     def mark_place(self) -> np.ndarray:
         """(M,) arc length of the marks as the observations state it, mm."""
-        return np.concatenate([[0.0], np.cumsum(self.observations.rest_length)])
+        return Lengths(np.zeros(2), self.observations.rest_length).mark_place
 
     @property
     def length(self) -> float:
@@ -156,13 +156,12 @@ class HeldRod:
 
     @cached_property
     def pose_scales(self) -> tuple[str, ...]:
-        """(POSE,) the size, of :mod:`doo_ti.refinement.priors`, of what is unknown about each number of the clamps' poses in
-        one observation; "" where nothing is."""
+        """(POSE,) for each number of the clamps' poses the name of the size, in :mod:`doo_ti.refinement.priors`, of its error
+        in one observation; "" where it has none."""
         turns, shifts = [], []
-        twisted = all(np.max(kind) == Clamp.FRAME for kind in (self.held.start, self.held.end))
         for end, (kind, reported) in enumerate(zip((self.clamps.start, self.clamps.end), self.reported, strict=True)):
             held = np.max(kind)
-            roll = "any_roll" if end == 0 and self.rolled_together or not twisted else "any_twist"
+            roll = "any_roll" if end == 0 and self.rolled_together or not self._both_hold_rolls else "any_twist"
             turn = ("turn_scatter",) * 3 if reported else (roll, "any_turn", "any_turn")
             turns += ("",) * 3 if self.exact or held < Clamp.TANGENT else turn
             shifts += ("",) * 3 if self.exact or held < Clamp.POSITION else ("any_shift",) * 3
@@ -171,8 +170,11 @@ class HeldRod:
     @cached_property
     def rolled_together(self) -> bool:
         """Whether the rolls of both ends are unknown: then the end's counts from the start's, and is the twist of the rod."""
-        return not (self.exact or any(self.reported)) and all(
-            np.max(kind) == Clamp.FRAME for kind in (self.held.start, self.held.end))
+        return not (self.exact or any(self.reported)) and self._both_hold_rolls
+
+    @property
+    def _both_hold_rolls(self) -> bool:
+        return all(np.max(kind) == Clamp.FRAME for kind in (self.held.start, self.held.end))
 
     @property
     def direction_unknown(self) -> bool:

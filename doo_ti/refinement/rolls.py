@@ -34,7 +34,7 @@ def rolled(fit: Fit, fitted: Fitted, curvature: str) -> tuple[Fit, State]:
     sound = fitted.state.solution.converged & fitted.state.solution.stable
     linear, used = uniform.linear(fitted.state.solution, values, sound, leave_out_soft=False)
     own = uniform.unknowns.columns("curvature")
-    information, slope = integrated(uniform.unknowns, linear, fitted.state.scales)
+    information, slope, _, _ = integrated(uniform.unknowns, linear, fitted.state.scales)
     information, slope = information[:, own[:, None], own], slope[:, own]
     angle = np.linspace(-np.pi, np.pi, ROLLS, endpoint=False)
     u = np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -51,7 +51,7 @@ def rolled(fit: Fit, fitted: Fitted, curvature: str) -> tuple[Fit, State]:
     for extra in np.linspace(0.0, 2 * np.pi, TRIED, endpoint=False):
         scatter = values.scatter.copy()
         scatter[:, 0] += (roll + extra + np.pi) % (2 * np.pi) - np.pi
-        states.append(curved.from_marks(replace(values, curvature=begun, scatter=scatter), scales))
+        states.append(curved.posed(curved.from_marks(replace(values, curvature=begun, scatter=scatter), scales)))
     return curved, curved.best_of(states)
 
 

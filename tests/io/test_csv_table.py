@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.commands.seen_rods import read_rest_length
+from doo_ti.commands.rest_length import read_rest_length
 from doo_ti.errors import InputError
 from doo_ti.io.csv_table import parse_csv, read_csv
 

@@ -187,7 +187,8 @@ def damaged(content: bytes, rng) -> bytes:
 def readers() -> dict[str, list]:
     """Whatever reads a file with that suffix."""
     from doo_ti.commands.refine import read_groups
-    from doo_ti.commands.seen_rods import load_frames, read_rest_length
+    from doo_ti.commands.rest_length import read_rest_length
+    from doo_ti.commands.seen_rods import load_frames
     from doo_ti.contact.distance_grid import DistanceGrid
     from doo_ti.contact.obstacle_file import load_obstacles, obstacles_of
     from doo_ti.dynamics.scene import load_dynamic_scene

@@ -84,6 +84,7 @@ def test_lengths_along_arcs():
     np.testing.assert_allclose(seen.along_arcs().rest_length, 10.0, rtol=3e-6)
     stated = replace(seen, rest_length=np.full(11, 9.0), spacing_error=0.0)
     np.testing.assert_array_equal(stated.along_arcs().rest_length, 9.0)
+    np.testing.assert_array_equal(replace(stated, spacing_error=0.1).along_arcs().rest_length, 9.0)
 
 
 def test_arrays_are_copies_that_cannot_be_written(rng):
