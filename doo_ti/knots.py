@@ -13,6 +13,7 @@ from doo_ti.arguments import typed
 from doo_ti.errors import MOST_EDGES, InputError, real_array, require_whole
 from doo_ti.frames import across, bishop_frames, quaternion_from_matrix
 from doo_ti.plausible import doubt_length
+from doo_ti.rods import with_end_edges
 from doo_ti.types import LARGEST, Configuration
 
 EQUALISATIONS = 60
@@ -31,11 +32,13 @@ LOOP_EDGE = 0.5
 
 
 @typed
-def rod_along(points: ArrayLike, edges: int | ArrayLike) -> Configuration:
+def rod_along(points: ArrayLike, edges: int | ArrayLike, *, vertex_clamps: bool = False) -> Configuration:
     """One rod along the curve through ``points`` (N, 3) mm, from the first to the last and without twist. Its vertices are on
     the curve, so that it is a little shorter.
 
-    edges  how many, all of one length, or (E,) how long they are compared with each other
+    edges          how many, all of one length, or (E,) how long they are compared with each other
+    vertex_clamps  as in :func:`straight_rod`: the outer edges of length zero have the directions of the curve's ends, so that
+                   two of them can be welded to each other without a joint
 
     Raises InputError for fewer than two points, points that are not finite or all the same, fewer than two edges, and lengths
     that are not positive.
@@ -61,7 +64,8 @@ def rod_along(points: ArrayLike, edges: int | ArrayLike) -> Configuration:
         place = np.interp(ends * reached[-1], reached, place)
     tangents = np.diff(vertices, axis=0) / chord[:, None]
     frames = bishop_frames(tangents[None], across(tangents[:1]))
-    return Configuration(vertices[:1].copy(), quaternion_from_matrix(frames), chord)
+    rod = Configuration(vertices[:1].copy(), quaternion_from_matrix(frames), chord)
+    return with_end_edges(rod) if vertex_clamps else rod
 
 
 @typed

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from doo_ti.arguments import typed
 from doo_ti.errors import MOST_EDGES, InputError, real_array, require_whole
-from doo_ti.frames import across, bishop_frames, quaternion_from_matrix
+from doo_ti.frames import across, bishop_frames, quaternion_from_matrix, quaternion_product
 from doo_ti.plausible import doubt_length
 from doo_ti.types import LARGEST, Clamp, Clamps, Configuration, unit_up
 
@@ -37,7 +37,7 @@ def straight_rod(length: float, edges: int, start: ArrayLike = (0.0, 0.0, 0.0),
     length = _lengths("straight_rod", length, edges)
     rod = Configuration.straight(_points("straight_rod", "start", start)[0], _direction("straight_rod", direction),
                                  float(length[0]), edges)
-    return _with_end_edges(rod) if vertex_clamps else rod
+    return with_end_edges(rod) if vertex_clamps else rod
 
 
 @typed
@@ -74,7 +74,7 @@ def hanging(length: ArrayLike, edges: int, start: ArrayLike, end: ArrayLike, *, 
     frames = bishop_frames(tangents, across(tangents[:, 0]))
     rest_length = np.repeat(length[:, None] / edges, edges, axis=1)
     rope = Configuration(start.copy(), quaternion_from_matrix(frames), rest_length if len(length) > 1 else rest_length[0])
-    rope = _with_end_edges(rope) if vertex_clamps else rope
+    rope = with_end_edges(rope) if vertex_clamps else rope
     held = end_clamps(rope, clamp, clamp)
     return rope, Clamps(held.start, held.end, held.start_position, end.copy(), held.start_frame, held.end_frame)
 
@@ -87,12 +87,21 @@ def end_clamps(configuration: Configuration, start: Clamp = Clamp.FRAME, end: Cl
     return Clamps(Clamp(start), Clamp(end), *(values.copy() for values in ends))
 
 
-def _with_end_edges(rods: Configuration) -> Configuration:
-    """The rods with an edge of length zero at each end, in the direction of the edge there."""
+def with_end_edges(rods: Configuration) -> Configuration:
+    """The rods with an edge of length zero at each end, in the direction of the curve there: the outer edge, turned on by half
+    the angle of the joint that it has with the next."""
     frames, lengths = rods.quaternions, rods.rest_length
     none = np.zeros_like(lengths[..., :1])
-    return Configuration(rods.start, np.concatenate([frames[:, :1], frames, frames[:, -1:]], axis=1),
+    ends = [_turned_on(frames[:, second], frames[:, first])[:, None] for first, second in ((0, 1), (-1, -2))]
+    return Configuration(rods.start, np.concatenate([ends[0], frames, ends[1]], axis=1),
                          np.concatenate([none, lengths, none], axis=-1))
+
+
+def _turned_on(before: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """(R, 4) the frames ``last``, turned on by half the rotation from ``before`` to them."""
+    turn = quaternion_product(last, before * np.array([1.0, -1.0, -1.0, -1.0]))
+    turn = np.where(turn[:, :1] < 0, -turn, turn) + np.array([1.0, 0.0, 0.0, 0.0])
+    return quaternion_product(turn / np.linalg.norm(turn, axis=-1, keepdims=True), last)
 
 
 def _arc_angle(share: np.ndarray, edges: int) -> np.ndarray:

@@ -13,6 +13,7 @@
     direction = [0, 0, -1]             # in which it is straight at first (along x)
     position_mm = [0, 0, 0]            # of its first vertex (the origin)
     at_rest = true                     # relaxed before the motion begins (false: it begins straight)
+    vertex_clamps = true               # clamps act at the end vertices, not in the middle of the outer edges (false)
     radius_mm = 3.0                    # needed with obstacles and with a knot
     knot_loop_mm = 20.0                # an open overhand knot in its middle at first, with a loop of that radius (none)
     knot_finer = 4.0                   # edges in the knot, where it touches itself, are so many times shorter (as needed)
@@ -71,6 +72,7 @@ from doo_ti.io.material_keys import newtons, stated_material
 from doo_ti.io.motion_scene import rod_radius
 from doo_ti.io.toml_file import Finite, Positive, Table, Vector, checked, read_toml, unit_direction
 from doo_ti.knots import overhand_knot
+from doo_ti.rods import with_end_edges
 from doo_ti.terminal import in_line
 from doo_ti.types import Clamp, Configuration, Material
 
@@ -115,6 +117,7 @@ class _Rod(Table):
     direction: Vector = (1.0, 0.0, 0.0)
     position_mm: Vector = (0.0, 0.0, 0.0)
     at_rest: bool = False
+    vertex_clamps: bool = False
     radius_mm: Positive | None = None
     knot_loop_mm: Positive | None = None
     knot_finer: Positive | None = None
@@ -142,6 +145,7 @@ def load_dynamic_scene(path: str | Path) -> DynamicScene:
     rod, clamps = checked(path, "rod", file.rod, _Rod), checked(path, "clamps", file.clamps, _Clamps)
     time = instants(path, file.rate_hz, file.duration_s, MOST_FRAMES, "frames")
     start = _start(path, rod, unit_direction(path, "rod.direction", rod.direction))
+    start = with_end_edges(start) if rod.vertex_clamps else start
     grippers = _grippers(path, file, clamps, start, time)
     names = tuple(map(in_line, file.materials))
     material, dynamics, in_newton = _materials(path, file.materials)

@@ -26,6 +26,7 @@
     direction = [1, 0, 0]              # (along x)
     start = "frame"                    # free, position, tangent or frame (free)
     end = "tangent"                    # (free)
+    vertex_clamps = true               # clamps, and welds of ends, act at the end vertices, not half an edge off (false)
 
     [[rods.trunk.moments]]             # of its clamps: doo_ti/io/clamp_moments.py. Ends that are elsewhere are drawn there
     time_s = 0.0
@@ -66,6 +67,7 @@ from doo_ti.io.keyframes import instants
 from doo_ti.io.material_keys import StatedMaterial, newtons, stated_material
 from doo_ti.io.toml_file import NotNegative, Positive, Table, Vector, checked, read_toml, unit_direction
 from doo_ti.knots import rod_along
+from doo_ti.rods import with_end_edges
 from doo_ti.terminal import in_line
 from doo_ti.types import LARGEST, Clamp, Clamps, Configuration, Material
 
@@ -136,6 +138,7 @@ class _Rod(Table):
     closed: bool = False
     start: ClampName = "free"
     end: ClampName = "free"
+    vertex_clamps: bool = False
     moments: list = []
 
 
@@ -166,6 +169,7 @@ def load_group_scene(path: str | Path) -> GroupScene:
         key = f"rods.{name}"
         rod = checked(path, key, table, _Rod)
         start = _start(path, key, rod)
+        start = with_end_edges(start) if rod.vertex_clamps else start
         if rod.material is None and len(found) > 1:
             raise InputError(path, f"{key}.material", "missing beside several materials", f"give one of {', '.join(found)}")
         material = next(iter(found)) if rod.material is None else rod.material
@@ -282,9 +286,12 @@ def _tie(path: Path, key: str, row, names: list[str], rods: list[Configuration])
     for end in ("first", "second"):
         name, vertex = getattr(tie, end)
         rod = names.index(_known(path, f"{key}.{end}", name, names))
-        most = rods[rod].edges
+        ends_held = bool(rods[rod].rest_length[0] == 0)  # the two vertices of an end edge without length are one in the scene
+        most = rods[rod].edges - 2 * ends_held
         if not -most - 1 <= vertex <= most:
             raise InputError(path, f"{key}.{end}", f"{name!r} has no vertex {vertex}",
                              f"give one from 0 to {most}, or below 0 from its end")
+        if ends_held:
+            vertex = {0: 0, most: -1}.get(vertex % (most + 1), vertex % (most + 1) + 1)
         ends.append((rod, vertex))
     return Tie(*ends, weight=tie.weight, weld=tie.weld)

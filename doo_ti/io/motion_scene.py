@@ -7,6 +7,7 @@
     length_mm = 99.0
     edges = 33
     radius_mm = 0.5                    # needed with obstacles
+    vertex_clamps = true               # clamps act at the end vertices, not in the middle of the outer edges (false)
 
     [materials.vicryl]                 # one or more, all under the same motion
     bend = 6e5                         # mm³, or EI in N m²: doo_ti/io/material_keys.py
@@ -50,6 +51,7 @@ from doo_ti.frames import (
 from doo_ti.io.material_keys import MaterialKeys, newtons, stated_material
 from doo_ti.io.motion_file import ClampPath
 from doo_ti.io.toml_file import Finite, Positive, Table, Vector, checked, read_toml, unit_direction
+from doo_ti.rods import with_end_edges
 from doo_ti.terminal import in_line
 from doo_ti.types import LARGEST, Clamp, Clamps, Configuration, Material
 
@@ -97,6 +99,7 @@ class _Rod(Table):
     length_mm: Annotated[float, Meta(ge=1e-6, le=LARGEST)]
     edges: Annotated[int, Meta(ge=4, le=MOST_EDGES)]
     radius_mm: Positive | None = None
+    vertex_clamps: bool = False
 
 
 class _Moment(Table):
@@ -117,7 +120,7 @@ def load_motion_scene(path: str | os.PathLike[str]) -> MotionScene:
     rod = checked(path, "rod", file.rod, _Rod)
     names, material, in_newton = _materials(path, file.materials)
     moments = _moments(path, file.moments, rod.length_mm)
-    start, clamps = _straight(moments, rod.length_mm, rod.edges)
+    start, clamps = _straight(moments, rod)
     return MotionScene(name=in_line(path.stem if file.name is None else file.name), names=names, material=material, start=start,
                        clamps=clamps, path=_path(moments, clamps, str(path)), between=file.between, source=str(path),
                        obstacles=file.obstacles, radius=rod_radius(path, file.obstacles, rod.radius_mm), newtons=in_newton)
@@ -164,8 +167,9 @@ def _moments(path: Path, rows: list, length: float) -> dict[str, np.ndarray]:
     return {key: np.array(values) for key, values in found.items()}
 
 
-def _straight(moments: dict[str, np.ndarray], length: float, edges: int) -> tuple[Configuration, Clamps]:
-    start = Configuration.straight(moments["start_position_mm"][0], moments["start_direction"][0], length, edges)
+def _straight(moments: dict[str, np.ndarray], rod: _Rod) -> tuple[Configuration, Clamps]:
+    start = Configuration.straight(moments["start_position_mm"][0], moments["start_direction"][0], rod.length_mm, rod.edges)
+    start = with_end_edges(start) if rod.vertex_clamps else start
     frame = bishop_frames(moments["start_direction"][:1, None], across(moments["start_direction"][:1]))[:, 0]
     return start, Clamps(Clamp.FRAME, Clamp.FRAME, start.start, start.vertices[:, -1], frame, frame)
 
