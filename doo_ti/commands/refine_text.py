@@ -54,7 +54,9 @@ def summary_of(observations: Observations, surroundings: Surroundings, found, he
         "obstacles": described(surroundings) if surroundings else None, "mesh_edges": found.mesh_edges,
         "mesh_correction_mm": found.mesh_error,
         "mean_distance_mm": found.mean_distance, "distance_mm": found.distance, "rods_used": int(found.used.sum()),
-        "left_out": found.reasons, "misfits": observations.labels[np.flatnonzero(found.misfits)], "converged": found.converged,
+        "left_out": found.reasons, "misfits": observations.labels[np.flatnonzero(found.misfits)],
+        "mislabelled": [{"observation": observations.labels[one.observation], "why": one.text} for one in found.mislabelled],
+        "converged": found.converged,
         "iterations": found.steps,
         "regions": [{"parameters": pair, "outline": estimate.region(*pair)} for pair in pairs],
         "held_out": None if held_out is None else {
@@ -179,6 +181,7 @@ def _rods_lines(summary: dict) -> list[str]:
         more = f" and {len(rows) - LISTED} more" * (len(rows) > LISTED)
         listed = ", ".join(map(str, rows[:LISTED]))
         lines.append(_line("misfits", f"observations far from every equilibrium that was tried: {listed}{more}"))
+    lines += [_line("mislabelled", f"observation {one['observation']}: {one['why']}") for one in summary["mislabelled"]]
     lines += [_line("sensitive", f"without observation {one['observation']} {one['parameter']} would be {one['factor']:.3g} "
                                  "times as large: more than two standard errors away") for one in summary["sensitive"][:LISTED]]
     return lines

@@ -26,6 +26,7 @@ from doo_ti.refinement.adequacy import Adequacy, Score, adequacy, scores
 from doo_ti.refinement.estimate import Estimate, estimated
 from doo_ti.refinement.fit import Fit, Fitted
 from doo_ti.refinement.held_rod import HeldRod
+from doo_ti.refinement.mislabelled import Mislabelled, mislabelled
 from doo_ti.refinement.priors import Scales, typical_scales
 from doo_ti.refinement.residuals import Comparison, mark_distance
 from doo_ti.refinement.rolls import more_probable, rolled
@@ -103,6 +104,7 @@ class Refinement:
     status, stable      (D,) how the relaxations ended
     used                (D,) bool: rods that determined Θ
     misfits             (D,) bool: rods that are converged and stable but far from their marks
+    mislabelled         those left out that fit as the others do with their marks in another order, or without one of them
     converged           False where the allowed steps did not suffice
     steps               number of steps tried
     mesh_edges          N
@@ -119,6 +121,7 @@ class Refinement:
     stable: np.ndarray
     used: np.ndarray
     misfits: np.ndarray
+    mislabelled: tuple[Mislabelled, ...]
     converged: bool
     steps: int
     mesh_edges: int
@@ -265,7 +268,7 @@ def _refinement(fit: Fit, fitted: Fitted, options: RefinementOptions, correction
         marks=marks, mean_squares=fit.mean_squares(state.residuals), distance=mark_distance(marks, rod.observations, frames,
                                                                                           options.frame_weight),
         status=state.solution.status, stable=state.solution.stable, used=state.used, misfits=sound & ~state.used,
-        converged=fitted.converged, steps=fitted.steps, mesh_edges=rod.edges,
+        mislabelled=mislabelled(fit, fitted), converged=fitted.converged, steps=fitted.steps, mesh_edges=rod.edges,
         mesh_error=None if correction is None else _root_mean_square(correction[state.used]))
 
 

@@ -65,6 +65,20 @@ def test_clips_that_end_at_the_outer_marks(rng):
         refine(observations, observation_clamps(observations), Theta(truth.bend, truth.twist), replace(options, clip=-1.0))
 
 
+def test_marks_in_a_wrong_order_are_named(rng):
+    """The reverse order of evenly spaced marks on a straight rod is right as well."""
+    observations, truth = own_mesh(rng, count=10)
+    vertices = observations.vertices + 0.02 * rng.normal(size=observations.vertices.shape)
+    vertices[4, [5, 9]] = vertices[4, [9, 5]]
+    vertices[7, 6] += [0.0, 6.0, 0.0]
+    wrong = replace(observations, vertices=vertices, start_frame=None, end_frame=None)
+    options = RefinementOptions(("bend",), curvature="none", intervals="covariance")
+    out = refine(wrong, observation_clamps(wrong), truth, options)
+    assert {one.observation: one.marks for one in out.mislabelled} == {4: (5, 9), 7: (6,)}
+    assert not out.used[[4, 7]].any() and out.used.sum() == 8
+    assert "5 and 9" in out.mislabelled[0].text
+
+
 def test_uniform_curvature_and_up_come_back(rng):
     up = np.array([0.05, -0.08, 1.0]) / np.sqrt(1.0089)
     observations, truth = own_mesh(rng, rest_curvature=np.array([4e-3, -2e-3]), up=up)
