@@ -61,6 +61,8 @@ def declare(add) -> None:
     model.add_argument("--clamps", choices=("auto", "loose", "exact"), default="loose",
                        help="loose: errors of reported frames are learned, and what is not reported is unknown in each "
                        "observation (default); auto: the same; exact: all is as reported, and as the outer marks say")
+    model.add_argument("--frames", metavar="exact|MM,DEG", help="how well the reported frames are known: exactly, as --clamps "
+                       "exact, or the standard deviations of their places and directions (default: learned)")
     model.add_argument("--edges", metavar="N",
                        help="edges of the mesh (default: twice those between marks, with a correction for the mesh error)")
     model.add_argument("--curvature-spread", metavar="1/MM", help="standard deviation of the rest curvature (default: learned)")
@@ -252,9 +254,15 @@ def _refinement_options(options: Namespace, task: Task):
     for option, value in (("--curvature-spread", spread), ("--curvature-range", reach)):
         if value is not None and not LEAST <= value <= 1 / LEAST:
             raise InputError(given.SOURCE, option, f"{value:g}", f"give {LEAST:g} to {1 / LEAST:g}")
+    exact, error = options.clamps == "exact" or options.frames == "exact", None
+    if options.frames not in (None, "exact"):
+        error = given.numbers("--frames", options.frames)
+        if len(error) != 2 or min(error) <= 0:
+            raise InputError(given.SOURCE, "--frames", f"{options.frames!r}", "give exact, or two positive numbers: mm,degrees")
+        error = error[0], float(np.radians(error[1]))
     clip = None if options.clip == "unknown" else given.not_negative("--clip", options.clip, "mm")
     return RefinementOptions(
-        tuple(names), clip, curvature or "auto", "exact" if options.clamps == "exact" else "loose", task.frame_weight,
+        tuple(names), clip, curvature or "auto", "exact" if exact else "loose", error, task.frame_weight,
         curvature_spread=spread, curvature_range=reach,
         edges=given.whole("--edges", options.edges, 6), models=not options.no_models, surroundings=task.surroundings)
 

@@ -47,7 +47,7 @@ class Mislabelled:
 
 def mislabelled(fit: Fit, fitted: Fitted) -> tuple[Mislabelled, ...]:
     """Those among the first MOST misfits of a finished fit."""
-    state, seen = fitted.state, fit.unknowns.rod.observations
+    state = fitted.state
     misfits = np.flatnonzero(~state.used & (fit.comparison.count > 0))[:MOST]
     if fit.rods is not None or not state.used.any() or not len(misfits):
         return ()

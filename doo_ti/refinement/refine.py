@@ -63,6 +63,8 @@ class RefinementOptions:
                       both ends are unknown and the evidence is for straight rods
     clamps            "loose": reported frames may be off, positions are those of marks with noise, and what is not reported is
                       unknown in each observation; or "exact": all as reported, and as the outer marks say
+    frame_error       standard deviations of a reported frame's place over the outer mark's, mm, and of its direction in each
+                      observation, rad; None: learned
     frame_weight      w_m of Eq. 1 in mm; where it is positive measured frames are compared too
     curvature_spread  standard deviation of the rest curvature, 1/mm; None: learned
     curvature_range   distance over which it is correlated, mm; None: learned
@@ -80,6 +82,7 @@ class RefinementOptions:
     clip: float | None = None
     curvature: str = "auto"
     clamps: str = "loose"
+    frame_error: tuple[float, float] | None = None
     frame_weight: float = 0.0
     curvature_spread: float | None = None
     curvature_range: float | None = None
@@ -231,6 +234,13 @@ def check(observations: Observations, clamps: Clamps, options: RefinementOptions
                                ("intervals", options.intervals, ("profile", "covariance"))):
         if value not in known:
             raise InputError("refine", name, f"{value!r} is unknown", f"give one of {', '.join(known)}")
+    if options.frame_error is not None:
+        if options.clamps == "exact":
+            raise InputError("refine", "frame_error", "given beside exact clamps", "give one of them")
+        if len(options.frame_error) != 2 or not all(0 < error < np.inf for error in options.frame_error):
+            raise InputError("refine", "frame_error", f"{options.frame_error}", "give two positive numbers, mm and rad")
+        if observations.start_frame is None and observations.end_frame is None and observations.frames is None:
+            raise InputError(observations.source, "start_frame", "missing, but an error of frames is given", "leave it out")
     if options.edges is not None and not 6 <= options.edges <= 4 * MOST_EDGES:
         raise InputError("refine", "edges", f"{options.edges}", f"give 6 to {4 * MOST_EDGES}")
     if options.surroundings:
@@ -249,7 +259,9 @@ def _scales(unknowns: Unknowns, options: RefinementOptions) -> Scales:
         fixed["marks"] = 1.0
     if options.frame_weight > 0:
         learned.add("frames")
-    for name, value in (("curvature", options.curvature_spread), ("range", options.curvature_range)):
+    place, turn = options.frame_error or (None, None)
+    for name, value in (("curvature", options.curvature_spread), ("range", options.curvature_range), ("any_shift", place),
+                        ("turn", turn), ("turn_scatter", turn)):
         if value is not None:
             fixed[name] = value
     learned |= unknowns.scale_names - set(fixed)

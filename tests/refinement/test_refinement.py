@@ -130,6 +130,17 @@ def test_clamps_that_are_off_are_found_out():
     assert holds(out.estimate.parameter("bend"), BEND) and holds(out.estimate.parameter("twist"), TWIST)
 
 
+def test_stated_errors_of_frames_are_taken(seen):
+    clamps = observation_clamps(seen)
+    tight, learned = (refine(seen, clamps, BEGIN, replace(QUICK, frame_error=error)) for error in ((0.05, 1e-3), None))
+    assert tight.estimate.scales["turn_scatter"] == 1e-3 and learned.estimate.scales["turn_scatter"] != 1e-3
+    assert holds(tight.estimate.parameter("bend"), BEND)
+    for wrong, options in ((InputError, replace(QUICK, frame_error=(0.0, 1.0))),
+                           (InputError, replace(QUICK, frame_error=(1.0, 1.0), clamps="exact"))):
+        with pytest.raises(wrong, match="frame_error"):
+            refine(seen, clamps, BEGIN, options)
+
+
 def test_what_a_model_lacks_is_named(seen):
     poor = replace(QUICK, curvature="none", clip=1.0, clamps="exact")
     out = refine(seen, observation_clamps(seen), BEGIN, poor)
