@@ -148,6 +148,15 @@ def detect(image: np.ndarray, options: DetectionOptions = DetectionOptions()) ->
     return Detection(points, direction, strength, look.width_px, look.polarity, image.shape, options.method)
 
 
+def thinned(detection: Detection) -> tuple[np.ndarray, np.ndarray]:
+    """The strongest point of each pixel (N', 2), and its direction: about one for each pixel of line."""
+    order = np.argsort(-detection.strength, kind="stable")
+    cells = np.round(detection.points[order]).astype(np.int64)
+    _, first = np.unique(cells[:, 1] * (detection.shape[1] + 1) + cells[:, 0], return_index=True)
+    kept = order[np.sort(first)]
+    return detection.points[kept], detection.direction[kept]
+
+
 def _ridge_line(image: np.ndarray, look: Appearance, least_contrast: float,
                 shortest_px: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(N, 2) points, (N, 2) directions and (N,) strengths: ridges at the thread's width, each moved to the middle between the

@@ -7,6 +7,7 @@ along the line. Each pixel takes its nearest piece from its neighbours (Danielss
 lines down and up, and along each line both ways.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -38,12 +39,14 @@ class DistanceMaps:
 
     values  (N,) float32: all windows one after the other, each line by line
     window  (A, C, 5) int64: index in ``values`` where a window starts, and its left, top, width and height in px
+    detections  A lists of the C detections that the maps are of; None where these are not known
     """
 
     __repr__ = short_repr
 
     values: Annotated[np.ndarray, "N"]
     window: Annotated[np.ndarray, "A C 5"]
+    detections: Sequence[Sequence[Detection]] | None = None
 
 
 @typed
@@ -73,7 +76,7 @@ def distance_maps(detections: list[list[Detection]], margin_px: int = 50) -> Dis
     runtime.start()
     for part in np.split(np.arange(len(flat)), np.flatnonzero(np.diff(window[:, 0] // PIXELS_AT_ONCE)) + 1):
         _fill_part([flat[index] for index in part], window[part], values)
-    return DistanceMaps(values, window.reshape(len(detections), -1, 5))
+    return DistanceMaps(values, window.reshape(len(detections), -1, 5), detections)
 
 
 def _window(found: Detection, margin: int) -> tuple[int, int, int, int]:

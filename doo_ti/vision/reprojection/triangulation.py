@@ -191,7 +191,7 @@ def _nearest_to_rays(rig: Rig, pixels: np.ndarray, used: np.ndarray) -> tuple[np
     count = pixels.shape[1]
     matrix, right = np.zeros((count, 3, 3)), np.zeros((count, 3))
     for camera, labels, there in zip(rig.cameras, pixels, used):
-        ray = _rays(camera, labels[there])
+        ray = rays(camera, labels[there])
         across = np.eye(3) - ray[:, :, None] * ray[:, None, :]
         matrix[there] += across
         right[there] += across @ camera.centre
@@ -201,7 +201,7 @@ def _nearest_to_rays(rig: Rig, pixels: np.ndarray, used: np.ndarray) -> tuple[np
     return np.linalg.solve(matrix, right[..., None])[..., 0], sound
 
 
-def _rays(camera: Camera, pixels: np.ndarray) -> np.ndarray:
+def rays(camera: Camera, pixels: np.ndarray) -> np.ndarray:
     """(P, 3) unit directions in the world in which ``camera`` sees (P, 2) pixels."""
     import cv2
 

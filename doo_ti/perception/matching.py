@@ -1,0 +1,220 @@
+"""Curves in space from paths along a thread in two or more images (docs/perception.md).
+
+Both paths begin where the rod begins, and go along it: the place in one grows with that in the other. So the places that belong
+together are a monotone sequence of pairs, found by dynamic programming over how far each pair misses a point in space, in px.
+Where a path runs along its epipolar lines all pairs fit: there lengths along both paths grow alike.
+
+Depth along the rays of the first camera is then fitted to the other cameras, smooth along the curve: there only the distance
+across a path counts, since that along it says nothing where it runs along the epipolar line.
+
+Axes: C cameras, I and J places along two paths, K along the curve.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import taichi as ti
+from scipy.linalg import solveh_banded
+
+from doo_ti import runtime
+from doo_ti.vision.cameras.rig import Rig
+from doo_ti.vision.detection.paths import ImagePath
+from doo_ti.vision.reprojection.triangulation import rays
+
+STEP_PX = 2.0
+"""Between places that are compared."""
+FARTHEST_PX = 12.0
+"""Distances saturate there."""
+SLIP = 0.15
+"""px: cost of a step along one path alone, over that of a step along both."""
+LEFT_OVER = 1.0
+"""Cost of each step that is left of a path where the other ends."""
+UNEXPLAINED = 4.0
+"""px: cost of a path that explains nothing of the detection."""
+ALONG = 0.02
+"""Weight of a distance along a path over that across it."""
+ROUNDS, FREE_ROUNDS = 6, 2
+"""Linearisations of the depth, and the first of them, which keep the places found by matching."""
+WINDOW_PX = 12
+"""How far a place moves along a path in one of them."""
+BOTH, FIRST_ALONE, SECOND_ALONE = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class Match:
+    """Places along one path in each camera that belong together.
+
+    paths  C of them
+    arcs   (C, K) px along each path
+    cost   px: mean distance by which pairs miss a point in space, with gaps and what is left over
+    """
+
+    paths: tuple[ImagePath, ...]
+    arcs: np.ndarray
+    cost: float
+
+
+def best_matches(rig: Rig, paths: list[list[ImagePath]], most: int) -> list[Match]:
+    """Up to ``most`` matches of the paths in each camera (C lists), the best first; none where a camera has no path."""
+    if not all(paths):
+        return []
+    first, others = paths[0], paths[1:]
+    pairs = [(a, c + 1, b) for a in range(len(first)) for c, here in enumerate(others) for b in range(len(here))]
+    found = dict(zip(pairs, _paired(rig, [(first[a], c, paths[c][b]) for a, c, b in pairs]), strict=True))
+    matches = []
+    for a, path in enumerate(first):
+        # The paths of the other cameras are chosen one by one: of two cameras the second best as well.
+        ranked = [sorted((found[a, c, b][1], b) for b in range(len(paths[c]))) for c in range(1, len(paths))]
+        choices = [[one[0][1] for one in ranked]]
+        if len(ranked) == 1:
+            choices += [[one[1]] for one in ranked[0][1:]]
+        for choice in choices:
+            matches.append(_joined(path, [(paths[c + 1][b], *found[a, c + 1, b]) for c, b in enumerate(choice)]))
+    return sorted(matches, key=lambda match: match.cost)[:most]
+
+
+def _joined(first: ImagePath, others) -> Match:
+    """One match of several cameras, as far as all of them go."""
+    arcs = np.arange(0.0, len(first.points) - 1e-9, STEP_PX)
+    end = min([len(arcs), *(int(pairs[-1, 0]) + 1 for _, pairs, _ in others)])
+    there = [np.interp(arcs[:end], STEP_PX * pairs[:, 0], STEP_PX * pairs[:, 1]) for _, pairs, _ in others]
+    paths = (first, *(path for path, _, _ in others))
+    cost = float(np.mean([path.cost / len(path.points) + UNEXPLAINED * (1 - path.share) for path in paths]))
+    return Match(paths, np.array([arcs[:end], *there]), cost + float(np.mean([0.0, *(cost for _, _, cost in others)])))
+
+
+def _paired(rig: Rig, problems) -> list[tuple[np.ndarray, float]]:
+    """For each (path in camera 0, camera, path there) the (K, 2) places that belong together, in steps, and the mean cost."""
+    if not problems:
+        return []
+    apart = [np.minimum(epipolar_distance(rig, 0, c, _places(one), _places(other)), FARTHEST_PX) for one, c, other in problems]
+    sizes = np.array([one.shape for one in apart], dtype=np.int32)
+    first = np.cumsum([0, *sizes.prod(axis=1)]).astype(np.int64)
+    flat = np.concatenate([one.ravel() for one in apart]).astype(np.float32)
+    total, came = np.empty_like(flat), np.empty(len(flat), dtype=np.int8)
+    _accumulate(flat, first, sizes, total, came)
+    return [_walked(total[a:b].reshape(size), came[a:b].reshape(size)) for a, b, size in zip(first[:-1], first[1:], sizes, strict=True)]
+
+
+def _places(path: ImagePath) -> np.ndarray:
+    return path.at(np.arange(0.0, len(path.points) - 1e-9, STEP_PX))
+
+
+@runtime.exclusive
+def _accumulate(apart: np.ndarray, first: np.ndarray, sizes: np.ndarray, total: np.ndarray, came: np.ndarray) -> None:
+    runtime.start()
+    _least_costs(apart, first, sizes, total, came)
+
+
+@runtime.kernel
+def _least_costs(
+    apart: ti.types.ndarray(dtype=ti.f32, ndim=1),  # [place of a problem, line by line]
+    first: ti.types.ndarray(dtype=ti.i64, ndim=1),  # [problem + 1]
+    sizes: ti.types.ndarray(dtype=ti.i32, ndim=2),  # [problem, I J]
+    total: ti.types.ndarray(dtype=ti.f32, ndim=1),  # least cost of a sequence of pairs that ends there, out
+    came: ti.types.ndarray(dtype=ti.i8, ndim=1),  # its last step, out
+):
+    """Dynamic programming over pairs of places: each follows that before it in one path or in both."""
+    for p in range(sizes.shape[0]):
+        width = sizes[p, 1]
+        for i in range(sizes[p, 0]):
+            for j in range(width):
+                here = ti.cast(first[p], ti.i32) + i * width + j
+                cost, step = ti.select(i + j == 0, apart[here], 1e30), BOTH
+                if i > 0 and j > 0:
+                    cost = total[here - width - 1] + apart[here]
+                if i > 0 and total[here - width] + 0.5 * apart[here] + SLIP < cost:
+                    cost, step = total[here - width] + 0.5 * apart[here] + SLIP, FIRST_ALONE
+                if j > 0 and total[here - 1] + 0.5 * apart[here] + SLIP < cost:
+                    cost, step = total[here - 1] + 0.5 * apart[here] + SLIP, SECOND_ALONE
+                total[here] = cost
+                came[here] = ti.cast(step, ti.i8)
+
+
+def _walked(total: np.ndarray, came: np.ndarray) -> tuple[np.ndarray, float]:
+    """The sequence of pairs that costs least, from its best end on the last line or column back to the beginning."""
+    count, width = total.shape
+    last_line = total[-1] + LEFT_OVER * np.arange(width - 1, -1, -1)
+    last_column = total[:, -1] + LEFT_OVER * np.arange(count - 1, -1, -1)
+    i, j = (count - 1, int(last_line.argmin())) if last_line.min() <= last_column.min() else (int(last_column.argmin()), width - 1)
+    cost = min(last_line.min(), last_column.min()) / max(count, width)
+    found = [(i, j)]
+    while i or j:  # along one path
+        step = came[i, j]
+        i, j = i - (step != SECOND_ALONE), j - (step != FIRST_ALONE)
+        found.append((i, j))
+    return np.array(found[::-1], dtype=float), float(cost)
+
+
+def epipolar_distance(rig: Rig, a: int, b: int, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """(I, J) px by which pixels ``one`` (I, 2) of camera a and ``other`` (J, 2) of camera b miss one point in space, to first
+    order (Sampson)."""
+    first, second = rig.cameras[a], rig.cameras[b]
+    x, y = rays(first, one) @ first.rotation.T, rays(second, other) @ second.rotation.T
+    x, y = x / x[:, 2:], y / y[:, 2:]
+    turn = second.rotation @ first.rotation.T
+    move = second.translation - turn @ first.translation
+    essential = np.array([[0, -move[2], move[1]], [move[2], 0, -move[0]], [-move[1], move[0], 0]]) @ turn
+    lines, back = x @ essential.T, y @ essential
+    size = ((lines[:, :2] ** 2).sum(axis=1) / second.lens[:2].mean() ** 2)[:, None] + (
+        (back[:, :2] ** 2).sum(axis=1) / first.lens[:2].mean() ** 2)
+    return np.abs(lines @ y.T) / np.sqrt(np.maximum(size, 1e-30))
+
+
+# --- depth ----------------------------------------------------------------------------------------------------------------
+
+
+def curve_of(rig: Rig, match: Match, start: np.ndarray, smooth: float) -> tuple[np.ndarray, np.ndarray]:
+    """(K, 3) mm: the curve from ``start`` (3,) along the rays of the first camera, and (C, K) px where it is along the paths.
+
+    smooth  weight of the squared second differences of ln depth, over the median information that the images hold of it
+    """
+    camera, arcs = rig.cameras[0], match.arcs.copy()
+    ray = rays(camera, match.paths[0].at(arcs[0])) @ camera.rotation.T
+    world, centre = (ray / ray[:, 2:]) @ camera.rotation, camera.centre
+    depth = np.full(len(ray), float(np.log(max(camera.depth(start), 1e-6))))
+    seen = match.paths[0].is_seen(arcs[0])
+    for turn in range(ROUNDS):
+        information, slope = np.zeros((2, len(depth)))
+        points = centre + np.exp(depth)[:, None] * world
+        for c in range(1, len(match.paths)):
+            path, view = match.paths[c], rig.cameras[c]
+            image, by_point, _ = view.project_with_jacobian(points)
+            motion = np.einsum("kxy,ky->kx", by_point @ view.rotation, points - centre)  # px for a unit of ln depth
+            if turn >= FREE_ROUNDS:
+                arcs[c] = path.followed(image, arcs[c], WINDOW_PX)
+            tangent = path.tangent_at(arcs[c])
+            off, weight = path.at(arcs[c]) - image, (seen & path.is_seen(arcs[c])).astype(float)
+            for way, share in ((np.stack([-tangent[:, 1], tangent[:, 0]], axis=1), 1.0), (tangent, ALONG)):
+                rate, miss = (motion * way).sum(axis=1), (off * way).sum(axis=1)
+                miss = np.clip(miss, -FARTHEST_PX, FARTHEST_PX) if turn else miss
+                with np.errstate(invalid="ignore"):
+                    sound = np.isfinite(rate) & np.isfinite(miss)
+                information += np.where(sound, weight * share * rate**2, 0.0)
+                slope += np.where(sound, weight * share * rate * miss, 0.0)
+        scale = max(float(np.median(information)), 1e-9)
+        information[0] += HELD * scale
+        slope[0] += HELD * scale * (np.log(max(camera.depth(start), 1e-6)) - depth[0])
+        depth = np.clip(depth + _smooth_step(information, slope, depth, smooth * scale), -13.0, 16.0)
+    return centre + np.exp(depth)[:, None] * world, arcs
+
+
+HELD = 1e4
+"""Information at the start, over the median: its depth is given."""
+
+
+def _smooth_step(information: np.ndarray, slope: np.ndarray, value: np.ndarray, weight: float) -> np.ndarray:
+    """The step d that minimises Σ h d² − 2 g d + weight Σ (second difference of value + d)²."""
+    count = len(value)
+    bands = np.zeros((3, count))
+    bands[2] = information + 1e-9 * max(weight, 1e-9)
+    right = slope.copy()
+    if count > 2:
+        bend = weight * np.diff(value, 2)
+        for k, factor in enumerate((1.0, -2.0, 1.0)):
+            bands[2, k : count - 2 + k] += weight * factor**2
+            right[k : count - 2 + k] -= factor * bend
+        bands[1, 1:-1] += -2.0 * weight
+        bands[1, 2:] += -2.0 * weight
+        bands[0, 2:] += weight
+    return solveh_banded(bands, right)

@@ -1,0 +1,190 @@
+"""Hypotheses from traced paths: rods that explain the detected thread from its beginning to its end (docs/perception.md).
+
+    paths     along the thread in each image, from the seed on            doo_ti.vision.detection.paths
+    matches   paths of all images that are of one curve, and the curve    doo_ti.perception.matching
+    rods      that begin as these curves, some smoother than others, and are relaxed under E/B + ν E_back
+
+E_back pulls places of the rod to points of the paths. Which point belongs to which place is found anew after each relaxation: the
+one nearest to the place's image, in order along the path. A rod whose length is not known is made longer or shorter, until it
+ends where the paths end.
+
+Axes: A image sets, R rods of all sets, C cameras, N edges of a rod, K places along an edge.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from doo_ti.frames import across, bishop_frames, quaternion_from_matrix
+from doo_ti.perception.matching import Match, best_matches, curve_of
+from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.relax import relax
+from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution
+from doo_ti.vision.cameras.rig import Rig
+from doo_ti.vision.detection.detect import Detection
+from doo_ti.vision.detection.paths import paths_from
+from doo_ti.vision.reprojection.assigned_energy import AssignedPoints
+
+PATHS, MATCHES = 4, 3
+"""Paths of each image, and matches of each set, that are tried."""
+SMOOTHNESS = (30.0, 1e3, 3e4)
+"""Of the curves that rods begin as. Where cameras are close together a curve of little smoothness folds to and fro along the line
+of sight, and one of much smoothness is too flat; the energy decides."""
+NU_BACK = 0.03
+"""ν of E_back, 1/(mm px³)."""
+PLACES = 2
+ROUNDS = 6
+NEAREST_PX = 6.0
+"""How far a place moves along a path in each of these steps, of which there are three."""
+STRETCH = 0.1
+"""Share of a path by which a rod that is known to be as long may fail to reach its end, and is pulled there."""
+LENGTHS = (0.8, 1.25)
+"""Of a curve over the rod: a curve of about the rod's length is its whole, of another length it is part of it or longer."""
+
+
+@dataclass(frozen=True)
+class TracedRods:
+    """R relaxed rods.
+
+    of_set    (R,) image set, in increasing order
+    solution  the rods
+    match     R of them: the paths they explain
+    length    (R,) mm
+    """
+
+    of_set: np.ndarray
+    solution: Solution
+    match: tuple[Match, ...]
+    length: np.ndarray
+
+
+def traced(rig: Rig, detections: Sequence[Sequence[Detection]], point: np.ndarray, direction: np.ndarray | None,
+           shares: np.ndarray, material: Material, up: np.ndarray, length: float | None = None) -> TracedRods | None:
+    """Rods along paths from the seeds on; None where no set has any.
+
+    point      (A, 3) mm
+    direction  (A, 3) unit vectors, or None: unknown
+    shares     (N,) of the rod's length that its edges have
+    length     of the rods, mm; None: unknown
+    """
+    of_set, begun, matches = [], [], []
+    for row, images in enumerate(detections):
+        way = None if direction is None else direction[row]
+        for match in best_matches(rig, _paths(rig, images, point[row], way), MATCHES):
+            for smooth in SMOOTHNESS:
+                curve, arcs = curve_of(rig, match, point[row], smooth)
+                of_set.append(row)
+                begun.append(_Rod.along(curve, arcs, way, shares, length))
+                matches.append(match)
+    if not begun:
+        return None
+    rows = np.array(of_set)
+    held = point[rows], None if direction is None else direction[rows]
+    return _relaxed(rig, rows, begun, matches, *held, shares, material, up, length)
+
+
+def _paths(rig: Rig, images: list[Detection], point: np.ndarray, direction: np.ndarray | None):
+    """The paths of each camera from where it sees ``point``."""
+    found = []
+    for camera, detection in zip(rig.cameras, images, strict=True):
+        at, ahead = camera.project(np.stack([point, point + (0 if direction is None else 1e-3) * _some(direction)]))
+        if not np.isfinite(at).all():
+            return []
+        found.append(paths_from(detection, at, None if direction is None else ahead - at, PATHS))
+    return found
+
+
+def _some(direction: np.ndarray | None) -> np.ndarray:
+    return np.zeros(3) if direction is None else direction
+
+
+@dataclass(frozen=True)
+class _Rod:
+    """Where a rod begins: frames (N, 4), places along the paths (C, N, K), and length in mm."""
+
+    quaternions: np.ndarray
+    arcs: np.ndarray
+    length: float
+
+    @classmethod
+    def along(cls, curve: np.ndarray, arcs: np.ndarray, direction: np.ndarray | None, shares: np.ndarray,
+              length: float | None) -> "_Rod":
+        """Along a curve (K, 3), whose points are at ``arcs`` (C, K) of the paths."""
+        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
+        own = along[-1] if length is None else length
+        share = along[-1] / own
+        share = share if LENGTHS[0] < share < LENGTHS[1] else 1.0
+        ends = np.concatenate([[0.0], np.cumsum(shares)])
+        at = own * share * ends
+        beyond = np.maximum(at - along[-1], 0.0)[:, None] * _unit(curve[-1] - curve[-min(10, len(curve))])
+        vertices = np.stack([np.interp(at, along, column) for column in curve.T], axis=1) + beyond
+        tangents = np.diff(vertices, axis=0)
+        tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-12)
+        if direction is not None:
+            tangents[0] = direction
+        frames = bishop_frames(tangents[None], across(tangents[:1]))
+        places = ends[:-1, None] + shares[:, None] * (np.arange(PLACES) + 0.5) / PLACES
+        return cls(quaternion_from_matrix(frames)[0], np.stack([np.interp(places * own * share, along, one) for one in arcs]), own)
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    return vector / max(float(np.linalg.norm(vector)), 1e-12)
+
+
+def _relaxed(rig, rows, begun, matches, point, direction, shares, material, up, known) -> TracedRods:
+    """The rods relaxed under E_back, places assigned anew after each of ROUNDS relaxations."""
+    quaternions = np.stack([rod.quaternions for rod in begun])
+    arcs = np.stack([rod.arcs for rod in begun])
+    length = np.array([rod.length for rod in begun])
+    stiffness = float(np.linalg.eigvalsh(material.bend).max())
+    for turn in range(ROUNDS):
+        start = Configuration(point, quaternions, length[:, None] * shares)
+        first = start.frames[:, 0]
+        clamps = Clamps(Clamp.POSITION if direction is None else Clamp.TANGENT, Clamp.FREE, point, point, first, first)
+        solution = relax(start, material, clamps, Newton(), up=up, precision="mixed",
+                         external=_assigned(rig, matches, arcs, NU_BACK * stiffness), external_index=np.arange(len(rows)))
+        quaternions = solution.configuration.quaternions
+        if turn < ROUNDS - 1:
+            arcs, reach = _reassigned(rig, matches, arcs, solution.configuration.vertices, known is not None)
+            length = length if known is not None else length / np.clip(reach, 0.7, 1.4)
+    return TracedRods(rows, solution, tuple(matches), length)
+
+
+def _assigned(rig: Rig, matches, arcs: np.ndarray, nu: float) -> AssignedPoints:
+    """E_back of places at ``arcs`` (R, C, N, K) along the paths. A place explains the line half-way to its neighbours."""
+    points, tangents = np.zeros((2, *arcs.shape, 2))
+    weight = np.zeros(arcs.shape)
+    for r, match in enumerate(matches):  # a handful of hypotheses of each set
+        for c, path in enumerate(match.paths):
+            here = arcs[r, c]
+            points[r, c], tangents[r, c] = path.at(here), path.tangent_at(here)
+            explained = np.maximum(np.gradient(here.ravel()), 0.0).reshape(here.shape)
+            weight[r, c] = explained * path.is_seen(here)
+    return AssignedPoints(rig, points, tangents, weight, nu)
+
+
+def _reassigned(rig: Rig, matches, arcs: np.ndarray, vertices: np.ndarray, pull: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Places along the paths nearest to the images of the rods' places, in order, and (R,) the share of their paths that rods
+    cover, above one where they go on beyond.
+
+    pull  rods are as long as their paths: where the path goes on a little, places are spread over all of it
+    """
+    share = (np.arange(PLACES) + 0.5) / PLACES
+    places = vertices[:, :-1, None] + share[:, None] * np.diff(vertices, axis=1)[:, :, None]
+    seen, ends = rig.project(places.reshape(len(arcs), -1, 3)), rig.project(vertices[:, -1])
+    found, reach = np.empty_like(arcs), np.ones(arcs.shape[:2])
+    for r, match in enumerate(matches):
+        for c, path in enumerate(match.paths):
+            at, image = arcs[r, c].ravel(), np.nan_to_num(seen[c, r])
+            for _ in range(3):
+                ahead = ((image - path.at(at)) * path.tangent_at(at)).sum(axis=1)
+                at = np.clip(at + np.clip(ahead, -NEAREST_PX, NEAREST_PX), 0.0, path.length)
+            at = np.maximum.accumulate(at)
+            over = float((np.nan_to_num(ends[c, r]) - path.points[-1]) @ path.tangents[-1])
+            covered = at[-1] + 0.5 * (at[-1] - at[-2]) if at[-1] < path.length - 2 else path.length + over
+            reach[r, c] = covered / max(path.length, 1.0)
+            if pull and 1 - STRETCH < reach[r, c] < 1:
+                at = at / reach[r, c]
+            found[r, c] = np.clip(at, 0.0, path.length).reshape(found[r, c].shape)
+    return found, reach.mean(axis=1)

@@ -1,0 +1,270 @@
+"""Paths along the thread in one image: its detected points in order, from where the rod begins (docs/perception.md).
+
+Points that follow each other along their directions are chains. A chain ends where the thread ends, is hidden, or crosses
+itself; its end is joined to ends of other chains that go on in its direction. A path is a sequence of joined chains, each used
+once: at a crossing there are several.
+
+Axes: N detected points, M of a path.
+"""
+
+import heapq
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from doo_ti.vision.detection.detect import Detection, thinned
+
+NEXT_PX = 2.6
+"""Largest distance between points that follow each other."""
+SLOPE, BEND = 0.6, 0.77
+"""Of two points that follow each other: largest share of the step across the direction of either, least cosine between both."""
+SHORTEST_PX = 4.0
+"""Chains that are shorter are noise."""
+WIDEST_GAP = 0.3
+"""Of the image's height: the longest gap that a path crosses."""
+FORWARD = 0.64
+"""Least cosine between the direction of an end and the way to the next."""
+TURNING = 2.0
+"""Cost in lengths of a gap for each rad that the thread would turn in it."""
+END_PX = 8.0
+"""Length of the end of a chain whose direction counts."""
+CORNER_PX = 8.0
+"""Ends this near to each other are joined whatever their directions: a thread that comes towards the camera and goes back has a
+corner in the image."""
+BESIDE_PX = 6.0
+"""An end this near to the inside of another chain divides it, so that a path may change over."""
+ALIKE_PX = 4.0
+"""Mean distance below which two paths are the same."""
+MOST_JOINTS, MOST_TRIED = 4, 400
+"""Ends that an end is joined to, and parts of paths that are looked at."""
+
+
+@dataclass(frozen=True)
+class ImagePath:
+    """A path along the detected thread in one image.
+
+    points   (M, 2) px, a pixel apart
+    seen     (M,) bool: on the detection; false across a gap
+    cost     px of gaps, turns in them counted as lengths
+    share    of the detected line that is on the path
+    """
+
+    points: np.ndarray
+    seen: np.ndarray
+    cost: float
+    share: float
+
+    @cached_property
+    def tangents(self) -> np.ndarray:
+        """(M, 2) unit vectors."""
+        ahead = np.gradient(_smoothed(self.points), axis=0)
+        return ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-12)
+
+    @property
+    def length(self) -> float:
+        """px."""
+        return len(self.points) - 1.0
+
+    def at(self, arc: np.ndarray) -> np.ndarray:
+        """(..., 2) px of the points at arc lengths ``arc`` (...) px from the first, within the path."""
+        place = np.arange(len(self.points), dtype=float)
+        return np.stack([np.interp(arc, place, column) for column in self.points.T], axis=-1)
+
+    def tangent_at(self, arc: np.ndarray) -> np.ndarray:
+        """(..., 2) unit vectors."""
+        return self.tangents[self._nearest(arc)]
+
+    def is_seen(self, arc: np.ndarray) -> np.ndarray:
+        """(...) bool."""
+        return self.seen[self._nearest(arc)]
+
+    def followed(self, pixels: np.ndarray, arc: np.ndarray, window: int) -> np.ndarray:
+        """(K,) places along the path nearest to ``pixels`` (K, 2), no further than ``window`` px from ``arc`` (K,), in order."""
+        near = np.clip(arc[:, None] + np.arange(-window, window + 1), 0.0, self.length)
+        apart = np.linalg.norm(self.at(near) - pixels[:, None], axis=-1)
+        return np.maximum.accumulate(near[np.arange(len(arc)), np.nan_to_num(apart, nan=np.inf).argmin(axis=1)])
+
+    def _nearest(self, arc: np.ndarray) -> np.ndarray:
+        return np.clip(np.round(arc), 0, len(self.points) - 1).astype(np.int64)
+
+
+def paths_from(detection: Detection, start: np.ndarray, direction: np.ndarray | None, most: int = 4) -> list[ImagePath]:
+    """Up to ``most`` paths from the place ``start`` (2,) px on, in the ``direction`` (2,), or in either where that is None;
+    those that explain most of the thread first."""
+    chains = _divided(_chains(detection))
+    if not chains:
+        return []
+    joints = _joints(chains, WIDEST_GAP * detection.shape[0])
+    ends = np.concatenate(chains)
+    chain = np.repeat(np.arange(len(chains)), [len(points) for points in chains])
+    place = np.concatenate([np.arange(len(points)) for points in chains])
+    nearest = int(np.argmin(np.linalg.norm(ends - start, axis=1)))
+    first, at = int(chain[nearest]), int(place[nearest])
+    found = []
+    for way in (0, 1):
+        rest = chains[first][at:] if way else chains[first][: at + 1][::-1]
+        turn = 0.0 if direction is None or len(rest) < 2 else _angle(-_outward(rest, 0), direction)
+        found += _searched(chains, joints, first, rest, way, CORNER_PX * TURNING * turn)
+    found.sort(key=lambda one: -one[0])
+    kept: list[ImagePath] = []
+    whole = sum(_length(points) for points in chains)
+    for _, pieces, cost in found:
+        path = _resampled(pieces, cost, whole)
+        if len(kept) == most:
+            break
+        if len(path.points) > SHORTEST_PX and not any(_alike(path, other) for other in kept):
+            kept.append(path)
+    return kept
+
+
+def free_ends(detection: Detection) -> np.ndarray:
+    """(K, 2) px: ends of chains that are joined to no other, the thread's ends among them."""
+    gap = WIDEST_GAP * detection.shape[0]
+    chains = _divided(_chains(detection))
+    joints = _joints(chains, gap)
+    return np.array([chains[c][-1 if way else 0] for (c, way), others in joints.items() if not others]).reshape(-1, 2)
+
+
+# --- chains ---------------------------------------------------------------------------------------------------------------
+
+
+def _chains(detection: Detection) -> list[np.ndarray]:
+    """(M, 2) px each: points that follow each other."""
+    points, direction = thinned(detection)
+    if len(points) < 2:
+        return []
+    pairs = cKDTree(points).query_pairs(NEXT_PX, output_type="ndarray")
+    pairs = np.concatenate([pairs, pairs[:, ::-1]])
+    one, other = pairs.T
+    step = points[other] - points[one]
+    length = np.linalg.norm(step, axis=1)
+    forward = (step * direction[one]).sum(axis=1)
+    turned = np.abs((direction[one] * direction[other]).sum(axis=1))
+    aside = np.maximum(np.abs(_cross(step, direction[one])), np.abs(_cross(step, direction[other])))
+    fits = (aside <= SLOPE * length) & (turned >= BEND) & (length > 0.3)
+    one, other, forward, length, aside = (values[fits] for values in (one, other, forward, length, aside))
+    way = (forward > 0).astype(int)
+    best = np.full((len(points), 2), -1)
+    order = np.lexsort((other, length + 2 * aside, way, one))
+    keys = 2 * one[order] + way[order]
+    leading = order[np.flatnonzero(np.diff(keys, prepend=-1))]
+    best[one[leading], way[leading]] = other[leading]
+    mutual = np.array([[k if k >= 0 and i in best[k] else -1 for k in row] for i, row in enumerate(best)])
+    chains, left = [], np.ones(len(points), dtype=bool)
+    ends = np.flatnonzero((mutual >= 0).sum(axis=1) == 1)
+    for begin in [*ends, *np.flatnonzero((mutual >= 0).all(axis=1))]:  # ends first, then closed chains
+        if not left[begin]:
+            continue
+        order, here = [], int(begin)
+        while here >= 0 and left[here]:
+            order.append(here)
+            left[here] = False
+            here = next((int(k) for k in mutual[here] if k >= 0 and left[k]), -1)
+        if len(order) > 2 and _length(points[order]) >= SHORTEST_PX:
+            chains.append(points[order])
+    return chains
+
+
+def _divided(chains: list[np.ndarray]) -> list[np.ndarray]:
+    """The chains, divided where an end of another one meets their inside."""
+    cuts = [set() for _ in chains]
+    trees = [cKDTree(chain) for chain in chains]
+    for c, chain in enumerate(chains):
+        for way in (0, 1):
+            end, out = chain[-1 if way else 0], _outward(chain, way)
+            for other, tree in enumerate(trees):
+                if other == c:
+                    continue
+                near = [k for k in tree.query_ball_point(end, BESIDE_PX) if (chains[other][k] - end) @ out > 0]
+                if near:
+                    k = min(near, key=lambda k: np.linalg.norm(chains[other][k] - end))
+                    if min(_length(chains[other][: k + 1]), _length(chains[other][k:])) > SHORTEST_PX:
+                        cuts[other].add(k)
+    return [part for chain, at in zip(chains, cuts, strict=True) for part in np.split(chain, sorted(at))]
+
+
+def _joints(chains: list[np.ndarray], gap: float) -> dict[tuple[int, int], list[tuple[float, int, int]]]:
+    """For each end (chain, way) the ends that may follow, (cost, chain, way in which it is then followed), the best first."""
+    ends = [(c, way) for c in range(len(chains)) for way in (0, 1)]
+    places = np.array([chains[c][-1 if way else 0] for c, way in ends])
+    out = np.array([_outward(chains[c], way) for c, way in ends])
+    found = {}
+    for k, (c, way) in enumerate(ends):
+        step = places - places[k]
+        length = np.linalg.norm(step, axis=1)
+        ahead = np.where(length[:, None] > 2.0, step / np.maximum(length, 1e-9)[:, None], out[k])
+        leaving, entering = ahead @ out[k], -(ahead * out).sum(axis=1)
+        turn = np.arccos(np.clip(leaving, -1, 1)) + np.arccos(np.clip(entering, -1, 1))
+        cost = length + (length + 0.5 * CORNER_PX) * TURNING * turn
+        fits = (length <= gap) & (leaving >= FORWARD) & (entering >= FORWARD) | (length <= CORNER_PX)
+        fits &= np.array(ends)[:, 0] != c
+        order = sorted(np.flatnonzero(fits), key=lambda j: cost[j])[:MOST_JOINTS]
+        found[c, way] = [(float(cost[j]), ends[j][0], 1 - ends[j][1]) for j in order]
+    return found
+
+
+def _searched(chains, joints, first: int, begin: np.ndarray, way: int, cost: float) -> list:
+    """(score, pieces, cost) of the paths that begin with the part ``begin`` of chain ``first``."""
+    waiting, found = [(cost - _length(begin), 0, (first,), way, [begin], cost)], []
+    tried = 0
+    while waiting and tried < MOST_TRIED:
+        score, _, used, way, pieces, cost = heapq.heappop(waiting)
+        tried += 1
+        on = [one for one in joints[used[-1], way] if one[1] not in used]
+        found.append((-score, pieces, cost))
+        for extra, chain, follow in on:
+            piece = chains[chain] if follow else chains[chain][::-1]
+            gain = _length(piece) - extra
+            heapq.heappush(waiting, (score - gain, tried * 10 + len(waiting), (*used, chain), follow, [*pieces, piece],
+                                     cost + extra))
+    return found
+
+
+def _alike(one: ImagePath, other: ImagePath) -> bool:
+    """Whether two paths are at the same places, share by share of their lengths."""
+    share = np.linspace(0.0, 1.0, 64)
+    apart = one.at(share * (len(one.points) - 1)) - other.at(share * (len(other.points) - 1))
+    return bool(np.linalg.norm(apart, axis=1).mean() < ALIKE_PX)
+
+
+def _resampled(pieces: list[np.ndarray], cost: float, whole: float) -> ImagePath:
+    points = np.concatenate(pieces)
+    last = np.cumsum([len(piece) for piece in pieces])[:-1]
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    place = np.arange(0.0, arc[-1])
+    seen = np.ones(len(place), dtype=bool)
+    for k in last:
+        if arc[k] - arc[k - 1] > NEXT_PX:
+            seen &= ~((place > arc[k - 1]) & (place < arc[k]))
+    return ImagePath(np.stack([np.interp(place, arc, column) for column in points.T], axis=1), seen, cost,
+                     min(1.0, sum(_length(piece) for piece in pieces) / whole))
+
+
+def _outward(chain: np.ndarray, way: int) -> np.ndarray:
+    """(2,) unit direction in which a chain ends."""
+    points = chain if way else chain[::-1]
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points[::-1], axis=0), axis=1))])
+    back = points[::-1][min(np.searchsorted(arc, END_PX), len(points) - 1)]
+    out = points[-1] - back
+    return out / max(np.linalg.norm(out), 1e-12)
+
+
+def _smoothed(points: np.ndarray, width: int = 5) -> np.ndarray:
+    """Points averaged over their neighbours."""
+    padded = np.pad(points, ((width // 2, width // 2), (0, 0)), mode="reflect", reflect_type="odd")
+    return np.stack([np.convolve(column, np.full(width, 1 / width), mode="valid") for column in padded.T], axis=1)
+
+
+def _angle(a: np.ndarray, b: np.ndarray) -> float:
+    """rad between two directions."""
+    return float(np.arccos(np.clip(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-12), -1.0, 1.0)))
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+
+
+def _length(points: np.ndarray) -> float:
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())

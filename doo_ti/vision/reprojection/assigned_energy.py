@@ -1,0 +1,202 @@
+"""E_back: how far detected points are from the places of the rod that they are assigned to, as an energy of F (§IV-A).
+
+E_proj asks how far the rod is from the detection. An edge that points at the camera has no image and costs nothing, so a rod may
+leave part of the thread unexplained. Here each detected point belongs to one place of the rod, in order, and
+
+    E_back = Σ_c Σ_k w_k ρ(r_k),   r² = (n·δ)² + a (t·δ)²,   δ = p(x_k) − q_k,   ρ(r) = 2 h² (√(1 + r²/h²) − 1)
+
+with q_k the detected point of place k in camera c, t and n the directions along and across the line there, w_k the px of line
+that the place explains, a < 1 the share that counts of a distance along the line, and h the distance in px from which ρ grows
+linearly: ρ is r² near the line.
+
+Unlike E_proj it depends on the rod: each has a table of its own.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import taichi as ti
+
+from doo_ti.arguments import typed
+from doo_ti.errors import InputError
+from doo_ti.physics.number import Number
+from doo_ti.physics.tuples import full, minus, plus, put_lane, record, repeated, scaled
+from doo_ti.relaxation.external import ExternalFunctions
+from doo_ti.vision.cameras.rig import Rig
+from doo_ti.vision.reprojection.edge_integral import (
+    added,
+    by_point,
+    congruent,
+    contracted,
+    no_moments,
+    square_of,
+    twice_by_point,
+)
+from doo_ti.vision.reprojection.sampling import CAMERA_COLUMNS, Projection, bent, bent_curvature, bent_slope, camera_table
+
+NU, EDGES, PLACES, SOFT, COLUMNS = CAMERA_COLUMNS, CAMERA_COLUMNS + 1, CAMERA_COLUMNS + 2, CAMERA_COLUMNS + 3, CAMERA_COLUMNS + 4
+"""Columns of a row and camera after the camera's: ν, edges, places of an edge, 1/h²."""
+POINT = 6
+"""Numbers of a place in the field: q, √(w n nᵀ + w a t tᵀ) as a symmetric matrix (11, 12, 22), and w."""
+
+
+@typed
+@dataclass(frozen=True)
+class AssignedPoints:
+    """ν E_back as an external energy of :func:`doo_ti.relaxation.relax.relax`; ``external_index`` names the row of each rod.
+
+    rig      C cameras
+    points   (R, C, E, K, 2) px, q of K places along each of E edges, at the middles of K equal parts
+    tangent  (R, C, E, K, 2) unit vectors t
+    weight   (R, C, E, K) w ≥ 0, px; zero where nothing was detected
+    nu       ν, energy (mm²) per px³
+    along    a
+    soft     h, px
+
+    Raises InputError for shapes that do not match, and for numbers that are negative or not finite.
+    """
+
+    rig: Rig
+    points: np.ndarray
+    tangent: np.ndarray
+    weight: np.ndarray
+    nu: float
+    along: float = 0.05
+    soft: float = 3.0
+    items: ClassVar[int] = 3
+    start_items: ClassVar[int] = 0
+    has_coarse: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.weight)
+        if len(shape) != 4 or shape[1] != len(self.rig.cameras) or np.shape(self.points) != (*shape, 2):
+            raise InputError("AssignedPoints", "points, weight", f"shapes {np.shape(self.points)} and {shape}",
+                             f"give (R, {len(self.rig.cameras)}, E, K, 2) and (R, {len(self.rig.cameras)}, E, K)")
+        if np.shape(self.tangent) != (*shape, 2):
+            raise InputError("AssignedPoints", "tangent", f"shape {np.shape(self.tangent)}", f"give {(*shape, 2)}")
+        if not (np.isfinite(self.points).all() and np.isfinite(self.tangent).all() and (np.asarray(self.weight) >= 0).all()):
+            raise InputError("AssignedPoints", "points, tangent, weight", "not finite, or negative", "give weight 0 where none")
+        for name, most in (("nu", np.inf), ("along", 1.0), ("soft", np.inf)):
+            if not 0 < getattr(self, name) <= most:
+                raise InputError("AssignedPoints", name, f"{getattr(self, name)!r}", "give a positive number")
+
+    @property
+    def count(self) -> int:
+        """R."""
+        return len(self.weight)
+
+    @property
+    def vertices(self) -> int:
+        """E + 1."""
+        return self.weight.shape[2] + 1
+
+    def numbers(self) -> np.ndarray:
+        """(R, C, COLUMNS): cameras, ν, and how the field is laid out."""
+        rows, cameras, edges, places = self.weight.shape
+        table = np.empty((rows, cameras, COLUMNS))
+        table[..., :CAMERA_COLUMNS] = camera_table(self.rig)
+        table[..., CAMERA_COLUMNS:] = self.nu, edges, places, self.soft**-2
+        return table
+
+    def field(self) -> np.ndarray:
+        """(R · E · C · K · POINT,) float32."""
+        t = np.asarray(self.tangent, dtype=np.float64)
+        n = np.stack([-t[..., 1], t[..., 0]], axis=-1)
+        form = n[..., :, None] * n[..., None, :] + self.along * t[..., :, None] * t[..., None, :]
+        table = np.concatenate([self.points, form[..., [0, 0, 1], [0, 1, 1]], self.weight[..., None]], axis=-1)
+        return np.ascontiguousarray(table.swapaxes(1, 2), dtype=np.float32).reshape(-1)
+
+    def energy_at_start(self, start: np.ndarray, index: np.ndarray) -> np.ndarray:
+        """(R,) none: all of it lies on edges."""
+        return np.zeros(len(start))
+
+    @staticmethod
+    def functions(number: Number, stride: int, first: int) -> ExternalFunctions:
+        """On the device, with its items from ``first`` on: the row, the edge and ν."""
+        energy = AssignedEnergy(number, stride, first)
+        return ExternalFunctions(energy.load, energy.evaluate)
+
+
+@ti.data_oriented
+class AssignedEnergy:
+    """ν E_back of an edge for one kind of number, its items in scratch from ``first`` on: the row, the edge and ν."""
+
+    def __init__(self, number, stride: int, first: int):
+        lanes = number.lanes()
+        self.put, self.constant, self.lane, self.with_lane = lanes.put, lanes.constant, lanes.lane, lanes.with_lane
+        self.scalar, self.width = number.scalar, number.width
+        self.projection = Projection(number)
+        self.row, self.edge, self.nu = (first + k for k in range(3))
+        self.stride = stride
+
+    @ti.func
+    def load(self, scratch: ti.template(), at, slot, numbers: ti.template(), row, edge, scale):
+        self.put(scratch, at + self.row * self.stride, slot, row)
+        self.put(scratch, at + self.edge * self.stride, slot, edge)
+        self.put(scratch, at + self.nu * self.stride, slot, numbers[row, 0, NU] * scale)
+
+    @ti.func
+    def point(self, values: ti.template(), numbers: ti.template(), row, edge, c, k):
+        """(q, form, w) of each rod's place k of its edge in camera c."""
+        seen = record(point=repeated(0.0 * row, POINT))
+        for slot in ti.static(range(self.width)):
+            edges, places = ti.cast(numbers[0, 0, EDGES], ti.i32), ti.cast(numbers[0, 0, PLACES], ti.i32)
+            line = ti.cast(self.lane(row, slot), ti.i32) * edges + ti.cast(self.lane(edge, slot), ti.i32)
+            here = ((line * numbers.shape[1] + c) * places + k) * POINT
+            put_lane(seen, self.with_lane, slot, point=(values[here], values[here + 1], values[here + 2], values[here + 3],
+                                                        values[here + 4], values[here + 5]))
+        return seen.point
+
+    @ti.func
+    def place(self, lens, q, y, inverse_soft, coarse):
+        """(E, ∂y, ∂yy) of w ρ at the place y in the camera's axes, whose point and weights are q."""
+        x0, x1, inverse, seen = self.projection.normalised(lens, y)
+        x, pixel = (x0, x1), bent(lens, x0, x1)
+        j, t = bent_slope(lens, x0, x1), bent_curvature(lens, x0, x1)
+        d0, d1 = pixel[0] - q[0], pixel[1] - q[1]
+        pull = (q[2] * d0 + q[3] * d1, q[3] * d0 + q[4] * d1)
+        root = ti.sqrt(1.0 + inverse_soft * (d0 * pull[0] + d1 * pull[1]))
+        w = ti.select(seen, q[5], 0.0 * q[5])
+        energy = 2.0 * w * (root - 1.0) / inverse_soft
+        steep = 2.0 * w / root
+        fade = 0.0 - steep * inverse_soft / (root * root)
+        focal = (lens[0], lens[1])
+        s = (focal[0] * steep * pull[0], focal[1] * steep * pull[1])
+        h = plus(scaled((q[2], q[3], q[4]), steep), square_of(pull, fade))
+        c = (focal[0] * focal[0] * h[0], focal[0] * focal[1] * h[1], focal[1] * focal[1] * h[2])
+        slope = contracted(j, s)
+        fine = 1.0 - coarse
+        form = plus(congruent(c, j), scaled(contracted(t, s), fine))
+        none = 0.0 * x0
+        curvature = twice_by_point(form, (none, none), (fine * slope[0], fine * slope[1], none), x, inverse)
+        return energy, by_point(slope, none, x, inverse), curvature
+
+    @ti.func
+    def evaluate(self, scratch: ti.template(), at, numbers: ti.template(), values: ti.template(), start, end, coarse):
+        nu, zero, camera = scratch[at + self.nu * self.stride], self.constant(0.0), self.projection
+        given, along = scratch[at + self.row * self.stride], scratch[at + self.edge * self.stride]
+        # A lane without a rod may hold any number, which must not be used as an index.
+        there = (given >= 0.0) & (given < numbers.shape[0]) & (along >= 0.0) & (along < numbers[0, 0, EDGES])
+        row, edge = ti.select(there, given, zero), ti.select(there, along, zero)
+        inverse_soft = ti.cast(numbers[0, 0, SOFT], self.scalar)
+        places = ti.cast(numbers[0, 0, PLACES], ti.i32)
+        step = ti.cast(1.0 / numbers[0, 0, PLACES], self.scalar)
+        total = no_moments(zero)
+        for c in range(numbers.shape[1]):
+            lens = camera.lens(numbers, c)
+            a, d = camera.entered(numbers, c, start), camera.turned(numbers, c, minus(end, start))
+            s = 0.5 * step
+            for k in range(places):
+                q = self.point(values, numbers, row, edge, c, k)
+                energy, by_y, by_yy = self.place(lens, q, plus(a, scaled(d, s)), inverse_soft, coarse)
+                slope, curvature = camera.turned_back(numbers, c, by_y), camera.form_turned_back(numbers, c, by_yy)
+                total.energy = total.energy + energy
+                total.gradient = added(total.gradient, slope)
+                total.gradient_s = added(total.gradient_s, scaled(slope, s))
+                total.curvature = added(total.curvature, curvature)
+                total.curvature_s = added(total.curvature_s, scaled(full(curvature), s))
+                total.curvature_ss = added(total.curvature_ss, scaled(curvature, s * s))
+                s += step
+        return (nu * total.energy, scaled(total.gradient, nu), scaled(total.gradient_s, nu), scaled(total.curvature, nu),
+                scaled(total.curvature_s, nu), scaled(total.curvature_ss, nu))
