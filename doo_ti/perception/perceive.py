@@ -7,6 +7,12 @@
         keep the H hypotheses of least E_vis that differ             Search.selected
     the Γ of least E_vis after F(Γ, E_vis, C)                        Search.relaxed
 
+Beyond the paper, evidence counts both ways. An edge that points at a camera costs nothing in E_proj, so a rod may turn away from the
+thread. Rods that are traced along the detected lines join the last hypotheses, and what each leaves unexplained of these lines
+is added to its E_vis:
+
+    E_vis = E / B + ν Σ_c (E_proj^c + E_cover^c)              doo_ti.vision.reprojection.coverage
+
 Images of a thin, uniform thread that crosses itself agree with many curves; the energy of the rod distinguishes them. The last
 hypotheses are relaxed on a finer mesh. All image sets are searched at once.
 
@@ -26,6 +32,7 @@ from numpy.typing import ArrayLike
 from doo_ti.arguments import typed
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
+from doo_ti.perception.finalists import finalists, left_over
 from doo_ti.perception.growth import rank_distinct
 from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search
 from doo_ti.perception.shape_uncertainty import vertex_sigma
@@ -40,6 +47,8 @@ CLEAR_PX, AMBIGUOUS_PX = 0.1, 0.02
 the rod's energy, which depends on an inexact Θ, between rods that fit the images equally."""
 FITTING_PX = 1.0
 """Bound of the distance to the detection; with more in any camera, much of the thread or something else was detected."""
+COVERED, CERTAIN_MM = 0.95, 1.0
+"""Bounds of the share of the detected line that a rod explains, in every camera, and of the uncertainty of its vertices."""
 LOST_PX = 3.0
 """Bound of the largest distance where no two cameras fit: a rod that is farther off is not the thread in the images."""
 
@@ -48,7 +57,8 @@ class PerceptionVerdict(IntEnum):
     """How certain the best rod is, by its gap to the best runner-up and its distance to the detection.
 
     CLEAR      a gap of at least 0.1 px, or no other rod: image evidence alone separates them. And the rod is within 1 px of the
-               detection, on average, in every camera
+               detection, on average, in every camera, explains 95 % of the line detected in each, and its vertices are certain
+               to 1 mm
     LIKELY     a gap of at least 0.02 px: image evidence alone does not separate them, the rod's energy helps to decide. Or a
                wider gap, but the rod is further from the detection
     AMBIGUOUS  a smaller gap: either may be the rod
@@ -82,6 +92,8 @@ class Perception:
                       infinite without one, negative where a rod that is no certified minimum scores better than this one
     edge_error        (A, C, E) px: mean distance to the detection along each edge of the best rod
     unsupported       (A, E) bool: edges that are far from the detection in all cameras
+    coverage          (A, C) share of the line detected in each camera that the rod explains; NaN where detections are unknown
+    left_over         (A,) mm of thread that the rod does not explain, in the camera where that is most
     """
 
     vertices: np.ndarray
@@ -96,6 +108,8 @@ class Perception:
     gap: np.ndarray
     edge_error: np.ndarray
     unsupported: np.ndarray
+    coverage: np.ndarray
+    left_over: np.ndarray
 
     @property
     def sound(self) -> np.ndarray:
@@ -106,6 +120,7 @@ class Perception:
     def verdict(self) -> np.ndarray:
         """(A,) PerceptionVerdict."""
         clear = (self.gap >= CLEAR_PX) & (self.camera_error <= FITTING_PX).all(axis=1)
+        clear &= ~(self.coverage < COVERED).any(axis=1) & ~(self.sigma > CERTAIN_MM).any(axis=1)
         # A camera that does not see the rod counts as far off. Two cameras determine a rod: others may be occluded.
         error = np.sort(np.where(np.isfinite(self.camera_error), self.camera_error, np.inf), axis=1)
         lost = (error[:, min(2, error.shape[1]) - 1] > FITTING_PX) & (error[:, -1] > LOST_PX)
@@ -203,34 +218,36 @@ def _result(search: Search, kept: Hypotheses) -> Perception:
     """The finalists of each set relaxed until they converge, ranked."""
     options = search.options
     candidates = rank_distinct(kept.energy_vis, search.vertices(kept), kept.of_set, options.finalists, options.similar_distance)
-    final, solution = search.relaxed(kept.take(np.sort(candidates[candidates >= 0])))
-    marks = solution.configuration.vertices[:, :: options.pieces]
-    certified = (solution.status == Status.CONVERGED) & solution.stable
+    final = finalists(search, kept.take(np.sort(candidates[candidates >= 0])))
+    marks = final.configuration.vertices[:, :: options.pieces]
+    certified = (final.status == Status.CONVERGED) & final.stable
     ranked = rank_distinct(final.energy_vis, marks, final.of_set, 1 + options.runners_up, options.similar_distance, certified)
     # If all rods of a set failed, one of them is returned with its status.
     best = np.where(ranked[:, 0] >= 0, ranked[:, 0], np.searchsorted(final.of_set, np.arange(len(ranked))))
     others = ranked[:, 1:]
     found = others >= 0
     runner_up_energy = np.where(found, final.energy_vis[others], np.inf)
-    rods = solution.configuration.take(best)
+    rods = final.configuration.take(best)
     with np.errstate(invalid="ignore"):  # a rod that is not finite is data
         edge_error, image_length = _reprojected(search, rods.vertices)
         worse = runner_up_energy.min(axis=1, initial=np.inf) - final.energy_vis[best]
-        sigma = vertex_sigma(search.rig, marks[best], options.nu, options.sigma_px, options.correlation_px)
+        sigma = vertex_sigma(search.rig, marks[best], options.sigma_px, options.correlation_px)
     return Perception(
         vertices=marks[best],
         configuration=rods,
         energy_vis=final.energy_vis[best],
         # The distance is smoothed near lines, whose mean effect is subtracted: on the line itself it can be -0.01.
         camera_error=np.maximum(np.einsum("ace,ace->ac", edge_error, image_length) / image_length.sum(axis=2), 0.0),
-        status=solution.status[best],
-        stable=solution.stable[best],
+        status=final.status[best],
+        stable=final.stable[best],
         sigma=sigma,
         runner_up=np.where(found[..., None, None], marks[others], np.nan),
         runner_up_energy=runner_up_energy,
         gap=worse / (options.nu * image_length.sum(axis=(1, 2))),
         edge_error=edge_error,
         unsupported=(edge_error > options.unsupported).all(axis=1),
+        coverage=final.coverage[best],
+        left_over=left_over(final.coverage[best], final.line[best], image_length.sum(axis=2), search.rest_length.sum()),
     )
 
 

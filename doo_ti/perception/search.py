@@ -65,6 +65,8 @@ class PerceptionOptions:
     final_points         places along an edge, all its pieces together, where a map is sampled for finalists
     runners_up           K: rods other than the best in the result
     unsupported          px: an edge further than this from the detection, on average, in every camera counts as unsupported
+    evidence             "both": from the rod to the images and back, with hypotheses traced in them, where the maps' detections
+                         are known; "rod": the paper's, E_proj of hypotheses that grew
     sigma_px             px: standard deviation of detected points, across the line …
     correlation_px       px: … and the length of line within which their errors are equal. Both only for the uncertainty
     """
@@ -86,10 +88,13 @@ class PerceptionOptions:
     final_points: int = 8
     runners_up: int = 4
     unsupported: float = 3.0
+    evidence: str = "both"
     sigma_px: float = 0.1
     correlation_px: float = 5.0
 
     def __post_init__(self) -> None:
+        if self.evidence not in ("both", "rod"):
+            raise InputError("PerceptionOptions", "evidence", f"{self.evidence!r} is unknown", "give both or rod")
         for name in ("nu", "separation", "similar_distance", "similar_angle", "cap", "growing_nu", "growing_cap", "unsupported",
                      "sigma_px", "correlation_px"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):

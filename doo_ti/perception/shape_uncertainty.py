@@ -1,11 +1,12 @@
 """Uncertainty of the vertices of a perceived rod: the Laplace approximation of E_vis around its minimum (§IV-A).
 
-    cov = H⁻¹ M H⁻¹,        M = ν² k² σ² ℓ ∫ a aᵀ ds,        H = ν k ∫ a aᵀ ds + H_E
+    cov = (∫ a aᵀ ds / (σ² ℓ) + H_E / T)⁻¹,        T = 2 E / P
 
-Detected points have errors of σ px across the line, equal within a length ℓ of the line. Near the line a distance map is a
-parabola of curvature k; the movement of places of the image across the image, per parameter, is a. M is the covariance of the
-gradient of ν E_proj, H the Hessian of E_vis. Without the rod's energy k and ν cancel; stiffness reduces the uncertainty. Other
-noise and errors of the model are left out: rig, stiffness, rest lengths and seed count as exact.
+Detected points have errors of σ px across the line, equal within a length ℓ of the line; the movement of places of the image
+across the image, per parameter, is a. H_E is the Hessian of the rod's bending energy E over its stiffness. How strongly rods of
+this kind bend is taken from the rod itself: with P parameters of a Gaussian density e^{−E/T} the mean of E is P T/2. Where images
+say little, as of the depth where cameras are close together, the rod's stiffness is all that is known, and sigma is large. Other
+noise and errors of the model are left out: rig, rest lengths and seed count as exact.
 
 Sensor noise alone moves detected points by about 0.02 px, over about 4 px of line; the default σ and ℓ of
 :class:`doo_ti.perception.search.PerceptionOptions` are larger, so that sigma is as large as the errors measured on renderings
@@ -19,20 +20,19 @@ import numpy as np
 from doo_ti.frames import across
 from doo_ti.vision.cameras.rig import Rig
 
-CREASE_CURVATURE = 1.5
-"""1/px: k of the distance to a line, sampled at pixels and smoothed by quadratic B-splines, mean over places of the line."""
 PLACES = (0.25, 0.75)
 """Places along an edge where its image is evaluated."""
+LEAST_BENDING = 1e-4
+"""T of a rod that looks straight, times its length."""
 STEP_MM = 1e-3
 """Step of the difference quotients of the projection."""
 
 
-def vertex_sigma(rig: Rig, vertices: np.ndarray, nu: float, sigma_px: float, correlation_px: float) -> np.ndarray:
+def vertex_sigma(rig: Rig, vertices: np.ndarray, sigma_px: float, correlation_px: float) -> np.ndarray:
     """(A, V) mm: standard deviation of each vertex, root mean square over its three coordinates; zero for the first two
     vertices, which are given.
 
     vertices                   (A, V, 3) mm: rods at minima of E_vis / B, isotropic and straight at rest
-    nu                         ν, 1/(mm px²)
     sigma_px, correlation_px   σ and ℓ of the detection
     """
     edges = np.diff(vertices, axis=1)
@@ -41,12 +41,10 @@ def vertex_sigma(rig: Rig, vertices: np.ndarray, nu: float, sigma_px: float, cor
     first = across(tangents)
     turns = np.stack([first, np.cross(tangents, first)], axis=-1)  # (A, E, 3, 2)
     seen, image_length = _movement_across(rig, vertices, turns, length)
-    weighted = image_length[..., None] * seen
-    information = nu * CREASE_CURVATURE * np.swapaxes(seen, -1, -2) @ weighted
-    hessian = information + bending_hessian(turns, length)
-    noise = nu * CREASE_CURVATURE * sigma_px**2 * correlation_px * information
-    response = np.linalg.inv(hessian)
-    covariance = response @ noise @ response
+    information = np.swapaxes(seen, -1, -2) @ (image_length[..., None] * seen) / (sigma_px**2 * correlation_px)
+    bending = (np.linalg.norm(np.diff(tangents, axis=1), axis=-1) ** 2 * 2.0 / (length[:, :-1] + length[:, 1:])).sum(axis=1)
+    temperature = np.maximum(2.0 * bending / information.shape[-1], LEAST_BENDING / length.sum(axis=1))
+    covariance = np.linalg.inv(information + bending_hessian(turns, length) / temperature[:, None, None])
     moved = _vertex_movement(turns, length)  # (A, V, 3, P)
     variance = np.einsum("avxp,apq,avxq->av", moved, covariance, moved, optimize=True)
     return np.sqrt(np.maximum(variance, 0.0) / 3)

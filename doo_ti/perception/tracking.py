@@ -273,7 +273,7 @@ class Tracker:
         marks = rod.configuration.vertices[:, :: search.options.pieces]
         error = np.full(len(self._rig.cameras), np.nan)
         error[[self._rig.names.index(name) for name in search.rig.names]] = rod.camera_error
-        sigma = vertex_sigma(search.rig, marks, search.options.nu, search.options.sigma_px, search.options.correlation_px)
+        sigma = vertex_sigma(search.rig, marks, search.options.sigma_px, search.options.correlation_px)
         return TrackedFrame(marks[0], sigma[0], rod.energy_vis, np.maximum(error, 0.0), Status(rod.status), bool(rod.stable),
                             how)
 
