@@ -15,10 +15,13 @@ import numpy as np
 from doo_ti.perception.growth import Hypotheses
 from doo_ti.perception.search import Search
 from doo_ti.perception.traced import traced
-from doo_ti.types import Configuration, Material
+from doo_ti.types import Configuration, Material, Status
 from doo_ti.vision.reprojection.coverage import coverage
 from doo_ti.vision.reprojection.score import score
 
+CONVINCING, CLOSE_PX = 0.98, 0.5
+"""Share of the detected line that a rod which grew explains in every camera, and its mean distance from that line: where there
+is such a rod none is traced, which takes longer than all of the search."""
 
 @dataclass(frozen=True)
 class Finalists:
@@ -27,7 +30,8 @@ class Finalists:
     of_set         (F,) image set, in increasing order
     configuration  the rods
     energy_vis     (F,) 1/mm; infinite for rods that failed
-    status, stable (F,) how their relaxation ended
+    status         (F,) how their relaxation ended
+    certified      (F,) bool: at a minimum of the energy that they were relaxed under
     coverage       (F, C) share of the detected line that is explained; NaN where the detections are not known
     line           (F, C) px of detected line
     """
@@ -36,41 +40,46 @@ class Finalists:
     configuration: Configuration
     energy_vis: np.ndarray
     status: np.ndarray
-    stable: np.ndarray
+    certified: np.ndarray
     coverage: np.ndarray
     line: np.ndarray
 
 
 def finalists(search: Search, grown: Hypotheses) -> Finalists:
-    """Those that ``grown``, relaxed, and those that are traced."""
+    """Those that ``grown``, relaxed, and those that are traced, in sets where none of the former is convincing."""
     hypotheses, solution = search.relaxed(grown)
-    of_set, energy = hypotheses.of_set, hypotheses.energy_vis
-    parts = [(solution.configuration, solution.status, solution.stable)]
+    of_set, energy, options = hypotheses.of_set, hypotheses.energy_vis, search.options
+    certified = (solution.status == Status.CONVERGED) & solution.stable
     detections = search.maps.detections
-    if detections is None or search.options.evidence == "rod":
+    if detections is None or options.evidence == "rod":
         unknown = np.full((len(of_set), len(search.rig.cameras)), np.nan)
-        return Finalists(of_set, *_joined(parts, energy), unknown, unknown)
+        return Finalists(of_set, solution.configuration, energy, solution.status, certified, unknown, unknown)
+    found = coverage(search.rig, solution.configuration.vertices, of_set, detections, options.cap)
+    own = Finalists(of_set, solution.configuration, energy + options.nu * found.error.sum(axis=1), solution.status, certified,
+                    found.share, found.line)
+    convincing = certified & (found.share >= CONVINCING).all(axis=1) & (found.error <= CLOSE_PX * found.line).all(axis=1)
+    doubtful = np.setdiff1d(np.arange(len(search.point)), of_set[convincing])
+    return own if not len(doubtful) else _with_traced(search, own, doubtful)
+
+
+def _with_traced(search: Search, grown: Finalists, sets: np.ndarray) -> Finalists:
+    """``grown``, and rods traced in the image sets ``sets``."""
     fine = np.repeat(search.rest_length / search.options.pieces, search.options.pieces)
-    rods = traced(search.rig, detections, search.point, search.direction, fine / fine.sum(), search.material, search.up,
-                  float(fine.sum()))
-    if rods is not None:
-        # Of rods that grew E_vis is known; a traced one is relaxed under another energy.
-        of_set = np.concatenate([of_set, rods.of_set])
-        energy = np.concatenate([energy, _energy_vis(search, rods.solution.configuration, rods.of_set)])
-        one = rods.solution.configuration
-        parts.append((Configuration(one.start, one.quaternions, fine), rods.solution.status, rods.solution.stable))
-    order = np.argsort(of_set, kind="stable")
-    configuration, energy, status, stable = _joined(parts, energy)
-    configuration, of_set = configuration.take(order), of_set[order]
-    found = coverage(search.rig, configuration.vertices, of_set, detections, search.options.cap)
-    energy = energy[order] + search.options.nu * found.error.sum(axis=1)
-    return Finalists(of_set, configuration, np.where(np.isfinite(energy), energy, np.inf), status[order], stable[order],
-                     found.share, found.line)
-
-
-def _joined(parts, energy: np.ndarray):
-    configurations, status, stable = zip(*parts, strict=True)
-    return Configuration.concatenate(list(configurations)), energy, np.concatenate(status), np.concatenate(stable)
+    detections = [search.maps.detections[row] for row in sets]
+    rods = traced(search.rig, detections, search.point[sets], search.direction[sets], fine / fine.sum(), search.material,
+                  search.up, float(fine.sum()))
+    if rods is None:
+        return grown
+    of_set, one = sets[rods.of_set], rods.solution.configuration
+    found = coverage(search.rig, one.vertices, rods.of_set, detections, search.options.cap)
+    energy = _energy_vis(search, one, of_set) + search.options.nu * found.error.sum(axis=1)
+    parts = grown, Finalists(of_set, Configuration(one.start, one.quaternions, fine), np.where(np.isfinite(energy), energy, np.inf),
+                             rods.solution.status, (rods.solution.status == Status.CONVERGED) & rods.solution.stable,
+                             found.share, found.line)
+    order = np.argsort(np.concatenate([part.of_set for part in parts]), kind="stable")
+    joined = {name: np.concatenate([getattr(part, name) for part in parts])[order] for name in Finalists.__dataclass_fields__
+              if name != "configuration"}
+    return Finalists(configuration=Configuration.concatenate([part.configuration for part in parts]).take(order), **joined)
 
 
 def _energy_vis(search: Search, rods: Configuration, of_set: np.ndarray) -> np.ndarray:

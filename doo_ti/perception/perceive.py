@@ -220,7 +220,8 @@ def _result(search: Search, kept: Hypotheses) -> Perception:
     candidates = rank_distinct(kept.energy_vis, search.vertices(kept), kept.of_set, options.finalists, options.similar_distance)
     final = finalists(search, kept.take(np.sort(candidates[candidates >= 0])))
     marks = final.configuration.vertices[:, :: options.pieces]
-    certified = (final.status == Status.CONVERGED) & final.stable
+    # Rods were relaxed under different energies where some are traced: there a certificate is no reason to prefer one.
+    certified = final.certified if options.evidence == "rod" else None
     ranked = rank_distinct(final.energy_vis, marks, final.of_set, 1 + options.runners_up, options.similar_distance, certified)
     # If all rods of a set failed, one of them is returned with its status.
     best = np.where(ranked[:, 0] >= 0, ranked[:, 0], np.searchsorted(final.of_set, np.arange(len(ranked))))
@@ -239,7 +240,7 @@ def _result(search: Search, kept: Hypotheses) -> Perception:
         # The distance is smoothed near lines, whose mean effect is subtracted: on the line itself it can be -0.01.
         camera_error=np.maximum(np.einsum("ace,ace->ac", edge_error, image_length) / image_length.sum(axis=2), 0.0),
         status=final.status[best],
-        stable=final.stable[best],
+        stable=final.certified[best],
         sigma=sigma,
         runner_up=np.where(found[..., None, None], marks[others], np.nan),
         runner_up_energy=runner_up_energy,

@@ -10,7 +10,7 @@ from doo_ti import Clamp, Clamps, Dynamics, Grippers, InputError, Material, Step
 from doo_ti.frames import matrix_from_quaternion, quaternion_about, vertices_from_quaternions
 from doo_ti.motion.path import motion_between
 from doo_ti.perception.perceive import perceive
-from doo_ti.perception.search import Search
+from doo_ti.perception.search import PerceptionOptions, Search
 from doo_ti.perception.tracking import How, Inertia, Tracker, TrackingOptions
 from doo_ti.types import Status
 from doo_ti.vision.detection.detect import Detection, detect
@@ -53,7 +53,8 @@ def test_a_tracked_rod_is_the_one_that_algorithm_1_finds(video):
     """The last frame of fifteen that each began with the one before, against a search that knows none of them."""
     found, _ = tracked(video, rods())
     rod, rig = rods()[-1], three_cameras()
-    alone = perceive(distance_maps(video[-1:]), rig, rod[0], rod[1] - rod[0], REST_LENGTH, MATERIAL)
+    alone = perceive(distance_maps(video[-1:]), rig, rod[0], rod[1] - rod[0], REST_LENGTH, MATERIAL,
+                     options=PerceptionOptions(evidence="rod"))
     np.testing.assert_allclose(found[-1].vertices, alone.vertices[0], atol=1e-4)
     assert found[-1].energy_vis == pytest.approx(alone.energy_vis[0], rel=1e-6)
     np.testing.assert_allclose(found[-1].camera_error, alone.camera_error[0], rtol=1e-4)
