@@ -20,8 +20,10 @@ from doo_ti.vision.reprojection.coverage import coverage
 from doo_ti.vision.reprojection.score import score
 
 CONVINCING, CLOSE_PX = 0.98, 0.5
-"""Share of the detected line that a rod which grew explains in every camera, and its mean distance from that line: where there
-is such a rod none is traced, which takes longer than all of the search."""
+"""Share of the detected line that a rod which grew explains in every camera, and their mean distances from each other: where
+there is such a rod, and cameras are this far apart, none is traced, which takes longer than all of the search."""
+WIDE = np.radians(20.0)
+"""Between closer cameras a rod of a wrong length, or folded along the line of sight, explains the images as well."""
 
 @dataclass(frozen=True)
 class Finalists:
@@ -34,6 +36,7 @@ class Finalists:
     certified      (F,) bool: at a minimum of the energy that they were relaxed under
     coverage       (F, C) share of the detected line that is explained; NaN where the detections are not known
     line           (F, C) px of detected line
+    thread         (F,) mm: length of the thread that a traced rod follows; NaN of others
     """
 
     of_set: np.ndarray
@@ -43,6 +46,7 @@ class Finalists:
     certified: np.ndarray
     coverage: np.ndarray
     line: np.ndarray
+    thread: np.ndarray
 
 
 def finalists(search: Search, grown: Hypotheses) -> Finalists:
@@ -53,11 +57,12 @@ def finalists(search: Search, grown: Hypotheses) -> Finalists:
     detections = search.maps.detections
     if detections is None or options.evidence == "rod":
         unknown = np.full((len(of_set), len(search.rig.cameras)), np.nan)
-        return Finalists(of_set, solution.configuration, energy, solution.status, certified, unknown, unknown)
+        return Finalists(of_set, solution.configuration, energy, solution.status, certified, unknown, unknown, unknown[:, 0])
     found = coverage(search.rig, solution.configuration.vertices, of_set, detections, options.cap)
     own = Finalists(of_set, solution.configuration, energy + options.nu * found.error.sum(axis=1), solution.status, certified,
-                    found.share, found.line)
+                    found.share, found.line, np.full(len(of_set), np.nan))
     convincing = certified & (found.share >= CONVINCING).all(axis=1) & (found.error <= CLOSE_PX * found.line).all(axis=1)
+    convincing &= _fits(search, solution.configuration, of_set) & (_angle(search, solution.configuration) >= WIDE)
     doubtful = np.setdiff1d(np.arange(len(search.point)), of_set[convincing])
     return own if not len(doubtful) else _with_traced(search, own, doubtful)
 
@@ -71,15 +76,33 @@ def _with_traced(search: Search, grown: Finalists, sets: np.ndarray) -> Finalist
     if rods is None:
         return grown
     of_set, one = sets[rods.of_set], rods.solution.configuration
-    found = coverage(search.rig, one.vertices, rods.of_set, detections, search.options.cap)
-    energy = _energy_vis(search, one, of_set) + search.options.nu * found.error.sum(axis=1)
+    found, energies = {}, {}
+    for name, rod in (("known", one), ("whole", rods.whole)):
+        found[name] = coverage(search.rig, rod.vertices, rods.of_set, detections, search.options.cap)
+        energies[name] = _energy_vis(search, rod, of_set) + search.options.nu * found[name].error.sum(axis=1)
+    # A rod shorter than the thread, or longer, is as good as the whole thread that it is part of.
+    energy, found = np.where(rods.together, energies["known"], energies["whole"]), found["known"]
     parts = grown, Finalists(of_set, Configuration(one.start, one.quaternions, fine), np.where(np.isfinite(energy), energy, np.inf),
                              rods.solution.status, (rods.solution.status == Status.CONVERGED) & rods.solution.stable,
-                             found.share, found.line)
+                             found.share, found.line, rods.thread)
     order = np.argsort(np.concatenate([part.of_set for part in parts]), kind="stable")
     joined = {name: np.concatenate([getattr(part, name) for part in parts])[order] for name in Finalists.__dataclass_fields__
               if name != "configuration"}
     return Finalists(configuration=Configuration.concatenate([part.configuration for part in parts]).take(order), **joined)
+
+
+def _fits(search: Search, rods: Configuration, of_set: np.ndarray) -> np.ndarray:
+    """(R,) bool: every camera sees all of the rod near the detection."""
+    found = score(rods.vertices, search.maps, of_set, search.rig, 1.0, points=search.piece_points, cap=search.options.cap)
+    image = np.linalg.norm(np.diff(search.rig.project(rods.vertices), axis=2), axis=-1).sum(axis=-1).T
+    return ((found.camera_error <= CLOSE_PX * image) & (found.unseen == 0)).all(axis=1)
+
+
+def _angle(search: Search, rods: Configuration) -> np.ndarray:
+    """(R,) rad: the largest angle between the lines of sight of two cameras to the middle of a rod."""
+    sight = np.stack([rods.vertices.mean(axis=1) - camera.centre for camera in search.rig.cameras], axis=1)
+    sight /= np.linalg.norm(sight, axis=-1, keepdims=True)
+    return np.arccos(np.clip(np.einsum("rci,rdi->rcd", sight, sight).min(axis=(1, 2)), -1.0, 1.0))
 
 
 def _energy_vis(search: Search, rods: Configuration, of_set: np.ndarray) -> np.ndarray:
@@ -91,9 +114,10 @@ def _energy_vis(search: Search, rods: Configuration, of_set: np.ndarray) -> np.n
     return found.total / search.scale
 
 
-def left_over(share: np.ndarray, line: np.ndarray, image_length: np.ndarray, length: float) -> np.ndarray:
-    """(A,) mm of thread that rods of ``length`` mm do not explain, in the camera where that is most: px of line at the scale of
-    the rod's image."""
+def left_over(final: Finalists, best: np.ndarray, image_length: np.ndarray, length: float) -> np.ndarray:
+    """(A,) mm of thread that the rods ``best`` of ``length`` mm do not explain. Where the thread's length is not known: px of line at
+    the scale of the rod's image, (A, C) px long, in the camera where that is most."""
     with np.errstate(invalid="ignore"):
-        unexplained = (1 - share) * line / np.maximum(image_length, 1e-9) * length
-    return unexplained.max(axis=1)
+        unexplained = (1 - final.coverage[best]) * final.line[best] / np.maximum(image_length, 1e-9) * length
+        beyond = np.maximum(final.thread[best] - length, 0.0)
+    return np.where(np.isnan(beyond), unexplained.max(axis=1), beyond)

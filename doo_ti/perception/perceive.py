@@ -36,6 +36,7 @@ from doo_ti.perception.finalists import finalists, left_over
 from doo_ti.perception.growth import rank_distinct
 from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search
 from doo_ti.perception.shape_uncertainty import vertex_sigma
+from doo_ti.perception.traced import SAME_LENGTH
 from doo_ti.short_repr import short_repr
 from doo_ti.types import LARGEST, Configuration, Material, Status, unit_up
 from doo_ti.vision.cameras.rig import Rig
@@ -57,8 +58,8 @@ class PerceptionVerdict(IntEnum):
     """How certain the best rod is, by its gap to the best runner-up and its distance to the detection.
 
     CLEAR      a gap of at least 0.1 px, or no other rod: image evidence alone separates them. And the rod is within 1 px of the
-               detection, on average, in every camera, explains 95 % of the line detected in each, and its vertices are certain
-               to 1 mm
+               detection, on average, in every camera, explains 95 % of the line detected in each, is as long as it, and its
+               vertices are certain to 1 mm
     LIKELY     a gap of at least 0.02 px: image evidence alone does not separate them, the rod's energy helps to decide. Or a
                wider gap, but the rod is further from the detection
     AMBIGUOUS  a smaller gap: either may be the rod
@@ -93,7 +94,10 @@ class Perception:
     edge_error        (A, C, E) px: mean distance to the detection along each edge of the best rod
     unsupported       (A, E) bool: edges that are far from the detection in all cameras
     coverage          (A, C) share of the line detected in each camera that the rod explains; NaN where detections are unknown
-    left_over         (A,) mm of thread that the rod does not explain, in the camera where that is most
+    thread_length     (A,) mm from the seed to where the thread ends in the images; NaN where rods were not traced. With rods of
+                      another length, the best is part of the thread, or goes on beyond it
+    left_over         (A,) mm of thread that the rod does not explain: beyond its end or, where rods were not traced, in the camera
+                      where that is most
     """
 
     vertices: np.ndarray
@@ -109,6 +113,7 @@ class Perception:
     edge_error: np.ndarray
     unsupported: np.ndarray
     coverage: np.ndarray
+    thread_length: np.ndarray
     left_over: np.ndarray
 
     @property
@@ -121,9 +126,12 @@ class Perception:
         """(A,) PerceptionVerdict."""
         clear = (self.gap >= CLEAR_PX) & (self.camera_error <= FITTING_PX).all(axis=1)
         clear &= ~(self.coverage < COVERED).any(axis=1) & ~(self.sigma > CERTAIN_MM).any(axis=1)
+        length = self.configuration.rest_length.sum(axis=-1)
+        clear &= ~(np.abs(self.thread_length / length - 1) > SAME_LENGTH)
         # A camera that does not see the rod counts as far off. Two cameras determine a rod: others may be occluded.
         error = np.sort(np.where(np.isfinite(self.camera_error), self.camera_error, np.inf), axis=1)
         lost = (error[:, min(2, error.shape[1]) - 1] > FITTING_PX) & (error[:, -1] > LOST_PX)
+        lost &= ~(self.coverage >= COVERED).all(axis=1)  # a rod that goes on beyond the thread is far off there
         kinds = PerceptionVerdict.NOT_FOUND, PerceptionVerdict.CLEAR, PerceptionVerdict.LIKELY
         return np.select([lost, clear, self.gap >= AMBIGUOUS_PX], kinds, PerceptionVerdict.AMBIGUOUS).astype(np.int8)
 
@@ -248,7 +256,8 @@ def _result(search: Search, kept: Hypotheses) -> Perception:
         edge_error=edge_error,
         unsupported=(edge_error > options.unsupported).all(axis=1),
         coverage=final.coverage[best],
-        left_over=left_over(final.coverage[best], final.line[best], image_length.sum(axis=2), search.rest_length.sum()),
+        thread_length=final.thread[best],
+        left_over=left_over(final, best, image_length.sum(axis=2), search.rest_length.sum()),
     )
 
 

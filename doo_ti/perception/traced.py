@@ -5,8 +5,9 @@
     rods      that begin as these curves, some smoother than others, and are relaxed under E/B + ν E_back
 
 E_back pulls places of the rod to points of the paths. Which point belongs to which place is found anew after each relaxation: the
-one nearest to the place's image, in order along the path. A rod whose length is not known is made longer or shorter, until it
-ends where the paths end.
+one nearest to the place's image, in order along the path. At first all rods are made longer or shorter, until they end where the
+paths end. One that is known to be about as long then gets its length, and its places are spread over all of its paths; where the
+known length is another, the rod ends before the thread, or goes on beyond it, along its paths as before.
 
 Axes: A image sets, R rods of all sets, C cameras, N edges of a rod, K places along an edge.
 """
@@ -34,29 +35,29 @@ of sight, and one of much smoothness is too flat; the energy decides."""
 NU_BACK = 0.03
 """ν of E_back, 1/(mm px³)."""
 PLACES = 2
-ROUNDS = 6
+ROUNDS, FREE_ROUNDS = 6, 3
 NEAREST_PX = 6.0
 """How far a place moves along a path in each of these steps, of which there are three."""
-STRETCH = 0.1
-"""Share of a path by which a rod that is known to be as long may fail to reach its end, and is pulled there."""
-LENGTHS = (0.8, 1.25)
-"""Of a curve over the rod: a curve of about the rod's length is its whole, of another length it is part of it or longer."""
-
+SAME_LENGTH = 0.05
+"""Share by which a rod and its paths may differ in length, and still be meant to end together: as far as the length of a thread
+is uncertain that cameras see which are close together."""
 
 @dataclass(frozen=True)
 class TracedRods:
     """R relaxed rods.
 
     of_set    (R,) image set, in increasing order
-    solution  the rods
-    match     R of them: the paths they explain
-    length    (R,) mm
+    solution  the rods, as long as they are known to be
+    thread    (R,) mm: the length with which they end where their paths end …
+    whole     … and the rods of that length
+    together  (R,) bool: the known length is that one
     """
 
     of_set: np.ndarray
     solution: Solution
-    match: tuple[Match, ...]
-    length: np.ndarray
+    thread: np.ndarray
+    whole: Configuration
+    together: np.ndarray
 
 
 def traced(rig: Rig, detections: Sequence[Sequence[Detection]], point: np.ndarray, direction: np.ndarray | None,
@@ -75,7 +76,7 @@ def traced(rig: Rig, detections: Sequence[Sequence[Detection]], point: np.ndarra
             for smooth in SMOOTHNESS:
                 curve, arcs = curve_of(rig, match, point[row], smooth)
                 of_set.append(row)
-                begun.append(_Rod.along(curve, arcs, way, shares, length))
+                begun.append(_Rod.along(curve, arcs, way, shares))
                 matches.append(match)
     if not begun:
         return None
@@ -108,28 +109,17 @@ class _Rod:
     length: float
 
     @classmethod
-    def along(cls, curve: np.ndarray, arcs: np.ndarray, direction: np.ndarray | None, shares: np.ndarray,
-              length: float | None) -> "_Rod":
+    def along(cls, curve: np.ndarray, arcs: np.ndarray, direction: np.ndarray | None, shares: np.ndarray) -> "_Rod":
         """Along a curve (K, 3), whose points are at ``arcs`` (C, K) of the paths."""
         along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
-        own = along[-1] if length is None else length
-        share = along[-1] / own
-        share = share if LENGTHS[0] < share < LENGTHS[1] else 1.0
-        ends = np.concatenate([[0.0], np.cumsum(shares)])
-        at = own * share * ends
-        beyond = np.maximum(at - along[-1], 0.0)[:, None] * _unit(curve[-1] - curve[-min(10, len(curve))])
-        vertices = np.stack([np.interp(at, along, column) for column in curve.T], axis=1) + beyond
-        tangents = np.diff(vertices, axis=0)
+        ends = along[-1] * np.concatenate([[0.0], np.cumsum(shares)])
+        tangents = np.diff(np.stack([np.interp(ends, along, column) for column in curve.T], axis=1), axis=0)
         tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-12)
         if direction is not None:
             tangents[0] = direction
         frames = bishop_frames(tangents[None], across(tangents[:1]))
-        places = ends[:-1, None] + shares[:, None] * (np.arange(PLACES) + 0.5) / PLACES
-        return cls(quaternion_from_matrix(frames)[0], np.stack([np.interp(places * own * share, along, one) for one in arcs]), own)
-
-
-def _unit(vector: np.ndarray) -> np.ndarray:
-    return vector / max(float(np.linalg.norm(vector)), 1e-12)
+        places = ends[:-1, None] + np.diff(ends)[:, None] * (np.arange(PLACES) + 0.5) / PLACES
+        return cls(quaternion_from_matrix(frames)[0], np.stack([np.interp(places, along, one) for one in arcs]), float(along[-1]))
 
 
 def _relaxed(rig, rows, begun, matches, point, direction, shares, material, up, known) -> TracedRods:
@@ -138,6 +128,9 @@ def _relaxed(rig, rows, begun, matches, point, direction, shares, material, up, 
     arcs = np.stack([rod.arcs for rod in begun])
     length = np.array([rod.length for rod in begun])
     stiffness = float(np.linalg.eigvalsh(material.bend).max())
+    ends = np.concatenate([[0.0], np.cumsum(shares)])
+    places = (ends[:-1, None] + shares[:, None] * (np.arange(PLACES) + 0.5) / PLACES).ravel()
+    thread, together, whole = length, np.ones(len(rows), dtype=bool), None
     for turn in range(ROUNDS):
         start = Configuration(point, quaternions, length[:, None] * shares)
         first = start.frames[:, 0]
@@ -145,10 +138,34 @@ def _relaxed(rig, rows, begun, matches, point, direction, shares, material, up, 
         solution = relax(start, material, clamps, Newton(), up=up, precision="mixed",
                          external=_assigned(rig, matches, arcs, NU_BACK * stiffness), external_index=np.arange(len(rows)))
         quaternions = solution.configuration.quaternions
-        if turn < ROUNDS - 1:
-            arcs, reach = _reassigned(rig, matches, arcs, solution.configuration.vertices, known is not None)
-            length = length if known is not None else length / np.clip(reach, 0.7, 1.4)
-    return TracedRods(rows, solution, tuple(matches), length)
+        if known is None or turn == FREE_ROUNDS:
+            thread, whole = length, solution.configuration
+        if turn == ROUNDS - 1:
+            break
+        fixed = known is not None and turn > FREE_ROUNDS
+        arcs, reach = _reassigned(rig, matches, arcs, solution.configuration.vertices, together & fixed)
+        if not fixed and (known is None or turn < FREE_ROUNDS):
+            length = length / np.clip(reach, 0.7, 1.4)
+        if known is not None and turn == FREE_ROUNDS:
+            together = np.abs(thread / known - 1) < SAME_LENGTH
+            length = np.full(len(rows), float(known))
+            arcs = _cut(arcs, places, np.where(together, 1.0, known / thread))
+            quaternions = _cut_frames(quaternions, ends, np.where(together, 1.0, known / thread))
+    return TracedRods(rows, solution, thread, whole, together)
+
+
+def _cut(arcs: np.ndarray, places: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """(R, C, N, K) places of rods that have a ``share`` (R,) of the length they had; beyond it, the last one."""
+    flat = arcs.reshape(*arcs.shape[:2], -1)
+    return np.array([[np.interp(places * own, places, line) for line in rod] for rod, own in zip(flat, share, strict=True)]
+                    ).reshape(arcs.shape)
+
+
+def _cut_frames(quaternions: np.ndarray, ends: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """(R, N, 4) frames of the same rods: those that were nearest; beyond, the last one."""
+    middles = 0.5 * (ends[1:] + ends[:-1])
+    nearest = np.clip(np.searchsorted(ends, middles * share[:, None]) - 1, 0, len(middles) - 1)
+    return np.take_along_axis(quaternions, nearest[..., None], axis=1)
 
 
 def _assigned(rig: Rig, matches, arcs: np.ndarray, nu: float) -> AssignedPoints:
@@ -164,11 +181,11 @@ def _assigned(rig: Rig, matches, arcs: np.ndarray, nu: float) -> AssignedPoints:
     return AssignedPoints(rig, points, tangents, weight, nu)
 
 
-def _reassigned(rig: Rig, matches, arcs: np.ndarray, vertices: np.ndarray, pull: bool) -> tuple[np.ndarray, np.ndarray]:
+def _reassigned(rig: Rig, matches, arcs: np.ndarray, vertices: np.ndarray, pull: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Places along the paths nearest to the images of the rods' places, in order, and (R,) the share of their paths that rods
     cover, above one where they go on beyond.
 
-    pull  rods are as long as their paths: where the path goes on a little, places are spread over all of it
+    pull  (R,) bool: rods as long as their paths: where a path goes on a little, places are spread over all of it
     """
     share = (np.arange(PLACES) + 0.5) / PLACES
     places = vertices[:, :-1, None] + share[:, None] * np.diff(vertices, axis=1)[:, :, None]
@@ -184,7 +201,7 @@ def _reassigned(rig: Rig, matches, arcs: np.ndarray, vertices: np.ndarray, pull:
             over = float((np.nan_to_num(ends[c, r]) - path.points[-1]) @ path.tangents[-1])
             covered = at[-1] + 0.5 * (at[-1] - at[-2]) if at[-1] < path.length - 2 else path.length + over
             reach[r, c] = covered / max(path.length, 1.0)
-            if pull and 1 - STRETCH < reach[r, c] < 1:
+            if pull[r] and 1 - 2 * SAME_LENGTH < reach[r, c] < 1:
                 at = at / reach[r, c]
             found[r, c] = np.clip(at, 0.0, path.length).reshape(found[r, c].shape)
     return found, reach.mean(axis=1)
