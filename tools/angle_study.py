@@ -3,7 +3,7 @@
     python tools/angle_study.py [--curves 20] [--noise 0.5] [--angles 5 10 20 40 90]
 
 Curves of 100 mm, which no rod made, in front of two cameras whose lines of sight differ by an angle, and of a third above the
-first, by the same angle. A rod is correct within 1 mm, both ways, and what a detection off by a tenth of a pixel changes in depth.
+first, by the same angle. A rod is correct within 1 mm, both ways, and twice what a tenth of a pixel changes in depth.
 """
 
 import argparse

@@ -82,7 +82,8 @@ def _with_traced(search: Search, grown: Finalists, sets: np.ndarray) -> Finalist
         energies[name] = _energy_vis(search, rod, of_set) + search.options.nu * found[name].error.sum(axis=1)
     # A rod shorter than the thread, or longer, is as good as the whole thread that it is part of.
     energy, found = np.where(rods.together, energies["known"], energies["whole"]), found["known"]
-    parts = grown, Finalists(of_set, Configuration(one.start, one.quaternions, fine), np.where(np.isfinite(energy), energy, np.inf),
+    energy = np.where(np.isfinite(energy), energy, np.inf)
+    parts = grown, Finalists(of_set, Configuration(one.start, one.quaternions, fine), energy,
                              rods.solution.status, (rods.solution.status == Status.CONVERGED) & rods.solution.stable,
                              found.share, found.line, rods.thread)
     order = np.argsort(np.concatenate([part.of_set for part in parts]), kind="stable")
@@ -115,8 +116,8 @@ def _energy_vis(search: Search, rods: Configuration, of_set: np.ndarray) -> np.n
 
 
 def left_over(final: Finalists, best: np.ndarray, image_length: np.ndarray, length: float) -> np.ndarray:
-    """(A,) mm of thread that the rods ``best`` of ``length`` mm do not explain. Where the thread's length is not known: px of line at
-    the scale of the rod's image, (A, C) px long, in the camera where that is most."""
+    """(A,) mm of thread that the rods ``best`` of ``length`` mm do not explain. Where the thread's length is not known: px of
+    line at the scale of the rod's image, (A, C) px long, in the camera where that is most."""
     with np.errstate(invalid="ignore"):
         unexplained = (1 - final.coverage[best]) * final.line[best] / np.maximum(image_length, 1e-9) * length
         beyond = np.maximum(final.thread[best] - length, 0.0)

@@ -37,6 +37,8 @@ ROUNDS, FREE_ROUNDS = 6, 2
 """Linearisations of the depth, and the first of them, which keep the places found by matching."""
 WINDOW_PX = 12
 """How far a place moves along a path in one of them."""
+HELD = 1e4
+"""Information at a start whose depth is given, over the median along the curve."""
 BOTH, FIRST_ALONE, SECOND_ALONE = 0, 1, 2
 
 
@@ -93,7 +95,8 @@ def _paired(rig: Rig, problems) -> list[tuple[np.ndarray, float]]:
     flat = np.concatenate([one.ravel() for one in apart]).astype(np.float32)
     total, came = np.empty_like(flat), np.empty(len(flat), dtype=np.int8)
     _accumulate(flat, first, sizes, total, came)
-    return [_walked(total[a:b].reshape(size), came[a:b].reshape(size)) for a, b, size in zip(first[:-1], first[1:], sizes, strict=True)]
+    parts = [(slice(a, b), size) for a, b, size in zip(first[:-1], first[1:], sizes, strict=True)]
+    return [_walked(total[part].reshape(size), came[part].reshape(size)) for part, size in parts]
 
 
 def _places(path: ImagePath) -> np.ndarray:
@@ -136,7 +139,9 @@ def _walked(total: np.ndarray, came: np.ndarray) -> tuple[np.ndarray, float]:
     count, width = total.shape
     last_line = total[-1] + LEFT_OVER * np.arange(width - 1, -1, -1)
     last_column = total[:, -1] + LEFT_OVER * np.arange(count - 1, -1, -1)
-    i, j = (count - 1, int(last_line.argmin())) if last_line.min() <= last_column.min() else (int(last_column.argmin()), width - 1)
+    i, j = count - 1, int(last_line.argmin())
+    if last_column.min() < last_line.min():
+        i, j = int(last_column.argmin()), width - 1
     cost = min(last_line.min(), last_column.min()) / max(count, width)
     found = [(i, j)]
     while i or j:  # along one path
@@ -164,9 +169,10 @@ def epipolar_distance(rig: Rig, a: int, b: int, one: np.ndarray, other: np.ndarr
 # --- depth ----------------------------------------------------------------------------------------------------------------
 
 
-def curve_of(rig: Rig, match: Match, start: np.ndarray, smooth: float) -> tuple[np.ndarray, np.ndarray]:
+def curve_of(rig: Rig, match: Match, start: np.ndarray, smooth: float, held: float = HELD) -> tuple[np.ndarray, np.ndarray]:
     """(K, 3) mm: the curve from ``start`` (3,) along the rays of the first camera, and (C, K) px where it is along the paths.
 
+    held    information that the depth of ``start`` is right, over the median
     smooth  weight of the squared second differences of ln depth, over the median information that the images hold of it
     """
     camera, arcs = rig.cameras[0], match.arcs.copy()
@@ -193,14 +199,10 @@ def curve_of(rig: Rig, match: Match, start: np.ndarray, smooth: float) -> tuple[
                 information += np.where(sound, weight * share * rate**2, 0.0)
                 slope += np.where(sound, weight * share * rate * miss, 0.0)
         scale = max(float(np.median(information)), 1e-9)
-        information[0] += HELD * scale
-        slope[0] += HELD * scale * (np.log(max(camera.depth(start), 1e-6)) - depth[0])
+        information[0] += held * scale
+        slope[0] += held * scale * (np.log(max(camera.depth(start), 1e-6)) - depth[0])
         depth = np.clip(depth + _smooth_step(information, slope, depth, smooth * scale), -13.0, 16.0)
     return centre + np.exp(depth)[:, None] * world, arcs
-
-
-HELD = 1e4
-"""Information at the start, over the median: its depth is given."""
 
 
 def _smooth_step(information: np.ndarray, slope: np.ndarray, value: np.ndarray, weight: float) -> np.ndarray:

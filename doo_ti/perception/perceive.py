@@ -7,9 +7,9 @@
         keep the H hypotheses of least E_vis that differ             Search.selected
     the Γ of least E_vis after F(Γ, E_vis, C)                        Search.relaxed
 
-Beyond the paper, evidence counts both ways. An edge that points at a camera costs nothing in E_proj, so a rod may turn away from the
-thread. Rods that are traced along the detected lines join the last hypotheses, and what each leaves unexplained of these lines
-is added to its E_vis:
+Beyond the paper, evidence counts both ways. An edge that points at a camera costs nothing in E_proj, so a rod may turn away
+from the thread. Rods that are traced along the detected lines join the last hypotheses, and what each leaves unexplained of
+these lines is added to its E_vis:
 
     E_vis = E / B + ν Σ_c (E_proj^c + E_cover^c)              doo_ti.vision.reprojection.coverage
 
@@ -96,8 +96,8 @@ class Perception:
     coverage          (A, C) share of the line detected in each camera that the rod explains; NaN where detections are unknown
     thread_length     (A,) mm from the seed to where the thread ends in the images; NaN where rods were not traced. With rods of
                       another length, the best is part of the thread, or goes on beyond it
-    left_over         (A,) mm of thread that the rod does not explain: beyond its end or, where rods were not traced, in the camera
-                      where that is most
+    left_over         (A,) mm of thread that the rod does not explain: beyond its end or, where rods were not traced, in the
+                      camera where that is most
     """
 
     vertices: np.ndarray
@@ -228,8 +228,8 @@ def _result(search: Search, kept: Hypotheses) -> Perception:
     candidates = rank_distinct(kept.energy_vis, search.vertices(kept), kept.of_set, options.finalists, options.similar_distance)
     final = finalists(search, kept.take(np.sort(candidates[candidates >= 0])))
     marks = final.configuration.vertices[:, :: options.pieces]
-    # Rods were relaxed under different energies where some are traced: there a certificate is no reason to prefer one.
-    certified = final.certified if options.evidence == "rod" else None
+    # Where some rods are traced, others were relaxed under another energy: a certificate is no reason to prefer one.
+    certified = final.certified | np.isin(final.of_set, final.of_set[~np.isnan(final.thread)])
     ranked = rank_distinct(final.energy_vis, marks, final.of_set, 1 + options.runners_up, options.similar_distance, certified)
     # If all rods of a set failed, one of them is returned with its status.
     best = np.where(ranked[:, 0] >= 0, ranked[:, 0], np.searchsorted(final.of_set, np.arange(len(ranked))))

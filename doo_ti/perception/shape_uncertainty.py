@@ -4,9 +4,9 @@
 
 Detected points have errors of σ px across the line, equal within a length ℓ of the line; the movement of places of the image
 across the image, per parameter, is a. H_E is the Hessian of the rod's bending energy E over its stiffness. How strongly rods of
-this kind bend is taken from the rod itself: with P parameters of a Gaussian density e^{−E/T} the mean of E is P T/2. Where images
-say little, as of the depth where cameras are close together, the rod's stiffness is all that is known, and sigma is large. Other
-noise and errors of the model are left out: rig, rest lengths and seed count as exact.
+this kind bend is taken from the rod itself: with P parameters of a Gaussian density e^{−E/T} the mean of E is P T/2. Where
+images say little, as of the depth where cameras are close together, the rod's stiffness is all that is known, and sigma is
+large. Other noise and errors of the model are left out: rig, rest lengths and seed count as exact.
 
 Sensor noise alone moves detected points by about 0.02 px, over about 4 px of line; the default σ and ℓ of
 :class:`doo_ti.perception.search.PerceptionOptions` are larger, so that sigma is as large as the errors measured on renderings

@@ -4,10 +4,10 @@
     matches   paths of all images that are of one curve, and the curve    doo_ti.perception.matching
     rods      that begin as these curves, some smoother than others, and are relaxed under E/B + ν E_back
 
-E_back pulls places of the rod to points of the paths. Which point belongs to which place is found anew after each relaxation: the
-one nearest to the place's image, in order along the path. At first all rods are made longer or shorter, until they end where the
-paths end. One that is known to be about as long then gets its length, and its places are spread over all of its paths; where the
-known length is another, the rod ends before the thread, or goes on beyond it, along its paths as before.
+E_back pulls places of the rod to points of the paths. Which point belongs to which place is found anew after each relaxation:
+the one nearest to the place's image, in order along the path. At first all rods are made longer or shorter, until they end
+where the paths end. One that is known to be about as long then gets its length, and its places are spread over all of its
+paths; where the known length is another, the rod ends before the thread, or goes on beyond it, along its paths as before.
 
 Axes: A image sets, R rods of all sets, C cameras, N edges of a rod, K places along an edge.
 """
@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from doo_ti.frames import across, bishop_frames, quaternion_from_matrix
-from doo_ti.perception.matching import Match, best_matches, curve_of
+from doo_ti.perception.matching import best_matches, curve_of
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution
@@ -30,8 +30,8 @@ from doo_ti.vision.reprojection.assigned_energy import AssignedPoints
 PATHS, MATCHES = 4, 3
 """Paths of each image, and matches of each set, that are tried."""
 SMOOTHNESS = (30.0, 1e3, 3e4)
-"""Of the curves that rods begin as. Where cameras are close together a curve of little smoothness folds to and fro along the line
-of sight, and one of much smoothness is too flat; the energy decides."""
+"""Of the curves that rods begin as. Where cameras are close together a curve of little smoothness folds to and fro along the
+line of sight, and one of much smoothness is too flat; the energy decides."""
 NU_BACK = 0.03
 """ν of E_back, 1/(mm px³)."""
 PLACES = 2
@@ -119,7 +119,8 @@ class _Rod:
             tangents[0] = direction
         frames = bishop_frames(tangents[None], across(tangents[:1]))
         places = ends[:-1, None] + np.diff(ends)[:, None] * (np.arange(PLACES) + 0.5) / PLACES
-        return cls(quaternion_from_matrix(frames)[0], np.stack([np.interp(places, along, one) for one in arcs]), float(along[-1]))
+        there = np.stack([np.interp(places, along, one) for one in arcs])
+        return cls(quaternion_from_matrix(frames)[0], there, float(along[-1]))
 
 
 def _relaxed(rig, rows, begun, matches, point, direction, shares, material, up, known) -> TracedRods:

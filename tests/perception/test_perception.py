@@ -261,7 +261,7 @@ def test_sigma_grows_along_the_rod_and_with_the_noise(scene):
     one, twice = vertex_sigma(rig, rods, 0.1, 5.0), vertex_sigma(rig, rods, 0.2, 5.0)
     assert (one[:, :2] == 0).all() and (one[:, 2:] > 0).all()
     assert (one[:, -1] > one[:, EDGES // 2]).all(), "nothing holds the far end"
-    assert (twice[:, 2:] > 1.2 * one[:, 2:]).all() and (twice[:, 2:] < 2 * one[:, 2:]).all(), "the rod's stiffness smooths noise"
+    assert (twice[:, 2:] > 1.2 * one[:, 2:]).all() and (twice[:, 2:] < 2 * one[:, 2:]).all(), "stiffness smooths noise"
     apart = [vertex_sigma(near_cameras(angle), rods, 0.1, 5.0)[:, 2:].mean() for angle in (40.0, 10.0, 2.0)]
     assert apart[0] < apart[1] < apart[2] and apart[2] > 3 * apart[0], "depth is uncertain where cameras are close together"
 

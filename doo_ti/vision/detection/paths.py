@@ -81,7 +81,7 @@ class ImagePath:
         return self.seen[self._nearest(arc)]
 
     def followed(self, pixels: np.ndarray, arc: np.ndarray, window: int) -> np.ndarray:
-        """(K,) places along the path nearest to ``pixels`` (K, 2), no further than ``window`` px from ``arc`` (K,), in order."""
+        """(K,) places along the path nearest to ``pixels`` (K, 2), within ``window`` px of ``arc`` (K,), in order."""
         near = np.clip(arc[:, None] + np.arange(-window, window + 1), 0.0, self.length)
         apart = np.linalg.norm(self.at(near) - pixels[:, None], axis=-1)
         return np.maximum.accumulate(near[np.arange(len(arc)), np.nan_to_num(apart, nan=np.inf).argmin(axis=1)])

@@ -1,7 +1,7 @@
 """E_back: how far detected points are from the places of the rod that they are assigned to, as an energy of F (§IV-A).
 
-E_proj asks how far the rod is from the detection. An edge that points at the camera has no image and costs nothing, so a rod may
-leave part of the thread unexplained. Here each detected point belongs to one place of the rod, in order, and
+E_proj asks how far the rod is from the detection. An edge that points at the camera has no image and costs nothing, so a rod
+may leave part of the thread unexplained. Here each detected point belongs to one place of the rod, in order, and
 
     E_back = Σ_c Σ_k w_k ρ(r_k),   r² = (n·δ)² + a (t·δ)²,   δ = p(x_k) − q_k,   ρ(r) = 2 h² (√(1 + r²/h²) − 1)
 
@@ -35,7 +35,7 @@ from doo_ti.vision.reprojection.edge_integral import (
 )
 from doo_ti.vision.reprojection.sampling import CAMERA_COLUMNS, Projection, bent, bent_curvature, bent_slope, camera_table
 
-NU, EDGES, PLACES, SOFT, COLUMNS = CAMERA_COLUMNS, CAMERA_COLUMNS + 1, CAMERA_COLUMNS + 2, CAMERA_COLUMNS + 3, CAMERA_COLUMNS + 4
+NU, EDGES, PLACES, SOFT, COLUMNS = range(CAMERA_COLUMNS, CAMERA_COLUMNS + 5)
 """Columns of a row and camera after the camera's: ν, edges, places of an edge, 1/h²."""
 POINT = 6
 """Numbers of a place in the field: q, √(w n nᵀ + w a t tᵀ) as a symmetric matrix (11, 12, 22), and w."""

@@ -2,8 +2,8 @@
 
     E_cover = Σ_q min(|q − image of the rod|, cap) · 1 px        over the detected points q, one per pixel of line
 
-It is the counterpart of E_proj, which sums distances from the rod's image to the detection: a rod that leaves thread unexplained
-costs as much there as a rod of that image length without detection costs in E_proj.
+It is the counterpart of E_proj, which sums distances from the rod's image to the detection: a rod that leaves thread
+unexplained costs as much there as a rod of that image length without detection costs in E_proj.
 
 Axes: A image sets, C cameras, R rods, V vertices.
 """

@@ -103,7 +103,8 @@ def test_coarse_curvature_is_positive_semidefinite(assigned, rng):
 
 
 def test_wrong_input_is_refused(assigned):
-    for change, word in (({"weight": assigned.weight[:, :2]}, "points, weight"), ({"nu": -1.0}, "nu"), ({"along": 2.0}, "along"),
+    for change, word in (({"weight": assigned.weight[:, :2]}, "points, weight"), ({"nu": -1.0}, "nu"),
+                         ({"along": 2.0}, "along"),
                          ({"weight": -assigned.weight}, "negative"), ({"tangent": assigned.points[..., :1]}, "tangent")):
         with pytest.raises(InputError, match=word):
             AssignedPoints(**({"rig": assigned.rig, "points": assigned.points, "tangent": assigned.tangent,

@@ -1,0 +1,121 @@
+"""Where a rod begins, found in the images: from a clicked pixel, or from two (docs/perception.md).
+
+A click names the end of the detected line that is nearest, or a place on it. In a camera without a click the rod begins at an
+end, or else at a place, of the detected line near the epipolar line of the click. Of several the one is taken whose paths from
+there on belong together best. The curve along these paths says where the rod begins in depth.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from doo_ti.errors import InputError
+from doo_ti.perception.matching import best_matches, curve_of, epipolar_distance
+from doo_ti.perception.traced import PATHS
+from doo_ti.vision.cameras.rig import Rig
+from doo_ti.vision.detection.detect import Detection, thinned
+from doo_ti.vision.detection.paths import free_ends, paths_from
+from doo_ti.vision.reprojection.triangulation import rays
+
+CLICK_PX, END_PX = 30.0, 15.0
+"""A click is this near to the thread; an end this near to a click is meant."""
+EPIPOLAR_PX = 8.0
+"""An end this near to the epipolar line of a click may be its image."""
+MOST_PLACES = 12
+SMOOTH = 1e3
+FAR = 30.0
+"""Distances between cameras: how far away a thread is thought to begin whose rays do not meet in front of them."""
+
+
+def seed_from_pixels(rig: Rig, detections: Sequence[Detection], clicks: Mapping[int, Sequence[float]], source: str
+                     ) -> np.ndarray:
+    """(3,) mm where the rod begins.
+
+    detections  of the C cameras
+    clicks      camera: (u, v) px; one or more
+
+    Raises InputError, naming ``source``, where no thread is near a click, or nothing in another image belongs to it.
+    """
+    places: list[np.ndarray] = []
+    for camera, detection in enumerate(detections):
+        places.append(_clicked(detection, np.asarray(clicks[camera], dtype=float), source) if camera in clicks else np.empty((0, 2)))
+    known = next(camera for camera in range(len(places)) if camera in clicks)
+    for camera, detection in enumerate(detections):
+        if camera not in clicks:
+            places[camera] = _across(rig, known, camera, places[known][0], detection)
+    if len(rig.cameras) > 1 and not all(len(there) for there in places):
+        camera = next(camera for camera, there in enumerate(places) if not len(there))
+        raise InputError(source, "--seed-pixel", f"nothing in the image of {rig.names[camera]} belongs to the pixel",
+                         "give a pixel in that camera, too")
+    best = None
+    for choice in _choices(places):
+        found = _seed(rig, detections, choice)
+        if found is not None and (best is None or found[0] < best[0]):
+            best = found
+    if best is None:
+        raise InputError(source, "--seed-pixel", "no thread can be followed from there", "give another pixel, or --seed-point")
+    return best[1]
+
+
+def _clicked(detection: Detection, click: np.ndarray, source: str) -> np.ndarray:
+    """(1, 2) px: the end near the click, else the place of the line nearest to it."""
+    points = thinned(detection)[0]
+    nearest = points[np.linalg.norm(points - click, axis=1).argmin()]
+    if np.linalg.norm(nearest - click) > CLICK_PX:
+        raise InputError(source, "--seed-pixel", f"{click[0]:g},{click[1]:g}: the nearest thread is "
+                         f"{np.linalg.norm(nearest - click):.0f} px away", "click on the thread")
+    ends = free_ends(detection)
+    if len(ends):
+        apart = np.linalg.norm(ends - click, axis=1)
+        if apart.min() <= END_PX:
+            return ends[[int(apart.argmin())]]
+    return nearest[None]
+
+
+def _across(rig: Rig, known: int, camera: int, pixel: np.ndarray, detection: Detection) -> np.ndarray:
+    """(K, 2) px in ``camera`` that may belong to ``pixel`` of the camera ``known``: ends near its epipolar line, else places of
+    the line on it."""
+    ends, points = free_ends(detection), thinned(detection)[0]
+    if len(ends):
+        apart = epipolar_distance(rig, known, camera, pixel[None], ends)[0]
+        near = np.flatnonzero(apart <= EPIPOLAR_PX)
+        if len(near):
+            return ends[near[np.argsort(apart[near], kind="stable")]][:MOST_PLACES]
+    apart = epipolar_distance(rig, known, camera, pixel[None], points)[0]
+    kept: list[np.ndarray] = []
+    for place in points[np.argsort(apart, kind="stable")][apart.min() + 1.0 >= np.sort(apart)]:
+        if len(kept) < MOST_PLACES and all(np.linalg.norm(place - other) > END_PX for other in kept):
+            kept.append(place)
+    return np.array(kept).reshape(-1, 2)
+
+
+def _choices(places: list[np.ndarray]):
+    """One place of each camera: the first of most cameras, each of those of every camera in turn."""
+    first = [there[0] for there in places]
+    yield first
+    for camera, there in enumerate(places):
+        for other in there[1:]:
+            yield [*first[:camera], other, *first[camera + 1 :]]
+
+
+def _seed(rig: Rig, detections: Sequence[Detection], pixels: Sequence[np.ndarray]) -> tuple[float, np.ndarray] | None:
+    """(cost, point) of the rod that begins at ``pixels`` of the cameras; None where none does."""
+    paths = [paths_from(detection, pixel, None, PATHS) for detection, pixel in zip(detections, pixels, strict=True)]
+    matches = best_matches(rig, paths, 1)
+    if not matches:
+        return None
+    curve, _ = curve_of(rig, matches[0], _between_rays(rig, pixels), SMOOTH, held=0.0)
+    return matches[0].cost, curve[0]
+
+
+def _between_rays(rig: Rig, pixels: Sequence[np.ndarray]) -> np.ndarray:
+    """(3,) mm: the point in front of the first camera that is nearest to the rays of ``pixels``, one of each camera."""
+    ways = np.array([rays(camera, pixel[None])[0] for camera, pixel in zip(rig.cameras, pixels, strict=True)])
+    across = np.eye(3) - ways[:, :, None] * ways[:, None, :]
+    first, centres = rig.cameras[0].centre, np.array([camera.centre for camera in rig.cameras])
+    # Along the first ray, where its distances from the others are least.
+    rate = (across[1:] @ ways[0]).reshape(-1)
+    miss = np.einsum("cij,cj->ci", across[1:], centres[1:] - first).reshape(-1)
+    far = float(rate @ miss / max(rate @ rate, 1e-15)) if len(rate) else 0.0
+    base = np.linalg.norm(centres - first, axis=1).max()
+    return first + ways[0] * (far if far > 0 else max(FAR * base, 1.0))
