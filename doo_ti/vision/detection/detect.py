@@ -8,7 +8,8 @@ First the thread's appearance is measured: dark or light, how wide, how distinct
 of ever coarser images: a line stands out as a ridge at the level that fits its width.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -16,6 +17,7 @@ import numpy as np
 from doo_ti.arguments import typed
 from doo_ti.errors import InputError
 from doo_ti.short_repr import short_repr
+from doo_ti.vision.detection.colour import as_colour, lab, likeness, likeness_table
 from doo_ti.vision.detection.ridge import (
     POINTS_PER_PX,
     REACH_PX,
@@ -43,6 +45,8 @@ STEEPEST = 8000
 """Slope of the thread's edges in the whole numbers that Canny takes."""
 METHODS = ("ridge", "canny")
 POLARITIES = ("dark", "light")
+WIDEST_PX = 40.0
+"""Wider threads are sought in halved images."""
 MOST_WIDTH_PX = 1000.0
 """Largest width of a thread: samples are taken across it."""
 
@@ -57,8 +61,10 @@ class DetectionOptions:
     width_px        of the thread between its edges; None: measured
     least_contrast  grey levels between thread and background; lines that differ less are ignored
     shortest_px     shorter visible pieces are regarded as specks
+    colour          red, green and blue of the thread, 0 to 255: it is then a light line in the likeness to this colour
+    region          left, top, width and height in px of the part of the image where the thread is; None: all of it
 
-    Raises InputError for another method or polarity, and numbers that are not positive.
+    Raises InputError for another method or polarity, numbers that are not positive, and other colours and regions.
     """
 
     __repr__ = short_repr
@@ -68,6 +74,8 @@ class DetectionOptions:
     width_px: float | None = None
     least_contrast: float = 10.0
     shortest_px: float = 10.0
+    colour: Sequence[float] | None = None
+    region: Sequence[int] | None = None
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -80,6 +88,16 @@ class DetectionOptions:
                 raise InputError("detection", name, f"{value}", "give a number above 0")
         if self.width_px is not None and self.width_px > MOST_WIDTH_PX:
             raise InputError("detection", "width_px", f"{self.width_px:g}", f"give {MOST_WIDTH_PX:g} px at most")
+        for name, count, wanted in (("colour", 3, "three numbers from 0 to 255: red, green and blue"),
+                                    ("region", 4, "left, top, width and height in px, at least 16 x 16")):
+            value = getattr(self, name)
+            if value is None:
+                continue
+            numbers = tuple(value)
+            sound = len(numbers) == count and np.isfinite(numbers).all() and min(numbers) >= 0
+            if not sound or (max(numbers) > 255 if name == "colour" else min(numbers[2:]) < 16):
+                raise InputError("detection", name, f"{numbers}", f"give {wanted}")
+            object.__setattr__(self, name, numbers)
 
 
 @typed
@@ -93,7 +111,8 @@ class Detection:
     width_px   median distance between the thread's edges, NaN without a thread
     polarity   "dark" or "light", "" without a thread
     shape      (height, width) of the image
-    method     of :class:`DetectionOptions`
+    method     of :class:`DetectionOptions`, or "mask", "follow"
+    width      (N,) px: the thread's width at each point, as far as it is known; else ``width_px``
     """
 
     points: Annotated[np.ndarray, "N 2"]
@@ -103,6 +122,11 @@ class Detection:
     polarity: str
     shape: tuple[int, int]
     method: str
+    width: Annotated[np.ndarray, "N"] | None = None
+
+    def __post_init__(self) -> None:
+        if self.width is None:
+            object.__setattr__(self, "width", np.full(len(self.points), float(self.width_px)))
 
     @property
     def count(self) -> int:
@@ -127,25 +151,26 @@ class Appearance:
 
 @typed
 def detect(image: np.ndarray, options: DetectionOptions = DetectionOptions()) -> Detection:
-    """The thread's centre line in an image (H, W) of grey levels, 0 to 255.
+    """The thread's centre line in an image with levels from 0 to 255, (H, W) grey or (H, W, 3) in OpenCV's order.
 
-    Raises InputError for an image that is not (H, W) numbers of at least 16 × 16.
+    Raises InputError for an image of another shape or smaller than 16 × 16, and for a region outside.
     """
     image = np.asarray(image)
-    if image.ndim != 2 or min(image.shape) < 16 or image.dtype.kind not in "uif":
-        raise InputError("detection", "image", f"shape {image.shape} of {image.dtype}",
-                         "give (H, W) grey levels, at least 16 x 16")
-    grey = image.astype(np.float32)
-    look = appearance(grey, options.polarity, options.width_px, options.least_contrast)
-    points, direction, strength = np.empty((0, 2)), np.empty((0, 2)), np.empty(0)
+    check_image(image)
+    part, corner = cropped(image, options)
+    if options.colour is not None:
+        line, polarity = likeness(as_colour(part), likeness_table([lab(np.array(options.colour[::-1]))])), "light"
+    else:
+        line, polarity = _grey(part), options.polarity
+    look = appearance(line, polarity, options.width_px, options.least_contrast)
+    points, direction, strength, width = np.empty((0, 2)), np.empty((0, 2)), np.empty(0), np.empty(0)
     if look is not None:
         left, top, right, bottom = look.box
-        find = {"ridge": _ridge_line, "canny": _canny_line}[options.method]
-        points, direction, strength = find(grey[top:bottom, left:right], look, options.least_contrast, options.shortest_px)
+        points, direction, strength, width = _line(line[top:bottom, left:right], look, options)
         points = points + (left, top)
-    if not len(points):
-        return Detection(points, direction, strength, np.nan, "", image.shape, options.method)
-    return Detection(points, direction, strength, look.width_px, look.polarity, image.shape, options.method)
+    found = Detection(points, direction, strength, look.width_px if len(points) else np.nan,
+                      look.polarity if len(points) else "", image.shape[:2], options.method, width)
+    return moved(found, corner)
 
 
 def thinned(detection: Detection) -> tuple[np.ndarray, np.ndarray]:
@@ -157,10 +182,66 @@ def thinned(detection: Detection) -> tuple[np.ndarray, np.ndarray]:
     return detection.points[kept], detection.direction[kept]
 
 
-def _ridge_line(image: np.ndarray, look: Appearance, least_contrast: float,
-                shortest_px: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(N, 2) points, (N, 2) directions and (N,) strengths: ridges at the thread's width, each moved to the middle between the
-    two edges."""
+def check_image(image: np.ndarray) -> None:
+    """Raise InputError for anything but (H, W) or (H, W, 3) numbers of at least 16 × 16."""
+    form = image.ndim in (2, 3) and image.shape[2:] in ((), (3,)) and image.dtype.kind in "uif"
+    if not form or min(image.shape[:2]) < 16:
+        raise InputError("detection", "image", f"shape {image.shape} of {image.dtype}",
+                         "give (H, W) or (H, W, 3) levels, at least 16 x 16")
+
+
+def cropped(image: np.ndarray, options: DetectionOptions) -> tuple[np.ndarray, tuple[int, int]]:
+    """The region of an image, and its corner's x and y. Raises InputError where the image has fewer than 16 × 16 px of it."""
+    if options.region is None:
+        return image, (0, 0)
+    left, top, width, height = (int(value) for value in options.region)
+    part = image[top : top + height, left : left + width]
+    if min(part.shape[:2]) < 16:
+        raise InputError("detection", "region", f"{options.region} has less than 16 x 16 px of the image",
+                         f"give a part of its {image.shape[1]} x {image.shape[0]} px")
+    return part, (left, top)
+
+
+def moved(detection: Detection, corner: tuple[int, int]) -> Detection:
+    """What was detected in a region that begins at ``corner``, in px of the whole image."""
+    return replace(detection, points=detection.points + corner) if any(corner) else detection
+
+
+def _grey(image: np.ndarray) -> np.ndarray:
+    """(H, W) float32."""
+    import cv2
+
+    return (image if image.ndim == 2 else cv2.cvtColor(as_colour(image), cv2.COLOR_BGR2GRAY)).astype(np.float32)
+
+
+def _line(image: np.ndarray, look: Appearance, options: DetectionOptions) -> tuple[np.ndarray, ...]:
+    """(N, 2) points, (N, 2) directions, (N,) strengths and widths in an image (H, W) float32, halved for wide threads."""
+    import cv2
+
+    halvings = max(0, int(np.ceil(np.log2(look.width_px / WIDEST_PX))))
+    for _ in range(halvings):
+        image = cv2.pyrDown(image)
+    scale = 2.0**halvings
+    look = replace(look, width_px=look.width_px / scale, slope=look.slope * scale)
+    find = {"ridge": _ridge_line, "canny": _canny_line}[options.method]
+    points, direction, strength, width = find(image, look, options.least_contrast, options.shortest_px / scale)
+    return in_whole_pixels(scale, points, direction, strength, width)
+
+
+def in_whole_pixels(scale: float, points: np.ndarray, direction: np.ndarray, strength: np.ndarray,
+                    width: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Points with directions, strengths and widths of an image with one pixel for ``scale`` as those of the image itself, again
+    at most a pixel apart."""
+    if scale == 1:
+        return points, direction, strength, width
+    between = np.arange(scale) - (scale - 1) / 2
+    points = (scale * points[:, None] + between[:, None] * direction[:, None]).reshape(-1, 2)
+    return points, *(np.repeat(values, len(between), axis=0) for values in (direction, strength, scale * width))
+
+
+def _ridge_line(image: np.ndarray, look: Appearance, least_contrast: float, shortest_px: float) -> tuple[np.ndarray, ...]:
+    """(N, 2) points, (N, 2) directions, (N,) strengths and widths: ridges at the thread's width, each
+    moved to the middle between the two edges."""
     curvature = Curvature(image, max(SMALLEST_SIGMA, SIGMA_PER_WIDTH * look.width_px))
     certain = max(SURE * curvature.noise(), BAR * least_contrast)
     ridges = curvature.ridges(look.polarity, certain / 2)
@@ -174,7 +255,7 @@ def _ridge_line(image: np.ndarray, look: Appearance, least_contrast: float,
     kept = np.flatnonzero(piece)
     kept = kept[_alike(piece[kept], width[kept], ridges.strength[kept])]
     ridges = ridges[kept]
-    return ridges.point, ridges.tangent, ridges.strength
+    return ridges.point, ridges.tangent, ridges.strength, width[kept]
 
 
 def _alike(piece: np.ndarray, width: np.ndarray, strength: np.ndarray) -> np.ndarray:
@@ -191,9 +272,8 @@ def _alike(piece: np.ndarray, width: np.ndarray, strength: np.ndarray) -> np.nda
 
 # --- the paper's way ----------------------------------------------------------------------------------------------------
 
-def _canny_line(image: np.ndarray, look: Appearance, least_contrast: float,
-                shortest_px: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(N, 2) pixels of the centre line in an image (H, W) float32, their (N, 2) directions and (N,) strengths.
+def _canny_line(image: np.ndarray, look: Appearance, least_contrast: float, shortest_px: float) -> tuple[np.ndarray, ...]:
+    """(N, 2) pixels of the centre line in an image (H, W) float32, their (N, 2) directions, (N,) strengths and widths.
 
     "A Canny edge detector with a blurred, offset Gaussian kernel" (§IV-A): every edge pixel votes for the place half a thread's
     width along the gradient towards the thread's middle; votes are blurred. The centre line lies where votes of both edges
@@ -217,7 +297,8 @@ def _canny_line(image: np.ndarray, look: Appearance, least_contrast: float,
     ridges = curvature.ridges("light", 1e-3)
     ridges = ridges[(meeting[ridges.row, ridges.column] >= MEETING) & (np.abs(ridges.offset) <= REACH_PX)]
     ridges = ridges[pieces(ridges, 0.0, shortest_px) > 0]
-    return np.stack([ridges.column, ridges.row], axis=1).astype(np.float64), ridges.tangent, look.slope * ridges.strength
+    point = np.stack([ridges.column, ridges.row], axis=1).astype(np.float64)
+    return point, ridges.tangent, look.slope * ridges.strength, np.full(len(point), look.width_px)
 
 
 def _meeting(row: np.ndarray, column: np.ndarray, outward: np.ndarray, offset: float, shape: tuple[int, int]) -> np.ndarray:
@@ -236,8 +317,8 @@ def _meeting(row: np.ndarray, column: np.ndarray, outward: np.ndarray, offset: f
 
 # --- the thread's appearance -----------------------------------------------------------------------------------------------
 
-LEVELS = 3
-"""Levels of the pyramid above the image itself: halves to eighths, for threads up to some 40 px wide."""
+LEVELS = 5
+"""Levels of the pyramid above the image itself: halves to 32nds, for threads up to some 150 px wide."""
 SIGMA = 1.2
 """Smoothing, px of a level."""
 SURE = 7.0

@@ -126,6 +126,8 @@ def pieces(ridges: Ridges, strong: float, shortest_px: float) -> np.ndarray:
 # --- the two edges of a line --------------------------------------------------------------------------------------------
 
 STEP_PX = 0.25
+MOST_ROWS = 20_000
+"""Rows that OpenCV samples at once; it takes fewer than 32 768."""
 
 EDGE_SIGMA = 1.0
 """px by which an image is smoothed before edges are sought across a line."""
@@ -169,9 +171,12 @@ def edges_across(gradients: np.ndarray, point: np.ndarray, normal: np.ndarray, p
         return Edges(*np.empty((4, 0)))
     middle = int(np.ceil(reach_px / STEP_PX))
     place = STEP_PX * np.arange(-middle, middle + 1)
-    at = (point[:, None] + place[:, None] * normal[:, None]).astype(np.float32)
-    sampled = cv2.remap(gradients, at[..., 0], at[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-    slope = (sampled * normal[:, None].astype(np.float32)).sum(axis=-1) * (1 if polarity == "dark" else -1)
+    slope = np.empty((len(point), len(place)), dtype=np.float32)
+    for first in range(0, len(point), MOST_ROWS):
+        rows = slice(first, first + MOST_ROWS)
+        at = (point[rows, None] + place[:, None] * normal[rows, None]).astype(np.float32)
+        sampled = cv2.remap(gradients, at[..., 0], at[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+        slope[rows] = (sampled * normal[rows, None].astype(np.float32)).sum(axis=-1) * (1 if polarity == "dark" else -1)
     left, fall = _peak(-slope[:, middle::-1])
     right, rise = _peak(slope[:, middle:])
     left, right, weaker = -left * STEP_PX, right * STEP_PX, np.minimum(fall, rise)
