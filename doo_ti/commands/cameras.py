@@ -10,15 +10,18 @@ from doo_ti.commands.results import counted, report, shortened
 from doo_ti.errors import InputError
 from doo_ti.io.marks import Marks, read_labels, read_marks
 from doo_ti.io.observations import save_observations
+from doo_ti.physical_units import UNITS_IN_MM
 from doo_ti.terminal import in_line, progress
 from doo_ti.vision.cameras.board import FORMS, Board, parse_board
 from doo_ti.vision.cameras.calibration import COEFFICIENTS, WORLDS, Calibration, CalibrationOptions, calibrate
-from doo_ti.vision.cameras.rig import Rig, load_rig, save_rig
+from doo_ti.vision.cameras.rig import Rig, save_rig
 from doo_ti.vision.cameras.views import Views, find_sightings, read_views
 from doo_ti.vision.reprojection.marks import MarkedRods, observe
 from doo_ti.vision.reprojection.triangulation import MarkStatus, Points, TriangulationOptions, triangulate
 
 MOST_LISTED = 20
+LEAST_SPACING_MM = 0.1
+"""Median distance of neighbouring marks below which the rig's unit is doubted."""
 
 
 def declare(add) -> None:
@@ -34,7 +37,7 @@ def declare(add) -> None:
     parser = given.command(add, "triangulate", run_triangulate, "turn labelled marks in images into observations")
     parser.add_argument("marks", metavar="MARKS.csv",
                         help="columns observation,camera,mark,u_px,v_px; ribbons have marks 0L, 0R, 1L …")
-    parser.add_argument("--rig", required=True, metavar="RIG.yaml", help="the calibrated cameras")
+    given.add_rig(parser)
     parser.add_argument("--out", required=True, metavar="OBS", help="file to write: .npz, .csv or .parquet")
     parser.add_argument("--labels", metavar="LABELS.csv",
                         help="columns observation and any of end_distance_mm, end_rotation_deg, total_twist_deg")
@@ -126,7 +129,7 @@ def run_triangulate(options: Namespace, words: list[str]) -> int:
     chosen = TriangulationOptions(options.sigma_px, options.threshold)
     rest_length, up, out = given.length("--rest-length", options.rest_length), given.up(options), given.output_file(options.out)
     given.refuse_overwriting(out, options.marks)
-    rig = load_rig(options.rig)
+    rig = given.rig(options)
     if len(rig.cameras) < 2:
         raise InputError(options.rig, "cameras", "one camera", "triangulation needs two or more")
     marks = read_marks(options.marks, rig)
@@ -134,12 +137,31 @@ def run_triangulate(options: Namespace, words: list[str]) -> int:
     if "total_twist" in labels:
         labels["total_twist"] = np.radians(labels["total_twist"])
     points = triangulate(rig, marks.pixels.reshape(len(rig.cameras), -1, 2), chosen)
+    _check_reading(rig, marks, points, chosen)
     rods = observe(marks, points, rest_length, **({} if up is None else {"up": up}), name=out.stem, **labels)
     out.parent.mkdir(parents=True, exist_ok=True)
     save_observations(out, rods.observations)
     summary = _marks_summary(marks, rig, points, rods, chosen, out)
     report(options, summary, lambda: _marks_lines(marks, summary))
     return 0
+
+
+def _check_reading(rig: Rig, marks: Marks, points: Points, chosen: TriangulationOptions) -> None:
+    """Raise InputError for a rig whose file is probably in another unit, or has poses of another kind."""
+    rods = points.position.reshape(len(marks.names), -1, 3)
+    spacing = np.linalg.norm(np.diff(rods, axis=1), axis=-1)
+    spacing = float(np.median(spacing[np.isfinite(spacing)])) if np.isfinite(spacing).any() else np.nan
+    labelled = (np.isfinite(marks.pixels).all(axis=-1).sum(axis=0) > 1).sum()
+    for other, assumed, option in rig.read_otherwise():
+        if other.reading.poses is None:
+            if LEAST_SPACING_MM <= spacing * UNITS_IN_MM[other.reading.unit] and spacing < LEAST_SPACING_MM:
+                raise InputError(rig.source, "cameras", f"marks are {spacing:.2g} mm apart, unless {assumed}",
+                                 f"give {option}, or --rig-unit mm where that is so")
+        elif 2 * points.valid.sum() < labelled:
+            valid = triangulate(other, marks.pixels.reshape(len(rig.cameras), -1, 2), chosen).valid.sum()
+            if valid > 0.9 * labelled:
+                raise InputError(rig.source, "cameras", f"labels of {labelled - points.valid.sum()} of {labelled} marks "
+                                 f"contradict each other, of {labelled - valid} if {assumed}", f"give {option}")
 
 
 def _marks_summary(marks: Marks, rig: Rig, points: Points, rods: MarkedRods, chosen: TriangulationOptions, out: Path) -> dict:

@@ -58,10 +58,10 @@ def perception_task(options: Namespace) -> PerceptionTask:
     recorded = given.whole("--recorded-sets", options.recorded, 1)
     surroundings = given.surroundings(options)
 
-    from doo_ti.vision.cameras.rig import load_rig
     from doo_ti.vision.detection.detect import DetectionOptions
 
-    sets = _sets(options, load_rig(options.rig))
+    sets = _sets(options, given.rig(options))
+    sets.rig.check_sight(sets.point + rest_length.min() * sets.direction, "the first edge")
     truth = _truth(options, sets.names)
 
     from doo_ti.perception.perceive import PerceptionOptions
@@ -94,10 +94,10 @@ def tracking_task(options: Namespace) -> TrackingTask:
     rest_length = read_rest_length(options.rest_length)
     width, surroundings = given.positive("--width", options.width, "px"), given.surroundings(options)
 
-    from doo_ti.vision.cameras.rig import load_rig
     from doo_ti.vision.detection.detect import DetectionOptions
 
-    frames, time = load_frames(Path(options.frames), load_rig(options.rig))
+    frames, time = load_frames(Path(options.frames), given.rig(options))
+    frames.rig.check_sight(frames.point + rest_length.min() * frames.direction, "the first edge")
     far = None if options.motion is None else _far_motions(Path(options.motion), frames.count)
     inertia, time = _inertia(options, frames.count, time)
     detection = DetectionOptions(polarity=options.polarity, width_px=width)

@@ -17,7 +17,7 @@ import numpy as np
 
 from doo_ti.errors import InputError
 from doo_ti.frames import rotation_matrix
-from doo_ti.vision.cameras.camera import LENS, Camera
+from doo_ti.vision.cameras.camera import FITTED, Camera
 from doo_ti.vision.cameras.least_squares import least_squares
 from doo_ti.vision.cameras.rig import Rig
 
@@ -64,15 +64,15 @@ class Bundle:
     def moved(self, step: np.ndarray) -> "Bundle | None":
         """The bundle after a step (P,), which turns rotations from the left; None for focal lengths that are not positive."""
         count, cameras = len(self.cameras), []
-        for camera, change in zip(self.cameras, step[: count * (LENS + POSE)].reshape(count, -1)):
+        for camera, change in zip(self.cameras, step[: count * (FITTED + POSE)].reshape(count, -1)):
             matrix = camera.matrix.copy()
             matrix[[0, 1, 0, 1], [0, 1, 2, 2]] += change[:4]
             if not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
                 return None
-            cameras.append(replace(camera, matrix=matrix, distortion=camera.distortion + change[4:LENS],
-                                   rotation=rotation_matrix(change[LENS:-3]) @ camera.rotation,
+            cameras.append(replace(camera, matrix=matrix, distortion=camera.distortion + change[4:FITTED],
+                                   rotation=rotation_matrix(change[FITTED:-3]) @ camera.rotation,
                                    translation=camera.translation + change[-3:]))
-        poses = step[count * (LENS + POSE):].reshape(-1, POSE)
+        poses = step[count * (FITTED + POSE):].reshape(-1, POSE)
         return Bundle(tuple(cameras), rotation_matrix(poses[:, :3]) @ self.rotations, self.translations + poses[:, 3:])
 
 
@@ -304,9 +304,9 @@ def adjusted(bundle: Bundle, points: np.ndarray, sightings: list[Sighting], free
 def places(cameras: int, views: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Indices of the lenses (C, 9), the cameras' poses (C, 6) and the board's poses (V, 6) among P unknowns; of a pose first
     the rotation, then t."""
-    of_cameras = np.arange(cameras * (LENS + POSE)).reshape(cameras, -1)
-    of_views = cameras * (LENS + POSE) + np.arange(views * POSE).reshape(views, POSE)
-    return of_cameras[:, :LENS], of_cameras[:, LENS:], of_views
+    of_cameras = np.arange(cameras * (FITTED + POSE)).reshape(cameras, -1)
+    of_views = cameras * (FITTED + POSE) + np.arange(views * POSE).reshape(views, POSE)
+    return of_cameras[:, :FITTED], of_cameras[:, FITTED:], of_views
 
 
 def _normal_equations(bundle: Bundle | None, points: np.ndarray, sightings: list[Sighting], free: np.ndarray):

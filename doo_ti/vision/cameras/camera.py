@@ -1,13 +1,14 @@
 """A calibrated camera: x_cam = R x_world + t, then a lens with radial and tangential distortion, then K (§V-A).
 
 A point y in the camera's axes has the normalised image (X, Y) = (y1, y2)/y3, which the lens bends to b(X, Y), Brown's model
-(1971) with OpenCV's five coefficients,
+(1971) with OpenCV's five coefficients, or eight with those of its rational model,
 
-    b = (X, Y) (1 + k1 r² + k2 r⁴ + k3 r⁶) + (2 p1 X Y + p2 (r² + 2 X²), p1 (r² + 2 Y²) + 2 p2 X Y),    r² = X² + Y².
+    b = (X, Y) R(r²) + (2 p1 X Y + p2 (r² + 2 X²), p1 (r² + 2 Y²) + 2 p2 X Y),    r² = X² + Y²,
+    R(s) = (1 + k1 s + k2 s² + k3 s³) / (1 + k4 s + k5 s² + k6 s³).
 
 The Jacobian of b is symmetric, and so are its second and third derivatives in all indices: all are derivatives of one
-potential. A ``lens`` is fx, fy, cx, cy, k1, k2, p1, p2, k3, and possibly more. The functions of a lens use arithmetic only, so
-that they serve arrays as well as kernels (:mod:`doo_ti.vision.reprojection.sampling`); ``kept`` makes a kernel evaluate a
+potential. A ``lens`` is fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6, and possibly more. The functions use arithmetic only,
+so that they serve arrays as well as kernels (:mod:`doo_ti.vision.reprojection.sampling`); ``kept`` makes a kernel evaluate a
 number once.
 
 Millimetres in the world, pixels in images, pixel (0, 0) at the centre of the upper left one.
@@ -23,8 +24,10 @@ from doo_ti.frames import FRAME_TOLERANCE, handedness, orthonormality_error
 
 COEFFICIENTS = 5
 """Coefficients of distortion: k1, k2, p1, p2, k3."""
-LENS = 4 + COEFFICIENTS
-"""Numbers of a lens."""
+RATIONAL = 8
+"""Coefficients with those of the rational model: k4, k5, k6 as well."""
+FITTED, LENS = 4 + COEFFICIENTS, 4 + RATIONAL
+"""Numbers of a lens: those that calibration fits, and all."""
 MOST_SIDE = 20_000
 """Pixels along a side of an image."""
 LEAST_FOCAL_PX, MOST_PX = 1.0, 1e6
@@ -40,11 +43,27 @@ def _unchanged(value):
     return value
 
 
+def _radial(lens, square, order: int, kept) -> tuple:
+    """R and its derivatives up to this order at ``square``."""
+    k1, k2, _, _, k3, k4, k5, k6 = lens[4:LENS]
+    below = kept(1.0 / (1.0 + square * (k4 + square * (k5 + square * k6))))
+    found = [kept((1.0 + square * (k1 + square * (k2 + square * k3))) * below)]
+    if order:
+        slope = kept(k4 + square * (2.0 * k5 + square * (3.0 * k6)))
+        found.append(kept((k1 + square * (2.0 * k2 + square * (3.0 * k3)) - found[0] * slope) * below))
+    if order > 1:
+        bend = kept(2.0 * k5 + 6.0 * k6 * square)
+        found.append(kept((2.0 * k2 + 6.0 * k3 * square - 2.0 * found[1] * slope - found[0] * bend) * below))
+    if order > 2:
+        found.append(kept((6.0 * k3 - 3.0 * found[2] * slope - 3.0 * found[1] * bend - 6.0 * found[0] * k6) * below))
+    return tuple(found)
+
+
 def bent(lens, x, y, kept=_unchanged):
     """The pixel (u, v) of (X, Y): b, times the focal lengths, from the principal point."""
-    fx, fy, cx, cy, k1, k2, p1, p2, k3 = lens[:LENS]
+    fx, fy, cx, cy, _, _, p1, p2 = lens[:8]
     square = kept(x * x + y * y)
-    radial = kept(1.0 + square * (k1 + square * (k2 + square * k3)))
+    radial, = _radial(lens, square, 0, kept)
     u = x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x)
     v = y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y
     return (fx * u + cx, fy * v + cy)
@@ -52,10 +71,9 @@ def bent(lens, x, y, kept=_unchanged):
 
 def bent_slope(lens, x, y, kept=_unchanged):
     """First derivatives of b: (11, 12, 22)."""
-    k1, k2, p1, p2, k3 = lens[4:LENS]
-    square = kept(x * x + y * y)
-    radial = kept(1.0 + square * (k1 + square * (k2 + square * k3)))
-    growth = kept(2.0 * (k1 + square * (2.0 * k2 + square * (3.0 * k3))))
+    p1, p2 = lens[6:8]
+    radial, slope = _radial(lens, kept(x * x + y * y), 1, kept)
+    growth = kept(2.0 * slope)
     return (
         radial + growth * x * x + 2.0 * p1 * y + 6.0 * p2 * x,
         growth * x * y + 2.0 * p1 * x + 2.0 * p2 * y,
@@ -65,10 +83,9 @@ def bent_slope(lens, x, y, kept=_unchanged):
 
 def bent_curvature(lens, x, y, kept=_unchanged):
     """Second derivatives of b: (111, 112, 122, 222), the same in all orders."""
-    k1, k2, p1, p2, k3 = lens[4:LENS]
-    square = kept(x * x + y * y)
-    growth = kept(2.0 * (k1 + square * (2.0 * k2 + square * (3.0 * k3))))
-    more = kept(4.0 * (2.0 * k2 + 6.0 * k3 * square))
+    p1, p2 = lens[6:8]
+    _, slope, bend = _radial(lens, kept(x * x + y * y), 2, kept)
+    growth, more = kept(2.0 * slope), kept(4.0 * bend)
     return (
         3.0 * growth * x + more * x * x * x + 6.0 * p2,
         growth * y + more * x * x * y + 2.0 * p1,
@@ -79,11 +96,9 @@ def bent_curvature(lens, x, y, kept=_unchanged):
 
 def bent_third(lens, x, y, kept=_unchanged):
     """Third derivatives of b: (1111, 1112, 1122, 1222, 2222), the same in all orders."""
-    k1, k2, p1, p2, k3 = lens[4:LENS]
     square = kept(x * x + y * y)
-    first = kept(k1 + square * (2.0 * k2 + square * (3.0 * k3)))
-    second = kept(2.0 * k2 + 6.0 * k3 * square)
-    third = kept(48.0 * k3)
+    _, first, second, third = _radial(lens, square, 3, kept)
+    third = kept(8.0 * third)
     a, b, c = kept(x * x), kept(x * y), kept(y * y)
     return (
         6.0 * first + 24.0 * second * a + third * a * a,
@@ -100,9 +115,10 @@ class Camera:
     """One calibrated camera.
 
     matrix       (3, 3) K, px: focal lengths and principal point, without skew
-    distortion   (5,) k1, k2, p1, p2, k3
+    distortion   (5,) k1, k2, p1, p2, k3, or (8,) with k4, k5, k6
     rotation     (3, 3) R from world to camera, x right, y down, z forward
     translation  (3,) t, mm
+    turned       its images are turned as their files' orientation tags say; else they are taken as the sensor has them
 
     Raises InputError for sizes that are not positive, shapes that do not match, an R that is no rotation, and numbers beyond
     the bounds stated above.
@@ -116,6 +132,7 @@ class Camera:
     rotation: np.ndarray
     translation: np.ndarray
     source: str = "rig"
+    turned: bool = False
 
     def __post_init__(self) -> None:
         for name, shape in (("matrix", (3, 3)), ("distortion", None), ("rotation", (3, 3)), ("translation", (3,))):
@@ -124,8 +141,11 @@ class Camera:
             value = value if name in ("matrix", "rotation") else value.reshape(-1)
             if name == "distortion" and value.size in (0, 4):
                 value = np.concatenate([value, np.zeros(COEFFICIENTS - value.size)])
-            if value.shape != (shape or (COEFFICIENTS,)) or not np.isfinite(value).all():
-                wanted = f"give {shape or (1, COEFFICIENTS)} numbers"
+            if name == "distortion" and value.size > RATIONAL and not value[RATIONAL:].any():
+                value = value[:RATIONAL]
+            shapes = [shape] if shape else [(COEFFICIENTS,), (RATIONAL,)]
+            if value.shape not in shapes or not np.isfinite(value).all():
+                wanted = f"give {shape or '(1, 5) or (1, 8)'} numbers"
                 raise self._error(KEYS[name], f"shape {value.shape}, or not finite", wanted)
             value.setflags(write=False)
             object.__setattr__(self, name, value)
@@ -149,8 +169,9 @@ class Camera:
 
     @property
     def lens(self) -> np.ndarray:
-        """(9,) fx, fy, cx, cy and the distortion."""
-        return np.concatenate([self.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], self.distortion])
+        """(12,) fx, fy, cx, cy and the distortion."""
+        more = np.zeros(RATIONAL - self.distortion.size)
+        return np.concatenate([self.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], self.distortion, more])
 
     @property
     def centre(self) -> np.ndarray:
@@ -174,12 +195,13 @@ class Camera:
         ray_by_point = np.zeros((*x.shape, 2, 3))
         ray_by_point[..., 0, 0] = ray_by_point[..., 1, 1] = near
         ray_by_point[..., 0, 2], ray_by_point[..., 1, 2] = -x * near, -y * near
-        by_lens, square = np.zeros((*x.shape, 2, LENS)), x * x + y * y
+        by_lens, square = np.zeros((*x.shape, 2, FITTED)), x * x + y * y
+        below = 1 + square * (lens[9] + square * (lens[10] + square * lens[11]))
         for axis, along in enumerate((x, y)):
             by_lens[..., axis, axis] = (pixel[..., axis] - lens[2 + axis]) / focal[axis]
             by_lens[..., axis, 2 + axis] = 1
             for column, power in ((4, 1), (5, 2), (8, 3)):
-                by_lens[..., axis, column] = focal[axis] * along * square**power
+                by_lens[..., axis, column] = focal[axis] * along * square**power / below
             by_lens[..., axis, 6 + axis] = focal[axis] * 2 * x * y
             by_lens[..., axis, 7 - axis] = focal[axis] * (square + 2 * along * along)
         return pixel, by_ray @ ray_by_point, by_lens
@@ -193,3 +215,8 @@ class Camera:
     def depth(self, points: np.ndarray) -> np.ndarray:
         """(...) mm along the optical axis of (..., 3) points in the world."""
         return np.asarray(points, dtype=np.float64) @ self.rotation[2] + self.translation[2]
+
+    def sees(self, points: np.ndarray) -> np.ndarray:
+        """(...) bool: (..., 3) points in the world are in front, and in the image."""
+        pixel = self.project(points)
+        return ((pixel > -0.5) & (pixel < [self.width - 0.5, self.height - 0.5])).all(axis=-1)

@@ -1,10 +1,10 @@
-"""Cameras around a scene, and the file that describes them: OpenCV FileStorage YAML (§V-A).
+"""Cameras around a scene, and the file that describes them: OpenCV FileStorage YAML, or files of others (§V-A).
 
 Axes: C cameras.
 """
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,12 +12,11 @@ import numpy as np
 
 from doo_ti.arguments import typed
 from doo_ti.errors import InputError
-from doo_ti.io.files import read_content, write_text
-from doo_ti.io.opencv_yaml import read_opencv_yaml
-from doo_ti.vision.cameras.camera import COEFFICIENTS, KEYS, Camera
+from doo_ti.io.files import write_text
+from doo_ti.vision.cameras.camera import Camera
+from doo_ti.vision.cameras.foreign import colmap_cameras, own_cameras, read_yaml, stereo_cameras
+from doo_ti.vision.cameras.reading import RigReading, others
 
-MOST_FILE_BYTES = 1 << 20
-"""Of a rig: some thousand cameras."""
 OTHER_COLUMNS = ("name", "frame", "time_s", "view", "seed_x", "seed_y", "seed_z", "dir_x", "dir_y", "dir_z")
 """Of tables that have a column of images for each camera, named as it is."""
 
@@ -25,10 +24,12 @@ OTHER_COLUMNS = ("name", "frame", "time_s", "view", "seed_x", "seed_y", "seed_z"
 @typed
 @dataclass(frozen=True)
 class Rig:
-    """C cameras that look at one scene. Raises InputError for names that occur twice, and for no camera at all."""
+    """C cameras that look at one scene, and how their file was read. Raises InputError for names that occur twice, and for no
+    camera at all."""
 
     cameras: tuple[Camera, ...]
     source: str = "rig"
+    reading: RigReading = RigReading(unit="mm", poses="opencv")
 
     def __post_init__(self) -> None:
         if not self.cameras:
@@ -49,7 +50,24 @@ class Rig:
         for name in names:
             if name not in by_name:
                 raise InputError(self.source, "cameras", f"no camera {name!r}", f"the rig has {', '.join(by_name)}")
-        return Rig(tuple(by_name[name] for name in names), self.source)
+        return Rig(tuple(by_name[name] for name in names), self.source, self.reading)
+
+    def read_otherwise(self) -> Iterator[tuple["Rig", str, str]]:
+        """The rigs of other readings of the same file, what they assume, and the option for it."""
+        for reading, assumed, option in others(self.reading):
+            yield Rig(tuple(reading.applied(camera) for camera in self.cameras), self.source, reading), assumed, option
+
+    def check_sight(self, points: np.ndarray, what: str) -> None:
+        """Raise InputError where cameras do not see ``points`` (N, 3), ``what`` for the caller, but would if their file were in
+        another unit or had poses of another kind; the message names the option for it."""
+        blind = next((camera for camera in self.cameras if not camera.sees(points).all()), None)
+        if blind is None:
+            return
+        for rig, assumed, option in self.read_otherwise():
+            if all(camera.sees(points).all() for camera in rig.cameras):
+                where = "behind" if (blind.depth(points) <= 0).any() else "outside the image of"
+                raise InputError(self.source, "cameras", f"{what} is {where} {blind.name}, but in every image if {assumed}",
+                                 f"give {option}, or correct the seed")
 
 
 def check_camera_names(source: str, names: list[str]) -> None:
@@ -66,41 +84,20 @@ def check_camera_names(source: str, names: list[str]) -> None:
 
 
 @typed
-def load_rig(path: str | os.PathLike[str]) -> Rig:
-    """The rig of an OpenCV FileStorage YAML file: a sequence ``cameras`` of maps name, width, height, K, dist, R, t.
+def load_rig(path: str | os.PathLike[str], reading: RigReading = RigReading()) -> Rig:
+    """The rig of a file: OpenCV FileStorage YAML with a list ``cameras`` of maps name, width, height, K, dist, R, t, or with
+    K1, D1, K2, D2, R, T of a stereo calibration; or COLMAP's cameras.txt and images.txt, by either or their folder.
 
     Raises InputError for a file that cannot be read, for missing entries, and for values that :class:`Camera` refuses.
     """
     path = Path(path)
-    stored = read_content(path, MOST_FILE_BYTES, "name a readable rig")
-    try:
-        content = read_opencv_yaml(stored.decode())
-    except ValueError as error:  # no text, or no YAML
-        raise InputError(path, "file", f"not a rig ({str(error)[:80]})", "give OpenCV FileStorage YAML") from None
-    found = content.get("cameras") if isinstance(content, dict) else None
-    if not isinstance(found, list) or not found:
-        raise InputError(path, "cameras", "missing or empty", "give a sequence of name, width, height, K, dist, R, t")
-    return Rig(tuple(_camera(path, entries, index) for index, entries in enumerate(found)), str(path))
-
-
-def _camera(path: Path, entries, index: int) -> Camera:
-    """One camera of the file."""
-    if not isinstance(entries, dict):
-        raise InputError(path, f"cameras[{index}]", "is no map", "give name, width, height, K, dist, R, t")
-    name = entries.get("name") if isinstance(entries.get("name"), str) else f"cam{index}"
-    size = {}
-    for key in ("width", "height"):
-        size[key] = entries.get(key)
-        if type(size[key]) is not int:
-            raise InputError(path, f"cameras.{name}.{key}", "missing or no whole number", "give the images' size in pixels")
-    values = {}
-    for field, key in KEYS.items():
-        found = entries.get(key)
-        if not isinstance(found, np.ndarray):
-            raise InputError(path, f"cameras.{name}.{key}", "missing or no matrix",
-                             "give K (3, 3), dist (1, 5), R (3, 3), t (3, 1)")
-        values[field] = found
-    return Camera(name=name, **size, **values, source=str(path))
+    if path.is_dir() or path.suffix == ".txt":
+        cameras = colmap_cameras(path if path.is_dir() else path.parent)
+    else:
+        content = read_yaml(path)
+        stereo = stereo_cameras(path, content, reading) if isinstance(content, dict) and "cameras" not in content else None
+        cameras = own_cameras(path, content, reading) if stereo is None else stereo
+    return Rig(tuple(reading.applied(camera) for camera in cameras), str(path), reading)
 
 
 def save_rig(path: str | os.PathLike[str], rig: Rig) -> None:
@@ -115,9 +112,11 @@ def save_rig(path: str | os.PathLike[str], rig: Rig) -> None:
         storage.write("width", camera.width)
         storage.write("height", camera.height)
         storage.write("K", np.array(camera.matrix))
-        storage.write("dist", camera.distortion.reshape(1, COEFFICIENTS).copy())
+        storage.write("dist", camera.distortion.reshape(1, -1).copy())
         storage.write("R", np.array(camera.rotation))
         storage.write("t", camera.translation.reshape(3, 1).copy())
+        if camera.turned:
+            storage.write("orientation", "apply")
         storage.endWriteStruct()
     storage.endWriteStruct()
     write_text(Path(path), storage.releaseAndGetString())

@@ -116,6 +116,7 @@ class ImageSets:
                 raise InputError(self.source, f"{name}: seed", f"{seed.tolist()}, direction of length {size}",
                                  "give finite numbers, and a direction")
         object.__setattr__(self, "direction", self.direction / length)
+        self.rig.check_sight(self.point, "the seed")
         for camera in self.rig.cameras:
             behind = np.flatnonzero(camera.depth(self.point) <= 0)
             if len(behind):

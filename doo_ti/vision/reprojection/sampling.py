@@ -30,7 +30,8 @@ from doo_ti.vision.cameras import camera
 from doo_ti.vision.cameras.rig import Rig
 
 # Columns of a camera: the lens, the square X² + Y² up to which it maps outwards, R by rows and t in mm.
-WIDEST, ROTATION, TRANSLATION, CAMERA_COLUMNS = 9, 10, 19, 22
+WIDEST = camera.LENS
+ROTATION, TRANSLATION, CAMERA_COLUMNS = WIDEST + 1, WIDEST + 10, WIDEST + 13
 NEAREST = 1.0
 """mm: points at less depth are not seen."""
 WIDEST_OF_ALL = 100.0
@@ -39,16 +40,19 @@ WIDEST_OF_ALL = 100.0
 
 def camera_table(rig: Rig) -> np.ndarray:
     """(C, CAMERA_COLUMNS) float64, in the columns above."""
-    return np.array([[*entry.lens, _widest(entry.distortion), *entry.rotation.ravel(), *entry.translation]
+    return np.array([[*entry.lens, _widest(entry.lens), *entry.rotation.ravel(), *entry.translation]
                      for entry in rig.cameras])
 
 
-def _widest(distortion: np.ndarray) -> float:
+def _widest(lens: np.ndarray) -> float:
     """X² + Y² where the radial part of the lens turns back: points beyond it would appear in the image a second time."""
-    k1, k2, _, _, k3 = distortion
-    roots = np.roots([7 * k3, 5 * k2, 3 * k1, 1.0])
-    turning = roots[(np.abs(roots.imag) < 1e-9) & (roots.real > 0)].real
-    return float(min(turning.min(initial=WIDEST_OF_ALL), WIDEST_OF_ALL))
+    k1, k2, _, _, k3, k4, k5, k6 = lens[4:camera.LENS]
+    above, below = np.poly1d([k3, k2, k1, 1.0]), np.poly1d([k6, k5, k4, 1.0])
+    square = np.poly1d([1.0, 0.0])
+    turning = above * below + 2 * square * (above.deriv() * below - above * below.deriv())
+    roots = np.concatenate([turning.roots, below.roots])
+    bounds = roots[(np.abs(roots.imag) < 1e-9) & (roots.real > 0)].real
+    return float(min(bounds.min(initial=WIDEST_OF_ALL), WIDEST_OF_ALL))
 
 
 @traced
@@ -91,8 +95,8 @@ class Projection:
 
     @ti.func
     def lens(self, numbers: ti.template(), c):
-        """(fx, fy, cx, cy, k1, k2, p1, p2, k3, widest) of camera c."""
-        return (self.three(numbers, c, 0) + self.three(numbers, c, 3) + self.three(numbers, c, 6)
+        """(fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6, widest) of camera c."""
+        return (self.three(numbers, c, 0) + self.three(numbers, c, 3) + self.three(numbers, c, 6) + self.three(numbers, c, 9)
                 + (ti.cast(numbers[0, c, WIDEST], self.scalar),))
 
     @ti.func
@@ -129,7 +133,7 @@ class Projection:
         inverse = 1.0 / ti.select(deep, y[2], self.constant(1.0))
         x0 = y[0] * inverse
         x1 = y[1] * inverse
-        seen = deep & (x0 * x0 + x1 * x1 < lens[9])
+        seen = deep & (x0 * x0 + x1 * x1 < lens[WIDEST])
         return ti.select(seen, x0, self.constant(0.0)), ti.select(seen, x1, self.constant(0.0)), inverse, seen
 
     @ti.func
