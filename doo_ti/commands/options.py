@@ -106,15 +106,15 @@ def add_rig(parser: ArgumentParser, required: bool = True) -> None:
     """The cameras, and what their file leaves open; :func:`rig` reads them."""
     from doo_ti.vision.cameras.reading import LENSES, POSES
 
-    parser.add_argument("--rig", required=required, metavar="RIG", help="the calibrated cameras: OpenCV FileStorage YAML, "
-                        "OpenCV's stereo file, or COLMAP's cameras.txt (docs/cameras.md)")
+    parser.add_argument("--rig", required=required, metavar="RIG", help="the calibrated cameras (docs/cameras.md): "
+                        "OpenCV FileStorage YAML, OpenCV's stereo file, or COLMAP's cameras.txt")
     parser.add_argument("--rig-unit", choices=tuple(UNITS_IN_MM), help="unit of lengths in RIG (default mm)")
-    parser.add_argument("--rig-poses", choices=tuple(POSES), help="what R and t in RIG are: world to camera, camera to world, or "
-                        "R and the camera's centre; axes of OpenCV (z forward) or OpenGL (y up) (default opencv)")
+    parser.add_argument("--rig-poses", choices=tuple(POSES), help="what R and t in RIG are: world to camera, camera to world, "
+                        "or R and the camera's centre; axes of OpenCV (z forward) or OpenGL (y up) (default opencv)")
     parser.add_argument("--rig-lens", choices=LENSES, default="opencv", help="model of the lenses in RIG (default opencv)")
     parser.add_argument("--image-size", metavar="WIDTH,HEIGHT", help="size of the images, where RIG does not state it")
-    parser.add_argument("--orientation", choices=("ignore", "apply"), help="whether images are turned as their orientation tags "
-                        "say (default: RIG's, else ignore: pixels as the sensor has them)")
+    parser.add_argument("--orientation", choices=("ignore", "apply"), help="whether images are turned as their orientation "
+                        "tags say (default: RIG's, else ignore: pixels as the sensor has them)")
 
 
 def rig(options: Namespace):

@@ -1,4 +1,5 @@
-"""Calibration boards, a chessboard or ChArUco (a chessboard with markers in its white squares), and their corners in images.
+"""Calibration boards, a chessboard, ChArUco (a chessboard with markers in its white squares) or a grid of circles, and their
+corners or centres in images.
 
 A board's own axes: origin at its first inner corner in reading order, x along a row, y up the page, z out of the page. A
 chessboard has its black corner square at the upper left; to be distinguished from itself after half a turn, it must have an
@@ -14,7 +15,8 @@ import numpy as np
 
 from doo_ti.errors import InputError
 
-FORMS = "chessboard:9x6:10 (inner corners, square in mm) or charuco:9x6:10:7 (squares, square and marker in mm)"
+FORMS = ("chessboard:9x6:10 (inner corners, square in mm), charuco:9x6:10:7 (squares, square and marker in mm), circles:9x6:10 "
+         "(circles, from one to the next in mm) or acircles:4x11:10 (circles in staggered rows, from row to row in mm)")
 DICTIONARY = "DICT_4X4_50"
 
 
@@ -22,10 +24,11 @@ DICTIONARY = "DICT_4X4_50"
 class Board:
     """A flat board with inner corners at known places.
 
-    columns, rows  inner corners of a chessboard, **squares** of a ChArUco board, as OpenCV counts them
-    square         edge of a square, mm
+    columns, rows  inner corners of a chessboard, **squares** of a ChArUco board, circles, as OpenCV counts them
+    square         edge of a square, or distance of circles; in staggered rows the distance from row to row, mm
     marker         edge of a marker, mm; None for a chessboard
     dictionary     of the markers, as ``cv2.aruco`` names it
+    circles        "" for squares; "circles", or "acircles" for staggered rows
 
     Raises InputError for a board too small, one that looks the same after half a turn, markers that do not fit into the
     squares, and a dictionary that is unknown or has too few markers.
@@ -36,6 +39,7 @@ class Board:
     square: float
     marker: float | None = None
     dictionary: str = DICTIONARY
+    circles: str = ""
 
     def __post_init__(self) -> None:
         size = f"{self.columns} x {self.rows}"
@@ -45,6 +49,10 @@ class Board:
             raise InputError("Board", "square", f"squares of {self.square:g} mm", "give the edge of a square in mm")
         if self.marker is not None:
             self._check_markers()
+        elif self.circles:
+            if self.circles == "acircles" and self.rows % 2 == 0:
+                raise InputError("Board", "columns, rows", f"{size} staggered circles look the same after half a turn",
+                                 "use an odd number of rows")
         elif (self.columns + self.rows) % 2 == 0:
             raise InputError("Board", "columns, rows", f"{size} corners look the same after half a turn",
                              "use a board with one number even and the other odd, or ChArUco")
@@ -79,6 +87,8 @@ class Board:
         """(N, 3) mm: the inner corners in the board's own axes, row by row."""
         columns, rows = self.corners
         row, column = np.divmod(np.arange(columns * rows), columns)
+        if self.circles == "acircles":
+            column = 2 * column + row % 2
         return np.stack([self.square * column, -self.square * row, np.zeros(len(row))], axis=-1)
 
     def opencv(self):
@@ -89,16 +99,17 @@ class Board:
 
 
 def parse_board(text: str, source: str = "board") -> Board:
-    """The board that the text of ``--board`` describes, ``chessboard:9x6:10`` or ``charuco:9x6:10:7[:DICTIONARY]``; InputError
-    for anything else."""
+    """The board that the text of ``--board`` describes, ``chessboard:9x6:10``, ``charuco:9x6:10:7[:DICTIONARY]``,
+    ``circles:9x6:10`` or ``acircles:4x11:10``; InputError for anything else."""
     number = r"(\d+(?:\.\d*)?|\.\d+)"
-    match = re.fullmatch(rf"(?:chessboard:(\d+)x(\d+):{number}|charuco:(\d+)x(\d+):{number}:{number}(?::(\w+))?)", text)
-    if match is None:
+    match = re.fullmatch(rf"(chessboard|charuco|a?circles):(\d+)x(\d+):{number}(?::{number}(?::(\w+))?)?", text)
+    if match is None or (match[1] == "charuco") != (match[5] is not None):
         raise InputError(source, "board", f"{text!r}", f"give {FORMS}")
-    columns, rows, square = (match[at] or match[at + 3] for at in (1, 2, 3))
-    marker = None if match[7] is None else float(match[7])
+    kind, columns, rows, square, marker, dictionary = match.groups()
+    circles = kind if kind.endswith("circles") else ""
+    marker = None if marker is None else float(marker)
     try:
-        return Board(int(columns), int(rows), float(square), marker, match[8] or DICTIONARY)
+        return Board(int(columns), int(rows), float(square), marker, dictionary or DICTIONARY, circles)
     except InputError as error:
         raise InputError(source, "board", error.problem, error.remedy) from None
 
@@ -119,10 +130,12 @@ NOTHING = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
 def find_corners(image: np.ndarray, board: Board) -> tuple[np.ndarray, np.ndarray]:
     """(n,) rows of ``board.points`` that are seen in a grey ``image`` (height, width) uint8, and (n, 2) their pixels.
 
-    Of a chessboard either all corners are found or none; of a ChArUco board any six or more that are not all on one line.
+    Of a chessboard or circles either all are found or none; of a ChArUco board any six or more that are not all on one line.
     """
     import cv2
 
+    if board.circles:
+        return _circles(image, board)
     found, rough = _chessboard(image, board) if board.marker is None else _charuco(image, board)
     if len(found) < FEWEST or np.linalg.matrix_rank(board.points[found, :2] - board.points[found[0], :2]) < 2:
         return NOTHING
@@ -145,11 +158,7 @@ def _chessboard(image: np.ndarray, board: Board) -> tuple[np.ndarray, np.ndarray
         seen, corners = cv2.findChessboardCornersSB(image, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
     if not seen:
         return NOTHING
-    grid = np.asarray(corners, dtype=np.float64).reshape(size[1], size[0], 2)
-    # Seen from the front, x to the right and y up the page turn counterclockwise; pixels have y downwards.
-    along, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
-    if along[0] * down[1] - along[1] * down[0] < 0:
-        grid = grid[:, ::-1]
+    grid = _from_the_front(corners, size)
     # The square between the first four corners is black, as is the board's at the upper left.
     middle = (grid[:-1, :-1] + grid[:-1, 1:] + grid[1:, :-1] + grid[1:, 1:]) / 4
     place = np.clip(np.round(middle).astype(int), 0, [image.shape[1] - 1, image.shape[0] - 1])
@@ -157,6 +166,32 @@ def _chessboard(image: np.ndarray, board: Board) -> tuple[np.ndarray, np.ndarray
     even = np.add.outer(np.arange(size[1] - 1), np.arange(size[0] - 1)) % 2 == 0
     if grey[even].mean() > grey[~even].mean():
         grid = grid[::-1, ::-1]
+    return np.arange(size[0] * size[1]), grid.reshape(-1, 2)
+
+
+def _from_the_front(corners: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """(rows, columns, 2) px, turned over where the board would be seen from behind."""
+    grid = np.asarray(corners, dtype=np.float64).reshape(size[1], size[0], 2)
+    # Seen from the front, x to the right and y up the page turn counterclockwise; pixels have y downwards.
+    along, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
+    return grid[:, ::-1] if along[0] * down[1] - along[1] * down[0] < 0 else grid
+
+
+def _circles(image: np.ndarray, board: Board) -> tuple[np.ndarray, np.ndarray]:
+    """All centres or none, in the board's own order. A grid without staggered rows looks the same after half a turn: rows then
+    run rightwards in the image."""
+    import cv2
+
+    size, staggered = board.corners, board.circles == "acircles"
+    seen, centres = cv2.findCirclesGrid(
+        image, size, flags=cv2.CALIB_CB_ASYMMETRIC_GRID if staggered else cv2.CALIB_CB_SYMMETRIC_GRID)
+    if not seen:
+        return NOTHING
+    grid = np.asarray(centres, dtype=np.float64).reshape(size[1], size[0], 2)
+    if not staggered:
+        grid = _from_the_front(centres, size)
+        if grid[0, -1, 0] < grid[0, 0, 0]:
+            grid = grid[::-1, ::-1]
     return np.arange(size[0] * size[1]), grid.reshape(-1, 2)
 
 

@@ -1,4 +1,4 @@
-"""The size that an image file states, before it is unpacked: a few bytes may state one that fills the memory."""
+"""What an image file states before it is unpacked: its size, which may fill the memory, and how the camera was held."""
 
 import re
 import struct
@@ -9,8 +9,12 @@ KNOWN = "PNG, JPEG, TIFF, BMP, PGM or PPM"
 TIFF = {b"II*\0": "<", b"MM\0*": ">"}
 """Beginnings of files, and the order of bytes."""
 _NO_FRAME = (0xC4, 0xC8, 0xCC)
-_WIDTH, _HEIGHT = 256, 257
-"""Tags of TIFF."""
+_WIDTH, _HEIGHT, _ORIENTATION = 256, 257, 274
+"""Tags of TIFF, and of the Exif data of other files, which are in its form."""
+_EXIF = b"Exif\0\0", b"eXIf"
+"""What Exif data follow in JPEG and PNG."""
+_SEARCHED = 1 << 16
+UPRIGHT = 1
 
 
 def stated_size(content: bytes) -> tuple[int, ...]:
@@ -45,12 +49,32 @@ def _of_jpeg(content: bytes) -> tuple[int, ...]:
 
 
 def _of_tiff(content: bytes, order: str) -> tuple[int, ...]:
+    found = _tags(content, order)
+    return tuple(found[tag] for tag in (_WIDTH, _HEIGHT) if tag in found)
+
+
+def _tags(content: bytes, order: str) -> dict[int, int]:
+    """The first numbers of the first directory of a TIFF file."""
     first, = struct.unpack(f"{order}I", content[4:8])
     count, = struct.unpack(f"{order}H", content[first : first + 2])
-    sizes = []
+    found = {}
     for entry in range(first + 2, first + 2 + 12 * count, 12):
         tag, kind = struct.unpack(f"{order}HH", content[entry : entry + 4])
-        if tag in (_WIDTH, _HEIGHT):
-            form = struct.Struct(f"{order}{'H' if kind == 3 else 'I'}")
-            sizes += form.unpack(content[entry + 8 : entry + 8 + form.size])
-    return tuple(sizes)
+        form = struct.Struct(f"{order}{'H' if kind == 3 else 'I'}")
+        found[tag], = form.unpack(content[entry + 8 : entry + 8 + form.size])
+    return found
+
+
+def stated_orientation(content: bytes) -> int:
+    """The orientation tag of an image file: 1 to 8, as Exif numbers them; 1, upright, where there is none."""
+    beginning = content[:_SEARCHED]
+    places = [place + len(mark) for mark in _EXIF if (place := beginning.find(mark)) >= 0]
+    try:
+        for place in [0, *places]:
+            order = TIFF.get(content[place : place + 4])
+            tag = _tags(content[place:], order).get(_ORIENTATION, UPRIGHT) if order else UPRIGHT
+            if 1 < tag <= 8:
+                return tag
+    except struct.error:  # it ends before
+        pass
+    return UPRIGHT

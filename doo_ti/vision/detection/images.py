@@ -8,6 +8,7 @@ out of the whole file, not of a line: a set's score is a sum over cameras, and s
 
 import os
 import sys
+from collections.abc import Iterable
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +21,7 @@ from doo_ti.io.csv_table import CsvTable, read_csv
 from doo_ti.io.files import read_content
 from doo_ti.vision.cameras.camera import MOST_SIDE, Camera
 from doo_ti.vision.cameras.rig import Rig
-from doo_ti.vision.detection.image_size import KNOWN, stated_size
+from doo_ti.vision.detection.image_size import KNOWN, PNG, UPRIGHT, stated_orientation, stated_size
 
 SEED = ("seed_x", "seed_y", "seed_z", "dir_x", "dir_y", "dir_z")
 FEWEST_CAMERAS = 2
@@ -28,35 +29,77 @@ _changing, _silent = Lock(), []
 """One copy of the original standard error for each image that is being decoded."""
 MOST_PIXELS = 100_000_000
 """Of an image: while it is unpacked each takes up to eight bytes."""
+DEPTHS = (8, 10, 12, 14, 16)
+"""Bits of cameras' levels, which files keep in 16."""
 
 
-def read_image(path: str | os.PathLike[str], camera: Camera | None = None) -> np.ndarray:
-    """(H, W) uint8 grey levels of an image file, PNG, JPEG, TIFF, BMP, PGM or PPM, turned as its orientation tag says.
+def read_image(path: str | os.PathLike[str], camera: Camera | None = None, colour: bool = False,
+               turned: bool | None = None) -> np.ndarray:
+    """(H, W) uint8 grey levels of an image file, PNG, JPEG, TIFF, BMP, PGM or PPM, or with ``colour`` (H, W, 3) in OpenCV's
+    order. Deeper images are scaled by the least number of bits that holds their levels, those of fractions by 1.
 
     camera  that took the image
+    turned  turn the image as its orientation tag says; else pixels are where the sensor has them. None: as the camera says
 
     Raises InputError for a file that is missing or is no image, and for another size than the camera's.
     """
     import cv2
 
+    turned = bool(camera is not None and camera.turned) if turned is None else turned
+    flags = (cv2.IMREAD_COLOR if colour else cv2.IMREAD_GRAYSCALE) | cv2.IMREAD_ANYDEPTH
+    return _in_bytes(_decoded(Path(path), camera, flags if turned else flags | cv2.IMREAD_IGNORE_ORIENTATION))
+
+
+def read_mask(path: str | os.PathLike[str], camera: Camera | None = None) -> np.ndarray | None:
+    """(H, W) uint8: how opaque the pixels of an image file are; None where it has no alpha channel, or one that is the same
+    everywhere. Raises InputError as :func:`read_image`."""
+    import cv2
+
+    path = Path(path)
+    if read_content(path, remedy="name a readable image")[: len(PNG)] != PNG:
+        return None
+    image = _decoded(path, camera, cv2.IMREAD_UNCHANGED)
+    alpha = image[..., 3] if image.ndim == 3 and image.shape[2] == 4 else None
+    return None if alpha is None or (alpha == alpha.flat[0]).all() else _in_bytes(alpha)
+
+
+def orientation_tags(paths: Iterable[Path]) -> int:
+    """How many of these image files have tags that say to turn them."""
+    return sum(stated_orientation(read_content(path)) != UPRIGHT for path in paths)
+
+
+def _decoded(path: Path, camera: Camera | None, flags: int) -> np.ndarray:
+    """The image of a file as OpenCV decodes it. Raises InputError."""
+    import cv2
+
     if hasattr(cv2, "setLogLevel"):
         cv2.setLogLevel(0)  # the caller reports on damaged files; OpenCV shall not do so as well
-    path = Path(path)
     stored = np.frombuffer(read_content(path, remedy="name a readable image"), dtype=np.uint8)
     sides = stated_size(stored.tobytes())
     _check_side(path, *sides)  # before it is unpacked: a few bytes may state one that fills the memory
     try:
         with _silenced():
-            image = cv2.imdecode(stored, cv2.IMREAD_GRAYSCALE) if sides else None
+            image = cv2.imdecode(stored, flags) if sides else None
     except cv2.error:
         image = None
     if image is None:
         raise InputError(path, "file", "cannot be read as an image", f"give a {KNOWN} file")
-    _check_side(path, *image.shape)
-    if camera is not None and image.shape != (camera.height, camera.width):
+    _check_side(path, *image.shape[:2])
+    if camera is not None and image.shape[:2] != (camera.height, camera.width):
         raise InputError(path, "size", f"{image.shape[1]} x {image.shape[0]} px, but {camera.name} of {camera.source} takes "
                          f"{camera.width} x {camera.height}", "give the rig's own images, neither scaled nor cropped")
     return image
+
+
+def _in_bytes(image: np.ndarray) -> np.ndarray:
+    """Levels from 0 to 255 of an image of any depth."""
+    if image.dtype == np.uint8:
+        return image
+    levels = np.nan_to_num(image.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
+    most = float(levels.max(initial=0))
+    whole = 1.0 if image.dtype.kind == "f" and most <= 1 else next(
+        (2.0**bits - 1 for bits in DEPTHS if most < 2.0**bits), most)
+    return np.clip(levels * (255 / whole), 0, 255).round().astype(np.uint8)
 
 
 def _check_side(path: Path, *sides: int) -> None:
