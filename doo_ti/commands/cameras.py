@@ -1,10 +1,12 @@
 """Cameras: a rig from images of a board, and observations from labelled marks (§V-A)."""
 
 from argparse import Namespace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from doo_ti.commands import image_options
 from doo_ti.commands import options as given
 from doo_ti.commands.results import counted, report, shortened
 from doo_ti.errors import InputError
@@ -34,10 +36,11 @@ def declare(add) -> None:
                         "page, z out of it)")
     parser.add_argument("--distortion", type=int, choices=COEFFICIENTS, default=4,
                         help="how many of k1, k2, p1, p2, k3 to fit (default 4)")
+    image_options.add_orientation(parser, "ignore; RIG.yaml keeps it")
     parser = given.command(add, "triangulate", run_triangulate, "turn labelled marks in images into observations")
     parser.add_argument("marks", metavar="MARKS.csv",
                         help="columns observation,camera,mark,u_px,v_px; ribbons have marks 0L, 0R, 1L …")
-    given.add_rig(parser)
+    image_options.add_rig(parser)
     parser.add_argument("--out", required=True, metavar="OBS", help="file to write: .npz, .csv or .parquet")
     parser.add_argument("--labels", metavar="LABELS.csv",
                         help="columns observation and any of end_distance_mm, end_rotation_deg, total_twist_deg")
@@ -56,19 +59,21 @@ def run_calibrate(options: Namespace, words: list[str]) -> int:
     """Corners in all images, then intrinsics and extrinsics; writes the rig and prints how well each image agrees."""
     board, out = parse_board(options.board), given.output_file(options.out, ".yaml")
     views = read_views(Path(options.views))
-    sightings, sizes = _searched(views, board)
+    turned = options.orientation == "apply"
+    sightings, sizes = _searched(views, board, turned)
     chosen = CalibrationOptions(world=options.world, distortion=options.distortion)
     calibration = calibrate(board.points, sightings, sizes, len(views.names), chosen, views.source)
-    save_rig(out, calibration.rig)
+    save_rig(out, Rig(tuple(replace(camera, turned=turned) for camera in calibration.rig.cameras)))
     summary = _calibration_summary(views, calibration, out)
+    summary["orientation"] = image_options.orientation_note(views.images.values(), turned)
     report(options, summary, lambda: _calibration_lines(views, calibration, summary))
     return 0
 
 
-def _searched(views: Views, board: Board):
+def _searched(views: Views, board: Board, turned: bool):
     with progress() as bar:
         task = bar.add_task("corners", total=len(views.images), unit="images")
-        return find_sightings(views, board, lambda: bar.advance(task))
+        return find_sightings(views, board, lambda: bar.advance(task), turned)
 
 
 def _calibration_summary(views: Views, calibration: Calibration, out: Path) -> dict:
@@ -118,6 +123,8 @@ def _calibration_lines(views: Views, calibration: Calibration, summary: dict) ->
                      f"{down:.1f} px ± {camera['focal_sigma_px'].max():.2f}")
     if summary["without_board"]:
         lines.append(f"no board found in {len(summary['without_board'])} of {len(summary['images'])} images")
+    if summary["orientation"]:
+        lines.append(f"orientation: {summary['orientation']}")
     return [*lines, f"written to {in_line(summary['out'])}"]
 
 
@@ -129,7 +136,7 @@ def run_triangulate(options: Namespace, words: list[str]) -> int:
     chosen = TriangulationOptions(options.sigma_px, options.threshold)
     rest_length, up, out = given.length("--rest-length", options.rest_length), given.up(options), given.output_file(options.out)
     given.refuse_overwriting(out, options.marks)
-    rig = given.rig(options)
+    rig = image_options.rig(options)
     if len(rig.cameras) < 2:
         raise InputError(options.rig, "cameras", "one camera", "triangulation needs two or more")
     marks = read_marks(options.marks, rig)

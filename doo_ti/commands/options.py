@@ -16,7 +16,7 @@ from doo_ti.errors import InputError
 from doo_ti.grid import UNITS, Axis, Grid, parse_axes, parse_axis
 from doo_ti.io.formats import checked_suffix
 from doo_ti.io.scene import CLAMPS, PRECISIONS
-from doo_ti.physical_units import UNITS_IN_MM, bend_or_twist, force_in_newton, weight_per_length
+from doo_ti.physical_units import bend_or_twist, force_in_newton, weight_per_length
 from doo_ti.types import LARGEST, Clamp, unit_up
 
 SOURCE = "command line"
@@ -100,50 +100,6 @@ def add_obstacles(parser: ArgumentParser, friction: str) -> None:
     group.add_argument("--obstacles", metavar="FILE.toml",
                        help="[[obstacles]], each a plane, sphere, capsule, cylinder, ring, box, grid or the rod itself; in mm")
     group.add_argument("--radius", metavar="MM", help="radius of the rods, needed with --obstacles")
-
-
-def add_rig(parser: ArgumentParser, required: bool = True) -> None:
-    """The cameras, and what their file leaves open; :func:`rig` reads them."""
-    from doo_ti.vision.cameras.reading import LENSES, POSES
-
-    parser.add_argument("--rig", required=required, metavar="RIG", help="the calibrated cameras (docs/cameras.md): "
-                        "OpenCV FileStorage YAML, OpenCV's stereo file, or COLMAP's cameras.txt")
-    parser.add_argument("--rig-unit", choices=tuple(UNITS_IN_MM), help="unit of lengths in RIG (default mm)")
-    parser.add_argument("--rig-poses", choices=tuple(POSES), help="what R and t in RIG are: world to camera, camera to world, "
-                        "or R and the camera's centre; axes of OpenCV (z forward) or OpenGL (y up) (default opencv)")
-    parser.add_argument("--rig-lens", choices=LENSES, default="opencv", help="model of the lenses in RIG (default opencv)")
-    parser.add_argument("--image-size", metavar="WIDTH,HEIGHT", help="size of the images, where RIG does not state it")
-    parser.add_argument("--orientation", choices=("ignore", "apply"), help="whether images are turned as their orientation "
-                        "tags say (default: RIG's, else ignore: pixels as the sensor has them)")
-
-
-def rig(options: Namespace):
-    """The Rig of ``--rig``, as the other options say."""
-    from doo_ti.vision.cameras.reading import RigReading
-    from doo_ti.vision.cameras.rig import load_rig
-
-    size = None
-    if options.image_size is not None:
-        size = tuple(int(side) for side in numbers("--image-size", options.image_size))
-        if len(size) != 2:
-            raise InputError(SOURCE, "--image-size", f"{len(size)} numbers", "give WIDTH,HEIGHT")
-    turned = None if options.orientation is None else options.orientation == "apply"
-    return load_rig(options.rig, RigReading(options.rig_unit, options.rig_poses, options.rig_lens, turned, size))
-
-
-def add_seen_rod(parser: ArgumentParser) -> None:
-    """The cameras, and the known properties of the rod."""
-    add_rig(parser)
-    parser.add_argument("--rest-length", required=True, metavar="MM:COUNT|FILE",
-                        help="lengths of the rod's edges: COUNT edges of MM each, a .npz with rest_length_mm, or a text file")
-    add_up(parser, "0,0,1 in the rig's world")
-
-
-def add_thread(parser: ArgumentParser) -> None:
-    """How the rod looks in images; ``parser`` may be a group of arguments."""
-    parser.add_argument("--polarity", choices=("dark", "light"), help="whether the thread is darker or lighter than the "
-                        "background (default: decided per image)")
-    parser.add_argument("--width", metavar="PX", help="width of the thread in the images (default: measured)")
 
 
 # --- reading -------------------------------------------------------------------------------------------------------------

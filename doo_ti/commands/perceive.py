@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import loading
+from doo_ti.commands import image_options, loading
 from doo_ti.commands import options as given
 from doo_ti.commands.results import RODS, counted, report, save_arrays, shortened
 from doo_ti.commands.seen_rods import GUESSED_BEND, RECORDED, PerceptionTask, perception_task
@@ -28,7 +28,7 @@ MOST_LISTED = 60
 def declare(add) -> None:
     parser = given.command(add, "perceive", run, "recover rods from images (§IV-A, Algorithm 1)")
     parser.add_argument("images", nargs="*", metavar="IMAGE", help="for a single set: one image per camera of the rig")
-    given.add_seen_rod(parser)
+    image_options.add_seen_rod(parser)
     parser.add_argument("--sets", metavar="SETS.csv", help="many sets of images with their seeds, instead of IMAGEs")
     parser.add_argument("--seed-point", metavar="X,Y,Z", help="start v⁰ of the rod in a single set, mm")
     parser.add_argument("--seed-direction", metavar="X,Y,Z", help="direction e⁰ of the rod at its start in a single set")
@@ -42,7 +42,7 @@ def declare(add) -> None:
     search.add_argument("--hypotheses", metavar="H", help="hypotheses kept for each set and step (default 40)")
     search.add_argument("--detector", choices=("ridge", "canny"), default="ridge",
                         help="detector of the thread (default ridge; canny is the paper's)")
-    given.add_thread(search)
+    image_options.add_thread(search)
     given.add_obstacles(parser, "without friction; the first run compiles for minutes")
     shown = parser.add_argument_group("pictures and recording")
     shown.add_argument("--truth", metavar="OBS", help="true rods to draw, and to compare with where they have as "
@@ -75,11 +75,9 @@ def run(options: Namespace, words: list[str]) -> int:
 
 def _detected(task: PerceptionTask, bar) -> list[list]:
     """A lists of C detections. Raises InputError for the first image that does not fit the rig or shows no thread."""
-    from doo_ti.vision.detection.detect import detect
-    from doo_ti.vision.detection.images import read_image
 
     def found(path: Path, camera):
-        detection = detect(read_image(path, camera), task.detection)
+        detection = task.sight.detected(path, camera)
         if not detection.count:
             raise InputError(path, "image", "no thread was found in it", "leave the set out, or give --polarity and --width")
         return detection
@@ -204,6 +202,8 @@ def _summary(task: PerceptionTask, detected: list[list], found, written: list[Pa
         "found": _found(found).sum(),
         "verdicts": {_word(verdict): (found.verdict == verdict).sum() for verdict in PerceptionVerdict},
         "guessed_bend_mm3": GUESSED_BEND if task.guessed else None,
+        "orientation": image_options.orientation_note(
+            (path for line in task.sets.paths for path in line), task.sets.rig.cameras[0].turned),
         "written": [str(path) for path in written],
     }
 
@@ -242,6 +242,7 @@ def _lines(summary: dict) -> list[str]:
         f"{summary['not_certified']} did not",
         f"  verdicts    {counted(summary['verdicts'])} (docs/perception.md)",
         *([] if guess is None else [f"  stiffness   none given: bend {guess:g} mm³ (docs/perception.md)"]),
+        *([] if summary["orientation"] is None else [f"  orientation {summary['orientation']}"]),
         *(f"  written to  {in_line(path)}" for path in summary["written"])]
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import loading
+from doo_ti.commands import image_options, loading
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import is_dynamic, losses
 from doo_ti.commands.rest_length import read_rest_length
@@ -38,7 +38,7 @@ class PerceptionTask:
     rest_length: np.ndarray
     material: Material
     search: object  # PerceptionOptions
-    detection: object  # DetectionOptions
+    sight: object  # Sight
     up: np.ndarray
     truth: np.ndarray | None
     recorded: int
@@ -53,14 +53,12 @@ def perception_task(options: Namespace) -> PerceptionTask:
         options.bend = repr(GUESSED_BEND)
     grid, up = given.round_cell(options, "perceived"), given.world_up(options)
     rest_length = read_rest_length(options.rest_length)
-    nu, width = given.positive("--nu", options.nu), given.positive("--width", options.width, "px")
+    nu = given.positive("--nu", options.nu)
     hypotheses = given.whole("--hypotheses", options.hypotheses, 1, MOST_HYPOTHESES)
     recorded = given.whole("--recorded-sets", options.recorded, 1)
     surroundings = given.surroundings(options)
 
-    from doo_ti.vision.detection.detect import DetectionOptions
-
-    sets = _sets(options, given.rig(options))
+    sets = _sets(options, image_options.rig(options))
     sets.rig.check_sight(sets.point + rest_length.min() * sets.direction, "the first edge")
     truth = _truth(options, sets.names)
 
@@ -68,8 +66,7 @@ def perception_task(options: Namespace) -> PerceptionTask:
 
     chosen = {"nu": nu, "hypotheses": hypotheses}
     search = PerceptionOptions(**{name: value for name, value in chosen.items() if value is not None})
-    detection = DetectionOptions(options.detector, options.polarity, width)
-    return PerceptionTask(sets, rest_length, grid.materials(), search, detection,
+    return PerceptionTask(sets, rest_length, grid.materials(), search, image_options.sight(options, sets, options.detector),
                           up, truth, 0 if options.no_recording else recorded or RECORDED, surroundings, guessed)
 
 
@@ -81,7 +78,7 @@ class TrackingTask:
     time: np.ndarray | None
     rest_length: np.ndarray
     material: Material
-    detection: object  # DetectionOptions
+    sight: object  # Sight
     up: np.ndarray
     far: list | None  # of Motion
     inertia: object  # Inertia of rods that move fast, whose frames have times, or None
@@ -92,16 +89,13 @@ def tracking_task(options: Namespace) -> TrackingTask:
     """Raises InputError naming the option or file at fault."""
     grid, up = given.round_cell(options, "tracked"), given.world_up(options)
     rest_length = read_rest_length(options.rest_length)
-    width, surroundings = given.positive("--width", options.width, "px"), given.surroundings(options)
-
-    from doo_ti.vision.detection.detect import DetectionOptions
-
-    frames, time = load_frames(Path(options.frames), given.rig(options))
+    surroundings = given.surroundings(options)
+    frames, time = load_frames(Path(options.frames), image_options.rig(options))
     frames.rig.check_sight(frames.point + rest_length.min() * frames.direction, "the first edge")
     far = None if options.motion is None else _far_motions(Path(options.motion), frames.count)
     inertia, time = _inertia(options, frames.count, time)
-    detection = DetectionOptions(polarity=options.polarity, width_px=width)
-    return TrackingTask(frames, time, rest_length, grid.materials(), detection, up, far, inertia, surroundings)
+    sight = image_options.sight(options, frames)
+    return TrackingTask(frames, time, rest_length, grid.materials(), sight, up, far, inertia, surroundings)
 
 
 def _inertia(options: Namespace, count: int, time: np.ndarray | None) -> tuple:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from doo_ti.commands import image_options
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import add_dynamic
 from doo_ti.commands.perceive import LEAST_SIGMA_MM
@@ -25,13 +26,13 @@ LEAST_SHOWN = 0.01
 
 def declare(add) -> None:
     parser = given.command(add, "track", run, "follow a rod through a video")
-    given.add_seen_rod(parser)
+    image_options.add_seen_rod(parser)
     parser.add_argument("--frames", required=True, metavar="FRAMES.csv",
                         help="columns frame, one of images per camera, time_s (optional), and the seed: seed_x … dir_z")
     parser.add_argument("--out", required=True, metavar="F.npz|F.csv", help="file to write; F.rrd is written beside it")
     given.add_material(parser, "one number each; tracked rods are round", round_rod=True)
     parser.add_argument("--motion", metavar="PATH", help="poses of the far clamp, one moment for each frame: .npz or .csv")
-    given.add_thread(parser)
+    image_options.add_thread(parser)
     given.add_obstacles(parser, "without friction, but of rods with inertia; the first run compiles for minutes")
     add_dynamic(parser, "frames per second (default: by their time_s)", SUBSTEPS, tolerance=False)
     parser.add_argument("--no-recording", action="store_true", help="do not write F.rrd")
@@ -86,13 +87,10 @@ def _tracked(task: TrackingTask) -> tuple[list, str | None]:
 
 def _detected(task: TrackingTask) -> Iterator[list]:
     """C detections of each frame, found while others are tracked."""
-    from doo_ti.vision.detection.detect import detect
-    from doo_ti.vision.detection.images import read_image
-
     cameras = task.frames.rig.cameras
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         def detections_of(row: int) -> list:
-            return [threads.submit(lambda path, camera: detect(read_image(path, camera), task.detection), path, camera)
+            return [threads.submit(task.sight.detected, path, camera)
                     for path, camera in zip(task.frames.paths[row], cameras, strict=True)]
 
         waiting = [detections_of(row) for row in range(min(AHEAD, task.frames.count))]
@@ -126,6 +124,8 @@ def _summary(task: TrackingTask, result: dict, written: list[Path]) -> dict:
         **{each.name.lower(): result["name"][how == each] for each in How},
         "stable": result["stable"].sum(),
         "camera_error_px": error[np.isfinite(error)].mean() if (how < How.LOST).any() else None,
+        "orientation": image_options.orientation_note(
+            (path for line in task.frames.paths for path in line), task.frames.rig.cameras[0].turned),
         "written": [str(path) for path in written],
     }
 
@@ -141,4 +141,6 @@ def _lines(summary: dict) -> list[str]:
         off = summary["camera_error_px"]
         lines.append(f"  images      {f'{off:.2f}' if off >= LEAST_SHOWN else f'less than {LEAST_SHOWN}'} px off on average; "
                      f"{summary['stable']} rods certified stable")
+    if summary["orientation"]:
+        lines.append(f"  orientation {summary['orientation']}")
     return lines + [f"  written to  {in_line(path)}" for path in summary["written"]]

@@ -54,17 +54,18 @@ def read_views(path: Path) -> Views:
     return Views(names, cameras, images, str(path))
 
 
-def find_sightings(views: Views, board: Board,
-                   advance: Callable[[], object] = lambda: None) -> tuple[list[Sighting], dict[str, tuple[int, int]]]:
+def find_sightings(views: Views, board: Board, advance: Callable[[], object] = lambda: None,
+                   turned: bool = False) -> tuple[list[Sighting], dict[str, tuple[int, int]]]:
     """The board's corners in all images that show it, and the width and height of each camera's images.
 
     advance  called after each image
+    turned   images are turned as their orientation tags say
 
     Raises InputError for an image that cannot be read and for one of another size than the camera's others.
     """
     sightings, sizes = [], {}
     for (view, camera), path in sorted(views.images.items()):
-        image = read_image(path)
+        image = read_image(path, turned=turned)
         size = image.shape[1], image.shape[0]
         if sizes.setdefault(camera, size) != size:
             raise InputError(path, "size", f"{size[0]} x {size[1]} px, but {views.cameras[camera]}'s first image has "

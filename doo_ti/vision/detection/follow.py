@@ -35,6 +35,8 @@ WORKING_WIDTH = 16.0
 LEAST_TOLERANCE = 5.0
 WITHIN = 0.5
 """Share of the largest ratio of difference and scatter up to which a place is within the thread."""
+SURE = 5.0
+"""Ratio from which on a place is within the thread in any case: its stripes may differ."""
 LEVEL = 3.0
 """Lab: scatter without noise."""
 AHEAD, SHARPEST, ARCS = 6.0, 0.35, 21
@@ -195,8 +197,12 @@ def _looked(image, path, middle: int, line: _Line, before) -> tuple[_Line, tuple
     ratio = difference / (scatter + LEVEL)
     near = np.flatnonzero(np.abs(offset) <= max(line.width / 2, 0.5))
     top = near[np.argmax(ratio[near])]
-    outside = np.flatnonzero(ratio <= WITHIN * ratio[top])
+    outside = np.flatnonzero(ratio <= min(WITHIN * ratio[top], SURE))
     first, last = outside[outside < top].max(initial=-1) + 1, outside[outside > top].min(initial=len(offset)) - 1
+    # The edges, blurred, are where half of the outermost stripe's difference is reached.
+    third = max(1, (last - first) // 3)
+    outer, inner = difference[first : first + third], difference[last - third + 1 : last + 1]
+    first, last = first + int(np.argmax(outer >= outer.max() / 2)), last - int(np.argmax(inner[::-1] >= inner.max() / 2))
     width = offset[last] - offset[first] + 0.5
     line = _Line(path[middle], float(np.arctan2(along[middle, 1], along[middle, 0])), line.width)
     if first == 0 or last == len(offset) - 1 or not line.width / 2 <= width <= 2 * line.width:

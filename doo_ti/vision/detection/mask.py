@@ -17,6 +17,7 @@ from doo_ti.vision.detection.ridge import REACH_PX, Curvature, pieces
 SIGMA = 1.0
 CREST = 0.8
 """Least second derivative over that of a full roof."""
+LABELS = 16
 WORKING_WIDTH = 16.0
 """px: masks of wider threads are halved, so that their rough borders are smoothed."""
 LARGEST_HOLE = 20
@@ -24,8 +25,9 @@ LARGEST_HOLE = 20
 
 
 def detect_mask(mask: np.ndarray, options: DetectionOptions = DetectionOptions()) -> Detection:
-    """The centre line of a mask (H, W), any numbers: the thread is where they exceed half of the largest. Of ``options`` its
-    ``shortest_px`` and ``region`` are used.
+    """The centre line of a mask (H, W) of any numbers. With at most LABELS different ones the thread is where they are not 0;
+    with more, in a smoothed mask, where they exceed half of the largest. Of ``options`` its ``shortest_px`` and ``region``
+    are used.
 
     Raises InputError for anything else, and for masks smaller than 16 × 16.
     """
@@ -33,7 +35,8 @@ def detect_mask(mask: np.ndarray, options: DetectionOptions = DetectionOptions()
     if mask.ndim != 2 or min(mask.shape) < 16 or mask.dtype.kind not in "buif":
         raise InputError("detection", "mask", f"shape {mask.shape} of {mask.dtype}", "give (H, W) numbers, at least 16 x 16")
     part, corner = cropped(mask, options)
-    roof, scale = _roof(_cleaned(part > mask.max() / 2))
+    least = 0 if len(np.unique(mask)) <= LABELS else mask.max() / 2
+    roof, scale = _roof(_cleaned(part > least))
     ridges = Curvature(roof, SIGMA).ridges("light", 0.1)
     half = roof[ridges.row, ridges.column].astype(np.float64)
     full = 2 * SIGMA / np.sqrt(2 * np.pi) * (1 - np.exp(-0.5 * (half / SIGMA) ** 2))

@@ -1,0 +1,94 @@
+"""Options on cameras, their images, and how the rod looks in them, shared by commands."""
+
+from argparse import ArgumentParser, Namespace
+from collections.abc import Iterable
+from pathlib import Path
+
+from doo_ti.commands import options as given
+from doo_ti.errors import InputError
+from doo_ti.physical_units import UNITS_IN_MM
+from doo_ti.vision.cameras.reading import LENSES, POSES, RigReading
+from doo_ti.vision.cameras.rig import Rig, load_rig
+
+
+def add_rig(parser: ArgumentParser) -> None:
+    """The cameras, and what their file leaves open; :func:`rig` reads them."""
+    parser.add_argument("--rig", required=True, metavar="RIG", help="the calibrated cameras (docs/cameras.md): "
+                        "OpenCV FileStorage YAML, OpenCV's stereo file, or COLMAP's cameras.txt")
+    parser.add_argument("--rig-unit", choices=tuple(UNITS_IN_MM), help="unit of lengths in RIG (default mm)")
+    parser.add_argument("--rig-poses", choices=tuple(POSES), help="what R and t in RIG are: world to camera, camera to world, "
+                        "or R and the camera's centre; axes of OpenCV (z forward) or OpenGL (y up) (default opencv)")
+    parser.add_argument("--rig-lens", choices=LENSES, default="opencv", help="model of the lenses in RIG (default opencv)")
+    parser.add_argument("--image-size", metavar="WIDTH,HEIGHT", help="size of the images, where RIG does not state it")
+    add_orientation(parser, "RIG's, else ignore")
+
+
+def add_orientation(parser: ArgumentParser, default: str) -> None:
+    parser.add_argument("--orientation", choices=("ignore", "apply"), help="whether images are turned as their orientation "
+                        f"tags say, or pixels are where the sensor has them (default: {default})")
+
+
+def rig(options: Namespace) -> Rig:
+    """The Rig of ``--rig``, as the other options say."""
+    size = None
+    if options.image_size is not None:
+        size = tuple(int(side) for side in given.numbers("--image-size", options.image_size))
+        if len(size) != 2:
+            raise InputError(given.SOURCE, "--image-size", f"{len(size)} numbers", "give WIDTH,HEIGHT")
+    turned = None if options.orientation is None else options.orientation == "apply"
+    return load_rig(options.rig, RigReading(options.rig_unit, options.rig_poses, options.rig_lens, turned, size))
+
+
+def add_seen_rod(parser: ArgumentParser) -> None:
+    """The cameras, and the known properties of the rod."""
+    add_rig(parser)
+    parser.add_argument("--rest-length", required=True, metavar="MM:COUNT|FILE",
+                        help="lengths of the rod's edges: COUNT edges of MM each, a .npz with rest_length_mm, or a text file")
+    given.add_up(parser, "0,0,1 in the rig's world")
+
+
+def add_thread(parser: ArgumentParser) -> None:
+    """How the rod looks in images; ``parser`` may be a group of arguments."""
+    parser.add_argument("--polarity", choices=("dark", "light"), help="whether the thread is darker or lighter than the "
+                        "background (default: decided per image)")
+    parser.add_argument("--width", metavar="PX", help="width of the thread in the images (default: measured)")
+    parser.add_argument("--colour", metavar="R,G,B", help="colour of the thread, 0 to 255 each, instead of --polarity")
+    parser.add_argument("--masks", nargs="+", metavar="MASK|FOLDER", help="segmented images, instead of detection: one for "
+                        "each camera, or a folder with masks named as the images are (default: alpha channels of the images)")
+    parser.add_argument("--region", action="append", metavar="CAMERA:X,Y,W,H",
+                        help="part of a camera's images where the thread is; once for each camera")
+
+
+def sight(options: Namespace, sets, method: str = "ridge"):
+    """The Sight that :func:`add_thread` describes, of the images in ``sets``."""
+    from doo_ti.vision.detection.detect import DetectionOptions
+    from doo_ti.vision.detection.sight import Sight
+
+    colour = None if options.colour is None else tuple(given.numbers("--colour", options.colour))
+    regions = {}
+    for text in options.region or ():
+        camera, _, box = text.rpartition(":")
+        if camera not in sets.rig.names:
+            raise InputError(given.SOURCE, "--region", f"no camera {camera!r}",
+                             f"give CAMERA:X,Y,W,H; the rig has {', '.join(sets.rig.names)}")
+        regions[camera] = tuple(int(value) for value in given.numbers("--region", box))
+        DetectionOptions(region=regions[camera])
+    masks = None if options.masks is None else [Path(mask) for mask in options.masks]
+    if masks is not None and len(masks) == 1 and masks[0].is_dir():
+        masks = masks[0]
+    elif masks is not None:
+        if sets.count > 1 or len(masks) != len(sets.rig.cameras):
+            raise InputError(given.SOURCE, "--masks", f"{len(masks)} for {sets.count} sets of {len(sets.rig.cameras)} images",
+                             "give one for each camera of a single set, or a folder")
+        masks = dict(zip(sets.paths[0], masks))
+    width = given.positive("--width", options.width, "px")
+    return Sight(DetectionOptions(method, options.polarity, width, colour=colour), regions, masks)
+
+
+def orientation_note(paths: Iterable[Path], turned: bool) -> str | None:
+    """What to say of images with orientation tags; None where there are none."""
+    from doo_ti.vision.detection.images import orientation_tags
+
+    count = orientation_tags(paths)
+    did, other = ("applied", "ignore") if turned else ("ignored", "apply")
+    return f"{count} images have tags, which are {did}; else --orientation {other}" if count else None
