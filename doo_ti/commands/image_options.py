@@ -39,11 +39,12 @@ def rig(options: Namespace) -> Rig:
     return load_rig(options.rig, RigReading(options.rig_unit, options.rig_poses, options.rig_lens, turned, size))
 
 
-def add_seen_rod(parser: ArgumentParser) -> None:
+def add_seen_rod(parser: ArgumentParser, length_known: bool = True) -> None:
     """The cameras, and the known properties of the rod."""
     add_rig(parser)
-    parser.add_argument("--rest-length", required=True, metavar="MM:COUNT|FILE",
-                        help="lengths of the rod's edges: COUNT edges of MM each, a .npz with rest_length_mm, or a text file")
+    parser.add_argument("--rest-length", required=length_known, metavar="MM:COUNT|FILE",
+                        help="lengths of the rod's edges: COUNT edges of MM each, a .npz with rest_length_mm, or a text file"
+                        + ("" if length_known else " (default: the rod ends where the thread ends in the images)"))
     given.add_up(parser, "0,0,1 in the rig's world")
 
 

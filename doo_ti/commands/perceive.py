@@ -3,6 +3,7 @@
 import os
 from argparse import Namespace
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,16 +23,23 @@ MOST_MAP_BYTES = 1 << 29
 """Of the distance maps held at once."""
 LEAST_SIGMA_MM = 1e-3
 """Stated for vertices that the seed gives: no observation is exact."""
+LEFT_OVER = 0.02
+"""Share of the rod's length; less is not mentioned."""
 MOST_LISTED = 60
 
 
 def declare(add) -> None:
     parser = given.command(add, "perceive", run, "recover rods from images (§IV-A, Algorithm 1)")
     parser.add_argument("images", nargs="*", metavar="IMAGE", help="for a single set: one image per camera of the rig")
-    image_options.add_seen_rod(parser)
+    image_options.add_seen_rod(parser, length_known=False)
+    parser.add_argument("--edge", metavar="MM", help="without --rest-length: length of the rod's edges (default: 33 of them)")
+    parser.add_argument("--length", metavar="MM|LOW:HIGH", help="without --rest-length: bounds of the rod's length")
     parser.add_argument("--sets", metavar="SETS.csv", help="many sets of images with their seeds, instead of IMAGEs")
     parser.add_argument("--seed-point", metavar="X,Y,Z", help="start v⁰ of the rod in a single set, mm")
-    parser.add_argument("--seed-direction", metavar="X,Y,Z", help="direction e⁰ of the rod at its start in a single set")
+    parser.add_argument("--seed-direction", metavar="X,Y,Z", help="direction e⁰ of the rod at its start in a single set "
+                        "(default: as the thread goes on in the images)")
+    parser.add_argument("--seed-pixel", action="append", metavar="CAMERA:U,V", help="instead of a seed point: a pixel where "
+                        "the rod begins, in one camera or, once for each, in several; the thread's end near it is taken")
     parser.add_argument("--out", required=True, metavar="F.npz|F.csv",
                         help="file to write; F.png and F.rrd are written beside it")
     given.add_material(parser, "one number each; perceived rods are round; without any, "
@@ -65,6 +73,7 @@ def run(options: Namespace, words: list[str]) -> int:
             given.refuse_overwriting(path, source)
     with progress() as bar:
         detected = _detected(task, bar)
+        task = _begun(task, detected)
         found, growth = _perceived(task, detected, bar)
     save_arrays(out, _arrays(task, found))
     written = [out, *_shown(options, task, detected, found, growth, out)]
@@ -95,6 +104,27 @@ def _detected(task: PerceptionTask, bar) -> list[list]:
         finally:
             threads.shutdown(cancel_futures=True)
     return [detections[row : row + len(cameras)] for row in range(0, len(images), len(cameras))]
+
+
+def _begun(task: PerceptionTask, detected: list[list]) -> PerceptionTask:
+    """The task with seeds and rest lengths that are not given found in the images. Raises InputError where none are."""
+    sets = task.sets
+    if task.rest_length is not None and sets.direction is not None:
+        return task
+    from doo_ti.perception.seeds import seed_from_pixels
+    from doo_ti.perception.whole_thread import whole_threads
+
+    if sets.point is None:
+        sets = replace(sets, point=seed_from_pixels(sets.rig, detected[0], task.clicks, given.SOURCE)[None])
+    threads = whole_threads(sets.rig, detected, sets.point, sets.direction, task.material, task.up)
+    lost = np.flatnonzero(np.isnan(threads.direction).any(axis=1) if task.rest_length is not None else np.isnan(threads.length))
+    if len(lost) and (task.rest_length is None and len(lost) == sets.count or sets.direction is None):
+        raise InputError(sets.source, in_line(sets.names[lost[0]]), "no thread can be followed from the seed",
+                         "give another seed, or --rest-length and a seed with a direction")
+    rest_length = task.rest_length
+    if rest_length is None:  # one rod in all sets
+        rest_length = task.extent.rest_length(float(np.nanmedian(threads.length)))
+    return replace(task, sets=replace(sets, direction=threads.direction), rest_length=rest_length)
 
 
 def _perceived(task: PerceptionTask, detected: list[list], bar):
@@ -132,7 +162,8 @@ def _arrays(task: PerceptionTask, found) -> dict[str, np.ndarray]:
         "valid": sound & np.isfinite(found.vertices).all(axis=-1),
         "sigma_mm": np.where(sound, np.maximum(found.sigma, LEAST_SIGMA_MM), np.nan),
         "energy_vis": found.energy_vis, "status": found.status, "stable": found.stable,
-        "camera_error_px": found.camera_error, "verdict": found.verdict, "gap_px": found.gap, "unsupported": found.unsupported,
+        "camera_error_px": found.camera_error, "coverage": found.coverage, "thread_length_mm": found.thread_length,
+        "left_over_mm": found.left_over, "verdict": found.verdict, "gap_px": found.gap, "unsupported": found.unsupported,
         "runner_up_mm": found.runner_up, "runner_up_energy_vis": found.runner_up_energy,
     }
 
@@ -188,9 +219,12 @@ def _summary(task: PerceptionTask, detected: list[list], found, written: list[Pa
     from doo_ti.perception.perceive import PerceptionVerdict
 
     sets = [{
-        "name": name, "status": Status(found.status[row]).name.lower(), "stable": found.stable[row],
+        "name": name, "length_mm": task.rest_length.sum(), "status": Status(found.status[row]).name.lower(),
+        "stable": found.stable[row],
         "energy_vis": found.energy_vis[row], "camera_error_px": found.camera_error[row], "gap_px": found.gap[row],
         "verdict": _word(found.verdict[row]), "unsupported_edges": found.unsupported[row].sum(),
+        "coverage": found.coverage[row], "thread_length_mm": found.thread_length[row], "left_over_mm": found.left_over[row],
+        "unsupported_mm": task.rest_length[found.unsupported[row]].sum(),
         "mean_sigma_mm": found.sigma[row].mean() if found.sound[row] else None, **_errors(task, found, row),
     } for row, name in enumerate(task.sets.names)]
     return {
@@ -233,7 +267,8 @@ def _lines(summary: dict) -> list[str]:
     width = max(len(entry["name"]) for entry in sets[:MOST_LISTED])
     guess = summary["guessed_bend_mm3"]
     return [
-        f"{len(sets)} set{'s' * (len(sets) > 1)} of {len(summary['cameras'])} images, rods of {summary['edges']} edges; thread "
+        f"{len(sets)} set{'s' * (len(sets) > 1)} of {len(summary['cameras'])} images, rods of {summary['edges']} edges, "
+        f"{sets[0]['length_mm']:.4g} mm long; thread "
         f"{summary['detected_width_px']:.1f} px wide",
         *shortened([f"  {entry['name']:<{width}}  {_set_text(entry)}" for entry in sets], MOST_LISTED,
                    "  and {} more, which --json lists"),
@@ -252,8 +287,14 @@ def _set_text(entry: dict) -> str:
     rival = f"gap {entry['gap_px']:.2g} px" if np.isfinite(entry["gap_px"]) else "no rival"
     parts = [f"E_vis {entry['energy_vis']:.3g}/mm", f"{pixels} px off", f"{entry['verdict']} ({rival})",
              "σ unknown" if entry["mean_sigma_mm"] is None else f"σ {entry['mean_sigma_mm']:.2g} mm"]
+    if np.isfinite(entry["coverage"]).all():
+        parts.append(f"explains {100 * min(entry['coverage']):.0f} % of the thread")
+    if np.isfinite(entry["thread_length_mm"]):
+        parts.append(f"the thread is {entry['thread_length_mm']:.4g} mm long")
+    if entry["left_over_mm"] > LEFT_OVER * entry["length_mm"]:
+        parts.append(f"{entry['left_over_mm']:.3g} mm of thread left over")
     if entry["unsupported_edges"]:
-        parts.append(f"{entry['unsupported_edges']} edges unseen")
+        parts.append(f"{entry['unsupported_mm']:.3g} mm of rod unseen")
     if entry["status"] != "converged" or not entry["stable"]:
         parts.append(f"{entry['status'].replace('_', ' ')}{', not certified' * (not entry['stable'])}")
     if "mean_error_mm" in entry:

@@ -10,7 +10,7 @@ import numpy as np
 from doo_ti.commands import image_options, loading
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import is_dynamic, losses
-from doo_ti.commands.rest_length import read_rest_length
+from doo_ti.commands.rest_length import MOST_EDGES, read_rest_length
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
 from doo_ti.io.arrays import read_npz
@@ -23,6 +23,8 @@ from doo_ti.types import Clamp, Clamps, Material
 MOST_HYPOTHESES = 100_000
 RECORDED = 3
 """Sets in a recording."""
+EDGES = 33
+"""Of a rod whose edges are not given."""
 SUBSTEPS = 4
 """Time steps from one frame to the next, unless given: a hand moves a rod far between the frames of a video."""
 GUESSED_BEND = 1e6
@@ -31,11 +33,28 @@ its weight and twist against its bending depend on it."""
 
 
 @dataclass(frozen=True)
+class Extent:
+    """How long a rod may be whose rest lengths are not given: mm, and mm of its edges, or None for EDGES of them."""
+
+    least: float = 0.0
+    most: float = np.inf
+    edge: float | None = None
+
+    def rest_length(self, thread: float) -> np.ndarray:
+        """(E,) mm of a rod along a thread of that length."""
+        length = float(np.clip(thread, self.least, self.most))
+        edges = EDGES if self.edge is None else int(np.clip(round(length / self.edge), 4, MOST_EDGES))
+        return np.full(edges, length / edges)
+
+
+@dataclass(frozen=True)
 class PerceptionTask:
     """The inputs of a perception, checked as far as possible before images are read."""
 
     sets: object  # ImageSets
-    rest_length: np.ndarray
+    rest_length: np.ndarray | None
+    extent: Extent
+    clicks: dict[int, tuple[float, float]]
     material: Material
     search: object  # PerceptionOptions
     sight: object  # Sight
@@ -52,22 +71,24 @@ def perception_task(options: Namespace) -> PerceptionTask:
     if guessed:
         options.bend = repr(GUESSED_BEND)
     grid, up = given.round_cell(options, "perceived"), given.world_up(options)
-    rest_length = read_rest_length(options.rest_length)
+    rest_length = None if options.rest_length is None else read_rest_length(options.rest_length)
     nu = given.positive("--nu", options.nu)
     hypotheses = given.whole("--hypotheses", options.hypotheses, 1, MOST_HYPOTHESES)
     recorded = given.whole("--recorded-sets", options.recorded, 1)
     surroundings = given.surroundings(options)
 
     sets = _sets(options, image_options.rig(options))
-    sets.rig.check_sight(sets.point + rest_length.min() * sets.direction, "the first edge")
+    if rest_length is not None and sets.direction is not None:
+        sets.rig.check_sight(sets.point + rest_length.min() * sets.direction, "the first edge")
     truth = _truth(options, sets.names)
 
     from doo_ti.perception.perceive import PerceptionOptions
 
     chosen = {"nu": nu, "hypotheses": hypotheses}
     search = PerceptionOptions(**{name: value for name, value in chosen.items() if value is not None})
-    return PerceptionTask(sets, rest_length, grid.materials(), search, image_options.sight(options, sets, options.detector),
-                          up, truth, 0 if options.no_recording else recorded or RECORDED, surroundings, guessed)
+    return PerceptionTask(sets, rest_length, _extent(options), _clicks(options, sets.rig), grid.materials(), search,
+                          image_options.sight(options, sets, options.detector), up, truth,
+                          0 if options.no_recording else recorded or RECORDED, surroundings, guessed)
 
 
 @dataclass(frozen=True)
@@ -118,26 +139,59 @@ def _sets(options: Namespace, rig):
     """The sets of the file, or the one that the command line spells out."""
     from doo_ti.vision.detection.images import ImageSets, load_sets
 
-    single = {"IMAGE": options.images, "--seed-point": options.seed_point, "--seed-direction": options.seed_direction}
+    single = {"IMAGE": options.images, "--seed-point": options.seed_point, "--seed-direction": options.seed_direction,
+              "--seed-pixel": options.seed_pixel}
     if options.sets is not None:
         both = next((name for name, value in single.items() if value), None)
         if both:
             raise InputError(given.SOURCE, both, "given beside --sets", "give either")
         return load_sets(options.sets, rig)
-    for name, value in single.items():
-        if not value:
-            raise InputError(given.SOURCE, name, "missing", "give --sets, or images with a seed point and direction")
+    if not options.images:
+        raise InputError(given.SOURCE, "IMAGE", "missing", "give --sets, or images with a seed")
+    if bool(options.seed_point) == bool(options.seed_pixel):
+        both = "given beside --seed-pixel" if options.seed_pixel else "missing"
+        raise InputError(given.SOURCE, "--seed-point", both, "give --seed-point, or --seed-pixel: where the rod begins")
     if len(options.images) != len(rig.cameras):
         raise InputError(given.SOURCE, "IMAGE", f"{len(options.images)} images, but the rig has {len(rig.cameras)} cameras",
                          f"give one of each, in this order: {', '.join(rig.names)}")
     seed = {}
     for name in ("--seed-point", "--seed-direction"):
+        if not single[name]:
+            seed[name] = None
+            continue
         numbers = given.numbers(name, single[name])
         if len(numbers) != 3:
             raise InputError(given.SOURCE, name, f"{len(numbers)} numbers", "give X,Y,Z")
         seed[name] = np.array([numbers])
     paths = tuple(Path(image) for image in options.images)
     return ImageSets((in_line(paths[0].stem),), (paths,), rig, seed["--seed-point"], seed["--seed-direction"], given.SOURCE)
+
+
+def _extent(options: Namespace) -> Extent:
+    """What ``--edge`` and ``--length`` say."""
+    edge, bounds = given.length("--edge", options.edge), (0.0, np.inf)
+    for name, value in (("--edge", options.edge), ("--length", options.length)):
+        if value is not None and options.rest_length is not None:
+            raise InputError(given.SOURCE, name, "given beside --rest-length", "give the one or the other")
+    if options.length is not None:
+        low, colon, high = options.length.partition(":")
+        bounds = given.length("--length", low), given.length("--length", high if colon else low)
+        if bounds[0] > bounds[1]:
+            raise InputError(given.SOURCE, "--length", options.length, "give MM, or LOW:HIGH")
+    return Extent(*bounds, edge)
+
+
+def _clicks(options: Namespace, rig) -> dict[int, tuple[float, float]]:
+    """The pixels of ``--seed-pixel`` by the numbers of their cameras."""
+    found = {}
+    for text in options.seed_pixel or ():
+        camera, _, pixel = text.rpartition(":")
+        numbers = given.numbers("--seed-pixel", pixel)
+        if camera not in rig.names or len(numbers) != 2:
+            raise InputError(given.SOURCE, "--seed-pixel", f"{text!r}",
+                             f"give CAMERA:U,V; the rig has {', '.join(map(in_line, rig.names))}")
+        found[rig.names.index(camera)] = numbers
+    return found
 
 
 def _truth(options: Namespace, names: tuple[str, ...]) -> np.ndarray | None:

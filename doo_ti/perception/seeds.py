@@ -36,9 +36,8 @@ def seed_from_pixels(rig: Rig, detections: Sequence[Detection], clicks: Mapping[
 
     Raises InputError, naming ``source``, where no thread is near a click, or nothing in another image belongs to it.
     """
-    places: list[np.ndarray] = []
-    for camera, detection in enumerate(detections):
-        places.append(_clicked(detection, np.asarray(clicks[camera], dtype=float), source) if camera in clicks else np.empty((0, 2)))
+    places = [_clicked(detection, np.asarray(clicks[camera], dtype=float), source) if camera in clicks else np.empty((0, 2))
+              for camera, detection in enumerate(detections)]
     known = next(camera for camera in range(len(places)) if camera in clicks)
     for camera, detection in enumerate(detections):
         if camera not in clicks:

@@ -139,26 +139,29 @@ class ImageSets:
     names      A names
     paths      A tuples of C files, in the order of ``rig``'s cameras
     rig        the cameras that took them
-    point      (A, 3) mm: v⁰
-    direction  (A, 3) unit vectors: e⁰
+    point      (A, 3) mm: v⁰; None where it is to be found in the images
+    direction  (A, 3) unit vectors: e⁰; None where it is to be found in the images
     """
 
     names: tuple[str, ...]
     paths: tuple[tuple[Path, ...], ...]
     rig: Rig
-    point: np.ndarray
-    direction: np.ndarray
+    point: np.ndarray | None
+    direction: np.ndarray | None
     source: str = "sets"
 
     def __post_init__(self) -> None:
         if len(self.rig.cameras) < FEWEST_CAMERAS:
             raise InputError(self.source, "cameras", f"{len(self.rig.cameras)} camera", "give images of two cameras or more")
-        length = np.linalg.norm(self.direction, axis=-1, keepdims=True)
+        if self.point is None:
+            return
+        length = np.ones((self.count, 1)) if self.direction is None else np.linalg.norm(self.direction, axis=-1, keepdims=True)
         for name, seed, size in zip(self.names, self.point, length, strict=True):
             if not (np.isfinite(seed).all() and np.isfinite(size).all() and size > 0):
                 raise InputError(self.source, f"{name}: seed", f"{seed.tolist()}, direction of length {size}",
                                  "give finite numbers, and a direction")
-        object.__setattr__(self, "direction", self.direction / length)
+        if self.direction is not None:
+            object.__setattr__(self, "direction", self.direction / length)
         self.rig.check_sight(self.point, "the seed")
         for camera in self.rig.cameras:
             behind = np.flatnonzero(camera.depth(self.point) <= 0)
