@@ -35,6 +35,11 @@ CORNER_PX = 8.0
 corner in the image."""
 BESIDE_PX = 6.0
 """An end this near to the inside of another chain divides it, so that a path may change over."""
+AGAINST = 0.5
+"""Share of the detected line that a path against the given direction must have more: an image of a direction that points at the
+camera says little."""
+CROSSING_PX, NEIGHBOURS = 1.5, 12
+"""Chains cross where points are this near that are not neighbours: so many points apart along one chain."""
 ALIKE_PX = 4.0
 """Mean distance below which two paths are the same."""
 MOST_JOINTS, MOST_TRIED = 4, 400
@@ -102,14 +107,13 @@ def paths_from(detection: Detection, start: np.ndarray, direction: np.ndarray | 
     place = np.concatenate([np.arange(len(points)) for points in chains])
     nearest = int(np.argmin(np.linalg.norm(ends - start, axis=1)))
     first, at = int(chain[nearest]), int(place[nearest])
-    found = []
+    found, whole = [], sum(_length(points) for points in chains)
     for way in (0, 1):
         rest = chains[first][at:] if way else chains[first][: at + 1][::-1]
         turn = 0.0 if direction is None or len(rest) < 2 else _angle(-_outward(rest, 0), direction)
-        found += _searched(chains, joints, first, rest, way, CORNER_PX * TURNING * turn)
+        found += _searched(chains, joints, first, rest, way, AGAINST * (turn / np.pi) ** 2 * whole)
     found.sort(key=lambda one: -one[0])
     kept: list[ImagePath] = []
-    whole = sum(_length(points) for points in chains)
     for _, pieces, cost in found:
         path = _resampled(pieces, cost, whole)
         if len(kept) == most:
@@ -182,7 +186,21 @@ def _divided(chains: list[np.ndarray]) -> list[np.ndarray]:
                     k = min(near, key=lambda k: np.linalg.norm(chains[other][k] - end))
                     if min(_length(chains[other][: k + 1]), _length(chains[other][k:])) > SHORTEST_PX:
                         cuts[other].add(k)
-    return [part for chain, at in zip(chains, cuts, strict=True) for part in np.split(chain, sorted(at))]
+    _cross_cuts(chains, cuts)
+    return [part for chain, at in zip(chains, cuts, strict=True) for part in np.split(chain, sorted(at)) if len(part)]
+
+
+def _cross_cuts(chains: list[np.ndarray], cuts: list[set]) -> None:
+    """Add where chains cross each other, or themselves, to ``cuts``."""
+    chain = np.repeat(np.arange(len(chains)), [len(points) for points in chains])
+    place = np.concatenate([np.arange(len(points)) for points in chains]) if chains else np.empty(0)
+    pairs = cKDTree(np.concatenate(chains)).query_pairs(CROSSING_PX, output_type="ndarray") if chains else np.empty((0, 2), int)
+    apart = (chain[pairs[:, 0]] != chain[pairs[:, 1]]) | (np.abs(place[pairs[:, 0]] - place[pairs[:, 1]]) > NEIGHBOURS)
+    for pair in pairs[apart]:
+        for c, k in zip(chain[pair], place[pair], strict=True):
+            inside = NEIGHBOURS // 2 < k < len(chains[c]) - NEIGHBOURS // 2
+            if inside and all(abs(k - other) > NEIGHBOURS for other in cuts[c]):
+                cuts[c].add(int(k))
 
 
 def _joints(chains: list[np.ndarray], gap: float) -> dict[tuple[int, int], list[tuple[float, int, int]]]:

@@ -1,0 +1,106 @@
+"""Evidence from both sides: threads traced in images of cameras that are close together, which growth alone does not recover."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from doo_ti.errors import InputError
+from doo_ti.perception.perceive import PerceptionVerdict, perceive
+from doo_ti.perception.search import PerceptionOptions
+from doo_ti.perception.seeds import seed_from_pixels
+from doo_ti.perception.whole_thread import whole_threads
+from doo_ti.types import Material
+from doo_ti.vision.cameras.rig import load_rig
+from doo_ti.vision.detection.detect import detect
+from doo_ti.vision.detection.images import load_sets, read_image
+from doo_ti.vision.reprojection.coverage import coverage
+from doo_ti.vision.reprojection.distance_map import distance_maps
+from tools.angle_study import EDGES, LENGTH_MM, apart, cameras, curve, dense, detection
+
+MATERIAL, UP = Material(6e5, 8e5), np.array([0.0, 0.0, 1.0])
+PAIRS = Path(__file__).resolve().parents[3] / "shared" / "data" / "suture_stereo" / "rendered"
+
+
+@pytest.fixture(scope="module")
+def seen():
+    """(rig of two cameras 10° apart, three curves, their detections)."""
+    rng = np.random.default_rng(5)
+    rig, curves = cameras(10.0, third=False), [curve(rng) for _ in range(3)]
+    return rig, curves, [[detection(view, points, 0.2, rng) for view in rig.cameras] for points in curves]
+
+
+def recovered(seen, length: float = LENGTH_MM, evidence: str = "both"):
+    rig, curves, detections = seen
+    start = np.array([points[0] for points in curves])
+    direction = np.array([points[60] - points[0] for points in curves])
+    return perceive(distance_maps(detections), rig, start, direction, np.full(EDGES, length / EDGES), MATERIAL, up=UP,
+                    options=PerceptionOptions(evidence=evidence))
+
+
+def errors(found, curves, share: float = 1.0) -> np.ndarray:
+    """mm, of that share of the rods and of the curves that are in both."""
+    rods = [dense(rod)[: int(500 * min(1.0, 1 / share))] for rod in found.vertices]
+    return np.array([apart(rod, points[: int(len(points) * min(1.0, share))]) for rod, points in zip(rods, curves, strict=True)])
+
+
+def test_cameras_close_together_see_the_whole_thread(seen):
+    found, alone = recovered(seen), recovered(seen, evidence="rod")
+    error = errors(found, seen[1])
+    print(error, errors(alone, seen[1]), found.thread_length)
+    assert (error < 0.6).all() and (found.coverage > 0.97).all()
+    assert errors(alone, seen[1]).max() > 3 * error.max(), "the paper's one-sided evidence lets rods turn away"
+    assert np.isnan(alone.coverage).all() and np.isnan(alone.thread_length).all()
+    assert (np.abs(found.thread_length / LENGTH_MM - 1) < 0.03).all()
+
+
+@pytest.mark.parametrize("share", [0.8, 0.9, 1.15])
+def test_a_rod_of_another_length_lies_where_the_thread_is(seen, share):
+    found = recovered(seen, share * LENGTH_MM)
+    error = errors(found, seen[1], share)
+    print(error, found.thread_length, found.left_over)
+    assert (error < 0.8).all() and (np.abs(found.thread_length / LENGTH_MM - 1) < 0.03).all()
+    assert not (found.verdict == PerceptionVerdict.CLEAR).any()
+    assert (np.abs(found.left_over - max(0.0, 1 - share) * LENGTH_MM) < 0.03 * LENGTH_MM).all()
+
+
+def test_a_click_begins_a_thread_of_unknown_length(seen):
+    rig, curves, detections = seen
+    for points, images in zip(curves, detections, strict=True):
+        click = rig.cameras[0].project(points[:1])[0] + [3.0, -4.0]
+        start = seed_from_pixels(rig, images, {0: click}, "test")
+        whole = whole_threads(rig, [images], start[None], None, MATERIAL, UP)
+        assert np.linalg.norm(start - points[0]) < 3.0
+        assert abs(whole.length[0] / LENGTH_MM - 1) < 0.04
+    with pytest.raises(InputError, match="--seed-pixel: 5,5: the nearest thread is"):
+        seed_from_pixels(rig, images, {0: (5.0, 5.0)}, "test")
+
+
+def test_coverage_is_the_share_of_points_near_the_rod(seen):
+    rig, curves, detections = seen
+    halves = np.array([points[:: 20][: 51] for points in curves])
+    found = coverage(rig, halves, np.arange(3), detections, 40.0)
+    for row, images in enumerate(detections):
+        for c, camera in enumerate(rig.cameras):
+            image = camera.project(curves[row][: 1001])
+            apart_px = np.linalg.norm(images[c].points[:, None] - image[None, ::5], axis=-1).min(axis=1)
+            assert found.share[row, c] == pytest.approx((apart_px <= 3.0).mean(), abs=0.03)
+    assert (found.line > 50).all() and (found.error > 0).all()
+
+
+@pytest.mark.thorough
+@pytest.mark.skipif(not PAIRS.exists(), reason="rendered stereo pairs of others are not here")
+@pytest.mark.parametrize("group", [1, 2, 3, 5, 6, 7, 8, 9, 10])
+@pytest.mark.sampled(3)
+def test_stereo_pairs_that_others_rendered(group):
+    """Baselines of 1 and 5 mm at a distance of a decimetre; curves that no rod made."""
+    truth = np.load(PAIRS / "truth.npz")
+    sets = load_sets(PAIRS / f"sets{group}.csv", load_rig(PAIRS / f"rig{group}.yaml"))
+    curves = [truth[f"curve_mm_{name}"] for name in sets.names]
+    detections = [[detect(read_image(path, camera)) for path, camera in zip(paths, sets.rig.cameras, strict=True)]
+                  for paths in sets.paths]
+    length = np.linalg.norm(np.diff(curves[0], axis=0), axis=1).sum()
+    found = perceive(distance_maps(detections), sets.rig, sets.point, sets.direction, np.full(33, length / 33), MATERIAL)
+    error = errors(found, curves)
+    print(error, found.verdict)
+    assert (error < 3.0).all() and np.median(error) < 1.5 and not ((found.verdict == 0) & (error > 2.0)).any()
