@@ -32,7 +32,8 @@ def declare(add) -> None:
     parser = given.command(add, "perceive", run, "recover rods from images (§IV-A, Algorithm 1)")
     parser.add_argument("images", nargs="*", metavar="IMAGE", help="for a single set: one image per camera of the rig")
     image_options.add_seen_rod(parser, length_known=False)
-    parser.add_argument("--edge", metavar="MM", help="without --rest-length: length of the rod's edges (default: 33 of them)")
+    parser.add_argument("--edge", metavar="MM", help="without --rest-length: length of the rod's edges; without it, a 33rd of "
+                        "the rod")
     parser.add_argument("--length", metavar="MM|LOW:HIGH", help="without --rest-length: bounds of the rod's length")
     parser.add_argument("--sets", metavar="SETS.csv", help="many sets of images with their seeds, instead of IMAGEs")
     parser.add_argument("--seed-point", metavar="X,Y,Z", help="start v⁰ of the rod in a single set, mm")
@@ -276,6 +277,8 @@ def _lines(summary: dict) -> list[str]:
         f"  certified   {len(sets) - summary['not_certified']} of {len(sets)} rods converged to certified minima; "
         f"{summary['not_certified']} did not",
         f"  verdicts    {counted(summary['verdicts'])} (docs/perception.md)",
+        *([] if len(summary["cameras"]) > 1 else
+          ["  one camera  depth is not determined by it: only by the rod's length and stiffness"]),
         *([] if guess is None else [f"  stiffness   none given: bend {guess:g} mm³ (docs/perception.md)"]),
         *([] if summary["orientation"] is None else [f"  orientation {summary['orientation']}"]),
         *(f"  written to  {in_line(path)}" for path in summary["written"])]

@@ -59,7 +59,7 @@ class PerceptionVerdict(IntEnum):
 
     CLEAR      a gap of at least 0.1 px, or no other rod: image evidence alone separates them. And the rod is within 1 px of the
                detection, on average, in every camera, explains 95 % of the line detected in each, is as long as it, and its
-               vertices are certain to 1 mm
+               vertices are certain to 1 mm. Never with one camera, which does not see depth
     LIKELY     a gap of at least 0.02 px: image evidence alone does not separate them, the rod's energy helps to decide. Or a
                wider gap, but the rod is further from the detection
     AMBIGUOUS  a smaller gap: either may be the rod
@@ -127,6 +127,7 @@ class Perception:
         clear = (self.gap >= CLEAR_PX) & (self.camera_error <= FITTING_PX).all(axis=1)
         clear &= ~(self.coverage < COVERED).any(axis=1) & ~(self.sigma > CERTAIN_MM).any(axis=1)
         length = self.configuration.rest_length.sum(axis=-1)
+        clear &= self.camera_error.shape[1] > 1  # one camera does not see depth
         clear &= ~(np.abs(self.thread_length / length - 1) > SAME_LENGTH)
         # A camera that does not see the rod counts as far off. Two cameras determine a rod: others may be occluded.
         error = np.sort(np.where(np.isfinite(self.camera_error), self.camera_error, np.inf), axis=1)

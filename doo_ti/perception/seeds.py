@@ -34,15 +34,18 @@ def seed_from_pixels(rig: Rig, detections: Sequence[Detection], clicks: Mapping[
     detections  of the C cameras
     clicks      camera: (u, v) px; one or more
 
-    Raises InputError, naming ``source``, where no thread is near a click, or nothing in another image belongs to it.
+    Raises InputError, naming ``source``, for a single camera, and where no thread is near a click, or nothing in another image
+    belongs to it.
     """
+    if len(rig.cameras) == 1:
+        raise InputError(source, "--seed-pixel", "one camera does not see how far away the rod begins", "give --seed-point")
     places = [_clicked(detection, np.asarray(clicks[camera], dtype=float), source) if camera in clicks else np.empty((0, 2))
               for camera, detection in enumerate(detections)]
     known = next(camera for camera in range(len(places)) if camera in clicks)
     for camera, detection in enumerate(detections):
         if camera not in clicks:
             places[camera] = _across(rig, known, camera, places[known][0], detection)
-    if len(rig.cameras) > 1 and not all(len(there) for there in places):
+    if not all(len(there) for there in places):
         camera = next(camera for camera, there in enumerate(places) if not len(there))
         raise InputError(source, "--seed-pixel", f"nothing in the image of {rig.names[camera]} belongs to the pixel",
                          "give a pixel in that camera, too")
@@ -115,6 +118,6 @@ def _between_rays(rig: Rig, pixels: Sequence[np.ndarray]) -> np.ndarray:
     # Along the first ray, where its distances from the others are least.
     rate = (across[1:] @ ways[0]).reshape(-1)
     miss = np.einsum("cij,cj->ci", across[1:], centres[1:] - first).reshape(-1)
-    far = float(rate @ miss / max(rate @ rate, 1e-15)) if len(rate) else 0.0
+    far = float(rate @ miss / max(rate @ rate, 1e-15))
     base = np.linalg.norm(centres - first, axis=1).max()
     return first + ways[0] * (far if far > 0 else max(FAR * base, 1.0))

@@ -31,10 +31,11 @@ from doo_ti.prediction.predict import predict_step
 from doo_ti.types import Clamp, Clamps, Configuration, Material, Status
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.detection.detect import Detection
-from doo_ti.vision.detection.images import FEWEST_CAMERAS
 from doo_ti.vision.reprojection.distance_map import distance_maps
 from doo_ti.vision.reprojection.score import score
 
+FEWEST_CAMERAS = 2
+"""That must see a rod which is tracked: one does not see depth."""
 ITERATIONS = 30
 """Largest number of Newton's iterations, in f32, from each initial shape."""
 BETTER = 1e-6

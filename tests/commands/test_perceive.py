@@ -69,7 +69,7 @@ def test_rods_are_found_and_written(photographed, perceived):
     assert shapes == {
         "name": (2,), "vertices_mm": (2, vertices, 3), "rest_length_mm": (edges,), "up": (3,), "valid": (2, vertices),
         "sigma_mm": (2, vertices), "energy_vis": (2,), "status": (2,), "stable": (2,), "camera_error_px": (2, 3),
-        "verdict": (2,), "gap_px": (2,),
+        "coverage": (2, 3), "thread_length_mm": (2,), "left_over_mm": (2,), "verdict": (2,), "gap_px": (2,),
         "unsupported": (2, edges), "runner_up_mm": (2, 4, vertices, 3), "runner_up_energy_vis": (2, 4)}
     assert (out / "f.png").read_bytes()[:4] == b"\x89PNG"
 
@@ -123,6 +123,30 @@ def test_stiffness_need_not_be_known(photographed, perceived, tmp_path, capsys):
     assert np.abs(found - perceived[1]["vertices_mm"][0]).max() < 0.01
     error = np.linalg.norm(found - rods[0], axis=-1)
     assert f"error {error.mean():.3f} mm" in printed.out
+
+
+def test_a_click_and_no_length(photographed, tmp_path, capsys):
+    """The rod begins at the end of the thread near the click, and ends at its other end: of its blunt ends, as detected."""
+    folder, rods = photographed
+    rig, length = load_rig(folder / "rig.yaml"), 3.0 * EDGES
+    click = rig.cameras[1].project(rods[0][:1])[0] + [4.0, 3.0]
+    images = [str(folder / f"first_cam{index}.png") for index in range(3)]
+    argv = ["perceive", *images, "--rig", str(folder / "rig.yaml"), "--seed-pixel", f"cam1:{click[0]:.1f},{click[1]:.1f}",
+            "--edge", "3", "--no-picture", "--no-recording", "--json"]
+    assert main([*argv, "--out", str(tmp_path / "f.npz")]) == 0
+    found, printed = np.load(tmp_path / "f.npz"), json.loads(capsys.readouterr().out)["sets"][0]
+    assert np.linalg.norm(found["vertices_mm"][0][0] - rods[0][0]) < 1.2
+    assert found["rest_length_mm"].sum() == pytest.approx(length, rel=0.05) and len(found["rest_length_mm"]) == EDGES
+    assert min(printed["coverage"]) > 0.97 and printed["left_over_mm"] < 1.0
+    # A rod of a third less: what is left over is said.
+    assert main([*argv[:-4], "--no-picture", "--no-recording", "--length", "28", "--out", str(tmp_path / "g.npz")]) == 0
+    assert np.load(tmp_path / "g.npz")["left_over_mm"][0] == pytest.approx(length - 28, abs=3.0)
+    assert "of thread left over" in capsys.readouterr().out
+    for change, words in ((["--seed-pixel", "cam9:1,2"], ("cam9", "cam0, cam1, cam2")), (["--length", "9:5"], ("--length",)),
+                          (["--rest-length", "3:14"], ("--edge", "--rest-length")),
+                          (["--seed-point", "0,0,0"], ("--seed-point",)),
+                          (["--seed-pixel", "cam0:3,3"], ("--seed-pixel", "px away"))):
+        refused(capsys, tmp_path, [*argv, *change, "--out", str(tmp_path / "new" / "f.npz")], *words)
 
 
 def test_printed_text(photographed, tmp_path, capsys):
@@ -188,7 +212,9 @@ def test_wrong_scenes_are_reported(photographed, tmp_path, capsys):
     save_rig(tmp_path / "one.yaml", Rig(rig.cameras[:1]))
     argv = of_images(folder, rods[0], *out)
     argv[argv.index("--rig") + 1] = str(tmp_path / "one.yaml")
-    refused(capsys, tmp_path, [*argv[:2], *argv[4:]], "two cameras")
+    alone = [*argv[:2], *argv[4:]]
+    at = alone.index("--seed-point")
+    refused(capsys, tmp_path, [*alone[:at], "--seed-pixel", "cam0:100,100", *alone[at + 4 :]], "one camera", "--seed-point")
     np.savez(tmp_path / "truth.npz", vertices_mm=rods, name=np.array(["first", "third"]))
     refused(capsys, tmp_path, of_sets(folder, *out, "--truth", str(tmp_path / "truth.npz")), "second")
     np.savez(tmp_path / "truth.npz", vertices_mm=rods, name=np.array(["first", "second", "third"]))

@@ -1,4 +1,4 @@
-"""Evidence from both sides: threads traced in images of cameras that are close together, which growth alone does not recover."""
+"""Evidence from both sides: threads traced in images of cameras close together, which growth alone does not recover."""
 
 from pathlib import Path
 
@@ -34,14 +34,16 @@ def recovered(seen, length: float = LENGTH_MM, evidence: str = "both"):
     rig, curves, detections = seen
     start = np.array([points[0] for points in curves])
     direction = np.array([points[60] - points[0] for points in curves])
-    return perceive(distance_maps(detections), rig, start, direction, np.full(EDGES, length / EDGES), MATERIAL, up=UP,
+    rest_length = np.full(EDGES, length / EDGES)
+    return perceive(distance_maps(detections), rig, start, direction, rest_length, MATERIAL, up=UP,
                     options=PerceptionOptions(evidence=evidence))
 
 
 def errors(found, curves, share: float = 1.0) -> np.ndarray:
     """mm, of that share of the rods and of the curves that are in both."""
     rods = [dense(rod)[: int(500 * min(1.0, 1 / share))] for rod in found.vertices]
-    return np.array([apart(rod, points[: int(len(points) * min(1.0, share))]) for rod, points in zip(rods, curves, strict=True)])
+    parts = [points[: int(len(points) * min(1.0, share))] for points in curves]
+    return np.array([apart(rod, points) for rod, points in zip(rods, parts, strict=True)])
 
 
 def test_cameras_close_together_see_the_whole_thread(seen):

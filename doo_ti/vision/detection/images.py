@@ -24,7 +24,6 @@ from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.detection.image_size import KNOWN, PNG, UPRIGHT, stated_orientation, stated_size
 
 SEED = ("seed_x", "seed_y", "seed_z", "dir_x", "dir_y", "dir_z")
-FEWEST_CAMERAS = 2
 _changing, _silent = Lock(), []
 """One copy of the original standard error for each image that is being decoded."""
 MOST_PIXELS = 100_000_000
@@ -151,8 +150,8 @@ class ImageSets:
     source: str = "sets"
 
     def __post_init__(self) -> None:
-        if len(self.rig.cameras) < FEWEST_CAMERAS:
-            raise InputError(self.source, "cameras", f"{len(self.rig.cameras)} camera", "give images of two cameras or more")
+        if not self.rig.cameras:
+            raise InputError(self.source, "cameras", "none", "give images of one camera or more")
         if self.point is None:
             return
         length = np.ones((self.count, 1)) if self.direction is None else np.linalg.norm(self.direction, axis=-1, keepdims=True)

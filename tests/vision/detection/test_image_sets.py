@@ -34,7 +34,6 @@ def test_the_sets_of_the_images(laboratory):
     (HEADER + LINE.replace("1,2,3", "1,2,nan"), "finite"), (HEADER + LINE.replace("1,2,3", "0,0,-9000"), "behind"),
     (HEADER.replace("\n", ",cam0\n") + LINE.replace("\n", ",a0.png\n"), "cam0: .* twice"),
     (HEADER + LINE.replace("\n", ",7\n"), "10 cells under 9"), (HEADER + LINE.replace("a,", '"a\nb",', 1), "line break"),
-    (HEADER.replace(",cam2", "") + LINE.replace(",a2.png", ""), "two cameras"),
 ])
 def test_wrong_lists_are_reported(tmp_path, text, word):
     (tmp_path / "sets.csv").write_text(text)

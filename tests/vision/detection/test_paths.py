@@ -15,7 +15,8 @@ def detected(points: np.ndarray, rng: np.random.Generator, hidden: tuple[float, 
     place = np.arange(0.0, arc[-1], 0.75)
     place = place[(place < hidden[0] * arc[-1]) | (place > hidden[1] * arc[-1])]
     found = np.stack([np.interp(place, arc, column) for column in points.T], axis=1)
-    ahead = np.stack([np.interp(place + 0.5, arc, column) - np.interp(place - 0.5, arc, column) for column in points.T], axis=1)
+    both = [[np.interp(place + side, arc, line) for line in points.T] for side in (0.5, -0.5)]
+    ahead = np.stack(both[0], axis=1) - np.stack(both[1], axis=1)
     ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
     order = rng.permutation(len(place))
     sign = rng.choice([-1.0, 1.0], len(place))[:, None]
