@@ -49,6 +49,8 @@ AGAIN = 2.0
 """Widths along which the line must be there behind a gap."""
 STRAIGHT = 0.15
 """Strength that an arc of the largest curvature must have more than a straight one."""
+SHORTEST = 4.0
+"""Widths of a thread."""
 BLUR_PX = 0.7
 
 
@@ -77,7 +79,7 @@ def follow(image: np.ndarray, pixel: tuple[float, float], options: DetectionOpti
                          f"give one of the {part.shape[1]} x {part.shape[0]} px of the image or region")
     levels = [as_colour(part)]
     found = None
-    for line in sorted(_lines(levels, place), key=lambda entry: -entry[0])[:3]:
+    for line in sorted(_lines(levels, place), key=lambda entry: -entry[0]):
         found = _followed(levels, line[1])
         if found is not None:
             break
@@ -156,24 +158,35 @@ def _followed(levels: list[np.ndarray], line: _Line) -> tuple[np.ndarray, np.nda
     line = _Line(line.point / scale, line.angle, line.width / scale)
     step = np.arange(-np.ceil(SEGMENT * line.width), np.ceil(SEGMENT * line.width) + 1)
     path = line.point + step[:, None] * [np.cos(line.angle), np.sin(line.angle)]
-    look, middle = None, len(step) // 2
-    for length in (8 * line.width, np.inf):
-        line, look = _looked(image, path, middle, line, look)
-        if look is None:
-            return None
-        field = _Field(image, likeness_table(look[0], np.clip(look[1] / 2, LEAST_TOLERANCE, TOLERANCE)), line.width)
-        ahead, ahead_strength = _walked(field, line, length)
-        back, back_strength = _walked(field, _Line(line.point, line.angle + np.pi, line.width), length)
-        path, middle = np.concatenate([back[::-1], line.point[None], ahead]), len(back)
-        if len(path) < 4 * line.width:
-            return None
-    strength = np.concatenate([back_strength[::-1], [FULL], ahead_strength])
+    near = _looked(image, path, len(step) // 2, line, None)
+    walked = near[1] and _both_ways(image, *near, 8 * line.width)
+    if not walked:
+        return None
+    far = _looked(image, walked[1], walked[3], *near)
+    line, look = far
+    walked = _both_ways(image, *far, np.inf)
+    if not walked:  # what is farther along is misleading
+        line, look = near
+        walked = _both_ways(image, *near, np.inf)
+    field, path, strength, _ = walked
     points = field.centred(path, strength > 0)
     if level:  # points a pixel apart in the image itself
         at = np.arange(0, len(points) - 1 + 1e-9, 1 / scale)
         points = np.stack([np.interp(at, np.arange(len(points)), points[:, axis]) for axis in (0, 1)], axis=-1)
         strength = strength[np.rint(at).astype(int)]
     return points * scale, strength, line.width * scale, look[2]
+
+
+def _both_ways(image: np.ndarray, line: _Line, look: tuple, length: float) -> tuple | None:
+    """(field, (N, 2) points, (N,) strengths, the number of the line's point) of the thread as far as ``length`` px either way;
+    None where it is no longer than four widths."""
+    field = _Field(image, likeness_table(look[0], np.clip(look[1] / 2, LEAST_TOLERANCE, TOLERANCE)), line.width)
+    ahead, ahead_strength = _walked(field, line, length)
+    back, back_strength = _walked(field, _Line(line.point, line.angle + np.pi, line.width), length)
+    path = np.concatenate([back[::-1], line.point[None], ahead])
+    if len(path) < SHORTEST * line.width:
+        return None
+    return field, path, np.concatenate([back_strength[::-1], [FULL], ahead_strength]), len(back)
 
 
 def _looked(image, path, middle: int, line: _Line, before) -> tuple[_Line, tuple | None]:
