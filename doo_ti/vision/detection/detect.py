@@ -112,7 +112,7 @@ class Detection:
     polarity   "dark" or "light", "" without a thread
     shape      (height, width) of the image
     method     of :class:`DetectionOptions`, or "mask", "follow"
-    width      (N,) px: the thread's width at each point, as far as it is known; else ``width_px``
+    width      (N,) px: the thread's width at each point, where it is known: of masks; else None
     """
 
     points: Annotated[np.ndarray, "N 2"]
@@ -124,9 +124,10 @@ class Detection:
     method: str
     width: Annotated[np.ndarray, "N"] | None = None
 
-    def __post_init__(self) -> None:
-        if self.width is None:
-            object.__setattr__(self, "width", np.full(len(self.points), float(self.width_px)))
+    @property
+    def widths(self) -> np.ndarray:
+        """(N,) px: the thread's width at each point; where only one is known, that."""
+        return np.full(len(self.points), float(self.width_px)) if self.width is None else self.width
 
     @property
     def count(self) -> int:
@@ -163,13 +164,13 @@ def detect(image: np.ndarray, options: DetectionOptions = DetectionOptions()) ->
     else:
         line, polarity = _grey(part), options.polarity
     look = appearance(line, polarity, options.width_px, options.least_contrast)
-    points, direction, strength, width = np.empty((0, 2)), np.empty((0, 2)), np.empty(0), np.empty(0)
+    points, direction, strength = np.empty((0, 2)), np.empty((0, 2)), np.empty(0)
     if look is not None:
         left, top, right, bottom = look.box
-        points, direction, strength, width = _line(line[top:bottom, left:right], look, options)
+        points, direction, strength = _line(line[top:bottom, left:right], look, options)
         points = points + (left, top)
     found = Detection(points, direction, strength, look.width_px if len(points) else np.nan,
-                      look.polarity if len(points) else "", image.shape[:2], options.method, width)
+                      look.polarity if len(points) else "", image.shape[:2], options.method)
     return moved(found, corner)
 
 
@@ -215,7 +216,7 @@ def _grey(image: np.ndarray) -> np.ndarray:
 
 
 def _line(image: np.ndarray, look: Appearance, options: DetectionOptions) -> tuple[np.ndarray, ...]:
-    """(N, 2) points, (N, 2) directions, (N,) strengths and widths in an image (H, W) float32, halved for wide threads."""
+    """(N, 2) points, (N, 2) directions and (N,) strengths in an image (H, W) float32, halved for wide threads."""
     import cv2
 
     halvings = max(0, int(np.ceil(np.log2(look.width_px / WIDEST_PX))))
@@ -224,24 +225,23 @@ def _line(image: np.ndarray, look: Appearance, options: DetectionOptions) -> tup
     scale = 2.0**halvings
     look = replace(look, width_px=look.width_px / scale, slope=look.slope * scale)
     find = {"ridge": _ridge_line, "canny": _canny_line}[options.method]
-    points, direction, strength, width = find(image, look, options.least_contrast, options.shortest_px / scale)
-    return in_whole_pixels(scale, points, direction, strength, width)
+    found = find(image, look, options.least_contrast, options.shortest_px / scale)
+    return in_whole_pixels(scale, *found)
 
 
-def in_whole_pixels(scale: float, points: np.ndarray, direction: np.ndarray, strength: np.ndarray,
-                    width: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Points with directions, strengths and widths of an image with one pixel for ``scale`` as those of the image itself, again
-    at most a pixel apart."""
+def in_whole_pixels(scale: float, points: np.ndarray, direction: np.ndarray, *values: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Points with directions and (N,) ``values`` of an image that has one pixel for ``scale``, in px of the image itself and
+    again at most a pixel apart."""
     if scale == 1:
-        return points, direction, strength, width
+        return points, direction, *values
     between = np.arange(scale) - (scale - 1) / 2
     points = (scale * points[:, None] + between[:, None] * direction[:, None]).reshape(-1, 2)
-    return points, *(np.repeat(values, len(between), axis=0) for values in (direction, strength, scale * width))
+    return points, *(np.repeat(array, len(between), axis=0) for array in (direction, *values))
 
 
 def _ridge_line(image: np.ndarray, look: Appearance, least_contrast: float, shortest_px: float) -> tuple[np.ndarray, ...]:
-    """(N, 2) points, (N, 2) directions, (N,) strengths and widths: ridges at the thread's width, each
-    moved to the middle between the two edges."""
+    """(N, 2) points, (N, 2) directions and (N,) strengths: ridges at the thread's width, each moved to the middle between the
+    two edges."""
     curvature = Curvature(image, max(SMALLEST_SIGMA, SIGMA_PER_WIDTH * look.width_px))
     certain = max(SURE * curvature.noise(), BAR * least_contrast)
     ridges = curvature.ridges(look.polarity, certain / 2)
@@ -255,7 +255,7 @@ def _ridge_line(image: np.ndarray, look: Appearance, least_contrast: float, shor
     kept = np.flatnonzero(piece)
     kept = kept[_alike(piece[kept], width[kept], ridges.strength[kept])]
     ridges = ridges[kept]
-    return ridges.point, ridges.tangent, ridges.strength, width[kept]
+    return ridges.point, ridges.tangent, ridges.strength
 
 
 def _alike(piece: np.ndarray, width: np.ndarray, strength: np.ndarray) -> np.ndarray:
@@ -273,7 +273,7 @@ def _alike(piece: np.ndarray, width: np.ndarray, strength: np.ndarray) -> np.nda
 # --- the paper's way ----------------------------------------------------------------------------------------------------
 
 def _canny_line(image: np.ndarray, look: Appearance, least_contrast: float, shortest_px: float) -> tuple[np.ndarray, ...]:
-    """(N, 2) pixels of the centre line in an image (H, W) float32, their (N, 2) directions, (N,) strengths and widths.
+    """(N, 2) pixels of the centre line in an image (H, W) float32, their (N, 2) directions and (N,) strengths.
 
     "A Canny edge detector with a blurred, offset Gaussian kernel" (§IV-A): every edge pixel votes for the place half a thread's
     width along the gradient towards the thread's middle; votes are blurred. The centre line lies where votes of both edges
@@ -297,8 +297,7 @@ def _canny_line(image: np.ndarray, look: Appearance, least_contrast: float, shor
     ridges = curvature.ridges("light", 1e-3)
     ridges = ridges[(meeting[ridges.row, ridges.column] >= MEETING) & (np.abs(ridges.offset) <= REACH_PX)]
     ridges = ridges[pieces(ridges, 0.0, shortest_px) > 0]
-    point = np.stack([ridges.column, ridges.row], axis=1).astype(np.float64)
-    return point, ridges.tangent, look.slope * ridges.strength, np.full(len(point), look.width_px)
+    return np.stack([ridges.column, ridges.row], axis=1).astype(np.float64), ridges.tangent, look.slope * ridges.strength
 
 
 def _meeting(row: np.ndarray, column: np.ndarray, outward: np.ndarray, offset: float, shape: tuple[int, int]) -> np.ndarray:

@@ -169,12 +169,12 @@ def _followed(levels: list[np.ndarray], line: _Line) -> tuple[np.ndarray, np.nda
         line, look = near
         walked = _both_ways(image, *near, np.inf)
     field, path, strength, _ = walked
-    points = field.centred(path, strength > 0)
-    if level:  # points a pixel apart in the image itself
-        at = np.arange(0, len(points) - 1 + 1e-9, 1 / scale)
-        points = np.stack([np.interp(at, np.arange(len(points)), points[:, axis]) for axis in (0, 1)], axis=-1)
-        strength = strength[np.rint(at).astype(int)]
-    return points * scale, strength, line.width * scale, look[2]
+    points = scale * field.centred(path, strength > 0)
+    place = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    at = np.arange(0, place[-1], 1.0)  # a pixel apart
+    points = np.stack([np.interp(at, place, points[:, axis]) for axis in (0, 1)], axis=-1)
+    strength = strength[np.clip(np.searchsorted(place, at), 0, len(strength) - 1)]
+    return points, strength, line.width * scale, look[2]
 
 
 def _both_ways(image: np.ndarray, line: _Line, look: tuple, length: float) -> tuple | None:
@@ -263,14 +263,17 @@ class _Field:
         return bend * self.sigma**2 / FULL, slope / np.maximum(bend, 0.1 * FULL / self.sigma**2)
 
     def centred(self, path: np.ndarray, there: np.ndarray) -> np.ndarray:
-        """The (N, 2) points of a path on the crest of the line, where it is ``there`` (N,)."""
+        """The (N, 2) points of a path on the crest of the line; where it is not ``there`` (N,), as far aside as beyond the gap."""
         along = np.gradient(path, axis=0)
         along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
         shift = np.empty(len(path))
         for first in range(0, len(path), max(1, self.reach // 2)):
             rows = slice(first, first + max(1, self.reach // 2))
             shift[rows] = self.sampled(path[None, rows], along[None, rows])[1][0]
-        shift = np.where(there, np.clip(shift, -self.sigma, self.sigma), 0)
+        # At its ends a gap's cause pulls the line aside.
+        clear = np.convolve(~there, np.ones(2 * int(2 * self.sigma) + 1), "same")[: len(path)] == 0
+        rows, sure = np.arange(len(path)), clear if clear.any() else there
+        shift = np.clip(np.interp(rows, rows[sure], shift[sure]), -self.sigma, self.sigma)
         return path + shift[:, None] * np.stack([-along[:, 1], along[:, 0]], axis=-1)
 
 

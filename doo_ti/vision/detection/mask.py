@@ -46,7 +46,7 @@ def detect_mask(mask: np.ndarray, options: DetectionOptions = DetectionOptions()
     ridges, half = ridges[kept], half[kept]
     # Distances are from pixel to pixel: half a pixel lies beyond the border.
     width = 2 * (half + np.abs(ridges.offset)) - 1
-    found = in_whole_pixels(scale, ridges.point, ridges.tangent, np.full(len(width), 255.0), width)
+    found = in_whole_pixels(scale, ridges.point, ridges.tangent, np.full(len(width), 255.0), scale * width)
     typical, polarity = (float(np.median(found[3])), "light") if len(width) else (np.nan, "")
     return moved(Detection(*found[:3], typical, polarity, mask.shape, "mask", found[3]), corner)
 
