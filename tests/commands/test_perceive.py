@@ -170,7 +170,10 @@ def test_printed_text(photographed, tmp_path, capsys):
     (["--rest-length", "3:1"], ("--rest-length",)), (["--rest-length", "missing.txt"], ("--rest-length", "missing.txt")),
     (["--nu", "-1"], ("--nu",)), (["--hypotheses", "0"], ("--hypotheses",)),
     (["--hypotheses", "9223372036854775808"], ("--hypotheses", "above")), (["--width", "1,2"], ("--width",)),
-    (["--seed-point", "1,2,3"], ("--seed-point", "--sets")), (["--up", "0,0"], ("--up",))])
+    (["--seed-point", "1,2,3"], ("--seed-point", "--sets")), (["--up", "0,0"], ("--up",)),
+    (["--colour", "1,2"], ("colour",)), (["--region", "cam7:0,0,50,50"], ("--region", "cam7")),
+    (["--region", "cam0:0,0,5,50"], ("region",)), (["--masks", "a.png"], ("--masks",)),
+    (["--image-size", "3"], ("--image-size",))])
 def test_wrong_options_are_reported(photographed, tmp_path, capsys, change, words):
     argv = of_sets(photographed[0], "--out", str(tmp_path / "new" / "f.npz"))
     if change[0] in argv:

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -142,3 +143,23 @@ def test_the_header_may_have_more_columns(tmp_path, rng):
     argv = prepared(tmp_path, rows)
     written(tmp_path, rows, HEADER.replace("\n", ",remark\n"))
     assert main([*argv, "--out", str(tmp_path / "F.npz")]) == 0
+
+
+@pytest.mark.parametrize("spoil, option", [
+    (lambda camera: (camera.rotation.T, camera.centre), "--rig-poses opencv-to-world"),
+    (lambda camera: (camera.rotation, camera.translation / 1000), "--rig-unit m"),
+])
+def test_a_rig_in_metres_or_of_poses_in_the_world_is_recognised(capsys, tmp_path, rng, spoil, option):
+    vertices = wavy_vertices(rng, count=2, marks=8)
+    rows = rows_of(vertices - vertices.mean(axis=1, keepdims=True), rng)
+    argv = [*prepared(tmp_path, rows), "--out", str(tmp_path / "F.npz")]
+    cameras = []
+    for camera in RIG.cameras:
+        rotation, translation = spoil(camera)
+        cameras.append(replace(camera, rotation=rotation, translation=translation))
+    save_rig(tmp_path / "rig.yaml", Rig(tuple(cameras)))
+    capsys.readouterr()
+    refused(capsys, tmp_path, argv, "rig.yaml", option)
+    assert main([*argv, *option.split()]) == 0
+    found = load_observations(tmp_path / "F.npz").vertices
+    np.testing.assert_allclose(found, vertices - vertices.mean(axis=1, keepdims=True), atol=1.0)

@@ -61,8 +61,8 @@ def others(reading: RigReading) -> list[tuple[RigReading, str, str]]:
     """Other readings of the same file, what they assume, and the option for it: where neither unit nor poses were given."""
     if reading.unit or reading.poses:
         return []
-    units = [(RigReading(unit=unit), f"its lengths are in {unit}", f"--rig-unit {unit}") for unit in ("m", "cm")]
+    metres = [(RigReading(unit="m"), "its lengths are in m", "--rig-unit m")]
     kinds = [kind for kind in POSES if kind != "opencv"]
     poses = [(RigReading(poses=kind), f"its poses are {kind}", f"--rig-poses {kind}") for kind in kinds]
     both = [(RigReading("m", kind), f"its poses are {kind}, in m", f"--rig-poses {kind} --rig-unit m") for kind in kinds]
-    return units + poses + both
+    return metres + poses + both

@@ -17,6 +17,8 @@ from doo_ti.vision.cameras.camera import Camera
 from doo_ti.vision.cameras.foreign import colmap_cameras, own_cameras, read_yaml, stereo_cameras
 from doo_ti.vision.cameras.reading import RigReading, others
 
+NEAREST_MM = 1.0
+"""Distance of cameras below which lengths are hardly in mm."""
 OTHER_COLUMNS = ("name", "frame", "time_s", "view", "seed_x", "seed_y", "seed_z", "dir_x", "dir_y", "dir_z")
 """Of tables that have a column of images for each camera, named as it is."""
 
@@ -60,13 +62,14 @@ class Rig:
     def check_sight(self, points: np.ndarray, what: str) -> None:
         """Raise InputError where cameras do not see ``points`` (N, 3), ``what`` for the caller, but would if their file were in
         another unit or had poses of another kind; the message names the option for it."""
-        blind = next((camera for camera in self.cameras if not camera.sees(points).all()), None)
-        if blind is None:
-            return
+        blind = [camera for camera in self.cameras if not camera.sees(points).all()]
+        if 2 * len(blind) < len(self.cameras) or not blind:
+            return  # a point may be beside a camera's image
+        near = np.ptp([camera.centre for camera in self.cameras], axis=0).max() < NEAREST_MM
         for rig, assumed, option in self.read_otherwise():
-            if all(camera.sees(points).all() for camera in rig.cameras):
-                where = "behind" if (blind.depth(points) <= 0).any() else "outside the image of"
-                raise InputError(self.source, "cameras", f"{what} is {where} {blind.name}, but in every image if {assumed}",
+            if (near or rig.reading.unit is None) and all(camera.sees(points).all() for camera in rig.cameras):
+                where = "behind" if (blind[0].depth(points) <= 0).any() else "outside the image of"
+                raise InputError(self.source, "cameras", f"{what} is {where} {blind[0].name}, but in every image if {assumed}",
                                  f"give {option}, or correct the seed")
 
 

@@ -263,7 +263,7 @@ class _Field:
         return bend * self.sigma**2 / FULL, slope / np.maximum(bend, 0.1 * FULL / self.sigma**2)
 
     def centred(self, path: np.ndarray, there: np.ndarray) -> np.ndarray:
-        """The (N, 2) points of a path on the crest of the line; where it is not ``there`` (N,), as far aside as beyond the gap."""
+        """The (N, 2) points of a path on the crest of the line; where it is not ``there`` (N,), as far aside as beyond gaps."""
         along = np.gradient(path, axis=0)
         along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
         shift = np.empty(len(path))
