@@ -26,7 +26,7 @@ FEWER = 0.1
 SLOW = {"refine": 60, "identify": 200, "identify_from_guesses": 200, "perceive": 20, "sweep": 60, "Tracker.see": 20,
         "estimate_twist": 10, "relax in contact": 4, "simulate in contact": 4,
         "record_sweep": 20, "simulate": 2, "follow_group": 4, "relax_group": 4, "predict_moving": 3,
-        "DistanceGrid.from_mesh": 10, "detect": 3}
+        "DistanceGrid.from_mesh": 10, "detect": 3, "follow": 20}
 """Functions that are called so many times more rarely than the others."""
 
 
@@ -70,7 +70,7 @@ def objects() -> dict[str, list]:
         d.Capsule((0, 0, -200), (9, 0, -200), 1.0), d.Cylinder((0, 0, -200), (9, 0, -200), 1.0),
         d.Ring((0, 0, -200), (0, 0, 1), 5.0, 1.0), d.Box((0, 0, -200), (1, 1, 1)), d.DistanceGrid(np.ones((3, 3, 3)), 1.0),
         path(), d.ClampPath(np.arange(3.0), end_rotation=np.zeros((3, 2))), group(), d.Tie((0, 0), (0, 1)), seen(),
-        d.Observations(THREE.vertices), rig, maps, rig.cameras[0], detection(), d.DetectionOptions(),
+        d.Observations(THREE.vertices), rig, maps, rig.cameras[0], detection(), d.DetectionOptions(), d.RigReading(),
         d.PerceptionOptions(hypotheses=4, samples=20), d.TrackingOptions(), d.Inertia(d.Dynamics()), d.TwistOptions(),
         d.RefinementOptions(), d.SweepOptions(), d.Grid(axes), axes[0], theta_fit, theta(), recording(),
         d.IdentifyOptions(modes=1), d.Motion(CLAMPS, np.ones((1, 3))), d.Reprojection(maps, rig, 5e-3),
@@ -160,10 +160,13 @@ def functions() -> dict[str, tuple[Callable, dict]]:
         "consecutive_groups": (d.consecutive_groups, {"count": 4, "together": 2, "regrasps": [1]}),
         "end_offsets": (d.end_offsets, {"observations": seen(), "group": [0]}),
         "detect": (d.detect, {"image": np.tile(np.arange(32.0), (32, 1)), "options": o["DetectionOptions"]}),
+        "detect_mask": (d.detect_mask, {"mask": np.tile(np.arange(32.0), (32, 1)), "options": o["DetectionOptions"]}),
+        "follow": (d.follow, {"image": np.tile(np.arange(32.0), (32, 1)), "pixel": (9.0, 9.0),
+                              "options": o["DetectionOptions"]}),
         "load_observations": (d.load_observations, {"path": folder / "absent.npz"}),
         "load_obstacles": (d.load_obstacles, {"path": folder / "absent.toml"}),
         "load_path": (d.load_path, {"path": folder / "absent.csv"}),
-        "load_rig": (d.load_rig, {"path": folder / "absent.json"}),
+        "load_rig": (d.load_rig, {"path": folder / "absent.json", "reading": o["RigReading"]}),
         "load_theta": (d.load_theta, {"path": folder / "absent.json"}),
         "read_landscape": (d.read_landscape, {"run": folder / "absent"}),
         "save_observations": (d.save_observations, {"path": folder / "doo_ti_hostile.npz", "observations": seen()}),

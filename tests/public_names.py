@@ -62,6 +62,7 @@ from doo_ti import (
     RefinementOptions,
     Reprojection,
     Rig,
+    RigReading,
     Ring,
     Score,
     Sensitivity,
@@ -87,12 +88,14 @@ from doo_ti import (
     choose_hypothesis,
     consecutive_groups,
     detect,
+    detect_mask,
     distance,
     distance_maps,
     end_clamps,
     end_loads,
     end_offsets,
     estimate_twist,
+    follow,
     follow_group,
     gripper_jacobian,
     hanging,
@@ -202,8 +205,9 @@ def moved(path: Path, configuration: Configuration, clamps: Clamps, material: Ma
 
 
 def seen(path: Path, images: Sequence[np.ndarray], material: Material) -> np.ndarray:
-    rig: Rig = load_rig(path)
+    rig: Rig = load_rig(path, RigReading(unit="m"))
     detections: list[Detection] = [detect(image, DetectionOptions(polarity="dark")) for image in images]
+    detections += [detect_mask(images[0]), follow(images[0], (30.0, 40.0))]
     maps: DistanceMaps = distance_maps([detections])
     found: Perception = perceive(maps, rig, [0, 0, 0], [1, 0, 0], [3.0] * 33, material, options=PerceptionOptions(hypotheses=9),
                                  on_step=report)

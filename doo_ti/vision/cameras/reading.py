@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from doo_ti.arguments import typed
 from doo_ti.errors import InputError
 from doo_ti.physical_units import UNITS_IN_MM
 from doo_ti.vision.cameras.camera import Camera
@@ -25,6 +26,7 @@ to camera and t the camera's centre."""
 LENSES = ("opencv", "fisheye")
 
 
+@typed
 @dataclass(frozen=True)
 class RigReading:
     """How a file of cameras is meant; None: as usual, and doubted where cameras then do not see what they should.

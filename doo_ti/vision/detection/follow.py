@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from doo_ti.arguments import typed
 from doo_ti.errors import InputError
 from doo_ti.vision.detection.colour import TOLERANCE, as_colour, lab, likeness, likeness_table
 from doo_ti.vision.detection.detect import Detection, DetectionOptions, check_image, cropped, moved
@@ -63,6 +64,7 @@ class _Line:
     width: float
 
 
+@typed
 def follow(image: np.ndarray, pixel: tuple[float, float], options: DetectionOptions = DetectionOptions()) -> Detection:
     """The thread of which ``pixel`` (u, v) shows a part, in an image (H, W) grey or (H, W, 3) in OpenCV's order; others that it
     crosses are left out. Points are in order, a pixel apart, from one end to the other or to the border of the image or of

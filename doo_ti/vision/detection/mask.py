@@ -10,6 +10,7 @@ whatever the thread's width 2a; branches to corners and bumps of the border have
 
 import numpy as np
 
+from doo_ti.arguments import typed
 from doo_ti.errors import InputError
 from doo_ti.vision.detection.detect import Detection, DetectionOptions, cropped, in_whole_pixels, moved
 from doo_ti.vision.detection.ridge import REACH_PX, Curvature, pieces
@@ -24,6 +25,7 @@ LARGEST_HOLE = 20
 """px of a hole or speck that is regarded as noise."""
 
 
+@typed
 def detect_mask(mask: np.ndarray, options: DetectionOptions = DetectionOptions()) -> Detection:
     """The centre line of a mask (H, W) of any numbers. With at most LABELS different ones the thread is where they are not 0;
     with more, in a smoothed mask, where they exceed half of the largest. Of ``options`` its ``shortest_px`` and ``region``
