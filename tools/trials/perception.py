@@ -116,12 +116,12 @@ def seeds_off(point: np.ndarray, direction: np.ndarray, shift_mm: float, turn: f
 def without_camera(maps: DistanceMaps, rig: Rig, camera: int) -> tuple[DistanceMaps, Rig]:
     """The maps and the rig without one of the C cameras."""
     kept = [index for index in range(len(rig.cameras)) if index != camera]
-    return DistanceMaps(maps.values, maps.window[:, kept]), Rig(tuple(rig.cameras[index] for index in kept), rig.source)
+    return maps.take(slice(None), kept), Rig(tuple(rig.cameras[index] for index in kept), rig.source)
 
 
 def sets_of(maps: DistanceMaps, rows) -> DistanceMaps:
     """The maps of some of the sets."""
-    return DistanceMaps(maps.values, maps.window[rows])
+    return maps.take(rows)
 
 
 def unseen(maps: DistanceMaps, pixels: np.ndarray) -> np.ndarray:

@@ -48,6 +48,12 @@ class DistanceMaps:
     window: Annotated[np.ndarray, "A C 5"]
     detections: Sequence[Sequence[Detection]] | None = None
 
+    def take(self, sets: np.ndarray | slice, cameras: Sequence[int] | slice = slice(None)) -> "DistanceMaps":
+        """The maps of some of the sets, and of some of the cameras."""
+        rows, columns = (np.arange(size)[chosen] for size, chosen in zip(self.window.shape[:2], (sets, cameras), strict=True))
+        some = None if self.detections is None else [[self.detections[row][c] for c in columns] for row in rows]
+        return DistanceMaps(self.values, self.window[rows][:, columns], some)
+
 
 @typed
 @runtime.exclusive

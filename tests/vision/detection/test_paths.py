@@ -20,8 +20,8 @@ def detected(points: np.ndarray, rng: np.random.Generator, hidden: tuple[float, 
     ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
     order = rng.permutation(len(place))
     sign = rng.choice([-1.0, 1.0], len(place))[:, None]
-    return Detection((found + 0.05 * rng.normal(size=found.shape))[order], (sign * ahead)[order], np.full(len(place), 50.0), 2.0,
-                     "dark", SHAPE, "ridge")
+    noisy, strength = found + 0.05 * rng.normal(size=found.shape), np.full(len(place), 50.0)
+    return Detection(noisy[order], (sign * ahead)[order], strength, 2.0, "dark", SHAPE, "ridge")
 
 
 def wave() -> np.ndarray:
