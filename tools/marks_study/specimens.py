@@ -102,8 +102,8 @@ def rest_curvature(recipe: Recipe, s: np.ndarray) -> np.ndarray:
         rng = stream(recipe.family, recipe.seed, "curvature")
         radius, order = np.exp(rng.uniform(np.log(0.4), np.log(2.0))), np.arange(6)
         size = rng.normal(size=(2, 6)) / (1 + (order / 2) ** 2)
+        size /= radius * np.sqrt((size[:, 0] ** 2 + (size[:, 1:] ** 2).sum(-1) / 2).sum())  # of the mean of squares over s
         field[:, 1:] = np.cos(np.pi * order * s[:, None]) @ size.T
-        field /= radius * np.sqrt((field**2).sum(-1).mean())
     return field
 
 
