@@ -5,7 +5,7 @@ README: ``sweep``, then ``refine RUN``. A line of JSON per fit goes to FOLDER/ro
 
     all          random nuisances, families in turn (default)
     none         no nuisance at all, small specimens, as those that follow
-    only:NAME    this nuisance alone: spacing, clip, frames, chord, missing, mislabel, curvature, uneven
+    only:NAME    this nuisance alone: spacing, clip, frames, chord, missing, mislabel, curvature, uneven, turns
     without:NAME the specimens of ``all`` whose truth was outside, with this nuisance off
     leave        small specimens with random nuisances, each pose left out in turn
 """

@@ -80,11 +80,14 @@ class Rods:
     curvature: np.ndarray   # (P, points, 3) of the unloaded rod, in its frames
     span: np.ndarray        # (P, 3) between the clamps
 
-    def moments(self) -> np.ndarray:
+    def bending(self) -> np.ndarray:
+        """(P, points, 3): curvature of the rods as they are held, in their frames; the first component is the twist."""
         spin = np.swapaxes(self.frames, -1, -2) @ np.einsum("jk,pkab->pjab", self.at.derivative, self.frames)
-        kappa = np.stack([spin[..., 2, 1] - spin[..., 1, 2], spin[..., 0, 2] - spin[..., 2, 0],
-                          spin[..., 1, 0] - spin[..., 0, 1]], axis=-1) / 2
-        return (self.frames @ ((kappa - self.curvature) * [self.ratio, 1, 1])[..., None])[..., 0]
+        return np.stack([spin[..., 2, 1] - spin[..., 1, 2], spin[..., 0, 2] - spin[..., 2, 0],
+                         spin[..., 1, 0] - spin[..., 0, 1]], axis=-1) / 2
+
+    def moments(self) -> np.ndarray:
+        return (self.frames @ ((self.bending() - self.curvature) * [self.ratio, 1, 1])[..., None])[..., 0]
 
     def linearised(self):
         """Residual (P, points, 3) of the moments, its derivative (P, points, 3, points, 3) by rotations, and the tangents."""

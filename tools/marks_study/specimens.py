@@ -2,7 +2,7 @@
 
 ``marks.csv`` (pose, mark, x, y, z in m; missing marks have no row), ``spacing.txt`` (mm, where the lengths between marks were
 measured), ``marks.npz`` (where the frames of the grippers are known), ``truth.json``. What a nuisance draws does not depend on
-which others are on.
+which others are on. Without the nuisance ``turns`` the file states total twists, from which whole turns follow.
 """
 
 import json
@@ -16,7 +16,7 @@ from tools.marks_study.rod import equilibria, points, turned
 FAMILIES = ("cable", "suture")
 ALWAYS = ("spacing", "clip", "frames")
 SOMETIMES = {"chord": 0.5, "missing": 0.5, "mislabel": 0.5, "curvature": 0.8, "uneven": 0.35}
-NUISANCES = (*ALWAYS, *SOMETIMES)
+NUISANCES = (*ALWAYS, *SOMETIMES, "turns")
 GRAVITY = 9.81
 DEGREES = ((50, 30), (500, 40), (1500, 50), (np.inf, 60))  # weight w L³ / EI below which this degree resolves the rod
 CHANCES = 4  # times as many poses are tried as are wanted
@@ -55,7 +55,7 @@ def drawn(family: str, seed: int, nuisances: tuple[str, ...] | None = None, smal
     """The recipe of a seed, with these nuisances, or drawn ones; ``small``: 12 poses of 13 marks, or 20 poses of a suture."""
     if nuisances is None:
         chance = stream(family, seed, "which").random(len(SOMETIMES))
-        nuisances = ALWAYS + tuple(n for n, c in zip(SOMETIMES, chance, strict=True) if c < SOMETIMES[n])
+        nuisances = ALWAYS + tuple(n for n, c in zip(SOMETIMES, chance, strict=True) if c < SOMETIMES[n]) + ("turns",)
     rng = stream(family, seed, "recipe")
 
     def log(low, high):
@@ -134,8 +134,8 @@ def clamps(recipe: Recipe, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarr
     return start, chord * rng.uniform(0.4, 0.93, (count, 1)), end
 
 
-def exact(recipe: Recipe) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Marks (poses, marks, 3) in m without noise, z up, and the true frames of both clips."""
+def exact(recipe: Recipe) -> tuple[np.ndarray, ...]:
+    """Marks (poses, marks, 3) in m without noise, z up, the true frames of both clips, and the total twists in degrees."""
     degree = next(degree for load, degree in DEGREES if recipe.load < load)
     arc, count = mark_lengths(recipe)[0] / recipe.free, recipe.poses
     start, span, end = clamps(recipe, CHANCES * count)
@@ -148,17 +148,17 @@ def exact(recipe: Recipe) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             inside = rods.points_at(np.clip(arc, 0, 1))[right]
             first, last = rods.frames[right, 0], rods.frames[right, -1]
             inside += np.minimum(arc, 0)[:, None] * first[:, None, :, 0] + np.maximum(arc - 1, 0)[:, None] * last[:, None, :, 0]
-            taken.append((inside * recipe.free, first, last))
+            twist = np.degrees(rods.bending()[right, :, 0] @ rods.at.weights)
+            taken.append((inside * recipe.free, first, last, twist))
             kept += right.sum()
     if kept < count:
         raise RuntimeError(f"{recipe.family} {recipe.seed}: {kept} of {count} poses are stable")
-    marks, first, last = (np.concatenate(part)[:count] for part in zip(*taken, strict=True))
-    return marks, first, last
+    return tuple(np.concatenate(part)[:count] for part in zip(*taken, strict=True))
 
 
 def specimen(recipe: Recipe, folder: Path) -> dict:
     """Write the specimen's files, and return what is in ``truth.json``."""
-    marks, first, last = exact(recipe)
+    marks, first, last, twist = exact(recipe)
     count, each, on = *marks.shape[:2], recipe.nuisances
     turn = np.eye(3) if recipe.up == "z" else np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0.0]])
     seen = (marks + recipe.noise * stream(recipe.family, recipe.seed, "noise").normal(size=marks.shape)) @ turn.T
@@ -192,8 +192,9 @@ def specimen(recipe: Recipe, folder: Path) -> dict:
     if recipe.spacings_stated:
         (folder / "spacing.txt").write_text("".join(f"{1e3 * one:.3f}\n" for one in believed))
     if recipe.frames_given:
+        counted = {} if "turns" in on else {"total_twist_deg": twist}
         np.savez(folder / "marks.npz", vertices_mm=np.where(there[..., None], 1e3 * seen, np.nan),
-                 up=turn @ [0, 0, 1.0], start_frame=first, end_frame=last)
+                 up=turn @ [0, 0, 1.0], start_frame=first, end_frame=last, **counted)
     truth = {**asdict(recipe), "load": recipe.load, "arc": arc.tolist(), "mislabel": label, "bad_pose": bad}
     (folder / "truth.json").write_text(json.dumps(truth))
     return truth
