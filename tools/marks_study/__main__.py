@@ -174,7 +174,7 @@ def wanted(job: Job, rows: list[dict]) -> bool:
     """A specimen without a nuisance is of interest only where it has it and was outside with it."""
     kind, _, name = job.group.partition(":")
     whole = {row["key"]: row for row in rows}.get(f"all {job.family} {job.seed}")
-    return kind != "without" or bool(whole and outside(whole) and name in whole["truth"]["nuisances"])
+    return kind != "without" or bool(whole and outside(whole) and name in drawn(job.family, job.seed).nuisances)
 
 
 if __name__ == "__main__":
