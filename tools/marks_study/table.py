@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 
+from tools.marks_study.specimens import SOMETIMES
+
 HEADER = ("| set | family | parameter | truth inside | not determined | open on a side | no answer | not converged "
           "| median factor | median high/low | median s |\n|" + "---|" * 11)
 
@@ -48,10 +50,13 @@ def table(rows: list[dict]) -> str:
     """Markdown: each set, and in ``all`` each nuisance on and off; below it what was outside, and what leaving out moved."""
     rows = [row for row in rows if "truth" in row]
     parts = {group: [row for row in rows if row["group"] == group] for group in sorted({row["group"] for row in rows})}
-    for name in ("chord", "missing", "mislabel", "curvature", "uneven", "frames_given", "spacings_stated"):
+    whole = parts.get("all", ())
+    for name in (*SOMETIMES, "frames_given", "spacings_stated"):
         for on in (True, False):
             parts[f"all, {name} {'on' if on else 'off'}"] = [
-                row for row in parts.get("all", ()) if on == (row["truth"].get(name, name in row["truth"]["nuisances"]))]
+                row for row in whole if on == row["truth"].get(name, name in row["truth"]["nuisances"])]
+    for words, on in (("only noise is left", True), ("more than noise is left", False)):
+        parts[f"all, {words}"] = [row for row in whole if on == ("only noise is left" in row["text"])]
     lines = [line(part, label, family, name) for label, part in parts.items() for family in ("cable", "suture")
              for name in ("EI", "GJ")]
     below = [f"{row['key']}: {', '.join(f'{name} z {z:+.2f}' for name, z in outside(row).items())}; "
