@@ -103,13 +103,13 @@ def fit(recipe: Recipe, folder: Path) -> dict:
 
 
 def left_out(recipe: Recipe, folder: Path) -> list[dict]:
-    """Fits without each pose, from the estimate of all."""
-    rows, start = [], json.loads((folder / "out.json").read_text())[0]["theta"]
-    part = folder / "part"
-    part.mkdir()
-    if recipe.spacings_stated:
-        (part / "spacing.txt").write_text((folder / "spacing.txt").read_text())
+    """Fits of the specimen in ``folder`` without each pose."""
+    rows = []
     for pose in range(recipe.poses):
+        part = folder / str(pose)
+        part.mkdir()
+        if recipe.spacings_stated:
+            (part / "spacing.txt").write_text((folder / "spacing.txt").read_text())
         if recipe.frames_given:
             with np.load(folder / "marks.npz") as marks:
                 np.savez(part / "marks.npz", up=marks["up"], observation=np.delete(np.arange(recipe.poses), pose),
@@ -117,11 +117,7 @@ def left_out(recipe: Recipe, folder: Path) -> list[dict]:
         else:
             lines = (folder / "marks.csv").read_text().splitlines(keepends=True)
             (part / "marks.csv").write_text("".join(line for line in lines if line.split(",")[0] != str(pose)))
-        began = time.perf_counter()
-        code, text = command("refine", *source(recipe, part), "--bend", start["bend_1"], "--twist", start["twist"],
-                             *([] if recipe.frames_given else ["--parameters", "bend"]), "--no-models",
-                             "--linear-density", recipe.grams_per_metre, "--out", part / "out.json")
-        rows.append({"pose": pose, **result(part, code, text, began)})
+        rows.append({"pose": pose, **fit(recipe, part)})
     return rows
 
 
