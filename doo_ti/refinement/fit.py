@@ -106,11 +106,11 @@ class Fit:
                              "begin with another Θ, or inspect the rods with relax")
         return state
 
-    def from_marks(self, values: Values, scales: Scales) -> State:
-        """Rods relaxed from their observations."""
+    def from_marks(self, values: Values, scales: Scales, turn: int | None = None) -> State:
+        """Rods relaxed from their observations, with as many whole turns as :meth:`HeldRod.relaxed` says."""
         unknowns = self.unknowns
         solution = unknowns.rod.relaxed(unknowns.material(values), unknowns.lengths(values), unknowns.pose(values), self.solver,
-                                        values.theta.up)
+                                        values.theta.up, turn=turn)
         return self._state(values, scales, solution)
 
     def best_of(self, states: Sequence[State]) -> State:

@@ -187,6 +187,12 @@ class HeldRod:
         return "any_twist" in self.pose_scales
 
     @property
+    def turns_unknown(self) -> bool:
+        """Whether frames hold both ends' rolls, but nothing says by how many whole turns the rod is twisted."""
+        seen = self.observations
+        return self._both_hold_rolls and not self.twist_unknown and seen.total_twist is None and seen.frames is None
+
+    @property
     def clamped(self) -> np.ndarray:
         """(2,) bool: ends with a clip, where the clamp holds at least the tangent."""
         return np.array([np.max(kind) >= Clamp.TANGENT for kind in (self.clamps.start, self.clamps.end)])
@@ -250,10 +256,11 @@ class HeldRod:
         return (clamps.start_position, clamps.start_frame), (clamps.end_position, clamps.end_frame)
 
     def relaxed(self, material: Material, lengths: Lengths, pose: np.ndarray, solver: Newton, up: np.ndarray,
-                rows: np.ndarray | None = None, any_turn: bool = False) -> Solution:
+                rows: np.ndarray | None = None, any_turn: bool = False, turn: int | None = None) -> Solution:
         """F from the observations, or from those of ``rows`` alone; of several whole turns the one nearest to the marks.
 
         any_turn  try a turn more and one less than the observed twist, too
+        turn      only the rods with so many whole turns more than their frames leave, of those that may have several
         """
         rows = np.arange(self.observations.count) if rows is None else rows
         clamps = self.mesh_clamps(lengths, pose).take(rows)
@@ -261,6 +268,8 @@ class HeldRod:
         index, turns = turn_hypotheses(seen, clamps)
         if any_turn and seen.total_twist is not None and len(index) == len(rows):
             index, turns = np.repeat(index, 3), np.repeat(turns, 3) + np.tile([0, -1, 1], len(turns))
+        if turn is not None:
+            index, turns = np.arange(len(rows)), np.full(len(rows), turn)
         starts = start_configuration(seen.take(index), clamps.take(index), turns)
         around = self.surroundings.take(rows[index])
         solution = relax(starts, material, clamps.take(index), solver, up=up, **around.arguments)

@@ -30,6 +30,7 @@ from doo_ti.refinement.mislabelled import Mislabelled, mislabelled
 from doo_ti.refinement.priors import Scales, typical_scales
 from doo_ti.refinement.residuals import Comparison, mark_distance
 from doo_ti.refinement.rolls import more_probable, rolled
+from doo_ti.refinement.turns import from_several_twists, turns_chosen_again
 from doo_ti.refinement.unknowns import Theta, Unknowns, Values
 from doo_ti.relaxation.contact_table import require_clear
 from doo_ti.relaxation.newton import Newton
@@ -204,9 +205,14 @@ def _fitted(observations: Observations, clamps: Clamps, thetas: tuple[Theta, ...
     if not tried:
         raise last
     fit, fitted = min(tried, key=lambda one: (-one[1].state.used.sum(), one[1].posterior.value))
-    if len(thetas) > 1:
+    turns_open = rod.turns_unknown and "twist" in unknowns.parameters
+    if turns_open:
+        fitted = from_several_twists(fit, fitted, scales, TRIED_FIRST)
+    if len(thetas) > 1 or turns_open:
         further = fit.run(fitted.state, options.iterations)
         fitted = replace(further, steps=further.steps + fitted.steps)
+    if turns_open:
+        fitted = turns_chosen_again(fit, fitted, options.iterations)
     if straight_first:
         straight = fit, fitted
         fit, state = rolled(fit, fitted, wanted.curvature)

@@ -141,6 +141,17 @@ def test_stated_errors_of_frames_are_taken(seen):
             refine(seen, clamps, BEGIN, options)
 
 
+@pytest.mark.thorough
+@pytest.mark.parametrize("factor", [0.1, 0.2, 3.0])
+def test_whole_turns_that_nobody_measured_are_found(factor):
+    """Under a twist stiffness that is far too low rods with a wrong turn fit, and confirm it."""
+    twisted = suture(end_rotations_deg=(0.0, 90.0, 170.0, 250.0, -120.0, -200.0), end_distances_mm=(42.0, 78.0))
+    seen = replace(twisted, total_twist=None)
+    out = refine(seen, observation_clamps(seen), Theta(BEND * np.eye(2), factor * TWIST), QUICK)
+    assert out.converged and out.used.all()
+    assert holds(out.estimate.parameter("bend"), BEND) and holds(out.estimate.parameter("twist"), TWIST)
+
+
 def test_what_a_model_lacks_is_named(seen):
     poor = replace(QUICK, curvature="none", clip=1.0, clamps="exact")
     out = refine(seen, observation_clamps(seen), BEGIN, poor)

@@ -1,0 +1,56 @@
+"""Whole turns of rods that frames hold at both ends, where nobody measured the total twist.
+
+The frames leave the twist open up to whole turns. F takes, of several, the rod nearest to the marks: under a twist stiffness that
+is too low a wrong turn changes the shape little, is taken, and confirms the stiffness. So a fit begins with several twist
+stiffnesses, each with the turns that are nearest then; the posterior decides. At its end each observation's turns are chosen once
+more, under what was learned.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from doo_ti.errors import InputError
+from doo_ti.refinement.fit import Fit, Fitted
+from doo_ti.refinement.priors import Scales
+from doo_ti.refinement.unknowns import Values
+
+RATIOS = (0.25, 0.5, 1.0, 2.0, 4.0)
+"""Twist over bend stiffness with which a fit begins."""
+TURNS = (-1, 0, 1)
+"""Whole turns of an observation that are compared, each with the most probable clamps."""
+AGAIN = 3
+"""How often turns are chosen once more, as long as that changes any."""
+
+
+def better(one: Fitted, other: Fitted) -> Fitted:
+    """That in which more rods count or, if as many do, the more probable one."""
+    return min((one, other), key=lambda fitted: (-fitted.state.used.sum(), fitted.posterior.value))
+
+
+def from_several_twists(fit: Fit, fitted: Fitted, scales: Scales, steps: int) -> Fitted:
+    """The best of ``fitted`` and of fits that begin at its Θ with other twist stiffnesses, each after ``steps``."""
+    theta = fitted.state.values.theta
+    for ratio in RATIOS:
+        twisted = replace(theta, twist=ratio * float(np.diag(theta.bend).mean()))
+        values = replace(fitted.state.values, theta=twisted, scatter=0 * fitted.state.values.scatter)
+        try:
+            fitted = better(fitted, fit.run(fit.begin(values, scales), steps))
+        except InputError:  # no rod is stable at that twist stiffness
+            continue
+    return fitted
+
+
+def turns_chosen_again(fit: Fit, fitted: Fitted, steps: int) -> Fitted:
+    """``fitted``, continued with the turns that are most probable under what was learned, as long as that helps."""
+    for _ in range(AGAIN):
+        state = fitted.state
+        values: Values = replace(state.values, scatter=0 * state.values.scatter)
+        begun = fit.best_of([state, *(fit.posed(fit.from_marks(values, state.scales, turn)) for turn in TURNS)])
+        if np.array_equal(begun.values.scatter, state.values.scatter):
+            break
+        further = fit.run(begun, steps)
+        if better(fitted, further) is fitted:
+            break
+        fitted = replace(further, steps=further.steps + fitted.steps)
+    return fitted
