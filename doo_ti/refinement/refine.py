@@ -29,7 +29,7 @@ from doo_ti.refinement.held_rod import HeldRod
 from doo_ti.refinement.mislabelled import Mislabelled, mislabelled
 from doo_ti.refinement.priors import Scales, typical_scales
 from doo_ti.refinement.residuals import Comparison, mark_distance
-from doo_ti.refinement.rolls import more_probable, rolled
+from doo_ti.refinement.rolls import more_probable, rolled, rolls_chosen_again
 from doo_ti.refinement.turns import from_several_twists, turns_chosen_again
 from doo_ti.refinement.unknowns import Theta, Unknowns, Values
 from doo_ti.relaxation.contact_table import require_clear
@@ -216,7 +216,7 @@ def _fitted(observations: Observations, clamps: Clamps, thetas: tuple[Theta, ...
     if straight_first:
         straight = fit, fitted
         fit, state = rolled(fit, fitted, wanted.curvature)
-        curved = fit.run(state, options.iterations)
+        curved = rolls_chosen_again(fit, fit.run(state, options.iterations), options.iterations)
         fitted = replace(curved, steps=curved.steps + fitted.steps)
         if options.curvature == "auto":
             fit, fitted = more_probable(straight, (fit, fitted))

@@ -11,12 +11,16 @@ and the best κ minimises their sum. Without that a fit would begin with rolls t
 straight, or stiff in torsion.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from doo_ti.refinement.evidence import integrated
 from doo_ti.refinement.fit import Fit, Fitted, State
+from doo_ti.refinement.priors import Scales
+from doo_ti.refinement.turns import chosen_again
+from doo_ti.refinement.unknowns import Values
 
 ROLLS = 72
 TRIED = 6
@@ -47,12 +51,22 @@ def rolled(fit: Fit, fitted: Fitted, curvature: str) -> tuple[Fit, State]:
     begun = np.tile([size / unknowns.rod.length, 0.0], (len(unknowns.knots), 1))
     curved = replace(fit, comparison=replace(fit.comparison, unknowns=unknowns))
     scales = fitted.state.scales.learning(unknowns.scale_names)
-    states = []
+    return curved, curved.best_of(list(_turned(curved, replace(values, curvature=begun), scales, roll, 0.0)))
+
+
+def _turned(fit: Fit, values: Values, scales: Scales, roll: np.ndarray, least: float) -> Iterator[State]:
+    """All observations rolled by ``roll`` (D,) and, from ``least`` on, by more, with the most probable clamps then."""
     for extra in np.linspace(0.0, 2 * np.pi, TRIED, endpoint=False):
-        scatter = values.scatter.copy()
-        scatter[:, 0] += (roll + extra + np.pi) % (2 * np.pi) - np.pi
-        states.append(curved.posed(curved.from_marks(replace(values, curvature=begun, scatter=scatter), scales)))
-    return curved, curved.best_of(states)
+        if extra >= least:
+            scatter = values.scatter.copy()
+            scatter[:, 0] += (roll + extra + np.pi) % (2 * np.pi) - np.pi
+            yield fit.posed(fit.from_marks(replace(values, scatter=scatter), scales))
+
+
+def rolls_chosen_again(fit: Fit, fitted: Fitted, steps: int) -> Fitted:
+    """``fitted``, continued with the rolls that are most probable under what was learned, as long as that helps."""
+    return chosen_again(fit, fitted, steps, lambda state: _turned(fit, state.values, state.scales, np.zeros(len(state.used)),
+                                                                  np.pi / TRIED))
 
 
 def more_probable(straight: tuple[Fit, Fitted], curved: tuple[Fit, Fitted]) -> tuple[Fit, Fitted]:

@@ -6,21 +6,21 @@ stiffnesses, each with the turns that are nearest then; the posterior decides. A
 more, under what was learned.
 """
 
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 import numpy as np
 
 from doo_ti.errors import InputError
-from doo_ti.refinement.fit import Fit, Fitted
+from doo_ti.refinement.fit import Fit, Fitted, State
 from doo_ti.refinement.priors import Scales
-from doo_ti.refinement.unknowns import Values
 
 RATIOS = (0.25, 0.5, 1.0, 2.0, 4.0)
 """Twist over bend stiffness with which a fit begins."""
 TURNS = (-1, 0, 1)
 """Whole turns of an observation that are compared, each with the most probable clamps."""
 AGAIN = 3
-"""How often turns are chosen once more, as long as that changes any."""
+"""How often each observation is chosen once more, as long as that changes any."""
 
 
 def better(one: Fitted, other: Fitted) -> Fitted:
@@ -43,10 +43,20 @@ def from_several_twists(fit: Fit, fitted: Fitted, scales: Scales, steps: int) ->
 
 def turns_chosen_again(fit: Fit, fitted: Fitted, steps: int) -> Fitted:
     """``fitted``, continued with the turns that are most probable under what was learned, as long as that helps."""
+
+    def others(state: State) -> Iterable[State]:
+        values = replace(state.values, scatter=0 * state.values.scatter)
+        return (fit.posed(fit.from_marks(values, state.scales, turn)) for turn in TURNS)
+
+    return chosen_again(fit, fitted, steps, others)
+
+
+def chosen_again(fit: Fit, fitted: Fitted, steps: int, others: Callable[[State], Iterable[State]]) -> Fitted:
+    """``fitted``, continued with the most probable of each observation's ``others`` and its present state, as long as that
+    helps."""
     for _ in range(AGAIN):
         state = fitted.state
-        values: Values = replace(state.values, scatter=0 * state.values.scatter)
-        begun = fit.best_of([state, *(fit.posed(fit.from_marks(values, state.scales, turn)) for turn in TURNS)])
+        begun = fit.best_of([state, *others(state)])
         if np.array_equal(begun.values.scatter, state.values.scatter):
             break
         further = fit.run(begun, steps)
