@@ -116,7 +116,8 @@ def _begun(task: PerceptionTask, detected: list[list]) -> PerceptionTask:
     from doo_ti.perception.whole_thread import whole_threads
 
     if sets.point is None:
-        sets = replace(sets, point=seed_from_pixels(sets.rig, detected[0], task.clicks, given.SOURCE)[None])
+        sources = [f"{sets.source}: {in_line(name)}" if sets.count > 1 else sets.source for name in sets.names]
+        sets = replace(sets, point=np.array([seed_from_pixels(sets.rig, *one) for one in zip(detected, sets.clicks, sources)]))
     threads = whole_threads(sets.rig, detected, sets.point, sets.direction, task.material, task.up)
     lost = np.flatnonzero(np.isnan(threads.direction).any(axis=1) if task.rest_length is not None else np.isnan(threads.length))
     if len(lost) and (task.rest_length is None and len(lost) == sets.count or sets.direction is None):

@@ -54,7 +54,6 @@ class PerceptionTask:
     sets: object  # ImageSets
     rest_length: np.ndarray | None
     extent: Extent
-    clicks: dict[int, tuple[float, float]]
     material: Material
     search: object  # PerceptionOptions
     sight: object  # Sight
@@ -86,7 +85,7 @@ def perception_task(options: Namespace) -> PerceptionTask:
 
     chosen = {"nu": nu, "hypotheses": hypotheses}
     search = PerceptionOptions(**{name: value for name, value in chosen.items() if value is not None})
-    return PerceptionTask(sets, rest_length, _extent(options), _clicks(options, sets.rig), grid.materials(), search,
+    return PerceptionTask(sets, rest_length, _extent(options), grid.materials(), search,
                           image_options.sight(options, sets, options.detector), up, truth,
                           0 if options.no_recording else recorded or RECORDED, surroundings, guessed)
 
@@ -164,7 +163,8 @@ def _sets(options: Namespace, rig):
             raise InputError(given.SOURCE, name, f"{len(numbers)} numbers", "give X,Y,Z")
         seed[name] = np.array([numbers])
     paths = tuple(Path(image) for image in options.images)
-    return ImageSets((in_line(paths[0].stem),), (paths,), rig, seed["--seed-point"], seed["--seed-direction"], given.SOURCE)
+    return ImageSets((in_line(paths[0].stem),), (paths,), rig, seed["--seed-point"], seed["--seed-direction"], given.SOURCE,
+                     (_clicks(options, rig),))
 
 
 def _extent(options: Namespace) -> Extent:

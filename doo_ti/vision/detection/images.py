@@ -1,9 +1,11 @@
 """Images from files as grey levels, and sets of images of one scene each with where the rod sets out: SETS.csv (§IV-A).
 
     name,cam0,cam1,cam2,seed_x,seed_y,seed_z,dir_x,dir_y,dir_z
+    name,cam0,cam1,cam2,cam0_u,cam0_v
 
 Images are relative to the file; the columns of images are named as the rig's cameras. A camera that did not see a scene is left
-out of the whole file, not of a line: a set's score is a sum over cameras, and sets are compared.
+out of the whole file, not of a line: a set's score is a sum over cameras, and sets are compared. A rod sets out from a point in
+the world, or from a pixel in one camera or more; the cells of the others are empty.
 """
 
 import os
@@ -140,6 +142,7 @@ class ImageSets:
     rig        the cameras that took them
     point      (A, 3) mm: v⁰; None where it is to be found in the images
     direction  (A, 3) unit vectors: e⁰; None where it is to be found in the images
+    clicks     where ``point`` is None, A times the pixels (u, v) at which the rod begins, by the numbers of their cameras
     """
 
     names: tuple[str, ...]
@@ -148,6 +151,7 @@ class ImageSets:
     point: np.ndarray | None
     direction: np.ndarray | None
     source: str = "sets"
+    clicks: tuple[dict[int, tuple[float, float]], ...] | None = None
 
     def __post_init__(self) -> None:
         if not self.rig.cameras:
@@ -178,16 +182,41 @@ class ImageSets:
 def load_sets(path: str | os.PathLike[str], rig: Rig) -> ImageSets:
     """The sets of a CSV file. Raises InputError naming line and column for whatever is missing or not a number."""
     path = Path(path)
-    table = read_csv(path, ("name", *SEED), form=f"name, one per camera, {', '.join(SEED)}", short_lines=True)
-    cameras = cameras_in(table, rig, ("name", *SEED))
+    form = f"name, one per camera, and {', '.join(SEED)}, or CAMERA_u, CAMERA_v of a pixel where the rod begins"
+    table = read_csv(path, ("name",), form=form, short_lines=True)
+    pixels = {name: (f"{name}_u", f"{name}_v") for name in rig.names}
+    clicked = [name for name, pair in pixels.items() if any(one in table.columns for one in pair)]
+    seed = tuple(one for name in clicked for one in pixels[name]) or SEED
+    missing = next((one for one in seed if one not in table.columns), None)
+    if missing is not None:
+        raise InputError(path, missing, "the column is missing", f"give the columns {form}")
+    cameras = cameras_in(table, rig, ("name", *seed))
     names = table.columns["name"]
     if len(set(names)) < len(names):
         raise InputError(path, "name", f"{max(names, key=names.count)!r} occurs twice", "name the sets apart")
     for name in cameras:
         table.refuse(name, np.array(table.columns[name]) == "", "is no image", "give one, or leave the camera's column out")
+    rig = rig.only(cameras) if cameras else rig
+    if clicked:
+        return ImageSets(tuple(names), images_in(table, cameras), rig, None, None, str(path), _clicks(table, clicked, rig))
     seeds = np.stack([table.numbers(key) for key in SEED], axis=-1)
-    return ImageSets(tuple(names), images_in(table, cameras), rig.only(cameras) if cameras else rig, seeds[:, :3], seeds[:, 3:],
-                     str(path))
+    return ImageSets(tuple(names), images_in(table, cameras), rig, seeds[:, :3], seeds[:, 3:], str(path))
+
+
+def _clicks(table: CsvTable, clicked: list[str], rig: Rig) -> tuple[dict[int, tuple[float, float]], ...]:
+    """For each row the pixels in the columns of the cameras ``clicked``."""
+    found = [{} for _ in range(table.count)]
+    for name in clicked:
+        u, v = (table.numbers(f"{name}_{axis}", may_be_empty=True) for axis in "uv")
+        for one, other, axis in ((u, v, "u"), (v, u, "v")):
+            table.refuse(f"{name}_{axis}", np.isnan(one) & ~np.isnan(other), "is no pixel", "give u and v, or neither")
+        if name not in rig.names:
+            raise InputError(table.path, f"{name}_u", f"the file has no images of {name}", f"give the column {name}")
+        for row in np.flatnonzero(~np.isnan(u)):
+            found[row][rig.names.index(name)] = float(u[row]), float(v[row])
+    table.refuse(f"{clicked[0]}_u", np.array([not pixels for pixels in found]), "and no other pixel",
+                 "give a pixel where the rod begins, in one camera or more")
+    return tuple(found)
 
 
 def cameras_in(table: CsvTable, rig: Rig, others: tuple[str, ...]) -> list[str]:

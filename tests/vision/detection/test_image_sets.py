@@ -21,6 +21,16 @@ def test_a_file_of_sets(tmp_path):
     np.testing.assert_allclose(sets.direction[0], [0, 0.6, 0.8])
 
 
+CLICKS = "name,cam0,cam2,cam0_u,cam0_v,cam2_u,cam2_v\n"
+
+
+def test_rods_that_begin_at_pixels(tmp_path):
+    (tmp_path / "sets.csv").write_text(CLICKS + "a,a0.png,a2.png,10,20.5,,\nb,b0.png,b2.png,1,2,3,4\nc,c0.png,c2.png,,,5,6\n")
+    sets = load_sets(tmp_path / "sets.csv", rig())
+    assert sets.point is None and sets.direction is None and sets.rig.names == ("cam0", "cam2")
+    assert sets.clicks == ({0: (10.0, 20.5)}, {0: (1.0, 2.0), 1: (3.0, 4.0)}, {1: (5.0, 6.0)})
+
+
 def test_the_sets_of_the_images(laboratory):
     folder = laboratory / "images_a"
     sets, truth = load_sets(folder / "sets.csv", load_rig(folder / "rig.yaml")), np.load(folder / "truth.npz")
@@ -34,6 +44,11 @@ def test_the_sets_of_the_images(laboratory):
     (HEADER + LINE.replace("1,2,3", "1,2,nan"), "finite"), (HEADER + LINE.replace("1,2,3", "0,0,-9000"), "behind"),
     (HEADER.replace("\n", ",cam0\n") + LINE.replace("\n", ",a0.png\n"), "cam0: .* twice"),
     (HEADER + LINE.replace("\n", ",7\n"), "10 cells under 9"), (HEADER + LINE.replace("a,", '"a\nb",', 1), "line break"),
+    (CLICKS + "a,a0.png,a2.png,,,,\n", "cam0_u: '' in line 2"), (CLICKS + "a,a0.png,a2.png,3,,,\n", "cam0_v: '' in line 2"),
+    (CLICKS.replace("cam2_u", "cam1_u") + "a,a0.png,a2.png,3,4,5,6\n", "cam1_v|cam2_v"),
+    (CLICKS.replace("\n", ",seed_x\n") + "a,a0.png,a2.png,3,4,,,1\n", "seed_x"),
+    (CLICKS.replace("cam0_v", "x") + "a,a0.png,a2.png,3,4,,\n", "cam0_v"),
+    (CLICKS.replace("cam2_", "cam1_") + "a,a0.png,a2.png,3,4,,\n", "cam1"),
 ])
 def test_wrong_lists_are_reported(tmp_path, text, word):
     (tmp_path / "sets.csv").write_text(text)
