@@ -133,9 +133,9 @@ def columns(options: Namespace) -> dict[str, str] | list[str] | None:
     return {name: column for name, _, column in pairs} if pairs[0][1] else parts
 
 
-def load(options: Namespace, source: str) -> Observations:
-    """The observations of ``source``."""
-    observations = load_observations(source, given.up(options), options.unit, columns(options))
+def load(options: Namespace, source: str, without_lost: bool = False) -> Observations:
+    """The observations of ``source``, all or without those of one mark or none."""
+    observations = load_observations(source, given.up(options), options.unit, columns(options), without_lost)
     return observations if options.rest_length is None else _measured(observations, options.rest_length)
 
 

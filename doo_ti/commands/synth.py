@@ -27,7 +27,10 @@ def declare(add) -> None:
                         "to .npz (docs/cables.md)")
     parser.add_argument("out", metavar="OUT", help=".npz, .csv or .parquet")
     loading.add_loading(parser)
-    parser.add_argument("--select", metavar="FROM:TO[:STEP]", help="only these observations, numbered from 0 (default: all)")
+    parser.add_argument("--select", metavar="FROM:TO[:STEP]", help="only these observations, numbered from 0 (default: all; "
+                        "with --complete those of one mark or none are not counted)")
+    parser.add_argument("--marks", metavar="FROM:TO[:STEP]", help="only these marks of each, numbered from 0, or from the end "
+                        "where negative: 2:-2 leaves out two at either end (default: all)")
     parser.add_argument("--complete", action="store_true", help="leave out observations with a missing mark")
     parser.add_argument("--motion", action="store_true", help="write a recording as one motion, positions_mm and rate_hz, with "
                         "the frames that --select names")
@@ -60,7 +63,10 @@ def run_convert(options: Namespace, words: list[str]) -> int:
         return _convert_motion(options, out)
     if options.rate is not None:
         raise InputError(given.SOURCE, "--rate", "given without --motion", "give both")
-    observations = loading.load(options, options.observations)
+    observations = loading.load(options, options.observations, options.complete)
+    kept = _selected(options.marks, observations.edges + 1, "--marks")
+    if options.marks is not None:
+        observations = observations.of_marks(kept)
     rows = np.arange(observations.count)[_selected(options.select, observations.count)]
     rows = rows[observations.valid[rows].all(axis=1)] if options.complete else rows
     if not len(rows):
@@ -89,17 +95,17 @@ def _convert_motion(options: Namespace, out: Path) -> int:
     return 0
 
 
-def _selected(text: str | None, count: int) -> slice:
-    """The rows of ``--select``, of ``count``; a step takes every so many-th."""
+def _selected(text: str | None, count: int, option: str = "--select") -> slice:
+    """The rows that ``option`` names, of ``count``; a step takes every so many-th."""
     parts = [] if text is None else text.split(":")
     try:
         first, last, step = [int(part) if part else None for part in [*parts, "", "", ""][:3]]
     except ValueError:
         first, last, step = 0, 0, 0
     if text is not None and len(parts) not in (2, 3) or step is not None and step < 1:
-        raise InputError(given.SOURCE, "--select", f"{text!r}", "give FROM:TO or FROM:TO:STEP, whole numbers")
+        raise InputError(given.SOURCE, option, f"{text!r}", "give FROM:TO or FROM:TO:STEP, whole numbers")
     if last is not None and last > count or first is not None and first >= count > 0:
-        raise InputError(given.SOURCE, "--select", f"{text!r}, there are {count}", f"give rows from 0 up to {count}")
+        raise InputError(given.SOURCE, option, f"{text!r}, there are {count}", f"give numbers from 0 up to {count}")
     return slice(first, last, step)
 
 

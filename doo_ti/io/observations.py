@@ -136,6 +136,20 @@ class Observations:
             return self
         return replace(self, rest_length=_arcs(self.vertices))
 
+    def of_marks(self, kept: slice) -> "Observations":
+        """The same rods by these of their marks, joined by the rest lengths between. Raises InputError for fewer than three, and
+        where a frame or twist is that of edges that are no longer there."""
+        index = np.arange(self.edges + 1)[kept]
+        arcs = np.concatenate([[0.0], np.cumsum(self.rest_length)])[index]
+        first, last = index[[0, -1]] if len(index) else (0, self.edges)
+        lost = {"start_frame": first > 0, "end_frame": last < self.edges, "frames": len(index) <= self.edges,
+                "total_twist": first > 0 or last < self.edges}
+        for name, gone in lost.items():
+            if gone and getattr(self, name) is not None:
+                raise self._error(name, "is of edges whose marks are left out", "keep these marks, or leave the frames out")
+        sigma = self.sigma[:, index] if self.sigma is not None and self.sigma.ndim else self.sigma
+        return replace(self, vertices=self.vertices[:, index], valid=self.valid[:, index], rest_length=np.diff(arcs), sigma=sigma)
+
     def take(self, index: Rows) -> "Observations":
         """The observations named by ``index``, in that order and as often."""
         per_observation = ("vertices", "valid", "labels", "start_frame", "end_frame", "frames", "total_twist", "end_distance",
@@ -297,7 +311,7 @@ def _over_edges(share: np.ndarray) -> np.ndarray:
 
 @typed
 def load_observations(path: str | os.PathLike[str], up: ArrayLike | None = None, unit: str | None = None,
-                      columns: Mapping[str, str] | Sequence[str] | None = None) -> Observations:
+                      columns: Mapping[str, str] | Sequence[str] | None = None, without_lost: bool = False) -> Observations:
     """Read and check observations of an ``.npz``, ``.csv`` or ``.parquet`` file, or curves of another program: motion capture
     of OptiTrack and Vicon, MuJoCo cables, USD curves, plain polylines (docs/observations.md).
 
@@ -305,6 +319,7 @@ def load_observations(path: str | os.PathLike[str], up: ArrayLike | None = None,
     unit     "mm", "cm" or "m": the unit of all lengths in the file, whatever it states itself
     columns  of a table: {"x": "PosX", …}, the columns that hold x, y, z, observation and vertex where they have other names;
              of other files: names of markers or curves, in their order along the rod
+    without_lost  leave out observations with fewer than two marks, which are else an error
 
     Raises InputError for a file that cannot be read and for whatever :class:`Observations` refuses.
     """
@@ -319,6 +334,8 @@ def load_observations(path: str | os.PathLike[str], up: ArrayLike | None = None,
             values = _in_mm(values, keys.get("unit", 1.0), unit)
     if "vertices_mm" not in keys:
         raise InputError(path, "vertices_mm", "the key is missing", "store the vertices as vertices_mm (D, V, 3)")
+    if without_lost:
+        values = _without_lost(values)
     observations = Observations(**values, name=in_line(path.stem), source=str(path), sha256=hashlib.sha256(content).hexdigest())
     if observations.total_twist is not None:
         _check_turns(observations)
@@ -331,6 +348,22 @@ def _in_mm(values: dict, read_as: float, unit: str) -> dict:
         raise InputError("load_observations", "unit", f"{unit!r}", f"give one of {', '.join(UNITS_IN_MM)}")
     factor = UNITS_IN_MM[unit] / read_as
     return {name: value * factor if name in LENGTHS and value.dtype.kind != "b" else value for name, value in values.items()}
+
+
+def _without_lost(values: dict) -> dict:
+    """``values`` of a file without its observations of one mark or none; as they are where that leaves none, or they have not
+    the shapes that :class:`Observations` demands."""
+    vertices, count = values["vertices"], len(values["vertices"]) if values["vertices"].ndim == 3 else 0
+    seen = ~np.isnan(vertices).any(axis=-1)
+    valid = values.get("valid", seen)
+    if not count or valid.shape != seen.shape:
+        return values
+    enough = (seen & valid.astype(bool)).sum(axis=1) >= 2
+    whole = "rest_length", "up", "spacing_error"
+    if not enough.any() or any(len(value) != count for name, value in values.items() if name not in whole and value.ndim):
+        return values
+    values = {"labels": np.arange(count)} | values
+    return {name: value if name in whole or not value.ndim else value[enough] for name, value in values.items()}
 
 
 def _check_turns(observations: Observations) -> None:

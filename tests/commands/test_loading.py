@@ -66,6 +66,32 @@ def test_motion_capture_as_motion_and_as_observations(tmp_path, capfd):
     np.testing.assert_allclose(load_observations(tmp_path / "marks.csv").vertices, seen[[1, 5, 7, 9]])
 
 
+def test_observations_without_marks_and_outer_marks_are_left_out(tmp_path, capfd):
+    """As of what perceive writes: a rod that was not found, and ends that are uncertain."""
+    file, out = tmp_path / "rods.npz", tmp_path / "marks.npz"
+    rods = np.random.default_rng(0).normal(0, 9, (3, 7, 3))
+    valid, sigma = np.ones(rods.shape[:2], bool), np.arange(1.0, 1 + rods[..., 0].size).reshape(rods.shape[:2])
+    valid[0] = False
+    np.savez(file, vertices_mm=rods, valid=valid, sigma_mm=sigma, rest_length_mm=np.arange(1.0, rods.shape[1]))
+    assert main(["convert", str(file), str(out), "--marks", "1:-1"]) == 2 and not out.exists()
+    assert "observation 0" in capfd.readouterr().err
+    assert main(["convert", str(file), str(out), "--marks", "1:-1", "--complete"]) == 0
+    found = load_observations(out)
+    np.testing.assert_array_equal(found.vertices, rods[1:, 1:-1])
+    np.testing.assert_array_equal(found.sigma, sigma[1:, 1:-1])
+    assert found.labels.tolist() == list(range(1, len(rods)))
+    np.testing.assert_array_equal(found.rest_length, np.arange(2.0, rods.shape[1] - 1))
+
+
+def test_marks_whose_frames_would_be_lost_stay(tmp_path, shipped_data, capfd):
+    words = ["convert", str(shipped_data / "lab_a" / "vicryl.npz"), str(tmp_path / "marks.npz"), "--marks"]
+    assert main([*words, "2:-2"]) == 2 and "start_frame" in capfd.readouterr().err
+    assert main([*words, "::3"]) == 0
+    whole, part = load_observations(words[1]), load_observations(words[2])
+    np.testing.assert_array_equal(part.vertices, whole.vertices[:, ::3])
+    np.testing.assert_allclose(part.rest_length, whole.rest_length.reshape(-1, 3).sum(axis=1))
+
+
 def test_relax_prints_what_it_loaded(tmp_path, capfd):
     marks = np.stack([np.linspace(0, 0.09, 12), np.zeros(12), 0.01 * np.sin(np.linspace(0, np.pi, 12))], axis=-1)
     (tmp_path / "x.csv").write_text(table(marks[None], "observation,vertex,x,y,z"))
@@ -80,7 +106,7 @@ def test_relax_prints_what_it_loaded(tmp_path, capfd):
 @pytest.mark.parametrize("words", [
     ["--unit", "inch"], ["--columns", "x=east,y"], ["--columns", "x=west,y=height,z=north"], ["--select", "1"],
     ["--select", "a:b"],
-    ["--select", "5:6"], ["--motion"]])
+    ["--select", "5:6"], ["--marks", "1:2"], ["--marks", "3"], ["--motion"]])
 def test_wrong_options_write_nothing(tmp_path, metres, capfd, words):
     assert main(["convert", str(metres), str(tmp_path / "out.npz"), "--columns", "x=east,y=height,z=north", *words]) == 2
     assert not (tmp_path / "out.npz").exists()

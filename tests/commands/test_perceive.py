@@ -5,6 +5,7 @@ import json
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from doo_ti.cli import main
 from doo_ti.io.observations import load_observations
@@ -72,6 +73,31 @@ def test_rods_are_found_and_written(photographed, perceived):
         "coverage": (2, 3), "thread_length_mm": (2,), "left_over_mm": (2,), "verdict": (2,), "gap_px": (2,),
         "unsupported": (2, edges), "runner_up_mm": (2, 4, vertices, 3), "runner_up_energy_vis": (2, 4)}
     assert (out / "f.png").read_bytes()[:4] == b"\x89PNG"
+
+
+@pytest.mark.thorough
+def test_rods_begun_by_clicks_end_where_the_thread_ends(photographed, tmp_path, capfd):
+    """Sets with a pixel each, in one camera or another; their inner marks are observations for refine."""
+    folder, rods = photographed
+    lines = ["name,cam0,cam1,cam2,cam0_u,cam0_v,cam1_u,cam1_v"]
+    for name, rod, camera in (("first", rods[0], 0), ("second", rods[1], 1)):
+        u, v = load_rig(folder / "rig.yaml").cameras[camera].project(rod[:1])[0] + (2, -2)
+        images = ",".join(str(folder / f"{name}_cam{index}.png") for index in range(3))
+        lines.append(f"{name},{images},{',,' * camera}{u:.0f},{v:.0f}{',,' * (1 - camera)}")
+    (tmp_path / "sets.csv").write_text("\n".join(lines) + "\n")
+    words = ["perceive", "--rig", str(folder / "rig.yaml"), "--sets", str(tmp_path / "sets.csv"), *MATERIAL[:6], "--out",
+             str(tmp_path / "rods.npz"), "--no-picture", "--no-recording"]
+    assert main(words) == 0
+    assert main(["convert", str(tmp_path / "rods.npz"), str(tmp_path / "marks.npz"), "--marks", "2:-2", "--complete"]) == 0
+    found = load_observations(tmp_path / "marks.npz")
+    assert found.count == 2 and found.edges == 29
+    assert abs(found.rest_length.sum() / 29 * 33 / (3 * EDGES) - 1) < 0.05
+    for marks, rod in zip(found.vertices, rods, strict=True):
+        assert cKDTree(smooth_curve(rod, 200)).query(marks)[0].max() < 0.2
+    (tmp_path / "sets.csv").write_text("\n".join([*lines[:2], lines[2].replace(lines[2].split(",")[6], "9")]) + "\n")
+    capfd.readouterr()
+    assert main(words) == 2
+    assert "sets.csv: second: --seed-pixel: 9," in capfd.readouterr().err
 
 
 @pytest.mark.thorough
