@@ -137,8 +137,8 @@ class Observations:
         return replace(self, rest_length=_arcs(self.vertices))
 
     def of_marks(self, kept: slice) -> "Observations":
-        """The same rods by these of their marks, joined by the rest lengths between. Raises InputError for fewer than three, and
-        where a frame or twist is that of edges that are no longer there."""
+        """The same rods by these of their marks, joined by the rest lengths between. Raises InputError for fewer than three,
+        and where a frame or twist is that of edges that are no longer there."""
         index = np.arange(self.edges + 1)[kept]
         arcs = np.concatenate([[0.0], np.cumsum(self.rest_length)])[index]
         first, last = index[[0, -1]] if len(index) else (0, self.edges)
@@ -148,7 +148,8 @@ class Observations:
             if gone and getattr(self, name) is not None:
                 raise self._error(name, "is of edges whose marks are left out", "keep these marks, or leave the frames out")
         sigma = self.sigma[:, index] if self.sigma is not None and self.sigma.ndim else self.sigma
-        return replace(self, vertices=self.vertices[:, index], valid=self.valid[:, index], rest_length=np.diff(arcs), sigma=sigma)
+        return replace(self, vertices=self.vertices[:, index], valid=self.valid[:, index], sigma=sigma,
+                       rest_length=np.diff(arcs))
 
     def take(self, index: Rows) -> "Observations":
         """The observations named by ``index``, in that order and as often."""
