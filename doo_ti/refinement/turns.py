@@ -1,9 +1,9 @@
 """Whole turns of rods that frames hold at both ends, where nobody measured the total twist.
 
-The frames leave the twist open up to whole turns. F takes, of several, the rod nearest to the marks: under a twist stiffness that
-is too low a wrong turn changes the shape little, is taken, and confirms the stiffness. So a fit begins with several twist
-stiffnesses, each with the turns that are nearest then; the posterior decides. At its end each observation's turns are chosen once
-more, under what was learned.
+The frames leave the twist open up to whole turns. F takes, of several, the rod nearest to the marks: under a twist stiffness
+that is too low a wrong turn changes the shape little, is taken, and confirms the stiffness. So a fit begins with several twist
+stiffnesses, each with the turns that are nearest then; the posterior decides. At its end each observation's turns are chosen
+once more, under what was learned.
 """
 
 from collections.abc import Callable, Iterable
