@@ -21,6 +21,8 @@ MARGIN_PX = 60
 """Of the distance maps around what was detected."""
 MOST_MAP_BYTES = 1 << 29
 """Of the distance maps held at once."""
+CLICK_PX = 1.0
+"""Standard deviation of where a thread ends in an image."""
 LEAST_SIGMA_MM = 1e-3
 """Stated for vertices that the seed gives: no observation is exact."""
 LEFT_OVER = 0.02
@@ -162,12 +164,23 @@ def _arrays(task: PerceptionTask, found) -> dict[str, np.ndarray]:
     return {
         "name": np.array(task.sets.names), "vertices_mm": found.vertices, "rest_length_mm": task.rest_length, "up": task.up,
         "valid": sound & np.isfinite(found.vertices).all(axis=-1),
-        "sigma_mm": np.where(sound, np.maximum(found.sigma, LEAST_SIGMA_MM), np.nan),
+        "sigma_mm": np.where(sound, np.maximum(_sigma(task, found), LEAST_SIGMA_MM), np.nan),
         "energy_vis": found.energy_vis, "status": found.status, "stable": found.stable,
         "camera_error_px": found.camera_error, "coverage": found.coverage, "thread_length_mm": found.thread_length,
         "left_over_mm": found.left_over, "verdict": found.verdict, "gap_px": found.gap, "unsupported": found.unsupported,
         "runner_up_mm": found.runner_up, "runner_up_energy_vis": found.runner_up_energy,
     }
+
+
+def _sigma(task: PerceptionTask, found) -> np.ndarray:
+    """(S, V) mm. The first two vertices, which the seed gives, are as uncertain as a click where the seed was one."""
+    if task.sets.clicks is None:
+        return found.sigma
+    from doo_ti.perception.shape_uncertainty import point_sigma
+
+    sigma = found.sigma.copy()
+    sigma[:, :2] = np.maximum(sigma[:, :2], point_sigma(task.sets.rig, found.vertices[:, :2], CLICK_PX))
+    return sigma
 
 
 def _found(found) -> np.ndarray:

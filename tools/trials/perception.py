@@ -14,6 +14,7 @@ from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.detection.detect import Detection, DetectionOptions, detect
 from doo_ti.vision.rendering.render import Photographs
+from doo_ti.vision.reprojection.coverage import coverage
 from doo_ti.vision.reprojection.distance_map import DistanceMaps
 
 CORRECT_MM = 1.0
@@ -77,7 +78,12 @@ def truth_energy(search: Search, vertices: np.ndarray) -> np.ndarray:
     tangents = np.diff(vertices, axis=1)
     tangents /= np.linalg.norm(tangents, axis=-1, keepdims=True)
     frames = quaternion_from_matrix(bishop_frames(tangents, search.first[:, 1]))
-    return search.relaxed(Hypotheses(np.arange(len(frames)), frames, np.zeros(len(frames))))[0].energy_vis
+    rods, solution = search.relaxed(Hypotheses(np.arange(len(frames)), frames, np.zeros(len(frames))))
+    detections = search.maps.detections
+    if detections is None or search.options.evidence == "rod":
+        return rods.energy_vis
+    cover = coverage(search.rig, solution.configuration.vertices, rods.of_set, detections, search.options.cap)
+    return rods.energy_vis + search.options.nu * cover.error.sum(axis=1)
 
 
 def with_energy(options: PerceptionOptions, share: float) -> PerceptionOptions:
