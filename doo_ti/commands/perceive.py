@@ -51,6 +51,8 @@ def declare(add) -> None:
     search.add_argument("--nu", metavar="NU", help="weight ν of the images against the rod's energy, in 1/(mm px²) "
                         "(default 0.005)")
     search.add_argument("--hypotheses", metavar="H", help="hypotheses kept for each set and step (default 40)")
+    search.add_argument("--evidence", choices=("both", "rod"), default="both", help="both: from the rod to the images and "
+                        "back, with rods traced along the detected lines (default); rod: the paper's E_proj alone")
     search.add_argument("--detector", choices=("ridge", "canny"), default="ridge",
                         help="detector of the thread (default ridge; canny is the paper's)")
     image_options.add_thread(search)

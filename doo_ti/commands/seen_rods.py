@@ -83,7 +83,7 @@ def perception_task(options: Namespace) -> PerceptionTask:
 
     from doo_ti.perception.perceive import PerceptionOptions
 
-    chosen = {"nu": nu, "hypotheses": hypotheses}
+    chosen = {"nu": nu, "hypotheses": hypotheses, "evidence": options.evidence}
     search = PerceptionOptions(**{name: value for name, value in chosen.items() if value is not None})
     return PerceptionTask(sets, rest_length, _extent(options), grid.materials(), search,
                           image_options.sight(options, sets, options.detector), up, truth,

@@ -12,7 +12,7 @@ from doo_ti.vision.detection.detect import DetectionOptions
 NU = PerceptionOptions().nu
 AS_THE_PAPER = PerceptionOptions(
     nu=NU, growing_nu=NU, cap=1e4, growing_cap=1e4, children=PerceptionOptions().samples, growing_iterations=50, finalists=1,
-    pieces=1, final_points=PerceptionOptions().points)
+    pieces=1, final_points=PerceptionOptions().points, evidence="rod")
 """One ν, no cap, all edges that suppression leaves, F solved in each step, the best hypothesis on the mesh on which it grew."""
 
 
