@@ -228,6 +228,9 @@ def test_viewer_listens_on_this_machine_only_and_reports_nothing(tmp_path, monke
         def wait(self, timeout=None):
             return 0
 
+        def poll(self):
+            return 0
+
         def terminate(self):
             pass
 
