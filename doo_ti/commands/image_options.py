@@ -7,6 +7,7 @@ from pathlib import Path
 from doo_ti.commands import options as given
 from doo_ti.errors import InputError
 from doo_ti.physical_units import UNITS_IN_MM
+from doo_ti.terminal import in_line
 from doo_ti.vision.cameras.reading import LENSES, POSES, RigReading
 from doo_ti.vision.cameras.rig import Rig, load_rig
 
@@ -60,20 +61,29 @@ def add_thread(parser: ArgumentParser) -> None:
                         help="part of a camera's images where the thread is; once for each camera")
 
 
+def by_camera(option: str, texts: Iterable[str] | None, names: tuple[str, ...], form: str) -> dict[str, tuple[float, ...]]:
+    """The numbers of an option that is given once for each camera, as ``CAMERA:`` and ``form``, by the camera's name."""
+    found = {}
+    for text in texts or ():
+        camera, _, numbers = text.rpartition(":")
+        values = given.numbers(option, numbers)
+        if camera not in names or len(values) != form.count(",") + 1:
+            raise InputError(given.SOURCE, option, f"{text!r}",
+                             f"give CAMERA:{form}; the rig has {', '.join(map(in_line, names))}")
+        found[camera] = values
+    return found
+
+
 def sight(options: Namespace, sets, method: str = "ridge"):
     """The Sight that :func:`add_thread` describes, of the images in ``sets``."""
     from doo_ti.vision.detection.detect import DetectionOptions
     from doo_ti.vision.detection.sight import Sight
 
     colour = None if options.colour is None else tuple(given.numbers("--colour", options.colour))
-    regions = {}
-    for text in options.region or ():
-        camera, _, box = text.rpartition(":")
-        if camera not in sets.rig.names:
-            raise InputError(given.SOURCE, "--region", f"no camera {camera!r}",
-                             f"give CAMERA:X,Y,W,H; the rig has {', '.join(sets.rig.names)}")
-        regions[camera] = tuple(int(value) for value in given.numbers("--region", box))
-        DetectionOptions(region=regions[camera])
+    regions = {camera: tuple(map(int, box))
+               for camera, box in by_camera("--region", options.region, sets.rig.names, "X,Y,W,H").items()}
+    for region in regions.values():
+        DetectionOptions(region=region)
     masks = None if options.masks is None else [Path(mask) for mask in options.masks]
     if masks is not None and len(masks) == 1 and masks[0].is_dir():
         masks = masks[0]

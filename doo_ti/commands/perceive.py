@@ -122,7 +122,7 @@ def _begun(task: PerceptionTask, detected: list[list]) -> PerceptionTask:
     if sets.point is None:
         sources = [f"{sets.source}: {in_line(name)}" if sets.count > 1 else sets.source for name in sets.names]
         sets = replace(sets, point=np.array([seed_from_pixels(sets.rig, *one) for one in zip(detected, sets.clicks, sources)]))
-    threads = whole_threads(sets.rig, detected, sets.point, sets.direction, task.material, task.up)
+    threads = whole_threads(sets.rig, detected, sets.point, sets.direction, task.material, task.up, task.search)
     lost = np.flatnonzero(np.isnan(threads.direction).any(axis=1) if task.rest_length is not None else np.isnan(threads.length))
     if len(lost) and (task.rest_length is None and len(lost) == sets.count or sets.direction is None):
         raise InputError(sets.source, in_line(sets.names[lost[0]]), "no thread can be followed from the seed",

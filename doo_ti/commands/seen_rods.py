@@ -183,15 +183,8 @@ def _extent(options: Namespace) -> Extent:
 
 def _clicks(options: Namespace, rig) -> dict[int, tuple[float, float]]:
     """The pixels of ``--seed-pixel`` by the numbers of their cameras."""
-    found = {}
-    for text in options.seed_pixel or ():
-        camera, _, pixel = text.rpartition(":")
-        numbers = given.numbers("--seed-pixel", pixel)
-        if camera not in rig.names or len(numbers) != 2:
-            raise InputError(given.SOURCE, "--seed-pixel", f"{text!r}",
-                             f"give CAMERA:U,V; the rig has {', '.join(map(in_line, rig.names))}")
-        found[rig.names.index(camera)] = numbers
-    return found
+    pixels = image_options.by_camera("--seed-pixel", options.seed_pixel, rig.names, "U,V")
+    return {rig.names.index(camera): pixel for camera, pixel in pixels.items()}
 
 
 def _truth(options: Namespace, names: tuple[str, ...]) -> np.ndarray | None:

@@ -20,10 +20,12 @@ from doo_ti.vision.reprojection.coverage import coverage
 from doo_ti.vision.reprojection.score import score
 
 CONVINCING, CLOSE_PX = 0.98, 0.5
-"""Share of the detected line that a rod which grew explains in every camera, and their mean distances from each other: where
-there is such a rod, and cameras are this far apart, none is traced, which takes longer than all of the search."""
+"""A rod that grew is convincing if it explains this share of the detected line in every camera, and rod and line are this close
+to each other on average. No rods are traced in a set that has one: tracing takes longer than the whole search."""
 WIDE = np.radians(20.0)
-"""Between closer cameras a rod of a wrong length, or folded along the line of sight, explains the images as well."""
+"""Least angle between two cameras for that. Between closer ones a rod of a wrong length, or one folded along the line of sight,
+explains the images as well."""
+
 
 @dataclass(frozen=True)
 class Finalists:
@@ -50,7 +52,7 @@ class Finalists:
 
 
 def finalists(search: Search, grown: Hypotheses) -> Finalists:
-    """Those that ``grown``, relaxed, and those that are traced, in sets where none of the former is convincing."""
+    """The rods that ``grown`` become when they are relaxed and, in sets where none of these is convincing, traced rods."""
     hypotheses, solution = search.relaxed(grown)
     of_set, energy, options = hypotheses.of_set, hypotheses.energy_vis, search.options
     certified = (solution.status == Status.CONVERGED) & solution.stable

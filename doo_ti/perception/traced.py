@@ -30,17 +30,22 @@ from doo_ti.vision.reprojection.assigned_energy import AssignedPoints
 PATHS, MATCHES = 4, 3
 """Paths of each image, and matches of each set, that are tried."""
 SMOOTHNESS = (30.0, 1e3, 3e4)
-"""Of the curves that rods begin as. Where cameras are close together a curve of little smoothness folds to and fro along the
-line of sight, and one of much smoothness is too flat; the energy decides."""
+"""Smoothness of the curves with which rods begin. Between cameras that are close together a rough curve folds along the line of
+sight, and a very smooth one is too flat; the energy decides between the rods."""
 NU_BACK = 0.03
 """ν of E_back, 1/(mm px³)."""
 PLACES = 2
+"""Places along an edge that are assigned to the paths."""
 ROUNDS, FREE_ROUNDS = 6, 3
-NEAREST_PX = 6.0
-"""How far a place moves along a path in each of these steps, of which there are three."""
+"""Relaxations, and the first of them, after which a rod of known length may still change its length."""
+STEPS, NEAREST_PX = 3, 6.0
+"""Steps along a path to the point nearest to a place's image, and the longest of them."""
+AHEAD_MM = 1e-3
+"""Distance over which the image of a direction is taken."""
 SAME_LENGTH = 0.05
-"""Share by which a rod and its paths may differ in length, and still be meant to end together: as far as the length of a thread
-is uncertain that cameras see which are close together."""
+"""A rod and its paths end together if their lengths differ by less than this share. Between cameras that are close together the
+length of a thread is no more certain than that."""
+
 
 @dataclass(frozen=True)
 class TracedRods:
@@ -48,6 +53,7 @@ class TracedRods:
 
     of_set    (R,) image set, in increasing order
     solution  the rods, as long as they are known to be
+    energy    (R,) E/B + ν E_back of these, 1/mm
     thread    (R,) mm: the length with which they end where their paths end …
     whole     … and the rods of that length
     together  (R,) bool: the known length is that one
@@ -55,6 +61,7 @@ class TracedRods:
 
     of_set: np.ndarray
     solution: Solution
+    energy: np.ndarray
     thread: np.ndarray
     whole: Configuration
     together: np.ndarray
@@ -89,15 +96,12 @@ def _paths(rig: Rig, images: list[Detection], point: np.ndarray, direction: np.n
     """The paths of each camera from where it sees ``point``."""
     found = []
     for camera, detection in zip(rig.cameras, images, strict=True):
-        at, ahead = camera.project(np.stack([point, point + (0 if direction is None else 1e-3) * _some(direction)]))
+        at = camera.project(point)
         if not np.isfinite(at).all():
             return []
-        found.append(paths_from(detection, at, None if direction is None else ahead - at, PATHS))
+        ahead = None if direction is None else camera.project(point + AHEAD_MM * direction) - at
+        found.append(paths_from(detection, at, ahead, PATHS))
     return found
-
-
-def _some(direction: np.ndarray | None) -> np.ndarray:
-    return np.zeros(3) if direction is None else direction
 
 
 @dataclass(frozen=True)
@@ -152,7 +156,7 @@ def _relaxed(rig, rows, begun, matches, point, direction, shares, material, up, 
             length = np.full(len(rows), float(known))
             arcs = _cut(arcs, places, np.where(together, 1.0, known / thread))
             quaternions = _cut_frames(quaternions, ends, np.where(together, 1.0, known / thread))
-    return TracedRods(rows, solution, thread, whole, together)
+    return TracedRods(rows, solution, solution.energy / stiffness, thread, whole, together)
 
 
 def _cut(arcs: np.ndarray, places: np.ndarray, share: np.ndarray) -> np.ndarray:
@@ -195,7 +199,7 @@ def _reassigned(rig: Rig, matches, arcs: np.ndarray, vertices: np.ndarray, pull:
     for r, match in enumerate(matches):
         for c, path in enumerate(match.paths):
             at, image = arcs[r, c].ravel(), np.nan_to_num(seen[c, r])
-            for _ in range(3):
+            for _ in range(STEPS):
                 ahead = ((image - path.at(at)) * path.tangent_at(at)).sum(axis=1)
                 at = np.clip(at + np.clip(ahead, -NEAREST_PX, NEAREST_PX), 0.0, path.length)
             at = np.maximum.accumulate(at)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from doo_ti.perception.search import PerceptionOptions
 from doo_ti.perception.traced import traced
 from doo_ti.types import Material
 from doo_ti.vision.cameras.rig import Rig
@@ -15,7 +16,6 @@ from doo_ti.vision.detection.detect import Detection
 from doo_ti.vision.reprojection.coverage import coverage
 
 EDGES = 120
-CAP_PX, NU = 40.0, 0.005
 
 
 @dataclass(frozen=True)
@@ -31,14 +31,17 @@ class WholeThreads:
 
 
 def whole_threads(rig: Rig, detections: Sequence[Sequence[Detection]], point: np.ndarray, direction: np.ndarray | None,
-                  material: Material, up: np.ndarray) -> WholeThreads:
-    """The thread from each seed ``point`` (A, 3) mm in its ``direction`` (A, 3), or in the one in which it goes on."""
+                  material: Material, up: np.ndarray, options: PerceptionOptions = PerceptionOptions()) -> WholeThreads:
+    """The thread from each seed ``point`` (A, 3) mm in its ``direction`` (A, 3), or in the one in which it goes on.
+
+    options  of which ν and the cap weigh what a rod leaves unexplained
+    """
     length, ways = np.full(len(point), np.nan), np.full((len(point), 3), np.nan)
     rods = traced(rig, detections, point, direction, np.full(EDGES, 1 / EDGES), material, up)
     if rods is None:
         return WholeThreads(length, ways)
-    unexplained = coverage(rig, rods.whole.vertices, rods.of_set, detections, CAP_PX).error.sum(axis=1)
-    energy = rods.solution.energy / float(np.linalg.eigvalsh(material.bend).max()) + NU * unexplained
+    unexplained = coverage(rig, rods.whole.vertices, rods.of_set, detections, options.cap).error.sum(axis=1)
+    energy = rods.energy + options.nu * unexplained
     for row in np.unique(rods.of_set):
         own = np.flatnonzero(rods.of_set == row)
         best = own[np.nan_to_num(energy[own], nan=np.inf).argmin()]

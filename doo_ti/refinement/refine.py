@@ -204,20 +204,18 @@ def _fitted(observations: Observations, clamps: Clamps, thetas: tuple[Theta, ...
         tried.append((fit, fit.run(state, TRIED_FIRST if len(thetas) > 1 else options.iterations)))
     if not tried:
         raise last
-    fit, fitted = min(tried, key=lambda one: (-one[1].state.used.sum(), one[1].posterior.value))
+    fit, fitted = min(tried, key=lambda one: one[1].rank)
     turns_open = rod.turns_unknown and "twist" in unknowns.parameters
     if turns_open:
         fitted = from_several_twists(fit, fitted, scales, TRIED_FIRST)
     if len(thetas) > 1 or turns_open:
-        further = fit.run(fitted.state, options.iterations)
-        fitted = replace(further, steps=further.steps + fitted.steps)
+        fitted = fit.run(fitted.state, options.iterations).after(fitted)
     if turns_open:
         fitted = turns_chosen_again(fit, fitted, options.iterations)
     if straight_first:
         straight = fit, fitted
         fit, state = rolled(fit, fitted, wanted.curvature)
-        curved = rolls_chosen_again(fit, fit.run(state, options.iterations), options.iterations)
-        fitted = replace(curved, steps=curved.steps + fitted.steps)
+        fitted = rolls_chosen_again(fit, fit.run(state, options.iterations), options.iterations).after(fitted)
         if options.curvature == "auto":
             fit, fitted = more_probable(straight, (fit, fitted))
     return fit, fitted
@@ -312,8 +310,7 @@ def _corrected(fit: Fit, fitted: Fitted, options: RefinementOptions):
             fit = replace(fit, comparison=replace(fit.comparison, unknowns=finer, correction=0.0))
             correction = mesh_correction(finer, values, solution, fit.solver)
         fit = replace(fit, comparison=replace(fit.comparison, correction=correction))
-        further = fit.run(fit.at(values, fitted.state.scales, solution), options.iterations)
-        fitted = replace(further, steps=further.steps + fitted.steps)
+        fitted = fit.run(fit.at(values, fitted.state.scales, solution), options.iterations).after(fitted)
     return fit, fitted, correction
 
 

@@ -23,11 +23,6 @@ AGAIN = 3
 """How often each observation is chosen once more, as long as that changes any."""
 
 
-def better(one: Fitted, other: Fitted) -> Fitted:
-    """That in which more rods count or, if as many do, the more probable one."""
-    return min((one, other), key=lambda fitted: (-fitted.state.used.sum(), fitted.posterior.value))
-
-
 def from_several_twists(fit: Fit, fitted: Fitted, scales: Scales, steps: int) -> Fitted:
     """The best of ``fitted`` and of fits that begin at its Θ with other twist stiffnesses, each after ``steps``."""
     theta = fitted.state.values.theta
@@ -35,7 +30,7 @@ def from_several_twists(fit: Fit, fitted: Fitted, scales: Scales, steps: int) ->
         twisted = replace(theta, twist=ratio * float(np.diag(theta.bend).mean()))
         values = replace(fitted.state.values, theta=twisted, scatter=0 * fitted.state.values.scatter)
         try:
-            fitted = better(fitted, fit.run(fit.begin(values, scales), steps))
+            fitted = min(fitted, fit.run(fit.begin(values, scales), steps), key=lambda one: one.rank)
         except InputError:  # no rod is stable at that twist stiffness
             continue
     return fitted
@@ -52,15 +47,18 @@ def turns_chosen_again(fit: Fit, fitted: Fitted, steps: int) -> Fitted:
 
 
 def chosen_again(fit: Fit, fitted: Fitted, steps: int, others: Callable[[State], Iterable[State]]) -> Fitted:
-    """``fitted``, continued with the most probable of each observation's ``others`` and its present state, as long as that
-    helps."""
+    """``fitted``, continued as long as that makes it better. Each time every observation takes the most probable of its present
+    state and the ``others``.
+
+    others  from a state, states that differ from it in poses and shapes alone
+    """
     for _ in range(AGAIN):
         state = fitted.state
         begun = fit.best_of([state, *others(state)])
         if np.array_equal(begun.values.scatter, state.values.scatter):
             break
         further = fit.run(begun, steps)
-        if better(fitted, further) is fitted:
+        if further.rank >= fitted.rank:
             break
-        fitted = replace(further, steps=further.steps + fitted.steps)
+        fitted = further.after(fitted)
     return fitted

@@ -65,6 +65,11 @@ def _tags(content: bytes, order: str) -> dict[int, int]:
     return found
 
 
+def may_be_transparent(content: bytes) -> bool:
+    """Whether an image file states an alpha channel or transparent colours: of the formats that are read, PNG alone."""
+    return content.startswith(PNG) and (content[25:26] in (b"\x04", b"\x06") or b"tRNS" in content[: content.find(b"IDAT")])
+
+
 def stated_orientation(content: bytes) -> int:
     """The orientation tag of an image file: 1 to 8, as Exif numbers them; 1, upright, where there is none."""
     beginning = content[:_SEARCHED]

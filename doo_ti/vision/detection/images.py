@@ -23,7 +23,7 @@ from doo_ti.io.csv_table import CsvTable, read_csv
 from doo_ti.io.files import read_content
 from doo_ti.vision.cameras.camera import MOST_SIDE, Camera
 from doo_ti.vision.cameras.rig import Rig
-from doo_ti.vision.detection.image_size import KNOWN, PNG, UPRIGHT, stated_orientation, stated_size
+from doo_ti.vision.detection.image_size import KNOWN, UPRIGHT, may_be_transparent, stated_orientation, stated_size
 
 SEED = ("seed_x", "seed_y", "seed_z", "dir_x", "dir_y", "dir_z")
 _changing, _silent = Lock(), []
@@ -57,8 +57,8 @@ def read_mask(path: str | os.PathLike[str], camera: Camera | None = None) -> np.
     import cv2
 
     path = Path(path)
-    if read_content(path, remedy="name a readable image")[: len(PNG)] != PNG:
-        return None
+    if not may_be_transparent(read_content(path, remedy="name a readable image")):
+        return None  # without unpacking it
     image = _decoded(path, camera, cv2.IMREAD_UNCHANGED)
     alpha = image[..., 3] if image.ndim == 3 and image.shape[2] == 4 else None
     return None if alpha is None or (alpha == alpha.flat[0]).all() else _in_bytes(alpha)
