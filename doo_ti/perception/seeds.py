@@ -14,7 +14,7 @@ from doo_ti.perception.matching import best_matches, curve_of, epipolar_distance
 from doo_ti.perception.traced import PATHS
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.detection.detect import Detection, thinned
-from doo_ti.vision.detection.paths import free_ends, paths_from
+from doo_ti.vision.detection.paths import Chains, paths_from
 from doo_ti.vision.reprojection.triangulation import rays
 
 CLICK_PX, END_PX = 30.0, 15.0
@@ -39,19 +39,19 @@ def seed_from_pixels(rig: Rig, detections: Sequence[Detection], clicks: Mapping[
     """
     if len(rig.cameras) == 1:
         raise InputError(source, "--seed-pixel", "one camera does not see how far away the rod begins", "give --seed-point")
-    places = [_clicked(detection, np.asarray(clicks[camera], dtype=float), source) if camera in clicks else np.empty((0, 2))
-              for camera, detection in enumerate(detections)]
-    known = next(camera for camera in range(len(places)) if camera in clicks)
-    for camera, detection in enumerate(detections):
-        if camera not in clicks:
-            places[camera] = _across(rig, known, camera, places[known][0], detection)
+    lines = [Chains.of(detection) for detection in detections]
+    given = {camera: _clicked(detections[camera], lines[camera], np.asarray(click, dtype=float), source)
+             for camera, click in clicks.items()}
+    known = min(given)
+    places = [given[camera] if camera in given else _across(rig, known, camera, given[known][0], *one)
+              for camera, one in enumerate(zip(detections, lines, strict=True))]
     if not all(len(there) for there in places):
         camera = next(camera for camera, there in enumerate(places) if not len(there))
         raise InputError(source, "--seed-pixel", f"nothing in the image of {rig.names[camera]} belongs to the pixel",
                          "give a pixel in that camera, too")
     best = None
     for choice in _choices(places):
-        found = _seed(rig, detections, choice)
+        found = _seed(rig, lines, choice)
         if found is not None and (best is None or found[0] < best[0]):
             best = found
     if best is None:
@@ -59,14 +59,14 @@ def seed_from_pixels(rig: Rig, detections: Sequence[Detection], clicks: Mapping[
     return best[1]
 
 
-def _clicked(detection: Detection, click: np.ndarray, source: str) -> np.ndarray:
+def _clicked(detection: Detection, line: Chains, click: np.ndarray, source: str) -> np.ndarray:
     """(1, 2) px: the end near the click, else the place of the line nearest to it."""
     points = thinned(detection)[0]
     nearest = points[np.linalg.norm(points - click, axis=1).argmin()]
     if np.linalg.norm(nearest - click) > CLICK_PX:
         raise InputError(source, "--seed-pixel", f"{click[0]:g},{click[1]:g}: the nearest thread is "
                          f"{np.linalg.norm(nearest - click):.0f} px away", "click on the thread")
-    ends = free_ends(detection)
+    ends = line.free_ends
     if len(ends):
         apart = np.linalg.norm(ends - click, axis=1)
         if apart.min() <= END_PX:
@@ -74,10 +74,10 @@ def _clicked(detection: Detection, click: np.ndarray, source: str) -> np.ndarray
     return nearest[None]
 
 
-def _across(rig: Rig, known: int, camera: int, pixel: np.ndarray, detection: Detection) -> np.ndarray:
+def _across(rig: Rig, known: int, camera: int, pixel: np.ndarray, detection: Detection, line: Chains) -> np.ndarray:
     """(K, 2) px in ``camera`` that may belong to ``pixel`` of the camera ``known``: ends near its epipolar line, else places of
     the line on it."""
-    ends, points = free_ends(detection), thinned(detection)[0]
+    ends, points = line.free_ends, thinned(detection)[0]
     if len(ends):
         apart = epipolar_distance(rig, known, camera, pixel[None], ends)[0]
         near = np.flatnonzero(apart <= EPIPOLAR_PX)
@@ -100,9 +100,9 @@ def _choices(places: list[np.ndarray]):
             yield [*first[:camera], other, *first[camera + 1 :]]
 
 
-def _seed(rig: Rig, detections: Sequence[Detection], pixels: Sequence[np.ndarray]) -> tuple[float, np.ndarray] | None:
+def _seed(rig: Rig, lines: Sequence[Chains], pixels: Sequence[np.ndarray]) -> tuple[float, np.ndarray] | None:
     """(cost, point) of the rod that begins at ``pixels`` of the cameras; None where none does."""
-    paths = [paths_from(detection, pixel, None, PATHS) for detection, pixel in zip(detections, pixels, strict=True)]
+    paths = [paths_from(line, pixel, None, PATHS) for line, pixel in zip(lines, pixels, strict=True)]
     matches = best_matches(rig, paths, 1)
     if not matches:
         return None

@@ -24,7 +24,7 @@ from doo_ti.relaxation.relax import relax
 from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.detection.detect import Detection
-from doo_ti.vision.detection.paths import paths_from
+from doo_ti.vision.detection.paths import Chains, paths_from
 from doo_ti.vision.reprojection.assigned_energy import AssignedPoints
 
 PATHS, MATCHES = 4, 3
@@ -100,7 +100,7 @@ def _paths(rig: Rig, images: list[Detection], point: np.ndarray, direction: np.n
         if not np.isfinite(at).all():
             return []
         ahead = None if direction is None else camera.project(point + AHEAD_MM * direction) - at
-        found.append(paths_from(detection, at, ahead, PATHS))
+        found.append(paths_from(Chains.of(detection), at, ahead, PATHS))
     return found
 
 

@@ -95,13 +95,36 @@ class ImagePath:
         return np.clip(np.round(arc), 0, len(self.points) - 1).astype(np.int64)
 
 
-def paths_from(detection: Detection, start: np.ndarray, direction: np.ndarray | None, most: int = 4) -> list[ImagePath]:
+@dataclass(frozen=True)
+class Chains:
+    """The detected line of an image in chains, from which paths begin anywhere.
+
+    points  (M, 2) px of each chain
+    joints  for each end (chain, way) the ends that may follow, (cost, chain, way in which it is then followed), the best first
+    """
+
+    points: list[np.ndarray]
+    joints: dict[tuple[int, int], list[tuple[float, int, int]]]
+
+    @classmethod
+    def of(cls, detection: Detection) -> "Chains":
+        """Those of a detection."""
+        chains = _divided(_chains(detection))
+        return cls(chains, _joints(chains, WIDEST_GAP * detection.shape[0]) if chains else {})
+
+    @property
+    def free_ends(self) -> np.ndarray:
+        """(K, 2) px: ends that are joined to no other, the thread's ends among them."""
+        free = [self.points[c][-1 if way else 0] for (c, way), others in self.joints.items() if not others]
+        return np.array(free).reshape(-1, 2)
+
+
+def paths_from(line: Chains, start: np.ndarray, direction: np.ndarray | None, most: int = 4) -> list[ImagePath]:
     """Up to ``most`` paths from the place ``start`` (2,) px on, in the ``direction`` (2,), or in either where that is None;
     those that explain most of the thread first."""
-    chains = _divided(_chains(detection))
+    chains, joints = line.points, line.joints
     if not chains:
         return []
-    joints = _joints(chains, WIDEST_GAP * detection.shape[0])
     ends = np.concatenate(chains)
     chain = np.repeat(np.arange(len(chains)), [len(points) for points in chains])
     place = np.concatenate([np.arange(len(points)) for points in chains])
@@ -121,14 +144,6 @@ def paths_from(detection: Detection, start: np.ndarray, direction: np.ndarray | 
         if len(path.points) > SHORTEST_PX and not any(_alike(path, other) for other in kept):
             kept.append(path)
     return kept
-
-
-def free_ends(detection: Detection) -> np.ndarray:
-    """(K, 2) px: ends of chains that are joined to no other, the thread's ends among them."""
-    gap = WIDEST_GAP * detection.shape[0]
-    chains = _divided(_chains(detection))
-    joints = _joints(chains, gap)
-    return np.array([chains[c][-1 if way else 0] for (c, way), others in joints.items() if not others]).reshape(-1, 2)
 
 
 # --- chains ---------------------------------------------------------------------------------------------------------------
@@ -204,7 +219,7 @@ def _cross_cuts(chains: list[np.ndarray], cuts: list[set]) -> None:
 
 
 def _joints(chains: list[np.ndarray], gap: float) -> dict[tuple[int, int], list[tuple[float, int, int]]]:
-    """For each end (chain, way) the ends that may follow, (cost, chain, way in which it is then followed), the best first."""
+    """As :class:`Chains` has them, across gaps of up to ``gap`` px."""
     ends = [(c, way) for c in range(len(chains)) for way in (0, 1)]
     places = np.array([chains[c][-1 if way else 0] for c, way in ends])
     out = np.array([_outward(chains[c], way) for c, way in ends])
@@ -243,7 +258,7 @@ def _searched(chains, joints, first: int, begin: np.ndarray, way: int, cost: flo
 def _alike(one: ImagePath, other: ImagePath) -> bool:
     """Whether two paths are at the same places, share by share of their lengths."""
     share = np.linspace(0.0, 1.0, 64)
-    apart = one.at(share * (len(one.points) - 1)) - other.at(share * (len(other.points) - 1))
+    apart = one.at(share * one.length) - other.at(share * other.length)
     return bool(np.linalg.norm(apart, axis=1).mean() < ALIKE_PX)
 
 

@@ -25,6 +25,7 @@ from doo_ti.physics.tuples import full, minus, plus, put_lane, record, repeated,
 from doo_ti.relaxation.external import ExternalFunctions
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.reprojection.edge_integral import (
+    add_turned_back,
     added,
     by_point,
     congruent,
@@ -32,6 +33,7 @@ from doo_ti.vision.reprojection.edge_integral import (
     no_moments,
     square_of,
     twice_by_point,
+    weighted,
 )
 from doo_ti.vision.reprojection.sampling import CAMERA_COLUMNS, Projection, bent, bent_curvature, bent_slope, camera_table
 
@@ -187,16 +189,16 @@ class AssignedEnergy:
             lens = camera.lens(numbers, c)
             a, d = camera.entered(numbers, c, start), camera.turned(numbers, c, minus(end, start))
             s = 0.5 * step
+            seen = no_moments(zero)
             for k in range(places):
                 q = self.point(values, numbers, row, edge, c, k)
-                energy, by_y, by_yy = self.place(lens, q, plus(a, scaled(d, s)), inverse_soft, coarse)
-                slope, curvature = camera.turned_back(numbers, c, by_y), camera.form_turned_back(numbers, c, by_yy)
-                total.energy = total.energy + energy
-                total.gradient = added(total.gradient, slope)
-                total.gradient_s = added(total.gradient_s, scaled(slope, s))
-                total.curvature = added(total.curvature, curvature)
-                total.curvature_s = added(total.curvature_s, scaled(full(curvature), s))
-                total.curvature_ss = added(total.curvature_ss, scaled(curvature, s * s))
+                energy, slope, curvature = self.place(lens, q, plus(a, scaled(d, s)), inverse_soft, coarse)
+                seen.energy = seen.energy + energy
+                seen.gradient = added(seen.gradient, slope)
+                seen.gradient_s = added(seen.gradient_s, scaled(slope, s))
+                seen.curvature = added(seen.curvature, curvature)
+                seen.curvature_s = added(seen.curvature_s, scaled(full(curvature), s))
+                seen.curvature_ss = added(seen.curvature_ss, scaled(curvature, s * s))
                 s += step
-        return (nu * total.energy, scaled(total.gradient, nu), scaled(total.gradient_s, nu), scaled(total.curvature, nu),
-                scaled(total.curvature_s, nu), scaled(total.curvature_ss, nu))
+            add_turned_back(total, seen, camera, numbers, c)
+        return weighted(total, nu)

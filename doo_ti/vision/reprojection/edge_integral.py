@@ -325,6 +325,24 @@ class EdgeIntegral:
         return found
 
 
+@ti.func
+def add_turned_back(total, seen, camera: ti.template(), numbers: ti.template(), c):
+    """Add the record ``seen`` of an energy and its moments in the axes of camera c to ``total``, in the world's."""
+    total.energy = total.energy + seen.energy
+    total.gradient = added(total.gradient, camera.turned_back(numbers, c, seen.gradient))
+    total.gradient_s = added(total.gradient_s, camera.turned_back(numbers, c, seen.gradient_s))
+    total.curvature = added(total.curvature, camera.form_turned_back(numbers, c, seen.curvature))
+    total.curvature_s = added(total.curvature_s, camera.matrix_turned_back(numbers, c, seen.curvature_s))
+    total.curvature_ss = added(total.curvature_ss, camera.form_turned_back(numbers, c, seen.curvature_ss))
+
+
+@picked
+def weighted(total, nu) -> tuple:
+    """An energy and its moments times ν, as :class:`doo_ti.relaxation.external.ExternalFunctions` wants them."""
+    return (nu * total.energy, scaled(total.gradient, nu), scaled(total.gradient_s, nu), scaled(total.curvature, nu),
+            scaled(total.curvature_s, nu), scaled(total.curvature_ss, nu))
+
+
 @picked
 def no_moments(zero):
     """The record of an energy and the moments of its derivatives, all zero."""

@@ -17,12 +17,20 @@ import taichi as ti
 from doo_ti.arguments import typed
 from doo_ti.errors import InputError
 from doo_ti.physics.number import Number
-from doo_ti.physics.tuples import minus, scaled
+from doo_ti.physics.tuples import minus
 from doo_ti.relaxation.external import ExternalFunctions
 from doo_ti.relaxation.tables import MOST_NUMBERS
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.reprojection.distance_map import DistanceMaps
-from doo_ti.vision.reprojection.edge_integral import COLUMNS, POINTS, WINDOW, EdgeIntegral, added, no_moments
+from doo_ti.vision.reprojection.edge_integral import (
+    COLUMNS,
+    POINTS,
+    WINDOW,
+    EdgeIntegral,
+    add_turned_back,
+    no_moments,
+    weighted,
+)
 from doo_ti.vision.reprojection.sampling import SMALLEST, camera_table
 
 NU = COLUMNS
@@ -123,14 +131,8 @@ class ImageEnergy:
         for c in range(numbers.shape[1]):
             seen = self.edge.moments(self.edge.view(numbers, values, row, c), camera.entered(numbers, c, start),
                                      camera.turned(numbers, c, minus(end, start)), coarse)
-            total.energy = total.energy + seen.energy
-            total.gradient = added(total.gradient, camera.turned_back(numbers, c, seen.gradient))
-            total.gradient_s = added(total.gradient_s, camera.turned_back(numbers, c, seen.gradient_s))
-            total.curvature = added(total.curvature, camera.form_turned_back(numbers, c, seen.curvature))
-            total.curvature_s = added(total.curvature_s, camera.matrix_turned_back(numbers, c, seen.curvature_s))
-            total.curvature_ss = added(total.curvature_ss, camera.form_turned_back(numbers, c, seen.curvature_ss))
-        return (nu * total.energy, scaled(total.gradient, nu), scaled(total.gradient_s, nu), scaled(total.curvature, nu),
-                scaled(total.curvature_s, nu), scaled(total.curvature_ss, nu))
+            add_turned_back(total, seen, camera, numbers, c)
+        return weighted(total, nu)
 
 
 def _check_maps(maps: DistanceMaps, rig: Rig) -> None:

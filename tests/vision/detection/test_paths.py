@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from doo_ti.vision.detection.detect import Detection
-from doo_ti.vision.detection.paths import free_ends, paths_from
+from doo_ti.vision.detection.paths import Chains, paths_from
 
 SHAPE = (480, 640)
 
@@ -22,6 +22,10 @@ def detected(points: np.ndarray, rng: np.random.Generator, hidden: tuple[float, 
     sign = rng.choice([-1.0, 1.0], len(place))[:, None]
     noisy, strength = found + 0.05 * rng.normal(size=found.shape), np.full(len(place), 50.0)
     return Detection(noisy[order], (sign * ahead)[order], strength, 2.0, "dark", SHAPE, "ridge")
+
+
+def chains(*arguments) -> Chains:
+    return Chains.of(detected(*arguments))
 
 
 def wave() -> np.ndarray:
@@ -52,34 +56,34 @@ def missed(path, curve: np.ndarray) -> float:
 
 @pytest.mark.parametrize("curve", [wave(), loop(), corner()], ids=["wave", "loop", "corner"])
 def test_a_path_goes_from_end_to_end(rng, curve):
-    path = paths_from(detected(curve, rng), curve[0], curve[5] - curve[0])[0]
+    path = paths_from(chains(curve, rng), curve[0], curve[5] - curve[0])[0]
     assert missed(path, curve) < 8.0 and path.share > 0.95
 
 
 @pytest.mark.parametrize("hidden", [(0.4, 0.5), (0.45, 0.62)])
 def test_a_path_crosses_a_gap_and_says_so(rng, hidden):
-    path = paths_from(detected(wave(), rng, hidden), wave()[0], None)[0]
+    path = paths_from(chains(wave(), rng, hidden), wave()[0], None)[0]
     share = np.mean(~path.seen)
     assert missed(path, wave()) < 30.0 and abs(share - (hidden[1] - hidden[0])) < 0.06
 
 
 def test_it_begins_in_the_middle_in_the_direction_that_is_given(rng):
     curve = wave()
-    ahead, back = (paths_from(detected(curve, rng), curve[300], sign * (curve[310] - curve[300]))[0] for sign in (1.0, -1.0))
+    ahead, back = (paths_from(chains(curve, rng), curve[300], sign * (curve[310] - curve[300]))[0] for sign in (1.0, -1.0))
     assert np.linalg.norm(ahead.points[-1] - curve[-1]) < 4 and np.linalg.norm(back.points[-1] - curve[0]) < 4
 
 
 def test_a_loop_has_other_paths_as_well(rng):
-    paths = paths_from(detected(loop(), rng), loop()[0], None)
+    paths = paths_from(chains(loop(), rng), loop()[0], None)
     assert len(paths) > 1 and missed(paths[0], loop()) < 8.0 < missed(paths[1], loop())
 
 
 def test_free_ends_are_those_of_the_thread(rng):
-    ends = free_ends(detected(wave(), rng))
+    ends = chains(wave(), rng).free_ends
     for end in wave()[[0, -1]]:
         assert np.linalg.norm(ends - end, axis=1).min() < 3.0
 
 
 def test_without_a_thread_there_is_no_path():
     nothing = Detection(np.empty((0, 2)), np.empty((0, 2)), np.empty(0), np.nan, "", SHAPE, "ridge")
-    assert paths_from(nothing, np.zeros(2), None) == [] and free_ends(nothing).shape == (0, 2)
+    assert paths_from(Chains.of(nothing), np.zeros(2), None) == [] and Chains.of(nothing).free_ends.shape == (0, 2)
