@@ -39,11 +39,13 @@ class Rule:
     known   classes of which every instance will do as it is
     wanted  the annotation in words
     shapes  of arrays; any where there are none
+    arrays  NumPy's letters of the kinds of dtype of which every array will do as it is
     """
 
     known: tuple[type, ...] = ()
     wanted = ""
     shapes: tuple["_Shape", ...] = ()
+    arrays = ""
 
     def take(self, value: Any) -> Any:
         """``value``, or what stands for it. Raises Mismatch."""
@@ -142,6 +144,7 @@ class _Array(Rule):
 
     wanted = "numbers"
     kind: type | None = None
+    arrays = KINDS[None]
 
     def take(self, value: Any) -> Any:
         if isinstance(value, np.ndarray):
@@ -153,7 +156,7 @@ class _Array(Rule):
                 array = np.asarray(value)
             except (TypeError, ValueError, OverflowError):
                 raise Mismatch("rows of different lengths, or not numbers", self.wanted) from None
-        if array.dtype.kind not in KINDS[self.kind] and (array.size or array.dtype.kind not in NUMERIC):
+        if array.dtype.kind not in self.arrays and (array.size or array.dtype.kind not in NUMERIC):
             problem = _shown(value) if array.dtype.kind == "O" else f"dtype {array.dtype}"
             raise Mismatch(problem, {int: "whole numbers", bool: "flags"}.get(self.kind, self.wanted))
         return array
@@ -200,21 +203,18 @@ class _Either(Rule):
         self.wanted = " or ".join(dict.fromkeys(rule.wanted for rule in rules))
         self.shapes = next((rule.shapes for rule in rules if rule.shapes), ())
         self.array = next((rule for rule in rules if isinstance(rule, _Array)), None)
-
-    def take(self, value: Any) -> Any:
-        if isinstance(value, np.ndarray) and self.array is not None and value.dtype.kind in KINDS[self.array.kind]:
-            return value
-        return super().take(value)
+        self.arrays = "" if self.array is None else self.array.arrays
 
     def adapted(self, value: Any) -> Any:
-        problems = []
+        # Their words only: an exception that is kept holds its frames, and with them the caller's arrays and results, until the
+        # garbage collector comes.
+        problems: list[str] = []
         for rule in self.rules:
             try:
                 return rule.take(value)
             except Mismatch as wrong:
-                problems.append(wrong)
-        most = max(problems, key=lambda wrong: wrong.problem != _shown(value))  # the one that says more than its type
-        raise Mismatch(most.problem, self.wanted)
+                problems.append(wrong.problem)
+        raise Mismatch(max(problems, key=lambda problem: problem != _shown(value)), self.wanted)  # that says most
 
 
 _NUMBER, _WHOLE = _Number(False), _Number(True)
@@ -263,7 +263,8 @@ def _shaped(rule: Rule | None, shapes: list[str], kind: type | None = None) -> R
     """``rule`` with those shapes for its arrays, and their entries of that ``kind``."""
     rule = _Array() if rule is None else rule
     if kind is not None:
-        (rule.array if isinstance(rule, _Either) else rule).kind = kind
+        array = rule.array if isinstance(rule, _Either) else rule
+        array.kind, array.arrays, rule.arrays = kind, KINDS[kind], KINDS[kind]
     rule.shapes = tuple(_Shape(words) for words in shapes)
     return rule
 

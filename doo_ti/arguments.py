@@ -99,6 +99,10 @@ class _Checked:
         rule = self.rules.get(name)
         if rule is None:
             return value
+        if type(value) is np.ndarray and value.dtype.kind in rule.arrays:  # as nearly always
+            if rule.shapes:
+                shapes.append((name, value.shape))
+            return value
         try:
             value = rule.take(value)
         except Mismatch as wrong:

@@ -154,24 +154,26 @@ def kernel(function: Callable[_Arguments, None]) -> Callable[_Arguments, None]:
     """
     import taichi as ti
 
-    compiled = ti.kernel(function)
+    compiled, during_first = ti.kernel(function), ExitStack()
+    compiled._primal.materialize = partial(_shown, during_first, compiled._primal)
 
     @wraps(function)
     def launch(*arguments: _Arguments.args, **options: _Arguments.kwargs) -> None:
         if _holder != get_ident():
             raise RuntimeError(f"the kernel {function.__name__} is launched outside of runtime.exclusive")
-        with ExitStack() as first:
-            compiled._primal.materialize = partial(_shown, first, compiled._primal)
+        try:
             compiled(*arguments, **options)
+        finally:
+            during_first.close()
 
     return launch
 
 
-def _shown(launch: ExitStack, primal, key=None, *rest, **options) -> None:
+def _shown(during_first: ExitStack, primal, key=None, *rest, **options) -> None:
     """What Taichi does before it launches a kernel; where it has not been compiled before, the terminal shows until the end of
-    the ``launch`` that it is."""
+    that launch that it is."""
     if key not in primal.compiled_kernels:
-        launch.enter_context(compiling())
+        during_first.enter_context(compiling())
     type(primal).materialize(primal, key, *rest, **options)
 
 

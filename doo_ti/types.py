@@ -316,6 +316,7 @@ _PER_ROD = tuple(entry.name for entry in fields(Solution) if entry.name not in (
 def unit_up(up: ArrayLike, function: str) -> np.ndarray:
     """(3,) the unit vector along ``up``, an argument of ``function``. Raises InputError where it is not a direction."""
     direction = real_array(function, "up", up, "give a direction of three numbers").astype(np.float64)
-    if direction.shape != (3,) or not (np.abs(direction) <= LARGEST).all() or not (length := np.linalg.norm(direction)) > 0:
+    usable = direction.shape == (3,) and all(abs(number) <= LARGEST for number in direction.tolist())
+    if not usable or not (length := np.linalg.norm(direction)) > 0:
         raise InputError(function, "up", f"{direction.tolist()}", "give a direction of three finite numbers, not all zero")
     return direction / length

@@ -6,6 +6,7 @@ the fallback, it is a scalar and every thread has a rod of its own. The rest of 
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
 
 import taichi as ti
@@ -26,11 +27,16 @@ class Number:
     @property
     def type(self):
         """The Taichi type of a value."""
-        return self.scalar if self.width == 1 else ti.types.vector(self.width, self.scalar)
+        return self.scalar if self.width == 1 else _pack(self.width, self.scalar)
 
     def lanes(self) -> "Lanes":
         """Access to single lanes, as Taichi functions."""
         return _scalar_lanes(self.scalar) if self.width == 1 else _pack_lanes(self.type, self.scalar)
+
+
+@cache
+def _pack(width: int, scalar):
+    return ti.types.vector(width, scalar)
 
 
 class Lanes(NamedTuple):

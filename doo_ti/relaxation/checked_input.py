@@ -30,6 +30,8 @@ def rest_lengths(configuration: Configuration) -> np.ndarray:
     if lengths.ndim == 1:
         lengths = lengths[None]
     wrong = ~((lengths > 0) & (lengths < np.inf))
+    if not wrong.any():
+        return lengths
     wrong[:, [0, -1]] &= lengths[:, [0, -1]] != 0
     if wrong.any():
         raise InputError("configuration", "rest_length", f"{lengths[wrong][0]:g}",

@@ -15,8 +15,8 @@ from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.tables import FRAME, POSITION, TANGENT
 from doo_ti.types import Clamps, Configuration
 
-# Columns of the kernel's findings: about the start, and about the clamped frames.
-OF_REACH, OF_FRAMES, FINDINGS = 0, 1, 2
+# Columns of whole numbers about a start: in, the kinds of its clamps; out, the findings about its reach and its clamped frames.
+KIND_START, KIND_END, OF_REACH, OF_FRAMES, STATES = 0, 1, 2, 3, 4
 # About a start: it is sound; no rod of its length can be held so; it may be too straight to be projected onto closure; it is
 # taut, so that it can only be one straight line.
 SOUND, INFEASIBLE, STRAIGHT, TAUT = range(4)
@@ -132,7 +132,7 @@ class ClampReader:
     @ti.func
     def read(self, tables, size, s):
         """Fill row s of the table of clamps, and of the findings."""
-        kind_start, kind_end = tables.kinds[s, 0], tables.kinds[s, 1]
+        kind_start, kind_end = tables.states[s, KIND_START], tables.states[s, KIND_END]
         closed = (kind_start >= POSITION) & (kind_end >= POSITION)
         released = (kind_start < POSITION) & (kind_end >= POSITION)
         self.read_flags(tables.clamp, s, kind_start, kind_end, closed, released)
@@ -156,15 +156,15 @@ class ClampReader:
         last = held_frame(kind_end, frame_end, frame_of(tables.start, s, tables.start.shape[1] - 1))
         self.put(tables.clamp, s, of.ENDS, first)
         self.put(tables.clamp, s, of.ENDS + 4, last)
-        tables.found[s, OF_REACH] = SOUND
+        tables.states[s, OF_REACH] = SOUND
         if closed:
-            tables.found[s, OF_REACH] = self.reached(tables, size, s, line, first, last)
+            tables.states[s, OF_REACH] = self.reached(tables, size, s, line, first, last)
         frames = BOTH
         if not can_hold(kind_end, frame_end):
             frames = NOT_THE_LAST
         if not can_hold(kind_start, frame_start):
             frames = NOT_THE_FIRST
-        tables.found[s, OF_FRAMES] = frames
+        tables.states[s, OF_FRAMES] = frames
 
     @ti.func
     def read_flags(self, clamp: ti.template(), s, kind_start, kind_end, closed, released):
@@ -214,7 +214,7 @@ def clamp_kernel(serial: bool, block: int):
 
     @runtime.kernel
     def read_clamps(
-        kinds: ti.types.ndarray(dtype=ti.i32, ndim=2),  # [start, 2]
+        states: ti.types.ndarray(dtype=ti.i32, ndim=2),  # [start, STATES] in and out
         origin: table2,  # [start, 3] mm
         start: table3,  # [start, edge, 4] of any length
         rest_length: table2,  # [1 or start, edge] mm
@@ -224,13 +224,12 @@ def clamp_kernel(serial: bool, block: int):
         end_frame: table3,
         threads: ti.i32,
         clamp: table2,  # [start, CLAMP_COLUMNS] out
-        found: ti.types.ndarray(dtype=ti.i32, ndim=2),  # [start, FINDINGS] out
     ):
         ti.loop_config(block_dim=block, serialize=serial)
         for thread in range(threads):
             tables = record(
-                kinds=kinds, origin=origin, start=start, rest_length=rest_length, start_position=start_position,
-                end_position=end_position, start_frame=start_frame, end_frame=end_frame, clamp=clamp, found=found)
+                states=states, origin=origin, start=start, rest_length=rest_length, start_position=start_position,
+                end_position=end_position, start_frame=start_frame, end_frame=end_frame, clamp=clamp)
             reader.read_share(tables, threads, thread)
 
     return read_clamps
@@ -247,7 +246,8 @@ def clamp_table(configuration: Configuration, lengths: np.ndarray, kinds: np.nda
     Raises InputError where a clamped frame is not a rotation, or a clamped tangent not a unit vector.
     """
     count = len(kinds)
-    table, found = np.empty((count, of.CLAMP_COLUMNS)), np.empty((count, FINDINGS), dtype=np.int32)
+    table, states = np.empty((count, of.CLAMP_COLUMNS)), np.empty((count, STATES), dtype=np.int32)
+    states[:, : OF_REACH] = kinds
     on_cpu = runtime.start() == "cpu"
     serial = on_cpu and count <= FEW
     threads = 1 if serial else runtime.thread_count() if on_cpu else max(1, count)
@@ -255,15 +255,17 @@ def clamp_table(configuration: Configuration, lengths: np.ndarray, kinds: np.nda
         configuration.start, configuration.quaternions, lengths, clamps.start_position, clamps.end_position,
         clamps.start_frame, clamps.end_frame))
     if not count:
-        return table, found[:, OF_REACH]
-    clamp_kernel(serial, 1 if on_cpu else 64)(np.ascontiguousarray(kinds, dtype=np.int32), *doubles, threads, table, found)
-    _check_frames(found[:, OF_FRAMES], clamps)
-    return table, found[:, OF_REACH]
+        return table, states[:, OF_REACH]
+    clamp_kernel(serial, 1 if on_cpu else 64)(states, *doubles, threads, table)
+    _check_frames(states[:, OF_FRAMES], clamps)
+    return table, states[:, OF_REACH]
 
 
 def _check_frames(found: np.ndarray, clamps: Clamps) -> None:
     """Raise InputError where a frame was found not to be a rotation, or its tangent not a unit vector. A rod whose frame is not
     finite gets a status instead."""
+    if (found == BOTH).all():
+        return
     for name, which in (("start_frame", NOT_THE_FIRST), ("end_frame", NOT_THE_LAST)):
         frames = getattr(clamps, name)[found == which]
         wrong = frames[np.isfinite(frames).all(axis=(1, 2))]

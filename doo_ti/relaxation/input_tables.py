@@ -120,14 +120,21 @@ def material_table(material: Material, edges: int) -> np.ndarray:
         joints[..., of.REST : of.REST + 2] = rest
         table[:, of.ROUND] *= (rest == 0).all(axis=(1, 2))
     table[:, of.WEIGHT] = material.weight
-    table[:, of.LARGEST_BEND] = largest.max(axis=1)
-    table[:, of.STIFFEST] = np.maximum(table[:, of.LARGEST_BEND], twist.max(axis=1))
-    table[:, of.SOFTEST] = np.minimum(smallest.min(axis=1), twist.min(axis=1))
+    table[:, of.LARGEST_BEND] = _along(np.maximum, largest)
+    table[:, of.STIFFEST] = np.maximum(table[:, of.LARGEST_BEND], _along(np.maximum, twist))
+    table[:, of.SOFTEST] = np.minimum(_along(np.minimum, smallest), _along(np.minimum, twist))
     return table
+
+
+def _along(chosen: np.ufunc, values: np.ndarray) -> np.ndarray:
+    """(R,) the one of ``values`` (R, 1 or joints) along each rod that is ``chosen``."""
+    return values[:, 0] if values.shape[1] == 1 else chosen.reduce(values, axis=1)
 
 
 def bending_range(first: np.ndarray, second: np.ndarray, mixed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The smaller and the larger eigenvalue of B."""
+    if not mixed.any():
+        return np.minimum(first, second), np.maximum(first, second)
     largest = 0.5 * (first + second) + np.hypot(0.5 * (first - second), mixed)
     return (first * second - mixed**2) / largest, largest
 
@@ -145,7 +152,7 @@ def evened(table: Tables, most: float) -> tuple[Tables, np.ndarray]:
 def evened_materials(material: np.ndarray, most: float) -> tuple[np.ndarray, np.ndarray]:
     """The same for a table of materials: the table and which of its rows this changes."""
     stiffest, softest = material[:, of.STIFFEST], material[:, of.SOFTEST]
-    uneven = (stiffest > UNEVEN * softest) & (stiffest > most * softest)
+    uneven = stiffest > max(UNEVEN, most) * softest
     if not uneven.any():
         return material, uneven
     material = material.copy()

@@ -98,7 +98,9 @@ class NewtonTrip:
         energy, magnitude, miss, fitted, lowest = self.sweep.close(rod, x, normal)
         multiplier = self.multiplier(lane, fitted)
         rested = (lane.fresh < 0.5) & (lane.residual * rod.total <= self.tolerance(tables, rod))
-        trace = ti.select(rested, self.constant(self.trace_at_rest), self.constant(self.trace))
+        trace = self.constant(self.trace)
+        if ti.static(self.trace_at_rest > self.trace):
+            trace = ti.select(rested, self.constant(self.trace_at_rest), trace)
         diagonal = ti.select(next_shift > 0.0, next_shift, trace * lane.scale)
         found = self.sweep.eliminate(rod, diagonal, (noise, echo), multiplier, miss)
         found.energy += energy
@@ -233,8 +235,10 @@ class NewtonTrip:
             altered = altered | self.sweep.contacts.expected(rod)
         # Where rounding limits the residual, the size of the next step bounds the error of the shape.
         settled = size <= self.shape_tolerance
-        doubtful = calm & ~altered & wrong & ~rested
-        wrong = wrong & ~doubtful
+        doubtful = self.constant(0.0) > 0.5
+        if ti.static(self.trace_at_rest > self.trace):
+            doubtful = calm & ~altered & wrong & ~rested
+            wrong = wrong & ~doubtful
         at_saddle = calm & ~altered & wrong
         if ti.static(self.among_obstacles):
             # While forces are rough, a motion that will turn out to be neutral may have a negative eigenvalue.

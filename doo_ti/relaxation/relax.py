@@ -8,6 +8,7 @@ A rod that fails raises no exception: every rod has its own status, and none aff
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -154,11 +155,7 @@ def _newton(table: Tables, solver: Newton, precision: str, begin: Solution | Non
         frames, results = batch.run_newton(evener, solver, 64, begin)
         _with_ratios(table, solver, 64, frames, results, uneven)
         return frames, results, np.full(len(results), 64)
-    coarse = solver
-    if precision != F32_ONLY:
-        coarse = replace(solver, max_iterations=min(solver.max_iterations, ITERATIONS_32),
-                         tolerance=None if precision == "mixed" else solver.tolerance)
-    frames, results = batch.run_newton(evener, coarse, 32, begin)
+    frames, results = batch.run_newton(evener, _coarse(solver, precision), 32, begin)
     bits = np.full(len(results), 32)
     if precision == F32_ONLY:
         _with_ratios(table, solver, 32, frames, results, uneven)
@@ -182,6 +179,15 @@ def _newton(table: Tables, solver: Newton, precision: str, begin: Solution | Non
         results[rows, of.ALONG] = np.where(usable[rows], np.minimum(results[rows, of.ALONG], along), results[rows, of.ALONG])
         bits[rows] = 64
     return frames, results, bits
+
+
+@cache
+def _coarse(solver: Newton, precision: str) -> Newton:
+    """The options of f32, after which f64 may follow."""
+    if precision == F32_ONLY:
+        return solver
+    return replace(solver, max_iterations=min(solver.max_iterations, ITERATIONS_32),
+                   tolerance=None if precision == "mixed" else solver.tolerance)
 
 
 def _with_ratios(table: Tables, solver: Newton, bits: int, frames: np.ndarray, results: np.ndarray, rows: np.ndarray) -> None:
@@ -235,7 +241,7 @@ def _cut_by_rings(table: Tables, configuration: Configuration, status: np.ndarra
     """Rows of the converged rods that are inside a ring between two vertices: an edge that spans a ring's hole is near to the
     ring twice, and only one place of an edge touches."""
     contact = table.contact
-    rings = [] if contact is None else [body for body in contact.surroundings.bodies if isinstance(body, Ring)]
+    rings = [body for body in contact.surroundings.bodies if isinstance(body, Ring)]
     rows = np.flatnonzero(contact.near & (status == CONVERGED)) if rings else np.zeros(0, dtype=np.int64)
     if not len(rows):
         return rows
@@ -261,7 +267,8 @@ def _solution(table: Tables, frames: np.ndarray, results: np.ndarray, bits: np.n
     configuration = Configuration(start, frames, rest_length)
     status, stable = results[:, of.STATUS].astype(np.int8), results[:, of.STABLE] == 1
     infeasible = status == INFEASIBLE
-    frames[infeasible], start[infeasible] = np.nan, np.nan
+    if infeasible.any():
+        frames[infeasible], start[infeasible] = np.nan, np.nan
     # The kernels compute relative to the anchor and do not read its place.
     lost = ~np.isfinite(anchor).all(axis=1)
     if lost.any():
@@ -279,8 +286,9 @@ def _solution(table: Tables, frames: np.ndarray, results: np.ndarray, bits: np.n
     if len(hanging):
         ends = configuration.take(hanging).vertices[:, -1]
         start[hanging] = 2 * start[hanging] - ends
-    cut = _cut_by_rings(table, configuration, status)
-    status[cut], stable[cut] = Status.STALLED, False
+    if table.contact is not None:
+        cut = _cut_by_rings(table, configuration, status)
+        status[cut], stable[cut] = Status.STALLED, False
     return Solution(
         configuration=configuration,
         energy=energy,
