@@ -17,6 +17,9 @@ from doo_ti.types import Clamps, Configuration
 
 # Columns of whole numbers about a start: in, the kinds of its clamps; out, the findings about its reach and its clamped frames.
 KIND_START, KIND_END, OF_REACH, OF_FRAMES, STATES = 0, 1, 2, 3, 4
+# Columns of what is given about a start, in one table because a launch takes as long for every array as for a few rods: vertex 0,
+# and of the clamps the positions and the frames, row by row.
+ORIGIN, START_POSITION, END_POSITION, START_FRAME, END_FRAME = 0, 3, 6, 9, 18
 # About a start: it is sound; no rod of its length can be held so; it may be too straight to be projected onto closure; it is
 # taut, so that it can only be one straight line.
 SOUND, INFEASIBLE, STRAIGHT, TAUT = range(4)
@@ -32,16 +35,15 @@ FEW = 512
 
 
 @ti.func
-def vector(table: ti.template(), s):
-    """Row s of a table."""
-    return (table[s, 0], table[s, 1], table[s, 2])
+def vector(table: ti.template(), s, column: ti.template()):
+    """Three numbers of row s of a table, from ``column`` on."""
+    return (table[s, column], table[s, column + 1], table[s, column + 2])
 
 
 @ti.func
-def matrix(table: ti.template(), s):
-    """Matrix s of a table, row by row."""
-    return (table[s, 0, 0], table[s, 0, 1], table[s, 0, 2], table[s, 1, 0], table[s, 1, 1], table[s, 1, 2],
-            table[s, 2, 0], table[s, 2, 1], table[s, 2, 2])
+def matrix(table: ti.template(), s, column: ti.template()):
+    """Nine of them."""
+    return vector(table, s, column) + vector(table, s, column + 3) + vector(table, s, column + 6)
 
 
 @ti.func
@@ -136,10 +138,10 @@ class ClampReader:
         closed = (kind_start >= POSITION) & (kind_end >= POSITION)
         released = (kind_start < POSITION) & (kind_end >= POSITION)
         self.read_flags(tables.clamp, s, kind_start, kind_end, closed, released)
-        anchor = variable(vector(tables.origin, s))
+        anchor = variable(vector(tables.given, s, ORIGIN))
         if kind_start >= POSITION:
-            anchor = vector(tables.start_position, s)
-        far = vector(tables.end_position, s)
+            anchor = vector(tables.given, s, START_POSITION)
+        far = vector(tables.given, s, END_POSITION)
         line = variable(repeated(ti.cast(0.0, ti.f64), 3))
         if closed:
             line = minus(far, anchor)
@@ -151,7 +153,7 @@ class ClampReader:
         self.put(tables.clamp, s, of.ANCHOR, anchor)
         tables.clamp[s, of.TOTAL], tables.clamp[s, of.LONGEST] = size.total, size.longest
         tables.clamp[s, of.SHORTEST_PAIR], tables.clamp[s, of.HANGING] = size.shortest_pair, hanging
-        frame_start, frame_end = matrix(tables.start_frame, s), matrix(tables.end_frame, s)
+        frame_start, frame_end = (matrix(tables.given, s, START_FRAME), matrix(tables.given, s, END_FRAME))
         first = held_frame(kind_start, frame_start, frame_of(tables.start, s, 0))
         last = held_frame(kind_end, frame_end, frame_of(tables.start, s, tables.start.shape[1] - 1))
         self.put(tables.clamp, s, of.ENDS, first)
@@ -215,21 +217,15 @@ def clamp_kernel(serial: bool, block: int):
     @runtime.kernel
     def read_clamps(
         states: ti.types.ndarray(dtype=ti.i32, ndim=2),  # [start, STATES] in and out
-        origin: table2,  # [start, 3] mm
+        given: table2,  # [start, ORIGIN …] mm
         start: table3,  # [start, edge, 4] of any length
         rest_length: table2,  # [1 or start, edge] mm
-        start_position: table2,  # [start, 3] mm
-        end_position: table2,
-        start_frame: table3,  # [start, 3, 3]
-        end_frame: table3,
         threads: ti.i32,
         clamp: table2,  # [start, CLAMP_COLUMNS] out
     ):
         ti.loop_config(block_dim=block, serialize=serial)
         for thread in range(threads):
-            tables = record(
-                states=states, origin=origin, start=start, rest_length=rest_length, start_position=start_position,
-                end_position=end_position, start_frame=start_frame, end_frame=end_frame, clamp=clamp)
+            tables = record(states=states, given=given, start=start, rest_length=rest_length, clamp=clamp)
             reader.read_share(tables, threads, thread)
 
     return read_clamps
@@ -251,12 +247,13 @@ def clamp_table(configuration: Configuration, lengths: np.ndarray, kinds: np.nda
     on_cpu = runtime.start() == "cpu"
     serial = on_cpu and count <= FEW
     threads = 1 if serial else runtime.thread_count() if on_cpu else max(1, count)
-    doubles = (np.ascontiguousarray(array, dtype=np.float64) for array in (
-        configuration.start, configuration.quaternions, lengths, clamps.start_position, clamps.end_position,
-        clamps.start_frame, clamps.end_frame))
     if not count:
         return table, states[:, OF_REACH]
-    clamp_kernel(serial, 1 if on_cpu else 64)(states, *doubles, threads, table)
+    given = np.concatenate([
+        configuration.start, clamps.start_position, clamps.end_position, clamps.start_frame.reshape(count, 9),
+        clamps.end_frame.reshape(count, 9)], axis=1, dtype=np.float64)
+    start, lengths = (np.ascontiguousarray(array, dtype=np.float64) for array in (configuration.quaternions, lengths))
+    clamp_kernel(serial, 1 if on_cpu else 64)(states, given, start, lengths, threads, table)
     _check_frames(states[:, OF_FRAMES], clamps)
     return table, states[:, OF_REACH]
 
