@@ -13,6 +13,7 @@ from doo_ti.commands import options as given
 from doo_ti.commands.results import counted, report, save_arrays
 from doo_ti.contact.touch import Touch
 from doo_ti.errors import InputError, InterruptedRunError
+from doo_ti.io.shipped import scene_file
 from doo_ti.learning.objective import status_counts
 from doo_ti.terminal import in_line, progress
 from doo_ti.types import Status
@@ -29,7 +30,8 @@ MOST_LISTED = 6
 
 def declare(add) -> None:
     parser = given.command(add, "group", run, "relax rods that touch each other or are tied together, grippers moving or not")
-    parser.add_argument("scene", metavar="SCENE.toml", help="rods, ties, obstacles and clamps (docs/groups.md)")
+    parser.add_argument("scene", metavar="SCENE.toml", type=scene_file,
+                        help="rods, ties, obstacles and clamps (docs/groups.md)")
     parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
     given.add_up(parser, "0,0,1")
     parser.add_argument("--picture", metavar="F.png", help="also draw the rods, and forces over time (default: no)")

@@ -15,6 +15,7 @@ from doo_ti.errors import InputError
 from doo_ti.io.files import write_text
 from doo_ti.io.observations import Observations
 from doo_ti.io.scene import Synthesis, load_scene
+from doo_ti.io.shipped import scene_file
 from doo_ti.terminal import in_line
 
 SIGMA_MM = 0.1
@@ -24,8 +25,8 @@ PICKS = 10
 
 def declare(add) -> None:
     parser = given.command(add, "plan", run, "rank configurations by how much measuring them would reduce the uncertainty of Θ")
-    parser.add_argument("source", metavar="SCENE.toml|OBS", help="a scene whose [synthesis] lists the possible clamp poses, or "
-                        "observations that have them")
+    parser.add_argument("source", metavar="SCENE.toml|OBS", type=scene_file,
+                        help="a scene whose [synthesis] lists the possible clamp poses, or observations that have them")
     given.add_material(parser, "a number or LO:HI:N[:log|:lin], the prior range; overrides the scene's axis")
     parser.add_argument("--end-distances", metavar="MM,MM,…", help="end distances, instead of the scene's")
     parser.add_argument("--end-rotations", metavar="DEG,DEG,…", help="end rotations, instead of the scene's")

@@ -26,6 +26,7 @@ from doo_ti.errors import InputError
 from doo_ti.frames import matrix_from_quaternion, smallest_rotation
 from doo_ti.io.motion_file import ClampPath
 from doo_ti.io.scene import PRECISIONS
+from doo_ti.io.shipped import scene_file
 from doo_ti.learning.objective import status_counts
 from doo_ti.physical_units import UNITS_IN_MM
 from doo_ti.start import check_experiment, observation_clamps
@@ -76,7 +77,7 @@ class _Task:
 
 def declare(add) -> None:
     parser = given.command(add, "predict", run, "predict the shapes of rods whose clamps move (§III-D)")
-    parser.add_argument("source", metavar="OBS|SCENE.toml",
+    parser.add_argument("source", metavar="OBS|SCENE.toml", type=scene_file,
                         help=f"observations the rods start from: {loading.FORMATS}; or a scene of motion")
     parser.add_argument("--motion", metavar="PATH", help="poses of the clamps over time: .npz, or .csv such as a robot's log")
     parser.add_argument("--out", required=True, metavar="F.npz|F.csv", help="file to write")

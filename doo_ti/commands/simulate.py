@@ -15,6 +15,7 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.contact.touch import Touch
 from doo_ti.errors import InputError
 from doo_ti.io.pose_table import holds_poses
+from doo_ti.io.shipped import scene_file
 from doo_ti.learning.objective import status_counts
 from doo_ti.terminal import busy, in_line, progress
 from doo_ti.types import Clamp, Status
@@ -50,7 +51,7 @@ class _Simulated:
 
 def declare(add) -> None:
     parser = given.command(add, "simulate", run, "simulate rods in motion: with inertia, damping and drag, grippers moving")
-    parser.add_argument("source", metavar="MOTION|SCENE.toml",
+    parser.add_argument("source", metavar="MOTION|SCENE.toml", type=scene_file,
                         help=f"recorded markers, the first and last edges on the grippers: {loading.RECORDINGS}; or a scene")
     parser.add_argument("--theta", metavar="THETA.json", help="the rod, as doo-ti identify writes it; needed for MOTION")
     parser.add_argument("--linear-density", metavar="G_PER_M", help="mass per length of the rod in g/m: arrows of contact "

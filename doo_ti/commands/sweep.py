@@ -16,6 +16,7 @@ from doo_ti.errors import InputError
 from doo_ti.grid import Grid
 from doo_ti.io.observations import Observations
 from doo_ti.io.scene import MOST_ROLLS, OBJECTIVES, Scene, Synthesis, load_scene
+from doo_ti.io.shipped import scene_file
 from doo_ti.learning.pairs import Pairs, load_pairs
 from doo_ti.learning.summary import SUMMARY
 from doo_ti.physical_units import relative_stiffness, stiffness
@@ -33,7 +34,7 @@ RIBBON_PARAMETERS = " --parameters bend-1,bend-2,twist"
 
 def declare(add) -> None:
     parser = given.command(add, "sweep", run, "search a grid of material parameters for the smallest error (Eq. 2 or 3)")
-    parser.add_argument("sources", nargs="+", metavar="SCENE.toml|OBS",
+    parser.add_argument("sources", nargs="+", metavar="SCENE.toml|OBS", type=scene_file,
                         help=f"scenes, or observations: {loading.FORMATS}; each "
                         "of several gets a folder of its name below RUN")
     parser.add_argument("--out", required=True, metavar="RUN", help="folder to write; an unfinished run in it is resumed")

@@ -15,6 +15,7 @@ from doo_ti.io.cable_recordings import read_recordings, save_recordings
 from doo_ti.io.formats import read_curves
 from doo_ti.io.motion_recording import read_recording
 from doo_ti.io.scene import Scene, Synthesis, load_scene
+from doo_ti.io.shipped import scene_file
 from doo_ti.terminal import in_line, progress
 
 DIAMETER_MM = 0.5
@@ -37,11 +38,12 @@ def declare(add) -> None:
     loading.add_rate(parser)
     parser = given.command(add, "synth", run, "simulate a scene's observations, or render images of its rods (the virtual lab)",
                            json=False)
-    parser.add_argument("scene", metavar="SCENE.toml", help="a scene with [synthesis]")
+    parser.add_argument("scene", metavar="SCENE.toml", type=scene_file, help="a scene with [synthesis]")
     parser.add_argument("--out", metavar="OBS", help="file for the observations: .npz, .csv or .parquet")
     images = parser.add_argument_group("images", "rendered images of the rods; label noise has no effect on them")
     images.add_argument("--images", metavar="FOLDER", help="folder for the images, sets.csv, rig.yaml and truth.npz")
-    images.add_argument("--rig", metavar="RIG", help="the cameras: OpenCV FileStorage YAML, such as scenes/rig.yaml")
+    images.add_argument("--rig", metavar="RIG", type=scene_file,
+                        help="the cameras: OpenCV FileStorage YAML, such as scenes/rig.yaml")
     images.add_argument("--diameter", metavar="MM", help=f"diameter of the thread (default {DIAMETER_MM:g})")
     images.add_argument("--seed", metavar="N", help="seed of all random numbers for the images (default 0)")
     images.add_argument("--render", metavar="NAME=VALUE", action="append", default=[],

@@ -17,8 +17,8 @@ from doo_ti.types import Clamps, Configuration
 
 # Columns of whole numbers about a start: in, the kinds of its clamps; out, the findings about its reach and its clamped frames.
 KIND_START, KIND_END, OF_REACH, OF_FRAMES, STATES = 0, 1, 2, 3, 4
-# Columns of what is given about a start, in one table because a launch takes as long for every array as for a few rods: vertex 0,
-# and of the clamps the positions and the frames, row by row.
+# Columns of what is given about a start: vertex 0, and of the clamps the positions and the frames, row by row. In one table,
+# because passing an array to a kernel takes as long as several rods.
 ORIGIN, START_POSITION, END_POSITION, START_FRAME, END_FRAME = 0, 3, 6, 9, 18
 # About a start: it is sound; no rod of its length can be held so; it may be too straight to be projected onto closure; it is
 # taut, so that it can only be one straight line.

@@ -1,5 +1,5 @@
-"""Motions of rods whose stiffness differs by up to 1e9: where they come to rest a dense Newton's method, in which every unknown is
-scaled by its own stiffness, has nothing left to do; or they say that they failed."""
+"""Motions of rods whose stiffness differs by up to 1e9: where they come to rest a dense Newton's method, in which every unknown
+is scaled by its own stiffness, has nothing left to do; or they say that they failed."""
 
 from types import SimpleNamespace
 
