@@ -8,10 +8,12 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 
 LINE_SECONDS = 30.0
 """Between two lines of a long run whose standard error is no terminal."""
 COMPILING = "compiling …"
+INSTALL_RECORDER = "pip install rerun-sdk"
 
 _shown: list[Callable[[bool], None]] = []
 """Those that show the current step on a terminal; each is told whether kernels are being compiled."""
@@ -54,6 +56,22 @@ class VisibleStream:
 
     def __getattr__(self, name: str):
         return getattr(self._stream, name)
+
+
+def has_recorder() -> bool:
+    """Whether rerun is installed, which writes and shows recordings."""
+    try:
+        return find_spec("rerun") is not None
+    except ValueError:  # somebody has put something else in its place
+        return False
+
+
+def can_record() -> bool:
+    """The same; where it is not installed, a line on standard error says that no recording is written."""
+    if not has_recorder():
+        warn(f"no recording: rerun is not installed; {INSTALL_RECORDER}")
+        return False
+    return True
 
 
 def warn(text: str) -> None:

@@ -17,6 +17,7 @@ from doo_ti.grid import UNITS, Axis, Grid, parse_axes, parse_axis
 from doo_ti.io.formats import checked_suffix
 from doo_ti.io.scene import CLAMPS, PRECISIONS
 from doo_ti.physical_units import bend_or_twist, force_in_newton, weight_per_length
+from doo_ti.terminal import INSTALL_RECORDER, has_recorder
 from doo_ti.types import LARGEST, Clamp, unit_up
 
 SOURCE = "command line"
@@ -300,12 +301,20 @@ def output_file(text: str | Path, suffix: str | tuple[str, ...] | None = None, o
         checked_suffix(path)
     elif path.suffix not in wanted:
         raise InputError(SOURCE, option, f"suffix {path.suffix!r} of {path}", f"name a file that ends in {' or '.join(wanted)}")
+    if option == "--recording":
+        require_recorder(option)
     if os.path.isdir(path):
         raise InputError(SOURCE, option, f"{path} is a folder", "name a file")
     if len(os.fsencode(path.name)) > LONGEST_NAME:
         raise InputError(SOURCE, option, f"{path.name[:20]}… is too long a name", f"name a file in {LONGEST_NAME} bytes")
     _check_folder(path.parent, option)
     return path
+
+
+def require_recorder(name: str) -> None:
+    """Raise InputError where rerun is missing, which the option or command ``name`` needs."""
+    if not has_recorder():
+        raise InputError(SOURCE, name, "rerun is not installed", INSTALL_RECORDER)
 
 
 def refuse_overwriting(out: Path, source: str, option: str = "--out") -> None:

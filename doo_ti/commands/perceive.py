@@ -14,7 +14,7 @@ from doo_ti.commands.results import RODS, counted, report, save_arrays, shortene
 from doo_ti.commands.seen_rods import GUESSED_BEND, RECORDED, PerceptionTask, perception_task
 from doo_ti.errors import InputError
 from doo_ti.learning.objective import status_counts
-from doo_ti.terminal import in_line, progress
+from doo_ti.terminal import can_record, in_line, progress
 from doo_ti.types import Status
 
 MARGIN_PX = 60
@@ -218,7 +218,7 @@ def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found
         left_out = task.sets.count - len(rods)
         reprojections_picture(picture, rig, rods, up=task.up, left_out=left_out)
         written.append(picture)
-    if (there < task.recorded).any():
+    if (there < task.recorded).any() and can_record():
         from doo_ti.record import record_perception
 
         recording = out.with_suffix(".rrd")

@@ -15,7 +15,7 @@ from doo_ti.commands.perceive import LEAST_SIGMA_MM
 from doo_ti.commands.results import RODS, report, save_arrays
 from doo_ti.commands.seen_rods import SUBSTEPS, TrackingTask, tracking_task
 from doo_ti.errors import InputError, InterruptedRunError
-from doo_ti.terminal import in_line, progress
+from doo_ti.terminal import can_record, in_line, progress
 
 AHEAD = 16
 """Frames whose thread is detected while one is tracked."""
@@ -52,7 +52,7 @@ def run(options: Namespace, words: list[str]) -> int:
                                   "starts from the first frame; or track the other frames as a video of their own, with the "
                                   "seed in its first line")
     written = [out]
-    if not options.no_recording:
+    if not options.no_recording and can_record():
         from doo_ti.record import record_track
 
         written.append(out.with_suffix(".rrd"))

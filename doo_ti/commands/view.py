@@ -62,6 +62,7 @@ def run(options: Namespace, words: list[str]) -> int:
         return 0
     if (path / RECORDING).exists() and (path / SUMMARY).exists() and changed_files(path, read_summary(path), (RECORDING,)):
         raise InputError(path / RECORDING, "file", "not as the sweep wrote it", "run the sweep again, which makes it again")
+    given.require_recorder("view")
     picture = None if options.screenshot is None else given.output_file(options.screenshot, ".png", "--screenshot")
     if not (options.web or picture) and sys.platform == "linux" and not (
             os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
@@ -110,6 +111,7 @@ def _draw_unfinished(run: Path, folder: Path) -> None:
 
 def run_figures(options: Namespace, words: list[str]) -> int:
     """Pictures of the landscapes, a recording with one step per cell, and for ribbons one of each regime."""
+    given.require_recorder("figures")
     out = given.output_folder(options.out)
     whole_grid = options.cells == "all"
     most = None if whole_grid else given.whole("--cells", options.cells, 1) or MOST_CELLS

@@ -19,6 +19,7 @@ from doo_ti.learning.run_folder import read_plan
 from doo_ti.metric import distance
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
+from doo_ti.terminal import can_record
 from doo_ti.types import Material, Status
 
 MOST_MOMENTS = 60
@@ -26,10 +27,8 @@ MOST_MOMENTS = 60
 
 
 def draw(folder: Path, experiment: Experiment, overview: Overview, identity: str, remark: str = "") -> None:
-    """Write landscape.png and run.rrd into ``folder``; their title ends with ``remark``."""
-    from doo_ti.record import record_sweep
+    """Write landscape.png and, where rerun is installed, run.rrd into ``folder``; their title ends with ``remark``."""
     from doo_ti.report import landscape_picture
-    from doo_ti.report.grid_view import Observed
 
     observations, grid, sums, best = experiment.observations, experiment.grid, overview.sums, overview.best
     static = experiment.pairs is None
@@ -38,6 +37,11 @@ def draw(folder: Path, experiment: Experiment, overview: Overview, identity: str
     plane = plane_of(overview)
     if grid.varying:
         landscape_picture(folder / "landscape.png", plane, title=title)
+    if not can_record():
+        return
+    from doo_ti.record import record_sweep
+    from doo_ti.report.grid_view import Observed
+
     theta = {name: float(value[0]) for name, value in grid.cell_values(np.array([best])).items()}
     record_sweep(
         folder / "run.rrd", run_id=identity[:32], name=title,

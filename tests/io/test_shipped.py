@@ -12,7 +12,8 @@ SCENES = Path(__file__).resolve().parents[2] / "scenes"
 
 @pytest.mark.parametrize(("name", "file"), [
     ("vicryl", "vicryl.toml"), ("vicryl.toml", "vicryl.toml"), ("scenes/vicryl.toml", "vicryl.toml"),
-    ("whip", "motion/whip.toml"), ("groups/reef_knot", "groups/reef_knot.toml"), ("scenes/motion/whip.toml", "motion/whip.toml"), ("rig.yaml", "rig.yaml")])
+    ("whip", "motion/whip.toml"), ("groups/reef_knot", "groups/reef_knot.toml"),
+    ("scenes/motion/whip.toml", "motion/whip.toml"), ("rig.yaml", "rig.yaml")])
 def test_a_scene_is_found_in_any_folder(name, file, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert Path(scene_file(name)).read_bytes() == (SCENES / file).read_bytes()

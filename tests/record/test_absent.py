@@ -1,0 +1,39 @@
+"""Without rerun, which is large, everything but recordings works: they are left out in a line, or refused where asked for."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+WITHOUT = "import sys; sys.modules['rerun'] = None; sys.path.insert(0, sys.argv.pop(1)); from doo_ti.cli import main; " \
+          "sys.exit(main(sys.argv[1:]))"
+SCENE = ('name = "silk"\n[synthesis]\nseed = 4\nbend = 1.5e5\ntwist = 5e4\nend_distances_mm = [42, 66]\n'
+         'end_rotations_deg = [0, -30]\n[grid]\nbend = "1e5:2e5:2"\n')
+
+
+def without_rerun(folder: Path, *words: str) -> subprocess.CompletedProcess:
+    return subprocess.run([sys.executable, "-c", WITHOUT, str(ROOT), *words], capture_output=True, text=True, cwd=folder)
+
+
+def test_a_sweep_leaves_its_recording_out_and_says_so(tmp_path):
+    (tmp_path / "silk.toml").write_text(SCENE, encoding="utf-8")
+    done = without_rerun(tmp_path, "sweep", "silk.toml", "--out", "run")
+    assert done.returncode == 0, done.stderr
+    said = [line for line in done.stderr.splitlines() if "rerun" in line]
+    assert len(said) == 1 and "pip install rerun-sdk" in said[0]
+    assert (tmp_path / "run" / "summary.json").is_file() and not (tmp_path / "run" / "run.rrd").exists()
+
+
+@pytest.mark.parametrize("words", [
+    ("simulate", "pendulum", "--out", "a.npz", "--recording", "a.rrd"),
+    ("predict", "three_materials", "--out", "a.npz", "--recording", "a.rrd"),
+    ("group", "reef_knot", "--out", "a.npz", "--recording", "a.rrd"),
+    ("view", "run"),
+    ("figures", "run", "--out", "pictures")])
+def test_a_recording_that_is_asked_for_is_refused_in_a_line(tmp_path, words):
+    (tmp_path / "run").mkdir()
+    done = without_rerun(tmp_path, *words)
+    assert done.returncode == 2 and "rerun" in done.stderr and len(done.stderr.splitlines()) == 1, done.stderr
+    assert [path.name for path in tmp_path.rglob("*")] == ["run"]
