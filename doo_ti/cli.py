@@ -33,7 +33,7 @@ from doo_ti.commands import (
     view,
     warm,
 )
-from doo_ti.commands.help_text import nearest, overview
+from doo_ti.commands.help_text import hidden, nearest, overview
 from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.runtime import check_architecture
 from doo_ti.terminal import VisibleStream, visible
@@ -41,6 +41,8 @@ from doo_ti.terminal import VisibleStream, visible
 
 class _Parser(argparse.ArgumentParser):
     """Reports what argparse finds wrong as an InputError naming the option, and names arguments of the library as options."""
+
+    whole = False
 
     def error(self, message: str) -> NoReturn:
         found = re.match(r"argument (?P<option>[^:]+): (?P<problem>.*)", message, re.DOTALL)
@@ -60,6 +62,26 @@ class _Parser(argparse.ArgumentParser):
             return InputError("command line", names[error.field], problem, remedy)
         return InputError(error.source, error.field, problem, remedy)
 
+
+    def format_help(self) -> str:
+        """The help, of a command with many options with those that matter most, unless ``whole`` has been set."""
+        optional = [action for action in self._actions if action.option_strings and not action.required]
+        names = [action.option_strings[-1] for action in optional if action.help != argparse.SUPPRESS]
+        left_out = [] if self.whole else hidden(self.prog.split()[-1], names)
+        kept, groups, epilog = [action.help for action in optional], self._action_groups, self.epilog
+        for action in optional:
+            if action.option_strings[-1] in left_out:
+                action.help = argparse.SUPPRESS
+        self._action_groups = [group for group in groups
+                               if any(action.help != argparse.SUPPRESS for action in group._group_actions)]
+        if left_out:
+            self.epilog = f"{len(left_out)} more options: {self.prog} --help-all\n\n{epilog}"
+        try:
+            return super().format_help()
+        finally:
+            self._action_groups, self.epilog = groups, epilog
+            for action, text in zip(optional, kept, strict=True):
+                action.help = text
 
     def options(self) -> list[str]:
         """The names of this command's options."""

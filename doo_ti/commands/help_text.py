@@ -36,8 +36,7 @@ EXAMPLES = {
                     ("triangulate marks.csv --rig rig.yaml --out suture.npz --json", "counts and outliers as JSON")),
     "perceive": ("perception", (
         "perceive --rig rig.yaml --sets sets.csv --rest-length 3:33 --bend 6e5 --twist 8e5 --out rods.npz", "many sets"), (
-        "perceive a.png b.png c.png --rig rig.yaml --seed-point 0,0,0 --seed-direction 1,0,0 --rest-length 3:33 --bend 6e5 "
-        "--twist 8e5 --out rod.npz", "one set")),
+        "perceive left.png right.png --rig rig.yaml --seed-pixel left:412,300 --out rod.npz", "one set, from a click")),
     "track": ("tracking", (
         "track --rig rig.yaml --frames video.csv --rest-length 3:33 --bend 6e5 --twist 8e5 --out video.npz", "from a video"), (
         "track --rig rig.yaml --frames video.csv --rest-length lengths.txt --bend 6e5 --twist 8e5 --out video.npz --json",
@@ -59,6 +58,22 @@ EXAMPLES = {
               ("bench --out bench", "and as files")),
 }
 """Of each command the page of the documentation, and two examples with their meaning."""
+_MATERIAL, _FILES = ("--EI", "--GJ", "--linear-density"), ("--unit", "--columns", "--up")
+FIRST = {
+    "sweep": (*_MATERIAL, *_FILES, "--rest-length", "--clamp-start", "--clamp-end", "--workers"),
+    "refine": ("--parameters", "--linear-density", "--frames", "--clip", "--rest-length", "--spacing-error", "--rest-curvature",
+               *_FILES, "--out"),
+    "relax": (*_MATERIAL, *_FILES, "--clamp-start", "--clamp-end", "--obstacles", "--radius"),
+    "predict": ("--motion", *_MATERIAL, *_FILES, "--obstacles", "--radius", "--picture", "--recording"),
+    "simulate": ("--theta", "--linear-density", "--tolerance", "--obstacles", "--radius", "--unit", "--rate", "--picture",
+                 "--recording", "--animation"),
+    "perceive": ("--sets", "--seed-pixel", "--edge", "--length", "--rest-length", *_MATERIAL, "--masks", "--colour"),
+    "track": ("--motion", *_MATERIAL, "--colour", "--masks", "--width", "--no-recording"),
+    "identify": ("--fit", "--still", "--obstacles", "--radius", *_FILES, "--rate", "--picture"),
+    "plan": (*_MATERIAL, *_FILES, "--sigma", "--picks", "--measured"),
+    "twist": (*_MATERIAL, *_FILES, "--observations", "--picture"),
+}
+"""Of commands with many options those that ``--help`` shows, besides the ones that must be given; of others it shows all."""
 OTHER_WORDS = {
     "fit": "sweep", "search": "sweep", "estimate": "refine", "train": "learn", "forward": "relax", "solve": "relax",
     "render": "synth", "generate": "synth", "detect": "perceive", "rollout": "simulate", "import": "convert",
@@ -78,6 +93,12 @@ def overview(meanings: dict[str, str]) -> str:
         lines += [f"{title}:", *(f"  {name:<12} {meanings[name]}" for name in names if name in meanings), ""]
     return "\n".join([*lines, "doo-ti help COMMAND shows options and examples. Begin with:", "",
                       f"  doo-ti {EXAMPLES['sweep'][1][0]}", ""])
+
+
+def hidden(command: str, options: list[str]) -> list[str]:
+    """Which of the ``options`` that a command need not be given ``--help`` leaves to ``--help-all``."""
+    always = ("-h", "--help", "--help-all", "--json")
+    return [name for name in options if name not in always and name not in FIRST[command]] if command in FIRST else []
 
 
 def examples(command: str) -> str | None:

@@ -4,13 +4,13 @@ Raises InputError naming the option, its value and the remedy.
 """
 
 import os
-from argparse import SUPPRESS, ArgumentParser, Namespace, RawDescriptionHelpFormatter
+from argparse import SUPPRESS, Action, ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands.help_text import examples
+from doo_ti.commands.help_text import FIRST, examples
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
 from doo_ti.grid import UNITS, Axis, Grid, parse_axes, parse_axis
@@ -32,6 +32,13 @@ LONGEST_NAME = 200
 """Bytes in the name of a file: systems allow 255, and while the file is written it has a longer name."""
 
 
+class _HelpAll(Action):
+    def __call__(self, parser, namespace, values, option_string=None):
+        parser.whole = True
+        parser.print_help()
+        parser.exit()
+
+
 # --- declaring -----------------------------------------------------------------------------------------------------------
 
 
@@ -39,6 +46,7 @@ def command(add, name: str, run: Callable[[Namespace, list[str]], int], meaning:
     """The parser of a command, which ``run`` carries out; with ``--json`` unless it prints nothing for machines."""
     parser = add(name, allow_abbrev=False, help=meaning, description=f"{meaning[0].upper()}{meaning[1:]}.",
                  epilog=examples(name), formatter_class=RawDescriptionHelpFormatter)
+    parser.add_argument("--help-all", action=_HelpAll, nargs=0, help="show all options" if name in FIRST else SUPPRESS)
     if json:
         parser.add_argument("--json", action="store_true", help="print one line of JSON instead of text")
     parser.set_defaults(run=run, parser=parser)
@@ -55,21 +63,21 @@ def add_material(parser: ArgumentParser, form: str, theta: str = STIFFNESS_ONLY,
     """``theta`` says what the command uses of ``--theta`` and what it ignores, ``density`` what it needs --linear-density for;
     with ``round_rod`` it takes rods only that are the same in all directions across them."""
     parser.set_defaults(theta_note=theta)
-    group = parser.add_argument_group("material", f"bend and twist stiffness in mm³; {form}")
+    group = parser.add_argument_group("material", form)
     others = "" if round_rod else " of a round rod, or the matrix of another one, A1,A2[,A12]"
-    group.add_argument("--bend", metavar="A", help=f"bend stiffness α{others}")
+    group.add_argument("--EI", metavar="NM2", help="bend stiffness of a round rod in N m²; needs --linear-density")
+    group.add_argument("--GJ", metavar="NM2", help="twist stiffness in N m²; needs --linear-density")
+    group.add_argument("--linear-density", metavar="G_PER_M", help=f"mass per length of the rod in g/m, {density}")
+    group.add_argument("--bend", metavar="A", help=f"instead of --EI, bend stiffness α in mm³{others}")
     if round_rod:
         parser.set_defaults(bend_1=None, bend_2=None)
     else:
         group.add_argument("--bend-1", metavar="A1", help="stiffness against bending about m2")
         group.add_argument("--bend-2", metavar="A2", help="stiffness against bending about m1")
-    group.add_argument("--twist", metavar="B", help="twist stiffness β")
+    group.add_argument("--twist", metavar="B", help="instead of --GJ, twist stiffness β in mm³")
     group.add_argument("--twist-ratio", metavar="R", help=f"β divided by α{'' if round_rod else ', or by A1'} (default 1)")
     group.add_argument("--weight", metavar="M", help="half the weight per length, relative (default 1)")
-    group.add_argument("--EI", metavar="NM2", help="bend stiffness in N m², instead of --bend; needs --linear-density")
-    group.add_argument("--GJ", metavar="NM2", help="twist stiffness in N m², instead of --twist; needs --linear-density")
     group.add_argument("--theta", metavar="THETA.json", help=f"the rod as doo-ti identify wrote it: {theta}")
-    group.add_argument("--linear-density", metavar="G_PER_M", help=f"mass per length of the rod in g/m, {density}")
 
 
 def add_clamps(parser: ArgumentParser, default: str = CLAMP_DEFAULT) -> None:

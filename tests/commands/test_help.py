@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from doo_ti.cli import _parser, main
-from doo_ti.commands.help_text import EXAMPLES, GROUPS, OTHER_WORDS
+from doo_ti.commands.help_text import EXAMPLES, FIRST, GROUPS, OTHER_WORDS
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 COMMANDS = _parser().meanings()
@@ -37,6 +37,21 @@ def test_examples_are_valid(command, capsys):
         assert main(argv) == 0
         out = capsys.readouterr().out
         assert all(f"\n  doo-ti {line}\n" in out for line, _ in lines) and out.endswith(f"More in docs/{page}.md\n")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_shows_what_matters_and_help_all_the_rest(command, capsys):
+    parser = _parser().command(command)
+    names = {action.option_strings[-1]: action.required for action in parser._actions
+             if action.option_strings and action.help != "==SUPPRESS=="}
+    assert set(FIRST.get(command, names)) <= set(names)
+    shown = {}
+    for word in ("--help", "--help-all"):
+        assert main([command, word]) == 0
+        shown[word] = re.findall(r"^  (?:-h, )?(--[\w-]+)", capsys.readouterr().out, re.MULTILINE)
+    assert set(shown["--help-all"]) - {"--help-all"} == set(names) - {"--help-all"}
+    assert {name for name, required in names.items() if required} <= set(shown["--help"])
+    assert len(shown["--help"]) <= 18
 
 
 @pytest.mark.parametrize(("argv", "meant"), [

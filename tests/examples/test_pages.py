@@ -46,7 +46,7 @@ def commands() -> list[tuple[str, list[str]]]:
 def help_of(command: str) -> str:
     shown = StringIO()
     with redirect_stdout(shown):
-        assert main([command, "--help"]) == 0
+        assert main([command, "--help-all"]) == 0
     return shown.getvalue()
 
 

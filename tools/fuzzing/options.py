@@ -225,7 +225,7 @@ def options_of(command: str) -> tuple[tuple[str, bool], ...]:
     from doo_ti.cli import main
 
     with redirect_stdout(StringIO()) as printed:
-        main([command, "--help"])
+        main([command, "--help-all"])
     usage = printed.getvalue().split("\n\n")[0]
     found = dict(re.findall(r"(--[a-z][\w-]*)([ \n]+[A-Z{])?", usage))
     return tuple((name, bool(value)) for name, value in sorted(found.items()))
