@@ -20,7 +20,8 @@ MEASURED = re.compile(
     r"|\d\.\d+ (?:mm|px)\b|\de-\d|10⁻|\b1/\d{3}\b| ± ")
 """What a measured number looks like: a share, a time, a rate, a count of so many, an error."""
 GIVEN = {
-    "README.md": ["with a 95 % interval", "rest curvature with 95 % intervals"],
+    "README.md": ["with a 95 % interval", "EI and GJ with 95 % intervals"],
+    "compared.md": ["rest curvature with 95 % intervals"],
     "cables.md": ["six slowest stretches of 1.5 s"],
     "cameras.md": ["Limits: file size 1 MB", "a standard deviation of a focal length above 5 % is refused", "default 0.5 px"],
     "chain.md": ["to 1e-7 of it, is taut", "10⁻¹² of the largest entry, of rods among obstacles and of groups 10⁻⁹, is added",
