@@ -58,7 +58,6 @@ from doo_ti.perception.perceive import PerceptionVerdict as PerceptionVerdict
 from doo_ti.perception.perceive import perceive as perceive
 from doo_ti.perception.search import PerceptionOptions as PerceptionOptions
 from doo_ti.perception.tracking import How as How
-from doo_ti.perception.tracking import Inertia as Inertia
 from doo_ti.perception.tracking import TrackedFrame as TrackedFrame
 from doo_ti.perception.tracking import Tracker as Tracker
 from doo_ti.perception.tracking import TrackingOptions as TrackingOptions

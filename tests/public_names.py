@@ -35,7 +35,6 @@ from doo_ti import (
     Hypotheses,
     Identified,
     IdentifyOptions,
-    Inertia,
     InputError,
     InterruptedRunError,
     Interval,
@@ -232,8 +231,7 @@ def at_rest(stills: Stills, motion: RecordedMotion, theta: MotionTheta) -> np.nd
 
 
 def followed(rig: Rig, frames: Sequence[list[Detection]], material: Material, motion: Motion) -> list[TrackedFrame]:
-    tracker = Tracker(rig, [3.0] * 33, material, options=TrackingOptions(lost_px=2.0),
-                      inertia=Inertia(Dynamics(drag=0.1)))
+    tracker = Tracker(rig, [3.0] * 33, material, options=TrackingOptions(lost_px=2.0))
     camera: Camera = rig.cameras[0]
     print(camera.name)
     return [frame for detected in frames if (frame := tracker.see(detected, [0, 0, 0], [1, 0, 0], motion)).how != How.LOST]

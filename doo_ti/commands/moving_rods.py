@@ -19,15 +19,13 @@ MOST_STRETCH = 0.1
 """By which the rod's length may differ from that of THETA.json."""
 
 
-def add_dynamic(parser, rate: str, substeps: int = SUBSTEPS, tolerance: bool = True) -> None:
-    """The options of rods with inertia; ``rate`` says what --rate is the number of, and its default, ``substeps`` is that of
-    --substeps, and without ``tolerance`` the error of the time steps is not estimated."""
+def add_dynamic(parser, rate: str) -> None:
+    """The options of rods with inertia; ``rate`` says what --rate is the number of, and its default."""
     group = parser.add_argument_group("inertia", "for fast motion (docs/dynamics.md); the default is statics at every instant")
     group.add_argument("--dynamic", action="store_true", help="rods have inertia, and losses as --theta or these options say")
     group.add_argument("--rate", metavar="HZ", help=rate)
-    group.add_argument("--substeps", metavar="N", help=f"time steps between the states that are returned (default {substeps})")
-    if tolerance:
-        group.add_argument("--tolerance", metavar="MM", help="double them for each rod until the estimated error is below this")
+    group.add_argument("--substeps", metavar="N", help=f"time steps between the states that are returned (default {SUBSTEPS})")
+    group.add_argument("--tolerance", metavar="MM", help="double them for each rod until the estimated error is below this")
     group.add_argument("--bend-damping", metavar="S", help="bending at the rate ω̇ is resisted by S B ω̇ (default 0)")
     group.add_argument("--twist-damping", metavar="S", help="the same of twist (default 0)")
     group.add_argument("--drag", metavar="C", help="force −C v on each unit of mass, 1/s (default 0)")
@@ -68,16 +66,14 @@ def step_lines(summary: dict, between: str) -> list[str]:
             f"{error.max():.3g} mm, above the tolerance in {summary['above_tolerance']} rods"]
 
 
-def losses(options: Namespace, markers: bool = True):
-    """Damping and drag, of ``--theta`` but for what the options give; and, unless that is counted as the rod's, its mass of
-    markers."""
+def losses(options: Namespace):
+    """Damping, drag and the mass of markers, of ``--theta`` but for what the options give."""
     from doo_ti.dynamics.parameters import Dynamics
     from doo_ti.dynamics.theta import load_theta, simulated
 
     found = Dynamics()
     if options.theta is not None:
-        theta = load_theta(options.theta)
-        found = simulated([theta if markers else replace(theta, marker_share=0.0)])[1]
+        found = simulated([load_theta(options.theta)])[1]
     own = {name: given.not_negative(f"--{name.replace('_', '-')}", getattr(options, name), unit)
            for name, unit in LOSSES.items() if getattr(options, name) is not None}
     return replace(found, **own)

@@ -9,7 +9,6 @@ import numpy as np
 
 from doo_ti.commands import image_options, loading
 from doo_ti.commands import options as given
-from doo_ti.commands.moving_rods import is_dynamic, losses
 from doo_ti.commands.rest_length import MOST_EDGES, read_rest_length
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
@@ -25,7 +24,6 @@ RECORDED = 3
 """Sets in a recording."""
 EDGES = 33
 """Of a rod whose edges are not given."""
-SUBSTEPS = 4
 """Time steps from one frame to the next, unless given: a hand moves a rod far between the frames of a video."""
 GUESSED_BEND = 1e6
 """mm³, of a rod in images whose stiffness is not given: E_vis takes the rod's energy relative to its stiffness, so that only
@@ -101,7 +99,6 @@ class TrackingTask:
     sight: object  # Sight
     up: np.ndarray
     far: list | None  # of Motion
-    inertia: object  # Inertia of rods that move fast, whose frames have times, or None
     surroundings: Surroundings
 
 
@@ -113,25 +110,8 @@ def tracking_task(options: Namespace) -> TrackingTask:
     frames, time = load_frames(Path(options.frames), image_options.rig(options))
     frames.rig.check_sight(frames.point + rest_length.min() * frames.direction, "the first edge")
     far = None if options.motion is None else _far_motions(Path(options.motion), frames.count)
-    inertia, time = _inertia(options, frames.count, time)
     sight = image_options.sight(options, frames)
-    return TrackingTask(frames, time, rest_length, grid.materials(), sight, up, far, inertia, surroundings)
-
-
-def _inertia(options: Namespace, count: int, time: np.ndarray | None) -> tuple:
-    """(Inertia or None, the times of the frames). Raises InputError where nothing says how fast they follow each other."""
-    if not is_dynamic(options):
-        return None, time
-    rate = given.positive("--rate", options.rate, "frames per second")
-    if rate is None and time is None:
-        raise InputError(given.SOURCE, "--rate", "missing, and the frames have no time_s", "give frames per second")
-
-    from doo_ti.perception.tracking import Inertia
-
-    substeps = given.whole("--substeps", options.substeps, 1, 1000)
-    options.theta_note = "bend, twist, damping and drag are used; rest curvature is ignored, markers count as the rod's weight"
-    inertia = Inertia(losses(options, markers=False), substeps or SUBSTEPS)
-    return inertia, time if rate is None else np.arange(count) / rate
+    return TrackingTask(frames, time, rest_length, grid.materials(), sight, up, far, surroundings)
 
 
 def _sets(options: Namespace, rig):

@@ -10,10 +10,9 @@ import numpy as np
 
 from doo_ti.commands import image_options
 from doo_ti.commands import options as given
-from doo_ti.commands.moving_rods import add_dynamic
 from doo_ti.commands.perceive import LEAST_SIGMA_MM
 from doo_ti.commands.results import RODS, report, save_arrays
-from doo_ti.commands.seen_rods import SUBSTEPS, TrackingTask, tracking_task
+from doo_ti.commands.seen_rods import TrackingTask, tracking_task
 from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.terminal import can_record, in_line, progress
 
@@ -33,8 +32,7 @@ def declare(add) -> None:
     given.add_material(parser, "one number each; tracked rods are round", round_rod=True)
     parser.add_argument("--motion", metavar="PATH", help="poses of the far clamp, one moment for each frame: .npz or .csv")
     image_options.add_thread(parser)
-    given.add_obstacles(parser, "without friction, but of rods with inertia; the first run compiles for minutes")
-    add_dynamic(parser, "frames per second (default: by their time_s)", SUBSTEPS, tolerance=False)
+    given.add_obstacles(parser, "without friction; the first run compiles for minutes")
     parser.add_argument("--no-recording", action="store_true", help="do not write F.rrd")
 
 
@@ -68,15 +66,13 @@ def _tracked(task: TrackingTask) -> tuple[list, str | None]:
     from doo_ti.perception.tracking import Tracker
 
     frames, found = task.frames, []
-    tracker = Tracker(frames.rig, task.rest_length, task.material, up=task.up, inertia=task.inertia,
-                      surroundings=task.surroundings)
-    elapsed = [None] * frames.count if task.time is None else [None, *np.diff(task.time)]
+    tracker = Tracker(frames.rig, task.rest_length, task.material, up=task.up, surroundings=task.surroundings)
     try:
         with progress() as bar:
             shown = bar.add_task("tracking", total=frames.count, unit="frames")
             for row, detected in enumerate(_detected(task)):
                 far = None if task.far is None or row == 0 else task.far[row - 1]
-                found.append(tracker.see(detected, frames.point[row], frames.direction[row], far, elapsed[row]))
+                found.append(tracker.see(detected, frames.point[row], frames.direction[row], far))
                 bar.advance(shown)
     except (InputError, OSError, KeyboardInterrupt) as problem:
         if not found:

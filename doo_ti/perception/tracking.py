@@ -18,9 +18,6 @@ from numpy.typing import ArrayLike
 
 from doo_ti.arguments import typed
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.dynamics.grippers import Grippers
-from doo_ti.dynamics.parameters import LEAST_RATE, MOST_RATE, Dynamics, MovingStart, Stepping
-from doo_ti.dynamics.simulate import simulate
 from doo_ti.errors import InputError
 from doo_ti.frames import quaternion_product, smallest_rotation, tangent_from_quaternion
 from doo_ti.motion.path import Motion
@@ -77,19 +74,6 @@ class TrackingOptions:
                 raise InputError("TrackingOptions", name, f"{getattr(self, name)}", "give a positive number")
 
 
-@typed
-@dataclass(frozen=True)
-class Inertia:
-    """For rods that move fast: what is needed to carry the rod of the last two frames on by its own velocity.
-
-    dynamics  losses; one row
-    substeps  time steps from one frame to the next
-    """
-
-    dynamics: Dynamics
-    substeps: int = 4
-
-
 @dataclass(frozen=True)
 class TrackedFrame:
     """The rod in one frame; NaN where it is lost.
@@ -133,24 +117,22 @@ class Tracker:
 
     rig, rest_length, material, up, search   as in :func:`doo_ti.perception.perceive.perceive`, ``search`` its options
     options                                  when the rod counts as lost
-    inertia                                  where given, the rod as it moves on by its velocity is one more initial shape
     surroundings                             obstacles that the rod may touch but not enter, and its radius
     """
 
     def __init__(self, rig: Rig, rest_length: ArrayLike, material: Material, *, up: ArrayLike = (0.0, 0.0, 1.0),
                  search: PerceptionOptions = PerceptionOptions(), options: TrackingOptions = TrackingOptions(),
-                 inertia: Inertia | None = None, surroundings: Surroundings = Surroundings()) -> None:
+                 surroundings: Surroundings = Surroundings()) -> None:
         self._rig, self._material, self._search, self._options = rig, material, search, options
         self._rest_length, self._up = checked_rod("Tracker", rest_length, material, up)
-        self._inertia, self._surroundings = inertia, surroundings
+        self._surroundings = surroundings
         self._last: _Rod | None = None
-        self._velocity: np.ndarray | None = None  # (V, 3) mm/s, from the frame before the last one to the last one
         self._usual = np.inf  # px, mean over the cameras: the least since the last run of Algorithm 1
         self._turn: np.ndarray | None = None  # (E, 4) of each edge, from the frame before the last one to the last one
 
     @typed
-    def see(self, detected: list[Detection], point: ArrayLike, direction: ArrayLike, far: Motion | None = None,
-            elapsed: float | None = None) -> TrackedFrame:
+    def see(self, detected: list[Detection], point: ArrayLike, direction: ArrayLike, far: Motion | None = None
+            ) -> TrackedFrame:
         """The rod in the next frame.
 
         detected   of each camera; a detection without points means that the camera sees no thread
@@ -158,15 +140,12 @@ class Tracker:
         direction  (3,) of e⁰; any length
         far        motion of the far clamp since the frame before: the rod predicted from it is one more initial shape. Tangents
                    only; the start moves with the seed
-        elapsed    s since the frame before, for rods with inertia
 
         Raises InputError as :func:`doo_ti.perception.perceive.perceive` does.
         """
         names = self._rig.names
         if len(detected) != len(names):
             raise InputError("Tracker.see", "detected", f"{len(detected)}", f"give one for each camera, {len(names)}")
-        if elapsed is not None and not 1.0 / MOST_RATE <= elapsed <= 1.0 / LEAST_RATE:
-            raise InputError("Tracker.see", "elapsed", f"{elapsed:g} s", "give the seconds since the frame before, or None")
         point, direction = checked_seeds("Tracker.see", point, direction, 1)
         seeing = [name for name, found in zip(names, detected, strict=True) if found.count]
         if len(seeing) < FEWEST_CAMERAS:
@@ -174,7 +153,7 @@ class Tracker:
         search = Search(distance_maps([[found for found in detected if found.count]]), self._rig.only(seeing), point,
                         direction, self._rest_length, self._material, self._up, self._search,
                         check_seeds(self._surroundings, point))
-        rod, how = None if self._last is None else self._tracked(search, far, elapsed), How.TRACKED
+        rod, how = None if self._last is None else self._tracked(search, far), How.TRACKED
         if rod is None or self._doubtful(rod):
             self._usual = np.inf
             seeded = self._seeded(search)
@@ -182,11 +161,11 @@ class Tracker:
                 rod, how = seeded, How.SEEDED
         if not (rod.converged and self._seen(rod)):
             return self._lost()
-        return self._kept(rod, how, search, elapsed)
+        return self._kept(rod, how, search)
 
-    def _tracked(self, search: Search, far: Motion | None, elapsed: float | None) -> _Rod:
+    def _tracked(self, search: Search, far: Motion | None) -> _Rod:
         """The last rod relaxed in this frame, from the best of its initial shapes."""
-        starts = self._starts(search, far, elapsed)
+        starts = self._starts(search, far)
         longer = replace(search, options=replace(search.options, growing_iterations=ITERATIONS))
         rested = longer.nearly_relaxed(Hypotheses(np.zeros(len(starts), dtype=np.int64), starts, np.zeros(len(starts))))
         final, solution = search.relaxed(rested.take(np.array([np.argmin(rested.energy_vis)])))
@@ -196,9 +175,9 @@ class Tracker:
         return _Rod(solution.configuration, final.energy_vis[0], found.camera_error[0] / length, solution.status[0],
                     solution.stable[0])
 
-    def _starts(self, search: Search, far: Motion | None, elapsed: float | None) -> np.ndarray:
-        """(K, E, 4): the last rod unchanged, rotated with the seed, rotated as in the step before, carried by the far clamp,
-        and moved on by its velocity. The first edge of each is then held at the seed."""
+    def _starts(self, search: Search, far: Motion | None) -> np.ndarray:
+        """(K, E, 4): the last rod unchanged, rotated with the seed, rotated as in the step before, and carried by the far
+        clamp. The first edge of each is then held at the seed."""
         last = self._whole(self._last)
         edges = last.quaternions[0]
         starts = [edges, _aimed(edges, search.direction)]
@@ -206,35 +185,16 @@ class Tracker:
             starts.append(_aimed(quaternion_product(self._turn, edges), search.direction))
         if far is not None:
             starts.append(self._carried(last, search, far))
-        if self._inertia is not None and elapsed is not None and self._velocity is not None:
-            starts.append(self._moved(last, search, far, elapsed))
         return np.stack([start for start in starts if np.isfinite(start).all()])
 
     def _carried(self, last: Configuration, search: Search, far: Motion) -> np.ndarray:
         """(E, 4) the last rod after its start has moved to the seed and its far end with the clamp."""
-        here, goal = self._clamps(last, search, far)
+        frames, vertices = last.frames, last.vertices
+        here = Clamps(Clamp.TANGENT, Clamp.TANGENT, vertices[:, 0], vertices[:, -1], frames[:, 0], frames[:, -1])
+        goal = replace(replace(far, clamps=here).at(1.0), start_position=search.point, start_frame=search.first)
         solution, _ = predict_step(last, self._material, here, goal, up=self._up, watch=False,
                                    **self._surroundings.arguments)
         return solution.configuration.quaternions[0]
-
-    @staticmethod
-    def _clamps(last: Configuration, search: Search, far: Motion | None) -> tuple[Clamps, Clamps]:
-        """Those of the last rod in its frame and in this one."""
-        frames, vertices = last.frames, last.vertices
-        here = Clamps(Clamp.TANGENT, Clamp.FREE if far is None else Clamp.TANGENT, vertices[:, 0], vertices[:, -1],
-                      frames[:, 0], frames[:, -1])
-        moved = here if far is None else replace(far, clamps=here).at(1.0)
-        return here, replace(moved, start_position=search.point, start_frame=search.first)
-
-    def _moved(self, last: Configuration, search: Search, far: Motion | None, elapsed: float) -> np.ndarray:
-        """(E, 4) the last rod after its own motion, with its start at the seed; NaN where a time step failed."""
-        here, goal = self._clamps(last, search, far)
-        grippers = Grippers(here.start, here.end, *(np.stack([getattr(one, name) for one in (here, goal)], axis=1) for name in (
-            "start_position", "end_position", "start_frame", "end_frame")))
-        start = MovingStart(last, self._velocity[None], 0.5 * elapsed)
-        found = simulate(start, self._material, grippers, self._inertia.dynamics,
-                         Stepping(1.0 / elapsed, self._inertia.substeps), up=self._up, **self._surroundings.arguments)
-        return np.where(found.converged[0], found.memory.frames[0], np.nan)
 
     def _whole(self, rod: _Rod) -> Configuration:
         """The rod with uncut edges, in the directions of their middle pieces."""
@@ -262,14 +222,12 @@ class Tracker:
             return rod.converged
         return rod.energy_vis < (1 - BETTER) * other.energy_vis
 
-    def _kept(self, rod: _Rod, how: How, search: Search, elapsed: float | None) -> TrackedFrame:
+    def _kept(self, rod: _Rod, how: How, search: Search) -> TrackedFrame:
         """The result of a frame; the rod is stored for the next one."""
-        turn = self._velocity = None
+        turn = None
         if how == How.TRACKED:  # the difference to a rod found by Algorithm 1 is no motion
             now, before = (self._whole(one) for one in (rod, self._last))
             turn = quaternion_product(now.quaternions[0], before.quaternions[0] * [1, -1, -1, -1])
-            if elapsed is not None:
-                self._velocity = (now.vertices[0] - before.vertices[0]) / elapsed
         self._turn, self._last, self._usual = turn, rod, min(self._usual, rod.camera_error.mean())
         marks = rod.configuration.vertices[:, :: search.options.pieces]
         error = np.full(len(self._rig.cameras), np.nan)
@@ -280,7 +238,7 @@ class Tracker:
 
     def _lost(self) -> TrackedFrame:
         """The rod is lost: the next frame begins with Algorithm 1."""
-        self._last = self._turn = self._velocity = None
+        self._last = self._turn = None
         vertices = np.full((len(self._rest_length) + 1, 3), np.nan)
         return TrackedFrame(vertices, vertices[:, 0], np.nan, np.full(len(self._rig.cameras), np.nan), Status.NOT_FINITE,
                             False, How.LOST)

@@ -72,12 +72,10 @@ def defaults() -> dict[tuple[str, str], float]:
     from doo_ti.learning.experiment import SweepOptions
     from doo_ti.motion.path import LARGEST_TURN
     from doo_ti.perception.search import PerceptionOptions
-    from doo_ti.perception.tracking import Inertia
     from doo_ti.types import Material
 
-    assert seen_rods.SUBSTEPS == Inertia.substeps
     found = {("simulate", "--most-substeps"): Stepping.most_substeps, ("simulate", "--substeps"): Stepping.substeps,
-             ("predict", "--substeps"): moving_rods.SUBSTEPS, ("track", "--substeps"): seen_rods.SUBSTEPS,
+             ("predict", "--substeps"): moving_rods.SUBSTEPS,
              ("predict", "--sub-step"): np.degrees(LARGEST_TURN), ("predict", "--steps-between"): 1,
              ("identify", "--modes"): IdentifyOptions.modes, ("identify", "--robust"): IdentifyOptions.delta,
              ("identify", "--substeps"): IdentifyOptions.substeps, ("perceive", "--nu"): PerceptionOptions.nu,

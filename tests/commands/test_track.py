@@ -81,24 +81,6 @@ def test_a_known_motion_is_taken(filmed, tmp_path, capsys):
 
 
 @pytest.mark.thorough
-def test_a_rod_with_inertia(filmed, tmp_path, capsys):
-    """Slow as this one is, it is found in the same frames, by the times of FRAMES.csv or a rate."""
-    for more in ((), ("--rate", "30")):
-        out = tmp_path / f"f{len(more)}.npz"
-        assert main(of(filmed, out, "--no-recording", "--dynamic", "--bend-damping", "0.05", *more)) == 0
-        found = np.load(out)
-        assert "".join(map(str, found["how"])) == "1000221000000000"
-        assert np.delete(np.linalg.norm(found["vertices_mm"] - rods(), axis=-1).mean(axis=1), BLANK).max() < 0.15
-    lines = [line.replace(",time_s", "").replace(f",{row / 30:.4f}", "") for row, line in enumerate(
-        (filmed / "frames.csv").read_text().splitlines(), -1)]
-    (filmed / "untimed.csv").write_text("\n".join(lines) + "\n")
-    argv = of(filmed, tmp_path / "new" / "f.npz", "--dynamic")
-    argv[argv.index("--frames") + 1] = str(filmed / "untimed.csv")
-    capsys.readouterr()
-    refused(capsys, tmp_path, argv, "--rate", "missing")
-
-
-@pytest.mark.thorough
 def test_finished_frames_are_kept(filmed, tmp_path, capsys):
     """An image in the middle is broken."""
     broken = tmp_path / "broken.png"
@@ -133,7 +115,6 @@ def test_wrong_frames_are_reported(filmed, tmp_path, capsys, change, words):
 @pytest.mark.parametrize("change, words", [
     (("--bend", "1e5:1e6:5"), ("--bend", "grid")), (("--bend", "1e5,2e5"), ("--bend", "round")),
     (("--rest-length", "3:x"), ("--rest-length",)), (("--frames", "missing.csv"), ("missing.csv",)),
-    (("--rate", "30"), ("--rate", "--dynamic")),
     (("--tolerance", "1"), ("--tolerance", "unknown")), (("--bend-1", "1e5"), ("--bend-1", "unknown")),
     (("--width", "0"), ("--width",)), (("--up", "0,0"), ("--up",)), (("--motion", "missing.npz"), ("missing.npz",))])
 def test_wrong_options_are_reported(filmed, tmp_path, capsys, change, words):
