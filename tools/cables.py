@@ -69,7 +69,7 @@ def results(data: Path) -> int:
     missing = [path for path in (*files, data / "cables" / "dlo1.npz", data / "cables" / "dlo3.npz") if not path.is_file()]
     if missing:
         raise InputError(missing[0], "file", "missing", "make it: python tools/cables.py make DATA_SET --out FOLDER")
-    tools = [["tools/acceptance.py", "cables", "--data", data], ["tools/refinement.py", "cable", "--data", data],
+    tools = [["tools/refinement.py", "cable", "--data", data],
              ["tools/prediction_study.py", "cables", "--data", data]]
     identify = [["-m", "doo_ti", "identify", path, "--folds", "4", "--out", data / f"{path.stem}_theta.json"] for path in files]
     failed = 0

@@ -1,7 +1,7 @@
 """Other simulators on the same rods, side by side in one run: pip install '.[peers]' && python tools/compare_peers.py [--quick]
 
 At rest: rods between two ends held by position and tangent (tools/peers/problem.py), each peer from the same start: MuJoCo,
-PyElastica, Newton, and the same solver in JAX. In motion: a rod swings (tools/peers/swinging.py). Prints a table of each, and
+PyElastica and Newton. In motion: a rod swings (tools/peers/swinging.py). Prints a table of each, and
 with ``--report FILE`` writes it. Peers that are not installed are listed as left out. Exit code 1 where MuJoCo is left out, and
 where at rest it is less than 3000 times slower, or closer to the reference.
 """
@@ -11,17 +11,21 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 ROOT = Path(__file__).resolve().parents[1]
 if not __package__:
     sys.path.insert(0, str(ROOT))
 
 from doo_ti.bench import clock  # noqa: E402
+from doo_ti.bench.workload import Rods  # noqa: E402
 from doo_ti.errors import InputError  # noqa: E402
 from doo_ti.io.files import write_text  # noqa: E402
 from doo_ti.relaxation.newton import Newton  # noqa: E402
-from tools.peers import capsules, cosserat, flex, swinging, twins  # noqa: E402
+from tools.peers import capsules, cosserat, flex, swinging  # noqa: E402
 from tools.peers.problem import Problem, problem, strain  # noqa: E402
 
+COUNT = 4096
 LEAST_RATIO = 3000.0
 STEPS = (2e-3, 1e-3, 5e-4, 2e-4)
 """s, of MuJoCo."""
@@ -46,19 +50,14 @@ class Row:
 
 
 def here(task: Problem, precision: str) -> Row:
-    rods = twins.batch(task)
+    """The rods of the task in turn, COUNT of them in one call."""
+    rods = Rods(task.start, task.clamps, task.material, np.arange(COUNT) % task.start.count, np.zeros(COUNT, dtype=np.int64))
     rods.relaxed(Newton(), precision)
     taken = swinging.seconds(lambda: rods.relaxed(Newton(), precision), ROUNDS)
     solution = rods.relaxed(Newton(), precision)
     vertices = solution.configuration.vertices[: task.start.count]
     return Row(f"this package, {precision}, {rods.count} rods", 1e6 * taken / rods.count,
                f"{solution.residual.max():.0e}", strain(vertices), *task.apart(vertices))
-
-
-def jax_twin(task: Problem, bits: int) -> Row:
-    vertices, taken = twins.relaxed(task, bits)
-    return Row(f"the same Newton in JAX, f{bits}, {twins.COUNT} rods", 1e6 * taken / twins.COUNT, "", strain(vertices),
-               *task.apart(vertices))
 
 
 def moving(task: Problem, name: str, peer, size: float) -> Row:
@@ -72,7 +71,6 @@ def at_rest(quick: bool) -> tuple[list[Row], list[str]]:
     task, left_out, fewer = problem(), [], 2 if quick else None
     rows = [here(task, precision) for precision in ("f32", "mixed", "f64")]
     for name, make in (
-            ("JAX", [lambda bits=bits: jax_twin(task, bits) for bits in (32, 64)]),
             ("MuJoCo", [lambda step=step: moving(task, f"MuJoCo flex, steps of {1e3 * step:g} ms, one rod", flex, step)
                         for step in STEPS[:fewer]]),
             ("PyElastica", [lambda radius=radius: moving(
@@ -121,7 +119,7 @@ def main(words: list[str] | None = None) -> int:
              "the f64 reference of the same mesh."
              if found else "No ratio to MuJoCo: it is left out, or closer to the reference.",
              "", "MuJoCo, PyElastica and Newton have no static solver: their rods move, damped, until none is faster than 0.01 "
-             "mm/s, in Newton, which computes in f32, 0.03 mm/s. Here and in JAX the time is that of a batch, over its rods; "
+             "mm/s, in Newton, which computes in f32, 0.03 mm/s. Here the time is that of a batch, over its rods; "
              "compiling is not counted. PyElastica's steps are explicit: a thicker rod of the same EI over weight allows "
              "longer ones, but shears and stretches more. Newton's rods are ten times as long, of the same shape, because the "
              "inertia of an edge of 3 mm is too small for f32; its steps are those of the longer rod "

@@ -31,8 +31,8 @@ from doo_ti import load_observations, observation_clamps, relax, start_configura
 from doo_ti.refinement.folds import folds_of, refine_held_out  # noqa: E402
 from doo_ti.refinement.refine import RefinementOptions, refine  # noqa: E402
 from doo_ti.refinement.unknowns import Theta  # noqa: E402
-from tools.acceptance import Check, table  # noqa: E402
 from tools.bench.lab import TRUTH  # noqa: E402
+from tools.checks import Check, table  # noqa: E402
 
 SUTURES = ("nylon", "vicryl", "silk")
 GRID = ("--bend", "5e4:1e7:25", "--twist-ratio", "0.1:6:25")

@@ -1,9 +1,6 @@
 """The study of the engine's speed on few rods: its table, its files, and finer rods."""
 
 import json
-import sys
-import types
-from dataclasses import make_dataclass
 
 import numpy as np
 import pytest
@@ -27,37 +24,23 @@ def small(monkeypatch):
     monkeypatch.setattr(scaling, "EDGES_TOGETHER", 128)
 
 
-@pytest.fixture
-def jax_elsewhere(monkeypatch):
-    """The comparison with JAX, without JAX: a solver that is made up."""
-    rate = make_dataclass("JaxRate", ["rods_per_second", "converged", "iterations", "compile_seconds"])
-    module = types.ModuleType("tools.bench.newton_in_jax")
-    module.rate = lambda rods, bits, rounds, derivatives: rate(10.0 * bits, 1.0, 7.0, 2.0)
-    monkeypatch.setitem(sys.modules, "tools.bench.newton_in_jax", module)
-    monkeypatch.setattr(study, "find_spec", lambda name: object())
-
-
 @pytest.mark.slow
-def test_everything_goes_into_one_table_and_one_folder(capsys, tmp_path, jax_elsewhere):
+def test_everything_goes_into_one_table_and_one_folder(capsys, tmp_path):
     out = tmp_path / "new" / "bench"
-    assert study.main(["--rods", "64", "--rounds", "1", "--scaling", "--jax", "--out", str(out)]) == 0
+    assert study.main(["--rods", "64", "--rounds", "1", "--scaling", "--out", str(out)]) == 0
     text = capsys.readouterr().out
     assert sorted(path.name for path in out.iterdir()) == ["bench.json", "histogram.png", "scaling.png"]
     assert all((out / name).read_bytes().startswith(PNG) for name in ("histogram.png", "scaling.png"))
     found = json.loads((out / "bench.json").read_text(encoding="utf-8"))
     assert list(found["cases"]) == [case.name for case in study_cases(cases.Specimens(1))]
     assert all(f"\n| {name} " in text for name in found["cases"])
-    assert [(row["derivatives"], row["beside"]) for row in found["jax"]] == [
-        (derivatives, row) for derivatives in ("explicit", "automatic") for row in ("newton f32", "newton f64")]
-    assert found["jax"][1]["times"] == found["cases"]["newton f64"]["per_second"] / 640
     assert [point["rods"] for point in found["scaling"]["rods"]] == [2, 8, 32]
     assert [point["edges"] for point in found["scaling"]["edges"]] == [8, 16]
     assert found["process"]["threads"][0]["threads"] == 1
 
 
-@pytest.mark.parametrize("words", [["--rods", "0"], ["--jax"], ["--rounds", "0"]])
-def test_wrong_options(monkeypatch, capsys, words):
-    monkeypatch.setattr(study, "find_spec", lambda name: None)
+@pytest.mark.parametrize("words", [["--rods", "0"], ["--rounds", "0"]])
+def test_wrong_options(capsys, words):
     with pytest.raises(SystemExit) as stop:
         study.main(words)
     assert stop.value.code == 2 and words[0] in capsys.readouterr().err

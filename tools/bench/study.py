@@ -1,8 +1,8 @@
 """All measurements of the solver's speed: ``python tools/bench/study.py [OPTION ...]``.
 
 The table of ``doo-ti bench``, and: single rods, the paper's scheme, Eq. 1, start-up, memory, threads, numbers of
-iterations; ``--scaling`` adds curves over rods, edges and threads, ``--jax`` the same solver in JAX (``pip install
-jax``). With ``--out FOLDER`` also as bench.json, histogram.png and scaling.png.
+iterations; ``--scaling`` adds curves over rods, edges and threads. With ``--out FOLDER`` also as bench.json,
+histogram.png and scaling.png.
 """
 
 import argparse
@@ -11,7 +11,6 @@ import sys
 from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -31,10 +30,6 @@ from tools.bench.curves import Panel, panels_picture  # noqa: E402
 from tools.bench.table import large_batches, text  # noqa: E402
 
 CALLS_IN_ROUND = 3  # of the processes with other numbers of threads
-JAX_RODS = 4096
-JAX_ROWS = {32: "newton f32", 64: "newton f64"}
-"""The case that each precision of the same solver in JAX stands beside: the kernel in that precision."""
-JAX_DERIVATIVES = ("explicit", "automatic")
 
 
 def main(arguments: list[str]) -> int:
@@ -59,13 +54,10 @@ def _parsed(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("--rounds", type=int, default=3, help="measurements of which the median counts")
     parser.add_argument("--threads", type=int, help="of the kernels; one per processor by default")
     parser.add_argument("--scaling", action="store_true", help="also over rods, edges and threads; takes minutes")
-    parser.add_argument("--jax", action="store_true", help="also the same solver in JAX")
     parser.add_argument("--out", type=Path, help="folder for bench.json and pictures")
     options = parser.parse_args(arguments)
     if min(options.rods, options.rounds, options.threads or 1) < 1:
         parser.error("--rods, --rounds and --threads need to be 1 or more")
-    if options.jax and find_spec("jax") is None:
-        parser.error("--jax: jax is not installed; pip install jax, or leave --jax out")
     return options
 
 
@@ -78,9 +70,6 @@ def measured(options: argparse.Namespace) -> dict:
         steps = [*case_steps(cases(rods), Reference(threads)), accuracy_step(rods), *_processes(children, options, threads)]
         if options.scaling:
             steps += _scaling(rods)
-        if options.jax:
-            steps += [(f"JAX f{bits}, {derivatives} derivatives", partial(_jax, rods, bits, derivatives))
-                      for derivatives in JAX_DERIVATIVES for bits in JAX_ROWS]
         return completed({**summary, "process": {}}, steps)
 
 
@@ -133,18 +122,6 @@ def _scaling(rods: Specimens) -> list[Step]:
     return [(f"{count} {axis}", partial(point, axis, measure, count))
             for axis, measure, counts in (("rods", scaling.with_rods, scaling.RODS),
                                           ("edges", scaling.with_edges, scaling.EDGES)) for count in counts]
-
-
-def _jax(rods: Specimens, bits: int, derivatives: str, summary: dict) -> str:
-    """The same solver in JAX, and the ratio of the kernel's rate to its rate."""
-    from tools.bench.newton_in_jax import rate
-
-    some = rods.many.take(slice(JAX_RODS))
-    found = rate(some, bits, summary["rounds"], derivatives)
-    times = summary["cases"][JAX_ROWS[bits]]["per_second"] / found.rods_per_second
-    summary.setdefault("jax", []).append(
-        {"derivatives": derivatives, "beside": JAX_ROWS[bits], "rods": some.count, "times": times, **asdict(found)})
-    return f"{found.rods_per_second:,.0f} rods/s"
 
 
 if __name__ == "__main__":

@@ -1,9 +1,8 @@
-"""Additions of the study to the table of ``doo-ti bench``: processes, iterations, JAX, scaling."""
+"""Additions of the study to the table of ``doo-ti bench``: processes, iterations, scaling."""
 
 from doo_ti.bench import table
 from doo_ti.bench.table import given, markdown, percent
 
-JAX_NAMES = {"explicit": "JAX, derivatives written out", "automatic": "JAX, derivatives by autodiff"}
 BINS = (4, 5, 6, 7, 8, 10, 12, 16, 24, 48)
 """Iterations up to which each line of the histogram counts."""
 
@@ -11,8 +10,6 @@ BINS = (4, 5, 6, 7, 8, 10, 12, 16, 24, 48)
 def text(summary: dict) -> str:
     """Markdown of what :mod:`tools.bench.study` measured."""
     parts = [table.text(summary), "\n".join(notes(summary["process"])), histogram(summary["cases"])]
-    if "jax" in summary:
-        parts += [jax(summary["jax"])]
     if "scaling" in summary:
         parts += [scaling(summary["scaling"])]
     return "\n\n".join(parts)
@@ -47,16 +44,6 @@ def histogram(found: dict[str, dict]) -> str:
         lines.append([label, *map(percent, of_case)])
     most = ["most", *(f"{len(counts) - 1}" for counts in shown.values())]
     return markdown(heads, [*lines, most])
-
-
-def jax(found: list[dict]) -> str:
-    """The same solver in JAX, one line per way to the derivatives and precision, with how many times as fast the case is that
-    it stands beside, measured in the same run."""
-    heads = ["the same solver", "beside", "rods", "rods/s", "that case is", "converged", "iterations", "compiled in"]
-    return markdown(heads, [
-        [JAX_NAMES[rate["derivatives"]], rate["beside"], f"{rate['rods']}", f"{rate['rods_per_second']:,.0f}",
-         f"{rate['times']:,.1f} × as fast", percent(rate["converged"]), f"{rate['iterations']:.1f}",
-         f"{rate['compile_seconds']:.1f} s"] for rate in found])
 
 
 def scaling(points: dict[str, list[dict]]) -> str:
