@@ -52,7 +52,7 @@ class Rule:
         return value if isinstance(value, self.known) else self.adapted(value)
 
     def adapted(self, value: Any) -> Any:
-        """The same of a value of no known class."""
+        """What stands for a value of no known class. Raises Mismatch."""
         raise Mismatch(_shown(value), self.wanted)
 
 
@@ -83,7 +83,7 @@ class _Shape:
 
 
 def shape_of(value: Any) -> tuple[int, ...]:
-    """Of an array, or of an object, which has so many rows."""
+    """The shape of an array; of an object with a ``count``, that many rows."""
     if isinstance(value, np.ndarray):
         return value.shape
     return (value.count,) if isinstance(getattr(type(value), "count", None), property) else np.shape(value)
@@ -129,7 +129,7 @@ class _Instance(Rule):
 
 
 class _Interface(Rule):
-    """Of a Protocol: what has its members."""
+    """A class that is a Protocol: every object with its members will do."""
 
     def __init__(self, kind: type):
         self.wanted = f"a {kind.__name__}"

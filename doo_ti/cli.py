@@ -92,14 +92,14 @@ class _Parser(argparse.ArgumentParser):
         return {name for action in self._actions for name in action.option_strings}
 
     def command(self, name: str) -> "_Parser":
-        """Of the program: the parser of a command."""
+        """The parser of a command of the program."""
         return self._commands().choices[name]
 
     def _commands(self) -> argparse._SubParsersAction:
         return next(action for action in self._actions if isinstance(action, argparse._SubParsersAction))
 
     def meanings(self) -> dict[str, str]:
-        """Of the program: its commands, and what each does."""
+        """The commands of the program, and what each does."""
         return {choice.dest: choice.help for choice in self._commands()._choices_actions}
 
 

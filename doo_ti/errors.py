@@ -31,7 +31,7 @@ class InputError(ValueError):
         super().__init__(" ".join(f"{source}: {field}: {problem}; {remedy}".split()))
 
     def __reduce__(self) -> tuple[type, tuple[str, str, str, str]]:
-        """Its parts, so that it can be sent from one process to another."""
+        """The parts of the error, so that it can be sent from one process to another."""
         return type(self), (self.source, self.field, self.problem, self.remedy)
 
 

@@ -96,7 +96,7 @@ class Grid:
 
     @property
     def size(self) -> int:
-        """G."""
+        """G, the number of cells."""
         return int(np.prod(self.shape))
 
     @property

@@ -178,7 +178,7 @@ def _per_rod(name: str, value) -> np.ndarray:
 
 
 def _positive(name: str, value, unit: str, remedy: str) -> np.ndarray:
-    """(1,) or (R,)."""
+    """``value`` as positive numbers, (1,) or (R,). Raises InputError."""
     array = _per_rod(name, value)
     if not array.size or not (array > 0).all():
         problem = f"{array.min():g}{unit} is not positive" if array.size else "no rows"

@@ -32,7 +32,8 @@ def running() -> Any:
 
 
 def architecture_of_user(wanted: str | None) -> str:
-    """That of the user's program. Raises InputError for one that our kernels do not run on, or another than ``wanted``."""
+    """The architecture of the user's program. Raises InputError for one that our kernels do not run on, and for another than
+    ``wanted``."""
     import taichi as ti
 
     name = ti._lib.core.arch_name(ti.lang.impl.current_cfg().arch)

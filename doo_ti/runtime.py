@@ -99,7 +99,7 @@ def array_for(key: Any, size: int, kind: Any) -> Any:
 
 
 def _forget_arrays() -> None:
-    """Those of a program that is no more. They would free themselves in the next one."""
+    """Forget the arrays of a program that has ended. They would free themselves in the next one."""
     for array in _arrays.values():
         array.arr = None
     _arrays.clear()
@@ -276,7 +276,7 @@ def pin(tasks: list[int]) -> None:
 
 
 def processors() -> list[int]:
-    """Those that this process may use."""
+    """The processors that this process may use."""
     return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
 
 

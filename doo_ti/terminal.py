@@ -67,7 +67,7 @@ def has_recorder() -> bool:
 
 
 def can_record() -> bool:
-    """The same; where it is not installed, a line on standard error says that no recording is written."""
+    """Whether rerun is installed; if it is not, a line on standard error says that no recording is written."""
     if not has_recorder():
         warn(f"no recording: rerun is not installed; {INSTALL_RECORDER}")
         return False

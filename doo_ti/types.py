@@ -199,7 +199,7 @@ class Clamps:
 
     @property
     def count(self) -> int:
-        """R."""
+        """R, the number of rods."""
         return len(self.start_position)
 
     def take(self, index: Rows) -> "Clamps":
@@ -269,7 +269,7 @@ class Solution:
 
     @property
     def converged(self) -> np.ndarray:
-        """(R,) bool."""
+        """(R,) bool: whether each rod has converged."""
         return self.status == Status.CONVERGED
 
     @typed

@@ -114,7 +114,7 @@ class Specimens:
 
     @cached_property
     def relaxed(self) -> Solution:
-        """The solution of ``many``."""
+        """The solution of the rods ``many``."""
         return self.many.relaxed(COARSE, "f32")
 
     @cached_property
@@ -129,7 +129,7 @@ class Specimens:
 
     @cached_property
     def batches(self) -> list[Rods]:
-        """BATCH rods each."""
+        """Batches of BATCH rods each."""
         return self.alone(BATCH, max(self.count // 4096, 1))
 
     def alone(self, size: int, count: int) -> list[Rods]:

@@ -52,7 +52,7 @@ class Rods:
 
     @property
     def count(self) -> int:
-        """R."""
+        """R, the number of rods."""
         return len(self.of_start)
 
     def relaxed(self, solver: Newton | Descent, precision: str) -> Solution:

@@ -99,7 +99,7 @@ def add_recordings(parser: ArgumentParser, default_up: str) -> None:
 
 
 def smoothing(options: Namespace) -> int | None:
-    """What ``--smoothing`` gives."""
+    """The number of frames that ``--smoothing`` states."""
     from doo_ti.dynamics.layout import require_smoothing
 
     frames = given.whole("--smoothing", options.smoothing, 1, 999)

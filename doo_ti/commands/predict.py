@@ -182,7 +182,7 @@ def _with_history(task: _Task, sub_step: float) -> _Task:
 
 
 def _sub_step(options: Namespace) -> float:
-    """rad."""
+    """The largest turn of a sub-step, rad."""
     given_degrees = given.numbers("--sub-step", options.sub_step) or (5.0,)
     if len(given_degrees) > 1 or not LEAST_DEGREES <= given_degrees[0] <= MOST_DEGREES:
         raise InputError(given.SOURCE, "--sub-step", f"{options.sub_step!r} is out of range",

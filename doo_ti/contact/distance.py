@@ -37,7 +37,7 @@ TINY = 1e-20
 
 @traced
 def outer(a) -> tuple:
-    """a aᵀ."""
+    """The matrix a aᵀ."""
     return (a[0] * a[0], a[0] * a[1], a[0] * a[2], a[1] * a[1], a[1] * a[2], a[2] * a[2])
 
 
@@ -166,7 +166,7 @@ class Distance:
 
     @ti.func
     def box(self, scratch: ti.template(), at, away, seen):
-        """A box."""
+        """Signed distance of a box."""
         zero, one = 0.0 * away[0], 0.0 * away[0] + 1.0
         square, most = zero, zero - 1e30
         for k in ti.static(range(3)):
@@ -190,7 +190,7 @@ class Distance:
 
     @ti.func
     def last(self, grids: ti.template(), index, k: ti.template()):
-        """Of a grid the largest place along an axis."""
+        """The largest place along an axis of a grid."""
         return ti.cast(grids[HEADER * index + 1 + k] - 3.0, self.lookup.scalar)
 
     @ti.func

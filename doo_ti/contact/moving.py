@@ -62,21 +62,21 @@ class Moving:
 
     @property
     def count(self) -> int:
-        """Rows: one, or R."""
+        """Number of rows: one for all rods, or R."""
         return max(len(self.shift), len(self.rotation), len(self.pivot), self.obstacle.count)
 
     @property
     def instants(self) -> int:
-        """T."""
+        """T, the number of instants."""
         return self.shift.shape[1]
 
     @property
     def friction(self) -> np.ndarray:
-        """That of the obstacle."""
+        """The obstacle's coefficient of friction."""
         return self.obstacle.friction
 
     def take(self, rows: ArrayLike) -> "Moving":
-        """Those of the rods ``rows``; one that all share as it is."""
+        """The obstacle's rows of the rods ``rows``; an obstacle that all rods share stays as it is."""
         own = {name: value[rows] for name in ("shift", "rotation", "pivot") if len(value := getattr(self, name)) > 1}
         return replace(self, obstacle=self.obstacle.take(rows), **own)
 

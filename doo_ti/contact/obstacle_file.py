@@ -120,7 +120,7 @@ def obstacles_of(source, rows: list, time: np.ndarray | None = None) -> list[Obs
 
 
 def _obstacle(source, key: str, row, time: np.ndarray | None) -> Obstacle | Moving:
-    """One of them."""
+    """One obstacle of the file."""
     if not isinstance(row, dict) or "kind" not in row:
         raise InputError(source, f"{key}.kind", "missing", f"give one of {', '.join(KINDS)}")
     kind = KINDS[checked(source, f"{key}.kind", row["kind"], Literal[tuple(KINDS)])]

@@ -74,11 +74,11 @@ class Obstacle:
 
     @property
     def count(self) -> int:
-        """Rows: one, or R."""
+        """Number of rows: one for all rods, or R."""
         return max(len(getattr(self, name)) for name in self.shapes)
 
     def take(self, rows: ArrayLike) -> "Obstacle":
-        """Those of the rods ``rows``; one that all share as it is."""
+        """The rows of the rods ``rows``; an obstacle that all rods share stays as it is."""
         own = {name: value[rows] for name in self.shapes if len(value := getattr(self, name)) > 1}
         return self._with(own) if own else self
 
@@ -94,7 +94,7 @@ class Obstacle:
         return self._with({"friction": friction})
 
     def _with(self, values: dict[str, np.ndarray]) -> "Obstacle":
-        """The same with other values of some fields."""
+        """This obstacle with other values of some fields."""
         return replace(self, **values)
 
     @cached_property
@@ -120,7 +120,7 @@ class Obstacle:
 
     @staticmethod
     def local_distance(local: np.ndarray, sizes: np.ndarray) -> Distances:
-        """The same of points along the obstacle's axes from its point."""
+        """Signed distance of points that are given along the obstacle's axes from its point."""
         raise NotImplementedError
 
 

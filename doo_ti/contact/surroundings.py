@@ -104,7 +104,7 @@ class Surroundings:
                                         for obstacle in self.obstacles])
 
     def take(self, rows: np.ndarray) -> "Surroundings":
-        """Those of the rods ``rows``."""
+        """The surroundings of the rods ``rows``."""
         radius = self.radius if np.size(self.radius) < 2 else np.asarray(self.radius)[rows]
         return Surroundings([obstacle.take(rows) for obstacle in self.obstacles], radius)
 

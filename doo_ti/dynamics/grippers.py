@@ -61,12 +61,12 @@ class Grippers:
 
     @property
     def count(self) -> int:
-        """S."""
+        """S, the number of rods."""
         return len(self.start_position)
 
     @property
     def instants(self) -> int:
-        """T."""
+        """T, the number of instants."""
         return self.start_position.shape[1]
 
     @classmethod
@@ -80,7 +80,7 @@ class Grippers:
         return cls(clamps.start, clamps.end, *(still(getattr(clamps, name)) for name in _PATHS))
 
     def take(self, rows: Rows) -> "Grippers":
-        """Those of the rods named by ``rows``."""
+        """The grippers of the rods named by ``rows``."""
         kinds = [kind if np.ndim(kind) == 0 else np.asarray(kind)[rows] for kind in (self.start, self.end)]
         return Grippers(*kinds, *(getattr(self, name)[rows] for name in _PATHS))
 

@@ -297,7 +297,7 @@ class _Fit:
         return changes.T @ changes * ((number - 1) / number)
 
     def minimise(self, p, report) -> tuple[np.ndarray, float, int]:
-        """(p, cost, iterations)."""
+        """(p, cost, iterations) of the minimum."""
         damping, lower, upper = 1e-3, self.unknowns.lower, self.unknowns.upper
         for k in range(self.options.iterations):
             residual, slopes, status = self.linearised(p)

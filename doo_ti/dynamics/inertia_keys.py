@@ -9,7 +9,7 @@ from doo_ti.io.toml_file import NotNegative, Positive
 
 
 class InertiaKeys(MaterialKeys, kw_only=True):
-    """Those of the material, and these."""
+    """Keys of a material and of a rod's mass and losses."""
 
     density: Positive | None = None
     bend_damping_s: NotNegative = 0.0

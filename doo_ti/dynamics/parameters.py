@@ -84,7 +84,7 @@ class Stepping:
 
     @property
     def step(self) -> float:
-        """h, s."""
+        """h, the time step, s."""
         return 1.0 / (self.rate * self.substeps)
 
     @property
@@ -173,7 +173,7 @@ class Dynamics:
 
     @property
     def count(self) -> int:
-        """G, or 1."""
+        """Number of rows: G, or one for all."""
         return max((len(array) for array in self._arrays() if array.ndim), default=1)
 
     @property

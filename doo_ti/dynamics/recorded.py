@@ -141,12 +141,12 @@ class RecordedMotion:
 
     @property
     def count(self) -> int:
-        """R."""
+        """R, the number of recordings."""
         return len(self.positions)
 
     @property
     def edges(self) -> int:
-        """E."""
+        """E, the number of edges."""
         return self.positions.shape[2] - 1
 
     @property
@@ -156,7 +156,7 @@ class RecordedMotion:
 
     @property
     def predicted(self) -> slice:
-        """The other vertices."""
+        """The vertices that no gripper holds."""
         return slice(2, None if self.free_end else -2)
 
     def take(self, rows: Rows) -> "RecordedMotion":

@@ -59,7 +59,7 @@ class Stills:
 
     @property
     def count(self) -> int:
-        """D."""
+        """D, the number of stills."""
         return self.observations.count
 
     def rested(self, theta: MotionTheta) -> Solution:

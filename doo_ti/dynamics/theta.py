@@ -159,7 +159,7 @@ class Unknowns:
 
     @property
     def names(self) -> list[str]:
-        """Of the entries of p."""
+        """The names of the entries of p."""
         rest = (f"rest_curvature_{1 + k // self.modes}_{k % self.modes}" for k in range(2 * self.modes))
         return ["bend", *self.fitted, *rest]
 

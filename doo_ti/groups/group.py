@@ -110,7 +110,7 @@ class Group:
 
     @property
     def count(self) -> int:
-        """N."""
+        """N, the number of groups."""
         return self.rods[0].count
 
     @property

@@ -80,7 +80,7 @@ class GroupSolution:
 
     @property
     def converged(self) -> np.ndarray:
-        """(N,) bool."""
+        """(N,) bool: whether each group has converged."""
         return self.status == Status.CONVERGED
 
     def __repr__(self) -> str:

@@ -204,7 +204,7 @@ def _known(path: Path, key: str, name: str, names) -> str:
 
 
 def _times(path: Path, file: _File) -> np.ndarray:
-    """(T,) s."""
+    """(T,) the times of the moments, s."""
     if (file.rate_hz is None) != (file.duration_s is None):
         missing, other = ("rate_hz", "duration_s") if file.rate_hz is None else ("duration_s", "rate_hz")
         raise InputError(path, missing, f"missing beside {other}", "give both, or neither")

@@ -46,7 +46,7 @@ class CsvTable:
 
     @property
     def count(self) -> int:
-        """N."""
+        """N, the number of rows."""
         return len(self.lines)
 
     def rows(self, chosen: np.ndarray) -> "CsvTable":
@@ -145,7 +145,7 @@ def csv_rows(path: Path, content: bytes, remedy: str) -> tuple[list[tuple[int, l
 
 
 def _separator(text: str) -> str:
-    """Of the cells: that of the first line that has any."""
+    """What separates the cells, by the first line that has several."""
     for line in StringIO(text):
         unquoted = _QUOTED.sub("", line)
         if any(sign in unquoted for sign in SEPARATORS):

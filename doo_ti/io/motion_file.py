@@ -108,7 +108,7 @@ class ClampPath:
 
     @property
     def moments(self) -> int:
-        """T."""
+        """T, the number of moments."""
         return len(self.time)
 
     def states(self, between: int) -> np.ndarray:
@@ -119,7 +119,7 @@ class ClampPath:
 
     @property
     def count(self) -> int:
-        """N."""
+        """N, the number of paths."""
         given = (self.start_position, self.end_position, self.start_frame, self.end_frame, self.end_rotation)
         return max((value.shape[1] for value in given if value is not None), default=1)
 

@@ -121,12 +121,12 @@ class Observations:
 
     @property
     def count(self) -> int:
-        """D."""
+        """D, the number of observations."""
         return len(self.vertices)
 
     @property
     def edges(self) -> int:
-        """E."""
+        """E, the number of edges."""
         return self.vertices.shape[1] - 1
 
     def along_arcs(self) -> "Observations":

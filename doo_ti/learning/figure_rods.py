@@ -106,7 +106,7 @@ def record_figure(path: Path, study: "Study", rows: list[list[list[LandscapePane
 
 
 def _run_id(arrays: list[np.ndarray]) -> str:
-    """The same for the same arrays."""
+    """An identity that depends on the arrays only."""
     return hashlib.sha256(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)).hexdigest()[:32]
 
 

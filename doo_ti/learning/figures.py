@@ -52,7 +52,7 @@ class Study:
 
     @property
     def names(self) -> list[str]:
-        """Of the runs."""
+        """The names of the runs."""
         return [panel.title for panel in self.panels]
 
     @property

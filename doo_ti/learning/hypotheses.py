@@ -37,12 +37,12 @@ class Hypotheses:
 
     @property
     def count(self) -> int:
-        """H."""
+        """H, the number of hypotheses."""
         return len(self.observation)
 
     @property
     def are_several(self) -> bool:
-        """Some observation has more than one."""
+        """Whether some observation has more than one hypothesis."""
         return bool((self.observation[1:] == self.observation[:-1]).any())
 
     @property

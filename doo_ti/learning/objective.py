@@ -85,5 +85,5 @@ def status_counts(status: np.ndarray) -> dict[str, int]:
 
 
 def counts_by_name(counts: np.ndarray) -> dict[str, int]:
-    """The same from the number of rods of each Status."""
+    """Names and numbers of rods from the number of rods of each Status."""
     return {kind.name.lower(): int(counts[kind]) for kind in Status if counts[kind]}

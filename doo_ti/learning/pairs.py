@@ -73,7 +73,7 @@ class Pairs:
 
     @property
     def count(self) -> int:
-        """P."""
+        """P, the number of pairs."""
         return len(self.from_index)
 
     @property

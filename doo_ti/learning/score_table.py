@@ -43,7 +43,7 @@ def text(scores: Scores, width: int) -> str:
 
 
 def markdown(scores: Scores) -> str:
-    """The same as Markdown."""
+    """The table as Markdown."""
     rows = _rows(scores, ("**", "_", ""), lambda entry, mark: f"{mark}{entry}{mark}")
     below = ["In brackets: trained and tested on the same part", "**bold**: best of its column",
              "_italic_: within one standard error of it", *notes(scores)]

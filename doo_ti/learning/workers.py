@@ -74,7 +74,7 @@ class ThisProcess:
     """This process relaxes the chunks itself."""
 
     def results(self, work, chunks):
-        """As :meth:`Workers.results`."""
+        """The results of the chunks, as :meth:`Workers.results`."""
         for chunk in chunks:
             yield chunk, work(*chunk)
 

@@ -126,7 +126,7 @@ class Journey:
 
     @property
     def _motions(self) -> int:
-        """N."""
+        """N, the number of motions."""
         return len(self.motion.clamps.start_position)
 
 

@@ -117,7 +117,7 @@ def _pack_lanes(pack, scalar):
 
     @ti.func
     def lane(value, index):
-        """Read one lane."""
+        """The number in one lane."""
         return value[index]
 
     @ti.func

@@ -71,7 +71,7 @@ def place_of(plane: LandscapePlane, cell: tuple[int, int]) -> tuple[float, float
 
 
 def draw_star(axes, plane: LandscapePlane, size: float = 1.0) -> None:
-    """The minimum."""
+    """Draw the star at the minimum."""
     axes.plot(*place_of(plane, plane.minimum), "*", markersize=17 * size, color=STAR, markeredgecolor="white",
               markeredgewidth=1.2 * size, zorder=5)
 

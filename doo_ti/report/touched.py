@@ -70,7 +70,7 @@ class Touched:
 
     @property
     def legend(self) -> str:
-        """What the arrows say."""
+        """The line that says how large the arrows of contact forces are."""
         return f"contact forces (an arrow of 10 mm: {10 / self.arrow_scale:g} {'mm²/mm' if self.newtons is None else 'N'})"
 
     def arrows(self, row: int, frame: int) -> tuple[np.ndarray, np.ndarray]:

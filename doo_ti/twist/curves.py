@@ -83,7 +83,7 @@ class TwistCurves:
 
     @property
     def count(self) -> int:
-        """K."""
+        """K, the number of groups that share a φ."""
         return len(self.first) - 1
 
     def at(self, groups: np.ndarray, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
