@@ -1,4 +1,5 @@
-"""Every figure of the documents has a command (docs/figures.md): each exists, takes its options, and runs at small size."""
+"""Every figure of the documents has a command (docs/figures.md, and the last lines of a page): each exists, takes its options,
+and runs at small size."""
 
 import re
 import shlex
@@ -8,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from doo_ti.commands.help_text import EXAMPLES
 from tools import compare_peers, detection_study, mutations, reproduce
 from tools.replication import specimens
 from tools.replication.criteria import CRITERIA, Verdict, verdict
@@ -32,6 +34,19 @@ def test_every_document_names_its_commands():
         text = page.read_text(encoding="utf-8")
         for picture in re.findall(r"!\[[^]]*\]\(([\w.]+)\)", text):
             assert picture in known or page.name in known, f"{page.name} shows {picture}"
+
+
+def test_every_command_that_measured_a_page_exists():
+    found = [command for page in DOCUMENTS for last in re.findall(r"\*\*Measured with\*\* .*", page.read_text(encoding="utf-8"),
+             re.DOTALL) for command in re.findall(r"`([^`]+)`", last)]
+    assert len(found) > 50
+    for words in map(shlex.split, found):
+        if words[0] == "doo-ti":
+            assert words[1] in EXAMPLES, words
+        else:
+            named = words[3:4] if words[1] == "-m" else words[1:2]
+            assert words[0] == "python" and all((ROOT / name).exists() for name in named), words
+        assert all((ROOT / word).is_file() for word in words if word.startswith("scenes/")), words
 
 
 @pytest.mark.thorough
