@@ -3,7 +3,7 @@
 import re
 from dataclasses import dataclass
 
-from tools.fuzzing.corpus import BOARD, MATERIAL
+from tests.fuzz.corpus import BOARD, MATERIAL
 
 MADE_OF = " ".join(MATERIAL)
 SEEN = "--rig rig.yaml --rest-length 3:8"

@@ -107,8 +107,9 @@ end_position_mm = [250, 20, 10]
 """
 
 
-def make(folder: Path) -> None:
-    """Fill ``folder``, the working directory meanwhile. Raises RuntimeError where the package refuses its own files."""
+def make(folder: Path, quick: bool = False) -> None:
+    """Fill ``folder``, the working directory meanwhile; ``quick``: only with scenes, observations and motions. Raises
+    RuntimeError where the package refuses its own files."""
     before = Path.cwd()
     folder.mkdir(parents=True, exist_ok=True)
     os.chdir(folder)
@@ -116,6 +117,8 @@ def make(folder: Path) -> None:
         _scenes()
         _observations()
         _motions()
+        if quick:
+            return
         _moving()
         _images()
         _marks()

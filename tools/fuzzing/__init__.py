@@ -1,1 +1,0 @@
-"""Inputs of tools/fuzz.py: valid files of every format, and changes of them."""
