@@ -179,7 +179,8 @@ def _lines(search: _Search, summary: dict, finished_before: bool, made_again: li
         lines.append(f"  made again  {', '.join(made_again)}")
     lines.append(f"  {'finished before in' if finished_before else 'written to'} {in_line(search.run)}")
     if search.options.objective == "static" and not search.options.spins and not search.options.surroundings:
-        more = " --parameters bend" if rolls else "" if search.grid.is_isotropic else RIBBON_PARAMETERS
+        swivels = rolls and Clamp.TANGENT > min(clamps.start, clamps.end)
+        more = " --parameters bend" if swivels else "" if search.grid.is_isotropic else RIBBON_PARAMETERS
         lines.append(f"  intervals   doo-ti refine {in_line(shlex.quote(str(search.run)))}{more}")
     return lines
 

@@ -28,6 +28,8 @@ from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution
 
 POSE = 12
 """Numbers of two poses: rotation of the start clamp, of the end clamp, displacement of the start, of the end; rad and mm."""
+TWIST = 3
+"""Of these that which turns the end about its tangent."""
 
 
 @dataclass(frozen=True)

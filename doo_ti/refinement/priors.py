@@ -72,6 +72,10 @@ class Scales:
         value[self.learned] = np.exp(free)
         return replace(self, value=value)
 
+    def given(self, **value: float) -> "Scales":
+        """These sizes with other present values of some."""
+        return replace(self, value=np.array([value.get(name, now) for name, now in zip(NAMES, self.value, strict=True)]))
+
     def learning(self, names: set[str]) -> "Scales":
         """The same, but ``names`` are learned too if they still have their typical values."""
         new = np.array([name in names for name in NAMES]) & (self.value == self.typical)

@@ -205,17 +205,17 @@ def _fitted(observations: Observations, clamps: Clamps, thetas: tuple[Theta, ...
     if not tried:
         raise last
     fit, fitted = min(tried, key=lambda one: one[1].rank)
-    turns_open = rod.turns_unknown and "twist" in unknowns.parameters
-    if turns_open:
-        fitted = from_several_twists(fit, fitted, scales, TRIED_FIRST)
-    if len(thetas) > 1 or turns_open:
-        fitted = fit.run(fitted.state, options.iterations).after(fitted)
-    if turns_open:
+    if rod.turns_unknown and "twist" in unknowns.parameters:
+        fitted = from_several_twists(fit, fitted, scales, TRIED_FIRST, options.iterations)
         fitted = turns_chosen_again(fit, fitted, options.iterations)
+    elif len(thetas) > 1:
+        fitted = fit.run(fitted.state, options.iterations).after(fitted)
     if straight_first:
         straight = fit, fitted
-        fit, state = rolled(fit, fitted, wanted.curvature)
-        fitted = rolls_chosen_again(fit, fit.run(state, options.iterations), options.iterations).after(fitted)
+        fit, states = rolled(fit, fitted, wanted.curvature)
+        begun = min((fit.run(state, TRIED_FIRST) for state in states), key=lambda one: one.rank)
+        begun = fit.run(begun.state, options.iterations).after(begun)
+        fitted = rolls_chosen_again(fit, begun, options.iterations).after(fitted)
         if options.curvature == "auto":
             fit, fitted = more_probable(straight, (fit, fitted))
     return fit, fitted

@@ -6,7 +6,8 @@ stiffnesses, each with the turns that are nearest then; the posterior decides. A
 once more, under what was learned.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +15,7 @@ import numpy as np
 from doo_ti.errors import InputError
 from doo_ti.refinement.fit import Fit, Fitted, State
 from doo_ti.refinement.priors import Scales
+from doo_ti.refinement.unknowns import Values
 
 RATIOS = (0.25, 0.5, 1.0, 2.0, 4.0)
 """Twist over bend stiffness with which a fit begins."""
@@ -23,17 +25,27 @@ AGAIN = 3
 """How often each observation is chosen once more, as long as that changes any."""
 
 
-def from_several_twists(fit: Fit, fitted: Fitted, scales: Scales, steps: int) -> Fitted:
-    """The best of ``fitted`` and of fits that begin at its Θ with other twist stiffnesses, each after ``steps``."""
-    theta = fitted.state.values.theta
+def from_several_twists(fit: Fit, fitted: Fitted, scales: Scales, first: int, steps: int) -> Fitted:
+    """The best of ``fitted`` and of fits that begin at its Θ with other twist stiffnesses, each after ``first`` steps; continued
+    for ``steps``, and the same once more from there, as long as that makes it better."""
+    fitted = fit.run(fitted.state, steps).after(fitted)
+    for _ in range(AGAIN):
+        tried = [fit.run(state, first) for state in _twisted(fit, fitted.state.values, scales)]
+        best = min(tried, key=lambda one: one.rank, default=fitted)
+        best = fit.run(best.state, steps).after(best)
+        if best.rank >= fitted.rank:
+            break
+        fitted = best.after(fitted)
+    return fitted
+
+
+def _twisted(fit: Fit, values: Values, scales: Scales) -> Iterator[State]:
+    """Rods relaxed from their observations at ``values``, with each of several twist stiffnesses."""
+    theta = values.theta
     for ratio in RATIOS:
         twisted = replace(theta, twist=ratio * float(np.diag(theta.bend).mean()))
-        values = replace(fitted.state.values, theta=twisted, scatter=0 * fitted.state.values.scatter)
-        try:
-            fitted = min(fitted, fit.run(fit.begin(values, scales), steps), key=lambda one: one.rank)
-        except InputError:  # no rod is stable at that twist stiffness
-            continue
-    return fitted
+        with suppress(InputError):  # no rod is stable at that twist stiffness
+            yield fit.begin(replace(values, theta=twisted, scatter=0 * values.scatter), scales)
 
 
 def turns_chosen_again(fit: Fit, fitted: Fitted, steps: int) -> Fitted:

@@ -98,8 +98,7 @@ def fit(recipe: Recipe, folder: Path) -> dict:
     if code:
         return result(folder, code, text, began)
     began = time.perf_counter()
-    learned = [] if recipe.frames_given else ["--parameters", "bend"]
-    return result(folder, *command("refine", folder / "run", *learned, "--no-models", "--out", folder / "out.json"), began)
+    return result(folder, *command("refine", folder / "run", "--no-models", "--out", folder / "out.json"), began)
 
 
 def left_out(recipe: Recipe, folder: Path) -> list[dict]:
