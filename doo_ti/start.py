@@ -53,10 +53,11 @@ def observation_clamps(observations: Observations, start: Clamp | None = None, e
     return Clamps(*kinds, *positions, *frames)
 
 
-def check_experiment(observations: Observations, clamps: Clamps, weight: float, frame_weight: float) -> None:
+def check_experiment(observations: Observations, clamps: Clamps, weight: float, frame_weight: float,
+                     whole_edges: bool = True) -> None:
     """Raise InputError for an observation that cannot be relaxed: clamps that :func:`check_feasible` refuses, a rod with weight
     and two free ends, fewer than two free edges, marks that no rod of that length reaches, and a frame weight w_m without
-    measured frames."""
+    measured frames. ``whole_edges`` as in :func:`reachable`."""
     free = (np.asarray(clamps.start) == Clamp.FREE) & (np.asarray(clamps.end) == Clamp.FREE)
     if weight > 0 and free.any():
         raise InputError(observations.source, "clamps", "both ends are free and the rod has weight", "hold one end")
@@ -67,7 +68,7 @@ def check_experiment(observations: Observations, clamps: Clamps, weight: float, 
         raise InputError(observations.source, "vertices_mm", f"{observations.edges} edges, too few of them free to relax",
                          "give more marks, or clamp only positions")
     _check_reach(observations)
-    check_feasible(observations, clamps)
+    check_feasible(observations, clamps if whole_edges else _by_position(clamps))
 
 
 def _check_reach(observations: Observations) -> None:
@@ -95,10 +96,19 @@ def _check_reach(observations: Observations) -> None:
                          f"{steps[both].mean():.4g} mm apart on average", "give lengths in mm of the edges between marks")
 
 
-def reachable(observations: Observations, clamps: Clamps) -> np.ndarray:
-    """(D,) bool: where clamps are no further apart than the rod is long."""
+def reachable(observations: Observations, clamps: Clamps, whole_edges: bool = True) -> np.ndarray:
+    """(D,) bool: where clamps are no further apart than the rod is long.
+
+    whole_edges  whether clamps hold the whole outer edges, along their frames, as those of a rod whose vertices are the marks
+    """
     # A taut rod has no slack: rounding must not make it infeasible.
+    clamps = clamps if whole_edges else _by_position(clamps)
     return span_excess(clamps, observations.rest_length) <= 1e-9 * observations.rest_length.sum()
+
+
+def _by_position(clamps: Clamps) -> Clamps:
+    """The same ends, whose directions are not held."""
+    return replace(clamps, start=np.minimum(clamps.start, Clamp.POSITION), end=np.minimum(clamps.end, Clamp.POSITION))
 
 
 def check_feasible(observations: Observations, clamps: Clamps) -> None:
@@ -111,8 +121,17 @@ def check_feasible(observations: Observations, clamps: Clamps) -> None:
         raise InputError(
             observations.source, "vertices_mm",
             f"the clamps of observation {observations.labels[worst]} are {excess[worst]:.4g} mm further apart than the rod "
-            f"between them reaches{others}", "correct the end vertices or frames, or rest_length_mm",
+            f"between them reaches{others}", _remedy(observations, clamps),
         )
+
+
+def _remedy(observations: Observations, clamps: Clamps) -> str:
+    """What to do about clamps that are too far apart."""
+    if reachable(observations, clamps, whole_edges=False).all():
+        first, last = observations.rest_length[[0, -1]]
+        return (f"here frames hold the whole outer edges, {first:.4g} and {last:.4g} mm: place marks next to the clips, or "
+                "start refine from the file with --bend and --twist, which learns how much the clips hold")
+    return "correct the end vertices or frames, or rest_length_mm"
 
 
 def span_excess(clamps: Clamps, rest_length: np.ndarray) -> np.ndarray:

@@ -32,6 +32,8 @@ FEW = 0.25
 """Share of observations that may be left out; of more a file or an option is wrong."""
 MEASURED = 0.02
 """Relative error of a length between marks that somebody measured."""
+MOST_OFF = 1.5
+"""Stated length of the rod over that of arcs through its marks, or the inverse, above which one of both is wrong."""
 MOST_UNEVEN = 20.0
 """Longest edge over the median one, above which the marks may be of several rods."""
 OF_FILES = ("unit", "columns")
@@ -142,9 +144,15 @@ def load(options: Namespace, source: str, without_lost: bool = False) -> Observa
 def _measured(observations: Observations, text: str) -> Observations:
     """``observations`` with the lengths of ``--rest-length``: of a number the marks share the rod as they were."""
     if Path(text).suffix in (".npz", ".txt", ".csv"):
-        return replace(observations, rest_length=read_rest_length(text), spacing_error=MEASURED)
-    share = given.length("--rest-length", text) / observations.rest_length.sum()
-    return replace(observations, rest_length=share * observations.rest_length, spacing_error=MEASURED)
+        lengths = read_rest_length(text)
+    else:
+        lengths = observations.rest_length * (given.length("--rest-length", text) / observations.rest_length.sum())
+    measured, arcs = replace(observations, rest_length=lengths, spacing_error=MEASURED), observations.arcs.sum()
+    if not 1 / MOST_OFF < lengths.sum() / arcs < MOST_OFF:
+        raise InputError(given.SOURCE, "--rest-length", f"{lengths.sum():.4g} mm, but arcs through the marks are {arcs:.4g} mm "
+                         "long", "give the length from the first mark to the last along the rod in mm, and the --unit of the "
+                         "marks")
+    return measured
 
 
 def of_scene(options: Namespace, scene: Scene) -> Observations:
@@ -158,20 +166,26 @@ def of_scene(options: Namespace, scene: Scene) -> Observations:
     return replace(load(options, scene.observations), name=scene.name)
 
 
-def with_ends_in_reach(observations: Observations, start: Clamp | None, end: Clamp | None) -> Observations:
+def with_ends_in_reach(observations: Observations, start: Clamp | None, end: Clamp | None, whole_edges: bool = True
+                       ) -> Observations:
     """``observations`` without the few whose ends are further apart than the rod is long, of which a warning is printed: marks
-    in reverse order, or two that are swapped, do that. All where these are more than :data:`FEW`."""
+    in reverse order, or two that are swapped, do that. All where these are more than :data:`FEW`. ``whole_edges`` as in
+    :func:`doo_ti.start.reachable`."""
     clamps = observation_clamps(observations, start, end)
-    within = reachable(observations, clamps)
+    within = reachable(observations, clamps, whole_edges)
     if within.all() or (~within).sum() > FEW * len(within):
         return observations
     backwards = replace(observations, vertices=observations.vertices[:, ::-1], valid=observations.valid[:, ::-1],
                         rest_length=observations.rest_length[::-1])
-    turned = reachable(backwards, observation_clamps(backwards, start, end))
+    turned = reachable(backwards, observation_clamps(backwards, start, end), whole_edges)
+    by_frames = reachable(observations, clamps, whole_edges=False)
     for row in np.flatnonzero(~within):
-        why = "; its marks are in reverse order" if turned[row] else ""
-        terminal.warn(f"{in_line(observations.source)}: observation {observations.labels[row]} is left out: its ends are "
-                      f"further apart than the rod is long{why}")
+        why = "its ends are further apart than the rod is long"
+        if by_frames[row]:
+            why = "its frames hold the whole outer edges, between which the rod is too short"
+        if turned[row]:
+            why += "; its marks are in reverse order"
+        terminal.warn(f"{in_line(observations.source)}: observation {observations.labels[row]} is left out: {why}")
     return observations.take(np.flatnonzero(within))
 
 

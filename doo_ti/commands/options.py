@@ -198,9 +198,9 @@ def up(options: Namespace) -> np.ndarray | None:
     """(3,) unit vector against gravity, or None."""
     if options.up is None:
         return None
-    axis = options.up.removeprefix("-")
+    axis = options.up.lower().removeprefix("-")
     if axis in tuple("xyz"):
-        return np.where(np.array(tuple("xyz")) == axis, 1.0 if axis == options.up else -1.0, 0.0)
+        return np.where(np.array(tuple("xyz")) == axis, -1.0 if options.up.startswith("-") else 1.0, 0.0)
     return unit_up(numbers("--up", options.up), SOURCE)
 
 

@@ -193,10 +193,11 @@ def _task(options: Namespace, source: str, starts: int) -> Task:
     if error is not None:
         observations = replace(observations, spacing_error=error)
     kinds = tuple(kind if own is None else own for own, kind in zip(given.clamps(options), kinds, strict=True))
+    exact = "exact" in (options.clamps, options.frames)
     if options.groups is None:
-        observations = loading.with_ends_in_reach(observations, *kinds)
+        observations = loading.with_ends_in_reach(observations, *kinds, exact)
     clamps = observation_clamps(observations, *kinds)
-    check_experiment(observations, clamps, max(theta.weight for theta in thetas), weight)
+    check_experiment(observations, clamps, max(theta.weight for theta in thetas), weight, exact)
     task = Task(observations, clamps, thetas, weight, around, density, landscape)
     _check_model(_refinement_options(options, task), task)
     return task

@@ -47,6 +47,8 @@ def summary_of(observations: Observations, surroundings: Surroundings, found, he
         "sigma_mm": found.adequacy.noise, "sigma_stated": found.adequacy.stated, "excess": found.adequacy.excess,
         "gap_mm": found.adequacy.gap, "neighbour_correlation": found.adequacy.correlation,
         "reaches_noise": found.adequacy.reaches_noise,
+        "turns_open": all((observations.total_twist is None, observations.start_frame is not None,
+                           observations.end_frame is not None, observations.frames is None)),
         "advice": [asdict(one) | {"option": _option(one.option)} for one in found.adequacy.advice],
         "sensitive": [{"observation": observations.labels[one.observation], "parameter": one.parameter, "factor": one.factor}
                       for one in found.adequacy.influences],
@@ -56,7 +58,7 @@ def summary_of(observations: Observations, surroundings: Surroundings, found, he
         "mean_distance_mm": found.mean_distance, "distance_mm": found.distance, "rods_used": int(found.used.sum()),
         "left_out": found.reasons, "misfits": observations.labels[np.flatnonzero(found.misfits)],
         "mislabelled": [{"observation": observations.labels[one.observation], "why": one.text} for one in found.mislabelled],
-        "converged": found.converged,
+        "rivals": [_theta(theta) for theta in estimate.rivals], "converged": found.converged,
         "iterations": found.steps,
         "regions": [{"parameters": pair, "outline": estimate.region(*pair)} for pair in pairs],
         "held_out": None if held_out is None else {
@@ -108,6 +110,9 @@ def summary_lines(summary: dict) -> list[str]:
             f"{name.removesuffix('_over_weight_mm3')} over weight", "mm³")
         lines.append(_line(label, interval_text(value, low, high, unit)))
     lines.append(_line("", "95 % intervals, with everything else fitted again"))
+    if summary["rivals"]:
+        others = ", ".join(f"{theta['bend_1']:.3g}" for theta in summary["rivals"])
+        lines.append(_line("as probable", f"other fits of the same marks, with bend {others} mm³: the intervals contain them"))
     curvature = summary["rest_curvature_per_mm"]
     if curvature["root_mean_square"]:
         lines.append(_line("rest curvature", f"{curvature['root_mean_square']:.3g} 1/mm (root mean square), "
@@ -165,11 +170,13 @@ def _adequacy_lines(summary: dict) -> list[str]:
                                         "something"))
     else:
         lines.append(_line("residuals", f"besides the noise the model is off by {summary['gap_mm']:.3g} mm, smoothly along the "
-                                        "rod; the intervals include that"))
+                                        "rod; intervals are wider by that, as if it were independent in each observation"))
     lines += [_line("try", f"{one['option']} ({one['meaning']}: twice the log evidence rises by {one['gain']:.3g})")
               for one in summary["advice"][:2]]
     if not summary["reaches_noise"] and not summary["advice"] and summary["other_up"] is None:
-        lines.append(_line("try", "no option explains it: check the misfits, --sigma, and how the marks were made"))
+        turns = ", total_twist_deg of rods that may be twisted by whole turns" * summary["turns_open"]
+        lines.append(_line("try", f"nothing that refine can learn explains it: check the misfits, --up, --sigma{turns}, and "
+                                  "how the marks were made"))
     return lines
 
 

@@ -181,8 +181,8 @@ def run_lines(result: dict) -> list[str]:
     return lines
 
 
-def hypotheses_lines(summary: dict) -> list[str]:
-    """The chosen hypotheses about whole turns and rolls, where there were several."""
+def hypotheses_lines(summary: dict, labels: np.ndarray) -> list[str]:
+    """The chosen hypotheses about whole turns and rolls, where there were several; ``labels`` (D,) of the observations."""
     found = summary.get("hypotheses")
     if found is None:
         return []
@@ -195,5 +195,5 @@ def hypotheses_lines(summary: dict) -> list[str]:
         turns = ", ".join(f"{turn:+d}: {settled.count(turn)}" for turn in sorted(set(settled)))
         lines.append(f"              observations by whole turns: {turns}; each one's is in summary.json")
     if ambiguous:
-        lines.append(f"              ambiguous observations: {', '.join(map(str, sorted(ambiguous)))}")
+        lines.append(f"              ambiguous observations: {', '.join(map(str, labels[sorted(ambiguous)]))}")
     return lines

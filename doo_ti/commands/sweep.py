@@ -159,7 +159,7 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
 
 def _lines(search: _Search, summary: dict, finished_before: bool, made_again: list[str]) -> list[str]:
     first, *rest = run_lines(summary)
-    lines = [first, loading.rod_line(search.observations), *rest, *hypotheses_lines(summary)]
+    lines = [first, loading.rod_line(search.observations), *rest, *hypotheses_lines(summary, search.observations.labels)]
     if doubt := loading.up_text(summary.get("other_up")):
         lines.insert(2, f"  WARNING     {doubt}")
     clamps = observation_clamps(search.observations, search.options.clamp_start, search.options.clamp_end)

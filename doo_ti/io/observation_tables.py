@@ -50,6 +50,9 @@ LABELS = "observation"
 """Key of the npz format: what messages call the observations."""
 MOST_ABSENT = 100
 """Marks of all observations for each row."""
+OTHER_NUMBERS = ("pose", "poses", "configuration", "config", "shape", "frame", "trial", "set", "sample", "rod")
+OTHER_MARKS = ("mark", "marker", "point", "node", "index")
+"""What others call the columns observation and vertex."""
 RENAMED = ("observation", "vertex", *AXES, "valid", "sigma_mm", "rest_length_mm")
 """What a user may say is in a column of another name."""
 
@@ -151,6 +154,11 @@ def _named(path: Path, names, renamed: dict[str, str]) -> dict[str, tuple[str, f
             raise InputError(path, column, "the column is missing", listed)
         found[f"{name}_mm" if name in AXES else name] = (column, 1.0)
     missing = next((name for name in _POSITION if name not in found), None)
+    number = next((given[name] for name in OTHER_NUMBERS if name in given), None)
+    if number is not None and "observation" not in found and missing is None:
+        mark = next((given[name] for name in OTHER_MARKS if name in given and "vertex" not in found), None)
+        raise InputError(path, "observation", f"the column is missing, and {number} seems to number the observations",
+                         f"give --columns observation={number}{'' if mark is None else f',vertex={mark}'}")
     if missing is not None:
         raise InputError(path, missing, "the column is missing", f"give the columns observation, vertex, "
                          f"{', '.join(_POSITION)}, or name yours with `columns`; {listed}")

@@ -134,7 +134,13 @@ class Observations:
         are joined by arcs; chords, the default, are those of a discrete rod whose vertices they are."""
         if not np.array_equal(self.rest_length, _chords(self.vertices)):
             return self
-        return replace(self, rest_length=_arcs(self.vertices))
+        return replace(self, rest_length=self.arcs)
+
+    @property
+    def arcs(self) -> np.ndarray:
+        """(E,) mm, lengths of arcs through the marks; the rest length of an edge that no observation shows."""
+        arcs = _arcs(self.vertices)
+        return np.where(np.isnan(arcs), self.rest_length, arcs)
 
     def of_marks(self, kept: slice) -> "Observations":
         """The same rods by these of their marks, joined by the rest lengths between. Raises InputError for fewer than three,
@@ -285,7 +291,14 @@ class Observations:
 
 def _chords(vertices: np.ndarray) -> np.ndarray:
     """(E,) median distance of neighbouring marks, from their places (D, V, 3), NaN where unseen."""
-    return np.nanmedian(np.linalg.norm(np.diff(vertices, axis=1), axis=-1), axis=0)
+    return _median(np.linalg.norm(np.diff(vertices, axis=1), axis=-1))
+
+
+def _median(values: np.ndarray) -> np.ndarray:
+    """Median over the first axis without NaN; NaN where there is nothing else."""
+    seen, median = ~np.isnan(values).all(axis=0), np.full(values.shape[1], np.nan)
+    median[seen] = np.nanmedian(values[:, seen], axis=0)
+    return median
 
 
 def _arcs(vertices: np.ndarray) -> np.ndarray:
@@ -302,9 +315,8 @@ def _arcs(vertices: np.ndarray) -> np.ndarray:
 
 def _over_edges(share: np.ndarray) -> np.ndarray:
     """(E,) mean over the two joints of each edge of the medians of ``share`` (D, E − 1), without those that no rod shows."""
-    seen = ~np.isnan(share).all(axis=0)
-    median = np.zeros(share.shape[1])
-    median[seen] = np.nanmedian(share[:, seen], axis=0)
+    median = _median(share)
+    seen, median = ~np.isnan(median), np.nan_to_num(median)
     both = np.stack([np.append(median, 0.0), np.append(0.0, median)])
     count = np.stack([np.append(seen, False), np.append(False, seen)])
     return both.sum(axis=0) / np.maximum(count.sum(axis=0), 1)

@@ -3,12 +3,14 @@
     interval of v·x = {t : F(t) − min F ≤ quantile of F(1, n)},    F(t) = −2 ln p(marks | v·x = t),
 
 with all else integrated out or fitted again at every t (:mod:`doo_ti.refinement.evidence`). F is followed from its minimum
-both ways. Where Θ enters nearly linearly this is the interval by the covariance. An end of an interval is None where the
-observations do not bound the parameter on that side.
+both ways, and from other optima whose F is below that bound too (:mod:`doo_ti.refinement.search`): the interval is from the
+lowest to the highest t of them all. Where Θ enters nearly linearly this is the interval by the covariance. An end of an
+interval is None where the observations do not bound the parameter on that side.
 
 Positive parameters are estimated by their logarithms, so their intervals are factors and never reach zero.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +20,7 @@ from doo_ti.errors import InputError
 from doo_ti.physical_units import relative_stiffness
 from doo_ti.refinement.fit import Fit, Fitted, State
 from doo_ti.refinement.priors import Scales
+from doo_ti.refinement.search import Optimum
 from doo_ti.refinement.unknowns import LOGARITHMIC, Theta, Values
 
 PROBABILITY = 0.95
@@ -65,6 +68,7 @@ class Estimate:
     names            of Θ's unknowns
     covariance       (T, T) of these
     degrees          degrees of freedom of the intervals: observations less parameters of Θ
+    rivals           Θ of other optima that the observations hardly tell from this one; the intervals contain them
     """
 
     theta: Theta
@@ -75,6 +79,7 @@ class Estimate:
     names: tuple[str, ...]
     covariance: np.ndarray
     degrees: float
+    rivals: tuple[Theta, ...]
 
     @property
     def correlation(self) -> np.ndarray:
@@ -130,22 +135,32 @@ class Estimate:
         return half(parameter.low, -1.0), half(parameter.high, 1.0)
 
 
-def estimated(fit: Fit, fitted: Fitted, profiled: bool = True) -> Estimate:
-    """The estimate of a finished fit; ``profiled``: intervals of Θ by the profile of the marginal likelihood, else by the
-    covariance."""
+def degrees_of(one: Optimum) -> float:
+    """n of F(1, n). Marks of one rod are not independent where the rod's clamps are off: what counts is the number of rods."""
+    return max(float(one.fitted.state.used.sum()) - one.fit.unknowns.theta_count, 1.0)
+
+
+def within_reach(optima: list[Optimum], margin: float = 0.0) -> list[Optimum]:
+    """The best of ``optima``, then the others whose evidence is so near to its that they count in the intervals, and those by
+    ``margin`` further behind."""
+    first = optima[0]
+    behind = np.array([0.0, *(one.behind(first) for one in optima[1:])])
+    reach = behind.min() + f_distribution.ppf(PROBABILITY, 1, degrees_of(first)) + margin
+    return [optima[k] for k in np.argsort(behind, kind="stable") if behind[k] <= reach]
+
+
+def estimated(best: Optimum, rivals: Sequence[Optimum] = (), profiled: bool = True) -> Estimate:
+    """The estimate of a finished fit. ``rivals``: optima of which the observations can hardly say that they are not the best;
+    ``profiled``: intervals of Θ by the profile of the marginal likelihood, else by the covariance."""
+    fit, fitted = best.fit, best.fitted
     unknowns, values, scales = fit.unknowns, fitted.state.values, fitted.state.scales
-    count = unknowns.theta_count
-    # Marks of one rod are not independent where the rod's clamps are off: what counts is the number of rods.
-    degrees = max(float(fitted.state.used.sum()) - count, 1.0)
+    count, degrees = unknowns.theta_count, degrees_of(best)
     theta = unknowns.theta_at(values)
-    found = {}
-    for name, direction in _directions(unknowns.names, count).items():
-        assumed = name.startswith("twist") and unknowns.rod.twist_unknown  # to be that of a common rod
-        by_profile = profiled and not assumed and not name.startswith(("up", "clip"))
-        # A clip's end is a length, not a logarithm.
-        farthest = 0.0 if assumed else np.inf if name.startswith("clip") else FARTHEST
-        found[name] = (interval(fit, fitted, direction, degrees) if by_profile
-                       else _by_covariance(fitted, direction, degrees, farthest))
+    found = _intervals(best, degrees, 0.0, profiled)
+    for rival in rivals:
+        others = _intervals(rival, degrees, max(rival.behind(best), 0.0), profiled)
+        shifts = _shifts(best, rival)
+        found = {name: one.widened(others[name], shifts[name]) if name in others else one for name, one in found.items()}
     suffix = "/weight" if "weight" in unknowns.names else ""
     return Estimate(
         theta=theta,
@@ -155,7 +170,29 @@ def estimated(fit: Fit, fitted: Fitted, profiled: bool = True) -> Estimate:
                                      found[name + suffix])
                           for name in ("bend", "bend_1", "bend_2", "twist") if name + suffix in found),
         values=values, scales=scales, names=unknowns.names[:count], covariance=fitted.posterior.covariance[:count, :count],
-        degrees=degrees)
+        degrees=degrees, rivals=tuple(one.fit.unknowns.theta_at(one.fitted.state.values) for one in rivals))
+
+
+def _intervals(one: Optimum, degrees: float, behind: float, profiled: bool) -> dict[str, "Interval"]:
+    """The intervals around an optimum whose F is ``behind`` above the least."""
+    unknowns, found = one.fit.unknowns, {}
+    wanted = float(np.sqrt(max(f_distribution.ppf(PROBABILITY, 1, degrees) - behind, 0.0)))
+    for name, direction in _directions(unknowns.names, unknowns.theta_count).items():
+        assumed = name.startswith("twist") and unknowns.rod.twist_unknown  # to be that of a common rod
+        by_profile = profiled and wanted > 0 and not assumed and not name.startswith(("up", "clip"))
+        # A clip's end is a length, not a logarithm.
+        farthest = 0.0 if assumed else np.inf if name.startswith("clip") else FARTHEST
+        found[name] = (interval(one.fit, one.fitted, direction, wanted) if by_profile
+                       else _by_covariance(one.fitted, direction, wanted, farthest))
+    return found
+
+
+def _shifts(best: Optimum, rival: Optimum) -> dict[str, float]:
+    """By how much each combination of unknowns is larger in ``rival``."""
+    values = [{name: float(direction @ one.fit.unknowns.offset(one.fitted.state.values, one.fit.origin))
+               for name, direction in _directions(one.fit.unknowns.names, one.fit.unknowns.theta_count).items()}
+              for one in (best, rival)]
+    return {name: values[1][name] - value for name, value in values[0].items() if name in values[1]}
 
 
 def _directions(names: tuple[str, ...], count: int) -> dict[str, np.ndarray]:
@@ -208,17 +245,23 @@ class Interval:
     high: float | None
     error: float
 
+    def widened(self, other: "Interval", shift: float) -> "Interval":
+        """So that it contains ``other``, around a value that is larger by ``shift``."""
+        low = None if None in (self.low, other.low) else min(self.low, shift + other.low)
+        high = None if None in (self.high, other.high) else max(self.high, shift + other.high)
+        return replace(self, low=low, high=high)
 
-def _by_covariance(fitted: Fitted, direction: np.ndarray, degrees: float, farthest: float) -> Interval:
-    """The interval of ``direction`` (P,) · x by the covariance, open where it reaches ``farthest``."""
+
+def _by_covariance(fitted: Fitted, direction: np.ndarray, wanted: float, farthest: float) -> Interval:
+    """The interval of ``direction`` (P,) · x by the covariance, ``wanted`` standard deviations each way, open where it reaches
+    ``farthest``."""
     error = float(np.sqrt(direction @ fitted.posterior.covariance @ direction))
-    reach = float(np.sqrt(f_distribution.ppf(PROBABILITY, 1, degrees))) * error
+    reach = wanted * error
     return Interval(-reach, reach, error) if reach < farthest else Interval(None, None, error)
 
 
-def interval(fit: Fit, fitted: Fitted, direction: np.ndarray, degrees: float) -> Interval:
-    """The interval of ``direction`` (P,) · x by the profile; ``degrees`` of freedom: n of F(1, n)."""
-    wanted = float(np.sqrt(f_distribution.ppf(PROBABILITY, 1, degrees)))
+def interval(fit: Fit, fitted: Fitted, direction: np.ndarray, wanted: float) -> Interval:
+    """The interval of ``direction`` (P,) · x by the profile: where the root of F's rise becomes ``wanted``."""
     error = float(np.sqrt(direction @ fitted.posterior.covariance @ direction))
     least = fitted.evidence.holding(direction).posterior(fitted.state.scales).value
     fit = replace(fit, rods=fitted.state.used)

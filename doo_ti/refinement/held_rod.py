@@ -23,11 +23,13 @@ from doo_ti.frames import rotation_matrix
 from doo_ti.io.observations import Observations
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.start import choose_hypothesis, fill_missing, held_spins, start_configuration, turn_hypotheses
+from doo_ti.start import choose_hypothesis, fill_missing, held_spins, span_excess, start_configuration, turn_hypotheses
 from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution
 
 POSE = 12
 """Numbers of two poses: rotation of the start clamp, of the end clamp, displacement of the start, of the end; rad and mm."""
+SHORTENED = (1.0, 0.5, 0.25, 0.0)
+"""Shares of the expected length of a clip with which a fit may begin."""
 TWIST = 3
 """Of these that which turns the end about its tangent."""
 
@@ -208,6 +210,17 @@ class HeldRod:
         first = held[0] * (lengths.clip[0] - 0.5 * edge)
         first_slope = held[0] * (np.eye(GEOMETRY)[0] - 0.5 * slope)
         return Mesh(edge, first + edge * np.arange(self.edges + 1), slope, first_slope)
+
+    def clip_in_reach(self, clip: np.ndarray) -> np.ndarray:
+        """(2,) ``clip``, shortened where the clamps of some observations would be further apart than the rod between them is
+        long."""
+        spacing, pose = self.observations.rest_length, np.zeros((self.observations.count, POSE))
+        within = []
+        for share in SHORTENED:
+            lengths = Lengths(share * clip, spacing)
+            free = np.full(self.edges, self.mesh(lengths).edge)
+            within.append(int((span_excess(self.mesh_clamps(lengths, pose), free) <= 0).sum()))
+        return SHORTENED[int(np.argmax(within))] * clip
 
     def mesh_clamps(self, lengths: Lengths, pose: np.ndarray) -> Clamps:
         """The clamps of the mesh, off their reported poses by ``pose`` (D, Q)."""

@@ -62,7 +62,7 @@ def _best_order(fit: Fit, fitted: Fitted, row: int, usual: float) -> Mislabelled
     state, rod = fitted.state, fit.unknowns.rod
     orders, seen = _orders(rod.observations, row)
     kinds = [Clamp(int(np.max(kind))) for kind in (rod.clamps.start, rod.clamps.end)]
-    within = np.flatnonzero(reachable(seen, observation_clamps(seen, *kinds)))
+    within = np.flatnonzero(reachable(seen, observation_clamps(seen, *kinds), rod.exact))
     without_one = np.array([len(orders[order]) == 1 for order in within], dtype=bool)
 
     def begun(rows: np.ndarray):

@@ -23,31 +23,26 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
 from doo_ti.io.observations import Observations
 from doo_ti.refinement.adequacy import Adequacy, Score, adequacy, scores
-from doo_ti.refinement.estimate import Estimate, estimated
-from doo_ti.refinement.fit import Fit, Fitted
+from doo_ti.refinement.estimate import Estimate, estimated, within_reach
 from doo_ti.refinement.held_rod import HeldRod
 from doo_ti.refinement.mislabelled import Mislabelled, mislabelled
 from doo_ti.refinement.priors import Scales, typical_scales
-from doo_ti.refinement.residuals import Comparison, mark_distance
-from doo_ti.refinement.rolls import more_probable, rolled, rolls_chosen_again
-from doo_ti.refinement.turns import from_several_twists, turns_chosen_again
+from doo_ti.refinement.residuals import mark_distance
+from doo_ti.refinement.search import Optimum, searched
 from doo_ti.refinement.unknowns import Theta, Unknowns, Values
 from doo_ti.relaxation.contact_table import require_clear
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.short_repr import short_repr
 from doo_ti.start import start_configuration, turn_hypotheses
-from doo_ti.types import Clamp, Clamps, Configuration, Solution, Status
+from doo_ti.types import Clamps, Configuration, Solution, Status
 
 FEWEST_EDGES, MOST_EDGES = 24, 400
-TRIED_FIRST = 4
-"""Steps from each of several starts; only the best of them is continued."""
 ASYMPTOTIC = 1.0
 """Times the noise: a larger correction of the mesh is not reliable, and the mesh is made twice as fine."""
 CORRECTIONS = 2
-FIRST_TURN = 0.3
-"""rad, the initial rest curvature times the rod's length where the rolls at both ends are free: a straight rod has no preferred
-side, and with a much smaller curvature the side changes with every small change of the unknowns."""
+MARGIN = 10.0
+"""−2 ln of the evidence by which the correction of the mesh may change which optimum is the best."""
 
 
 @typed
@@ -163,12 +158,11 @@ def refine(observations: Observations, clamps: Clamps, theta: Theta | Sequence[T
     left.
     """
     thetas = (theta,) if isinstance(theta, Theta) else tuple(theta)
-    fit, fitted = _fitted(observations, clamps, thetas, options)
-    correction = None
+    best, *others = within_reach(_optima(observations, clamps, thetas, options), MARGIN)
     if options.edges is None:
-        fit, fitted, correction = _corrected(fit, fitted, options)
-    found = scores(fit, fitted) if options.models else ()
-    return _refinement(fit, fitted, options, correction, found)
+        best, *others = (_corrected(one, options) for one in (best, *others))
+    best, *rivals = within_reach([best, *others])
+    return _refinement(best, rivals, options)
 
 
 def unknowns_of(rod: HeldRod, options: RefinementOptions) -> Unknowns:
@@ -177,53 +171,14 @@ def unknowns_of(rod: HeldRod, options: RefinementOptions) -> Unknowns:
     return Unknowns(rod, tuple(options.parameters), options.clip is None, curvature)
 
 
-def _fitted(observations: Observations, clamps: Clamps, thetas: tuple[Theta, ...], options: RefinementOptions):
-    """The fit on its first mesh, from the best of ``thetas``."""
+def _optima(observations: Observations, clamps: Clamps, thetas: tuple[Theta, ...], options: RefinementOptions) -> list[Optimum]:
+    """The optima of the fit on its first mesh, the best first."""
     check(observations, clamps, options)
     edges = options.edges or int(np.clip(2 * observations.edges, FEWEST_EDGES, MOST_EDGES))
     rod = HeldRod(observations, clamps, edges, options.surroundings, options.clamps == "exact")
-    wanted = unknowns_of(rod, options)
-    straight_first = rod.rolled_together and wanted.curvature != "none" and all(one.rest_curvature is None for one in thetas)
-    unknowns = replace(wanted, curvature="none") if straight_first else wanted
-    scales = _scales(unknowns, options)
-    comparison = Comparison.of(unknowns, options.frame_weight > 0)
-    clip = unknowns.clip_prior if options.clip is None else np.full(2, options.clip)
-    tried = []
-    for theta in thetas:
-        values = unknowns.begun(theta, clip)
-        if _rolls_free(rod.held) and len(values.curvature) and not values.curvature.any():
-            values.curvature[:] = [FIRST_TURN / rod.length, 0.0]
-        fit = Fit(comparison, replace(values, theta=unknowns.expected(thetas[0])), options.solver)
-        try:
-            state = fit.begin(values, scales)
-        except InputError as error:
-            if len(thetas) == 1:
-                raise
-            last = error
-            continue
-        tried.append((fit, fit.run(state, TRIED_FIRST if len(thetas) > 1 else options.iterations)))
-    if not tried:
-        raise last
-    fit, fitted = min(tried, key=lambda one: one[1].rank)
-    if rod.turns_unknown and "twist" in unknowns.parameters:
-        fitted = from_several_twists(fit, fitted, scales, TRIED_FIRST, options.iterations)
-        fitted = turns_chosen_again(fit, fitted, options.iterations)
-    elif len(thetas) > 1:
-        fitted = fit.run(fitted.state, options.iterations).after(fitted)
-    if straight_first:
-        straight = fit, fitted
-        fit, states = rolled(fit, fitted, wanted.curvature)
-        begun = min((fit.run(state, TRIED_FIRST) for state in states), key=lambda one: one.rank)
-        begun = fit.run(begun.state, options.iterations).after(begun)
-        fitted = rolls_chosen_again(fit, begun, options.iterations).after(fitted)
-        if options.curvature == "auto":
-            fit, fitted = more_probable(straight, (fit, fitted))
-    return fit, fitted
-
-
-def _rolls_free(clamps: Clamps) -> bool:
-    """Whether no clamp holds the roll of any rod."""
-    return bool(np.all((np.asarray(clamps.start) < Clamp.FRAME) & (np.asarray(clamps.end) < Clamp.FRAME)))
+    unknowns = unknowns_of(rod, options)
+    clip = rod.clip_in_reach(unknowns.clip_prior) if options.clip is None else np.full(2, options.clip)
+    return searched(unknowns, thetas, clip, _scales(unknowns, options), options)
 
 
 def check(observations: Observations, clamps: Clamps, options: RefinementOptions) -> None:
@@ -272,20 +227,21 @@ def _scales(unknowns: Unknowns, options: RefinementOptions) -> Scales:
     return typical_scales(unknowns.rod.length, float(np.median(seen.rest_length)), learned, fixed)
 
 
-def _refinement(fit: Fit, fitted: Fitted, options: RefinementOptions, correction, found: tuple[Score, ...]) -> Refinement:
-    state, rod = fitted.state, fit.unknowns.rod
+def _refinement(best: Optimum, rivals: list[Optimum], options: RefinementOptions) -> Refinement:
+    fit, fitted = best.fit, best.fitted
+    state, rod, correction = fitted.state, fit.unknowns.rod, fit.comparison.correction
     sound = state.solution.converged & state.solution.stable
     lengths = fit.unknowns.lengths(state.values)
-    marks = rod.marks(state.solution, lengths) + fit.comparison.correction
+    marks = rod.marks(state.solution, lengths) + correction
     marks = np.where(sound[:, None, None], marks, np.nan)
     frames = rod.directors(state.solution, lengths) if options.frame_weight > 0 else None
     return Refinement(
-        estimate=estimated(fit, fitted, profiled=options.intervals == "profile"), adequacy=adequacy(fit, fitted), scores=found,
-        marks=marks, mean_squares=fit.mean_squares(state.residuals), distance=mark_distance(marks, rod.observations, frames,
-                                                                                          options.frame_weight),
+        estimate=estimated(best, rivals, profiled=options.intervals == "profile"), adequacy=adequacy(fit, fitted),
+        scores=scores(fit, fitted) if options.models else (), marks=marks, mean_squares=fit.mean_squares(state.residuals),
+        distance=mark_distance(marks, rod.observations, frames, options.frame_weight),
         status=state.solution.status, stable=state.solution.stable, used=state.used, misfits=sound & ~state.used,
         mislabelled=mislabelled(fit, fitted), converged=fitted.converged, steps=fitted.steps, mesh_edges=rod.edges,
-        mesh_error=None if correction is None else _root_mean_square(correction[state.used]))
+        mesh_error=None if np.ndim(correction) == 0 else _root_mean_square(correction[state.used]))
 
 
 def _root_mean_square(values: np.ndarray) -> float:
@@ -295,8 +251,9 @@ def _root_mean_square(values: np.ndarray) -> float:
 # --- the error of the mesh ------------------------------------------------------------------------------------------------
 
 
-def _corrected(fit: Fit, fitted: Fitted, options: RefinementOptions):
+def _corrected(found: Optimum, options: RefinementOptions) -> Optimum:
     """The fit repeated with the correction of its mesh, on a mesh twice as fine where the correction is too large."""
+    fit, fitted = found.fit, found.fitted
     for _ in range(CORRECTIONS):
         values, solution = fitted.state.values, fitted.state.solution
         correction = mesh_correction(fit.unknowns, values, solution, fit.solver)
@@ -311,7 +268,7 @@ def _corrected(fit: Fit, fitted: Fitted, options: RefinementOptions):
             correction = mesh_correction(finer, values, solution, fit.solver)
         fit = replace(fit, comparison=replace(fit.comparison, correction=correction))
         fitted = fit.run(fit.at(values, fitted.state.scales, solution), options.iterations).after(fitted)
-    return fit, fitted, correction
+    return Optimum(fit, fitted)
 
 
 def mesh_correction(unknowns: Unknowns, values: Values, solution: Solution, solver: Newton) -> np.ndarray:

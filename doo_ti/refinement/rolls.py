@@ -1,8 +1,8 @@
 """Where a fit begins whose rods are curved at rest, held by clips whose roll is not known.
 
 A straight round rod does not say how it was rolled, and marks hardly say how far it was twisted. In a rod that is curved at
-rest by κ(s), rolled by φ and twisted by θ more than the straight fit has it, κ lies as κ(s) turned by φ + θ s/L about the tangent of
-the straight rod. To first order the residuals of observation d then change by
+rest by κ(s), rolled by φ and twisted by θ more than the straight fit has it, κ lies as κ(s) turned by φ + θ s/L about the
+tangent of the straight rod. To first order the residuals of observation d then change by
 
     J x + K R(φ_d + θ_d s/L) κ + z θ_d,
 
@@ -41,8 +41,6 @@ APART = 1.0
 """−2 ln of the posterior by which solutions of the linear model differ at least."""
 TRIED = 6
 """Rolls of each observation that are compared under what was learned."""
-AGAIN = 5
-"""Steps of each fit before they are compared, without the rods that count in one alone."""
 
 
 @dataclass(frozen=True)
@@ -192,13 +190,3 @@ def _other_rolls(fit: Fit, values: Values, scales: Scales) -> Iterator[State]:
 def rolls_chosen_again(fit: Fit, fitted: Fitted, steps: int) -> Fitted:
     """``fitted``, continued with the rolls that are most probable under what was learned, as long as that helps."""
     return chosen_again(fit, fitted, steps, lambda state: _other_rolls(fit, state.values, state.scales))
-
-
-def more_probable(straight: tuple[Fit, Fitted], curved: tuple[Fit, Fitted]) -> tuple[Fit, Fitted]:
-    """The curved fit where the evidence of the rods that count in both is for it, else the straight one."""
-    both = straight[1].state.used & curved[1].state.used
-    if not both.any():
-        return straight
-    values = [replace(fit, rods=both).run(replace(fitted.state, used=both), AGAIN).posterior.value
-              for fit, fitted in (straight, curved)]
-    return curved if values[1] < values[0] else straight

@@ -25,21 +25,7 @@ AGAIN = 3
 """How often each observation is chosen once more, as long as that changes any."""
 
 
-def from_several_twists(fit: Fit, fitted: Fitted, scales: Scales, first: int, steps: int) -> Fitted:
-    """The best of ``fitted`` and of fits that begin at its Θ with other twist stiffnesses, each after ``first`` steps; continued
-    for ``steps``, and the same once more from there, as long as that makes it better."""
-    fitted = fit.run(fitted.state, steps).after(fitted)
-    for _ in range(AGAIN):
-        tried = [fit.run(state, first) for state in _twisted(fit, fitted.state.values, scales)]
-        best = min(tried, key=lambda one: one.rank, default=fitted)
-        best = fit.run(best.state, steps).after(best)
-        if best.rank >= fitted.rank:
-            break
-        fitted = best.after(fitted)
-    return fitted
-
-
-def _twisted(fit: Fit, values: Values, scales: Scales) -> Iterator[State]:
+def twisted(fit: Fit, values: Values, scales: Scales) -> Iterator[State]:
     """Rods relaxed from their observations at ``values``, with each of several twist stiffnesses."""
     theta = values.theta
     for ratio in RATIOS:

@@ -1,0 +1,147 @@
+"""The optima of the posterior that a fit reaches from several starts, the best first.
+
+A posterior may have several: of the whole turns of rods between frames, of the rolls of rods that are curved at rest, of
+straight and of curved rods. Which is the best says the evidence; those that it hardly tells apart count in the intervals
+(:mod:`doo_ti.refinement.estimate`).
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from doo_ti.errors import InputError
+from doo_ti.refinement.fit import Fit, Fitted
+from doo_ti.refinement.priors import Scales
+from doo_ti.refinement.residuals import Comparison
+from doo_ti.refinement.rolls import rolled, rolls_chosen_again
+from doo_ti.refinement.turns import AGAIN, turns_chosen_again, twisted
+from doo_ti.refinement.unknowns import Theta, Unknowns
+from doo_ti.types import Clamp, Clamps
+
+if TYPE_CHECKING:
+    from doo_ti.refinement.refine import RefinementOptions
+
+TRIED_FIRST = 4
+"""Steps from each of several starts; only the best of them are continued."""
+NEAR = 30.0
+"""Of these, −2 ln of the evidence above the best up to which others are continued too."""
+SAME = 0.3
+"""Standard errors: fits whose Θ differ by less are one optimum."""
+COMPARED = 5
+"""Steps of each of two fits before they are compared, without the rods that count in one alone."""
+FIRST_TURN = 0.3
+"""rad, the initial rest curvature times the rod's length where the rolls at both ends are free: a straight rod has no preferred
+side, and with a much smaller curvature the side changes with every small change of the unknowns."""
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """Where the fit of one model ended."""
+
+    fit: Fit
+    fitted: Fitted
+
+    def behind(self, best: "Optimum") -> float:
+        """−2 ln of the evidence above that of ``best``, of the rods that count in both; infinite where there are none."""
+        used = self.fitted.state.used, best.fitted.state.used
+        if np.array_equal(*used):
+            return self.fitted.posterior.value - best.fitted.posterior.value
+        both = used[0] & used[1]
+        if not both.any():
+            return np.inf
+        own, other = (replace(one.fit, rods=both).run(replace(one.fitted.state, used=both), COMPARED).posterior.value
+                      for one in (self, best))
+        return own - other
+
+    def like(self, other: "Optimum") -> bool:
+        """Whether Θ is the same."""
+        count = self.fit.unknowns.theta_count
+        apart = (one.fit.unknowns.offset(one.fitted.state.values, one.fit.origin)[:count] for one in (self, other))
+        errors = np.sqrt(np.diag(other.fitted.posterior.covariance)[:count])
+        return bool((np.abs(np.subtract(*apart)) <= SAME * errors).all())
+
+
+def searched(unknowns: Unknowns, thetas: Sequence[Theta], clip: np.ndarray, scales: Scales, options: "RefinementOptions"
+             ) -> list[Optimum]:
+    """The optima that are reached from each of ``thetas`` and ``clip`` (2,), the clips' lengths. Raises InputError where no rod
+    is converged and stable at any Θ."""
+    rod, steps = unknowns.rod, options.iterations
+    straight_first = rod.rolled_together and unknowns.curvature != "none" and all(
+        one.rest_curvature is None for one in thetas)
+    model = replace(unknowns, curvature="none") if straight_first else unknowns
+    found = _from_thetas(Comparison.of(model, options.frame_weight > 0), thetas, clip, scales, options)
+    fit = found[0].fit
+    if rod.turns_unknown and "twist" in model.parameters:
+        found = _from_twists(found, scales, steps)
+        found = _once([Optimum(fit, turns_chosen_again(fit, found[0].fitted, steps)), *found])
+    if straight_first:
+        fit, states = rolled(fit, found[0].fitted, unknowns.curvature)
+        curved = _continued(fit, [fit.run(state, TRIED_FIRST) for state in states], steps)
+        first = rolls_chosen_again(fit, curved[0].fitted, steps).after(found[0].fitted)
+        curved = _once([Optimum(fit, first), *curved])
+        found = _ordered(found[:1], curved) if options.curvature == "auto" else curved
+    return found
+
+
+def _from_thetas(comparison: Comparison, thetas: Sequence[Theta], clip: np.ndarray, scales: Scales,
+                 options: "RefinementOptions") -> list[Optimum]:
+    unknowns, tried = comparison.unknowns, []
+    origin = replace(unknowns.begun(thetas[0], clip), theta=unknowns.expected(thetas[0]))
+    fit = Fit(comparison, origin, options.solver)
+    for theta in thetas:
+        values = unknowns.begun(theta, clip)
+        if _rolls_free(unknowns.rod.held) and len(values.curvature) and not values.curvature.any():
+            values.curvature[:] = [FIRST_TURN / unknowns.rod.length, 0.0]
+        try:
+            tried.append(fit.run(fit.begin(values, scales), TRIED_FIRST if len(thetas) > 1 else options.iterations))
+        except InputError as error:
+            last = error
+    if not tried:
+        raise last
+    if len(tried) == 1 and len(thetas) == 1:
+        return [Optimum(fit, tried[0])]
+    best = min(tried, key=lambda one: one.rank)
+    return [Optimum(fit, fit.run(best.state, options.iterations).after(best))]
+
+
+def _rolls_free(clamps: Clamps) -> bool:
+    """Whether no clamp holds the roll of any rod."""
+    return bool(np.all((np.asarray(clamps.start) < Clamp.FRAME) & (np.asarray(clamps.end) < Clamp.FRAME)))
+
+
+def _from_twists(found: list[Optimum], scales: Scales, steps: int) -> list[Optimum]:
+    """``found`` with what is reached from the Θ of the best with other twist stiffnesses, once more as long as that makes it
+    better."""
+    for _ in range(AGAIN):
+        (fit, best), before = (found[0].fit, found[0].fitted), found
+        tried = [fit.run(state, TRIED_FIRST) for state in twisted(fit, best.state.values, scales)]
+        found = _once(sorted([*found, *_continued(fit, tried, steps)], key=lambda one: one.fitted.rank))
+        if found[0] is before[0]:
+            break
+    return found
+
+
+def _continued(fit: Fit, tried: list[Fitted], steps: int) -> list[Optimum]:
+    """Those of ``tried`` that are near the best, each continued for ``steps``, the best first."""
+    tried, found = sorted(tried, key=lambda one: one.rank), []
+    for one in tried:
+        near = one.state.used.sum() == tried[0].state.used.sum() and one.posterior.value < tried[0].posterior.value + NEAR
+        if near and not any(Optimum(fit, one).like(other) for other in found):
+            found.append(Optimum(fit, fit.run(one.state, steps).after(one)))
+    return _once(sorted(found, key=lambda one: one.fitted.rank))
+
+
+def _once(optima: Iterable[Optimum]) -> list[Optimum]:
+    """Each optimum once."""
+    found: list[Optimum] = []
+    for one in optima:
+        if not any(one.like(other) for other in found):
+            found.append(one)
+    return found
+
+
+def _ordered(straight: list[Optimum], curved: list[Optimum]) -> list[Optimum]:
+    """Both together, the more probable kind first: the curved one where the evidence is for it."""
+    return [*curved, *straight] if curved[0].behind(straight[0]) < 0 else [*straight, *curved]
