@@ -21,7 +21,7 @@ from doo_ti.perception.perceive import PerceptionVerdict, perceive  # noqa: E402
 from doo_ti.types import Material  # noqa: E402
 from doo_ti.vision.cameras.camera import Camera  # noqa: E402
 from doo_ti.vision.cameras.rig import Rig  # noqa: E402
-from doo_ti.vision.detection.detect import Detection  # noqa: E402
+from doo_ti.vision.detection.line import Detection  # noqa: E402
 from doo_ti.vision.reprojection.distance_map import distance_maps  # noqa: E402
 
 LENGTH_MM, EDGES, AWAY_MM, FOCAL_PX, WIDTH, HEIGHT = 100.0, 33, 200.0, 1000.0, 800, 600

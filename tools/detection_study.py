@@ -15,7 +15,7 @@ if not __package__:
 
 from doo_ti.perception.lab_images import lab_rods  # noqa: E402
 from doo_ti.vision.cameras.rig import load_rig  # noqa: E402
-from doo_ti.vision.detection.detect import DetectionOptions  # noqa: E402
+from doo_ti.vision.detection.options import DetectionOptions  # noqa: E402
 from doo_ti.vision.rendering.render import Photographs, RenderOptions  # noqa: E402
 from doo_ti.vision.rendering.tubes import smooth_curve  # noqa: E402
 from tools.replication.specimens import SCENES, scene  # noqa: E402

@@ -22,7 +22,8 @@ from doo_ti.perception.perceive import Perception, PerceptionVerdict, perceive  
 from doo_ti.perception.search import PerceptionOptions, Search  # noqa: E402
 from doo_ti.types import Material  # noqa: E402
 from doo_ti.vision.cameras.rig import Rig, load_rig  # noqa: E402
-from doo_ti.vision.detection.detect import Detection, DetectionOptions  # noqa: E402
+from doo_ti.vision.detection.line import Detection  # noqa: E402
+from doo_ti.vision.detection.options import DetectionOptions  # noqa: E402
 from doo_ti.vision.rendering.render import Photographs, RenderOptions  # noqa: E402
 from doo_ti.vision.rendering.tubes import smooth_curve  # noqa: E402
 from doo_ti.vision.reprojection.distance_map import DistanceMaps, distance_maps  # noqa: E402

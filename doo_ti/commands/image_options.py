@@ -76,7 +76,7 @@ def by_camera(option: str, texts: Iterable[str] | None, names: tuple[str, ...], 
 
 def sight(options: Namespace, sets, method: str = "ridge"):
     """The Sight that :func:`add_thread` describes, of the images in ``sets``."""
-    from doo_ti.vision.detection.detect import DetectionOptions
+    from doo_ti.vision.detection.options import DetectionOptions
     from doo_ti.vision.detection.sight import Sight
 
     colour = None if options.colour is None else tuple(given.numbers("--colour", options.colour))

@@ -23,7 +23,7 @@ from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution
 from doo_ti.vision.cameras.rig import Rig
-from doo_ti.vision.detection.detect import Detection
+from doo_ti.vision.detection.line import Detection
 from doo_ti.vision.detection.paths import Chains, paths_from
 from doo_ti.vision.reprojection.assigned_energy import AssignedPoints
 

@@ -27,7 +27,7 @@ from doo_ti.perception.shape_uncertainty import vertex_sigma
 from doo_ti.prediction.predict import predict_step
 from doo_ti.types import Clamp, Clamps, Configuration, Material, Status
 from doo_ti.vision.cameras.rig import Rig
-from doo_ti.vision.detection.detect import Detection
+from doo_ti.vision.detection.line import Detection
 from doo_ti.vision.reprojection.distance_map import distance_maps
 from doo_ti.vision.reprojection.score import score
 

@@ -12,7 +12,7 @@ from doo_ti.perception.search import PerceptionOptions
 from doo_ti.perception.traced import traced
 from doo_ti.types import Material
 from doo_ti.vision.cameras.rig import Rig
-from doo_ti.vision.detection.detect import Detection
+from doo_ti.vision.detection.line import Detection
 from doo_ti.vision.reprojection.coverage import coverage
 
 EDGES = 120

@@ -13,8 +13,9 @@ from doo_ti.perception.perceive import Perception, PerceptionOptions, Perception
 from doo_ti.perception.shape_uncertainty import bending_hessian, point_sigma, vertex_sigma
 from doo_ti.types import Status
 from doo_ti.vision.cameras.rig import Rig, load_rig
-from doo_ti.vision.detection.detect import Detection, detect
+from doo_ti.vision.detection.detect import detect
 from doo_ti.vision.detection.images import load_sets, read_image
+from doo_ti.vision.detection.line import Detection
 from doo_ti.vision.rendering.render import render_set
 from doo_ti.vision.rendering.tubes import smooth_curve
 from doo_ti.vision.reprojection.distance_map import DistanceMaps, distance_maps

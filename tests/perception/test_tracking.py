@@ -13,7 +13,8 @@ from doo_ti.perception.perceive import perceive
 from doo_ti.perception.search import PerceptionOptions, Search
 from doo_ti.perception.tracking import How, Tracker, TrackingOptions
 from doo_ti.types import Status
-from doo_ti.vision.detection.detect import Detection, detect
+from doo_ti.vision.detection.detect import detect
+from doo_ti.vision.detection.line import Detection
 from doo_ti.vision.reprojection.distance_map import distance_maps
 from tests.perception.videos import FRAMES, MATERIAL, REST_LENGTH, far_motion, images, photographed, rods
 from tests.vision.drawn_maps import curves, three_cameras

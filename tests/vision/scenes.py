@@ -5,7 +5,7 @@ import numpy as np
 
 from doo_ti.vision.cameras.camera import Camera
 from doo_ti.vision.cameras.rig import Rig
-from doo_ti.vision.detection.detect import Detection
+from doo_ti.vision.detection.line import Detection
 
 
 def small_rig(count: int = 2) -> Rig:

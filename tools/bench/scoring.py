@@ -19,7 +19,7 @@ from doo_ti.bench.cases import Case, Outcome  # noqa: E402
 from doo_ti.frames import bishop_frames, quaternion_from_matrix  # noqa: E402
 from doo_ti.vision.cameras.camera import Camera  # noqa: E402
 from doo_ti.vision.cameras.rig import Rig  # noqa: E402
-from doo_ti.vision.detection.detect import Detection  # noqa: E402
+from doo_ti.vision.detection.line import Detection  # noqa: E402
 from doo_ti.vision.reprojection.distance_map import distance_maps  # noqa: E402
 from doo_ti.vision.reprojection.image_energy import Reprojection  # noqa: E402
 from doo_ti.vision.reprojection.score import score  # noqa: E402

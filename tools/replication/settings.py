@@ -7,7 +7,7 @@ import numpy as np
 from doo_ti.learning.experiment import SweepOptions
 from doo_ti.perception.search import PerceptionOptions
 from doo_ti.relaxation.newton import Newton
-from doo_ti.vision.detection.detect import DetectionOptions
+from doo_ti.vision.detection.options import DetectionOptions
 
 NU = PerceptionOptions().nu
 AS_THE_PAPER = PerceptionOptions(

@@ -12,7 +12,9 @@ from doo_ti.frames import bishop_frames, quaternion_from_matrix
 from doo_ti.perception.perceive import Perception
 from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search
 from doo_ti.vision.cameras.rig import Rig
-from doo_ti.vision.detection.detect import Detection, DetectionOptions, detect
+from doo_ti.vision.detection.detect import detect
+from doo_ti.vision.detection.line import Detection
+from doo_ti.vision.detection.options import DetectionOptions
 from doo_ti.vision.rendering.render import Photographs
 from doo_ti.vision.reprojection.coverage import coverage
 from doo_ti.vision.reprojection.distance_map import DistanceMaps

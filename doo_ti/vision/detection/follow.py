@@ -19,7 +19,8 @@ import numpy as np
 from doo_ti.arguments import typed
 from doo_ti.errors import InputError
 from doo_ti.vision.detection.colour import TOLERANCE, as_colour, lab, likeness, likeness_table
-from doo_ti.vision.detection.detect import Detection, DetectionOptions, check_image, cropped, moved
+from doo_ti.vision.detection.line import Detection, moved
+from doo_ti.vision.detection.options import DetectionOptions, check_image, cropped
 from doo_ti.vision.detection.ridge import Curvature
 
 REACH_PX = 4.0

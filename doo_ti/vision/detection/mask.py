@@ -12,7 +12,8 @@ import numpy as np
 
 from doo_ti.arguments import typed
 from doo_ti.errors import InputError
-from doo_ti.vision.detection.detect import Detection, DetectionOptions, cropped, in_whole_pixels, moved
+from doo_ti.vision.detection.line import Detection, in_whole_pixels, moved
+from doo_ti.vision.detection.options import DetectionOptions, cropped
 from doo_ti.vision.detection.ridge import REACH_PX, Curvature, pieces
 
 SIGMA = 1.0

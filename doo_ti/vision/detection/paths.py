@@ -14,22 +14,15 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from doo_ti.vision.detection.detect import Detection, thinned
+from doo_ti.vision.detection.chains import NEXT_PX, SHORTEST_PX, chain_length, chains_of, outward
+from doo_ti.vision.detection.line import Detection
 
-NEXT_PX = 2.6
-"""Largest distance between points that follow each other."""
-SLOPE, BEND = 0.6, 0.77
-"""Of two points that follow each other: largest share of the step across the direction of either, least cosine between both."""
-SHORTEST_PX = 4.0
-"""Chains that are shorter are noise."""
 WIDEST_GAP = 0.3
 """Of the image's height: the longest gap that a path crosses."""
 FORWARD = 0.64
 """Least cosine between the direction of an end and the way to the next."""
 TURNING = 2.0
 """Cost in lengths of a gap for each rad that the thread would turn in it."""
-END_PX = 8.0
-"""Length of the end of a chain whose direction counts."""
 CORNER_PX = 8.0
 """Ends this near to each other are joined whatever their directions: a thread that comes towards the camera and goes back has a
 corner in the image."""
@@ -109,7 +102,7 @@ class Chains:
     @classmethod
     def of(cls, detection: Detection) -> "Chains":
         """Those of a detection."""
-        chains = _divided(_chains(detection))
+        chains = _divided(chains_of(detection))
         return cls(chains, _joints(chains, WIDEST_GAP * detection.shape[0]) if chains else {})
 
     @property
@@ -130,10 +123,10 @@ def paths_from(line: Chains, start: np.ndarray, direction: np.ndarray | None, mo
     place = np.concatenate([np.arange(len(points)) for points in chains])
     nearest = int(np.argmin(np.linalg.norm(ends - start, axis=1)))
     first, at = int(chain[nearest]), int(place[nearest])
-    found, whole = [], sum(_length(points) for points in chains)
+    found, whole = [], sum(chain_length(points) for points in chains)
     for way in (0, 1):
         rest = chains[first][at:] if way else chains[first][: at + 1][::-1]
-        turn = 0.0 if direction is None or len(rest) < 2 else _angle(-_outward(rest, 0), direction)
+        turn = 0.0 if direction is None or len(rest) < 2 else _angle(-outward(rest, 0), direction)
         found += _searched(chains, joints, first, rest, way, AGAINST * (turn / np.pi) ** 2 * whole)
     found.sort(key=lambda one: -one[0])
     kept: list[ImagePath] = []
@@ -149,57 +142,20 @@ def paths_from(line: Chains, start: np.ndarray, direction: np.ndarray | None, mo
 # --- chains ---------------------------------------------------------------------------------------------------------------
 
 
-def _chains(detection: Detection) -> list[np.ndarray]:
-    """(M, 2) px each: points that follow each other."""
-    points, direction = thinned(detection)
-    if len(points) < 2:
-        return []
-    pairs = cKDTree(points).query_pairs(NEXT_PX, output_type="ndarray")
-    pairs = np.concatenate([pairs, pairs[:, ::-1]])
-    one, other = pairs.T
-    step = points[other] - points[one]
-    length = np.linalg.norm(step, axis=1)
-    forward = (step * direction[one]).sum(axis=1)
-    turned = np.abs((direction[one] * direction[other]).sum(axis=1))
-    aside = np.maximum(np.abs(_cross(step, direction[one])), np.abs(_cross(step, direction[other])))
-    fits = (aside <= SLOPE * length) & (turned >= BEND) & (length > 0.3)
-    one, other, forward, length, aside = (values[fits] for values in (one, other, forward, length, aside))
-    way = (forward > 0).astype(int)
-    best = np.full((len(points), 2), -1)
-    order = np.lexsort((other, length + 2 * aside, way, one))
-    keys = 2 * one[order] + way[order]
-    leading = order[np.flatnonzero(np.diff(keys, prepend=-1))]
-    best[one[leading], way[leading]] = other[leading]
-    mutual = np.array([[k if k >= 0 and i in best[k] else -1 for k in row] for i, row in enumerate(best)])
-    chains, left = [], np.ones(len(points), dtype=bool)
-    ends = np.flatnonzero((mutual >= 0).sum(axis=1) == 1)
-    for begin in [*ends, *np.flatnonzero((mutual >= 0).all(axis=1))]:  # ends first, then closed chains
-        if not left[begin]:
-            continue
-        order, here = [], int(begin)
-        while here >= 0 and left[here]:
-            order.append(here)
-            left[here] = False
-            here = next((int(k) for k in mutual[here] if k >= 0 and left[k]), -1)
-        if len(order) > 2 and _length(points[order]) >= SHORTEST_PX:
-            chains.append(points[order])
-    return chains
-
-
 def _divided(chains: list[np.ndarray]) -> list[np.ndarray]:
     """The chains, divided where an end of another one meets their inside."""
     cuts = [set() for _ in chains]
     trees = [cKDTree(chain) for chain in chains]
     for c, chain in enumerate(chains):
         for way in (0, 1):
-            end, out = chain[-1 if way else 0], _outward(chain, way)
+            end, out = chain[-1 if way else 0], outward(chain, way)
             for other, tree in enumerate(trees):
                 if other == c:
                     continue
                 near = [k for k in tree.query_ball_point(end, BESIDE_PX) if (chains[other][k] - end) @ out > 0]
                 if near:
                     k = min(near, key=lambda k: np.linalg.norm(chains[other][k] - end))
-                    if min(_length(chains[other][: k + 1]), _length(chains[other][k:])) > SHORTEST_PX:
+                    if min(chain_length(chains[other][: k + 1]), chain_length(chains[other][k:])) > SHORTEST_PX:
                         cuts[other].add(k)
     _cross_cuts(chains, cuts)
     return [part for chain, at in zip(chains, cuts, strict=True) for part in np.split(chain, sorted(at)) if len(part)]
@@ -222,7 +178,7 @@ def _joints(chains: list[np.ndarray], gap: float) -> dict[tuple[int, int], list[
     """As :class:`Chains` has them, across gaps of up to ``gap`` px."""
     ends = [(c, way) for c in range(len(chains)) for way in (0, 1)]
     places = np.array([chains[c][-1 if way else 0] for c, way in ends])
-    out = np.array([_outward(chains[c], way) for c, way in ends])
+    out = np.array([outward(chains[c], way) for c, way in ends])
     found = {}
     for k, (c, way) in enumerate(ends):
         step = places - places[k]
@@ -240,7 +196,7 @@ def _joints(chains: list[np.ndarray], gap: float) -> dict[tuple[int, int], list[
 
 def _searched(chains, joints, first: int, begin: np.ndarray, way: int, cost: float) -> list:
     """(score, pieces, cost) of the paths that begin with the part ``begin`` of chain ``first``."""
-    waiting, found = [(cost - _length(begin), 0, (first,), way, [begin], cost)], []
+    waiting, found = [(cost - chain_length(begin), 0, (first,), way, [begin], cost)], []
     tried = 0
     while waiting and tried < MOST_TRIED:
         score, _, used, way, pieces, cost = heapq.heappop(waiting)
@@ -249,7 +205,7 @@ def _searched(chains, joints, first: int, begin: np.ndarray, way: int, cost: flo
         found.append((-score, pieces, cost))
         for extra, chain, follow in on:
             piece = chains[chain] if follow else chains[chain][::-1]
-            gain = _length(piece) - extra
+            gain = chain_length(piece) - extra
             heapq.heappush(waiting, (score - gain, tried * 10 + len(waiting), (*used, chain), follow, [*pieces, piece],
                                      cost + extra))
     return found
@@ -272,16 +228,7 @@ def _resampled(pieces: list[np.ndarray], cost: float, whole: float) -> ImagePath
         if arc[k] - arc[k - 1] > NEXT_PX:
             seen &= ~((place > arc[k - 1]) & (place < arc[k]))
     return ImagePath(np.stack([np.interp(place, arc, column) for column in points.T], axis=1), seen, cost,
-                     min(1.0, sum(_length(piece) for piece in pieces) / whole))
-
-
-def _outward(chain: np.ndarray, way: int) -> np.ndarray:
-    """(2,) unit direction in which a chain ends."""
-    points = chain if way else chain[::-1]
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points[::-1], axis=0), axis=1))])
-    back = points[::-1][min(np.searchsorted(arc, END_PX), len(points) - 1)]
-    out = points[-1] - back
-    return out / max(np.linalg.norm(out), 1e-12)
+                     min(1.0, sum(chain_length(piece) for piece in pieces) / whole))
 
 
 def _smoothed(points: np.ndarray, width: int = 5) -> np.ndarray:
@@ -293,11 +240,3 @@ def _smoothed(points: np.ndarray, width: int = 5) -> np.ndarray:
 def _angle(a: np.ndarray, b: np.ndarray) -> float:
     """rad between two directions."""
     return float(np.arccos(np.clip(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-12), -1.0, 1.0)))
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-
-
-def _length(points: np.ndarray) -> float:
-    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())

@@ -5,9 +5,11 @@ from pathlib import Path
 
 from doo_ti.errors import InputError
 from doo_ti.vision.cameras.camera import Camera
-from doo_ti.vision.detection.detect import Detection, DetectionOptions, detect
+from doo_ti.vision.detection.detect import detect
 from doo_ti.vision.detection.images import read_image, read_mask
+from doo_ti.vision.detection.line import Detection
 from doo_ti.vision.detection.mask import detect_mask
+from doo_ti.vision.detection.options import DetectionOptions
 
 
 @dataclass(frozen=True)

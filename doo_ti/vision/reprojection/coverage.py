@@ -15,7 +15,7 @@ import taichi as ti
 
 from doo_ti import runtime
 from doo_ti.vision.cameras.rig import Rig
-from doo_ti.vision.detection.detect import Detection, thinned
+from doo_ti.vision.detection.line import Detection, thinned
 
 NEAR_PX = 3.0
 """A detected point this near to the rod's image is explained."""

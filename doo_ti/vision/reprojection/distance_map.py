@@ -18,7 +18,7 @@ from doo_ti import runtime
 from doo_ti.arguments import typed
 from doo_ti.errors import InputError
 from doo_ti.short_repr import short_repr
-from doo_ti.vision.detection.detect import Detection
+from doo_ti.vision.detection.line import Detection
 
 HALF_LENGTH_PX = 0.5
 """Half the length of a piece, and half the largest spacing of points along the line."""

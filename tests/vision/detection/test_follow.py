@@ -6,9 +6,10 @@ import pytest
 from scipy.spatial import cKDTree
 
 from doo_ti.errors import InputError
-from doo_ti.vision.detection.detect import DetectionOptions, detect
+from doo_ti.vision.detection.detect import detect
 from doo_ti.vision.detection.follow import follow
 from doo_ti.vision.detection.mask import detect_mask
+from doo_ti.vision.detection.options import DetectionOptions
 
 SIZE = 400, 600
 GREEN, YELLOW, RED = (60, 120, 40), (70, 210, 230), (50, 40, 200)

@@ -8,8 +8,8 @@ import pytest
 
 from doo_ti.errors import InputError
 from doo_ti.vision.cameras.camera import Camera
-from doo_ti.vision.detection.detect import DetectionOptions
 from doo_ti.vision.detection.images import orientation_tags, read_image, read_mask
+from doo_ti.vision.detection.options import DetectionOptions
 from doo_ti.vision.detection.sight import Sight
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.vision.detection.detect import Detection
+from doo_ti.vision.detection.line import Detection
 from doo_ti.vision.detection.paths import Chains, paths_from
 
 SHAPE = (480, 640)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from doo_ti.errors import InputError
-from doo_ti.vision.detection.detect import Detection, detect
+from doo_ti.vision.detection.detect import detect
+from doo_ti.vision.detection.line import Detection
 from doo_ti.vision.rendering.render import RenderOptions, render_set
 from doo_ti.vision.rendering.tubes import smooth_curve
 from doo_ti.vision.reprojection.distance_map import NEAR_PX, distance_maps
