@@ -12,6 +12,7 @@ import numpy as np
 from doo_ti.arguments import typed
 from doo_ti.vision.detection.appearance import BAR, SURE, Appearance, appearance, of_a_thread
 from doo_ti.vision.detection.canny import canny_line
+from doo_ti.vision.detection.continued import continued
 from doo_ti.vision.detection.colour import as_colour, lab, likeness, likeness_table
 from doo_ti.vision.detection.line import Detection, in_whole_pixels, moved
 from doo_ti.vision.detection.options import DetectionOptions, check_image, cropped
@@ -74,7 +75,7 @@ def _line(image: np.ndarray, look: Appearance, options: DetectionOptions) -> tup
 
 def _ridge_line(image: np.ndarray, look: Appearance, least_contrast: float, shortest_px: float) -> tuple[np.ndarray, ...]:
     """(N, 2) points, (N, 2) directions and (N,) strengths: ridges at the thread's width, each moved to the middle between the
-    two edges."""
+    two edges, and what goes on from their ends."""
     curvature = Curvature(image, max(SMALLEST_SIGMA, SIGMA_PER_WIDTH * look.width_px))
     certain = max(SURE * curvature.noise(), BAR * least_contrast)
     ridges = curvature.ridges(look.polarity, certain / 2)
@@ -87,8 +88,7 @@ def _ridge_line(image: np.ndarray, look: Appearance, least_contrast: float, shor
     piece = pieces(ridges, max(certain, STRONG * typical), max(shortest_px, look.width_px))
     kept = np.flatnonzero(piece)
     kept = kept[_alike(piece[kept], width[kept], ridges.strength[kept])]
-    ridges = ridges[kept]
-    return ridges.point, ridges.tangent, ridges.strength
+    return continued(image, look, ridges[kept])
 
 
 def _alike(piece: np.ndarray, width: np.ndarray, strength: np.ndarray) -> np.ndarray:
