@@ -27,6 +27,8 @@ LEAST_SIGMA_MM = 1e-3
 """Stated for vertices that the seed gives: no observation is exact."""
 LEFT_OVER = 0.02
 """Share of the rod's length; less is not mentioned."""
+OUTSIDE = 0.01
+"""Share of the thread outside the other images that is worth saying."""
 MOST_LISTED = 60
 
 
@@ -78,8 +80,9 @@ def run(options: Namespace, words: list[str]) -> int:
             given.refuse_overwriting(path, source)
     with progress() as bar:
         detected = _detected(task, bar)
-        task = _begun(task, detected)
+        task, length_range = _begun(task, detected)
         found, growth = _perceived(task, detected, bar)
+        found = replace(found, length_range=np.broadcast_to(length_range, (task.sets.count, 2)))
     save_arrays(out, _arrays(task, found))
     written = [out, *_shown(options, task, detected, found, growth, out)]
     summary = _summary(task, detected, found, written)
@@ -111,11 +114,12 @@ def _detected(task: PerceptionTask, bar) -> list[list]:
     return [detections[row : row + len(cameras)] for row in range(0, len(images), len(cameras))]
 
 
-def _begun(task: PerceptionTask, detected: list[list]) -> PerceptionTask:
-    """The task with seeds and rest lengths that are not given found in the images. Raises InputError where none are."""
-    sets = task.sets
+def _begun(task: PerceptionTask, detected: list[list]) -> tuple[PerceptionTask, np.ndarray]:
+    """The task with seeds and rest lengths that are not given found in the images, and (2,) mm between which the length is, NaN
+    where it is given. Raises InputError where none are found."""
+    sets, length_range = task.sets, np.full(2, np.nan)
     if task.rest_length is not None and sets.direction is not None:
-        return task
+        return task, length_range
     from doo_ti.perception.seeds import seed_from_pixels
     from doo_ti.perception.whole_thread import whole_threads
 
@@ -129,8 +133,12 @@ def _begun(task: PerceptionTask, detected: list[list]) -> PerceptionTask:
                          "give another seed, or --rest-length and a seed with a direction")
     rest_length = task.rest_length
     if rest_length is None:  # one rod in all sets
-        rest_length = task.extent.rest_length(float(np.nanmedian(threads.length)))
-    return replace(task, sets=replace(sets, direction=threads.direction), rest_length=rest_length)
+        middle = float(np.nanmedian(threads.length))
+        rest_length = task.extent.rest_length(middle)
+        # Of several sets the median is as much more certain as they are many.
+        apart = (np.nanmedian(threads.range, axis=0) - middle) / np.sqrt(np.isfinite(threads.length).sum())
+        length_range = np.clip(middle + apart, task.extent.least, task.extent.most)
+    return replace(task, sets=replace(sets, direction=threads.direction), rest_length=rest_length), length_range
 
 
 def _perceived(task: PerceptionTask, detected: list[list], bar):
@@ -169,7 +177,7 @@ def _arrays(task: PerceptionTask, found) -> dict[str, np.ndarray]:
         "sigma_mm": np.where(sound, np.maximum(_sigma(task, found), LEAST_SIGMA_MM), np.nan),
         "energy_vis": found.energy_vis, "status": found.status, "stable": found.stable,
         "camera_error_px": found.camera_error, "coverage": found.coverage, "thread_length_mm": found.thread_length,
-        "left_over_mm": found.left_over, "verdict": found.verdict, "gap_px": found.gap, "unsupported": found.unsupported,
+        "left_over_mm": found.left_over, "length_range_mm": found.length_range, "outside": found.outside, "verdict": found.verdict, "gap_px": found.gap, "unsupported": found.unsupported,
         "runner_up_mm": found.runner_up, "runner_up_energy_vis": found.runner_up_energy,
     }
 
@@ -241,6 +249,7 @@ def _summary(task: PerceptionTask, detected: list[list], found, written: list[Pa
         "energy_vis": found.energy_vis[row], "camera_error_px": found.camera_error[row], "gap_px": found.gap[row],
         "verdict": _word(found.verdict[row]), "unsupported_edges": found.unsupported[row].sum(),
         "coverage": found.coverage[row], "thread_length_mm": found.thread_length[row], "left_over_mm": found.left_over[row],
+        "length_range_mm": found.length_range[row], "outside": found.outside[row],
         "unsupported_mm": task.rest_length[found.unsupported[row]].sum(),
         "mean_sigma_mm": found.sigma[row].mean() if found.sound[row] else None, **_errors(task, found, row),
     } for row, name in enumerate(task.sets.names)]
@@ -308,6 +317,10 @@ def _set_text(entry: dict) -> str:
              "σ unknown" if entry["mean_sigma_mm"] is None else f"σ {entry['mean_sigma_mm']:.2g} mm"]
     if np.isfinite(entry["coverage"]).all():
         parts.append(f"explains {100 * min(entry['coverage']):.0f} % of the thread")
+    if max(entry["outside"]) > OUTSIDE:
+        parts.append(f"{100 * max(entry['outside']):.0f} % of the thread outside the other images, not seen there")
+    if np.isfinite(entry["length_range_mm"]).all():
+        parts.append("length found, {:.4g} to {:.4g} mm".format(*entry["length_range_mm"]))
     if np.isfinite(entry["thread_length_mm"]):
         parts.append(f"the thread is {entry['thread_length_mm']:.4g} mm long")
     if entry["left_over_mm"] > LEFT_OVER * entry["length_mm"]:

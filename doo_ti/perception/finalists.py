@@ -12,11 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from doo_ti.perception.evidence import evidence
 from doo_ti.perception.growth import Hypotheses
 from doo_ti.perception.search import Search
 from doo_ti.perception.traced import traced
-from doo_ti.types import Configuration, Material, Status
-from doo_ti.vision.reprojection.coverage import coverage
+from doo_ti.types import Configuration, Status
+from doo_ti.vision.reprojection.coverage import Coverage, coverage
 from doo_ti.vision.reprojection.score import score
 
 CONVINCING, CLOSE_PX = 0.98, 0.5
@@ -78,13 +79,10 @@ def _with_traced(search: Search, grown: Finalists, sets: np.ndarray) -> Finalist
     if rods is None:
         return grown
     of_set, one = sets[rods.of_set], rods.solution.configuration
-    found, energies = {}, {}
-    for name, rod in (("known", one), ("whole", rods.whole)):
-        found[name] = coverage(search.rig, rod.vertices, rods.of_set, detections, search.options.cap)
-        energies[name] = _energy_vis(search, rod, of_set) + search.options.nu * found[name].error.sum(axis=1)
-    # A rod shorter than the thread, or longer, is as good as the whole thread that it is part of.
-    energy, found = np.where(rods.together, energies["known"], energies["whole"]), found["known"]
-    energy = np.where(np.isfinite(energy), energy, np.inf)
+    energy, found = _evidence(search, one, of_set)
+    if not rods.together.all():  # a rod shorter than the thread, or longer, is as good as the whole thread that it is part of
+        part = np.flatnonzero(~rods.together)
+        energy[part] = _evidence(search, rods.whole.take(part), of_set[part])[0]
     parts = grown, Finalists(of_set, Configuration(one.start, one.quaternions, fine), energy,
                              rods.solution.status, (rods.solution.status == Status.CONVERGED) & rods.solution.stable,
                              found.share, found.line, rods.thread)
@@ -108,13 +106,8 @@ def _angle(search: Search, rods: Configuration) -> np.ndarray:
     return np.arccos(np.clip(np.einsum("rci,rdi->rcd", sight, sight).min(axis=(1, 2)), -1.0, 1.0))
 
 
-def _energy_vis(search: Search, rods: Configuration, of_set: np.ndarray) -> np.ndarray:
-    """(R,) E/B + ν Σ E_proj of rods, 1/mm; of a material that is not round that of a round one as stiff."""
-    weight = search.material.weight[0]
-    round_one = Material(search.scale, search.scale, weight)
-    found = score(rods.vertices, search.maps, of_set, search.rig, search.options.nu * search.scale, round_one,
-                  points=search.piece_points, cap=search.options.cap, up=search.up)
-    return found.total / search.scale
+def _evidence(search: Search, rods: Configuration, of_set: np.ndarray) -> tuple[np.ndarray, Coverage]:
+    return evidence(search.rig, search.maps, rods, of_set, search.material, search.up, search.options, search.piece_points)
 
 
 def left_over(final: Finalists, best: np.ndarray, image_length: np.ndarray, length: float) -> np.ndarray:

@@ -40,6 +40,7 @@ from doo_ti.perception.traced import SAME_LENGTH
 from doo_ti.short_repr import short_repr
 from doo_ti.types import LARGEST, Configuration, Material, Status, unit_up
 from doo_ti.vision.cameras.rig import Rig
+from doo_ti.vision.reprojection.coverage import outside_others
 from doo_ti.vision.reprojection.distance_map import DistanceMaps
 from doo_ti.vision.reprojection.score import score
 
@@ -50,6 +51,9 @@ FITTING_PX = 1.0
 """Bound of the distance to the detection; with more in any camera, much of the thread or something else was detected."""
 COVERED, CERTAIN_MM = 0.95, 1.0
 """Bounds of the share of the detected line that a rod explains, in every camera, and of the uncertainty of its vertices."""
+CERTAIN_LENGTH = 0.02
+"""Bound of the uncertainty of a length that was found, as a share of it. A rod that is too long by that may be off the thread along
+the line of sight by some hundredths of its length."""
 LOST_PX = 3.0
 """Bound of the largest distance where no two cameras fit: a rod that is farther off is not the thread in the images."""
 
@@ -93,11 +97,15 @@ class Perception:
                       infinite without one, negative where a rod that is no certified minimum scores better than this one
     edge_error        (A, C, E) px: mean distance to the detection along each edge of the best rod
     unsupported       (A, E) bool: edges that are far from the detection in all cameras
-    coverage          (A, C) share of the line detected in each camera that the rod explains; NaN where detections are unknown
+    coverage          (A, C) share of the line detected in each camera that the rod explains, of what lies in two images; NaN
+                      where detections are unknown
+    outside           (A, C) share of the line detected in each camera that lies outside all other images: no rod is there
     thread_length     (A,) mm from the seed to where the thread ends in the images; NaN where rods were not traced. With rods of
                       another length, the best is part of the thread, or goes on beyond it
     left_over         (A,) mm of thread that the rod does not explain: beyond its end or, where rods were not traced, in the
                       camera where that is most
+    length_range      (A, 2) mm: the shortest and the longest thread that explains the images as well; NaN where the length was
+                      stated
     """
 
     vertices: np.ndarray
@@ -113,8 +121,10 @@ class Perception:
     edge_error: np.ndarray
     unsupported: np.ndarray
     coverage: np.ndarray
+    outside: np.ndarray
     thread_length: np.ndarray
     left_over: np.ndarray
+    length_range: np.ndarray
 
     @property
     def sound(self) -> np.ndarray:
@@ -129,6 +139,7 @@ class Perception:
         length = self.configuration.rest_length.sum(axis=-1)
         clear &= self.camera_error.shape[1] > 1  # one camera does not see depth
         clear &= ~(np.abs(self.thread_length / length - 1) > SAME_LENGTH)
+        clear &= ~(np.ptp(self.length_range, axis=1) > 2 * CERTAIN_LENGTH * length)
         # A camera that does not see the rod counts as far off. Two cameras determine a rod: others may be occluded.
         error = np.sort(np.where(np.isfinite(self.camera_error), self.camera_error, np.inf), axis=1)
         lost = (error[:, min(2, error.shape[1]) - 1] > FITTING_PX) & (error[:, -1] > LOST_PX)
@@ -242,6 +253,8 @@ def _result(search: Search, kept: Hypotheses) -> Perception:
         edge_error, image_length = _reprojected(search, rods.vertices)
         worse = runner_up_energy.min(axis=1, initial=np.inf) - final.energy_vis[best]
         sigma = vertex_sigma(search.rig, marks[best], options.sigma_px, options.correlation_px)
+    both = search.maps.detections is not None and options.evidence == "both"
+    outside = outside_others(search.rig, rods.vertices, search.maps.detections) if both else np.zeros(image_length.shape[:2])
     return Perception(
         vertices=marks[best],
         configuration=rods,
@@ -256,9 +269,11 @@ def _result(search: Search, kept: Hypotheses) -> Perception:
         gap=worse / (options.nu * image_length.sum(axis=(1, 2))),
         edge_error=edge_error,
         unsupported=(edge_error > options.unsupported).all(axis=1),
-        coverage=final.coverage[best],
+        coverage=final.coverage[best] / (1 - outside),
+        outside=outside,
         thread_length=final.thread[best],
         left_over=left_over(final, best, image_length.sum(axis=2), search.rest_length.sum()),
+        length_range=np.full((len(best), 2), np.nan),
     )
 
 

@@ -13,12 +13,12 @@ Axes: A image sets, R rods of all sets, C cameras, N edges of a rod, K places al
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from doo_ti.frames import across, bishop_frames, quaternion_from_matrix
-from doo_ti.perception.matching import best_matches, curve_of
+from doo_ti.perception.matching import Match, best_matches, curve_of
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution
@@ -36,8 +36,8 @@ NU_BACK = 0.03
 """ν of E_back, 1/(mm px³)."""
 PLACES = 2
 """Places along an edge that are assigned to the paths."""
-ROUNDS, FREE_ROUNDS = 6, 3
-"""Relaxations, and the first of them, after which a rod of known length may still change its length."""
+FREE_ROUNDS, FIXED_ROUNDS = 4, 2
+"""Relaxations of rods whose length is free, and of those whose length is given."""
 STEPS, NEAREST_PX = 3, 6.0
 """Steps along a path to the point nearest to a place's image, and the longest of them."""
 AHEAD_MM = 1e-3
@@ -68,13 +68,24 @@ class TracedRods:
 
 
 def traced(rig: Rig, detections: Sequence[Sequence[Detection]], point: np.ndarray, direction: np.ndarray | None,
-           shares: np.ndarray, material: Material, up: np.ndarray, length: float | None = None) -> TracedRods | None:
-    """Rods along paths from the seeds on; None where no set has any.
+           shares: np.ndarray, material: Material, up: np.ndarray, length: float) -> TracedRods | None:
+    """Rods of ``length`` mm along paths from the seeds on; None where no set has any. Other arguments: :func:`whole_rods`."""
+    tracing, rods = whole_rods(rig, detections, point, direction, shares, material, up)
+    if rods is None:
+        return None
+    thread, whole, together = rods.length, rods.solution.configuration, np.abs(rods.length / length - 1) < SAME_LENGTH
+    cut = rods.cut(shares, np.where(together, 1.0, length / rods.length), np.full(len(thread), length))
+    solution = tracing.relaxed(cut, together).solution
+    return TracedRods(tracing.of_set, solution, solution.energy / tracing.stiffness, thread, whole, together)
+
+
+def whole_rods(rig: Rig, detections: Sequence[Sequence[Detection]], point: np.ndarray, direction: np.ndarray | None,
+               shares: np.ndarray, material: Material, up: np.ndarray) -> tuple["Tracing", "TracedShapes | None"]:
+    """Rods along paths from the seeds on, that end where these end; None where no set has any.
 
     point      (A, 3) mm
     direction  (A, 3) unit vectors, or None: unknown
     shares     (N,) of the rod's length that its edges have
-    length     of the rods, mm; None: unknown
     """
     of_set, begun, matches = [], [], []
     for row, images in enumerate(detections):
@@ -83,13 +94,14 @@ def traced(rig: Rig, detections: Sequence[Sequence[Detection]], point: np.ndarra
             for smooth in SMOOTHNESS:
                 curve, arcs = curve_of(rig, match, point[row], smooth)
                 of_set.append(row)
-                begun.append(_Rod.along(curve, arcs, way, shares))
+                begun.append(_begun(curve, arcs, way, shares))
                 matches.append(match)
+    rows = np.array(of_set, dtype=np.int64)
+    tracing = Tracing(rig, rows, matches, point[rows], None if direction is None else direction[rows], shares, material, up)
     if not begun:
-        return None
-    rows = np.array(of_set)
-    held = point[rows], None if direction is None else direction[rows]
-    return _relaxed(rig, rows, begun, matches, *held, shares, material, up, length)
+        return tracing, None
+    quaternions, arcs, length = (np.stack(values) for values in zip(*begun, strict=True))
+    return tracing, tracing.freely_long(TracedShapes(quaternions, arcs, length))
 
 
 def _paths(rig: Rig, images: list[Detection], point: np.ndarray, direction: np.ndarray | None):
@@ -104,59 +116,104 @@ def _paths(rig: Rig, images: list[Detection], point: np.ndarray, direction: np.n
     return found
 
 
+def _begun(curve: np.ndarray, arcs: np.ndarray, direction: np.ndarray | None, shares: np.ndarray) -> tuple:
+    """Where a rod begins: frames (N, 4), places along the paths (C, N, K), and length in mm, along a curve (K, 3) whose points
+    are at ``arcs`` (C, K) of the paths."""
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
+    ends = along[-1] * np.concatenate([[0.0], np.cumsum(shares)])
+    tangents = np.diff(np.stack([np.interp(ends, along, column) for column in curve.T], axis=1), axis=0)
+    tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-12)
+    if direction is not None:
+        tangents[0] = direction
+    frames = bishop_frames(tangents[None], across(tangents[:1]))
+    places = ends[:-1, None] + np.diff(ends)[:, None] * (np.arange(PLACES) + 0.5) / PLACES
+    there = np.stack([np.interp(places, along, one) for one in arcs])
+    return quaternion_from_matrix(frames)[0], there, float(along[-1])
+
+
 @dataclass(frozen=True)
-class _Rod:
-    """Where a rod begins: frames (N, 4), places along the paths (C, N, K), and length in mm."""
+class TracedShapes:
+    """R rods: frames (R, N, 4), places along their paths (R, C, N, K) and lengths (R,) mm; after a relaxation its solution."""
 
     quaternions: np.ndarray
     arcs: np.ndarray
-    length: float
+    length: np.ndarray
+    solution: Solution | None = None
 
-    @classmethod
-    def along(cls, curve: np.ndarray, arcs: np.ndarray, direction: np.ndarray | None, shares: np.ndarray) -> "_Rod":
-        """Along a curve (K, 3), whose points are at ``arcs`` (C, K) of the paths."""
-        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
-        ends = along[-1] * np.concatenate([[0.0], np.cumsum(shares)])
-        tangents = np.diff(np.stack([np.interp(ends, along, column) for column in curve.T], axis=1), axis=0)
-        tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-12)
-        if direction is not None:
-            tangents[0] = direction
-        frames = bishop_frames(tangents[None], across(tangents[:1]))
-        places = ends[:-1, None] + np.diff(ends)[:, None] * (np.arange(PLACES) + 0.5) / PLACES
-        there = np.stack([np.interp(places, along, one) for one in arcs])
-        return cls(quaternion_from_matrix(frames)[0], there, float(along[-1]))
+    def take(self, rows: np.ndarray) -> "TracedShapes":
+        return TracedShapes(self.quaternions[rows], self.arcs[rows], self.length[rows])
+
+    def as_long(self, length: np.ndarray) -> "TracedShapes":
+        """The same with other lengths (R,)."""
+        return TracedShapes(self.quaternions, self.arcs, length)
+
+    def cut(self, shares: np.ndarray, share: np.ndarray, length: np.ndarray) -> "TracedShapes":
+        """The first ``share`` (R,) of each rod, as a rod of ``length`` (R,) mm; beyond its end it goes straight on."""
+        ends = np.concatenate([[0.0], np.cumsum(shares)])
+        places = (ends[:-1, None] + shares[:, None] * (np.arange(PLACES) + 0.5) / PLACES).ravel()
+        return TracedShapes(_cut_frames(self.quaternions, ends, share), _cut(self.arcs, places, share), length)
 
 
-def _relaxed(rig, rows, begun, matches, point, direction, shares, material, up, known) -> TracedRods:
-    """The rods relaxed under E_back, places assigned anew after each of ROUNDS relaxations."""
-    quaternions = np.stack([rod.quaternions for rod in begun])
-    arcs = np.stack([rod.arcs for rod in begun])
-    length = np.array([rod.length for rod in begun])
-    stiffness = float(np.linalg.eigvalsh(material.bend).max())
-    ends = np.concatenate([[0.0], np.cumsum(shares)])
-    places = (ends[:-1, None] + shares[:, None] * (np.arange(PLACES) + 0.5) / PLACES).ravel()
-    thread, together, whole = length, np.ones(len(rows), dtype=bool), None
-    for turn in range(ROUNDS):
-        start = Configuration(point, quaternions, length[:, None] * shares)
+@dataclass(frozen=True)
+class Tracing:
+    """Rods on their paths: R of all sets, whose places are assigned to points of the paths anew after each relaxation.
+
+    of_set     (R,) image set
+    matches    R times the paths of a rod
+    point      (R, 3) mm where it begins
+    direction  (R, 3) in which it begins, or None: free
+    shares     (N,) of its length that its edges have
+    """
+
+    rig: Rig
+    of_set: np.ndarray
+    matches: Sequence[Match]
+    point: np.ndarray
+    direction: np.ndarray | None
+    shares: np.ndarray
+    material: Material
+    up: np.ndarray
+
+    @property
+    def stiffness(self) -> float:
+        """B: of the energy in E/B."""
+        return float(np.linalg.eigvalsh(self.material.bend).max())
+
+    def take(self, rows: np.ndarray) -> "Tracing":
+        """Some of the rods, which may occur several times."""
+        direction = None if self.direction is None else self.direction[rows]
+        return replace(self, of_set=self.of_set[rows], matches=[self.matches[row] for row in rows], point=self.point[rows],
+                       direction=direction)
+
+    def freely_long(self, rods: TracedShapes) -> TracedShapes:
+        """Relaxed, made longer or shorter until they end where their paths end."""
+        for turn in range(FREE_ROUNDS):
+            relaxed = self._minimised(rods)
+            arcs, reach = self._reassigned(relaxed, np.zeros(len(rods.length), dtype=bool))
+            if turn == FREE_ROUNDS - 1:
+                return replace(relaxed, arcs=arcs)
+            rods = TracedShapes(relaxed.quaternions, arcs, rods.length / np.clip(reach, 0.7, 1.4))
+
+    def relaxed(self, rods: TracedShapes, together: np.ndarray, rounds: int = FIXED_ROUNDS) -> TracedShapes:
+        """Relaxed, as long as they are. Those that end ``together`` (R,) with their paths are spread over all of them."""
+        for turn in range(rounds):
+            relaxed = self._minimised(rods)
+            if turn == rounds - 1:
+                return relaxed
+            rods = replace(relaxed, arcs=self._reassigned(relaxed, together)[0])
+
+    def _minimised(self, rods: TracedShapes) -> TracedShapes:
+        start = Configuration(self.point, rods.quaternions, rods.length[:, None] * self.shares)
         first = start.frames[:, 0]
-        clamps = Clamps(Clamp.POSITION if direction is None else Clamp.TANGENT, Clamp.FREE, point, point, first, first)
-        solution = relax(start, material, clamps, Newton(), up=up, precision="mixed",
-                         external=_assigned(rig, matches, arcs, NU_BACK * stiffness), external_index=np.arange(len(rows)))
-        quaternions = solution.configuration.quaternions
-        if known is None or turn == FREE_ROUNDS:
-            thread, whole = length, solution.configuration
-        if turn == ROUNDS - 1:
-            break
-        fixed = known is not None and turn > FREE_ROUNDS
-        arcs, reach = _reassigned(rig, matches, arcs, solution.configuration.vertices, together & fixed)
-        if not fixed and (known is None or turn < FREE_ROUNDS):
-            length = length / np.clip(reach, 0.7, 1.4)
-        if known is not None and turn == FREE_ROUNDS:
-            together = np.abs(thread / known - 1) < SAME_LENGTH
-            length = np.full(len(rows), float(known))
-            arcs = _cut(arcs, places, np.where(together, 1.0, known / thread))
-            quaternions = _cut_frames(quaternions, ends, np.where(together, 1.0, known / thread))
-    return TracedRods(rows, solution, solution.energy / stiffness, thread, whole, together)
+        clamps = Clamps(Clamp.POSITION if self.direction is None else Clamp.TANGENT, Clamp.FREE, self.point, self.point, first,
+                        first)
+        solution = relax(start, self.material, clamps, Newton(), up=self.up, precision="mixed",
+                         external=_assigned(self.rig, self.matches, rods.arcs, NU_BACK * self.stiffness),
+                         external_index=np.arange(len(rods.length)))
+        return replace(rods, quaternions=solution.configuration.quaternions, solution=solution)
+
+    def _reassigned(self, rods: TracedShapes, together: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return _reassigned(self.rig, self.matches, rods.arcs, rods.solution.configuration.vertices, together)
 
 
 def _cut(arcs: np.ndarray, places: np.ndarray, share: np.ndarray) -> np.ndarray:

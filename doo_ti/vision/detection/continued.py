@@ -79,7 +79,7 @@ def _darkness(image: np.ndarray, look: Appearance, contrast: float) -> np.ndarra
 
 
 def _lines(dark: np.ndarray, width: float, own: np.ndarray, usual: float) -> Detection:
-    """Lines about as wide as ``width`` in the closed darkness, away from the points ``own`` (N, 2) of a line ``usual`` px wide."""
+    """Lines about as wide as ``width`` in the closed darkness, away from points ``own`` (N, 2) of a line ``usual`` px wide."""
     import cv2
 
     side = 2 * int(np.ceil(width / 2)) + 1

@@ -12,8 +12,8 @@ import numpy as np
 from doo_ti.arguments import typed
 from doo_ti.vision.detection.appearance import BAR, SURE, Appearance, appearance, of_a_thread
 from doo_ti.vision.detection.canny import canny_line
-from doo_ti.vision.detection.continued import continued
 from doo_ti.vision.detection.colour import as_colour, lab, likeness, likeness_table
+from doo_ti.vision.detection.continued import continued
 from doo_ti.vision.detection.line import Detection, in_whole_pixels, moved
 from doo_ti.vision.detection.options import DetectionOptions, check_image, cropped
 from doo_ti.vision.detection.ridge import REACH_PX, Curvature, edges_across, gradient, pieces

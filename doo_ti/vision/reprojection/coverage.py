@@ -16,6 +16,7 @@ import taichi as ti
 from doo_ti import runtime
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.detection.line import Detection, thinned
+from doo_ti.vision.reprojection.triangulation import rays
 
 NEAR_PX = 3.0
 """A detected point this near to the rod's image is explained."""
@@ -47,6 +48,26 @@ def coverage(rig: Rig, vertices: np.ndarray, of_set: np.ndarray, detections: lis
     _explained(np.concatenate([*flat, np.zeros((1, 2))]).astype(np.float32), first, of_set.astype(np.int32), image, cap, result)
     lengths = np.diff(first).reshape(len(detections), -1)[of_set]
     return Coverage(result[..., 0] / np.maximum(lengths, 1), result[..., 1].astype(np.float64), lengths.astype(np.float64))
+
+
+def outside_others(rig: Rig, vertices: np.ndarray, detections: list[list[Detection]]) -> np.ndarray:
+    """(A, C) share of the line detected in each camera that one rod of each set, ``vertices`` (A, V, 3) mm, leaves unexplained
+    because no other camera's image shows it: at the depth of the nearest vertex it is outside all of these."""
+    found = np.zeros((len(vertices), len(rig.cameras)))
+    for row, rod in enumerate(vertices):
+        if not np.isfinite(rod).all():
+            continue
+        for c, camera in enumerate(rig.cameras):
+            points = thinned(detections[row][c])[0]
+            apart = np.linalg.norm(points[:, None] - np.nan_to_num(camera.project(rod), nan=1e9), axis=-1)
+            ray = rays(camera, points)
+            there = camera.centre + ray * (camera.depth(rod)[apart.argmin(axis=1)] / (ray @ camera.rotation[2]))[:, None]
+            alone = apart.min(axis=1) > NEAR_PX
+            for other in rig.cameras[:c] + rig.cameras[c + 1 :]:
+                middle = 0.5 * np.array([other.width - 1, other.height - 1])
+                alone &= ~((np.abs(other.project(there) - middle) <= middle + 0.5).all(axis=1))
+            found[row, c] = alone.mean() if len(rig.cameras) > 1 else 0.0
+    return found
 
 
 @runtime.kernel
