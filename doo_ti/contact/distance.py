@@ -13,7 +13,7 @@ from taichi.lang.impl import expr_init
 
 from doo_ti.contact.distance_grid import HEADER
 from doo_ti.contact.grid_lookup import GridLookup
-from doo_ti.contact.obstacles import AXES, BOX, CAPSULE, CYLINDER, GRID, PLANE, POINT, RING, SIZES
+from doo_ti.contact.obstacles import BOX, CAPSULE, CYLINDER, GRID, PLANE, RING
 from doo_ti.physics.algebra import absolute, largest_of
 from doo_ti.physics.tuples import (
     applied,
@@ -30,7 +30,10 @@ from doo_ti.physics.tuples import (
     traced,
     transposed,
 )
+from doo_ti.physics.view import Layout
 
+COLUMNS = Layout(point=3, axis_1=3, axis_2=3, axis_3=3, axes=("axis_1", 9), sizes=3, depth=1, friction=1)
+"""Of an obstacle, in the order of :mod:`doo_ti.contact.obstacles`."""
 TINY = 1e-20
 """Below all squares of distances, against division by zero on an axis."""
 
@@ -64,16 +67,12 @@ def turned(h, m) -> tuple:
 class Distance:
     """φ, n and ∇∇φ for one kind of number, of obstacles among ``kinds``."""
 
-    def __init__(self, number, stride: int, kinds: frozenset[int]):
-        self.stride, self.tiny = stride, TINY
+    def __init__(self, number, kinds: frozenset[int]):
+        self.tiny = TINY
         self.has_plane, self.has_box, self.has_capsule, self.has_ring, self.has_cylinder, self.has_grid = (
             kind in kinds for kind in (PLANE, BOX, CAPSULE, RING, CYLINDER, GRID))
         self.has_revolved = self.has_ring or self.has_cylinder
         self.lookup = GridLookup(number)
-
-    @ti.func
-    def load3(self, scratch: ti.template(), at):
-        return (scratch[at], scratch[at + self.stride], scratch[at + 2 * self.stride])
 
     @ti.func
     def unit(self, normal):
@@ -84,40 +83,40 @@ class Distance:
             return normal
 
     @ti.func
-    def measure(self, scratch: ti.template(), grids: ti.template(), at, kind, x):
-        """Of an obstacle of that kind whose columns begin at ``at``: a record of ``value`` φ, ``normal`` n and ``curvature``
-        ∇∇φ (6,) at ``x``. ``grids`` holds the numbers of those that are grids."""
-        away = minus(x, self.load3(scratch, at + POINT * self.stride))
+    def measure(self, own, grids: ti.template(), kind, x):
+        """Of an obstacle of that kind with the view ``own`` of its :data:`COLUMNS`: a record of ``value`` φ, ``normal`` n and
+        ``curvature`` ∇∇φ (6,) at ``x``. ``grids`` holds the numbers of those that are grids."""
+        away = minus(x, own.point)
         zero = 0.0 * away[0]
         seen = record(value=zero, normal=repeated(zero, 3), curvature=repeated(zero, 6))
         if ti.static(self.has_box):
             if kind == ti.static(BOX):
-                self.box(scratch, at, away, seen)
+                self.box(own, away, seen)
         if ti.static(self.has_plane):
             if kind == ti.static(PLANE):
-                seen.normal = self.load3(scratch, at + (AXES + 6) * self.stride)
+                seen.normal = own.axis_3
                 seen.value = dot(away, seen.normal)
         if ti.static(self.has_grid):
             if kind >= ti.static(GRID):
-                self.grid(scratch, grids, at, kind - GRID, away, seen)
+                self.grid(own, grids, kind - GRID, away, seen)
         if ti.static(self.has_capsule):
             if kind == ti.static(CAPSULE):
-                self.capsule(scratch, at, away, seen)
+                self.capsule(own, away, seen)
         if ti.static(self.has_revolved):
             if kind == ti.static(RING) or kind == ti.static(CYLINDER):
-                self.revolved(scratch, at, kind, away, seen)
+                self.revolved(own, kind, away, seen)
         return seen
 
     @ti.func
-    def revolved(self, scratch: ti.template(), at, kind, away, seen):
+    def revolved(self, own, kind, away, seen):
         """A cylinder or a ring."""
-        axis = self.load3(scratch, at + (AXES + 6) * self.stride)
+        axis = own.axis_3
         z = dot(away, axis)
         zero, one = 0.0 * z, 0.0 * z + 1.0
         flat = minus(away, scaled(axis, z))
         radial = ti.sqrt(dot(flat, flat) + self.tiny)
         outward = scaled(flat, 1.0 / radial)
-        a, b = scratch[at + SIZES * self.stride], scratch[at + (SIZES + 1) * self.stride]
+        a, b = own.sizes[0], own.sizes[1]
         profile = record(value=z, r=zero, z=one, bend=zero, around=zero)
         if ti.static(self.has_ring):
             if kind == ti.static(RING):
@@ -144,10 +143,10 @@ class Distance:
                           bent[5] + profile.around)
 
     @ti.func
-    def capsule(self, scratch: ti.template(), at, away, seen):
+    def capsule(self, own, away, seen):
         """A capsule: all around the nearest point of its axis. Between its ends that point moves along the axis."""
-        axis = self.load3(scratch, at + (AXES + 6) * self.stride)
-        a, b = scratch[at + SIZES * self.stride], scratch[at + (SIZES + 1) * self.stride]
+        axis = own.axis_3
+        a, b = own.sizes[0], own.sizes[1]
         z = dot(away, axis)
         from_axis = minus(away, scaled(axis, ti.min(ti.max(z, 0.0 - b), b)))
         length = ti.sqrt(dot(from_axis, from_axis) + self.tiny)
@@ -165,22 +164,23 @@ class Distance:
         profile.bend, profile.around = 1.0 / length, beside / (length * radial)
 
     @ti.func
-    def box(self, scratch: ti.template(), at, away, seen):
+    def box(self, own, away, seen):
         """Signed distance of a box."""
         zero, one = 0.0 * away[0], 0.0 * away[0] + 1.0
         square, most = zero, zero - 1e30
+        axes = (own.axis_1, own.axis_2, own.axis_3)
         for k in ti.static(range(3)):
-            z = dot(away, self.load3(scratch, at + (AXES + 3 * k) * self.stride))
-            beyond = absolute(z) - scratch[at + (SIZES + k) * self.stride]
+            z = dot(away, axes[k])
+            beyond = absolute(z) - own.sizes[k]
             most = largest_of(most, beyond)
             square = square + ti.select(beyond > 0.0, beyond * beyond, zero)
         outside = square > 0.0
         length = ti.sqrt(square + self.tiny)
         seen.value = ti.select(outside, length, most)
         for k in ti.static(range(3)):
-            axis = self.load3(scratch, at + (AXES + 3 * k) * self.stride)
+            axis = axes[k]
             z = dot(away, axis)
-            beyond = absolute(z) - scratch[at + (SIZES + k) * self.stride]
+            beyond = absolute(z) - own.sizes[k]
             share = ti.select(outside, ti.max(beyond, zero) / length, ti.select(beyond >= most, one, zero))
             seen.normal = plus(seen.normal, scaled(axis, share * ti.select(z < 0.0, 0.0 - one, one)))
             # The nearest point of the box moves along the faces that the point does not look past.
@@ -194,12 +194,11 @@ class Distance:
         return ti.cast(grids[HEADER * index + 1 + k] - 3.0, self.lookup.scalar)
 
     @ti.func
-    def grid(self, scratch: ti.template(), grids: ti.template(), at, index, away, seen):
+    def grid(self, own, grids: ti.template(), index, away, seen):
         """A grid, by its spline at the nearest point of its box, which lies ``beyond`` that."""
-        spacing = scratch[at + SIZES * self.stride]
+        spacing = own.sizes[0]
         zero, one = 0.0 * spacing, 0.0 * spacing + 1.0
-        axes = (self.load3(scratch, at + AXES * self.stride) + self.load3(scratch, at + (AXES + 3) * self.stride)
-                + self.load3(scratch, at + (AXES + 6) * self.stride))
+        axes = own.axes
         exact = scaled(applied(axes, away), 1.0 / spacing)
         last = (zero + self.last(grids, index, 0), zero + self.last(grids, index, 1), zero + self.last(grids, index, 2))
         place = clipped(exact, last)

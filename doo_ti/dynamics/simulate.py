@@ -31,6 +31,7 @@ from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.input_tables import tables, under
 from doo_ti.relaxation.newton import MOST_IN_CONTACT, Newton
 from doo_ti.relaxation.tables import Tables, whole_start
+from doo_ti.relaxation.time_layout import INERTIA, LOAD, PLACE_2, SPRING, SPRING_POINT, VELOCITY_1
 from doo_ti.relaxation.time_loop import (
     END_FORCE,
     FRICTION_WORK,
@@ -41,14 +42,6 @@ from doo_ti.relaxation.time_loop import (
 )
 from doo_ti.relaxation.time_slopes import NUMBERS, REMEMBERED
 from doo_ti.relaxation.time_steps import Memory, Slopes, make_steps, slope_memory
-from doo_ti.relaxation.time_sweep import (
-    INERTIA,
-    LOAD,
-    PLACE_2,
-    SPRING,
-    SPRING_POINT,
-    VELOCITY_1,
-)
 from doo_ti.types import Clamp, Configuration, Material, Status, unit_up
 
 NUMBERS_AT_ONCE = 32_000_000

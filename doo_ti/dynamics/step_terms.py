@@ -7,7 +7,7 @@ import numpy as np
 
 from doo_ti.dynamics.parameters import GRAVITY, Dynamics, vertex_lengths
 from doo_ti.errors import InputError
-from doo_ti.relaxation.time_sweep import DRAG, DRAG_BY_SPEED, INERTIA, LOAD, VERTEX_ITEMS
+from doo_ti.relaxation.time_layout import DRAG, DRAG_BY_SPEED, INERTIA, LOAD, VERTEX_ITEMS
 from doo_ti.types import Material
 
 

@@ -13,7 +13,6 @@ others against their forces, as a loop turns about a nail.
 
 import taichi as ti
 
-from doo_ti.groups.layout import ACTIVE, FORCE_STEP, REST, STEPPING, TIE_GIVE, TIE_SCALE, TURNED
 from doo_ti.groups.welds import against_columns
 from doo_ti.physics.quaternion import first_director, second_director, tangent
 from doo_ti.physics.tuples import column_scaled, dot, repeated, scaled
@@ -33,12 +32,12 @@ class Border:
         """Store A, ε and the right-hand side. Inverse iterations, the ``search`` off a saddle, leave forces as they are."""
         zero = 0.0 * rod.total
         head = self.contacts.group(rod)
-        rod.scratch[head + STEPPING * self.stride] = ti.select(search[0] + search[1] > 0.0, zero, zero + 1.0)
+        head.stepping = ti.select(search[0] + search[1] > 0.0, zero, zero + 1.0)
         for b in range(rod.borders.shape[0]):
             k, line = rod.borders[b, 0], rod.edges + 1 + b
             at = self.contacts.tie(rod, k)
-            active = rod.scratch[at + ACTIVE * self.stride]
-            give = rod.scratch[head + TIE_GIVE * self.stride] / rod.scratch[at + TIE_SCALE * self.stride]
+            active = at.active
+            give = head.give / at.scale
             if rod.borders[b, 1] == 0:
                 self.add_way(rod, line, rod.ties[k, 0], active)
                 if rod.ties[k, 1] >= 0:
@@ -67,9 +66,9 @@ class Border:
     def add_turns(self, rod, line, late, early, at, sign):
         """The same of a weld's rotation u = 2 v by those of both edges: −(s − [v]×) and (s + [v]×) R, with s² = 1 − |v|² and
         the rest rotation R."""
-        v = scaled(self.load3(rod.scratch, at + TURNED * self.stride), 0.5)
+        v = scaled(at.turned, 0.5)
         s = ti.sqrt(ti.max(1.0 - dot(v, v), 0.0 * sign))
-        rest = self.load4(rod.scratch, at + REST * self.stride)
+        rest = at.rest
         after = (s, 0.0 - v[2], v[1], v[2], s, 0.0 - v[0], 0.0 - v[1], v[0], s)
         before = (0.0 - s, 0.0 - v[2], v[1], v[2], 0.0 - s, 0.0 - v[0], 0.0 - v[1], v[0], 0.0 - s)
         turned = against_columns(after, (tangent(rest), first_director(rest), second_director(rest)))
@@ -81,9 +80,9 @@ class Border:
         """Keep δλ for the next step. Returns d · δλ, what the border takes from the Newton decrement of H alone."""
         taken = 0.0 * rod.total
         for b in range(rod.borders.shape[0]):
-            stepping = rod.scratch[self.contacts.group(rod) + STEPPING * self.stride]
+            stepping = self.contacts.group(rod).stepping
             change = self.solution(rod, rod.edges + 1 + b)
-            active = rod.scratch[self.contacts.tie(rod, rod.borders[b, 0]) + ACTIVE * self.stride]
+            active = self.contacts.tie(rod, rod.borders[b, 0]).active
             taken = taken + active * dot(self.contacts.bordered_miss(rod, b), change)
-            self.store(rod.scratch, self.contacts.bordered_force(rod, b) + FORCE_STEP * self.stride, scaled(change, stepping))
+            self.contacts.bordered_force(rod, b).step = scaled(change, stepping)
         return taken

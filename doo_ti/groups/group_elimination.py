@@ -9,8 +9,7 @@ import taichi as ti
 
 from doo_ti.groups.border import Border
 from doo_ti.groups.group_contacts import GroupContacts
-from doo_ti.groups.joint_rest import JOINT_ITEMS, LEFT, RIGHT, TWIST, JointRest
-from doo_ti.groups.layout import BEGIN, BEGIN_STEP, MOMENT, SPIN, TILT, TIP
+from doo_ti.groups.joint_rest import JointRest
 from doo_ti.groups.welds import Welds
 from doo_ti.physics.algebra import largest_of
 from doo_ti.physics.closure import closure_rows, linear_gradient, linear_hessian
@@ -34,12 +33,10 @@ from doo_ti.physics.tuples import (
     transposed,
     variable,
 )
-from doo_ti.relaxation import chain
-from doo_ti.relaxation.chain import LENGTH, OF_DRIFT_STEP, ROTATION, STANDING, Chain
+from doo_ti.relaxation.chain import Chain
 from doo_ti.relaxation.dense_elimination import DenseElimination, symmetric_sum, turned_block
 from doo_ti.relaxation.elimination import held_pivot
 from doo_ti.relaxation.loaded_elimination import LoadedElimination
-from doo_ti.relaxation.pair_layout import LOAD, MOVE
 
 
 @ti.data_oriented
@@ -48,26 +45,23 @@ class GroupElimination(Border, Welds, DenseElimination, LoadedElimination):
 
     def __init__(self, number, stride: int, contacts: GroupContacts):
         super().__init__(number, False, stride, JointRest, True, contacts)
-        self.joint_rest = chain.item_count(False)
 
     @ti.func
-    def rest(self, scratch: ti.template(), at):
+    def rest(self, edge):
         """u̅ of the left frame and of the right one, and m̅."""
-        own = [scratch[at + (self.joint_rest + k) * self.stride] for k in ti.static(range(JOINT_ITEMS))]
-        rest1, rest2 = scratch[at + chain.REST * self.stride], scratch[at + (chain.REST + 1) * self.stride]
-        return ((rest1 + own[LEFT], rest2 + own[LEFT + 1]), (rest1 + own[RIGHT], rest2 + own[RIGHT + 1]), own[TWIST])
+        own = edge.outer
+        return (plus(edge.rest, own.left), plus(edge.rest, own.right), own.twist)
 
     @ti.func
-    def rods(self, tables, scratch: ti.template(), head, coarse):
+    def rods(self, tables, head, coarse):
         """As of one rod, with what :class:`.GroupContacts` reads."""
-        rod = Chain.rods(self, tables, scratch, head, coarse)
+        rod = Chain.rods(self, tables, head, coarse)
         return extended(rod, begins=tables.begins, ties=tables.ties, borders=tables.borders, rods=tables.places.shape[1])
 
     @ti.func
     def freedom(self, rod, edge):
-        at = self.contacts.edge(rod, edge)
-        tilt = rod.scratch[at + TILT * self.stride]
-        return (rod.scratch[at + SPIN * self.stride], tilt, tilt)
+        own = self.contacts.edge(rod, edge)
+        return (own.spin, own.tilt, own.tilt)
 
     # --- the step ---
 
@@ -79,20 +73,15 @@ class GroupElimination(Border, Welds, DenseElimination, LoadedElimination):
         stepping = (scale > 0.0) | (scale < 0.0)
         self.contacts.stand_pairs(rod)
         self.contacts.step_forces(rod, scale, stepping)
-        at = rod.origin
-        for _ in range(rod.edges):
+        for e in range(rod.edges):
+            edge = self.edge(rod.head, e)
             # In a lane that does not step the rotation is undefined and may be NaN.
-            rotation = self.load3(rod.scratch, at + ROTATION * self.stride)
-            w = chosen(stepping, scaled(rotation, scale), none)
-            standing = self.load4(rod.scratch, at)
-            self.store(rod.scratch, at + STANDING * self.stride, standing)
-            self.store(rod.scratch, at, turned_in_body(standing, w, rod.spins_first))
-            at += self.edge_stride
+            w = chosen(stepping, scaled(edge.rotation, scale), none)
+            edge.standing = edge.frame
+            edge.frame = turned_in_body(edge.standing, w, rod.spins_first)
         for g in range(1, rod.rods):
             member = self.contacts.member(rod, g)
-            way = scaled(self.load3(rod.scratch, member + BEGIN_STEP * self.stride), scale)
-            place = self.load3(rod.scratch, member + BEGIN * self.stride)
-            self.store(rod.scratch, member + BEGIN * self.stride, plus(place, chosen(stepping, way, none)))
+            member.begin = plus(member.begin, chosen(stepping, scaled(member.begin_step, scale), none))
         self.step_start(rod, scale, moving, variable(none), variable(none))
         return none, repeated(zero, 6)
 
@@ -102,15 +91,13 @@ class GroupElimination(Border, Welds, DenseElimination, LoadedElimination):
         zero = 0.0 * rod.total
         energy = zero
         before = variable(repeated(zero, 4))  # the frame of the edge before
-        at = rod.origin
         for e in range(rod.edges):
-            q = self.load4(rod.scratch, at)
+            q = self.edge(rod.head, e).frame
             if e > 0:
                 if rod.begins[e] + rod.begins[e - 1] == 0:
-                    bent, s = self._bend(rod, at, before, q)
+                    bent, s = self._bend(rod, e, before, q)
                     energy = energy + self.energy_of(bent, s)
             before = q
-            at += self.edge_stride
         return energy, energy, repeated(zero, 3), repeated(zero, 3), (zero, zero)
 
     # --- the energies of places ---
@@ -121,20 +108,19 @@ class GroupElimination(Border, Welds, DenseElimination, LoadedElimination):
         self.find_tips(rod)
         end = variable(self.tip_of(rod, rod.rods - 1))
         self.contacts.look(rod, rod.edges, end)
-        at = rod.origin + (rod.edges - 1) * self.edge_stride
         for back in range(rod.edges):
             e = rod.edges - 1 - back
+            edge = self.edge(rod.head, e)
             following = rod.begins[e]
             if following == 0:
-                t = tangent(self.load4(rod.scratch, at))
-                start = minus(end, scaled(t, rod.scratch[at + LENGTH * self.stride]))
-                self.add_edge(rod, e, self.load(rod, at, e, start, end, found))
+                t = tangent(edge.frame)
+                start = minus(end, scaled(t, edge.length))
+                self.add_edge(rod, e, self.load(rod, edge, e, start, end, found))
                 end = start
             else:
                 self.touch_begin(rod, e + 1)
                 end = self.tip_of(rod, following - 1)
                 self.contacts.look(rod, e, end)
-            at -= self.edge_stride
         self.touch_begin(rod, 0)
         self.contacts.hang(rod)
         self.contacts.bind(rod)
@@ -144,20 +130,19 @@ class GroupElimination(Border, Welds, DenseElimination, LoadedElimination):
     def find_tips(self, rod):
         """Where all rods end."""
         x = variable(plus(rod.anchor, self.drift(rod)))
-        at = rod.origin
         for e in range(rod.edges):
+            edge = self.edge(rod.head, e)
             following = rod.begins[e]
             if following > 0:
-                self.store(rod.scratch, self.contacts.member(rod, following - 1) + TIP * self.stride, x)
-                x = self.load3(rod.scratch, self.contacts.member(rod, following) + BEGIN * self.stride)
+                self.contacts.member(rod, following - 1).tip = x
+                x = self.contacts.member(rod, following).begin
             else:
-                x = plus(x, scaled(tangent(self.load4(rod.scratch, at)), rod.scratch[at + LENGTH * self.stride]))
-            at += self.edge_stride
-        self.store(rod.scratch, self.contacts.member(rod, rod.rods - 1) + TIP * self.stride, x)
+                x = plus(x, scaled(tangent(edge.frame), edge.length))
+        self.contacts.member(rod, rod.rods - 1).tip = x
 
     @ti.func
     def tip_of(self, rod, index):
-        return self.load3(rod.scratch, self.contacts.member(rod, index) + TIP * self.stride)
+        return self.contacts.member(rod, index).tip
 
     # --- H ---
 
@@ -183,9 +168,9 @@ class GroupElimination(Border, Welds, DenseElimination, LoadedElimination):
         if index > 0:
             free = self.freedom(rod, index - 1)
             if rod.begins[index - 1] == 0:
-                at = rod.origin + (index - 1) * self.edge_stride
-                q = self.load4(rod.scratch, at)
-                a = closure_rows(rod.scratch[at + LENGTH * self.stride], first_director(q), second_director(q))
+                edge = self.edge(rod.head, index - 1)
+                q = edge.frame
+                a = closure_rows(edge.length, first_director(q), second_director(q))
         return scaled(row(a, 0), free[1]), scaled(row(a, 1), free[1]), scaled(row(a, 2), free[2])
 
     @ti.func
@@ -194,10 +179,10 @@ class GroupElimination(Border, Welds, DenseElimination, LoadedElimination):
         zero = 0.0 * rod.total
         force = variable(repeated(zero, 3))
         h, g = variable(repeated(zero, 6)), variable(repeated(zero, 3))  # of the pair with the edge after
-        at = rod.origin + (rod.edges - 1) * self.edge_stride
         for back in range(rod.edges):
             e = rod.edges - 1 - back
-            force = plus(force, self.load3(rod.scratch, self.contacts.own_vertex(rod, e + 1) + LOAD * self.stride))
+            edge = self.edge(rod.head, e)
+            force = plus(force, self.contacts.own_vertex(rod, e + 1).load)
             u = variable(repeated(zero, 9))
             h_before, g_before = variable(repeated(zero, 6)), variable(repeated(zero, 3))
             if rod.begins[e] > 0:
@@ -207,30 +192,29 @@ class GroupElimination(Border, Welds, DenseElimination, LoadedElimination):
             else:
                 if e > 0:
                     if rod.begins[e - 1] == 0:
-                        previous = at - self.edge_stride
+                        previous = self.edge(rod.head, e - 1)
                         left, right, h_left, h_right, across = self.derivatives(
-                            self.bent(rod.scratch, previous), self.stiffness(rod.scratch, previous, at, rod.stiffness))
+                            self.bent(previous.bent), self.stiffness(previous, edge, rod.stiffness))
                         g, h = plus(g, right), plus(h, h_right)
                         h_before, g_before, u = h_left, left, across
-                slope, whole, rows = self.pulled(rod, e, at, g, h, force)
-                self.assemble_edge(rod, e, at, slope, whole, u, rows, (shift, search), found)
+                slope, whole, rows = self.pulled(rod, e, edge, g, h, force)
+                self.assemble_edge(rod, e, edge, slope, whole, u, rows, (shift, search), found)
             h, g = h_before, g_before
-            at -= self.edge_stride
-        force = plus(force, self.load3(rod.scratch, self.contacts.own_vertex(rod, 0) + LOAD * self.stride))
+        force = plus(force, self.contacts.own_vertex(rod, 0).load)
         self.assemble_begin(rod, 0, repeated(rod.loose, 3), shift, force, found)
         self.add_welds(rod)
         self.add_border(rod, search, found)
 
     @ti.func
-    def pulled(self, rod, e, at, slope, bent, force):
+    def pulled(self, rod, e, edge, slope, bent, force):
         """Of an edge whose bending and twisting has the gradient ``slope`` and second derivative ``bent``: these with what the
         force on it and its welds add, and the rows of A."""
-        q = self.load4(rod.scratch, at)
+        q = edge.frame
         t, m1, m2 = tangent(q), first_director(q), second_director(q)
-        length = rod.scratch[at + LENGTH * self.stride]
+        length = edge.length
         l1, l2 = linear_gradient(force, length, m1, m2)
         straighten = linear_hessian(force, length, t)
-        welded = self.load3(rod.scratch, self.contacts.edge(rod, e) + MOMENT * self.stride)
+        welded = self.contacts.edge(rod, e).moment
         g = plus((slope[0], slope[1] + l1, slope[2] + l2), welded)
         # The second derivatives of welds are by rotation vectors: what spinning before tilting makes of them is added here.
         h = (bent[0], bent[1] - 0.5 * welded[2], bent[2] + 0.5 * welded[1], bent[3] + straighten, bent[4], bent[5] + straighten)
@@ -255,7 +239,7 @@ class GroupElimination(Border, Welds, DenseElimination, LoadedElimination):
         """The diagonal block and the right-hand side of where a rod begins, all of which bears ``force``."""
         slope = products(free, force)
         self.observe_moment(found, scaled(slope, rod.total))
-        tilt = self.shifts(rod, rod.origin + line * self.edge_stride, shift)[1]  # of the rod's first edge
+        tilt = self.shifts(rod, self.edge(rod.head, line), shift)[1]  # of the rod's first edge
         shifted = on_diagonal(self.load_diagonal(rod, line), tilt / (rod.total * rod.total))
         self.store_diagonal(rod, line, held_pivot(shifted, free))
         self.store_side(rod, line, negated(slope), repeated(0.0 * rod.total, 9))
@@ -264,29 +248,28 @@ class GroupElimination(Border, Welds, DenseElimination, LoadedElimination):
     def substitute(self, rod, found):
         decrement = self.solve_backward(rod, found.change) + self.keep_forces(rod)
         x = variable(self.solution(rod, 0))
-        self.store(rod.scratch, rod.head + OF_DRIFT_STEP * self.stride, x)
-        self.store(rod.scratch, self.contacts.own_vertex(rod, 0) + MOVE * self.stride, x)
+        rod.head.drift_step = x
+        self.contacts.own_vertex(rod, 0).move = x
         size = dot(x, x) / (rod.total * rod.total)
         longest = 0.0 * size
-        at = rod.origin
         for e in range(rod.edges):
+            edge = self.edge(rod.head, e)
             w = self.solution(rod, e + 1)
             following = rod.begins[e]
             if following > 0:
-                self.store(rod.scratch, self.contacts.member(rod, following) + BEGIN_STEP * self.stride, w)
-                self.store(rod.scratch, at + ROTATION * self.stride, repeated(0.0 * longest, 3))
+                self.contacts.member(rod, following).begin_step = w
+                edge.rotation = repeated(0.0 * longest, 3)
                 x = w
                 size = largest_of(size, dot(x, x) / (rod.total * rod.total))
                 longest = largest_of(longest, self.contacts.approach(rod, e + 1, x, x))
             else:
-                self.store(rod.scratch, at + ROTATION * self.stride, w)
-                q = self.load4(rod.scratch, at)
-                length = rod.scratch[at + LENGTH * self.stride]
+                edge.rotation = w
+                q = edge.frame
+                length = edge.length
                 change = scaled(minus(scaled(first_director(q), w[2]), scaled(second_director(q), w[1])), length)
                 longest = largest_of(longest, self.contacts.approach(rod, e + 1, x, plus(x, change)))
                 x = plus(x, change)
                 size = self.longer(size, w)
-            self.store(rod.scratch, self.contacts.own_vertex(rod, e + 1) + MOVE * self.stride, x)
-            at += self.edge_stride
+            self.contacts.own_vertex(rod, e + 1).move = x
         longest = largest_of(largest_of(longest, size), self.contacts.approach_itself(rod))
         return ti.sqrt(longest), ti.sqrt(size), decrement

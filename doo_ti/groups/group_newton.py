@@ -14,12 +14,11 @@ from doo_ti.groups.joint_rest import JointRest
 from doo_ti.groups.layout import group_items
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import record
-from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.batch import UNTOUCHED, buffers, fitting, layout_for, policy_row
-from doo_ti.relaxation.contact_layout import contact_items
+from doo_ti.relaxation.chain_layout import numbers_of_rod
+from doo_ti.relaxation.contact_layout import CONTACTS, contact_items
 from doo_ti.relaxation.contact_table import ContactTable
-from doo_ti.relaxation.loaded_elimination import FORCE_ITEMS
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.newton_loop import NewtonLoop
 from doo_ti.relaxation.newton_policy import TRACE_IN_CONTACT, UP
@@ -82,7 +81,7 @@ class GroupTables:
 @cache
 def group_kernel(number: Number, stride: int, block: int, obstacles: frozenset[int]):
     """The kernel, compiled on first use, for one kind of number and obstacles of those kinds."""
-    sweep = GroupElimination(number, stride, GroupContacts(number, stride, obstacles, rub=True))
+    sweep = GroupElimination(number, stride, GroupContacts(number, obstacles, rub=True))
     loop = NewtonLoop(sweep, sweep.functions)
     loop.trace = TRACE_IN_CONTACT
     table1, table2, table3, table4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))
@@ -109,7 +108,7 @@ def group_kernel(number: Number, stride: int, block: int, obstacles: frozenset[i
             edges = rest_length.shape[1]
             size = contact_items(edges, kinds.shape[0]) + pair_items(edges)
             size += group_items(edges, places.shape[1], ties.shape[0], borders.shape[0])
-            contacts = sweep.behind(threads, thread, edges, size)
+            contacts = sweep.behind(scratch, threads, thread, edges, size, CONTACTS)
             tables = record(start=start, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods,
                             policy=policy, queue=queue, frames=frames, results=results, numbers=outer, field=space,
                             contacts=contacts, obstacles=obstacles, kinds=kinds, grids=grids, radius=radius,
@@ -180,8 +179,7 @@ def _launch(table: GroupTables, options: Newton, state: GroupState, previous: np
     rods = of.rod_rows(rows, rows % len(table.material), rows, rows, rows % len(table.rest))
     contact, joints = table.contact, JointRest(table.rest)
     number, threads, stride, block = layout_for(len(rows), 64, True)
-    items = chain.LOADED_PARAMETERS + (chain.item_count(False) + joints.items + FORCE_ITEMS) * edges
-    items += contact_items(edges, len(contact.kinds)) + pair_items(edges)
+    items = numbers_of_rod(edges, False, joints, True) + contact_items(edges, len(contact.kinds)) + pair_items(edges)
     items += group_items(edges, state.places.shape[1], len(table.ties), len(table.borders))
     threads, stride = fitting(threads, stride, items)
     kernel = group_kernel(number, stride, block, contact.known)

@@ -6,10 +6,12 @@ from typing import ClassVar
 
 import numpy as np
 
+from doo_ti.physics.view import Layout
 from doo_ti.relaxation.external import ExternalFunctions, Nothing
 
-LEFT, RIGHT, TWIST, JOINT_ITEMS = 0, 2, 4, 5
+JOINT = Layout(left=2, right=2, twist=1)
 """u̅ of the left frame and of the right one, and m̅ (:mod:`doo_ti.physics.pair`)."""
+TWIST, JOINT_ITEMS = JOINT.at("twist"), len(JOINT)
 
 
 @dataclass(frozen=True)
@@ -20,20 +22,18 @@ class JointRest(Nothing):
     """
 
     rest: np.ndarray
-    items: ClassVar[int] = JOINT_ITEMS
+    layout: ClassVar[Layout] = JOINT
 
     def numbers(self) -> np.ndarray:
         return self.rest
 
     @staticmethod
-    def functions(number, stride: int, first: int) -> ExternalFunctions:
+    def functions(number) -> ExternalFunctions:
         import taichi as ti
 
-        put = number.lanes().put
-
         @ti.func
-        def load(scratch: ti.template(), at, slot, numbers: ti.template(), row, edge, scale):
+        def load(own, numbers: ti.template(), row, edge, scale):
             for k in ti.static(range(JOINT_ITEMS)):
-                put(scratch, at + (first + k) * stride, slot, numbers[row, edge, k])
+                own[k] = numbers[row, edge, k]
 
-        return Nothing.functions(number, stride, first)._replace(load=load)
+        return Nothing.functions(number)._replace(load=load)

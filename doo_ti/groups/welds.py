@@ -7,21 +7,10 @@ for a tie the energy is μ·u + κ |u|²/2, with the moment μ.
 
 import taichi as ti
 
-from doo_ti.groups.layout import (
-    ACTIVE,
-    MIXED,
-    MOMENT,
-    OF_EARLY,
-    OF_LATE,
-    REST,
-    TIE_MOMENT,
-    TIE_SCALE,
-    TIE_STIFFNESS,
-    TURNED,
-)
 from doo_ti.physics.algebra import absolute
 from doo_ti.physics.quaternion import first_director, product, relative_rotation, second_director, tangent
 from doo_ti.physics.tuples import (
+    add,
     column_scaled,
     cross,
     dot,
@@ -87,37 +76,35 @@ class Welds:
         """Add the energy of all welds, and keep their derivatives."""
         zero = 0.0 * rod.total
         for e in range(rod.edges):
-            self.store(rod.scratch, self.contacts.edge(rod, e) + MOMENT * self.stride, repeated(zero, 3))
-        stiffness = rod.scratch[self.contacts.group(rod) + TIE_STIFFNESS * self.stride] * rod.total * rod.total
+            self.contacts.edge(rod, e).moment = repeated(zero, 3)
+        stiffness = self.contacts.group(rod).stiffness * rod.total * rod.total
         for k in range(rod.ties.shape[0]):
             if rod.ties[k, 2] >= 0:
                 self.weld_edges(rod, self.contacts.tie(rod, k), rod.ties[k, 2], rod.ties[k, 3], stiffness)
 
     @ti.func
     def weld_edges(self, rod, at, late, early, whole):
-        """The same of one weld, whose items begin ``at``."""
-        stiffness = whole * rod.scratch[at + ACTIVE * self.stride] * rod.scratch[at + TIE_SCALE * self.stride]
-        rest = self.load4(rod.scratch, at + REST * self.stride)
-        turn = relative_rotation(self.load4(rod.scratch, rod.origin + late * self.edge_stride),
-                                 self.load4(rod.scratch, rod.origin + early * self.edge_stride))
+        """The same of one weld, whose view is ``at``."""
+        stiffness = whole * at.active * at.scale
+        rest = at.rest
+        turn = relative_rotation(self.edge(rod.head, late).frame, self.edge(rod.head, early).frame)
         r = variable(product(turn, (rest[0], 0.0 - rest[1], 0.0 - rest[2], 0.0 - rest[3])))
         sign = ti.select(r[0] < 0.0, 0.0 * r[0] - 1.0, 0.0 * r[0] + 1.0)
         s, v = sign * r[0], scaled((r[1], r[2], r[3]), sign)
         u = scaled(v, 2.0)
-        moment = scaled(self.load3(rod.scratch, at + TIE_MOMENT * self.stride), rod.scratch[at + ACTIVE * self.stride])
+        moment = scaled(at.moment.now, at.active)
         p = plus(moment, scaled(u, stiffness))
-        self.store(rod.scratch, at + TURNED * self.stride, u)
+        at.turned = u
         work, stretch = dot(moment, u), 0.5 * stiffness * dot(u, u)
         self.contacts.add_penalty(rod, work + stretch, absolute(work) + stretch)
         columns = (tangent(rest), first_director(rest), second_director(rest))
         before, after = plus(scaled(p, s), cross(v, p)), minus(scaled(p, s), cross(v, p))
-        self.contacts.add_to(rod.scratch, self.contacts.edge(rod, late) + MOMENT * self.stride, negated(before))
-        self.contacts.add_to(rod.scratch, self.contacts.edge(rod, early) + MOMENT * self.stride,
-                             (dot(columns[0], after), dot(columns[1], after), dot(columns[2], after)))
+        add(self.contacts.edge(rod, late), moment=negated(before))
+        add(self.contacts.edge(rod, early), moment=(dot(columns[0], after), dot(columns[1], after), dot(columns[2], after)))
         own = own_block(v, stiffness, 0.0 - 0.25 * dot(p, u))
-        self.store(rod.scratch, at + OF_LATE * self.stride, own)
-        self.store(rod.scratch, at + OF_EARLY * self.stride, seen_from(columns, own))
-        self.store(rod.scratch, at + MIXED * self.stride, against_columns(mixed_block(s, v, p, stiffness), columns))
+        at.of_late = own
+        at.of_early = seen_from(columns, own)
+        at.mixed = against_columns(mixed_block(s, v, p, stiffness), columns)
 
     @ti.func
     def add_welds(self, rod):
@@ -127,9 +114,6 @@ class Welds:
             if late >= 0:
                 at = self.contacts.tie(rod, k)
                 free, other = self.freedom(rod, late), self.freedom(rod, early)
-                for_late, for_early = self.load6(rod.scratch, at + OF_LATE * self.stride), self.load6(
-                    rod.scratch, at + OF_EARLY * self.stride)
-                self.contacts.add_diagonal(rod, late + 1, column_scaled(row_scaled(full(for_late), free), free))
-                self.contacts.add_diagonal(rod, early + 1, column_scaled(row_scaled(full(for_early), other), other))
-                mixed = self.load9(rod.scratch, at + MIXED * self.stride)
-                self.contacts.add_block(rod, late + 1, early + 1, column_scaled(row_scaled(mixed, free), other))
+                self.contacts.add_diagonal(rod, late + 1, column_scaled(row_scaled(full(at.of_late), free), free))
+                self.contacts.add_diagonal(rod, early + 1, column_scaled(row_scaled(full(at.of_early), other), other))
+                self.contacts.add_block(rod, late + 1, early + 1, column_scaled(row_scaled(at.mixed, free), other))

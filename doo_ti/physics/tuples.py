@@ -62,6 +62,7 @@ class Variable(_Numbers):
 def picked(function):
     """``function`` as one that kernels may call while they are compiled, for one that only arranges numbers."""
     function._is_wrapped_kernel = True  # so that Taichi calls it without a warning
+    function._is_classkernel = False  # also where it is a method of a class of kernels
     return function
 
 
@@ -122,11 +123,25 @@ def extended(fields: Record, **more) -> Record:
 
 
 @picked
-def choose(fields: Record, condition, **values) -> None:
+def choose(fields, condition, **values) -> None:
     """Assign ``values`` to the fields of those names where the condition holds."""
     for name, value in values.items():
         field = getattr(fields, name)
-        field._assign(ti.select(condition, value, field))
+        if isinstance(field, Sequence):
+            field._assign(expr_init(tuple(ti.select(condition, new, old) for new, old in zip(value, field, strict=True))))
+        else:
+            field._assign(ti.select(condition, value, field))
+
+
+@picked
+def add(fields, **values) -> None:
+    """Add ``values`` to the fields of those names."""
+    for name, value in values.items():
+        field = getattr(fields, name)
+        if isinstance(field, Sequence):
+            field._assign(expr_init(tuple(old + new for new, old in zip(value, field, strict=True))))
+        else:
+            field._assign(field + value)
 
 
 @picked

@@ -10,14 +10,14 @@ import numpy as np
 from doo_ti import runtime
 from doo_ti.frames import matrix_from_quaternion, quaternion_from_matrix, vertices_from_quaternions
 from doo_ti.physics.number import Number
-from doo_ti.relaxation import chain, descent, newton
+from doo_ti.relaxation import descent, newton
 from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.chain_layout import numbers_of_rod
 from doo_ti.relaxation.external import Nothing
-from doo_ti.relaxation.loaded_elimination import FORCE_ITEMS
 from doo_ti.relaxation.loading import LANES, TRIPS
 from doo_ti.relaxation.newton_policy import CLOSING_DISTANCE
 from doo_ti.relaxation.tables import Tables, room, whole_start
-from doo_ti.relaxation.vertex_chain import ITEMS
+from doo_ti.relaxation.vertex_chain import VERTEX
 from doo_ti.types import Solution, Status
 
 PROJECTIONS = 100
@@ -117,9 +117,7 @@ def _launch_kernel(table: Tables, isotropic: bool, any_ends: bool, start, rods, 
     # Decided by the rods of the call, not of this launch: the few rods that a large call leaves to f64 need no second kernel.
     # An external energy has no serial kernel, because it takes long to compile.
     serial = block == 1 and table.count <= number.width and external is None
-    per_edge = chain.item_count(isotropic) + (0 if external is None else external.items + FORCE_ITEMS * any_ends)
-    per_rod = chain.LOADED_PARAMETERS + external.start_items if any_ends else chain.PARAMETERS
-    items = per_rod + per_edge * table.edges
+    items = numbers_of_rod(table.edges, isotropic, external, any_ends)
     if contact is not None:
         items += contact.items(table.edges, len(contact.kinds))
         outer += contact.arguments(contact.forces, options.gap_tolerance, not contact.itself)
@@ -153,15 +151,13 @@ def run_descent(table: Tables, options: descent.Descent, bits: int):
     table = table.restarted(closed)
     vertices, directors = _vertex_form(table)
     number, threads, stride, block = layout_for(len(table.rods), bits)
-    items = ITEMS * (table.edges + 1)
-    scratch, queue = buffers(number, threads, items)
+    scratch, queue = buffers(number, threads, len(VERTEX) * (table.edges + 1))
     positions = np.full((table.count, table.edges + 1, 3), np.nan)
     axes = np.full((table.count, table.edges, 3), np.nan)
     results = _untouched(table.count)
     descent.descent_kernel(number, stride, block)(
         vertices, directors, table.rest_length, table.clamp, table.material, *table.up, table.rods,
-        options.tolerance, options.max_iterations, options.largest_move, threads, items if stride == 1 else 1,
-        scratch, queue, positions, axes, results,
+        options.tolerance, options.max_iterations, options.largest_move, threads, scratch, queue, positions, axes, results,
     )
     frames = _chain_form(positions, axes)
     certificate = newton.Newton(tolerance=options.tolerance, max_iterations=1, first_shift=0.0, max_escapes=0)

@@ -5,10 +5,11 @@ from functools import cache
 import taichi as ti
 
 from doo_ti import runtime
-from doo_ti.contact.distance import Distance
+from doo_ti.contact.distance import COLUMNS, Distance
 from doo_ti.contact.obstacles import OBSTACLE_COLUMNS, PLANE
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import cross, dot, minus, plus, record, scaled, variable
+from doo_ti.physics.view import Scratch
 
 # Columns of a try: the number of half waves; whether it lies aside; to which side; the largest slope, rad; and one where the
 # way from the straight line is followed.
@@ -29,7 +30,8 @@ class BowSearch:
 
     def __init__(self, kinds: frozenset[int]):
         number = Number(1, 32)
-        self.distance, self.scalar = Distance(number, 1, kinds), number.scalar
+        self.distance, self.scalar = Distance(number, kinds), number.scalar
+        self.memory = Scratch(number, 1)
 
     @ti.func
     def three(self, table: ti.template(), r, k):
@@ -39,8 +41,8 @@ class BowSearch:
     def value(self, tables, r, o, x):
         """φ of obstacle ``o`` at ``x``."""
         row = ti.min(r, tables.obstacles.shape[0] // (tables.kinds.shape[0] * OBSTACLE_COLUMNS) - 1)
-        at = (row * tables.kinds.shape[0] + o) * OBSTACLE_COLUMNS
-        return self.distance.measure(tables.obstacles, tables.grids, at, tables.kinds[o], x).value
+        own = self.memory.view(tables.obstacles, (row * tables.kinds.shape[0] + o) * OBSTACLE_COLUMNS, COLUMNS)
+        return self.distance.measure(own, tables.grids, tables.kinds[o], x).value
 
     @ti.func
     def nears(self, tables, r, o, start, end, both, least):

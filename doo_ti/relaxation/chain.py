@@ -1,8 +1,8 @@
-"""A chain of frames in scratch memory: its layout, the step, closure and the energy (§III-B to §III-D).
+"""A chain of frames in scratch memory: the step, closure and the energy (§III-B to §III-D).
 
-Scratch holds, for every pack of rods, the parameters of its rods, and then for each edge the items named below; ``number`` says
-how many rods a value holds and ``stride`` how far apart the items of an edge lie. :mod:`doo_ti.relaxation.elimination` and
-:mod:`doo_ti.relaxation.loaded_elimination` solve the Newton system of this chain.
+Scratch holds, for every pack of rods, what :mod:`doo_ti.relaxation.chain_layout` names; ``number`` says how many rods a value
+holds. :mod:`doo_ti.relaxation.elimination` and :mod:`doo_ti.relaxation.loaded_elimination` solve the Newton system of the
+chain.
 """
 
 import taichi as ti
@@ -12,40 +12,12 @@ from doo_ti.physics.algebra import absolute, solve_symmetric
 from doo_ti.physics.angle import twist_angle_function
 from doo_ti.physics.closure import closing_rotation, linear_gradient, normal_matrix
 from doo_ti.physics.quaternion import first_director, second_director, tangent, turned_in_body, turned_in_world
-from doo_ti.physics.tuples import chosen, dot, minus, negated, on_diagonal, plus, record, repeated, scaled, variable
-
-# Items of an edge in scratch. Those of a vertex (1/l̄, β, ω̄) lie with the edge that leaves it.
-FRAME = 0
-STANDING = 4  # the frame before the step, restored where the step is rejected
-LENGTH = 8
-INVERSE_LENGTH = 9
-ROTATION = 10  # the right-hand side while eliminating, the step after back-substitution
-ELIMINATED_NEXT = 13
-ELIMINATED_BORDER = 22
-BENT = 22  # before eliminating: curvature and twist at the vertex where the edge ends
-PIVOTS = 31
-ISOTROPIC_ITEMS = 37
-BEND = 37
-TWIST = 40
-REST = 41
-SHIFT_SHARES = 43  # of a spin and of a tilt
-GENERAL_ITEMS = 45
+from doo_ti.physics.tuples import chosen, dot, minus, negated, on_diagonal, picked, plus, record, repeated, scaled, variable
+from doo_ti.physics.view import Layout, Scratch
+from doo_ti.relaxation.chain_layout import ROD, edge_layout
 
 EASILY_TWISTED = 1e-2
 """β over α, below which twisting is much easier than bending."""
-
-# Parameters of the rods of a pack, before the items of their edges (see :class:`Chain`).
-OF_TARGET, OF_CLOSED, OF_FREE, OF_RELEASED, OF_TOTAL, OF_LONGEST = 0, 3, 4, 9, 10, 11
-OF_ENERGY_UNIT, OF_STIFFNESS, OF_GRAVITY, OF_ANCHOR, OF_SCALE, OF_LENGTH_UNIT = 12, 13, 15, 18, 21, 22
-OF_SOFTEST, OF_SHIFT_SHARES, PARAMETERS = 23, 24, 26
-# And those of rods whose vertex 0 may move: the flag, how far it has moved, its place before the step, its step, and what
-# the substitution needs of its elimination.
-OF_LOOSE, OF_DRIFT, OF_DRIFT_STANDING, OF_DRIFT_STEP, OF_DRIFT_FACTORS, LOADED_PARAMETERS = 26, 27, 30, 33, 36, 51
-
-
-def item_count(isotropic: bool) -> int:
-    """Items of an edge."""
-    return ISOTROPIC_ITEMS if isotropic else GENERAL_ITEMS
 
 
 @ti.data_oriented
@@ -54,7 +26,7 @@ class Chain:
 
     Its functions take a record ``rod`` (:meth:`rods`) of the rods in one pack:
 
-    scratch, head, origin   the array, and the places of the parameters and of the first edge in it
+    head                    the view of what scratch holds of the rods
     edges                   number of edges
     target, closed          the far point from vertex 0, and one where it is held there, else zero
     free                    (spin_start, tilt_start, spin_end, tilt_end, tilt_inner): one where that rotation of the first edge,
@@ -72,16 +44,13 @@ class Chain:
     contacts, kinds, obstacles  where the items of contacts begin, the kinds of the obstacles and how many these are
                             (:class:`.Contacts`)
 
-    extra: items of an edge that belong to an external energy.
+    edge, rod: what scratch holds of an edge and of a rod, by default what a rod without external energy needs.
     """
 
-    def __init__(self, number, isotropic: bool, stride: int, extra: int = 0):
-        self.number = number
-        self.isotropic = isotropic
-        self.stride = stride
-        self.items = item_count(isotropic) + extra
-        self.edge_stride = self.items * stride
-        self.parameters = PARAMETERS
+    def __init__(self, number, isotropic: bool, stride: int, edge: Layout | None = None, rod: Layout = ROD):
+        self.number, self.isotropic = number, isotropic
+        self.memory = Scratch(number, stride)
+        self.rod_layout, self.edge_layout = rod, edge or edge_layout(isotropic)
         self.moves_start = False
         self.touches = False
         self.largest = number.lanes().largest
@@ -93,62 +62,43 @@ class Chain:
 
     # --- access to scratch ---
 
-    @ti.func
-    def load3(self, scratch: ti.template(), at):
-        return (scratch[at], scratch[at + self.stride], scratch[at + 2 * self.stride])
+    @picked
+    def numbers(self, edges):
+        """Numbers of a rod with so many edges."""
+        return len(self.rod_layout) + len(self.edge_layout) * edges
+
+    @picked
+    def behind(self, array, threads, thread, edges, numbers, layout: Layout):
+        """The view of ``numbers`` more of a thread in scratch: behind the chains of all threads."""
+        return self.memory.behind(array, threads, thread, self.numbers(edges), layout, numbers)
+
+    @picked
+    def head(self, array, thread, edges):
+        """The view of what a thread's scratch holds of its rods."""
+        return self.memory.of_thread(array, thread, self.rod_layout, self.numbers(edges))
+
+    @picked
+    def edge(self, head, e):
+        """The view of an edge of the rods at ``head``."""
+        return head.part(self.edge_layout, len(self.rod_layout) + e * len(self.edge_layout))
 
     @ti.func
-    def load4(self, scratch: ti.template(), at):
-        return self.load3(scratch, at) + (scratch[at + 3 * self.stride],)
-
-    @ti.func
-    def load6(self, scratch: ti.template(), at):
-        return self.load3(scratch, at) + self.load3(scratch, at + 3 * self.stride)
-
-    @ti.func
-    def load9(self, scratch: ti.template(), at):
-        return self.load6(scratch, at) + self.load3(scratch, at + 6 * self.stride)
-
-    @ti.func
-    def store(self, scratch: ti.template(), at, values):
-        for k in ti.static(range(len(values))):
-            scratch[at + k * self.stride] = values[k]
-
-    @ti.func
-    def behind(self, threads, thread, edges, numbers):
-        """Where ``numbers`` more of a thread begin in scratch: behind the chains of all threads."""
-        first = threads * (self.parameters + self.items * edges) + thread
-        if ti.static(self.stride == 1):
-            first += thread * (numbers - 1)
-        return first
-
-    @ti.func
-    def rods(self, tables, scratch: ti.template(), head, coarse):
-        """The record of the rods whose parameters begin at ``head``, with the tables of an external energy if there is one."""
+    def rods(self, tables, head, coarse):
+        """The record of the rods at ``head``, with the tables of an external energy if there is one."""
         return record(
-            scratch=scratch, head=head, origin=head + self.parameters * self.stride, edges=tables.rest_length.shape[1],
-            loose=self.loose(scratch, head), contacts=tables.contacts, kinds=tables.kinds, grids=tables.grids,
-            obstacles=tables.kinds.shape[0],
-            target=self.load3(scratch, head + OF_TARGET * self.stride),
-            length_unit=scratch[head + OF_LENGTH_UNIT * self.stride],
-            closed=scratch[head + OF_CLOSED * self.stride], spins_first=0.0 * scratch[head + OF_CLOSED * self.stride],
-            free=self.load4(scratch, head + OF_FREE * self.stride) + (scratch[head + (OF_FREE + 4) * self.stride],),
-            released=scratch[head + OF_RELEASED * self.stride],
-            total=scratch[head + OF_TOTAL * self.stride],
-            longest=scratch[head + OF_LONGEST * self.stride],
-            stiffness=(scratch[head + OF_STIFFNESS * self.stride], scratch[head + (OF_STIFFNESS + 1) * self.stride]),
-            softest=scratch[head + OF_SOFTEST * self.stride],
-            shift_shares=(scratch[head + OF_SHIFT_SHARES * self.stride], scratch[head + (OF_SHIFT_SHARES + 1) * self.stride]),
-            gravity=self.load3(scratch, head + OF_GRAVITY * self.stride),
-            anchor=self.load3(scratch, head + OF_ANCHOR * self.stride), numbers=tables.numbers, field=tables.field,
-            coarse=coarse)
+            head=head, edges=tables.rest_length.shape[1], loose=self.loose(head), contacts=tables.contacts,
+            kinds=tables.kinds, grids=tables.grids, obstacles=tables.kinds.shape[0], target=head.target,
+            length_unit=head.length_unit, closed=head.closed, spins_first=0.0 * head.closed, free=head.free,
+            released=head.released, total=head.total, longest=head.longest, stiffness=head.stiffness, softest=head.softest,
+            shift_shares=head.shift_shares, gravity=head.gravity, anchor=head.anchor, numbers=tables.numbers,
+            field=tables.field, coarse=coarse)
 
     @ti.func
-    def loose(self, scratch: ti.template(), head):
+    def loose(self, head):
         """One where vertex 0 is free to move (:class:`.LooseStart`)."""
-        loose = 0.0 * scratch[head + OF_CLOSED * self.stride]
+        loose = 0.0 * head.closed
         if ti.static(self.moves_start):
-            loose = scratch[head + OF_LOOSE * self.stride]
+            loose = head.loose
         return loose
 
     @ti.func
@@ -177,40 +127,32 @@ class Chain:
         return (h[0], h[1] + half * g[2], h[2] - half * g[1], h[3], h[4], h[5])
 
     @ti.func
-    def shifts(self, rod, at, shift):
-        """``shift`` of a spin and of a tilt of the edge ``at``: at most a large multiple of what is stiff there, so that the
-        soft parts of a rod with a stiff one still move."""
+    def shifts(self, rod, edge, shift):
+        """``shift`` of a spin and of a tilt of an edge: at most a large multiple of what is stiff there, so that the soft parts
+        of a rod with a stiff one still move."""
         if ti.static(self.isotropic):
             return (shift * rod.shift_shares[0], shift * rod.shift_shares[1])
         else:
-            shares = at + SHIFT_SHARES * self.stride
-            return (shift * rod.scratch[shares], shift * rod.scratch[shares + self.stride])
+            return (shift * edge.shift_shares[0], shift * edge.shift_shares[1])
 
     @ti.func
-    def stiffness(self, scratch: ti.template(), left, right, material):
+    def stiffness(self, left, right, material):
         """Stiffness tuple of :mod:`doo_ti.physics.pair` for the vertex between two neighbouring edges."""
-        inverse = scratch[right + INVERSE_LENGTH * self.stride]
+        inverse = right.inverse_length
         if ti.static(self.isotropic):
             return (material[0] * inverse, material[1] * inverse)
         else:
-            return (
-                self.load3(scratch, left + BEND * self.stride),
-                self.load3(scratch, right + BEND * self.stride),
-                inverse,
-                scratch[right + TWIST * self.stride] * inverse,
-            ) + self.rest(scratch, right)
+            return (left.bend, right.bend, inverse, right.twist * inverse) + self.rest(right)
 
     @ti.func
-    def rest(self, scratch: ti.template(), at):
+    def rest(self, edge):
         """What stiffness ends with, of the vertex where an edge begins: u̅, the same for both frames."""
-        return ((scratch[at + REST * self.stride], scratch[at + (REST + 1) * self.stride]),)
+        return (edge.rest,)
 
     @ti.func
-    def bent(self, scratch: ti.template(), at):
-        """(X, Y, 1/s, m, e^{im}) at the end of an edge: see :mod:`doo_ti.physics.pair`."""
-        b = self.load6(scratch, at + BENT * self.stride)
-        turn = (scratch[at + (BENT + 6) * self.stride], scratch[at + (BENT + 7) * self.stride])
-        return ((b[0], b[1]), (b[2], b[3]), b[4], b[5], turn)
+    def bent(self, b):
+        """(X, Y, 1/s, m, e^{im}) of the numbers ``bent`` of an edge: see :mod:`doo_ti.physics.pair`."""
+        return ((b[0], b[1]), (b[2], b[3]), b[4], b[5], (b[6], b[7]))
 
     # --- the energy of a pair of edges ---
 
@@ -280,20 +222,19 @@ class Chain:
         normal = variable(repeated(zero, 6))
         if ti.static(self.touches):
             self.contacts.stand_pairs(rod)
-        at = rod.origin
         for e in range(rod.edges):
+            edge = self.edge(rod.head, e)
             # In a lane that does not step the rotation is undefined and may be NaN.
-            rotation = self.load3(rod.scratch, at + ROTATION * self.stride)
+            rotation = edge.rotation
             w = chosen(stepping, scaled(rotation, scale), repeated(zero, 3))
-            standing = self.load4(rod.scratch, at)
-            self.store(rod.scratch, at + STANDING * self.stride, standing)
+            standing = edge.frame
+            edge.standing = standing
             q = turned_in_body(standing, w, rod.spins_first)
-            self.store(rod.scratch, at, q)
-            length = rod.scratch[at + LENGTH * self.stride]
+            edge.frame = q
+            length = edge.length
             t = tangent(q)
             reached, lost = self.summed(reached, lost, scaled(t, length))
             normal = plus(normal, scaled(normal_matrix(length, t), self.freedom(rod, e)[1]))
-            at += self.edge_stride
         goal = variable(rod.target)
         if ti.static(self.touches):
             goal = plus(goal, scaled(before, ti.select(stepping, 1.0 - scale, zero)))
@@ -334,10 +275,10 @@ class Chain:
         remaining = rod.total
         unclosed, closed = (zero + 1e30, zero + 1e30)
         some_taut = self.largest(1.0 - rod.free[4]) > 0.5
-        at = rod.origin
         for e in range(rod.edges):
-            raw = self.load4(rod.scratch, at)
-            length = rod.scratch[at + LENGTH * self.stride]
+            edge = self.edge(rod.head, e)
+            raw = edge.frame
+            length = edge.length
             raw_tangent = tangent(raw)
             rotation = variable(closing_rotation(length, raw_tangent, x))
             levers = length
@@ -346,10 +287,10 @@ class Chain:
                 rotation = scaled(rotation, tilt)
                 levers = length * tilt
             q = turned_in_world(raw, rotation)
-            self.store(rod.scratch, at, q)
+            edge.frame = q
             right1, right2 = (zero, zero)
             if e > 0:
-                bent, s = self._bend(rod, at, before, q)
+                bent, s = self._bend(rod, e, before, q)
                 energy = energy + self.energy_of(bent, s)
                 left, right = self.gradient_of(bent, s)
                 moment = minus(plus(moment, scaled(lever1, carry2 + left[2])), scaled(lever2, carry1 + left[1]))
@@ -368,7 +309,6 @@ class Chain:
             unclosed = ti.min(unclosed, dot(raw_tangent, rod.target))
             closed = ti.min(closed, dot(t, rod.target))
             before = q
-            at += self.edge_stride
         moment = minus(plus(moment, scaled(lever1, carry2)), scaled(lever2, carry1))
         if ti.static(self.moves_start):
             reached = self.displaced(rod, reached)
@@ -378,23 +318,22 @@ class Chain:
         return energy + potential, energy + magnitude, miss, negated(scaled(fit, rod.closed)), (unclosed, closed)
 
     @ti.func
-    def _bend(self, rod, at, before, q):
-        """Curvature and twist between the frame before and the frame q of the edge ``at``, kept for the elimination, and the
+    def _bend(self, rod, e, before, q):
+        """Curvature and twist between the frame before and the frame q of edge ``e``, kept for the elimination, and the
         stiffness there."""
-        previous = at - self.edge_stride
+        previous = self.edge(rod.head, e - 1)
         px, py, inverse, turn, r = pair.curvature(before, q)
         m = self.twist_angle(r)
-        self.store(rod.scratch, previous + BENT * self.stride, px + py + (inverse, m) + turn)
-        return (px, py, inverse, m, turn), self.stiffness(rod.scratch, previous, at, rod.stiffness)
+        previous.bent = px + py + (inverse, m) + turn
+        return (px, py, inverse, m, turn), self.stiffness(previous, self.edge(rod.head, e), rod.stiffness)
 
     @ti.func
     def restore(self, rod, lost):
         """Restore the frames from before the step in the lanes that reject it."""
-        at = rod.origin
-        for _ in range(rod.edges):
-            standing = self.load4(rod.scratch, at + STANDING * self.stride)
-            self.store(rod.scratch, at, chosen(lost > 0.5, standing, self.load4(rod.scratch, at)))
-            at += self.edge_stride
+        for e in range(rod.edges):
+            edge = self.edge(rod.head, e)
+            standing = edge.standing
+            edge.frame = chosen(lost > 0.5, standing, edge.frame)
         if ti.static(self.moves_start):
             self.restore_start(rod, lost)
         if ti.static(self.touches):

@@ -6,12 +6,12 @@ could touch: their distance then, less that at which they touch, over the larges
 
 import taichi as ti
 
-from doo_ti.physics.number import Number
-from doo_ti.physics.tuples import dot, minus, plus, scaled
+from doo_ti.physics.tuples import dot, minus, picked, plus, scaled
+from doo_ti.physics.view import Layout, exact
 from doo_ti.relaxation.pair_distance import nearest_places, within
 
-# Items of a vertex: its place before and after, and the length of rod up to it.
-BEFORE, AFTER, ARC, VERTEX_ITEMS = 0, 3, 6, 7
+WAY = Layout(before=3, after=3, arc=1)
+"""Of a vertex: its place before and after, and the length of rod up to it."""
 ENOUGH = 1e-3
 """Radii, nearer than which two edges touch."""
 
@@ -27,32 +27,29 @@ def least_distance(before, change):
 
 @ti.data_oriented
 class ClosestApproach:
-    """The ways of rods of one kind of number, whose vertices' items are in scratch.
+    """The ways of rods.
 
-    A ``rod`` is a record of its ``scratch``, its ``head`` and lane ``slot`` there, its ``edges``, the distance ``near`` at
+    A ``rod`` is a record of ``head``, the view of its vertex 0 in a lane of scratch, its ``edges``, the distance ``near`` at
     which two of them touch, to within ``enough``, and the length ``least_arc`` of rod that is between any two that count, mm.
     """
 
-    def __init__(self, number: Number, stride: int):
-        self.stride, self.get = stride, number.lanes().get
-
-    @ti.func
-    def item(self, rod, vertex, k):
-        """An item of a vertex."""
-        return ti.cast(self.get(rod.scratch, rod.head + (vertex * VERTEX_ITEMS + k) * self.stride, rod.slot), ti.f64)
+    @picked
+    def vertex(self, head, v):
+        """The view of vertex ``v``."""
+        return head.part(WAY, v * len(WAY))
 
     @ti.func
     def before(self, rod, vertex):
-        return (self.item(rod, vertex, BEFORE), self.item(rod, vertex, BEFORE + 1), self.item(rod, vertex, BEFORE + 2))
+        return exact(self.vertex(rod.head, vertex).before)
 
     @ti.func
     def after(self, rod, vertex):
-        return (self.item(rod, vertex, AFTER), self.item(rod, vertex, AFTER + 1), self.item(rod, vertex, AFTER + 2))
+        return exact(self.vertex(rod.head, vertex).after)
 
     @ti.func
     def arc(self, rod, first, last):
         """The length of rod between two vertices."""
-        return self.item(rod, last, ARC) - self.item(rod, first, ARC)
+        return exact(self.vertex(rod.head, last).arc) - exact(self.vertex(rod.head, first).arc)
 
     @ti.func
     def apart(self, rod, first, last, share):

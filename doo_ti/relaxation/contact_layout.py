@@ -1,58 +1,66 @@
 """Where the numbers of contacts lie in scratch, and the numbers that their rounds go by (docs/contact.md)."""
 
-from doo_ti.contact.obstacles import OBSTACLE_COLUMNS
+from doo_ti.contact.distance import COLUMNS
 from doo_ti.physics.tuples import picked
+from doo_ti.physics.view import Layout
 
-# Items of a rod: its radius, κ, the tolerance of its gaps, by how much the last round changed a gap, and its phase; of the
-# barrier what it adds to gaps, its strength μ and how many strengths it has had; how close to an obstacle a vertex is where
-# more than its φ counts; κ as it was at first; the work that friction has done; one where a step is tried for the second time;
-# μ as it was at first; of a motion how much of the clamps' way to the next instant is behind the rod, how much of it is made at
-# once, the multiplier of closure at the last instant, and the largest force; and of steps that viscosity eases, the viscosity
-# now and at first, and how many there were. The obstacles follow.
-RADIUS, STIFFNESS, TOLERANCE, CHANGE, PHASE, OFFSET, STRENGTH, STAGE, REACH = 0, 1, 2, 3, 4, 5, 6, 7, 8
-FIRST_STIFFNESS, WORK, RETRIED, FIRST_STRENGTH, WAY_MADE, WAY, MULTIPLIER, LARGEST, VISCOSITY, FIRST_VISCOSITY, EASED = (
-    9, 10, 11, 12, 13, 14, 15, 18, 19, 20, 21)
-# And sums, which are kept here because a loop over obstacles has no room for them in registers: the energy of all contacts, its
+# Of a rod: its radius, κ, the tolerance of its gaps, by how much the last round changed a gap, and its phase; of the barrier
+# what it adds to gaps, its strength μ and how many strengths it has had; how close to an obstacle a vertex is where more than
+# its φ counts; κ as it was at first; the work that friction has done; one where a step is tried for the second time; μ as it
+# was at first; of a motion how much of the clamps' way to the next instant is behind the rod, how much of it is made at once,
+# the multiplier of closure at the last instant, and the largest force; and of steps that viscosity eases, the viscosity now and
+# at first, and how many there were.
+ROD = Layout(
+    radius=1, stiffness=1, tolerance=1, change=1, phase=1, offset=1, strength=1, stage=1, reach=1, first_stiffness=1, work=1,
+    retried=1, first_strength=1, way_made=1, way=1, multiplier=3, largest=1, viscosity=1, first_viscosity=1, eased=1,
+    given=("radius", 13))
+# Sums, which are kept here because a loop over obstacles has no room for them in registers: the energy of all contacts, its
 # magnitude, and the part of it that only makes gaps close, which is no energy of the rod; the square of the largest share of
 # its way to the middle of an obstacle that a vertex has made in this step; the least φ, the least gap where no clamp holds the
-# rod, and by how much the step changed a force by settling forces. Then the κ with which the step settles forces, zero where it
-# does not, and how many steps have done so; 1/κ; one where the step before was refused, and one where the derivatives therefore
-# have a contact that does not push (:meth:`.ContactEnergy.expect`); that part of the energy at the accepted frames; and, one
-# number each for all rods of the pack, whether a barrier keeps any away from obstacles, whether the
-# step of any was refused, and the length of the longest edge. And of one edge the derivatives of the energy of its contacts
-# between its ends, as :meth:`.LoadedElimination.load` returns them, and how much of the first two is not of known forces; and
-# those by the place of the vertex where it ends of the energy of the contacts there.
-ENERGY, MAGNITUDE, PENALTY, CROSSING, DEEPEST, CLOSEST, SETTLED, SETTLING, EARLY, COMPLIANCE, EXPECTING, EXPECTED = (
-    22, 23, 24, 25, 26, 27, 28, 29, 30, 31, 32, 33)
-PENALTY_KEPT, SOME_BEHIND, SOME_EXPECTING, LONGEST_EDGE = 34, 35, 36, 37
-GRADIENT, GRADIENT_S, CURVATURES, CURVATURES_S, CURVATURES_SS, EXCESS, EXCESS_S = 38, 41, 44, 50, 59, 65, 68
-END_GRADIENT, END_CURVATURES, END_EXCESS, HEAD = 71, 74, 80, 83
+# rod, and by how much the step changed a force by settling forces.
+SUMS = Layout(energy=1, magnitude=1, penalty=1, crossing=1, deepest=1, closest=1, settled=1, sums=("energy", 7))
+# Then the κ with which the step settles forces, zero where it does not, and how many steps have done so; 1/κ; one where the
+# step before was refused, and one where the derivatives therefore have a contact that does not push
+# (:meth:`.ContactEnergy.expect`); that part of the energy at the accepted frames; and, one number each for all rods of the
+# pack, whether a barrier keeps any away from obstacles, whether the step of any was refused, and the longest edge.
+STEP = Layout(settling=1, early=1, compliance=1, expecting=1, expected=1, penalty_kept=1, some_behind=1, some_expecting=1,
+              longest_edge=1)
+# And of one edge the derivatives of the energy of its contacts between its ends, as :meth:`.LoadedElimination.load` returns
+# them, and how much of the first two is not of known forces; and those by the place of the vertex where it ends of the energy
+# of the contacts there.
+EDGE = Layout(
+    gradient=3, gradient_s=3, curvatures=6, curvatures_s=9, curvatures_ss=6, between=("gradient", 27), excess=3, excess_s=3,
+    excesses=("excess", 6), end_gradient=3, end_curvatures=6, end_excess=3, end=("end_gradient", 12))
+CONTACTS = ROD + SUMS + STEP + EDGE
+"""Of a rod; its obstacles follow, and then its vertices."""
+OBSTACLE = COLUMNS + Layout(turn=4, shift=3, pose=("turn", 7), turn_before=4, shift_before=3,
+                            pose_before=("turn_before", 7), carry=9, carried=3)
+"""An obstacle; of one that moves its turn and its shift from where it was at first, now and at the last instant, and by which
+turn, column after column, and shift a place of it has moved since then."""
+# Its place; the least room of the edge that ends there, which is how far it is from the middle of an obstacle; both also from
+# before the step; the forces on that edge's end and on its start; of a motion the place at the instant before; the least φ of
+# all obstacles; and, one number each for all rods of the pack, how far the nearest obstacle is from being close, and whether
+# there are forces. The number of items of a vertex with its contacts is odd: with a power of two all vertices would share a
+# few lines of the processor's cache.
+VERTEX = Layout(place=3, standing=3, room=1, room_standing=1, force_end=3, force_start=3, previous=3, least=1, nearest_of_all=1,
+                pushed=1, odd=1)
+"""A vertex; its contacts follow."""
+# λ of both, and the friction on both; for friction, where a round does not change them, the normal at the vertex, the place on
+# the edge and the normal there; one where rounds have the contact of the edge; of the vertex φ, its normal and ∇∇φ; of the edge
+# the nearest point s, φ* and its normal, the weight of its contact, and by how much it is nearer there than at its ends; one
+# number for all rods of the pack, how far the nearest is from being close; and, of both, one where it has pushed in the last
+# trip.
+CONTACT = Layout(
+    force=1, force_between=1, friction=3, friction_between=3, rubbed_normal=3, rubbed_place=1, rubbed_normal_between=3,
+    active=1, value=1, normal=3, curvature=6, place_between=1, value_between=1, normal_between=3, weight=1,
+    nearest_point=("place_between", 6), sagging=1, nearest=1, pushes=1, pushes_between=1,
+    remembered=("force", 16))
+"""The contact of a vertex and the edge that ends there with an obstacle."""
+REMEMBERED, REMEMBERED_IN_MOTION = CONTACT.at("friction"), CONTACT.at("value")
+"""Numbers of a contact that last from one relaxation to the next, and from one step to the next."""
 # Phases of a rod: it has just been loaded and begins with a barrier; this keeps it away from obstacles and finds out where it
 # will touch them; rounds to a rough tolerance of its moments; rounds to the final one.
 LOADED, BARRIER, ROUGH, FINE = 3.0, 2.0, 1.0, 0.0
-# Items of a vertex: its place; the least room of the edge that ends there, which is how far it is from the middle of an
-# obstacle; both also from before the step; the forces on that edge's end and on its start; of a motion the place at the
-# instant before; the least φ of all obstacles; and, one number each for all rods of the pack, how far the nearest obstacle is
-# from being close, and whether there are forces. Its contacts follow. The number of items of a vertex with its contacts is odd:
-# with a power of two all vertices would share a few lines of the processor's cache.
-PLACE, STANDING, ROOM, ROOM_STANDING, FORCE_END, FORCE_START, PREVIOUS, LEAST, NEAREST_OF_ALL, PUSHED, VERTEX_ITEMS = (
-    0, 3, 6, 7, 8, 11, 14, 17, 18, 19, 21)
-# Items of the contact of a vertex and the edge that ends there with an obstacle: λ of both, and the friction on both; for
-# friction, where a round does not change them, the normal at the vertex, the place on the edge and the normal there; one where
-# rounds have the contact of the edge; of the vertex φ, its normal and ∇∇φ; of the edge the nearest point s, φ* and its normal,
-# the weight of its contact, and by how much it is nearer there than at its ends; one number for all rods of the pack, how far
-# the nearest is from being close; and, of both, one where it has pushed in the last trip.
-FORCE, FORCE_BETWEEN, FRICTION, FRICTION_BETWEEN, RUBBED_NORMAL, RUBBED_PLACE, RUBBED_NORMAL_BETWEEN, ACTIVE = (
-    0, 1, 2, 5, 8, 11, 12, 15)
-VALUE, NORMAL, CURVATURE, PLACE_BETWEEN, VALUE_BETWEEN, NORMAL_BETWEEN, WEIGHT, SAGGING, NEAREST = (
-    16, 17, 20, 26, 27, 28, 31, 32, 33)
-PUSHES, PUSHES_BETWEEN, CONTACT_ITEMS = 34, 35, 36
-# Items of an obstacle: its columns; and of one that moves its turn and its shift from where it was at first, now and at the
-# last instant, and by which turn, column after column, and shift a place of it has moved since then.
-TURN, SHIFT, TURN_BEFORE, SHIFT_BEFORE, CARRY, CARRIED, OBSTACLE_ITEMS = (
-    OBSTACLE_COLUMNS + k for k in (0, 4, 7, 11, 14, 23, 26))
-REMEMBERED, REMEMBERED_IN_MOTION = 2, 16
-"""Items of a contact that last from one relaxation to the next, and from one step to the next."""
 
 SEARCHES = 24
 """Evaluations, at most, to find the point of an edge that is nearest to an obstacle."""
@@ -121,4 +129,4 @@ INERT = 10.0
 @picked
 def contact_items(edges, obstacles):
     """Numbers of a rod's contacts in scratch."""
-    return HEAD + obstacles * OBSTACLE_ITEMS + (edges + 1) * (VERTEX_ITEMS + obstacles * CONTACT_ITEMS)
+    return len(CONTACTS) + obstacles * len(OBSTACLE) + (edges + 1) * (len(VERTEX) + obstacles * len(CONTACT))

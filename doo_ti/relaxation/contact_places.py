@@ -5,154 +5,98 @@ import taichi as ti
 from doo_ti.contact.distance import Distance
 from doo_ti.contact.obstacles import BOX, CYLINDER, GRID, PLANE
 from doo_ti.physics.algebra import absolute, largest_of
-from doo_ti.physics.tuples import applied, choose, chosen, dot, full, minus, plus, record, repeated, scaled, variable
-from doo_ti.relaxation.contact_layout import (
-    BARRIER,
-    CARRIED,
-    CARRY,
-    CLOSEST,
-    COMPLIANCE,
-    CONTACT_ITEMS,
-    CROSSING,
-    CURVATURE,
-    DEEPEST,
-    ENERGY,
-    EXPECTED,
-    EXPECTING,
-    HEAD,
-    LEAST,
-    LONGEST_EDGE,
-    NEAREST,
-    NEAREST_OF_ALL,
-    NORMAL,
-    OBSTACLE_ITEMS,
-    PENALTY,
-    PENALTY_KEPT,
-    PHASE,
-    PLACE,
-    PREVIOUS,
-    RADIUS,
-    REACH,
-    ROOM,
-    ROUGH,
-    RUBBED_PLACE,
-    SEARCHES,
-    SOME_BEHIND,
-    SOME_EXPECTING,
-    STANDING,
-    STIFFNESS,
-    TOLERANCE,
-    VALUE,
-    VERTEX_ITEMS,
+from doo_ti.physics.tuples import (
+    add,
+    applied,
+    choose,
+    chosen,
+    dot,
+    full,
+    minus,
+    picked,
+    plus,
+    record,
+    repeated,
+    row,
+    scaled,
+    variable,
 )
+from doo_ti.relaxation.contact_layout import BARRIER, CONTACT, CONTACTS, OBSTACLE, ROUGH, SEARCHES, VERTEX
 
 
 @ti.data_oriented
 class ContactPlaces:
-    """Where the rods in a pack are, seen from obstacles of some ``kinds``. Of the record ``rod`` it reads ``contacts``, where
-    its items begin in scratch, ``kinds``, ``grids``, and ``obstacles``, how many there are. ``moves``: obstacles may move
+    """Where the rods in a pack are, seen from obstacles of some ``kinds``. Of the record ``rod`` it reads ``contacts``, the
+    view of its numbers in scratch, ``kinds``, ``grids``, and ``obstacles``, how many there are. ``moves``: obstacles may move
     during a motion."""
 
-    def __init__(self, number, stride: int, kinds: frozenset[int], moves: bool = False):
-        lanes = number.lanes()
-        self.put, self.get, self.largest = lanes.put, lanes.get, lanes.largest
-        self.stride, self.moves, self.bits = stride, moves, number.bits
-        self.distance = Distance(number, stride, kinds)
-        self.load3 = self.distance.load3
+    def __init__(self, number, kinds: frozenset[int], moves: bool = False):
+        self.largest, self.moves, self.bits = number.lanes().largest, moves, number.bits
+        self.distance = Distance(number, kinds)
         # What the places of vertices are wrong by, as a share of the rod's length.
         self.rounding = 2e-7 if number.bits == 32 else 1e-13
         # And of the place on an edge, of its length: φ there is wrong by its square.
         self.place_rounding = 3e-4 if number.bits == 32 else 1e-7
 
-    # --- items in scratch ---
-
-    @ti.func
-    def item(self, rod, item: ti.template()):
-        """A number of the rod."""
-        return rod.scratch[rod.contacts + item * self.stride]
-
-    @ti.func
-    def set_item(self, rod, item: ti.template(), condition, value):
-        """Set it where the condition holds."""
-        at = rod.contacts + item * self.stride
-        rod.scratch[at] = ti.select(condition, value, rod.scratch[at])
-
     @ti.func
     def behind(self, rod):
         """Whether a barrier keeps the rod away from obstacles, or is about to."""
-        return self.item(rod, PHASE) > ti.static(0.5 * (BARRIER + ROUGH))
+        return rod.contacts.phase > ti.static(0.5 * (BARRIER + ROUGH))
 
     @ti.func
     def some_behind(self, rod):
         """Whether it does so in some lane of the pack."""
-        return self.common(rod, SOME_BEHIND) > 0.5
+        return rod.contacts.lane(0).some_behind > 0.5
 
     @ti.func
     def some(self, condition, zero):
         """Whether a condition holds in some lane."""
         return self.largest(ti.select(condition, zero + 1.0, zero)) > 0.5
 
-    @ti.func
+    # --- views of scratch ---
+
+    @picked
     def obstacle(self, rod, index):
-        return rod.contacts + (HEAD + index * OBSTACLE_ITEMS) * self.stride
+        return rod.contacts.part(OBSTACLE, len(CONTACTS) + index * len(OBSTACLE))
 
-    @ti.func
+    @picked
     def vertex(self, rod, index):
-        first = HEAD + rod.obstacles * OBSTACLE_ITEMS
-        return rod.contacts + (first + index * (VERTEX_ITEMS + rod.obstacles * CONTACT_ITEMS)) * self.stride
+        size = len(VERTEX) + rod.obstacles * len(CONTACT)
+        return rod.contacts.part(VERTEX, len(CONTACTS) + rod.obstacles * len(OBSTACLE) + index * size)
 
-    @ti.func
+    @picked
     def contact(self, vertex, index):
-        return vertex + (VERTEX_ITEMS + index * CONTACT_ITEMS) * self.stride
+        return vertex.part(CONTACT, len(VERTEX) + index * len(CONTACT))
 
-    @ti.func
-    def store(self, scratch: ti.template(), at, values):
-        for k in ti.static(range(len(values))):
-            scratch[at + k * self.stride] = values[k]
+    @picked
+    def of_lane(self, tables, slot):
+        """The record of what the functions above read, for the rod in one lane of scratch."""
+        return record(contacts=tables.contacts.lane(slot), edges=tables.rest_length.shape[1], obstacles=tables.kinds.shape[0])
+
+    # --- sums ---
 
     @ti.func
     def begin(self, rod):
         """Begin the sums over all vertices, and compute what they all need."""
         zero = 0.0 * rod.total
         most = zero + 1e30
-        self.store(rod.scratch, rod.contacts + ENERGY * self.stride, (zero, zero, zero, zero, most, most, zero))
-        rod.scratch[rod.contacts + COMPLIANCE * self.stride] = 1.0 / self.item(rod, STIFFNESS)
-        rod.scratch[rod.contacts + EXPECTED * self.stride] = zero
-        self.put_common(rod, SOME_BEHIND, ti.select(self.behind(rod), zero + 1.0, zero))
-        self.put_common(rod, SOME_EXPECTING, self.item(rod, EXPECTING))
-        self.put_common(rod, LONGEST_EDGE, rod.longest)
-
-    @ti.func
-    def put_common(self, rod, item: ti.template(), value):
-        """Make an item that is one number for all rods of the pack the largest of theirs."""
-        self.put(rod.scratch, rod.contacts + item * self.stride, 0, self.largest(value))
-
-    @ti.func
-    def common(self, rod, item: ti.template()):
-        """That number."""
-        return self.get(rod.scratch, rod.contacts + item * self.stride, 0)
-
-    @ti.func
-    def add(self, rod, item: ti.template(), values):
-        """Add to a sum."""
-        for k in ti.static(range(len(values))):
-            at = rod.contacts + (item + k) * self.stride
-            rod.scratch[at] = rod.scratch[at] + values[k]
-
-    @ti.func
-    def lower(self, scratch: ti.template(), at, value):
-        """Take a value into a minimum."""
-        scratch[at] = ti.min(scratch[at], value)
+        rod.contacts.sums = (zero, zero, zero, zero, most, most, zero)
+        rod.contacts.compliance = 1.0 / rod.contacts.stiffness
+        rod.contacts.expected = zero
+        common = rod.contacts.lane(0)  # one number for all rods of the pack, the largest of theirs
+        common.some_behind = self.largest(ti.select(self.behind(rod), zero + 1.0, zero))
+        common.some_expecting = self.largest(rod.contacts.expecting)
+        common.longest_edge = self.largest(rod.longest)
 
     @ti.func
     def add_penalty(self, rod, energy, magnitude):
         """Add to the energy of all contacts a part that only makes gaps close, and is no energy of the rod."""
-        self.add(rod, ENERGY, (energy, magnitude, energy))
+        add(rod.contacts, energy=energy, magnitude=magnitude, penalty=energy)
 
     @ti.func
     def note_accepted(self, rod, where):
         """Keep the sum of those parts in the lanes ``where`` a step was accepted."""
-        self.set_item(rod, PENALTY_KEPT, where, self.item(rod, PENALTY))
+        choose(rod.contacts, where, penalty_kept=rod.contacts.penalty)
 
     # --- what a rod is near to ---
 
@@ -160,32 +104,31 @@ class ContactPlaces:
     def look(self, rod, index, place):
         """Measure how far vertex ``index``, at ``place``, is from all obstacles."""
         at = self.vertex(rod, index)
-        standing = self.load3(rod.scratch, at + PLACE * self.stride)
-        self.store(rod.scratch, at + STANDING * self.stride, standing)
-        self.store(rod.scratch, at + PLACE * self.stride, place)
+        standing = at.place
+        at.standing = standing
+        at.place = place
         away = minus(place, standing)
-        crossing = rod.contacts + CROSSING * self.stride
-        rod.scratch[crossing] = largest_of(rod.scratch[crossing], dot(away, away) * self.nearness(rod, index, at))
-        longest = self.common(rod, LONGEST_EDGE)
+        rod.contacts.crossing = largest_of(rod.contacts.crossing, dot(away, away) * self.nearness(rod, index, at))
+        longest = rod.contacts.lane(0).longest_edge
         least, nearest_of_all = 0.0 * rod.total + 1e30, 0.0 * longest + 1e30
         for o in range(rod.obstacles):
             contact = self.contact(at, o)
-            seen = self.distance.measure(rod.scratch, rod.grids, self.obstacle(rod, o), rod.kinds[o], place)
+            seen = self.distance.measure(self.obstacle(rod, o), rod.grids, rod.kinds[o], place)
             value = self.clearance(rod, index, seen.value)
-            rod.scratch[contact + VALUE * self.stride] = value
+            contact.value = value
             # Where a vertex is close, the normals at both ends of its edges count.
-            nearest = 0.0 - self.largest(self.item(rod, REACH) - value)
-            self.put(rod.scratch, contact + NEAREST * self.stride, 0, nearest)
+            nearest = 0.0 - self.largest(rod.contacts.reach - value)
+            contact.lane(0).nearest = nearest
             least, nearest_of_all = ti.min(least, value), ti.min(nearest_of_all, nearest)
             if nearest < longest:
-                self.store(rod.scratch, contact + NORMAL * self.stride, seen.normal)
+                contact.normal = seen.normal
                 if self.is_curved(rod, o):
-                    self.store(rod.scratch, contact + CURVATURE * self.stride, seen.curvature)
-                gap, held = value - self.item(rod, RADIUS), self.held(rod, index) > 0.5
-                self.lower(rod.scratch, rod.contacts + DEEPEST * self.stride, seen.value)
-                self.lower(rod.scratch, rod.contacts + CLOSEST * self.stride, ti.select(held, 0.0 * gap + 1e30, gap))
-        rod.scratch[at + LEAST * self.stride] = least
-        self.put(rod.scratch, at + NEAREST_OF_ALL * self.stride, 0, nearest_of_all)
+                    contact.curvature = seen.curvature
+                gap, held = value - rod.contacts.radius, self.held(rod, index) > 0.5
+                rod.contacts.deepest = ti.min(rod.contacts.deepest, seen.value)
+                rod.contacts.closest = ti.min(rod.contacts.closest, ti.select(held, 0.0 * gap + 1e30, gap))
+        at.least = least
+        at.lane(0).nearest_of_all = nearest_of_all
 
     @ti.func
     def clearance(self, rod, index, distance):
@@ -196,12 +139,12 @@ class ContactPlaces:
     @ti.func
     def close_lanes(self, rod, value):
         """The lanes in which a vertex is close to an obstacle, ``value`` being its φ."""
-        return value < self.item(rod, REACH)
+        return value < rod.contacts.reach
 
     @ti.func
     def is_close(self, rod, contact):
         """Whether there are any. What is computed because of one of them must leave the others as they are."""
-        return self.get(rod.scratch, contact + NEAREST * self.stride, 0) < 0.0
+        return contact.lane(0).nearest < 0.0
 
     @ti.func
     def is_edge_close(self, rod, index, o):
@@ -223,14 +166,14 @@ class ContactPlaces:
     @ti.func
     def is_any_close(self, rod, at):
         """Whether the vertex at ``at`` in scratch is close to any obstacle in some lane."""
-        return self.get(rod.scratch, at + NEAREST_OF_ALL * self.stride, 0) < 0.0
+        return at.lane(0).nearest_of_all < 0.0
 
     @ti.func
     def nearness(self, rod, index, at):
         """1/ρ² of the vertex, ρ the least room of the two edges that meet there."""
-        room = rod.scratch[at + ROOM * self.stride]
+        room = at.room
         if index < rod.edges:
-            room = ti.min(room, rod.scratch[self.vertex(rod, index + 1) + ROOM * self.stride])
+            room = ti.min(room, self.vertex(rod, index + 1).room)
         return 1.0 / (room * room + 1e-20)
 
     @ti.func
@@ -252,7 +195,7 @@ class ContactPlaces:
     def blocked(self, rod, fresh, miss):
         """The ``fresh`` lanes in which the rod's centreline is inside an obstacle, or a clamp (:meth:`pinched`)."""
         zero = 0.0 * rod.total
-        inside = variable((fresh & (self.item(rod, DEEPEST) < 0.0),))
+        inside = variable((fresh & (rod.contacts.deepest < 0.0),))
         if self.some(fresh, zero):
             inside = (inside[0] | (fresh & self.pinched(rod, miss)),)
         return inside[0]
@@ -265,24 +208,24 @@ class ContactPlaces:
         least = zero
         for end in range(2):
             index = ti.select(end == 0, 0, rod.edges - 1)
-            start = variable(self.load3(rod.scratch, self.vertex(rod, index) + PLACE * self.stride))
-            stop = variable(self.load3(rod.scratch, self.vertex(rod, index + 1) + PLACE * self.stride))
+            start = variable(self.vertex(rod, index).place)
+            stop = variable(self.vertex(rod, index + 1).place)
             if end == 1:
                 start, stop = minus(start, miss), minus(stop, miss)
             held_start, held_stop = self.held(rod, index) > 0.5, self.held(rod, index + 1) > 0.5
             edge = minus(stop, start)
             for o in range(rod.obstacles):
                 obstacle, kind = self.obstacle(rod, o), rod.kinds[o]
-                first = self.distance.measure(rod.scratch, rod.grids, obstacle, kind, start)
-                last = self.distance.measure(rod.scratch, rod.grids, obstacle, kind, stop)
+                first = self.distance.measure(obstacle, rod.grids, kind, start)
+                last = self.distance.measure(obstacle, rod.grids, kind, stop)
                 value = ti.min(ti.select(held_start, first.value, zero + 1e30), ti.select(held_stop, last.value, zero + 1e30))
                 ends = (dot(first.normal, edge), dot(last.normal, edge))
                 bridging = held_start & held_stop & (ends[0] < 0.0) & (ends[1] > 0.0)
                 if self.some(bridging, zero):
                     between = self.nearest(rod, o, index + 1, start, edge, ends, bridging)
                     value = ti.min(value, ti.select(bridging, between.value, value))
-                least = ti.min(least, value - self.item(rod, RADIUS))
-        return (least < 0.0 - self.item(rod, TOLERANCE)) | self.pinched_pairs(rod)
+                least = ti.min(least, value - rod.contacts.radius)
+        return (least < 0.0 - rod.contacts.tolerance) | self.pinched_pairs(rod)
 
     @ti.func
     def nearest(self, rod, o, index, start, edge, ends, wanted):
@@ -298,7 +241,7 @@ class ContactPlaces:
         searches = 0
         while searches < SEARCHES and self.largest(going) > 0.5:
             searches += 1
-            seen = self.distance.measure(rod.scratch, rod.grids, self.obstacle(rod, o), rod.kinds[o],
+            seen = self.distance.measure(self.obstacle(rod, o), rod.grids, rod.kinds[o],
                                          plus(start, scaled(edge, s[0])))
             here = going > 0.5
             slope = dot(seen.normal, edge)
@@ -331,26 +274,25 @@ class ContactPlaces:
     @ti.func
     def moved(self, rod, vertex):
         """How far a vertex has moved since the instant before."""
-        return minus(self.load3(rod.scratch, vertex + PLACE * self.stride),
-                     self.load3(rod.scratch, vertex + PREVIOUS * self.stride))
+        return minus(vertex.place,
+                     vertex.previous)
 
     @ti.func
     def slid(self, rod, vertex, o):
         """How far a vertex has moved since then against obstacle ``o``, which may have carried the place where it was."""
         away = variable(self.moved(rod, vertex))
         if ti.static(self.moves):
-            at, before = self.obstacle(rod, o), self.load3(rod.scratch, vertex + PREVIOUS * self.stride)
-            carried = variable(self.load3(rod.scratch, at + CARRIED * self.stride))
+            at, before = self.obstacle(rod, o), vertex.previous
+            carried = variable(at.carried)
             for k in ti.static(range(3)):
-                column = self.load3(rod.scratch, at + (CARRY + 3 * k) * self.stride)
-                carried = plus(carried, scaled(column, before[k]))
+                carried = plus(carried, scaled(row(at.carry, k), before[k]))
             away = plus(away, minus(before, carried))
         return away
 
     @ti.func
     def slid_between(self, rod, index, contact, o):
         """The same of the place on the edge to vertex ``index`` at which friction acts."""
-        s = rod.scratch[contact + RUBBED_PLACE * self.stride]
+        s = contact.rubbed_place
         before, after = self.slid(rod, self.vertex(rod, index - 1), o), self.slid(rod, self.vertex(rod, index), o)
         return plus(scaled(before, 1.0 - s), scaled(after, s))
 

@@ -30,14 +30,14 @@ from doo_ti.physics.tuples import (
     transposed,
     variable,
 )
-from doo_ti.relaxation import chain
+from doo_ti.physics.view import Layout
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contact_layout import ACTIVE, FIRST_STIFFNESS, FORCE, FORCE_BETWEEN, RADIUS, SOFT, STIFFNESS
+from doo_ti.relaxation.contact_layout import SOFT
 from doo_ti.relaxation.contacts import Contacts
 from doo_ti.relaxation.external import Nothing
 from doo_ti.relaxation.loaded_elimination import LoadedElimination
 from doo_ti.relaxation.loading import Loading, length_unit
-from doo_ti.relaxation.parameter_gradient import FIRST_FREE_ITEM, KEPT
+from doo_ti.relaxation.parameter_gradient import KEPT
 from doo_ti.relaxation.sensitivity_columns import SensitivityColumns
 
 STIFF = 1e6
@@ -45,15 +45,13 @@ STIFF = 1e6
 LEAST_FORCE = 1e-6
 """Of the force to expect of a contact: one that bears less does not count."""
 
-# Items of an edge: the blocks of K, by the displacement of the edge's start, by both, and by that of its end beyond its start;
-# and the displacement of its start that a column prescribes.
-CURVATURE, CURVATURE_S, CURVATURE_SS, MOVED, LAST_ITEM = (FIRST_FREE_ITEM + k for k in (0, 6, 15, 21, 24))
-
 
 class Kept(Nothing):
-    """No energy, with room for what is kept of an edge."""
+    """No energy, with room for what is kept of an edge: besides what all rods have there the blocks of K, by the displacement
+    of the edge's start, by both, and by that of its end beyond its start; and the displacement of its start that a column
+    prescribes."""
 
-    items = LAST_ITEM - KEPT
+    layout = KEPT + Layout(curvature=6, curvature_s=9, curvature_ss=6, moved=3)
 
 
 @ti.data_oriented
@@ -63,10 +61,10 @@ class ContactsAtRest(Contacts):
     @ti.func
     def push(self, rod, force, gap):
         """(force, stiffness) of a contact whose λ is ``force``; without energy."""
-        least = LEAST_FORCE * SOFT * self.item(rod, RADIUS) * self.item(rod, FIRST_STIFFNESS)
+        least = LEAST_FORCE * SOFT * rod.contacts.radius * rod.contacts.first_stiffness
         acting = force > least
         none = 0.0 * gap
-        return record(push=ti.select(acting, force, none), stiffness=ti.select(acting, self.item(rod, STIFFNESS), none),
+        return record(push=ti.select(acting, force, none), stiffness=ti.select(acting, rod.contacts.stiffness, none),
                       energy=none)
 
 
@@ -76,7 +74,7 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
 
     def __init__(self, stride: int, kinds: frozenset[int]):
         number = Number(1, 64)
-        super().__init__(number, False, stride, Kept, True, ContactsAtRest(number, stride, kinds))
+        super().__init__(number, False, stride, Kept, True, ContactsAtRest(number, kinds))
         self.loading = Loading(self, self.functions, in_millimetres=True)
 
     @ti.func
@@ -85,22 +83,21 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
         s, g = tables.rods[index, of.CLAMP_ROW], tables.rods[index, of.MATERIAL_ROW]
         unit = length_unit(tables.clamp[s, of.TOTAL])
         edge = 0.5 * tables.clamp[s, of.SHORTEST_PAIR]
-        bend = tables.material[g, of.LARGEST_BEND] / rod.scratch[rod.head + chain.OF_ENERGY_UNIT * self.stride]
+        bend = tables.material[g, of.LARGEST_BEND] / rod.head.energy_unit
         contacts = self.contacts
-        contacts.set_item(rod, STIFFNESS, rod.total > 0.0, STIFF * bend / (edge * edge * edge))
+        rod.contacts.stiffness = STIFF * bend / (edge * edge * edge)
         for v in range(rod.edges + 1):
             for o in range(rod.obstacles):
                 contact = contacts.contact(contacts.vertex(rod, v), o)
-                for item in ti.static((FORCE, FORCE_BETWEEN)):
-                    at = contact + item * self.stride
-                    rod.scratch[at] = rod.scratch[at] / (unit * unit)
-                between = rod.scratch[contact + FORCE_BETWEEN * self.stride] > 0.0
-                rod.scratch[contact + ACTIVE * self.stride] = ti.select(between, 1.0, 0.0)
+                contact.force = contact.force / (unit * unit)
+                contact.force_between = contact.force_between / (unit * unit)
+                contact.active = ti.select(contact.force_between > 0.0, 1.0, 0.0)
 
     @ti.func
-    def keep_load(self, rod, at, load):
+    def keep_load(self, edge, load):
         """Keep the blocks of K of an edge."""
-        self.store(rod.scratch, at + CURVATURE * self.stride, load.curvature + load.curvature_s + load.curvature_ss)
+        own = edge.outer
+        own.curvature, own.curvature_s, own.curvature_ss = load.curvature, load.curvature_s, load.curvature_ss
 
     @ti.func
     def hold_start(self, rod, column):
@@ -111,21 +108,16 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
     @ti.func
     def schur_complement(self, rod):
         """S = Σ W_λᵀ D⁻¹ W_λ, vertex 0 included where it is free."""
-        kept = rod.head + chain.OF_DRIFT_FACTORS * self.stride
-        s = variable(symmetric_gram(self.load6(rod.scratch, kept + 9 * self.stride), self.load9(rod.scratch, kept)))
-        at = rod.origin
-        for _ in range(rod.edges):
-            f, wu, wz = self.factors(rod, at)
-            s = plus(s, symmetric_gram(f, self.load9(rod.scratch, at + self.force_columns * self.stride)))
-            at += self.edge_stride
+        s = variable(symmetric_gram(rod.head.drift_pivots, rod.head.drift_border))
+        for e in range(rod.edges):
+            edge = self.edge(rod.head, e)
+            s = plus(s, symmetric_gram(edge.pivots, edge.force_border))
         return s
 
     @ti.func
-    def pushes(self, rod, at, before, after):
+    def pushes(self, edge, before, after):
         """K ξ of an edge whose ends move so: by the displacement of its start, and by that of its end beyond its start."""
-        k = self.load6(rod.scratch, at + CURVATURE * self.stride)
-        mixed = self.load9(rod.scratch, at + CURVATURE_S * self.stride)
-        kss = self.load6(rod.scratch, at + CURVATURE_SS * self.stride)
+        k, mixed, kss = edge.outer.curvature, edge.outer.curvature_s, edge.outer.curvature_ss
         along = minus(after, before)
         return (plus(applied(full(k), before), applied(mixed, along)),
                 plus(applied(transposed(mixed), before), applied(full(kss), along)))
@@ -134,11 +126,10 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
     def prescribe(self, rod, column):
         """Keep the displacements that the column prescribes, of clamps and of lengths; returns that of the far end."""
         moved = variable(column.move)
-        at = rod.origin
         for e in range(rod.edges):
-            self.store(rod.scratch, at + MOVED * self.stride, moved)
-            moved = self.end_of_turned(rod, at, moved, self.held_turn_of(rod, e, column), column.stretch)
-            at += self.edge_stride
+            edge = self.edge(rod.head, e)
+            edge.outer.moved = moved
+            moved = self.end_of_turned(edge, moved, self.held_turn_of(rod, e, column), column.stretch)
         return moved
 
     @ti.func
@@ -148,22 +139,21 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
         right = variable(closure)
         c, f = variable(repeated(zero, 3)), variable(repeated(zero, 3))
         after = variable(self.prescribe(rod, column))
-        at = rod.origin + (rod.edges - 1) * self.edge_stride
         for back in range(rod.edges):
             e = rod.edges - 1 - back
-            q = self.load4(rod.scratch, at)
-            before = self.load3(rod.scratch, at + MOVED * self.stride)
-            pushed, own = self.pushes(rod, at, before, after)
+            edge = self.edge(rod.head, e)
+            q = edge.frame
+            before = edge.outer.moved
+            pushed, own = self.pushes(edge, before, after)
             m1, m2 = first_director(q), second_director(q)
-            r1, r2 = linear_gradient(plus(own, c), self.length_at(rod, at), m1, m2)
-            d, wu, wz = self.factors(rod, at)
-            wb = forward(d, self.right_of(rod, at, e, column, plus(f, (zero, r1, r2))))
-            self.store(rod.scratch, at + chain.ROTATION * self.stride, wb)
-            right = plus(right, against(d, self.load9(rod.scratch, at + self.force_columns * self.stride), wb))
-            c = plus(plus(c, pushed), against(d, wz, wb))
-            f = against(d, wu, wb)
+            r1, r2 = linear_gradient(plus(own, c), edge.length, m1, m2)
+            d = edge.pivots
+            wb = forward(d, self.right_of(rod, edge, e, column, plus(f, (zero, r1, r2))))
+            edge.rotation = wb
+            right = plus(right, against(d, edge.force_border, wb))
+            c = plus(plus(c, pushed), against(d, edge.border, wb))
+            f = against(d, edge.neighbour, wb)
             after = before
-            at -= self.edge_stride
         right = plus(right, self.solve_start(rod, column, c))
         change, positive = self.bordered(rod, schur, right)
         self.substitute_column(rod, change)
@@ -172,11 +162,10 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
     @ti.func
     def solve_start(self, rod, column, c):
         """W_b of a free vertex 0 into its place, where the rest of the rod pulls it by ``c``; returns W_λᵀ D⁻¹ W_b."""
-        kept = rod.head + chain.OF_DRIFT_FACTORS * self.stride
-        d = self.load6(rod.scratch, kept + 9 * self.stride)
+        d = rod.head.drift_pivots
         wb = forward(d, scaled(negated(plus(c, self.weight_change(rod, column))), rod.loose))
-        self.store(rod.scratch, rod.head + chain.OF_DRIFT_STEP * self.stride, wb)
-        return against(d, self.load9(rod.scratch, kept), wb)
+        rod.head.drift_step = wb
+        return against(d, rod.head.drift_border, wb)
 
     @ti.func
     def substitute_column(self, rod, change):
@@ -184,18 +173,16 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
         w = variable(repeated(0.0 * rod.total, 3))
         start, decrement = self.solved_start(rod, change)
         x = variable(start)
-        at = rod.origin
         for e in range(rod.edges):
-            right = self.less_displaced(rod, at, self.without_multiplier(rod, at, change), x)
-            w = products(self.freedom(rod, e), self.solved_edge(rod, at, right, w))
-            x = self.end_of_turned(rod, at, x, w, 0.0 * rod.total)
-            at += self.edge_stride
+            edge = self.edge(rod.head, e)
+            right = self.less_displaced(edge, self.without_multiplier(edge, change), x)
+            w = products(self.freedom(rod, e), self.solved_edge(edge, right, w))
+            x = self.end_of_turned(edge, x, w, 0.0 * rod.total)
 
     @ti.func
     def started(self, rod, column):
         """What vertex 0 moves by."""
-        drift = self.load3(rod.scratch, rod.head + chain.OF_DRIFT_STEP * self.stride)
-        return plus(column.move, scaled(drift, rod.loose))
+        return plus(column.move, scaled(rod.head.drift_step, rod.loose))
 
     @ti.func
     def pushed(self, tables, rod, row, p):
@@ -203,16 +190,15 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
         zero = 0.0 * rod.total
         after = variable(self.stored_move(tables, row, rod.edges, p))
         every, first, last = variable(repeated(zero, 3)), variable(repeated(zero, 3)), variable(repeated(zero, 3))
-        at = rod.origin + (rod.edges - 1) * self.edge_stride
         for back in range(rod.edges):
-            before = self.stored_move(tables, row, rod.edges - 1 - back, p)
-            whole, own = self.pushes(rod, at, before, after)
+            e = rod.edges - 1 - back
+            before = self.stored_move(tables, row, e, p)
+            whole, own = self.pushes(self.edge(rod.head, e), before, after)
             first = plus(every, own)
             if back == 0:
                 last = first
             every = plus(every, whole)
             after = before
-            at -= self.edge_stride
         return record(all=every, first=first, last=last)
 
     @ti.func

@@ -3,76 +3,40 @@
 import taichi as ti
 
 from doo_ti.contact.obstacles import DEPTH, OBSTACLE_COLUMNS, SIZES
-from doo_ti.contact.obstacles import FRICTION as COEFFICIENT
 from doo_ti.contact.touch import Touch
-from doo_ti.physics.tuples import chosen, dot
+from doo_ti.physics.tuples import choose, dot, repeated
+from doo_ti.physics.view import exact
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_layout import (
-    ACTIVE,
     BARRIER_SHARE,
     BENDING_LOADS,
-    CHANGE,
     CLOSE,
-    CONTACT_ITEMS,
-    EARLY,
-    EASED,
-    EXPECTING,
-    FIRST_STIFFNESS,
-    FIRST_STRENGTH,
-    FIRST_VISCOSITY,
-    FORCE,
-    FORCE_BETWEEN,
-    FORCE_END,
-    FORCE_START,
-    FRICTION,
-    FRICTION_BETWEEN,
-    HEAD,
+    CONTACT,
+    CONTACTS,
     HELD,
     INERT,
-    LARGEST,
     LEAST_BLOCKED,
     LEAST_VISCOSITY,
     LOADED,
     MOST_EASED,
     MOST_VISCOSITY,
-    MULTIPLIER,
-    OBSTACLE_ITEMS,
-    OFFSET,
-    PHASE,
-    PREVIOUS,
-    PUSHED,
-    PUSHES,
-    PUSHES_BETWEEN,
     REMEMBERED,
     REMEMBERED_IN_MOTION,
-    RETRIED,
-    ROOM,
     ROUGH,
-    RUBBED_PLACE,
-    SETTLING,
     SOFT,
-    STAGE,
-    STIFFNESS,
-    STRENGTH,
     THICKER,
     THINNER,
     THROUGH,
     TIGHT,
-    TURN,
-    TURN_BEFORE,
-    VERTEX_ITEMS,
-    VISCOSITY,
     VISCOUS,
-    WAY,
-    WAY_MADE,
-    WORK,
 )
 from doo_ti.relaxation.contact_rounds import ContactRounds
 
 NONE, STICKS, SLIPS = map(int, Touch)
-CARRIED_ON = ((FORCE_BETWEEN, FIRST_STIFFNESS), (FRICTION_BETWEEN, STIFFNESS), (FRICTION_BETWEEN + 1, LARGEST),
-              (FRICTION_BETWEEN + 2, WAY), (RUBBED_PLACE, WORK))
-"""No edge ends at vertex 0. Where memory would have these items of it, it has these items of the rod."""
+CARRIED_ON = tuple((CONTACT.at(place) + k, CONTACTS.at(number)) for place, numbers in (
+    ("force_between", ("first_stiffness",)), ("friction_between", ("stiffness", "largest", "way")), ("rubbed_place", ("work",)))
+    for k, number in enumerate(numbers))
+"""No edge ends at vertex 0: these numbers of its contact, as memory has them, are these of the rod."""
 
 
 @ti.data_oriented
@@ -90,23 +54,21 @@ class Contacts(ContactRounds):
         not made all their way to the next instant, of which they make ``least`` at once or more."""
         zero = 0.0 * rod.total
         one = zero + 1.0
-        made = self.item(rod, WAY_MADE) + self.item(rod, WAY)
-        midway = done & (made < 1.0 - 1e-3 * self.item(rod, WAY))
-        eased = done & (self.item(rod, VISCOSITY) > 0.0)
+        made = rod.contacts.way_made + rod.contacts.way
+        midway = done & (made < 1.0 - 1e-3 * rod.contacts.way)
+        eased = done & (rod.contacts.viscosity > 0.0)
         midway = midway | eased
         made = ti.select(midway, made, zero)
-        self.set_item(rod, WAY_MADE, done, made)
+        choose(rod.contacts, done, way_made=made)
         # The clamps wait until the rod has come to rest without viscosity.
-        further = ti.max(2.0 * self.item(rod, WAY), least)
-        self.set_item(rod, WAY, done, ti.select(eased, zero, ti.min(further, one - made)))
-        thinner = THINNER * self.item(rod, VISCOSITY)
-        enough = thinner > LEAST_VISCOSITY * self.item(rod, FIRST_VISCOSITY)
-        self.set_item(rod, VISCOSITY, done, ti.select(enough, thinner, zero))
-        self.set_item(rod, EASED, done & ~midway, zero)
-        for k in ti.static(range(3)):
-            self.set_item(rod, MULTIPLIER + k, done, multiplier[k])
+        further = ti.max(2.0 * rod.contacts.way, least)
+        choose(rod.contacts, done, way=ti.select(eased, zero, ti.min(further, one - made)))
+        thinner = THINNER * rod.contacts.viscosity
+        enough = thinner > LEAST_VISCOSITY * rod.contacts.first_viscosity
+        choose(rod.contacts, done, viscosity=ti.select(enough, thinner, zero), multiplier=multiplier)
+        choose(rod.contacts, done & ~midway, eased=zero)
         if ti.static(self.rub):
-            self.set_item(rod, WORK, done, self.item(rod, WORK) + self.friction_work(rod))
+            choose(rod.contacts, done, work=rod.contacts.work + self.friction_work(rod))
         if ti.static(self.moves):
             self.remember_poses(rod, done)
         self.begin_rounds(rod, done)
@@ -116,12 +78,9 @@ class Contacts(ContactRounds):
     def begin_rounds(self, rod, where):
         """Begin with the rounds of a step, from the forces that there are, in the lanes ``where``."""
         zero = 0.0 * rod.total
-        self.set_item(rod, PHASE, where, zero + ROUGH)
-        self.set_item(rod, CHANGE, where, zero + 1e30)
-        self.set_item(rod, STIFFNESS, where, self.item(rod, FIRST_STIFFNESS))
+        choose(rod.contacts, where, phase=zero + ROUGH, change=zero + 1e30, stiffness=rod.contacts.first_stiffness)
         self.tighten(rod, where)
-        for item in ti.static((RETRIED, SETTLING, EARLY)):
-            self.set_item(rod, item, where, zero)
+        choose(rod.contacts, where, retried=zero, settling=zero, early=zero)
 
     @ti.func
     def friction_work(self, rod):
@@ -132,10 +91,10 @@ class Contacts(ContactRounds):
             at = self.vertex(rod, v)
             for o in range(rod.obstacles):
                 contact = self.contact(at, o)
-                work = work + dot(self.load3(rod.scratch, contact + FRICTION * self.stride), self.slid(rod, at, o))
+                work = work + dot(contact.friction, self.slid(rod, at, o))
                 if v > 0:
-                    friction = self.load3(rod.scratch, contact + FRICTION_BETWEEN * self.stride)
-                    active = rod.scratch[contact + ACTIVE * self.stride] > 0.5
+                    friction = contact.friction_between
+                    active = contact.active > 0.5
                     work = work + ti.select(active, dot(friction, self.slid_between(rod, v, contact, o)), zero)
         return work + self.pair_work(rod)
 
@@ -146,84 +105,71 @@ class Contacts(ContactRounds):
         in which a straight rod was ``bowed``, makes half the way, down to ``least`` of that to the next instant. Where that
         fails too there is no equilibrium near, and the rod goes to another one against viscosity."""
         zero = 0.0 * rod.total
-        viscosity = self.item(rod, VISCOSITY)
-        again = failed & (self.item(rod, RETRIED) < 0.5) & (bowed | ~blocked) & (viscosity <= 0.0)
+        viscosity = rod.contacts.viscosity
+        again = failed & (rod.contacts.retried < 0.5) & (bowed | ~blocked) & (viscosity <= 0.0)
         quasi_static = least < 0.9
         shortest = ti.select(blocked, LEAST_BLOCKED * least, least)
-        shorter = failed & ~again & (self.item(rod, WAY) > 1.5 * shortest) & quasi_static & ((viscosity <= 0.0) | blocked)
-        eased = failed & ~again & ~blocked & ~shorter & quasi_static & (self.item(rod, EASED) < MOST_EASED) & (
-            viscosity < MOST_VISCOSITY * self.item(rod, FIRST_VISCOSITY))
+        shorter = failed & ~again & (rod.contacts.way > 1.5 * shortest) & quasi_static & ((viscosity <= 0.0) | blocked)
+        eased = failed & ~again & ~blocked & ~shorter & quasi_static & (rod.contacts.eased < MOST_EASED) & (
+            viscosity < MOST_VISCOSITY * rod.contacts.first_viscosity)
         once = again | shorter | eased
         if self.some(once, zero):
-            self.set_item(rod, WAY, shorter, 0.5 * self.item(rod, WAY))
-            self.set_item(rod, VISCOSITY, eased, ti.max(THICKER * viscosity, self.item(rod, FIRST_VISCOSITY)))
-            self.set_item(rod, EASED, eased, 1.0 + self.item(rod, EASED))
+            choose(rod.contacts, shorter, way=0.5 * rod.contacts.way)
+            choose(rod.contacts, eased, viscosity=ti.max(THICKER * viscosity, rod.contacts.first_viscosity),
+                   eased=1.0 + rod.contacts.eased)
             for v in range(rod.edges + 1):
                 at = self.vertex(rod, v)
                 for o in range(rod.obstacles):
-                    contact = self.contact(at, o)
-                    for k in ti.static(range(REMEMBERED_IN_MOTION)):
-                        item = contact + k * self.stride
-                        rod.scratch[item] = ti.select(once, zero, rod.scratch[item])
+                    choose(self.contact(at, o), once, remembered=repeated(zero, REMEMBERED_IN_MOTION))
             self.forget_pairs(rod, once)
-            self.set_item(rod, PHASE, once, zero + LOADED)
-            for item in ti.static((OFFSET, STAGE, SETTLING, EARLY)):
-                self.set_item(rod, item, once, zero)
-            self.set_item(rod, STRENGTH, once, self.item(rod, FIRST_STRENGTH))
-            self.set_item(rod, CHANGE, once, zero + 1e30)
-            self.set_item(rod, STIFFNESS, once, self.item(rod, FIRST_STIFFNESS))
-            self.set_item(rod, RETRIED, once, zero + 1.0)
+            choose(rod.contacts, once, phase=zero + LOADED, offset=zero, stage=zero, settling=zero, early=zero,
+                   strength=rod.contacts.first_strength, change=zero + 1e30, stiffness=rod.contacts.first_stiffness,
+                   retried=zero + 1.0)
         return once
 
     @ti.func
     def remember(self, rod, index, place, done):
         """Make ``place`` that of vertex ``index`` at the instant before, in the lanes that are ``done``."""
-        at = self.vertex(rod, index) + PREVIOUS * self.stride
-        self.store(rod.scratch, at, chosen(done, place, self.load3(rod.scratch, at)))
+        choose(self.vertex(rod, index), done, previous=place)
 
     @ti.func
     def remember_poses(self, rod, done):
         """Make the pose of every obstacle that of the instant before, in the lanes that are ``done``."""
         for o in range(rod.obstacles):
             at = self.obstacle(rod, o)
-            for k in ti.static(range(TURN_BEFORE - TURN)):
-                before = at + (TURN_BEFORE + k) * self.stride
-                rod.scratch[before] = ti.select(done, rod.scratch[at + (TURN + k) * self.stride], rod.scratch[before])
+            choose(at, done, pose_before=at.pose)
 
     @ti.func
-    def load_motion(self, tables, scratch: ti.template(), slot, row, unit, inertia):
+    def load_motion(self, tables, slot, row, unit, inertia):
         """Of a rod in motion, into lane ``slot``: its places at the last instant, and κ for that inertia of a vertex."""
-        first = tables.contacts + (HEAD + tables.kinds.shape[0] * OBSTACLE_ITEMS) * self.stride
-        size = (VERTEX_ITEMS + tables.kinds.shape[0] * CONTACT_ITEMS) * self.stride
-        for v in range(tables.rest_length.shape[1] + 1):
+        one = self.of_lane(tables, slot)
+        own = one.contacts
+        for v in range(one.edges + 1):
             for k in ti.static(range(3)):
-                self.put(scratch, first + v * size + (PREVIOUS + k) * self.stride, slot, tables.places[row, v, k] / unit)
+                self.vertex(one, v).previous[k] = tables.places[row, v, k] / unit
         # The first step of a motion knows no forces. All others continue as if no launch had ended before them.
-        stiffness = ti.cast(self.get(scratch, tables.contacts + STIFFNESS * self.stride, slot), ti.f64) + INERT * inertia
-        for item in ti.static((STIFFNESS, FIRST_STIFFNESS)):
-            self.put(scratch, tables.contacts + item * self.stride, slot, stiffness)
-        self.put(scratch, tables.contacts + PHASE * self.stride, slot, self.first_phase)
-        self.put(scratch, tables.contacts + WAY * self.stride, slot, 1.0)
-        for item in ti.static((WORK, LARGEST, VISCOSITY, EASED, WAY_MADE)):
-            self.put(scratch, tables.contacts + item * self.stride, slot, 0.0)
-        if tables.memory[row, 0, 0, FORCE_BETWEEN] > 0.0:
-            self.put(scratch, tables.contacts + PHASE * self.stride, slot, ROUGH)
+        stiffness = exact(own.stiffness) + INERT * inertia
+        own.stiffness, own.first_stiffness, own.phase, own.way = stiffness, stiffness, self.first_phase, 1.0
+        own.work, own.largest, own.viscosity, own.eased, own.way_made = 0.0, 0.0, 0.0, 0.0, 0.0
+        if tables.memory[row, 0, 0, CONTACT.at("force_between")] > 0.0:
+            own.phase = ROUGH
             for pair in ti.static(CARRIED_ON):
-                self.put(scratch, tables.contacts + pair[1] * self.stride, slot, tables.memory[row, 0, 0, pair[0]])
-            self.load_carried_pairs(tables, scratch, slot, row)
+                own[pair[1]] = tables.memory[row, 0, 0, pair[0]]
+            self.load_carried_pairs(tables, slot, row)
         for k in ti.static(range(3)):
-            self.put(scratch, tables.contacts + (MULTIPLIER + k) * self.stride, slot, tables.results[row, of.FORCE + k])
+            own.multiplier[k] = tables.results[row, of.FORCE + k]
 
     # --- a rod into a lane and out of it ---
 
     @ti.func
-    def load(self, tables, scratch: ti.template(), slot, rod, unit, scale):
+    def load(self, tables, slot, rod, unit, scale):
         """Rod ``rod``'s obstacles and contacts into lane ``slot``, lengths over ``unit``; ``scale``: the largest stiffness, the
         weight per length, the lengths of an edge, of the longest and of the rod, in the units of the chain."""
-        base = tables.contacts
+        one = self.of_lane(tables, slot)
+        base, count = one.contacts, one.obstacles
         row = tables.rods[rod, of.RESULT_ROW]
         own = ti.min(row, tables.obstacles.shape[0] - 1)
-        count, vertices = tables.kinds.shape[0], tables.rest_length.shape[1] + 1
+        vertices = one.edges + 1
         radius = tables.radius[ti.min(row, tables.radius.shape[0] - 1)] / unit
         bending = BENDING_LOADS * scale.bend / (scale.total * scale.total)
         force, whole = bending + scale.weight * scale.length, bending + scale.weight * scale.total
@@ -234,116 +180,107 @@ class Contacts(ContactRounds):
         strength = BARRIER_SHARE * force * radius
         viscosity = VISCOUS * whole / (scale.total * vertices * unit * unit)
         tolerance = ti.max(tables.tolerance * radius, 10.0 * self.rounding * scale.total)
-        head = (radius, stiffness, tolerance, 1e30, self.first_phase, 0.0, strength, 0.0,
-                CLOSE * radius + 0.5 * scale.longest, stiffness, 0.0, 0.0, strength)
-        for k in ti.static(range(len(head))):
-            self.put(scratch, base + k * self.stride, slot, head[k])
-        self.put(scratch, base + FIRST_VISCOSITY * self.stride, slot, viscosity)
-        for item in ti.static((SETTLING, EARLY, EXPECTING)):
-            self.put(scratch, base + item * self.stride, slot, 0.0)
+        base.given = (radius, stiffness, tolerance, 1e30, self.first_phase, 0.0, strength, 0.0,
+                      CLOSE * radius + 0.5 * scale.longest, stiffness, 0.0, 0.0, strength)
+        base.first_viscosity, base.settling, base.early, base.expecting = viscosity, 0.0, 0.0, 0.0
         for o in range(count):
-            at = base + (HEAD + o * OBSTACLE_ITEMS) * self.stride
+            at = self.obstacle(one, o)
             for k in range(OBSTACLE_COLUMNS):
                 is_length = (k < 3) | ((k >= SIZES) & (k <= DEPTH))
                 factor = ti.select(is_length, 1.0 / unit, ti.cast(1.0, ti.f64))
-                self.put(scratch, at + k * self.stride, slot, tables.obstacles[own, o, k] * factor)
-        first = base + (HEAD + count * OBSTACLE_ITEMS) * self.stride
+                at[k] = tables.obstacles[own, o, k] * factor
         largest = ti.cast(0.0, ti.f64)
         for v in range(vertices):
-            at = first + v * (VERTEX_ITEMS + count * CONTACT_ITEMS) * self.stride
-            self.put(scratch, at + ROOM * self.stride, slot, 1e30)
-            self.put(scratch, at + PUSHED * self.stride, 0, 1.0)
+            at = self.vertex(one, v)
+            at.room = 1e30
+            at.lane(0).pushed = 1.0
             for o in range(count):
-                contact = at + (VERTEX_ITEMS + o * CONTACT_ITEMS) * self.stride
-                for item in ti.static((PUSHES, PUSHES_BETWEEN) if self.expects else ()):
-                    self.put(scratch, contact + item * self.stride, slot, 0.0)
-                for k in ti.static(range(REMEMBERED, REMEMBERED_IN_MOTION) if self.rub else (ACTIVE,)):
-                    self.put(scratch, contact + k * self.stride, slot, 0.0)
-                # No edge ends at vertex 0: memory has other numbers there.
-                force, between = tables.memory[row, v, o, FORCE], ti.select(v > 0, tables.memory[row, v, o, FORCE_BETWEEN], 0.0)
-                largest = ti.max(largest, ti.max(force, between))
-                self.put(scratch, contact + FORCE * self.stride, slot, force)
-                self.put(scratch, contact + FORCE_BETWEEN * self.stride, slot, between)
-                for k in range(REMEMBERED, tables.memory.shape[3]):
-                    self.put(scratch, contact + k * self.stride, slot, tables.memory[row, v, o, k])
-                if v == 0:
-                    for pair in ti.static(CARRIED_ON[1:]):
-                        self.put(scratch, contact + pair[0] * self.stride, slot, 0.0)
+                largest = ti.max(largest, self.load_contact(tables, self.contact(at, o), row, v, o))
         # A rod that begins with large forces would slip into the obstacle if κ gave way as if it had none.
-        self.put(scratch, base + LARGEST * self.stride, slot, largest)
-        self.put(scratch, base + STIFFNESS * self.stride, slot, ti.max(stiffness, largest / (TIGHT * radius)))
-        self.load_pairs(tables, scratch, slot, row)
+        base.largest = largest
+        base.stiffness = ti.max(stiffness, largest / (TIGHT * radius))
+        self.load_pairs(tables, slot, row)
 
     @ti.func
-    def unload_forces(self, tables, scratch: ti.template(), slot, place, force_unit):
+    def load_contact(self, tables, contact, row, v, o):
+        """What memory has of a contact into a lane; returns the larger of its forces."""
+        if ti.static(self.expects):
+            contact.pushes, contact.pushes_between = 0.0, 0.0
+        for k in ti.static(range(REMEMBERED, REMEMBERED_IN_MOTION) if self.rub else (CONTACT.at("active"),)):
+            contact[k] = 0.0
+        # No edge ends at vertex 0: memory has other numbers there.
+        force, between = tables.memory[row, v, o, 0], ti.select(v > 0, tables.memory[row, v, o, 1], 0.0)
+        contact.force, contact.force_between = force, between
+        for k in range(REMEMBERED, tables.memory.shape[3]):
+            contact[k] = tables.memory[row, v, o, k]
+        if v == 0:
+            for pair in ti.static(CARRIED_ON[1:]):
+                contact[pair[0]] = 0.0
+        return ti.max(force, between)
+
+    @ti.func
+    def unload_forces(self, tables, slot, place, force_unit):
         """The forces on the lane's vertices into row ``place``."""
-        first = tables.contacts + (HEAD + tables.kinds.shape[0] * OBSTACLE_ITEMS) * self.stride
-        size = (VERTEX_ITEMS + tables.kinds.shape[0] * CONTACT_ITEMS) * self.stride
-        vertices = tables.rest_length.shape[1] + 1
-        for v in range(vertices):
-            at = first + v * size
+        one = self.of_lane(tables, slot)
+        for v in range(one.edges + 1):
             for k in ti.static(range(3)):
-                force = ti.cast(self.get(scratch, at + (FORCE_END + k) * self.stride, slot), ti.f64)
-                if v < vertices - 1:
-                    force += self.get(scratch, at + size + (FORCE_START + k) * self.stride, slot)
-                force += self.pair_force(tables, scratch, slot, v, k)
+                force = exact(self.vertex(one, v).force_end[k])
+                if v < one.edges:
+                    force += self.vertex(one, v + 1).force_start[k]
+                force += self.pair_force(tables, slot, v, k)
                 tables.forces[place, v, k] = force * force_unit
 
     @ti.func
-    def unload_touch(self, tables, scratch: ti.template(), slot, place):
+    def unload_touch(self, tables, slot, place):
         """The :class:`.Touch` of each vertex of the lane, with the edge that ends there, into row ``place``."""
-        first = tables.contacts + (HEAD + tables.kinds.shape[0] * OBSTACLE_ITEMS) * self.stride
-        for v in range(tables.rest_length.shape[1] + 1):
-            at = first + v * (VERTEX_ITEMS + tables.kinds.shape[0] * CONTACT_ITEMS) * self.stride
-            touch = self.pair_touch(tables, scratch, slot, v)
-            for o in range(tables.kinds.shape[0]):
-                contact = at + (VERTEX_ITEMS + o * CONTACT_ITEMS) * self.stride
-                obstacle = tables.contacts + (HEAD + o * OBSTACLE_ITEMS) * self.stride
-                coefficient = self.get(scratch, obstacle + COEFFICIENT * self.stride, slot)
-                for items in ti.static(((FORCE, FRICTION), (FORCE_BETWEEN, FRICTION_BETWEEN))):
-                    force, friction = contact + items[0] * self.stride, contact + items[1] * self.stride
-                    touch = ti.max(touch, self.touch_of(scratch, slot, force, friction, coefficient))
+        one = self.of_lane(tables, slot)
+        for v in range(one.edges + 1):
+            touch = self.pair_touch(tables, slot, v)
+            for o in range(one.obstacles):
+                contact, coefficient = self.contact(self.vertex(one, v), o), self.obstacle(one, o).friction
+                touch = ti.max(touch, self.touch_of(contact.force, contact.friction, coefficient))
+                touch = ti.max(touch, self.touch_of(contact.force_between, contact.friction_between, coefficient))
             tables.touches[place, v] = touch
 
     @ti.func
-    def touch_of(self, scratch: ti.template(), slot, force, friction, coefficient):
-        """The :class:`.Touch` of a contact whose force and friction begin at those places in scratch."""
+    def touch_of(self, force, friction, coefficient):
+        """The :class:`.Touch` of a contact with that force and friction."""
         found = ti.cast(NONE, ti.i32)
-        limit = coefficient * self.get(scratch, force, slot)
-        if self.get(scratch, force, slot) > 0.0:
+        limit = coefficient * force
+        if force > 0.0:
             square = 0.0 * limit
             for k in ti.static(range(3)):
-                square += self.get(scratch, friction + k * self.stride, slot) ** 2
+                square += friction[k] ** 2
             found = ti.select(square < (HELD * limit) ** 2, STICKS, SLIPS)
         return found
 
     @ti.func
-    def unload(self, tables, scratch: ti.template(), slot, row):
+    def unload(self, tables, slot, row):
         """The lane's contacts into row ``row`` of the memory, in the units of the chain; in the place of the edge before vertex
         0, which there is not, κ."""
-        first = tables.contacts + (HEAD + tables.kinds.shape[0] * OBSTACLE_ITEMS) * self.stride
-        for v in range(tables.rest_length.shape[1] + 1):
-            at = first + v * (VERTEX_ITEMS + tables.kinds.shape[0] * CONTACT_ITEMS) * self.stride
-            for o in range(tables.kinds.shape[0]):
-                contact = at + (VERTEX_ITEMS + o * CONTACT_ITEMS) * self.stride
-                for k in ti.static((FORCE, FORCE_BETWEEN)):
-                    tables.memory[row, v, o, k] = self.get(scratch, contact + k * self.stride, slot)
+        one = self.of_lane(tables, slot)
+        for v in range(one.edges + 1):
+            for o in range(one.obstacles):
+                contact = self.contact(self.vertex(one, v), o)
+                for k in ti.static(range(REMEMBERED)):
+                    tables.memory[row, v, o, k] = contact[k]
                 for k in range(REMEMBERED, tables.memory.shape[3]):
-                    tables.memory[row, v, o, k] = self.get(scratch, contact + k * self.stride, slot)
-        self.carry_on(tables, scratch, slot, row, CARRIED_ON[:1])
+                    tables.memory[row, v, o, k] = contact[k]
+        self.carry_on(tables, slot, row, CARRIED_ON[:1])
 
     @ti.func
-    def unload_motion(self, tables, scratch: ti.template(), slot, row):
+    def unload_motion(self, tables, slot, row):
         """The same of a rod in motion, with what its next step begins with."""
-        self.unload(tables, scratch, slot, row)
-        self.carry_on(tables, scratch, slot, row, CARRIED_ON[1:])
-        self.carry_pairs(tables, scratch, slot, row)
+        self.unload(tables, slot, row)
+        self.carry_on(tables, slot, row, CARRIED_ON[1:])
+        self.carry_pairs(tables, slot, row)
 
     @ti.func
-    def carry_on(self, tables, scratch: ti.template(), slot, row, pairs: ti.template()):
+    def carry_on(self, tables, slot, row, pairs: ti.template()):
         """Those items of the lane's rod into row ``row`` of the memory."""
+        own = tables.contacts.lane(slot)
         for pair in ti.static(pairs):
-            tables.memory[row, 0, 0, pair[0]] = self.get(scratch, tables.contacts + pair[1] * self.stride, slot)
+            tables.memory[row, 0, 0, pair[0]] = own[pair[1]]
 
     # --- of a rod that may also touch itself, :class:`doo_ti.relaxation.self_contacts.SelfContacts` ---
 
@@ -357,23 +294,23 @@ class Contacts(ContactRounds):
         """Forget the forces between edges in the lanes where ``once``."""
 
     @ti.func
-    def load_pairs(self, tables, scratch: ti.template(), slot, row):
+    def load_pairs(self, tables, slot, row):
         """Begin lane ``slot`` without forces between edges."""
 
     @ti.func
-    def load_carried_pairs(self, tables, scratch: ti.template(), slot, row):
+    def load_carried_pairs(self, tables, slot, row):
         """What the launch before has left of edges, into lane ``slot``."""
 
     @ti.func
-    def carry_pairs(self, tables, scratch: ti.template(), slot, row):
+    def carry_pairs(self, tables, slot, row):
         """What the next launch needs of edges, from lane ``slot``."""
 
     @ti.func
-    def pair_touch(self, tables, scratch: ti.template(), slot, vertex):
+    def pair_touch(self, tables, slot, vertex):
         """The :class:`.Touch` of the edge that ends at a vertex of lane ``slot`` with other edges."""
         return ti.cast(NONE, ti.i32)
 
     @ti.func
-    def pair_force(self, tables, scratch: ti.template(), slot, vertex, k: ti.template()):
+    def pair_force(self, tables, slot, vertex, k: ti.template()):
         """Component ``k`` of the rod's own force on a vertex of lane ``slot``."""
         return ti.cast(0.0, ti.f64)

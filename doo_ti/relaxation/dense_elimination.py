@@ -36,11 +36,8 @@ from doo_ti.physics.tuples import (
     transposed,
     variable,
 )
-from doo_ti.relaxation.chain import LENGTH, LOADED_PARAMETERS, OF_DRIFT_STEP, ROTATION
-from doo_ti.relaxation.contact_layout import END_CURVATURES, END_GRADIENT, ENERGY, MAGNITUDE
 from doo_ti.relaxation.dense_factors import DenseFactors
 from doo_ti.relaxation.elimination import held_pivot
-from doo_ti.relaxation.pair_layout import LOAD, MOVE
 
 
 @traced
@@ -83,8 +80,8 @@ class DenseElimination(DenseFactors):
         self.clear(rod)
         self.collect(rod, found)
         self.contacts.touch_itself(rod)
-        found.energy = found.energy + self.contacts.item(rod, ENERGY)
-        found.magnitude = found.magnitude + self.contacts.item(rod, MAGNITUDE)
+        found.energy = found.energy + rod.contacts.energy
+        found.magnitude = found.magnitude + rod.contacts.magnitude
         self.sum_columns(rod)
         self.assemble(rod, shift, search, multiplier, found)
         self.factor_rows(rod, found)
@@ -100,28 +97,26 @@ class DenseElimination(DenseFactors):
         """Begin the sums of the gradient and of K."""
         zero = 0.0 * rod.total
         size = self.unknowns(rod)
-        first = self.contacts.matrix_at(rod)
+        first = self.contacts.matrix(rod)
         for k in range(size * (size + 1) // 2):
-            rod.scratch[first + k * self.stride] = zero
+            first[k] = zero
         for v in range(rod.edges + 1):
-            self.store(rod.scratch, self.contacts.own_vertex(rod, v) + LOAD * self.stride, repeated(zero, 3))
+            self.contacts.own_vertex(rod, v).load = repeated(zero, 3)
 
     @ti.func
     def collect(self, rod, found):
         """Add the external energy and the contacts with obstacles, edge by edge, to the gradient and to K."""
         end = self.tip(rod)
-        at = rod.origin + (rod.edges - 1) * self.edge_stride
         for back in range(rod.edges):
             e = rod.edges - 1 - back
-            t = tangent(self.load4(rod.scratch, at))
-            start = minus(end, scaled(t, rod.scratch[at + LENGTH * self.stride]))
-            self.add_edge(rod, e, self.load(rod, at, e, start, end, found))
+            edge = self.edge(rod.head, e)
+            t = tangent(edge.frame)
+            start = minus(end, scaled(t, edge.length))
+            self.add_edge(rod, e, self.load(rod, edge, e, start, end, found))
             end = start
-            at -= self.edge_stride
         if ti.static(self.pulls_start):
             energy, gradient, curvature = self.functions.evaluate_start(
-                rod.scratch, rod.head + LOADED_PARAMETERS * self.stride,
-                scaled(plus(rod.anchor, self.drift(rod)), rod.length_unit))
+                rod.head.outer, scaled(plus(rod.anchor, self.drift(rod)), rod.length_unit))
             found.energy = found.energy + rod.loose * energy
             found.magnitude = found.magnitude + rod.loose * energy
             self.contacts.add_load(rod, 0, scaled(gradient, rod.length_unit))
@@ -143,8 +138,8 @@ class DenseElimination(DenseFactors):
     def touch_begin(self, rod, index):
         """Add the contacts of vertex ``index``, where a rod begins, with obstacles."""
         if self.contacts.touched_start(rod, index) == 1:
-            self.contacts.add_load(rod, index, self.contacts.vector(rod, END_GRADIENT))
-            self.contacts.add_diagonal(rod, index, full(self.contacts.symmetric(rod, END_CURVATURES)))
+            self.contacts.add_load(rod, index, rod.contacts.end_gradient)
+            self.contacts.add_diagonal(rod, index, full(rod.contacts.end_curvatures))
 
     # --- H ---
 
@@ -163,9 +158,9 @@ class DenseElimination(DenseFactors):
     @ti.func
     def levers(self, rod, index):
         """The rows of A of block ``index`` > 0, rotations that are held left out."""
-        at = rod.origin + (index - 1) * self.edge_stride
-        q = self.load4(rod.scratch, at)
-        rows = closure_rows(rod.scratch[at + LENGTH * self.stride], first_director(q), second_director(q))
+        edge = self.edge(rod.head, index - 1)
+        q = edge.frame
+        rows = closure_rows(edge.length, first_director(q), second_director(q))
         tilt = self.freedom(rod, index - 1)[1]
         return scaled(row(rows, 1), tilt), scaled(row(rows, 2), tilt)
 
@@ -176,13 +171,13 @@ class DenseElimination(DenseFactors):
         force = variable(multiplier)
         beyond = zero
         h, g = variable(repeated(zero, 6)), variable(repeated(zero, 3))  # of the pair with the edge after
-        at = rod.origin + (rod.edges - 1) * self.edge_stride
         for back in range(rod.edges):
             e = rod.edges - 1 - back
-            q = self.load4(rod.scratch, at)
+            edge = self.edge(rod.head, e)
+            q = edge.frame
             t, m1, m2 = tangent(q), first_director(q), second_director(q)
-            length = rod.scratch[at + LENGTH * self.stride]
-            force = plus(force, self.load3(rod.scratch, self.contacts.own_vertex(rod, e + 1) + LOAD * self.stride))
+            length = edge.length
+            force = plus(force, self.contacts.own_vertex(rod, e + 1).load)
             pull = plus(scaled(rod.gravity, self.hanging_weight(rod, length, beyond)), force)
             beyond = beyond + length
             l1, l2 = linear_gradient(pull, length, m1, m2)
@@ -190,20 +185,19 @@ class DenseElimination(DenseFactors):
             u = variable(repeated(zero, 9))
             h_before, g_before = variable(repeated(zero, 6)), variable(repeated(zero, 3))
             if e > 0:
-                previous = at - self.edge_stride
+                previous = self.edge(rod.head, e - 1)
                 left, right, h_left, h_right, across = self.derivatives(
-                    self.bent(rod.scratch, previous), self.stiffness(rod.scratch, previous, at, rod.stiffness))
+                    self.bent(previous.bent), self.stiffness(previous, edge, rod.stiffness))
                 g, h = plus(g, right), plus(h, h_right)
                 h_before, g_before, u = h_left, left, across
             g = (g[0], g[1] + l1, g[2] + l2)
             h = self.second_derivatives(rod, (h[0], h[1], h[2], h[3] + straighten, h[4], h[5] + straighten), g)
-            self.assemble_edge(rod, e, at, g, h, u, closure_rows(length, m1, m2), (shift, search), found)
+            self.assemble_edge(rod, e, edge, g, h, u, closure_rows(length, m1, m2), (shift, search), found)
             h, g = h_before, g_before
-            at -= self.edge_stride
         self.assemble_start(rod, shift, force, found)
 
     @ti.func
-    def assemble_edge(self, rod, e, at, slope, bent, across, rows, given, found):
+    def assemble_edge(self, rod, e, edge, slope, bent, across, rows, given, found):
         """The row of an edge. ``slope``, ``bent``: the gradient and second derivative by its rotation, without the sums of K;
         ``across``: what couples it with the edge before; ``rows``: those of A; ``given``: the shift and the search."""
         shift, search = given
@@ -216,9 +210,9 @@ class DenseElimination(DenseFactors):
         a1, a2 = row(rows, 1), row(rows, 2)
         w1, w2 = applied(sums, a1), applied(sums, a2)
         whole = (h[0], h[1], h[2], h[3] + dot(a1, w1), h[4] + dot(a1, w2), h[5] + dot(a2, w2))
-        b, along = self.stirred(rod, at, e, negated(g), g, search)
+        b, along = self.stirred(edge, e, negated(g), g, search)
         found.slope = found.slope + along
-        spin, tilt = self.shifts(rod, at, shift)
+        spin, tilt = self.shifts(rod, edge, shift)
         self.store_diagonal(rod, e + 1, held_pivot(shifted(whole, spin, tilt), free))
         self.store_side(rod, e + 1, products(free, b), scaled(rows, free[1] * rod.closed))
 
@@ -247,7 +241,7 @@ class DenseElimination(DenseFactors):
     def assemble_start(self, rod, shift, force, found):
         """Block 0: that of the place of vertex 0."""
         loose = rod.loose
-        whole = plus(force, self.load3(rod.scratch, self.contacts.own_vertex(rod, 0) + LOAD * self.stride))
+        whole = plus(force, self.contacts.own_vertex(rod, 0).load)
         slope = scaled(plus(whole, scaled(rod.gravity, 2.0 * rod.total)), loose)
         self.observe_moment(found, scaled(slope, rod.total))
         d = self.load_diagonal(rod, 0)
@@ -260,28 +254,27 @@ class DenseElimination(DenseFactors):
         """Three rows of the right-hand side: that of the step and those of closure."""
         for r in ti.static(range(3)):
             values = (right[r], border[3 * r], border[3 * r + 1], border[3 * r + 2])
-            self.store(rod.scratch, self.side(rod, 3 * line + r), values)
+            self.side(rod, 3 * line + r).four = values
 
     @ti.func
     def substitute(self, rod, found):
         """ω = L⁻ᵀ D⁻¹ L⁻¹ (b − A δλ), as :meth:`.LoadedElimination.substitute`, with the way to other parts of the rod too."""
         decrement = self.solve_backward(rod, found.change)
         x = variable(self.solution(rod, 0))
-        self.store(rod.scratch, rod.head + OF_DRIFT_STEP * self.stride, x)
-        self.store(rod.scratch, self.contacts.own_vertex(rod, 0) + MOVE * self.stride, x)
+        rod.head.drift_step = x
+        self.contacts.own_vertex(rod, 0).move = x
         size = dot(x, x) / (rod.total * rod.total)
         longest = 0.0 * size
-        at = rod.origin
         for e in range(rod.edges):
+            edge = self.edge(rod.head, e)
             w = self.solution(rod, e + 1)
-            self.store(rod.scratch, at + ROTATION * self.stride, w)
-            q = self.load4(rod.scratch, at)
-            length = rod.scratch[at + LENGTH * self.stride]
+            edge.rotation = w
+            q = edge.frame
+            length = edge.length
             change = scaled(minus(scaled(first_director(q), w[2]), scaled(second_director(q), w[1])), length)
             longest = largest_of(longest, self.contacts.approach(rod, e + 1, x, plus(x, change)))
             x = plus(x, change)
-            self.store(rod.scratch, self.contacts.own_vertex(rod, e + 1) + MOVE * self.stride, x)
+            self.contacts.own_vertex(rod, e + 1).move = x
             size = self.longer(size, w)
-            at += self.edge_stride
         longest = largest_of(largest_of(longest, size), self.contacts.approach_itself(rod))
         return ti.sqrt(longest), ti.sqrt(size), decrement

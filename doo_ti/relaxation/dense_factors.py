@@ -3,7 +3,8 @@
 import taichi as ti
 
 from doo_ti.physics.algebra import factor_in_turn
-from doo_ti.physics.tuples import minus, plus, repeated, scaled, traced, variable
+from doo_ti.physics.tuples import minus, plus, repeated, row, scaled, traced, variable
+from doo_ti.physics.view import NUMBERS
 
 COLUMNS = 4
 """Of the right-hand side: that of the step and the three of closure."""
@@ -33,52 +34,55 @@ class DenseFactors:
         return 3 * self.lines(rod)
 
     @ti.func
-    def behind_matrix(self, rod):
+    def behind_matrix(self, rod, numbers):
+        """The view of what lies so many numbers behind the matrix."""
         size = self.unknowns(rod)
-        return self.contacts.matrix_at(rod) + size * (size + 1) // 2 * self.stride
+        return self.contacts.matrix(rod).part(NUMBERS, size * (size + 1) // 2 + numbers)
 
     @ti.func
     def eliminated(self, rod, column):
         """Three numbers of the three rows that are being eliminated, in one column."""
-        return self.behind_matrix(rod) + 3 * column * self.stride
+        return self.behind_matrix(rod, 3 * column)
 
     @ti.func
     def pivot(self, rod, line):
         """The inverse of a pivot."""
-        return self.behind_matrix(rod) + (3 * self.unknowns(rod) + line) * self.stride
+        return self.behind_matrix(rod, 3 * self.unknowns(rod) + line)
 
     @ti.func
     def side(self, rod, line):
         """A row of the right-hand side."""
-        return self.behind_matrix(rod) + (4 * self.unknowns(rod) + COLUMNS * line) * self.stride
+        return self.behind_matrix(rod, 4 * self.unknowns(rod) + COLUMNS * line)
+
+    @ti.func
+    def rows_of(self, rod, line, column):
+        """The three rows of a block of the lower triangle."""
+        return (self.contacts.block(rod, line, column, 0), self.contacts.block(rod, line, column, 1),
+                self.contacts.block(rod, line, column, 2))
 
     @ti.func
     def load_block(self, rod, line, column):
         """Block of the lower triangle, off the diagonal, row by row."""
-        first, second, third = (self.contacts.block(rod, line, column, 0), self.contacts.block(rod, line, column, 1),
-                                self.contacts.block(rod, line, column, 2))
-        return self.load3(rod.scratch, first) + self.load3(rod.scratch, second) + self.load3(rod.scratch, third)
+        first, second, third = self.rows_of(rod, line, column)
+        return first.three + second.three + third.three
 
     @ti.func
     def load_diagonal(self, rod, line):
         """Block on the diagonal, six numbers."""
-        first, second, third = (self.contacts.block(rod, line, line, 0), self.contacts.block(rod, line, line, 1),
-                                self.contacts.block(rod, line, line, 2))
-        last = self.load3(rod.scratch, third)
-        below = rod.scratch[second]
-        return (rod.scratch[first], below, last[0], rod.scratch[second + self.stride], last[1], last[2])
+        first, second, third = self.rows_of(rod, line, line)
+        return (first[0], second[0], third[0], second[1], third[1], third[2])
 
     @ti.func
     def store_block(self, rod, line, column, values):
-        for r in ti.static(range(3)):
-            at = self.contacts.block(rod, line, column, r)
-            self.store(rod.scratch, at, (values[3 * r], values[3 * r + 1], values[3 * r + 2]))
+        first, second, third = self.rows_of(rod, line, column)
+        first.three, second.three, third.three = row(values, 0), row(values, 1), row(values, 2)
 
     @ti.func
     def store_diagonal(self, rod, line, values):
-        self.store(rod.scratch, self.contacts.block(rod, line, line, 0), (values[0],))
-        self.store(rod.scratch, self.contacts.block(rod, line, line, 1), (values[1], values[3]))
-        self.store(rod.scratch, self.contacts.block(rod, line, line, 2), (values[2], values[4], values[5]))
+        first, second, third = self.rows_of(rod, line, line)
+        first.one = values[0]
+        second.two = (values[1], values[3])
+        third.three = (values[2], values[4], values[5])
 
     # --- the factors ---
 
@@ -89,44 +93,39 @@ class DenseFactors:
             for q in range(p):
                 self.eliminate_block(rod, p, q)
             rest = variable(self.load_diagonal(rod, p))
-            lines = (self.contacts.block(rod, p, 0, 0), self.contacts.block(rod, p, 0, 1), self.contacts.block(rod, p, 0, 2))
+            lines = self.rows_of(rod, p, 0)
             for k in range(3 * p):
-                own = self.load3(rod.scratch, self.eliminated(rod, k))
-                low = scaled(own, rod.scratch[self.pivot(rod, k)])
+                own = self.eliminated(rod, k).three
+                low = scaled(own, self.pivot(rod, k).one)
                 for r in ti.static(range(3)):
-                    rod.scratch[lines[r] + k * self.stride] = low[r]
+                    lines[r][k] = low[r]
                 rest = (rest[0] - own[0] * low[0], rest[1] - own[0] * low[1], rest[2] - own[0] * low[2],
                         rest[3] - own[1] * low[1], rest[4] - own[1] * low[2], rest[5] - own[2] * low[2])
             f = factor_in_turn(rest)
             found.negative = found.negative + f[6]
             for r in ti.static(range(3)):
-                rod.scratch[self.pivot(rod, 3 * p + r)] = f[r]
+                self.pivot(rod, 3 * p + r).one = f[r]
             self.store_diagonal(rod, p, (f[0], f[3], f[4], f[1], f[5], f[2]))
 
     @ti.func
     def eliminate_block(self, rod, p, q):
         """L D of block (p, q)."""
         rest = variable(self.load_block(rod, p, q))
-        lines = (self.contacts.block(rod, q, 0, 0), self.contacts.block(rod, q, 0, 1), self.contacts.block(rod, q, 0, 2))
+        lines = self.rows_of(rod, q, 0)
         for k in range(3 * q):
-            own = self.load3(rod.scratch, self.eliminated(rod, k))
-            low = (rod.scratch[lines[0] + k * self.stride], rod.scratch[lines[1] + k * self.stride],
-                   rod.scratch[lines[2] + k * self.stride])
-            rest = minus_product(rest, own, low)
+            rest = minus_product(rest, self.eliminated(rod, k).three, (lines[0][k], lines[1][k], lines[2][k]))
         f = self.load_diagonal(rod, q)  # (1/d1, l21, l31, 1/d2, l32, 1/d3)
         for r in ti.static(range(3)):
             first = rest[3 * r]
             second = rest[3 * r + 1] - first * f[1]
             third = rest[3 * r + 2] - first * f[2] - second * f[4]
-            at = self.eliminated(rod, 3 * q) + r * self.stride
-            rod.scratch[at] = first
-            rod.scratch[at + 3 * self.stride] = second
-            rod.scratch[at + 6 * self.stride] = third
+            columns = self.eliminated(rod, 3 * q)
+            columns[r], columns[r + 3], columns[r + 6] = first, second, third
 
     @ti.func
-    def entry(self, rod, line, column):
-        """Where an entry of L is."""
-        return self.contacts.matrix_at(rod) + (line * (line + 1) // 2 + column) * self.stride
+    def line(self, rod, line):
+        """A row of L."""
+        return self.contacts.matrix(rod).part(NUMBERS, line * (line + 1) // 2)
 
     @ti.func
     def solve_forward(self, rod):
@@ -134,12 +133,11 @@ class DenseFactors:
         zero = 0.0 * rod.total
         schur, right = variable(repeated(zero, 6)), variable(repeated(zero, 3))
         for line in range(self.unknowns(rod)):
-            y = variable(self.load4(rod.scratch, self.side(rod, line)))
-            at = self.entry(rod, line, 0)
+            y, low = variable(self.side(rod, line).four), self.line(rod, line)
             for k in range(line):
-                y = minus(y, scaled(self.load4(rod.scratch, self.side(rod, k)), rod.scratch[at + k * self.stride]))
-            self.store(rod.scratch, self.side(rod, line), y)
-            inverse = rod.scratch[self.pivot(rod, line)]
+                y = minus(y, scaled(self.side(rod, k).four, low[k]))
+            self.side(rod, line).four = y
+            inverse = self.pivot(rod, line).one
             a = (y[1], y[2], y[3])
             d = scaled(a, inverse)
             schur = plus(schur, (a[0] * d[0], a[0] * d[1], a[0] * d[2], a[1] * d[1], a[1] * d[2], a[2] * d[2]))
@@ -153,22 +151,20 @@ class DenseFactors:
         size = self.unknowns(rod)
         decrement = 0.0 * rod.total
         for line in range(size):
-            y = self.load4(rod.scratch, self.side(rod, line))
+            y = self.side(rod, line).four
             closed = y[0] - y[1] * change[0] - y[2] * change[1] - y[3] * change[2]
-            solved = closed * rod.scratch[self.pivot(rod, line)]
+            solved = closed * self.pivot(rod, line).one
             decrement = decrement + closed * solved
-            rod.scratch[self.side(rod, line)] = solved
+            self.side(rod, line).one = solved
         for back in range(size):
             line = size - 1 - back
-            solved = rod.scratch[self.side(rod, line)]
-            at = self.entry(rod, line, 0)
+            solved, low = self.side(rod, line).one, self.line(rod, line)
             for k in range(line):
-                place = self.side(rod, k)
-                rod.scratch[place] = rod.scratch[place] - solved * rod.scratch[at + k * self.stride]
+                side = self.side(rod, k)
+                side.one = side.one - solved * low[k]
         return decrement
 
     @ti.func
     def solution(self, rod, block):
         """Three of the unknowns."""
-        return (rod.scratch[self.side(rod, 3 * block)], rod.scratch[self.side(rod, 3 * block + 1)],
-                rod.scratch[self.side(rod, 3 * block + 2)])
+        return (self.side(rod, 3 * block).one, self.side(rod, 3 * block + 1).one, self.side(rod, 3 * block + 2).one)

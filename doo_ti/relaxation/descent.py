@@ -19,9 +19,10 @@ from doo_ti.arguments import typed
 from doo_ti.errors import InputError, require_number, require_whole
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import chosen, put_lane, record, repeated
+from doo_ti.physics.view import Scratch
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.loading import LANES, NEXT, stiffness_scale
-from doo_ti.relaxation.vertex_chain import DIRECTOR, ITEMS, POSITION
+from doo_ti.relaxation.vertex_chain import VERTEX
 from doo_ti.relaxation.vertex_energy import VertexEnergy
 from doo_ti.types import Status
 
@@ -71,19 +72,19 @@ class DescentLoop:
     fresh, trips, active, finished   flags, and iterations made
     """
 
-    def __init__(self, number: Number, stride: int):
-        self.sweep, self.stride, self.row = VertexEnergy(number, stride), stride, ITEMS * stride
+    def __init__(self, number: Number):
+        self.sweep = VertexEnergy(number)
         lanes = number.lanes()
-        self.largest, self.lane, self.with_lane, self.constant, self.get = (
-            lanes.largest, lanes.lane, lanes.with_lane, lanes.constant, lanes.get)
+        self.largest, self.lane, self.with_lane, self.constant = (
+            lanes.largest, lanes.lane, lanes.with_lane, lanes.constant)
         self.width, self.scalar = number.width, number.scalar
         self.rounding = 2e-6 if number.bits == 32 else 1e-13
         self.converged, self.limit = int(Status.CONVERGED), int(Status.ITERATION_LIMIT)
         self.stalled, self.not_finite = int(Status.STALLED), int(Status.NOT_FINITE)
 
     @ti.func
-    def work(self, tables, scratch: ti.template(), origin, thread):
-        """A thread's work, until the queue is empty; vertex 0 is at ``origin`` of scratch."""
+    def work(self, tables, origin, thread):
+        """A thread's work, until the queue is empty; ``origin`` is the view of vertex 0 in scratch."""
         lane = self.idle_lanes()
         places = LANES + thread * self.width  # where the queue says which rods the lanes have
         running = 1
@@ -94,16 +95,16 @@ class DescentLoop:
                         lane.finished = self.with_lane(lane.finished, slot, 0.0)
                         if self.lane(lane.active, slot) > 0.5:
                             row = tables.rods[tables.queue[places + slot], of.RESULT_ROW]
-                            self.store(tables, scratch, origin, slot, lane, row)
+                            self.store(tables, origin, slot, lane, row)
                         lane.active = self.with_lane(lane.active, slot, 0.0)
                         index = ti.atomic_add(tables.queue[NEXT], 1)
                         if index < tables.rods.shape[0]:
                             tables.queue[places + slot] = index
-                            self.load(tables, scratch, origin, slot, lane, index)
+                            self.load(tables, origin, slot, lane, index)
             if self.largest(lane.active) < 0.5:
                 running = 0
             else:
-                self.trip(tables, scratch, origin, lane)
+                self.trip(tables, origin, lane)
 
     @ti.func
     def idle_lanes(self):
@@ -115,16 +116,15 @@ class DescentLoop:
             still=zero, status=zero, short=repeated(one, 3), active=zero, finished=one)
 
     @ti.func
-    def store(self, tables, scratch: ti.template(), origin, slot, lane, place):
+    def store(self, tables, origin, slot, lane, place):
         """The rod in lane ``slot`` into row ``place`` of the results."""
         edges = tables.directors.shape[1]
-        at = origin
         for v in range(edges + 1):
+            at = self.sweep.vertex(origin.lane(slot), v)
             for k in ti.static(range(3)):
-                tables.positions[place, v, k] = self.get(scratch, at + (POSITION + k) * self.stride, slot)
+                tables.positions[place, v, k] = at.position[k]
                 if v < edges:
-                    tables.material_axes[place, v, k] = self.get(scratch, at + (DIRECTOR + k) * self.stride, slot)
-            at += self.row
+                    tables.material_axes[place, v, k] = at.director[k]
         tables.results[place, of.ENERGY] = self.lane(lane.energy, slot)
         tables.results[place, of.RESIDUAL] = self.lane(lane.residual, slot)
         tables.results[place, of.CLOSURE] = 0.0
@@ -133,10 +133,10 @@ class DescentLoop:
         tables.results[place, of.STABLE] = 0.0
 
     @ti.func
-    def load(self, tables, scratch: ti.template(), origin, slot, lane, index):
+    def load(self, tables, origin, slot, lane, index):
         """Row ``index`` of the rods into lane ``slot``."""
         s, g = tables.rods[index, of.CLAMP_ROW], tables.rods[index, of.MATERIAL_ROW]
-        longest, shortest = self.sweep.load_rod(tables, scratch, origin, slot, s, g)
+        longest, shortest = self.sweep.load_rod(tables, origin.lane(slot), s, g)
         start_held = ti.max(tables.clamp[s, of.CLOSED], 1.0 - tables.clamp[s, of.RELEASED])
         end_held = ti.max(tables.clamp[s, of.CLOSED], tables.clamp[s, of.RELEASED])
         held = (
@@ -151,9 +151,9 @@ class DescentLoop:
             short=(1e30, 1e30, 1e30), fresh=1.0, trips=0.0, still=0.0, active=1.0)
 
     @ti.func
-    def trip(self, tables, scratch: ti.template(), origin, lane):
+    def trip(self, tables, origin, lane):
         """One step of every lane's rod, and its judgement."""
-        rod = record(scratch=scratch, origin=origin, edges=tables.directors.shape[1], held=lane.held, spin=lane.spin,
+        rod = record(origin=origin, edges=tables.directors.shape[1], held=lane.held, spin=lane.spin,
                      gravity=lane.gravity)
         self.sweep.move(rod, lane.step)
         self.sweep.minimise_twist(rod)
@@ -215,7 +215,7 @@ class DescentLoop:
 @cache
 def descent_kernel(number: Number, stride: int, block: int):
     """The kernel for one kind of number; materials are always general. See :func:`.newton.newton_kernel`."""
-    loop = DescentLoop(number, stride)
+    loop, memory = DescentLoop(number), Scratch(number, stride)
     table2, table3 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (2, 3))
 
     @runtime.kernel
@@ -233,7 +233,6 @@ def descent_kernel(number: Number, stride: int, block: int):
         max_iterations: ti.i32,
         largest_move: ti.f64,
         threads: ti.i32,
-        origin_stride: ti.i32,
         scratch: ti.types.ndarray(dtype=number.type, ndim=1),
         queue: ti.types.ndarray(dtype=ti.i32, ndim=1),  # [NEXT, TRIPS (unused), LANES + thread · lane] zero
         positions: table3,  # [rod, vertex, 3] out
@@ -246,6 +245,7 @@ def descent_kernel(number: Number, stride: int, block: int):
                 vertices=vertices, directors=directors, rest_length=rest_length, clamp=clamp, material=material,
                 up=(up0, up1, up2), rods=rods, tolerance=tolerance, max_iterations=max_iterations, largest_move=largest_move,
                 queue=queue, positions=positions, material_axes=material_axes, results=results)
-            loop.work(tables, scratch, thread * origin_stride, thread)
+            origin = memory.of_thread(scratch, thread, VERTEX, vertices.shape[1] * VERTEX.size)
+            loop.work(tables, origin, thread)
 
     return descent

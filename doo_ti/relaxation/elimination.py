@@ -39,7 +39,7 @@ from doo_ti.physics.tuples import (
     transposed,
     variable,
 )
-from doo_ti.relaxation.chain import ELIMINATED_BORDER, ELIMINATED_NEXT, LENGTH, PIVOTS, ROTATION, Chain
+from doo_ti.relaxation.chain import Chain
 
 
 @ti.func
@@ -71,13 +71,13 @@ class Elimination(Chain):
         ea, er = variable(repeated(zero, 9)), variable(repeated(zero, 3))
         s, z = variable(repeated(zero, 6)), variable(repeated(zero, 3))  # W_Aᵀ D⁻¹ [W_A, W_r], summed
         remaining = rod.total
-        at = rod.origin
         some_taut = self.largest(1.0 - rod.free[4]) > 0.5
         searching = self.largest(search[0] + search[1]) > 0.0
         for e in range(rod.edges):
-            q = self.load4(rod.scratch, at)
+            edge = self.edge(rod.head, e)
+            q = edge.frame
             t, m1, m2 = tangent(q), first_director(q), second_director(q)
-            length = rod.scratch[at + LENGTH * self.stride]
+            length = edge.length
             remaining = remaining - length
             c = plus(scaled(rod.gravity, self.hanging_weight(rod, length, remaining)), multiplier)
             l1, l2 = linear_gradient(c, length, m1, m2)
@@ -87,17 +87,17 @@ class Elimination(Chain):
             u = variable(repeated(zero, 9))
             h_next, g_next = variable(repeated(zero, 6)), variable(repeated(zero, 3))
             if e < rod.edges - 1:
-                stiffness = self.stiffness(rod.scratch, at, at + self.edge_stride, rod.stiffness)
-                left, right, h_left, h_right, across = self.derivatives(self.bent(rod.scratch, at), stiffness)
+                stiffness = self.stiffness(edge, self.edge(rod.head, e + 1), rod.stiffness)
+                left, right, h_left, h_right, across = self.derivatives(self.bent(edge.bent), stiffness)
                 g, h = plus(g, left), plus(h, h_left)
                 h_next, g_next, u = h_right, right, across
             h = self.second_derivatives(rod, h, g)
             a = variable(minus(closure_rows(length * rod.closed, m1, m2), ea))
             b = variable(minus(negated(g), er))
             if searching:
-                b, along = self.stirred(rod, at, e, b, g, search)
+                b, along = self.stirred(edge, e, b, g, search)
                 found.slope = found.slope + along
-            spin, tilt = self.shifts(rod, at, shift)
+            spin, tilt = self.shifts(rod, edge, shift)
             d = variable(minus(shifted(h, spin, tilt), ee))
             if e == 0 or e >= rod.edges - 2 or some_taut:
                 free, after = self.freedom(rod, e), self.freedom(rod, e + 1)
@@ -108,11 +108,10 @@ class Elimination(Chain):
             f = factor(d, self.tiny)
             found.negative = found.negative + f[6]
             wr, wu, wa = forward(f, b), forward_rows(f, transposed(u)), forward_rows(f, transposed(a))
-            self.store_eliminated(rod, at, f, wr, wu, wa)
+            self.store_eliminated(edge, f, wr, wu, wa)
             s, z = plus(s, symmetric_gram(f, wa)), plus(z, against(f, wa, wr))
             ee, ea, er = symmetric_gram(f, wu), gram(f, wu, wa), against(f, wu, wr)
             h, g = h_next, g_next
-            at += self.edge_stride
         change, positive = self.bordered(rod, s, plus(z, miss))
         return record(moment=ti.sqrt(found.squared), scale=found.scale, change=change, inertia=found.negative + positive,
                       slope=found.slope, energy=zero, magnitude=zero)
@@ -142,20 +141,20 @@ class Elimination(Chain):
         zero = 0.0 * rod.total
         w = variable(repeated(zero, 3))
         longest, decrement = (zero, zero)
-        at = rod.origin + (rod.edges - 1) * self.edge_stride
-        for _ in range(rod.edges):
-            right = self.without_border(rod, at, ELIMINATED_BORDER, found.change)
-            decrement = decrement + squared(self.load3(rod.scratch, at + PIVOTS * self.stride), right)
-            w = self.solved_edge(rod, at, right, w)
+        for back in range(rod.edges):
+            e = rod.edges - 1 - back
+            edge = self.edge(rod.head, e)
+            right = self.without_border(edge, edge.border, found.change)
+            decrement = decrement + squared(edge.pivots, right)
+            w = self.solved_edge(edge, right, w)
             longest = self.longer(longest, w)
-            at -= self.edge_stride
         size = ti.sqrt(longest)
         return size, size, decrement
 
     # --- shared with the elimination under an external energy ---
 
     @ti.func
-    def stirred(self, rod, at, edge, right, gradient, search):
+    def stirred(self, edge, e, right, gradient, search):
         """(right-hand side with the noise and the echo of ``search`` (noise, echo), slope along the echo).
 
         Inverse iterations from there lead towards the softest direction, off a saddle: the noise is a fixed perturbation, the
@@ -163,36 +162,36 @@ class Elimination(Chain):
         """
         noise, echo = search
         # In a lane without an echo the step is undefined and may be NaN.
-        w = self.load3(rod.scratch, at + ROTATION * self.stride)
+        w = edge.rotation
         k = chosen(echo > 0.0, scaled(w, echo), repeated(0.0 * echo, 3))
         perturbed = (
-            right[0] + noise * ((5 * edge + 2) % 7 - 2.5) + k[0],
-            right[1] + noise * ((3 * edge + 1) % 7 - 2.5) + k[1],
-            right[2] + noise * ((4 * edge + 3) % 7 - 2.5) + k[2],
+            right[0] + noise * ((5 * e + 2) % 7 - 2.5) + k[0],
+            right[1] + noise * ((3 * e + 1) % 7 - 2.5) + k[1],
+            right[2] + noise * ((4 * e + 3) % 7 - 2.5) + k[2],
         )
         return perturbed, dot(gradient, k)
 
     @ti.func
-    def store_eliminated(self, rod, at, f, right, neighbour, border):
+    def store_eliminated(self, edge, f, right, neighbour, border):
         """Store for :meth:`solved_edge`: the factors of an edge, W_r, and the columns of W_U and of the border."""
-        self.store(rod.scratch, at + PIVOTS * self.stride, (f[0], f[1], f[2], f[3], f[4], f[5]))
-        self.store(rod.scratch, at + ROTATION * self.stride, right)
-        self.store(rod.scratch, at + ELIMINATED_NEXT * self.stride, neighbour)
-        self.store(rod.scratch, at + ELIMINATED_BORDER * self.stride, border)
+        edge.pivots = (f[0], f[1], f[2], f[3], f[4], f[5])
+        edge.rotation = right
+        edge.neighbour = neighbour
+        edge.border = border
 
     @ti.func
-    def without_border(self, rod, at, columns: ti.template(), border):
-        """W_r − W_border border of an edge, whose columns W_border begin at item ``columns``."""
-        right = self.load3(rod.scratch, at + ROTATION * self.stride)
-        return minus_combination(right, self.load9(rod.scratch, at + columns * self.stride), border)
+    def without_border(self, edge, columns, border):
+        """W_r − W_border border of an edge, whose W_border has these ``columns``."""
+        right = edge.rotation
+        return minus_combination(right, columns, border)
 
     @ti.func
-    def solved_edge(self, rod, at, right, w):
+    def solved_edge(self, edge, right, w):
         """ω = L⁻ᵀ D⁻¹ (``right`` − W_U ω_neighbour) of an edge, into its place."""
-        f = self.load6(rod.scratch, at + PIVOTS * self.stride)
-        wu = self.load9(rod.scratch, at + ELIMINATED_NEXT * self.stride)
+        f = edge.pivots
+        wu = edge.neighbour
         rotation = backward(f, minus_combination(right, wu, w))
-        self.store(rod.scratch, at + ROTATION * self.stride, rotation)
+        edge.rotation = rotation
         return rotation
 
     @ti.func

@@ -19,16 +19,13 @@ class EndMoments(ParameterGradient):
 
     @ti.func
     def end_places(self, rod, end: ti.template()):
-        """Places of the end's edge and of the edge at whose end its pair is bent, that pair's joint, and the length after the
-        end's edge."""
-        at, joint_at, joint = rod.origin, rod.origin, 0
-        remaining = rod.total - self.length_at(rod, rod.origin)
+        """The number of the end's edge, that of its pair's joint, and the length after the end's edge."""
+        e, joint = 0, 0
+        remaining = rod.total - self.edge(rod.head, 0).length
         if ti.static(end == LAST):
-            joint = rod.edges - 2
-            at = rod.origin + (rod.edges - 1) * self.edge_stride
-            joint_at = at - self.edge_stride
+            e, joint = rod.edges - 1, rod.edges - 2
             remaining = 0.0 * rod.total
-        return at, joint_at, joint, remaining
+        return e, joint, remaining
 
     @ti.func
     def own_part(self, end: ti.template(), left, right):
@@ -46,19 +43,19 @@ class EndMoments(ParameterGradient):
     @ti.func
     def body_moment(self, rod, end: ti.template(), multiplier):
         """g + Aλ of the end's edge, in its own axes."""
-        at, joint_at, joint, remaining = self.end_places(rod, end)
-        bent, s = self.kept_pair(rod, joint_at)
+        e, joint, remaining = self.end_places(rod, end)
+        bent, s = self.kept_pair(rod, joint)
         left, right = self.gradient_of(bent, s)
         own = self.own_part(end, left, right)
-        edge = self.edge(rod, at, remaining)
+        edge = self.seen(rod, self.edge(rod.head, e), remaining)
         l1, l2 = linear_gradient(self.pull_on(rod, edge, multiplier), edge.length, edge.m1, edge.m2)
         return plus(own, (0.0 * l1, l1, l2))
 
     @ti.func
     def end_moment(self, rod, end: ti.template(), multiplier):
         """The moment at an end, in the world."""
-        at, joint_at, joint, remaining = self.end_places(rod, end)
-        return self.in_world(self.edge(rod, at, remaining), self.body_moment(rod, end, multiplier))
+        e, joint, remaining = self.end_places(rod, end)
+        return self.in_world(self.seen(rod, self.edge(rod.head, e), remaining), self.body_moment(rod, end, multiplier))
 
     @ti.func
     def moment_change(self, rod, end: ti.template(), column, change):
@@ -68,17 +65,17 @@ class EndMoments(ParameterGradient):
         H has the second derivatives by spins that are made before tilts: with the edge's own rotation w and G = g + Aλ the
         moment changes by H w + (G2 w1 − G1 w2, ½ G0 w2, −½ G0 w1), seen from the edge's axes as they were.
         """
-        at, joint_at, joint, remaining = self.end_places(rod, end)
-        bent, s = self.kept_pair(rod, joint_at)
+        e, joint, remaining = self.end_places(rod, end)
+        bent, s = self.kept_pair(rod, joint)
         left, right, h_left, h_right, across = self.derivatives(bent, s)
-        w0, w1 = self.rotation_at(rod, joint_at), self.rotation_at(rod, joint_at + self.edge_stride)
+        w0, w1 = self.edge(rod.head, joint).rotation, self.edge(rod.head, joint + 1).rotation
         of_left = plus(applied(full(h_left), w0), applied(across, w1))
         of_right = plus(applied(full(h_right), w1), applied(transposed(across), w0))
         found = self.own_part(end, of_left, of_right)
         if column.bends or column.mode != NO_MODE:
-            explicit_left, explicit_right = self.pair_change(rod, joint_at, joint, column)
+            explicit_left, explicit_right = self.pair_change(rod, joint, column)
             found = plus(found, self.own_part(end, explicit_left, explicit_right))
-        edge = self.edge(rod, at, remaining)
+        edge = self.seen(rod, self.edge(rod.head, e), remaining)
         w = self.own_part(end, w0, w1)
         straighten = linear_hessian(self.pull_on(rod, edge, column.multiplier), edge.length, edge.t)
         l1, l2 = self.linear_change(rod, edge, column)

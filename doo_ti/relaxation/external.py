@@ -13,22 +13,24 @@ import numpy as np
 from doo_ti.arguments import typed
 from doo_ti.errors import InputError
 from doo_ti.physics.number import Number
+from doo_ti.physics.view import Layout
 from doo_ti.short_repr import short_repr
 
 
 class ExternalFunctions(NamedTuple):
     """An external energy as Taichi functions.
 
-    load      (scratch, at, slot, numbers, row, edge, scale): those of ``numbers``' row, energies times ``scale``
-    evaluate  (scratch, at, numbers, field, start, end, coarse): an edge's energy E with its vertices at ``start`` and ``end``,
+    load      (own, numbers, row, edge, scale): those of ``numbers``' row into the view ``own`` of an edge's numbers in a lane
+              (:mod:`doo_ti.physics.view`), energies times ``scale``
+    evaluate  (own, numbers, field, start, end, coarse): an edge's energy E with its vertices at ``start`` and ``end``,
               and the moments of its gradient γ and curvature K over the places s in [0, 1] along the edge where it acts,
               (E, Σ γ, Σ s γ, Σ K, Σ s K, Σ s² K). That is: the derivatives by a shift of the whole edge and by the change
               of end − start, and the second derivatives by shift and shift, by shift and change (nine numbers, row by row),
               by change and change; symmetric ones as (11, 12, 13, 22, 23, 33).
               Where ``coarse`` is one the rod is far from rest, and K better positive semidefinite than exact.
               None where there is no energy.
-    load_start, evaluate_start  the same of vertex 0, whose energy no edge carries, with ``start_items`` of its own:
-              (scratch, at, slot, numbers, row, scale), and (scratch, at, place) giving (E, γ, K); None where it has none
+    load_start, evaluate_start  the same of vertex 0, whose energy no edge carries, with the numbers of ``start_layout``:
+              (own, numbers, row, scale), and (own, place) giving (E, γ, K); None where it has none
     """
 
     load: Callable
@@ -40,14 +42,14 @@ class ExternalFunctions(NamedTuple):
 class External(Protocol):
     """The interface of an external energy. ``external_index`` gives each rod one of its ``count`` rows.
 
-    items       numbers it needs in scratch per edge
-    start_items of vertex 0
-    has_coarse  whether K far from rest differs from that near it
-    vertices    of the rods it is for, None where it is for any number of them
+    layout        of the numbers it needs in scratch per edge
+    start_layout  of vertex 0
+    has_coarse    whether K far from rest differs from that near it
+    vertices      of the rods it is for, None where it is for any number of them
     """
 
-    items: ClassVar[int]
-    start_items: ClassVar[int]
+    layout: ClassVar[Layout]
+    start_layout: ClassVar[Layout]
     has_coarse: ClassVar[bool]
 
     @property
@@ -66,8 +68,8 @@ class External(Protocol):
         """(R,) the part that no edge carries: at vertex 0 in ``start`` (R, 3), of the rows ``index`` (R,)."""
 
     @staticmethod
-    def functions(number: Number, stride: int, first: int) -> ExternalFunctions:
-        """For one kind of number, its items in scratch from ``first`` on."""
+    def functions(number: Number) -> ExternalFunctions:
+        """For one kind of number."""
 
 
 @typed
@@ -86,8 +88,8 @@ class Springs:
 
     points: np.ndarray
     stiffness: np.ndarray
-    items: ClassVar[int] = 4
-    start_items: ClassVar[int] = 4
+    layout: ClassVar[Layout] = Layout(point=3, stiffness=1)
+    start_layout: ClassVar[Layout] = layout
     has_coarse: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
@@ -126,26 +128,21 @@ class Springs:
         return 0.5 * self.stiffness[index, 0] * np.sum((start - self.points[index, 0]) ** 2, axis=-1)
 
     @staticmethod
-    def functions(number: Number, stride: int, first: int) -> ExternalFunctions:
-        """On the device, with its items from ``first`` on: each edge carries the spring of the vertex where it ends."""
+    def functions(number: Number) -> ExternalFunctions:
+        """On the device: each edge carries the spring of the vertex where it ends."""
         import taichi as ti
 
         from doo_ti.physics.tuples import dot, minus, scaled
 
-        put = number.lanes().put
+        @ti.func
+        def load(own, numbers: ti.template(), row, edge, scale):
+            own.point = (numbers[row, edge + 1, 0], numbers[row, edge + 1, 1], numbers[row, edge + 1, 2])
+            own.stiffness = numbers[row, edge + 1, 3] * scale
 
         @ti.func
-        def load(scratch: ti.template(), at, slot, numbers: ti.template(), row, edge, scale):
-            for k in ti.static(range(3)):
-                put(scratch, at + (first + k) * stride, slot, numbers[row, edge + 1, k])
-            put(scratch, at + (first + 3) * stride, slot, numbers[row, edge + 1, 3] * scale)
-
-        @ti.func
-        def evaluate(scratch: ti.template(), at, numbers: ti.template(), field: ti.template(), start, end, coarse):
-            k = scratch[at + (first + 3) * stride]
-            d0 = end[0] - scratch[at + first * stride]
-            d1 = end[1] - scratch[at + (first + 1) * stride]
-            d2 = end[2] - scratch[at + (first + 2) * stride]
+        def evaluate(own, numbers: ti.template(), field: ti.template(), start, end, coarse):
+            k = own.stiffness
+            d0, d1, d2 = minus(end, own.point)
             energy = 0.5 * k * (d0 * d0 + d1 * d1 + d2 * d2)
             gradient = (k * d0, k * d1, k * d2)
             none = 0.0 * k
@@ -154,15 +151,14 @@ class Springs:
             return energy, gradient, gradient, curvature, mixed, curvature
 
         @ti.func
-        def load_start(scratch: ti.template(), at, slot, numbers: ti.template(), row, scale):
-            for k in ti.static(range(3)):
-                put(scratch, at + k * stride, slot, numbers[row, 0, k])
-            put(scratch, at + 3 * stride, slot, numbers[row, 0, 3] * scale)
+        def load_start(own, numbers: ti.template(), row, scale):
+            own.point = (numbers[row, 0, 0], numbers[row, 0, 1], numbers[row, 0, 2])
+            own.stiffness = numbers[row, 0, 3] * scale
 
         @ti.func
-        def evaluate_start(scratch: ti.template(), at, place):
-            k = scratch[at + 3 * stride]
-            d = minus(place, (scratch[at], scratch[at + stride], scratch[at + 2 * stride]))
+        def evaluate_start(own, place):
+            k = own.stiffness
+            d = minus(place, own.point)
             none = 0.0 * k
             return 0.5 * k * dot(d, d), scaled(d, k), (k, none, none, k, none, k)
 
@@ -173,8 +169,8 @@ class Springs:
 class Nothing:
     """No energy: for rods that only contact loads."""
 
-    items: ClassVar[int] = 0
-    start_items: ClassVar[int] = 0
+    layout: ClassVar[Layout] = Layout()
+    start_layout: ClassVar[Layout] = Layout()
     has_coarse: ClassVar[bool] = False
     count: ClassVar[int] = 1
     vertices: ClassVar[None] = None
@@ -192,12 +188,12 @@ class Nothing:
         return np.zeros(len(start))
 
     @staticmethod
-    def functions(number, stride: int, first: int) -> ExternalFunctions:
+    def functions(number) -> ExternalFunctions:
         """On the device."""
         import taichi as ti
 
         @ti.func
-        def load(scratch: ti.template(), at, slot, numbers: ti.template(), row, edge, scale):
+        def load(own, numbers: ti.template(), row, edge, scale):
             pass
 
         return ExternalFunctions(load, None)

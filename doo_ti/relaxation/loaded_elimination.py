@@ -42,21 +42,10 @@ from doo_ti.physics.tuples import (
     transposed,
     variable,
 )
-from doo_ti.relaxation.chain import (
-    ELIMINATED_BORDER,
-    LENGTH,
-    LOADED_PARAMETERS,
-    PARAMETERS,
-    PIVOTS,
-    ROTATION,
-    item_count,
-)
+from doo_ti.relaxation.chain_layout import edge_layout, rod_layout
 from doo_ti.relaxation.contacts import Contacts
 from doo_ti.relaxation.elimination import held_pivot
 from doo_ti.relaxation.loose_start import LooseStart
-
-FORCE_ITEMS = 9
-"""Items of an edge, after those of the external energy, for the columns of the multiplier."""
 
 
 @ti.data_oriented
@@ -68,13 +57,12 @@ class LoadedElimination(LooseStart):
     """
 
     def __init__(self, number, isotropic: bool, stride: int, external: type, any_ends: bool, contacts: Contacts | None = None):
-        super().__init__(number, isotropic, stride, external.items + (FORCE_ITEMS if any_ends else 0))
-        self.functions = external.functions(number, stride, item_count(isotropic))
-        self.force_columns = item_count(isotropic) + external.items
+        super().__init__(number, isotropic, stride, edge_layout(isotropic, external.layout, any_ends),
+                         rod_layout(external.start_layout if any_ends else None))
+        self.functions = external.functions(number)
         self.moves_start = any_ends
         self.is_loaded = self.functions.evaluate is not None
         self.pulls_start = self.functions.evaluate_start is not None
-        self.parameters = LOADED_PARAMETERS + external.start_items if any_ends else PARAMETERS
         self.contacts, self.touches = contacts, contacts is not None
 
     @ti.func
@@ -83,10 +71,9 @@ class LoadedElimination(LooseStart):
         x = variable(rod.anchor)
         if ti.static(self.moves_start):
             x = plus(x, self.drift(rod))
-        at = rod.origin
         for e in range(rod.edges):
-            x = plus(x, scaled(tangent(self.load4(rod.scratch, at)), rod.scratch[at + LENGTH * self.stride]))
-            at += self.edge_stride
+            edge = self.edge(rod.head, e)
+            x = plus(x, scaled(tangent(edge.frame), edge.length))
         if ti.static(self.touches):
             self.contacts.begin(rod)
             self.contacts.look(rod, rod.edges, x)
@@ -113,15 +100,15 @@ class LoadedElimination(LooseStart):
         end = self.tip(rod)
         searching = self.largest(search[0] + search[1]) > 0.0
         some_taut = self.largest(1.0 - rod.free[4]) > 0.5
-        at = rod.origin + (rod.edges - 1) * self.edge_stride
         for back in range(rod.edges):
             e = rod.edges - 1 - back
-            q = self.load4(rod.scratch, at)
+            edge = self.edge(rod.head, e)
+            q = edge.frame
             t, m1, m2 = tangent(q), first_director(q), second_director(q)
-            length = rod.scratch[at + LENGTH * self.stride]
+            length = edge.length
             start = minus(end, scaled(t, length))
-            load = self.load(rod, at, e, start, end, found)
-            self.keep_load(rod, at, load)
+            load = self.load(rod, edge, e, start, end, found)
+            self.keep_load(edge, load)
             end = start
             hang = self.hanging_weight(rod, length, beyond.length)
             beyond.length = beyond.length + length
@@ -134,9 +121,9 @@ class LoadedElimination(LooseStart):
             u = variable(repeated(zero, 9))
             h_before, g_before = variable(repeated(zero, 6)), variable(repeated(zero, 3))
             if e > 0:
-                previous = at - self.edge_stride
+                previous = self.edge(rod.head, e - 1)
                 left, right, h_left, h_right, across = self.derivatives(
-                    self.bent(rod.scratch, previous), self.stiffness(rod.scratch, previous, at, rod.stiffness))
+                    self.bent(previous.bent), self.stiffness(previous, edge, rod.stiffness))
                 g, h = plus(g, right), plus(h, h_right)
                 h_before, g_before, u = h_left, left, across
             rows = closure_rows(length, m1, m2)
@@ -145,12 +132,12 @@ class LoadedElimination(LooseStart):
             h = (h[0], h[1], h[2], h[3] + straighten + quadratic(k, a1, a1), h[4] + quadratic(k, a1, a2),
                  h[5] + straighten + quadratic(k, a2, a2))
             h = self.second_derivatives(rod, h, (g[0], g[1] + l1, g[2] + l2))
-            d = variable(self.condensed(h, self.shifts(rod, at, shift), beyond, a1, a2))
+            d = variable(self.condensed(h, self.shifts(rod, edge, shift), beyond, a1, a2))
             zz = variable(self.coupled(beyond, load, a1, a2))
             b = variable((0.0 - g[0] - beyond.f[0], 0.0 - g[1] - r1 - beyond.f[1], 0.0 - g[2] - r2 - beyond.f[2]))
             g = (g[0], g[1] + l1, g[2] + l2)
             if searching:
-                b, along = self.stirred(rod, at, e, b, g, search)
+                b, along = self.stirred(edge, e, b, g, search)
                 found.slope = found.slope + along
             if e == 0 or e == rod.edges - 1 or some_taut:
                 free = self.freedom(rod, e)
@@ -161,12 +148,11 @@ class LoadedElimination(LooseStart):
             f = factor(d, self.tiny)
             found.negative = found.negative + f[6]
             wr, wz, wu = forward(f, b), forward_rows(f, zz), forward_rows(f, u)
-            self.store_eliminated(rod, at, f, wr, wu, wz)
+            self.store_eliminated(edge, f, wr, wu, wz)
             self.pass_on(beyond, load, f, wr, wz, wu)
             if ti.static(self.moves_start):
-                self.eliminate_border(rod, at, self.freedom(rod, e), border, rows, f, wr, wz, wu)
+                self.eliminate_border(edge, self.freedom(rod, e), border, rows, f, wr, wz, wu)
             h, g = h_before, g_before
-            at -= self.edge_stride
         change = variable(repeated(zero, 3))
         positive = zero + 3.0  # what a minimum counts without closure
         if ti.static(self.moves_start):
@@ -176,7 +162,7 @@ class LoadedElimination(LooseStart):
                       slope=found.slope, energy=found.energy, magnitude=found.magnitude)
 
     @ti.func
-    def load(self, rod, at, edge, start, end, found):
+    def load(self, rod, edge, e, start, end, found):
         """The external energy of an edge (:class:`doo_ti.relaxation.external.ExternalFunctions`) and that of its contacts: the
         value goes to ``found``, and the record of the derivatives is returned; ``known`` and ``known_s`` are the gradients
         without what only closes gaps (:meth:`.ContactEnergy.known_force`)."""
@@ -186,7 +172,7 @@ class LoadedElimination(LooseStart):
         if ti.static(self.is_loaded):
             unit = rod.length_unit  # the energy is a function of places in mm
             value, gradient, gradient_s, curvature, curvature_s, curvature_ss = self.functions.evaluate(
-                rod.scratch, at, rod.numbers, rod.field, scaled(start, unit), scaled(end, unit), rod.coarse)
+                edge.outer, rod.numbers, rod.field, scaled(start, unit), scaled(end, unit), rod.coarse)
             found.energy = found.energy + value
             found.magnitude = found.magnitude + absolute(value)
             square = unit * unit
@@ -195,7 +181,7 @@ class LoadedElimination(LooseStart):
             load.curvature, load.curvature_s = scaled(curvature, square), scaled(curvature_s, square)
             load.curvature_ss = scaled(curvature_ss, square)
         if ti.static(self.touches):
-            some = self.contacts.touched(rod, edge + 1, start, end)
+            some = self.contacts.touched(rod, e + 1, start, end)
             if some > 0:
                 self.contacts.take_vertex(rod, load)
             if some > 1:
@@ -203,7 +189,7 @@ class LoadedElimination(LooseStart):
         return load
 
     @ti.func
-    def keep_load(self, rod, at, load):
+    def keep_load(self, edge, load):
         """Keep the derivatives of an edge's load for later: only derivatives by parameters need them
         (:class:`doo_ti.relaxation.contact_sensitivity.ContactSensitivity`)."""
 
@@ -231,13 +217,13 @@ class LoadedElimination(LooseStart):
         return (z[0], z[1] + w1[0], z[2] + w2[0], z[3], z[4] + w1[1], z[5] + w2[1], z[6], z[7] + w1[2], z[8] + w2[2])
 
     @ti.func
-    def eliminate_border(self, rod, at, free, border, rows, f, wr, wz, wu):
+    def eliminate_border(self, edge, free, border, rows, f, wr, wz, wu):
         """The edge's part in closure: of each component of λ the columns c_λ and f_λ that the edge before is given, and the
         Schur complement."""
         turned = times_transposed(border.c, rows)
         a = column_scaled(plus(border.f, turned), free)
         wa = forward_rows(f, a)
-        self.store(rod.scratch, at + self.force_columns * self.stride, wa)
+        edge.force_border = wa
         border.c = minus(border.c, gram(f, wa, wz))
         border.f = negated(gram(f, wa, wu))
         border.schur = plus(border.schur, symmetric_gram(f, wa))
@@ -265,31 +251,30 @@ class LoadedElimination(LooseStart):
             start, decrement = self.solved_start(rod, found.change)
             x = start
             size = dot(x, x) / (rod.total * rod.total)
-        at = rod.origin
         for e in range(rod.edges):
-            right = variable(self.without_multiplier(rod, at, found.change))
-            decrement = decrement + squared(self.load3(rod.scratch, at + PIVOTS * self.stride), right)
-            w = self.solved_edge(rod, at, self.less_displaced(rod, at, right, x), w)
-            q = self.load4(rod.scratch, at)
-            length = rod.scratch[at + LENGTH * self.stride]
+            edge = self.edge(rod.head, e)
+            right = variable(self.without_multiplier(edge, found.change))
+            decrement = decrement + squared(edge.pivots, right)
+            w = self.solved_edge(edge, self.less_displaced(edge, right, x), w)
+            q = edge.frame
+            length = edge.length
             m1, m2 = first_director(q), second_director(q)
             change = scaled(minus(scaled(m1, w[2]), scaled(m2, w[1])), length)
             if ti.static(self.touches):
                 longest = largest_of(longest, self.contacts.approach(rod, e + 1, x, plus(x, change)))
             x = plus(x, change)
             size = self.longer(size, w)
-            at += self.edge_stride
         return ti.sqrt(largest_of(longest, size)), ti.sqrt(size), decrement
 
     @ti.func
-    def without_multiplier(self, rod, at, change):
+    def without_multiplier(self, edge, change):
         """W_r − W_λ δλ of an edge."""
         if ti.static(self.moves_start):
-            return self.without_border(rod, at, self.force_columns, change)
+            return self.without_border(edge, edge.force_border, change)
         else:
-            return self.load3(rod.scratch, at + ROTATION * self.stride)
+            return edge.rotation
 
     @ti.func
-    def less_displaced(self, rod, at, right, x):
+    def less_displaced(self, edge, right, x):
         """``right`` − W_Z ξ of an edge whose first vertex moves by ξ."""
-        return minus_combination(right, self.load9(rod.scratch, at + ELIMINATED_BORDER * self.stride), x)
+        return minus_combination(right, edge.border, x)

@@ -4,6 +4,7 @@ import taichi as ti
 
 from doo_ti.physics.quaternion import normalised, tangent, transported
 from doo_ti.physics.tuples import dot, record
+from doo_ti.physics.view import exact
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.newton_policy import MOST_SHIFT
@@ -46,10 +47,7 @@ class Loading:
     """
 
     def __init__(self, sweep: chain.Chain, functions=None, in_millimetres: bool = False):
-        lanes = sweep.number.lanes()
-        self.put, self.get = lanes.put, lanes.get
-        self.stride, self.edge_stride, self.isotropic = sweep.stride, sweep.edge_stride, sweep.isotropic
-        self.parameters, self.moves_start = sweep.parameters, sweep.moves_start
+        self.edge, self.isotropic, self.moves_start = sweep.edge, sweep.isotropic, sweep.moves_start
         self.functions, self.in_millimetres = functions, in_millimetres
         self.touches = sweep.touches
         if self.touches:
@@ -63,31 +61,13 @@ class Loading:
         return (source[place], source[place + 1], source[place + 2], source[place + 3])
 
     @ti.func
-    def put_items(self, scratch: ti.template(), at, slot, values):
-        """Numbers that follow each other into lane ``slot``."""
-        for k in ti.static(range(len(values))):
-            self.put(scratch, at + k * self.stride, slot, values[k])
-
-    @ti.func
-    def lane_place(self, scratch: ti.template(), at, slot):
-        """A place, or any three numbers, of lane ``slot``."""
-        s = ti.static(self.stride)
-        return (ti.cast(self.get(scratch, at, slot), ti.f64), ti.cast(self.get(scratch, at + s, slot), ti.f64),
-                ti.cast(self.get(scratch, at + 2 * s, slot), ti.f64))
-
-    @ti.func
-    def lane_frame(self, scratch: ti.template(), at, slot):
-        """A frame of lane ``slot``."""
-        return self.lane_place(scratch, at, slot) + (ti.cast(self.get(scratch, at + 3 * self.stride, slot), ti.f64),)
-
-    @ti.func
-    def load(self, tables, scratch: ti.template(), head, slot, rod, lengths_known):
+    def load(self, tables, head, slot, rod, lengths_known):
         """Row ``rod`` of the rods into lane ``slot``. Lengths that all rods share are loaded once per lane.
 
         Lengths are in a unit u in which all rods are about equally long, energies in that of a stiffness over u, so that
         rounding and tolerances do not depend on a rod's size.
         """
-        origin = head + self.parameters * self.stride
+        lane = head.lane(slot)
         s = tables.rods[rod, of.CLAMP_ROW]
         g = tables.rods[rod, of.MATERIAL_ROW]
         divisor = stiffness_scale(tables.material, tables.clamp, g, s)
@@ -95,115 +75,97 @@ class Loading:
         if ti.static(not self.in_millimetres):
             unit = length_unit(tables.clamp[s, of.TOTAL])
         if tables.rods[rod, of.START_ROW] == of.FROM_RESULTS:
-            self.load_frames(tables, tables.frames, tables.rods[rod, of.RESULT_ROW], scratch, origin, slot, s)
+            self.load_frames(tables, tables.frames, tables.rods[rod, of.RESULT_ROW], lane, s)
         else:
-            self.load_frames(tables, tables.start, tables.rods[rod, of.START_ROW], scratch, origin, slot, s)
+            self.load_frames(tables, tables.start, tables.rods[rod, of.START_ROW], lane, s)
         row = ti.min(s, tables.rest_length.shape[0] - 1)
         if lengths_known < 0.5 or tables.rest_length.shape[0] > 1:
-            self.load_lengths(tables, scratch, origin, slot, row, unit)
+            self.load_lengths(tables, lane, row, unit)
         if ti.static(not self.isotropic):
-            self.load_stiffness(tables, scratch, origin, slot, row, g, 1.0 / divisor)
+            self.load_stiffness(tables, lane, row, g, 1.0 / divisor)
         if ti.static(self.loaded):
-            at = origin
             for e in range(tables.rest_length.shape[1]):
-                self.functions.load(scratch, at, slot, tables.numbers, tables.rods[rod, of.EXTERNAL_ROW], e,
+                self.functions.load(self.edge(lane, e).outer, tables.numbers, tables.rods[rod, of.EXTERNAL_ROW], e,
                                     1.0 / divisor * unit)
-                at += self.edge_stride
-        self.load_parameters(tables, scratch, head, slot, s, g, divisor, unit)
+        self.load_parameters(tables, lane, s, g, divisor, unit)
         if ti.static(self.touches):
             total = tables.clamp[s, of.TOTAL] / unit
             scale = record(
                 bend=tables.material[g, of.LARGEST_BEND] / divisor, total=total, length=total / tables.rest_length.shape[1],
                 longest=tables.clamp[s, of.LONGEST] / unit,
                 weight=2.0 * tables.material[g, of.WEIGHT] / divisor * (unit * unit * unit))
-            self.contacts.load(tables, scratch, slot, rod, unit, scale)
+            self.contacts.load(tables, slot, rod, unit, scale)
         if ti.static(self.moves_start):
-            self.put(scratch, head + chain.OF_LOOSE * self.stride, slot, tables.clamp[s, of.LOOSE])
+            lane.loose = tables.clamp[s, of.LOOSE]
             for k in ti.static(range(3)):
-                drift = tables.results[tables.rods[rod, of.RESULT_ROW], of.DRIFT + k]
-                self.put(scratch, head + (chain.OF_DRIFT + k) * self.stride, slot, drift / unit)
+                lane.drift[k] = tables.results[tables.rods[rod, of.RESULT_ROW], of.DRIFT + k] / unit
             if ti.static(self.loads_start):
-                self.functions.load_start(
-                    scratch, head + chain.LOADED_PARAMETERS * self.stride, slot, tables.numbers,
-                    tables.rods[rod, of.EXTERNAL_ROW], 1.0 / divisor * unit)
+                self.functions.load_start(lane.outer, tables.numbers, tables.rods[rod, of.EXTERNAL_ROW], 1.0 / divisor * unit)
 
     @ti.func
-    def load_frames(self, tables, source: ti.template(), row, scratch: ti.template(), origin, slot, s):
-        """The frames of ``source``'s row into lane ``slot``, those at the ends as clamp s holds them. The first step, of length
-        zero, normalises them."""
+    def load_frames(self, tables, source: ti.template(), row, lane, s):
+        """The frames of ``source``'s row into a lane, those at the ends as clamp s holds them. The first step, of length zero,
+        normalises them."""
         edges = tables.rest_length.shape[1]
-        at = origin
         place = row * edges * 4
         for e in range(edges):
-            self.put_items(scratch, at, slot, self.frame_from(source, place))
+            self.edge(lane, e).frame = self.frame_from(source, place)
             place += 4
-            at += self.edge_stride
-        self.load_end(tables.clamp, s, 0, source, row * edges * 4, scratch, origin, slot)
-        self.load_end(tables.clamp, s, 1, source, place - 4, scratch, origin + (edges - 1) * self.edge_stride, slot)
+        self.load_end(tables.clamp, s, 0, source, row * edges * 4, self.edge(lane, 0))
+        self.load_end(tables.clamp, s, 1, source, place - 4, self.edge(lane, edges - 1))
 
     @ti.func
-    def load_end(self, clamp: ti.template(), s, end: ti.template(), source: ti.template(), place, scratch: ti.template(), at,
-                 slot):
-        """What clamp s holds of the first frame or the last, which is at ``place`` of ``source``, into lane ``slot``."""
+    def load_end(self, clamp: ti.template(), s, end: ti.template(), source: ti.template(), place, edge):
+        """What clamp s holds of the first frame or the last, which is at ``place`` of ``source``, into that edge of a lane."""
         if clamp[s, of.TILT_START + end] == 0.0:
             column = ti.static(of.ENDS + 4 * end)
             held = (clamp[s, column], clamp[s, column + 1], clamp[s, column + 2], clamp[s, column + 3])
-            self.put_items(scratch, at, slot, held)
+            edge.frame = held
             if clamp[s, of.SPIN_START + end] > 0.0:
                 # A tangent alone: by parallel transport, which does not exist from the opposite tangent.
                 frame = normalised(self.frame_from(source, place))
                 old, new = tangent(frame), tangent(held)
                 if 1.0 + dot(old, new) > 1e-14:
-                    self.put_items(scratch, at, slot, transported(frame, old, new))
+                    edge.frame = transported(frame, old, new)
 
     @ti.func
-    def store_frames(self, tables, row, scratch: ti.template(), origin, slot):
+    def store_frames(self, tables, row, lane):
         """The lane's frames into row ``row`` of the results' frames."""
         edges = tables.rest_length.shape[1]
-        at = origin
-        place = row * edges * 4
         for e in range(edges):
+            frame = self.edge(lane, e).frame
             for k in ti.static(range(4)):
-                tables.frames[place + k] = self.get(scratch, at + (chain.FRAME + k) * self.stride, slot)
-            place += 4
-            at += self.edge_stride
+                tables.frames[(row * edges + e) * 4 + k] = frame[k]
 
     @ti.func
-    def force_unit(self, scratch: ti.template(), head, slot):
+    def force_unit(self, lane):
         """The lane's unit of force, energy per mm."""
-        unit = ti.cast(self.get(scratch, head + chain.OF_ENERGY_UNIT * self.stride, slot), ti.f64)
-        return unit / ti.cast(self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot), ti.f64)
+        return exact(lane.energy_unit) / exact(lane.length_unit)
 
     @ti.func
-    def load_lengths(self, tables, scratch: ti.template(), origin, slot, row, unit):
-        """Edge lengths and 1/l̄ of row ``row`` into lane ``slot``, in that unit."""
-        at = origin
+    def load_lengths(self, tables, lane, row, unit):
+        """Edge lengths and 1/l̄ of row ``row`` into a lane, in that unit."""
         for e in range(tables.rest_length.shape[1]):
-            length = tables.rest_length[row, e] / unit
-            self.put(scratch, at + chain.LENGTH * self.stride, slot, length)
+            edge, length = self.edge(lane, e), tables.rest_length[row, e] / unit
+            edge.length = length
             if e > 0:
                 both = tables.rest_length[row, e - 1] / unit + length
-                self.put(scratch, at + chain.INVERSE_LENGTH * self.stride, slot, 1.0 / both)
-            at += self.edge_stride
+                edge.inverse_length = 1.0 / both
 
     @ti.func
-    def load_stiffness(self, tables, scratch: ti.template(), origin, slot, row, g, scale):
-        """B, β and ω̄ l̄/2 of material g into lane ``slot``, stiffness times ``scale``."""
-        at = origin
+    def load_stiffness(self, tables, lane, row, g, scale):
+        """B, β and ω̄ l̄/2 of material g into a lane, stiffness times ``scale``."""
         for e in range(tables.rest_length.shape[1]):
-            column = self.stiffness_column(tables, e)
+            edge, column = self.edge(lane, e), self.stiffness_column(tables, e)
             for k in ti.static(range(3)):
-                self.put(scratch, at + (chain.BEND + k) * self.stride, slot, tables.material[g, column + (of.BEND + k)] * scale)
+                edge.bend[k] = tables.material[g, column + (of.BEND + k)] * scale
             if e > 0:
-                self.put(scratch, at + chain.TWIST * self.stride, slot, tables.material[g, column + of.TWIST] * scale)
+                edge.twist = tables.material[g, column + of.TWIST] * scale
                 both = tables.rest_length[row, e - 1] + tables.rest_length[row, e]
                 for k in ti.static(range(2)):
-                    rest = 0.5 * both * tables.material[g, column + (of.REST + k)]
-                    self.put(scratch, at + (chain.REST + k) * self.stride, slot, rest)
+                    edge.rest[k] = 0.5 * both * tables.material[g, column + (of.REST + k)]
             for k in ti.static(range(2)):
-                share = self.shift_share(tables, row, g, e, k)
-                self.put(scratch, at + (chain.SHIFT_SHARES + k) * self.stride, slot, share)
-            at += self.edge_stride
+                edge.shift_shares[k] = self.shift_share(tables, row, g, e, k)
 
     @ti.func
     def shift_share(self, tables, row, g, e, tilt: ti.template()):
@@ -226,33 +188,32 @@ class Loading:
         return ti.min(of.STIFFNESS + e * of.STIFFNESS_COLUMNS, tables.material.shape[1] - of.STIFFNESS_COLUMNS)
 
     @ti.func
-    def load_parameters(self, tables, scratch: ti.template(), head, slot, s, g, divisor, unit):
-        """Parameters of the rod (configuration s, material g) into lane ``slot``, stiffness over ``divisor`` and lengths over
+    def load_parameters(self, tables, lane, s, g, divisor, unit):
+        """Parameters of the rod (configuration s, material g) into a lane, stiffness over ``divisor`` and lengths over
         ``unit``."""
         for k in ti.static(range(3)):
-            self.put(scratch, head + (chain.OF_TARGET + k) * self.stride, slot, tables.clamp[s, of.TARGET + k] / unit)
-            up = tables.material[g, of.WEIGHT] * tables.up[k] / divisor * (unit * unit * unit)
-            self.put(scratch, head + (chain.OF_GRAVITY + k) * self.stride, slot, up)
-            self.put(scratch, head + (chain.OF_ANCHOR + k) * self.stride, slot, tables.clamp[s, of.ANCHOR + k] / unit)
+            lane.target[k] = tables.clamp[s, of.TARGET + k] / unit
+            lane.gravity[k] = tables.material[g, of.WEIGHT] * tables.up[k] / divisor * (unit * unit * unit)
+            lane.anchor[k] = tables.clamp[s, of.ANCHOR + k] / unit
         # A round rod with both spins free turns about itself at no cost: hold its first spin.
         spin_start = tables.clamp[s, of.SPIN_START] * (1.0 - tables.material[g, of.ROUND] * tables.clamp[s, of.SPIN_END])
         free = (spin_start, tables.clamp[s, of.TILT_START], tables.clamp[s, of.SPIN_END], tables.clamp[s, of.TILT_END],
                 tables.clamp[s, of.TILT_INNER])
-        self.put_items(scratch, head + chain.OF_FREE * self.stride, slot, free)
-        self.put(scratch, head + chain.OF_CLOSED * self.stride, slot, tables.clamp[s, of.CLOSED])
-        self.put(scratch, head + chain.OF_RELEASED * self.stride, slot, tables.clamp[s, of.RELEASED])
-        self.put(scratch, head + chain.OF_TOTAL * self.stride, slot, tables.clamp[s, of.TOTAL] / unit)
-        self.put(scratch, head + chain.OF_LONGEST * self.stride, slot, tables.clamp[s, of.LONGEST] / unit)
-        self.put(scratch, head + chain.OF_ENERGY_UNIT * self.stride, slot, divisor / unit)
-        self.put(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot, unit)
+        lane.free = free
+        lane.closed = tables.clamp[s, of.CLOSED]
+        lane.released = tables.clamp[s, of.RELEASED]
+        lane.total = tables.clamp[s, of.TOTAL] / unit
+        lane.longest = tables.clamp[s, of.LONGEST] / unit
+        lane.energy_unit = divisor / unit
+        lane.length_unit = unit
         bend, twist = tables.material[g, of.STIFFNESS + of.BEND], tables.material[g, of.STIFFNESS + of.TWIST]
-        self.put_items(scratch, head + chain.OF_STIFFNESS * self.stride, slot, (bend / divisor, twist / divisor))
-        self.put(scratch, head + chain.OF_SOFTEST * self.stride, slot, tables.material[g, of.SOFTEST] / divisor)
+        lane.stiffness = (bend / divisor, twist / divisor)
+        lane.softest = tables.material[g, of.SOFTEST] / divisor
         if ti.static(not self.isotropic):
             bend, twist = tables.material[g, of.SOFTEST], tables.material[g, of.SOFTEST]
         most = MOST_SHIFT / tables.material[g, of.STIFFEST]
         shares = (ti.min(1.0, most * twist), ti.min(1.0, most * bend))
-        self.put_items(scratch, head + chain.OF_SHIFT_SHARES * self.stride, slot, shares)
+        lane.shift_shares = shares
         # A first guess of H's largest diagonal entry.
         guess = 4.0 * tables.material[g, of.STIFFEST] / divisor / (tables.clamp[s, of.SHORTEST_PAIR] / unit)
-        self.put(scratch, head + chain.OF_SCALE * self.stride, slot, guess)
+        lane.scale = guess

@@ -24,8 +24,6 @@ from doo_ti.physics.tuples import (
     symmetric_gram,
     variable,
 )
-from doo_ti.relaxation.chain import LOADED_PARAMETERS, OF_DRIFT, OF_DRIFT_FACTORS, OF_DRIFT_STANDING, OF_DRIFT_STEP
-from doo_ti.relaxation.contact_layout import END_CURVATURES, END_EXCESS, END_GRADIENT, ENERGY, MAGNITUDE
 from doo_ti.relaxation.elimination import Elimination, held_pivot
 
 LEAST_HOLD = 1e-6
@@ -39,7 +37,7 @@ class LooseStart(Elimination):
     @ti.func
     def drift(self, rod):
         """How far vertex 0 has moved from the anchor, in the rod's unit of length."""
-        return self.load3(rod.scratch, rod.head + OF_DRIFT * self.stride)
+        return rod.head.drift
 
     @ti.func
     def displaced(self, rod, reached):
@@ -57,7 +55,7 @@ class LooseStart(Elimination):
         returns where rotations are still to close the chain."""
         zero = 0.0 * scale
         standing = self.drift(rod)
-        full = self.load3(rod.scratch, rod.head + OF_DRIFT_STEP * self.stride)
+        full = rod.head.drift_step
         stepping = (scale > 0.0) | (scale < 0.0)
         drift = variable(chosen(stepping, plus(standing, scaled(full, scale)), standing))
         tied = rod.loose * rod.closed * moving
@@ -65,15 +63,15 @@ class LooseStart(Elimination):
         if ti.static(self.touches):
             whole = plus(drift, scaled(minus(whole, drift), moving))
         drift = chosen(tied > 0.0, whole, drift)
-        self.store(rod.scratch, rod.head + OF_DRIFT_STANDING * self.stride, standing)
-        self.store(rod.scratch, rod.head + OF_DRIFT * self.stride, drift)
+        rod.head.drift_standing = standing
+        rod.head.drift = drift
         return ti.select(rod.loose > 0.5, zero, moving)
 
     @ti.func
     def restore_start(self, rod, lost):
         """Restore vertex 0 in the lanes that reject the step."""
-        standing = self.load3(rod.scratch, rod.head + OF_DRIFT_STANDING * self.stride)
-        self.store(rod.scratch, rod.head + OF_DRIFT * self.stride, chosen(lost > 0.5, standing, self.drift(rod)))
+        standing = rod.head.drift_standing
+        rod.head.drift = chosen(lost > 0.5, standing, self.drift(rod))
 
     @ti.func
     def eliminate_start(self, rod, shift, beyond, border, found):
@@ -84,8 +82,7 @@ class LooseStart(Elimination):
         force, c = variable(plus(beyond.force, weight)), variable(plus(beyond.c, weight))
         if ti.static(self.pulls_start):
             energy, gradient, curvature = self.functions.evaluate_start(
-                rod.scratch, rod.head + LOADED_PARAMETERS * self.stride,
-                scaled(plus(rod.anchor, self.drift(rod)), rod.length_unit))
+                rod.head.outer, scaled(plus(rod.anchor, self.drift(rod)), rod.length_unit))
             found.energy = found.energy + loose * energy
             found.magnitude = found.magnitude + loose * energy
             slope = scaled(gradient, rod.length_unit)
@@ -93,11 +90,11 @@ class LooseStart(Elimination):
             beyond.cc = plus(beyond.cc, scaled(curvature, rod.length_unit * rod.length_unit))
         if ti.static(self.touches):
             if self.contacts.touched_start(rod, 0) == 1:
-                slope = self.contacts.vector(rod, END_GRADIENT)
-                force, c = plus(force, self.contacts.known(rod, END_GRADIENT, END_EXCESS)), plus(c, slope)
-                beyond.cc = plus(beyond.cc, self.contacts.symmetric(rod, END_CURVATURES))
-            found.energy = found.energy + self.contacts.item(rod, ENERGY)
-            found.magnitude = found.magnitude + self.contacts.item(rod, MAGNITUDE)
+                slope = rod.contacts.end_gradient
+                force, c = plus(force, self.contacts.known(slope, rod.contacts.end_excess)), plus(c, slope)
+                beyond.cc = plus(beyond.cc, rod.contacts.end_curvatures)
+            found.energy = found.energy + rod.contacts.energy
+            found.magnitude = found.magnitude + rod.contacts.magnitude
         moment = scaled(force, loose * rod.total)
         self.observe_moment(found, moment)
         d = on_diagonal(beyond.cc, self.shift_of_start(rod, shift))
@@ -108,10 +105,9 @@ class LooseStart(Elimination):
         wa = forward_rows(f, scaled(border.c, loose))
         border.schur = plus(border.schur, symmetric_gram(f, wa))
         border.right = plus(border.right, against(f, wa, wr))
-        at = rod.head + OF_DRIFT_STEP * self.stride
-        self.store(rod.scratch, at, wr)
-        kept = wa + (f[0], f[1], f[2], f[3], f[4], f[5])
-        self.store(rod.scratch, rod.head + OF_DRIFT_FACTORS * self.stride, kept)
+        rod.head.drift_step = wr
+        rod.head.drift_border = wa
+        rod.head.drift_pivots = (f[0], f[1], f[2], f[3], f[4], f[5])
 
     @ti.func
     def shift_of_start(self, rod, shift):
@@ -128,10 +124,8 @@ class LooseStart(Elimination):
     @ti.func
     def solved_start(self, rod, change):
         """(ξ = L⁻ᵀ D⁻¹ (W_c − W_λ δλ) of vertex 0, also into its place; its part in the Newton decrement)."""
-        right = self.load3(rod.scratch, rod.head + OF_DRIFT_STEP * self.stride)
-        kept = rod.head + OF_DRIFT_FACTORS * self.stride
-        y = minus_combination(right, self.load9(rod.scratch, kept), change)
-        f = self.load6(rod.scratch, kept + 9 * self.stride)
+        y = minus_combination(rod.head.drift_step, rod.head.drift_border, change)
+        f = rod.head.drift_pivots
         shift = backward(f, y)
-        self.store(rod.scratch, rod.head + OF_DRIFT_STEP * self.stride, shift)
+        rod.head.drift_step = shift
         return shift, squared(f, y)

@@ -16,7 +16,7 @@ from doo_ti.contact.gap_tolerance import require_gap_tolerance
 from doo_ti.errors import InputError, require_number, require_whole
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import record
-from doo_ti.relaxation.contact_layout import contact_items
+from doo_ti.relaxation.contact_layout import CONTACTS, contact_items
 from doo_ti.relaxation.contacts import Contacts
 from doo_ti.relaxation.dense_elimination import DenseElimination
 from doo_ti.relaxation.elimination import Elimination
@@ -146,9 +146,9 @@ def contact_kernel(number: Number, isotropic: bool, stride: int, block: int, ext
                    itself: bool):
     """The same for rods that may touch obstacles of those kinds, or ``itself``, under an external energy."""
     if itself:
-        sweep = DenseLoadedElimination(number, isotropic, stride, external, True, SelfContacts(number, stride, obstacles))
+        sweep = DenseLoadedElimination(number, isotropic, stride, external, True, SelfContacts(number, obstacles))
     else:
-        sweep = LoadedElimination(number, isotropic, stride, external, True, Contacts(number, stride, obstacles, expects=True))
+        sweep = LoadedElimination(number, isotropic, stride, external, True, Contacts(number, obstacles, expects=True))
     size = self_contact_items if itself else contact_items
     loop = NewtonLoop(sweep, sweep.functions, external.has_coarse)
     table1, table2, table3, table4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))
@@ -173,7 +173,7 @@ def contact_kernel(number: Number, isotropic: bool, stride: int, block: int, ext
         for thread in range(threads):
             up = (policy[UP], policy[UP + 1], policy[UP + 2])
             edges = rest_length.shape[1]
-            contacts = sweep.behind(threads, thread, edges, size(edges, kinds.shape[0]))
+            contacts = sweep.behind(scratch, threads, thread, edges, size(edges, kinds.shape[0]), CONTACTS)
             tables = record(start=start, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods,
                             policy=policy, queue=queue, frames=frames, results=results, numbers=outer, field=space,
                             contacts=contacts, obstacles=obstacles, kinds=kinds, grids=grids, radius=radius,

@@ -3,10 +3,9 @@
 import taichi as ti
 
 from doo_ti.physics.tuples import choose, dot, record, repeated
-from doo_ti.relaxation import chain
+from doo_ti.physics.view import exact
 from doo_ti.relaxation import newton_policy as fixed
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contact_layout import PENALTY_KEPT
 from doo_ti.relaxation.elimination import Elimination
 from doo_ti.relaxation.loading import LANES, NEXT, TRIPS, Loading
 from doo_ti.relaxation.newton_trip import NewtonTrip
@@ -18,16 +17,13 @@ class NewtonLoop(NewtonTrip):
 
     def __init__(self, sweep: Elimination, functions=None, has_coarse: bool = False):
         super().__init__(sweep, has_coarse)
-        self.stride, self.width = sweep.stride, sweep.number.width
+        self.width = sweep.number.width
         self.loading = Loading(sweep, functions)
 
     @ti.func
     def work(self, tables, scratch: ti.template(), threads, thread):
         """A thread's work, until the queue is empty."""
-        edges = tables.rest_length.shape[1]
-        head = thread
-        if ti.static(self.stride == 1):
-            head = thread * (self.sweep.parameters + self.sweep.items * edges)
+        head = self.sweep.head(scratch, thread, tables.rest_length.shape[1])
         # Rods taken from the queue at a time: with fewer, threads wait for each other at the queue; with more, some end early.
         batch = ti.max(1, ti.min(16, tables.rods.shape[0] // (16 * threads * self.width)))
         lane = self.idle_lanes()
@@ -36,12 +32,12 @@ class NewtonLoop(NewtonTrip):
         running = 1
         while running == 1:
             if self.exchanges(lane):
-                self.exchange(tables, scratch, head, lane, supply)
-                self.begin(tables, scratch, head, lane)
+                self.exchange(tables, head, lane, supply)
+                self.begin(tables, head, lane)
             if self.largest(lane.active) < 0.5:
                 running = 0
             else:
-                self.advance(tables, scratch, head, lane)
+                self.advance(tables, head, lane)
                 pack_trips += 1
         ti.atomic_add(tables.queue[TRIPS], pack_trips)
 
@@ -51,13 +47,13 @@ class NewtonLoop(NewtonTrip):
         return self.largest(lane.finished) > 0.5
 
     @ti.func
-    def exchange(self, tables, scratch: ti.template(), head, lane, supply):
+    def exchange(self, tables, head, lane, supply):
         """Store the rods of the finished lanes and load others."""
         for slot in range(self.width):
             if self.lane(lane.finished, slot) > 0.5:
                 if self.lane(lane.active, slot) > 0.5:
-                    self.store(tables, scratch, head, slot, lane, tables.queue[supply.places + slot])
-                self.refill(tables, scratch, head, slot, lane, supply)
+                    self.store(tables, head, slot, lane, tables.queue[supply.places + slot])
+                self.refill(tables, head, slot, lane, supply)
 
     @ti.func
     def idle_lanes(self):
@@ -71,14 +67,13 @@ class NewtonLoop(NewtonTrip):
             lengths_known=zero, along=zero, begun=zero, arrived=zero, spins_first=zero, strays=zero, active=zero, finished=one)
 
     @ti.func
-    def store(self, tables, scratch: ti.template(), head, slot, lane, rod):
+    def store(self, tables, head, slot, lane, rod):
         """Results of the rod in lane ``slot``, row ``rod`` of the rods."""
-        row = tables.rods[rod, of.RESULT_ROW]
-        origin = head + self.sweep.parameters * self.stride
-        self.loading.store_frames(tables, row, scratch, origin, slot)
+        row, own = tables.rods[rod, of.RESULT_ROW], head.lane(slot)
+        self.loading.store_frames(tables, row, own)
         if ti.static(self.touches):
-            self.sweep.contacts.unload(tables, scratch, slot, row)
-            self.sweep.contacts.unload_forces(tables, scratch, slot, row, self.loading.force_unit(scratch, head, slot))
+            self.sweep.contacts.unload(tables, slot, row)
+            self.sweep.contacts.unload_forces(tables, slot, row, self.loading.force_unit(own))
         status = self.lane(lane.status, slot)
         if status == self.not_finite or status == self.infeasible:
             for k in ti.static(range(of.RESULTS)):
@@ -87,13 +82,13 @@ class NewtonLoop(NewtonTrip):
                 for v, k in ti.ndrange(tables.forces.shape[1], 3):
                     tables.forces[row, v, k] = 0.0
         else:
-            unit = ti.cast(self.get(scratch, head + chain.OF_ENERGY_UNIT * self.stride, slot), ti.f64)
-            length_unit = ti.cast(self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot), ti.f64)
-            total = self.get(scratch, head + chain.OF_TOTAL * self.stride, slot)
+            unit = exact(own.energy_unit)
+            length_unit = exact(own.length_unit)
+            total = own.total
             energy = ti.cast(self.lane(lane.energy, slot), ti.f64)
             if ti.static(self.touches):
                 # λ²/2κ at a contact is no energy of the rod, and depends on κ.
-                energy -= self.get(scratch, tables.contacts + PENALTY_KEPT * self.stride, slot)
+                energy -= tables.contacts.lane(slot).penalty_kept
             tables.results[row, of.ENERGY] = energy * unit
             tables.results[row, of.RESIDUAL] = self.lane(lane.residual, slot) * total
             for k in ti.static(range(3)):
@@ -102,23 +97,21 @@ class NewtonLoop(NewtonTrip):
             miss = (self.lane(lane.miss[0], slot), self.lane(lane.miss[1], slot), self.lane(lane.miss[2], slot))
             squares = miss[0] ** 2 + miss[1] ** 2 + miss[2] ** 2
             tables.results[row, of.CLOSURE] = ti.sqrt(squares) / total
-            at = head + chain.OF_TARGET * self.stride
-            target = self.loading.lane_place(scratch, at, slot)
+            target = exact(own.target)
             along = self.lane(lane.along, slot)
             if along > 0.0:
                 along = ti.min(self.lane(lane.begun, slot), self.lane(lane.arrived, slot))
-            along *= self.get(scratch, head + chain.OF_CLOSED * self.stride, slot)
+            along *= own.closed
             tables.results[row, of.ALONG] = along / (ti.sqrt(dot(target, target)) + 1e-30)
         if ti.static(self.sweep.moves_start):
             for k in ti.static(range(3)):
-                drift = ti.cast(self.get(scratch, head + (chain.OF_DRIFT + k) * self.stride, slot), ti.f64)
-                tables.results[row, of.DRIFT + k] = drift * self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot)
+                tables.results[row, of.DRIFT + k] = exact(own.drift[k]) * own.length_unit
         tables.results[row, of.ITERATIONS] = self.lane(lane.trips, slot)
         tables.results[row, of.STATUS] = status
         tables.results[row, of.STABLE] = self.lane(lane.stable, slot)
 
     @ti.func
-    def refill(self, tables, scratch: ti.template(), head, slot, lane, supply):
+    def refill(self, tables, head, slot, lane, supply):
         """The next rod of the queue into lane ``slot``, if there is one; ``supply`` are the rods taken from it already."""
         lane.active = self.with_lane(lane.active, slot, 0.0)
         if supply.next == supply.end:
@@ -128,16 +121,16 @@ class NewtonLoop(NewtonTrip):
             rod = supply.next
             supply.next += 1
             tables.queue[supply.places + slot] = rod
-            self.loading.load(tables, scratch, head, slot, rod, self.lane(lane.lengths_known, slot))
+            self.loading.load(tables, head, slot, rod, self.lane(lane.lengths_known, slot))
             lane.lengths_known = self.with_lane(lane.lengths_known, slot, 1.0)
             lane.active = self.with_lane(lane.active, slot, 1.0)
 
     @ti.func
-    def begin(self, tables, scratch: ti.template(), head, lane):
+    def begin(self, tables, head, lane):
         """Initialise the lanes that were refilled."""
         zero, one = self.constant(0.0), self.constant(1.0)
         begun = lane.finished > 0.5
-        lane.scale = ti.select(begun, scratch[head + chain.OF_SCALE * self.stride], lane.scale)
+        lane.scale = ti.select(begun, head.scale, lane.scale)
         shift = ti.cast(tables.policy[fixed.FIRST_SHIFT], self.scalar) * lane.scale
         choose(
             lane, begun, shift=shift, fresh=one, best=self.constant(1e30), step_scale=zero, trips=zero, idle_trips=zero,
@@ -146,6 +139,6 @@ class NewtonLoop(NewtonTrip):
         lane.finished = zero
 
     @ti.func
-    def advance(self, tables, scratch: ti.template(), head, lane):
+    def advance(self, tables, head, lane):
         """The work between two exchanges of rods: a trip."""
-        self.trip(tables, scratch, head, lane)
+        self.trip(tables, head, lane)

@@ -6,11 +6,8 @@ from doo_ti.physics.algebra import absolute
 from doo_ti.physics.tuples import chosen, dot, plus, record, scaled, variable
 from doo_ti.relaxation import newton_policy as fixed
 from doo_ti.relaxation.contact_layout import (
-    CROSSING,
     EARLY_ROTATION,
     EARLY_SHIFT,
-    SETTLING,
-    TOLERANCE,
     WALL,
 )
 from doo_ti.relaxation.elimination import Elimination
@@ -67,12 +64,12 @@ class NewtonTrip:
             (fixed.GROWTH_IN_CONTACT, fixed.SHIFT_REJECTED_IN_CONTACT) if self.touches else (4.0, fixed.SHIFT_REJECTED))
 
     @ti.func
-    def trip(self, tables, scratch: ti.template(), head, lane):
+    def trip(self, tables, head, lane):
         """One step of every lane's rod, and its judgement."""
         zero, one = self.constant(0.0), self.constant(1.0)
         if ti.static(self.has_coarse):
             lane.coarse = ti.max(lane.coarse, lane.fresh)
-        rod = self.sweep.rods(tables, scratch, head, lane.coarse)
+        rod = self.sweep.rods(tables, head, lane.coarse)
         rod.spins_first = lane.spins_first
         # Take the step, and judge it afterwards. The factorisation at its end has the shift that follows a good step.
         moving = ti.max(lane.trying, ti.max(lane.fresh, lane.closing))
@@ -143,12 +140,12 @@ class NewtonTrip:
         if ti.static(self.touches):
             # No step, not even one that only closes, may carry a vertex past the middle of an obstacle.
             moved = moved | ((lane.closing > 0.5) & (lane.fresh < 0.5))
-            passable = self.sweep.contacts.item(rod, CROSSING) < 1.0
+            passable = rod.contacts.crossing < 1.0
             # Far from closure the Lagrangian says little.
             missed, misses = dot(lane.miss, lane.miss), dot(miss, miss)
             reaching = (missed > (fixed.REACHING_DISTANCE * rod.longest) ** 2) & (misses < fixed.NEARER * missed)
             # Nor does it across a change of forces.
-            settling = (lane.trying > 0.5) & (self.sweep.contacts.item(rod, SETTLING) > 0.0) & finite
+            settling = (lane.trying > 0.5) & (rod.contacts.settling > 0.0) & finite
             # A step that raises the residual, and the energy by no more than rounding, is refused: where a contact begins,
             # whole steps could otherwise alternate between its two sides without end.
             vague = (after >= before) & (found.moment > lane.residual) & (lane.escaping < 0.5)
@@ -225,8 +222,8 @@ class NewtonTrip:
         if ti.static(self.touches):
             # The residual of a step that settles forces does not say how far gaps are open.
             contacts = self.sweep.contacts
-            unsettled = contacts.settled_gap(rod) > contacts.item(rod, TOLERANCE)
-            small = small & ~((contacts.item(rod, SETTLING) > 0.0) & unsettled)
+            unsettled = contacts.settled_gap(rod) > rod.contacts.tolerance
+            small = small & ~((rod.contacts.settling > 0.0) & unsettled)
         wrong = ((inertia < 2.5) | (inertia > 3.5)) & judged.stands
         right = (inertia > 2.5) & (inertia < 3.5) & judged.stands
         calm = small & (lane.escaping < 0.5) & judged.stands

@@ -6,15 +6,7 @@ import taichi as ti
 from doo_ti.contact.obstacles import AXES, POINT
 from doo_ti.physics.quaternion import first_director, partway, product, rotated, second_director, tangent
 from doo_ti.physics.tuples import minus, plus, record, scaled, variable
-from doo_ti.relaxation.contact_layout import (
-    CARRIED,
-    CARRY,
-    HEAD,
-    OBSTACLE_ITEMS,
-    SHIFT_BEFORE,
-    TURN,
-    TURN_BEFORE,
-)
+from doo_ti.physics.view import exact
 from doo_ti.relaxation.loading import Loading
 
 # Columns of an obstacle's pose at an instant: first its turn, a quaternion, then its shift, mm. They take a place x of it from
@@ -32,38 +24,37 @@ class ObstacleLoading(Loading):
         self.moves = self.touches and self.contacts.moves
 
     @ti.func
-    def first_poses(self, tables, scratch: ti.template(), slot, row, unit):
+    def first_poses(self, tables, slot, row, unit):
         """Load the poses of lane ``slot`` before the first step."""
         for o in range(tables.kinds.shape[0]):
             pose = self.pose_from(tables, row, 0, o, unit)
-            at = tables.contacts + (HEAD + o * OBSTACLE_ITEMS) * self.stride
-            self.put_items(scratch, at + TURN * self.stride, slot, pose.turn + pose.shift)
-            self.put_items(scratch, at + TURN_BEFORE * self.stride, slot, pose.turn + pose.shift)
+            at = self.contacts.obstacle(self.contacts.of_lane(tables, slot), o)
+            at.pose = pose.turn + pose.shift
+            at.pose_before = pose.turn + pose.shift
 
     @ti.func
-    def next_poses(self, tables, scratch: ti.template(), slot, row, step, share, unit):
+    def next_poses(self, tables, slot, row, step, share, unit):
         """Load the poses of lane ``slot`` after that ``share`` of the way to the end of step ``step``, where that puts the
         obstacles, and by how much it carries their places."""
         own = ti.min(row, tables.obstacles.shape[0] - 1)
         for o in range(tables.kinds.shape[0]):
-            at = tables.contacts + (HEAD + o * OBSTACLE_ITEMS) * self.stride
+            at = self.contacts.obstacle(self.contacts.of_lane(tables, slot), o)
             pose = self.pose_from(tables, row, step + 1, o, unit)
             turn, shift = variable(pose.turn), variable(pose.shift)
-            old = self.lane_frame(scratch, at + TURN_BEFORE * self.stride, slot)
-            before = self.lane_place(scratch, at + SHIFT_BEFORE * self.stride, slot)
+            old = exact(at.turn_before)
+            before = exact(at.shift_before)
             if share < 1.0:
                 turn = partway(old, turn, share)
                 shift = plus(scaled(before, 1.0 - share), scaled(shift, share))
             carry = product(turn, (old[0], 0.0 - old[1], 0.0 - old[2], 0.0 - old[3]))
             point = scaled(self.columns_from(tables, own, o, POINT), 1.0 / unit)
-            self.put_items(scratch, at + POINT * self.stride, slot, plus(rotated(turn, point), shift))
-            for axis in ti.static(range(3)):
-                along = self.columns_from(tables, own, o, AXES + 3 * axis)
-                self.put_items(scratch, at + (AXES + 3 * axis) * self.stride, slot, rotated(turn, along))
-            self.put_items(scratch, at + TURN * self.stride, slot, turn + shift)
-            self.put_items(scratch, at + CARRY * self.stride, slot,
-                           tangent(carry) + first_director(carry) + second_director(carry))
-            self.put_items(scratch, at + CARRIED * self.stride, slot, minus(shift, rotated(carry, before)))
+            at.point = plus(rotated(turn, point), shift)
+            at.axis_1 = rotated(turn, self.columns_from(tables, own, o, ti.static(AXES)))
+            at.axis_2 = rotated(turn, self.columns_from(tables, own, o, ti.static(AXES + 3)))
+            at.axis_3 = rotated(turn, self.columns_from(tables, own, o, ti.static(AXES + 6)))
+            at.pose = turn + shift
+            at.carry = tangent(carry) + first_director(carry) + second_director(carry)
+            at.carried = minus(shift, rotated(carry, before))
 
     @ti.func
     def rest_of_poses(self, tables, row, step):

@@ -2,21 +2,22 @@
 (docs/contact.md)."""
 
 from doo_ti.physics.tuples import picked
+from doo_ti.physics.view import Layout
 from doo_ti.relaxation.contact_layout import contact_items
 
-# Items of the rod: its coefficient of friction on itself; of the two edges that are looked at the weights of their four ends,
-# and the mixed derivatives of their distance by these and by the places on both edges; and the least gap of two edges that
-# clamps hold. Then of every vertex the gradient of all energies of places, the part of it from the rod's contact with itself,
-# the displacement that the next step means, and the length of the rod before.
-COEFFICIENT, WEIGHTS, SLOPES, PINCHED, ROD_ITEMS = 0, 1, 5, 29, 30
-LOAD, PULL, MOVE, ARC, VERTEX_ITEMS = 0, 3, 6, 9, 10
-# Items of a pair of edges i < j, number j (j − 1)/2 + i: the force; the friction, the normal of its plane and the places on
-# both edges at which it acts; the distance of the edges, or a bound below it, now and before the step; the nearest places on
-# both and the gradient of the distance; and, in a group, one where they may touch.
-FORCE, FRICTION, RUBBED_NORMAL, RUBBED_PLACES, DISTANCE, DISTANCE_STANDING, PLACES, NORMAL, APART, PAIR_ITEMS = (
-    0, 1, 4, 7, 9, 10, 11, 13, 16, 17)
-REMEMBERED, CARRIED = 9, 11
-"""Items of a pair that last from one step to the next, and from one launch to the next."""
+# Its coefficient of friction on itself; of the two edges that are looked at the weights of their four ends, and the mixed
+# derivatives of their distance by these and by the places on both edges; and the least gap of two edges that clamps hold.
+ROD = Layout(coefficient=1, weights=4, slopes=24, ends=("weights", 28), pinched=1)
+# Of every vertex the gradient of all energies of places, the part of it from the rod's contact with itself, the displacement
+# that the next step means, and the length of the rod before.
+VERTEX = Layout(load=3, pull=3, move=3, arc=1)
+# Of a pair of edges i < j, number j (j − 1)/2 + i: the force; the friction, the normal of its plane and the places on both
+# edges at which it acts; the distance of the edges, or a bound below it, now and before the step; the nearest places on both
+# and the gradient of the distance; and, in a group, one where they may touch.
+PAIR = Layout(force=1, friction=3, rubbed_normal=3, rubbed_places=2, remembered=("force", 9), distance=1, distance_standing=1,
+              places=2, normal=3, nearest=("places", 5), apart=1)
+REMEMBERED, CARRIED = PAIR.at("distance"), PAIR.at("places")
+"""Numbers of a pair that last from one step to the next, and from one launch to the next."""
 # Then the dense matrix of the Newton system, the rows of its lower triangle one after the other; three rows that are being
 # eliminated, place by place; the inverse pivots; and the right-hand side with the three columns of closure, row by row.
 
@@ -34,7 +35,7 @@ LEAST_DISTANCE = 1e-3
 @picked
 def pair_items(edges):
     """Numbers of a rod's contact with itself in scratch, without the matrix."""
-    return ROD_ITEMS + (edges + 1) * VERTEX_ITEMS + edges * (edges - 1) // 2 * PAIR_ITEMS
+    return len(ROD) + (edges + 1) * len(VERTEX) + edges * (edges - 1) // 2 * len(PAIR)
 
 
 @picked

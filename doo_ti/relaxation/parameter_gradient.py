@@ -11,6 +11,7 @@ from doo_ti.physics import pair
 from doo_ti.physics.closure import linear_gradient
 from doo_ti.physics.quaternion import first_director, second_director, tangent
 from doo_ti.physics.tuples import applied, dot, minus, plus, record, repeated, scaled, transposed, variable
+from doo_ti.physics.view import Layout
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
 
@@ -22,11 +23,10 @@ BEND, TWIST, MODE, PULL, TIMES_WEIGHT, STRETCH = 0, 3, 4, 5, 8, 9
 SHIFT, TURN_START, TURN_END, MOVE, DIRECTION_COLUMNS = 10, 13, 16, 19, 22
 NO_MODE = -1
 
-# Items of an edge after those of chain: curvature and twist at the vertex where it ends, kept because eliminating writes over
+# Of an edge after what chain has of it: curvature and twist at the vertex where it ends, kept because eliminating writes over
 # the place where chain has them; and the sum of the forces of obstacles on all vertices after its first, with the sign of a
 # gradient.
-KEPT, BEYOND, FIRST_FREE_ITEM = chain.GENERAL_ITEMS, chain.GENERAL_ITEMS + 8, chain.GENERAL_ITEMS + 11
-KEPT_ITEMS = FIRST_FREE_ITEM - KEPT
+KEPT = Layout(kept=8, beyond=3)
 
 
 @ti.data_oriented
@@ -50,25 +50,22 @@ class ParameterGradient(chain.Chain):
     @ti.func
     def bend_pairs(self, rod):
         """Curvature and twist at every vertex, to where they are eliminated from and to where they are kept."""
-        at = rod.origin
-        for _ in range(rod.edges - 1):
-            after = at + self.edge_stride
-            x, y, inverse, turn, r = pair.curvature(self.load4(rod.scratch, at), self.load4(rod.scratch, after))
+        for e in range(rod.edges - 1):
+            edge = self.edge(rod.head, e)
+            x, y, inverse, turn, r = pair.curvature(edge.frame, self.edge(rod.head, e + 1).frame)
             bent = x + y + (inverse, self.twist_angle(r)) + turn
-            self.store(rod.scratch, at + chain.BENT * self.stride, bent)
-            self.store(rod.scratch, at + KEPT * self.stride, bent)
-            at = after
+            edge.bent, edge.outer.kept = bent, bent
 
     @ti.func
-    def kept_pair(self, rod, at):
-        """Curvature and twist, and the stiffness, at the vertex where the edge at ``at`` ends."""
-        kept = self.bent(rod.scratch, at + (KEPT - chain.BENT) * self.stride)
-        return kept, self.stiffness(rod.scratch, at, at + self.edge_stride, rod.stiffness)
+    def kept_pair(self, rod, e):
+        """Curvature and twist, and the stiffness, at the vertex where edge ``e`` ends."""
+        edge = self.edge(rod.head, e)
+        return self.bent(edge.outer.kept), self.stiffness(edge, self.edge(rod.head, e + 1), rod.stiffness)
 
     @ti.func
     def column(self, tables, rod, index, p, multiplier):
         """The record of direction ``p`` for row ``index`` of the rods."""
-        unit = rod.scratch[rod.head + chain.OF_ENERGY_UNIT * self.stride]
+        unit = rod.head.energy_unit
         factor = 1.0 / unit
         if tables.directions[p, TIMES_WEIGHT] == 1.0:
             factor = tables.material[tables.rods[index, of.MATERIAL_ROW], of.WEIGHT] / unit
@@ -78,11 +75,11 @@ class ParameterGradient(chain.Chain):
             change += tables.directions[p, k] * tables.directions[p, k]
         bend = self.three(tables.directions, p, BEND)
         s = tables.rods[index, of.CLAMP_ROW]
-        last = rod.origin + (rod.edges - 1) * self.edge_stride
+        last = self.edge(rod.head, rod.edges - 1)
         holds_start = (1.0 - tables.clamp[s, of.SPIN_START], 1.0 - tables.clamp[s, of.TILT_START])
         holds_end = (1.0 - tables.clamp[s, of.SPIN_END], 1.0 - tables.clamp[s, of.TILT_END])
-        start = self.held_turn(rod, rod.origin, self.three(tables.directions, p, TURN_START), holds_start)
-        end = self.held_turn(rod, last, self.three(tables.directions, p, TURN_END), holds_end)
+        start = self.held_turn(self.edge(rod.head, 0), self.three(tables.directions, p, TURN_START), holds_start)
+        end = self.held_turn(last, self.three(tables.directions, p, TURN_END), holds_end)
         pull, mode = self.three(tables.directions, p, PULL), ti.cast(tables.directions[p, MODE], ti.i32)
         along = change + dot(pull, pull) + dot(start, start)
         return record(
@@ -92,25 +89,15 @@ class ParameterGradient(chain.Chain):
             turned=dot(start, start) + dot(end, end) > 0.0, turn_start=start, turn_end=end, multiplier=multiplier)
 
     @ti.func
-    def length_at(self, rod, at):
-        """Length of the edge at ``at``."""
-        return rod.scratch[at + chain.LENGTH * self.stride]
-
-    @ti.func
-    def rotation_at(self, rod, at):
-        """Rotation of the edge at ``at``, from the place of the step."""
-        return self.load3(rod.scratch, at + chain.ROTATION * self.stride)
-
-    @ti.func
     def three(self, table: ti.template(), row, column: ti.template()):
         """Three numbers of a table's row from ``column`` on."""
         return (table[row, column], table[row, column + 1], table[row, column + 2])
 
     @ti.func
-    def held_turn(self, rod, at, w, holds):
+    def held_turn(self, edge, w, holds):
         """The part that a clamp holds, (spin, tilt) = ``holds``, of its edge's rotation ``w`` in the world: in the edge's own
         axes."""
-        q = self.load4(rod.scratch, at)
+        q = edge.frame
         return (holds[0] * dot(w, tangent(q)), holds[1] * dot(w, first_director(q)), holds[1] * dot(w, second_director(q)))
 
     @ti.func
@@ -119,9 +106,9 @@ class ParameterGradient(chain.Chain):
         return self.gradient_of(bent, (s[0], s[1], s[2], 0.0 * s[2], rest))
 
     @ti.func
-    def pair_change(self, rod, at, joint, column):
-        """∂g/∂θ of the pair at ``joint``, where the edge at ``at`` ends: (left, right)."""
-        bent, s = self.kept_pair(rod, at)
+    def pair_change(self, rod, joint, column):
+        """∂g/∂θ of the pair at ``joint``, where the edge of that number ends: (left, right)."""
+        bent, s = self.kept_pair(rod, joint)
         none = 0.0 * s[2]
         left, right = variable(repeated(none, 3)), variable(repeated(none, 3))
         if column.bends:
@@ -144,13 +131,13 @@ class ParameterGradient(chain.Chain):
         return left, right
 
     @ti.func
-    def edge(self, rod, at, remaining):
+    def seen(self, rod, edge, remaining):
         """The record of an edge: length, frame, the coefficient of gravity on it, where ``remaining`` is the length of the
         edges after it, and the forces of obstacles ``beyond`` its first vertex."""
-        q = self.load4(rod.scratch, at)
-        length = self.length_at(rod, at)
+        q = edge.frame
+        length = edge.length
         return record(length=length, hang=self.hanging_weight(rod, length, remaining), t=tangent(q), m1=first_director(q),
-                      m2=second_director(q), beyond=self.load3(rod.scratch, at + BEYOND * self.stride))
+                      m2=second_director(q), beyond=edge.outer.beyond)
 
     @ti.func
     def pull_on(self, rod, edge, multiplier):
@@ -166,7 +153,7 @@ class ParameterGradient(chain.Chain):
         return linear_gradient(change, edge.length, edge.m1, edge.m2)
 
     @ti.func
-    def turn_neighbours(self, rod, at, e, column, change):
+    def turn_neighbours(self, rod, e, column, change):
         """Add what the turns of the first edge and the last do through their pairs to ``change``, a record:
 
         pair, own, after     of ∂g/∂θ: what pairs add to this edge, its own potentials, what pairs add to the edge after
@@ -175,7 +162,7 @@ class ParameterGradient(chain.Chain):
         An edge's own potentials and its tilt leave its spin in balance, where the clamp leaves that free.
         """
         if e < rod.edges - 1 and (e == 0 or e == rod.edges - 2):
-            bent, s = self.kept_pair(rod, at)
+            bent, s = self.kept_pair(rod, e)
             left, right, h_left, h_right, across = self.derivatives(bent, s)
             if e == 0:
                 w = column.turn_start

@@ -29,9 +29,10 @@ from doo_ti.physics.angle import passed_half_turn, turned_about_own_tangent
 from doo_ti.physics.number import Number
 from doo_ti.physics.quaternion import tangent
 from doo_ti.physics.tuples import dot, itemwise, minus, plus, record, repeated, scaled, variable
+from doo_ti.physics.view import Scratch
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.batch import layout_for, scratch_for
-from doo_ti.relaxation.closest_approach import AFTER, ARC, BEFORE, ENOUGH, VERTEX_ITEMS, ClosestApproach, least_distance
+from doo_ti.relaxation.closest_approach import ENOUGH, WAY, ClosestApproach, least_distance
 from doo_ti.relaxation.tables import Tables
 
 APART, TOUCHING, TURNED = 0, 1, 2
@@ -53,21 +54,16 @@ class SelfApproach:
 
     def __init__(self, number: Number, stride: int, by_frames: bool):
         lanes = number.lanes()
-        self.stride, self.width, self.by_frames = stride, number.width, by_frames
+        self.memory, self.width, self.by_frames = Scratch(number, stride), number.width, by_frames
         self.lane, self.constant, self.gather = lanes.lane, lanes.constant, lanes.gather
-        self.ways = ClosestApproach(number, stride)
-
-    @ti.func
-    def load3(self, scratch: ti.template(), at):
-        return (scratch[at], scratch[at + self.stride], scratch[at + 2 * self.stride])
+        self.ways = ClosestApproach()
+        self.vertex = self.ways.vertex
 
     @ti.func
     def work(self, tables, scratch: ti.template(), threads, thread):
         """A thread's share of the rods, pack after pack."""
         edges, rods = tables.edges, tables.flags.shape[0]
-        head = thread
-        if ti.static(self.stride == 1):
-            head = thread * (edges + 1) * VERTEX_ITEMS
+        head = self.memory.of_thread(scratch, thread, WAY, (edges + 1) * WAY.size)
         for pack in range((rods + self.width - 1) // self.width):
             if pack % threads == thread:
                 # The last pack has its last rod several times.
@@ -76,25 +72,25 @@ class SelfApproach:
                 own = variable([tables.rows[place[slot], ROD] for slot in ti.static(range(self.width))])
                 turns = self.constant(0.0)
                 if ti.static(self.by_frames):
-                    turns = self.load_frames(tables, starts, own, scratch, head)
+                    turns = self.load_frames(tables, starts, own, head)
                 else:
-                    self.load_places(tables, starts, own, scratch, head)
-                room = self.room(tables, own, scratch, head)
+                    self.load_places(tables, starts, own, head)
+                room = self.room(tables, own, head)
                 for slot in range(self.width):
                     rod = pack * self.width + slot
                     if rod < rods:
                         flag = ti.select(ti.abs(self.lane(turns, slot)) < 0.5, APART, TURNED)
                         if not self.lane(room, slot) > 0.0:
-                            if self.touches(tables, scratch, head, slot, tables.rows[rod, ROD]):
+                            if self.touches(tables, head.lane(slot), tables.rows[rod, ROD]):
                                 flag = TOUCHING
                         tables.flags[rod] = flag
 
     @ti.func
-    def touches(self, tables, scratch: ti.template(), head, slot, row):
-        """Whether the rod in a lane touches itself on its way, edge by edge."""
+    def touches(self, tables, head, row):
+        """Whether the rod in a lane, whose vertex 0 is ``head``, touches itself on its way, edge by edge."""
         at = ti.min(row, tables.limits.shape[0] // LIMITS - 1) * LIMITS
         radius = tables.limits[at + RADIUS]
-        rod = record(scratch=scratch, head=head, slot=slot, edges=tables.edges, near=tables.limits[at + NEAR],
+        rod = record(head=head, edges=tables.edges, near=tables.limits[at + NEAR],
                      enough=ENOUGH * radius, least_arc=LEAST_ARC * radius)
         return self.ways.touches(rod)
 
@@ -123,26 +119,23 @@ class SelfApproach:
         return length
 
     @ti.func
-    def store_vertex(self, scratch: ti.template(), at, old, new, arc):
-        """The items of a vertex."""
-        for k in ti.static(range(3)):
-            scratch[at + (BEFORE + k) * self.stride] = old[k]
-            scratch[at + (AFTER + k) * self.stride] = new[k]
-        scratch[at + ARC * self.stride] = arc
+    def store_vertex(self, vertex, old, new, arc):
+        """What scratch has of a vertex."""
+        vertex.before, vertex.after, vertex.arc = old, new, arc
 
     @ti.func
-    def load_frames(self, tables, starts, own, scratch: ti.template(), head):
+    def load_frames(self, tables, starts, own, head):
         """The vertices of rods that are given by frames; returns by how many turns the link changes."""
         zero = self.constant(0.0)
         rod = record(old=repeated(zero, 3), new=repeated(zero, 3), arc=zero, turns=zero, last=repeated(zero, 2))
-        self.store_vertex(scratch, head, rod.old, rod.new, rod.arc)
+        self.store_vertex(head, rod.old, rod.new, rod.arc)
         for e in range(tables.edges):
             before = self.numbers(tables.before, starts, tables.edges * 4, e * 4, 4)
             after = self.numbers(tables.after, own, tables.edges * 4, e * 4, 4)
             length = self.length(tables, starts, e)
             rod.old, rod.new = plus(rod.old, scaled(tangent(before), length)), plus(rod.new, scaled(tangent(after), length))
             rod.arc = rod.arc + length
-            self.store_vertex(scratch, self.vertex(head, e + 1), rod.old, rod.new, rod.arc)
+            self.store_vertex(self.vertex(head, e + 1), rod.old, rod.new, rod.arc)
             turned = turned_about_own_tangent(before, after)
             if e > 0:
                 rod.turns = rod.turns + passed_half_turn(rod.last, turned)
@@ -150,7 +143,7 @@ class SelfApproach:
         return rod.turns
 
     @ti.func
-    def load_places(self, tables, starts, own, scratch: ti.template(), head):
+    def load_places(self, tables, starts, own, head):
         """The vertices of rods that are given by places, from where the first one is before."""
         size, arc = (tables.edges + 1) * 3, self.constant(0.0)
         first = self.numbers(tables.before, own, size, 0, 3)
@@ -158,27 +151,27 @@ class SelfApproach:
             old, new = self.numbers(tables.before, own, size, v * 3, 3), self.numbers(tables.after, own, size, v * 3, 3)
             if v > 0:
                 arc = arc + self.length(tables, starts, v - 1)
-            self.store_vertex(scratch, self.vertex(head, v), minus(old, first), minus(new, first), arc)
+            self.store_vertex(self.vertex(head, v), minus(old, first), minus(new, first), arc)
 
     # --- bounds ---
 
     @ti.func
-    def vertex(self, head, v):
-        return head + v * VERTEX_ITEMS * self.stride
+    def before(self, head, first, last):
+        """From one vertex to another, before."""
+        return minus(self.vertex(head, last).before, self.vertex(head, first).before)
 
     @ti.func
-    def change(self, scratch: ti.template(), head, first, last, item: ti.template()):
-        """From one vertex to another, before or after."""
-        here, there = self.vertex(head, first) + item * self.stride, self.vertex(head, last) + item * self.stride
-        return minus(self.load3(scratch, there), self.load3(scratch, here))
+    def after(self, head, first, last):
+        """The same after."""
+        return minus(self.vertex(head, last).after, self.vertex(head, first).after)
 
     @ti.func
-    def arc(self, scratch: ti.template(), head, first, last):
+    def arc(self, head, first, last):
         """The length of rod between two vertices."""
-        return scratch[self.vertex(head, last) + ARC * self.stride] - scratch[self.vertex(head, first) + ARC * self.stride]
+        return self.vertex(head, last).arc - self.vertex(head, first).arc
 
     @ti.func
-    def room(self, tables, own, scratch: ti.template(), head):
+    def room(self, tables, own, head):
         """By how much two parts of the rods stay further apart on the way than they may, at least; negative where they may
         come nearer."""
         edges = tables.edges
@@ -188,38 +181,38 @@ class SelfApproach:
         least_arc = self.limit(tables, own, ARC_BETWEEN)
         # Stricter than the search edge by edge: a rod's result is the same whether or not that follows, which depends on the
         # lengths of all rods of the call.
-        near = near + ENOUGH * radius + ROUNDING * self.arc(scratch, head, 0, edges)
+        near = near + ENOUGH * radius + ROUNDING * self.arc(head, 0, edges)
         room = self.constant(1e30)
         for block in range(ti.max(count - 1, 1)):
-            cosine = self.cosine(scratch, head, block * size, ti.min((block + 2) * size, edges))
+            cosine = self.cosine(head, block * size, ti.min((block + 2) * size, edges))
             room = ti.min(room, cosine * least_arc - near)
         for i in range(count):
             for j in range(i + 2, count):
-                room = ti.min(room, self.room_of_blocks(scratch, head, i * size, j * size, size, edges) - near)
+                room = ti.min(room, self.room_of_blocks(head, i * size, j * size, size, edges) - near)
         # A minimum ignores NaN: whether places are finite is checked at the end of the rod.
-        reach = self.load3(scratch, self.vertex(head, edges) + BEFORE * self.stride)
-        end = self.load3(scratch, self.vertex(head, edges) + AFTER * self.stride)
+        reach = self.vertex(head, edges).before
+        end = self.vertex(head, edges).after
         return ti.select(dot(reach, reach) + dot(end, end) < 1e30, room, 0.0 * near - 1.0)
 
     @ti.func
-    def cosine(self, scratch: ti.template(), head, first, last):
+    def cosine(self, head, first, last):
         """That of the largest angle, before or after, of an edge between two vertices to the mean direction of all of them."""
-        mean = plus(self.change(scratch, head, first, last, BEFORE), self.change(scratch, head, first, last, AFTER))
+        mean = plus(self.before(head, first, last), self.after(head, first, last))
         least, longest = self.constant(1e30), self.constant(0.0)
         for e in range(first, last):
-            least = ti.min(least, dot(mean, self.change(scratch, head, e, e + 1, BEFORE)))
-            least = ti.min(least, dot(mean, self.change(scratch, head, e, e + 1, AFTER)))
-            longest = largest_of(longest, self.arc(scratch, head, e, e + 1))
+            least = ti.min(least, dot(mean, self.before(head, e, e + 1)))
+            least = ti.min(least, dot(mean, self.after(head, e, e + 1)))
+            longest = largest_of(longest, self.arc(head, e, e + 1))
         return least / (longest * ti.sqrt(dot(mean, mean) + 1e-30))
 
     @ti.func
-    def room_of_blocks(self, scratch: ti.template(), head, i, j, size, edges):
+    def room_of_blocks(self, head, i, j, size, edges):
         """The least distance on the way between the ``size`` edges from i on and those from j on."""
         end = ti.min(j + size, edges)
-        before = plus(self.change(scratch, head, i, j, BEFORE), self.change(scratch, head, i + size, end, BEFORE))
-        after = plus(self.change(scratch, head, i, j, AFTER), self.change(scratch, head, i + size, end, AFTER))
+        before = plus(self.before(head, i, j), self.before(head, i + size, end))
+        after = plus(self.after(head, i, j), self.after(head, i + size, end))
         apart = least_distance(before, minus(after, before))  # twice that of the middles
-        return 0.5 * (apart - self.arc(scratch, head, i, i + size) - self.arc(scratch, head, j, end))
+        return 0.5 * (apart - self.arc(head, i, i + size) - self.arc(head, j, end))
 
 
 @cache
@@ -253,7 +246,7 @@ def _approach(by_frames: bool, before, after, rows, rest_length, radius, more) -
     and ``more``."""
     edges = rest_length.shape[1]
     number, threads, stride, block = layout_for(len(rows), 32)
-    scratch = scratch_for(number, threads * (edges + 1) * VERTEX_ITEMS)
+    scratch = scratch_for(number, threads * (edges + 1) * len(WAY))
     near = 2.0 * radius + more
     limits = np.empty((len(near), LIMITS))
     limits[:, RADIUS], limits[:, NEAR] = radius, near

@@ -8,43 +8,32 @@ import taichi as ti
 
 from doo_ti.contact.itself import LEAST_ARC
 from doo_ti.physics.algebra import largest_of
-from doo_ti.physics.tuples import chosen, dot, full, minus, plus, record, repeated, scaled, variable
-from doo_ti.relaxation.contact_layout import (
-    CLOSEST,
-    CROSSING,
-    DEEPEST,
-    LOADED,
-    PLACE,
-    RADIUS,
-    STANDING,
-    STIFFNESS,
-    TOLERANCE,
-    contact_items,
+from doo_ti.physics.tuples import (
+    add,
+    chosen,
+    dot,
+    full,
+    minus,
+    picked,
+    plus,
+    record,
+    repeated,
+    row,
+    scaled,
+    variable,
 )
+from doo_ti.physics.view import NUMBERS
+from doo_ti.relaxation.contact_layout import LOADED, contact_items
 from doo_ti.relaxation.contacts import Contacts
 from doo_ti.relaxation.pair_distance import pair_block, pair_distance, pair_slopes, pair_weights
 from doo_ti.relaxation.pair_layout import (
-    ARC,
-    COEFFICIENT,
     DEEPEST_STEP,
-    DISTANCE,
-    DISTANCE_STANDING,
-    FORCE,
-    FRICTION,
     LEAST_DISTANCE,
-    LOAD,
-    PAIR_ITEMS,
-    PINCHED,
-    PLACES,
-    PULL,
+    PAIR,
     REACH,
-    ROD_ITEMS,
+    ROD,
     ROUNDED,
-    RUBBED_NORMAL,
-    RUBBED_PLACES,
-    SLOPES,
-    VERTEX_ITEMS,
-    WEIGHTS,
+    VERTEX,
     pair_items,
 )
 
@@ -53,65 +42,63 @@ from doo_ti.relaxation.pair_layout import (
 class SelfContactEnergy(Contacts):
     """The contacts with obstacles and the energy of those of the rod with itself."""
 
-    def __init__(self, number, stride: int, kinds: frozenset[int], rub: bool = False, moves: bool = False):
-        super().__init__(number, stride, kinds, rub, moves)
+    def __init__(self, number, kinds: frozenset[int], rub: bool = False, moves: bool = False):
+        super().__init__(number, kinds, rub, moves)
         # Without the barrier parts of the rod could pass through each other, thin as they are.
         self.first_phase, self.settles_early = LOADED, False
 
-    # --- items in scratch ---
+    # --- views of scratch ---
 
-    @ti.func
+    @picked
     def own(self, rod):
-        """Where the items of the rod's contact with itself begin."""
-        return rod.contacts + contact_items(rod.edges, rod.obstacles) * self.stride
+        """That of the rod's contact with itself."""
+        return rod.contacts.part(ROD, contact_items(rod.edges, rod.obstacles))
 
-    @ti.func
+    @picked
     def own_vertex(self, rod, index):
-        return self.own(rod) + (ROD_ITEMS + index * VERTEX_ITEMS) * self.stride
+        return self.own(rod).part(VERTEX, len(ROD) + index * len(VERTEX))
 
-    @ti.func
+    @picked
     def pair(self, rod, i, j):
         """Of the edges ``i`` < ``j``."""
-        number = j * (j - 1) // 2 + i
-        return self.own(rod) + (ROD_ITEMS + (rod.edges + 1) * VERTEX_ITEMS + number * PAIR_ITEMS) * self.stride
+        return self.numbered_pair(rod, j * (j - 1) // 2 + i)
 
-    @ti.func
-    def matrix_at(self, rod):
-        """Where the dense matrix begins."""
-        return self.own(rod) + pair_items(rod.edges) * self.stride
+    @picked
+    def numbered_pair(self, rod, number):
+        return self.own(rod).part(PAIR, len(ROD) + (rod.edges + 1) * len(VERTEX) + number * len(PAIR))
 
-    @ti.func
-    def block(self, rod, row, column, r: ti.template()):
+    @picked
+    def matrix(self, rod):
+        """The dense matrix."""
+        return self.own(rod).part(NUMBERS, pair_items(rod.edges))
+
+    @picked
+    def block(self, rod, row, column, r: int):
         """Row ``r`` of the block of two vertices in the lower triangle of the matrix."""
         line = 3 * row + r
-        return self.matrix_at(rod) + (line * (line + 1) // 2 + 3 * column) * self.stride
-
-    @ti.func
-    def add_to(self, scratch: ti.template(), at, values):
-        for k in ti.static(range(len(values))):
-            scratch[at + k * self.stride] = scratch[at + k * self.stride] + values[k]
+        return self.matrix(rod).part(NUMBERS, line * (line + 1) // 2 + 3 * column)
 
     @ti.func
     def add_load(self, rod, index, values):
         """Add to the gradient at a vertex."""
-        self.add_to(rod.scratch, self.own_vertex(rod, index) + LOAD * self.stride, values)
+        add(self.own_vertex(rod, index), load=values)
 
     @ti.func
-    def add_block(self, rod, row, column, values):
+    def add_block(self, rod, line, column, values):
         """Add nine numbers to the block of two vertices."""
         for r in ti.static(range(3)):
-            self.add_to(rod.scratch, self.block(rod, row, column, r), (values[3 * r], values[3 * r + 1], values[3 * r + 2]))
+            add(self.block(rod, line, column, r), three=row(values, r))
 
     @ti.func
-    def add_diagonal(self, rod, row, values):
+    def add_diagonal(self, rod, line, values):
         """The same on the diagonal, of which the lower triangle is kept."""
-        self.add_to(rod.scratch, self.block(rod, row, row, 0), (values[0],))
-        self.add_to(rod.scratch, self.block(rod, row, row, 1), (values[3], values[4]))
-        self.add_to(rod.scratch, self.block(rod, row, row, 2), (values[6], values[7], values[8]))
+        add(self.block(rod, line, line, 0), one=values[0])
+        add(self.block(rod, line, line, 1), two=(values[3], values[4]))
+        add(self.block(rod, line, line, 2), three=row(values, 2))
 
     @ti.func
     def place(self, rod, index):
-        return self.load3(rod.scratch, self.vertex(rod, index) + PLACE * self.stride)
+        return self.vertex(rod, index).place
 
     @ti.func
     def measure_arc(self, rod):
@@ -124,8 +111,8 @@ class SelfContactEnergy(Contacts):
                 edge = minus(place, before)
                 arc = arc + ti.sqrt(dot(edge, edge))
             before = place
-            self.store(rod.scratch, self.own_vertex(rod, v) + PULL * self.stride, repeated(0.0 * arc, 3))
-            rod.scratch[self.own_vertex(rod, v) + ARC * self.stride] = arc
+            self.own_vertex(rod, v).pull = repeated(0.0 * arc, 3)
+            self.own_vertex(rod, v).arc = arc
 
     # --- the energy ---
 
@@ -133,12 +120,12 @@ class SelfContactEnergy(Contacts):
     def touch_itself(self, rod):
         """Measure the distances of all edges from each other, where the rod is, and add the energy of their contacts to the
         sums, its gradient to the vertices and its second derivative to the matrix."""
-        zero, radius = 0.0 * rod.total, self.item(rod, RADIUS)
+        zero, radius = 0.0 * rod.total, rod.contacts.radius
         self.measure_arc(rod)
-        rod.scratch[self.own(rod) + PINCHED * self.stride] = zero
+        self.own(rod).pinched = zero
         for j in range(2, rod.edges):
             start, end = self.place(rod, j), self.place(rod, j + 1)
-            arc = rod.scratch[self.own_vertex(rod, j) + ARC * self.stride] - LEAST_ARC * radius
+            arc = self.own_vertex(rod, j).arc - LEAST_ARC * radius
             for i in range(j - 1):
                 at = self.pair(rod, i, j)
                 self.note_crossing(rod, i, j, at)
@@ -147,7 +134,7 @@ class SelfContactEnergy(Contacts):
                 # No two places are nearer than the middles less half of both edges.
                 bound = 0.5 * ti.sqrt(dot(away, away)) - rod.longest
                 apart = self.apart(rod, i, at, arc)
-                rod.scratch[at + DISTANCE * self.stride] = ti.select(apart, bound, zero + 1e30)
+                at.distance = ti.select(apart, bound, zero + 1e30)
                 near = apart & (self.pair_clearance(rod, i, j, bound) < REACH * radius)
                 if self.some(near, zero):
                     self.touch(rod, i, j, at, near, minus(start, first), minus(last, first), minus(end, start))
@@ -156,13 +143,13 @@ class SelfContactEnergy(Contacts):
                     self.rub_pair(rod, i, j, at)
         for v in range(rod.edges + 1):
             at = self.own_vertex(rod, v)
-            self.add_to(rod.scratch, at + LOAD * self.stride, self.load3(rod.scratch, at + PULL * self.stride))
+            add(at, load=at.pull)
 
     @ti.func
     def apart(self, rod, i, at, arc):
         """Whether edge ``i`` may touch an edge that begins ``arc`` along the rod less what must lie between them; their items
         begin ``at``."""
-        return arc > rod.scratch[self.own_vertex(rod, i + 1) + ARC * self.stride]
+        return arc > self.own_vertex(rod, i + 1).arc
 
     @ti.func
     def pair_clearance(self, rod, i, j, distance):
@@ -173,42 +160,43 @@ class SelfContactEnergy(Contacts):
     def touch(self, rod, i, j, at, near, w, p, q):
         """The same of two edges p and q, with w from the start of the first to that of the second, in the lanes where they are
         ``near`` to each other."""
-        zero, radius = 0.0 * rod.total, self.item(rod, RADIUS)
+        zero, radius = 0.0 * rod.total, rod.contacts.radius
         seen = pair_distance(w, p, q, ROUNDED * radius * radius)
-        self.store(rod.scratch, at + PLACES * self.stride, (seen.s, seen.t) + seen.normal)
-        rod.scratch[at + DISTANCE * self.stride] = ti.select(near, seen.value, rod.scratch[at + DISTANCE * self.stride])
+        at.nearest = (seen.s, seen.t) + seen.normal
+        at.distance = ti.select(near, seen.value, at.distance)
         self.note_depth(rod, at, near, seen.value)
         gap = ti.select(near, self.pair_clearance(rod, i, j, seen.value) - 2.0 * radius, zero + 1e30)
         depth = ti.select(near, seen.value - LEAST_DISTANCE * radius, zero + 1e30)
         held = (self.held_edge(rod, i) > 0.5) & (self.held_edge(rod, j) > 0.5)
-        self.lower(rod.scratch, rod.contacts + DEEPEST * self.stride, depth)
-        self.lower(rod.scratch, self.own(rod) + PINCHED * self.stride, ti.select(held, gap, zero))
-        self.lower(rod.scratch, rod.contacts + CLOSEST * self.stride, ti.select(held, zero + 1e30, gap))
-        pushed = self.push(rod, rod.scratch[at + FORCE * self.stride], gap)
+        rod.contacts.deepest = ti.min(rod.contacts.deepest, depth)
+        own = self.own(rod)
+        own.pinched = ti.min(own.pinched, ti.select(held, gap, zero))
+        rod.contacts.closest = ti.min(rod.contacts.closest, ti.select(held, zero + 1e30, gap))
+        pushed = self.push(rod, at.force, gap)
         push, stiffness = ti.select(near, pushed.push, zero), ti.select(near, pushed.stiffness, zero)
         self.add_penalty(rod, ti.select(near, pushed.energy, zero), push * rod.total)
         if self.some((push > 0.0) | (stiffness > 0.0), zero):
             weights = pair_weights(seen.s, seen.t)
-            self.store(rod.scratch, self.end(rod, 0), weights + pair_slopes(weights, seen, p, q))
+            own.ends = weights + pair_slopes(weights, seen, p, q)
             for k in range(4):
-                own = self.load_end(rod, k)
-                pull = self.own_vertex(rod, self.vertex_of(i, j, k)) + PULL * self.stride
-                self.add_to(rod.scratch, pull, scaled(seen.normal, 0.0 - push * own.weight))
+                end = self.end(rod, k)
+                add(self.own_vertex(rod, self.vertex_of(i, j, k)), pull=scaled(seen.normal, 0.0 - push * end.weight))
                 for m in range(k + 1):
-                    block = pair_block(own, self.load_end(rod, m), seen, push, stiffness)
+                    block = pair_block(end, self.end(rod, m), seen, push, stiffness)
                     self.add_ends(rod, i, j, k, m, block)
 
     @ti.func
     def end(self, rod, k):
-        """Where the weight of end ``k`` of four is, of the two edges that are looked at."""
-        return self.own(rod) + (WEIGHTS + k) * self.stride
+        """A record of the weight of end ``k`` of four, of the two edges that are looked at, and of the mixed derivatives by it
+        and by the places on both edges."""
+        slopes = self.own(rod).of("slopes")
+        return record(weight=self.weight(rod, k), by_s=(slopes[3 * k], slopes[3 * k + 1], slopes[3 * k + 2]),
+                      by_t=(slopes[3 * k + 12], slopes[3 * k + 13], slopes[3 * k + 14]))
 
     @ti.func
-    def load_end(self, rod, k):
-        """A record of the weight of an end, and of the mixed derivatives by it and by the places on both edges."""
-        slopes = self.own(rod) + (SLOPES + 3 * k) * self.stride
-        return record(weight=rod.scratch[self.end(rod, k)], by_s=self.load3(rod.scratch, slopes),
-                      by_t=self.load3(rod.scratch, slopes + 12 * self.stride))
+    def weight(self, rod, k):
+        """That weight alone."""
+        return self.own(rod).of("weights")[k]
 
     @ti.func
     def vertex_of(self, i, j, k):
@@ -226,7 +214,7 @@ class SelfContactEnergy(Contacts):
     @ti.func
     def pinched_pairs(self, rod):
         """Whether clamps hold two edges where they are in each other."""
-        return rod.scratch[self.own(rod) + PINCHED * self.stride] < 0.0 - self.item(rod, TOLERANCE)
+        return self.own(rod).pinched < 0.0 - rod.contacts.tolerance
 
     @ti.func
     def held_edge(self, rod, edge):
@@ -241,32 +229,30 @@ class SelfContactEnergy(Contacts):
             for b in ti.static(range(2)):
                 shift = minus(self.shift(rod, j + b), self.shift(rod, i + a))
                 most = largest_of(most, dot(shift, shift))
-        before = rod.scratch[at + DISTANCE_STANDING * self.stride]
-        crossing = rod.contacts + CROSSING * self.stride
-        rod.scratch[crossing] = largest_of(rod.scratch[crossing], most / (before * before + 1e-20))
+        before = at.distance_standing
+        rod.contacts.crossing = largest_of(rod.contacts.crossing, most / (before * before + 1e-20))
 
     @ti.func
     def note_depth(self, rod, at, near, value):
         """Note that the step is refused where it brings two edges nearer than :data:`DEEPEST_STEP`, in the lanes where they are
         ``near``: the distance is a little too large there, so that they could pass through each other."""
         zero = 0.0 * value
-        before = rod.scratch[at + DISTANCE_STANDING * self.stride]
-        nearer = near & (value < DEEPEST_STEP * self.item(rod, RADIUS)) & (value < before)
-        crossing = rod.contacts + CROSSING * self.stride
-        rod.scratch[crossing] = largest_of(rod.scratch[crossing], ti.select(nearer, zero + 1.0, zero))
+        before = at.distance_standing
+        nearer = near & (value < DEEPEST_STEP * rod.contacts.radius) & (value < before)
+        rod.contacts.crossing = largest_of(rod.contacts.crossing, ti.select(nearer, zero + 1.0, zero))
 
     @ti.func
     def shift(self, rod, index):
         """How far a vertex has moved in this step."""
         at = self.vertex(rod, index)
-        return minus(self.load3(rod.scratch, at + PLACE * self.stride), self.load3(rod.scratch, at + STANDING * self.stride))
+        return minus(at.place, at.standing)
 
     # --- friction ---
 
     @ti.func
     def moved_pair(self, rod, i, j, at):
         """How far the places at which friction acts on two edges have moved along each other since the instant before."""
-        s, t = rod.scratch[at + RUBBED_PLACES * self.stride], rod.scratch[at + (RUBBED_PLACES + 1) * self.stride]
+        s, t = at.rubbed_places[0], at.rubbed_places[1]
         first = plus(scaled(self.moved(rod, self.vertex(rod, i)), 1.0 - s), scaled(self.moved(rod, self.vertex(rod, i + 1)), s))
         late = plus(scaled(self.moved(rod, self.vertex(rod, j)), 1.0 - t), scaled(self.moved(rod, self.vertex(rod, j + 1)), t))
         return minus(late, first)
@@ -274,28 +260,26 @@ class SelfContactEnergy(Contacts):
     @ti.func
     def rubbed_pair(self, rod, i, j, at):
         """Friction of two edges, as :meth:`.ContactEnergy.rubbed`."""
-        limit = rod.scratch[self.own(rod) + COEFFICIENT * self.stride] * rod.scratch[at + FORCE * self.stride]
-        friction = self.load3(rod.scratch, at + FRICTION * self.stride)
-        normal = self.load3(rod.scratch, at + RUBBED_NORMAL * self.stride)
+        limit = self.own(rod).coefficient * at.force
+        friction = at.friction
+        normal = at.rubbed_normal
         return self.rubbed(rod, limit, friction, normal, self.moved_pair(rod, i, j, at))
 
     @ti.func
     def rub_pair(self, rod, i, j, at):
         """Add the friction of two edges."""
         zero = 0.0 * rod.total
-        acting = rod.scratch[at + FORCE * self.stride] > 0.0
+        acting = at.force > 0.0
         if self.some(acting, zero):
             rubbed = self.rubbed_pair(rod, i, j, at)
             pull = chosen(acting, rubbed.pull, repeated(zero, 3))
             bent = chosen(acting, rubbed.stiffness, repeated(zero, 6))
-            square = ti.select(acting, dot(pull, pull), zero) / self.item(rod, STIFFNESS)
+            square = ti.select(acting, dot(pull, pull), zero) / rod.contacts.stiffness
             self.add_penalty(rod, ti.select(acting, rubbed.energy, zero), square)
-            weights = pair_weights(rod.scratch[at + RUBBED_PLACES * self.stride],
-                                   rod.scratch[at + (RUBBED_PLACES + 1) * self.stride])
-            self.store(rod.scratch, self.end(rod, 0), weights)
+            weights = pair_weights(at.rubbed_places[0], at.rubbed_places[1])
+            self.own(rod).weights = weights
             for k in range(4):
-                weight = rod.scratch[self.end(rod, k)]
-                vertex = self.own_vertex(rod, self.vertex_of(i, j, k))
-                self.add_to(rod.scratch, vertex + PULL * self.stride, scaled(pull, weight))
+                weight = self.weight(rod, k)
+                add(self.own_vertex(rod, self.vertex_of(i, j, k)), pull=scaled(pull, weight))
                 for m in range(k + 1):
-                    self.add_ends(rod, i, j, k, m, full(scaled(bent, weight * rod.scratch[self.end(rod, m)])))
+                    self.add_ends(rod, i, j, k, m, full(scaled(bent, weight * self.weight(rod, m))))

@@ -8,11 +8,10 @@ import taichi as ti
 
 from doo_ti.physics.quaternion import first_director, second_director, tangent
 from doo_ti.physics.tuples import minus, plus, products, record, repeated, scaled, variable
-from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.end_moments import FIRST, LAST, EndMoments
 from doo_ti.relaxation.newton_policy import TRACE, TRACE_IN_CONTACT
-from doo_ti.relaxation.parameter_gradient import BEYOND, NO_MODE
+from doo_ti.relaxation.parameter_gradient import NO_MODE
 
 INERTIA_OF_A_MINIMUM = 3.0
 
@@ -31,17 +30,14 @@ class SensitivityColumns(EndMoments):
     @ti.func
     def work(self, tables, scratch: ti.template(), columns, threads, thread):
         """Every rod of this thread, and ``columns`` columns for it."""
-        edges = tables.rest_length.shape[1]
-        head = thread
-        if ti.static(self.stride == 1):
-            head = thread * (self.parameters + self.items * edges)
+        head = self.head(scratch, thread, tables.rest_length.shape[1])
         index = thread
         while index < tables.rods.shape[0]:
             row = tables.rods[index, of.RESULT_ROW]
-            self.loading.load(tables, scratch, head, 0, index, 0.0)
-            rod = self.rods(tables, scratch, head, 0.0)
+            self.loading.load(tables, head, 0, index, 0.0)
+            rod = self.rods(tables, head, 0.0)
             self.load_contacts(tables, rod, index)
-            unit = scratch[head + chain.OF_ENERGY_UNIT * self.stride]
+            unit = head.energy_unit
             self.load_forces(tables, rod, row, unit)
             force = self.three(tables.results, row, of.FORCE)
             multiplier = (0.0 - force[0] / unit, 0.0 - force[1] / unit, 0.0 - force[2] / unit)
@@ -71,14 +67,13 @@ class SensitivityColumns(EndMoments):
     @ti.func
     def load_forces(self, tables, rod, row, unit):
         """The forces of obstacles beyond every edge, those of row ``row`` of their table if it has any."""
-        at = rod.origin
         for e in range(rod.edges):
+            edge = self.edge(rod.head, e)
             for k in ti.static(range(3)):
                 force = 0.0 * unit
                 if tables.beyond.shape[1] == rod.edges:
                     force = tables.beyond[row, e, k] / unit
-                rod.scratch[at + (BEYOND + k) * self.stride] = force
-            at += self.edge_stride
+                edge.outer.beyond[k] = force
 
     @ti.func
     def certify(self, rod, multiplier):
@@ -87,7 +82,7 @@ class SensitivityColumns(EndMoments):
         A neutral motion shows when H is lowered a trace. Raised by one instead, H keeps the rod from moving along it.
         """
         none = 0.0 * rod.total
-        trace = (TRACE_IN_CONTACT if ti.static(self.touches) else TRACE) * rod.scratch[rod.head + chain.OF_SCALE * self.stride]
+        trace = (TRACE_IN_CONTACT if ti.static(self.touches) else TRACE) * rod.head.scale
         shift = none - trace
         inertia = none
         for _ in range(2):
@@ -95,15 +90,6 @@ class SensitivityColumns(EndMoments):
             inertia = self.eliminate(rod, shift, (none, none), multiplier, repeated(none, 3)).inertia
             shift = ti.select(inertia == INERTIA_OF_A_MINIMUM, none, trace)
         return inertia
-
-    @ti.func
-    def factors(self, rod, at):
-        """The factors of an edge's pivot block, and the two blocks of columns that go with it."""
-        return (
-            self.load6(rod.scratch, at + chain.PIVOTS * self.stride),
-            self.load9(rod.scratch, at + chain.ELIMINATED_NEXT * self.stride),
-            self.load9(rod.scratch, at + chain.ELIMINATED_BORDER * self.stride),
-        )
 
     @ti.func
     def first_changed(self, rod, column):
@@ -132,51 +118,50 @@ class SensitivityColumns(EndMoments):
         zero = 0.0 * rod.total
         change = record(pair=repeated(zero, 3), own=repeated(zero, 3), after=repeated(zero, 3), closure=repeated(zero, 3))
         remaining = rod.total
-        at = rod.origin
         first = self.first_changed(rod, column)
-        for _ in range(first):
-            remaining = remaining - self.length_at(rod, at)
-            self.store(rod.scratch, at + chain.ROTATION * self.stride, repeated(zero, 3))
-            at += self.edge_stride
+        for e in range(first):
+            edge = self.edge(rod.head, e)
+            remaining = remaining - edge.length
+            edge.rotation = repeated(zero, 3)
         for e in range(first, rod.edges):
-            remaining = remaining - self.length_at(rod, at)
-            edge = self.edge(rod, at, remaining)
-            l1, l2 = self.linear_change(rod, edge, column)
+            edge = self.edge(rod.head, e)
+            remaining = remaining - edge.length
+            seen = self.seen(rod, edge, remaining)
+            l1, l2 = self.linear_change(rod, seen, column)
             change.own = (zero, l1, l2)
             change.after = repeated(zero, 3)
             if e < rod.edges - 1 and (column.bends or column.mode != NO_MODE):
-                left, right = self.pair_change(rod, at, e, column)
+                left, right = self.pair_change(rod, e, column)
                 change.pair = plus(change.pair, left)
                 change.after = right
             if column.turned and (e == 0 or e >= rod.edges - 2):
-                self.turn_neighbours(rod, at, e, column, change)
-                self.turn_end(rod, edge, e, column, change)
+                self.turn_neighbours(rod, e, column, change)
+                self.turn_end(rod, seen, e, column, change)
             if column.stretch != 0.0:
-                change.closure = plus(change.closure, scaled(edge.t, column.stretch * edge.length))
-            self.store(rod.scratch, at + chain.ROTATION * self.stride, plus(change.pair, change.own))
+                change.closure = plus(change.closure, scaled(seen.t, column.stretch * seen.length))
+            edge.rotation = plus(change.pair, change.own)
             change.pair = change.after
-            at += self.edge_stride
         return minus(change.closure, column.shift)
 
     @ti.func
-    def right_of(self, rod, at, e, column, more):
+    def right_of(self, rod, edge, e, column, more):
         """b of an edge: less ∂g/∂θ and what eliminating adds to it, ``more``; where a clamp holds the edge, and the identity
         stands in H, the clamp's turn."""
-        changed = plus(self.rotation_at(rod, at), more)
+        changed = plus(edge.rotation, more)
         return minus(self.held_turn_of(rod, e, column), products(self.freedom(rod, e), changed))
 
     @ti.func
-    def moved_end(self, rod, at, x, stretch):
+    def moved_end(self, edge, x, stretch):
         """What the end of an edge moves by, where its start moves by ``x`` and the edge turns by its part of the step."""
-        return self.end_of_turned(rod, at, x, self.rotation_at(rod, at), stretch)
+        return self.end_of_turned(edge, x, edge.rotation, stretch)
 
     @ti.func
-    def end_of_turned(self, rod, at, x, w, stretch):
+    def end_of_turned(self, edge, x, w, stretch):
         """x + l (w × t + stretch t), of an edge that turns by ``w`` in its own axes."""
-        q = self.load4(rod.scratch, at)
+        q = edge.frame
         turned = minus(scaled(first_director(q), w[2]), scaled(second_director(q), w[1]))
         moved = plus(turned, scaled(tangent(q), stretch))
-        return plus(x, scaled(moved, self.length_at(rod, at)))
+        return plus(x, scaled(moved, edge.length))
 
     @ti.func
     def weight_change(self, rod, column):
@@ -188,13 +173,12 @@ class SensitivityColumns(EndMoments):
         """dω from the place of the step, and dx, into row ``row`` of the results."""
         stretch = column.stretch
         x = variable(self.started(rod, column))
-        at = rod.origin
         for e in range(rod.edges):
+            edge = self.edge(rod.head, e)
             for k in ti.static(range(3)):
                 tables.vertices[row, e, k, p] = x[k]
-                tables.rotations[row, e, k, p] = rod.scratch[at + (chain.ROTATION + k) * self.stride]
-            x = self.moved_end(rod, at, x, stretch)
-            at += self.edge_stride
+                tables.rotations[row, e, k, p] = edge.rotation[k]
+            x = self.moved_end(edge, x, stretch)
         for k in ti.static(range(3)):
             tables.vertices[row, rod.edges, k, p] = x[k]
 
@@ -204,7 +188,7 @@ class SensitivityColumns(EndMoments):
 
         Both forces together carry the weight 2 μ L, less what obstacles carry; one of them alone where the other end is free.
         """
-        unit = rod.scratch[rod.head + chain.OF_ENERGY_UNIT * self.stride]
+        unit = rod.head.energy_unit
         pushed = self.pushed(tables, rod, row, p)
         weight = self.weight_change(rod, column)
         end = minus(scaled(weight, rod.released), change)

@@ -10,15 +10,14 @@ from doo_ti import runtime
 from doo_ti.contact.gap_tolerance import GAP_TOLERANCE
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import against, forward, negated, plus, record, repeated, symmetric_gram, variable
-from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contact_layout import contact_items
+from doo_ti.relaxation.chain_layout import edge_layout, numbers_of_rod, rod_layout
+from doo_ti.relaxation.contact_layout import CONTACTS, contact_items
 from doo_ti.relaxation.contact_sensitivity import ContactSensitivity, Kept
 from doo_ti.relaxation.contact_table import ContactTable
 from doo_ti.relaxation.elimination import Elimination
-from doo_ti.relaxation.loaded_elimination import FORCE_ITEMS
 from doo_ti.relaxation.loading import Loading
-from doo_ti.relaxation.parameter_gradient import DIRECTION_COLUMNS, KEPT_ITEMS
+from doo_ti.relaxation.parameter_gradient import DIRECTION_COLUMNS, KEPT
 from doo_ti.relaxation.sensitivity_columns import LOADS, SensitivityColumns
 from doo_ti.relaxation.tables import Tables
 from doo_ti.types import Solution
@@ -31,18 +30,16 @@ class SensitivitySweep(SensitivityColumns, Elimination):
     """The columns of rods that touch nothing."""
 
     def __init__(self, stride: int):
-        super().__init__(Number(1, 64), False, stride, KEPT_ITEMS)
+        super().__init__(Number(1, 64), False, stride, edge_layout(False, KEPT))
         self.loading = Loading(self, in_millimetres=True)
 
     @ti.func
     def schur_complement(self, rod):
         """S = Σ W_Aᵀ D⁻¹ W_A."""
         s = variable(repeated(0.0 * rod.total, 6))
-        at = rod.origin
-        for _ in range(rod.edges):
-            f, wu, wa = self.factors(rod, at)
-            s = plus(s, symmetric_gram(f, wa))
-            at += self.edge_stride
+        for e in range(rod.edges):
+            edge = self.edge(rod.head, e)
+            s = plus(s, symmetric_gram(edge.pivots, edge.border))
         return s
 
     @ti.func
@@ -51,14 +48,13 @@ class SensitivitySweep(SensitivityColumns, Elimination):
         right = variable(closure)  # Σ W_Aᵀ D⁻¹ W_b and ∂c/∂θ
         er = variable(repeated(0.0 * rod.total, 3))  # W_Uᵀ D⁻¹ W_b of the edge before
         first = self.first_changed(rod, column)  # before it b is zero
-        at = rod.origin + first * self.edge_stride
         for e in range(first, rod.edges):
-            f, wu, wa = self.factors(rod, at)
-            wb = forward(f, self.right_of(rod, at, e, column, er))
-            self.store(rod.scratch, at + chain.ROTATION * self.stride, wb)
-            right = plus(right, against(f, wa, wb))
-            er = against(f, wu, wb)
-            at += self.edge_stride
+            edge = self.edge(rod.head, e)
+            f = edge.pivots
+            wb = forward(f, self.right_of(rod, edge, e, column, er))
+            edge.rotation = wb
+            right = plus(right, against(f, edge.border, wb))
+            er = against(f, edge.neighbour, wb)
         change, positive = self.bordered(rod, schur, right)
         self.substitute(rod, record(change=change))
         return change
@@ -69,10 +65,9 @@ class SensitivitySweep(SensitivityColumns, Elimination):
         x = variable(column.move)
         if rod.released > 0.5:  # held at the far end, which then stays where it is
             x = repeated(0.0 * rod.total, 3)
-            at = rod.origin
-            for _ in range(rod.edges):
-                x = self.moved_end(rod, at, x, column.stretch)
-                at += self.edge_stride
+            for e in range(rod.edges):
+                edge = self.edge(rod.head, e)
+                x = self.moved_end(edge, x, column.stretch)
             x = negated(x)
         return x
 
@@ -145,13 +140,12 @@ def _launch(table: Tables, first: int, last: int, rows: np.ndarray, contact: Con
         arrays = tuple(np.empty((1,) * array.ndim) for array in arrays)
     if contact is None:
         kernel, outer = sensitivity_kernel(stride, block), ()
-        items = chain.PARAMETERS + (chain.GENERAL_ITEMS + KEPT_ITEMS) * edges
+        items = len(rod_layout()) + len(edge_layout(False, KEPT)) * edges
     else:
         kernel = contact_sensitivity_kernel(stride, block, contact.known)
         obstacles, radius = (array if len(array) == 1 else array[first:last] for array in (contact.obstacles, contact.radius))
         outer = (obstacles, contact.kinds, contact.grids, radius, contact.memory[first:last])
-        items = chain.LOADED_PARAMETERS + (chain.GENERAL_ITEMS + Kept.items + FORCE_ITEMS) * edges
-        items += contact_items(edges, len(contact.kinds))
+        items = numbers_of_rod(edges, False, Kept, True) + contact_items(edges, len(contact.kinds))
     kernel(
         table.start.reshape(-1), table.rest_length, table.clamp, table.material, *table.up, rods, *state, threads,
         np.zeros(threads * items), *arrays, found.moments, found.sound, *outer)
@@ -217,7 +211,8 @@ def contact_sensitivity_kernel(stride: int, block: int, known: frozenset[int]):
     ):
         ti.loop_config(block_dim=block)
         for thread in range(threads):
-            contacts = sweep.behind(threads, thread, rest_length.shape[1], contact_items(rest_length.shape[1], kinds.shape[0]))
+            edges = rest_length.shape[1]
+            contacts = sweep.behind(scratch, threads, thread, edges, contact_items(edges, kinds.shape[0]), CONTACTS)
             tables = record(
                 start=start, rest_length=rest_length, clamp=clamp, material=material, up=(up0, up1, up2), rods=rods,
                 frames=frames, results=results, beyond=beyond, directions=directions, modes=modes, vertices=vertices,

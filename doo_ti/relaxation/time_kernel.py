@@ -7,7 +7,7 @@ import taichi as ti
 from doo_ti import runtime
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import picked, record
-from doo_ti.relaxation.contact_layout import contact_items
+from doo_ti.relaxation.contact_layout import CONTACTS, contact_items
 from doo_ti.relaxation.contacts import Contacts
 from doo_ti.relaxation.dense_elimination import DenseElimination
 from doo_ti.relaxation.newton_policy import UP
@@ -26,7 +26,7 @@ class DenseTimeSweep(DenseElimination, TimeImpact):
 
 @cache
 def time_kernel(number: Number, isotropic: bool, stride: int, block: int):
-    """(compiled-on-first-use kernel for one kind of number, items of an edge in scratch, parameters of a rod there).
+    """(compiled-on-first-use kernel for one kind of number, numbers of a rod in scratch by its edges).
 
     isotropic: round rods, straight at rest and undamped.
 
@@ -70,7 +70,7 @@ def time_kernel(number: Number, isotropic: bool, stride: int, block: int):
                 outcome=outcome, contacts=0, kinds=queue, grids=policy)
             loop.work(tables, scratch, threads, thread)
 
-    return make_steps, sweep.items, sweep.parameters
+    return make_steps, sweep.numbers
 
 
 @cache
@@ -80,9 +80,9 @@ def time_contact_kernel(number: Number, isotropic: bool, stride: int, block: int
     obstacles that move if ``moves``. The numbers that :func:`.contact_items` or :func:`.self_contact_items` says come on top in
     scratch."""
     if itself:
-        sweep = DenseTimeSweep(number, isotropic, stride, SelfContacts(number, stride, kinds, rub, moves))
+        sweep = DenseTimeSweep(number, isotropic, stride, SelfContacts(number, kinds, rub, moves))
     else:
-        sweep = TimeImpact(number, isotropic, stride, Contacts(number, stride, kinds, rub, moves))
+        sweep = TimeImpact(number, isotropic, stride, Contacts(number, kinds, rub, moves))
     size = self_contact_items if itself else contact_items
     loop = TimeLoop(sweep)
     table1, table2, table3, table4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))
@@ -106,7 +106,7 @@ def time_contact_kernel(number: Number, isotropic: bool, stride: int, block: int
         for thread in range(threads):
             up = (policy[UP], policy[UP + 1], policy[UP + 2])
             edges = rest_length.shape[1]
-            contacts = sweep.behind(threads, thread, edges, size(edges, obstacle_kinds.shape[0]))
+            contacts = sweep.behind(scratch, threads, thread, edges, size(edges, obstacle_kinds.shape[0]), CONTACTS)
             tables = record(
                 start=frames, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods, policy=policy,
                 queue=queue, frames=frames, results=results, numbers=numbers, field=material, path=path, shares=shares,
@@ -116,7 +116,7 @@ def time_contact_kernel(number: Number, isotropic: bool, stride: int, block: int
                 poses=poses, pair_memory=pair_memory)
             loop.work(tables, scratch, threads, thread)
 
-    return runtime.compiled_briefly(make_steps), sweep.items, sweep.parameters
+    return runtime.compiled_briefly(make_steps), sweep.numbers
 
 
 @cache
@@ -145,7 +145,7 @@ def time_slope_kernel(stride: int, block: int, width: int):
         for thread in range(threads):
             up = (policy[UP], policy[UP + 1], policy[UP + 2])
             edges = rest_length.shape[1]
-            blocks = sweep.behind(threads, thread, edges, slope_items(edges, material_slopes.shape[0]))
+            blocks = sweep.behind(scratch, threads, thread, edges, slope_items(edges, material_slopes.shape[0]), SHARED)
             tables = record(
                 start=frames, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods, policy=policy,
                 queue=queue, frames=frames, results=results, numbers=numbers, field=material, path=path, shares=shares,
@@ -154,10 +154,10 @@ def time_slope_kernel(stride: int, block: int, width: int):
                 slopes=slopes, position_slopes=position_slopes, blocks=blocks, contacts=0, kinds=queue, grids=policy)
             loop.work(tables, scratch, threads, thread)
 
-    return make_steps, sweep.items, sweep.parameters
+    return make_steps, sweep.numbers
 
 
 @picked
 def slope_items(edges, parameters):
     """Numbers of a rod's derivatives in scratch."""
-    return (edges + 1) * (SHARED + parameters * OWN)
+    return (edges + 1) * (len(SHARED) + parameters * len(OWN))

@@ -3,26 +3,16 @@
 import taichi as ti
 
 from doo_ti.physical_units import STANDARD_GRAVITY
-from doo_ti.physics.tuples import chosen, plus, put_lane, repeated, scaled
-from doo_ti.relaxation import chain
+from doo_ti.physics.tuples import choose, chosen, plus, put_lane, repeated, scaled
+from doo_ti.physics.view import exact
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.clamp_table import INFEASIBLE, TAUT
-from doo_ti.relaxation.contact_layout import MULTIPLIER, WORK
 from doo_ti.relaxation.loading import LANES
 from doo_ti.relaxation.newton_loop import NewtonLoop
 from doo_ti.relaxation.newton_policy import TOLERANCE
 from doo_ti.relaxation.time_loading import MotionLoading
 from doo_ti.relaxation.time_reach import BOWED
-from doo_ti.relaxation.time_sweep import (
-    LEAST_WAY,
-    OF_INERTIA,
-    OF_REACH,
-    OF_RELINKED,
-    RATE,
-    STEP,
-    WATCHED,
-    TimeSweep,
-)
+from doo_ti.relaxation.time_sweep import LEAST_WAY, RATE, STEP, WATCHED, TimeSweep
 
 # Columns of the outcome of a frame: the status, iterations of all its steps and the largest residual, and the force of the far
 # clamp at its end; the work that friction has done since the motion began; and where that is noted one if the rod's link has
@@ -49,25 +39,24 @@ class TimeLoop(NewtonLoop):
         self.number_bits = sweep.number.bits
 
     @ti.func
-    def exchange(self, tables, scratch: ti.template(), head, lane, supply):
+    def exchange(self, tables, head, lane, supply):
         """Give every finished lane the next step of its rod; where that step was the last, or failed, another rod."""
         zero, one = self.constant(0.0), self.constant(1.0)
         done = (lane.finished > 0.5) & (lane.active > 0.5)
-        time = self.sweep.steps_of(tables, scratch, head)
+        time = self.sweep.steps_of(tables, head)
         up = (ti.cast(tables.up[0], self.scalar), ti.cast(tables.up[1], self.scalar), ti.cast(tables.up[2], self.scalar))
-        rod = self.sweep.rods(tables, scratch, head, lane.coarse)
+        rod = self.sweep.rods(tables, head, lane.coarse)
         once_more, least = done & (lane.active < 0.5), zero + ti.cast(tables.time[LEAST_WAY], self.scalar)
         if ti.static(self.touches):
             blocked = lane.status > self.infeasible - 0.5
             failed = done & (lane.status > 0.5) & ~(blocked & self.sweep.contacts.pinched(rod, lane.miss))
-            reach = scratch[head + (self.sweep.time_parameters + OF_REACH) * self.stride]
+            reach = head.reach
             once_more = self.sweep.contacts.retry(rod, failed, blocked, reach > BOWED - 0.5, least)
             impact = self.sweep.impact(rod, time, up)
             bounced = done & (lane.status < 0.5) & impact.bounces
             self.sweep.make_euler(rod, bounced)
             time.kept, once_more = impact.kept, once_more | bounced
-            known = self.sweep.load3(scratch, tables.contacts + MULTIPLIER * self.stride)
-            lane.multiplier = chosen(once_more, known, lane.multiplier)
+            choose(lane, once_more, multiplier=tables.contacts.multiplier)
             done = done & ~once_more
         self.differentiate(tables, rod, time, up, ti.select(done, one, zero))
         if ti.static(self.touches):
@@ -88,92 +77,89 @@ class TimeLoop(NewtonLoop):
                     frame = tables.queue[steps_made + slot] // tables.every
                     tables.outcome[row, frame, TRIPS] += self.lane(lane.trips, slot)
                     if self.lane(made, slot) > 0.5:  # a part of its step
-                        self.note_link(tables, scratch, head, slot, row, frame)
+                        self.note_link(tables, head, slot, row, frame)
                 elif self.lane(lane.active, slot) > 0.5:
                     step = tables.queue[steps_made + slot]
-                    again = self.conclude(tables, scratch, head, slot, lane, tables.queue[supply.places + slot], step)
+                    again = self.conclude(tables, head, slot, lane, tables.queue[supply.places + slot], step)
                     tables.queue[steps_made + slot] = step + 1
                 if again == 0:
-                    self.refill(tables, scratch, head, slot, lane, supply)
+                    self.refill(tables, head, slot, lane, supply)
                     tables.queue[steps_made + slot] = 0
                     if self.lane(lane.active, slot) > 0.5:
                         row = tables.rods[tables.queue[supply.places + slot], of.RESULT_ROW]
                         last = [tables.results[row, of.FORCE + k] for k in ti.static(range(3))]
                         put_lane(lane, self.with_lane, slot, multiplier=last)
-                        self.loading.load_motion(tables, scratch, head, slot, tables.queue[supply.places + slot])
-                        self.load_slopes(tables, scratch, head, slot, tables.queue[supply.places + slot])
+                        self.loading.load_motion(tables, head, slot, tables.queue[supply.places + slot])
+                        self.load_slopes(tables, head, slot, tables.queue[supply.places + slot])
         going = (lane.finished > 0.5) & (lane.active > 0.5)
         if self.largest(ti.select(going, one, zero)) > 0.5:
-            next_rod = self.sweep.rods(tables, scratch, head, lane.coarse)
-            self.sweep.prepare(next_rod, self.sweep.steps_of(tables, scratch, head), up, going)
+            next_rod = self.sweep.rods(tables, head, lane.coarse)
+            self.sweep.prepare(next_rod, self.sweep.steps_of(tables, head), up, going)
             for slot in range(self.width):
                 if self.lane(lane.finished, slot) > 0.5 and self.lane(lane.active, slot) > 0.5:
-                    reach = self.loading.load_path(tables, scratch, head, slot, tables.queue[supply.places + slot],
+                    reach = self.loading.load_path(tables, head, slot, tables.queue[supply.places + slot],
                                                    tables.queue[steps_made + slot])
                     if reach == TAUT:
                         put_lane(lane, self.with_lane, slot, multiplier=repeated(0.0, 3))
 
     @ti.func
-    def advance(self, tables, scratch: ti.template(), head, lane):
-        self.trip(tables, scratch, head, lane)
-        self.refuse(scratch, head, lane)
+    def advance(self, tables, head, lane):
+        self.trip(tables, head, lane)
+        self.refuse(head, lane)
 
     @ti.func
-    def refuse(self, scratch: ti.template(), head, lane):
+    def refuse(self, head, lane):
         """End the steps whose clamps are out of their rods' reach."""
-        reach = scratch[head + (self.sweep.time_parameters + OF_REACH) * self.stride]
+        reach = head.reach
         out = (reach > INFEASIBLE - 0.5) & (reach < INFEASIBLE + 0.5)
         lane.status = ti.select(out, self.constant(self.infeasible), lane.status)
         lane.finished = ti.select(out, lane.active, lane.finished)
 
     @ti.func
-    def note_link(self, tables, scratch: ti.template(), head, slot, row, frame):
+    def note_link(self, tables, head, slot, row, frame):
         """Note where the link of the rod in lane ``slot`` has changed in what it has just made."""
         if tables.time[WATCHED] > 0.0:
-            change = self.get(scratch, head + (self.sweep.time_parameters + OF_RELINKED) * self.stride, slot)
-            if not ti.abs(change) < 0.5:
+            if not ti.abs(head.lane(slot).relinked) < 0.5:
                 tables.outcome[row, frame, RELINKED] = 1.0
 
     @ti.func
-    def conclude(self, tables, scratch: ti.template(), head, slot, lane, rod, step):
+    def conclude(self, tables, head, slot, lane, rod, step):
         """Report the step that the rod in lane ``slot`` has made; returns one where it is to make another."""
         row, edges = tables.rods[rod, of.RESULT_ROW], tables.rest_length.shape[1]
         frames = tables.outcome.shape[1]
         frame = step // tables.every
         status = self.lane(lane.status, slot)
-        total = self.get(scratch, head + chain.OF_TOTAL * self.stride, slot)
-        moment = ti.cast(self.lane(lane.residual, slot) * total, ti.f64)
+        own = head.lane(slot)
+        moment = exact(self.lane(lane.residual, slot) * own.total)
         tables.outcome[row, frame, TRIPS] += self.lane(lane.trips, slot)
         tables.outcome[row, frame, MOMENT] = ti.max(tables.outcome[row, frame, MOMENT], moment)
-        self.note_link(tables, scratch, head, slot, row, frame)
+        self.note_link(tables, head, slot, row, frame)
         again = 0
         if status == self.converged:
             if (step + 1) % tables.every == 0:
                 tables.outcome[row, frame, STATE] = status
-                unit = ti.cast(self.get(scratch, head + chain.OF_ENERGY_UNIT * self.stride, slot), ti.f64)
-                unit /= ti.cast(self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot), ti.f64)
-                taut = self.get(scratch, head + (self.sweep.time_parameters + OF_REACH) * self.stride, slot) == TAUT
+                unit = self.loading.force_unit(own)
+                taut = own.reach == TAUT
                 for k in ti.static(range(3)):
                     force = 0.0 - unit * ti.cast(self.lane(lane.multiplier[k], slot), ti.f64)
                     # The tension of a taut rod is not determined.
                     tables.outcome[row, frame, END_FORCE + k] = ti.select(taut, ti.math.nan, force)
-                self.loading.store_vertices(tables.positions, row * frames + frame, 3, scratch, head, slot, edges)
-                self.write_slopes(tables, scratch, slot, row * frames + frame)
+                self.loading.store_vertices(tables.positions, row * frames + frame, 3, own, edges)
+                self.write_slopes(tables, slot, row * frames + frame)
                 if ti.static(self.touches):
-                    self.sweep.contacts.unload_forces(tables, scratch, slot, row * frames + frame, unit)
-                    self.sweep.contacts.unload_touch(tables, scratch, slot, row * frames + frame)
-                    work = ti.cast(self.get(scratch, tables.contacts + WORK * self.stride, slot), ti.f64)
-                    tables.outcome[row, frame, FRICTION_WORK] = work * ti.cast(
-                        self.get(scratch, head + chain.OF_ENERGY_UNIT * self.stride, slot), ti.f64)
+                    self.sweep.contacts.unload_forces(tables, slot, row * frames + frame, unit)
+                    self.sweep.contacts.unload_touch(tables, slot, row * frames + frame)
+                    work = exact(tables.contacts.lane(slot).work)
+                    tables.outcome[row, frame, FRICTION_WORK] = work * exact(own.energy_unit)
             if step + 1 < tables.steps:
                 again = 1
             else:
-                self.loading.store_motion(tables, scratch, head, slot, row)
+                self.loading.store_motion(tables, head, slot, row)
                 if ti.static(self.touches):
-                    self.sweep.contacts.unload_motion(tables, scratch, slot, row)
+                    self.sweep.contacts.unload_motion(tables, slot, row)
                 for k in ti.static(range(3)):
                     tables.results[row, of.FORCE + k] = self.lane(lane.multiplier[k], slot)
-                self.store_slopes(tables, scratch, slot, row)
+                self.store_slopes(tables, slot, row)
         else:
             for later in range(frame, frames):
                 tables.outcome[row, later, STATE] = status
@@ -186,15 +172,15 @@ class TimeLoop(NewtonLoop):
         """The derivatives of the steps that have converged, in the lanes where ``done`` is one."""
 
     @ti.func
-    def load_slopes(self, tables, scratch: ti.template(), head, slot, rod):
+    def load_slopes(self, tables, head, slot, rod):
         """The derivatives that rod ``rod`` remembers, and its parameters, into lane ``slot``."""
 
     @ti.func
-    def store_slopes(self, tables, scratch: ti.template(), slot, row):
+    def store_slopes(self, tables, slot, row):
         """The derivatives that the lane's rod remembers into row ``row``."""
 
     @ti.func
-    def write_slopes(self, tables, scratch: ti.template(), slot, place):
+    def write_slopes(self, tables, slot, place):
         """The derivatives of the lane's positions, for row ``place`` of the positions."""
 
     @ti.func
@@ -204,7 +190,7 @@ class TimeLoop(NewtonLoop):
         stalls, where that is too much."""
         zero = self.constant(0.0)
         given = zero + ti.cast(tables.policy[TOLERANCE], self.scalar)
-        inertia = rod.scratch[rod.head + (self.sweep.time_parameters + OF_INERTIA) * self.stride]
+        inertia = rod.head.inertia
         moment = inertia * rod.length_unit * rod.total  # of a force that moves the rod by 1 mm in the step, over its lever
         interval = tables.time[STEP] / tables.time[RATE]
         weight = ti.cast(ti.static(1e3 * STANDARD_GRAVITY) * interval * interval, self.scalar) * moment * rod.longest

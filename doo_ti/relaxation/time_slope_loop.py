@@ -2,26 +2,15 @@
 
 import taichi as ti
 
-from doo_ti.relaxation import chain
+from doo_ti.physics.view import exact
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.time_loop import TimeLoop
-from doo_ti.relaxation.time_slopes import (
-    NUMBERS,
-    OF_BEND,
-    OF_NUMBERS,
-    OF_REST,
-    OF_SHARES,
-    OF_TWIST,
-    OF_WEIGHT,
-    OWN,
-    REMEMBERED,
-    SHARED,
-)
+from doo_ti.relaxation.time_slopes import NUMBERS, REMEMBERED
 
 
 @ti.data_oriented
 class TimeSlopeLoop(TimeLoop):
-    """The loop with derivatives by P parameters. ``tables`` holds, besides, blocks, where this thread's begin in scratch, and
+    """The loop with derivatives by P parameters. ``tables`` holds, besides, blocks, the view of this thread's in scratch, and
 
     material_slopes, number_slopes, share_slopes  (P, material, -), (P, numbers, V, NUMBERS) and (P, numbers, 2) derivatives of
                                                   what a rod is given
@@ -37,7 +26,7 @@ class TimeSlopeLoop(TimeLoop):
         return self.largest(lane.active * (1.0 - lane.finished)) < 0.5
 
     @ti.func
-    def advance(self, tables, scratch: ti.template(), head, lane):
+    def advance(self, tables, head, lane):
         """A trip, in which lanes that wait keep their frames and repeat the elimination."""
         zero, one = self.constant(0.0), self.constant(1.0)
         waits = lane.finished > 0.5
@@ -47,8 +36,8 @@ class TimeSlopeLoop(TimeLoop):
         lane.step_scale = ti.select(waits, zero, lane.step_scale)
         waited = ti.select(waits, one, zero)
         status, trips = lane.status + zero, lane.trips + zero
-        self.trip(tables, scratch, head, lane)
-        self.refuse(scratch, head, lane)
+        self.trip(tables, head, lane)
+        self.refuse(head, lane)
         lane.finished = ti.max(lane.finished, waited)
         lane.status = ti.select(waited > 0.5, status, lane.status)
         lane.trips = ti.select(waited > 0.5, trips, lane.trips)
@@ -59,61 +48,56 @@ class TimeSlopeLoop(TimeLoop):
             self.sweep.differentiate(rod, tables.blocks, tables.material_slopes.shape[0], time, up)
 
     @ti.func
-    def own_block(self, tables, parameter, vertex):
-        """Place of a block of a parameter."""
-        vertices = tables.rest_length.shape[1] + 1
-        return tables.blocks + (vertices * SHARED + (parameter * vertices + vertex) * OWN) * self.stride
+    def own_block(self, tables, slot, parameter, vertex):
+        """The view of the block of a vertex for a parameter, in a lane."""
+        return self.sweep.block(tables.blocks.lane(slot), tables.rest_length.shape[1], parameter, vertex)
 
     @ti.func
-    def load_slopes(self, tables, scratch: ti.template(), head, slot, rod):
+    def load_slopes(self, tables, head, slot, rod):
         row, g, numbers = tables.rods[rod, of.RESULT_ROW], tables.rods[rod, of.MATERIAL_ROW], tables.rods[rod, of.EXTERNAL_ROW]
-        unit = ti.cast(self.get(scratch, head + chain.OF_ENERGY_UNIT * self.stride, slot), ti.f64)
-        length_unit = ti.cast(self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot), ti.f64)
+        own = head.lane(slot)
+        unit, length_unit = exact(own.energy_unit), exact(own.length_unit)
         for p in range(tables.material_slopes.shape[0]):
             for v in range(tables.rest_length.shape[1] + 1):
-                at = self.own_block(tables, p, v)
+                block = self.own_block(tables, slot, p, v)
                 for k in range(REMEMBERED):
-                    self.loading.put(scratch, at + k * self.stride, slot, tables.slopes[row, p, v, k])
+                    block[k] = tables.slopes[row, p, v, k]
                 for k in range(NUMBERS):
-                    self.loading.put(scratch, at + (OF_NUMBERS + k) * self.stride, slot,
-                                     tables.number_slopes[p, numbers, v, k] / unit)
+                    block[REMEMBERED + k] = tables.number_slopes[p, numbers, v, k] / unit
                 if v > 0:
-                    self.load_stiffness_slopes(tables, scratch, at, slot, rod, p, v - 1, 1.0 / (unit * length_unit))
-            first = self.own_block(tables, p, 0)
+                    self.load_stiffness_slopes(tables, block, rod, p, v - 1, 1.0 / (unit * length_unit))
+            first = self.own_block(tables, slot, p, 0)
             for k in ti.static(range(2)):
-                self.loading.put(scratch, first + (OF_SHARES + k) * self.stride, slot, tables.share_slopes[p, numbers, k])
-            self.loading.put(scratch, first + OF_WEIGHT * self.stride, slot, tables.material_slopes[p, g, of.WEIGHT])
+                first.of_rod[k] = tables.share_slopes[p, numbers, k]
+            first.of_rod[2] = tables.material_slopes[p, g, of.WEIGHT]
 
     @ti.func
-    def load_stiffness_slopes(self, tables, scratch: ti.template(), at, slot, rod, p, e, scale):
+    def load_stiffness_slopes(self, tables, block, rod, p, e, scale):
         """Derivatives of B of edge ``e``, and of β and ω̄ l̄/2 of the joint where it begins."""
         g, s = tables.rods[rod, of.MATERIAL_ROW], tables.rods[rod, of.CLAMP_ROW]
         columns = tables.material_slopes.shape[2] - of.STIFFNESS_COLUMNS
         column = ti.min(of.STIFFNESS + e * of.STIFFNESS_COLUMNS, columns)
         for k in ti.static(range(3)):
-            value = tables.material_slopes[p, g, column + (of.BEND + k)] * scale
-            self.loading.put(scratch, at + (OF_BEND + k) * self.stride, slot, value)
+            block.of_bend[k] = tables.material_slopes[p, g, column + (of.BEND + k)] * scale
         if e > 0:
-            twist = tables.material_slopes[p, g, column + of.TWIST] * scale
-            self.loading.put(scratch, at + OF_TWIST * self.stride, slot, twist)
+            block.of_twist = tables.material_slopes[p, g, column + of.TWIST] * scale
             lengths = ti.min(s, tables.rest_length.shape[0] - 1)
             both = tables.rest_length[lengths, e - 1] + tables.rest_length[lengths, e]
             for k in ti.static(range(2)):
-                rest = 0.5 * both * tables.material_slopes[p, g, column + (of.REST + k)]
-                self.loading.put(scratch, at + (OF_REST + k) * self.stride, slot, rest)
+                block.of_rest[k] = 0.5 * both * tables.material_slopes[p, g, column + (of.REST + k)]
 
     @ti.func
-    def store_slopes(self, tables, scratch: ti.template(), slot, row):
+    def store_slopes(self, tables, slot, row):
         for p in range(tables.material_slopes.shape[0]):
             for v in range(tables.rest_length.shape[1] + 1):
-                at = self.own_block(tables, p, v)
+                block = self.own_block(tables, slot, p, v)
                 for k in range(REMEMBERED):
-                    tables.slopes[row, p, v, k] = self.get(scratch, at + k * self.stride, slot)
+                    tables.slopes[row, p, v, k] = block[k]
 
     @ti.func
-    def write_slopes(self, tables, scratch: ti.template(), slot, place):
+    def write_slopes(self, tables, slot, place):
         for p in range(tables.material_slopes.shape[0]):
             for v in range(tables.rest_length.shape[1] + 1):
-                at = self.own_block(tables, p, v)
+                block = self.own_block(tables, slot, p, v)
                 for k in ti.static(range(3)):
-                    tables.position_slopes[place, p, v, k] = self.get(scratch, at + k * self.stride, slot)
+                    tables.position_slopes[place, p, v, k] = block[k]

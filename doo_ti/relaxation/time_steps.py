@@ -14,9 +14,9 @@ from doo_ti.relaxation.batch import layout_for, policy_row, scratch_for
 from doo_ti.relaxation.loading import LANES
 from doo_ti.relaxation.tables import Tables, room
 from doo_ti.relaxation.time_kernel import slope_items, time_contact_kernel, time_kernel, time_slope_kernel
+from doo_ti.relaxation.time_layout import PLACE_2
 from doo_ti.relaxation.time_loop import OUTCOMES, STATE
 from doo_ti.relaxation.time_slopes import CURVATURE_1, CURVATURE_2, REMEMBERED
-from doo_ti.relaxation.time_sweep import PLACE_2
 from doo_ti.types import Status
 
 
@@ -128,20 +128,20 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
     for isotropic, part in table.by_material(rods):
         number, threads, stride, block = layout_for(len(part), bits, contact is not None and contact.itself)
         if contact is not None:
-            kernel, items, parameters = time_contact_kernel(
+            kernel, numbers_of_rod = time_contact_kernel(
                 number, isotropic, stride, block, contact.known, contact.rubs, contact.itself, moves)
             tolerance = options.gap_tolerance
             if tolerance is None:
                 tolerance = GAP_TOLERANCE if contact.itself else GAP_TOLERANCE_IN_MOTION
             more = *contact.arguments(forces, tolerance, False), touches, poses, contact.pair_memory
-            size = parameters + items * table.edges + contact.items(table.edges, len(contact.kinds))
+            size = numbers_of_rod(table.edges) + contact.items(table.edges, len(contact.kinds))
         elif slopes is None:
-            kernel, items, parameters = time_kernel(number, isotropic, stride, block)
-            more, size = (), parameters + items * table.edges
+            kernel, numbers_of_rod = time_kernel(number, isotropic, stride, block)
+            more, size = (), numbers_of_rod(table.edges)
         else:
-            kernel, items, parameters = time_slope_kernel(stride, block, number.width)
+            kernel, numbers_of_rod = time_slope_kernel(stride, block, number.width)
             more = slopes.material, slopes.numbers, slopes.shares, slopes.memory, position_slopes
-            size = parameters + items * table.edges + slope_items(table.edges, slopes.count)
+            size = numbers_of_rod(table.edges) + slope_items(table.edges, slopes.count)
         scratch = scratch_for(number, threads * size)
         queue = np.zeros(LANES + 2 * threads * number.width, dtype=np.int32)
         kernel(table.rest_length, table.clamp, path, table.material, numbers, shares, part,

@@ -6,7 +6,6 @@ from doo_ti.physics import vertex_form
 from doo_ti.physics.algebra import absolute, larger
 from doo_ti.physics.angle import signed_angle_function
 from doo_ti.physics.tuples import cross, dot, minus, plus, record, repeated, scaled, variable
-from doo_ti.relaxation import vertex_chain as item
 from doo_ti.relaxation.vertex_chain import VertexChain, direction
 
 
@@ -14,21 +13,22 @@ from doo_ti.relaxation.vertex_chain import VertexChain, direction
 class VertexEnergy(VertexChain):
     """The energy of the trial vertices and directors."""
 
-    def __init__(self, number, stride: int):
-        super().__init__(number, stride)
+    def __init__(self, number):
+        super().__init__(number)
         self.signed_angle = signed_angle_function(number)
 
     @ti.func
-    def edge(self, rod, at):
+    def edge(self, rod, index):
         """The record of an edge: e, |e|, t, m1, m2 and B."""
-        e = self.edge_vector(rod, at, item.TRIAL_POSITION)
-        t, m1 = direction(e), self.load3(rod, at, item.TRIAL_DIRECTOR)
-        length, bend = self.load(rod, at, item.LENGTH), self.load3(rod, at, item.BEND)
+        at, after = self.vertex(rod.origin, index), self.vertex(rod.origin, index + 1)
+        e = minus(after.trial_position, at.trial_position)
+        t, m1 = direction(e), at.trial_director
+        length, bend = at.length, at.bend
         return record(e=e, length=length, t=t, m1=m1, m2=cross(t, m1), bend=bend)
 
     @ti.func
-    def joint(self, rod, at):
-        """The record of the vertex between the edges at ``at`` and after it:
+    def joint(self, rod, e):
+        """The record of the vertex between edge ``e`` and the one after it:
 
         left, right              the edges (:meth:`edge`)
         binormal, bottom         κb and its denominator
@@ -37,12 +37,12 @@ class VertexEnergy(VertexChain):
         inverse, twist           1/l̄, and the angle of twist
         stiffness                β/l̄
         """
-        after = at + self.row
-        left, right = self.edge(rod, at), self.edge(rod, after)
-        inverse = self.load(rod, after, item.INVERSE_LENGTH)
+        after = self.vertex(rod.origin, e + 1)
+        left, right = self.edge(rod, e), self.edge(rod, e + 1)
+        inverse = after.inverse_length
         binormal, bottom = vertex_form.curvature_binormal(left.e, right.e, left.length, right.length)
         reference = vertex_form.transported(left.t, right.t, left.m1)
-        rest = (self.load(rod, after, item.REST), self.load(rod, after, item.REST + 1))
+        rest = after.rest
         omega_left = vertex_form.material_curvature(binormal, left.m1, left.m2)
         omega_right = vertex_form.material_curvature(binormal, right.m1, right.m2)
         return record(
@@ -50,7 +50,7 @@ class VertexEnergy(VertexChain):
             moment_left=vertex_form.bend_moment(left.bend, omega_left, rest, inverse),
             moment_right=vertex_form.bend_moment(right.bend, omega_right, rest, inverse), rest=rest, inverse=inverse,
             twist=self.signed_angle(dot(reference, right.m1), dot(cross(reference, right.m1), right.t)),
-            stiffness=self.load(rod, after, item.TWIST) * inverse)
+            stiffness=after.twist * inverse)
 
     @ti.func
     def spins(self, joint):
@@ -74,13 +74,13 @@ class VertexEnergy(VertexChain):
         zero = 0.0 * one
         gradient, curvature = (zero, zero)  # of the joint before
         ratio, right, coupling = (zero, zero, zero)
-        at = rod.origin
         for e in range(rod.edges):
+            at = self.vertex(rod.origin, e)
             g, h = gradient, curvature
             gradient, curvature = (zero, zero)
             b2 = zero
             if e < rod.edges - 1:
-                joint = self.joint(rod, at)
+                joint = self.joint(rod, e)
                 b2 = 2.0 * joint.stiffness
                 of_left, of_right = self.spins(joint)
                 g, h = g + of_left[0] - b2 * joint.twist, h + of_left[1] + b2
@@ -97,28 +97,27 @@ class VertexEnergy(VertexChain):
             right = free * (0.0 - g - coupling * right) / pivot
             coupling = 0.0 - b2 * free * after_free
             ratio = coupling / pivot
-            rod.scratch[at + item.RIGHT * self.stride] = right
-            rod.scratch[at + item.RATIO * self.stride] = ratio
-            at += self.row
+            at.right = right
+            at.ratio = ratio
         self.spin_frames(rod)
 
     @ti.func
     def spin_frames(self, rod):
         """Turn the trial directors by the angles of :meth:`minimise_twist`, half a radian at most."""
         angle = 0.0 * rod.spin[0]
-        at = rod.origin + (rod.edges - 1) * self.row
-        for _ in range(rod.edges):
-            angle = self.load(rod, at, item.RIGHT) - self.load(rod, at, item.RATIO) * angle
-            t = direction(self.edge_vector(rod, at, item.TRIAL_POSITION))
-            m1 = self.load3(rod, at, item.TRIAL_DIRECTOR)
+        for back in range(rod.edges):
+            e = rod.edges - 1 - back
+            at, after = self.vertex(rod.origin, e), self.vertex(rod.origin, e + 1)
+            angle = at.right - at.ratio * angle
+            t = direction(minus(after.trial_position, at.trial_position))
+            m1 = at.trial_director
             turn = ti.min(ti.max(angle, 0.0 * angle - 0.5), 0.0 * angle + 0.5)
-            self.store3(rod, at, item.TRIAL_DIRECTOR, vertex_form.spun(m1, cross(t, m1), turn))
-            at -= self.row
+            at.trial_director = vertex_form.spun(m1, cross(t, m1), turn)
 
     @ti.func
     def evaluate(self, rod):
         """The record of ``energy``, its ``magnitude`` (sum of absolute terms) and ``spin``, the largest moment of spin; the
-        gradient goes to TRIAL_FORCE.
+        gradient goes to ``trial_force``.
 
         ∂E/∂x_v = N_{v−1} − N_v + μ l̄_v up, N_j the derivative with respect to edge j.
         """
@@ -126,14 +125,14 @@ class VertexEnergy(VertexChain):
         found = record(energy=zero, magnitude=zero, spin=zero)
         potential, before, carried = (zero, zero, zero)
         n = variable(repeated(zero, 3))
-        at = rod.origin
         for v in range(rod.edges + 1):
+            at = self.vertex(rod.origin, v)
             length = zero
             if v < rod.edges:
-                length = self.load(rod, at, item.LENGTH)
+                length = at.length
             weight = before + length
             before = length
-            height = weight * dot(rod.gravity, self.load3(rod, at, item.TRIAL_POSITION))
+            height = weight * dot(rod.gravity, at.trial_position)
             potential = potential + height
             found.magnitude = found.magnitude + absolute(height)
             f = plus(n, scaled(rod.gravity, weight))
@@ -141,11 +140,11 @@ class VertexEnergy(VertexChain):
             n = repeated(zero, 3)
             if v < rod.edges:
                 if v > 0:
-                    n = self.load3(rod, at, item.TRIAL_FORCE)
+                    n = at.trial_force
                 moment = carried
                 carried = zero
                 if v < rod.edges - 1:
-                    joint = self.joint(rod, at)
+                    joint = self.joint(rod, v)
                     left, right = joint.left, joint.right
                     torque = joint.stiffness * joint.twist
                     found.energy = (found.energy + torque * joint.twist
@@ -154,8 +153,8 @@ class VertexEnergy(VertexChain):
                     of_left, of_right = self.bend_force(joint)
                     # Holonomy: δm = ½ κb·(δe⁻/|e⁻| + δe⁺/|e⁺|).
                     n = plus(plus(n, of_left), scaled(joint.binormal, torque / left.length))
-                    self.store3(rod, at + self.row, item.TRIAL_FORCE,
-                                plus(of_right, scaled(joint.binormal, torque / right.length)))
+                    after = self.vertex(rod.origin, v + 1)
+                    after.trial_force = plus(of_right, scaled(joint.binormal, torque / right.length))
                     spin_left, spin_right = self.spins(joint)
                     moment = moment + spin_left[0] - 2.0 * torque
                     carried = spin_right[0] + 2.0 * torque
@@ -164,8 +163,7 @@ class VertexEnergy(VertexChain):
                 if v == rod.edges - 1:
                     moment = moment * rod.spin[1]
                 found.spin = larger(found.spin, absolute(moment))
-            self.store3(rod, at, item.TRIAL_FORCE, minus(f, n))
-            at += self.row
+            at.trial_force = minus(f, n)
         found.magnitude = found.energy + found.magnitude
         found.energy = found.energy + potential
         return found

@@ -22,6 +22,7 @@ from doo_ti.arguments import typed
 from doo_ti.errors import InputError
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import full, minus, plus, put_lane, record, repeated, scaled
+from doo_ti.physics.view import Layout
 from doo_ti.relaxation.external import ExternalFunctions
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.reprojection.edge_integral import (
@@ -66,8 +67,8 @@ class AssignedPoints:
     nu: float
     along: float = 0.05
     soft: float = 3.0
-    items: ClassVar[int] = 3
-    start_items: ClassVar[int] = 0
+    layout: ClassVar[Layout] = Layout(row=1, edge=1, nu=1)
+    start_layout: ClassVar[Layout] = Layout()
     has_coarse: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
@@ -114,29 +115,25 @@ class AssignedPoints:
         return np.zeros(len(start))
 
     @staticmethod
-    def functions(number: Number, stride: int, first: int) -> ExternalFunctions:
-        """On the device, with its items from ``first`` on: the row, the edge and ν."""
-        energy = AssignedEnergy(number, stride, first)
+    def functions(number: Number) -> ExternalFunctions:
+        """On the device."""
+        energy = AssignedEnergy(number)
         return ExternalFunctions(energy.load, energy.evaluate)
 
 
 @ti.data_oriented
 class AssignedEnergy:
-    """ν E_back of an edge for one kind of number, its items in scratch from ``first`` on: the row, the edge and ν."""
+    """ν E_back of an edge for one kind of number."""
 
-    def __init__(self, number, stride: int, first: int):
+    def __init__(self, number):
         lanes = number.lanes()
-        self.put, self.constant, self.lane, self.with_lane = lanes.put, lanes.constant, lanes.lane, lanes.with_lane
+        self.constant, self.lane, self.with_lane = lanes.constant, lanes.lane, lanes.with_lane
         self.scalar, self.width = number.scalar, number.width
         self.projection = Projection(number)
-        self.row, self.edge, self.nu = (first + k for k in range(3))
-        self.stride = stride
 
     @ti.func
-    def load(self, scratch: ti.template(), at, slot, numbers: ti.template(), row, edge, scale):
-        self.put(scratch, at + self.row * self.stride, slot, row)
-        self.put(scratch, at + self.edge * self.stride, slot, edge)
-        self.put(scratch, at + self.nu * self.stride, slot, numbers[row, 0, NU] * scale)
+    def load(self, own, numbers: ti.template(), row, edge, scale):
+        own.row, own.edge, own.nu = row, edge, numbers[row, 0, NU] * scale
 
     @ti.func
     def point(self, values: ti.template(), numbers: ti.template(), row, edge, c, k):
@@ -175,9 +172,9 @@ class AssignedEnergy:
         return energy, by_point(slope, none, x, inverse), curvature
 
     @ti.func
-    def evaluate(self, scratch: ti.template(), at, numbers: ti.template(), values: ti.template(), start, end, coarse):
-        nu, zero, camera = scratch[at + self.nu * self.stride], self.constant(0.0), self.projection
-        given, along = scratch[at + self.row * self.stride], scratch[at + self.edge * self.stride]
+    def evaluate(self, own, numbers: ti.template(), values: ti.template(), start, end, coarse):
+        nu, zero, camera = own.nu, self.constant(0.0), self.projection
+        given, along = own.row, own.edge
         # A lane without a rod may hold any number, which must not be used as an index.
         there = (given >= 0.0) & (given < numbers.shape[0]) & (along >= 0.0) & (along < numbers[0, 0, EDGES])
         row, edge = ti.select(there, given, zero), ti.select(there, along, zero)

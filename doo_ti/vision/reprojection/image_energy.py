@@ -18,6 +18,7 @@ from doo_ti.arguments import typed
 from doo_ti.errors import InputError
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import minus
+from doo_ti.physics.view import Layout
 from doo_ti.relaxation.external import ExternalFunctions
 from doo_ti.relaxation.tables import MOST_NUMBERS
 from doo_ti.vision.cameras.rig import Rig
@@ -62,8 +63,8 @@ class Reprojection:
     points: int = 4
     cap: float = 40.0
     reach: float = 2.0
-    items: ClassVar[int] = 2
-    start_items: ClassVar[int] = 0
+    layout: ClassVar[Layout] = Layout(images=1, nu=1)
+    start_layout: ClassVar[Layout] = Layout()
     has_coarse: ClassVar[bool] = True
     vertices: ClassVar[None] = None
 
@@ -100,32 +101,28 @@ class Reprojection:
         return np.zeros(len(start))
 
     @staticmethod
-    def functions(number: Number, stride: int, first: int) -> ExternalFunctions:
-        """On the device, with its items from ``first`` on: the set of images and ν."""
-        energy = ImageEnergy(number, stride, first)
+    def functions(number: Number) -> ExternalFunctions:
+        """On the device."""
+        energy = ImageEnergy(number)
         return ExternalFunctions(energy.load, energy.evaluate)
 
 
 @ti.data_oriented
 class ImageEnergy:
-    """ν Σ_c E_proj^c of an edge for one kind of number, its items in scratch from ``first`` on: the set of images and ν."""
+    """ν Σ_c E_proj^c of an edge for one kind of number."""
 
-    def __init__(self, number, stride: int, first: int):
-        lanes = number.lanes()
-        self.put, self.constant = lanes.put, lanes.constant
-        self.edge = EdgeIntegral(number)
-        self.set, self.nu = first * stride, (first + 1) * stride
+    def __init__(self, number):
+        self.constant, self.edge = number.lanes().constant, EdgeIntegral(number)
 
     @ti.func
-    def load(self, scratch: ti.template(), at, slot, numbers: ti.template(), row, edge, scale):
-        self.put(scratch, at + self.set, slot, row)
-        self.put(scratch, at + self.nu, slot, numbers[row, 0, NU] * scale)
+    def load(self, own, numbers: ti.template(), row, edge, scale):
+        own.images, own.nu = row, numbers[row, 0, NU] * scale
 
     @ti.func
-    def evaluate(self, scratch: ti.template(), at, numbers: ti.template(), values: ti.template(), start, end, coarse):
-        nu, zero = scratch[at + self.nu], self.constant(0.0)
+    def evaluate(self, own, numbers: ti.template(), values: ti.template(), start, end, coarse):
+        nu, zero = own.nu, self.constant(0.0)
         # A lane without a rod may hold any number, which must not be used as an index.
-        given = scratch[at + self.set]
+        given = own.images
         row = ti.select((given >= 0.0) & (given < numbers.shape[0]), given, zero)
         total, camera = no_moments(zero), self.edge.projection
         for c in range(numbers.shape[1]):

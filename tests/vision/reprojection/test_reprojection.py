@@ -7,6 +7,7 @@ import pytest
 import taichi as ti
 
 from doo_ti.errors import InputError
+from doo_ti.physics.view import Scratch
 from doo_ti.types import Material
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.reprojection.distance_map import DistanceMaps
@@ -32,12 +33,13 @@ def scene():
 @cache
 def edge_kernel(number):
     """(set, ν, start, end, coarse) to the energy and its moments: 1, 3, 3, 6, 9, 6 numbers."""
-    functions = Reprojection.functions(number, 1, 0)
+    functions, memory = Reprojection.functions(number), Scratch(number, 1)
 
     @ti.func
     def function(scratch: ti.template(), numbers: ti.template(), values: ti.template()):
-        e, g, h, k, n, m = functions.evaluate(
-            scratch, 0, numbers, values, (scratch[2], scratch[3], scratch[4]), (scratch[5], scratch[6], scratch[7]), scratch[8])
+        own = memory.view(scratch, 0, Reprojection.layout)
+        start, end = (scratch[2], scratch[3], scratch[4]), (scratch[5], scratch[6], scratch[7])
+        e, g, h, k, n, m = functions.evaluate(own, numbers, values, start, end, scratch[8])
         return (e,) + g + h + k + n + m
 
     return row_kernel(number, 9, 28, function)
