@@ -17,7 +17,7 @@ from scipy.ndimage import generate_binary_structure, minimum_filter
 
 from doo_ti.errors import InputError
 from doo_ti.grid import Grid
-from doo_ti.refinement.evidence import Evidence, Posterior, best_effects
+from doo_ti.refinement.evidence import Evidence, Posterior, best_effects, integrated
 from doo_ti.refinement.held_rod import POSE
 from doo_ti.refinement.priors import Scales
 from doo_ti.refinement.residuals import Comparison, Moments, Residuals
@@ -123,13 +123,37 @@ class Fit:
         return self._state(values, scales, solution)
 
     def best_of(self, states: Sequence[State]) -> State:
-        """Of each observation that with the most probable clamps, at the same shared unknowns and sizes."""
+        """Of each observation that which is most probable given the others, at the same sizes. What is shared is free to follow
+        to first order: it may have adapted to a wrong shape of that observation."""
         best, *others = states
+        precision, _ = self.unknowns.precision(best.scales)
+        own, slope, present = self._densities(best)
+        used = best.used & np.isfinite(present)
+        own, slope = (np.where(used.reshape(-1, *(1,) * (part.ndim - 1)), part, 0.0) for part in (own, slope))
+        rest = (precision + own.sum(axis=0) - own,
+                slope.sum(axis=0) + precision @ self.unknowns.offset(best.values, self.origin) - slope)
+        least = self._given(rest, *self._densities(best))
         for other in others:
-            sound = other.solution.converged & other.solution.stable
-            lower = self._of_rods(other, best.scales) < self._of_rods(best, best.scales)
-            best = self._merged(best, other, sound & (lower | ~(best.solution.converged & best.solution.stable)))
+            value = self._given(rest, *self._densities(other))
+            if (value < least).any():
+                best = self._merged(best, other, value < least)
+                least = np.minimum(value, least)
         return best
+
+    def _densities(self, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of each observation B and s, and c + q, of :func:`doo_ti.refinement.evidence.integrated`; that is infinite where the
+        rod is not sound."""
+        sound = state.solution.converged & state.solution.stable
+        linear, usable = self.comparison.linear(state.solution, state.values, sound, leave_out_soft=False)
+        own, slope, squares, constant = integrated(self.unknowns, linear, state.scales)
+        return own, slope, np.where(usable, squares + constant, np.inf)
+
+    @staticmethod
+    def _given(rest: tuple[np.ndarray, np.ndarray], own: np.ndarray, slope: np.ndarray, value: np.ndarray) -> np.ndarray:
+        """(D,) −2 ln of the density of each observation given the ``rest``, B (D, P, P) and s (D, P) of all others."""
+        hessian, slope = rest[0] + own, rest[1] + slope
+        return value - np.einsum("dp,dp->d", slope, np.linalg.solve(hessian, slope[..., None])[..., 0]) + np.linalg.slogdet(
+            hessian)[1]
 
     def at(self, values: Values, scales: Scales, solution: Solution) -> State:
         """``values`` with rods relaxed from ``solution``, which is on the same mesh."""

@@ -191,10 +191,15 @@ class HeldRod:
         return "any_twist" in self.pose_scales
 
     @property
+    def rolls_known(self) -> bool:
+        """Whether reported frames hold both ends' rolls."""
+        return self._both_hold_rolls and not self.twist_unknown
+
+    @property
     def turns_unknown(self) -> bool:
         """Whether frames hold both ends' rolls, but nothing says by how many whole turns the rod is twisted."""
         seen = self.observations
-        return self._both_hold_rolls and not self.twist_unknown and seen.total_twist is None and seen.frames is None
+        return self.rolls_known and seen.total_twist is None and seen.frames is None
 
     @property
     def clamped(self) -> np.ndarray:

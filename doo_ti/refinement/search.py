@@ -75,6 +75,7 @@ def searched(unknowns: Unknowns, thetas: Sequence[Theta], clip: np.ndarray, scal
     fit = found[0].fit
     if rod.turns_unknown and "twist" in model.parameters:
         found = _from_twists(found, scales, steps)
+    if rod.rolls_known:
         found = _once([Optimum(fit, turns_chosen_again(fit, found[0].fitted, steps)), *found])
     if straight_first:
         fit, states = rolled(fit, found[0].fitted, unknowns.curvature)

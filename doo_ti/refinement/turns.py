@@ -35,11 +35,13 @@ def twisted(fit: Fit, values: Values, scales: Scales) -> Iterator[State]:
 
 
 def turns_chosen_again(fit: Fit, fitted: Fitted, steps: int) -> Fitted:
-    """``fitted``, continued with the turns that are most probable under what was learned, as long as that helps."""
+    """``fitted``, continued with the turns that are most probable under what was learned, as long as that helps: of several, or
+    of those that were measured and those that misfits took instead."""
+    turns = TURNS if fit.unknowns.rod.turns_unknown else (None,)
 
     def others(state: State) -> Iterable[State]:
         values = replace(state.values, scatter=0 * state.values.scatter)
-        return (fit.posed(fit.from_marks(values, state.scales, turn)) for turn in TURNS)
+        return (fit.posed(fit.from_marks(values, state.scales, turn)) for turn in turns)
 
     return chosen_again(fit, fitted, steps, others)
 
