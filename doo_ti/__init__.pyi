@@ -49,6 +49,12 @@ from doo_ti.learning.landscape import Landscape as Landscape
 from doo_ti.learning.landscape import read_landscape as read_landscape
 from doo_ti.learning.pairs import Pairs as Pairs
 from doo_ti.learning.sweeps import sweep as sweep
+from doo_ti.manipulation.belief import LearnedMaterial as LearnedMaterial
+from doo_ti.manipulation.servo import Servo as Servo
+from doo_ti.manipulation.simulation import Simulation as Simulation
+from doo_ti.manipulation.targets import ServoOptions as ServoOptions
+from doo_ti.manipulation.targets import ServoStatus as ServoStatus
+from doo_ti.manipulation.targets import Targets as Targets
 from doo_ti.material import Material as Material
 from doo_ti.metric import distance as distance
 from doo_ti.motion.path import Motion as Motion

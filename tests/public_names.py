@@ -41,6 +41,7 @@ from doo_ti import (
     Itself,
     Landscape,
     LandscapePlane,
+    LearnedMaterial,
     Material,
     Motion,
     MotionTheta,
@@ -65,6 +66,10 @@ from doo_ti import (
     Ring,
     Score,
     Sensitivity,
+    Servo,
+    ServoOptions,
+    ServoStatus,
+    Simulation,
     Solution,
     Sphere,
     Springs,
@@ -74,6 +79,7 @@ from doo_ti import (
     Surroundings,
     SweepOptions,
     SweepTrajectory,
+    Targets,
     Theta,
     Tie,
     Touch,
@@ -235,6 +241,15 @@ def followed(rig: Rig, frames: Sequence[list[Detection]], material: Material, mo
     camera: Camera = rig.cameras[0]
     print(camera.name)
     return [frame for detected in frames if (frame := tracker.see(detected, [0, 0, 0], [1, 0, 0], motion)).how != How.LOST]
+
+
+def shaped(rods: Configuration, material: Material, clamps: Clamps, goal: np.ndarray) -> LearnedMaterial:
+    servo = Servo(rods, material, clamps, Targets(goal), ServoOptions(free=("end_shift", "end_turn")), up=(0, 0, 1))
+    simulation = Simulation(rods, material, clamps)
+    while (servo.status == ServoStatus.MOVING).any():
+        state: Solution = simulation.step(servo.step(simulation.state.configuration.vertices))
+        print(state)
+    return servo.material
 
 
 def report(edges: int, kept: Hypotheses, pruned: Hypotheses) -> None:

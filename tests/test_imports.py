@@ -30,6 +30,7 @@ LAYERS = [
     {"groups"},
     {"synthesis", "twist", "report"},
     {"prediction"},
+    {"manipulation"},
     {"perception"},
     {"record"},
     {"learning"},

@@ -1,0 +1,188 @@
+"""What is known of rods while they are moved: Θ, how the clips hold them, and how they are curved at rest.
+
+Each moment adds its marks to a linear regression with a Gaussian prior, of which older moments fade (a Kalman filter with
+fading memory). With unknowns u = σ v, v ~ N(0, 1) before anything is seen, derivatives J of the marks by v, and residuals r of
+the marks from the model at the present estimate v₀:
+
+    Λ ← f Λ + JᵀJ/R      η ← f η + Jᵀ(r + J v₀)/R      v = (I + Λ)⁻¹ η      cov v = (I + Λ)⁻¹
+
+R is the variance of a coordinate. To the noise it adds what this moment's linearisation is off by, and what remains of the
+marks after the fit: as that is an error of the model, common to neighbouring marks, it counts as often as there are marks.
+
+Unknowns in their order: ln of the factors on B and on β/B; twelve numbers of the clips (:func:`.poses.held`); the additional
+compliance of the joints next to the clamps, over their own, a half where the real rod bends from the clamped vertex on, not
+half an edge further in; and coefficients of the rest curvature over the rod's length, two components for each of CURVES
+cosines. Those whose σ is zero are known.
+
+Axes: B rods, P unknowns that are learned, N coordinates of vertices, E edges, C columns of derivatives that a rod has: by bend
+and twist stiffness, by the twelve numbers of its grippers, and by the modes.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from doo_ti.manipulation.targets import ServoOptions
+from doo_ti.types import Material
+
+BEND, RATIO, CLIP, JOINTS, CURVATURE = 0, 1, 2, 14, 15
+CURVES = 3
+LINEAR = 0.1
+"""Share of a residual that its linearisation is off by. With 0.5 learning is slow, with 0.01 the first moments are trusted."""
+MOST_DEVIATIONS = 4.0
+"""Standard deviations of the prior, beyond which no unknown goes."""
+SOFTEST, STIFFEST = 0.8, -0.4
+"""Bounds of the additional compliance of the joints at the clamps; at one, the outer edges would have no stiffness."""
+QUANTILE = 1.96
+"""Standard deviations of a 95 % interval."""
+
+
+@dataclass(frozen=True)
+class LearnedMaterial:
+    """Θ of B rods as far as it has been learned; intervals contain 95 %.
+
+    material        B rows
+    bend, twist, ratio  (B,) mm³, mm³ and β/B
+    bend_interval, twist_interval, ratio_interval  (B, 2)
+    misfit          (B,) mm, root mean square of what the model leaves of a coordinate of the marks
+    """
+
+    material: Material
+    bend: np.ndarray
+    twist: np.ndarray
+    ratio: np.ndarray
+    bend_interval: np.ndarray
+    twist_interval: np.ndarray
+    ratio_interval: np.ndarray
+    misfit: np.ndarray
+
+
+class Belief:
+    """The unknowns of B rods.
+
+    material     nominal, B rows, round and uniform
+    rest_length  (E,) mm
+
+    Attributes: ``unknowns`` (B, ·), all of them; ``material``, Θ with these; ``expected`` (B,) mm, the root mean square that a
+    coordinate was expected to be off by at the last moment.
+    """
+
+    def __init__(self, material: Material, rest_length: np.ndarray, options: ServoOptions):
+        length = rest_length.sum()
+        turn = np.radians(options.clip_deg)
+        spread = np.concatenate([[options.bend, options.ratio], np.tile(np.repeat([options.clip_mm, turn], 3), 2),
+                                 [options.compliance], np.repeat(options.curvature, 2 * CURVES)])
+        place = np.cumsum(rest_length)[:-1] / length
+        waves = np.cos(np.pi * np.arange(CURVES)[:, None] * place) / length
+        ends = np.eye(len(place))[[0, -1]]
+        self.modes = np.einsum("kj,ab->kajb", np.concatenate([ends, waves]), np.eye(2)).reshape(-1, len(place), 2)
+        self.learned = np.flatnonzero(spread)
+        self._spread, self._nominal, self._options = spread, material, options
+        bound = np.full(len(spread), MOST_DEVIATIONS)
+        self._least, self._most = -bound[self.learned], bound[self.learned]
+        joints = self.learned == JOINTS
+        self._least[joints], self._most[joints] = STIFFEST / (options.compliance or 1.0), SOFTEST / (options.compliance or 1.0)
+        rods, unknowns = material.count, len(self.learned)
+        self.unknowns = np.zeros((rods, len(spread)))
+        self._information = np.zeros((rods, unknowns, unknowns))
+        self._vector = np.zeros((rods, unknowns))
+        self._covariance = np.tile(np.eye(unknowns), (rods, 1, 1))
+        self._variance = np.full(rods, options.noise_mm**2)
+        self.expected = np.full(rods, np.inf)
+        self.material = self._material()
+
+    @property
+    def clip(self) -> np.ndarray:
+        """(B, 12) of :func:`.poses.held`."""
+        return self.unknowns[:, CLIP:JOINTS]
+
+    @property
+    def uneven(self) -> bool:
+        """Whether what differs along the rod is unknown, whose derivatives need ``modes``: changes of the rest curvature at the
+        first and at the last joint, then along the cosines, two components each."""
+        return bool(self._spread[JOINTS:].any())
+
+    @property
+    def compliance(self) -> np.ndarray:
+        """(B,) additional, of the joints at the clamps, over their own."""
+        return self.unknowns[:, JOINTS]
+
+    def _material(self) -> Material:
+        """B rows."""
+        nominal, bend, ratio = self._nominal, *self.unknowns[:, :CLIP].T
+        rest, matrix = nominal.rest_curvature, nominal.bend * np.exp(bend)[:, None, None, None]
+        if self.uneven:
+            own = np.tensordot(self.unknowns[:, CURVATURE:], self.modes[-2 * CURVES :], 1)
+            rest = own if rest is None else rest + own
+            along = np.ones((len(own), own.shape[1] + 1))  # a joint's stiffness is the mean of its edges'
+            along[:, 0] = along[:, -1] = 2.0 / (1.0 + self.compliance) - 1.0
+            matrix = matrix * along[..., None, None]
+        return Material(matrix, nominal.twist * np.exp(bend + ratio)[:, None], nominal.weight, rest, nominal.weight_per_length)
+
+    def transform(self, grippers: np.ndarray, elastic: np.ndarray) -> np.ndarray:
+        """(B, C, P): what derivatives by v are of the columns of a rod.
+
+        grippers  (4, B, 3, 3) frames of the grippers, for shift and turn of the start and of the end
+        elastic   (B, 4) curvature from rest at the first and at the last joint, 1/mm
+        """
+        material, soft = self.material, 1.0 + self.compliance
+        rods = len(soft)
+        whole = np.zeros((rods, CLIP + 12 + (len(self.modes) if self.uneven else 0), len(self._spread)))
+        whole[:, 0, BEND] = self._nominal.bend[:, 0, 0, 0] * np.exp(self.unknowns[:, BEND])
+        whole[:, 1, BEND] = whole[:, 1, RATIO] = material.twist[:, 0]
+        for k, frame in enumerate(grippers):
+            part = slice(CLIP + 3 * k, CLIP + 3 * k + 3)
+            whole[:, part, part] = frame
+        if self.uneven:
+            # A joint softer by a share bends as if its rest curvature had grown by that share of its elastic one.
+            joints = slice(CLIP + 12, CLIP + 16)
+            whole[:, joints, JOINTS] = elastic / soft[:, None]
+            whole[:, joints, BEND] = elastic * self.compliance[:, None]  # it gains less with B
+            whole[:, CLIP + 16 :, CURVATURE:] = np.eye(2 * CURVES)
+        return whole[..., self.learned] * self._spread[self.learned]
+
+    def learn(self, residual: np.ndarray, columns: np.ndarray, transform: np.ndarray, count: np.ndarray) -> np.ndarray:
+        """Take in a moment: residuals (B, N) and columns (B, N, C) of the coordinates of marks, zero where not seen, of which
+        each rod has ``count`` (B,). Returns (B, C) the change, which the columns times that give of the vertices."""
+        keep, noise = 1.0 - 1.0 / self._options.memory, self._options.noise_mm**2
+        number = np.maximum(count, 1)
+        turned, across = np.swapaxes(transform, 1, 2), np.swapaxes(columns, 1, 2)
+        normal = turned @ (across @ columns) @ transform
+        right = (turned @ (across @ residual[..., None]))[..., 0]
+        square = np.sum(residual**2, axis=1)
+        missing = np.maximum(self._variance - noise, 0.0) * number / 3
+        variance = noise + missing + LINEAR**2 * square / number
+        before = self.unknowns[:, self.learned] / self._spread[self.learned]
+        self.expected = np.sqrt(self._variance + np.sum(normal * self._covariance, axis=(1, 2)) / number)
+        self._information = keep * self._information + normal / variance[:, None, None]
+        self._vector = keep * self._vector + (right + (normal @ before[..., None])[..., 0]) / variance[:, None]
+        self._covariance = np.linalg.inv(np.eye(len(self.learned)) + self._information)
+        after = np.clip((self._covariance @ self._vector[..., None])[..., 0], self._least, self._most)
+        step = after - before
+        left = square - 2 * np.sum(step * right, axis=1) + np.sum(step * (normal @ step[..., None])[..., 0], axis=1)
+        freedom = np.maximum(number - len(self.learned), number / 3)
+        self._variance += np.where(count > 0, (1.0 - keep) * (left / freedom - self._variance), 0.0)
+        self.unknowns = self.unknowns.copy()
+        self.unknowns[:, self.learned] = after * self._spread[self.learned]
+        self.material = self._material()
+        return (transform @ step[..., None])[..., 0]
+
+    def forget(self, rods: np.ndarray) -> None:
+        """Half of what those ``rods`` (n,) have taught, whose model was another branch of equilibria than the rod."""
+        self._information[rods] *= 0.5
+        self._vector[rods] *= 0.5
+
+    def result(self) -> LearnedMaterial:
+        """Θ with its intervals."""
+        covariance = np.zeros((len(self.unknowns), 2, 2))
+        both = np.flatnonzero(self.learned < CLIP)
+        kinds = self.learned[both]
+        own = self._covariance[:, both[:, None], both] * np.outer(self._spread[kinds], self._spread[kinds])
+        covariance[:, kinds[:, None], kinds] = own
+        nominal = self._nominal.bend[:, 0, 0, 0], self._nominal.twist[:, 0]
+        bend, ratio = self.unknowns[:, :CLIP].T
+        value = nominal[0] * np.exp(bend), nominal[1] * np.exp(bend + ratio), nominal[1] / nominal[0] * np.exp(ratio)
+        spread = np.sqrt([covariance[:, 0, 0], covariance.sum(axis=(1, 2)), covariance[:, 1, 1]])
+        intervals = [one[:, None] * np.exp(QUANTILE * deviation[:, None] * [-1.0, 1.0])
+                     for one, deviation in zip(value, spread, strict=True)]
+        return LearnedMaterial(self.material, *value, *intervals, np.sqrt(self._variance))

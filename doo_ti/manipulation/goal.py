@@ -1,0 +1,156 @@
+"""Rods at rest that are nearest to targets, and the grippers' poses that hold them there. Axes: B rods, K guesses of each."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from doo_ti.contact.surroundings import Surroundings
+from doo_ti.frames import (
+    bishop_frames,
+    matrix_from_quaternion,
+    quaternion_about,
+    quaternion_from_matrix,
+    quaternion_product,
+    smallest_rotation,
+    tangent_from_quaternion,
+    total_twist,
+)
+from doo_ti.manipulation.damped_step import DampedSteps
+from doo_ti.manipulation.poses import finite_rods, held, moved, put_rods, put_rows
+from doo_ti.manipulation.resynchronise import stiffness_of
+from doo_ti.manipulation.targets import ServoOptions, Targets
+from doo_ti.relaxation.external import Springs
+from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.relax import relax
+from doo_ti.relaxation.sensitivity import gripper_jacobian
+from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution
+
+TWISTS = np.radians([0.0, 90.0, -90.0, 180.0, -180.0])
+"""By which guesses are twisted more than the rod is. Marks do not show twist; the fit finds it within a quarter turn."""
+ITERATIONS = 20
+"""Of the fit of the grippers' poses."""
+LONGEST = 40.0
+"""mm, of a step of that fit, shifts in mm and turns times the lever."""
+SHRINK, GROW = 0.3, 2.0
+"""Of a step's length after it has been refused, and taken."""
+
+
+@dataclass(frozen=True)
+class Model:
+    """Models of B rods: what they are made of, how clips hold them (:func:`.poses.held`), and what surrounds them."""
+
+    material: Material
+    clip: np.ndarray
+    up: np.ndarray
+    surroundings: Surroundings
+
+    def relaxed(self, rods: Configuration, clamps: Clamps) -> Solution:
+        """The rods at rest under the grippers' poses."""
+        return relax(rods, self.material, held(clamps, self.clip), Newton.careful(), up=self.up, **self.surroundings.arguments)
+
+    def take(self, rods: np.ndarray) -> "Model":
+        """Those of the rods named by ``rods``."""
+        return Model(self.material.take(rods), self.clip[rods], self.up, self.surroundings.take(rods))
+
+
+@dataclass(frozen=True)
+class Goal:
+    """B rods at certified rest near their targets.
+
+    rods      B
+    clamps    the grippers' poses, B
+    distance  (B,) mm, weighted root mean square; infinite where no guess has come to rest
+    """
+
+    rods: Configuration
+    clamps: Clamps
+    distance: np.ndarray
+
+    def take(self, rods: np.ndarray) -> "Goal":
+        """Those of the rods named by ``rods``."""
+        return Goal(self.rods.take(rods), self.clamps.take(rods), self.distance[rods])
+
+
+def nearest_goal(rods: Configuration, clamps: Clamps, model: Model, targets: Targets, options: ServoOptions) -> Goal:
+    """The rods' goals: of several guesses, each drawn to its target and fitted, those that come nearest."""
+    count = rods.count
+    drawn, grippers = _guesses(rods, clamps, model, targets, options)
+    rows = np.tile(np.arange(count), len(TWISTS))
+    fitted = fit(drawn, grippers, model.take(rows), targets.take(rows), options)
+    best = np.argmin(fitted.distance.reshape(len(TWISTS), count), axis=0) * count + np.arange(count)
+    return fitted.take(best)
+
+
+def all_goals(rods: Configuration, clamps: Clamps, model: Model, targets: Targets, options: ServoOptions) -> Goal:
+    """The goals of one rod that all guesses lead to, the nearest first."""
+    drawn, grippers = _guesses(rods, clamps, model, targets, options)
+    rows = np.zeros(len(TWISTS), dtype=np.int64)
+    fitted = fit(drawn, grippers, model.take(rows), targets.take(rows), options)
+    return fitted.take(np.argsort(fitted.distance, kind="stable"))
+
+
+def fit(rods: Configuration, clamps: Clamps, model: Model, targets: Targets, options: ServoOptions) -> Goal:
+    """The rods that are nearest to their targets, from these on, by damped least squares in the grippers' poses
+    (Levenberg, Marquardt); every one is certified."""
+    solution = model.relaxed(rods, clamps)
+    distance = _distance(solution, targets)
+    length = np.full(rods.count, LONGEST)
+    weight = np.repeat(targets.shares, 3, axis=1)
+    for _ in range(ITERATIONS):
+        columns = gripper_jacobian(solution).vertices
+        columns = np.nan_to_num(columns.reshape(rods.count, -1, 12)) * (options.moves / options.scale)
+        across = np.swapaxes(columns, 1, 2) * weight[:, None]
+        error = np.nan_to_num(targets.places - solution.configuration.vertices).reshape(rods.count, -1)
+        step = DampedSteps(across @ columns, np.einsum("bkn,bn->bk", across, error)).within(length)
+        there = moved(clamps, step / options.scale)
+        tried = model.relaxed(finite_rods(solution.configuration, rods), there)
+        nearer = _distance(tried, targets)
+        good = nearer < distance
+        length = np.where(good, np.minimum(GROW * length, LONGEST), SHRINK * np.minimum(length, np.linalg.norm(step, axis=1)))
+        taken = np.flatnonzero(good)
+        if not len(taken) and (length < options.reached_mm * SHRINK).all():
+            break
+        rods = put_rods(finite_rods(solution.configuration, rods), taken, tried.configuration.take(taken))
+        clamps, distance = put_rows(clamps, taken, there.take(taken)), np.where(good, nearer, distance)
+        solution = model.relaxed(rods, clamps)
+    return Goal(finite_rods(solution.configuration, rods), clamps, _distance(solution, targets))
+
+
+def _guesses(rods: Configuration, clamps: Clamps, model: Model, targets: Targets, options: ServoOptions
+             ) -> tuple[Configuration, Clamps]:
+    """(K·B) rods drawn to their targets by springs, twist by twist, and grippers that hold them so; a gripper that is not free
+    to shift and turn stays."""
+    count = rods.count
+    starts, ends = ({f"{end}_shift", f"{end}_turn"} <= set(options.free) for end in ("start", "end"))
+    loose = replace(held(clamps, model.clip), start=Clamp.FREE if starts else clamps.start,
+                    end=Clamp.FREE if ends else clamps.end)
+    seen = targets.shares > 0
+    springs = Springs(targets.places, seen * stiffness_of(model.material, rods.rest_length, seen)[:, None])
+    drawn = relax(rods, model.material, loose, Newton.careful(), up=model.up, external=springs, external_index=np.arange(count))
+    shapes = finite_rods(drawn.configuration, rods)
+    first = clamps.start_frame
+    if starts:
+        along = tangent_from_quaternion(shapes.quaternions[:, 0])
+        first = matrix_from_quaternion(smallest_rotation(first[..., 0], along)) @ first
+    frames = quaternion_from_matrix(bishop_frames(tangent_from_quaternion(shapes.quaternions), first[..., 1]))
+    place = np.linspace(0.0, 1.0, rods.edges)
+    twist = total_twist(rods.quaternions)
+    every = []
+    for more in TWISTS:
+        own = np.broadcast_to([1.0, 0.0, 0.0], (count, rods.edges, 3))
+        every.append(quaternion_product(frames, quaternion_about(own, (twist + more)[:, None] * place)))
+    rows = np.tile(np.arange(count), len(TWISTS))
+    guessed = Configuration(shapes.start[rows], np.concatenate(every), rods.rest_length)
+    grippers = clamps.take(rows)
+    matrices, vertices = guessed.frames, guessed.vertices
+    if starts:
+        grippers = replace(grippers, start_position=vertices[:, 0].copy(), start_frame=matrices[:, 0].copy())
+    if ends:
+        grippers = replace(grippers, end_position=vertices[:, -1].copy(), end_frame=matrices[:, -1].copy())
+    return guessed, grippers
+
+
+def _distance(solution: Solution, targets: Targets) -> np.ndarray:
+    """(B,) mm, infinite for rods that are not at certified rest."""
+    sound = solution.converged & solution.stable
+    return np.where(sound, targets.distance(np.nan_to_num(solution.configuration.vertices)), np.inf)

@@ -1,0 +1,57 @@
+"""Poses of both grippers as twelve numbers: shift (mm) and turn (rad) of the start, then of the end. Axes: B rods."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from doo_ti.frames import quaternion_from_matrix, quaternion_product, rotation_matrix, rotation_vector
+from doo_ti.types import Clamps, Configuration
+
+ARRAYS = ("start_position", "end_position", "start_frame", "end_frame")
+
+
+def moved(clamps: Clamps, change: np.ndarray) -> Clamps:
+    """The clamps after ``change`` (B, 12): shifts and rotation vectors in the world."""
+    start_turn, end_turn = rotation_matrix(change[:, 3:6]), rotation_matrix(change[:, 9:12])
+    return replace(clamps, start_position=clamps.start_position + change[:, :3], start_frame=start_turn @ clamps.start_frame,
+                   end_position=clamps.end_position + change[:, 6:9], end_frame=end_turn @ clamps.end_frame)
+
+
+def change_between(clamps: Clamps, goal: Clamps) -> np.ndarray:
+    """(B, 12) the change from ``clamps`` to ``goal``, frames turning the shortest way."""
+    def turn(frame, there):
+        return rotation_vector(quaternion_product(quaternion_from_matrix(there),
+                                                  quaternion_from_matrix(frame) * [1.0, -1.0, -1.0, -1.0]))
+    return np.concatenate([goal.start_position - clamps.start_position, turn(clamps.start_frame, goal.start_frame),
+                           goal.end_position - clamps.end_position, turn(clamps.end_frame, goal.end_frame)], axis=1)
+
+
+def held(clamps: Clamps, clip: np.ndarray) -> Clamps:
+    """How clips hold rods whose reported clamps are ``clamps``: with a reported frame F and position x at F exp(r), x + F d;
+    ``clip`` (B, 12) is d and r of both ends, constant in the gripper."""
+    def put(position, frame, own):
+        return position + np.einsum("bij,bj->bi", frame, own[:, :3]), frame @ rotation_matrix(own[:, 3:])
+    start, end = (put(clamps.start_position, clamps.start_frame, clip[:, :6]),
+                  put(clamps.end_position, clamps.end_frame, clip[:, 6:]))
+    return replace(clamps, start_position=start[0], start_frame=start[1], end_position=end[0], end_frame=end[1])
+
+
+def put_rows(clamps: Clamps, rods: np.ndarray, other: Clamps) -> Clamps:
+    """``clamps`` with ``other`` in the rows ``rods``."""
+    parts = {name: getattr(clamps, name).copy() for name in ARRAYS}
+    for name, values in parts.items():
+        values[rods] = getattr(other, name)
+    return replace(clamps, **parts)
+
+
+def put_rods(rods: Configuration, rows: np.ndarray, other: Configuration) -> Configuration:
+    """``rods`` with ``other`` in those rows."""
+    start, frames = rods.start.copy(), rods.quaternions.copy()
+    start[rows], frames[rows] = other.start, other.quaternions
+    return Configuration(start, frames, rods.rest_length)
+
+
+def finite_rods(rods: Configuration, otherwise: Configuration) -> Configuration:
+    """``rods``, those that are not finite as they are in ``otherwise``."""
+    lost = np.flatnonzero(~np.isfinite(rods.quaternions).all(axis=(1, 2)))
+    return put_rods(rods, lost, otherwise.take(lost)) if len(lost) else rods

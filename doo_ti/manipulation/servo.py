@@ -1,0 +1,320 @@
+"""Rods brought to a wanted shape by their grippers, from what is seen of them (§VI).
+
+    servo = Servo(rods, material, clamps, Targets(vertices))
+    for _ in range(30):
+        clamps = servo.step(seen)        # (B, V, 3) mm, NaN where not seen; the grippers' next poses
+    servo.status, servo.material
+
+Each loop has a model of its rod: an equilibrium under the grippers' poses, and its derivatives by these and by what is not
+known of the rod. A step
+
+    1. learns: the marks correct what is not known (:mod:`.belief`); what the model cannot explain is kept as an offset;
+    2. moves: damped least squares from the model with its offset to the target, at most ``step_mm`` long;
+    3. looks ahead: the model goes there. Where it loses its stability, snaps, or does not come nearer, the step is shortened.
+
+A rod that comes no nearer looks for an equilibrium that does (:mod:`.goal`), and its grippers go straight to the poses of that
+one. A rod that has snapped is seen far from where its model is; the model is then drawn to the marks.
+
+Axes: B rods, V vertices, P unknowns.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from doo_ti.arguments import typed
+from doo_ti.contact.obstacles import Obstacle
+from doo_ti.contact.surroundings import Surroundings
+from doo_ti.errors import InputError
+from doo_ti.manipulation.belief import CLIP, Belief, LearnedMaterial
+from doo_ti.manipulation.damped_step import DampedSteps
+from doo_ti.manipulation.goal import Model, nearest_goal
+from doo_ti.manipulation.poses import (
+    change_between,
+    held,
+    moved,
+    put_rods,
+    put_rows,
+)
+from doo_ti.manipulation.resynchronise import between_marks, resynchronised
+from doo_ti.manipulation.targets import ServoOptions, ServoStatus, Targets
+from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.relax import relax
+from doo_ti.relaxation.sensitivity import GRIPPERS, sensitivity
+from doo_ti.short_repr import counted
+from doo_ti.types import Clamps, Configuration, Material, Solution, unit_up
+
+PARAMETERS = ("bend", "twist", *GRIPPERS)
+OF_GRIPPERS = slice(CLIP, CLIP + 12)
+"""Of the columns of derivatives."""
+SHORTER = 0.4
+"""Of a step that was refused, the length of the next one that is tried."""
+TRIES = 4
+"""Lengths of a step; the last is zero, which only takes in what was learned."""
+NONLINEAR, NONLINEAR_MM = 0.5, 1.0
+"""Share of a displacement, and mm, by which a step may end elsewhere than its derivatives say. Further off it is too long, or a
+snap: with 1 snaps pass, with 0.2 steps are short."""
+WORSE, ROUNDING = 1.02, 0.1
+"""Growth of the distance to the target, as a factor and in mm, that is still taken for rounding and noise."""
+GAIN = 0.3
+"""Of the newest moment in the offset."""
+SNAPPED, SNAPPED_SHARE = 5.0, 0.02
+"""A rod has snapped where its marks are so many standard deviations and so much of its length from its model."""
+AIMS, NEARER = 3, 0.5
+"""How often a rod that comes no nearer is given a goal to go to, and the share of its distance that the goal must be within."""
+LITTLE = 0.02
+"""Of the distance to the target: what a step must gain at least, or the rod is as near as it comes."""
+
+
+class Servo:
+    """B loops of manipulation at once.
+
+    rod        B rods, at or near rest under ``clamps``
+    material   nominal Θ, round, one row for all or B
+    clamps     the grippers' poses, B
+    targets    for B rods, or one for all
+    options    ServoOptions
+    obstacles, radius  as in :func:`doo_ti.relaxation.relax.relax`, at rest and without friction
+
+    Attributes: ``clamps``, the grippers' poses after the last step; ``status`` (B,) ServoStatus; ``distance`` (B,) mm, weighted
+    root mean square from the target as it is estimated; ``snaps`` (B,) how often a model was drawn to the marks again.
+
+    Raises InputError where numbers of rods or vertices do not match and for materials that are not round and uniform.
+    """
+
+    @typed
+    def __init__(self, rod: Configuration, material: Material, clamps: Clamps, targets: Targets,
+                 options: ServoOptions | None = None, *, up: ArrayLike = (0.0, 0.0, 1.0), obstacles: Sequence[Obstacle] = (),
+                 radius: ArrayLike | None = None):
+        count = rod.count
+        _check(rod, material, clamps, targets)
+        around = Surroundings.checked("Servo", obstacles, radius, count)
+        if around.rub:
+            raise InputError("Servo", "obstacles", "with friction, which depends on the way", "give obstacles without friction")
+        self._options = options = ServoOptions() if options is None else options
+        self._around, self._up = around, unit_up(up, "Servo")
+        rows = np.zeros(count, dtype=np.int64)
+        self._targets = targets.take(rows) if targets.count < count else targets
+        self._belief = Belief(material.take(rows) if material.count < count else material, rod.rest_length, options)
+        self.clamps = clamps
+        self._model = relax(rod, self._belief.material, clamps, Newton.careful(), up=self._up, **around.arguments)
+        self._last = rod  # the last shape of each rod that was finite
+        self._offset = np.zeros((count, rod.edges + 1, 3))
+        self._length = np.full(count, options.step_mm)
+        self.status = np.full(count, int(ServoStatus.MOVING))
+        self.snaps = np.zeros(count, dtype=np.int64)
+        self._aims, self._aiming, self._aimed = clamps, np.zeros(count, dtype=bool), np.zeros(count, dtype=np.int64)
+        self.distance = self._targets.distance(self._model.configuration.vertices)
+
+    def __repr__(self) -> str:
+        counts = [f"{number} {ServoStatus(kind).name.lower()}"
+                  for kind, number in zip(*np.unique(self.status, return_counts=True), strict=True)]
+        return f"Servo({counted(self.clamps.count, 'rod')}: {', '.join(counts)})"
+
+    @property
+    def material(self) -> LearnedMaterial:
+        """What has been learned of Θ, with 95 % intervals."""
+        return self._belief.result()
+
+    @property
+    def vertices(self) -> np.ndarray:
+        """(B, V, 3) mm, where the rods are estimated to be after the last step."""
+        return self._model.configuration.vertices + self._offset
+
+    @typed
+    def step(self, seen: Annotated[np.ndarray, "B V 3", float]) -> Clamps:
+        """The grippers' next poses.
+
+        seen  (B, V, 3) mm: where vertices are seen now, while the grippers are at ``clamps``; NaN where they are not
+
+        A rod of which nothing is seen moves as its model says. Raises InputError for another shape and infinite places.
+        """
+        if seen.shape != self._offset.shape or np.isinf(seen).any():
+            raise InputError("Servo.step", "seen", f"shape {seen.shape}, or infinite", f"give {self._offset.shape} mm, or NaN")
+        visible = np.isfinite(seen).all(axis=-1)
+        self._follow_snaps(seen, visible)
+        found = sensitivity(self._model, PARAMETERS + ("modes",) * self._belief.uneven,
+                            self._belief.modes if self._belief.uneven else None)
+        usable = found.usable & np.isfinite(found.vertices[:, -1]).all(axis=(1, 2))  # none of taut rods
+        found.vertices[~usable] = 0.0
+        model = np.where(usable[:, None, None], self._model.configuration.vertices, self._last.vertices)
+        change = self._learn(seen - model, found.vertices, visible & usable[:, None])
+        columns = found.vertices.reshape(len(usable), -1, found.vertices.shape[-1])
+        expected = model + (columns @ change[..., None]).reshape(model.shape)
+        by_moves = columns[..., OF_GRIPPERS] * (self._options.moves / self._options.scale)
+        self._move(expected, by_moves, self._steps(expected, by_moves), usable)
+        return self.clamps
+
+    def _follow_snaps(self, seen: np.ndarray, visible: np.ndarray) -> None:
+        """Draw the models to the marks that are far from them, where that explains the marks better."""
+        apart = np.where(visible[..., None], seen - self._model.configuration.vertices - self._offset, 0.0)
+        error = _size(apart, visible)
+        lost = ~(self._model.converged & self._model.stable)
+        # The first moment is compared with nothing: what is not known of the rod has not been learned.
+        limit = np.maximum(SNAPPED * self._belief.expected, SNAPPED_SHARE * self._last.rest_length.sum())
+        rods = np.flatnonzero((lost | (error > limit)) & visible.any(axis=1))
+        if not len(rods):
+            return
+        clamps = held(self.clamps, self._belief.clip).take(rods)
+        drawn = resynchronised(self._last.take(rods), self._belief.material.take(rods), clamps, seen[rods], self._up,
+                               **self._around.take(rods).arguments)
+        sound = drawn.converged & drawn.stable
+        left = np.where(visible[rods][..., None], seen[rods] - drawn.configuration.vertices, 0.0)
+        better = sound & (lost[rods] | (_size(left, visible[rods]) < 0.5 * error[rods]))
+        rods = rods[better]
+        if len(rods):
+            self._offset[rods] = 0.0
+            self._belief.forget(rods)
+            self.snaps[rods] += 1
+            self._last = put_rods(self._last, rods, drawn.configuration.take(np.flatnonzero(better)))
+            self._model = self._relaxed(np.arange(len(lost)))
+
+    def _learn(self, residual: np.ndarray, columns: np.ndarray, visible: np.ndarray) -> np.ndarray:
+        """(B, C) the change of what the columns (B, V, 3, C) are derivatives by, learned from the ``residual`` (B, V, 3) of the
+        ``visible`` marks from the model. The offset takes what it leaves."""
+        count, rods = len(visible), self._model.configuration
+        marks = np.flatnonzero(visible.any(axis=0))
+        seen = visible[:, marks]
+        own = np.where(seen[..., None, None], columns[:, marks], 0.0).reshape(count, 3 * len(marks), columns.shape[-1])
+        apart = np.where(seen[..., None], residual[:, marks], 0.0)
+        frames = (self.clamps.start_frame,) * 2 + (self.clamps.end_frame,) * 2
+        transform = self._belief.transform(np.stack(frames), _elastic(rods, self._belief.material))
+        change = self._belief.learn(apart.reshape(count, -1), own, transform, 3 * seen.sum(axis=1))
+        left = np.zeros_like(residual)
+        left[:, marks] = apart - (own @ change[..., None]).reshape(apart.shape)
+        some = visible.any(axis=1)[:, None, None]
+        self._offset = np.where(some, (1 - GAIN) * self._offset + GAIN * between_marks(left, visible), self._offset)
+        return change
+
+    def _steps(self, expected: np.ndarray, columns: np.ndarray) -> DampedSteps:
+        """The steps from shapes (B, V, 3) to their targets; derivatives (B, 3V, 12) by the grippers' coordinates in mm."""
+        count = len(columns)
+        weight = np.repeat(self._targets.shares, 3, axis=1)
+        across = np.swapaxes(columns, 1, 2) * weight[:, None]
+        error = (self._targets.places - expected - self._offset).reshape(count, -1, 1)
+        return DampedSteps(across @ columns, (across @ error)[..., 0])
+
+    def _move(self, expected: np.ndarray, columns: np.ndarray, steps: DampedSteps, usable: np.ndarray) -> None:
+        """Move the grippers, and the models with them: as far as these follow."""
+        start = self.clamps
+        before, self.distance = self._targets.distance(expected + self._offset), self.distance.copy()
+        waiting, whole = np.arange(len(usable)), True
+        refused, rested = np.zeros((2, len(usable)), dtype=bool)
+        longest = np.where(usable, self._length, 0.0)
+        gain = np.zeros(len(usable))
+        slack = self._slack(waiting)
+        to_aim = change_between(start, self._aims) * self._options.scale
+        for attempt in range(TRIES):
+            length = longest if attempt < TRIES - 1 else np.zeros_like(longest)
+            step = np.where(self._aiming[:, None], _shortened(to_aim, length), steps.within(length))[waiting]
+            self.clamps = put_rows(self.clamps, waiting, moved(start.take(waiting), step / self._options.scale))
+            model = self._relaxed(waiting)
+            linear = (columns[waiting] @ step[..., None]).reshape(len(waiting), -1, 3)
+            shapes = model.configuration.vertices
+            off = _size(shapes - expected[waiting] - linear)
+            distance = self._targets.take(waiting).distance(shapes + self._offset[waiting])
+            size = np.linalg.norm(step, axis=1)
+            nearer = self._aiming[waiting] | (distance <= WORSE * before[waiting] + ROUNDING)
+            nearer &= self._slack(waiting) >= np.minimum(slack[waiting], self._options.slack * self._last.rest_length.sum())
+            follows = (off <= NONLINEAR * _size(linear) + NONLINEAR_MM) & nearer
+            good = model.converged & model.stable & (follows | (size == 0))
+            done = waiting[good]
+            self._last = put_rods(self._last, done, model.configuration.take(np.flatnonzero(good)))
+            rested[done] = size[good] == 0
+            self.distance[done], gain[done] = distance[good], (before[waiting] - distance)[good]
+            if attempt == 0:
+                self._length[done] = np.minimum(2 * np.maximum(size[good], 1.0), self._options.step_mm)
+                if good.all():
+                    self._model = model
+                    break
+            whole = False
+            longest[waiting] = SHORTER * np.minimum(longest[waiting], np.maximum(size, 0.1))
+            refused[waiting[~good]] = True
+            waiting = waiting[~good]
+            if not len(waiting):
+                break
+            self._length[waiting] = np.maximum(longest[waiting], 0.5)
+        if not whole:
+            self.clamps = put_rows(self.clamps, waiting, start.take(waiting)) if len(waiting) else self.clamps
+            self._model = self._relaxed(np.arange(len(usable)))
+        self._judge(gain, refused)
+        arrived = np.linalg.norm(to_aim, axis=1) <= self._options.step_mm
+        self._aiming &= ~(arrived | (self.status == ServoStatus.LOST) | rested)
+        self._aim()
+
+    def _judge(self, gain: np.ndarray, refused: np.ndarray) -> None:
+        """Set the statuses after a step that has brought the models nearer by ``gain`` (B,) mm, or was ``refused`` (B,)."""
+        stuck = gain < LITTLE * self.distance
+        status = np.where(stuck, np.where(refused, ServoStatus.BLOCKED, ServoStatus.NEAREST), ServoStatus.MOVING)
+        status = np.where(self.distance <= self._options.reached_mm, ServoStatus.REACHED, status)
+        self.status = np.where(self._model.converged & self._model.stable, status, ServoStatus.LOST)
+
+    def _slack(self, rods: np.ndarray) -> np.ndarray:
+        """(n,) mm by which ``rods`` are longer between their grippers than these are apart."""
+        clamps, lengths = self.clamps.take(rods), self._last.rest_length
+        way = clamps.end_position - clamps.start_position
+        way = way - lengths[0] * clamps.start_frame[..., 0] - lengths[-1] * clamps.end_frame[..., 0]
+        return lengths[1:-1].sum() - np.linalg.norm(way, axis=-1)
+
+    def _aim(self) -> None:
+        """Give rods that come no nearer to their targets a goal that is, where there is one. On the way to it the distance may
+        grow."""
+        stuck = np.isin(self.status, (ServoStatus.NEAREST, ServoStatus.BLOCKED)) & ~self._aiming & (self._aimed < AIMS)
+        rods = np.flatnonzero(stuck)
+        if not len(rods):
+            return
+        self._aimed[rods] += 1
+        here = Targets(self._targets.vertices[rods] - self._offset[rods], self._targets.shares[rods])
+        goal = nearest_goal(self._last.take(rods), self.clamps.take(rods), self._models(rods), here, self._options)
+        good = goal.distance < NEARER * self.distance[rods]
+        self._aims = put_rows(self._aims, rods[good], goal.clamps.take(np.flatnonzero(good)))
+        self._aiming[rods[good]] = True
+        self._length[rods[good]] = self._options.step_mm
+
+    def _relaxed(self, rods: np.ndarray) -> Solution:
+        """The models of ``rods`` at rest under their clamps and what is known of them, from their last shapes."""
+        return self._models(rods).relaxed(self._last.take(rods), self.clamps.take(rods))
+
+    def _models(self, rods: np.ndarray) -> Model:
+        every = Model(self._belief.material, self._belief.clip, self._up, self._around)
+        return every if len(rods) == len(self.status) else every.take(rods)
+
+
+def _check(rod: Configuration, material: Material, clamps: Clamps, targets: Targets) -> None:
+    """Raise InputError where they do not belong together."""
+    count = rod.count
+    if clamps.count != count or material.count not in (1, count) or targets.count not in (1, count):
+        raise InputError("Servo", "clamps, material, targets", f"{clamps.count}, {material.count} and {targets.count} rows for "
+                         f"{count} rods", "give a row for each rod; one material or target serves all")
+    if targets.vertices.shape[1] != rod.edges + 1:
+        raise InputError("Servo", "targets", f"{targets.vertices.shape[1]} vertices for rods of {rod.edges + 1}",
+                         "give a place, or NaN, for each vertex")
+    if rod.rest_length.ndim != 1:
+        raise InputError("Servo", "rod", "rods with edges of different lengths", "give (E,) rest lengths, the same for all")
+    if not replace(material, rest_curvature=None).is_isotropic:
+        raise InputError("Servo", "material", "not round, or not the same all along the rod", "give Material(bend, twist)")
+
+
+def _shortened(vectors: np.ndarray, length: np.ndarray) -> np.ndarray:
+    """``vectors`` (B, K), at most ``length`` (B,) long."""
+    size = np.linalg.norm(vectors, axis=1)
+    return vectors * np.minimum(1.0, length / np.maximum(size, 1e-300))[:, None]
+
+
+def _elastic(rods: Configuration, material: Material) -> np.ndarray:
+    """(B, 4) curvature from rest at the first and at the last joint, in the material frames of the joints, 1/mm; zero in rods
+    that are not finite."""
+    ends, frames = rods.curvature_binormal[:, [0, -1]], rods.frames
+    middle = 0.5 * (frames[:, [0, -2]] + frames[:, [1, -1]])
+    bent = np.stack([np.sum(ends * middle[..., 2], axis=-1), -np.sum(ends * middle[..., 1], axis=-1)], axis=-1)
+    rest = 0.0 if material.rest_curvature is None else material.rest_curvature[:, [0, -1]]
+    return np.nan_to_num(bent - rest).reshape(len(bent), 4)
+
+
+def _size(vectors: np.ndarray, visible: np.ndarray | None = None) -> np.ndarray:
+    """(B,) root mean square lengths of ``vectors`` (B, V, 3), zero where not ``visible``."""
+    count = vectors.shape[1] if visible is None else np.maximum(visible.sum(axis=1), 1)
+    return np.sqrt(np.sum(vectors**2, axis=(1, 2)) / count)

@@ -1,0 +1,83 @@
+"""A batch of rods that is stepped by its grippers, for control loops.
+
+    simulation = Simulation(rods, material, clamps)
+    while …:
+        state = simulation.step(clamps)            # Solution: B rods at rest
+        state.configuration.vertices
+
+Quasi-static: after every step each rod is at rest on the branch that its clamps have carried it along, or where it has snapped
+to. Axes: B rods.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from doo_ti.arguments import typed
+from doo_ti.contact.obstacles import Obstacle
+from doo_ti.contact.surroundings import Surroundings
+from doo_ti.errors import InputError
+from doo_ti.manipulation.poses import finite_rods
+from doo_ti.motion.path import LARGEST_TURN, motion_between
+from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.relax import relax
+from doo_ti.short_repr import counted
+from doo_ti.types import Clamps, Configuration, Material, Solution, unit_up
+
+
+class Simulation:
+    """B rods between their grippers.
+
+    rods       B rods, at or near rest under ``clamps``
+    material   one row for all, or B
+    sub_step   rad: largest rotation of a clamp between two relaxations; its shift is limited in proportion
+    obstacles, radius  as in :func:`doo_ti.relaxation.relax.relax`, at rest and without friction
+
+    Attributes: ``state``, the Solution of the B rods after the last step; ``clamps``, where their grippers are.
+
+    Raises InputError where numbers of rods do not match.
+    """
+
+    @typed
+    def __init__(self, rods: Configuration, material: Material, clamps: Clamps, *, sub_step: float = LARGEST_TURN,
+                 up: ArrayLike = (0.0, 0.0, 1.0), obstacles: Sequence[Obstacle] = (), radius: ArrayLike | None = None):
+        if material.count not in (1, rods.count) or clamps.count != rods.count:
+            raise InputError("Simulation", "clamps, material", f"{clamps.count} and {material.count} rows for "
+                             f"{rods.count} rods", "give clamps for each rod, and one material or one for each")
+        if not 0 < sub_step <= np.pi:
+            raise InputError("Simulation", "sub_step", f"{sub_step:g} rad", "give radians, at most pi")
+        surroundings = Surroundings.checked("Simulation", obstacles, radius, rods.count)
+        if surroundings.rub or surroundings.moves:
+            raise InputError("Simulation", "obstacles", "with friction, or moving", "give obstacles at rest without friction")
+        self._around, self._up, self._sub_step = surroundings.arguments, unit_up(up, "Simulation"), sub_step
+        self._material, self._begin = material, (rods, clamps)
+        self.reset()
+
+    def __repr__(self) -> str:
+        return f"Simulation({counted(self.clamps.count, 'rod')})"
+
+    def reset(self) -> Solution:
+        """All rods back at their first clamps, at rest."""
+        rods, self.clamps = self._begin
+        self.state = self._relaxed(rods, self.clamps)
+        self._last = finite_rods(self.state.configuration, rods)
+        return self.state
+
+    @typed
+    def step(self, grippers: Clamps) -> Solution:
+        """The rods after their grippers have moved to ``grippers``, of B rods and the kinds of clamps that they have: along
+        straight lines, frames turning the shortest way. A rod that fails has its status, and goes on from where it was last at
+        rest."""
+        if grippers.count != self.clamps.count:
+            raise InputError("Simulation.step", "grippers", f"{grippers.count} rows", f"give {self.clamps.count}")
+        motion = motion_between(self.clamps, grippers)
+        steps = int(np.max(motion.needed_steps(self._last.rest_length, self._sub_step), initial=1))
+        for step in range(1, steps + 1):
+            self.state = self._relaxed(self._last, motion.at(step / steps))
+            self._last = finite_rods(self.state.configuration, self._last)
+        self.clamps = grippers
+        return self.state
+
+    def _relaxed(self, rods: Configuration, clamps: Clamps) -> Solution:
+        return relax(rods, self._material, clamps, Newton.careful(), up=self._up, **self._around)

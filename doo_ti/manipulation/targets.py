@@ -1,0 +1,140 @@
+"""What a manipulation is to reach, and which options it has. Axes: B rods, V vertices."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Annotated
+
+import numpy as np
+
+from doo_ti.arguments import owning, typed
+from doo_ti.errors import InputError
+from doo_ti.relaxation.sensitivity import GRIPPERS
+
+ASKED = 1e-12
+"""Least total weight of a rod's vertices."""
+
+
+@owning
+@dataclass(frozen=True)
+class Targets:
+    """Where vertices of B rods shall be.
+
+    vertices  (B, V, 3) mm; NaN where nothing is asked
+    weight    (B, V) of the squared distances, zero or positive; None: one
+
+    Raises InputError for a rod of which nothing is asked, infinite places and weights that are negative or not finite.
+    """
+
+    vertices: Annotated[np.ndarray, "B V 3", float]
+    weight: Annotated[np.ndarray | None, "B V", float] = None
+
+    def __post_init__(self) -> None:
+        if np.isinf(self.vertices).any():
+            raise InputError("Targets", "vertices", "infinite", "give mm, or NaN where nothing is asked")
+        if self.weight is not None and not ((self.weight >= 0) & np.isfinite(self.weight)).all():
+            raise InputError("Targets", "weight", "negative or not finite", "give zero or positive weights")
+        nothing = np.flatnonzero(~(self._weight.sum(axis=1) > ASKED))
+        if len(nothing):
+            raise InputError("Targets", "vertices", f"nothing is asked of rod {nothing[0]}", "give at least one vertex a place")
+
+    @property
+    def count(self) -> int:
+        """B."""
+        return len(self.vertices)
+
+    @property
+    def places(self) -> np.ndarray:
+        """(B, V, 3) mm, zero where nothing is asked."""
+        return np.nan_to_num(self.vertices)
+
+    @property
+    def shares(self) -> np.ndarray:
+        """(B, V) weights of the vertices, one in all of each rod; zero where nothing is asked."""
+        return self._weight / self._weight.sum(axis=1, keepdims=True)
+
+    @property
+    def _weight(self) -> np.ndarray:
+        asked = np.isfinite(self.vertices).all(axis=-1)
+        return asked * (1.0 if self.weight is None else self.weight)
+
+    def take(self, index) -> "Targets":
+        """Those of the rods named by ``index``."""
+        return Targets(self.vertices[index], None if self.weight is None else self.weight[index])
+
+    def distance(self, vertices: np.ndarray) -> np.ndarray:
+        """(B,) mm, the weighted root mean square distance of ``vertices`` (B, V, 3) to their places."""
+        apart = np.sum((self.places - vertices) ** 2, axis=-1)
+        return np.sqrt(np.sum(self.shares * apart, axis=1))
+
+
+class ServoStatus(IntEnum):
+    """Where a rod stands after a step.
+
+    MOVING     on its way
+    REACHED    within ``reached_mm`` of its target
+    NEAREST    no motion of the grippers brings it nearer: the target is out of reach, or on another branch
+    BLOCKED    every motion that would bring it nearer makes the model unstable or snap
+    LOST       no stable model explains what is seen; the grippers rest
+    """
+
+    MOVING = 0
+    REACHED = 1
+    NEAREST = 2
+    BLOCKED = 3
+    LOST = 4
+
+
+@typed
+@dataclass(frozen=True)
+class ServoOptions:
+    """How a :class:`~doo_ti.manipulation.servo.Servo` moves and what it takes for unknown.
+
+    free          which grippers' coordinates move, of "start_shift", "start_turn", "end_shift", "end_turn"
+    step_mm       longest move of a step: the root of the sum of squares of both shifts in mm and both turns times ``lever_mm``
+    lever_mm      mm that count as much as a radian
+    slack         of the rod's length: grippers stay so much nearer to each other than the rod reaches between them
+    reached_mm    distance to the target at which a rod counts as there
+    noise_mm      standard deviation of a coordinate of a mark
+    bend, ratio   standard deviations of what is not known of ln B and ln β/B before anything is seen; zero: known
+    clip_mm, clip_deg  of each component of the displacement and rotation of the clips from the poses that are reported
+    compliance    of the additional compliance of the joints next to the clamps, over their own: meshes differ in it
+    curvature     of the coefficients of the rest curvature, over the rod's length; zero: straight at rest
+    memory        number of moments from which Θ is learned: older ones fade, as their linearisation is out of date
+
+    Raises InputError for numbers out of range, and unknown or no coordinates.
+    """
+
+    free: tuple[str, ...] = GRIPPERS
+    step_mm: float = 15.0
+    lever_mm: float = 60.0
+    slack: float = 0.005
+    reached_mm: float = 0.5
+    noise_mm: float = 0.3
+    bend: float = 0.4
+    ratio: float = 0.4
+    clip_mm: float = 1.0
+    clip_deg: float = 2.0
+    compliance: float = 0.3
+    curvature: float = 0.2
+    memory: float = 15.0
+
+    def __post_init__(self) -> None:
+        wrong = [name for name in self.free if name not in GRIPPERS]
+        if wrong or not self.free or len(set(self.free)) < len(self.free):
+            raise InputError("ServoOptions", "free", f"{self.free!r:.60}", f"name some of {', '.join(GRIPPERS)}, each once")
+        for name in ("step_mm", "lever_mm", "reached_mm", "noise_mm", "memory"):
+            if not 0 < getattr(self, name) < 1e6:
+                raise InputError("ServoOptions", name, f"{getattr(self, name):g}", "give a positive number")
+        for name in ("slack", "bend", "ratio", "clip_mm", "clip_deg", "compliance", "curvature"):
+            if not 0 <= getattr(self, name) < 1e3:
+                raise InputError("ServoOptions", name, f"{getattr(self, name):g}", "give zero or a positive number")
+
+    @property
+    def moves(self) -> np.ndarray:
+        """(12,) bool: the free ones of the grippers' coordinates, in the order of GRIPPERS."""
+        return np.repeat([name in self.free for name in GRIPPERS], 3)
+
+    @property
+    def scale(self) -> np.ndarray:
+        """(12,) mm per unit of each coordinate."""
+        return np.repeat([1.0, self.lever_mm, 1.0, self.lever_mm], 3)

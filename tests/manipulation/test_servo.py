@@ -1,0 +1,138 @@
+"""The servo on rods that it does not know: whether they reach their targets, what it learns, and what it does elsewhere."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+import doo_ti as d
+from doo_ti.manipulation.poses import held
+from doo_ti.manipulation.resynchronise import resynchronised
+from tools.trials.servo import BEND, Plant, Tasks, tasks
+
+PLANTS = {"own mesh": Plant(), "finer mesh, clips, rest curvature": Plant(3, 0.7, 2.0, 6e-4)}
+NEAR = 2.0
+"""mm, mean distance."""
+
+
+@cache
+def some(name: str) -> Tasks:
+    return tasks(12, 3, PLANTS[name])
+
+
+def run(own: Tasks, servo: d.Servo, steps: int, marks: int = 11) -> tuple[np.ndarray, d.Simulation]:
+    """Mean distances (steps, B) of the true rods to their goals, and these rods."""
+    random, simulation, distances = np.random.default_rng(5), own.simulation(), []
+    for _ in range(steps):
+        clamps = servo.step(own.marks(simulation.state.configuration, marks, random))
+        state = simulation.step(held(clamps, own.clip))
+        distances.append(np.linalg.norm(own.vertices(state.configuration) - own.goal, axis=-1).mean(axis=1))
+    return np.array(distances), simulation
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_unknown_rods_reach_their_goals(name):
+    own = some(name)
+    servo = d.Servo(own.rods, own.nominal, own.clamps, d.Targets(own.goal))
+    distances, _ = run(own, servo, 30)
+    assert (distances[-1] < NEAR).sum() >= 11 and np.median(distances[-1]) < 0.3
+    low, high = servo.material.bend_interval.T
+    true = BEND * own.factors[0]
+    assert ((low <= true) & (true <= high)).sum() >= 10
+    assert np.median(high / low) < 1.6  # of a prior of exp(4 · 0.4) = 4.8
+
+
+def test_no_step_is_longer_than_allowed_nor_moves_a_held_gripper():
+    own = tasks(4, 8, both=False)
+    options = d.ServoOptions(free=("end_shift", "end_turn"), step_mm=10.0)
+    servo = d.Servo(own.rods, own.nominal, own.clamps, d.Targets(own.goal), options)
+    random, simulation = np.random.default_rng(1), own.simulation()
+    for _ in range(5):
+        before = servo.clamps
+        after = servo.step(own.marks(simulation.state.configuration, 11, random))
+        simulation.step(after)
+        assert np.array_equal(after.start_position, own.clamps.start_position)
+        assert np.array_equal(after.start_frame, own.clamps.start_frame)
+        shift = np.linalg.norm(after.end_position - before.end_position, axis=1)
+        cosine = 0.5 * (np.einsum("bij,bij->b", after.end_frame, before.end_frame) - 1.0)
+        assert (np.hypot(shift, options.lever_mm * np.arccos(np.clip(cosine, -1, 1))) < 10.0 + 1e-6).all()
+
+
+def test_a_loop_does_not_depend_on_the_others():
+    own = some("own mesh")
+    alone = own.take(np.array([5]))
+    random = np.random.default_rng(2)
+    seen = own.marks(own.real, 11, random)
+    together = d.Servo(own.rods, own.nominal, own.clamps, d.Targets(own.goal)).step(seen)
+    one = d.Servo(alone.rods, alone.nominal, alone.clamps, d.Targets(alone.goal)).step(seen[[5]])
+    assert np.allclose(together.end_position[5], one.end_position[0], atol=1e-6)
+
+
+def test_nothing_seen_moves_as_the_model_says():
+    own = some("own mesh")
+    servo = d.Servo(own.rods, own.nominal, own.clamps, d.Targets(own.goal))
+    before = servo.distance
+    for _ in range(3):
+        servo.step(np.full_like(own.goal, np.nan))
+    assert (servo.distance < before).sum() >= 11 and np.allclose(servo.material.bend, BEND)
+
+
+def test_targets_of_a_few_vertices():
+    own = some("own mesh").take(np.arange(4))
+    asked = np.full_like(own.goal, np.nan)
+    asked[:, 16:18] = own.goal[:, 16:18]
+    servo = d.Servo(own.rods, own.nominal, own.clamps, d.Targets(asked))
+    _, simulation = run(own, servo, 20)
+    apart = np.linalg.norm(simulation.state.configuration.vertices[:, 16:18] - own.goal[:, 16:18], axis=-1)
+    assert (apart < NEAR).all() and (servo.status == d.ServoStatus.REACHED).all()
+
+
+def test_targets_out_of_reach_are_approached_and_said():
+    own = some("own mesh").take(np.arange(3))
+    asked = np.full_like(own.goal, np.nan)
+    asked[:, 0], asked[:, -1] = [0.0, 0, 0], [500.0, 0, 0]
+    servo = d.Servo(own.rods, own.nominal, own.clamps, d.Targets(asked))
+    _, simulation = run(own, servo, 30)
+    assert simulation.state.converged.all()
+    assert np.isin(servo.status, (d.ServoStatus.NEAREST, d.ServoStatus.BLOCKED)).all()
+    ends = simulation.state.configuration.vertices[:, [0, -1]]
+    assert (np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1) > 280.0).all()
+
+
+def test_shapes_are_found_again_from_marks():
+    """From where the rods were before a long move of their grippers: drawn to a few marks, then let go."""
+    own = tasks(20, 4)
+    there = d.Simulation(own.rods, own.nominal, own.clamps).step(own.goal_clamps)
+    rods = np.flatnonzero(there.converged & there.stable)
+    marks = np.where(np.arange(34)[:, None] % 3 == 0, there.configuration.vertices, np.nan)[rods]
+    found = resynchronised(own.rods.take(rods), own.nominal.take(rods), own.goal_clamps.take(rods), marks,
+                            np.array([0, 0, 1.0]))
+    off = np.linalg.norm(found.configuration.vertices - there.configuration.vertices[rods], axis=-1).max(axis=1)
+    assert (off < 0.1).mean() > 0.9
+
+
+@pytest.mark.parametrize("wrong, field", [
+    (dict(targets=d.Targets(np.zeros((1, 5, 3)))), "targets"),
+    (dict(targets=d.Targets(np.zeros((3, 34, 3)))), "clamps, material, targets"),
+    (dict(material=d.Material.diagonal(6e5, 1e5, 6e5)), "material"),
+])
+def test_what_does_not_match_is_refused(wrong, field):
+    own = some("own mesh").take(np.arange(2))
+    given = dict(rod=own.rods, material=own.nominal, clamps=own.clamps, targets=d.Targets(own.goal))
+    with pytest.raises(d.InputError) as caught:
+        d.Servo(**(given | wrong))
+    assert caught.value.field == field
+
+
+def test_targets_and_options_are_checked():
+    with pytest.raises(d.InputError, match="nothing is asked of rod 1"):
+        d.Targets(np.array([np.zeros((4, 3)), np.full((4, 3), np.nan)]))
+    with pytest.raises(d.InputError, match="weight"):
+        d.Targets(np.zeros((1, 4, 3)), np.array([[1.0, -1, 0, 0]]))
+    with pytest.raises(d.InputError, match="free"):
+        d.ServoOptions(free=("start",))
+    with pytest.raises(d.InputError, match="step_mm"):
+        d.ServoOptions(step_mm=0.0)
+    own = some("own mesh").take(np.arange(1))
+    with pytest.raises(d.InputError, match="seen"):
+        d.Servo(own.rods, own.nominal, own.clamps, d.Targets(own.goal)).step(np.zeros((1, 5, 3)))
