@@ -50,6 +50,9 @@ from doo_ti.learning.landscape import read_landscape as read_landscape
 from doo_ti.learning.pairs import Pairs as Pairs
 from doo_ti.learning.sweeps import sweep as sweep
 from doo_ti.manipulation.belief import LearnedMaterial as LearnedMaterial
+from doo_ti.manipulation.plan import ManipulationPath as ManipulationPath
+from doo_ti.manipulation.plan import PlanOptions as PlanOptions
+from doo_ti.manipulation.plan import plan_manipulation as plan_manipulation
 from doo_ti.manipulation.servo import Servo as Servo
 from doo_ti.manipulation.simulation import Simulation as Simulation
 from doo_ti.manipulation.targets import ServoOptions as ServoOptions

@@ -26,7 +26,7 @@ FEWER = 0.1
 SLOW = {"refine": 60, "identify": 200, "identify_from_guesses": 200, "perceive": 20, "sweep": 60, "Tracker.see": 20,
         "estimate_twist": 10, "relax in contact": 4, "simulate in contact": 4,
         "record_sweep": 20, "simulate": 2, "follow_group": 4, "relax_group": 4, "predict_moving": 3,
-        "DistanceGrid.from_mesh": 10, "Servo": 2, "Servo.step": 4, "detect": 3, "follow": 20}
+        "DistanceGrid.from_mesh": 10, "Servo": 2, "Servo.step": 4, "plan_manipulation": 40, "detect": 3, "follow": 20}
 """Functions that are called so many times more rarely than the others."""
 
 
@@ -78,6 +78,7 @@ def objects() -> dict[str, list]:
         d.LandscapePlane.of([("bend", [1.0, 2.0], True, "mm³")], [0.5, 1.0], (0,)),
         d.Interval("bend", 1.0, 0.5, 2.0, True, False),
         d.SweepTrajectory(np.zeros((2, 1, 13, 3)), np.zeros((2, 1)), np.zeros((2, 1)), np.zeros(1, int), np.zeros(1)),
+        d.PlanOptions(seconds=0.2), d.ManipulationPath(np.arange(2.0), np.zeros((2, 1, 3))),
         d.Targets(ROPE.vertices), d.Targets(THREE.vertices[:1]), d.ServoOptions(free=("end_shift",)),
         d.Pairs([0], [1], [1.0]), d.Stills.of(seen(), np.array([0.0, 1.0, 0.0]), 500.0)]
     kinds: dict[str, list] = {}
@@ -121,6 +122,8 @@ def functions() -> dict[str, tuple[Callable, dict]]:
         "Servo": (d.Servo, {"rod": ROPE, **relaxed, "targets": o["Targets"], "options": o["ServoOptions"], "up": (0, 0, 1),
                             **around}),
         "Servo.step": (lambda **given: d.Servo(ROPE, MATERIAL, CLAMPS, o["Targets"]).step(**given), {"seen": ROPE.vertices}),
+        "plan_manipulation": (d.plan_manipulation, {"rod": ROPE, **relaxed, "targets": o["Targets"],
+                                                    "options": o["PlanOptions"], "up": (0, 0, 1), **around}),
         "Simulation": (d.Simulation, {"rods": ROPE, **relaxed, "sub_step": 0.1, "up": (0, 0, 1), **around}),
         "Simulation.step": (lambda **given: d.Simulation(ROPE, MATERIAL, CLAMPS).step(**given), {"grippers": CLAMPS}),
         "relax_group": (d.relax_group, {"group": o["Group"], "solver": None, "up": None, **around, "contact": True}),

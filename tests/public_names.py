@@ -42,6 +42,7 @@ from doo_ti import (
     Landscape,
     LandscapePlane,
     LearnedMaterial,
+    ManipulationPath,
     Material,
     Motion,
     MotionTheta,
@@ -56,6 +57,7 @@ from doo_ti import (
     PerceptionOptions,
     PerceptionVerdict,
     Plane,
+    PlanOptions,
     Prediction,
     RecordedMotion,
     Refinement,
@@ -114,6 +116,7 @@ from doo_ti import (
     observation_clamps,
     overhand_knot,
     perceive,
+    plan_manipulation,
     predict,
     predict_moving,
     predict_step,
@@ -244,6 +247,8 @@ def followed(rig: Rig, frames: Sequence[list[Detection]], material: Material, mo
 
 
 def shaped(rods: Configuration, material: Material, clamps: Clamps, goal: np.ndarray) -> LearnedMaterial:
+    path: ManipulationPath = plan_manipulation(rods, material, clamps, Targets(goal), PlanOptions(seconds=3.0), up=(0, 0, 1))
+    print(path.reached, path.distance)
     servo = Servo(rods, material, clamps, Targets(goal), ServoOptions(free=("end_shift", "end_turn")), up=(0, 0, 1))
     simulation = Simulation(rods, material, clamps)
     while (servo.status == ServoStatus.MOVING).any():

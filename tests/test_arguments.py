@@ -23,7 +23,7 @@ NOT_CALLED = {"Contacts", "Obstacle", "EndLoads", "GroupSolution", "Hypotheses",
 """Results, and what obstacles and energies have in common: a program does not make them."""
 LONG = {"DistanceGrid.from_mesh", "Tracker.see", "detect", "estimate_twist", "follow_group", "identify",
         "identify_from_guesses", "relax in contact", "simulate in contact",
-        "perceive", "predict_moving", "record_sweep", "refine", "relax_group", "score", "sweep"}
+        "perceive", "plan_manipulation", "predict_moving", "record_sweep", "refine", "relax_group", "score", "sweep"}
 """Functions that take seconds where an argument turns out right, left to the long run."""
 
 

@@ -7,7 +7,7 @@ GROUPS = {
     "Fit a rod to observed shapes": ("sweep", "refine", "learn", "plan", "figures"),
     "Predict shapes": ("relax", "group", "predict", "twist"),
     "Images": ("calibrate", "triangulate", "perceive", "track"),
-    "Motion": ("simulate", "identify"),
+    "Motion": ("simulate", "identify", "steer"),
     "Utilities": ("synth", "convert", "view", "bench", "warm"),
 }
 """Commands by what they are for, in the order of their use."""
@@ -41,6 +41,9 @@ EXAMPLES = {
         "track --rig rig.yaml --frames video.csv --rest-length 3:33 --bend 6e5 --twist 8e5 --out video.npz", "from a video"), (
         "track --rig rig.yaml --frames video.csv --rest-length lengths.txt --bend 6e5 --twist 8e5 --out video.npz --json",
         "with lengths of each edge")),
+    "steer": ("manipulation", (
+        "steer rope.npz --target goal.npz --EI 1e-4 --GJ 1e-4 --linear-density 50 --out path.csv", "both grippers' motion"), (
+        "steer rope.npz --target goal.npz --bend 6e5 --obstacles table.toml --radius 1 --out path.csv", "past obstacles")),
     "simulate": ("dynamics", (
         "simulate scenes/motion/hanging_cables.toml --out hanging.npz --animation hanging.gif", "eight cables"), (
         "simulate motion.npz --theta theta.json --out predicted.npz --recording predicted.rrd", "recorded grippers")),
@@ -77,7 +80,7 @@ FIRST = {
 OTHER_WORDS = {
     "fit": "sweep", "search": "sweep", "estimate": "refine", "train": "learn", "forward": "relax", "solve": "relax",
     "render": "synth", "generate": "synth", "detect": "perceive", "rollout": "simulate", "import": "convert",
-    "harness": "group", "net": "group",
+    "shape": "steer", "manipulate": "steer", "harness": "group", "net": "group",
     "export": "convert", "open": "view", "show": "view", "plot": "figures", "benchmark": "bench",
 }
 """Words that other programs use."""

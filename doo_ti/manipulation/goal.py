@@ -16,7 +16,7 @@ from doo_ti.frames import (
     total_twist,
 )
 from doo_ti.manipulation.damped_step import DampedSteps
-from doo_ti.manipulation.poses import finite_rods, held, moved, put_rods, put_rows
+from doo_ti.manipulation.poses import finite_rods, held, joined, moved, put_rods, put_rows, slack
 from doo_ti.manipulation.resynchronise import stiffness_of
 from doo_ti.manipulation.targets import ServoOptions, Targets
 from doo_ti.relaxation.external import Springs
@@ -27,6 +27,8 @@ from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution
 
 TWISTS = np.radians([0.0, 90.0, -90.0, 180.0, -180.0])
 """By which guesses are twisted more than the rod is. Marks do not show twist; the fit finds it within a quarter turn."""
+GUESSES = 1 + len(TWISTS)
+"""Of each rod: itself as it is, and drawn to its target under each twist."""
 ITERATIONS = 20
 """Of the fit of the grippers' poses."""
 LONGEST = 40.0
@@ -75,16 +77,16 @@ def nearest_goal(rods: Configuration, clamps: Clamps, model: Model, targets: Tar
     """The rods' goals: of several guesses, each drawn to its target and fitted, those that come nearest."""
     count = rods.count
     drawn, grippers = _guesses(rods, clamps, model, targets, options)
-    rows = np.tile(np.arange(count), len(TWISTS))
+    rows = np.tile(np.arange(count), GUESSES)
     fitted = fit(drawn, grippers, model.take(rows), targets.take(rows), options)
-    best = np.argmin(fitted.distance.reshape(len(TWISTS), count), axis=0) * count + np.arange(count)
+    best = np.argmin(fitted.distance.reshape(GUESSES, count), axis=0) * count + np.arange(count)
     return fitted.take(best)
 
 
 def all_goals(rods: Configuration, clamps: Clamps, model: Model, targets: Targets, options: ServoOptions) -> Goal:
     """The goals of one rod that all guesses lead to, the nearest first."""
     drawn, grippers = _guesses(rods, clamps, model, targets, options)
-    rows = np.zeros(len(TWISTS), dtype=np.int64)
+    rows = np.zeros(GUESSES, dtype=np.int64)
     fitted = fit(drawn, grippers, model.take(rows), targets.take(rows), options)
     return fitted.take(np.argsort(fitted.distance, kind="stable"))
 
@@ -105,7 +107,9 @@ def fit(rods: Configuration, clamps: Clamps, model: Model, targets: Targets, opt
         there = moved(clamps, step / options.scale)
         tried = model.relaxed(finite_rods(solution.configuration, rods), there)
         nearer = _distance(tried, targets)
-        good = nearer < distance
+        least = np.minimum(slack(clamps, rods.rest_length), options.slack * rods.rest_length.sum())
+        loose = slack(there, rods.rest_length) >= least
+        good = (nearer < distance) & loose
         length = np.where(good, np.minimum(GROW * length, LONGEST), SHRINK * np.minimum(length, np.linalg.norm(step, axis=1)))
         taken = np.flatnonzero(good)
         if not len(taken) and (length < options.reached_mm * SHRINK).all():
@@ -118,8 +122,8 @@ def fit(rods: Configuration, clamps: Clamps, model: Model, targets: Targets, opt
 
 def _guesses(rods: Configuration, clamps: Clamps, model: Model, targets: Targets, options: ServoOptions
              ) -> tuple[Configuration, Clamps]:
-    """(K·B) rods drawn to their targets by springs, twist by twist, and grippers that hold them so; a gripper that is not free
-    to shift and turn stays."""
+    """(K·B) rods: as they are, then drawn to their targets by springs, twist by twist; and grippers that hold them so. A
+    gripper that is not free to shift and turn stays."""
     count = rods.count
     starts, ends = ({f"{end}_shift", f"{end}_turn"} <= set(options.free) for end in ("start", "end"))
     loose = replace(held(clamps, model.clip), start=Clamp.FREE if starts else clamps.start,
@@ -147,7 +151,7 @@ def _guesses(rods: Configuration, clamps: Clamps, model: Model, targets: Targets
         grippers = replace(grippers, start_position=vertices[:, 0].copy(), start_frame=matrices[:, 0].copy())
     if ends:
         grippers = replace(grippers, end_position=vertices[:, -1].copy(), end_frame=matrices[:, -1].copy())
-    return guessed, grippers
+    return Configuration.concatenate([rods, guessed]), joined([clamps, grippers])
 
 
 def _distance(solution: Solution, targets: Targets) -> np.ndarray:

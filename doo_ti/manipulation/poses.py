@@ -36,6 +36,18 @@ def held(clamps: Clamps, clip: np.ndarray) -> Clamps:
     return replace(clamps, start_position=start[0], start_frame=start[1], end_position=end[0], end_frame=end[1])
 
 
+def slack(clamps: Clamps, rest_length: np.ndarray) -> np.ndarray:
+    """(B,) mm by which rods of edges ``rest_length`` (E,) are longer between their grippers than these are apart."""
+    way = clamps.end_position - clamps.start_position
+    way = way - rest_length[0] * clamps.start_frame[..., 0] - rest_length[-1] * clamps.end_frame[..., 0]
+    return rest_length[1:-1].sum() - np.linalg.norm(way, axis=-1)
+
+
+def joined(parts: list[Clamps]) -> Clamps:
+    """The clamps of several, of the same kinds, one after the other."""
+    return Clamps(parts[0].start, parts[0].end, *(np.concatenate([getattr(part, name) for part in parts]) for name in ARRAYS))
+
+
 def put_rows(clamps: Clamps, rods: np.ndarray, other: Clamps) -> Clamps:
     """``clamps`` with ``other`` in the rows ``rods``."""
     parts = {name: getattr(clamps, name).copy() for name in ARRAYS}

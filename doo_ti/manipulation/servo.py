@@ -38,6 +38,7 @@ from doo_ti.manipulation.poses import (
     moved,
     put_rods,
     put_rows,
+    slack,
 )
 from doo_ti.manipulation.resynchronise import between_marks, resynchronised
 from doo_ti.manipulation.targets import ServoOptions, ServoStatus, Targets
@@ -205,7 +206,8 @@ class Servo:
         refused, rested = np.zeros((2, len(usable)), dtype=bool)
         longest = np.where(usable, self._length, 0.0)
         gain = np.zeros(len(usable))
-        slack = self._slack(waiting)
+        rest, least = self._last.rest_length, self._options.slack * self._last.rest_length.sum()
+        least = np.minimum(slack(start, rest), least)
         to_aim = change_between(start, self._aims) * self._options.scale
         for attempt in range(TRIES):
             length = longest if attempt < TRIES - 1 else np.zeros_like(longest)
@@ -218,7 +220,7 @@ class Servo:
             distance = self._targets.take(waiting).distance(shapes + self._offset[waiting])
             size = np.linalg.norm(step, axis=1)
             nearer = self._aiming[waiting] | (distance <= WORSE * before[waiting] + ROUNDING)
-            nearer &= self._slack(waiting) >= np.minimum(slack[waiting], self._options.slack * self._last.rest_length.sum())
+            nearer &= slack(self.clamps.take(waiting), rest) >= least[waiting]
             follows = (off <= NONLINEAR * _size(linear) + NONLINEAR_MM) & nearer
             good = model.converged & model.stable & (follows | (size == 0))
             done = waiting[good]
@@ -251,13 +253,6 @@ class Servo:
         status = np.where(stuck, np.where(refused, ServoStatus.BLOCKED, ServoStatus.NEAREST), ServoStatus.MOVING)
         status = np.where(self.distance <= self._options.reached_mm, ServoStatus.REACHED, status)
         self.status = np.where(self._model.converged & self._model.stable, status, ServoStatus.LOST)
-
-    def _slack(self, rods: np.ndarray) -> np.ndarray:
-        """(n,) mm by which ``rods`` are longer between their grippers than these are apart."""
-        clamps, lengths = self.clamps.take(rods), self._last.rest_length
-        way = clamps.end_position - clamps.start_position
-        way = way - lengths[0] * clamps.start_frame[..., 0] - lengths[-1] * clamps.end_frame[..., 0]
-        return lengths[1:-1].sum() - np.linalg.norm(way, axis=-1)
 
     def _aim(self) -> None:
         """Give rods that come no nearer to their targets a goal that is, where there is one. On the way to it the distance may

@@ -8,6 +8,7 @@ import numpy as np
 
 from doo_ti.arguments import owning, typed
 from doo_ti.errors import InputError
+from doo_ti.material import Rows
 from doo_ti.relaxation.sensitivity import GRIPPERS
 
 ASKED = 1e-12
@@ -57,7 +58,7 @@ class Targets:
         asked = np.isfinite(self.vertices).all(axis=-1)
         return asked * (1.0 if self.weight is None else self.weight)
 
-    def take(self, index) -> "Targets":
+    def take(self, index: Rows) -> "Targets":
         """Those of the rods named by ``index``."""
         return Targets(self.vertices[index], None if self.weight is None else self.weight[index])
 

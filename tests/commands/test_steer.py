@@ -1,0 +1,83 @@
+"""``doo-ti steer``: a path that predict follows to the target, targets out of reach, refused input."""
+
+import json
+
+import numpy as np
+import pytest
+
+from doo_ti.cli import main
+from doo_ti.io.observations import Observations, save_observations
+from tests.commands.test_bad_input import refused
+from tools.trials.servo import BEND, tasks
+
+
+@pytest.fixture(scope="module")
+def own():
+    return tasks(1, 31)
+
+
+@pytest.fixture
+def folder(tmp_path, own):
+    """A rod between two grippers, and where it shall be."""
+    frames = {"start_frame": own.clamps.start_frame, "end_frame": own.clamps.end_frame}
+    save_observations(tmp_path / "start.npz", Observations(
+        own.real.vertices, rest_length=own.real.rest_length, total_twist=np.zeros(1), **frames))
+    np.savez(tmp_path / "target.npz", vertices_mm=own.goal)
+    (tmp_path / "rubbing.toml").write_text('[[obstacles]]\nkind = "plane"\npoint = [0, 0, -500]\nnormal = [0, 0, 1]\n'
+                                           'friction = 0.3\n', encoding="utf-8")
+    return tmp_path
+
+
+def words(folder, own, target: str = "target.npz", start: str = "start.npz") -> list[str]:
+    bend, ratio = BEND * own.factors[0, 0], own.factors[1, 0]
+    return ["steer", str(folder / start), "--target", str(folder / target), "--bend", repr(float(bend)), "--twist",
+            repr(float(bend * ratio)), "--out", str(folder / "path.csv")]
+
+
+def test_predict_follows_the_path_to_the_target(folder, own, capsys):
+    assert main([*words(folder, own), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["reached"] and said["distance_mm"] < 0.5
+    material = words(folder, own)[4:8]
+    assert main(["predict", str(folder / "start.npz"), "--motion", str(folder / "path.csv"), *material, "--out",
+                 str(folder / "moved.npz"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["falls"] == []
+    with np.load(folder / "moved.npz") as moved:
+        assert moved["followed"].all()
+        assert np.linalg.norm(moved["vertices_mm"][-1, 0] - own.goal[0], axis=-1).mean() < 0.5
+
+
+def test_a_target_out_of_reach_is_said(folder, own, capsys):
+    asked = np.full_like(own.goal, np.nan)
+    asked[:, 0], asked[:, -1] = [0.0, 0, 0], [400.0, 0, 0]
+    np.savez(folder / "far.npz", vertices_mm=asked)
+    assert main([*words(folder, own, "far.npz"), "--seconds", "1", "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert not json.loads(out)["reached"] and "not reached" in err and (folder / "path.csv").exists()
+
+
+@pytest.mark.parametrize("keys, said", [
+    ({"vertices": np.zeros((1, 34, 3))}, "vertices_mm: missing"),
+    ({"vertices_mm": np.zeros((1, 5, 3))}, "shape (1, 5, 3)"),
+    ({"vertices_mm": np.zeros((34, 3))}, "shape (34, 3)"),
+    ({"vertices_mm": np.full((1, 34, 3), np.nan)}, "NaN everywhere"),
+    ({"vertices_mm": np.full((1, 34, 3), np.inf)}, "not finite"),
+    ({"vertices_mm": np.full((1, 34, 3), "x")}, "not numeric"),
+])
+def test_wrong_targets_are_refused(folder, own, capsys, keys, said):
+    np.savez(folder / "wrong.npz", **keys)
+    refused(capsys, folder, words(folder, own, "wrong.npz"), "wrong.npz", said)
+
+
+@pytest.mark.parametrize("more, said", [
+    (["--clamp-end", "free"], "--clamp-end"), (["--seconds", "0"], "--seconds"), (["--seed", "-1"], "--seed"),
+    (["--reached", "x"], "--reached"), (["--radius", "1"], "--radius"), (["--bend", "1e5:1e6:3"], "--bend"),
+    (["--obstacles", "absent.toml", "--radius", "1"], "absent.toml"), (["--out", "path.npz"], "--out")])
+def test_wrong_options_are_refused(folder, own, capsys, more, said):
+    refused(capsys, folder, [*words(folder, own), *more], said)
+
+
+def test_files_that_are_absent_or_rub_are_refused(folder, own, capsys):
+    refused(capsys, folder, words(folder, own, "absent.npz"), "absent.npz")
+    refused(capsys, folder, words(folder, own, start="absent.npz"), "absent.npz")
+    refused(capsys, folder, [*words(folder, own), "--obstacles", str(folder / "rubbing.toml"), "--radius", "1"], "friction")

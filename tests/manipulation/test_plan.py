@@ -1,0 +1,100 @@
+"""Plans: whether rods follow them to their targets, without jumps and clear of obstacles, and what they say where none can."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import doo_ti as d
+from doo_ti.contact.surroundings import Surroundings
+from doo_ti.manipulation.legs import Carrier, unwound
+from doo_ti.manipulation.poses import moved
+from tools.trials.servo import Tasks, tasks
+
+
+@cache
+def some() -> Tasks:
+    return tasks(6, 21)
+
+
+def followed(own: Tasks, path: d.ManipulationPath) -> np.ndarray:
+    """(T, V, 3) of the rod that follows the path; certified, and without a jump."""
+    prediction = d.predict(own.real, own.true, own.clamps, path)
+    assert prediction.followed.all() and not prediction.jumps.any()
+    return prediction.vertices[:, 0]
+
+
+def plan(own: Tasks, goal: np.ndarray, **options) -> d.ManipulationPath:
+    return d.plan_manipulation(own.real, own.true, own.clamps, d.Targets(goal), **options)
+
+
+@pytest.mark.parametrize("row", range(3))
+def test_a_rod_that_follows_the_plan_comes_to_its_target(row):
+    own = some().take(np.array([row]))
+    path = plan(own, own.goal)
+    shapes = followed(own, path)
+    assert path.reached and path.distance < 0.5
+    assert np.linalg.norm(shapes[-1] - own.goal[0], axis=-1).mean() < 0.5
+    assert np.allclose(path.start_position[0], own.clamps.start_position)
+
+
+def test_a_held_gripper_stays():
+    own = tasks(2, 4, both=False).take(np.array([0]))
+    path = plan(own, own.goal, options=d.PlanOptions(free=("end_shift", "end_turn")))
+    assert path.reached and np.abs(path.start_position - own.clamps.start_position).max() == 0.0
+
+
+def test_targets_out_of_reach_are_approached_and_said():
+    own = some().take(np.array([0]))
+    asked = np.full_like(own.goal, np.nan)
+    asked[:, 0], asked[:, -1] = [0.0, 0, 0], [400.0, 0, 0]
+    path = plan(own, asked, options=d.PlanOptions(seconds=2.0))
+    shapes = followed(own, path)
+    assert not path.reached and np.isclose(path.distance, d.Targets(asked).distance(shapes[-1:])[0], atol=1e-3)
+    assert path.distance < d.Targets(asked).distance(own.real.vertices)[0]
+
+
+def test_obstacles_are_kept_clear_of():
+    """A ball where the straight motion of the grippers would take the rod."""
+    own = some().take(np.array([1]))
+    shift = np.zeros((1, 12))
+    shift[:, [1, 7]] = 300.0
+    goal = own.real.vertices + shift[:, None, :3]
+    ball = d.Sphere(own.real.vertices[0, 16] + [0.0, 150.0, 0.0], 25.0)
+    straight = d.ClampPath(np.arange(2.0), *(np.stack([getattr(one, name) for one in (own.clamps, moved(own.clamps, shift))])
+                                             for name in ("start_position", "end_position")))
+    around = Surroundings([ball], 1.5)
+    assert around.smallest_gap(d.predict(own.real, own.true, own.clamps, straight, between=20).vertices[:, 0]).min() < 0
+    path = plan(own, goal, obstacles=[ball], radius=1.5, options=d.PlanOptions(seconds=60.0))
+    shapes = followed(own, path)
+    assert path.reached and around.smallest_gap(shapes).min() > 0.0
+
+
+def test_a_bow_is_unwound_to_a_nearly_straight_rod():
+    """Stable all the way, as theory has it of rods without weight."""
+    rod, clamps = d.hanging(330.0, 33, (0, 0, 0), (150, 0, 0), clamp=d.Clamp.FRAME)
+    material = d.Material(6e5, 6e5, 0.0)
+    here = d.relax(rod, material, clamps, d.Newton.careful()).configuration
+    carrier = Carrier(material, rod.rest_length, np.array([0, 0, 1.0]), Surroundings())
+    for poses in unwound(here, clamps):
+        here, sound = carrier.carry(here, clamps, poses)
+        clamps = poses
+        assert sound.all()
+    ends = here.vertices[0, [0, -1]]
+    assert np.linalg.norm(ends[1] - ends[0]) > 310.0
+
+
+def test_what_cannot_be_planned_is_refused():
+    own = some().take(np.array([0]))
+    two = some().take(np.array([0, 1]))
+    for wrong, field in ((dict(rod=two.real), "rod"), (dict(targets=d.Targets(np.zeros((1, 5, 3)))), "targets"),
+                         (dict(clamps=replace(own.clamps, end=d.Clamp.FREE)), "clamps"),
+                         (dict(clamps=replace(own.clamps, end_position=own.clamps.end_position + 500.0)), "rod"),
+                         (dict(obstacles=[d.Plane((0, 0, -500), (0, 0, 1), friction=0.3)], radius=1.0), "obstacles")):
+        given = dict(rod=own.real, material=own.true, clamps=own.clamps, targets=d.Targets(own.goal))
+        with pytest.raises(d.InputError) as caught:
+            d.plan_manipulation(**(given | wrong))
+        assert caught.value.field == field
+    with pytest.raises(d.InputError, match="seconds"):
+        d.PlanOptions(seconds=0.0)
