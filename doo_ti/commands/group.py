@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from doo_ti.commands import options as given
-from doo_ti.commands.results import counted, report, save_arrays
+from doo_ti.commands.results import counted, in_newton, report, save_arrays
 from doo_ti.contact.touch import Touch
 from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.io.shipped import scene_file
@@ -91,6 +91,7 @@ def _arrays(scene: "GroupScene", moments: "list[GroupSolution]") -> dict[str, np
         "contact_force": along(moment.contact_force for moment in moments),
         "touch": along(moment.touch for moment in moments)}
     names = {"gap": "smallest_gap_mm"}
+    arrays = in_newton(arrays, None if scene.newton is None else np.array([scene.newton]), 0)
     return arrays | {names.get(field.name, field.name): np.array([getattr(moment, field.name)[0] for moment in moments])
                      for field in fields(moments[0]) if field.name not in OF_RODS}
 

@@ -19,7 +19,17 @@ from doo_ti.commands.moving_rods import (
     step_summary,
     stepping,
 )
-from doo_ti.commands.results import RODS, contact_lines, contact_summary, counted, report, save_arrays, shortened
+from doo_ti.commands.results import (
+    RODS,
+    contact_lines,
+    contact_summary,
+    counted,
+    force_lines,
+    in_newton,
+    report,
+    save_arrays,
+    shortened,
+)
 from doo_ti.commands.starting_rods import settled, with_frames
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
@@ -40,6 +50,8 @@ MOST_LENGTHS = 100.0
 """Of a rod, between its clamps."""
 MOST_STEPS = 1000
 """With friction, from one state to the next."""
+SAME_RATE = 1e-3
+"""By which the rate that is given may differ from that of the motion's times."""
 FAR_OFF = 0.05
 """Of the rod's length, from a clamp to where its motion begins: more is no error of measurement."""
 MOST_BYTES = 8 << 30
@@ -153,10 +165,14 @@ def _with_inertia(options: Namespace, task: _Task) -> _Task:
     from doo_ti.prediction.moving import rate_of
 
     rate = given.positive("--rate", options.rate, "moments per second")
+    if task.path.timed:
+        own = rate_of(task.path)
+        if rate is not None and abs(rate - own) > SAME_RATE * own:
+            raise InputError(given.SOURCE, "--rate", f"{rate:g} moments per second, and the motion's own times say {own:g}",
+                             "leave --rate out; --steps-between gives more states")
+        rate = own
     if rate is None:
-        if np.array_equal(task.path.time, np.arange(task.path.moments)):
-            raise InputError(given.SOURCE, "--rate", "missing, and the motion has no times", "give its moments per second")
-        rate = rate_of(task.path)
+        raise InputError(given.SOURCE, "--rate", "missing, and the motion has no times", "give its moments per second")
     options.theta_note = given.EVERYTHING
     return replace(task, dynamics=losses(options), stepping=stepping(options, rate))
 
@@ -279,14 +295,14 @@ def _arrays(task: _Task, prediction) -> dict[str, np.ndarray]:
     if task.surroundings:
         per_material |= {"contact_force": prediction.contact_force,
                          "smallest_gap_mm": task.surroundings.smallest_gaps(prediction.vertices)}
-    return {
+    return in_newton({
         "time_s": prediction.time, "vertices_mm": prediction.vertices, "energy": prediction.energy, "status": prediction.status,
         "stable": prediction.stable, "followed": prediction.followed, "jumps": prediction.jumps,
         "iterations": prediction.iterations, "residual": prediction.residual, "end_force": prediction.end_force,
         "total_twist_deg": np.degrees(prediction.total_twist), "end_rotation_deg": np.degrees(prediction.end_rotation),
         "observation": prediction.motion, "rest_length_mm": prediction.rest_length, **per_material,
         **({} if prediction.step_error is None else {"substeps": prediction.substeps, "step_error_mm": prediction.step_error}),
-    }
+    }, task.newtons, 1)
 
 
 def _lines(task: _Task, prediction, result: dict) -> list[str]:
@@ -300,7 +316,7 @@ def _lines(task: _Task, prediction, result: dict) -> list[str]:
                f"with inertia, {task.stepping.rate * task.between:.4g} states/s")
     lines = [f"{task.name}: {count} rod{'s' * (count > 1)} of {task.start.edges} edges at {moments} moments",
              f"  status      {counted(status_counts(prediction.status))}; {how}",
-             *contact_lines(_contact(task, prediction, result), count),
+             *contact_lines(_contact(task, prediction, result), count), *force_lines(result, 1),
              *step_lines(_steps(task, prediction), "from one state to the next"),
              f"  far clamp   at the end turned about the rod by {_range(result['end_rotation_deg'][-1])}, total twist "
              f"{_range(result['total_twist_deg'][-1])}"]

@@ -13,6 +13,7 @@ from doo_ti.commands.results import (
     contact_lines,
     contact_summary,
     counted,
+    in_newton,
     report,
     save_arrays,
     theta_of,
@@ -78,7 +79,7 @@ def run(options: Namespace, words: list[str]) -> int:
         result["contact_force"] = solution.contact_force[best]
         result["smallest_gap_mm"] = surroundings.smallest_gap(result["vertices_mm"])
         contact = contact_summary(surroundings, result["contact_force"], result["smallest_gap_mm"], result["status"])
-    save_arrays(out, result)
+    save_arrays(out, in_newton(result, given.newtons(options, material.weight), 0))
     inside = _inside(surroundings, held, start, index, infeasible)
     summary = _summary(observations, grid, result, out) | contact | {"infeasible_reason": inside}
     report(options, summary, lambda: _lines(observations, grid, result, summary))

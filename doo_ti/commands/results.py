@@ -60,6 +60,30 @@ def save_arrays(out: Path, arrays: dict[str, np.ndarray], axes: tuple[str, ...] 
         print(f"doo-ti: note: {', '.join(left_out)} left out of {in_line(out)}; an .npz holds it", file=sys.stderr)
 
 
+def in_newton(arrays: dict[str, np.ndarray], newtons: np.ndarray | None, axis: int) -> dict[str, np.ndarray]:
+    """The ``arrays`` of a file and, where ``newtons`` (R,) N in the unit of force of each rod are known, their forces in N as
+    well, ``end_force_N`` and ``contact_force_N``; rods are on that ``axis``."""
+    found = dict(arrays)
+    for name in ("end_force", "contact_force"):
+        if newtons is not None and name in arrays:
+            shape = np.ones(arrays[name].ndim, dtype=int)
+            shape[axis] = -1
+            found[f"{name}_N"] = arrays[name] * np.reshape(newtons, shape)
+    return found
+
+
+def force_lines(arrays: dict[str, np.ndarray], axis: int) -> list[str]:
+    """How hard the far clamps pull at the last of several moments, of ``arrays`` with forces in N."""
+    if "end_force_N" not in arrays:
+        return []
+    pull = np.linalg.norm(np.moveaxis(arrays["end_force_N"], axis, 0), axis=-1)
+    last = pull[:, -1][np.isfinite(pull[:, -1])]
+    if not last.size or not last.max() > 0:
+        return []
+    ends = f"{last.min():.3g}" + (f" to {last.max():.3g}" if len(last) > 1 else "")
+    return [f"  force       the far clamp pulls with {ends} N at the end, {np.nanmax(pull):.3g} N at most"]
+
+
 def save_json(out: Path, content) -> None:
     """Write what :func:`plain` makes of ``content``."""
     write_text(out, json.dumps(plain(content), indent=2) + "\n")

@@ -9,7 +9,17 @@ import numpy as np
 from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import require_length, step_lines, step_summary
-from doo_ti.commands.results import RODS, contact_lines, contact_summary, counted, report, save_arrays, shortened
+from doo_ti.commands.results import (
+    RODS,
+    contact_lines,
+    contact_summary,
+    counted,
+    force_lines,
+    in_newton,
+    report,
+    save_arrays,
+    shortened,
+)
 from doo_ti.commands.starting_rods import Moved, from_observations
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.contact.touch import Touch
@@ -47,6 +57,7 @@ class _Simulated:
     surroundings: Surroundings = Surroundings()
     contact: dict[str, np.ndarray] = field(default_factory=dict)  # (R, T, ...) arrays of contact, with obstacles
     newtons: np.ndarray | None = None  # (R,) N in the unit of force
+    end_force: np.ndarray | None = None  # (R, F, 3) of the far clamp on the rod, at the last F frames
 
 
 def declare(add) -> None:
@@ -93,13 +104,14 @@ def run(options: Namespace, words: list[str]) -> int:
     for path in shown.values():
         path.parent.mkdir(parents=True, exist_ok=True)
     arrays, summary = _results(found, out)
+    whole = arrays
     if found.alone:
         per_rod = {"positions_mm", "status", "error_mm", "substeps", "step_error_mm", *map(ENERGY.format, found.energies),
-                   *found.contact}
+                   *found.contact, "end_force", "end_force_N", "contact_force_N"}
         arrays = {key: value[0] if key in per_rod else value for key, value in arrays.items()}
     save_arrays(out, arrays, ("frame",) if found.alone else ("rod", "frame"))
     _draw(found, shown)
-    report(options, summary, lambda: _lines(found, summary))
+    report(options, summary, lambda: _lines(found, summary, whole))
     return 0 if (found.status[:, -1] == Status.CONVERGED).any() else 1
 
 
@@ -150,7 +162,7 @@ def _recorded(options: Namespace, out: Path, changes: dict, up: np.ndarray) -> _
                       motion.positions, tuple(motion.glitches()), motion.alone, energies, found.substeps,
                       None if stepping.tolerance is None else found.error, stepping.tolerance, surroundings,
                       _contact(surroundings, positions, found.contact_force, found.friction_work, found.touch),
-                      given.newtons(options, np.full(motion.count, 1.0 - theta.marker_share)))
+                      given.newtons(options, np.full(motion.count, 1.0 - theta.marker_share)), found.end_force)
 
 
 def _contact(surroundings: Surroundings, positions: np.ndarray, force, work, touch) -> dict[str, np.ndarray]:
@@ -217,13 +229,16 @@ def _carried(options: Namespace, moved: Moved, first_force) -> _Simulated:
     return _Simulated(moved.name, moved.names, positions, status, stepping.rate, moved.up,
                       energies={} if found.detail is None else found.detail.energies, substeps=found.substeps,
                       step_error=None if stepping.tolerance is None else found.error, tolerance=stepping.tolerance,
-                      surroundings=moved.surroundings, contact=contact, newtons=moved.newtons)
+                      surroundings=moved.surroundings, contact=contact, newtons=moved.newtons, end_force=found.end_force)
 
 
 def _results(found: _Simulated, out: Path) -> tuple[dict, dict]:
     arrays = {"positions_mm": found.positions, "status": found.status, "rate_hz": np.float64(found.rate),
               "recording": np.array(found.names), "substeps": found.substeps}
     arrays |= {ENERGY.format(name): value for name, value in found.energies.items()} | found.contact
+    before = found.positions.shape[1] - found.end_force.shape[1]  # frames at which the motion begins, whose force is not known
+    arrays["end_force"] = np.pad(found.end_force, ((0, 0), (before, 0), (0, 0)), constant_values=np.nan)
+    arrays = in_newton(arrays, None if found.newtons is None else np.broadcast_to(found.newtons, len(found.names)), 0)
     last = found.status[:, -1]
     summary = {"rods": len(found.names), "frames": found.positions.shape[1], "vertices": found.positions.shape[2],
                "status": status_counts(last), "failed": [name for name, value in zip(found.names, last, strict=True) if value],
@@ -248,7 +263,7 @@ def _results(found: _Simulated, out: Path) -> tuple[dict, dict]:
     return arrays, summary
 
 
-def _lines(found: _Simulated, summary: dict) -> list[str]:
+def _lines(found: _Simulated, summary: dict, arrays: dict) -> list[str]:
     duration = (summary["frames"] - 1) / found.rate
     rods = f"{summary['rods']} rod{'s' * (summary['rods'] > 1)}"
     lines = [f"{in_line(found.name)}: {rods} of {summary['vertices'] - 1} edges, {duration:.3g} s at "
@@ -260,7 +275,7 @@ def _lines(found: _Simulated, summary: dict) -> list[str]:
         if found.contact and (found.status[np.arange(len(first)), first] == Status.INFEASIBLE).any():
             lines.append("  infeasible  a gripper holds a rod in an obstacle, or moves it into one by more than its radius in "
                          "a time step: check their places, or give more --substeps")
-    lines += contact_lines(summary, len(found.names))
+    lines += [*contact_lines(summary, len(found.names)), *force_lines(arrays, 0)]
     if found.contact:
         work = found.contact["friction_work"][:, -1]
         touch = found.contact["touch"][:, -1]

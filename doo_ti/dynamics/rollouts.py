@@ -91,12 +91,13 @@ class Rollouts:
         """(positions (R, T, V, 3), status (R, T), energies (R, T) by name, the simulation itself) under one Θ, as
         :meth:`predicted`. Energies are NaN in frame 0: the simulation begins at frame 1. Contact forces (R, T, V, 3),
         :class:`.Touch` (R, T, V) and work of friction (R, T) in the simulation are those at the recordings' frames, and zero in
-        frames 0 and 1."""
+        frames 0 and 1; ``end_force`` (R, T − 2, 3) has no values there."""
         found = replace(self, stepping=replace(self.stepping, detailed=True))._rolled_out([theta], progress=progress)
         positions, status = (value[:, 0] for value in self._shown(found, 1))
         rods = np.arange(self.motion.count)[:, None]
         energies = {name: np.concatenate([np.full((self.motion.count, 1), np.nan), value[rods, self.layout.steps]], axis=1)
                     for name, value in ({} if found.detail is None else found.detail.energies).items()}
+        found = replace(found, end_force=found.end_force[rods, self._at])
         if self.surroundings:
             for name in ("contact_force", "friction_work", "touch"):
                 value = getattr(found, name)[rods, self._at]

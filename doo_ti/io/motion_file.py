@@ -73,6 +73,7 @@ class ClampPath:
     start_frame, end_frame        (T, N, 3, 3)
     end_rotation                  (T, N) rad about the rod, whole turns included
     tangents_only                 only the tangents in the frames are known
+    timed                         the times are those of the motion, not the numbers of its moments
     source                        where it comes from, for messages
 
     Raises InputError for times that do not rise, frames that are not rotations, half turns, whose sense is ambiguous, and a
@@ -88,6 +89,7 @@ class ClampPath:
     end_frame: Annotated[np.ndarray | None, "T 1N 3 3"] = None
     end_rotation: Annotated[np.ndarray | None, "T 1N"] = None
     tangents_only: bool = False
+    timed: bool = True
     source: str = "motion"
 
     def __post_init__(self) -> None:
@@ -213,9 +215,9 @@ def path_of_marks(positions: np.ndarray, time: np.ndarray | None = None, source:
     for edge, place in ((first, "first"), (last, "last")):
         if not (np.linalg.norm(edge, axis=-1) > 0).all():
             raise InputError(source, "positions_mm", f"two marks of the {place} edge coincide", "correct the marks")
-    time = np.arange(len(positions), dtype=np.float64) if time is None else time
-    return ClampPath(time, positions[..., 0, :], positions[..., -1, :], _frames_along(first), _frames_along(last),
-                     tangents_only=True, source=source)
+    timed = time is not None
+    return ClampPath(time if timed else np.arange(len(positions), dtype=np.float64), positions[..., 0, :], positions[..., -1, :],
+                     _frames_along(first), _frames_along(last), tangents_only=True, timed=timed, source=source)
 
 
 @typed
@@ -252,7 +254,8 @@ def load_path(path: Path, unit: str | None = None, named: Mapping[str, str] | No
     count = len(next(iter(arrays.values())))
     poses = {name: arrays[key][:, None] for key, name in _POSES.items() if key in arrays}
     rotation = np.radians(arrays["end_rotation_deg"])[:, None] if "end_rotation_deg" in arrays else None
-    return ClampPath(arrays.get("time_s", np.arange(count, dtype=np.float64)), end_rotation=rotation, source=str(path), **poses)
+    return ClampPath(arrays.get("time_s", np.arange(count, dtype=np.float64)), end_rotation=rotation, timed="time_s" in arrays,
+                     source=str(path), **poses)
 
 
 def _read(path: Path, named: Mapping[str, str] | None) -> tuple[dict[str, np.ndarray], dict[str, float]]:

@@ -227,6 +227,21 @@ def test_rods_with_inertia(folder, capsys):
     np.testing.assert_allclose(list(summary["step_error_mm"].values()), adapted["step_error_mm"])
 
 
+def test_times_of_a_motion_are_kept_and_forces_are_in_newton(folder, capsys):
+    """A rate that contradicts them is refused: two seconds would become hundredths."""
+    seen = dict(np.load(folder / "seen.npz"))
+    np.savez(folder / "slow.npz", time_s=[0.0, 1.0, 2.0],
+             end_position_mm=seen["vertices_mm"][0, -1] + np.array([[0, 0, 0], [-1.0, 0, 0], [-2.0, 0, 0]]))
+    command = ["predict", str(folder / "seen.npz"), "--motion", str(folder / "slow.npz"), "--EI", "1e-4", "--GJ", "1e-4",
+               "--linear-density", "10", "--out", str(folder / "f.npz")]
+    assert main([*command, "--dynamic", "--rate", "100"]) == 2 and "--rate" in capsys.readouterr().err
+    assert main(command) == 0
+    found, out = np.load(folder / "f.npz"), capsys.readouterr().out
+    newton = 0.01 * 9.80665 / 2 / 1000  # half the weight of a millimetre
+    np.testing.assert_allclose(found["end_force_N"], newton * found["end_force"], rtol=1e-9)
+    assert f"{np.linalg.norm(found['end_force_N'][-1], axis=-1).min():.3g}" in out and " N at the end" in out
+
+
 @pytest.mark.parametrize(("motion", "more", "field"), [
     ("marks.npz", ["--dynamic"], "--rate"), ("marks.npz", ["--rate", "10"], "--rate"),
     ("marks.npz", ["--drag", "1"], "--drag"), ("move.npz", ["--dynamic"], "time_s"),

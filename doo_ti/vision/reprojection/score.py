@@ -57,7 +57,8 @@ def score(
     material_index  (N,) row of the material of each hypothesis; without it one row for all, or one each
     up              (3,) direction against gravity, of length one
 
-    ``maps``, ``rig``, ``nu``, ``points`` and ``cap`` are those of :class:`Reprojection`. The score of a hypothesis does not
+    ``maps``, ``rig``, ``nu``, ``points`` and ``cap`` are those of :class:`Reprojection`. E is not divided by α, as it is in
+    :func:`doo_ti.perception.perceive.perceive`: with its ν give ν α. The score of a hypothesis does not
     depend on the others. Raises InputError for shapes that do not match, rows out of range, and materials that are not
     isotropic.
     """
