@@ -187,7 +187,7 @@ def _joined(argv: list[str]) -> list[str]:
     """``--up -1,0,0`` and ``--up -z`` with an equals sign: argparse takes a value that starts with a minus for an option."""
     words: list[str] = []
     for word in argv:
-        if re.match(r"-([\d.]|[xyz](,|$))", word) and words and re.fullmatch(r"--[\w-]+", words[-1]):
+        if re.match(r"-([\d.]|[xyzXYZ](,|$))", word) and words and re.fullmatch(r"--[\w-]+", words[-1]):
             words[-1] += f"={word}"
         else:
             words.append(word)

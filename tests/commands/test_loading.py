@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti.cli import main
+from doo_ti.commands.results import hypotheses_lines
 from doo_ti.io.observations import load_observations
 from tests.io.test_formats import CABLE, MARKS, motive, table
 
@@ -51,6 +52,31 @@ def test_several_rods_taken_for_one_are_warned_of(tmp_path, metres, capfd):
     (tmp_path / "x.csv").write_text(table(marks.reshape(1, -1, 3), "x,y,z", number=False))
     assert main(["convert", str(tmp_path / "x.csv"), str(tmp_path / "out.npz")]) == 0
     assert "--columns observation=NAME" in capfd.readouterr().err
+
+
+def test_columns_that_others_call_otherwise_are_asked_for(tmp_path, capfd):
+    """A table of poses and marks is not one rod with all of its marks."""
+    (tmp_path / "x.csv").write_text(table(MARKS, "Pose,mark,x,y,z"))
+    words = ["convert", str(tmp_path / "x.csv"), str(tmp_path / "out.npz")]
+    assert main(words) == 2 and not (tmp_path / "out.npz").exists()
+    assert "give --columns observation=Pose,vertex=mark" in capfd.readouterr().err
+    assert main([*words, "--columns", "observation=Pose,vertex=mark"]) == 0
+    assert load_observations(tmp_path / "out.npz").count == len(MARKS)
+
+
+def test_lengths_that_the_marks_contradict_are_refused(tmp_path, metres, capfd):
+    words = ["convert", str(metres), str(tmp_path / "out.npz"), "--unit", "m", "--columns",
+             "observation=shot,vertex=marker,x=east,y=height,z=north", "--rest-length"]
+    assert main([*words, "300"]) == 2 and not (tmp_path / "out.npz").exists()
+    error = capfd.readouterr().err
+    assert "--rest-length: 300 mm, but arcs through the marks are" in error and error.count("\n") == 1
+    assert main([*words, "110"]) == 0
+
+
+def test_observations_keep_their_labels():
+    found = {"hypotheses": 9, "resolved": 2, "ambiguous": [1], "kept": {"observation": [0, 1, 2], "turns": [0, 1, 0]}}
+    lines = hypotheses_lines({"hypotheses": found}, np.array(["first", "second", "third"]))
+    assert lines[-1].endswith("ambiguous observations: second")
 
 
 def test_motion_capture_as_motion_and_as_observations(tmp_path, capfd):

@@ -1,6 +1,7 @@
 """Observations: accepted values, their checked form, and errors with file, key, value and remedy."""
 
 import pickle
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -85,6 +86,11 @@ def test_lengths_along_arcs():
     stated = replace(seen, rest_length=np.full(11, 9.0), spacing_error=0.0)
     np.testing.assert_array_equal(stated.along_arcs().rest_length, 9.0)
     np.testing.assert_array_equal(replace(stated, spacing_error=0.1).along_arcs().rest_length, 9.0)
+    with warnings.catch_warnings():  # of NumPy, about an edge that no rod shows
+        warnings.simplefilter("error")
+        valid = np.arange(seen.edges + 1)[None] > 0
+        unseen = replace(stated, valid=np.repeat(valid, seen.count, axis=0)).along_arcs()
+    np.testing.assert_array_equal(unseen.rest_length, 9.0)
 
 
 def test_arrays_are_copies_that_cannot_be_written(rng):

@@ -1,0 +1,89 @@
+"""Optima of the posterior: where fits begin that have several, and which of them count."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from doo_ti import Observations, observation_clamps, relax
+from doo_ti.refinement.estimate import Interval
+from doo_ti.refinement.fit import Fit, State
+from doo_ti.refinement.priors import Scales, typical_scales
+from doo_ti.refinement.refine import RefinementOptions, refine
+from doo_ti.refinement.residuals import Comparison
+from doo_ti.refinement.rolls import TWISTS, _LinearModel, _turned
+from doo_ti.refinement.turns import turns_chosen_again
+from doo_ti.refinement.unknowns import Theta, Unknowns
+from tests.io.rods import joint_twist
+from tests.references.rods import clamps_at
+from tests.refinement.rods_between_clips import TRUTH, held, suture
+from tests.relaxation.rods import wandering
+
+
+def test_rolls_twists_and_curvature_of_a_linear_model_are_found_together(rng):
+    count, knots, own = 9, 5, 2
+    share = np.linspace(0.1, 0.9, knots)
+    roll, twist = rng.uniform(-np.pi, np.pi, count), rng.choice(TWISTS[4:-4], count)
+    curvature, other = rng.normal(size=2 * knots), np.array([0.4, -0.3])
+    slopes = rng.normal(size=(count, 40, own + 2 * knots + 1))
+    lie = _turned(np.broadcast_to(curvature, (count, 2 * knots)), -(roll[:, None] + twist[:, None] * share))
+    truth = np.concatenate([np.broadcast_to(other, (count, own)), lie, twist[:, None]], axis=1)
+    information = 1e4 * np.swapaxes(slopes, 1, 2) @ slopes
+    model = _LinearModel(information, -(information @ truth[..., None])[..., 0], 1e-6 * np.eye(own + 2 * knots),
+                         np.zeros(own + 2 * knots), np.zeros(count), np.ones(count, dtype=bool), share)
+    best = min((model.start(one) for one in rng.uniform(-np.pi, np.pi, (16, count))), key=lambda one: one.value)
+    np.testing.assert_allclose(best.twist, twist)
+    common = np.exp(1j * (best.roll - roll))  # a common roll of all, with the curvature turned back, changes nothing
+    assert np.abs(common - common.mean()).max() < 0.2
+    assert np.linalg.norm(best.curvature) == pytest.approx(np.linalg.norm(curvature), rel=0.05)
+
+
+@pytest.mark.thorough
+def test_curved_rods_between_unknown_rolls(rng):
+    """Rolled and twisted at random: neither is in the marks alone."""
+    bend, edges = 3e4, 14
+    rods = wandering(rng, 12, edges, wander=0.12, twist=0.15)
+    clamps = clamps_at(rods)
+    truth = Theta(bend * np.eye(2), 0.8 * bend, rest_curvature=np.array([0.02, -0.015]))
+    seen = relax(rods, truth.material, clamps).configuration.vertices
+    seen = Observations(seen + 0.02 * rng.normal(size=seen.shape), rest_length=np.full(edges, 3.0))
+    out = refine(seen, observation_clamps(seen), Theta(3 * bend * np.eye(2), bend), RefinementOptions(intervals="covariance"))
+    found = out.estimate.parameter("bend")
+    assert out.converged and out.used.sum() >= 11 and found.low < bend < found.high
+    assert np.linalg.norm(out.theta.rest_curvature, axis=1).mean() == pytest.approx(0.025, rel=0.25)
+
+
+@pytest.mark.thorough
+def test_turns_that_were_measured_are_returned_to():
+    seen = suture()
+    unknowns = Unknowns(held(seen), ("bend", "twist"))
+    scales: Scales = typical_scales(unknowns.rod.length, 3.0, unknowns.scale_names | {"marks", "gap"}, {})
+    values = unknowns.begun(TRUTH, unknowns.clip_prior)
+    fit = Fit(Comparison.of(unknowns, False), values, RefinementOptions().solver)
+    begun = fit.from_marks(values, scales)
+    measured = _twist(begun)
+    wrong = fit._merged(begun, fit.from_marks(values, scales, turn=1), np.arange(seen.count) == 4)
+    assert abs(_twist(wrong)[4] - measured[4]) > 3
+    np.testing.assert_allclose(_twist(turns_chosen_again(fit, fit.run(wrong, 3), 5).state), measured, atol=0.5)
+
+
+def _twist(state: State) -> np.ndarray:
+    return joint_twist(state.solution.configuration.quaternions).sum(axis=1)
+
+
+
+def test_intervals_contain_those_of_other_optima():
+    both = Interval(-1.0, 1.0, 0.5).widened(Interval(-0.2, 0.3, 0.1), 1.5)
+    assert (both.low, both.high, both.error) == (-1.0, 1.8, 0.5)
+    assert Interval(-1.0, None, 0.5).widened(Interval(-0.2, 0.3, 0.1), -2.0).low == -2.2
+    assert Interval(-1.0, 1.0, 0.5).widened(Interval(None, 0.3, 0.1), 0.0).low is None
+
+
+@pytest.mark.thorough
+def test_optima_that_are_as_probable_are_reported():
+    """Rods that nothing twists, whole turns not measured: a low and a high twist stiffness explain them alike."""
+    seen = replace(suture(rotations=1, rest_curvature_rms_per_mm=0.0), total_twist=None)
+    out = refine(seen, observation_clamps(seen), TRUTH, RefinementOptions(intervals="covariance", curvature="none"))
+    twist = out.estimate.parameter("twist")
+    assert out.used.all() and (twist.low is None or twist.low < TRUTH.twist)
+    assert twist.high is None or twist.high > TRUTH.twist
