@@ -177,7 +177,8 @@ def _arrays(task: PerceptionTask, found) -> dict[str, np.ndarray]:
         "sigma_mm": np.where(sound, np.maximum(_sigma(task, found), LEAST_SIGMA_MM), np.nan),
         "energy_vis": found.energy_vis, "status": found.status, "stable": found.stable,
         "camera_error_px": found.camera_error, "coverage": found.coverage, "thread_length_mm": found.thread_length,
-        "left_over_mm": found.left_over, "length_range_mm": found.length_range, "outside": found.outside, "verdict": found.verdict, "gap_px": found.gap, "unsupported": found.unsupported,
+        "left_over_mm": found.left_over, "length_range_mm": found.length_range, "outside": found.outside,
+        "verdict": found.verdict, "gap_px": found.gap, "unsupported": found.unsupported,
         "runner_up_mm": found.runner_up, "runner_up_energy_vis": found.runner_up_energy,
     }
 

@@ -52,8 +52,8 @@ FITTING_PX = 1.0
 COVERED, CERTAIN_MM = 0.95, 1.0
 """Bounds of the share of the detected line that a rod explains, in every camera, and of the uncertainty of its vertices."""
 CERTAIN_LENGTH = 0.02
-"""Bound of the uncertainty of a length that was found, as a share of it. A rod that is too long by that may be off the thread along
-the line of sight by some hundredths of its length."""
+"""Bound of the uncertainty of a length that was found, as a share of it. A rod that is too long by that may be off the thread
+along the line of sight by some hundredths of its length."""
 LOST_PX = 3.0
 """Bound of the largest distance where no two cameras fit: a rod that is farther off is not the thread in the images."""
 

@@ -16,7 +16,7 @@ END_PX = 8.0
 
 
 def chains_of(detection: Detection) -> list[np.ndarray]:
-    """(M, 2) px each: points that follow each other."""
+    """(M, 2) px each, M points in order."""
     points, direction = thinned(detection)
     if len(points) < 2:
         return []
@@ -42,13 +42,13 @@ def chains_of(detection: Detection) -> list[np.ndarray]:
     for begin in [*ends, *np.flatnonzero((mutual >= 0).all(axis=1))]:  # ends first, then closed chains
         if not left[begin]:
             continue
-        order, here = [], int(begin)
+        rows, here = [], int(begin)
         while here >= 0 and left[here]:
-            order.append(here)
+            rows.append(here)
             left[here] = False
             here = next((int(k) for k in mutual[here] if k >= 0 and left[k]), -1)
-        if len(order) > 2 and chain_length(points[order]) >= SHORTEST_PX:
-            chains.append(points[order])
+        if len(rows) > 2 and chain_length(points[rows]) >= SHORTEST_PX:
+            chains.append(points[rows])
     return chains
 
 
@@ -66,4 +66,5 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def chain_length(points: np.ndarray) -> float:
+    """px."""
     return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())

@@ -2,8 +2,8 @@
 
 1. **Start.** Around the pixel, the line of largest contrast in Lab is sought over places, directions and widths.
 2. **Colours.** Across the thread the colour at an offset s is compared with that farther off on either side: where the median
-   difference is large against the scatter along the thread, s is within. That gives the thread's middle, width and colours;
-   a striped thread has several.
+   difference is large against the scatter along the thread, s is within, unless it is in the thread's shadow. That gives the
+   thread's middle, width and colours; a striped thread has several (:mod:`doo_ti.vision.detection.look`).
 3. **Walk.** In the likeness to these colours the thread is a light line of known width. Of circular arcs that go on from the
    last point, the one along which the line is strongest is followed for half a width; strength is the second derivative across,
    1 for a clean line. Where it is missing, for instance where something crosses, the arc goes on to where the line is
@@ -12,14 +12,13 @@
 Other threads that cross are not followed: an arc that is straighter through the crossing has more of the line.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from doo_ti.arguments import typed
 from doo_ti.errors import InputError
 from doo_ti.vision.detection.colour import TOLERANCE, as_colour, lab, likeness, likeness_table
 from doo_ti.vision.detection.line import Detection, moved
+from doo_ti.vision.detection.look import Line, Look, looked, window
 from doo_ti.vision.detection.options import DetectionOptions, check_image, cropped
 from doo_ti.vision.detection.ridge import Curvature
 
@@ -35,12 +34,6 @@ FINENESS = 1.75
 WORKING_WIDTH = 16.0
 """px: wider threads are followed in halved images."""
 LEAST_TOLERANCE = 5.0
-WITHIN = 0.5
-"""Share of the largest ratio of difference and scatter up to which a place is within the thread."""
-SURE = 5.0
-"""Ratio from which on a place is within the thread in any case: its stripes may differ."""
-LEVEL = 3.0
-"""Lab: scatter without noise."""
 AHEAD, SHARPEST, ARCS = 6.0, 0.35, 21
 """Length of arcs in widths, their largest curvature times the width, and their number."""
 PRESENT = 0.35
@@ -53,16 +46,6 @@ STRAIGHT = 0.15
 """Strength that an arc of the largest curvature must have more than a straight one."""
 SHORTEST = 4.0
 """Widths of a thread."""
-BLUR_PX = 0.7
-
-
-@dataclass(frozen=True)
-class _Line:
-    """A place on a thread: (2,) px, the angle of its direction and its width."""
-
-    point: np.ndarray
-    angle: float
-    width: float
 
 
 @typed
@@ -81,11 +64,9 @@ def follow(image: np.ndarray, pixel: tuple[float, float], options: DetectionOpti
         raise InputError("detection", "pixel", f"{tuple(pixel)} is outside",
                          f"give one of the {part.shape[1]} x {part.shape[0]} px of the image or region")
     levels = [as_colour(part)]
-    found = None
-    for line in sorted(_lines(levels, place), key=lambda entry: -entry[0]):
-        found = _followed(levels, line[1])
-        if found is not None:
-            break
+    lines = sorted(_lines(levels, place), key=lambda entry: -entry[0])
+    found = next((one for sound in (True, False) for _, line in lines
+                  if (one := _followed(levels, line, sound)) is not None), None)
     if found is None:
         return Detection(np.empty((0, 2)), np.empty((0, 2)), np.empty(0), np.nan, "", image.shape[:2], "follow")
     points, strength, width, polarity = found
@@ -97,7 +78,7 @@ def follow(image: np.ndarray, pixel: tuple[float, float], options: DetectionOpti
 # --- the line at the pixel -------------------------------------------------------------------------------------------------
 
 
-def _lines(levels: list[np.ndarray], place: np.ndarray) -> list[tuple[float, _Line]]:
+def _lines(levels: list[np.ndarray], place: np.ndarray) -> list[tuple[float, Line]]:
     """(contrast, line) of the best line of each width near ``place``; appends halved images to ``levels``."""
     import cv2
 
@@ -110,17 +91,17 @@ def _lines(levels: list[np.ndarray], place: np.ndarray) -> list[tuple[float, _Li
         scale = 2.0**level
         for width in (2 * FINEST, 2 * FINEST * np.sqrt(2)) if level else FINEST * np.sqrt(2) ** np.arange(4):
             contrast, line = _line(levels[level], place / scale, float(width), REACH_PX / scale)
-            found.append((contrast, _Line(line.point * scale, line.angle, line.width * scale)))
+            found.append((contrast, Line(line.point * scale, line.angle, line.width * scale)))
     return found
 
 
-def _line(image: np.ndarray, place: np.ndarray, width: float, reach: float) -> tuple[float, _Line]:
+def _line(image: np.ndarray, place: np.ndarray, width: float, reach: float) -> tuple[float, Line]:
     """The contrast in Lab and the line of this width that is most distinct within ``reach`` or half a width of ``place``."""
     import cv2
 
     reach, sigma = max(reach, width / 2), width / 2
-    window, corner = _window(image, place, int(np.ceil(reach + (SEGMENT + 2) * width)) + 2)
-    colours = lab(window)
+    pixels, corner = window(image, place, int(np.ceil(reach + (SEGMENT + 2) * width)) + 2)
+    colours = lab(pixels)
     parts = [Curvature(np.ascontiguousarray(colours[..., channel]), sigma) for channel in range(3)]
     grid = np.arange(-np.ceil(reach), np.ceil(reach) + 1)
     offset = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
@@ -139,97 +120,51 @@ def _line(image: np.ndarray, place: np.ndarray, width: float, reach: float) -> t
         square = square + np.einsum("apk,ak->ap", bends, weight) ** 2
     contrast = np.sqrt(square) * sigma**FINENESS * (1 - 0.5 * (np.linalg.norm(offset, axis=1) / (reach + 1)) ** 2)
     best, at_place = np.unravel_index(np.argmax(contrast), contrast.shape)
-    return float(contrast[best, at_place]), _Line(place + offset[at_place], float(angle[best]), width)
+    return float(contrast[best, at_place]), Line(place + offset[at_place], float(angle[best]), width)
 
 
-def _window(image: np.ndarray, place: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
-    """The pixels within ``reach`` of a place, blurred, and the corner (2,) at which they begin."""
-    import cv2
-
-    x, y = (int(value) for value in np.clip(np.rint(place), 0, np.array(image.shape[1::-1]) - 1))
-    left, top = max(x - reach, 0), max(y - reach, 0)
-    return cv2.GaussianBlur(image[top : y + reach + 1, left : x + reach + 1], (0, 0), BLUR_PX), np.array([left, top])
+# --- the thread along it ---------------------------------------------------------------------------------------------------
 
 
-# --- its colours ---------------------------------------------------------------------------------------------------------
-
-
-def _followed(levels: list[np.ndarray], line: _Line) -> tuple[np.ndarray, np.ndarray, float, str] | None:
-    """(N, 2) points, (N,) strengths, width and polarity of the thread that has this line; None where there is none."""
+def _followed(levels: list[np.ndarray], line: Line, sound: bool) -> tuple[np.ndarray, np.ndarray, float, str] | None:
+    """(N, 2) points, (N,) strengths, width and polarity of the thread that has this line; None where there is none, or none
+    that is ``sound`` where it must be."""
     level = int(np.clip(np.ceil(np.log2(line.width / WORKING_WIDTH)), 0, len(levels) - 1))
     image, scale = levels[level], 2.0**level
-    line = _Line(line.point / scale, line.angle, line.width / scale)
+    line = Line(line.point / scale, line.angle, line.width / scale)
     step = np.arange(-np.ceil(SEGMENT * line.width), np.ceil(SEGMENT * line.width) + 1)
     path = line.point + step[:, None] * [np.cos(line.angle), np.sin(line.angle)]
-    near = _looked(image, path, len(step) // 2, line, None)
-    walked = near[1] and _both_ways(image, *near, 8 * line.width)
-    if not walked:
+    near, look = looked(image, path, len(step) // 2, line, None)
+    walked = None if sound and not look.sound else _both_ways(image, near, look, 8 * line.width)
+    if walked is None:
         return None
-    far = _looked(image, walked[1], walked[3], *near)
-    line, look = far
-    walked = _both_ways(image, *far, np.inf)
-    if not walked:  # what is farther along is misleading
-        line, look = near
-        walked = _both_ways(image, *near, np.inf)
-    field, path, strength, _ = walked
+    far, far_look = looked(image, walked[1], walked[3], near, look)
+    again = _both_ways(image, far, far_look, np.inf)
+    if again is None:  # what is farther along is misleading
+        far, far_look, again = near, look, _both_ways(image, near, look, np.inf)
+    if again is None:
+        return None
+    field, path, strength, _ = again
     points = scale * field.centred(path, strength > 0)
     place = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     at = np.arange(0, place[-1], 1.0)  # a pixel apart
     points = np.stack([np.interp(at, place, points[:, axis]) for axis in (0, 1)], axis=-1)
     strength = strength[np.clip(np.searchsorted(place, at), 0, len(strength) - 1)]
-    return points, strength, line.width * scale, look[2]
+    return points, strength, far.width * scale, far_look.polarity
 
 
-def _both_ways(image: np.ndarray, line: _Line, look: tuple, length: float) -> tuple | None:
+def _both_ways(image: np.ndarray, line: Line, look: Look, length: float
+               ) -> tuple["_Field", np.ndarray, np.ndarray, int] | None:
     """(field, (N, 2) points, (N,) strengths, the number of the line's point) of the thread as far as ``length`` px either way;
     None where it is no longer than four widths."""
-    field = _Field(image, likeness_table(look[0], np.clip(look[1] / 2, LEAST_TOLERANCE, TOLERANCE)), line.width)
+    table = likeness_table(list(look.colours), float(np.clip(look.contrast / 2, LEAST_TOLERANCE, TOLERANCE)))
+    field = _Field(image, table, line.width)
     ahead, ahead_strength = _walked(field, line, length)
-    back, back_strength = _walked(field, _Line(line.point, line.angle + np.pi, line.width), length)
+    back, back_strength = _walked(field, Line(line.point, line.angle + np.pi, line.width), length)
     path = np.concatenate([back[::-1], line.point[None], ahead])
     if len(path) < SHORTEST * line.width:
         return None
     return field, path, np.concatenate([back_strength[::-1], [FULL], ahead_strength]), len(back)
-
-
-def _looked(image, path, middle: int, line: _Line, before) -> tuple[_Line, tuple | None]:
-    """The line again, at its middle and with its width, and (colours in Lab, contrast, polarity); what was known ``before``
-    where the thread and its surroundings do not differ."""
-    import cv2
-
-    span = int(max(1, line.width))
-    smooth = cv2.blur(np.gradient(path, axis=0)[:, None], (1, 2 * span + 1), borderType=cv2.BORDER_REPLICATE)[:, 0]
-    along = smooth / np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-9)
-    across = np.stack([-along[:, 1], along[:, 0]], axis=-1)
-    offset = np.arange(-2.5 * line.width, 2.5 * line.width + 0.01, 0.5)
-    place, reach = path.mean(axis=0), int(np.abs(path - path.mean(axis=0)).max() + 2.5 * line.width) + 4
-    window, corner = _window(image, place, reach)
-    at = (path - corner)[:, None] + offset[:, None] * across[:, None]
-    at = at.astype(np.float32)
-    seen = lab(cv2.remap(window, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
-    usual = np.median(seen, axis=0)
-    scatter = np.median(np.linalg.norm(seen - usual, axis=-1), axis=0)
-    difference = np.minimum(*(np.median(np.linalg.norm(seen - seen[:, [end]], axis=-1), axis=0) for end in (0, -1)))
-    ratio = difference / (scatter + LEVEL)
-    near = np.flatnonzero(np.abs(offset) <= max(line.width / 2, 0.5))
-    top = near[np.argmax(ratio[near])]
-    outside = np.flatnonzero(ratio <= min(WITHIN * ratio[top], SURE))
-    first, last = outside[outside < top].max(initial=-1) + 1, outside[outside > top].min(initial=len(offset)) - 1
-    # The edges, blurred, are where half of the outermost stripe's difference is reached.
-    third = max(1, (last - first) // 3)
-    outer, inner = difference[first : first + third], difference[last - third + 1 : last + 1]
-    first, last = first + int(np.argmax(outer >= outer.max() / 2)), last - int(np.argmax(inner[::-1] >= inner.max() / 2))
-    width = offset[last] - offset[first] + 0.5
-    line = _Line(path[middle], float(np.arctan2(along[middle, 1], along[middle, 0])), line.width)
-    if first == 0 or last == len(offset) - 1 or not line.width / 2 <= width <= 2 * line.width:
-        first, last, width = top, top, line.width
-        if before is not None:
-            return line, before
-    shift = (offset[first] + offset[last]) / 2 if last > first else 0.0
-    inner = np.linspace(offset[first] + 0.2 * width, offset[last] - 0.2 * width, 5) if last > first else offset[[top]]
-    colours = usual[np.argmin(np.abs(offset[:, None] - inner), axis=0)]
-    polarity = "light" if usual[top, 0] > (usual[0, 0] + usual[-1, 0]) / 2 else "dark"
-    return _Line(line.point + shift * across[middle], line.angle, max(float(width), 2.0)), (colours, difference[top], polarity)
 
 
 # --- from point to point -----------------------------------------------------------------------------------------------------
@@ -251,12 +186,12 @@ class _Field:
         low, high = points.min(axis=(0, 1)), points.max(axis=(0, 1))
         edge = np.array(self.image.shape[1::-1]) - 1
         if (np.maximum(low, 0) < self.corner).any() or (np.minimum(high, edge) > self.end).any():
-            window, corner = _window(self.image, (low + high) / 2, self.reach + margin)
-            part = Curvature(likeness(window, self.table), self.sigma)
+            pixels, corner = window(self.image, (low + high) / 2, self.reach + margin)
+            part = Curvature(likeness(pixels, self.table), self.sigma)
             self.maps = cv2.merge([part.xx, part.xy, part.yy]), cv2.merge([part.x, part.y])
-            cut = [np.where(at, 0, margin) for at in (corner == 0, corner + window.shape[1::-1] > edge)]
+            cut = [np.where(at, 0, margin) for at in (corner == 0, corner + pixels.shape[1::-1] > edge)]
             self.origin, self.corner = corner, corner + cut[0]
-            self.end = corner + window.shape[1::-1] - 1 - cut[1]
+            self.end = corner + pixels.shape[1::-1] - 1 - cut[1]
         at = (points - self.origin).astype(np.float32)
         bends, slopes = (cv2.remap(part, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
                          for part in self.maps)
@@ -275,12 +210,12 @@ class _Field:
             shift[rows] = self.sampled(path[None, rows], along[None, rows])[1][0]
         # At its ends a gap's cause pulls the line aside.
         clear = np.convolve(~there, np.ones(2 * int(2 * self.sigma) + 1), "same")[: len(path)] == 0
-        rows, sure = np.arange(len(path)), clear if clear.any() else there
-        shift = np.clip(np.interp(rows, rows[sure], shift[sure]), -self.sigma, self.sigma)
+        every, sure = np.arange(len(path)), clear if clear.any() else there
+        shift = np.clip(np.interp(every, every[sure], shift[sure]), -self.sigma, self.sigma)
         return path + shift[:, None] * np.stack([-along[:, 1], along[:, 0]], axis=-1)
 
 
-def _walked(field: _Field, line: _Line, longest: float) -> tuple[np.ndarray, np.ndarray]:
+def _walked(field: _Field, line: Line, longest: float) -> tuple[np.ndarray, np.ndarray]:
     """(N, 2) points a pixel apart beyond a line's point, and (N,) grey levels: their strengths, 0 in gaps."""
     width, (height, breadth) = line.width, field.image.shape[:2]
     step = np.arange(1.0, np.ceil(AHEAD * width) + 1)

@@ -13,7 +13,8 @@ _WIDTH, _HEIGHT, _ORIENTATION = 256, 257, 274
 """Tags of TIFF, and of the Exif data of other files, which are in its form."""
 _EXIF = b"Exif\0\0", b"eXIf"
 """What Exif data follow in JPEG and PNG."""
-_SEARCHED = 1 << 16
+SEARCHED = 1 << 16
+"""Bytes of a file's beginning in which the orientation of one that is no TIFF is stated."""
 UPRIGHT = 1
 
 
@@ -72,7 +73,7 @@ def may_be_transparent(content: bytes) -> bool:
 
 def stated_orientation(content: bytes) -> int:
     """The orientation tag of an image file: 1 to 8, as Exif numbers them; 1, upright, where there is none."""
-    beginning = content[:_SEARCHED]
+    beginning = content[:SEARCHED]
     places = [place + len(mark) for mark in _EXIF if (place := beginning.find(mark)) >= 0]
     try:
         for place in [0, *places]:

@@ -23,7 +23,15 @@ from doo_ti.io.csv_table import CsvTable, read_csv
 from doo_ti.io.files import read_content
 from doo_ti.vision.cameras.camera import MOST_SIDE, Camera
 from doo_ti.vision.cameras.rig import Rig
-from doo_ti.vision.detection.image_size import KNOWN, UPRIGHT, may_be_transparent, stated_orientation, stated_size
+from doo_ti.vision.detection.image_size import (
+    KNOWN,
+    SEARCHED,
+    TIFF,
+    UPRIGHT,
+    may_be_transparent,
+    stated_orientation,
+    stated_size,
+)
 
 SEED = ("seed_x", "seed_y", "seed_z", "dir_x", "dir_y", "dir_z")
 _changing, _silent = Lock(), []
@@ -65,8 +73,15 @@ def read_mask(path: str | os.PathLike[str], camera: Camera | None = None) -> np.
 
 
 def orientation_tags(paths: Iterable[Path]) -> int:
-    """How many of these image files have tags that say to turn them."""
-    return sum(stated_orientation(read_content(path)) != UPRIGHT for path in paths)
+    """How many of these image files, which were read before, have tags that say to turn them."""
+    return sum(stated_orientation(_beginning(path)) != UPRIGHT for path in paths)
+
+
+def _beginning(path: Path) -> bytes:
+    """As much of a file as may state its orientation: images are large."""
+    with path.open("rb") as file:
+        content = file.read(SEARCHED)
+        return content + file.read() if content[:4] in TIFF else content
 
 
 def _decoded(path: Path, camera: Camera | None, flags: int) -> np.ndarray:

@@ -37,6 +37,11 @@ class Detection:
         """(N,) px: the thread's width at each point; where only one is known, that."""
         return np.full(len(self.points), float(self.width_px)) if self.width is None else self.width
 
+    def copy(self) -> "Detection":
+        """The same in arrays of its own."""
+        arrays = {name: getattr(self, name).copy() for name in ("points", "direction", "strength")}
+        return replace(self, **arrays, width=None if self.width is None else self.width.copy())
+
     @property
     def count(self) -> int:
         return len(self.points)

@@ -8,7 +8,7 @@ lines down and up, and along each line both ways.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -82,8 +82,7 @@ def distance_maps(detections: list[list[Detection]], margin_px: int = 50) -> Dis
     runtime.start()
     for part in np.split(np.arange(len(flat)), np.flatnonzero(np.diff(window[:, 0] // PIXELS_AT_ONCE)) + 1):
         _fill_part([flat[index] for index in part], window[part], values)
-    own = [[replace(found, **{name: getattr(found, name).copy() for name in ("points", "direction", "strength")})
-            for found in images] for images in detections]
+    own = [[found.copy() for found in images] for images in detections]
     return DistanceMaps(values, window.reshape(len(detections), -1, 5), own)
 
 
