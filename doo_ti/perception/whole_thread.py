@@ -2,9 +2,9 @@
 
 Between cameras that are close together a rod that is too long folds along the line of sight, and explains the images as well
 as a shorter one: to end where the paths end does not determine its length. So it is chosen as everything else is, by E_vis
-with evidence from both sides. The best rods are relaxed again with lengths a little shorter and longer; where E_vis of these
-is least, between the lengths that were tried on a parabola, is the thread's length. Lengths whose E_vis exceeds that by less
-than what makes a runner-up ambiguous explain the images as well: they are its range.
+with evidence from both sides. The best rods are relaxed again with lengths a little shorter and longer; between these E_vis is
+a parabola. Lengths whose E_vis exceeds the least one by less than what makes a runner-up ambiguous explain the images as well:
+they are the range of the thread's length. Within that, it is the one with which the best rod ends where its paths end.
 
 Axes: A image sets, R rods, L lengths.
 """
@@ -69,17 +69,18 @@ def whole_threads(rig: Rig, detections: Sequence[Sequence[Detection]], point: np
         tracing = tracing.take(rows)
         tried = tracing.relaxed(tried, np.ones(len(rows), dtype=bool), ROUNDS)
         energy, found = evidence(rig, maps, tried.solution.configuration, tracing.of_set, *looked)
-        best = int(np.argmin(energy))
-        slack = AMBIGUOUS_PX * options.nu * found.line[best].sum()
-        length[row], bounds[row] = _profiled(tried.length.reshape(-1, len(TIMES)), energy.reshape(-1, len(TIMES)), slack)
-        ways[row] = tried.solution.configuration.frames[best, 0, :, 0]
+        energy, lengths = energy.reshape(-1, len(TIMES)), tried.length.reshape(-1, len(TIMES))
+        slack = AMBIGUOUS_PX * options.nu * found.line[0].sum()
+        length[row], bounds[row] = _profiled(lengths, energy, slack)
+        nearest = np.argmin(np.where(energy <= energy.min() + slack, np.abs(lengths - length[row]), np.inf))
+        ways[row] = tried.solution.configuration.frames[nearest, 0, :, 0]
     return WholeThreads(length, bounds, ways if direction is None else direction)
 
 
 def _profiled(length: np.ndarray, energy: np.ndarray, slack: float) -> tuple[float, tuple[float, float]]:
-    """The length of least energy, and the least and the largest one whose energy exceeds that by ``slack`` at most.
+    """The length of the thread, and the least and the largest one whose energy exceeds the least by ``slack`` at most.
 
-    length, energy  (R, L), lengths of a rod in increasing order
+    length, energy  (R, L) of rods with TIMES their length
     """
     fine, values = [], []
     for tried, found in zip(length, energy, strict=True):
@@ -95,4 +96,7 @@ def _profiled(length: np.ndarray, energy: np.ndarray, slack: float) -> tuple[flo
         return float(length[best]), (float(length.min()), float(length.max()))
     every, least = np.concatenate(fine), np.concatenate(values)
     alike = every[least <= least.min() + slack]
-    return float(every[np.argmin(least)]), (float(alike.min()), float(alike.max()))
+    at_end = int(np.argmax(TIMES == 1.0))
+    best = int(np.argmin(energy[:, at_end]))
+    sound = energy[best, at_end] <= least.min() + slack
+    return float(length[best, at_end] if sound else every[np.argmin(least)]), (float(alike.min()), float(alike.max()))
