@@ -7,12 +7,15 @@ the marks from the model at the present estimate v₀:
     Λ ← f Λ + JᵀJ/R      η ← f η + Jᵀ(r + J v₀)/R      v = (I + Λ)⁻¹ η      cov v = (I + Λ)⁻¹
 
 R is the variance of a coordinate. To the noise it adds what this moment's linearisation is off by, and what remains of the
-marks after the fit: as that is an error of the model, common to neighbouring marks, it counts as often as there are marks.
+marks after the fit: as that is an error of the model, common to all marks of some moments, it counts as often as these are.
 
 Unknowns in their order: ln of the factors on B and on β/B; twelve numbers of the clips (:func:`.poses.held`); the additional
-compliance of the joints next to the clamps, over their own, a half where the real rod bends from the clamped vertex on, not
-half an edge further in; and coefficients of the rest curvature over the rod's length, two components for each of CURVES
-cosines. Those whose σ is zero are known.
+compliance of the joints at the clamps, over their own; and coefficients of the rest curvature over the rod's length, two
+components for each of CURVES cosines. Those whose σ is zero are known.
+
+Rods whose clamps act half an edge further in, as those of a mesh do, differ from a real one by a few percent of their bending
+stiffness. Models therefore bend from the clamped vertices on (:func:`doo_ti.rods.with_end_edges`), and how much is learned: a
+compliance of −1 of the joints there is a clamp that holds the whole edge, one of 0 a clamp that acts at the vertex.
 
 Axes: B rods, P unknowns that are learned, N coordinates of vertices, E edges, C columns of derivatives that a rod has: by bend
 and twist stiffness, by the twelve numbers of its grippers, and by the modes.
@@ -31,8 +34,11 @@ LINEAR = 0.1
 """Share of a residual that its linearisation is off by. With 0.5 learning is slow, with 0.01 the first moments are trusted."""
 MOST_DEVIATIONS = 4.0
 """Standard deviations of the prior, beyond which no unknown goes."""
-SOFTEST, STIFFEST = 0.8, -0.4
-"""Bounds of the additional compliance of the joints at the clamps; at one, the outer edges would have no stiffness."""
+CENTRE, STIFFEST, SOFTEST = -0.5, -0.95, 0.5
+"""Of the additional compliance of the joints at the clamps, where it is unknown: its mean before anything is seen, and bounds;
+at one, the outer edges would have no stiffness."""
+PERSISTENT = 3.0
+"""Moments to which an error of the model is common. With 1 a tenth of the intervals are too narrow, with 10 all are wide."""
 QUANTILE = 1.96
 """Standard deviations of a 95 % interval."""
 
@@ -81,7 +87,8 @@ class Belief:
         bound = np.full(len(spread), MOST_DEVIATIONS)
         self._least, self._most = -bound[self.learned], bound[self.learned]
         joints = self.learned == JOINTS
-        self._least[joints], self._most[joints] = STIFFEST / (options.compliance or 1.0), SOFTEST / (options.compliance or 1.0)
+        if joints.any():
+            self._least[joints], self._most[joints] = (np.array([STIFFEST, SOFTEST]) - CENTRE) / options.compliance
         rods, unknowns = material.count, len(self.learned)
         self.unknowns = np.zeros((rods, len(spread)))
         self._information = np.zeros((rods, unknowns, unknowns))
@@ -105,11 +112,11 @@ class Belief:
     @property
     def compliance(self) -> np.ndarray:
         """(B,) additional, of the joints at the clamps, over their own."""
-        return self.unknowns[:, JOINTS]
+        return self.unknowns[:, JOINTS] + (CENTRE if self._spread[JOINTS] else 0.0)
 
     def _material(self) -> Material:
         """B rows."""
-        nominal, bend, ratio = self._nominal, *self.unknowns[:, :CLIP].T
+        nominal, bend = self._nominal, self.unknowns[:, BEND]
         rest, matrix = nominal.rest_curvature, nominal.bend * np.exp(bend)[:, None, None, None]
         if self.uneven:
             own = np.tensordot(self.unknowns[:, CURVATURE:], self.modes[-2 * CURVES :], 1)
@@ -117,7 +124,20 @@ class Belief:
             along = np.ones((len(own), own.shape[1] + 1))  # a joint's stiffness is the mean of its edges'
             along[:, 0] = along[:, -1] = 2.0 / (1.0 + self.compliance) - 1.0
             matrix = matrix * along[..., None, None]
-        return Material(matrix, nominal.twist * np.exp(bend + ratio)[:, None], nominal.weight, rest, nominal.weight_per_length)
+        return Material(matrix, self._twist[:, None], nominal.weight, rest, nominal.weight_per_length)
+
+    def held(self, edge: float) -> np.ndarray:
+        """(B,) mm at each end that grippers may hold, of an outer ``edge`` of the rod that was given: at most the whole."""
+        joints = np.flatnonzero(self.learned == JOINTS)
+        if not len(joints):
+            return np.full(len(self.unknowns), edge)
+        spread = self._spread[JOINTS] * np.sqrt(self._covariance[:, joints[0], joints[0]])
+        return edge * np.clip(spread - self.compliance, 0.0, 1.0)
+
+    @property
+    def _twist(self) -> np.ndarray:
+        """(B,) β."""
+        return self._nominal.twist[:, 0] * np.exp(self.unknowns[:, BEND] + self.unknowns[:, RATIO])
 
     def transform(self, grippers: np.ndarray, elastic: np.ndarray) -> np.ndarray:
         """(B, C, P): what derivatives by v are of the columns of a rod.
@@ -125,11 +145,11 @@ class Belief:
         grippers  (4, B, 3, 3) frames of the grippers, for shift and turn of the start and of the end
         elastic   (B, 4) curvature from rest at the first and at the last joint, 1/mm
         """
-        material, soft = self.material, 1.0 + self.compliance
+        soft = 1.0 + self.compliance
         rods = len(soft)
         whole = np.zeros((rods, CLIP + 12 + (len(self.modes) if self.uneven else 0), len(self._spread)))
         whole[:, 0, BEND] = self._nominal.bend[:, 0, 0, 0] * np.exp(self.unknowns[:, BEND])
-        whole[:, 1, BEND] = whole[:, 1, RATIO] = material.twist[:, 0]
+        whole[:, 1, BEND] = whole[:, 1, RATIO] = self._twist
         for k, frame in enumerate(grippers):
             part = slice(CLIP + 3 * k, CLIP + 3 * k + 3)
             whole[:, part, part] = frame
@@ -150,7 +170,7 @@ class Belief:
         normal = turned @ (across @ columns) @ transform
         right = (turned @ (across @ residual[..., None]))[..., 0]
         square = np.sum(residual**2, axis=1)
-        missing = np.maximum(self._variance - noise, 0.0) * number / 3
+        missing = np.maximum(self._variance - noise, 0.0) * PERSISTENT * number / 3
         variance = noise + missing + LINEAR**2 * square / number
         before = self.unknowns[:, self.learned] / self._spread[self.learned]
         self.expected = np.sqrt(self._variance + np.sum(normal * self._covariance, axis=(1, 2)) / number)

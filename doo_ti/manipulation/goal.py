@@ -96,7 +96,7 @@ def fit(rods: Configuration, clamps: Clamps, model: Model, targets: Targets, opt
     (Levenberg, Marquardt); every one is certified."""
     solution = model.relaxed(rods, clamps)
     distance = _distance(solution, targets)
-    length = np.full(rods.count, LONGEST)
+    length, reach = np.full(rods.count, LONGEST), (rods.rest_length.sum(), rods.rest_length[0])
     weight = np.repeat(targets.shares, 3, axis=1)
     for _ in range(ITERATIONS):
         columns = gripper_jacobian(solution).vertices
@@ -107,8 +107,7 @@ def fit(rods: Configuration, clamps: Clamps, model: Model, targets: Targets, opt
         there = moved(clamps, step / options.scale)
         tried = model.relaxed(finite_rods(solution.configuration, rods), there)
         nearer = _distance(tried, targets)
-        least = np.minimum(slack(clamps, rods.rest_length), options.slack * rods.rest_length.sum())
-        loose = slack(there, rods.rest_length) >= least
+        loose = slack(there, *reach) >= np.minimum(slack(clamps, *reach), options.slack * reach[0])
         good = (nearer < distance) & loose
         length = np.where(good, np.minimum(GROW * length, LONGEST), SHRINK * np.minimum(length, np.linalg.norm(step, axis=1)))
         taken = np.flatnonzero(good)

@@ -36,11 +36,12 @@ def held(clamps: Clamps, clip: np.ndarray) -> Clamps:
     return replace(clamps, start_position=start[0], start_frame=start[1], end_position=end[0], end_frame=end[1])
 
 
-def slack(clamps: Clamps, rest_length: np.ndarray) -> np.ndarray:
-    """(B,) mm by which rods of edges ``rest_length`` (E,) are longer between their grippers than these are apart."""
-    way = clamps.end_position - clamps.start_position
-    way = way - rest_length[0] * clamps.start_frame[..., 0] - rest_length[-1] * clamps.end_frame[..., 0]
-    return rest_length[1:-1].sum() - np.linalg.norm(way, axis=-1)
+def slack(clamps: Clamps, length: float, stiff: np.ndarray | float) -> np.ndarray:
+    """(B,) mm by which rods of that ``length``, of which grippers hold ``stiff`` mm at each end, (B,) or one number, are longer
+    between their grippers than these are apart."""
+    stiff = np.broadcast_to(stiff, clamps.count)
+    way = clamps.end_position - clamps.start_position - stiff[:, None] * (clamps.start_frame[..., 0] + clamps.end_frame[..., 0])
+    return length - 2 * stiff - np.linalg.norm(way, axis=-1)
 
 
 def joined(parts: list[Clamps]) -> Clamps:

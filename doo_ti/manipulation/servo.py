@@ -45,6 +45,7 @@ from doo_ti.manipulation.targets import ServoOptions, ServoStatus, Targets
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.relaxation.sensitivity import GRIPPERS, sensitivity
+from doo_ti.rods import with_end_edges
 from doo_ti.short_repr import counted
 from doo_ti.types import Clamps, Configuration, Material, Solution, unit_up
 
@@ -98,7 +99,12 @@ class Servo:
         self._options = options = ServoOptions() if options is None else options
         self._around, self._up = around, unit_up(up, "Servo")
         rows = np.zeros(count, dtype=np.int64)
-        self._targets = targets.take(rows) if targets.count < count else targets
+        self._edge = float(rod.rest_length[0])
+        self._padded = options.compliance > 0 and rod.rest_length[0] > 0
+        rod = with_end_edges(rod) if self._padded else rod
+        targets = targets.take(rows) if targets.count < count else targets
+        weight = None if targets.weight is None else np.pad(targets.weight, ((0, 0), (1, 1)))
+        self._targets = Targets(_padded(targets.vertices), weight) if self._padded else targets
         self._belief = Belief(material.take(rows) if material.count < count else material, rod.rest_length, options)
         self.clamps = clamps
         self._model = relax(rod, self._belief.material, clamps, Newton.careful(), up=self._up, **around.arguments)
@@ -123,7 +129,8 @@ class Servo:
     @property
     def vertices(self) -> np.ndarray:
         """(B, V, 3) mm, where the rods are estimated to be after the last step."""
-        return self._model.configuration.vertices + self._offset
+        vertices = self._model.configuration.vertices + self._offset
+        return vertices[:, 1:-1] if self._padded else vertices
 
     @typed
     def step(self, seen: Annotated[np.ndarray, "B V 3", float]) -> Clamps:
@@ -133,8 +140,10 @@ class Servo:
 
         A rod of which nothing is seen moves as its model says. Raises InputError for another shape and infinite places.
         """
-        if seen.shape != self._offset.shape or np.isinf(seen).any():
-            raise InputError("Servo.step", "seen", f"shape {seen.shape}, or infinite", f"give {self._offset.shape} mm, or NaN")
+        wanted = (len(self.status), self._offset.shape[1] - 2 * self._padded, 3)
+        if seen.shape != wanted or np.isinf(seen).any():
+            raise InputError("Servo.step", "seen", f"shape {seen.shape}, or infinite", f"give {wanted} mm, or NaN")
+        seen = _padded(seen) if self._padded else seen
         visible = np.isfinite(seen).all(axis=-1)
         self._follow_snaps(seen, visible)
         found = sensitivity(self._model, PARAMETERS + ("modes",) * self._belief.uneven,
@@ -206,12 +215,12 @@ class Servo:
         refused, rested = np.zeros((2, len(usable)), dtype=bool)
         longest = np.where(usable, self._length, 0.0)
         gain = np.zeros(len(usable))
-        rest, least = self._last.rest_length, self._options.slack * self._last.rest_length.sum()
-        least = np.minimum(slack(start, rest), least)
+        length, stiff = self._last.rest_length.sum(), self._belief.held(self._edge)
+        least = np.minimum(slack(start, length, stiff), self._options.slack * length)
         to_aim = change_between(start, self._aims) * self._options.scale
         for attempt in range(TRIES):
-            length = longest if attempt < TRIES - 1 else np.zeros_like(longest)
-            step = np.where(self._aiming[:, None], _shortened(to_aim, length), steps.within(length))[waiting]
+            most = longest if attempt < TRIES - 1 else np.zeros_like(longest)
+            step = np.where(self._aiming[:, None], _shortened(to_aim, most), steps.within(most))[waiting]
             self.clamps = put_rows(self.clamps, waiting, moved(start.take(waiting), step / self._options.scale))
             model = self._relaxed(waiting)
             linear = (columns[waiting] @ step[..., None]).reshape(len(waiting), -1, 3)
@@ -220,7 +229,7 @@ class Servo:
             distance = self._targets.take(waiting).distance(shapes + self._offset[waiting])
             size = np.linalg.norm(step, axis=1)
             nearer = self._aiming[waiting] | (distance <= WORSE * before[waiting] + ROUNDING)
-            nearer &= slack(self.clamps.take(waiting), rest) >= least[waiting]
+            nearer &= slack(self.clamps.take(waiting), length, stiff[waiting]) >= least[waiting]
             follows = (off <= NONLINEAR * _size(linear) + NONLINEAR_MM) & nearer
             good = model.converged & model.stable & (follows | (size == 0))
             done = waiting[good]
@@ -291,6 +300,11 @@ def _check(rod: Configuration, material: Material, clamps: Clamps, targets: Targ
         raise InputError("Servo", "rod", "rods with edges of different lengths", "give (E,) rest lengths, the same for all")
     if not replace(material, rest_curvature=None).is_isotropic:
         raise InputError("Servo", "material", "not round, or not the same all along the rod", "give Material(bend, twist)")
+
+
+def _padded(vertices: np.ndarray) -> np.ndarray:
+    """Places of vertices (B, V, 3), and none of the ends of two more edges."""
+    return np.pad(vertices, ((0, 0), (1, 1), (0, 0)), constant_values=np.nan)
 
 
 def _shortened(vectors: np.ndarray, length: np.ndarray) -> np.ndarray:

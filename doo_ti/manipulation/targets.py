@@ -98,7 +98,8 @@ class ServoOptions:
     noise_mm      standard deviation of a coordinate of a mark
     bend, ratio   standard deviations of what is not known of ln B and ln β/B before anything is seen; zero: known
     clip_mm, clip_deg  of each component of the displacement and rotation of the clips from the poses that are reported
-    compliance    of the additional compliance of the joints next to the clamps, over their own: meshes differ in it
+    compliance    of the additional compliance of the joints at the clamps, over their own: meshes differ in it. Zero: clamps
+                  act as those of ``rod``
     curvature     of the coefficients of the rest curvature, over the rod's length; zero: straight at rest
     memory        number of moments from which Θ is learned: older ones fade, as their linearisation is out of date
 
