@@ -6,7 +6,8 @@ Rods of 330 mm between two grippers; the goal is the shape of the true rod after
 stiffness is off by a log-normal factor of 0.4 in bend and in twist over bend; eleven marks are seen with 0.3 mm of noise. The
 other controller learns its Jacobian on the way: Broyden's rank-one update, begun with that of the nominal model.
 
-PLANT: own, far (one gripper moves), finer, clips, curved, all; and ``time``. Axes: B tasks.
+PLANT: own, far (one gripper moves), finer, clips, curved, all; ``time``; and ``plans``: of goals that a straight motion of the
+grippers does not lead to, behind random walks of theirs, how many plans reach them. Axes: B tasks.
 """
 
 import argparse
@@ -20,17 +21,21 @@ if not __package__:
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from doo_ti.manipulation.damped_step import DampedSteps  # noqa: E402
+from doo_ti.manipulation.plan import plan_manipulation  # noqa: E402
 from doo_ti.manipulation.poses import held, moved  # noqa: E402
 from doo_ti.manipulation.servo import Servo  # noqa: E402
+from doo_ti.manipulation.simulation import Simulation  # noqa: E402
 from doo_ti.manipulation.targets import ServoOptions, Targets  # noqa: E402
 from doo_ti.relaxation.newton import Newton  # noqa: E402
 from doo_ti.relaxation.relax import relax  # noqa: E402
 from doo_ti.relaxation.sensitivity import gripper_jacobian  # noqa: E402
-from tools.trials.servo import BEND, Plant, Tasks, tasks  # noqa: E402
+from tools.trials.servo import BEND, LENGTH, Plant, Tasks, tasks  # noqa: E402
 
 PLANTS = {"own": Plant(), "far": Plant(), "finer": Plant(finer=3), "clips": Plant(clip_mm=0.7, clip_deg=2.0),
           "curved": Plant(curvature=6e-4), "all": Plant(3, 0.7, 2.0, 6e-4)}
 MARKS, NEAR = 11, 2.0
+WALK = 6
+"""Moves of the grippers to the goal of a plan."""
 SNAP = 0.25
 """A rod has snapped where a step moves a vertex by more than so much of its length."""
 
@@ -73,7 +78,7 @@ def run(own: Tasks, controller, steps: int, seed: int) -> tuple[np.ndarray, int]
     for _ in range(steps):
         state = simulation.step(held(controller.step(own.marks(simulation.state.configuration, MARKS, random)), own.clip))
         now = own.vertices(state.configuration)
-        snaps += int((np.linalg.norm(now - before, axis=-1).max(axis=1) > SNAP * 330.0).sum())
+        snaps += int((np.linalg.norm(now - before, axis=-1).max(axis=1) > SNAP * LENGTH).sum())
         distances.append(np.linalg.norm(now - own.goal, axis=-1).mean(axis=1))
         before = now
     return np.array(distances), snaps
@@ -117,14 +122,37 @@ def times(seed: int) -> None:
             print(f"{count} rod{'s' * (count > 1)}, {name}: {1e3 * middle:.1f} ms a step, {count / middle:.0f} rods/s")
 
 
+def plans(count: int, seed: int) -> None:
+    """Plans to ``count`` goals that random walks of the grippers lead to, and straight motions do not."""
+    own, random = tasks(6 * count, seed), np.random.default_rng(seed)
+    simulation = Simulation(own.real, own.true, own.clamps)
+    for _ in range(WALK):
+        step = np.repeat([60.0, 0.9] * 2, 3) * random.normal(size=(own.count, 12))
+        there = moved(simulation.clamps, step)
+        apart = np.linalg.norm(there.end_position - there.start_position, axis=1)
+        simulation.step(moved(simulation.clamps, np.where((apart < 0.93 * LENGTH)[:, None], step, 0.0)))
+    state, straight = simulation.state, Simulation(own.real, own.true, own.clamps).step(simulation.clamps)
+    elsewhere = np.linalg.norm(state.configuration.vertices - straight.configuration.vertices, axis=-1).max(axis=1) > NEAR
+    rows = np.flatnonzero(state.converged & state.stable & elsewhere)[:count]
+    reached, took = [], []
+    for row in rows:
+        one = own.take(np.array([row]))
+        begin = time.perf_counter()
+        path = plan_manipulation(one.real, one.true, one.clamps, Targets(state.configuration.vertices[[row]]))
+        took.append(time.perf_counter() - begin)
+        reached.append(path.reached)
+    print(f"plans: {sum(reached)} of {len(rows)} goals elsewhere than straight motions lead; median {np.median(took):.1f} s, "
+          f"longest {np.max(took):.1f} s")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("plants", nargs="*", choices=[*PLANTS, "time", []], help="default: all")
+    parser.add_argument("plants", nargs="*", choices=[*PLANTS, "time", "plans", []], help="default: all")
     parser.add_argument("--tasks", type=int, default=200)
     parser.add_argument("--seed", type=int, default=11)
     parser.add_argument("--steps", type=int, default=30)
     options = parser.parse_args()
-    chosen = options.plants or [*PLANTS, "time"]
+    chosen = options.plants or [*PLANTS, "time", "plans"]
     plants = [name for name in chosen if name in PLANTS]
     if plants:
         print("| plant | degrees | first mm | median mm | under 2 mm after a third, two thirds, all steps, % "
@@ -134,6 +162,8 @@ def main() -> None:
         print(row(name, options.tasks, options.seed, options.steps), flush=True)
     if "time" in chosen:
         times(options.seed)
+    if "plans" in chosen:
+        plans(options.tasks // 2, options.seed)
 
 
 if __name__ == "__main__":
