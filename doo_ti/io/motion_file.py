@@ -215,9 +215,9 @@ def path_of_marks(positions: np.ndarray, time: np.ndarray | None = None, source:
     for edge, place in ((first, "first"), (last, "last")):
         if not (np.linalg.norm(edge, axis=-1) > 0).all():
             raise InputError(source, "positions_mm", f"two marks of the {place} edge coincide", "correct the marks")
-    timed = time is not None
-    return ClampPath(time if timed else np.arange(len(positions), dtype=np.float64), positions[..., 0, :], positions[..., -1, :],
-                     _frames_along(first), _frames_along(last), tangents_only=True, timed=timed, source=source)
+    timed, numbers = time is not None, np.arange(len(positions), dtype=np.float64)
+    return ClampPath(time if timed else numbers, positions[..., 0, :], positions[..., -1, :], _frames_along(first),
+                     _frames_along(last), tangents_only=True, timed=timed, source=source)
 
 
 @typed
