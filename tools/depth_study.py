@@ -3,8 +3,8 @@
 In a rectified pair of images the place of a thread's pixel in the other image is on the same row. Where the colours around it
 agree there with one place only, both ways, that gives the depth without any model of the thread. Prints for each pair how far
 the rod that ``perceive`` finds in grey images is from these depths, along the line of sight: root mean square and median of
-|difference| in mm. RIG may also be a folder with rig.yaml, centre_lines.npz and pairs ``*_left_N_*.png``, ``*_right_N_*.png``. Exit code 1 where
-the root mean square of a pair exceeds 2 mm.
+|difference| in mm. RIG may also be a folder with rig.yaml, centre_lines.npz and pairs ``*_left_N_*.png``, ``*_right_N_*.png``.
+Exit code 1 where the root mean square of a pair exceeds 2 mm.
 """
 
 import argparse
