@@ -143,7 +143,7 @@ def shortened(lines: list[str], most: int, rest: str) -> list[str]:
 
 def contact_summary(surroundings: Surroundings, force: np.ndarray, gap: np.ndarray, status: np.ndarray) -> dict:
     """Of R rods, what the summaries say of contact: nothing without obstacles, else how many rods touch one in some vertex and
-    instant, the smallest gap of feasible ones in mm, and how many are infeasible.
+    instant, and at the last of several instants, the smallest gap of feasible ones in mm, and how many are infeasible.
 
     force, gap, status  (R, ...) with or without instants, and vertices
     """
@@ -151,8 +151,10 @@ def contact_summary(surroundings: Surroundings, force: np.ndarray, gap: np.ndarr
         return {}
     infeasible = status == Status.INFEASIBLE
     rods, finite = len(gap), gap[np.isfinite(gap) & ~infeasible]
+    pressed = (np.nan_to_num(force) != 0).any(axis=-1)
+    at_end = {"touching_at_end": int(pressed[:, -1].any(axis=-1).sum())} if status.ndim > 1 else {}
     return {"contact": {
-        "touching": int((np.nan_to_num(force).reshape(rods, -1) != 0).any(axis=1).sum()),
+        "touching": int(pressed.reshape(rods, -1).any(axis=1).sum()), **at_end,
         "smallest_gap_mm": finite.min() if len(finite) else np.nan,
         "infeasible": int(infeasible.reshape(rods, -1).any(axis=1).sum())}}
 
@@ -163,7 +165,8 @@ def contact_lines(summary: dict, rods: int) -> list[str]:
     if found is None:
         return []
     gap = "" if np.isnan(found["smallest_gap_mm"]) else f"; smallest gap {found['smallest_gap_mm']:.2g} mm"
-    return [f"  contact     {found['touching']} of {rods} rods touch an obstacle{gap}; {found['infeasible']} "
+    at_end = f", {found['touching_at_end']} at the end" if "touching_at_end" in found else ""
+    return [f"  contact     {found['touching']} of {rods} rods touch an obstacle{at_end}{gap}; {found['infeasible']} "
             "infeasible"]
 
 

@@ -71,6 +71,8 @@ class Touched:
     @property
     def legend(self) -> str:
         """The line that says how large the arrows of contact forces are."""
+        if not np.nan_to_num(self.force).any():
+            return "no contact forces"
         return f"contact forces (an arrow of 10 mm: {10 / self.arrow_scale:g} {'mm²/mm' if self.newtons is None else 'N'})"
 
     def arrows(self, row: int, frame: int) -> tuple[np.ndarray, np.ndarray]:
