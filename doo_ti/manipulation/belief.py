@@ -68,13 +68,14 @@ class Belief:
 
     material     nominal, B rows, round and uniform
     rest_length  (E,) mm
+    centre       mean of the compliance of the joints at the clamps before anything is seen
 
     Attributes: ``unknowns`` (B, ·), all of them; ``material``, Θ with these; ``expected`` (B,) mm, the root mean square that a
     coordinate was expected to be off by at the last moment.
     """
 
-    def __init__(self, material: Material, rest_length: np.ndarray, options: ServoOptions):
-        length = rest_length.sum()
+    def __init__(self, material: Material, rest_length: np.ndarray, options: ServoOptions, centre: float = CENTRE):
+        length, self._centre = rest_length.sum(), centre if options.compliance else 0.0
         turn = np.radians(options.clip_deg)
         spread = np.concatenate([[options.bend, options.ratio], np.tile(np.repeat([options.clip_mm, turn], 3), 2),
                                  [options.compliance], np.repeat(options.curvature, 2 * CURVES)])
@@ -88,7 +89,7 @@ class Belief:
         self._least, self._most = -bound[self.learned], bound[self.learned]
         joints = self.learned == JOINTS
         if joints.any():
-            self._least[joints], self._most[joints] = (np.array([STIFFEST, SOFTEST]) - CENTRE) / options.compliance
+            self._least[joints], self._most[joints] = (np.array([STIFFEST, SOFTEST]) - centre) / options.compliance
         rods, unknowns = material.count, len(self.learned)
         self.unknowns = np.zeros((rods, len(spread)))
         self._information = np.zeros((rods, unknowns, unknowns))
@@ -112,7 +113,7 @@ class Belief:
     @property
     def compliance(self) -> np.ndarray:
         """(B,) additional, of the joints at the clamps, over their own."""
-        return self.unknowns[:, JOINTS] + (CENTRE if self._spread[JOINTS] else 0.0)
+        return self.unknowns[:, JOINTS] + self._centre
 
     def _material(self) -> Material:
         """B rows."""

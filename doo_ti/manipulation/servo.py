@@ -29,7 +29,7 @@ from doo_ti.arguments import typed
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
-from doo_ti.manipulation.belief import CLIP, Belief, LearnedMaterial
+from doo_ti.manipulation.belief import CENTRE, CLIP, Belief, LearnedMaterial
 from doo_ti.manipulation.damped_step import DampedSteps
 from doo_ti.manipulation.goal import Model, nearest_goal
 from doo_ti.manipulation.poses import (
@@ -105,7 +105,8 @@ class Servo:
         targets = targets.take(rows) if targets.count < count else targets
         weight = None if targets.weight is None else np.pad(targets.weight, ((0, 0), (1, 1)))
         self._targets = Targets(_padded(targets.vertices), weight) if self._padded else targets
-        self._belief = Belief(material.take(rows) if material.count < count else material, rod.rest_length, options)
+        material = material.take(rows) if material.count < count else material
+        self._belief = Belief(material, rod.rest_length, options, CENTRE if self._padded else 0.0)
         self.clamps = clamps
         self._model = relax(rod, self._belief.material, clamps, Newton.careful(), up=self._up, **around.arguments)
         self._last = rod  # the last shape of each rod that was finite

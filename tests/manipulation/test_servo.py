@@ -8,6 +8,7 @@ import pytest
 import doo_ti as d
 from doo_ti.manipulation.poses import held
 from doo_ti.manipulation.resynchronise import resynchronised
+from doo_ti.rods import with_end_edges
 from tools.trials.servo import BEND, Plant, Tasks, tasks
 
 PLANTS = {"own mesh": Plant(), "finer mesh, clips, rest curvature": Plant(3, 0.7, 2.0, 6e-4)}
@@ -66,6 +67,29 @@ def test_a_loop_does_not_depend_on_the_others():
     together = d.Servo(own.rods, own.nominal, own.clamps, d.Targets(own.goal)).step(seen)
     one = d.Servo(alone.rods, alone.nominal, alone.clamps, d.Targets(alone.goal)).step(seen[[5]])
     assert np.allclose(together.end_position[5], one.end_position[0], atol=1e-6)
+
+
+@pytest.mark.parametrize("held", ["obstacles", "vertex clamps", "one unknown"])
+def test_other_rods_come_nearer_too(held):
+    """Above a table that they do not touch; between clamps that act at their vertices; with clips that are known."""
+    own = some("own mesh").take(np.arange(2))
+    rods, options, around = own.rods, d.ServoOptions(), {}
+    if held == "obstacles":
+        around = dict(obstacles=[d.Plane((0, 0, -400.0), (0, 0, 1))], radius=1.5)
+    elif held == "vertex clamps":
+        rods = with_end_edges(rods)
+    else:
+        options = d.ServoOptions(ratio=0.0, clip_mm=0.0, clip_deg=0.0, compliance=0.0, curvature=0.0)
+    goal = np.full((2, rods.edges + 1, 3), np.nan)
+    goal[:, 1:-1] = own.goal if held == "vertex clamps" else own.goal[:, 1:-1]
+    servo = d.Servo(rods, own.nominal, own.clamps, d.Targets(goal), options, **around)
+    before = servo.distance
+    model = d.Simulation(rods, own.nominal, own.clamps)
+    for _ in range(3):
+        model.step(servo.step(model.state.configuration.vertices))
+    assert (servo.distance < before - 15.0).all() and servo.vertices.shape == goal.shape
+    low, high = servo.material.bend_interval.T
+    assert ((low < BEND) & (BEND < high)).all()
 
 
 def test_nothing_seen_moves_as_the_model_says():
