@@ -57,6 +57,21 @@ def test_a_striped_thread_is_followed_at_its_middle_past_others():
     assert np.median(np.abs((along * found.direction).sum(axis=1))) > 0.99
 
 
+@pytest.mark.parametrize("colour", [RED, YELLOW, (40, 40, 40)])
+@pytest.mark.parametrize("aside", [5.0, 8.0])
+def test_the_shadow_beside_a_cable_is_no_part_of_it(colour, aside):
+    """A soft shadow on one side, at which the click is, too; of a cable in a colour of its own, and of a black one."""
+    curve, shadow = wave(), np.zeros(SIZE, np.float32)
+    cv2.polylines(shadow, [np.rint(16 * beside(curve, aside)).astype(int)], False, 0.35, 10, cv2.LINE_8, 4)
+    light = 1 - cv2.GaussianBlur(shadow, (0, 0), 2.5)
+    ground, cable = np.full((*SIZE, 3), PAPER, np.float32) * light[..., None], np.zeros(SIZE, np.float32)
+    cv2.polylines(cable, [np.rint(16 * curve).astype(int)], False, 1.0, 8, cv2.LINE_AA, 4)
+    image = cv2.GaussianBlur(ground + cable[..., None] * (np.float32(colour) - ground), (0, 0), 0.8)
+    image = np.clip(image + np.random.default_rng(3).normal(0, 3, image.shape), 0, 255).astype(np.uint8)
+    for shift in (0.0, 3.0):
+        assert min(shares(follow(image, tuple(beside(curve, shift)[900])).points, curve, 1.7)) > 0.97
+
+
 @pytest.mark.parametrize("width", [2, *(pytest.param(width, marks=pytest.mark.thorough) for width in (60, 150))])
 def test_threads_of_any_width(width):
     scale = max(1.0, width / 20)
