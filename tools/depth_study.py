@@ -3,8 +3,8 @@
 In a rectified pair of images the place of a thread's pixel in the other image is on the same row. Where the colours around it
 agree there with one place only, both ways, that gives the depth without any model of the thread. Prints for each pair how far
 the rod that ``perceive`` finds in grey images is from these depths, along the line of sight: root mean square and median of
-|difference| in mm. RIG may also be a folder with rig.yaml, centre_lines.npz and pairs ``*_left_N_*.png``, ``*_right_N_*.png``.
-Exit code 1 where the root mean square of a pair exceeds 2 mm.
+|difference| in mm. RIG may also be a folder with rig.yaml, centre_lines.npz and pairs ``*_left_N_*.png``,
+``*_right_N_*.png``. Exit code 1 where the root mean square of a pair exceeds 2 mm.
 """
 
 import argparse
@@ -109,6 +109,8 @@ def main(words: list[str] | None = None) -> int:
         tasks = [(number, [next(folder.glob(f"*_{camera.name}_{number}_*.png")) for camera in rig.cameras], point, direction)
                  for number, point, direction in pairs]
     else:
+        if options.seed is None or len(options.images) != 2:
+            parser.error("give LEFT, RIGHT and --seed, or a folder")
         seed = np.array([float(value) for value in options.seed.split(",")])
         rig, tasks = load_rig(options.rig), [(options.images[0].stem, options.images, seed[:3], seed[3:])]
     print("| pair | places matched | rms mm | median mm |\n|" + "---|" * 4)
