@@ -17,4 +17,5 @@ def test_matches_are_as_far_apart_as_the_pictures():
         places, apart = disparities(left, right, line, 5.0, 60.0)
         assert len(places) == count and np.allclose(apart, 21.0, atol=0.1)
     noise = np.random.default_rng(2).integers(0, 255, right.shape).astype(np.uint8)
-    assert not len(disparities(left, noise, Detection(points, across, np.ones(30), 3.0, "dark", left.shape[:2], "ridge"), 5, 60)[0])
+    line = Detection(points, across, np.ones(30), 3.0, "dark", left.shape[:2], "ridge")
+    assert not len(disparities(left, noise, line, 5.0, 60.0)[0])

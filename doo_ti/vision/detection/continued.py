@@ -28,8 +28,8 @@ AGREEING = 0.7
 """… and the least cosine between their directions."""
 BESIDE = 0.7
 """Share of such a line along which another one that goes on runs: these are two strands."""
-SHORTEST = 1.0
-"""Least length of such a line, in its widths."""
+SHORTEST, GLINT = 1.0, 3.0
+"""Least length of such a line, in its widths, and of one with edges that were found: two strands that touch are shorter."""
 
 
 @dataclass(frozen=True)
@@ -112,6 +112,8 @@ def _goes_on(chain: np.ndarray, known: list[np.ndarray], width: float) -> bool:
     """Whether a chain begins where one of those ``known`` ends, and no other one ends beside that half of it."""
     line = cKDTree(chain)
     others = [other for other in known if line.query(other)[0].max() > width]  # edges of it are not
+    if len(others) < len(known) and chain_length(chain) < GLINT * width:
+        return False
     strand = any((cKDTree(other).query(chain)[0] <= 0.6 * width).mean() > BESIDE for other in others)
     if strand or sum(chain_length(other) for other in others) < chain_length(chain):
         return False  # what has two edges all along is two threads
