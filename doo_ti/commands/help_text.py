@@ -68,6 +68,7 @@ FIRST = {
                *_FILES, "--out"),
     "relax": (*_MATERIAL, *_FILES, "--clamp-start", "--clamp-end", "--obstacles", "--radius"),
     "predict": ("--motion", *_MATERIAL, *_FILES, "--obstacles", "--radius", "--picture", "--recording"),
+    "steer": (*_MATERIAL, *_FILES, "--clamp-start", "--clamp-end", "--obstacles", "--radius", "--seconds"),
     "simulate": ("--theta", "--linear-density", "--tolerance", "--obstacles", "--radius", "--unit", "--rate", "--picture",
                  "--recording", "--animation"),
     "perceive": ("--sets", "--seed-pixel", "--edge", "--length", "--rest-length", *_MATERIAL, "--masks", "--colour"),
