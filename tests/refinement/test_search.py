@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Observations, observation_clamps, relax
+from doo_ti import observation_clamps
 from doo_ti.refinement.estimate import Interval
 from doo_ti.refinement.fit import Fit, State
 from doo_ti.refinement.priors import Scales, typical_scales
@@ -13,11 +13,9 @@ from doo_ti.refinement.refine import RefinementOptions, refine
 from doo_ti.refinement.residuals import Comparison
 from doo_ti.refinement.rolls import TWISTS, _LinearModel, _turned
 from doo_ti.refinement.turns import turns_chosen_again
-from doo_ti.refinement.unknowns import Theta, Unknowns
+from doo_ti.refinement.unknowns import Unknowns
 from tests.io.rods import joint_twist
-from tests.references.rods import clamps_at
 from tests.refinement.rods_between_clips import TRUTH, held, suture
-from tests.relaxation.rods import wandering
 
 
 def test_rolls_twists_and_curvature_of_a_linear_model_are_found_together(rng):
@@ -36,21 +34,6 @@ def test_rolls_twists_and_curvature_of_a_linear_model_are_found_together(rng):
     common = np.exp(1j * (best.roll - roll))  # a common roll of all, with the curvature turned back, changes nothing
     assert np.abs(common - common.mean()).max() < 0.2
     assert np.linalg.norm(best.curvature) == pytest.approx(np.linalg.norm(curvature), rel=0.05)
-
-
-@pytest.mark.thorough
-def test_curved_rods_between_unknown_rolls(rng):
-    """Rolled and twisted at random: neither is in the marks alone."""
-    bend, edges = 3e4, 14
-    rods = wandering(rng, 12, edges, wander=0.12, twist=0.15)
-    clamps = clamps_at(rods)
-    truth = Theta(bend * np.eye(2), 0.8 * bend, rest_curvature=np.array([0.02, -0.015]))
-    seen = relax(rods, truth.material, clamps).configuration.vertices
-    seen = Observations(seen + 0.02 * rng.normal(size=seen.shape), rest_length=np.full(edges, 3.0))
-    out = refine(seen, observation_clamps(seen), Theta(3 * bend * np.eye(2), bend), RefinementOptions(intervals="covariance"))
-    found = out.estimate.parameter("bend")
-    assert out.converged and out.used.sum() >= 11 and found.low < bend < found.high
-    assert np.linalg.norm(out.theta.rest_curvature, axis=1).mean() == pytest.approx(0.025, rel=0.25)
 
 
 @pytest.mark.thorough
