@@ -14,13 +14,14 @@ from doo_ti.groups.layout import (
     TIE,
     TIE_TOLERANCE,
     VERTEX,
+    group_items,
 )
 from doo_ti.groups.ties import Ties
 from doo_ti.physics.algebra import absolute, largest_of
 from doo_ti.physics.tuples import add, choose, dot, extended, identity, minus, picked, plus, scaled, variable
 from doo_ti.physics.view import NUMBERS, exact
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contact_layout import FINE, ROUGHEST
+from doo_ti.relaxation.contact_layout import FINE, ROUGHEST, contact_items
 from doo_ti.relaxation.loading import stiffness_scale
 from doo_ti.relaxation.pair_layout import pair_items
 from doo_ti.relaxation.self_contacts import SelfContacts
@@ -36,6 +37,12 @@ class GroupContacts(Ties, SelfContacts):
     """
 
     # --- views of scratch ---
+
+    @picked
+    def numbers(self, tables):
+        edges = tables.rest_length.shape[1]
+        group = group_items(edges, tables.places.shape[1], tables.ties.shape[0], tables.borders.shape[0])
+        return contact_items(edges, tables.kinds.shape[0]) + pair_items(edges) + group
 
     @picked
     def group(self, rod):

@@ -13,15 +13,15 @@ from doo_ti.groups.group_elimination import GroupElimination
 from doo_ti.groups.joint_rest import JointRest
 from doo_ti.groups.layout import group_items
 from doo_ti.physics.number import Number
-from doo_ti.physics.tuples import record
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.batch import UNTOUCHED, buffers, fitting, layout_for, policy_row
 from doo_ti.relaxation.chain_layout import numbers_of_rod
-from doo_ti.relaxation.contact_layout import CONTACTS, contact_items
+from doo_ti.relaxation.contact_layout import contact_items
 from doo_ti.relaxation.contact_table import ContactTable
-from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, TABLE1, TABLE3, loop_kernel
+from doo_ti.relaxation.newton import NEWTON, OBSTACLES, OUTER, Newton
 from doo_ti.relaxation.newton_loop import NewtonLoop
-from doo_ti.relaxation.newton_policy import TRACE_IN_CONTACT, UP
+from doo_ti.relaxation.newton_policy import TRACE_IN_CONTACT
 from doo_ti.relaxation.pair_layout import pair_items
 from doo_ti.types import Status
 
@@ -78,47 +78,26 @@ class GroupTables:
         return np.array([*((tie, 0) for tie in held), *((tie, 1) for tie in welds)], dtype=np.int32).reshape(-1, 2)
 
 
+GROUPS = {
+    "barrier": ti.i32,
+    "begins": INDEX1, "ties": INDEX2, "borders": INDEX2, "targets": TABLE3, "free": TABLE3, "burden": TABLE3, "apart": INDEX2,
+    "places": TABLE3,  # [group, rod, 3] mm: where the rods begin, the first left out, in and out
+    "tie_forces": TABLE3,  # [group, tie, 6] force, energy per mm, and moment in the axes of the later edge, in and out
+    "previous": TABLE3,  # [group, vertex, 3] mm, at the moment before
+    "touches": INDEX2,  # [group, vertex] out
+    "works": TABLE1,  # [group] of friction, out
+}
+"""What the kernel is given besides what Newton's among obstacles is, as :class:`GroupTables` says."""
+
+
 @cache
 def group_kernel(number: Number, stride: int, block: int, obstacles: frozenset[int]):
     """The kernel, compiled on first use, for one kind of number and obstacles of those kinds."""
     sweep = GroupElimination(number, stride, GroupContacts(number, obstacles, rub=True))
     loop = NewtonLoop(sweep, sweep.functions)
     loop.trace = TRACE_IN_CONTACT
-    table1, table2, table3, table4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))
-    index1, index2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))
-
-    @runtime.kernel
-    def newton_of_groups(
-        start: table1, rest_length: table2, clamp: table2, material: table2, rods: index2, policy: table1, threads: ti.i32,
-        scratch: ti.types.ndarray(dtype=number.type, ndim=1), queue: index1, frames: table1, results: table2,
-        outer: table3, space: ti.types.ndarray(dtype=ti.f32, ndim=1),
-        obstacles: table3, kinds: index1, grids: table1, radius: table1, gap_tolerance: ti.f64, memory: table4,
-        forces: table3, self_friction: table1,  # all of these as :func:`.contact_kernel` has them
-        barrier: ti.i32, begins: index1, ties: index2, borders: index2, targets: table3, free: table3, burden: table3,
-        apart: index2,
-        places: table3,  # [group, rod, 3] mm: where the rods begin, the first left out, in and out
-        tie_forces: table3,  # [group, tie, 6] force, energy per mm, and moment in the axes of the later edge, in and out
-        previous: table3,  # [group, vertex, 3] mm, at the moment before
-        touches: index2,  # [group, vertex] out
-        works: table1,  # [group] of friction, out
-    ):
-        ti.loop_config(block_dim=block)
-        for thread in range(threads):
-            up = (policy[UP], policy[UP + 1], policy[UP + 2])
-            edges = rest_length.shape[1]
-            size = contact_items(edges, kinds.shape[0]) + pair_items(edges)
-            size += group_items(edges, places.shape[1], ties.shape[0], borders.shape[0])
-            contacts = sweep.behind(scratch, threads, thread, edges, size, CONTACTS)
-            tables = record(start=start, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods,
-                            policy=policy, queue=queue, frames=frames, results=results, numbers=outer, field=space,
-                            contacts=contacts, obstacles=obstacles, kinds=kinds, grids=grids, radius=radius,
-                            tolerance=gap_tolerance, memory=memory, forces=forces, self_friction=self_friction,
-                            barrier=barrier, begins=begins, ties=ties, borders=borders, targets=targets, free=free,
-                            burden=burden, apart=apart, places=places, tie_forces=tie_forces, previous=previous,
-                            touches=touches, works=works)
-            loop.work(tables, scratch, threads, thread)
-
-    return runtime.compiled_briefly(newton_of_groups)
+    return runtime.compiled_briefly(
+        loop_kernel("newton_of_groups", number, NEWTON | OUTER | OBSTACLES | GROUPS, loop.work, block))
 
 
 @dataclass(frozen=True)

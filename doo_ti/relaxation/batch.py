@@ -156,7 +156,7 @@ def run_descent(table: Tables, options: descent.Descent, bits: int):
     axes = np.full((table.count, table.edges, 3), np.nan)
     results = _untouched(table.count)
     descent.descent_kernel(number, stride, block)(
-        vertices, directors, table.rest_length, table.clamp, table.material, *table.up, table.rods,
+        vertices, directors, table.rest_length, table.clamp, table.material, np.array(table.up, dtype=np.float64), table.rods,
         options.tolerance, options.max_iterations, options.largest_move, threads, scratch, queue, positions, axes, results,
     )
     frames = _chain_form(positions, axes)

@@ -6,16 +6,32 @@ chain.
 """
 
 import taichi as ti
+from taichi.lang.impl import subscript
 
 from doo_ti.physics import pair
 from doo_ti.physics.algebra import absolute, solve_symmetric
 from doo_ti.physics.angle import twist_angle_function
 from doo_ti.physics.closure import closing_rotation, linear_gradient, normal_matrix
 from doo_ti.physics.quaternion import first_director, second_director, tangent, turned_in_body, turned_in_world
-from doo_ti.physics.tuples import chosen, dot, minus, negated, on_diagonal, picked, plus, record, repeated, scaled, variable
+from doo_ti.physics.tuples import (
+    chosen,
+    dot,
+    extended,
+    minus,
+    negated,
+    on_diagonal,
+    picked,
+    plus,
+    record,
+    repeated,
+    scaled,
+    variable,
+)
 from doo_ti.physics.view import Layout, Scratch
 from doo_ti.relaxation.chain_layout import ROD, edge_layout
+from doo_ti.relaxation.newton_policy import UP
 
+STAND_INS = {"start": "frames", "numbers": "material", "field": "material", "kinds": "rods", "grids": "material"}
 EASILY_TWISTED = 1e-2
 """β over α, below which twisting is much easier than bending."""
 
@@ -66,6 +82,15 @@ class Chain:
     def numbers(self, edges):
         """Numbers of a rod with so many edges."""
         return len(self.rod_layout) + len(self.edge_layout) * edges
+
+    @picked
+    def completed(self, given, thread):
+        """The record ``given`` of a kernel's arrays with what follows from them for a ``thread``; in the place of those that
+        this kernel does not take are others, which nothing reads."""
+        more = {name: getattr(given, other) for name, other in STAND_INS.items() if not hasattr(given, name)}
+        if not hasattr(given, "up"):
+            more["up"] = tuple(subscript(None, given.policy, UP + k) for k in range(3))
+        return extended(given, contacts=0, **more)
 
     @picked
     def behind(self, array, threads, thread, edges, numbers, layout: Layout):

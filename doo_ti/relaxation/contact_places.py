@@ -21,7 +21,7 @@ from doo_ti.physics.tuples import (
     scaled,
     variable,
 )
-from doo_ti.relaxation.contact_layout import BARRIER, CONTACT, CONTACTS, OBSTACLE, ROUGH, SEARCHES, VERTEX
+from doo_ti.relaxation.contact_layout import BARRIER, CONTACT, CONTACTS, OBSTACLE, ROUGH, SEARCHES, VERTEX, contact_items
 
 
 @ti.data_oriented
@@ -67,6 +67,11 @@ class ContactPlaces:
     @picked
     def contact(self, vertex, index):
         return vertex.part(CONTACT, len(VERTEX) + index * len(CONTACT))
+
+    @picked
+    def numbers(self, tables):
+        """How many numbers of a rod's contacts scratch holds."""
+        return contact_items(tables.rest_length.shape[1], tables.kinds.shape[0])
 
     @picked
     def of_lane(self, tables, slot):

@@ -11,16 +11,19 @@ blocks are kept while H is eliminated.
 
 import taichi as ti
 
+from doo_ti.contact.gap_tolerance import GAP_TOLERANCE
 from doo_ti.physics.closure import linear_gradient
 from doo_ti.physics.number import Number
 from doo_ti.physics.quaternion import first_director, second_director
 from doo_ti.physics.tuples import (
     against,
     applied,
+    extended,
     forward,
     full,
     minus,
     negated,
+    picked,
     plus,
     products,
     record,
@@ -76,6 +79,10 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
         number = Number(1, 64)
         super().__init__(number, False, stride, Kept, True, ContactsAtRest(number, kinds))
         self.loading = Loading(self, self.functions, in_millimetres=True)
+
+    @picked
+    def completed(self, given, thread):
+        return extended(LoadedElimination.completed(self, given, thread), tolerance=GAP_TOLERANCE)
 
     @ti.func
     def load_contacts(self, tables, rod, index):

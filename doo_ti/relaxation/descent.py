@@ -14,13 +14,13 @@ from functools import cache
 
 import taichi as ti
 
-from doo_ti import runtime
 from doo_ti.arguments import typed
 from doo_ti.errors import InputError, require_number, require_whole
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import chosen, put_lane, record, repeated
 from doo_ti.physics.view import Scratch
 from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, SCRATCH, TABLE1, TABLE2, TABLE3, loop_kernel
 from doo_ti.relaxation.loading import LANES, NEXT, stiffness_scale
 from doo_ti.relaxation.vertex_chain import VERTEX
 from doo_ti.relaxation.vertex_energy import VertexEnergy
@@ -72,8 +72,8 @@ class DescentLoop:
     fresh, trips, active, finished   flags, and iterations made
     """
 
-    def __init__(self, number: Number):
-        self.sweep = VertexEnergy(number)
+    def __init__(self, number: Number, stride: int):
+        self.sweep, self.memory = VertexEnergy(number), Scratch(number, stride)
         lanes = number.lanes()
         self.largest, self.lane, self.with_lane, self.constant = (
             lanes.largest, lanes.lane, lanes.with_lane, lanes.constant)
@@ -83,8 +83,9 @@ class DescentLoop:
         self.stalled, self.not_finite = int(Status.STALLED), int(Status.NOT_FINITE)
 
     @ti.func
-    def work(self, tables, origin, thread):
-        """A thread's work, until the queue is empty; ``origin`` is the view of vertex 0 in scratch."""
+    def work(self, tables, thread):
+        """A thread's work, until the queue is empty."""
+        origin = self.memory.of_thread(tables.scratch, thread, VERTEX, tables.vertices.shape[1] * VERTEX.size)
         lane = self.idle_lanes()
         places = LANES + thread * self.width  # where the queue says which rods the lanes have
         running = 1
@@ -212,40 +213,25 @@ class DescentLoop:
         lane.finished = ti.select((ended | late | stuck | lost) & (lane.active > 0.5), one, zero)
 
 
+ARGUMENTS = {
+    "vertices": TABLE3,  # [configuration, vertex, 3] mm from the anchor
+    "directors": TABLE3,  # [configuration, edge, 3] m1
+    "rest_length": TABLE2,  # [1 or configuration, edge] mm
+    "clamp": TABLE2,  # [configuration, CLAMP_COLUMNS]
+    "material": TABLE2,  # [material, STIFFNESS + 1 or edge · STIFFNESS_COLUMNS]
+    "up": TABLE1,  # [3] unit vector against gravity
+    "rods": INDEX2,  # [rod, ROD_COLUMNS]
+    "tolerance": ti.f64, "max_iterations": ti.i32, "largest_move": ti.f64,
+    "threads": ti.i32, "scratch": SCRATCH,
+    "queue": INDEX1,  # [NEXT, TRIPS (unused), LANES + thread · lane] zero
+    "positions": TABLE3,  # [rod, vertex, 3] out
+    "material_axes": TABLE3,  # [rod, edge, 3] out: m1
+    "results": TABLE2,  # [rod, RESULTS] out
+}
+"""What the kernel is given, in this order."""
+
+
 @cache
 def descent_kernel(number: Number, stride: int, block: int):
     """The kernel for one kind of number; materials are always general. See :func:`.newton.newton_kernel`."""
-    loop, memory = DescentLoop(number), Scratch(number, stride)
-    table2, table3 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (2, 3))
-
-    @runtime.kernel
-    def descent(
-        vertices: table3,  # [configuration, vertex, 3] mm from the anchor
-        directors: table3,  # [configuration, edge, 3] m1
-        rest_length: table2,  # [1 or configuration, edge] mm
-        clamp: table2,  # [configuration, CLAMP_COLUMNS]
-        material: table2,  # [material, STIFFNESS + 1 or edge · STIFFNESS_COLUMNS]
-        up0: ti.f64,  # unit vector against gravity
-        up1: ti.f64,
-        up2: ti.f64,
-        rods: ti.types.ndarray(dtype=ti.i32, ndim=2),  # [rod, ROD_COLUMNS]
-        tolerance: ti.f64,
-        max_iterations: ti.i32,
-        largest_move: ti.f64,
-        threads: ti.i32,
-        scratch: ti.types.ndarray(dtype=number.type, ndim=1),
-        queue: ti.types.ndarray(dtype=ti.i32, ndim=1),  # [NEXT, TRIPS (unused), LANES + thread · lane] zero
-        positions: table3,  # [rod, vertex, 3] out
-        material_axes: table3,  # [rod, edge, 3] out: m1
-        results: table2,  # [rod, RESULTS] out
-    ):
-        ti.loop_config(block_dim=block)
-        for thread in range(threads):
-            tables = record(
-                vertices=vertices, directors=directors, rest_length=rest_length, clamp=clamp, material=material,
-                up=(up0, up1, up2), rods=rods, tolerance=tolerance, max_iterations=max_iterations, largest_move=largest_move,
-                queue=queue, positions=positions, material_axes=material_axes, results=results)
-            origin = memory.of_thread(scratch, thread, VERTEX, vertices.shape[1] * VERTEX.size)
-            loop.work(tables, origin, thread)
-
-    return descent
+    return loop_kernel("descent", number, ARGUMENTS, DescentLoop(number, stride).work, block)

@@ -21,6 +21,7 @@ from doo_ti.physics.tuples import (
     applied,
     column_scaled,
     dot,
+    extended,
     forward,
     forward_rows,
     full,
@@ -29,6 +30,7 @@ from doo_ti.physics.tuples import (
     minus,
     minus_combination,
     negated,
+    picked,
     plus,
     products,
     quadratic,
@@ -39,13 +41,23 @@ from doo_ti.physics.tuples import (
     squared,
     symmetric_gram,
     times_transposed,
+    traced,
     transposed,
     variable,
 )
 from doo_ti.relaxation.chain_layout import edge_layout, rod_layout
+from doo_ti.relaxation.contact_layout import CONTACTS
 from doo_ti.relaxation.contacts import Contacts
 from doo_ti.relaxation.elimination import held_pivot
 from doo_ti.relaxation.loose_start import LooseStart
+
+
+@traced
+def pulled(h, straighten, k, a1, a2) -> tuple:
+    """H of an edge with the second derivatives of the forces on it, ``straighten`` of both tilts, and of the energy whose
+    curvature is ``k`` at its end; a1 and a2: rows of A."""
+    return (h[0], h[1], h[2], h[3] + straighten + quadratic(k, a1, a1), h[4] + quadratic(k, a1, a2),
+            h[5] + straighten + quadratic(k, a2, a2))
 
 
 @ti.data_oriented
@@ -64,6 +76,14 @@ class LoadedElimination(LooseStart):
         self.is_loaded = self.functions.evaluate is not None
         self.pulls_start = self.functions.evaluate_start is not None
         self.contacts, self.touches = contacts, contacts is not None
+
+    @picked
+    def completed(self, given, thread):
+        tables = LooseStart.completed(self, given, thread)
+        if not self.touches:
+            return tables
+        edges, numbers = given.rest_length.shape[1], self.contacts.numbers(given)
+        return extended(tables, contacts=self.behind(given.scratch, given.threads, thread, edges, numbers, CONTACTS))
 
     @ti.func
     def tip(self, rod):
@@ -88,50 +108,32 @@ class LoadedElimination(LooseStart):
         """
         zero = 0.0 * rod.total
         found = record(squared=zero, scale=zero, negative=zero, slope=zero, energy=zero, magnitude=zero)
-        beyond = record(
-            force=repeated(zero, 3), c=repeated(zero, 3), f=repeated(zero, 3), cc=repeated(zero, 6), ff=repeated(zero, 6),
-            z=repeated(zero, 9), length=zero)
-        border = record(c=scaled(identity(zero), rod.closed), f=repeated(zero, 9), schur=repeated(zero, 6),
-                        right=repeated(zero, 3))
-        if ti.static(self.moves_start):
-            beyond.force = multiplier
-            beyond.c = multiplier
-        h, g = variable(repeated(zero, 6)), variable(repeated(zero, 3))  # H and gradient of the pair with the edge after
+        beyond, border = self.at_the_end(rod, multiplier)
+        pair = record(h=repeated(zero, 6), g=repeated(zero, 3), u=repeated(zero, 9), h_before=repeated(zero, 6),
+                      g_before=repeated(zero, 3))  # at first of that with the edge after
         end = self.tip(rod)
         searching = self.largest(search[0] + search[1]) > 0.0
         some_taut = self.largest(1.0 - rod.free[4]) > 0.5
         for back in range(rod.edges):
             e = rod.edges - 1 - back
             edge = self.edge(rod.head, e)
-            q = edge.frame
+            q, length = edge.frame, edge.length
             t, m1, m2 = tangent(q), first_director(q), second_director(q)
-            length = edge.length
             start = minus(end, scaled(t, length))
             load = self.load(rod, edge, e, start, end, found)
             self.keep_load(edge, load)
             end = start
-            hang = self.hanging_weight(rod, length, beyond.length)
+            weight = scaled(rod.gravity, self.hanging_weight(rod, length, beyond.length))
             beyond.length = beyond.length + length
-            weight = scaled(rod.gravity, hang)
             own, force = plus(weight, load.gradient_s), plus(plus(weight, load.known_s), beyond.force)
             l1, l2 = linear_gradient(force, length, m1, m2)
             r1, r2 = linear_gradient(plus(own, beyond.c), length, m1, m2)
             straighten = linear_hessian(force, length, t)
-            # The pair with the edge before: its right block is this edge's, its left one is for the edge before.
-            u = variable(repeated(zero, 9))
-            h_before, g_before = variable(repeated(zero, 6)), variable(repeated(zero, 3))
-            if e > 0:
-                previous = self.edge(rod.head, e - 1)
-                left, right, h_left, h_right, across = self.derivatives(
-                    self.bent(previous.bent), self.stiffness(previous, edge, rod.stiffness))
-                g, h = plus(g, right), plus(h, h_right)
-                h_before, g_before, u = h_left, left, across
+            self.add_pair(rod, e, edge, pair)
+            h, g, u = variable(pair.h), variable(pair.g), variable(pair.u)
             rows = closure_rows(length, m1, m2)
             a1, a2 = row(rows, 1), row(rows, 2)
-            k = load.curvature_ss
-            h = (h[0], h[1], h[2], h[3] + straighten + quadratic(k, a1, a1), h[4] + quadratic(k, a1, a2),
-                 h[5] + straighten + quadratic(k, a2, a2))
-            h = self.second_derivatives(rod, h, (g[0], g[1] + l1, g[2] + l2))
+            h = self.second_derivatives(rod, pulled(h, straighten, load.curvature_ss, a1, a2), (g[0], g[1] + l1, g[2] + l2))
             d = variable(self.condensed(h, self.shifts(rod, edge, shift), beyond, a1, a2))
             zz = variable(self.coupled(beyond, load, a1, a2))
             b = variable((0.0 - g[0] - beyond.f[0], 0.0 - g[1] - r1 - beyond.f[1], 0.0 - g[2] - r2 - beyond.f[2]))
@@ -152,7 +154,13 @@ class LoadedElimination(LooseStart):
             self.pass_on(beyond, load, f, wr, wz, wu)
             if ti.static(self.moves_start):
                 self.eliminate_border(edge, self.freedom(rod, e), border, rows, f, wr, wz, wu)
-            h, g = h_before, g_before
+            pair.h, pair.g = pair.h_before, pair.g_before
+        return self.closed(rod, shift, miss, beyond, border, found)
+
+    @ti.func
+    def closed(self, rod, shift, miss, beyond, border, found):
+        """The result of :meth:`eliminate`, from what edge 0 passes on: vertex 0 and closure are eliminated here."""
+        zero = 0.0 * rod.total
         change = variable(repeated(zero, 3))
         positive = zero + 3.0  # what a minimum counts without closure
         if ti.static(self.moves_start):
@@ -160,6 +168,32 @@ class LoadedElimination(LooseStart):
             change, positive = self.bordered(rod, border.schur, plus(border.right, miss))
         return record(moment=ti.sqrt(found.squared), scale=found.scale, change=change, inertia=found.negative + positive,
                       slope=found.slope, energy=found.energy, magnitude=found.magnitude)
+
+    @ti.func
+    def at_the_end(self, rod, multiplier):
+        """The records of what lies beyond the far end, nothing but λ, and of the border, as the last edge is given them."""
+        zero = 0.0 * rod.total
+        beyond = record(
+            force=repeated(zero, 3), c=repeated(zero, 3), f=repeated(zero, 3), cc=repeated(zero, 6), ff=repeated(zero, 6),
+            z=repeated(zero, 9), length=zero)
+        if ti.static(self.moves_start):
+            beyond.force = multiplier
+            beyond.c = multiplier
+        return beyond, record(c=scaled(identity(zero), rod.closed), f=repeated(zero, 9), schur=repeated(zero, 6),
+                              right=repeated(zero, 3))
+
+    @ti.func
+    def add_pair(self, rod, e, edge, pair):
+        """Take the pair of an edge with the one before into the record ``pair``: H and gradient of this edge, with those of
+        the pair after that it had; what couples both, ``u``; and H and gradient of the edge before."""
+        zero = 0.0 * rod.total
+        pair.u, pair.h_before, pair.g_before = repeated(zero, 9), repeated(zero, 6), repeated(zero, 3)
+        if e > 0:
+            previous = self.edge(rod.head, e - 1)
+            left, right, h_left, h_right, across = self.derivatives(
+                self.bent(previous.bent), self.stiffness(previous, edge, rod.stiffness))
+            pair.g, pair.h = plus(pair.g, right), plus(pair.h, h_right)
+            pair.h_before, pair.g_before, pair.u = h_left, left, across
 
     @ti.func
     def load(self, rod, edge, e, start, end, found):

@@ -15,15 +15,22 @@ from doo_ti.arguments import typed
 from doo_ti.contact.gap_tolerance import require_gap_tolerance
 from doo_ti.errors import InputError, require_number, require_whole
 from doo_ti.physics.number import Number
-from doo_ti.physics.tuples import record
-from doo_ti.relaxation.contact_layout import CONTACTS, contact_items
 from doo_ti.relaxation.contacts import Contacts
 from doo_ti.relaxation.dense_elimination import DenseElimination
 from doo_ti.relaxation.elimination import Elimination
+from doo_ti.relaxation.kernel_factory import (
+    FIELD,
+    INDEX1,
+    INDEX2,
+    SCRATCH,
+    TABLE1,
+    TABLE2,
+    TABLE3,
+    TABLE4,
+    loop_kernel,
+)
 from doo_ti.relaxation.loaded_elimination import LoadedElimination
 from doo_ti.relaxation.newton_loop import NewtonLoop
-from doo_ti.relaxation.newton_policy import UP
-from doo_ti.relaxation.pair_layout import self_contact_items
 from doo_ti.relaxation.self_contacts import SelfContacts
 
 MOST_IN_CONTACT = 1000
@@ -81,64 +88,52 @@ TOLERANCES = {32: 9.9e-5, 64: 9.9e-8}
 """The residual that counts as converged, by bits: of a rod of 99 mm a moment over stiffness of 1e-6 and 1e-9 1/mm."""
 
 
+# What kernels are given, in this order.
+NEWTON = {
+    "start": TABLE1,  # [start · edge · 4]
+    "rest_length": TABLE2,  # [1 or configuration, edge] mm
+    "clamp": TABLE2,  # [configuration, CLAMP_COLUMNS]
+    "material": TABLE2,  # [material, STIFFNESS + 1 or edge · STIFFNESS_COLUMNS]
+    "rods": INDEX2,  # [rod, ROD_COLUMNS]
+    "policy": TABLE1,  # [POLICY_COLUMNS] of :mod:`doo_ti.relaxation.newton_policy`
+    "threads": ti.i32,
+    "scratch": SCRATCH,
+    "queue": INDEX1,  # [NEXT, TRIPS, LANES + thread · lane] zero
+    "frames": TABLE1,  # [row · edge · 4] in where a rod starts from there, and out
+    "results": TABLE2,  # [row, RESULTS] out
+}
+OUTER = {
+    "numbers": TABLE3,  # of the external energy
+    "field": FIELD,  # what it looks up in space
+}
+OBSTACLES = {
+    "obstacles": TABLE3,  # [1 or row, obstacle, OBSTACLE_COLUMNS]
+    "kinds": INDEX1,  # [obstacle] and, of a grid, its number
+    "grids": TABLE1,  # of the grids, see :func:`doo_ti.contact.distance_grid.grid_table`
+    "radius": TABLE1,  # [1 or row] mm
+    "tolerance": ti.f64,  # of gaps, over the radius
+    "memory": TABLE4,  # [row, vertex, obstacle, REMEMBERED] in and out
+    "forces": TABLE3,  # [row, vertex, 3] out
+    "self_friction": TABLE1,  # [1 or row] coefficient of the rod on itself
+}
+
+
 @cache
 def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, serial: bool, external: type | None = None,
                   any_ends: bool = False):
     """The compiled-on-first-use kernel for one kind of number, of material and of external energy.
 
     stride: distance between the items of an edge in scratch, 1 on a CPU, the number of threads on a GPU.
-    block: threads in a block, 1 on a CPU.
-    serial: on a CPU, work on the caller's thread: to wake another takes as long as to relax a few rods.
+    block, serial: see :func:`.loop_kernel`; to wake another thread takes as long as to relax a few rods.
     external: the class of the external energy, whose numbers and field the kernel then takes as two more arrays.
     any_ends: not all rods under the external energy have vertex 0 held and the far end free, which is faster.
     """
     if external is None:
         loop = NewtonLoop(Elimination(number, isotropic, stride))
-    else:
-        sweep = LoadedElimination(number, isotropic, stride, external, any_ends)
-        loop = NewtonLoop(sweep, sweep.functions, external.has_coarse)
-    table1, table2, table3 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3))
-    index1, index2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))
-    field = ti.types.ndarray(dtype=ti.f32, ndim=1)
-
-    @runtime.kernel
-    def newton(
-        start: table1,  # [start · edge · 4]
-        rest_length: table2,  # [1 or configuration, edge] mm
-        clamp: table2,  # [configuration, CLAMP_COLUMNS]
-        material: table2,  # [material, STIFFNESS + 1 or edge · STIFFNESS_COLUMNS]
-        rods: index2,  # [rod, ROD_COLUMNS]
-        policy: table1,  # [POLICY_COLUMNS] of :mod:`doo_ti.relaxation.newton_policy`
-        threads: ti.i32,
-        scratch: ti.types.ndarray(dtype=number.type, ndim=1),
-        queue: index1,  # [NEXT, TRIPS, LANES + thread · lane] zero
-        frames: table1,  # [row · edge · 4] in where a rod starts from there, and out
-        results: table2,  # [row, RESULTS] out
-    ):
-        ti.loop_config(block_dim=block, serialize=serial)
-        for thread in range(threads):
-            up = (policy[UP], policy[UP + 1], policy[UP + 2])
-            tables = record(start=start, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods,
-                            policy=policy, queue=queue, frames=frames, results=results, numbers=material, field=material,
-                            contacts=0, kinds=queue, grids=material)
-            loop.work(tables, scratch, threads, thread)
-
-    @runtime.kernel
-    def newton_under_load(
-        start: table1, rest_length: table2, clamp: table2, material: table2, rods: index2, policy: table1, threads: ti.i32,
-        scratch: ti.types.ndarray(dtype=number.type, ndim=1), queue: index1, frames: table1, results: table2,
-        outer: table3,  # of the external energy
-        space: field,  # what it looks up in space
-    ):
-        ti.loop_config(block_dim=block, serialize=serial)
-        for thread in range(threads):
-            up = (policy[UP], policy[UP + 1], policy[UP + 2])
-            tables = record(start=start, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods,
-                            policy=policy, queue=queue, frames=frames, results=results, numbers=outer, field=space,
-                            contacts=0, kinds=queue, grids=material)
-            loop.work(tables, scratch, threads, thread)
-
-    return newton if external is None else newton_under_load
+        return loop_kernel("newton", number, NEWTON, loop.work, block, serial)
+    sweep = LoadedElimination(number, isotropic, stride, external, any_ends)
+    loop = NewtonLoop(sweep, sweep.functions, external.has_coarse)
+    return loop_kernel("newton_under_load", number, NEWTON | OUTER, loop.work, block, serial)
 
 
 @cache
@@ -149,35 +144,6 @@ def contact_kernel(number: Number, isotropic: bool, stride: int, block: int, ext
         sweep = DenseLoadedElimination(number, isotropic, stride, external, True, SelfContacts(number, obstacles))
     else:
         sweep = LoadedElimination(number, isotropic, stride, external, True, Contacts(number, obstacles, expects=True))
-    size = self_contact_items if itself else contact_items
     loop = NewtonLoop(sweep, sweep.functions, external.has_coarse)
-    table1, table2, table3, table4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))
-    index1, index2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))
-    field = ti.types.ndarray(dtype=ti.f32, ndim=1)
-
-    @runtime.kernel
-    def newton_in_contact(
-        start: table1, rest_length: table2, clamp: table2, material: table2, rods: index2, policy: table1, threads: ti.i32,
-        scratch: ti.types.ndarray(dtype=number.type, ndim=1), queue: index1, frames: table1, results: table2,
-        outer: table3, space: field,  # as :func:`newton_kernel` has them
-        obstacles: table3,  # [1 or row, obstacle, OBSTACLE_COLUMNS]
-        kinds: index1,  # [obstacle] and, of a grid, its number
-        grids: table1,  # of the grids, see :func:`doo_ti.contact.distance_grid.grid_table`
-        radius: table1,  # [1 or row] mm
-        gap_tolerance: ti.f64,  # over the radius
-        memory: table4,  # [row, vertex, obstacle, REMEMBERED] in and out
-        forces: table3,  # [row, vertex, 3] out
-        self_friction: table1,  # [1 or row] coefficient of the rod on itself
-    ):
-        ti.loop_config(block_dim=block)
-        for thread in range(threads):
-            up = (policy[UP], policy[UP + 1], policy[UP + 2])
-            edges = rest_length.shape[1]
-            contacts = sweep.behind(scratch, threads, thread, edges, size(edges, kinds.shape[0]), CONTACTS)
-            tables = record(start=start, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods,
-                            policy=policy, queue=queue, frames=frames, results=results, numbers=outer, field=space,
-                            contacts=contacts, obstacles=obstacles, kinds=kinds, grids=grids, radius=radius,
-                            tolerance=gap_tolerance, memory=memory, forces=forces, self_friction=self_friction)
-            loop.work(tables, scratch, threads, thread)
-
-    return runtime.compiled_briefly(newton_in_contact)
+    return runtime.compiled_briefly(
+        loop_kernel("newton_in_contact", number, NEWTON | OUTER | OBSTACLES, loop.work, block))

@@ -21,11 +21,12 @@ class NewtonLoop(NewtonTrip):
         self.loading = Loading(sweep, functions)
 
     @ti.func
-    def work(self, tables, scratch: ti.template(), threads, thread):
-        """A thread's work, until the queue is empty."""
-        head = self.sweep.head(scratch, thread, tables.rest_length.shape[1])
+    def work(self, given, thread):
+        """A thread's work with the arrays of its kernel, until the queue is empty."""
+        tables = self.sweep.completed(given, thread)
+        head = self.sweep.head(tables.scratch, thread, tables.rest_length.shape[1])
         # Rods taken from the queue at a time: with fewer, threads wait for each other at the queue; with more, some end early.
-        batch = ti.max(1, ti.min(16, tables.rods.shape[0] // (16 * threads * self.width)))
+        batch = ti.max(1, ti.min(16, tables.rods.shape[0] // (16 * tables.threads * self.width)))
         lane = self.idle_lanes()
         supply = record(next=0, end=0, batch=batch, places=LANES + thread * self.width)
         pack_trips = 0

@@ -90,35 +90,42 @@ def relax(
     """
     obstacles = obstacle_list("relax", obstacles)
     once_more = isinstance(x0, Solution) and clamps is None
-    if solver is None:
-        touches = len(obstacles) > 0 or once_more and x0.tables is not None and x0.tables.contact is not None
-        solver = Newton(max_iterations=MOST_IN_CONTACT) if touches else Newton()
-        solver = replace(solver, first_shift=0.0) if once_more else solver
-    _check_options(solver, precision, external, obstacles, once_more)
+    solver = _default_solver(x0, obstacles, once_more) if solver is None else solver
+    _check_options(solver, precision, external, obstacles, once_more, clamps)
     with np.errstate(all="ignore"):  # a rod that is not finite has a status; NumPy need not warn
         if once_more:
             _check_same_rods(x0, up, external, configuration_index, external_index, obstacles or None, radius)
             table = under(x0.tables, material, material_index)
         else:
-            if clamps is None:
-                raise InputError("relax", "clamps", "missing", "give Clamps; a Solution alone keeps those that it has")
-            start = x0.configuration if isinstance(x0, Solution) else x0
-            table = tables(start, material, clamps, unit_up((0.0, 0.0, 1.0) if up is None else up, "relax"),
-                           configuration_index, material_index, external, external_index, obstacles, radius)
+            table = tables(x0.configuration if isinstance(x0, Solution) else x0, material, clamps,
+                           unit_up((0.0, 0.0, 1.0) if up is None else up, "relax"), configuration_index, material_index,
+                           external, external_index, obstacles, radius)
             if isinstance(x0, Solution) and table.contact is not None and configuration_index is None:
                 table.contact.begin_with(None if x0.tables is None else x0.tables.contact, x0.converged)
-        if isinstance(solver, Descent):
-            if (table.rest_length == 0).any():
-                raise InputError("relax", "solver", "Descent cannot use edges without length", "give Newton()")
-            frames, results, bits = _descent(table, solver, precision)
-        else:
-            frames, results, bits = _newton(table, solver, precision, x0 if once_more else None)
-            _relax_moved_out(table, solver, frames, results, bits)
-            table = _touch_themselves(table, solver, frames, results, bits)
-        return _solution(table, frames, results, bits)
+        return _solved(table, solver, precision, x0 if once_more else None)
 
 
-def _check_options(solver, precision: str, external, obstacles, once_more: bool) -> None:
+def _default_solver(x0: Configuration | Solution, obstacles: Sequence[Obstacle], once_more: bool) -> Newton:
+    """Newton with the options of :func:`relax`."""
+    touches = len(obstacles) > 0 or once_more and x0.tables is not None and x0.tables.contact is not None
+    solver = Newton(max_iterations=MOST_IN_CONTACT) if touches else Newton()
+    return replace(solver, first_shift=0.0) if once_more else solver
+
+
+def _solved(table: Tables, solver: Newton | Descent, precision: str, begin: Solution | None) -> Solution:
+    """The rods of the tables at rest, from their starts or from where they have ended."""
+    if isinstance(solver, Descent):
+        if (table.rest_length == 0).any():
+            raise InputError("relax", "solver", "Descent cannot use edges without length", "give Newton()")
+        frames, results, bits = _descent(table, solver, precision)
+    else:
+        frames, results, bits = _newton(table, solver, precision, begin)
+        _relax_moved_out(table, solver, frames, results, bits)
+        table = _touch_themselves(table, solver, frames, results, bits)
+    return _solution(table, frames, results, bits)
+
+
+def _check_options(solver, precision: str, external, obstacles, once_more: bool, clamps) -> None:
     """Raise InputError for an unknown solver or precision, or one that cannot be used with the other arguments."""
     if not isinstance(solver, Newton | Descent):
         raise InputError("relax", "solver", f"{solver!r}", "give Newton(), Newton.careful() or Descent()")
@@ -130,6 +137,8 @@ def _check_options(solver, precision: str, external, obstacles, once_more: bool)
         raise InputError("relax", "solver", "Descent cannot use obstacles", "give Newton() or Newton.careful()")
     if precision not in (*PRECISIONS, F32_ONLY):
         raise InputError("relax", "precision", f"{precision!r}", f"give one of {', '.join((*PRECISIONS, F32_ONLY))}")
+    if clamps is None and not once_more:
+        raise InputError("relax", "clamps", "missing", "give Clamps; a Solution alone keeps those that it has")
 
 
 def _check_same_rods(solution: Solution, *given) -> None:

@@ -33,6 +33,7 @@ from doo_ti.physics.view import Scratch
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.batch import layout_for, scratch_for
 from doo_ti.relaxation.closest_approach import ENOUGH, WAY, ClosestApproach, least_distance
+from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, SCRATCH, TABLE1, loop_kernel
 from doo_ti.relaxation.tables import Tables
 
 APART, TOUCHING, TURNED = 0, 1, 2
@@ -60,12 +61,12 @@ class SelfApproach:
         self.vertex = self.ways.vertex
 
     @ti.func
-    def work(self, tables, scratch: ti.template(), threads, thread):
+    def work(self, tables, thread):
         """A thread's share of the rods, pack after pack."""
         edges, rods = tables.edges, tables.flags.shape[0]
-        head = self.memory.of_thread(scratch, thread, WAY, (edges + 1) * WAY.size)
+        head = self.memory.of_thread(tables.scratch, thread, WAY, (edges + 1) * WAY.size)
         for pack in range((rods + self.width - 1) // self.width):
-            if pack % threads == thread:
+            if pack % tables.threads == thread:
                 # The last pack has its last rod several times.
                 place = [ti.min(pack * self.width + slot, rods - 1) for slot in ti.static(range(self.width))]
                 starts = variable([tables.rows[place[slot], START] for slot in ti.static(range(self.width))])
@@ -215,30 +216,22 @@ class SelfApproach:
         return 0.5 * (apart - self.arc(head, i, i + size) - self.arc(head, j, end))
 
 
+ARGUMENTS = {
+    "before": TABLE1,  # [start · edge · 4] frames, or [rod · vertex · 3] mm
+    "after": TABLE1,  # [rod · edge · 4] or [rod · vertex · 3]
+    "rows": INDEX2,  # [place, (START, ROD)]: START is also that of lengths that differ
+    "lengths": TABLE1,  # [1 or row · edge] mm
+    "limits": TABLE1,  # [1 or rod · LIMITS] mm
+    "edges": ti.i32, "threads": ti.i32, "scratch": SCRATCH,
+    "flags": INDEX1,  # [place] out, APART, TOUCHING or TURNED
+}
+"""What the kernel is given, in this order."""
+
+
 @cache
 def _kernel(number: Number, stride: int, block: int, by_frames: bool):
     """The kernel of rods that are given by frames, or by places."""
-    bounds = SelfApproach(number, stride, by_frames)
-    numbers = ti.types.ndarray(dtype=ti.f64, ndim=1)
-
-    @runtime.kernel
-    def approach(
-        before: numbers,  # [start · edge · 4] frames, or [rod · vertex · 3] mm
-        after: numbers,  # [rod · edge · 4] or [rod · vertex · 3]
-        rows: ti.types.ndarray(dtype=ti.i32, ndim=2),  # [place, (START, ROD)]: START is also that of lengths that differ
-        lengths: numbers,  # [1 or row · edge] mm
-        limits: numbers,  # [1 or rod · LIMITS] mm
-        edges: ti.i32,
-        threads: ti.i32,
-        scratch: ti.types.ndarray(dtype=number.type, ndim=1),
-        flags: ti.types.ndarray(dtype=ti.i32, ndim=1),  # [place] out, APART, TOUCHING or TURNED
-    ):
-        ti.loop_config(block_dim=block)
-        for thread in range(threads):
-            tables = record(before=before, after=after, rows=rows, lengths=lengths, limits=limits, edges=edges, flags=flags)
-            bounds.work(tables, scratch, threads, thread)
-
-    return approach
+    return loop_kernel("approach", number, ARGUMENTS, SelfApproach(number, stride, by_frames).work, block)
 
 
 def _approach(by_frames: bool, before, after, rows, rest_length, radius, more) -> np.ndarray:

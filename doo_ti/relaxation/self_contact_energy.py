@@ -35,6 +35,7 @@ from doo_ti.relaxation.pair_layout import (
     ROUNDED,
     VERTEX,
     pair_items,
+    self_contact_items,
 )
 
 
@@ -48,6 +49,10 @@ class SelfContactEnergy(Contacts):
         self.first_phase, self.settles_early = LOADED, False
 
     # --- views of scratch ---
+
+    @picked
+    def numbers(self, tables):
+        return self_contact_items(tables.rest_length.shape[1], tables.kinds.shape[0])
 
     @picked
     def own(self, rod):

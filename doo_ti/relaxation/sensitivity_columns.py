@@ -28,9 +28,10 @@ class SensitivityColumns(EndMoments):
     """
 
     @ti.func
-    def work(self, tables, scratch: ti.template(), columns, threads, thread):
-        """Every rod of this thread, and ``columns`` columns for it."""
-        head = self.head(scratch, thread, tables.rest_length.shape[1])
+    def work(self, given, thread):
+        """Every rod of this thread, and all columns for it."""
+        tables = self.completed(given, thread)
+        head = self.head(tables.scratch, thread, tables.rest_length.shape[1])
         index = thread
         while index < tables.rods.shape[0]:
             row = tables.rods[index, of.RESULT_ROW]
@@ -41,7 +42,7 @@ class SensitivityColumns(EndMoments):
             self.load_forces(tables, rod, row, unit)
             force = self.three(tables.results, row, of.FORCE)
             multiplier = (0.0 - force[0] / unit, 0.0 - force[1] / unit, 0.0 - force[2] / unit)
-            if columns == 0:
+            if tables.columns == 0:
                 self.bend_pairs(rod)
                 tables.sound[row] = 1
             else:
@@ -49,14 +50,14 @@ class SensitivityColumns(EndMoments):
             self.put_vector(tables.moments, row, 0, scaled(self.end_moment(rod, FIRST, multiplier), unit))
             self.put_vector(tables.moments, row, 3, scaled(self.end_moment(rod, LAST, multiplier), unit))
             schur = self.schur_complement(rod)
-            for p in range(columns):
+            for p in range(tables.columns):
                 column = self.column(tables, rod, index, p, multiplier)
                 self.hold_start(rod, column)
                 closure = self.assemble_column(rod, column)
                 change = self.solve_column(rod, column, schur, closure)
                 self.store_column(tables, rod, row, p, column)
                 self.store_loads(tables, rod, row, p, column, change)
-            index += threads
+            index += tables.threads
 
     @ti.func
     def put_vector(self, table: ti.template(), row, place: ti.template(), v):

@@ -7,16 +7,17 @@ import numpy as np
 import taichi as ti
 
 from doo_ti import runtime
-from doo_ti.contact.gap_tolerance import GAP_TOLERANCE
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import against, forward, negated, plus, record, repeated, symmetric_gram, variable
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.chain_layout import edge_layout, numbers_of_rod, rod_layout
-from doo_ti.relaxation.contact_layout import CONTACTS, contact_items
+from doo_ti.relaxation.contact_layout import contact_items
 from doo_ti.relaxation.contact_sensitivity import ContactSensitivity, Kept
 from doo_ti.relaxation.contact_table import ContactTable
 from doo_ti.relaxation.elimination import Elimination
+from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, TABLE1, TABLE2, TABLE3, TABLE4, loop_kernel
 from doo_ti.relaxation.loading import Loading
+from doo_ti.relaxation.newton import OBSTACLES
 from doo_ti.relaxation.parameter_gradient import DIRECTION_COLUMNS, KEPT
 from doo_ti.relaxation.sensitivity_columns import LOADS, SensitivityColumns
 from doo_ti.relaxation.tables import Tables
@@ -147,8 +148,8 @@ def _launch(table: Tables, first: int, last: int, rows: np.ndarray, contact: Con
         outer = (obstacles, contact.kinds, contact.grids, radius, contact.memory[first:last])
         items = numbers_of_rod(edges, False, Kept, True) + contact_items(edges, len(contact.kinds))
     kernel(
-        table.start.reshape(-1), table.rest_length, table.clamp, table.material, *table.up, rods, *state, threads,
-        np.zeros(threads * items), *arrays, found.moments, found.sound, *outer)
+        table.start.reshape(-1), table.rest_length, table.clamp, table.material, np.array(table.up, dtype=np.float64), rods,
+        *state, threads, np.zeros(threads * items), *arrays, found.moments, found.sound, *outer)
 
 
 def _beyond(table: Tables, first: int, last: int) -> np.ndarray:
@@ -159,66 +160,34 @@ def _beyond(table: Tables, first: int, last: int) -> np.ndarray:
     return -np.cumsum(table.contact.forces[first:last, :0:-1], axis=1)[:, ::-1].copy()
 
 
+# What kernels are given, in this order.
+COLUMNS = {
+    "start": TABLE1, "rest_length": TABLE2, "clamp": TABLE2, "material": TABLE2,  # as the Newton kernel has them
+    "up": TABLE1,  # [3] against gravity
+    "rods": INDEX2,  # [rod, ROD_COLUMNS]
+    "frames": TABLE1,  # [row · edge · 4] the equilibria
+    "results": TABLE2,  # [row, LOADED_RESULTS] of which −λ and how far vertex 0 has moved are read
+    "beyond": TABLE3,  # [row, edge, 3] forces of obstacles, see :func:`_beyond`
+    "directions": TABLE2,  # [column, DIRECTION_COLUMNS]
+    "modes": TABLE3,  # [mode, joint, 2]
+    "columns": ti.i32, "threads": ti.i32, "scratch": TABLE1,
+    "vertices": TABLE4, "rotations": TABLE4,  # [row, vertex or edge, 3, column] out
+    "loads": TABLE3,  # [row, LOADS, column] out
+    "moments": TABLE2,  # [row, 6] out: at the start and at the end
+    "sound": INDEX1,  # [row] out: one where there are results
+}
+CONTACTS_AT_REST = {name: OBSTACLES[name] for name in ("obstacles", "kinds", "grids", "radius", "memory")}
+
+
 @cache
 def sensitivity_kernel(stride: int, block: int):
     """The compiled-on-first-use kernel; ``stride`` and ``block`` as Newton's kernel has them."""
-    sweep = SensitivitySweep(stride)
-    table1, table2, table3, table4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))
-    index1, index2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))
-
-    @runtime.kernel
-    def solve(
-        start: table1, rest_length: table2, clamp: table2, material: table2,  # as the Newton kernel has them
-        up0: ti.f64, up1: ti.f64, up2: ti.f64,
-        rods: index2,  # [rod, ROD_COLUMNS]
-        frames: table1,  # [row · edge · 4] the equilibria
-        results: table2,  # [row, LOADED_RESULTS] of which −λ and how far vertex 0 has moved are read
-        beyond: table3,  # [row, edge, 3] forces of obstacles, see :func:`_beyond`
-        directions: table2,  # [column, DIRECTION_COLUMNS]
-        modes: table3,  # [mode, joint, 2]
-        columns: ti.i32, threads: ti.i32, scratch: table1,
-        vertices: table4, rotations: table4,  # [row, vertex or edge, 3, column] out
-        loads: table3,  # [row, LOADS, column] out
-        moments: table2,  # [row, 6] out: at the start and at the end
-        sound: index1,  # [row] out: one where there are results
-    ):
-        ti.loop_config(block_dim=block)
-        for thread in range(threads):
-            tables = record(
-                start=start, rest_length=rest_length, clamp=clamp, material=material, up=(up0, up1, up2), rods=rods,
-                frames=frames, results=results, beyond=beyond, directions=directions, modes=modes, vertices=vertices,
-                rotations=rotations, loads=loads, moments=moments, sound=sound, numbers=material, field=material, contacts=0,
-                kinds=rods, grids=material)
-            sweep.work(tables, scratch, columns, threads, thread)
-
-    return solve
+    return loop_kernel("solve", Number(1, 64), COLUMNS, SensitivitySweep(stride).work, block)
 
 
 @cache
 def contact_sensitivity_kernel(stride: int, block: int, known: frozenset[int]):
     """The same for rods that touch obstacles of the kinds ``known``."""
     sweep = ContactSensitivity(stride, known)
-    table1, table2, table3, table4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))
-    index1, index2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))
-
-    @runtime.kernel
-    def solve_in_contact(
-        start: table1, rest_length: table2, clamp: table2, material: table2, up0: ti.f64, up1: ti.f64, up2: ti.f64,
-        rods: index2, frames: table1, results: table2, beyond: table3, directions: table2, modes: table3, columns: ti.i32,
-        threads: ti.i32, scratch: table1, vertices: table4, rotations: table4, loads: table3, moments: table2, sound: index1,
-        # The same as above, and of obstacles as :func:`.contact_kernel` has them:
-        obstacles: table3, kinds: index1, grids: table1, radius: table1, memory: table4,
-    ):
-        ti.loop_config(block_dim=block)
-        for thread in range(threads):
-            edges = rest_length.shape[1]
-            contacts = sweep.behind(scratch, threads, thread, edges, contact_items(edges, kinds.shape[0]), CONTACTS)
-            tables = record(
-                start=start, rest_length=rest_length, clamp=clamp, material=material, up=(up0, up1, up2), rods=rods,
-                frames=frames, results=results, beyond=beyond, directions=directions, modes=modes, vertices=vertices,
-                rotations=rotations, loads=loads, moments=moments, sound=sound, numbers=material, field=material,
-                contacts=contacts, obstacles=obstacles, kinds=kinds, grids=grids, radius=radius, tolerance=GAP_TOLERANCE,
-                memory=memory)
-            sweep.work(tables, scratch, columns, threads, thread)
-
-    return runtime.compiled_briefly(solve_in_contact)
+    return runtime.compiled_briefly(
+        loop_kernel("solve_in_contact", Number(1, 64), COLUMNS | CONTACTS_AT_REST, sweep.work, block))

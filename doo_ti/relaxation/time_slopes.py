@@ -14,6 +14,7 @@ from doo_ti.physics.tuples import (
     against,
     backward,
     dot,
+    extended,
     forward,
     minus,
     minus_combination,
@@ -44,6 +45,12 @@ CURVATURE_1, CURVATURE_2, REMEMBERED = map(OWN.at, ("curvature_1", "curvature_2"
 NUMBERS = OWN.at("of_bend") - OWN.at("of_numbers")
 
 
+@picked
+def slope_items(edges, parameters):
+    """Numbers of a rod's derivatives in scratch."""
+    return (edges + 1) * (len(SHARED) + parameters * len(OWN))
+
+
 @ti.data_oriented
 class TimeSlopes(TimeSweep):
     """The chain of :class:`.TimeSweep` with the derivatives of its steps. ``blocks`` is the view of the first in scratch: the
@@ -51,6 +58,13 @@ class TimeSlopes(TimeSweep):
 
     def __init__(self, number, stride: int):
         super().__init__(number, False, stride)
+
+    @picked
+    def completed(self, given, thread):
+        edges = given.rest_length.shape[1]
+        numbers = slope_items(edges, given.material_slopes.shape[0])
+        return extended(TimeSweep.completed(self, given, thread),
+                        blocks=self.behind(given.scratch, given.threads, thread, edges, numbers, SHARED))
 
     @picked
     def shared(self, blocks, vertex):

@@ -8,15 +8,17 @@ import numpy as np
 from doo_ti import runtime
 from doo_ti.contact.gap_tolerance import GAP_TOLERANCE, GAP_TOLERANCE_IN_MOTION
 from doo_ti.frames import quaternion_product
+from doo_ti.physics.number import Number
 from doo_ti.relaxation import newton
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.batch import layout_for, policy_row, scratch_for
+from doo_ti.relaxation.contact_table import ContactTable
 from doo_ti.relaxation.loading import LANES
 from doo_ti.relaxation.tables import Tables, room
-from doo_ti.relaxation.time_kernel import slope_items, time_contact_kernel, time_kernel, time_slope_kernel
+from doo_ti.relaxation.time_kernel import time_contact_kernel, time_kernel, time_slope_kernel
 from doo_ti.relaxation.time_layout import PLACE_2
 from doo_ti.relaxation.time_loop import OUTCOMES, STATE
-from doo_ti.relaxation.time_slopes import CURVATURE_1, CURVATURE_2, REMEMBERED
+from doo_ti.relaxation.time_slopes import CURVATURE_1, CURVATURE_2, REMEMBERED, slope_items
 from doo_ti.types import Status
 
 
@@ -101,8 +103,7 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
     positions (R, frames, P, V, 3) or None, the forces of contacts on vertices (R, frames, V, 3), energy per mm, or None, and
     their :class:`.Touch` (R, frames, V) or None.
     """
-    rods = table.rods[memory.status[table.rods[:, of.RESULT_ROW]] == Status.CONVERGED]
-    rods = np.ascontiguousarray(rods)
+    rods = np.ascontiguousarray(table.rods[memory.status[table.rods[:, of.RESULT_ROW]] == Status.CONVERGED])
     rods[:, of.START_ROW] = of.FROM_RESULTS
     rods[:, of.EXTERNAL_ROW] = table.external_index[rods[:, of.RESULT_ROW]]
     steps = path.shape[1]
@@ -127,21 +128,12 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
     results[:, of.FORCE : of.FORCE + 3], results[:, of.DRIFT:] = memory.multiplier, memory.drift
     for isotropic, part in table.by_material(rods):
         number, threads, stride, block = layout_for(len(part), bits, contact is not None and contact.itself)
+        kernel, size = _kernel_for(table, isotropic, number, stride, block, slopes, moves)
+        more = ()
         if contact is not None:
-            kernel, numbers_of_rod = time_contact_kernel(
-                number, isotropic, stride, block, contact.known, contact.rubs, contact.itself, moves)
-            tolerance = options.gap_tolerance
-            if tolerance is None:
-                tolerance = GAP_TOLERANCE if contact.itself else GAP_TOLERANCE_IN_MOTION
-            more = *contact.arguments(forces, tolerance, False), touches, poses, contact.pair_memory
-            size = numbers_of_rod(table.edges) + contact.items(table.edges, len(contact.kinds))
-        elif slopes is None:
-            kernel, numbers_of_rod = time_kernel(number, isotropic, stride, block)
-            more, size = (), numbers_of_rod(table.edges)
-        else:
-            kernel, numbers_of_rod = time_slope_kernel(stride, block, number.width)
+            more = *contact.arguments(forces, _gap_tolerance(contact, options), False), touches, poses, contact.pair_memory
+        elif slopes is not None:
             more = slopes.material, slopes.numbers, slopes.shares, slopes.memory, position_slopes
-            size = numbers_of_rod(table.edges) + slope_items(table.edges, slopes.count)
         scratch = scratch_for(number, threads * size)
         queue = np.zeros(LANES + 2 * threads * number.width, dtype=np.int32)
         kernel(table.rest_length, table.clamp, path, table.material, numbers, shares, part,
@@ -156,3 +148,23 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
         forces = forces.reshape(table.count, frames, table.edges + 1, 3)
         touches = touches.reshape(table.count, frames, table.edges + 1).astype(np.int8)
     return positions.reshape(table.count, frames, table.edges + 1, 3), outcome, position_slopes, forces, touches
+
+
+def _kernel_for(table: Tables, isotropic: bool, number: Number, stride: int, block: int, slopes: Slopes | None, moves: bool):
+    """(kernel, numbers of a thread in scratch) for rods of one kind, with obstacles that move if ``moves``."""
+    contact, edges = table.contact, table.edges
+    if contact is not None:
+        kernel, numbers_of_rod = time_contact_kernel(
+            number, isotropic, stride, block, contact.known, contact.rubs, contact.itself, moves)
+        return kernel, numbers_of_rod(edges) + contact.items(edges, len(contact.kinds))
+    if slopes is not None:
+        kernel, numbers_of_rod = time_slope_kernel(stride, block, number.width)
+        return kernel, numbers_of_rod(edges) + slope_items(edges, slopes.count)
+    kernel, numbers_of_rod = time_kernel(number, isotropic, stride, block)
+    return kernel, numbers_of_rod(edges)
+
+
+def _gap_tolerance(contact: ContactTable, options: newton.Newton) -> float:
+    """Over the radius, in a motion."""
+    usual = GAP_TOLERANCE if contact.itself else GAP_TOLERANCE_IN_MOTION
+    return usual if options.gap_tolerance is None else options.gap_tolerance

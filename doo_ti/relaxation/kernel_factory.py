@@ -1,0 +1,40 @@
+"""The kernels that give every thread a loop of its own: one factory for all, from the names and types of their arguments."""
+
+import linecache
+from collections.abc import Callable
+
+import taichi as ti
+
+from doo_ti import runtime
+from doo_ti.physics.number import Number
+from doo_ti.physics.tuples import record
+
+TABLE1, TABLE2, TABLE3, TABLE4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))
+INDEX1, INDEX2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))
+FIELD = ti.types.ndarray(dtype=ti.f32, ndim=1)
+SCRATCH = "scratch"
+"""The type of an array of a kernel's own numbers."""
+
+SOURCE = """def {name}({names}):
+    ti.loop_config(block_dim=block, serialize=serial)
+    for thread in range(threads):
+        work(record({fields}), thread)
+"""
+
+
+def loop_kernel(name: str, number: Number, arguments: dict, work: Callable, block: int, serial: bool = False) -> Callable:
+    """A kernel that takes ``arguments``, types by names in the order of a call, among them ``threads``, and has each of so many
+    threads do ``work``, a Taichi function of the record of all arguments and of the thread's number.
+
+    block   threads in a block, 1 on a CPU
+    serial  on a CPU, work on the caller's thread
+    """
+    source = SOURCE.format(name=name, names=", ".join(arguments), fields=", ".join(f"{one}={one}" for one in arguments))
+    file = f"<kernel {name}>"
+    # Where Taichi looks for the source of a kernel, which is the same for all of that name.
+    linecache.cache[file] = len(source), None, source.splitlines(keepends=True), file
+    scope = {"ti": ti, "record": record, "work": work, "block": block, "serial": serial}
+    exec(compile(source, file, "exec"), scope)
+    scratch = ti.types.ndarray(dtype=number.type, ndim=1)
+    scope[name].__annotations__ = {one: scratch if kind is SCRATCH else kind for one, kind in arguments.items()}
+    return runtime.kernel(scope[name])
