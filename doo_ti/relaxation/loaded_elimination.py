@@ -109,8 +109,7 @@ class LoadedElimination(LooseStart):
         zero = 0.0 * rod.total
         found = record(squared=zero, scale=zero, negative=zero, slope=zero, energy=zero, magnitude=zero)
         beyond, border = self.at_the_end(rod, multiplier)
-        pair = record(h=repeated(zero, 6), g=repeated(zero, 3), u=repeated(zero, 9), h_before=repeated(zero, 6),
-                      g_before=repeated(zero, 3))  # at first of that with the edge after
+        h, g = variable(repeated(zero, 6)), variable(repeated(zero, 3))  # H and gradient of the pair with the edge after
         end = self.tip(rod)
         searching = self.largest(search[0] + search[1]) > 0.0
         some_taut = self.largest(1.0 - rod.free[4]) > 0.5
@@ -129,8 +128,14 @@ class LoadedElimination(LooseStart):
             l1, l2 = linear_gradient(force, length, m1, m2)
             r1, r2 = linear_gradient(plus(own, beyond.c), length, m1, m2)
             straighten = linear_hessian(force, length, t)
-            self.add_pair(rod, e, edge, pair)
-            h, g, u = variable(pair.h), variable(pair.g), variable(pair.u)
+            # The pair with the edge before: its right block is this edge's, its left one is for the edge before.
+            u, h_before, g_before = variable(repeated(zero, 9)), variable(repeated(zero, 6)), variable(repeated(zero, 3))
+            if e > 0:
+                previous = self.edge(rod.head, e - 1)
+                stiffness = self.stiffness(previous, edge, rod.stiffness)
+                left, right, h_left, h_right, across = self.derivatives(self.bent(previous.bent), stiffness)
+                g, h = plus(g, right), plus(h, h_right)
+                h_before, g_before, u = h_left, left, across
             rows = closure_rows(length, m1, m2)
             a1, a2 = row(rows, 1), row(rows, 2)
             h = self.second_derivatives(rod, pulled(h, straighten, load.curvature_ss, a1, a2), (g[0], g[1] + l1, g[2] + l2))
@@ -154,7 +159,7 @@ class LoadedElimination(LooseStart):
             self.pass_on(beyond, load, f, wr, wz, wu)
             if ti.static(self.moves_start):
                 self.eliminate_border(edge, self.freedom(rod, e), border, rows, f, wr, wz, wu)
-            pair.h, pair.g = pair.h_before, pair.g_before
+            h, g = h_before, g_before
         return self.closed(rod, shift, miss, beyond, border, found)
 
     @ti.func
@@ -181,19 +186,6 @@ class LoadedElimination(LooseStart):
             beyond.c = multiplier
         return beyond, record(c=scaled(identity(zero), rod.closed), f=repeated(zero, 9), schur=repeated(zero, 6),
                               right=repeated(zero, 3))
-
-    @ti.func
-    def add_pair(self, rod, e, edge, pair):
-        """Take the pair of an edge with the one before into the record ``pair``: H and gradient of this edge, with those of
-        the pair after that it had; what couples both, ``u``; and H and gradient of the edge before."""
-        zero = 0.0 * rod.total
-        pair.u, pair.h_before, pair.g_before = repeated(zero, 9), repeated(zero, 6), repeated(zero, 3)
-        if e > 0:
-            previous = self.edge(rod.head, e - 1)
-            left, right, h_left, h_right, across = self.derivatives(
-                self.bent(previous.bent), self.stiffness(previous, edge, rod.stiffness))
-            pair.g, pair.h = plus(pair.g, right), plus(pair.h, h_right)
-            pair.h_before, pair.g_before, pair.u = h_left, left, across
 
     @ti.func
     def load(self, rod, edge, e, start, end, found):
