@@ -35,9 +35,9 @@ from doo_ti.commands import (
     warm,
 )
 from doo_ti.commands.help_text import hidden, nearest, overview
-from doo_ti.errors import InputError, InterruptedRunError
-from doo_ti.runtime import check_architecture
-from doo_ti.terminal import VisibleStream, visible
+from doo_ti.system.errors import InputError, InterruptedRunError
+from doo_ti.system.runtime import check_architecture
+from doo_ti.system.terminal import VisibleStream, visible
 
 
 class _Parser(argparse.ArgumentParser):

@@ -1,4 +1,4 @@
-"""Every public name as a program with types would use it, for type checkers: tests/test_types.py. It is not run."""
+"""Every public name as a program with types would use it, for type checkers: tests/rod/test_types.py. It is not run."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -14,28 +14,21 @@ PACKAGE = ROOT / "doo_ti"
 
 # From the bottom up: a module imports from layers below its own, never from beside it.
 LAYERS = [
-    {"argument_rules", "errors", "interruption", "short_repr", "terminal"},
-    {"arguments", "frames", "physical_units"},
-    {"plausible"},
-    {"material"},
-    {"types"},
-    {"grid", "rods"},
-    {"knots"},
+    {"system"},
+    {"physics"},
+    {"rod"},
     {"io"},
-    {"kernel_cache", "running_program"},
-    {"physics", "runtime"},
-    {"metric", "start", "contact"},
+    {"contact"},
     {"relaxation"},
     {"vision", "motion", "dynamics"},
     {"groups"},
-    {"synthesis", "twist", "report"},
+    {"lab", "twist", "report"},
     {"prediction"},
     {"manipulation"},
     {"perception"},
     {"record"},
     {"learning"},
     {"refinement"},
-    {"plan"},
     {"bench"},
     {"commands"},
     {"cli"},
@@ -127,14 +120,14 @@ def test_relax_does_not_know_vision():
         name = waiting.pop()
         seen.add(name)
         waiting |= {other.removeprefix("doo_ti.") for other in imported(MODULES[name])} & MODULES.keys() - seen
-    assert len(seen) > 20 and "io.files" in seen  # the kernel cache writes files
-    assert not {layer(name) for name in seen} & {"vision", "record", "report", "learning"} and "io.observations" not in seen
+    assert len(seen) > 20 and "system.files" in seen  # the kernel cache writes files
+    assert not {layer(name) for name in seen} & {"vision", "record", "report", "learning"} and "rod.observations" not in seen
 
 
 def test_one_place_starts_taichi():
     starters = [name for name, path in MODULES.items() for node in statements(path)
                 if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "init"]
-    assert starters == ["runtime"]
+    assert starters == ["system.runtime"]
 
 
 def test_no_file_postpones_annotations():
@@ -179,4 +172,4 @@ def test_one_door_to_kernels():
     """``runtime.kernel``, which refuses a launch that another thread's could meet."""
     makers = [name for name, path in MODULES.items() for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
               if isinstance(node, ast.Attribute) and node.attr == "kernel" and getattr(node.value, "id", "") == "ti"]
-    assert makers == ["runtime"]
+    assert makers == ["system.runtime"]

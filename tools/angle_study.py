@@ -18,7 +18,7 @@ if not __package__:
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from doo_ti.perception.perceive import PerceptionVerdict, perceive  # noqa: E402
-from doo_ti.types import Material  # noqa: E402
+from doo_ti.rod.types import Material  # noqa: E402
 from doo_ti.vision.cameras.camera import Camera  # noqa: E402
 from doo_ti.vision.cameras.rig import Rig  # noqa: E402
 from doo_ti.vision.detection.line import Detection  # noqa: E402

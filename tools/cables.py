@@ -18,9 +18,9 @@ ROOT = Path(__file__).resolve().parents[1]
 if not __package__:
     sys.path.insert(0, str(ROOT))
 
-from doo_ti.errors import InputError  # noqa: E402
 from doo_ti.io.cable_recordings import RATE_HZ, read_recordings, save_recordings  # noqa: E402
-from doo_ti.io.files import write_whole  # noqa: E402
+from doo_ti.system.errors import InputError  # noqa: E402
+from doo_ti.system.files import write_whole  # noqa: E402
 
 CABLES = tuple(f"dlo{number}" for number in range(1, 6))
 STRETCH, APART, SLOWEST = 150, 50, 6

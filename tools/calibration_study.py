@@ -31,10 +31,10 @@ ROOT = Path(__file__).resolve().parents[1]
 if not __package__:
     sys.path.insert(0, str(ROOT))
 
-from doo_ti import runtime  # noqa: E402
-from doo_ti.errors import InputError  # noqa: E402
-from doo_ti.io.observations import write_whole  # noqa: E402
-from doo_ti.terminal import progress  # noqa: E402
+from doo_ti.system import runtime  # noqa: E402
+from doo_ti.system.errors import InputError  # noqa: E402
+from doo_ti.system.files import write_whole  # noqa: E402
+from doo_ti.system.terminal import progress  # noqa: E402
 from tools.calibration.coverage import NAMES, coverage, table  # noqa: E402
 from tools.calibration.fit import fitted  # noqa: E402
 from tools.calibration.picture import calibration_picture  # noqa: E402

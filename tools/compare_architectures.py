@@ -29,10 +29,10 @@ from doo_ti.bench.clock import machine, timed  # noqa: E402
 from doo_ti.dynamics.parameters import Dynamics, Stepping  # noqa: E402
 from doo_ti.dynamics.simulate import simulate  # noqa: E402
 from doo_ti.groups.relax_group import relax_group  # noqa: E402
-from doo_ti.io.files import write_text  # noqa: E402
 from doo_ti.relaxation.descent import Descent  # noqa: E402
 from doo_ti.relaxation.sensitivity import sensitivity  # noqa: E402
-from doo_ti.types import Clamp, Configuration, Solution  # noqa: E402
+from doo_ti.rod.types import Clamp, Configuration, Solution  # noqa: E402
+from doo_ti.system.files import write_text  # noqa: E402
 from doo_ti.vision.reprojection.score import score  # noqa: E402
 from tools import contact_motions, group_study  # noqa: E402
 from tools.bench import contact, scoring  # noqa: E402

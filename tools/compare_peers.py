@@ -19,9 +19,9 @@ if not __package__:
 
 from doo_ti.bench import clock  # noqa: E402
 from doo_ti.bench.workload import Rods  # noqa: E402
-from doo_ti.errors import InputError  # noqa: E402
-from doo_ti.io.files import write_text  # noqa: E402
 from doo_ti.relaxation.newton import Newton  # noqa: E402
+from doo_ti.system.errors import InputError  # noqa: E402
+from doo_ti.system.files import write_text  # noqa: E402
 from tools.peers import capsules, cosserat, flex, swinging  # noqa: E402
 from tools.peers.problem import Problem, problem, strain  # noqa: E402
 

@@ -27,10 +27,10 @@ from doo_ti.contact.obstacles import Capsule, Plane  # noqa: E402
 from doo_ti.dynamics.grippers import Grippers  # noqa: E402
 from doo_ti.dynamics.parameters import Dynamics, Stepping  # noqa: E402
 from doo_ti.dynamics.simulate import simulate  # noqa: E402
-from doo_ti.frames import matrix_from_quaternion, quaternion_about, quaternion_product  # noqa: E402
-from doo_ti.material import Material  # noqa: E402
 from doo_ti.relaxation.relax import relax  # noqa: E402
-from doo_ti.types import Clamp, Clamps, Configuration, Status  # noqa: E402
+from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about, quaternion_product  # noqa: E402
+from doo_ti.rod.material import Material  # noqa: E402
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Status  # noqa: E402
 from tests.contact.topology import solid_angles  # noqa: E402
 
 LENGTH, EDGES, RADIUS, FRAMES = 100.0, 33, 0.5, 40

@@ -19,7 +19,7 @@ if not __package__:
 
 from doo_ti.perception.perceive import perceive  # noqa: E402
 from doo_ti.perception.whole_thread import whole_threads  # noqa: E402
-from doo_ti.types import Material  # noqa: E402
+from doo_ti.rod.types import Material  # noqa: E402
 from doo_ti.vision.cameras.rig import Rig, load_rig  # noqa: E402
 from doo_ti.vision.detection.detect import detect  # noqa: E402
 from doo_ti.vision.detection.images import read_image  # noqa: E402

@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti import Clamp, Material, hanging, relax
-from doo_ti.frames import across, bishop_frames
-from doo_ti.io.files import write_text
-from doo_ti.physical_units import weight_per_length
+from doo_ti.rod.frames import across, bishop_frames
+from doo_ti.rod.physical_units import weight_per_length
+from doo_ti.system.files import write_text
 
 EI, GRAMS_PER_METRE = 1e-3, 50.0
 POSES, NOISE_MM, SEED = 10, 0.3, 18

@@ -24,9 +24,9 @@ from doo_ti.contact.touch import Touch  # noqa: E402
 from doo_ti.groups.follow import follow_group  # noqa: E402
 from doo_ti.groups.group import Group, Tie  # noqa: E402
 from doo_ti.groups.relax_group import relax_group  # noqa: E402
-from doo_ti.material import Material  # noqa: E402
-from doo_ti.rods import hanging  # noqa: E402
-from doo_ti.types import Clamp, Status  # noqa: E402
+from doo_ti.rod.material import Material  # noqa: E402
+from doo_ti.rod.straight import hanging  # noqa: E402
+from doo_ti.rod.types import Clamp, Status  # noqa: E402
 
 EDGES, RADIUS = 20, 1.0
 TIES = [Tie((0, 10), (1, 6)), Tie((1, 14), (2, 8))]

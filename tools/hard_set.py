@@ -17,8 +17,8 @@ import numpy as np
 
 from doo_ti import Clamp, Clamps, Configuration, Material, Newton, Status, relax
 from doo_ti.bench.workload import BEND_RANGE, TWIST_RATIO_RANGE, log_uniform
-from doo_ti.frames import bishop_frames, quaternion_about, quaternion_from_matrix, quaternion_product
-from doo_ti.types import Solution
+from doo_ti.rod.frames import bishop_frames, quaternion_about, quaternion_from_matrix, quaternion_product
+from doo_ti.rod.types import Solution
 
 SEED = 2011
 PRECISIONS = ("f32", "mixed", "f64")

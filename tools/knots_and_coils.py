@@ -31,13 +31,13 @@ from doo_ti.contact.itself import Itself, smallest_self_gap  # noqa: E402
 from doo_ti.dynamics.grippers import Grippers  # noqa: E402
 from doo_ti.dynamics.parameters import Dynamics, Stepping  # noqa: E402
 from doo_ti.dynamics.simulate import simulate  # noqa: E402
-from doo_ti.frames import turned_about_tangent  # noqa: E402
-from doo_ti.knots import overhand_knot, rod_along  # noqa: E402
-from doo_ti.material import Material  # noqa: E402
 from doo_ti.relaxation.newton import Newton  # noqa: E402
 from doo_ti.relaxation.relax import relax  # noqa: E402
-from doo_ti.rods import end_clamps, straight_rod  # noqa: E402
-from doo_ti.types import Clamp, Clamps, Configuration, Solution  # noqa: E402
+from doo_ti.rod.frames import turned_about_tangent  # noqa: E402
+from doo_ti.rod.knots import overhand_knot, rod_along  # noqa: E402
+from doo_ti.rod.material import Material  # noqa: E402
+from doo_ti.rod.straight import end_clamps, straight_rod  # noqa: E402
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Solution  # noqa: E402
 from tests.contact.topology import determinant, link  # noqa: E402
 
 BEND, RADIUS = 1e5, 1.0

@@ -63,10 +63,10 @@ FAULTS = {
     "turns": Fault("the offsets of Eq. 4 without whole turns", "doo_ti/twist/curves.py",
                    "return angle + 2 * np.pi * np.round((observations.total_twist - angle) / (2 * np.pi))", "return angle",
                    ("tests/twist", "tests/tools/test_twist_trials.py")),
-    "joints": Fault("the total twist of one joint too few", "doo_ti/frames.py",
+    "joints": Fault("the total twist of one joint too few", "doo_ti/rod/frames.py",
                     "before, after = quaternions[..., :-1, :], quaternions[..., 1:, :]",
                     "before, after = quaternions[..., :-2, :], quaternions[..., 1:-1, :]",
-                    ("tests/oracle", "tests/test_start.py", "tests/test_synthesis.py", "tests/twist")),
+                    ("tests/oracle", "tests/rod/test_start.py", "tests/lab/test_synthesis.py", "tests/twist")),
 }
 
 

@@ -16,16 +16,17 @@ import numpy as np
 if not __package__:
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from doo_ti.frames import matrix_from_quaternion, quaternion_about, quaternion_from_matrix, quaternion_product  # noqa: E402
 from doo_ti.io.motion_file import load_path  # noqa: E402
-from doo_ti.io.observations import Observations, load_observations  # noqa: E402
-from doo_ti.metric import distance  # noqa: E402
+from doo_ti.io.observation_files import load_observations  # noqa: E402
 from doo_ti.motion.journey import Journey  # noqa: E402
 from doo_ti.motion.path import LARGEST_TURN, motion_between  # noqa: E402
 from doo_ti.prediction.predict import predict_step  # noqa: E402
 from doo_ti.relaxation.relax import relax  # noqa: E402
-from doo_ti.start import observation_clamps, start_configuration  # noqa: E402
-from doo_ti.types import Clamps, Material  # noqa: E402
+from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about, quaternion_from_matrix, quaternion_product  # noqa: E402
+from doo_ti.rod.metric import distance  # noqa: E402
+from doo_ti.rod.observations import Observations  # noqa: E402
+from doo_ti.rod.start import observation_clamps, start_configuration  # noqa: E402
+from doo_ti.rod.types import Clamps, Material  # noqa: E402
 from tools.trials.prediction import moved_as_one, moved_by_blend, predict_marks, predict_steps, rotation_steps  # noqa: E402
 
 CABLES = {"dlo1": 3.16e6, "dlo3": 4.47e7}

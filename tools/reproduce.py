@@ -20,8 +20,8 @@ if not __package__:
     sys.path.insert(0, str(ROOT))
 
 from doo_ti.bench import clock  # noqa: E402
-from doo_ti.errors import InputError, InterruptedRunError  # noqa: E402
-from doo_ti.io.files import write_text  # noqa: E402
+from doo_ti.system.errors import InputError, InterruptedRunError  # noqa: E402
+from doo_ti.system.files import write_text  # noqa: E402
 from tools.replication.report import Outcome, Run, report  # noqa: E402
 from tools.replication.settings import FULL, QUICK, TINY, Size  # noqa: E402
 from tools.replication.study import ITEMS, Study  # noqa: E402

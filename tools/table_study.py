@@ -18,15 +18,15 @@ if not __package__:
 
 from doo_ti.contact.obstacles import Plane  # noqa: E402
 from doo_ti.contact.surroundings import Surroundings  # noqa: E402
-from doo_ti.frames import rotation_matrix  # noqa: E402
-from doo_ti.io.observations import Observations  # noqa: E402
 from doo_ti.refinement.refine import RefinementOptions, refine  # noqa: E402
 from doo_ti.refinement.unknowns import Theta  # noqa: E402
 from doo_ti.relaxation.relax import relax  # noqa: E402
-from doo_ti.rods import hanging  # noqa: E402
-from doo_ti.start import observation_clamps  # noqa: E402
-from doo_ti.terminal import progress  # noqa: E402
-from doo_ti.types import Clamp, Material  # noqa: E402
+from doo_ti.rod.frames import rotation_matrix  # noqa: E402
+from doo_ti.rod.observations import Observations  # noqa: E402
+from doo_ti.rod.start import observation_clamps  # noqa: E402
+from doo_ti.rod.straight import hanging  # noqa: E402
+from doo_ti.rod.types import Clamp, Material  # noqa: E402
+from doo_ti.system.terminal import progress  # noqa: E402
 
 SEED = 2011
 LENGTH, EDGES, RADIUS, NOISE = 240.0, 120, 2.0, 0.1  # mm

@@ -21,9 +21,9 @@ ROOT = Path(__file__).resolve().parents[1]
 if not __package__:
     sys.path.insert(0, str(ROOT))
 
-from doo_ti.io.files import write_text, write_whole  # noqa: E402
 from doo_ti.relaxation.newton import Newton  # noqa: E402
 from doo_ti.report.canvas import new_figure  # noqa: E402
+from doo_ti.system.files import write_text, write_whole  # noqa: E402
 from tests.references.rods import orders  # noqa: E402
 
 MISSED, BEYOND = "**missed**", "beyond the bound of f64"

@@ -6,7 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from doo_ti import Clamp, Material, end_clamps, predict_step, relax, straight_rod
-from doo_ti.frames import rotation_matrix
+from doo_ti.rod.frames import rotation_matrix
 
 # A rod of 300 mm whose ends were brought 60 mm closer, so that it bows; both grippers hold it.
 rod = straight_rod(300.0, 30, direction=(1, 0, 0))

@@ -4,9 +4,9 @@ import numpy as np
 from distributed import LocalCluster
 
 from doo_ti import Grid, SweepOptions, read_landscape, sweep
-from doo_ti.grid import Axis
 from doo_ti.io.scene import Synthesis
-from doo_ti.synthesis import synthesise
+from doo_ti.lab.synthesis import synthesise
+from doo_ti.rod.grid import Axis
 
 if __name__ == "__main__":  # workers are new processes, which import this file
     suture = synthesise(Synthesis(bend=6e5, twist=8e5, end_distances_mm=(42.0, 66.0), end_rotations_deg=(0.0, 90.0, 180.0)))

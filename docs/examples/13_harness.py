@@ -4,7 +4,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from doo_ti import Clamp, Clamps, Group, Material, Plane, Tie, relax_group, straight_rod
-from doo_ti.frames import rotation_matrix
+from doo_ti.rod.frames import rotation_matrix
 
 # The trunk along x, held by connectors; branches of 140 mm leave it at vertices 12 and 24, to either side, at some 60°.
 trunk = straight_rod(360.0, 36, start=(0, 0, 8))

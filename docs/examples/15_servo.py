@@ -4,7 +4,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from doo_ti import Clamp, Material, Servo, Simulation, Targets, end_clamps, hanging, relax
-from doo_ti.frames import rotation_matrix
+from doo_ti.rod.frames import rotation_matrix
 
 # The rod as it hangs, and as it would hang if it were as stiff as is believed.
 rod, clamps = hanging(330.0, 33, start=(0, 0, 0), end=(200, 0, 0), clamp=Clamp.FRAME)

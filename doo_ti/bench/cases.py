@@ -14,11 +14,11 @@ import numpy as np
 
 from doo_ti.bench import clock, workload
 from doo_ti.bench.workload import Rods
-from doo_ti.io.observations import Observations
 from doo_ti.relaxation import batch
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.types import Material, Solution
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.types import Material, Solution
 
 COARSE, FINE = Newton(tolerance=1e-4), Newton(tolerance=1e-7)
 CLOSE = Newton(tolerance=1e-4, first_shift=0.0)

@@ -4,8 +4,8 @@ import time
 
 import taichi as ti
 
-from doo_ti import runtime
 from doo_ti.physics.number import Number
+from doo_ti.system import runtime
 
 WIDTHS = {32: (8, 16, 32), 64: (4, 8, 16)}
 """Lanes of a value, by bits: CHAINS values fill twelve registers of 128, 256 or 512 bits. With fewer the arithmetic units wait

@@ -5,11 +5,11 @@ from dataclasses import asdict
 
 import numpy as np
 
-from doo_ti import runtime
 from doo_ti.bench import clock
 from doo_ti.bench.cases import FINE, Case, Specimens, measure
 from doo_ti.bench.peak import peak_gflops
-from doo_ti.terminal import progress
+from doo_ti.system import runtime
+from doo_ti.system.terminal import progress
 
 COMPARED = 4096  # rods whose shape in f32 is compared with f64's
 SAME_MM = 0.02

@@ -9,15 +9,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.io.observations import Observations
 from doo_ti.io.scene import Synthesis
+from doo_ti.lab.synthesis import synthesise
 from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.start import observation_clamps, start_configuration
-from doo_ti.synthesis import synthesise
-from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.start import observation_clamps, start_configuration
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution
 
 RIBBON_TWIST = 5e5  # mm³, β of the lab's ribbon
 LAB = {

@@ -27,11 +27,11 @@ def run(options: Namespace, words: list[str]) -> int:
     rounds = given.whole("--rounds", options.rounds, 1, MOST_ROUNDS) or ROUNDS
     out = given.output_folder(options.out)
 
-    from doo_ti import runtime
     from doo_ti.bench.cases import Specimens, cases
     from doo_ti.bench.clock import Reference
     from doo_ti.bench.summary import accuracy_step, begun, case_steps, completed
     from doo_ti.bench.table import text
+    from doo_ti.system import runtime
 
     specimens = Specimens(rods)
     summary = begun(specimens, rounds, threads)

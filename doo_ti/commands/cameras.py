@@ -9,11 +9,11 @@ import numpy as np
 from doo_ti.commands import image_options
 from doo_ti.commands import options as given
 from doo_ti.commands.results import counted, report, shortened
-from doo_ti.errors import InputError
 from doo_ti.io.marks import Marks, read_labels, read_marks
-from doo_ti.io.observations import save_observations
-from doo_ti.physical_units import UNITS_IN_MM
-from doo_ti.terminal import in_line, progress
+from doo_ti.io.observation_files import save_observations
+from doo_ti.rod.physical_units import UNITS_IN_MM
+from doo_ti.system.errors import InputError
+from doo_ti.system.terminal import in_line, progress
 from doo_ti.vision.cameras.board import FORMS, Board, parse_board
 from doo_ti.vision.cameras.calibration import COEFFICIENTS, WORLDS, Calibration, CalibrationOptions, calibrate
 from doo_ti.vision.cameras.rig import Rig, save_rig

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.frames import matrix_from_quaternion
-from doo_ti.types import Clamp
+from doo_ti.rod.frames import matrix_from_quaternion
+from doo_ti.rod.types import Clamp
 
 
 def draw_prediction(task, prediction, arrays: dict[str, np.ndarray], pictures: dict[str, Path | None],

@@ -12,11 +12,11 @@ import numpy as np
 from doo_ti.commands import options as given
 from doo_ti.commands.results import counted, in_newton, report, save_arrays
 from doo_ti.contact.touch import Touch
-from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.io.shipped import scene_file
 from doo_ti.learning.objective import status_counts
-from doo_ti.terminal import in_line, progress
-from doo_ti.types import Status
+from doo_ti.rod.types import Status
+from doo_ti.system.errors import InputError, InterruptedRunError
+from doo_ti.system.terminal import in_line, progress
 
 if TYPE_CHECKING:
     from doo_ti.groups.relax_group import GroupSolution

@@ -9,8 +9,8 @@ import numpy as np
 from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.results import report, save_json, shortened
-from doo_ti.errors import InputError
-from doo_ti.terminal import in_line, progress
+from doo_ti.system.errors import InputError
+from doo_ti.system.terminal import in_line, progress
 
 MOST_LISTED = 8
 FITTED = ("bend_damping", "drag", "quadratic_drag", "twist_ratio", "marker_share", "friction")
@@ -94,7 +94,7 @@ def _stills(options: Namespace, motion, surroundings) -> list:
     """The observations at rest of the rod in ``motion``, with their noise, checked."""
     from doo_ti.dynamics.layout import roll_reference
     from doo_ti.dynamics.stills import Stills
-    from doo_ti.io.observations import load_observations
+    from doo_ti.io.observation_files import load_observations
 
     noise = given.length("--still-noise", options.still_noise)
     if noise is not None and not options.still:

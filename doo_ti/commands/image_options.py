@@ -5,9 +5,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from doo_ti.commands import options as given
-from doo_ti.errors import InputError
-from doo_ti.physical_units import UNITS_IN_MM
-from doo_ti.terminal import in_line
+from doo_ti.rod.physical_units import UNITS_IN_MM
+from doo_ti.system.errors import InputError
+from doo_ti.system.terminal import in_line
 from doo_ti.vision.cameras.reading import LENSES, POSES, RigReading
 from doo_ti.vision.cameras.rig import Rig, load_rig
 

@@ -10,20 +10,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from doo_ti import terminal
 from doo_ti.commands import options as given
 from doo_ti.commands.rest_length import read_rest_length
 from doo_ti.commands.results import observed
-from doo_ti.errors import InputError
 from doo_ti.io.motion_file import TOOL_AXES, ClampPath, load_path
-from doo_ti.io.observations import Observations, load_observations
+from doo_ti.io.observation_files import load_observations
 from doo_ti.io.pose_table import NAMED
 from doo_ti.io.scene import Scene, Synthesis
-from doo_ti.physical_units import UNITS_IN_MM
-from doo_ti.plausible import likely_unit
-from doo_ti.start import observation_clamps, reachable
-from doo_ti.terminal import in_line
-from doo_ti.types import Clamp
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.physical_units import UNITS_IN_MM
+from doo_ti.rod.plausible import likely_unit
+from doo_ti.rod.start import observation_clamps, reachable
+from doo_ti.rod.types import Clamp
+from doo_ti.system import terminal
+from doo_ti.system.errors import InputError
+from doo_ti.system.terminal import in_line
 
 if TYPE_CHECKING:  # the kernels of moving rods
     from doo_ti.dynamics.recorded import RecordedMotion
@@ -170,7 +171,7 @@ def with_ends_in_reach(observations: Observations, start: Clamp | None, end: Cla
                        ) -> Observations:
     """``observations`` without the few whose ends are further apart than the rod is long, of which a warning is printed: marks
     in reverse order, or two that are swapped, do that. All where these are more than :data:`FEW`. ``whole_edges`` as in
-    :func:`doo_ti.start.reachable`."""
+    :func:`doo_ti.rod.start.reachable`."""
     clamps = observation_clamps(observations, start, end)
     within = reachable(observations, clamps, whole_edges)
     if within.all() or (~within).sum() > FEW * len(within):

@@ -8,8 +8,8 @@ import numpy as np
 
 from doo_ti.commands import options as given
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.errors import InputError
-from doo_ti.types import Material
+from doo_ti.rod.types import Material
+from doo_ti.system.errors import InputError
 
 LOSSES = {"bend_damping": "s", "twist_damping": "s", "drag": "1/s", "quadratic_drag": "1/mm"}
 STEPS = ("rate", "substeps", "tolerance")

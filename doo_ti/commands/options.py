@@ -12,13 +12,13 @@ import numpy as np
 
 from doo_ti.commands.help_text import FIRST, examples
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.errors import InputError
-from doo_ti.grid import UNITS, Axis, Grid, parse_axes, parse_axis
 from doo_ti.io.formats import checked_suffix
 from doo_ti.io.scene import CLAMPS, PRECISIONS
-from doo_ti.physical_units import bend_or_twist, force_in_newton, weight_per_length
-from doo_ti.terminal import INSTALL_RECORDER, has_recorder
-from doo_ti.types import LARGEST, Clamp, unit_up
+from doo_ti.rod.grid import UNITS, Axis, Grid, parse_axes, parse_axis
+from doo_ti.rod.physical_units import bend_or_twist, force_in_newton, weight_per_length
+from doo_ti.rod.types import LARGEST, Clamp, unit_up
+from doo_ti.system.errors import InputError
+from doo_ti.system.terminal import INSTALL_RECORDER, has_recorder
 
 SOURCE = "command line"
 SOLVERS = ("newton", "descent")

@@ -12,10 +12,10 @@ from doo_ti.commands import image_options, loading
 from doo_ti.commands import options as given
 from doo_ti.commands.results import RODS, counted, report, save_arrays, shortened
 from doo_ti.commands.seen_rods import GUESSED_BEND, RECORDED, PerceptionTask, perception_task
-from doo_ti.errors import InputError
 from doo_ti.learning.objective import status_counts
-from doo_ti.terminal import can_record, in_line, progress
-from doo_ti.types import Status
+from doo_ti.rod.types import Status
+from doo_ti.system.errors import InputError
+from doo_ti.system.terminal import can_record, in_line, progress
 
 MARGIN_PX = 60
 """Of the distance maps around what was detected."""

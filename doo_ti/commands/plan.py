@@ -11,12 +11,12 @@ import numpy as np
 from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.results import report, save_json
-from doo_ti.errors import InputError
-from doo_ti.io.files import write_text
-from doo_ti.io.observations import Observations
 from doo_ti.io.scene import Synthesis, load_scene
 from doo_ti.io.shipped import scene_file
-from doo_ti.terminal import in_line
+from doo_ti.rod.observations import Observations
+from doo_ti.system.errors import InputError
+from doo_ti.system.files import write_text
+from doo_ti.system.terminal import in_line
 
 SIGMA_MM = 0.1
 """Label uncertainty where none is given."""
@@ -52,7 +52,7 @@ def run(options: Namespace, words: list[str]) -> int:
     if sigma is None:
         sigma = SIGMA_MM if configurations.sigma is None else float(np.mean(configurations.sigma))
 
-    from doo_ti.plan import plan
+    from doo_ti.refinement.plan import plan
 
     clamp_start, clamp_end = given.clamps(options)
     found = plan(configurations, grid, sigma=sigma, picks=picks, clamp_start=clamp_start, clamp_end=clamp_end,
@@ -77,7 +77,7 @@ def _configurations(options: Namespace, scene) -> Observations:
                              "given for observations, whose clamps are fixed", "plan with a scene that has [synthesis]")
         return loading.of_scene(options, scene) if scene else loading.load(options, options.source)
 
-    from doo_ti.plan import planned
+    from doo_ti.refinement.plan import planned
 
     changed = {"end_distances_mm": distances} if distances else {}
     changed |= {"end_rotations_deg": rotations} if rotations else {}

@@ -32,16 +32,16 @@ from doo_ti.commands.results import (
 )
 from doo_ti.commands.starting_rods import settled, with_frames
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.errors import InputError
-from doo_ti.frames import matrix_from_quaternion, smallest_rotation
 from doo_ti.io.motion_file import ClampPath
 from doo_ti.io.scene import PRECISIONS
 from doo_ti.io.shipped import scene_file
 from doo_ti.learning.objective import status_counts
-from doo_ti.physical_units import UNITS_IN_MM
-from doo_ti.start import check_experiment, observation_clamps
-from doo_ti.terminal import in_line, progress, warn
-from doo_ti.types import Clamps, Configuration, Material, unit_up
+from doo_ti.rod.frames import matrix_from_quaternion, smallest_rotation
+from doo_ti.rod.physical_units import UNITS_IN_MM
+from doo_ti.rod.start import check_experiment, observation_clamps
+from doo_ti.rod.types import Clamps, Configuration, Material, unit_up
+from doo_ti.system.errors import InputError
+from doo_ti.system.terminal import in_line, progress, warn
 
 MOST_LISTED = 30
 LEAST_DEGREES, MOST_DEGREES = 1e-3, 30.0

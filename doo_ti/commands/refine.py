@@ -14,13 +14,13 @@ from doo_ti.commands import options as given
 from doo_ti.commands.refine_text import summary_lines, summary_of
 from doo_ti.commands.results import note_theta, plain, save_json
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.errors import InputError
 from doo_ti.io.arrays import read_npz
-from doo_ti.io.files import read_content
-from doo_ti.io.observations import UNKNOWN_SPACING, Observations
-from doo_ti.start import check_experiment, observation_clamps
-from doo_ti.terminal import busy, in_line, warn
-from doo_ti.types import Clamps
+from doo_ti.rod.observations import UNKNOWN_SPACING, Observations
+from doo_ti.rod.start import check_experiment, observation_clamps
+from doo_ti.rod.types import Clamps
+from doo_ti.system.errors import InputError
+from doo_ti.system.files import read_content
+from doo_ti.system.terminal import busy, in_line, warn
 
 if TYPE_CHECKING:  # it reads Parquet
     from doo_ti.learning.landscape import Landscape

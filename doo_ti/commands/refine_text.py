@@ -8,9 +8,9 @@ from doo_ti.commands.loading import up_text
 from doo_ti.commands.results import counted
 from doo_ti.contact.obstacle_arrays import described
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.io.observations import Observations
-from doo_ti.physical_units import stiffness
-from doo_ti.terminal import in_line
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.physical_units import stiffness
+from doo_ti.system.terminal import in_line
 
 LISTED = 6  # observations named individually
 CLEAR_ODDS = 3.0  # ln of the odds, about 20 to 1: models closer than that predict as well

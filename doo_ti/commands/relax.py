@@ -20,13 +20,13 @@ from doo_ti.commands.results import (
     theta_text,
 )
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.errors import InputError
-from doo_ti.grid import Grid
-from doo_ti.io.observations import Observations
 from doo_ti.learning.objective import status_counts
-from doo_ti.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
-from doo_ti.terminal import busy, in_line
-from doo_ti.types import Status
+from doo_ti.rod.grid import Grid
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
+from doo_ti.rod.types import Status
+from doo_ti.system.errors import InputError
+from doo_ti.system.terminal import busy, in_line
 
 WRITTEN = ("energy", "status", "iterations", "residual", "stable", "end_force")
 
@@ -53,8 +53,8 @@ def run(options: Namespace, words: list[str]) -> int:
     given.refuse_overwriting(out, options.observations)
     loading.warn(observations)
 
-    from doo_ti.metric import distance
     from doo_ti.relaxation.relax import relax as relax_rods
+    from doo_ti.rod.metric import distance
 
     material = curved(options, grid.materials(), observations.rest_length)
     index, turns = turn_hypotheses(observations, clamps)

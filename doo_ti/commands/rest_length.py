@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.commands import options as given
-from doo_ti.errors import InputError
 from doo_ti.io.arrays import read_npz
 from doo_ti.io.csv_table import decoded
-from doo_ti.io.files import MOST_TEXT_BYTES, read_content
+from doo_ti.system.errors import InputError
+from doo_ti.system.files import MOST_TEXT_BYTES, read_content
 
 MOST_EDGES = 2000
 LEAST_MM, MOST_MM = 1e-3, 1e4

@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.grid import Grid, Interval
-from doo_ti.io.files import write_text, write_whole
-from doo_ti.io.observations import Observations, load_observations, save_observations
+from doo_ti.io.observation_files import load_observations, save_observations
 from doo_ti.io.rod_table import write_rod_table
 from doo_ti.io.scene import Scene, Synthesis
-from doo_ti.terminal import in_line
-from doo_ti.types import Status
+from doo_ti.rod.grid import Grid, Interval
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.types import Status
+from doo_ti.system.files import write_text, write_whole
+from doo_ti.system.terminal import in_line
 
 # --- files ---------------------------------------------------------------------------------------------------------------
 
@@ -24,7 +25,7 @@ from doo_ti.types import Status
 def observed(scene: Scene, up: np.ndarray | None) -> Observations:
     """A scene's observations, loaded or synthesised, under the scene's name."""
     if isinstance(scene.observations, Synthesis):
-        from doo_ti.synthesis import synthesise
+        from doo_ti.lab.synthesis import synthesise
 
         observations = replace(synthesise(scene.observations), sha256=scene.sha256)
     else:

@@ -11,13 +11,13 @@ from doo_ti.commands import image_options, loading
 from doo_ti.commands import options as given
 from doo_ti.commands.rest_length import MOST_EDGES, read_rest_length
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.errors import InputError
 from doo_ti.io.arrays import read_npz
 from doo_ti.io.csv_table import read_csv
-from doo_ti.io.files import read_content
-from doo_ti.io.observations import load_observations
-from doo_ti.terminal import in_line
-from doo_ti.types import Clamp, Clamps, Material
+from doo_ti.io.observation_files import load_observations
+from doo_ti.rod.types import Clamp, Clamps, Material
+from doo_ti.system.errors import InputError
+from doo_ti.system.files import read_content
+from doo_ti.system.terminal import in_line
 
 MOST_HYPOTHESES = 100_000
 RECORDED = 3

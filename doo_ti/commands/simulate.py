@@ -23,12 +23,12 @@ from doo_ti.commands.results import (
 from doo_ti.commands.starting_rods import Moved, from_observations
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.contact.touch import Touch
-from doo_ti.errors import InputError
 from doo_ti.io.pose_table import holds_poses
 from doo_ti.io.shipped import scene_file
 from doo_ti.learning.objective import status_counts
-from doo_ti.terminal import busy, in_line, progress
-from doo_ti.types import Clamp, Status
+from doo_ti.rod.types import Clamp, Status
+from doo_ti.system.errors import InputError
+from doo_ti.system.terminal import busy, in_line, progress
 
 MOST_LISTED = 8
 SCHEMES = ("bdf2", "euler")

@@ -11,12 +11,13 @@ from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import curved, rubbed
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.errors import InputError
 from doo_ti.io.motion_file import ClampPath
-from doo_ti.io.observations import Observations, load_observations
-from doo_ti.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
-from doo_ti.terminal import busy
-from doo_ti.types import Clamp, Clamps, Configuration, Material
+from doo_ti.io.observation_files import load_observations
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
+from doo_ti.system.errors import InputError
+from doo_ti.system.terminal import busy
 
 if TYPE_CHECKING:
     from doo_ti.dynamics.grippers import Grippers
@@ -98,8 +99,8 @@ def with_frames(observations: Observations, path: ClampPath, relative: bool = Fa
 
 def settled(observations: Observations, clamps: Clamps, materials: Material, surroundings: Surroundings) -> Configuration:
     """(G·N) the rods at the start, material by material: of several whole turns that fit, the one nearest to what was seen."""
-    from doo_ti.metric import distance
     from doo_ti.relaxation.relax import relax
+    from doo_ti.rod.metric import distance
 
     index, turns = turn_hypotheses(observations, clamps)
     starts = start_configuration(observations.take(index), clamps.take(index), turns)

@@ -9,14 +9,14 @@ from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import curved
 from doo_ti.commands.results import report
-from doo_ti.errors import InputError
 from doo_ti.io.arrays import AXES, checked_arrays, frame_columns, read_npz
-from doo_ti.io.files import read_content, write_text
-from doo_ti.io.observations import Observations
-from doo_ti.physical_units import UNITS_IN_MM
-from doo_ti.start import check_experiment, observation_clamps
-from doo_ti.terminal import busy, in_line, warn
-from doo_ti.types import Clamp
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.physical_units import UNITS_IN_MM
+from doo_ti.rod.start import check_experiment, observation_clamps
+from doo_ti.rod.types import Clamp
+from doo_ti.system.errors import InputError
+from doo_ti.system.files import read_content, write_text
+from doo_ti.system.terminal import busy, in_line, warn
 
 MOST_SECONDS = 3600.0
 """Of a search."""
@@ -65,7 +65,7 @@ def run(options: Namespace, words: list[str]) -> int:
     from doo_ti.manipulation.plan import PlanOptions, plan_manipulation
     from doo_ti.manipulation.targets import Targets
     from doo_ti.relaxation.relax import relax
-    from doo_ti.rods import end_clamps
+    from doo_ti.rod.straight import end_clamps
 
     chosen = PlanOptions(reached_mm=reached or REACHED, seconds=seconds or PlanOptions.seconds, seed=seed or 0)
     with busy("planning (kernels are compiled once on a machine)"):

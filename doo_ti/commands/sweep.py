@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING
 from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.results import hypotheses_lines, note_theta, peak_memory, plain, run_lines, theta_text
-from doo_ti.errors import InputError
-from doo_ti.grid import Grid
-from doo_ti.io.observations import Observations
 from doo_ti.io.scene import MOST_ROLLS, OBJECTIVES, Scene, Synthesis, load_scene
 from doo_ti.io.shipped import scene_file
 from doo_ti.learning.pairs import Pairs, load_pairs
 from doo_ti.learning.summary import SUMMARY
-from doo_ti.physical_units import relative_stiffness, stiffness
-from doo_ti.start import check_experiment, observation_clamps
-from doo_ti.terminal import in_line, warn
-from doo_ti.types import Clamp
+from doo_ti.rod.grid import Grid
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.physical_units import relative_stiffness, stiffness
+from doo_ti.rod.start import check_experiment, observation_clamps
+from doo_ti.rod.types import Clamp
+from doo_ti.system.errors import InputError
+from doo_ti.system.terminal import in_line, warn
 
 if TYPE_CHECKING:  # it brings the solvers, and Taichi with them
     from doo_ti.learning.experiment import SweepOptions

@@ -10,13 +10,13 @@ import numpy as np
 from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.results import observed, save, save_arrays
-from doo_ti.errors import InputError
 from doo_ti.io.cable_recordings import read_recordings, save_recordings
 from doo_ti.io.formats import read_curves
 from doo_ti.io.motion_recording import read_recording
 from doo_ti.io.scene import Scene, Synthesis, load_scene
 from doo_ti.io.shipped import scene_file
-from doo_ti.terminal import in_line, progress
+from doo_ti.system.errors import InputError
+from doo_ti.system.terminal import in_line, progress
 
 DIAMETER_MM = 0.5
 

@@ -13,8 +13,8 @@ from doo_ti.commands import options as given
 from doo_ti.commands.perceive import LEAST_SIGMA_MM
 from doo_ti.commands.results import RODS, report, save_arrays
 from doo_ti.commands.seen_rods import TrackingTask, tracking_task
-from doo_ti.errors import InputError, InterruptedRunError
-from doo_ti.terminal import can_record, in_line, progress
+from doo_ti.system.errors import InputError, InterruptedRunError
+from doo_ti.system.terminal import can_record, in_line, progress
 
 AHEAD = 16
 """Frames whose thread is detected while one is tracked."""

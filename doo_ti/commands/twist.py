@@ -10,13 +10,13 @@ from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import curved
 from doo_ti.commands.results import RODS, counted, report, save_arrays, shortened, theta_of, theta_text
-from doo_ti.grid import Grid
-from doo_ti.io.files import write_whole
-from doo_ti.io.observations import Observations
 from doo_ti.io.rod_table import write_columns
 from doo_ti.io.scene import PRECISIONS
-from doo_ti.start import check_experiment, observation_clamps
-from doo_ti.terminal import in_line, progress
+from doo_ti.rod.grid import Grid
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.start import check_experiment, observation_clamps
+from doo_ti.system.files import write_whole
+from doo_ti.system.terminal import in_line, progress
 
 MOST_LISTED = 20
 

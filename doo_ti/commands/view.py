@@ -8,9 +8,9 @@ from tempfile import TemporaryDirectory
 
 from doo_ti.commands import options as given
 from doo_ti.commands.results import report, theta_of, theta_text
-from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.learning.summary import SUMMARY, changed_files, read_summary
-from doo_ti.terminal import busy, in_line
+from doo_ti.system.errors import InputError, InterruptedRunError
+from doo_ti.system.terminal import busy, in_line
 
 RECORDING, PLAN = "run.rrd", "cells/plan.json"
 PARTS = ("end-distance",)

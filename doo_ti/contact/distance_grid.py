@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.arguments import typed
 from doo_ti.contact.obstacles import GRID, Distances, Obstacle, Placed, require_rotation
-from doo_ti.errors import InputError, real_array
-from doo_ti.short_repr import short_repr
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError, real_array
+from doo_ti.system.short_repr import short_repr
 
 HEADER = 4
 """Numbers that a grid has in front of all coefficients: where its own begin, and how many there are along each axis."""

@@ -1,6 +1,6 @@
 """How far the gap at a contact may be off (docs/contact.md)."""
 
-from doo_ti.errors import InputError, require_number
+from doo_ti.system.errors import InputError, require_number
 
 GAP_TOLERANCE = 2e-4
 """Of a rod's radius, unless another is given: a gap may be off by that, or a force by that times the stiffness κ."""

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.arguments import typed
 from doo_ti.contact.obstacles import Obstacle
+from doo_ti.system.arguments import typed
 
 ITSELF = -1
 """Its kind. Kernels do not meet it: they have a code of their own for it."""

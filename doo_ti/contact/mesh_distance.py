@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError, real_array, require_number
 from doo_ti.io.arrays import first_line
-from doo_ti.io.files import read_content
+from doo_ti.system.errors import InputError, real_array, require_number
+from doo_ti.system.files import read_content
 
 MOST_POINTS = 8_000_000
 CHUNK = 20_000

@@ -8,9 +8,9 @@ import numpy as np
 
 from doo_ti.contact.obstacle_file import KINDS
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.errors import InputError
 from doo_ti.io.arrays import read_npz
-from doo_ti.io.files import read_content, write_whole
+from doo_ti.system.errors import InputError
+from doo_ti.system.files import read_content, write_whole
 
 
 def described(surroundings: Surroundings) -> dict:

@@ -40,17 +40,17 @@ from typing import Annotated, Literal
 import msgspec
 import numpy as np
 
-from doo_ti.arguments import typed
 from doo_ti.contact.distance_grid import DistanceGrid
 from doo_ti.contact.itself import Itself
 from doo_ti.contact.moving import Moving
 from doo_ti.contact.obstacles import Box, Capsule, Cylinder, Obstacle, Plane, Ring, Sphere
-from doo_ti.errors import InputError
-from doo_ti.frames import rotation_matrix
 from doo_ti.io.arrays import read_npz
-from doo_ti.io.files import read_content
 from doo_ti.io.keyframes import between_moments
 from doo_ti.io.toml_file import Finite, NotNegative, Positive, Rotation, Table, Vector, checked, read_toml, unit_direction
+from doo_ti.rod.frames import rotation_matrix
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError
+from doo_ti.system.files import read_content
 
 KINDS = {kind.__name__.lower(): kind for kind in (Plane, Sphere, Capsule, Cylinder, Ring, Box, Itself)} | {"grid": DistanceGrid}
 GRID_KEYS = ("values", "spacing", "origin")

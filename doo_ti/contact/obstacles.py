@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.arguments import typed
-from doo_ti.errors import InputError, real_array
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError, real_array
 
 # Kinds, as the kernels number them.
 PLANE, CAPSULE, CYLINDER, RING, BOX, GRID = range(6)

@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.arguments import typed
 from doo_ti.contact.itself import Itself, smallest_self_gap
 from doo_ti.contact.moving import Moving
 from doo_ti.contact.obstacles import Obstacle
-from doo_ti.errors import InputError, real_array
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError, real_array
 
 PLACES = 8
 """Of an edge, both ends included, at which its gap is measured."""

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from doo_ti.dynamics.grippers import Grippers
-from doo_ti.frames import quaternion_from_matrix, smallest_rotation
 from doo_ti.relaxation.time_loading import PATH_ANCHOR, PATH_COLUMNS, PATH_ENDS, PATH_STILL, PATH_TARGET
-from doo_ti.types import Clamp, Configuration
+from doo_ti.rod.frames import quaternion_from_matrix, smallest_rotation
+from doo_ti.rod.types import Clamp, Configuration
 
 
 def clamp_path(grippers: Grippers, start: Configuration, steps: slice) -> np.ndarray:

@@ -12,7 +12,6 @@ from itertools import product
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.arguments import typed
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.layout import require_smoothing, roll_reference
 from doo_ti.dynamics.parameters import Stepping
@@ -20,10 +19,11 @@ from doo_ti.dynamics.recorded import RecordedMotion
 from doo_ti.dynamics.rollouts import Nearby, Rollouts
 from doo_ti.dynamics.stills import Stills
 from doo_ti.dynamics.theta import MotionTheta, Unknowns
-from doo_ti.errors import InputError, require_whole
-from doo_ti.io.observations import Observations
-from doo_ti.short_repr import short_repr
-from doo_ti.types import Clamp, Status
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.types import Clamp, Status
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError, require_whole
+from doo_ti.system.short_repr import short_repr
 
 STEP = 1e-6
 """Of an entry of p, for differences of material and dynamics."""

@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from doo_ti.dynamics.parameters import Dynamics
-from doo_ti.errors import InputError
 from doo_ti.io.material_keys import MaterialKeys
 from doo_ti.io.toml_file import NotNegative, Positive
+from doo_ti.system.errors import InputError
 
 
 class InertiaKeys(MaterialKeys, kw_only=True):

@@ -6,11 +6,11 @@ import numpy as np
 
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.recorded import LOST, SWAPPED, RecordedMotion
-from doo_ti.errors import InputError, require_whole
-from doo_ti.frames import bishop_frames, edge_frames, quaternion_from_matrix, tangent_from_quaternion
 from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.relax import relax
-from doo_ti.types import Clamp, Clamps, Configuration, Material
+from doo_ti.rod.frames import bishop_frames, edge_frames, quaternion_from_matrix, tangent_from_quaternion
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
+from doo_ti.system.errors import InputError, require_whole
 
 LARGEST_REACH = 0.999
 """Share of the rod's length between grippers, at most: beyond, the far gripper is moved back."""

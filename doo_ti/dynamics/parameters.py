@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.arguments import typed
 from doo_ti.contact.gap_tolerance import require_gap_tolerance
-from doo_ti.errors import InputError, real_array, require_number, require_whole
-from doo_ti.short_repr import short_repr
-from doo_ti.types import Configuration, Material
+from doo_ti.rod.types import Configuration, Material
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError, real_array, require_number, require_whole
+from doo_ti.system.short_repr import short_repr
 
 GRAVITY = 9806.65
 """mm/s²: a rod of weight μ = 1 has the mass per length 2/GRAVITY in the package's units, for which its weight is 2."""
@@ -127,7 +127,7 @@ class MovingStart:
 @typed
 @dataclass(frozen=True)
 class Dynamics:
-    """Mass and losses of G rods, scalars or (G,); rows go with those of :class:`doo_ti.types.Material`.
+    """Mass and losses of G rods, scalars or (G,); rows go with those of :class:`doo_ti.rod.types.Material`.
 
     density          mass per length over that of a rod of weight 1; None: the material's weight μ, as of a rod under gravity
     bend_damping     τ, s: bending at the rate ω̇ is resisted by the moment τ B ω̇

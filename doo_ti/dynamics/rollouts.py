@@ -16,7 +16,7 @@ from doo_ti.dynamics.recorded import RecordedMotion
 from doo_ti.dynamics.simulate import simulate
 from doo_ti.dynamics.theta import MotionTheta, simulated
 from doo_ti.dynamics.trajectory import Trajectory
-from doo_ti.types import Clamp
+from doo_ti.rod.types import Clamp
 
 SMOOTHED = 0.09
 """s, over which recordings among obstacles are smoothed."""

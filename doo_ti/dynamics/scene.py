@@ -64,17 +64,17 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.inertia_keys import InertiaKeys
 from doo_ti.dynamics.parameters import Dynamics, Stepping
-from doo_ti.errors import InputError
-from doo_ti.frames import quaternion_product, smallest_rotation
 from doo_ti.io.clamp_moments import ClampName, end_paths
 from doo_ti.io.keyframes import instants
 from doo_ti.io.material_keys import newtons, stated_material
 from doo_ti.io.motion_scene import rod_radius
 from doo_ti.io.toml_file import Finite, Positive, Table, Vector, checked, read_toml, unit_direction
-from doo_ti.knots import overhand_knot
-from doo_ti.rods import with_end_edges
-from doo_ti.terminal import in_line
-from doo_ti.types import Clamp, Configuration, Material
+from doo_ti.rod.frames import quaternion_product, smallest_rotation
+from doo_ti.rod.knots import overhand_knot
+from doo_ti.rod.straight import with_end_edges
+from doo_ti.rod.types import Clamp, Configuration, Material
+from doo_ti.system.errors import InputError
+from doo_ti.system.terminal import in_line
 
 MOST_FRAMES = 1_000_000
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.arguments import typed
 from doo_ti.contact.moving import Moving
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings
@@ -20,12 +19,6 @@ from doo_ti.dynamics.parameters import RATES, Direction, Dynamics, MovingStart, 
 from doo_ti.dynamics.self_contact import kept_apart
 from doo_ti.dynamics.step_terms import damping_shares, stiffened, vertex_numbers
 from doo_ti.dynamics.trajectory import Trajectory, joined
-from doo_ti.errors import InputError
-from doo_ti.frames import (
-    quaternion_product,
-    smallest_rotation,
-    tangent_from_quaternion,
-)
 from doo_ti.relaxation.checked_input import paired_rows
 from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.input_tables import tables, under
@@ -42,7 +35,14 @@ from doo_ti.relaxation.time_loop import (
 )
 from doo_ti.relaxation.time_slopes import NUMBERS, REMEMBERED
 from doo_ti.relaxation.time_steps import Memory, Slopes, make_steps, slope_memory
-from doo_ti.types import Clamp, Configuration, Material, Status, unit_up
+from doo_ti.rod.frames import (
+    quaternion_product,
+    smallest_rotation,
+    tangent_from_quaternion,
+)
+from doo_ti.rod.types import Clamp, Configuration, Material, Status, unit_up
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError
 
 NUMBERS_AT_ONCE = 32_000_000
 """Numbers of positions that a launch writes."""

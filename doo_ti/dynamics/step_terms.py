@@ -6,9 +6,9 @@ Axes: G materials, R rods, V vertices.
 import numpy as np
 
 from doo_ti.dynamics.parameters import GRAVITY, Dynamics, vertex_lengths
-from doo_ti.errors import InputError
 from doo_ti.relaxation.time_layout import DRAG, DRAG_BY_SPEED, INERTIA, LOAD, VERTEX_ITEMS
-from doo_ti.types import Material
+from doo_ti.rod.types import Material
+from doo_ti.system.errors import InputError
 
 
 def damping_shares(dynamics: Dynamics, count: int, rate: float) -> np.ndarray:

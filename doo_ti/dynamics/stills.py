@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.polynomial import legendre
 
-from doo_ti.arguments import typed
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.theta import MotionTheta, Unknowns, rest_places
-from doo_ti.errors import InputError
-from doo_ti.io.observations import Observations
 from doo_ti.relaxation.relax import relax
 from doo_ti.relaxation.sensitivity import sensitivity
-from doo_ti.start import check_experiment, observation_clamps, start_configuration
-from doo_ti.types import Clamps, Configuration, Material, Solution
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.start import check_experiment, observation_clamps, start_configuration
+from doo_ti.rod.types import Clamps, Configuration, Material, Solution
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError
 
 MOST_STRETCH = 0.1
 """By which the length of a rod in stills may differ from that in motion."""

@@ -8,12 +8,12 @@ from typing import Annotated
 import numpy as np
 from numpy.polynomial import legendre
 
-from doo_ti.arguments import owning, typed
 from doo_ti.dynamics.parameters import Dynamics
-from doo_ti.errors import InputError
-from doo_ti.io.files import MOST_TEXT_BYTES, read_content
-from doo_ti.short_repr import short_repr
-from doo_ti.types import LARGEST, Material, unit_up
+from doo_ti.rod.types import LARGEST, Material, unit_up
+from doo_ti.system.arguments import owning, typed
+from doo_ti.system.errors import InputError
+from doo_ti.system.files import MOST_TEXT_BYTES, read_content
+from doo_ti.system.short_repr import short_repr
 
 FRICTION = "friction"
 """Its name in a file, where one may be left out."""

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from doo_ti.relaxation.time_steps import Memory
-from doo_ti.short_repr import short_repr
-from doo_ti.types import Status
+from doo_ti.rod.types import Status
+from doo_ti.system.short_repr import short_repr
 
 
 @dataclass(frozen=True)

@@ -6,15 +6,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.arguments import typed
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.dynamics.parameters import Dynamics, Stepping
-from doo_ti.errors import InputError
 from doo_ti.groups.group import Group
 from doo_ti.groups.inertia import MovingGroups
 from doo_ti.groups.relax_group import GroupSolution, relaxed
 from doo_ti.relaxation.newton import Newton
-from doo_ti.types import Clamps, Configuration
+from doo_ti.rod.types import Clamps, Configuration
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError
 
 
 @typed

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.arguments import typed
-from doo_ti.errors import InputError, real_array, require_number, require_whole
-from doo_ti.types import Clamps, Configuration, Material, Rows
+from doo_ti.rod.types import Clamps, Configuration, Material, Rows
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError, real_array, require_number, require_whole
 
 
 @typed

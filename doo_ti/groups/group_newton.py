@@ -7,7 +7,6 @@ from functools import cache
 import numpy as np
 import taichi as ti
 
-from doo_ti import runtime
 from doo_ti.groups.group_contacts import GroupContacts
 from doo_ti.groups.group_elimination import GroupElimination
 from doo_ti.groups.joint_rest import JointRest
@@ -23,7 +22,8 @@ from doo_ti.relaxation.newton import NEWTON, OBSTACLES, OUTER, Newton
 from doo_ti.relaxation.newton_loop import NewtonLoop
 from doo_ti.relaxation.newton_policy import TRACE_IN_CONTACT
 from doo_ti.relaxation.pair_layout import pair_items
-from doo_ti.types import Status
+from doo_ti.rod.types import Status
+from doo_ti.system import runtime
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,6 @@ from dataclasses import replace
 import numpy as np
 
 from doo_ti.contact.itself import Itself
-from doo_ti.errors import InputError
-from doo_ti.frames import quaternion_product, vertices_from_quaternions
 from doo_ti.groups.apart import connected, edges_apart, smallest_gap
 from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupTables
@@ -18,7 +16,9 @@ from doo_ti.relaxation.contact_table import contact_table, require_margin
 from doo_ti.relaxation.input_tables import bending_range, evened_materials, material_table, projectable
 from doo_ti.relaxation.loading import REFERENCE_LENGTH
 from doo_ti.relaxation.pair_layout import DEEPEST_STEP
-from doo_ti.types import Clamp, Clamps, Configuration, Material
+from doo_ti.rod.frames import quaternion_product, vertices_from_quaternions
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
+from doo_ti.system.errors import InputError
 
 AT_ITS_CLAMP = 1e-8
 """Of a rod's length: a start no further from its clamp is there."""

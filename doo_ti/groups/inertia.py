@@ -13,13 +13,13 @@ import numpy as np
 from doo_ti.dynamics.energies import Losses, joint_strains
 from doo_ti.dynamics.parameters import GRAVITY, RATES, Dynamics
 from doo_ti.dynamics.step_terms import damping_shares, stiffened, vertex_numbers
-from doo_ti.errors import InputError
 from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupTables
 from doo_ti.groups.joint_rest import JOINT_ITEMS, TWIST
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.time_layout import DRAG, DRAG_BY_SPEED, INERTIA, LOAD
-from doo_ti.types import Configuration
+from doo_ti.rod.types import Configuration
+from doo_ti.system.errors import InputError
 
 
 class MovingGroups:

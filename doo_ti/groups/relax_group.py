@@ -13,12 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti import runtime
-from doo_ti.arguments import typed
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings, obstacle_list
-from doo_ti.errors import InputError
-from doo_ti.frames import matrix_from_quaternion
 from doo_ti.groups.apart import smallest_gap
 from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupState, GroupTables, run_groups
@@ -27,7 +23,11 @@ from doo_ti.groups.inertia import MovingGroups
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.input_tables import RATIOS
 from doo_ti.relaxation.newton import MOST_IN_CONTACT, Newton
-from doo_ti.types import Configuration, Status, unit_up
+from doo_ti.rod.frames import matrix_from_quaternion
+from doo_ti.rod.types import Configuration, Status, unit_up
+from doo_ti.system import runtime
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError
 
 
 @dataclass(frozen=True)

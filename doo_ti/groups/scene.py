@@ -60,16 +60,16 @@ from doo_ti.contact.obstacle_file import obstacles_of
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.inertia_keys import InertiaKeys
 from doo_ti.dynamics.parameters import Dynamics
-from doo_ti.errors import InputError
 from doo_ti.groups.group import Group, Tie
 from doo_ti.io.clamp_moments import ClampName, end_paths
 from doo_ti.io.keyframes import instants
 from doo_ti.io.material_keys import StatedMaterial, newtons, stated_material
 from doo_ti.io.toml_file import NotNegative, Positive, Table, Vector, checked, read_toml, unit_direction
-from doo_ti.knots import rod_along
-from doo_ti.rods import with_end_edges
-from doo_ti.terminal import in_line
-from doo_ti.types import LARGEST, Clamp, Clamps, Configuration, Material
+from doo_ti.rod.knots import rod_along
+from doo_ti.rod.straight import with_end_edges
+from doo_ti.rod.types import LARGEST, Clamp, Clamps, Configuration, Material
+from doo_ti.system.errors import InputError
+from doo_ti.system.terminal import in_line
 
 MOST_MOMENTS, MOST_EDGES, MOST_POINTS = 100_000, 1000, 10_000
 MOST_OF_ALL = 2000

@@ -15,10 +15,10 @@ from tokenize import TokenError
 
 import numpy as np
 
-from doo_ti.errors import InputError
 from doo_ti.io.csv_table import read_csv
-from doo_ti.io.files import read_content
-from doo_ti.types import LARGEST
+from doo_ti.rod.types import LARGEST
+from doo_ti.system.errors import InputError
+from doo_ti.system.files import read_content
 
 AXES = ("x", "y", "z")
 MOST_UNPACKED_BYTES = 1 << 30

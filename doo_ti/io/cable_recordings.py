@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError
-from doo_ti.io.files import write_whole
 from doo_ti.io.pickled_arrays import read_pickled_array
-from doo_ti.types import LARGEST
+from doo_ti.rod.types import LARGEST
+from doo_ti.system.errors import InputError
+from doo_ti.system.files import write_whole
 
 RATE_HZ = 100.0
 """Of the published recordings; their files do not contain it."""

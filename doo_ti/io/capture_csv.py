@@ -16,10 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError
 from doo_ti.io.csv_table import csv_rows, number_in
 from doo_ti.io.curves import Curves, chosen_names
-from doo_ti.physical_units import UNITS_IN_MM
+from doo_ti.rod.physical_units import UNITS_IN_MM
+from doo_ti.system.errors import InputError
 
 MOTIVE_UNITS = {"meters": "m", "centimeters": "cm", "millimeters": "mm"}
 REMEDY = "export the markers' trajectories as CSV again"

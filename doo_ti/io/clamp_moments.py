@@ -18,11 +18,11 @@ from typing import Literal
 
 import numpy as np
 
-from doo_ti.errors import InputError
-from doo_ti.frames import matrix_from_quaternion, quaternion_product, smallest_rotation, turned_about_tangent
 from doo_ti.io.keyframes import between_moments
 from doo_ti.io.toml_file import Finite, NotNegative, Table, Vector
-from doo_ti.types import Configuration
+from doo_ti.rod.frames import matrix_from_quaternion, quaternion_product, smallest_rotation, turned_about_tangent
+from doo_ti.rod.types import Configuration
+from doo_ti.system.errors import InputError
 
 ClampName = Literal["free", "position", "tangent", "frame"]
 

@@ -19,8 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError
-from doo_ti.io.files import MOST_TEXT_BYTES, read_content
+from doo_ti.system.errors import InputError
+from doo_ti.system.files import MOST_TEXT_BYTES, read_content
 
 EMPTY = frozenset({"", "na", "n/a", "nan", "null"})
 """Texts for a missing number, in lower case."""

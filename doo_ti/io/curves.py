@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.errors import InputError
-from doo_ti.types import LARGEST
+from doo_ti.rod.types import LARGEST
+from doo_ti.system.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -13,15 +13,15 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError
 from doo_ti.io.arrays import read_npz
 from doo_ti.io.capture_csv import is_motive, is_nexus, read_motive, read_nexus
 from doo_ti.io.curves import Curves
-from doo_ti.io.files import MOST_BYTES, MOST_TEXT_BYTES, read_content
 from doo_ti.io.mujoco_xml import read_mujoco
 from doo_ti.io.observation_tables import KEYS_IN_TABLES, LABELS, RENAMED, read_table
 from doo_ti.io.polyline_text import is_polyline, read_polylines
 from doo_ti.io.usd_text import read_usd
+from doo_ti.system.errors import InputError
+from doo_ti.system.files import MOST_BYTES, MOST_TEXT_BYTES, read_content
 
 TABLES = (".csv", ".parquet")
 OWN = (".npz", *TABLES)
@@ -42,7 +42,7 @@ def checked_suffix(path: Path, known: tuple[str, ...] = OWN) -> None:
 def read_keys(path: Path, columns=None) -> tuple[bytes, dict[str, np.ndarray]]:
     """The bytes of a file, and its keys of the npz format. ``unit`` among them: mm in the unit that the file states.
 
-    columns  as in :func:`doo_ti.io.observations.load_observations`
+    columns  as in :func:`doo_ti.io.observation_files.load_observations`
 
     Raises InputError for files that cannot be read, and for ``columns`` that do not fit the format.
     """

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from doo_ti.errors import InputError
 from doo_ti.io.toml_file import Table, checked, unit_direction
+from doo_ti.system.errors import InputError
 
 
 def instants(source, rate: float, duration: float, most: int, called: str) -> np.ndarray:

@@ -21,8 +21,8 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError
 from doo_ti.io.csv_table import CsvTable, read_csv
+from doo_ti.system.errors import InputError
 
 COLUMNS = ("observation", "camera", "mark", "u_px", "v_px")
 LABELS = {"end_distance_mm": "end_distance", "end_rotation_deg": "end_rotation", "total_twist_deg": "total_twist"}

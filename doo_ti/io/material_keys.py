@@ -1,5 +1,5 @@
 """What scenes state of a rod's material: relative to its weight, or in physical units as the options of commands do
-(:mod:`doo_ti.physical_units`).
+(:mod:`doo_ti.rod.physical_units`).
 
     bend = 6e5                         # mm³, or a matrix [[A1, A12], [A12, A2]]
     twist = 8e5                        # mm³ (the same as a bend that is a number)
@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.errors import InputError
 from doo_ti.io.toml_file import NotNegative, NumberOrMatrix, Positive, Table
-from doo_ti.physical_units import bend_or_twist, force_in_newton, weight_per_length
+from doo_ti.rod.physical_units import bend_or_twist, force_in_newton, weight_per_length
+from doo_ti.system.errors import InputError
 
 
 class MaterialKeys(Table, kw_only=True):

@@ -22,9 +22,9 @@ from typing import Annotated
 
 import numpy as np
 
-from doo_ti.arguments import owning, typed
-from doo_ti.errors import InputError, require_whole
-from doo_ti.frames import (
+from doo_ti.io.arrays import checked_arrays, read_npz
+from doo_ti.io.pose_table import frame_of_quaternion, read_poses
+from doo_ti.rod.frames import (
     FRAME_TOLERANCE,
     across,
     angle_about,
@@ -37,13 +37,13 @@ from doo_ti.frames import (
     quaternion_product,
     smallest_rotation,
 )
-from doo_ti.io.arrays import checked_arrays, read_npz
-from doo_ti.io.files import read_content
-from doo_ti.io.pose_table import frame_of_quaternion, read_poses
-from doo_ti.physical_units import UNITS_IN_MM
-from doo_ti.plausible import doubt_angle
-from doo_ti.short_repr import short_repr
-from doo_ti.types import Clamps
+from doo_ti.rod.physical_units import UNITS_IN_MM
+from doo_ti.rod.plausible import doubt_angle
+from doo_ti.rod.types import Clamps
+from doo_ti.system.arguments import owning, typed
+from doo_ti.system.errors import InputError, require_whole
+from doo_ti.system.files import read_content
+from doo_ti.system.short_repr import short_repr
 
 SHAPES = {"time_s": (), "start_position_mm": (3,), "end_position_mm": (3,), "start_frame": (3, 3), "end_frame": (3, 3),
           "start_quaternion": (4,), "end_quaternion": (4,), "end_rotation_deg": ()}

@@ -15,14 +15,14 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError
 from doo_ti.io.arrays import read_npz
 from doo_ti.io.cable_recordings import RATE_HZ, read_recordings
-from doo_ti.io.files import read_content
 from doo_ti.io.formats import read_curves
-from doo_ti.io.observations import load_observations
-from doo_ti.physical_units import UNITS_IN_MM
-from doo_ti.types import unit_up
+from doo_ti.io.observation_files import load_observations
+from doo_ti.rod.physical_units import UNITS_IN_MM
+from doo_ti.rod.types import unit_up
+from doo_ti.system.errors import InputError
+from doo_ti.system.files import read_content
 
 MOST_LEFT_OUT = 10
 """Frames in all for each that is there."""
@@ -50,7 +50,7 @@ def read_recording(path: str | Path, unit: str | None = None, columns: Mapping[s
                    rate: float | None = None) -> MotionRecording:
     """The recordings in a file.
 
-    unit, columns  as of :func:`doo_ti.io.observations.load_observations`
+    unit, columns  as of :func:`doo_ti.io.observation_files.load_observations`
     rate           frames per second, instead of what the file states
 
     Raises InputError for files that cannot be read, and where neither the file nor ``rate`` states the rate.

@@ -38,8 +38,10 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 
-from doo_ti.errors import InputError
-from doo_ti.frames import (
+from doo_ti.io.material_keys import MaterialKeys, newtons, stated_material
+from doo_ti.io.motion_file import ClampPath
+from doo_ti.io.toml_file import Finite, Positive, Table, Vector, checked, read_toml, unit_direction
+from doo_ti.rod.frames import (
     across,
     bishop_frames,
     matrix_from_quaternion,
@@ -48,12 +50,10 @@ from doo_ti.frames import (
     quaternion_product,
     smallest_rotation,
 )
-from doo_ti.io.material_keys import MaterialKeys, newtons, stated_material
-from doo_ti.io.motion_file import ClampPath
-from doo_ti.io.toml_file import Finite, Positive, Table, Vector, checked, read_toml, unit_direction
-from doo_ti.rods import with_end_edges
-from doo_ti.terminal import in_line
-from doo_ti.types import LARGEST, Clamp, Clamps, Configuration, Material
+from doo_ti.rod.straight import with_end_edges
+from doo_ti.rod.types import LARGEST, Clamp, Clamps, Configuration, Material
+from doo_ti.system.errors import InputError
+from doo_ti.system.terminal import in_line
 
 MOST_EDGES = 10_000
 

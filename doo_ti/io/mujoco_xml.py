@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError
-from doo_ti.frames import matrix_from_quaternion
 from doo_ti.io.curves import Curves, checked_points, chosen_names
+from doo_ti.rod.frames import matrix_from_quaternion
+from doo_ti.system.errors import InputError
 
 OTHER_ROTATIONS = ("euler", "axisangle", "xyaxes", "zaxis")
 REMEDY = "give a model with a cable, as MuJoCo's documentation describes it"

@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError
 from doo_ti.io.arrays import first_line
-from doo_ti.io.files import read_content
+from doo_ti.system.errors import InputError
+from doo_ti.system.files import read_content
 
 MOST_FILE_BYTES = 1 << 28
 KINDS = "fiu"

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError
 from doo_ti.io.csv_table import decoded
 from doo_ti.io.curves import Curves, checked_points
+from doo_ti.system.errors import InputError
 
 FORM = "give lines of X Y Z, with an empty line between curves, or all numbers of a curve in one line"
 

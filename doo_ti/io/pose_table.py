@@ -20,12 +20,12 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError
-from doo_ti.frames import matrix_from_quaternion, rotation_matrix
 from doo_ti.io.arrays import AXES, NEARLY, frame_columns, given_columns, read_npz
 from doo_ti.io.csv_table import CsvTable, read_csv
-from doo_ti.io.files import read_content
-from doo_ti.physical_units import UNITS_IN_MM
+from doo_ti.rod.frames import matrix_from_quaternion, rotation_matrix
+from doo_ti.rod.physical_units import UNITS_IN_MM
+from doo_ti.system.errors import InputError
+from doo_ti.system.files import read_content
 
 ENDS = ("start", "end")
 NAMED = ("time", *ENDS)

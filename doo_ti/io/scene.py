@@ -31,8 +31,6 @@ from typing import Annotated, Literal
 import numpy as np
 from msgspec import Meta
 
-from doo_ti.errors import InputError
-from doo_ti.grid import UNITS, Grid, parse_axes
 from doo_ti.io.toml_file import (
     NotNegative,
     NumberOrMatrix,
@@ -44,7 +42,9 @@ from doo_ti.io.toml_file import (
     read_toml,
     unknown_key,
 )
-from doo_ti.types import LARGEST, Clamp, Material
+from doo_ti.rod.grid import UNITS, Grid, parse_axes
+from doo_ti.rod.types import LARGEST, Clamp, Material
+from doo_ti.system.errors import InputError
 
 OBJECTIVES = ("static", "dynamic")
 PRECISIONS = ("f32", "f64", "mixed")

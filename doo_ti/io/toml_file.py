@@ -13,9 +13,9 @@ from typing import Annotated, Literal, get_args, get_origin
 import msgspec
 import numpy as np
 
-from doo_ti.errors import InputError
-from doo_ti.io.files import MOST_TEXT_BYTES, read_content
-from doo_ti.types import LARGEST
+from doo_ti.rod.types import LARGEST
+from doo_ti.system.errors import InputError
+from doo_ti.system.files import MOST_TEXT_BYTES, read_content
 
 Finite = Annotated[float, msgspec.Meta(ge=-LARGEST, le=LARGEST)]
 Positive = Annotated[float, msgspec.Meta(gt=0, le=LARGEST)]

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError
-from doo_ti.frames import matrix_from_quaternion, rotation_matrix
-from doo_ti.types import LARGEST
+from doo_ti.rod.frames import matrix_from_quaternion, rotation_matrix
+from doo_ti.rod.types import LARGEST
+from doo_ti.system.errors import InputError
 
 _TOKEN = re.compile(
     r'"""(?:[^"\\]|\\[\s\S]|"(?!""))*+"""|"(?:[^"\\\n]|\\.)*+"|' r"'(?:[^'\\\n]|\\.)*+'|@@@(?:[^@]|@(?!@@))*+@@@|@[^@\n]*+@"

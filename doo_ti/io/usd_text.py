@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError
 from doo_ti.io.curves import Curves, checked_points, chosen_names
 from doo_ti.io.usd_prims import Prim, placement, prims
+from doo_ti.system.errors import InputError
 
 UP = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
 KINDS = ("BasisCurves", "NurbsCurves")

@@ -12,11 +12,11 @@ import numpy as np
 from doo_ti.learning.chunks import chunk_path, read_columns, read_rows, write_rows
 from doo_ti.learning.experiment import Experiment
 from doo_ti.learning.hypotheses import nearest, resolved, scores, started
-from doo_ti.metric import distance
 from doo_ti.motion.journey import Journey
 from doo_ti.motion.path import motion_between
 from doo_ti.relaxation.relax import relax
-from doo_ti.types import Configuration, Material, Solution, Status, sticky
+from doo_ti.rod.metric import distance
+from doo_ti.rod.types import Configuration, Material, Solution, Status, sticky
 
 FEW_RODS = 64
 """Enough for the kernels of large batches: fewer rods have kernels with fewer of them in a value."""

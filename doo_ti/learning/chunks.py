@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError
-from doo_ti.grid import Grid
-from doo_ti.io.files import write_whole
 from doo_ti.learning.summary import maker
-from doo_ti.types import LARGEST, Status
+from doo_ti.rod.grid import Grid
+from doo_ti.rod.types import LARGEST, Status
+from doo_ti.system.errors import InputError
+from doo_ti.system.files import write_whole
 
 IDENTITY, MAKER = "doo_ti_sweep", "doo_ti_maker"
 """Keys of a file's metadata."""

@@ -10,17 +10,17 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InterruptedRunError
 from doo_ti.learning.cells import settled, sub_steps
 from doo_ti.learning.experiment import Experiment
 from doo_ti.learning.hypotheses import started
 from doo_ti.learning.landscape import Overview, Summed, gather_part
 from doo_ti.learning.run_folder import read_plan
-from doo_ti.metric import distance
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.terminal import can_record
-from doo_ti.types import Material, Status
+from doo_ti.rod.metric import distance
+from doo_ti.rod.types import Material, Status
+from doo_ti.system.errors import InterruptedRunError
+from doo_ti.system.terminal import can_record
 
 MOST_MOMENTS = 60
 """Iterations, or sub-steps, evenly chosen, that are recorded."""

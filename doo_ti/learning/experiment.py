@@ -9,20 +9,20 @@ from functools import cached_property
 
 import numpy as np
 
-from doo_ti.arguments import typed
 from doo_ti.contact.obstacle_arrays import described
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.errors import InputError, require_number, require_whole
-from doo_ti.grid import Grid
-from doo_ti.io.observations import Observations
 from doo_ti.learning.hypotheses import Hypotheses, hypotheses_of, started
 from doo_ti.learning.pairs import Pairs, check_ways, pairs_from_labels
 from doo_ti.relaxation.contact_table import require_clear
 from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import PRECISIONS
-from doo_ti.start import observation_clamps
-from doo_ti.types import LARGEST, Clamp, Clamps
+from doo_ti.rod.grid import Grid
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.start import observation_clamps
+from doo_ti.rod.types import LARGEST, Clamp, Clamps
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError, require_number, require_whole
 
 SOLVERS = {"newton": Newton, "descent": Descent}
 LEAST_SUB_STEP = 1e-5

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from doo_ti.grid import Axis, Grid
 from doo_ti.learning.cells import relax_cells
 from doo_ti.learning.experiment import Experiment
 from doo_ti.learning.landscape import Landscape
@@ -19,7 +18,8 @@ from doo_ti.record import CellsOfRun, Rods, record_cells, record_ribbons
 from doo_ti.report import LandscapePanel, Ribbons, cells_image, quantity, ribbon_sides, ribbons_picture, values_text
 from doo_ti.report.grid_view import Observed, upright_basis
 from doo_ti.report.plane import REGIMES, regime
-from doo_ti.types import Configuration, Status
+from doo_ti.rod.grid import Axis, Grid
+from doo_ti.rod.types import Configuration, Status
 
 if TYPE_CHECKING:
     from doo_ti.learning.figures import Study

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError
 from doo_ti.learning.drawing import plane_of
 from doo_ti.learning.experiment import Experiment
 from doo_ti.learning.figure_rods import Cells, cells_to_record, draw_regimes, record_figure
@@ -17,7 +16,8 @@ from doo_ti.learning.landscape import Landscape, read_landscape
 from doo_ti.learning.partition import check_comparable
 from doo_ti.learning.run_folder import read_experiment
 from doo_ti.report import LandscapePanel, landscapes_picture
-from doo_ti.terminal import progress
+from doo_ti.system.errors import InputError
+from doo_ti.system.terminal import progress
 
 OWN_SCALE = ", each on a colour scale of its own"
 MARKS = "minimum over all observations; in the panel of all, those of each end distance"

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.errors import InputError
-from doo_ti.io.observations import Observations
-from doo_ti.start import held_spins, start_configuration, turn_hypotheses
-from doo_ti.types import Clamp, Clamps, Configuration
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.start import held_spins, start_configuration, turn_hypotheses
+from doo_ti.rod.types import Clamp, Clamps, Configuration
+from doo_ti.system.errors import InputError
 
 NEAR = 1.05
 """Cells, and hypotheses, whose distance is at most this many times the smallest count as equally good."""
@@ -68,8 +68,8 @@ class Hypotheses:
 
 
 def hypotheses_of(observations: Observations, clamps: Clamps, spins: int = 0) -> Hypotheses:
-    """The hypotheses of D observations: the whole turns of :func:`doo_ti.start.turn_hypotheses`, and ``spins`` angles, evenly
-    over a turn, where a clamp holds the tangent and its roll is unknown.
+    """The hypotheses of D observations: the whole turns of :func:`doo_ti.rod.start.turn_hypotheses`, and ``spins`` angles,
+    evenly over a turn, where a clamp holds the tangent and its roll is unknown.
 
     Raises InputError for ``spins`` where no roll is unknown.
     """

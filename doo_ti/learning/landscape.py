@@ -11,14 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.arguments import typed
-from doo_ti.errors import InputError
-from doo_ti.grid import Grid, Interval, valley
 from doo_ti.learning.chunks import RODS, Terms, cell_files, rods_in, terms_in, whole_rods_in
 from doo_ti.learning.objective import CellSums, counts_by_name, is_sound, status_counts
 from doo_ti.learning.summary import changed_files, check_cells, read_summary, sweep_identity
-from doo_ti.short_repr import short_repr
-from doo_ti.terminal import in_line
+from doo_ti.rod.grid import Grid, Interval, valley
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError
+from doo_ti.system.short_repr import short_repr
+from doo_ti.system.terminal import in_line
 
 LABELS = ("end_distance_mm", "end_rotation_deg")
 RODS_AT_ONCE = 1 << 16

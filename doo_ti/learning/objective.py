@@ -3,7 +3,7 @@ r"""The objective over Θ: Eqs. 2 and 3 of §III-E, summed over the relaxed rods
     Eq. 2, static     f(Θ) = Σ_x    w_x  d(Γ̃^x,  Γ^x) / Σ_x    w_x       Γ̃^x  = F(Γ^x, E_Θ, C^x),   w_x = 1
     Eq. 3, dynamic    f(Θ) = Σ_{xy} w_xy d(Γ̃^xy, Γ^y) / Σ_{xy} w_xy      Γ̃^xy = F(Γ̃^x, E_Θ, C^y)
 
-Γ^x are the observations and C^x their clamps, d is Eq. 1 in mm (:mod:`doo_ti.metric`), and F relaxes a rod
+Γ^x are the observations and C^x their clamps, d is Eq. 1 in mm (:mod:`doo_ti.rod.metric`), and F relaxes a rod
 (:mod:`doo_ti.learning.cells`). A term is an observation x under Eq. 2, and a pair (x, y) under Eq. 3: its clamps move from C^x
 to C^y. Both are divided by the sum of the weights, so that f is a mean distance in mm, with the same minimum. Only
 certified minima are compared: the distance of a rod that did not converge does not depend on Θ alone.
@@ -13,7 +13,7 @@ Axes: G grid cells, N terms, n rods that are added at once.
 
 import numpy as np
 
-from doo_ti.types import Status
+from doo_ti.rod.types import Status
 
 
 class CellSums:

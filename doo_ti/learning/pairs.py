@@ -9,12 +9,12 @@ from typing import Annotated
 
 import numpy as np
 
-from doo_ti.arguments import typed
-from doo_ti.errors import InputError
 from doo_ti.io.arrays import read_arrays
-from doo_ti.io.files import write_whole
-from doo_ti.io.observations import Observations
-from doo_ti.types import Clamp, Clamps
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.types import Clamp, Clamps
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError
+from doo_ti.system.files import write_whole
 
 APART_DEG = 120.0
 """Difference of the end rotations of the paper's pairs (footnote 7)."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.errors import InputError
 from doo_ti.learning.landscape import Landscape
+from doo_ti.system.errors import InputError
 
 FACTORS = ("material", "objective", "end-distance")
 """What runs can be partitioned by, in the order in which a table lists it."""

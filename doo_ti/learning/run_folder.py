@@ -24,10 +24,7 @@ import numpy as np
 
 from doo_ti import __version__
 from doo_ti.contact.obstacle_arrays import load_surroundings, save_surroundings
-from doo_ti.errors import InputError
-from doo_ti.grid import Grid
-from doo_ti.io.files import MOST_TEXT_BYTES, read_content, remove_leftovers, write_whole
-from doo_ti.io.observations import load_observations, save_observations
+from doo_ti.io.observation_files import load_observations, save_observations
 from doo_ti.learning.experiment import Experiment, SweepOptions
 from doo_ti.learning.hypotheses import Hypotheses
 from doo_ti.learning.pairs import load_pairs, save_pairs
@@ -40,7 +37,10 @@ from doo_ti.learning.summary import (
     read_table,
     sweep_identity,
 )
-from doo_ti.types import Clamp
+from doo_ti.rod.grid import Grid
+from doo_ti.rod.types import Clamp
+from doo_ti.system.errors import InputError
+from doo_ti.system.files import MOST_TEXT_BYTES, read_content, remove_leftovers, write_whole
 
 OBSERVATIONS, PAIRS, OBSTACLES = "observations.npz", "pairs.csv", "obstacles.npz"
 IDENTITY, PLAN = "identity.txt", "plan.json"

@@ -14,8 +14,8 @@ from importlib.metadata import version
 from pathlib import Path
 
 from doo_ti import __version__
-from doo_ti.errors import InputError
-from doo_ti.io.files import MOST_TEXT_BYTES, read_content, write_whole
+from doo_ti.system.errors import InputError
+from doo_ti.system.files import MOST_TEXT_BYTES, read_content, write_whole
 
 SOURCES = ("frames.py", "metric.py", "motion", "physics", "relaxation", "runtime.py", "start.py", "types.py",
            "learning/cells.py", "learning/experiment.py", "learning/hypotheses.py", "learning/pairs.py")

@@ -19,10 +19,6 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.arguments import typed
-from doo_ti.errors import InputError, InterruptedRunError
-from doo_ti.grid import Grid
-from doo_ti.io.observations import Observations
 from doo_ti.learning.cells import load_kernels, relax_hypotheses, resolve
 from doo_ti.learning.chunks import check_identity, chunk_path, read_rows, write_chunk
 from doo_ti.learning.drawing import draw
@@ -34,8 +30,12 @@ from doo_ti.learning.run_folder import claim, finished, identity_of, provenance
 from doo_ti.learning.summary import DENSITY, write_summary
 from doo_ti.learning.up_axes import other_up
 from doo_ti.learning.workers import ThisProcess, Workers, started_workers
-from doo_ti.start import check_experiment
-from doo_ti.terminal import progress
+from doo_ti.rod.grid import Grid
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.start import check_experiment
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError, InterruptedRunError
+from doo_ti.system.terminal import progress
 
 CHUNK_BYTES = 32 << 20
 """Memory for the frames of a chunk's rods, the larger part of what a sweep holds: 31 000 rods of 33 edges."""

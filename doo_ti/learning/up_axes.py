@@ -26,10 +26,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.io.observations import Observations
 from doo_ti.relaxation.relax import relax
-from doo_ti.start import start_configuration, turn_hypotheses
-from doo_ti.types import Clamp, Clamps, Material
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.start import start_configuration, turn_hypotheses
+from doo_ti.rod.types import Clamp, Clamps, Material
 
 MOST = 24
 """Observations that are relaxed, evenly among all."""

@@ -14,10 +14,10 @@ from multiprocessing.connection import wait
 from socket import create_connection
 from threading import Thread
 
-from doo_ti import runtime
-from doo_ti.errors import InputError
-from doo_ti.interruption import kept_from_children
 from doo_ti.learning.summary import maker, maker_text
+from doo_ti.system import runtime
+from doo_ti.system.errors import InputError
+from doo_ti.system.interruption import kept_from_children
 
 ANSWER_SECONDS = 10
 """Longest wait for a scheduler's answer."""

@@ -5,7 +5,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.frames import (
+from doo_ti.manipulation.damped_step import DampedSteps
+from doo_ti.manipulation.poses import finite_rods, held, joined, moved, put_rods, put_rows, slack
+from doo_ti.manipulation.resynchronise import stiffness_of
+from doo_ti.manipulation.targets import ServoOptions, Targets
+from doo_ti.relaxation.external import Springs
+from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.relax import relax
+from doo_ti.relaxation.sensitivity import gripper_jacobian
+from doo_ti.rod.frames import (
     bishop_frames,
     matrix_from_quaternion,
     quaternion_about,
@@ -15,15 +23,7 @@ from doo_ti.frames import (
     tangent_from_quaternion,
     total_twist,
 )
-from doo_ti.manipulation.damped_step import DampedSteps
-from doo_ti.manipulation.poses import finite_rods, held, joined, moved, put_rods, put_rows, slack
-from doo_ti.manipulation.resynchronise import stiffness_of
-from doo_ti.manipulation.targets import ServoOptions, Targets
-from doo_ti.relaxation.external import Springs
-from doo_ti.relaxation.newton import Newton
-from doo_ti.relaxation.relax import relax
-from doo_ti.relaxation.sensitivity import gripper_jacobian
-from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution
 
 TWISTS = np.radians([0.0, 90.0, -90.0, 180.0, -180.0])
 """By which guesses are twisted more than the rod is. Marks do not show twist; the fit finds it within a quarter turn."""

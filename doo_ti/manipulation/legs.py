@@ -10,7 +10,7 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.manipulation.poses import change_between, moved
 from doo_ti.motion.journey import Journey
 from doo_ti.motion.path import LARGEST_TURN, motion_between
-from doo_ti.types import Clamps, Configuration, Material
+from doo_ti.rod.types import Clamps, Configuration, Material
 
 SAME = 2e-3
 """Of the rod's length, between two shapes of one equilibrium: a tenth of what branches differ by, a thousand times rounding."""

@@ -20,19 +20,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.arguments import owning, typed
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.errors import InputError, require_whole
 from doo_ti.io.motion_file import ClampPath
 from doo_ti.manipulation.goal import Goal, Model, all_goals
 from doo_ti.manipulation.legs import Carrier, between, unwound
 from doo_ti.manipulation.poses import change_between, joined, moved
 from doo_ti.manipulation.targets import ServoOptions, Targets
 from doo_ti.manipulation.tree import Tree
-from doo_ti.material import Material
 from doo_ti.prediction.predict import predict
-from doo_ti.types import Clamp, Clamps, Configuration, unit_up
+from doo_ti.rod.material import Material
+from doo_ti.rod.types import Clamp, Clamps, Configuration, unit_up
+from doo_ti.system.arguments import owning, typed
+from doo_ti.system.errors import InputError, require_whole
 
 SAMPLES = 24
 """Poses that a tree grows towards at once."""

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from doo_ti.frames import quaternion_from_matrix, quaternion_product, rotation_matrix, rotation_vector
-from doo_ti.types import Clamps, Configuration
+from doo_ti.rod.frames import quaternion_from_matrix, quaternion_product, rotation_matrix, rotation_vector
+from doo_ti.rod.types import Clamps, Configuration
 
 ARRAYS = ("start_position", "end_position", "start_frame", "end_frame")
 

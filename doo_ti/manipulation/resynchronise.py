@@ -6,7 +6,7 @@ from doo_ti.manipulation.poses import finite_rods
 from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.types import Clamps, Configuration, Material, Solution
+from doo_ti.rod.types import Clamps, Configuration, Material, Solution
 
 PULL = 30.0
 """Stiffness of a spring over B/s³, s the rod's length between marks: it draws a mark to a thirtieth of what bending between its

@@ -25,10 +25,8 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.arguments import typed
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.errors import InputError
 from doo_ti.manipulation.belief import CENTRE, CLIP, Belief, LearnedMaterial
 from doo_ti.manipulation.damped_step import DampedSteps
 from doo_ti.manipulation.goal import Model, nearest_goal
@@ -45,9 +43,11 @@ from doo_ti.manipulation.targets import ServoOptions, ServoStatus, Targets
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.relaxation.sensitivity import GRIPPERS, sensitivity
-from doo_ti.rods import with_end_edges
-from doo_ti.short_repr import counted
-from doo_ti.types import Clamps, Configuration, Material, Solution, unit_up
+from doo_ti.rod.straight import with_end_edges
+from doo_ti.rod.types import Clamps, Configuration, Material, Solution, unit_up
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError
+from doo_ti.system.short_repr import counted
 
 PARAMETERS = ("bend", "twist", *GRIPPERS)
 OF_GRIPPERS = slice(CLIP, CLIP + 12)

@@ -14,16 +14,16 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.arguments import typed
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.errors import InputError
 from doo_ti.manipulation.poses import finite_rods
 from doo_ti.motion.path import LARGEST_TURN, motion_between
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.short_repr import counted
-from doo_ti.types import Clamps, Configuration, Material, Solution, unit_up
+from doo_ti.rod.types import Clamps, Configuration, Material, Solution, unit_up
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError
+from doo_ti.system.short_repr import counted
 
 
 class Simulation:

@@ -6,10 +6,10 @@ from typing import Annotated
 
 import numpy as np
 
-from doo_ti.arguments import owning, typed
-from doo_ti.errors import InputError
-from doo_ti.material import Rows
 from doo_ti.relaxation.sensitivity import GRIPPERS
+from doo_ti.rod.material import Rows
+from doo_ti.system.arguments import owning, typed
+from doo_ti.system.errors import InputError
 
 ASKED = 1e-12
 """Least total weight of a rod's vertices."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from doo_ti.manipulation.legs import Carrier
 from doo_ti.manipulation.poses import change_between, joined, moved
-from doo_ti.types import Clamps, Configuration
+from doo_ti.rod.types import Clamps, Configuration
 
 REACH = 0.6
 """Of the rod's length, the longest leg of a tree, shifts in mm and turns times the lever."""

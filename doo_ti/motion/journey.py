@@ -16,7 +16,7 @@ from doo_ti.motion.path import Motion
 from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.types import Configuration, Material, Solution, sticky
+from doo_ti.rod.types import Configuration, Material, Solution, sticky
 
 FEWEST_STEPS = 2
 """Sub-steps of a motion: jumps are found by comparing a sub-step with the one before."""

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from doo_ti.types import Solution
+from doo_ti.rod.types import Solution
 
 PARTS = 8
 OUT_OF_PROPORTION = 0.5

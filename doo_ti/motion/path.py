@@ -6,9 +6,9 @@ from typing import Annotated
 
 import numpy as np
 
-from doo_ti.arguments import typed
-from doo_ti.errors import InputError
-from doo_ti.frames import (
+from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.relax import relax
+from doo_ti.rod.frames import (
     matrix_from_quaternion,
     quaternion_about,
     quaternion_from_matrix,
@@ -16,9 +16,9 @@ from doo_ti.frames import (
     rotation_vector,
     smallest_rotation,
 )
-from doo_ti.relaxation.newton import Newton
-from doo_ti.relaxation.relax import relax
-from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution, sticky
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution, sticky
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError
 
 LARGEST_TURN = np.radians(5.0)
 """rad, of a clamp in one sub-step."""

@@ -10,7 +10,7 @@ Axes: A image sets, C cameras, R rods.
 import numpy as np
 
 from doo_ti.perception.search import PerceptionOptions
-from doo_ti.types import Configuration, Material
+from doo_ti.rod.types import Configuration, Material
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.reprojection.coverage import Coverage, coverage
 from doo_ti.vision.reprojection.distance_map import DistanceMaps

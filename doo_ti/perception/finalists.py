@@ -16,7 +16,7 @@ from doo_ti.perception.evidence import evidence
 from doo_ti.perception.growth import Hypotheses
 from doo_ti.perception.search import Search
 from doo_ti.perception.traced import traced
-from doo_ti.types import Configuration, Status
+from doo_ti.rod.types import Configuration, Status
 from doo_ti.vision.reprojection.coverage import Coverage, coverage
 from doo_ti.vision.reprojection.score import score
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from doo_ti.types import Configuration
+from doo_ti.rod.types import Configuration
 
 LARGEST_ANGLE = np.pi / 2
 """Sampled edges have e^i · e^{i+1} > 0."""

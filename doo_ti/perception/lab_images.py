@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError
-from doo_ti.io.files import write_whole
 from doo_ti.io.scene import Synthesis
-from doo_ti.synthesis import fine_vertices
+from doo_ti.lab.synthesis import fine_vertices
+from doo_ti.system.errors import InputError
+from doo_ti.system.files import write_whole
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class LabRods:
 
 
 def lab_rods(synthesis: Synthesis) -> LabRods:
-    """The rods behind :func:`doo_ti.synthesis.synthesise`, in its order.
+    """The rods behind :func:`doo_ti.lab.synthesis.synthesise`, in its order.
 
     Raises InputError for rods that are not round, and InterruptedRunError where a rod cannot be carried to a stable
     equilibrium.

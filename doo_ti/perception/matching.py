@@ -16,7 +16,7 @@ import numpy as np
 import taichi as ti
 from scipy.linalg import solveh_banded
 
-from doo_ti import runtime
+from doo_ti.system import runtime
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.detection.paths import ImagePath
 from doo_ti.vision.reprojection.triangulation import rays

@@ -29,16 +29,16 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.arguments import typed
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.errors import InputError
 from doo_ti.perception.finalists import finalists, left_over
 from doo_ti.perception.growth import rank_distinct
 from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search
 from doo_ti.perception.shape_uncertainty import vertex_sigma
 from doo_ti.perception.traced import SAME_LENGTH
-from doo_ti.short_repr import short_repr
-from doo_ti.types import LARGEST, Configuration, Material, Status, unit_up
+from doo_ti.rod.types import LARGEST, Configuration, Material, Status, unit_up
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError
+from doo_ti.system.short_repr import short_repr
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.reprojection.coverage import outside_others
 from doo_ti.vision.reprojection.distance_map import DistanceMaps

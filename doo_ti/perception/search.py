@@ -14,10 +14,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from doo_ti.arguments import typed
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.errors import InputError, require_whole
-from doo_ti.frames import (
+from doo_ti.perception.growth import Hypotheses, sampled_directions, select_hypotheses, suppress_similar
+from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.relax import relax
+from doo_ti.rod.frames import (
     across,
     bishop_frames,
     matrix_from_quaternion,
@@ -26,10 +27,9 @@ from doo_ti.frames import (
     smallest_rotation,
     tangent_from_quaternion,
 )
-from doo_ti.perception.growth import Hypotheses, sampled_directions, select_hypotheses, suppress_similar
-from doo_ti.relaxation.newton import Newton
-from doo_ti.relaxation.relax import relax
-from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution, Status
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution, Status
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError, require_whole
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.reprojection.distance_map import DistanceMaps
 from doo_ti.vision.reprojection.image_energy import Reprojection

@@ -9,9 +9,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from doo_ti.errors import InputError
 from doo_ti.perception.matching import best_matches, curve_of, epipolar_distance
 from doo_ti.perception.traced import PATHS
+from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.detection.line import Detection, thinned
 from doo_ti.vision.detection.paths import Chains, paths_from

@@ -17,7 +17,7 @@ Axes: A rods, C cameras, E edges, V vertices, S places along a rod, P = 2 (E −
 
 import numpy as np
 
-from doo_ti.frames import across
+from doo_ti.rod.frames import across
 from doo_ti.vision.cameras.rig import Rig
 
 PLACES = (0.25, 0.75)

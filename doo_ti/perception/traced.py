@@ -17,11 +17,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.frames import across, bishop_frames, quaternion_from_matrix
 from doo_ti.perception.matching import Match, best_matches, curve_of
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution
+from doo_ti.rod.frames import across, bishop_frames, quaternion_from_matrix
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.detection.line import Detection
 from doo_ti.vision.detection.paths import Chains, paths_from

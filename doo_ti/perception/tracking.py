@@ -16,16 +16,16 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.arguments import typed
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.errors import InputError
-from doo_ti.frames import quaternion_product, smallest_rotation, tangent_from_quaternion
 from doo_ti.motion.path import Motion
 from doo_ti.perception.perceive import check_seeds, checked_rod, checked_seeds, perceive
 from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search
 from doo_ti.perception.shape_uncertainty import vertex_sigma
 from doo_ti.prediction.predict import predict_step
-from doo_ti.types import Clamp, Clamps, Configuration, Material, Status
+from doo_ti.rod.frames import quaternion_product, smallest_rotation, tangent_from_quaternion
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.detection.line import Detection
 from doo_ti.vision.reprojection.distance_map import distance_maps

@@ -17,7 +17,7 @@ import numpy as np
 from doo_ti.perception.evidence import evidence
 from doo_ti.perception.search import PerceptionOptions
 from doo_ti.perception.traced import whole_rods
-from doo_ti.types import Material
+from doo_ti.rod.types import Material
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.detection.line import Detection
 from doo_ti.vision.reprojection.distance_map import distance_maps

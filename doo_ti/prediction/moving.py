@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.arguments import typed
 from doo_ti.contact.moving import Moving
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings, obstacle_list
@@ -17,13 +16,14 @@ from doo_ti.dynamics.clamp_path import refined_within_reach
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.dynamics.simulate import simulate
-from doo_ti.errors import InputError
-from doo_ti.frames import edge_frames
 from doo_ti.io.motion_file import ClampPath
 from doo_ti.motion.path import LARGEST_TURN, motion_between
 from doo_ti.prediction.predict import Prediction, begun, rotation_about_rod
 from doo_ti.relaxation.newton import Newton
-from doo_ti.types import Clamps, Configuration, Material, Status, sticky
+from doo_ti.rod.frames import edge_frames
+from doo_ti.rod.types import Clamps, Configuration, Material, Status, sticky
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError
 
 MOST_TURN = np.radians(170.0)
 """Of the far frame between two moments: its sense is taken from the shorter way."""

@@ -17,24 +17,24 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.arguments import typed
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings, obstacle_list
-from doo_ti.errors import InputError
-from doo_ti.frames import angle_about, matrix_from_quaternion, smallest_rotation, total_twist, vertices_from_quaternions
 from doo_ti.io.motion_file import ClampPath
 from doo_ti.motion.journey import Journey
 from doo_ti.motion.path import LARGEST_TURN, Motion, motion_between
-from doo_ti.plausible import doubt_angle
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.short_repr import short_repr
-from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution, Status, sticky
+from doo_ti.rod.frames import angle_about, matrix_from_quaternion, smallest_rotation, total_twist, vertices_from_quaternions
+from doo_ti.rod.plausible import doubt_angle
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution, Status, sticky
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError
+from doo_ti.system.short_repr import short_repr
 
 STILL = 1e-9
 """mm and rad: clamps that move by less count as fixed."""
 REPORTED = ("energy", "residual", "iterations", "status", "stable", "end_force")
-"""Fields of :class:`doo_ti.types.Solution` that are kept of every moment."""
+"""Fields of :class:`doo_ti.rod.types.Solution` that are kept of every moment."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Prediction:
     quaternions   (T, R, E, 4) frames
     rest_length   (E,) mm
     energy, residual, iterations, status, stable (T, R), end_force (T, R, 3)
-                  as in :class:`doo_ti.types.Solution`; iterations since the moment before, and of the statuses so far the
+                  as in :class:`doo_ti.rod.types.Solution`; iterations since the moment before, and of the statuses so far the
                   first one that is not converged
     jumps         (T, R) jumps to another branch since the moment before
     end_rotation  (T, R) rad by which the far clamp has turned the rod about its tangent, whole turns included

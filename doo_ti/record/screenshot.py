@@ -8,9 +8,9 @@ from tempfile import TemporaryDirectory
 
 from rerun.experimental import ViewerClient
 
-from doo_ti.errors import InterruptedRunError
-from doo_ti.io.files import write_whole
 from doo_ti.record.viewer import free_port, running_viewer
+from doo_ti.system.errors import InterruptedRunError
+from doo_ti.system.files import write_whole
 
 
 def save_screenshot(path: str | Path, picture: str | Path, size: tuple[int, int] = (1600, 900)) -> None:

@@ -12,8 +12,8 @@ import pyarrow
 import rerun
 import rerun.blueprint as blueprint
 
-from doo_ti.io.files import whole_file
 from doo_ti.report.grid_view import GridView, Observed
+from doo_ti.system.files import whole_file
 
 DESCRIPTORS = Path("/proc/self/fd")
 """Where Linux lists the open files of a process."""

@@ -13,8 +13,6 @@ import rerun
 import rerun.blueprint as blueprint
 
 from doo_ti import report
-from doo_ti.arguments import typed
-from doo_ti.grid import UNITS, Interval
 from doo_ti.record.stream import (
     FAILED,
     TEXT,
@@ -28,8 +26,10 @@ from doo_ti.record.stream import (
 )
 from doo_ti.report.grid_view import GridView, Observed, grid_view
 from doo_ti.report.plane import LandscapePlane
-from doo_ti.short_repr import short_repr
-from doo_ti.types import Status
+from doo_ti.rod.grid import UNITS, Interval
+from doo_ti.rod.types import Status
+from doo_ti.system.arguments import typed
+from doo_ti.system.short_repr import short_repr
 
 BLOCK = 10
 """Iterations sent at once."""

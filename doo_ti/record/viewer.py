@@ -8,9 +8,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryFile
 
-from doo_ti.errors import InputError, InterruptedRunError
-from doo_ti.interruption import ended, kept_from_children
 from doo_ti.record.web_page import local_page
+from doo_ti.system.errors import InputError, InterruptedRunError
+from doo_ti.system.interruption import ended, kept_from_children
 
 FILE = "run.rrd"
 PROGRAMS = ("Rerun.app/Contents/MacOS/Rerun", "rerun.exe", "rerun")

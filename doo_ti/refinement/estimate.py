@@ -16,12 +16,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import f as f_distribution
 
-from doo_ti.errors import InputError
-from doo_ti.physical_units import relative_stiffness
 from doo_ti.refinement.fit import Fit, Fitted, State
 from doo_ti.refinement.priors import Scales
 from doo_ti.refinement.search import Optimum
 from doo_ti.refinement.unknowns import LOGARITHMIC, Theta, Values
+from doo_ti.rod.physical_units import relative_stiffness
+from doo_ti.system.errors import InputError
 
 PROBABILITY = 0.95
 WIDE_FACTOR = 4.0

@@ -15,15 +15,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import generate_binary_structure, minimum_filter
 
-from doo_ti.errors import InputError
-from doo_ti.grid import Grid
 from doo_ti.refinement.evidence import Evidence, Posterior, best_effects, integrated
 from doo_ti.refinement.held_rod import POSE
 from doo_ti.refinement.priors import Scales
 from doo_ti.refinement.residuals import Comparison, Moments, Residuals
 from doo_ti.refinement.unknowns import Theta, Unknowns, Values
 from doo_ti.relaxation.newton import Newton
-from doo_ti.types import Solution
+from doo_ti.rod.grid import Grid
+from doo_ti.rod.types import Solution
+from doo_ti.system.errors import InputError
 
 LARGEST_STEP = 1.0  # of an unknown of Θ or a clip: small steps keep rods on their branches
 LARGEST_TURN = 0.3  # rad, of a clamp

@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.errors import InputError
-from doo_ti.io.observations import Observations
 from doo_ti.refinement.fit import Fit
 from doo_ti.refinement.held_rod import POSE, HeldRod
 from doo_ti.refinement.refine import Refinement, RefinementOptions, refine, unknowns_of
 from doo_ti.refinement.residuals import Comparison, mark_distance
 from doo_ti.refinement.unknowns import Theta
-from doo_ti.types import Clamps
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.types import Clamps
+from doo_ti.system.errors import InputError
 
 
 @dataclass(frozen=True)

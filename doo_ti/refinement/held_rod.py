@@ -19,12 +19,12 @@ from functools import cached_property
 import numpy as np
 
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.frames import rotation_matrix
-from doo_ti.io.observations import Observations
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.start import choose_hypothesis, fill_missing, held_spins, span_excess, start_configuration, turn_hypotheses
-from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution
+from doo_ti.rod.frames import rotation_matrix
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.start import choose_hypothesis, fill_missing, held_spins, span_excess, start_configuration, turn_hypotheses
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution
 
 POSE = 12
 """Numbers of two poses: rotation of the start clamp, of the end clamp, displacement of the start, of the end; rad and mm."""

@@ -9,12 +9,12 @@ from itertools import combinations
 
 import numpy as np
 
-from doo_ti.io.observations import Observations
 from doo_ti.refinement.fit import ODD, Fit, Fitted, State
 from doo_ti.refinement.held_rod import POSE
 from doo_ti.refinement.residuals import Comparison
-from doo_ti.start import observation_clamps, reachable
-from doo_ti.types import Clamp
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.start import observation_clamps, reachable
+from doo_ti.rod.types import Clamp
 
 MOST = 8
 """Misfits that are tried, the first of them."""

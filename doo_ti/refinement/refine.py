@@ -18,10 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.arguments import typed
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.errors import InputError
-from doo_ti.io.observations import Observations
 from doo_ti.refinement.adequacy import Adequacy, Score, adequacy, scores
 from doo_ti.refinement.estimate import Estimate, estimated, within_reach
 from doo_ti.refinement.held_rod import HeldRod
@@ -33,9 +30,12 @@ from doo_ti.refinement.unknowns import Theta, Unknowns, Values
 from doo_ti.relaxation.contact_table import require_clear
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.short_repr import short_repr
-from doo_ti.start import start_configuration, turn_hypotheses
-from doo_ti.types import Clamps, Configuration, Solution, Status
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.start import start_configuration, turn_hypotheses
+from doo_ti.rod.types import Clamps, Configuration, Solution, Status
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError
+from doo_ti.system.short_repr import short_repr
 
 FEWEST_EDGES, MOST_EDGES = 24, 400
 ASYMPTOTIC = 1.0

@@ -18,12 +18,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.io.observations import Observations
 from doo_ti.refinement.held_rod import GEOMETRY, POSE, Mesh
 from doo_ti.refinement.priors import Scales
 from doo_ti.refinement.unknowns import Unknowns, Values
 from doo_ti.relaxation.sensitivity import sensitivity
-from doo_ti.types import Clamp, Solution
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.types import Clamp, Solution
 
 RODS_AT_ONCE = 128
 """Derivatives of as many rods are held in memory at a time."""

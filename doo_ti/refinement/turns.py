@@ -12,10 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from doo_ti.errors import InputError
 from doo_ti.refinement.fit import Fit, Fitted, State
 from doo_ti.refinement.priors import Scales
 from doo_ti.refinement.unknowns import Values
+from doo_ti.system.errors import InputError
 
 RATIOS = (0.25, 0.5, 1.0, 2.0, 4.0)
 """Twist over bend stiffness with which a fit begins."""

@@ -23,14 +23,14 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.arguments import typed
-from doo_ti.errors import InputError, require_whole
-from doo_ti.frames import rotation_matrix
 from doo_ti.refinement.held_rod import POSE, HeldRod, Lengths, Mesh
 from doo_ti.refinement.priors import Scales, covariance, knots_of, values_at
 from doo_ti.relaxation.sensitivity import tilt_axes
-from doo_ti.short_repr import short_repr
-from doo_ti.types import Material
+from doo_ti.rod.frames import rotation_matrix
+from doo_ti.rod.types import Material
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError, require_whole
+from doo_ti.system.short_repr import short_repr
 
 PARAMETERS = ("bend", "bend_1", "bend_2", "bend_12", "twist", "weight", "up")
 LOGARITHMIC = ("bend", "bend_1", "bend_2", "twist", "weight")

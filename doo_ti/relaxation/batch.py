@@ -7,8 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from doo_ti import runtime
-from doo_ti.frames import matrix_from_quaternion, quaternion_from_matrix, vertices_from_quaternions
 from doo_ti.physics.number import Number
 from doo_ti.relaxation import descent, newton
 from doo_ti.relaxation import tables as of
@@ -18,7 +16,9 @@ from doo_ti.relaxation.loading import LANES, TRIPS
 from doo_ti.relaxation.newton_policy import CLOSING_DISTANCE
 from doo_ti.relaxation.tables import Tables, room, whole_start
 from doo_ti.relaxation.vertex_chain import VERTEX
-from doo_ti.types import Solution, Status
+from doo_ti.rod.frames import matrix_from_quaternion, quaternion_from_matrix, vertices_from_quaternions
+from doo_ti.rod.types import Solution, Status
+from doo_ti.system import runtime
 
 PROJECTIONS = 100
 """Rounds in which Descent's starts are brought onto closure."""

@@ -4,12 +4,12 @@ from functools import cache
 
 import taichi as ti
 
-from doo_ti import runtime
 from doo_ti.contact.distance import COLUMNS, Distance
 from doo_ti.contact.obstacles import OBSTACLE_COLUMNS, PLANE
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import cross, dot, minus, plus, record, scaled, variable
 from doo_ti.physics.view import Scratch
+from doo_ti.system import runtime
 
 # Columns of a try: the number of half waves; whether it lies aside; to which side; the largest slope, rad; and one where the
 # way from the straight line is followed.

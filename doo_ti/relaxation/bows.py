@@ -11,11 +11,11 @@ from functools import cached_property
 
 import numpy as np
 
-from doo_ti import runtime
 from doo_ti.contact.distance_grid import grid_table
 from doo_ti.contact.obstacles import GRID, Obstacle, obstacle_table
-from doo_ti.frames import matrix_from_quaternion, quaternion_about, quaternion_product, tangent_from_quaternion
 from doo_ti.relaxation.bow_kernel import ASIDE, HALF_WAVES, NONE, SIGN, SLOPE, bow_kernel
+from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about, quaternion_product, tangent_from_quaternion
+from doo_ti.system import runtime
 
 DOWN, SIDEWAYS, UPRIGHT = (False, 1.0), ((True, 1.0), (True, -1.0)), (False, -1.0)
 """Directions of a bow: whether it lies aside, perpendicular to the plane of the first, and to which side. An upright arch would

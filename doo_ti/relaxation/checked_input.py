@@ -5,9 +5,9 @@ Raises InputError that names the argument, its value and a remedy.
 
 import numpy as np
 
-from doo_ti.errors import InputError, real_array
 from doo_ti.relaxation.external import External
-from doo_ti.types import Clamps, Configuration, Material
+from doo_ti.rod.types import Clamps, Configuration, Material
+from doo_ti.system.errors import InputError, real_array
 
 
 def check_shapes(configuration: Configuration, clamps: Clamps) -> None:

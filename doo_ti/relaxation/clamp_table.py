@@ -5,15 +5,15 @@ from functools import cache
 import numpy as np
 import taichi as ti
 
-from doo_ti import runtime
-from doo_ti.errors import InputError
-from doo_ti.frames import FRAME_TOLERANCE
 from doo_ti.physics.algebra import absolute, larger
 from doo_ti.physics.quaternion import from_matrix, normalised, tangent, transported, turned_in_world
 from doo_ti.physics.tuples import cross, dot, minus, record, repeated, row, scaled, transposed, variable
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.tables import FRAME, POSITION, TANGENT
-from doo_ti.types import Clamps, Configuration
+from doo_ti.rod.frames import FRAME_TOLERANCE
+from doo_ti.rod.types import Clamps, Configuration
+from doo_ti.system import runtime
+from doo_ti.system.errors import InputError
 
 # Columns of whole numbers about a start: in, the kinds of its clamps; out, the findings about its reach and its clamped frames.
 KIND_START, KIND_END, OF_REACH, OF_FRAMES, STATES = 0, 1, 2, 3, 4

@@ -10,15 +10,15 @@ from dataclasses import replace
 import numpy as np
 
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.frames import vertices_from_quaternions
-from doo_ti.material import Material
 from doo_ti.relaxation import batch
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.input_tables import material_table
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.tables import Tables, whole_start
-from doo_ti.types import Status
+from doo_ti.rod.frames import vertices_from_quaternions
+from doo_ti.rod.material import Material
+from doo_ti.rod.types import Status
 
 ROUNDS = 24
 PUSHING, HOLDING = 100.0, 1e-2

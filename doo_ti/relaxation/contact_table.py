@@ -10,11 +10,11 @@ from doo_ti.contact.distance_grid import DistanceGrid, grid_table
 from doo_ti.contact.gap_tolerance import GAP_TOLERANCE, GAP_TOLERANCE_OF_OBSTACLES
 from doo_ti.contact.obstacles import FRICTION, GRID, Obstacle, obstacle_table
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.errors import InputError
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_layout import REMEMBERED, REMEMBERED_IN_MOTION, contact_items
 from doo_ti.relaxation.pair_layout import CARRIED, self_contact_items
-from doo_ti.types import Clamp, Clamps, Configuration
+from doo_ti.rod.types import Clamp, Clamps, Configuration
+from doo_ti.system.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,6 @@ from functools import cache
 
 import taichi as ti
 
-from doo_ti.arguments import typed
-from doo_ti.errors import InputError, require_number, require_whole
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import chosen, put_lane, record, repeated
 from doo_ti.physics.view import Scratch
@@ -24,7 +22,9 @@ from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, SCRATCH, TABLE1, TA
 from doo_ti.relaxation.loading import LANES, NEXT, stiffness_scale
 from doo_ti.relaxation.vertex_chain import VERTEX
 from doo_ti.relaxation.vertex_energy import VertexEnergy
-from doo_ti.types import Status
+from doo_ti.rod.types import Status
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError, require_number, require_whole
 
 
 @typed

@@ -8,15 +8,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti import runtime
-from doo_ti.arguments import typed
-from doo_ti.errors import InputError
-from doo_ti.physical_units import force_in_newton
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.sensitivity_kernel import run_sensitivity
 from doo_ti.relaxation.tables import Tables
-from doo_ti.short_repr import short_repr
-from doo_ti.types import Solution
+from doo_ti.rod.physical_units import force_in_newton
+from doo_ti.rod.types import Solution
+from doo_ti.system import runtime
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError
+from doo_ti.system.short_repr import short_repr
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def end_loads(solution: Solution) -> EndLoads:
     weight (:class:`EndLoads`).
 
     What an end does not hold is zero: the moment at a position clamp, all of a free end. Both forces together carry the rod's
-    weight. NaN in rods that have not converged, and in taut ones (:class:`doo_ti.types.Solution`).
+    weight. NaN in rods that have not converged, and in taut ones (:class:`doo_ti.rod.types.Solution`).
 
     Raises InputError for joined solutions and for rods under an external energy.
     """

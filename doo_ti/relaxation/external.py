@@ -10,11 +10,11 @@ from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
-from doo_ti.arguments import typed
-from doo_ti.errors import InputError
 from doo_ti.physics.number import Number
 from doo_ti.physics.view import Layout
-from doo_ti.short_repr import short_repr
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError
+from doo_ti.system.short_repr import short_repr
 
 
 class ExternalFunctions(NamedTuple):

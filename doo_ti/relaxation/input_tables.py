@@ -6,8 +6,6 @@ from dataclasses import replace
 import numpy as np
 
 from doo_ti.contact.obstacles import Obstacle
-from doo_ti.errors import InputError
-from doo_ti.frames import quaternion_product, smallest_rotation, tangent_from_quaternion
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.bows import bowed_among, straight_rods
 from doo_ti.relaxation.checked_input import check_material, check_shapes, clamp_kinds, external_rows, paired_rows, rest_lengths
@@ -15,7 +13,9 @@ from doo_ti.relaxation.clamp_table import INFEASIBLE, STRAIGHT, TAUT, TAUT_SLACK
 from doo_ti.relaxation.contact_table import contact_table
 from doo_ti.relaxation.external import External
 from doo_ti.relaxation.tables import FREE, Tables, outer_edges, rod_rows, room, whole_start
-from doo_ti.types import Clamps, Configuration, Material
+from doo_ti.rod.frames import quaternion_product, smallest_rotation, tangent_from_quaternion
+from doo_ti.rod.types import Clamps, Configuration, Material
+from doo_ti.system.errors import InputError
 
 UNEVEN = 1e3
 """Of the largest stiffness of a rod to its smallest, above which it is relaxed with evener ones first (:func:`evened`)."""

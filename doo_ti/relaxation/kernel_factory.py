@@ -5,9 +5,9 @@ from collections.abc import Callable
 
 import taichi as ti
 
-from doo_ti import runtime
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import record
+from doo_ti.system import runtime
 
 TABLE1, TABLE2, TABLE3, TABLE4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))
 INDEX1, INDEX2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))

@@ -10,10 +10,7 @@ from functools import cache
 
 import taichi as ti
 
-from doo_ti import runtime
-from doo_ti.arguments import typed
 from doo_ti.contact.gap_tolerance import require_gap_tolerance
-from doo_ti.errors import InputError, require_number, require_whole
 from doo_ti.physics.number import Number
 from doo_ti.relaxation.contacts import Contacts
 from doo_ti.relaxation.dense_elimination import DenseElimination
@@ -32,6 +29,9 @@ from doo_ti.relaxation.kernel_factory import (
 from doo_ti.relaxation.loaded_elimination import LoadedElimination
 from doo_ti.relaxation.newton_loop import NewtonLoop
 from doo_ti.relaxation.self_contacts import SelfContacts
+from doo_ti.system import runtime
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError, require_number, require_whole
 
 MOST_IN_CONTACT = 1000
 """Iterations allowed per rod where no solver is given and rods may touch something: on a slope they slide far."""

@@ -11,7 +11,7 @@ from doo_ti.relaxation.contact_layout import (
     WALL,
 )
 from doo_ti.relaxation.elimination import Elimination
-from doo_ti.types import Status
+from doo_ti.rod.types import Status
 
 
 @ti.data_oriented

@@ -13,11 +13,8 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti import runtime
-from doo_ti.arguments import typed
 from doo_ti.contact.obstacles import Obstacle, Ring
 from doo_ti.contact.surroundings import Surroundings, obstacle_list
-from doo_ti.errors import InputError
 from doo_ti.relaxation import batch
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.clear_start import move_out
@@ -27,7 +24,10 @@ from doo_ti.relaxation.input_tables import RATIOS, evened, tables, under
 from doo_ti.relaxation.newton import MOST_IN_CONTACT, Newton
 from doo_ti.relaxation.self_approach import approach_in_relaxation, stays_in_order
 from doo_ti.relaxation.tables import Tables
-from doo_ti.types import Clamps, Configuration, Material, Solution, Status, unit_up
+from doo_ti.rod.types import Clamps, Configuration, Material, Solution, Status, unit_up
+from doo_ti.system import runtime
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError
 
 # Plain integers: NumPy compares them ten times faster than members of an enumeration.
 CONVERGED, STALLED, LIMIT, INFEASIBLE = (

@@ -22,7 +22,6 @@ from functools import cache
 import numpy as np
 import taichi as ti
 
-from doo_ti import runtime
 from doo_ti.contact.itself import LEAST_ARC
 from doo_ti.physics.algebra import largest_of
 from doo_ti.physics.angle import passed_half_turn, turned_about_own_tangent
@@ -35,6 +34,7 @@ from doo_ti.relaxation.batch import layout_for, scratch_for
 from doo_ti.relaxation.closest_approach import ENOUGH, WAY, ClosestApproach, least_distance
 from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, SCRATCH, TABLE1, loop_kernel
 from doo_ti.relaxation.tables import Tables
+from doo_ti.system import runtime
 
 APART, TOUCHING, TURNED = 0, 1, 2
 """Flags: a rod stays apart from itself, may touch itself, or does not but its link changes."""

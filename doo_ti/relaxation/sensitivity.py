@@ -33,17 +33,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti import runtime
-from doo_ti.arguments import typed
 from doo_ti.contact.itself import smallest_self_gap
-from doo_ti.errors import InputError, require_whole
-from doo_ti.frames import matrix_from_quaternion, smallest_rotation
 from doo_ti.relaxation import parameter_gradient as change
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.end_loads import EndLoads, own_tables
 from doo_ti.relaxation.sensitivity_kernel import run_sensitivity
-from doo_ti.short_repr import short_repr
-from doo_ti.types import Configuration, Solution
+from doo_ti.rod.frames import matrix_from_quaternion, smallest_rotation
+from doo_ti.rod.types import Configuration, Solution
+from doo_ti.system import runtime
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError, require_whole
+from doo_ti.system.short_repr import short_repr
 
 CURVATURES = ("rest_curvature", "rest_curvature_per_joint", "modes")
 GRIPPERS = ("start_shift", "start_turn", "end_shift", "end_turn")

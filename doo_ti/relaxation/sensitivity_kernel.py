@@ -6,7 +6,6 @@ from functools import cache
 import numpy as np
 import taichi as ti
 
-from doo_ti import runtime
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import against, forward, negated, plus, record, repeated, symmetric_gram, variable
 from doo_ti.relaxation import tables as of
@@ -21,7 +20,8 @@ from doo_ti.relaxation.newton import OBSTACLES
 from doo_ti.relaxation.parameter_gradient import DIRECTION_COLUMNS, KEPT
 from doo_ti.relaxation.sensitivity_columns import LOADS, SensitivityColumns
 from doo_ti.relaxation.tables import Tables
-from doo_ti.types import Solution
+from doo_ti.rod.types import Solution
+from doo_ti.system import runtime
 
 MOST_THREADS_ON_A_GPU = 4096
 

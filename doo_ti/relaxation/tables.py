@@ -12,7 +12,7 @@ from threading import Lock
 import numpy as np
 
 from doo_ti.relaxation.external import External
-from doo_ti.types import Clamp
+from doo_ti.rod.types import Clamp
 
 # As plain numbers, which NumPy compares ten times faster than members of an enumeration.
 FREE, POSITION, TANGENT, FRAME = (int(kind) for kind in Clamp)

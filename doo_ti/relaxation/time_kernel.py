@@ -4,7 +4,6 @@ from functools import cache
 
 import taichi as ti
 
-from doo_ti import runtime
 from doo_ti.physics.number import Number
 from doo_ti.relaxation.contacts import Contacts
 from doo_ti.relaxation.dense_elimination import DenseElimination
@@ -16,6 +15,7 @@ from doo_ti.relaxation.time_loop import TimeLoop
 from doo_ti.relaxation.time_slope_loop import TimeSlopeLoop
 from doo_ti.relaxation.time_slopes import TimeSlopes
 from doo_ti.relaxation.time_sweep import TimeSweep
+from doo_ti.system import runtime
 
 
 class DenseTimeSweep(DenseElimination, TimeImpact):

@@ -2,7 +2,6 @@
 
 import taichi as ti
 
-from doo_ti.physical_units import STANDARD_GRAVITY
 from doo_ti.physics.tuples import choose, chosen, plus, put_lane, repeated, scaled
 from doo_ti.physics.view import exact
 from doo_ti.relaxation import tables as of
@@ -13,6 +12,7 @@ from doo_ti.relaxation.newton_policy import TOLERANCE
 from doo_ti.relaxation.time_loading import MotionLoading
 from doo_ti.relaxation.time_reach import BOWED
 from doo_ti.relaxation.time_sweep import LEAST_WAY, RATE, STEP, WATCHED, TimeSweep
+from doo_ti.rod.physical_units import STANDARD_GRAVITY
 
 # Columns of the outcome of a frame: the status, iterations of all its steps and the largest residual, and the force of the far
 # clamp at its end; the work that friction has done since the motion began; and where that is noted one if the rod's link has

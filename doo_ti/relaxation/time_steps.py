@@ -5,9 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti import runtime
 from doo_ti.contact.gap_tolerance import GAP_TOLERANCE, GAP_TOLERANCE_IN_MOTION
-from doo_ti.frames import quaternion_product
 from doo_ti.physics.number import Number
 from doo_ti.relaxation import newton
 from doo_ti.relaxation import tables as of
@@ -19,7 +17,9 @@ from doo_ti.relaxation.time_kernel import time_contact_kernel, time_kernel, time
 from doo_ti.relaxation.time_layout import PLACE_2
 from doo_ti.relaxation.time_loop import OUTCOMES, STATE
 from doo_ti.relaxation.time_slopes import CURVATURE_1, CURVATURE_2, REMEMBERED, slope_items
-from doo_ti.types import Status
+from doo_ti.rod.frames import quaternion_product
+from doo_ti.rod.types import Status
+from doo_ti.system import runtime
 
 
 @dataclass

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.io.files import write_whole
 from doo_ti.report.extent import box, widest
+from doo_ti.system.files import write_whole
 
 PICTURE_INCHES, PICTURE_DPI = (8.0, 6.0), 200
 """1600 × 1200 pixels."""

@@ -8,10 +8,10 @@ from typing import Annotated
 
 import numpy as np
 
-from doo_ti.arguments import typed
-from doo_ti.io.observations import Observations
 from doo_ti.report.extent import box, deviations, widest
-from doo_ti.short_repr import short_repr
+from doo_ti.rod.observations import Observations
+from doo_ti.system.arguments import typed
+from doo_ti.system.short_repr import short_repr
 
 FLAT = 3.0
 """Of what is seen from above: the depth of a view from the side over its height."""

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.io.files import write_whole
 from doo_ti.report.canvas import fit_titles, limits_around, literal, new_figure, save_figure
 from doo_ti.report.extent import deviations
 from doo_ti.report.grid_view import facing, upright_basis
 from doo_ti.report.touched import Touched
+from doo_ti.system.files import write_whole
 
 MOST_RODS = 6
 """In a picture, those of the largest, the median and the smallest errors."""

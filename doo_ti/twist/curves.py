@@ -12,18 +12,18 @@ from typing import Annotated
 
 import numpy as np
 
-from doo_ti.arguments import typed
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.errors import InputError, require_whole
-from doo_ti.frames import angle_about, matrix_from_quaternion, smallest_rotation
 from doo_ti.io.arrays import frame_columns, read_arrays
-from doo_ti.io.observations import Observations
-from doo_ti.metric import distance
 from doo_ti.relaxation.contact_table import require_clear
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.start import observation_clamps, start_configuration
-from doo_ti.types import Clamp, Clamps, Configuration, Material
+from doo_ti.rod.frames import angle_about, matrix_from_quaternion, smallest_rotation
+from doo_ti.rod.metric import distance
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.start import observation_clamps, start_configuration
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError, require_whole
 
 MOST_OBSERVATIONS = 10_000_000
 RODS_AT_ONCE = 1 << 15

@@ -19,15 +19,15 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.arguments import typed
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.errors import InputError
-from doo_ti.io.observations import Observations
-from doo_ti.plausible import doubt_angle
 from doo_ti.relaxation.newton import Newton
-from doo_ti.short_repr import short_repr
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.plausible import doubt_angle
+from doo_ti.rod.types import Material
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError
+from doo_ti.system.short_repr import short_repr
 from doo_ti.twist.curves import TwistCurves
-from doo_ti.types import Material
 
 
 class TwistVerdict(IntEnum):

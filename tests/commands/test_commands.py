@@ -13,12 +13,13 @@ import pyarrow.parquet
 import pytest
 
 from doo_ti.cli import main
-from doo_ti.errors import InterruptedRunError
-from doo_ti.frames import bishop_frames
-from doo_ti.grid import Grid
-from doo_ti.io.observations import Observations, load_observations, save_observations
+from doo_ti.io.observation_files import load_observations, save_observations
 from doo_ti.learning.landscape import gather_overview
-from doo_ti.types import Clamp, Status
+from doo_ti.rod.frames import bishop_frames
+from doo_ti.rod.grid import Grid
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.types import Clamp, Status
+from doo_ti.system.errors import InterruptedRunError
 from tests.commands.test_bad_input import MATERIAL, npz_bytes
 
 SCENE = """
@@ -185,7 +186,7 @@ def test_synth_writes_what_the_lab_makes(capsys, tmp_path, monkeypatch):
         asked.append(recipe)
         return load_observations(tmp_path / "good.npz")
 
-    monkeypatch.setitem(sys.modules, "doo_ti.synthesis", types.SimpleNamespace(synthesise=synthesise))
+    monkeypatch.setitem(sys.modules, "doo_ti.lab.synthesis", types.SimpleNamespace(synthesise=synthesise))
     lab = "[synthesis]\nbend = 1e5\ntwist = 1e5\nseed = 4\n[grid]\nbend = 1e5\n"
     (tmp_path / "lab.toml").write_text(lab)
     assert main(["synth", str(tmp_path / "lab.toml"), "--out", str(tmp_path / "x.parquet")]) == 0
@@ -274,7 +275,7 @@ def test_a_command_that_is_stopped_says_whether_it_starts_from_the_beginning(cap
 
 
 def test_relax_writes_every_key(capsys, tmp_path):
-    pytest.importorskip("doo_ti.metric", reason="Eq. 1 is not there yet")
+    pytest.importorskip("doo_ti.rod.metric", reason="Eq. 1 is not there yet")
     npz_bytes(tmp_path)
     out = tmp_path / "new" / "F.npz"
     argv = ["relax", str(tmp_path / "good.npz"), *MATERIAL, "--out", str(out)]
@@ -297,7 +298,7 @@ def test_relax_writes_every_key(capsys, tmp_path):
 
 @pytest.mark.thorough
 def test_machines_get_nothing_but_json(tmp_path):
-    pytest.importorskip("doo_ti.metric", reason="Eq. 1 is not there yet")
+    pytest.importorskip("doo_ti.rod.metric", reason="Eq. 1 is not there yet")
     npz_bytes(tmp_path)
     argv = [sys.executable, "-m", "doo_ti", "relax", str(tmp_path / "good.npz"), *MATERIAL, "--json", "--out",
             str(tmp_path / "F.npz")]
@@ -307,7 +308,7 @@ def test_machines_get_nothing_but_json(tmp_path):
 
 
 def test_relax_picks_the_turn_that_was_seen(tmp_path):
-    pytest.importorskip("doo_ti.metric", reason="Eq. 1 is not there yet")
+    pytest.importorskip("doo_ti.rod.metric", reason="Eq. 1 is not there yet")
     npz_bytes(tmp_path)
     known = load_observations(tmp_path / "good.npz")
     keys = {"vertices_mm": known.vertices, "rest_length_mm": known.rest_length, "start_frame": known.start_frame,

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from doo_ti.cli import main
-from doo_ti.grid import Axis, Grid
 from doo_ti.io.scene import Synthesis
+from doo_ti.lab.synthesis import synthesise
 from doo_ti.learning.landscape import read_landscape
 from doo_ti.learning.summary import SEAL
 from doo_ti.learning.sweeps import SweepOptions, sweep
-from doo_ti.synthesis import synthesise
+from doo_ti.rod.grid import Axis, Grid
 from tests.record.recordings import read
 
 BENDS = np.geomspace(1e5, 4e6, 4)

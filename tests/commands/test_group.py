@@ -7,7 +7,7 @@ import pytest
 
 from doo_ti.cli import main
 from doo_ti.groups.follow import follow_group
-from doo_ti.types import Status
+from doo_ti.rod.types import Status
 
 SCENE = """
 name = "two rods"

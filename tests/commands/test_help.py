@@ -73,7 +73,7 @@ def defaults() -> dict[tuple[str, str], float]:
     from doo_ti.manipulation.plan import PlanOptions
     from doo_ti.motion.path import LARGEST_TURN
     from doo_ti.perception.search import PerceptionOptions
-    from doo_ti.types import Material
+    from doo_ti.rod.types import Material
 
     found = {("simulate", "--most-substeps"): Stepping.most_substeps, ("simulate", "--substeps"): Stepping.substeps,
              ("predict", "--substeps"): moving_rods.SUBSTEPS,

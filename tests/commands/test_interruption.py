@@ -13,7 +13,7 @@ from urllib.request import urlopen
 
 import pytest
 
-from doo_ti import interruption
+from doo_ti.system import interruption
 
 ROOT = Path(__file__).resolve().parents[2]
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="sends signals as a terminal does")
@@ -34,7 +34,7 @@ print("lost")
 """
 SWALLOWED = """
 import os, signal, sys, time
-from doo_ti import interruption
+from doo_ti.system import interruption
 
 interruption.while_running(True)
 
@@ -125,7 +125,7 @@ def test_a_served_viewer_ends_with_its_command(tmp_path, number):
 
 
 def test_under_nohup_the_end_of_the_terminal_is_ignored(tmp_path):
-    script = ("import os, signal, time\nfrom doo_ti import interruption\nsignal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
+    script = ("import os, signal, time\nfrom doo_ti.system import interruption\nsignal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
               "interruption.while_running(True)\nos.kill(os.getpid(), signal.SIGHUP)\ntime.sleep(0.05)\nprint('goes on')")
     assert run_script(script, tmp_path).stdout == "goes on\n"
 
@@ -145,7 +145,7 @@ def answers(port: int, seconds: float = 20.0) -> bool:
 @pytest.mark.thorough
 def test_a_terminals_signal_to_workers_too(tmp_path):
     """It goes to all processes of the command: only the first prints a message."""
-    from doo_ti.io.observations import save_observations
+    from doo_ti.io.observation_files import save_observations
     from tests.learning.lab import small_lab
 
     save_observations(tmp_path / "o.npz", small_lab())

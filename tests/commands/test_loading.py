@@ -7,7 +7,7 @@ import pytest
 
 from doo_ti.cli import main
 from doo_ti.commands.results import hypotheses_lines
-from doo_ti.io.observations import load_observations
+from doo_ti.io.observation_files import load_observations
 from tests.io.test_formats import CABLE, MARKS, motive, table
 
 

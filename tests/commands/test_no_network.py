@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from doo_ti.cli import main
-from doo_ti.io.observations import save_observations
+from doo_ti.io.observation_files import save_observations
 from tests.commands.test_calibrate import TEXT, pictures  # noqa: F401  a fixture
 from tests.commands.test_triangulate import prepared, rows_of
 from tests.io.rods import wavy_vertices

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from doo_ti.cli import main
-from doo_ti.io.observations import save_observations
+from doo_ti.io.observation_files import save_observations
 from tests.commands.test_bad_input import refused
 from tests.learning.lab import small_lab
 

@@ -10,11 +10,12 @@ import pytest
 from doo_ti.cli import main
 from doo_ti.commands.results import plain
 from doo_ti.dynamics.theta import MotionTheta, load_theta, save_form
-from doo_ti.frames import quaternion_from_matrix
-from doo_ti.io.observations import Observations, load_observations, save_observations
+from doo_ti.io.observation_files import load_observations, save_observations
 from doo_ti.relaxation.relax import relax
-from doo_ti.start import observation_clamps, start_configuration
-from doo_ti.types import Material
+from doo_ti.rod.frames import quaternion_from_matrix
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.start import observation_clamps, start_configuration
+from doo_ti.rod.types import Material
 from tests.references.rods import chain, clamps_at, stacked
 
 MATERIAL = ["--bend", "6e5", "--twist", "1e5"]

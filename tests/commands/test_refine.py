@@ -9,7 +9,7 @@ import pytest
 
 from doo_ti import Material, Observations, relax, save_observations
 from doo_ti.cli import main
-from doo_ti.io.observations import load_observations
+from doo_ti.io.observation_files import load_observations
 from tests.references.rods import chain, clamps_at, stacked
 from tests.relaxation.rods import wandering
 

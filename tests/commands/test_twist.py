@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from doo_ti.cli import main
-from doo_ti.io.observations import Observations, save_observations
+from doo_ti.io.observation_files import save_observations
 from doo_ti.prediction.predict import total_twist
 from doo_ti.relaxation.relax import relax
-from doo_ti.types import Material
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.types import Material
 from tests.references.rods import chain, clamps_at, stacked
 
 MATERIAL = ["--bend", "6e5", "--twist", "4e5"]

@@ -4,7 +4,7 @@ import numpy as np
 
 from doo_ti.contact.obstacles import Box, Capsule, Cylinder, Plane, Ring, Sphere
 from doo_ti.relaxation.relax import relax
-from doo_ti.types import Clamp, Clamps, Configuration, Material
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
 
 LENGTH, EDGES, RADIUS = 100.0, 33, 0.5
 

@@ -4,8 +4,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
 
-from doo_ti.frames import across, bishop_frames, quaternion_from_matrix
-from doo_ti.types import Configuration
+from doo_ti.rod.frames import across, bishop_frames, quaternion_from_matrix
+from doo_ti.rod.types import Configuration
 
 ANGLE, CURVATURE, X, Z = range(4)
 

@@ -9,8 +9,8 @@ from doo_ti.contact.obstacles import Box, Capsule, Plane, Sphere
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.dynamics.simulate import simulate
-from doo_ti.frames import across, bishop_frames, quaternion_from_matrix
-from doo_ti.types import Clamp, Configuration, Material
+from doo_ti.rod.frames import across, bishop_frames, quaternion_from_matrix
+from doo_ti.rod.types import Clamp, Configuration, Material
 from tests.references.rods import clamps_at
 
 EDGES, FRAMES = 15, 100

@@ -8,7 +8,7 @@ from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.dynamics.simulate import simulate
 from doo_ti.relaxation.relax import relax
-from doo_ti.types import Clamp, Clamps, Configuration, Material
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
 from tests.contact.elastica import along, solved
 
 SLOPE, LENGTH, RADIUS, EDGES = np.deg2rad(20.0), 200.0, 2.0, 50

@@ -18,7 +18,7 @@ from doo_ti import (
     rod_along,
 )
 from doo_ti.io.motion_file import ClampPath
-from doo_ti.types import Solution, Status
+from doo_ti.rod.types import Solution, Status
 from tools.bench import contact as pegs
 from tools.bench.contact import Specimens
 

@@ -33,10 +33,10 @@ from doo_ti.contact.obstacles import Box
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.identify import IdentifyOptions
 from doo_ti.dynamics.obstacle_path import obstacle_path
-from doo_ti.errors import InputError
-from doo_ti.frames import matrix_from_quaternion, quaternion_of_turn
 from doo_ti.io.motion_file import ClampPath
 from doo_ti.relaxation.obstacle_motion import POSE_COLUMNS
+from doo_ti.rod.frames import matrix_from_quaternion, quaternion_of_turn
+from doo_ti.system.errors import InputError
 
 FLOOR = Plane((0, 0, -10), (0, 0, 1))
 MATERIAL = Material(1e5, 1e5)

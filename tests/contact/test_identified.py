@@ -18,10 +18,10 @@ from doo_ti.dynamics.rollouts import Nearby
 from doo_ti.dynamics.simulate import simulate
 from doo_ti.dynamics.stills import Stills
 from doo_ti.dynamics.theta import MotionTheta, Unknowns, load_theta, save_form, simulated
-from doo_ti.errors import InputError
-from doo_ti.frames import bishop_frames, quaternion_from_matrix, rotation_matrix
-from doo_ti.io.observations import Observations
-from doo_ti.types import Clamp, Configuration
+from doo_ti.rod.frames import bishop_frames, quaternion_from_matrix, rotation_matrix
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.types import Clamp, Configuration
+from doo_ti.system.errors import InputError
 
 RATE, COUNT, FRAMES, SETTLING = 100.0, 6, 150, 60
 RADIUS, HEIGHT, EDGE, EDGES = 4.0, 12.0, 40.0, 12  # mm

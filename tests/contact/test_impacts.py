@@ -7,7 +7,7 @@ from doo_ti.contact.obstacles import Plane
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.dynamics.simulate import simulate
-from doo_ti.types import Clamp, Configuration, Material
+from doo_ti.rod.types import Clamp, Configuration, Material
 from tests.contact.impacts import SCENES, moved
 from tests.references.rods import clamps_at
 

@@ -14,14 +14,14 @@ from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.dynamics.scene import load_dynamic_scene
 from doo_ti.dynamics.simulate import simulate
-from doo_ti.errors import InputError
-from doo_ti.frames import rotation_matrix
 from doo_ti.io.motion_file import ClampPath
-from doo_ti.material import Material
 from doo_ti.prediction.moving import predict_moving
 from doo_ti.relaxation.relax import relax
-from doo_ti.rods import hanging, straight_rod
-from doo_ti.types import Clamp
+from doo_ti.rod.frames import rotation_matrix
+from doo_ti.rod.material import Material
+from doo_ti.rod.straight import hanging, straight_rod
+from doo_ti.rod.types import Clamp
+from doo_ti.system.errors import InputError
 
 RADIUS, INSTANTS = 2.0, 21
 TIME = np.linspace(0.0, 1.0, INSTANTS)

@@ -5,8 +5,8 @@ import pytest
 
 from doo_ti import Clamp, Clamps, Configuration, Itself, Material, relax
 from doo_ti.contact.itself import smallest_self_gap
-from doo_ti.frames import matrix_from_quaternion, quaternion_of_turn, quaternion_product, vertices_from_quaternions
 from doo_ti.relaxation.self_approach import approach_in_motion, approach_in_relaxation, stays_in_order
+from doo_ti.rod.frames import matrix_from_quaternion, quaternion_of_turn, quaternion_product, vertices_from_quaternions
 
 COUNT, INSTANTS = 64, 80
 

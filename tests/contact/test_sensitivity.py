@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from doo_ti import Clamp, Configuration, Itself, Material, Newton, Plane, Sphere, end_clamps, end_loads, overhand_knot, relax
-from doo_ti.frames import rotation_matrix
 from doo_ti.relaxation.sensitivity import sensitivity, tilt_axes
+from doo_ti.rod.frames import rotation_matrix
 from tests.contact.clutter import OBSTACLES, RADIUS, sagging
 from tests.references.rods import clamps_at
 from tests.relaxation.rods import with_kinds

@@ -8,7 +8,7 @@ from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.dynamics.simulate import simulate
 from doo_ti.relaxation.relax import relax
-from doo_ti.types import Clamp, Configuration, Material
+from doo_ti.rod.types import Clamp, Configuration, Material
 
 LENGTH, EDGES, RADIUS, FRAMES, PUSH = 300.0, 40, 1.0, 4, 4.0  # mm
 

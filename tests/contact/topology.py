@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from doo_ti.frames import total_twist
+from doo_ti.rod.frames import total_twist
 
 FAR = 50.0
 """Rod lengths to the points by which a rod is closed."""

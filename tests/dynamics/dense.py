@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.types import Clamp, Clamps, Configuration
+from doo_ti.rod.types import Clamp, Clamps, Configuration
 from tests.oracle.algebra import body_rotated
 from tests.oracle.chain_form import Rod, chain_derivatives, closure_gradient, linear_derivatives
 from tests.oracle.equilibrium import State, clamped_start, free_variables, moved, vertices_of

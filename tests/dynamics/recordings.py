@@ -7,8 +7,8 @@ from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Stepping
 from doo_ti.dynamics.simulate import simulate
 from doo_ti.dynamics.theta import MotionTheta, simulated
-from doo_ti.frames import edge_frames
-from doo_ti.types import Clamp
+from doo_ti.rod.frames import edge_frames
+from doo_ti.rod.types import Clamp
 from tests.references.rods import chain, stacked
 
 RATE = 100.0

@@ -5,7 +5,7 @@ import pytest
 
 from doo_ti.dynamics.layout import LARGEST_REACH, lay_out
 from doo_ti.dynamics.recorded import FINE, GRIPPED, LOST, SWAPPED, RecordedMotion, elapsed_steps
-from doo_ti.errors import InputError
+from doo_ti.system.errors import InputError
 from tests.dynamics.recordings import RATE, carried
 
 REFERENCE = np.array([0.0, 0.0, 1.0])

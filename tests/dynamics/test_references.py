@@ -11,7 +11,7 @@ from doo_ti.dynamics.simulate import simulate
 from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.types import Clamp, Configuration, Material
+from doo_ti.rod.types import Clamp, Configuration, Material
 from tests.dynamics.motions import (
     GRAVITY,
     MASS_PER_LENGTH,

@@ -9,8 +9,8 @@ from doo_ti.dynamics.identify import identify
 from doo_ti.dynamics.recorded import RecordedMotion
 from doo_ti.dynamics.stills import Stills
 from doo_ti.dynamics.theta import Unknowns
-from doo_ti.errors import InputError
-from doo_ti.io.observations import Observations
+from doo_ti.rod.observations import Observations
+from doo_ti.system.errors import InputError
 from tests.dynamics.recordings import RATE
 from tests.dynamics.test_identify import GUESS, OPTIONS, TRUE, rolled_out
 from tests.references.rods import chain, stacked

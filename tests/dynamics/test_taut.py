@@ -10,7 +10,7 @@ from doo_ti.dynamics.simulate import simulate
 from doo_ti.io.motion_file import ClampPath
 from doo_ti.prediction.moving import predict_moving
 from doo_ti.relaxation.relax import relax
-from doo_ti.types import Clamp, Configuration, Material, Status
+from doo_ti.rod.types import Clamp, Configuration, Material, Status
 from tests.references.rods import clamps_at
 
 LENGTH, EDGES = 300.0, 30

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from doo_ti.groups.group import Group
-from doo_ti.types import Clamp
+from doo_ti.rod.types import Clamp
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import State, clamped_start, free_variables, moved, vertices_of
 from tests.oracle.external import Springs, total_derivatives, vertex_jacobian

@@ -11,11 +11,11 @@ from doo_ti.contact.touch import Touch
 from doo_ti.groups.follow import follow_group
 from doo_ti.groups.group import Group, Tie
 from doo_ti.groups.relax_group import relax_group
-from doo_ti.knots import rod_along
-from doo_ti.material import Material
 from doo_ti.relaxation.newton import Newton
-from doo_ti.rods import end_clamps, straight_rod
-from doo_ti.types import Clamp, Configuration, Status
+from doo_ti.rod.knots import rod_along
+from doo_ti.rod.material import Material
+from doo_ti.rod.straight import end_clamps, straight_rod
+from doo_ti.rod.types import Clamp, Configuration, Status
 from tests.contact.topology import linking
 from tests.oracle.chain_form import chain_energy, rod_of
 

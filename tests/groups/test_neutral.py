@@ -10,8 +10,8 @@ from doo_ti.groups.group import Group, Tie
 from doo_ti.groups.relax_group import relax_group
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.rods import end_clamps, hanging, straight_rod
-from doo_ti.types import Clamp, Material, Status
+from doo_ti.rod.straight import end_clamps, hanging, straight_rod
+from doo_ti.rod.types import Clamp, Material, Status
 
 FREE = (Clamp.FREE, Clamp.FREE)
 MOST = 60

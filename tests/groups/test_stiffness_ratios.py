@@ -7,10 +7,10 @@ from scipy.spatial.transform import Rotation
 
 from doo_ti.groups.group import Group, Tie
 from doo_ti.groups.relax_group import relax_group
-from doo_ti.material import Material
 from doo_ti.relaxation.relax import relax
-from doo_ti.rods import end_clamps, straight_rod
-from doo_ti.types import Clamp, Clamps, Status
+from doo_ti.rod.material import Material
+from doo_ti.rod.straight import end_clamps, straight_rod
+from doo_ti.rod.types import Clamp, Clamps, Status
 from tests.groups.scaled_reference import nearest_equilibrium
 
 EDGES, LENGTH, SOFT, POSES = 12, 120.0, 1e6, 6

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from doo_ti.frames import bishop_frames, matrix_from_quaternion, quaternion_about
+from doo_ti.rod.frames import bishop_frames, matrix_from_quaternion, quaternion_about
 
 
 def wavy_vertices(rng: np.random.Generator, count: int = 3, marks: int = 9) -> np.ndarray:

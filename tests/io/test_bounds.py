@@ -12,15 +12,15 @@ import pyarrow.parquet
 import pytest
 
 from doo_ti.commands.refine import read_groups
-from doo_ti.errors import InputError
 from doo_ti.io import arrays
 from doo_ti.io.arrays import read_arrays
-from doo_ti.io.files import read_content
 from doo_ti.io.marks import read_labels
 from doo_ti.io.motion_scene import load_motion_scene
-from doo_ti.io.observations import load_observations, save_observations
+from doo_ti.io.observation_files import load_observations, save_observations
 from doo_ti.io.scene import load_scene
 from doo_ti.learning.pairs import load_pairs
+from doo_ti.system.errors import InputError
+from doo_ti.system.files import read_content
 from doo_ti.vision.cameras.rig import load_rig
 from doo_ti.vision.cameras.views import read_views
 from doo_ti.vision.detection.image_size import stated_size

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from doo_ti.commands.rest_length import read_rest_length
-from doo_ti.errors import InputError
 from doo_ti.io.csv_table import parse_csv, read_csv
+from doo_ti.system.errors import InputError
 
 
 def test_cells_are_read_as_written(tmp_path):

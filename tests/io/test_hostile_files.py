@@ -20,7 +20,7 @@ import pyarrow.parquet
 import pytest
 
 from doo_ti import Observations
-from doo_ti.errors import InputError
+from doo_ti.system.errors import InputError
 from tests.io.test_formats import CABLE, MARKS, motive, nexus, table, usda
 
 resource = pytest.importorskip("resource", reason="the memory of a process is limited on Unix only")
@@ -198,7 +198,7 @@ def readers() -> dict[str, list]:
     from doo_ti.io.motion_file import load_path
     from doo_ti.io.motion_recording import read_recording
     from doo_ti.io.motion_scene import load_motion_scene
-    from doo_ti.io.observations import load_observations
+    from doo_ti.io.observation_files import load_observations
     from doo_ti.io.pickled_arrays import read_pickled_array
     from doo_ti.io.scene import load_scene
     from doo_ti.learning.chunks import read_columns

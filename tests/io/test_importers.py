@@ -6,8 +6,9 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 
-from doo_ti.errors import InputError
-from doo_ti.io.observations import Observations, load_observations, save_observations
+from doo_ti.io.observation_files import load_observations, save_observations
+from doo_ti.rod.observations import Observations
+from doo_ti.system.errors import InputError
 from tests.io.rods import wavy_vertices
 from tests.io.test_observations import LAB, full_keys, same
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from doo_ti.dynamics.scene import load_dynamic_scene
-from doo_ti.errors import InputError
 from doo_ti.groups.scene import load_group_scene
 from doo_ti.io.motion_scene import load_motion_scene
-from doo_ti.physical_units import STANDARD_GRAVITY
+from doo_ti.rod.physical_units import STANDARD_GRAVITY
+from doo_ti.system.errors import InputError
 
 EI, GJ, DENSITY = 2e-5, 1.5e-5, 4.0
 WEIGHT = 1e-3 * DENSITY * STANDARD_GRAVITY

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from doo_ti.errors import InputError
 from doo_ti.io.motion_file import ClampPath, load_path, path_of_marks
-from doo_ti.types import Clamp, Clamps
+from doo_ti.rod.types import Clamp, Clamps
+from doo_ti.system.errors import InputError
 
 QUARTER = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
 

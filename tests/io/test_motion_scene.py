@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doo_ti.errors import InputError
 from doo_ti.io.motion_scene import load_motion_scene
 from doo_ti.prediction.predict import predict
+from doo_ti.system.errors import InputError
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes" / "motion"
 GOOD = """

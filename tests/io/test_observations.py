@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti.errors import InputError
-from doo_ti.io.observations import KEYS, Observations, load_observations, save_observations
+from doo_ti.io.observation_files import load_observations, save_observations
+from doo_ti.rod.observations import KEYS, Observations
+from doo_ti.system.errors import InputError
 from tests.io.rods import twisted_frames, wavy_vertices
 
 LAB = ("nylon", "vicryl", "silk", "ribbon")

@@ -6,9 +6,9 @@ import pickle
 import numpy as np
 import pytest
 
-from doo_ti.errors import InputError
 from doo_ti.io.cable_recordings import read_recordings
 from doo_ti.io.pickled_arrays import ALLOWED, read_pickled_array
+from doo_ti.system.errors import InputError
 
 FRAMES = np.arange(5 * 3 * 4, dtype=np.float64).reshape(5, 3, 4) / 100
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pyarrow.csv
 
-from doo_ti.io.observations import load_observations
+from doo_ti.io.observation_files import load_observations
 from doo_ti.io.rod_table import write_rod_table
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from doo_ti.errors import InputError
-from doo_ti.io.observations import load_observations
+from doo_ti.io.observation_files import load_observations
+from doo_ti.system.errors import InputError
 
 SCENE = """#usda 1.0
 (

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from doo_ti.io.files import whole_file, write_whole
+from doo_ti.system.files import whole_file, write_whole
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -51,7 +51,7 @@ def test_a_link_of_the_files_name_is_replaced_and_not_followed(tmp_path):
 def test_what_a_killed_process_left_goes_and_what_another_fills_stays(tmp_path):
     path, beside = tmp_path / "F[1].npz", tmp_path / ".F2.npz.00.part"
     beside.write_bytes(b"another file's")
-    script = ("import os, pathlib, sys; from doo_ti.io.files import whole_file\n"
+    script = ("import os, pathlib, sys; from doo_ti.system.files import whole_file\n"
               "with whole_file(pathlib.Path(sys.argv[1])) as file: os.kill(os.getpid(), 9)")
     subprocess.run([sys.executable, "-c", script, str(path)], env={**os.environ, "PYTHONPATH": str(ROOT)})
     assert len(list(tmp_path.iterdir())) == 2

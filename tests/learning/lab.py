@@ -6,12 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.grid import Axis, Grid
-from doo_ti.io.observations import Observations, load_observations
+from doo_ti.io.observation_files import load_observations
 from doo_ti.io.scene import Synthesis
+from doo_ti.lab.synthesis import synthesise
 from doo_ti.learning.experiment import Experiment, SweepOptions
-from doo_ti.synthesis import synthesise
-from doo_ti.types import Material
+from doo_ti.rod.grid import Axis, Grid
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.types import Material
 
 GRID = Grid((Axis("bend", [2e5, 4e5, 8e5, 1.6e6]), Axis("twist_ratio", [0.5, 1.0, 2.0])))
 DYNAMIC = SweepOptions(objective="dynamic")

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.grid import Axis, Grid
 from doo_ti.learning.landscape import Landscape
-from doo_ti.types import Status
+from doo_ti.rod.grid import Axis, Grid
+from doo_ti.rod.types import Status
 
 
 def grid_of(cells: int) -> Grid:

@@ -11,7 +11,7 @@ import pytest
 from doo_ti.learning import cross_validation
 from doo_ti.learning.cross_validation import chosen_cells, cross_validate
 from doo_ti.learning.partition import Part, Partition
-from doo_ti.types import Status
+from doo_ti.rod.types import Status
 from tests.learning.landscapes import dynamic, static
 
 PAIRS = list(product(range(5), repeat=2))

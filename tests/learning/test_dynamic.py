@@ -7,7 +7,6 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 
-from doo_ti.errors import InputError
 from doo_ti.learning import sweeps
 from doo_ti.learning.cells import relax_cells
 from doo_ti.learning.experiment import Experiment, SweepOptions
@@ -15,11 +14,12 @@ from doo_ti.learning.landscape import read_landscape
 from doo_ti.learning.pairs import Pairs, pairs_from_labels
 from doo_ti.learning.run_folder import read_experiment
 from doo_ti.learning.sweeps import sweep
-from doo_ti.metric import distance
 from doo_ti.motion.path import carried_clamps, carry
 from doo_ti.relaxation.relax import relax
-from doo_ti.start import observation_clamps, start_configuration
-from doo_ti.types import Material
+from doo_ti.rod.metric import distance
+from doo_ti.rod.start import observation_clamps, start_configuration
+from doo_ti.rod.types import Material
+from doo_ti.system.errors import InputError
 from tests.learning.lab import DYNAMIC, GRID, small_lab
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doo_ti.errors import InputError
 from doo_ti.learning.partition import partition, usual_factors
+from doo_ti.system.errors import InputError
 from tests.learning.landscapes import dynamic, grid_of, static
 
 LABELS = np.tile([54.0, 30.0, 78.0], 4)

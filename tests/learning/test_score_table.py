@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti.grid import Axis, Grid
 from doo_ti.learning.cross_validation import cross_validate
 from doo_ti.learning.partition import partition
 from doo_ti.learning.score_table import LISTED, caption, comma_separated, entries, file_stem, markdown, notes, text
+from doo_ti.rod.grid import Axis, Grid
 from tests.learning.landscapes import static
 
 LABELS = np.repeat([30.0, 54.0], 4)

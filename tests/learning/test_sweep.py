@@ -7,13 +7,13 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 
-from doo_ti.errors import InputError, InterruptedRunError
-from doo_ti.grid import Axis, Grid
-from doo_ti.io.observations import Observations
 from doo_ti.learning import sweeps
 from doo_ti.learning.drawing import MOST_MOMENTS
 from doo_ti.learning.landscape import read_landscape
 from doo_ti.learning.sweeps import SweepOptions, sweep
+from doo_ti.rod.grid import Axis, Grid
+from doo_ti.rod.observations import Observations
+from doo_ti.system.errors import InputError, InterruptedRunError
 from tests.learning.lab import GRID, small_lab
 
 COLUMNS = {
@@ -180,7 +180,7 @@ def test_a_damaged_summary_is_made_again(tmp_path, observations, damage):
 @pytest.mark.thorough
 def test_rods_that_stall_at_their_observation_do_not_win(tmp_path, capsys):
     from doo_ti.cli import main
-    from doo_ti.io.observations import save_observations
+    from doo_ti.io.observation_files import save_observations
     from tests.learning.lab import small_lab
 
     save_observations(tmp_path / "o.npz", small_lab())

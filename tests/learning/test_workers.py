@@ -5,9 +5,9 @@ import time
 
 import pytest
 
-from doo_ti.errors import InputError
 from doo_ti.learning.summary import maker
 from doo_ti.learning.workers import as_made, started_workers
+from doo_ti.system.errors import InputError
 
 
 def _slowly(first: int, last: int) -> int:

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from doo_ti.errors import InputError
-from doo_ti.frames import matrix_from_quaternion, quaternion_about
 from doo_ti.motion.path import LARGEST_TURN, motion_between
-from doo_ti.types import Clamp, Clamps
+from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about
+from doo_ti.rod.types import Clamp, Clamps
+from doo_ti.system.errors import InputError
 
 
 def clamps_of(rng, count: int, start=Clamp.FRAME, end=Clamp.FRAME) -> Clamps:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from doo_ti.types import Clamp, Clamps, Configuration
+from doo_ti.rod.types import Clamp, Clamps, Configuration
 from tests.oracle.algebra import body_rotated, directors, transport
 from tests.oracle.chain_form import Rod, chain_derivatives, closure_gradient, linear_derivatives, rod_of
 from tests.oracle.pair import pair_parts

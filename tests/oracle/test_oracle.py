@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
-from doo_ti.types import Clamp
+from doo_ti.rod.types import Clamp
 from tests.oracle.algebra import body_rotated, directors
 from tests.oracle.chain_form import Rod, chain_derivatives, chain_energy, closure_gradient
 from tests.oracle.equilibrium import Ends, State, closed, equilibrium, free_variables, vertices_of

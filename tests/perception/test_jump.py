@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from doo_ti import Material
-from doo_ti.frames import across, bishop_frames, quaternion_from_matrix
 from doo_ti.motion.path import Motion
 from doo_ti.perception.tracking import How, Tracker
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.types import Clamp, Clamps, Configuration
+from doo_ti.rod.frames import across, bishop_frames, quaternion_from_matrix
+from doo_ti.rod.types import Clamp, Clamps, Configuration
 from doo_ti.vision.detection.detect import detect
 from doo_ti.vision.rendering.render import render_set
 from doo_ti.vision.rendering.tubes import smooth_curve

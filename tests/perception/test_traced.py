@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doo_ti.errors import InputError
 from doo_ti.perception.perceive import PerceptionVerdict, perceive
 from doo_ti.perception.search import PerceptionOptions
 from doo_ti.perception.seeds import seed_from_pixels
 from doo_ti.perception.whole_thread import whole_threads
-from doo_ti.types import Material
+from doo_ti.rod.types import Material
+from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras.rig import load_rig
 from doo_ti.vision.detection.detect import detect
 from doo_ti.vision.detection.images import load_sets, read_image

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import taichi as ti
 
-from doo_ti import runtime
 from doo_ti.physics.algebra import factor, factor_in_turn
 from doo_ti.physics.number import Number
+from doo_ti.system import runtime
 from tests.physics.columns import ROWS, columns_kernel
 
 UPPER = np.triu_indices(3)

@@ -10,10 +10,10 @@ import pytest
 import taichi as ti
 from scipy.spatial.transform import Rotation
 
-from doo_ti import runtime
 from doo_ti.physics import closure, pair, quaternion, vertex_form
 from doo_ti.physics.angle import twist_angle_function
 from doo_ti.physics.number import Number
+from doo_ti.system import runtime
 from tests.oracle import algebra as oracle
 from tests.oracle.algebra import spun_and_tilted
 from tests.oracle.pair import linear_gradient_hessian, pair_energy, pair_gradient_hessian

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import taichi as ti
 
-from doo_ti import runtime
 from doo_ti.physics import algebra, angle, tuples
 from doo_ti.physics.number import Number
+from doo_ti.system import runtime
 from tests.physics.columns import ROWS, every_number, table
 
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import taichi as ti
 
-from doo_ti import runtime
 from doo_ti.physics import tuples
 from doo_ti.physics.number import Number
+from doo_ti.system import runtime
 from tests.physics.columns import ROWS, columns_kernel, every_number
 
 SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])

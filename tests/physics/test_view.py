@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import taichi as ti
 
-from doo_ti import runtime
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import add, choose
 from doo_ti.physics.view import Layout, Scratch, exact
+from doo_ti.system import runtime
 
 PAIR = Layout(first=2, second=2)
 ROD = Layout(length=1, place=3, pair=PAIR, both=("length", 4))

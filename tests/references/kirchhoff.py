@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.integrate import solve_bvp
 
-from doo_ti.frames import matrix_from_quaternion, quaternion_product
+from doo_ti.rod.frames import matrix_from_quaternion, quaternion_product
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import brentq
 
 from doo_ti.relaxation.relax import Newton, relax
-from doo_ti.types import Configuration, Material
+from doo_ti.rod.types import Configuration, Material
 from tests.oracle.equilibrium import relaxed
 from tests.references.rods import chain, clamps_at, stacked
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from doo_ti.relaxation.relax import Newton, relax
-from doo_ti.types import Configuration, Material
+from doo_ti.rod.types import Configuration, Material
 from tests.references.rods import chain, clamps_at, orders, show
 
 ALPHA, BETA, LENGTH, WAVES = 6e5, 5e5, 100.0, 8.0

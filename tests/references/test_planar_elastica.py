@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk
 
 from doo_ti.relaxation.relax import Newton, relax
-from doo_ti.types import Clamp, Clamps, Configuration, Material
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
 from tests.references.rods import chain, clamps_at, orders, show, stacked
 
 ALPHA, BETA, LENGTH = 6e5, 4e5, 100.0

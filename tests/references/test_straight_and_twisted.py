@@ -13,7 +13,7 @@ import pytest
 from scipy.optimize import brentq
 
 from doo_ti.relaxation.relax import relax
-from doo_ti.types import Configuration, Material
+from doo_ti.rod.types import Configuration, Material
 from tests.references.rods import chain, clamps_at, orders, show, stacked
 
 ALPHA, BETA, SPAN = 6e5, 4e5, 100.0

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from doo_ti.relaxation.relax import Newton, relax
-from doo_ti.types import Configuration, Material
+from doo_ti.rod.types import Configuration, Material
 from tests.references.rods import chain, clamps_at, jiggled, orders, show, stacked
 
 ALPHA, BETA, RADIUS = 6e5, 4e5, 20.0

@@ -9,10 +9,10 @@ import pytest
 from doo_ti import Clamp, InputError, Plane, RefinementOptions, refine
 from doo_ti.cli import main
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.grid import Axis, Grid
-from doo_ti.io.observations import save_observations
-from doo_ti.plan import plan
-from doo_ti.start import observation_clamps
+from doo_ti.io.observation_files import save_observations
+from doo_ti.refinement.plan import plan
+from doo_ti.rod.grid import Axis, Grid
+from doo_ti.rod.start import observation_clamps
 from tools.table_study import GUESS, TABLE, specimen
 
 SIMPLE = RefinementOptions(curvature="none", clamps="exact")

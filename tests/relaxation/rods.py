@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from doo_ti.types import Clamp, Clamps, Configuration, Solution
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Solution
 from tests.references.rods import chain, stacked
 
 PAIRS = [(start, end) for start in Clamp for end in Clamp if (start, end) != (Clamp.FREE, Clamp.FREE)]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from doo_ti.relaxation.relax import Newton, relax
-from doo_ti.types import Clamp, Material
+from doo_ti.rod.types import Clamp, Material
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import State, clamped_start, equilibrium, relaxed
 from tests.references.rods import clamps_at, jiggled

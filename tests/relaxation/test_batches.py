@@ -5,8 +5,8 @@ import pytest
 
 from doo_ti import Clamp, Clamps, Itself, Material, Plane, Solution, Springs, relax
 from doo_ti.contact.obstacles import Sphere
-from doo_ti.frames import across, bishop_frames, quaternion_from_matrix
-from doo_ti.types import Configuration
+from doo_ti.rod.frames import across, bishop_frames, quaternion_from_matrix
+from doo_ti.rod.types import Configuration
 
 EDGES, EDGE = 16, 6.0
 FIELDS = ("energy", "residual", "closure", "iterations", "status", "stable", "end_force", "precision")

@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 
 from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.relax import Newton, relax
-from doo_ti.types import Clamp, Clamps, Configuration, Material
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import State, clamped_start, equilibrium
 from tests.references.rods import chain, clamps_at, jiggled, stacked

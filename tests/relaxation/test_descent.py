@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from doo_ti.relaxation.relax import Descent, Newton, relax
-from doo_ti.types import Clamp, Material, Status
+from doo_ti.rod.types import Clamp, Material, Status
 from tests.references.rods import clamps_at, jiggled
 from tests.relaxation.lab import lab, vertex_distance
 from tests.relaxation.rods import PAIRS, definite, wandering, with_kinds

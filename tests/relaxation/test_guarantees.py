@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti.relaxation.relax import Descent, Newton, relax
-from doo_ti.types import Clamp, Clamps, Configuration, Material, Status
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import State, energy_of
 from tests.references.rods import clamps_at, jiggled

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from doo_ti.relaxation.newton import TOLERANCES
-from doo_ti.types import Clamp, Solution, Status
+from doo_ti.rod.types import Clamp, Solution, Status
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import State, clamped_start, equilibrium
 from tests.relaxation.lab import vertex_distance

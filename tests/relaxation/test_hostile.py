@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from doo_ti.dynamics.parameters import Stepping
-from doo_ti.errors import InputError
-from doo_ti.io.observations import Observations
-from doo_ti.metric import distance
 from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.types import Configuration, Material
+from doo_ti.rod.metric import distance
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.types import Configuration, Material
+from doo_ti.system.errors import InputError
 from tests.references.rods import clamps_at
 from tests.relaxation.rods import wandering
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doo_ti import runtime
 from doo_ti.relaxation.relax import Descent, Newton, relax
-from doo_ti.types import Clamp, Material
+from doo_ti.rod.types import Clamp, Material
+from doo_ti.system import runtime
 from tests.references.rods import clamps_at, jiggled
 from tests.relaxation.rods import PAIRS, RESULTS, assert_same, definite, wandering, with_kinds
 
@@ -94,8 +94,8 @@ def digest() -> str:
 
 @pytest.mark.thorough
 def test_one_thread_and_all_threads():
-    script = ("from doo_ti import runtime; runtime.start(threads=1); from tests.relaxation.test_independence import digest; "
-              "assert runtime.thread_count() == 1; print(digest())")
+    script = ("from doo_ti.system import runtime; runtime.start(threads=1); "
+              "from tests.relaxation.test_independence import digest; assert runtime.thread_count() == 1; print(digest())")
     alone = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True,
                            cwd=Path(__file__).resolve().parents[2])
     assert alone.returncode == 0, alone.stderr

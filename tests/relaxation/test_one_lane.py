@@ -8,7 +8,7 @@ from doo_ti.relaxation import batch
 from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.types import Clamp, Clamps, Configuration, Material
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
 
 THREADS = 7
 

@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from doo_ti import Clamp, InputError, Material, Newton, Springs, relax
-from doo_ti.frames import matrix_from_quaternion, quaternion_about
 from doo_ti.relaxation.sensitivity import sensitivity, tilt_axes
+from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import clamped_start, free_variables
 from tests.oracle.sensitivity import dense_sensitivity

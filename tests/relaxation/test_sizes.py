@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Clamp, Material, Newton, Springs, relax
-from doo_ti.types import Clamps, Configuration
+from doo_ti.rod.types import Clamps, Configuration
 from tests.references.rods import clamps_at, jiggled
 from tests.relaxation.rods import wandering, with_kinds
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from doo_ti.errors import InputError
 from doo_ti.relaxation.newton import TOLERANCES
 from doo_ti.relaxation.relax import Descent, Newton, relax
-from doo_ti.types import Clamp, Clamps, Configuration, Material, Status
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
+from doo_ti.system.errors import InputError
 from tests.references.rods import chain, clamps_at, jiggled
 from tests.relaxation.rods import wandering
 

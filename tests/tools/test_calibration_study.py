@@ -6,7 +6,7 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from doo_ti.errors import InputError, InterruptedRunError
+from doo_ti.system.errors import InputError, InterruptedRunError
 from tests.conftest import SEED
 from tools import calibration_study as study
 from tools.calibration import specimens as lab

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from doo_ti.io.motion_file import ClampPath, load_path
-from doo_ti.io.observations import Observations, load_observations
-from doo_ti.types import Material
+from doo_ti.io.observation_files import load_observations
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.types import Material
 from tests.relaxation.lab import lab
 from tools.trials.prediction import moved_as_one, moved_by_blend, predict_marks, predict_steps, rotation_steps
 

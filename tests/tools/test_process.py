@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from doo_ti.bench import workload
-from doo_ti.errors import InterruptedRunError
+from doo_ti.system.errors import InterruptedRunError
 from tools.bench.process import Children
 
 

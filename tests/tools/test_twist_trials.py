@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from doo_ti.io.observations import load_observations
-from doo_ti.types import Material
+from doo_ti.io.observation_files import load_observations
+from doo_ti.rod.types import Material
 from tests.twist.rods import MATERIAL, twisted_rods
 from tools.trials.twist import twist_trials
 

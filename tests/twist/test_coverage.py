@@ -8,7 +8,7 @@ import pytest
 
 from doo_ti import Material
 from doo_ti.bench.workload import LAB, SUTURES
-from doo_ti.synthesis import synthesise
+from doo_ti.lab.synthesis import synthesise
 from doo_ti.twist.curves import consecutive_groups, end_offsets
 from doo_ti.twist.estimation import TwistVerdict, estimate_twist
 

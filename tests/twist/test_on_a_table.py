@@ -6,7 +6,7 @@ import pytest
 from doo_ti import InputError, Material, Plane
 from doo_ti.cli import main
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.io.observations import save_observations
+from doo_ti.io.observation_files import save_observations
 from doo_ti.twist.curves import end_offsets
 from doo_ti.twist.estimation import TwistOptions, TwistVerdict, estimate_twist
 from tools.table_study import TABLE, specimen

@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti.errors import InputError
-from doo_ti.frames import angle_about
-from doo_ti.io.observations import Observations
-from doo_ti.metric import distance
 from doo_ti.prediction.predict import total_twist
 from doo_ti.relaxation.relax import relax
-from doo_ti.start import held_spins, observation_clamps, start_configuration
+from doo_ti.rod.frames import angle_about
+from doo_ti.rod.metric import distance
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.start import held_spins, observation_clamps, start_configuration
+from doo_ti.rod.types import Clamp, Material
+from doo_ti.system.errors import InputError
 from doo_ti.twist.curves import consecutive_groups, end_offsets
 from doo_ti.twist.estimation import TwistOptions, TwistVerdict, estimate_twist
-from doo_ti.types import Clamp, Material
 from tests.references.rods import chain
 from tests.twist.rods import EDGES, MATERIAL, twisted_rods
 

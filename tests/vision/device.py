@@ -3,8 +3,8 @@
 import numpy as np
 import taichi as ti
 
-from doo_ti import runtime
 from doo_ti.physics.number import Number
+from doo_ti.system import runtime
 
 NUMBERS = [Number(1, 64), Number(8, 64), Number(1, 32), Number(16, 32)]
 table = ti.types.ndarray(dtype=ti.f64, ndim=2)

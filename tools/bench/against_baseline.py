@@ -9,8 +9,8 @@ from pathlib import Path
 
 from doo_ti.bench import clock
 from doo_ti.bench.cases import Case, measure
-from doo_ti.runtime import start as start_runtime
-from doo_ti.runtime import thread_count
+from doo_ti.system.runtime import start as start_runtime
+from doo_ti.system.runtime import thread_count
 from tools.bench.baseline import as_baseline, measured_again, regressions, table
 
 

@@ -11,12 +11,12 @@ from doo_ti.bench.workload import Rods
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.dynamics.simulate import simulate
-from doo_ti.io.observations import Observations
-from doo_ti.metric import distance
 from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.relax import relax
 from doo_ti.relaxation.sensitivity import gripper_jacobian
-from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution
+from doo_ti.rod.metric import distance
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution
 
 DERIVED = 4096
 

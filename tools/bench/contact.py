@@ -19,8 +19,8 @@ if not __package__:
 
 from doo_ti import Capsule, Clamp, Clamps, Configuration, Itself, Material, Plane, gripper_jacobian, relax  # noqa: E402
 from doo_ti.bench.cases import Case, Outcome  # noqa: E402
-from doo_ti.frames import matrix_from_quaternion, quaternion_about, quaternion_product  # noqa: E402
-from doo_ti.types import Solution, Status  # noqa: E402
+from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about, quaternion_product  # noqa: E402
+from doo_ti.rod.types import Solution, Status  # noqa: E402
 from tools.bench.against_baseline import Benchmark, run  # noqa: E402
 
 BASELINE = Path(__file__).with_name("contact.json")

@@ -18,7 +18,7 @@ import numpy as np
 if not __package__:
     sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from doo_ti.errors import InterruptedRunError  # noqa: E402
+from doo_ti.system.errors import InterruptedRunError  # noqa: E402
 
 CALLS = 2000
 LARGEST_CALL = 256  # rods
@@ -99,7 +99,7 @@ def _store(path: Path, starts, clamps) -> None:
 def _specimens(path: str, count: int | None = None):
     """The starts of the file in turn, under ``count`` materials; by default as many as there are starts."""
     from doo_ti.bench.workload import isotropic_materials, paired
-    from doo_ti.types import Clamps, Configuration
+    from doo_ti.rod.types import Clamps, Configuration
 
     with np.load(path, allow_pickle=False) as file:
         starts = Configuration(file["origin"], file["quaternions"], file["rest_length"])
@@ -142,8 +142,8 @@ def _calls(path: str, calls: int) -> dict:
 
 
 def _rate(path: str, threads: int, count: int, calls: int) -> dict:
-    from doo_ti import runtime
     from doo_ti.bench.clock import timed
+    from doo_ti.system import runtime
 
     runtime.start(threads=threads)
     rods = _specimens(path, count)

@@ -7,7 +7,7 @@ import numpy as np
 from doo_ti.bench import clock, workload
 from doo_ti.bench.cases import COARSE, FINE
 from doo_ti.bench.workload import Rods
-from doo_ti.types import Configuration
+from doo_ti.rod.types import Configuration
 from tools.bench.curves import Panel
 
 RODS = tuple(2**k for k in range(8, 21, 2))

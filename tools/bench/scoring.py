@@ -16,7 +16,7 @@ if not __package__:
 
 from doo_ti import Clamp, Clamps, Configuration, Material, Newton, relax  # noqa: E402
 from doo_ti.bench.cases import Case, Outcome  # noqa: E402
-from doo_ti.frames import bishop_frames, quaternion_from_matrix  # noqa: E402
+from doo_ti.rod.frames import bishop_frames, quaternion_from_matrix  # noqa: E402
 from doo_ti.vision.cameras.camera import Camera  # noqa: E402
 from doo_ti.vision.cameras.rig import Rig  # noqa: E402
 from doo_ti.vision.detection.line import Detection  # noqa: E402

@@ -22,8 +22,8 @@ from doo_ti.bench.cases import Specimens  # noqa: E402
 from doo_ti.bench.clock import Reference  # noqa: E402
 from doo_ti.bench.summary import Step, accuracy_step, begun, case_steps, completed  # noqa: E402
 from doo_ti.commands.results import plain  # noqa: E402
-from doo_ti.errors import InterruptedRunError  # noqa: E402
-from doo_ti.io.files import write_whole  # noqa: E402
+from doo_ti.system.errors import InterruptedRunError  # noqa: E402
+from doo_ti.system.files import write_whole  # noqa: E402
 from tools.bench import process, scaling  # noqa: E402
 from tools.bench.cases import cases  # noqa: E402
 from tools.bench.curves import Panel, panels_picture  # noqa: E402

@@ -5,8 +5,10 @@ import json
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
-from doo_ti import cli, runtime
-from doo_ti.io.observations import Observations, save_observations
+from doo_ti import cli
+from doo_ti.io.observation_files import save_observations
+from doo_ti.rod.observations import Observations
+from doo_ti.system import runtime
 
 GRID = ("--bend", "5e4:1e7:25", "--twist-ratio", "0.1:6:25")
 

@@ -5,8 +5,8 @@ import io
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 
-from doo_ti.errors import InputError
-from doo_ti.io.observations import write_whole
+from doo_ti.system.errors import InputError
+from doo_ti.system.files import write_whole
 from tools.calibration.coverage import NAMES, Interval
 from tools.calibration.specimens import Specimen, Variant
 

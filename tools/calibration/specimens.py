@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.errors import InterruptedRunError
-from doo_ti.io.observations import Observations
 from doo_ti.io.scene import Synthesis
-from doo_ti.synthesis import synthesise
+from doo_ti.lab.synthesis import synthesise
+from doo_ti.rod.observations import Observations
+from doo_ti.system.errors import InterruptedRunError
 
 BEND, TWIST_RATIO = (1e5, 2e6), (0.3, 1.5)  # mm³ and 1, log-uniform
 REST_CURVATURE_RMS, REST_CURVATURE_RANGE = (1 / 2000, 1 / 600), (4.0, 25.0)  # 1/mm and mm, log-uniform

@@ -10,7 +10,7 @@ import resource
 import numpy as np
 
 from doo_ti.dynamics.parameters import GRAVITY
-from doo_ti.frames import quaternion_from_matrix
+from doo_ti.rod.frames import quaternion_from_matrix
 from tools.peers.flex import DENSITY, RADIUS
 from tools.peers.problem import BEND, EDGES, LENGTH, Problem
 

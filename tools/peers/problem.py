@@ -79,7 +79,7 @@ def _frame(tangent: np.ndarray) -> np.ndarray:
 
 
 def _quaternions(tangents: np.ndarray) -> np.ndarray:
-    from doo_ti.frames import bishop_frames, quaternion_from_matrix
+    from doo_ti.rod.frames import bishop_frames, quaternion_from_matrix
 
     tangents = tangents / np.linalg.norm(tangents, axis=1, keepdims=True)
     return quaternion_from_matrix(bishop_frames(tangents, _frame(tangents[0])[:, 1]))

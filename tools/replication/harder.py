@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.frames import rotation_matrix
 from doo_ti.learning.pairs import Pairs
+from doo_ti.rod.frames import rotation_matrix
 from doo_ti.vision.cameras.rig import Rig, load_rig
 from doo_ti.vision.rendering.render import RenderOptions
 from doo_ti.vision.reprojection.triangulation import TriangulationOptions, triangulate

@@ -6,7 +6,7 @@ import numpy as np
 
 from doo_ti.io.scene import Synthesis
 from doo_ti.perception.perceive import perceive
-from doo_ti.types import Material
+from doo_ti.rod.types import Material
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.rendering.render import RenderOptions
 from tools.perception_study import mapped, photographed

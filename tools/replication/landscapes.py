@@ -11,8 +11,8 @@ from doo_ti.learning.hypotheses import started
 from doo_ti.learning.landscape import Landscape
 from doo_ti.learning.pairs import Pairs
 from doo_ti.learning.sweeps import chunk_rows
-from doo_ti.metric import distance
-from doo_ti.types import Material
+from doo_ti.rod.metric import distance
+from doo_ti.rod.types import Material
 from tools.replication.settings import Setting
 from tools.replication.specimens import Specimen
 

@@ -3,10 +3,10 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from doo_ti.grid import Grid
-from doo_ti.io.observations import Observations
 from doo_ti.io.scene import Scene, Synthesis, load_scene
-from doo_ti.synthesis import synthesise
+from doo_ti.lab.synthesis import synthesise
+from doo_ti.rod.grid import Grid
+from doo_ti.rod.observations import Observations
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 SUTURES = ("nylon", "silk", "vicryl")

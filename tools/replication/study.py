@@ -10,8 +10,8 @@ from doo_ti.io.scene import OBJECTIVES
 from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.start import observation_clamps, start_configuration
-from doo_ti.types import Material
+from doo_ti.rod.start import observation_clamps, start_configuration
+from doo_ti.rod.types import Material
 from tools.replication import harder, tables
 from tools.replication.images import Seen, loops, perceived, recovery
 from tools.replication.landscape_figures import figure_1, figure_3, figure_4, figure_5

@@ -4,9 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from doo_ti.rod.types import Material
 from doo_ti.twist.curves import end_offsets
 from doo_ti.twist.estimation import TwistVerdict
-from doo_ti.types import Material
 from tools.replication.images import Seen
 from tools.replication.settings import over_specimens
 from tools.replication.specimens import Specimen

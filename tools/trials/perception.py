@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.frames import bishop_frames, quaternion_from_matrix
 from doo_ti.perception.perceive import Perception
 from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search
+from doo_ti.rod.frames import bishop_frames, quaternion_from_matrix
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.detection.detect import detect
 from doo_ti.vision.detection.line import Detection

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from doo_ti.io.motion_file import ClampPath
-from doo_ti.io.observations import Observations
-from doo_ti.metric import distance
 from doo_ti.motion.path import LARGEST_TURN
 from doo_ti.prediction.predict import Prediction, predict
 from doo_ti.relaxation.relax import relax
-from doo_ti.start import observation_clamps, start_configuration
-from doo_ti.types import Material
+from doo_ti.rod.metric import distance
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.start import observation_clamps, start_configuration
+from doo_ti.rod.types import Material
 
 SAME_BRANCH = 1.0
 """mm: largest distance of vertices between two shapes on one branch."""

@@ -9,11 +9,11 @@ import numpy as np
 
 from doo_ti.manipulation.poses import held, moved
 from doo_ti.manipulation.simulation import Simulation
-from doo_ti.material import Material
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.rods import hanging
-from doo_ti.types import Clamp, Clamps, Configuration
+from doo_ti.rod.material import Material
+from doo_ti.rod.straight import hanging
+from doo_ti.rod.types import Clamp, Clamps, Configuration
 
 LENGTH, EDGES, BEND = 330.0, 33, 6e5
 SPREAD = 0.4

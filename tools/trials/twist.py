@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.frames import turned_about_tangent
-from doo_ti.io.observations import Observations
+from doo_ti.rod.frames import turned_about_tangent
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.types import Material
 from doo_ti.twist.curves import end_offsets
 from doo_ti.twist.estimation import TwistEstimate, TwistOptions, estimate_twist
-from doo_ti.types import Material
 
 SUCCESS = np.pi / 2
 """rad, as in §V-F."""

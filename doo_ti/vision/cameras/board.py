@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.errors import InputError
+from doo_ti.system.errors import InputError
 
 FORMS = ("chessboard:9x6:10 (inner corners, square in mm), charuco:9x6:10:7 (squares, square and marker in mm), circles:9x6:10 "
          "(circles, from one to the next in mm) or acircles:4x11:10 (circles in staggered rows, from row to row in mm)")

@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.errors import InputError
-from doo_ti.frames import rotation_matrix
+from doo_ti.rod.frames import rotation_matrix
+from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras.camera import FITTED, Camera
 from doo_ti.vision.cameras.least_squares import least_squares
 from doo_ti.vision.cameras.rig import Rig

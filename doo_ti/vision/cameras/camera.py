@@ -18,9 +18,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.arguments import typed
-from doo_ti.errors import InputError, real_array
-from doo_ti.frames import FRAME_TOLERANCE, handedness, orthonormality_error
+from doo_ti.rod.frames import FRAME_TOLERANCE, handedness, orthonormality_error
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError, real_array
 
 COEFFICIENTS = 5
 """Coefficients of distortion: k1, k2, p1, p2, k3."""

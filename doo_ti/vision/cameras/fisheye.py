@@ -7,7 +7,7 @@ point. Over r this is a function of r², which the rational model, three coeffic
 
 import numpy as np
 
-from doo_ti.errors import InputError
+from doo_ti.system.errors import InputError
 
 WIDEST_TANGENT = 10.0
 """r of the farthest ray that cameras see: 84° off the axis."""

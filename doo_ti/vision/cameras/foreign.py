@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError
-from doo_ti.frames import matrix_from_quaternion, rotation_matrix
-from doo_ti.io.files import read_content
 from doo_ti.io.opencv_yaml import read_opencv_yaml
+from doo_ti.rod.frames import matrix_from_quaternion, rotation_matrix
+from doo_ti.system.errors import InputError
+from doo_ti.system.files import read_content
 from doo_ti.vision.cameras.camera import KEYS, Camera
 from doo_ti.vision.cameras.fisheye import rational_of_fisheye
 from doo_ti.vision.cameras.reading import RigReading

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.arguments import typed
-from doo_ti.errors import InputError
-from doo_ti.physical_units import UNITS_IN_MM
+from doo_ti.rod.physical_units import UNITS_IN_MM
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras.camera import Camera
 
 _TO_OPENGL = np.diag([1.0, -1.0, -1.0])
@@ -31,7 +31,7 @@ LENSES = ("opencv", "fisheye")
 class RigReading:
     """How a file of cameras is meant; None: as usual, and doubted where cameras then do not see what they should.
 
-    unit    of lengths, one of ``doo_ti.physical_units.UNITS_IN_MM``; None: mm
+    unit    of lengths, one of ``doo_ti.rod.physical_units.UNITS_IN_MM``; None: mm
     poses   one of POSES; None: "opencv", x_cam = R x_world + t with z forward
     lens    "opencv", or "fisheye": of a stereo file, whose coefficients are k1, k2, k3, k4 of OpenCV's fisheye model
     turned  images are turned as their files' orientation tags say; None: as the rig says, else as the sensor has them

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.arguments import typed
-from doo_ti.errors import InputError
-from doo_ti.io.files import write_text
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError
+from doo_ti.system.files import write_text
 from doo_ti.vision.cameras.camera import Camera
 from doo_ti.vision.cameras.foreign import colmap_cameras, own_cameras, read_yaml, stereo_cameras
 from doo_ti.vision.cameras.reading import RigReading, others

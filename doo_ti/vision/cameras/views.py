@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError
 from doo_ti.io.csv_table import read_csv
+from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras.board import Board, find_corners
 from doo_ti.vision.cameras.calibration import Sighting
 from doo_ti.vision.cameras.rig import check_camera_names

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from doo_ti.arguments import typed
+from doo_ti.system.arguments import typed
 from doo_ti.vision.detection.appearance import BAR, SURE, Appearance, appearance, of_a_thread
 from doo_ti.vision.detection.canny import canny_line
 from doo_ti.vision.detection.colour import as_colour, lab, likeness, likeness_table

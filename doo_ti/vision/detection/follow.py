@@ -14,8 +14,8 @@ Other threads that cross are not followed: an arc that is straighter through the
 
 import numpy as np
 
-from doo_ti.arguments import typed
-from doo_ti.errors import InputError
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError
 from doo_ti.vision.detection.colour import TOLERANCE, as_colour, lab, likeness, likeness_table
 from doo_ti.vision.detection.line import Detection, moved
 from doo_ti.vision.detection.look import Line, Look, looked, window

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import numpy as np
 
-from doo_ti.arguments import typed
+from doo_ti.system.arguments import typed
 
 
 @typed

@@ -10,8 +10,8 @@ whatever the thread's width 2a; branches to corners and bumps of the border have
 
 import numpy as np
 
-from doo_ti.arguments import typed
-from doo_ti.errors import InputError
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError
 from doo_ti.vision.detection.line import Detection, in_whole_pixels, moved
 from doo_ti.vision.detection.options import DetectionOptions, cropped
 from doo_ti.vision.detection.ridge import REACH_PX, Curvature, pieces

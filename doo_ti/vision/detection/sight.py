@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from doo_ti.errors import InputError
+from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras.camera import Camera
 from doo_ti.vision.detection.detect import detect
 from doo_ti.vision.detection.images import read_image, read_mask

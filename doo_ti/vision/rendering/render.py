@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError
-from doo_ti.io.files import write_whole
-from doo_ti.types import LARGEST
+from doo_ti.rod.types import LARGEST
+from doo_ti.system.errors import InputError
+from doo_ti.system.files import write_whole
 from doo_ti.vision.cameras.camera import Camera
 from doo_ti.vision.cameras.rig import Rig, save_rig
 from doo_ti.vision.detection.images import SEED

@@ -18,12 +18,12 @@ from typing import ClassVar
 import numpy as np
 import taichi as ti
 
-from doo_ti.arguments import typed
-from doo_ti.errors import InputError
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import full, minus, plus, put_lane, record, repeated, scaled
 from doo_ti.physics.view import Layout
 from doo_ti.relaxation.external import ExternalFunctions
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.reprojection.edge_integral import (
     add_turned_back,

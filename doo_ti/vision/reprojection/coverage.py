@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import taichi as ti
 
-from doo_ti import runtime
+from doo_ti.system import runtime
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.detection.line import Detection, thinned
 from doo_ti.vision.reprojection.triangulation import rays

@@ -14,10 +14,10 @@ from typing import Annotated
 import numpy as np
 import taichi as ti
 
-from doo_ti import runtime
-from doo_ti.arguments import typed
-from doo_ti.errors import InputError
-from doo_ti.short_repr import short_repr
+from doo_ti.system import runtime
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError
+from doo_ti.system.short_repr import short_repr
 from doo_ti.vision.detection.line import Detection
 
 HALF_LENGTH_PX = 0.5

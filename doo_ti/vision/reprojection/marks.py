@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.errors import InputError
-from doo_ti.frames import matrix_from_quaternion, smallest_rotation
 from doo_ti.io.marks import Marks
-from doo_ti.io.observations import Observations
-from doo_ti.start import fill_missing
+from doo_ti.rod.frames import matrix_from_quaternion, smallest_rotation
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.start import fill_missing
+from doo_ti.system.errors import InputError
 from doo_ti.vision.reprojection.triangulation import Points
 
 

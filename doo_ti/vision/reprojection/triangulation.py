@@ -10,8 +10,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from doo_ti.errors import InputError
-from doo_ti.types import LARGEST
+from doo_ti.rod.types import LARGEST
+from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras.camera import Camera
 from doo_ti.vision.cameras.least_squares import least_squares
 from doo_ti.vision.cameras.rig import Rig

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from doo_ti.errors import InputError
+from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras.board import Board, find_corners, parse_board
 from doo_ti.vision.cameras.calibration import Bundle, CalibrationOptions, Sighting, adjusted, calibrate, places
 from doo_ti.vision.cameras.rig import Rig

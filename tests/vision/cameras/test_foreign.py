@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from doo_ti.errors import InputError
+from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras.camera import Camera
 from doo_ti.vision.cameras.fisheye import rational_of_fisheye
 from doo_ti.vision.cameras.reading import POSES, RigReading

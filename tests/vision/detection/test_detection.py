@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from doo_ti.errors import InputError
+from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras.rig import load_rig
 from doo_ti.vision.detection.detect import detect
 from doo_ti.vision.detection.images import read_image

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from doo_ti.errors import InputError
+from doo_ti.system.errors import InputError
 from doo_ti.vision.detection.detect import detect
 from doo_ti.vision.detection.follow import follow
 from doo_ti.vision.detection.mask import detect_mask

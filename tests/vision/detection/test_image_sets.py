@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.errors import InputError
+from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras.rig import load_rig
 from doo_ti.vision.detection.images import load_sets
 from tests.vision.cameras.test_rig import rig

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from doo_ti.errors import InputError
+from doo_ti.system.errors import InputError
 from doo_ti.vision.rendering.render import RenderOptions, render_set
 from doo_ti.vision.rendering.tubes import Tube, draw, smooth_curve
 from tests.vision.scenes import bow, normals, small_rig

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import taichi as ti
 
-from doo_ti.errors import InputError
 from doo_ti.physics.number import Number
 from doo_ti.physics.view import Scratch
+from doo_ti.system.errors import InputError
 from doo_ti.vision.reprojection.assigned_energy import AssignedPoints
 from tests.vision.device import NUMBERS, row_kernel
 from tests.vision.drawn_maps import three_cameras

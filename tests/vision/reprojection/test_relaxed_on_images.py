@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 
 from doo_ti import Clamp, Clamps, Configuration, InputError, Material, Newton, relax
-from doo_ti.frames import bishop_frames, quaternion_from_matrix, quaternion_product, smallest_rotation, tangent_from_quaternion
 from doo_ti.relaxation.newton import TOLERANCES
+from doo_ti.rod.frames import (
+    bishop_frames,
+    quaternion_from_matrix,
+    quaternion_product,
+    smallest_rotation,
+    tangent_from_quaternion,
+)
 from doo_ti.vision.reprojection.image_energy import Reprojection
 from doo_ti.vision.reprojection.score import score
 from tests.oracle.chain_form import rod_of

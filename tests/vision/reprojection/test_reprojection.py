@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import taichi as ti
 
-from doo_ti.errors import InputError
 from doo_ti.physics.view import Scratch
-from doo_ti.types import Material
+from doo_ti.rod.types import Material
+from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.reprojection.distance_map import DistanceMaps
 from doo_ti.vision.reprojection.edge_integral import UNSEEN

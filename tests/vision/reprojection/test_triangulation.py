@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import scipy.optimize
 
-from doo_ti.errors import InputError
-from doo_ti.frames import handedness, orthonormality_error
 from doo_ti.io.marks import Marks, read_labels, read_marks
+from doo_ti.rod.frames import handedness, orthonormality_error
+from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras.camera import Camera
 from doo_ti.vision.cameras.rig import Rig, load_rig
 from doo_ti.vision.reprojection.marks import observe

@@ -1,0 +1,1 @@
+"""The virtual laboratory of the paper's experiment (§V-A)."""

@@ -1,0 +1,332 @@
+"""From an observation to the input of F: its clamps C, the start Γ, and the whole turns it may hold (§III-B, §III-D)."""
+
+from dataclasses import replace
+from typing import Annotated
+
+import numpy as np
+
+from doo_ti.rod.frames import (
+    across,
+    angle_about,
+    bishop_frames,
+    matrix_from_quaternion,
+    quaternion_about,
+    quaternion_from_matrix,
+    quaternion_product,
+    smallest_rotation,
+    turned_about_tangent,
+)
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.types import Clamp, Clamps, Configuration
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError
+
+MOST_LENGTHS = 2.0
+"""Largest distance of a mark from the first, over the rod's length: a label is never that wrong."""
+LEAST_LENGTHS = 0.1
+"""Smallest sum of the distances between neighbouring marks, over the rod's length between them."""
+LEAST_EDGE = 1e-6
+"""Shortest edge, over the mean edge."""
+MOST_LENGTHS_OFF = 1e9
+"""Largest coordinate, over the rod's length."""
+
+
+@typed
+def observation_clamps(observations: Observations, start: Clamp | None = None, end: Clamp | None = None) -> Clamps:
+    """The clamps of D observations; by default the whole frame where it is given, else the tangent.
+
+    Positions are the observed vertices 0 and E, tangents those of the given frame, else of the observed edge; they do not
+    depend on the rest lengths, unless an outer mark is missing: then it is taken to be on the line through the two marks next
+    to it. A FRAME clamp may also use the measured ``frames``.
+
+    Raises InputError for a FRAME clamp without a frame.
+    """
+    kinds, positions, frames = [], [], []
+    for end_name, kind, given in (("start", start, observations.start_frame), ("end", end, observations.end_frame)):
+        kind = (Clamp.TANGENT if given is None else Clamp.FRAME) if kind is None else Clamp(kind)
+        if given is None and kind == Clamp.FRAME and observations.frames is not None:
+            given = observations.frames[:, 0 if end_name == "start" else -1]
+        _check_clamp(observations, end_name, kind, given is not None)
+        kinds.append(kind)
+        positions.append(_end_positions(observations, end_name))
+        frames.append(_end_frames(observations, end_name, given))
+    return Clamps(*kinds, *positions, *frames)
+
+
+def check_experiment(observations: Observations, clamps: Clamps, weight: float, frame_weight: float,
+                     whole_edges: bool = True) -> None:
+    """Raise InputError for an observation that cannot be relaxed: clamps that :func:`check_feasible` refuses, a rod with weight
+    and two free ends, fewer than two free edges, marks that no rod of that length reaches, and a frame weight w_m without
+    measured frames. ``whole_edges`` as in :func:`reachable`."""
+    free = (np.asarray(clamps.start) == Clamp.FREE) & (np.asarray(clamps.end) == Clamp.FREE)
+    if weight > 0 and free.any():
+        raise InputError(observations.source, "clamps", "both ends are free and the rod has weight", "hold one end")
+    if frame_weight > 0 and observations.frames is None:
+        raise InputError(observations.source, "frames", "missing, but a frame weight is given", "give `frame_weight` 0")
+    clamped = sum(np.asarray(kind) >= Clamp.TANGENT for kind in (clamps.start, clamps.end))
+    if (observations.edges - clamped < 2).any():
+        raise InputError(observations.source, "vertices_mm", f"{observations.edges} edges, too few of them free to relax",
+                         "give more marks, or clamp only positions")
+    _check_reach(observations)
+    check_feasible(observations, clamps if whole_edges else _by_position(clamps))
+
+
+def _check_reach(observations: Observations) -> None:
+    """Raise InputError for marks too far apart (:data:`MOST_LENGTHS`) or too close together (:data:`LEAST_LENGTHS`), which are
+    in another unit or of another rod, for marks so far from the origin that rounding hides them, and for edges far shorter than
+    the others."""
+    edges, length = observations.rest_length, observations.rest_length.sum()
+    if edges.min() < LEAST_EDGE * edges.mean():
+        raise InputError(observations.source, "rest_length_mm", f"{edges.min():.4g} mm at edge {int(np.argmin(edges))}, and "
+                         f"{edges.mean():.4g} mm on average", "leave one of its two marks out")
+    first = observations.vertices[np.arange(observations.count), observations.valid.argmax(axis=1)][:, None]
+    away = np.linalg.norm(np.where(observations.valid[..., None], observations.vertices, first) - first, axis=-1)
+    if np.abs(first).max() > MOST_LENGTHS_OFF * length:
+        raise InputError(observations.source, "vertices_mm", f"{np.abs(first).max():.4g} mm from the origin, and the rod "
+                         f"{length:.4g} mm long", "choose an origin nearby")
+    if (away > MOST_LENGTHS * length).any():
+        d, v = np.unravel_index(np.argmax(away), away.shape)
+        raise InputError(observations.source, "vertices_mm", f"vertex {v} of observation {observations.labels[d]} is "
+                         f"{away[d, v]:.4g} mm away from the first one, and the rod {length:.4g} mm long",
+                         "correct it, or rest_length_mm, or mark it false in valid")
+    both = observations.valid[:, 1:] & observations.valid[:, :-1]
+    steps = np.linalg.norm(np.diff(np.where(observations.valid[..., None], observations.vertices, first), axis=1), axis=-1)
+    if both.any() and (np.where(both, steps, 0.0).sum(axis=1) < LEAST_LENGTHS * both @ observations.rest_length).all():
+        raise InputError(observations.source, "rest_length_mm", f"{length:.4g} mm in all, but the marks are "
+                         f"{steps[both].mean():.4g} mm apart on average", "give lengths in mm of the edges between marks")
+
+
+def reachable(observations: Observations, clamps: Clamps, whole_edges: bool = True) -> np.ndarray:
+    """(D,) bool: where clamps are no further apart than the rod is long.
+
+    whole_edges  whether clamps hold the whole outer edges, along their frames, as those of a rod whose vertices are the marks
+    """
+    # A taut rod has no slack: rounding must not make it infeasible.
+    clamps = clamps if whole_edges else _by_position(clamps)
+    return span_excess(clamps, observations.rest_length) <= 1e-9 * observations.rest_length.sum()
+
+
+def _by_position(clamps: Clamps) -> Clamps:
+    """The same ends, whose directions are not held."""
+    return replace(clamps, start=np.minimum(clamps.start, Clamp.POSITION), end=np.minimum(clamps.end, Clamp.POSITION))
+
+
+def check_feasible(observations: Observations, clamps: Clamps) -> None:
+    """Raise InputError where clamps are further apart than the rod is long, naming the observation and by how much."""
+    excess = span_excess(clamps, observations.rest_length)
+    bad = np.flatnonzero(~reachable(observations, clamps))
+    if len(bad):
+        worst = bad[np.argmax(excess[bad])]
+        others = f" (and {len(bad) - 1} more observations)" if len(bad) > 1 else ""
+        raise InputError(
+            observations.source, "vertices_mm",
+            f"the clamps of observation {observations.labels[worst]} are {excess[worst]:.4g} mm further apart than the rod "
+            f"between them reaches{others}", _remedy(observations, clamps),
+        )
+
+
+def _remedy(observations: Observations, clamps: Clamps) -> str:
+    """What to do about clamps that are too far apart."""
+    if reachable(observations, clamps, whole_edges=False).all():
+        first, last = observations.rest_length[[0, -1]]
+        return (f"here frames hold the whole outer edges, {first:.4g} and {last:.4g} mm: place marks next to the clips, or "
+                "start refine from the file with --bend and --twist, which learns how much the clips hold")
+    return "correct the end vertices or frames, or rest_length_mm"
+
+
+def span_excess(clamps: Clamps, rest_length: np.ndarray) -> np.ndarray:
+    """(R,) mm by which the span, clamped edges taken off, exceeds the sum of the free rest lengths; −inf at a free end.
+
+    rest_length is (E,) or (R, E).
+    """
+    near, near_length = _free_tip(clamps.start, clamps.start_position, clamps.start_frame, rest_length[..., 0], 1.0)
+    far, far_length = _free_tip(clamps.end, clamps.end_position, clamps.end_frame, rest_length[..., -1], -1.0)
+    free = np.sum(rest_length, axis=-1) - near_length - far_length
+    loose = (np.asarray(clamps.start) == Clamp.FREE) | (np.asarray(clamps.end) == Clamp.FREE)
+    return np.where(loose, -np.inf, np.linalg.norm(far - near, axis=-1) - free)
+
+
+@typed
+def turn_hypotheses(observations: Annotated[Observations, "D"], clamps: Annotated[Clamps, "D"]
+                    ) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) observation_index and (N,) whole turns: the rods to start for D observations.
+
+    The turns are added to the angle in (−π, π] that the clamped frames leave. Between two whole frames without a hint
+    they may be −1, 0 or +1, one rod each; a hint (``total_twist``) gives the one turn nearest to it; measured
+    ``frames`` contain their own turns and an end that rolls freely has none, so there it is 0.
+    """
+    both = np.broadcast_to(_holds_spin(clamps.start) & _holds_spin(clamps.end), observations.count)
+    turns = np.zeros(observations.count, dtype=np.int64)
+    if observations.frames is not None:
+        return np.arange(observations.count), turns
+    if observations.total_twist is not None:
+        angle = _closing_angle(_bishop(observations, clamps), clamps)
+        nearest = np.round((observations.total_twist - angle) / (2 * np.pi)).astype(np.int64)
+        return np.arange(observations.count), np.where(both, nearest, turns)
+    copies = np.where(both, 3, 1)
+    index = np.repeat(np.arange(observations.count), copies)
+    rank = np.arange(len(index)) - np.repeat(np.cumsum(copies) - copies, copies)
+    return index, np.where(both[index], rank - 1, 0)
+
+
+def held_spins(observations: Observations, clamps: Clamps, spin: np.ndarray) -> Clamps:
+    """Clamps on whole frames where the tangent alone was known: ends that leave the angle ``spin`` (D,), rad, between the
+    parallel-transported m1 of the first edge and the last edge's.
+
+    Of two such ends the last one takes the angle: a common turn of both changes nothing in a round rod.
+    """
+    count = observations.count
+    unknown_end = np.broadcast_to(np.asarray(clamps.end) == Clamp.TANGENT, count)
+    whole = Clamps(Clamp.FRAME, Clamp.FRAME, clamps.start_position, clamps.end_position, clamps.start_frame, clamps.end_frame)
+    bishop = _bishop(observations, whole)
+    lacking = spin - _closing_angle(bishop, whole)
+    end_frame = turned_about_tangent(whole.end_frame, np.where(unknown_end, lacking, 0.0))
+    start_frame = turned_about_tangent(whole.start_frame, np.where(unknown_end, 0.0, -lacking))
+    return replace(whole, start_frame=start_frame, end_frame=end_frame)
+
+
+@typed
+def choose_hypothesis(observation_index: Annotated[np.ndarray, "N"], score: Annotated[np.ndarray, "N"],
+                      sound: Annotated[np.ndarray, "N"]) -> np.ndarray:
+    """(D,) rows of the (N,) hypotheses with the smallest score of each observation, among those that are ``sound`` (N,)
+    where there are any: a rod that did not converge is still near its start, so that its score means little. NaN counts as the
+    largest.
+
+    Equal scores go to the first row.
+    """
+    order = np.lexsort((np.where(np.isnan(score), np.inf, score), ~sound.astype(bool), observation_index))
+    first = np.concatenate([[True], np.diff(observation_index[order]) != 0])[: len(order)]
+    return order[first]
+
+
+@typed
+def start_configuration(
+    observations: Annotated[Observations, "D"], clamps: Annotated[Clamps, "D"], turns: Annotated[np.ndarray | None, "D"] = None
+) -> Configuration:
+    """The start Γ of D rods: observed edge directions, rest lengths, and frames that meet the clamped ones.
+
+    Between two whole frames the total twist is the angle that the parallel-transported m1 of the first edge lacks to
+    the last edge's, plus ``turns`` (D,) whole turns, spread in proportion to l̄_i; an end that rolls freely leaves no twist.
+    Without ``turns`` the turn is the one nearest to the hint, and 0 without one. Measured ``frames`` are started from
+    as they are. Missing marks are interpolated along the rod. The chain keeps the rest lengths, so its far end need
+    not meet the clamp: F closes it. For several hypotheses per observation take the rows first:
+
+        index, turns = turn_hypotheses(observations, clamps)
+        start_configuration(observations.take(index), clamps.take(index), turns)
+    """
+    if observations.frames is not None:
+        quaternions = quaternion_from_matrix(observations.frames)
+        ends = ((0, clamps.start, clamps.start_frame), (-1, clamps.end, clamps.end_frame))
+        for edge, kind, frame in ends:
+            quaternions[:, edge] = _clamped(quaternions[:, edge], kind, frame)
+    else:
+        bishop = _bishop(observations, clamps)
+        if turns is None:
+            turns = np.zeros(observations.count)
+            if observations.total_twist is not None:
+                turns = turn_hypotheses(observations, clamps)[1]
+        angle = _twist_angles(bishop, clamps, observations.rest_length, np.asarray(turns))
+        quaternions = quaternion_product(quaternion_about(bishop[..., 0], angle), quaternion_from_matrix(bishop))
+    return Configuration(_anchor(observations, clamps, quaternions), quaternions, observations.rest_length)
+
+
+def fill_missing(observations: Observations) -> np.ndarray:
+    """(D, V, 3) vertices in mm, those without a valid mark on the line, by arc length, through the two nearest ones
+    around them, or beyond the outermost two."""
+    valid, count = observations.valid, observations.vertices.shape[1]
+    if valid.all():
+        return observations.vertices
+    position = np.concatenate([[0.0], np.cumsum(observations.rest_length)])
+    marks = np.arange(count)
+    ranks = np.argsort(~valid, axis=1, kind="stable")
+    # The valid mark at or before each vertex, by its rank among the valid ones; the last of them has no next one.
+    rank = np.clip(np.cumsum(valid, axis=1) - 1, 0, valid.sum(axis=1, keepdims=True) - 2)
+    before, after = np.take_along_axis(ranks, rank, axis=1), np.take_along_axis(ranks, rank + 1, axis=1)
+    share = ((position[marks] - position[before]) / (position[after] - position[before]))[..., None]
+    low = np.take_along_axis(observations.vertices, before[..., None], axis=1)
+    high = np.take_along_axis(observations.vertices, after[..., None], axis=1)
+    return np.where(valid[..., None], observations.vertices, low + share * (high - low))
+
+
+def _check_clamp(observations: Observations, end: str, kind: Clamp, has_frame: bool) -> None:
+    if kind == Clamp.FRAME and not has_frame:
+        raise InputError(observations.source, f"{end}_frame", f"missing, but `clamp_{end}` frame needs it",
+                         f"add {end}_frame (D, 3, 3), or clamp that end's tangent or position")
+
+
+def _end_positions(observations: Observations, end: str) -> np.ndarray:
+    return fill_missing(observations)[:, 0 if end == "start" else -1]
+
+
+def _end_frames(observations: Observations, end: str, given: np.ndarray | None) -> np.ndarray:
+    """(D, 3, 3): the given frames, exactly orthonormal; else the observed tangent with some m1 across it."""
+    if given is not None:
+        return matrix_from_quaternion(quaternion_from_matrix(given))
+    tangent = _directions(observations)[:, 0 if end == "start" else -1]
+    return bishop_frames(tangent[:, None], across(tangent))[:, 0]
+
+
+def _directions(observations: Observations) -> np.ndarray:
+    """(D, E, 3) unit directions of the observed edges."""
+    edges = np.diff(fill_missing(observations), axis=1)
+    return edges / np.linalg.norm(edges, axis=-1, keepdims=True)
+
+
+def _holds_spin(kind) -> np.ndarray:
+    return np.asarray(kind) == Clamp.FRAME
+
+
+def _bishop(observations: Observations, clamps: Clamps) -> np.ndarray:
+    """(D, E, 3, 3) twist-free frames: clamped tangents at the ends, observed ones between, m1 from the start clamp."""
+    tangents = _directions(observations).copy()
+    for edge, kind, frame in ((0, clamps.start, clamps.start_frame), (-1, clamps.end, clamps.end_frame)):
+        held = np.broadcast_to(np.asarray(kind) >= Clamp.TANGENT, observations.count)[:, None]
+        tangents[:, edge] = np.where(held, frame[..., 0], tangents[:, edge])
+    # Where the first tangent is not held, the given m1 need not be across it: transport it there.
+    transport = matrix_from_quaternion(smallest_rotation(clamps.start_frame[..., 0], tangents[:, 0]))
+    return bishop_frames(tangents, np.einsum("dij,dj->di", transport, clamps.start_frame[..., 1]))
+
+
+def _closing_angle(bishop: np.ndarray, clamps: Clamps) -> np.ndarray:
+    """(D,) angle in (−π, π] from the last twist-free m1 to the last clamped m1; 0 where it rolls freely."""
+    angle = angle_about(bishop[:, -1, :, 0], bishop[:, -1, :, 1], clamps.end_frame[..., 1])
+    return np.where(_holds_spin(clamps.end), angle, 0.0)
+
+
+def _twist_angles(bishop: np.ndarray, clamps: Clamps, rest_length: np.ndarray, turns: np.ndarray) -> np.ndarray:
+    """(D, E) angles θ^j from the twist-free frames to the start's material frames (§III-C)."""
+    closing = _closing_angle(bishop, clamps)
+    spread = rest_length[:-1] + rest_length[1:]
+    share = np.concatenate([[0.0], np.cumsum(spread) / spread.sum()])
+    both = _holds_spin(clamps.start) & _holds_spin(clamps.end)
+    # Where the start rolls freely the whole rod turns to meet the end's frame, without twist.
+    total = np.where(both, closing + 2 * np.pi * turns, 0.0)
+    offset = np.where(both, 0.0, closing)
+    return offset[:, None] + total[:, None] * share
+
+
+def _clamped(quaternions: np.ndarray, kind, frame: np.ndarray) -> np.ndarray:
+    """(D, 4) with the whole frame, or the tangent by the smallest rotation, put in where the clamp holds it."""
+    kind = np.broadcast_to(kind, len(quaternions))[:, None]
+    tangent = matrix_from_quaternion(quaternions)[..., 0]
+    turned = quaternion_product(smallest_rotation(tangent, frame[..., 0]), quaternions)
+    quaternions = np.where(kind == Clamp.TANGENT, turned, quaternions)
+    return np.where(kind == Clamp.FRAME, quaternion_from_matrix(frame), quaternions)
+
+
+def _anchor(observations: Observations, clamps: Clamps, quaternions: np.ndarray) -> np.ndarray:
+    """(D, 3) vertex 0: on its clamp, else where the last vertex meets its clamp, else where it was observed."""
+    count = observations.count
+    loose = np.broadcast_to(np.asarray(clamps.start) == Clamp.FREE, count)
+    held_end = np.broadcast_to(np.asarray(clamps.end) != Clamp.FREE, count)
+    if not loose.any():
+        return clamps.start_position.copy()
+    reach = Configuration(np.zeros((count, 3)), quaternions, observations.rest_length).vertices[:, -1]
+    return np.where((loose & held_end)[:, None], clamps.end_position - reach, clamps.start_position)
+
+
+def _free_tip(kind, position, frame, length, sign):
+    """Where the free part begins, seen from a clamp, and the length (R,) of the edge that the clamp holds."""
+    held = np.asarray(kind) >= Clamp.TANGENT
+    taken = np.where(held, length, 0.0) * np.ones(len(position))
+    return position + sign * taken[:, None] * frame[..., 0], taken

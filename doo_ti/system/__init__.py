@@ -1,0 +1,1 @@
+"""What everything stands on: errors, checked arguments, files, the terminal, and the program of Taichi."""

@@ -1,0 +1,122 @@
+"""Arguments of public functions and fields of public classes, checked by what their annotations say.
+
+    @typed
+    def straight_rod(length: float, edges: int, ...) -> Configuration:
+
+    @typed
+    @dataclass(frozen=True)
+    class Configuration:
+        start: Annotated[np.ndarray, "R 3"]
+        rest_length: Annotated[np.ndarray, "E | R E"]
+
+A wrong one raises InputError with the function or class, its name, its value and a remedy. Lists that are given for arrays
+become arrays, numbers for members of an enumeration become these (:mod:`doo_ti.system.argument_rules`). Numbers out of range,
+and shapes that need more than one object to judge, are for the function itself to refuse.
+"""
+
+from collections.abc import Callable
+from functools import wraps
+from inspect import Parameter, signature
+from typing import Any, TypeVar, get_type_hints
+
+import numpy as np
+
+from doo_ti.system.argument_rules import Mismatch, Rule, rule_of, shape_of
+from doo_ti.system.errors import InputError
+
+MOST_REMEMBERED = 1000
+"""Sets of shapes of a function."""
+
+_Target = TypeVar("_Target")
+
+
+def typed(target: _Target) -> _Target:
+    """``target`` with its arguments checked: a function, or a class, whose are those of its constructor."""
+    return _applied(target, False)
+
+
+def owning(target: _Target) -> _Target:
+    """A dataclass that is :func:`typed` and whose arrays are copies that cannot be written to."""
+    return _applied(target, True)
+
+
+def _applied(target: Any, owned: bool) -> Any:
+    if not isinstance(target, type):
+        return _Checked(target, target.__qualname__, target, owned).wrapped
+    # A dataclass's constructor has the annotations of its fields.
+    annotated = target if hasattr(target, "__dataclass_fields__") else target.__init__
+    target.__init__ = _Checked(target.__init__, target.__name__, annotated, owned).wrapped  # type: ignore[method-assign]
+    return target
+
+
+class _Checked:
+    """A call whose arguments are checked; annotations are read with the first."""
+
+    def __init__(self, call: Callable, source: str, annotated: Any, owned: bool):
+        self.call, self.source, self.annotated = call, source, annotated
+        self.rules: dict[str, Rule] = {}
+        self.places: list[str] = []
+        self.fitting: set[tuple] = set()  # of all shapes of a call, those that have been checked before
+
+        @wraps(call)
+        def wrapped(*arguments: Any, **options: Any) -> Any:
+            if not self.places:
+                self.read()
+            shapes: list[tuple[str, tuple[int, ...]]] = []
+            given = [self.taken(name, value, shapes) for name, value in zip(self.places, arguments, strict=False)]
+            options = {name: self.taken(name, value, shapes) for name, value in options.items()}
+            if shapes and (together := tuple(shapes)) not in self.fitting:
+                self.check_shapes(together)
+            result = call(*given, *arguments[len(given):], **options)
+            if owned:
+                _own_arrays(arguments[0])
+            return result
+
+        self.wrapped = wrapped
+
+    def read(self) -> None:
+        hints = get_type_hints(self.annotated, include_extras=True)
+        parameters = signature(self.call).parameters.values()
+        named = [one.name for one in parameters if one.kind in (Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY)]
+        self.rules = {name: rule for name in named if name in hints and (rule := rule_of(hints[name])) is not None}
+        self.places = [one.name for one in parameters if one.kind == Parameter.POSITIONAL_OR_KEYWORD] or [""]
+
+    def check_shapes(self, shapes: tuple[tuple[str, tuple[int, ...]], ...]) -> None:
+        """Raise InputError unless the arrays of a call have the shapes that their annotations state."""
+        sizes: dict[str, int] = {}
+        given = dict(shapes)
+        for name, shape in ((name, given[name]) for name in self.rules if name in given):
+            wanted = self.rules[name].shapes
+            if not any(one.fits(shape, sizes) for one in wanted):
+                known = ", ".join(f"{letter} = {size}" for letter, size in sizes.items())
+                words = " or ".join(one.words for one in wanted)
+                raise InputError(self.source, name, f"shape {shape}", f"give {words}" + f" with {known}" * bool(known))
+        if len(self.fitting) < MOST_REMEMBERED:
+            self.fitting.add(shapes)
+
+    def taken(self, name: str, value: Any, shapes: list[tuple[str, tuple[int, ...]]]) -> Any:
+        """What the call is given for ``value``, whose shape is added to ``shapes``. Raises InputError."""
+        rule = self.rules.get(name)
+        if rule is None:
+            return value
+        if type(value) is np.ndarray and value.dtype.kind in rule.arrays:  # as nearly always
+            if rule.shapes:
+                shapes.append((name, value.shape))
+            return value
+        try:
+            value = rule.take(value)
+        except Mismatch as wrong:
+            raise InputError(self.source, name, wrong.problem, f"give {wrong.remedy}") from None
+        if rule.shapes and value is not None:
+            shapes.append((name, shape_of(value)))
+        return value
+
+
+def _own_arrays(made: Any) -> None:
+    """Replace the arrays of a dataclass by copies that cannot be written to."""
+    for name in made.__dataclass_fields__:
+        value = getattr(made, name)
+        if isinstance(value, np.ndarray):
+            value = value.copy()
+            value.setflags(write=False)
+            object.__setattr__(made, name, value)

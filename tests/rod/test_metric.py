@@ -1,0 +1,142 @@
+"""Eq. 1 against the oracle, written as printed: valid marks, frames, w_m, f32, rods that failed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from doo_ti.relaxation.relax import relax
+from doo_ti.rod.metric import distance
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.types import Configuration, Material, Status
+from doo_ti.system.errors import InputError
+from tests.io.rods import twisted_frames, wavy_vertices
+from tests.oracle.metric import distance as defined
+from tests.references.rods import clamps_at
+from tests.relaxation.lab import RIBBON_WIDTH, lab
+from tests.relaxation.rods import wandering
+
+COUNT, EDGES = 7, 9
+
+
+def observed(rng, count: int = COUNT, **changes) -> Observations:
+    """Observations with measured frames and all marks, or with what ``changes`` say."""
+    vertices = wavy_vertices(rng, count, EDGES + 1)
+    frames = twisted_frames(vertices, rng.uniform(-2, 2, count), rng)
+    return Observations(**{"vertices": vertices, "frames": frames, "rest_length": np.full(EDGES, 3.0)} | changes)
+
+
+def beside(rods: Configuration, observations: Observations, index, weight: float = 0.0) -> np.ndarray:
+    """The oracle's distance of each rod from its observation."""
+    frames = rods.frames[..., 1]
+    return np.array([
+        defined(rods.vertices[r], observations.vertices[d], frames[r], None if observations.frames is None
+                else observations.frames[d, ..., 1], weight, observations.valid[d])
+        for r, d in enumerate(index)])
+
+
+@pytest.mark.parametrize("weight", [0.0, 6.7, 1e3])
+def test_every_rod_with_its_observation(rng, weight):
+    rods, observations = wandering(rng, COUNT, EDGES), observed(rng)
+    found = distance(rods, observations, frame_weight=weight)
+    expected = beside(rods, observations, range(COUNT), weight)
+    print(f"w_m {weight:g}: within {np.abs(found / expected - 1).max():.1e}")
+    np.testing.assert_allclose(found, expected, rtol=1e-13)
+
+
+def test_by_hand():
+    """Two edges: three vertices off by 3, 0 and 4 mm make (3 + 0 + 4)/2; frames a half turn apart add w_m (2 + 2)/1."""
+    vertices = np.array([[[0.0, 0, 0], [3, 0, 0], [6, 0, 0]]])
+    frames = np.tile(np.eye(3), (1, 2, 1, 1))
+    rod = Configuration(np.array([[0.0, 0, 0]]), np.tile([0.0, 1.0, 0.0, 0.0], (1, 2, 1)), np.array([3.0, 3.0]))
+    labels = vertices + [[[0, 3, 0], [0, 0, 0], [0, 0, -4]]]
+    observations = Observations(labels, frames=frames, rest_length=np.array([3.0, 3.0]))
+    assert distance(rod, observations)[0] == 3.5
+    assert distance(rod, observations, frame_weight=0.5)[0] == 3.5 + 0.5 * 4
+
+
+def test_missing_marks_are_left_out(rng):
+    """The sum runs over the valid marks, divided by their number less one; what a missing one holds does not count."""
+    valid = rng.random((COUNT, EDGES + 1)) < 0.6
+    valid[:, :2] = True
+    vertices = wavy_vertices(rng, COUNT, EDGES + 1)
+    rods = wandering(rng, COUNT, EDGES)
+    found = []
+    for missing in (np.nan, 1e6, np.inf):
+        observations = observed(rng, vertices=np.where(valid[..., None], vertices, missing), valid=valid, frames=None)
+        found.append(distance(rods, observations))
+    np.testing.assert_array_equal(found[0], found[1])
+    np.testing.assert_array_equal(found[0], found[2])
+    np.testing.assert_allclose(found[0], beside(rods, observations, range(COUNT)), rtol=1e-13)
+    assert (valid.sum(axis=1) < EDGES + 1).any()
+
+
+def test_many_rods_of_few_observations(rng):
+    """Any rod may belong to any observation, and has its own rest lengths."""
+    rods, observations = wandering(rng, 40, EDGES, rng.uniform(2, 4, EDGES)), observed(rng)
+    index = rng.integers(0, COUNT, 40)
+    found = distance(rods, observations, index, 2.0)
+    np.testing.assert_allclose(found, beside(rods, observations, index, 2.0), rtol=1e-13)
+    one = Configuration(rods.start, rods.quaternions, rods.rest_length[0])
+    np.testing.assert_array_equal(distance(one, observations, index, 2.0), found)
+
+
+def test_frames_in_single_precision(rng):
+    """Vertices as f32 returns them: their rounding adds to the error, the sums are in f64."""
+    rods, observations = wandering(rng, COUNT, EDGES), observed(rng)
+    single = Configuration(rods.start, rods.quaternions.astype(np.float32), rods.rest_length)
+    wide = Configuration(rods.start, single.quaternions.astype(np.float64), rods.rest_length)
+    found = distance(single, observations, frame_weight=3.0)
+    np.testing.assert_allclose(found, distance(wide, observations, frame_weight=3.0), rtol=1e-14)
+    apart = np.abs(found / distance(rods, observations, frame_weight=3.0) - 1).max()
+    print(f"frames in f32: within {apart:.1e} of those in f64")
+    assert 0 < apart < 1e-6
+
+
+def test_rods_that_came_to_nothing_have_no_distance(rng):
+    """NaN for them alone."""
+    rods = wandering(rng, COUNT, EDGES)
+    clamps = clamps_at(rods)
+    far = np.where(np.arange(COUNT)[:, None] == 3, 1e3, clamps.end_position)
+    solution = relax(rods, Material(2e5, 1e5, 1.0), replace(clamps, end_position=far))
+    assert solution.status[3] == Status.INFEASIBLE
+    found = distance(solution.configuration, observed(rng), frame_weight=1.0)
+    assert np.isnan(found).tolist() == [k == 3 for k in range(COUNT)]
+
+
+def test_inputs_are_not_modified(rng):
+    rods, observations = wandering(rng, COUNT, EDGES), observed(rng)
+    arrays = [rods.start, rods.quaternions, rods.rest_length,
+              observations.vertices, observations.frames, observations.valid]
+    copies = [array.copy() for array in arrays]
+    for array in arrays:
+        array.setflags(write=False)
+    distance(rods, observations, np.arange(COUNT), 1.0)
+    for array, copy in zip(arrays, copies, strict=True):
+        np.testing.assert_array_equal(array, copy)
+
+
+def test_what_cannot_be_compared_is_refused(rng):
+    rods, observations = wandering(rng, COUNT, EDGES), observed(rng, frames=None)
+    for bad in (lambda: distance(rods, observations, frame_weight=1.0),
+                lambda: distance(wandering(rng, COUNT, EDGES + 1), observations),
+                lambda: distance(rods.take(np.arange(3)), observations),
+                lambda: distance(rods, observations, np.arange(3))):
+        with pytest.raises(InputError) as caught:
+            bad()
+        print(caught.value)
+
+
+@pytest.mark.parametrize("index", [[0, 1, 2, 3, 4, 5, COUNT], [-1, 0, 1, 2, 3, 4, 5]])
+def test_rows_out_of_range_are_refused(rng, index):
+    with pytest.raises(InputError):
+        distance(wandering(rng, COUNT, EDGES), observed(rng), index)
+
+
+@pytest.mark.parametrize("name", ["nylon", "ribbon"])
+def test_lab(laboratory, name):
+    rod = lab(laboratory, name)
+    weight = RIBBON_WIDTH if name == "ribbon" else 0.0
+    solution = relax(rod.start, rod.material(), rod.clamps)
+    found = distance(solution.configuration, rod.observations, frame_weight=weight)
+    np.testing.assert_allclose(found, beside(solution.configuration, rod.observations, range(60), weight), rtol=1e-12)

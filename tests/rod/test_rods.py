@@ -1,0 +1,67 @@
+"""Rods without observations: their shapes, and what relax makes of them."""
+
+import numpy as np
+import pytest
+
+from doo_ti import Clamp, InputError, Material, end_clamps, hanging, relax, straight_rod
+from doo_ti.rod.types import Status
+
+
+def test_a_straight_rod():
+    rod = straight_rod(120.0, 12, start=(1, 2, 3), direction=(0, 3, 4))
+    np.testing.assert_allclose(rod.vertices[0, -1], [1, 2 + 72, 3 + 96])
+    np.testing.assert_allclose(rod.rest_length, 10.0)
+    clamps = end_clamps(rod, Clamp.FRAME, Clamp.POSITION)
+    np.testing.assert_allclose(clamps.end_position, rod.vertices[:, -1])
+    np.testing.assert_allclose(clamps.start_frame[0, :, 0], [0, 0.6, 0.8], atol=1e-12)
+
+
+def test_a_limp_rope_hangs_as_a_catenary():
+    """y = a cosh(x/a) with the length 2 a sinh(b/(2a)) between ends b apart; chain of 80 edges, so to 0.1 %."""
+    length, span = 1000.0, 600.0
+    rope, clamps = hanging(length, 80, (0, 0, 0), (span, 0, 0))
+    solution = relax(rope, Material(bend=1e3, twist=1e3), clamps)
+    low, high = 1.0, 1e4
+    for _ in range(80):
+        a = 0.5 * (low + high)
+        low, high = (a, high) if 2 * a * np.sinh(span / (2 * a)) > length else (low, a)
+    sag = a * (np.cosh(span / (2 * a)) - 1)
+    assert solution.status[0] == Status.CONVERGED and solution.stable[0]
+    np.testing.assert_allclose(solution.configuration.vertices[0, 40], [span / 2, 0, -sag], atol=1e-3 * length)
+
+
+@pytest.mark.parametrize("up", [(0, 0, 1), (0, 1, 0), (1, -2, 0.5)])
+def test_arcs_meet_their_ends_and_sag(up):
+    ends = np.array([[600, 0, 0], [0, 600, 100], [0, 0, 0], [0, 0, 500], [0, 0, -999], [2000, 0, 0]], dtype=float)
+    rope, clamps = hanging(1000.0, 30, (0, 0, 0), ends, up=up)
+    reached = rope.vertices[:, -1]
+    np.testing.assert_allclose(reached[:5], ends[:5], atol=1e-6)
+    np.testing.assert_allclose(reached[5], [1000, 0, 0], atol=1e-6)  # too far: straight towards the point
+    middle = rope.vertices[:5].mean(axis=1) - 0.5 * ends[:5]
+    assert (middle @ np.array(up) < 1e-6).all()
+    solution = relax(rope, Material(bend=1e6, twist=1e6), clamps, up=up)
+    assert solution.status.tolist() == [Status.CONVERGED] * 5 + [Status.INFEASIBLE] and solution.stable[:5].all()
+
+
+def test_ropes_of_several_lengths_are_each_as_its_own():
+    lengths, ends = np.array([800.0, 1000.0, 1300.0]), np.array([[500, 0, 0], [0, 600, 100], [0, 0, 500]], dtype=float)
+    ropes, clamps = hanging(lengths, 20, (0, 0, 0), ends)
+    solution = relax(ropes, Material(bend=1e6, twist=1e6), clamps)
+    for row, length in enumerate(lengths):
+        rope, held = hanging(length, 20, (0, 0, 0), ends[row])
+        alone = relax(rope, Material(bend=1e6, twist=1e6), held).configuration
+        np.testing.assert_array_equal(solution.configuration.vertices[row], alone.vertices[0])
+        np.testing.assert_allclose(solution.configuration.rest_length[row].sum(), length)
+
+
+def test_wrong_arguments_are_named():
+    for call, name in ((lambda: straight_rod(0, 10), "length"), (lambda: straight_rod(10, 1), "edges"),
+                       (lambda: straight_rod(10, 5, direction=(0, 0, 0)), "direction"),
+                       (lambda: straight_rod([10, 20], 5), "length"),
+                       (lambda: hanging([10, -1], 5, (0, 0, 0), (1, 0, 0)), "-1"),
+                       (lambda: hanging([10, 20], 5, np.zeros((3, 3)), (1, 0, 0)), "2, 3 rows"),
+                       (lambda: hanging(10, 5, (0, 0), (1, 0, 0)), "start"),
+                       (lambda: hanging(10, 5, (0, 0, 0), (np.nan, 0, 0)), "end"),
+                       (lambda: hanging(10, 5, (0, 0, 0), (1, 0, 0), up=(0, 0, 0)), "up")):
+        with pytest.raises(InputError, match=name):
+            call()

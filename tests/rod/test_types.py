@@ -1,0 +1,103 @@
+"""Types of the public names: complete, and as type checkers see them. And how public objects are printed."""
+
+import enum
+import inspect
+import os
+import re
+import shutil
+import subprocess
+import sys
+import typing
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import doo_ti
+from doo_ti import Material, end_loads, relax
+from doo_ti.rod.observations import Observations
+from tests.references.rods import clamps_at
+from tests.relaxation.rods import wandering
+
+ROOT = Path(__file__).resolve().parents[2]
+PROGRAM = ROOT / "tests" / "public_names.py"
+PUBLIC = {name: getattr(doo_ti, name) for name in doo_ti.__all__}
+
+
+def test_the_program_uses_every_name():
+    used = set(re.findall(r"\w+", PROGRAM.read_text(encoding="utf-8").partition("\n\n\ndef ")[2]))
+    assert not set(doo_ti.__all__) - used
+
+
+def test_what_type_checkers_read_is_shipped():
+    folder = Path(doo_ti.__file__).parent
+    assert (folder / "py.typed").exists() and (folder / "__init__.pyi").exists()
+    assert len(doo_ti.__all__) > 70 and {"relax", "Theta", "ClampPath", "record_sweep"} <= set(doo_ti.__all__)
+
+
+@pytest.mark.parametrize("name", doo_ti.__all__)
+def test_every_argument_has_a_type(name):
+    thing = PUBLIC[name]
+    functions = {name: thing}
+    if inspect.isclass(thing):
+        functions = {key: getattr(thing, key) for key, value in vars(thing).items() if not key.startswith("_")
+                     and isinstance(value, classmethod | staticmethod | type(lambda: 0))}
+        functions |= {key: value.fget for key, value in vars(thing).items() if isinstance(value, property)}
+    for own, function in functions.items():
+        signature = inspect.signature(function)
+        bare = [key for key, value in signature.parameters.items()
+                if value.annotation is value.empty and key not in ("self", "cls")]
+        assert not bare and signature.return_annotation is not signature.empty, f"{name}.{own}: {bare}, or its result"
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("checker", ["mypy", "pyright"])
+def test_type_checkers_find_nothing(checker, tmp_path):
+    """From another folder, as a user's program."""
+    program = tmp_path / "program.py"
+    program.write_text(PROGRAM.read_text(encoding="utf-8"), encoding="utf-8")
+    if checker == "mypy":
+        if find_spec("mypy") is None:
+            pytest.skip("mypy is not installed")
+        words = [sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", "--cache-dir", str(tmp_path / "cache")]
+    elif (command := shutil.which("pyright")) is None:
+        pytest.skip("pyright is not installed")
+    else:
+        words = [command, "--pythonpath", sys.executable]
+    done = subprocess.run([*words, str(program)], capture_output=True, text=True, cwd=tmp_path,
+                          env={**os.environ, "MYPYPATH": str(ROOT), "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path[1:]])})
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_objects_are_printed_in_one_line(rng):
+    rods = wandering(rng, 3, 12)
+    material = Material.from_physical([1e-6, 2e-6, 3e-6], 1e-6, 0.01)
+    solution = relax(rods, material, clamps_at(rods))
+    seen = Observations(rods.vertices, rest_length=np.full(12, 3.0), name="rope")
+    assert [repr(thing) for thing in (material, rods, clamps_at(rods), solution, seen, end_loads(solution))] == [
+        "Material(3 materials: bend 2e+05 to 6e+05 mm³, twist 2e+05 mm³, weight 1, 0.01 N/m)",
+        "Configuration(3 rods of 12 edges, 36 mm long)",
+        "Clamps(3 rods: start frame, end frame)",
+        "Solution(3 rods of 12 edges: 3 converged; 3 certified stable)",
+        "Observations(rope: 3 rods of 13 marks, 36 mm long)",
+        "EndLoads(start_force (3, 3), start_moment (3, 3), end_force (3, 3), end_moment (3, 3), physical True)"]
+
+
+def test_arguments_are_of_public_types():
+    """Whatever a public function or constructor takes can be made from public names."""
+    def classes(annotation):
+        if inspect.isclass(annotation):
+            yield annotation
+        for part in typing.get_args(annotation):
+            for inner in part if isinstance(part, list) else [part]:
+                yield from classes(inner)
+
+    others = {"Refinement", "Identified", "Trajectory", "External", "InterruptedRunError", "Contacts"}  # not made by a program
+    public = set(PUBLIC.values())
+    for name, thing in PUBLIC.items():
+        if name in others or isinstance(thing, enum.EnumMeta):
+            continue
+        for argument in inspect.signature(thing).parameters.values():
+            own = {one for one in classes(argument.annotation) if one.__module__.startswith("doo_ti.")}
+            assert not own - public, f"{name}: {argument.name} is of {own - public}"
