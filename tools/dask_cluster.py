@@ -57,6 +57,6 @@ class Cluster:
 def another_version(package: Path, folder: Path) -> None:
     """Copy ``package`` into ``folder``, with distances doubled, as an upgrade may change results."""
     shutil.copytree(package, folder / package.name, ignore=shutil.ignore_patterns("__pycache__"))
-    metric = folder / package.name / "metric.py"
+    metric = folder / package.name / "rod" / "metric.py"
     metric.write_text(metric.read_text() + "\n_one = distance\n\n\ndef distance(*given, **options):\n"
                                            "    return 2 * _one(*given, **options)\n")

@@ -17,8 +17,8 @@ from doo_ti import __version__
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import MOST_TEXT_BYTES, read_content, write_whole
 
-SOURCES = ("frames.py", "metric.py", "motion", "physics", "relaxation", "runtime.py", "start.py", "types.py",
-           "learning/cells.py", "learning/experiment.py", "learning/hypotheses.py", "learning/pairs.py")
+SOURCES = ("contact", "motion", "physics", "relaxation", "rod", "system/runtime.py", "learning/cells.py",
+           "learning/experiment.py", "learning/hypotheses.py", "learning/pairs.py")
 """Files and folders of the package that cells depend on."""
 SUMMARY, SEAL = "summary.json", "sha256"
 DENSITY = "linear_density_g_per_m"
