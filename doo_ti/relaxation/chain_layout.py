@@ -4,6 +4,8 @@ State is what a step changes, constants are what a rod is given, the rest is scr
 later sweeps.
 """
 
+from functools import cache
+
 from doo_ti.physics.view import Layout
 
 # Of an edge: the frame, and that before the step, restored where the step is rejected.
@@ -24,6 +26,7 @@ ROD = Layout(target=3, closed=1, free=5, released=1, total=1, longest=1, energy_
 LOOSE = Layout(loose=1, drift=3, drift_standing=3, drift_step=3, drift_border=9, drift_pivots=6)
 
 
+@cache
 def edge_layout(isotropic: bool, outer: Layout | None = None, force: bool = False) -> Layout:
     """What scratch holds of an edge, with the numbers ``outer`` of an external energy and, with ``force``, the columns of the
     multiplier under it."""
@@ -31,6 +34,7 @@ def edge_layout(isotropic: bool, outer: Layout | None = None, force: bool = Fals
     return own + (Layout() if outer is None else Layout(outer=outer)) + (FORCE if force else Layout())
 
 
+@cache
 def rod_layout(outer_start: Layout | None = None) -> Layout:
     """What scratch holds of a rod, whose vertex 0 may move if there are numbers ``outer_start`` of an external energy there."""
     return ROD if outer_start is None else ROD + LOOSE + Layout(outer=outer_start)
