@@ -31,8 +31,9 @@ def draw_prediction(task, prediction, arrays: dict[str, np.ndarray], pictures: d
     if pictures[".rrd"] is not None:
         from doo_ti.record import record_motion
 
+        force, unit = ("end_force_N", "N") if "end_force_N" in arrays else ("end_force", "mm")
         curves = {"Energy [mm²]": prediction.energy, "Total twist [°]": arrays["total_twist_deg"],
-                  "Force at the far clamp [mm]": np.linalg.norm(prediction.end_force, axis=-1)}
+                  f"Force at the far clamp [{unit}]": np.linalg.norm(arrays[force], axis=-1)}
         record_motion(pictures[".rrd"], run_id=hashlib.sha256(rods.vertices.tobytes()).hexdigest()[:32], name=task.name,
                       rods=rods, curves=curves, text="\n\n".join(line.strip() for line in lines))
 
