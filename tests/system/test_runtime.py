@@ -67,7 +67,8 @@ def test_a_thread_that_has_ended_is_passed_over():
 OTHER_THREADS = """
 from threading import Event, Thread
 import numpy as np
-from doo_ti import Clamp, Clamps, Configuration, Material, relax, runtime
+from doo_ti import Clamp, Clamps, Configuration, Material, relax
+from doo_ti.system import runtime
 
 rods = Configuration(np.zeros((1, 3)), np.tile([1.0, 0, 0, 0], (1, 9, 1)), np.full(9, 3.0))
 clamps = Clamps(Clamp.FRAME, Clamp.FREE, np.zeros((1, 3)), np.zeros((1, 3)), np.eye(3)[None], np.eye(3)[None])
@@ -127,7 +128,8 @@ def test_cuda_without_a_device_is_refused(tmp_path):
 FORKED = """
 import os
 import signal
-from doo_ti import InputError, Observations, distance, runtime, straight_rod
+from doo_ti import InputError, Observations, distance, straight_rod
+from doo_ti.system import runtime
 
 rod = straight_rod(9.0, 3)
 seen = Observations(rod.vertices)
