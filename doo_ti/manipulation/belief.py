@@ -120,7 +120,8 @@ class Belief:
         nominal, bend = self._nominal, self.unknowns[:, BEND]
         rest, matrix = nominal.rest_curvature, nominal.bend * np.exp(bend)[:, None, None, None]
         if self.uneven:
-            own = np.tensordot(self.unknowns[:, CURVATURE:], self.modes[-2 * CURVES :], 1)
+            # Not a matrix product, whose rounding depends on how many rods there are.
+            own = np.sum(self.unknowns[:, CURVATURE:, None, None] * self.modes[-2 * CURVES :], axis=1)
             rest = own if rest is None else rest + own
             along = np.ones((len(own), own.shape[1] + 1))  # a joint's stiffness is the mean of its edges'
             along[:, 0] = along[:, -1] = 2.0 / (1.0 + self.compliance) - 1.0

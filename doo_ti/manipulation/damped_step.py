@@ -19,7 +19,8 @@ class DampedSteps:
     def __init__(self, normal: np.ndarray, gradient: np.ndarray):
         values, self._vectors = np.linalg.eigh(normal)
         self._values = np.maximum(values, 0.0)
-        self._along = np.einsum("bik,bi->bk", self._vectors, gradient)
+        # Products of single matrices, so that the rounding of a rod does not depend on how many others there are.
+        self._along = (np.swapaxes(self._vectors, 1, 2) @ gradient[..., None])[..., 0]
 
     def within(self, length: np.ndarray) -> np.ndarray:
         """(B, K) the steps of at most ``length`` (B,), zero where that is."""
@@ -30,5 +31,5 @@ class DampedSteps:
             short = np.linalg.norm(self._along / (self._values + np.exp(middle)[:, None]), axis=1) <= length
             low, high = np.where(short, low, middle), np.where(short, middle, high)
         damping = np.where(fits, LEAST_DAMPING, np.exp(high))[:, None]
-        step = np.einsum("bik,bk->bi", self._vectors, self._along / (self._values + damping))
+        step = (self._vectors @ (self._along / (self._values + damping))[..., None])[..., 0]
         return np.where(length[:, None] > 0, step, 0.0)

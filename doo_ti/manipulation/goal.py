@@ -94,6 +94,8 @@ def all_goals(rods: Configuration, clamps: Clamps, model: Model, targets: Target
 def fit(rods: Configuration, clamps: Clamps, model: Model, targets: Targets, options: ServoOptions) -> Goal:
     """The rods that are nearest to their targets, from these on, by damped least squares in the grippers' poses
     (Levenberg, Marquardt); every one is certified."""
+    begin = model.relaxed(rods, clamps)
+    rods = finite_rods(begin.configuration, rods)
     solution = model.relaxed(rods, clamps)
     distance = _distance(solution, targets)
     length, reach = np.full(rods.count, LONGEST), (rods.rest_length.sum(), rods.rest_length[0])
@@ -103,17 +105,18 @@ def fit(rods: Configuration, clamps: Clamps, model: Model, targets: Targets, opt
         columns = np.nan_to_num(columns.reshape(rods.count, -1, 12)) * (options.moves / options.scale)
         across = np.swapaxes(columns, 1, 2) * weight[:, None]
         error = np.nan_to_num(targets.places - solution.configuration.vertices).reshape(rods.count, -1)
-        step = DampedSteps(across @ columns, np.einsum("bkn,bn->bk", across, error)).within(length)
+        step = DampedSteps(across @ columns, (across @ error[..., None])[..., 0]).within(length)
         there = moved(clamps, step / options.scale)
-        tried = model.relaxed(finite_rods(solution.configuration, rods), there)
+        tried = model.relaxed(rods, there)
         nearer = _distance(tried, targets)
         loose = slack(there, *reach) >= np.minimum(slack(clamps, *reach), options.slack * reach[0])
-        good = (nearer < distance) & loose
+        searching = length >= options.reached_mm * SHRINK
+        good = (nearer < distance) & loose & searching
         length = np.where(good, np.minimum(GROW * length, LONGEST), SHRINK * np.minimum(length, np.linalg.norm(step, axis=1)))
         taken = np.flatnonzero(good)
-        if not len(taken) and (length < options.reached_mm * SHRINK).all():
+        if not searching.any():
             break
-        rods = put_rods(finite_rods(solution.configuration, rods), taken, tried.configuration.take(taken))
+        rods = put_rods(rods, taken, tried.configuration.take(taken))
         clamps, distance = put_rows(clamps, taken, there.take(taken)), np.where(good, nearer, distance)
         solution = model.relaxed(rods, clamps)
     return Goal(finite_rods(solution.configuration, rods), clamps, _distance(solution, targets))

@@ -30,7 +30,7 @@ def held(clamps: Clamps, clip: np.ndarray) -> Clamps:
     """How clips hold rods whose reported clamps are ``clamps``: with a reported frame F and position x at F exp(r), x + F d;
     ``clip`` (B, 12) is d and r of both ends, constant in the gripper."""
     def put(position, frame, own):
-        return position + np.einsum("bij,bj->bi", frame, own[:, :3]), frame @ rotation_matrix(own[:, 3:])
+        return position + (frame @ own[:, :3, None])[..., 0], frame @ rotation_matrix(own[:, 3:])
     start, end = (put(clamps.start_position, clamps.start_frame, clip[:, :6]),
                   put(clamps.end_position, clamps.end_frame, clip[:, 6:]))
     return replace(clamps, start_position=start[0], start_frame=start[1], end_position=end[0], end_frame=end[1])

@@ -30,14 +30,7 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.manipulation.belief import CENTRE, CLIP, Belief, LearnedMaterial
 from doo_ti.manipulation.damped_step import DampedSteps
 from doo_ti.manipulation.goal import Model, nearest_goal
-from doo_ti.manipulation.poses import (
-    change_between,
-    held,
-    moved,
-    put_rods,
-    put_rows,
-    slack,
-)
+from doo_ti.manipulation.poses import change_between, finite_rods, held, moved, put_rods, put_rows, slack
 from doo_ti.manipulation.resynchronise import between_marks, resynchronised
 from doo_ti.manipulation.targets import ServoOptions, ServoStatus, Targets
 from doo_ti.relaxation.newton import Newton
@@ -108,14 +101,14 @@ class Servo:
         material = material.take(rows) if material.count < count else material
         self._belief = Belief(material, rod.rest_length, options, CENTRE if self._padded else 0.0)
         self.clamps = clamps
-        self._model = relax(rod, self._belief.material, clamps, Newton.careful(), up=self._up, **around.arguments)
-        self._last = rod  # the last shape of each rod that was finite
+        model = relax(rod, self._belief.material, clamps, Newton.careful(), up=self._up, **around.arguments)
+        self._last, self._sound = finite_rods(model.configuration, rod), model.converged & model.stable
         self._offset = np.zeros((count, rod.edges + 1, 3))
         self._length = np.full(count, options.step_mm)
         self.status = np.full(count, int(ServoStatus.MOVING))
         self.snaps = np.zeros(count, dtype=np.int64)
         self._aims, self._aiming, self._aimed = clamps, np.zeros(count, dtype=bool), np.zeros(count, dtype=np.int64)
-        self.distance = self._targets.distance(self._model.configuration.vertices)
+        self.distance = self._targets.distance(self._last.vertices)
 
     def __repr__(self) -> str:
         counts = [f"{number} {ServoStatus(kind).name.lower()}"
@@ -130,7 +123,7 @@ class Servo:
     @property
     def vertices(self) -> np.ndarray:
         """(B, V, 3) mm, where the rods are estimated to be after the last step."""
-        vertices = self._model.configuration.vertices + self._offset
+        vertices = self._last.vertices + self._offset
         return vertices[:, 1:-1] if self._padded else vertices
 
     @typed
@@ -147,11 +140,12 @@ class Servo:
         seen = _padded(seen) if self._padded else seen
         visible = np.isfinite(seen).all(axis=-1)
         self._follow_snaps(seen, visible)
-        found = sensitivity(self._model, PARAMETERS + ("modes",) * self._belief.uneven,
+        solution = self._relaxed(np.arange(len(visible)))
+        found = sensitivity(solution, PARAMETERS + ("modes",) * self._belief.uneven,
                             self._belief.modes if self._belief.uneven else None)
         usable = found.usable & np.isfinite(found.vertices[:, -1]).all(axis=(1, 2))  # none of taut rods
         found.vertices[~usable] = 0.0
-        model = np.where(usable[:, None, None], self._model.configuration.vertices, self._last.vertices)
+        model = np.where(usable[:, None, None], solution.configuration.vertices, self._last.vertices)
         change = self._learn(seen - model, found.vertices, visible & usable[:, None])
         columns = found.vertices.reshape(len(usable), -1, found.vertices.shape[-1])
         expected = model + (columns @ change[..., None]).reshape(model.shape)
@@ -161,9 +155,8 @@ class Servo:
 
     def _follow_snaps(self, seen: np.ndarray, visible: np.ndarray) -> None:
         """Draw the models to the marks that are far from them, where that explains the marks better."""
-        apart = np.where(visible[..., None], seen - self._model.configuration.vertices - self._offset, 0.0)
-        error = _size(apart, visible)
-        lost = ~(self._model.converged & self._model.stable)
+        apart = np.where(visible[..., None], seen - self._last.vertices - self._offset, 0.0)
+        error, lost = _size(apart, visible), ~self._sound
         # The first moment is compared with nothing: what is not known of the rod has not been learned.
         limit = np.maximum(SNAPPED * self._belief.expected, SNAPPED_SHARE * self._last.rest_length.sum())
         rods = np.flatnonzero((lost | (error > limit)) & visible.any(axis=1))
@@ -181,21 +174,17 @@ class Servo:
             self._belief.forget(rods)
             self.snaps[rods] += 1
             self._last = put_rods(self._last, rods, drawn.configuration.take(np.flatnonzero(better)))
-            self._model = self._relaxed(np.arange(len(lost)))
 
     def _learn(self, residual: np.ndarray, columns: np.ndarray, visible: np.ndarray) -> np.ndarray:
         """(B, C) the change of what the columns (B, V, 3, C) are derivatives by, learned from the ``residual`` (B, V, 3) of the
         ``visible`` marks from the model. The offset takes what it leaves."""
-        count, rods = len(visible), self._model.configuration
-        marks = np.flatnonzero(visible.any(axis=0))
-        seen = visible[:, marks]
-        own = np.where(seen[..., None, None], columns[:, marks], 0.0).reshape(count, 3 * len(marks), columns.shape[-1])
-        apart = np.where(seen[..., None], residual[:, marks], 0.0)
+        count = len(visible)
+        own = np.where(visible[..., None, None], columns, 0.0).reshape(count, -1, columns.shape[-1])
+        apart = np.where(visible[..., None], residual, 0.0)
         frames = (self.clamps.start_frame,) * 2 + (self.clamps.end_frame,) * 2
-        transform = self._belief.transform(np.stack(frames), _elastic(rods, self._belief.material))
-        change = self._belief.learn(apart.reshape(count, -1), own, transform, 3 * seen.sum(axis=1))
-        left = np.zeros_like(residual)
-        left[:, marks] = apart - (own @ change[..., None]).reshape(apart.shape)
+        transform = self._belief.transform(np.stack(frames), _elastic(self._last, self._belief.material))
+        change = self._belief.learn(apart.reshape(count, -1), own, transform, 3 * visible.sum(axis=1))
+        left = apart - (own @ change[..., None]).reshape(apart.shape)
         some = visible.any(axis=1)[:, None, None]
         self._offset = np.where(some, (1 - GAIN) * self._offset + GAIN * between_marks(left, visible), self._offset)
         return change
@@ -212,7 +201,7 @@ class Servo:
         """Move the grippers, and the models with them: as far as these follow."""
         start = self.clamps
         before, self.distance = self._targets.distance(expected + self._offset), self.distance.copy()
-        waiting, whole = np.arange(len(usable)), True
+        waiting = np.arange(len(usable))
         refused, rested = np.zeros((2, len(usable)), dtype=bool)
         longest = np.where(usable, self._length, 0.0)
         gain = np.zeros(len(usable))
@@ -239,19 +228,15 @@ class Servo:
             self.distance[done], gain[done] = distance[good], (before[waiting] - distance)[good]
             if attempt == 0:
                 self._length[done] = np.minimum(2 * np.maximum(size[good], 1.0), self._options.step_mm)
-                if good.all():
-                    self._model = model
-                    break
-            whole = False
             longest[waiting] = SHORTER * np.minimum(longest[waiting], np.maximum(size, 0.1))
             refused[waiting[~good]] = True
             waiting = waiting[~good]
             if not len(waiting):
                 break
             self._length[waiting] = np.maximum(longest[waiting], 0.5)
-        if not whole:
-            self.clamps = put_rows(self.clamps, waiting, start.take(waiting)) if len(waiting) else self.clamps
-            self._model = self._relaxed(np.arange(len(usable)))
+        self._sound = ~np.isin(np.arange(len(usable)), waiting)
+        if len(waiting):
+            self.clamps = put_rows(self.clamps, waiting, start.take(waiting))
         self._judge(gain, refused)
         arrived = np.linalg.norm(to_aim, axis=1) <= self._options.step_mm
         self._aiming &= ~(arrived | (self.status == ServoStatus.LOST) | rested)
@@ -262,7 +247,7 @@ class Servo:
         stuck = gain < LITTLE * self.distance
         status = np.where(stuck, np.where(refused, ServoStatus.BLOCKED, ServoStatus.NEAREST), ServoStatus.MOVING)
         status = np.where(self.distance <= self._options.reached_mm, ServoStatus.REACHED, status)
-        self.status = np.where(self._model.converged & self._model.stable, status, ServoStatus.LOST)
+        self.status = np.where(self._sound, status, ServoStatus.LOST)
 
     def _aim(self) -> None:
         """Give rods that come no nearer to their targets a goal that is, where there is one. On the way to it the distance may

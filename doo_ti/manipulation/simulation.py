@@ -10,17 +10,18 @@ to. Axes: B rods.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.manipulation.poses import finite_rods
+from doo_ti.manipulation.poses import finite_rods, put_rods
 from doo_ti.motion.path import LARGEST_TURN, motion_between
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.rod.types import Clamps, Configuration, Material, Solution, unit_up
+from doo_ti.rod.types import Clamps, Configuration, Material, Solution, sticky, unit_up
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
 from doo_ti.system.short_repr import counted
@@ -50,7 +51,7 @@ class Simulation:
         surroundings = Surroundings.checked("Simulation", obstacles, radius, rods.count)
         if surroundings.rub or surroundings.moves:
             raise InputError("Simulation", "obstacles", "with friction, or moving", "give obstacles at rest without friction")
-        self._around, self._up, self._sub_step = surroundings.arguments, unit_up(up, "Simulation"), sub_step
+        self._around, self._up, self._sub_step = surroundings, unit_up(up, "Simulation"), sub_step
         self._material, self._begin = material, (rods, clamps)
         self.reset()
 
@@ -60,24 +61,31 @@ class Simulation:
     def reset(self) -> Solution:
         """All rods back at their first clamps, at rest."""
         rods, self.clamps = self._begin
-        self.state = self._relaxed(rods, self.clamps)
+        self.state = self._relaxed(rods, self.clamps, np.arange(rods.count))
         self._last = finite_rods(self.state.configuration, rods)
         return self.state
 
     @typed
     def step(self, grippers: Clamps) -> Solution:
         """The rods after their grippers have moved to ``grippers``, of B rods and the kinds of clamps that they have: along
-        straight lines, frames turning the shortest way. A rod that fails has its status, and goes on from where it was last at
-        rest."""
+        straight lines, frames turning the shortest way. A rod that fails in a sub-step keeps that status in the result, and goes
+        on from where it was last at rest."""
         if grippers.count != self.clamps.count:
             raise InputError("Simulation.step", "grippers", f"{grippers.count} rows", f"give {self.clamps.count}")
         motion = motion_between(self.clamps, grippers)
-        steps = int(np.max(motion.needed_steps(self._last.rest_length, self._sub_step), initial=1))
-        for step in range(1, steps + 1):
-            self.state = self._relaxed(self._last, motion.at(step / steps))
-            self._last = finite_rods(self.state.configuration, self._last)
-        self.clamps = grippers
+        steps = motion.needed_steps(self._last.rest_length, self._sub_step)
+        most, status = int(np.max(steps, initial=1)), np.zeros(len(steps), dtype=np.int8)
+        # A rod takes as many sub-steps as its own grippers need; all take their last one together.
+        for step in range(1, most + 1):
+            late = step - most + steps
+            rods = np.flatnonzero(late > 0)
+            part = motion.take(rods)
+            state = self._relaxed(self._last.take(rods), part.at(late[rods] / steps[rods]), rods)
+            self._last = put_rods(self._last, rods, finite_rods(state.configuration, self._last.take(rods)))
+            status[rods] = sticky(status[rods], state.status)
+        self.clamps, self.state = grippers, replace(state, status=status)
         return self.state
 
-    def _relaxed(self, rods: Configuration, clamps: Clamps) -> Solution:
-        return relax(rods, self._material, clamps, Newton.careful(), up=self._up, **self._around)
+    def _relaxed(self, rods: Configuration, clamps: Clamps, rows: np.ndarray) -> Solution:
+        material = self._material if self._material.count == 1 else self._material.take(rows)
+        return relax(rods, material, clamps, Newton.careful(), up=self._up, **self._around.take(rows).arguments)

@@ -46,9 +46,9 @@ class Motion:
     end_turn: Annotated[np.ndarray | None, "R 3"] = None
     end_spin: Annotated[np.ndarray | None, "R"] = None
 
-    def at(self, share: float) -> Clamps:
-        """The clamps after ``share`` of the motion, 0 to 1."""
-        here = self.clamps
+    def at(self, share: float | np.ndarray) -> Clamps:
+        """The clamps after ``share`` of the motion, 0 to 1, one number or (R,)."""
+        here, share = self.clamps, np.asarray(share)[..., None]
         return Clamps(
             here.start, here.end, _shifted(here.start_position, self.start_shift, share),
             _shifted(here.end_position, self.end_shift, share), _turned(here.start_frame, self.start_turn, None, share),
@@ -125,21 +125,21 @@ def carry(configuration: Configuration, material: Material, path: Iterator[Clamp
     return solution, clamps
 
 
-def _shifted(position: np.ndarray, shift: np.ndarray | None, share: float) -> np.ndarray:
+def _shifted(position: np.ndarray, shift: np.ndarray | None, share: np.ndarray) -> np.ndarray:
     return position if shift is None else position + share * shift
 
 
-def _turned(frame: np.ndarray, turn: np.ndarray | None, spin: np.ndarray | None, share: float) -> np.ndarray:
+def _turned(frame: np.ndarray, turn: np.ndarray | None, spin: np.ndarray | None, share: np.ndarray) -> np.ndarray:
     if turn is None and spin is None:
         return frame
     quaternion = quaternion_from_matrix(frame)
     if turn is not None:
         angle = np.linalg.norm(turn, axis=-1)
         axis = turn / np.maximum(angle, 1e-300)[:, None]
-        quaternion = quaternion_product(quaternion_about(axis, share * angle), quaternion)
+        quaternion = quaternion_product(quaternion_about(axis, share[..., 0] * angle), quaternion)
     if spin is not None:
         own = np.broadcast_to([1.0, 0.0, 0.0], (len(spin), 3))
-        quaternion = quaternion_product(quaternion, quaternion_about(own, share * spin))
+        quaternion = quaternion_product(quaternion, quaternion_about(own, share[..., 0] * spin))
     return matrix_from_quaternion(quaternion)
 
 
