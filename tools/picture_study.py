@@ -2,7 +2,7 @@
 
 Draws cables of 300 mm that hang between two clips, ten poses each, clips at random places and in random directions, which
 nobody measures. Their shapes are Kirchhoff's rod by collocation (scipy), followed from the circular arc without weight;
-OpenCV draws them, two cameras take them, with blur, noise and an uneven background. Then the commands of docs/learning.md:
+OpenCV draws them, two cameras take them, with blur, noise and an uneven background. Then the commands of docs/perception.md:
 ``doo-ti perceive`` begun by a click in one camera, under a stiffness that is wrong by a factor, and ``doo-ti refine``. Prints a
 line for each specimen, and how many 95 % intervals of EI over weight contain the truth. Exit code 1 where fewer than nine
 tenths do.

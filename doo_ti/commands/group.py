@@ -31,7 +31,7 @@ MOST_LISTED = 6
 def declare(add) -> None:
     parser = given.command(add, "group", run, "relax rods that touch each other or are tied together, grippers moving or not")
     parser.add_argument("scene", metavar="SCENE.toml", type=scene_file,
-                        help="rods, ties, obstacles and clamps (docs/groups.md)")
+                        help="rods, ties, obstacles and clamps (docs/scenes.md)")
     parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
     given.add_up(parser, "0,0,1")
     parser.add_argument("--picture", metavar="F.png", help="also draw the rods, and forces over time (default: no)")

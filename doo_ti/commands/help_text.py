@@ -12,55 +12,55 @@ GROUPS = {
 }
 """Commands by what they are for, in the order of their use."""
 EXAMPLES = {
-    "sweep": ("learning", ("sweep scenes/vicryl.toml --out runs/vicryl", "the virtual lab, 37 500 rods"),
+    "sweep": (("sweep scenes/vicryl.toml --out runs/vicryl", "the virtual lab, 37 500 rods"),
               ("sweep rope.npz --EI 1e-5:1e-3:25 --linear-density 50 --out runs/rope", "own marks, in N m² and g/m")),
-    "refine": ("refinement", ("refine runs/vicryl", "parameters with 95 % intervals, from the best cell of a sweep"),
+    "refine": (("refine runs/vicryl", "parameters with 95 % intervals, from the best cell of a sweep"),
                ("refine runs/rope --linear-density 50 --json", "the same in N m², as JSON")),
-    "learn": ("learning", ("learn runs/nylon runs/vicryl runs/silk --by material", "leave-one-out tables"),
+    "learn": (("learn runs/nylon runs/vicryl runs/silk --by material", "leave-one-out tables"),
               ("learn runs/vicryl --by end-distance --out tables", "as text, CSV and Markdown")),
-    "plan": ("refinement", ("plan scenes/vicryl.toml --out plan", "which configurations to measure next"),
+    "plan": (("plan scenes/vicryl.toml --out plan", "which configurations to measure next"),
              ("plan rope.npz --bend 4e5:8e5:5 --twist 6e5 --out plan", "of own observations")),
-    "figures": ("recording", ("figures runs/nylon runs/vicryl --out figures", "landscapes, and a recording of all cells"),
+    "figures": (("figures runs/nylon runs/vicryl --out figures", "landscapes, and a recording of all cells"),
                 ("figures runs/vicryl --by end-distance --out figures", "a landscape for each end distance")),
-    "relax": ("observations", ("relax suture.npz --bend 6e5 --twist 8e5 --out relaxed.npz", "each observation as relaxed"),
+    "relax": (("relax suture.npz --bend 6e5 --twist 8e5 --out relaxed.npz", "each observation as relaxed"),
               ("relax rope.csv --EI 1e-4 --linear-density 50 --out relaxed.npz", "in physical units")),
-    "group": ("groups", ("group scenes/groups/wire_harness.toml --out harness.npz --picture harness.png", "a harness"), (
+    "group": (("group scenes/groups/wire_harness.toml --out harness.npz --picture harness.png", "a harness"), (
         "group scenes/groups/reef_knot.toml --out knot.npz --recording knot.rrd", "two ropes that are knotted")),
-    "predict": ("twist", ("predict suture.npz --motion path.csv --bend 6e5 --twist 8e5 --out moved.npz", "poses in the world"),
+    "predict": (("predict suture.npz --motion path.csv --bend 6e5 --twist 8e5 --out moved.npz", "poses in the world"),
                 ("predict scenes/motion/loop_pop_out.toml --out loop.npz --picture loop.png", "a scene of motion")),
-    "twist": ("twist", ("twist suture.npz --bend 6e5 --twist 8e5 --out phi.npz --picture phi.png", "a twist angle each"),
+    "twist": (("twist suture.npz --bend 6e5 --twist 8e5 --out phi.npz --picture phi.png", "a twist angle each"),
               ("twist rods.npz --bend 6e5 --twist 8e5 --observations 6 --out phi.npz", "six share one unknown angle")),
-    "calibrate": ("cameras", ("calibrate views.csv --board charuco:10x7:10:7 --out rig.yaml", "cameras from images of a board"),
+    "calibrate": (("calibrate views.csv --board charuco:10x7:10:7 --out rig.yaml", "cameras from images of a board"),
                   ("calibrate views.csv --board chessboard:9x6:25 --out rig.yaml", "the same from a chessboard")),
-    "triangulate": ("cameras", ("triangulate marks.csv --rig rig.yaml --out suture.npz", "labelled marks to observations"),
+    "triangulate": (("triangulate marks.csv --rig rig.yaml --out suture.npz", "labelled marks to observations"),
                     ("triangulate marks.csv --rig rig.yaml --out suture.npz --json", "counts and outliers as JSON")),
-    "perceive": ("perception", (
+    "perceive": ((
         "perceive --rig rig.yaml --sets sets.csv --rest-length 3:33 --bend 6e5 --twist 8e5 --out rods.npz", "many sets"), (
         "perceive left.png right.png --rig rig.yaml --seed-pixel left:412,300 --out rod.npz", "one set, from a click")),
-    "track": ("tracking", (
+    "track": ((
         "track --rig rig.yaml --frames video.csv --rest-length 3:33 --bend 6e5 --twist 8e5 --out video.npz", "from a video"), (
         "track --rig rig.yaml --frames video.csv --rest-length lengths.txt --bend 6e5 --twist 8e5 --out video.npz --json",
         "with lengths of each edge")),
-    "steer": ("manipulation", (
+    "steer": ((
         "steer rope.npz --target goal.npz --EI 1e-4 --GJ 1e-4 --linear-density 50 --out path.csv", "both grippers' motion"), (
         "steer rope.npz --target goal.npz --bend 6e5 --obstacles table.toml --radius 1 --out path.csv", "past obstacles")),
-    "simulate": ("dynamics", (
+    "simulate": ((
         "simulate scenes/motion/hanging_cables.toml --out hanging.npz --animation hanging.gif", "eight cables"), (
         "simulate motion.npz --theta theta.json --out predicted.npz --recording predicted.rrd", "recorded grippers")),
-    "identify": ("dynamics", ("identify motion.npz --out theta.json", "a rod from recorded motion"),
+    "identify": (("identify motion.npz --out theta.json", "a rod from recorded motion"),
                  ("identify motion.npz --obstacles table.toml --radius 2 --fit friction,bend_damping --out theta.json",
                   "of a rod that is moved on a table")),
-    "synth": ("observations", ("synth scenes/vicryl.toml --out vicryl.npz", "simulated observations"),
+    "synth": (("synth scenes/vicryl.toml --out vicryl.npz", "simulated observations"),
               ("synth scenes/vicryl.toml --images lab --rig scenes/rig.yaml", "rendered images, and the true rods")),
-    "convert": ("observations", ("convert marks.csv marks.npz", "from a table to arrays"),
+    "convert": (("convert marks.csv marks.npz", "from a table to arrays"),
                 ("convert suture.npz suture.parquet", "to a table for other programs")),
-    "view": ("recording", ("view runs/vicryl", "a recording in the viewer's window"),
+    "view": (("view runs/vicryl", "a recording in the viewer's window"),
              ("view runs/vicryl --screenshot run.png", "as a picture, without a display")),
-    "warm": ("library", ("warm perceive track", "before the first images"), ("warm", "for all commands, in minutes")),
-    "bench": ("chain", ("bench", "throughput and accuracy on this machine, as a table"),
+    "warm": (("warm perceive track", "before the first images"), ("warm", "for all commands, in minutes")),
+    "bench": (("bench", "throughput and accuracy on this machine, as a table"),
               ("bench --out bench", "and as files")),
 }
-"""Of each command the page of the documentation, and two examples with their meaning."""
+"""Of each command two examples with their meaning."""
 _MATERIAL, _FILES = ("--EI", "--GJ", "--linear-density"), ("--unit", "--columns", "--up")
 FIRST = {
     "sweep": (*_MATERIAL, *_FILES, "--rest-length", "--clamp-start", "--clamp-end", "--workers"),
@@ -109,9 +109,8 @@ def examples(command: str) -> str | None:
     """The end of a command's help."""
     if command not in EXAMPLES:
         return None
-    page, *lines = EXAMPLES[command]
-    text = "\n".join(f"doo-ti {line}\n    {meaning}" for line, meaning in lines)
-    return f"examples:\n{indent(text, '  ')}\n\nMore in docs/{page}.md"
+    text = "\n".join(f"doo-ti {line}\n    {meaning}" for line, meaning in EXAMPLES[command])
+    return f"examples:\n{indent(text, '  ')}\n\nMore in docs/commands/{command}.md"
 
 
 def nearest(word: str, known) -> str | None:

@@ -105,7 +105,7 @@ def add_relaxation(parser: ArgumentParser, precision: str | None) -> None:
 
 def add_obstacles(parser: ArgumentParser, friction: str) -> None:
     """``friction`` says what the command makes of the friction of obstacles."""
-    group = parser.add_argument_group("contact", f"obstacles that rods touch but do not enter (docs/contact.md); {friction}")
+    group = parser.add_argument_group("contact", f"obstacles that rods touch but do not enter (docs/obstacles.md); {friction}")
     group.add_argument("--obstacles", metavar="FILE.toml",
                        help="[[obstacles]], each a plane, sphere, capsule, cylinder, ring, box, grid or the rod itself; in mm")
     group.add_argument("--radius", metavar="MM", help="radius of the rods, needed with --obstacles")

@@ -169,7 +169,7 @@ def _perceived(task: PerceptionTask, detected: list[list], bar):
 
 
 def _arrays(task: PerceptionTask, found) -> dict[str, np.ndarray]:
-    """The arrays of the file; docs/perception.md."""
+    """The arrays of the file; docs/commands/perceive.md."""
     sound = _found(found)[:, None]
     return {
         "name": np.array(task.sets.names), "vertices_mm": found.vertices, "rest_length_mm": task.rest_length, "up": task.up,
@@ -302,10 +302,10 @@ def _lines(summary: dict) -> list[str]:
         f"  status      {counted(summary['status'])}; {summary['stable']} certified stable",
         f"  certified   {len(sets) - summary['not_certified']} of {len(sets)} rods converged to certified minima; "
         f"{summary['not_certified']} did not",
-        f"  verdicts    {counted(summary['verdicts'])} (docs/perception.md)",
+        f"  verdicts    {counted(summary['verdicts'])} (docs/commands/perceive.md)",
         *([] if len(summary["cameras"]) > 1 else
           ["  one camera  depth is not determined by it: only by the rod's length and stiffness"]),
-        *([] if guess is None else [f"  stiffness   none given: bend {guess:g} mm³ (docs/perception.md)"]),
+        *([] if guess is None else [f"  stiffness   none given: bend {guess:g} mm³ (docs/commands/perceive.md)"]),
         *([] if summary["orientation"] is None else [f"  orientation {summary['orientation']}"]),
         *(f"  written to  {in_line(path)}" for path in summary["written"])]
 

@@ -104,7 +104,7 @@ def declare(add) -> None:
                         help="largest rotation of a clamp in one sub-step; rods are relaxed after each (default 5)")
     given.add_clamps(parser)
     loading.add_loading(parser, "OBS and PATH")
-    group = parser.add_argument_group("the motion's file", "docs/twist.md")
+    group = parser.add_argument_group("the motion's file", "docs/motions.md")
     loading.add_poses(group, "--motion")
     group.add_argument("--motion-unit", choices=tuple(UNITS_IN_MM), help="unit of all lengths in PATH (default: --unit, else "
                        "as its columns state, else mm)")
@@ -290,7 +290,7 @@ def _warn_of_distance(path: ClampPath, clamps: Clamps, length: float, labels: np
 
 
 def _arrays(task: _Task, prediction) -> dict[str, np.ndarray]:
-    """What the file holds; docs/twist.md."""
+    """What the file holds; docs/commands/predict.md."""
     per_material = {name: np.asarray(value)[prediction.material] for name, value in task.theta.items()}
     if task.surroundings:
         per_material |= {"contact_force": prediction.contact_force,

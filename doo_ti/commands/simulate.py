@@ -78,7 +78,7 @@ def declare(add) -> None:
     parser.add_argument("--quasi-static", action="store_true", help="without inertia and drag: every step is an equilibrium "
                         "(default: as the scene says)")
     parser.add_argument("--start", metavar="OBS", help="observations from which the rods start, where MOTION holds poses "
-                        "of the grippers without markers: .npz or .csv, such as a robot's log (docs/twist.md)")
+                        "of the grippers without markers: .npz or .csv, such as a robot's log (docs/motions.md)")
     loading.add_poses(parser, "MOTION")
     given.add_obstacles(parser, "with friction")
     loading.add_recordings(parser, "the file's, else the one in THETA.json, else 0,0,1")

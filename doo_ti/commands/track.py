@@ -100,7 +100,7 @@ def _detected(task: TrackingTask) -> Iterator[list]:
 
 
 def _arrays(task: TrackingTask, found: list) -> dict[str, np.ndarray]:
-    """The arrays of the file; docs/tracking.md."""
+    """The arrays of the file; docs/commands/track.md."""
     fields = {"vertices_mm": "vertices", "energy_vis": "energy_vis", "camera_error_px": "camera_error", "status": "status",
             "stable": "stable", "how": "how"}
     time = {} if task.time is None else {"time_s": task.time[: len(found)]}

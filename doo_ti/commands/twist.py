@@ -90,7 +90,7 @@ def run(options: Namespace, words: list[str]) -> int:
 
 
 def _arrays(estimate) -> dict[str, np.ndarray]:
-    """The arrays of the file; docs/twist.md."""
+    """The arrays of the file; docs/commands/twist.md."""
     return {
         "phi_deg": np.degrees(estimate.phi), "objective_mm": estimate.objective, "phi_grid_deg": np.degrees(estimate.angles),
         "least_mm": estimate.least, "verdict": estimate.verdict, "low_deg": np.degrees(estimate.low),

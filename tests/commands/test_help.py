@@ -29,14 +29,14 @@ def test_the_program_alone_shows_its_commands(argv, capsys):
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_examples_are_valid(command, capsys):
-    page, *lines = EXAMPLES[command]
-    assert (DOCS / f"{page}.md").exists() and len(lines) == 2
+    page, lines = f"commands/{command}.md", EXAMPLES[command]
+    assert (DOCS / page).exists() and len(lines) == 2
     for line, _ in lines:
         assert _parser().parse_args(shlex.split(line)).command == command
     for argv in (["help", command], [command, "--help"]):
         assert main(argv) == 0
         out = capsys.readouterr().out
-        assert all(f"\n  doo-ti {line}\n" in out for line, _ in lines) and out.endswith(f"More in docs/{page}.md\n")
+        assert all(f"\n  doo-ti {line}\n" in out for line, _ in lines) and out.endswith(f"More in docs/{page}\n")
 
 
 @pytest.mark.parametrize("command", COMMANDS)
