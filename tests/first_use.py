@@ -97,6 +97,7 @@ CALLS: dict[str, Callable[[], Callable]] = {
     "perceive": perceived,
     "Tracker": tracked,
     "sensitivity": lambda: lambda: d.sensitivity(d.relax(ROPE, MATERIAL, CLAMPS)),
+    "pullback": lambda: lambda: d.pullback(d.relax(ROPE, MATERIAL, CLAMPS), np.ones((1, 13, 3))),
     "gripper_jacobian": lambda: lambda: d.gripper_jacobian(d.relax(ROPE, MATERIAL, CLAMPS)),
     "end_loads": lambda: lambda: d.end_loads(d.relax(ROPE, MATERIAL, CLAMPS)),
     "sweep": lambda: swept,

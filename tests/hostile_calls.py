@@ -143,6 +143,8 @@ def functions() -> dict[str, tuple[Callable, dict]]:
             "detected": [detection()] * 3, "point": rods[0, 0], "direction": rods[0, 1] - rods[0, 0], "far": None}),
         "sensitivity": (d.sensitivity, {"solution": solution(), "parameters": ("bend", "modes"), "modes": np.zeros((1, 11, 2)),
                                         "first": 0, "last": 1}),
+        "pullback": (d.pullback, {"solution": solution(), "cotangent": np.ones((1, 13, 3)), "parameters": ("bend", "modes"),
+                                  "modes": np.zeros((1, 11, 2)), "frames": np.ones((1, 12, 3, 3))}),
         "gripper_jacobian": (d.gripper_jacobian, {"solution": solution()}),
         "end_loads": (d.end_loads, {"solution": solution()}),
         "refine": (d.refine, {"observations": seen(), "clamps": CLAMPS, "theta": o["Theta"],

@@ -59,6 +59,7 @@ from doo_ti import (
     Plane,
     PlanOptions,
     Prediction,
+    Pullback,
     RecordedMotion,
     Refinement,
     RefinementOptions,
@@ -120,6 +121,7 @@ from doo_ti import (
     predict,
     predict_moving,
     predict_step,
+    pullback,
     read_landscape,
     record_sweep,
     refine,
@@ -173,6 +175,8 @@ def derived(solution: Solution) -> tuple[np.ndarray, str]:
     jacobian: Sensitivity = gripper_jacobian(solution)
     assert_type(jacobian.loads.end_moment, np.ndarray)
     assert_type(sensitivity(solution, ("bend", "twist")).columns, tuple[str, ...])
+    pulled: Pullback = pullback(solution, np.ones((1, 9, 3)), ("bend", "forces"))
+    assert_type(pulled["forces"], np.ndarray)
     return loads.start_force, loads.force_unit
 
 

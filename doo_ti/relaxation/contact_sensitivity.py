@@ -170,7 +170,7 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
     def solve_start(self, rod, column, c):
         """W_b of a free vertex 0 into its place, where the rest of the rod pulls it by ``c``; returns W_λᵀ D⁻¹ W_b."""
         d = rod.head.drift_pivots
-        wb = forward(d, scaled(negated(plus(c, self.weight_change(rod, column))), rod.loose))
+        wb = forward(d, scaled(negated(plus(c, column.whole)), rod.loose))
         rod.head.drift_step = wb
         return against(d, rod.head.drift_border, wb)
 

@@ -38,7 +38,7 @@ class ParameterGradient(chain.Chain):
     bends                    whether pairs change by more than their rest curvature
     bend, twist              of B = (11, 22, 12) and of β, in the unit of the rod's energies
     mode, modes              row of the table of changes of ω̄, or NO_MODE, and that table
-    pull                     of gravity
+    pull, whole              of gravity, and of the force 2 μ L up that holds the rod's weight
     stretch                  of the logarithm of all lengths
     shift, move              of the far point as seen from vertex 0, and of vertex 0
     local                    whether only the last two edges and closure are changed
@@ -85,6 +85,7 @@ class ParameterGradient(chain.Chain):
         return record(
             local=(along == 0.0) & (mode == NO_MODE), bends=change > 0.0, bend=(bend[0] / unit, bend[1] / unit, bend[2] / unit),
             twist=tables.directions[p, TWIST] / unit, mode=mode, modes=tables.modes, pull=scaled(pull, factor), stretch=stretch,
+            whole=scaled(plus(scaled(pull, factor), scaled(rod.gravity, stretch)), 2.0 * rod.total),
             shift=self.three(tables.directions, p, SHIFT), move=self.three(tables.directions, p, MOVE),
             turned=dot(start, start) + dot(end, end) > 0.0, turn_start=start, turn_end=end, multiplier=multiplier)
 

@@ -101,20 +101,19 @@ def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist"
     Raises InputError for unknown or repeated parameters, modes of another shape, and for rods under an external energy.
     """
     table = own_tables(solution, "sensitivity")
-    _check(parameters, modes, table.edges)
+    check_parameters("sensitivity", parameters, PARAMETERS, modes, table.edges)
     last = table.count if last is None else last
     require_whole("sensitivity", "first", first, 0, table.count)
     require_whole("sensitivity", "last", last, first, table.count)
     names, directions, along = parameter_directions(parameters, table.edges, table.up, modes)
-    usable = solution.converged & solution.stable & ~_touch_themselves(solution)
     runtime.start()
-    vertices, rotations, loads, _, sound = run_sensitivity(solution, usable, directions, along, first, last)
+    vertices, rotations, loads, _, sound = run_sensitivity(solution, at_minima(solution), directions, along, first, last)
     start = table.configuration_index[first:last]
     hanging = table.released[start]
     if hanging.any() and "end_shift" in parameters:
         column = names.index("end_shift[0]")
         vertices[hanging, :, :, column : column + 3] += np.eye(3)  # held at the far end alone they go where it goes
-    taut = (table.clamp[:, of.TILT_INNER] == 0)[start]
+    taut = taut_rods(table)[first:last]
     if taut.any():
         columns = [k for k, name in enumerate(names) if name.partition("[")[0] in OF_CLAMPS]
         for array in (vertices, rotations):
@@ -124,12 +123,18 @@ def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist"
                        solution.configuration.take(slice(first, last)))
 
 
-def _touch_themselves(solution: Solution) -> np.ndarray:
-    """(R,) rods that touch themselves, where they may."""
+def at_minima(solution: Solution) -> np.ndarray:
+    """(R,) rods that have derivatives: at certified minima, where they do not touch themselves."""
     contact = solution.tables.contact
+    rests = solution.converged & solution.stable
     if contact is None or contact.surroundings.itself is None:
-        return np.zeros(solution.tables.count, dtype=bool)
-    return smallest_self_gap(solution.configuration.vertices, contact.radius) < CLOSED * contact.radius
+        return rests
+    return rests & (smallest_self_gap(solution.configuration.vertices, contact.radius) >= CLOSED * contact.radius)
+
+
+def taut_rods(table: of.Tables) -> np.ndarray:
+    """(R,) rods that are straight and have no slack to follow their clamps."""
+    return (table.clamp[:, of.TILT_INNER] == 0)[table.configuration_index]
 
 
 @typed
@@ -171,19 +176,22 @@ def parameter_directions(parameters: Sequence[str], edges: int, up: np.ndarray, 
     return tuple(names), np.concatenate(blocks), along if len(along) else np.zeros((1, edges - 1, 2))
 
 
-def _check(parameters: Sequence[str], modes: np.ndarray | None, edges: int) -> None:
-    known = ", ".join(PARAMETERS)
+def check_parameters(function: str, parameters: Sequence[str], known: tuple[str, ...], modes: np.ndarray | None, edges: int
+                     ) -> None:
+    """Raise InputError, naming ``function``, unless ``parameters`` are among those ``known`` and the modes suit rods of that
+    many edges."""
+    every = ", ".join(known)
     if isinstance(parameters, str) or not parameters:
-        raise InputError("sensitivity", "parameters", f"{parameters!r}", f"give a list of {known}")
+        raise InputError(function, "parameters", f"{parameters!r}", f"give a list of {every}")
     for name in parameters:
-        if name not in PARAMETERS:
-            raise InputError("sensitivity", "parameters", f"{name!r} is unknown", f"use {known}")
+        if name not in known:
+            raise InputError(function, "parameters", f"{name!r} is unknown", f"use {every}")
     if len(set(parameters)) < len(parameters):
-        raise InputError("sensitivity", "parameters", f"{', '.join(parameters)}", "give each parameter once")
+        raise InputError(function, "parameters", f"{', '.join(parameters)}", "give each parameter once")
     if ("modes" in parameters) != (modes is not None):
-        raise InputError("sensitivity", "modes", "given without their parameter, or the parameter without them", "give both")
+        raise InputError(function, "modes", "given without their parameter, or the parameter without them", "give both")
     if modes is not None and (np.ndim(modes) != 3 or np.shape(modes)[1:] != (edges - 1, 2)):
-        raise InputError("sensitivity", "modes", f"shape {np.shape(modes)}", f"give (M, {edges - 1}, 2)")
+        raise InputError(function, "modes", f"shape {np.shape(modes)}", f"give (M, {edges - 1}, 2)")
 
 
 def _curvature_modes(name: str, edges: int, modes: np.ndarray | None) -> np.ndarray:

@@ -42,22 +42,29 @@ class SensitivityColumns(EndMoments):
             self.load_forces(tables, rod, row, unit)
             force = self.three(tables.results, row, of.FORCE)
             multiplier = (0.0 - force[0] / unit, 0.0 - force[1] / unit, 0.0 - force[2] / unit)
-            if tables.columns == 0:
-                self.bend_pairs(rod)
-                tables.sound[row] = 1
-            else:
-                tables.sound[row] = ti.cast(self.certify(rod, multiplier) == INERTIA_OF_A_MINIMUM, ti.i32)
-            self.put_vector(tables.moments, row, 0, scaled(self.end_moment(rod, FIRST, multiplier), unit))
-            self.put_vector(tables.moments, row, 3, scaled(self.end_moment(rod, LAST, multiplier), unit))
-            schur = self.schur_complement(rod)
-            for p in range(tables.columns):
-                column = self.column(tables, rod, index, p, multiplier)
-                self.hold_start(rod, column)
-                closure = self.assemble_column(rod, column)
-                change = self.solve_column(rod, column, schur, closure)
-                self.store_column(tables, rod, row, p, column)
-                self.store_loads(tables, rod, row, p, column, change)
+            self.differentiate(tables, rod, index, row, multiplier)
             index += tables.threads
+
+    @ti.func
+    def differentiate(self, tables, rod, index, row, multiplier):
+        """The moments and all columns of a rod at rest under ``multiplier``, in row ``index`` of the rods and ``row`` of the
+        results."""
+        unit = rod.head.energy_unit
+        if tables.columns == 0:
+            self.bend_pairs(rod)
+            tables.sound[row] = 1
+        else:
+            tables.sound[row] = self.is_minimum(rod, multiplier)
+        self.put_vector(tables.moments, row, 0, scaled(self.end_moment(rod, FIRST, multiplier), unit))
+        self.put_vector(tables.moments, row, 3, scaled(self.end_moment(rod, LAST, multiplier), unit))
+        schur = self.schur_complement(rod)
+        for p in range(tables.columns):
+            column = self.column(tables, rod, index, p, multiplier)
+            self.hold_start(rod, column)
+            closure = self.assemble_column(rod, column)
+            change = self.solve_column(rod, column, schur, closure)
+            self.store_column(tables, rod, row, p, column)
+            self.store_loads(tables, rod, row, p, column, change)
 
     @ti.func
     def put_vector(self, table: ti.template(), row, place: ti.template(), v):
@@ -77,8 +84,8 @@ class SensitivityColumns(EndMoments):
                 edge.outer.beyond[k] = force
 
     @ti.func
-    def certify(self, rod, multiplier):
-        """Eliminate H and leave its factors in scratch; returns the inertia.
+    def is_minimum(self, rod, multiplier):
+        """Eliminate H and leave its factors in scratch; returns one where they certify a minimum, else zero.
 
         A neutral motion shows when H is lowered a trace. Raised by one instead, H keeps the rod from moving along it.
         """
@@ -90,7 +97,7 @@ class SensitivityColumns(EndMoments):
             self.bend_pairs(rod)
             inertia = self.eliminate(rod, shift, (none, none), multiplier, repeated(none, 3)).inertia
             shift = ti.select(inertia == INERTIA_OF_A_MINIMUM, none, trace)
-        return inertia
+        return ti.cast(inertia == INERTIA_OF_A_MINIMUM, ti.i32)
 
     @ti.func
     def first_changed(self, rod, column):
@@ -165,11 +172,6 @@ class SensitivityColumns(EndMoments):
         return plus(x, scaled(moved, edge.length))
 
     @ti.func
-    def weight_change(self, rod, column):
-        """Of the force 2 μ L up that holds the rod's weight."""
-        return scaled(plus(column.pull, scaled(rod.gravity, column.stretch)), 2.0 * rod.total)
-
-    @ti.func
     def store_column(self, tables, rod, row, p, column):
         """dω from the place of the step, and dx, into row ``row`` of the results."""
         stretch = column.stretch
@@ -191,9 +193,8 @@ class SensitivityColumns(EndMoments):
         """
         unit = rod.head.energy_unit
         pushed = self.pushed(tables, rod, row, p)
-        weight = self.weight_change(rod, column)
-        end = minus(scaled(weight, rod.released), change)
-        start = scaled(minus(plus(weight, pushed.all), end), 1.0 - rod.loose)
+        end = minus(scaled(column.whole, rod.released), change)
+        start = scaled(minus(plus(column.whole, pushed.all), end), 1.0 - rod.loose)
         self.put_load(tables, row, p, START_FORCE, start, unit)
         self.put_load(tables, row, p, START_MOMENT, self.moment_change(rod, FIRST, column, plus(change, pushed.first)), unit)
         self.put_load(tables, row, p, END_FORCE, end, unit)

@@ -1,6 +1,6 @@
 """The kernels behind :mod:`doo_ti.relaxation.sensitivity`, for rods that touch nothing and for those at obstacles."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
 from functools import cache
 
 import numpy as np
@@ -82,38 +82,45 @@ def run_sensitivity(solution: Solution, usable: np.ndarray, directions: np.ndarr
 
     Loads are forces and moments of the clamps on the rod in the world: force at the start, moment there, the same at the end.
     """
-    table = solution.tables
-    count, edges, columns = last - first, table.edges, len(directions)
-    found = _Found(of.room(count, edges + 1, 3, columns), of.room(count, edges, 3, columns), of.room(count, LOADS, columns),
-                   np.empty((count, 6)), np.zeros(count, dtype=np.int32))
+    count, edges, columns = last - first, solution.tables.edges, len(directions)
+    outputs = (of.room(count, edges + 1, 3, columns), of.room(count, edges, 3, columns), of.room(count, LOADS, columns),
+               np.empty((count, 6)))
+    # Kernels take no arrays without entries.
+    written = outputs if columns else (*(np.empty((1,) * array.ndim) for array in outputs[:3]), outputs[3])
+    kernels = sensitivity_kernel, contact_sensitivity_kernel if columns else None
+    lost = ~run_at_rest(solution, usable, kernels, directions, modes, written, first, last)
+    for array in outputs:
+        array[lost] = np.nan
+    vertices, rotations, loads, moments = outputs
+    return vertices, rotations, loads.reshape(count, 4, 3, columns), moments.reshape(count, 2, 3), ~lost
+
+
+def run_at_rest(solution: Solution, usable: np.ndarray, kernels: tuple, directions: np.ndarray, modes: np.ndarray,
+                arrays: tuple, first: int, last: int) -> np.ndarray:
+    """Launch kernels over the rods from ``first`` to ``last`` of a solution that are ``usable``; ``directions`` and ``modes``
+    as :func:`run_sensitivity` has them.
+
+    kernels  made as :func:`sensitivity_kernel` and :func:`contact_sensitivity_kernel` are: for rods that touch nothing and for
+             those at obstacles; None: the first takes them all
+    arrays   further ones of the kernels, in their order
+
+    Returns which rods (R,) are at a minimum and have results.
+    """
+    table, count, columns = solution.tables, last - first, len(directions)
     # Those of f32 are unit quaternions to seven digits.
     frames = solution.configuration.quaternions[first:last]
     frames = np.ascontiguousarray(frames / np.sqrt(np.einsum("rek,rek->re", frames, frames))[..., None], dtype=np.float64)
     results = np.zeros((count, of.LOADED_RESULTS))
     results[:, of.FORCE : of.FORCE + 3] = np.nan_to_num(solution.end_force[first:last])
     results[:, of.DRIFT :] = solution.configuration.start[first:last] - table.anchor[table.configuration_index[first:last]]
-    # Kernels take no arrays without entries.
     given = np.ascontiguousarray(directions) if columns else np.zeros((1, DIRECTION_COLUMNS))
-    state = (frames.reshape(-1), results, _beyond(table, first, last), given, np.ascontiguousarray(modes), columns)
-    touching = _touching(table, first, last) if columns else np.zeros(count, dtype=bool)
+    sound = np.zeros(count, dtype=np.int32)
+    state = frames.reshape(-1), results, _beyond(table, first, last), given, np.ascontiguousarray(modes), columns
+    touching = np.zeros(count, dtype=bool) if kernels[1] is None else _touching(table, first, last)
     for rods, contact in ((~touching, None), (touching, table.contact)):
-        _launch(table, first, last, np.flatnonzero(usable[first:last] & rods), contact, state, found)
-    lost = found.sound == 0
-    for array in (found.vertices, found.rotations, found.loads, found.moments):
-        array[lost] = np.nan
-    loads, moments = found.loads.reshape(count, 4, 3, columns), found.moments.reshape(count, 2, 3)
-    return found.vertices, found.rotations, loads, moments, ~lost
-
-
-@dataclass(frozen=True)
-class _Found:
-    """What the kernels write: as :func:`run_sensitivity` returns it."""
-
-    vertices: np.ndarray
-    rotations: np.ndarray
-    loads: np.ndarray
-    moments: np.ndarray
-    sound: np.ndarray
+        rows = np.flatnonzero(usable[first:last] & rods)
+        _launch(table, first, last, rows, contact, kernels[contact is not None], state, (sound, *arrays))
+    return sound != 0
 
 
 def _touching(table: Tables, first: int, last: int) -> np.ndarray:
@@ -125,8 +132,8 @@ def _touching(table: Tables, first: int, last: int) -> np.ndarray:
 
 
 @runtime.exclusive
-def _launch(table: Tables, first: int, last: int, rows: np.ndarray, contact: ContactTable | None, state: tuple,
-            found: _Found) -> None:
+def _launch(table: Tables, first: int, last: int, rows: np.ndarray, contact: ContactTable | None, kernel_for: Callable,
+            state: tuple, arrays: tuple) -> None:
     """One launch over the rods ``rows``, counted from ``first``, which touch obstacles where ``contact`` is their table;
     ``state``: what the kernels are given of all rods, from their frames to the number of columns."""
     rods = table.continued(np.ones(table.count, dtype=bool), first + rows)
@@ -136,20 +143,17 @@ def _launch(table: Tables, first: int, last: int, rows: np.ndarray, contact: Con
     edges, on_cpu = table.edges, runtime.start() == "cpu"
     threads = min(len(rods), runtime.thread_count() if on_cpu else MOST_THREADS_ON_A_GPU)
     stride, block = (1, 1) if on_cpu else (threads, 64)
-    arrays = (found.vertices, found.rotations, found.loads)
-    if not found.vertices.shape[-1]:
-        arrays = tuple(np.empty((1,) * array.ndim) for array in arrays)
     if contact is None:
-        kernel, outer = sensitivity_kernel(stride, block), ()
+        kernel, outer = kernel_for(stride, block), ()
         items = len(rod_layout()) + len(edge_layout(False, KEPT)) * edges
     else:
-        kernel = contact_sensitivity_kernel(stride, block, contact.known)
+        kernel = kernel_for(stride, block, contact.known)
         obstacles, radius = (array if len(array) == 1 else array[first:last] for array in (contact.obstacles, contact.radius))
         outer = (obstacles, contact.kinds, contact.grids, radius, contact.memory[first:last])
         items = numbers_of_rod(edges, False, Kept, True) + contact_items(edges, len(contact.kinds))
     kernel(
         table.start.reshape(-1), table.rest_length, table.clamp, table.material, np.array(table.up, dtype=np.float64), rods,
-        *state, threads, np.zeros(threads * items), *arrays, found.moments, found.sound, *outer)
+        *state, threads, np.zeros(threads * items), *arrays, *outer)
 
 
 def _beyond(table: Tables, first: int, last: int) -> np.ndarray:
@@ -160,8 +164,8 @@ def _beyond(table: Tables, first: int, last: int) -> np.ndarray:
     return -np.cumsum(table.contact.forces[first:last, :0:-1], axis=1)[:, ::-1].copy()
 
 
-# What kernels are given, in this order.
-COLUMNS = {
+# What kernels are given, in this order: for rods at rest of any kind, and where their derivatives go.
+AT_REST = {
     "start": TABLE1, "rest_length": TABLE2, "clamp": TABLE2, "material": TABLE2,  # as the Newton kernel has them
     "up": TABLE1,  # [3] against gravity
     "rods": INDEX2,  # [rod, ROD_COLUMNS]
@@ -171,10 +175,12 @@ COLUMNS = {
     "directions": TABLE2,  # [column, DIRECTION_COLUMNS]
     "modes": TABLE3,  # [mode, joint, 2]
     "columns": ti.i32, "threads": ti.i32, "scratch": TABLE1,
+    "sound": INDEX1,  # [row] out: one where there are results
+}
+COLUMNS = {
     "vertices": TABLE4, "rotations": TABLE4,  # [row, vertex or edge, 3, column] out
     "loads": TABLE3,  # [row, LOADS, column] out
     "moments": TABLE2,  # [row, 6] out: at the start and at the end
-    "sound": INDEX1,  # [row] out: one where there are results
 }
 CONTACTS_AT_REST = {name: OBSTACLES[name] for name in ("obstacles", "kinds", "grids", "radius", "memory")}
 
@@ -182,7 +188,7 @@ CONTACTS_AT_REST = {name: OBSTACLES[name] for name in ("obstacles", "kinds", "gr
 @cache
 def sensitivity_kernel(stride: int, block: int):
     """The compiled-on-first-use kernel; ``stride`` and ``block`` as Newton's kernel has them."""
-    return loop_kernel("solve", Number(1, 64), COLUMNS, SensitivitySweep(stride).work, block)
+    return loop_kernel("solve", Number(1, 64), AT_REST | COLUMNS, SensitivitySweep(stride).work, block)
 
 
 @cache
@@ -190,4 +196,4 @@ def contact_sensitivity_kernel(stride: int, block: int, known: frozenset[int]):
     """The same for rods that touch obstacles of the kinds ``known``."""
     sweep = ContactSensitivity(stride, known)
     return runtime.compiled_briefly(
-        loop_kernel("solve_in_contact", Number(1, 64), COLUMNS | CONTACTS_AT_REST, sweep.work, block))
+        loop_kernel("solve_in_contact", Number(1, 64), AT_REST | COLUMNS | CONTACTS_AT_REST, sweep.work, block))

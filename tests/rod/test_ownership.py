@@ -48,6 +48,8 @@ CALLS = {
     "on a plane": lambda: (d.relax, ROPE, MATERIAL, CLAMPS, {
         "obstacles": [d.Plane(BESIDE, np.array([0, 0, 1.0])), d.Itself()], "radius": np.ones(1)}),
     "sensitivity": lambda: (d.sensitivity, solution(), ("bend", "modes"), np.zeros((1, 11, 2))),
+    "pullback": lambda: (d.pullback, solution(), np.ones((1, 13, 3)), ("bend", "modes"), np.zeros((1, 11, 2)),
+                         np.ones((1, 12, 3, 3))),
     "end_loads": lambda: (d.end_loads, solution()),
     "take": lambda: (d.Solution.take, solution(), slice(0, 1)),
     "simulate": lambda: (d.simulate, d.MovingStart(ROPE, np.zeros((1, 13, 3))), MATERIAL, STILL, d.Dynamics(drag=np.ones(1)),

@@ -12,8 +12,9 @@ from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.dynamics.simulate import simulate
 from doo_ti.relaxation.descent import Descent
+from doo_ti.relaxation.pullback import pullback
 from doo_ti.relaxation.relax import relax
-from doo_ti.relaxation.sensitivity import gripper_jacobian
+from doo_ti.relaxation.sensitivity import GRIPPERS, gripper_jacobian
 from doo_ti.rod.metric import distance
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution
@@ -30,6 +31,7 @@ def cases(rods: Specimens) -> list[Case]:
         Case("newton f32 one rod", "rods/s", lambda: relaxed(singles(), COARSE, "f32")),
         Case("descent f64", "iterations/s", lambda: stepped(rods.many.take(slice(max(rods.count // 64, 1))))),
         Case("gripper jacobians", "rods/s", lambda: derived(resting())),
+        Case("pullback", "rods/s", lambda: pulled_back(resting())),
         Case("motion f32", "rod-steps/s", lambda: moved(rods.count, "f32", Dynamics())),
         Case("motion f32 damped", "rod-steps/s", lambda: moved(rods.count, "f32", Dynamics(bend_damping=0.02, drag=0.1))),
         Case("motion f64 damped", "rod-steps/s", lambda: moved(rods.count, "f64", Dynamics(bend_damping=0.02, drag=0.1))),
@@ -71,6 +73,13 @@ def stepped(rods: Rods) -> Outcome:
 def derived(solution: Solution) -> Outcome:
     """Derivatives of shapes, forces and moments by both grippers' poses, 12 columns."""
     usable = gripper_jacobian(solution).usable
+    return Outcome(float(usable.sum()), float(usable.mean()))
+
+
+def pulled_back(solution: Solution) -> Outcome:
+    """Gradients of a scalar by both grippers' poses, the material, and the rest curvature of every joint."""
+    parameters = (*GRIPPERS, "bend", "twist", "weight", "rest_curvature_per_joint")
+    usable = pullback(solution, np.ones_like(solution.configuration.vertices), parameters).usable
     return Outcome(float(usable.sum()), float(usable.mean()))
 
 

@@ -1,0 +1,187 @@
+"""The kernels behind :mod:`doo_ti.relaxation.pullback`: one adjoint solve for each rod, and what it is contracted with.
+
+The matrix K of the bordered system is symmetric, so that a scalar s with the derivatives b by the frames changes along θ by
+
+    ds/dθ = bᵀ dω/dθ = −pᵀ ∂g/∂θ − qᵀ ∂c/∂θ,    K (p, q) = (b, 0):
+
+one right-hand side more for the factors, whatever the number of parameters. As forces on the vertices have ∂g/∂θ = −b, p is how
+the rod turns, and dx how it moves, under the cotangent as a load.
+"""
+
+from functools import cache
+
+import numpy as np
+import taichi as ti
+
+from doo_ti.physics import pair
+from doo_ti.physics.closure import linear_gradient
+from doo_ti.physics.number import Number
+from doo_ti.physics.quaternion import first_director, second_director
+from doo_ti.physics.tuples import dot, minus, negated, plus, record, repeated, scaled, variable
+from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.contact_sensitivity import ContactSensitivity
+from doo_ti.relaxation.kernel_factory import TABLE2, TABLE3, loop_kernel
+from doo_ti.relaxation.sensitivity_columns import SensitivityColumns
+from doo_ti.relaxation.sensitivity_kernel import AT_REST, CONTACTS_AT_REST, SensitivitySweep, run_at_rest
+from doo_ti.rod.types import Solution
+from doo_ti.system import runtime
+
+
+@ti.data_oriented
+class Adjoint(SensitivityColumns):
+    """The adjoint solve in place of the columns. ``tables`` holds, besides: pulls and twists, the cotangents; displaced and
+    turned, dx and p; gradient, by each direction; curvature, by ω̄ of every joint.
+
+    A class that derives from this one and from one that solves columns adds ``pushed_work``.
+    """
+
+    @ti.func
+    def differentiate(self, tables, rod, index, row, multiplier):
+        """The gradients of a rod at rest, as :meth:`.SensitivityColumns.differentiate` has its columns."""
+        tables.sound[row] = self.is_minimum(rod, multiplier)
+        unit = rod.head.energy_unit
+        total = variable(repeated(0.0 * rod.total, 3))
+        for v in range(rod.edges + 1):
+            total = plus(total, self.vector(tables.pulls, row, v))
+        change = self.solve_adjoint(tables, rod, row, total)
+        for joint in range(rod.edges - 1):
+            self.put_curvature(tables, rod, row, joint, unit)
+        for p in range(tables.columns):
+            column = self.column(tables, rod, index, p, multiplier)
+            self.hold_start(rod, column)
+            closure = self.assemble_column(rod, column)
+            along = self.followed(tables, rod, row, column, total)
+            tables.gradient[row, p] = along - dot(change, closure) - unit * self.worked(tables, rod, row, column)
+
+    @ti.func
+    def solve_adjoint(self, tables, rod, row, total):
+        """p and dx into their tables; returns q. ``total`` is the sum of the forces."""
+        none = repeated(0.0 * rod.total, 3)
+        # A rod that hangs from its far end moves against the sum.
+        beyond = variable(scaled(total, 1.0 - rod.released))
+        for e in range(rod.edges):
+            edge = self.edge(rod.head, e)
+            q = edge.frame
+            beyond = minus(beyond, self.vector(tables.pulls, row, e))
+            r1, r2 = linear_gradient(beyond, edge.length, first_director(q), second_director(q))
+            m = self.vector(tables.twists, row, e)
+            edge.rotation = negated((m[0], m[1] + r1, m[2] + r2))
+        column = record(local=rod.total < 0.0, move=none, stretch=0.0 * rod.total, turn_start=none, turn_end=none,
+                        whole=negated(total))
+        change = self.solve_column(rod, column, self.schur_complement(rod), none)
+        x = variable(self.started(rod, column))
+        factor = 1.0 / rod.head.energy_unit
+        for e in range(rod.edges):
+            edge = self.edge(rod.head, e)
+            self.put(tables.displaced, row, e, scaled(x, factor))
+            self.put(tables.turned, row, e, scaled(edge.rotation, factor))
+            x = self.moved_end(edge, x, column.stretch)
+        self.put(tables.displaced, row, rod.edges, scaled(x, factor))
+        return change
+
+    @ti.func
+    def put_curvature(self, tables, rod, row, joint, unit):
+        """−pᵀ ∂g/∂ω̄ of a joint: ½ B δω of both frames, since its energy is that of ω − ω̄ l̄/2 over 2 l̄."""
+        bent, s = self.kept_pair(rod, joint)
+        x, y, inverse, m, turn = bent
+        before, after = self.vector(tables.turned, row, joint), self.vector(tables.turned, row, joint + 1)
+        change = pair.curvature_variation(x, y, inverse, turn, before, after)
+        none = repeated(0.0 * unit, 2)
+        left = pair.moment(s[0], pair.strain((change[0], change[1]), none), 0.25)
+        right = pair.moment(s[1], pair.strain((change[2], change[3]), none), 0.25)
+        # As the complex numbers i/2 B δω.
+        tables.curvature[row, joint, 0] = unit * (left[1] + right[1])
+        tables.curvature[row, joint, 1] = 0.0 - unit * (left[0] + right[0])
+
+    @ti.func
+    def followed(self, tables, rod, row, column, total):
+        """What the cotangents make of the displacements and turns that the column itself prescribes."""
+        moved = variable(column.move)
+        found = dot(self.vector(tables.pulls, row, 0), moved)
+        for e in range(rod.edges):
+            w = self.held_turn_of(rod, e, column)
+            moved = self.end_of_turned(self.edge(rod.head, e), moved, w, column.stretch)
+            found += dot(self.vector(tables.pulls, row, e + 1), moved) + dot(self.vector(tables.twists, row, e), w)
+        return found - rod.released * dot(total, moved)
+
+    @ti.func
+    def worked(self, tables, rod, row, column):
+        """pᵀ ∂g/∂θ, ∂g/∂θ being in the place of the step: with what obstacles and the weight do to vertices."""
+        moved, x = variable(column.move), variable(self.vector(tables.displaced, row, 0))
+        found = rod.loose * dot(x, column.whole)
+        for e in range(rod.edges):
+            edge = self.edge(rod.head, e)
+            after, before = self.vector(tables.displaced, row, e + 1), variable(moved)
+            moved = self.end_of_turned(edge, moved, self.held_turn_of(rod, e, column), column.stretch)
+            found += dot(self.vector(tables.turned, row, e), edge.rotation) + self.pushed_work(edge, before, moved, x, after)
+            x = after
+        return found
+
+    @ti.func
+    def vector(self, table: ti.template(), row, place):
+        """Three numbers of a table."""
+        return (table[row, place, 0], table[row, place, 1], table[row, place, 2])
+
+    @ti.func
+    def put(self, table: ti.template(), row, place, v):
+        """Three numbers into a table."""
+        for k in ti.static(range(3)):
+            table[row, place, k] = v[k]
+
+    @ti.func
+    def pushed_work(self, edge, before, after, start, end):
+        """Of obstacles that an edge touches, whose ends a column moves by ``before`` and ``after``: what the change of their
+        forces does along the displacements ``start`` and ``end``."""
+        return 0.0 * edge.length
+
+
+@ti.data_oriented
+class AdjointSweep(Adjoint, SensitivitySweep):
+    """Of rods that touch nothing."""
+
+
+@ti.data_oriented
+class ContactAdjoint(Adjoint, ContactSensitivity):
+    """Of rods that touch obstacles, or whose vertex 0 is free among them."""
+
+    @ti.func
+    def pushed_work(self, edge, before, after, start, end):
+        whole, own = self.pushes(edge, before, after)
+        return dot(start, whole) + dot(minus(end, start), own)
+
+
+def run_pullback(solution: Solution, usable: np.ndarray, directions: np.ndarray, forces: np.ndarray, moments: np.ndarray):
+    """Of s = Σ forces · dx + Σ moments · dω, with ``forces`` (R, V, 3) and ``moments`` (R, E, 3) in the axes of the frames: the
+    gradients (R, P) by ``directions``, (R, E−1, 2) by ω̄ of every joint and (R, V, 3) by forces on the vertices, and which rods
+    (R,) have them, of those that are ``usable``; NaN in others."""
+    count, edges = solution.tables.count, solution.tables.edges
+    displaced, turned = of.room(count, edges + 1, 3), of.room(count, edges, 3)
+    gradient, curvature = np.empty((count, max(1, len(directions)))), of.room(count, edges - 1, 2)
+    arrays = forces, moments, displaced, turned, gradient, curvature
+    found = run_at_rest(solution, usable, (pullback_kernel, contact_pullback_kernel), directions, np.zeros((1, edges - 1, 2)),
+                        arrays, 0, count)
+    for array in (gradient, curvature, displaced):
+        array[~found] = np.nan
+    return gradient[:, : len(directions)], curvature, displaced, found
+
+
+COTANGENTS = {
+    "pulls": TABLE3, "twists": TABLE3,  # [row, vertex or edge, 3] the cotangents
+    "displaced": TABLE3, "turned": TABLE3,  # [row, vertex or edge, 3] out: dx and p
+    "gradient": TABLE2,  # [row, column] out
+    "curvature": TABLE3,  # [row, joint, 2] out
+}
+
+
+@cache
+def pullback_kernel(stride: int, block: int):
+    """The compiled-on-first-use kernel; ``stride`` and ``block`` as Newton's kernel has them."""
+    return loop_kernel("pull_back", Number(1, 64), AT_REST | COTANGENTS, AdjointSweep(stride).work, block)
+
+
+@cache
+def contact_pullback_kernel(stride: int, block: int, known: frozenset[int]):
+    """The same for rods that touch obstacles of the kinds ``known``."""
+    sweep = ContactAdjoint(stride, known)
+    return runtime.compiled_briefly(
+        loop_kernel("pull_back_in_contact", Number(1, 64), AT_REST | COTANGENTS | CONTACTS_AT_REST, sweep.work, block))

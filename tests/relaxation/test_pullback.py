@@ -1,0 +1,177 @@
+"""Gradients by one adjoint solve against the columns of sensitivity and against rods relaxed again; which rods have none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from doo_ti import Clamp, Configuration, InputError, Material, Newton, Plane, Solution, Sphere, pullback, relax, sensitivity
+from doo_ti.relaxation.sensitivity import PARAMETERS
+from tests.contact.clutter import OBSTACLES, RADIUS, sagging
+from tests.references.rods import chain, clamps_at
+from tests.relaxation.rods import PAIRS, definite, wandering, with_kinds
+from tests.relaxation.test_sensitivity import PENDULUMS, SHARP, UP
+
+ALONG = tuple(name for name in PARAMETERS if name != "modes")
+
+
+def contracted(solution: Solution, cotangent, frames, parameters, modes=None) -> tuple[np.ndarray, np.ndarray]:
+    """(R, P) cotangentᵀ · sensitivity, and the size that its terms have."""
+    found = sensitivity(solution, parameters, modes)
+    F, w = solution.configuration.frames, found.rotations
+    turned = np.stack([F[..., 1, None] * w[:, :, None, 2] - F[..., 2, None] * w[:, :, None, 1],
+                       F[..., 2, None] * w[:, :, None, 0] - F[..., 0, None] * w[:, :, None, 2],
+                       F[..., 0, None] * w[:, :, None, 1] - F[..., 1, None] * w[:, :, None, 0]], axis=3)
+    terms = np.concatenate([(cotangent[..., None] * found.vertices).reshape(*cotangent.shape[:1], -1, w.shape[-1]),
+                            (frames[..., None] * turned).reshape(*cotangent.shape[:1], -1, w.shape[-1])], axis=1)
+    return terms.sum(axis=1), np.sqrt((terms**2).sum(axis=1))
+
+
+def flat(pulled, parameters) -> np.ndarray:
+    return np.concatenate([pulled[name].reshape(len(pulled.usable), -1) for name in parameters], axis=1)
+
+
+@pytest.mark.parametrize("kind", ["round", "edge by edge"])
+def test_it_is_the_adjoint_of_sensitivity(rng, kind):
+    """Every pair of clamps, every parameter, uneven lengths, cotangents of vertices and of frames."""
+    count = len(PAIRS)
+    rods = wandering(rng, count, 12, rest_length=rng.uniform(2, 4, 12))
+    material = Material(2e5, 1.5e5, 1.1) if kind == "round" else Material(
+        definite(rng, count, 12), rng.uniform(1e5, 3e5, (count, 11)), 1.3, 0.01 * rng.normal(size=(count, 11, 2)))
+    solution = relax(rods, material, with_kinds(clamps_at(rods), PAIRS), SHARP, up=UP)
+    cotangent, frames, modes = rng.normal(size=(count, 13, 3)), rng.normal(size=(count, 12, 3, 3)), rng.normal(size=(2, 11, 2))
+    for row in map(PAIRS.index, PENDULUMS):  # their angle about the vertical is not determined: nothing may depend on it
+        swing = np.cross(UP, solution.configuration.vertices[row] - clamps_at(rods).start_position[row])
+        if PAIRS[row][0] == Clamp.FREE:
+            swing = np.cross(UP, solution.configuration.vertices[row] - solution.configuration.vertices[row, -1])
+        cotangent[row] -= swing * (swing * cotangent[row]).sum() / (swing**2).sum()
+        frames[row] = 0.0
+    pulled = pullback(solution, cotangent, PARAMETERS, modes, frames)
+    expected, size = contracted(solution, cotangent, frames, PARAMETERS, modes)
+    np.testing.assert_array_equal(pulled.usable, sensitivity(solution).usable)
+    assert pulled.usable.sum() > 0.8 * count
+    off = (np.abs(flat(pulled, PARAMETERS) - expected) / (size + 1e-300))[pulled.usable]
+    print(f"{kind}: largest {off.max():.1e}")
+    assert off.max() < 1e-9
+
+
+def test_rods_relaxed_again_change_so(rng):
+    """Central differences of the scalar, forces on the vertices but left to the test of point loads."""
+    rods = wandering(rng, 6, 12)
+    kinds = [(Clamp.FRAME, Clamp.FRAME), (Clamp.TANGENT, Clamp.FRAME), (Clamp.FREE, Clamp.FRAME)] * 2
+    clamps, rest = with_kinds(clamps_at(rods), kinds), 0.01 * rng.normal(size=(6, 11, 2))
+    bend, twist, cotangent = np.array([[2e5, 3e4], [3e4, 1e5]]), 1.5e5, rng.normal(size=(6, 13, 3))
+    solution = relax(rods, Material(bend, twist, 1.0, rest), clamps, SHARP, up=UP)
+    names = ("bend", "twist", "weight", "rest_curvature_per_joint", "end_shift", "end_turn", "length")
+    pulled = pullback(solution, cotangent, names)
+    assert pulled.usable.all()
+
+    def scalar(changed, there=clamps, stretch=0.0):
+        begin = replace(solution.configuration, rest_length=rods.rest_length * np.exp(stretch))
+        return np.einsum("rvk,rvk->r", cotangent, relax(begin, changed, there, replace(SHARP, first_shift=0.0), up=UP)
+                         .configuration.vertices)
+
+    def difference(call, step):
+        """Of fourth order in the step."""
+        near, far = ((call(k * step) - call(-k * step)) / (2 * k * step) for k in (1, 2))
+        return (4 * near - far) / 3
+
+    material, bent = Material(bend, twist, 1.0, rest), np.zeros((11, 2))
+    bent[4, 1] = 1.0
+    axis = np.array([0.3, -0.5, 0.8])
+    for found, call, step in (
+        (pulled["bend"], lambda h: scalar(Material(bend + h * np.eye(2), twist, 1.0, rest)), 300.0),
+        (pulled["twist"], lambda h: scalar(Material(bend, twist + h, 1.0, rest)), 300.0),
+        (pulled["weight"], lambda h: scalar(Material(bend, twist, 1.0 + h, rest)), 3e-3),
+        (pulled["rest_curvature_per_joint"][:, 4, 1], lambda h: scalar(Material(bend, twist, 1.0, rest + h * bent)), 3e-5),
+        (pulled["end_shift"] @ axis, lambda h: scalar(material, replace(clamps, end_position=clamps.end_position + h * axis)),
+         1e-3),
+        (pulled["end_turn"] @ axis, lambda h: scalar(material, replace(
+            clamps, end_frame=Rotation.from_rotvec(h * axis).as_matrix() @ clamps.end_frame)), 1e-3),
+        (pulled["length"], lambda h: scalar(material, clamps, h), 3e-6),
+    ):
+        expected = difference(call, step)
+        assert (np.abs(found - expected) < 1e-6 * np.abs(expected)).all()
+
+
+def test_contacts_stay_as_they_are():
+    """Amid obstacles of all kinds, both ends held; and with a free first or last vertex on a slope and a ball."""
+    rng, close = np.random.default_rng(5), Newton(max_iterations=1000, gap_tolerance=1e-8)
+    start, material, clamps = sagging(rng, 48)
+    amid = relax(start, material, clamps, close, obstacles=OBSTACLES, radius=RADIUS, up=(0.1, 0.05, 1.0))
+    one = Configuration.straight(np.array([0.0, 0.0, 12.0]), np.array([1.0, 0.2, -0.1]), 100.0, 24)
+    about = dict(obstacles=[Plane((0, 0, 0), (0.05, 0.02, 1)), Sphere((60, 3, -8), 12.0)], radius=2.0)
+    ends = [relax(one, Material(4e4, 3e4), with_kinds(clamps_at(one), [kinds]), close, **about)
+            for kinds in ((Clamp.FRAME, Clamp.FREE), (Clamp.FREE, Clamp.FRAME))]
+    for solution in (amid, *ends):
+        places = solution.configuration.vertices
+        cotangent, none = rng.normal(size=places.shape), np.zeros((*places.shape[:1], places.shape[1] - 1, 3, 3))
+        pulled = pullback(solution, cotangent, ALONG)
+        expected, size = contracted(solution, cotangent, none, ALONG)
+        rows = pulled.usable & solution.contact.touching.any(axis=1)
+        assert rows.any() and rows.sum() >= 0.7 * len(rows)
+        # Contacts are stiff: rounding counts for more.
+        typical = np.maximum(size, 1e-9 * size.max(axis=1, keepdims=True))
+        assert (np.abs(flat(pulled, ALONG) - expected) / typical)[rows].max() < 1e-6
+
+
+def test_rods_without_an_equilibrium_have_none(rng):
+    rods = wandering(rng, 1, 12).take([0, 0, 0])
+    clamps = clamps_at(rods)
+    clamps.end_position[1] += 1000.0
+    solution = relax(rods, Material(1e5, 1e5), clamps)
+    solution = replace(solution, stable=solution.stable & [True, True, False])
+    pulled = pullback(solution, solution.configuration.vertices, ("bend", "forces", "rest_curvature"))
+    assert pulled.usable.tolist() == [True, False, False]
+    for value in pulled.gradient.values():
+        assert np.isnan(value[1:]).all() and np.isfinite(value[0]).all()
+
+
+def test_a_taut_rod_cannot_follow_its_clamps():
+    rods = chain(np.tile([1.0, 0.0, 0.0], (8, 1)), [0, 0, 1], 3.0, spin=0.1 * np.arange(8))
+    solution = relax(rods, Material.diagonal(2e5, 1e5, 1e5), clamps_at(rods), SHARP)
+    pulled = pullback(solution, np.ones((1, 9, 3)), ("twist", "length", "end_shift"))
+    assert np.isnan(pulled["length"]).all() and np.isnan(pulled["end_shift"]).all() and pulled["twist"][0] == 0
+
+
+def test_a_rod_is_the_same_in_any_company(rng):
+    rods, cotangent, bend = wandering(rng, 30, 12), rng.normal(size=(30, 13, 3)), np.geomspace(1e5, 3e5, 30)
+    together = pullback(relax(rods, Material(bend, 1e5), clamps_at(rods)), cotangent, ("bend", "forces"))
+    alone = pullback(relax(rods.take([7]), Material(bend[[7]], 1e5), clamps_at(rods).take([7])), cotangent[[7]],
+                     ("bend", "forces"))
+    for name in ("bend", "forces"):
+        np.testing.assert_array_equal(together[name][7], alone[name][0])
+
+
+def test_no_cotangents_and_no_rods(rng):
+    rods = wandering(rng, 2, 12)
+    solution = relax(rods, Material(1e5, 1e5), clamps_at(rods))
+    pulled = pullback(solution, None, ("twist", "forces"))
+    assert pulled.usable.all() and (pulled["twist"] == 0).all() and (pulled["forces"] == 0).all()
+    none = relax(rods.take([]), Material(1e5, 1e5), clamps_at(rods).take([]))
+    assert pullback(none, np.zeros((0, 13, 3)))["bend"].shape == (0,)
+
+
+@pytest.mark.slow
+def test_the_layout_of_a_gpu_gives_the_same_bits(rng, monkeypatch):
+    """Threads interleaved in scratch, here run on the processor."""
+    rods, cotangent = wandering(rng, 5, 12), rng.normal(size=(5, 13, 3))
+    solution = relax(rods, Material(np.geomspace(1e5, 3e5, 5), 1e5), clamps_at(rods))
+    own = pullback(solution, cotangent, ALONG)
+    monkeypatch.setattr("doo_ti.relaxation.sensitivity_kernel.runtime.start", lambda: "cuda")
+    np.testing.assert_array_equal(flat(own, ALONG), flat(pullback(solution, cotangent, ALONG), ALONG))
+
+
+def test_wrong_input_is_reported(rng):
+    rods = wandering(rng, 2, 12)
+    solution = relax(rods, Material(1e5, 1e5), clamps_at(rods))
+    bad = np.zeros((2, 13, 3))
+    bad[1, 4] = np.nan
+    for given, field in (({"cotangent": np.zeros((2, 12, 3))}, "cotangent"), ({"cotangent": bad}, "cotangent"),
+                         ({"cotangent": None, "frames": np.zeros((2, 12, 3))}, "frames"),
+                         ({"cotangent": None, "parameters": ("bent",)}, "parameters"),
+                         ({"cotangent": None, "parameters": ("modes",)}, "modes")):
+        with pytest.raises(InputError) as caught:
+            pullback(solution, **given)
+        assert caught.value.source == "pullback" and caught.value.field == field and "\n" not in str(caught.value)
