@@ -115,17 +115,14 @@ def main(words: list[str] | None = None) -> int:
     lines = ["# Other simulators on the same rods", "",
              f"Written by `python tools/compare_peers.py{' --quick' * options.quick}`, {machine['processor']}, "
              f"{machine['cores']} cores. At rest:", "", *table(rows), "",
-             f"MuJoCo at its fastest takes {found:,.0f} times as long as this package in f32, all its rows being farther from "
+             f"MuJoCo at its fastest takes {found:,.0f} times as long as this package in f32. All its rows are farther from "
              "the f64 reference of the same mesh."
              if found else "No ratio to MuJoCo: it is left out, or closer to the reference.",
              "", "MuJoCo, PyElastica and Newton have no static solver: their rods move, damped, until none is faster than 0.01 "
-             "mm/s, in Newton, which computes in f32, 0.03 mm/s. Here the time is that of a batch, over its rods; "
-             "compiling is not counted. PyElastica's steps are explicit: a thicker rod of the same EI over weight allows "
-             "longer ones, but shears and stretches more. Newton's rods are ten times as long, of the same shape, because the "
-             "inertia of an edge of 3 mm is too small for f32; its steps are those of the longer rod "
-             "(tools/peers/capsules.py).", "",
-             "The distance from the continuum is the error of the 3 mm mesh, the same for all but where a stretch of edges "
-             "happens to cancel some of it.", "",
+             "mm/s (Newton, in f32: 0.03). Times here are those of a batch over its rods, without compiling. PyElastica's "
+             "steps are explicit: thicker rods allow longer ones, but shear and stretch more. Newton's rods are ten times as "
+             "long, since the inertia of an edge of 3 mm is too small for f32 (tools/peers/capsules.py). The distance from the "
+             "continuum is the error of the 3 mm mesh.", "",
              *(f"Left out: {one}." for one in left_out)]
     if not options.quick:
         lines += ["", "In motion:", "", *swinging.table()]
