@@ -34,7 +34,7 @@ def printed(folder, name: str, monkeypatch, capsys) -> str:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("name", ["pyarrow", "pandas", "DuckDB"])
+@pytest.mark.parametrize("name", ["pyarrow", "pandas"])
 def test_an_example_finds_the_best_cell(folder, name, monkeypatch, capsys):
     if importlib.util.find_spec(name.lower()) is None:
         pytest.skip(f"{name} is not installed")
