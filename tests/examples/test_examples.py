@@ -23,6 +23,8 @@ DEFAULT = ("01_hang_a_rope.py",)
 """Of the default run; the full run has all but those that take long."""
 LONG = ("10_cluster.py",)
 """It starts a cluster of processes, as tests of the full run do too."""
+NEEDED = {"16_gradients_jax.py": "jax", "17_gradients_torch.py": "torch"}
+"""What some examples use that the package does not depend on."""
 SHIM = """#!/bin/bash
 printf '%s\\0' "$PWD" "$@" > {requests}
 read -r code < {answers}
@@ -80,6 +82,8 @@ def run_shell(script: Path, folder: Path) -> int:
     pytest.param(path, id=path.name, marks=() if path.name in DEFAULT else pytest.mark.slow if path.name in LONG else
                  pytest.mark.thorough) for path in SCRIPTS])
 def test_example(script, folder, monkeypatch):
+    if script.name in NEEDED:
+        pytest.importorskip(NEEDED[script.name])
     monkeypatch.setattr(sys, "argv", [str(script)])
     if script.suffix == ".sh":
         assert run_shell(script, folder) == 0
