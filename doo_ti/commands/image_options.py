@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from doo_ti.commands import options as given
+from doo_ti.io.shipped import scene_file
 from doo_ti.rod.physical_units import UNITS_IN_MM
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line
@@ -14,8 +15,8 @@ from doo_ti.vision.cameras.rig import Rig, load_rig
 
 def add_rig(parser: ArgumentParser) -> None:
     """The cameras, and what their file leaves open; :func:`rig` reads them."""
-    parser.add_argument("--rig", required=True, metavar="RIG", help="the calibrated cameras (docs/cameras.md): "
-                        "OpenCV FileStorage YAML, OpenCV's stereo file, or COLMAP's cameras.txt")
+    parser.add_argument("--rig", required=True, metavar="RIG", type=scene_file, help="the calibrated cameras "
+                        "(docs/cameras.md): OpenCV FileStorage YAML, OpenCV's stereo file, or COLMAP's cameras.txt")
     parser.add_argument("--rig-unit", choices=tuple(UNITS_IN_MM), help="unit of lengths in RIG (default mm)")
     parser.add_argument("--rig-poses", choices=tuple(POSES), help="what R and t in RIG are: world to camera, camera to world, "
                         "or R and the camera's centre; axes of OpenCV (z forward) or OpenGL (y up) (default opencv)")
