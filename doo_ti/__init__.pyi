@@ -69,7 +69,7 @@ from doo_ti.record.sweep import record_sweep as record_sweep
 from doo_ti.refinement.refine import Refinement as Refinement
 from doo_ti.refinement.refine import RefinementOptions as RefinementOptions
 from doo_ti.refinement.refine import refine as refine
-from doo_ti.refinement.unknowns import Theta as Theta
+from doo_ti.refinement.theta import Theta as Theta
 from doo_ti.relaxation.descent import Descent as Descent
 from doo_ti.relaxation.end_loads import EndLoads as EndLoads
 from doo_ti.relaxation.end_loads import end_loads as end_loads

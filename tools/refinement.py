@@ -30,7 +30,7 @@ if not __package__:
 from doo_ti import load_observations, observation_clamps, relax, start_configuration  # noqa: E402
 from doo_ti.refinement.folds import folds_of, refine_held_out  # noqa: E402
 from doo_ti.refinement.refine import RefinementOptions, refine  # noqa: E402
-from doo_ti.refinement.unknowns import Theta  # noqa: E402
+from doo_ti.refinement.theta import Theta  # noqa: E402
 from tools.bench.lab import TRUTH  # noqa: E402
 from tools.checks import Check, table  # noqa: E402
 

@@ -19,7 +19,7 @@ if not __package__:
 from doo_ti.contact.obstacles import Plane  # noqa: E402
 from doo_ti.contact.surroundings import Surroundings  # noqa: E402
 from doo_ti.refinement.refine import RefinementOptions, refine  # noqa: E402
-from doo_ti.refinement.unknowns import Theta  # noqa: E402
+from doo_ti.refinement.theta import Theta  # noqa: E402
 from doo_ti.relaxation.relax import relax  # noqa: E402
 from doo_ti.rod.frames import rotation_matrix  # noqa: E402
 from doo_ti.rod.observations import Observations  # noqa: E402

@@ -216,7 +216,7 @@ def _of_run(options: Namespace, run: Path, starts: int):
     from doo_ti.learning.landscape import read_landscape
     from doo_ti.learning.run_folder import read_experiment
     from doo_ti.refinement.fit import lowest_cells, theta_of_cell
-    from doo_ti.refinement.unknowns import common_rod
+    from doo_ti.refinement.theta import common_rod
 
     for name in (*given.MATERIAL, *loading.OF_OBSERVATIONS, "obstacles", "radius"):
         if getattr(options, name) is not None:

@@ -19,7 +19,8 @@ from scipy.stats import f as f_distribution
 from doo_ti.refinement.fit import Fit, Fitted, State
 from doo_ti.refinement.priors import Scales
 from doo_ti.refinement.search import Optimum
-from doo_ti.refinement.unknowns import LOGARITHMIC, Theta, Values
+from doo_ti.refinement.theta import Theta
+from doo_ti.refinement.unknowns import LOGARITHMIC, Values
 from doo_ti.rod.physical_units import relative_stiffness
 from doo_ti.system.errors import InputError
 

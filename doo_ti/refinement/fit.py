@@ -19,7 +19,8 @@ from doo_ti.refinement.evidence import Evidence, Posterior, best_effects, integr
 from doo_ti.refinement.held_rod import POSE
 from doo_ti.refinement.priors import Scales
 from doo_ti.refinement.residuals import Comparison, Moments, Residuals
-from doo_ti.refinement.unknowns import Theta, Unknowns, Values
+from doo_ti.refinement.theta import Theta
+from doo_ti.refinement.unknowns import Unknowns, Values
 from doo_ti.relaxation.newton import Newton
 from doo_ti.rod.grid import Grid
 from doo_ti.rod.types import Solution

@@ -11,7 +11,7 @@ from doo_ti.refinement.fit import Fit
 from doo_ti.refinement.held_rod import POSE, HeldRod
 from doo_ti.refinement.refine import Refinement, RefinementOptions, refine, unknowns_of
 from doo_ti.refinement.residuals import Comparison, mark_distance
-from doo_ti.refinement.unknowns import Theta
+from doo_ti.refinement.theta import Theta
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.types import Clamps
 from doo_ti.system.errors import InputError

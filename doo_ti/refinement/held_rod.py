@@ -21,7 +21,7 @@ import numpy as np
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.rod.frames import rotation_matrix
+from doo_ti.rod.frames import right_jacobian, rotation_matrix, turned_about_tangent
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import choose_hypothesis, fill_missing, held_spins, span_excess, start_configuration, turn_hypotheses
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution
@@ -32,6 +32,8 @@ SHORTENED = (1.0, 0.5, 0.25, 0.0)
 """Shares of the expected length of a clip with which a fit may begin."""
 TWIST = 3
 """Of these that which turns the end about its tangent."""
+INWARDS = (1.0, -1.0)
+"""Of the start's tangent and of the end's: into the rod."""
 
 
 @dataclass(frozen=True)
@@ -227,18 +229,25 @@ class HeldRod:
             within.append(int((span_excess(self.mesh_clamps(lengths, pose), free) <= 0).sum()))
         return SHORTENED[int(np.argmax(within))] * clip
 
+    def _ends(self, pose: np.ndarray):
+        """Of each end: its reported position and frame, and the rotation of the clamp in that frame's axes, and the frame after
+        it. The end rolls with the start where their rolls count together."""
+        clamps = self.held
+        for end, (position, frame) in enumerate(((clamps.start_position, clamps.start_frame),
+                                                 (clamps.end_position, clamps.end_frame))):
+            turn = pose[:, 3 * end : 3 * end + 3]
+            rolled = end == 1 and self.rolled_together
+            yield position, frame, turn, (turned_about_tangent(frame, pose[:, 0]) if rolled else frame) @ rotation_matrix(turn)
+
     def mesh_clamps(self, lengths: Lengths, pose: np.ndarray) -> Clamps:
         """The clamps of the mesh, off their reported poses by ``pose`` (D, Q)."""
-        mesh, clip = self.mesh(lengths), lengths.clip
-        positions, frames = [], []
-        for end, (position, frame) in enumerate(self._reported):
-            turned = self._rolled(frame, end, pose) @ rotation_matrix(pose[:, 3 * end : 3 * end + 3])
+        mesh, positions, frames = self.mesh(lengths), [], []
+        for end, (position, frame, _, now) in enumerate(self._ends(pose)):
             position = position + np.einsum("dij,dj->di", frame, pose[:, 6 + 3 * end : 9 + 3 * end])
             if self.clamped[end]:
-                inwards = 1.0 if end == 0 else -1.0
-                position = position + inwards * (clip[end] * frame[..., 0] - 0.5 * mesh.edge * turned[..., 0])
+                position = position + INWARDS[end] * (lengths.clip[end] * frame[..., 0] - 0.5 * mesh.edge * now[..., 0])
             positions.append(position)
-            frames.append(turned)
+            frames.append(now)
         return Clamps(self.held.start, self.held.end, *positions, *frames)
 
     def clamp_slopes(self, lengths: Lengths, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -246,34 +255,18 @@ class HeldRod:
         start's and the end's vertex, and rotations in the world (2, D, 3, GEOMETRY + Q)."""
         mesh, count = self.mesh(lengths), self.observations.count
         moved, turned = np.zeros((2, 2, count, 3, GEOMETRY + POSE))
-        for end, (_, frame) in enumerate(self._reported):
+        for end, (_, frame, turn, now) in enumerate(self._ends(pose)):
             first = GEOMETRY + 3 * end
-            rotation, offset = slice(first, first + 3), slice(first + 6, first + 9)
-            moved[end][..., offset] = frame
-            turn = pose[:, 3 * end : 3 * end + 3]
-            now = self._rolled(frame, end, pose) @ rotation_matrix(turn)
-            turned[end][..., rotation] = now @ right_jacobian(turn)
+            moved[end][..., first + 6 : first + 9] = frame
+            turned[end][..., first : first + 3] = now @ right_jacobian(turn)
             if end == 1 and self.rolled_together:
                 turned[end][..., GEOMETRY] = frame[..., 0]
-            if not self.clamped[end]:
-                continue
-            inwards = 1.0 if end == 0 else -1.0
-            tangent = now[..., 0]
-            moved[end][..., end] += inwards * frame[..., 0]
-            moved[end][..., :GEOMETRY] -= inwards * 0.5 * tangent[..., None] * mesh.edge_slope
-            moved[end] -= inwards * 0.5 * mesh.edge * np.cross(turned[end], tangent[..., None], axis=1)
+            if self.clamped[end]:
+                half, tangent = INWARDS[end] * 0.5, now[..., 0]
+                moved[end][..., end] += INWARDS[end] * frame[..., 0]
+                moved[end][..., :GEOMETRY] -= half * tangent[..., None] * mesh.edge_slope
+                moved[end] -= half * mesh.edge * np.cross(turned[end], tangent[..., None], axis=1)
         return moved, turned
-
-    def _rolled(self, frame: np.ndarray, end: int, pose: np.ndarray) -> np.ndarray:
-        """``frame`` (D, 3, 3) of the end, rolled by as much as the start where their rolls count together."""
-        if end == 0 or not self.rolled_together:
-            return frame
-        return frame @ rotation_matrix(pose[:, :1] * [1.0, 0.0, 0.0])
-
-    @property
-    def _reported(self):
-        clamps = self.held
-        return (clamps.start_position, clamps.start_frame), (clamps.end_position, clamps.end_frame)
 
     def relaxed(self, material: Material, lengths: Lengths, pose: np.ndarray, solver: Newton, up: np.ndarray,
                 rows: np.ndarray | None = None, any_turn: bool = False, turn: int | None = None) -> Solution:
@@ -335,18 +328,6 @@ class HeldRod:
             end_frame=seen.end_frame, frames=None if seen.frames is None else seen.frames[:, nearest],
             total_twist=np.zeros(seen.count) if self.twist_unknown else seen.total_twist, up=seen.up, name=seen.name,
             source=seen.source)
-
-
-def right_jacobian(turn: np.ndarray) -> np.ndarray:
-    """(D, 3, 3) J of Exp(turn + d) = Exp(turn) Exp(J d) to first order."""
-    angle = np.linalg.norm(turn, axis=-1)[..., None, None]
-    cross = np.cross(np.eye(3), turn[..., None, :])  # rows e_k × turn: the matrix of turn × once transposed
-    cross = np.swapaxes(cross, -1, -2)
-    small = angle < 1e-4
-    safe = np.where(small, 1.0, angle)
-    first = np.where(small, 0.5 - angle**2 / 24, (1 - np.cos(safe)) / safe**2)
-    second = np.where(small, 1 / 6 - angle**2 / 120, (safe - np.sin(safe)) / safe**3)
-    return np.eye(3) + first * cross + second * cross @ cross
 
 
 def _interpolation(u: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

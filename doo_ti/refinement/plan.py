@@ -23,7 +23,8 @@ from doo_ti.refinement.held_rod import HeldRod
 from doo_ti.refinement.priors import typical_scales
 from doo_ti.refinement.refine import FEWEST_EDGES, MOST_EDGES
 from doo_ti.refinement.residuals import Comparison
-from doo_ti.refinement.unknowns import Theta, Unknowns
+from doo_ti.refinement.theta import Theta
+from doo_ti.refinement.unknowns import Unknowns
 from doo_ti.relaxation.contact_table import require_clear
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax

@@ -26,7 +26,8 @@ from doo_ti.refinement.mislabelled import Mislabelled, mislabelled
 from doo_ti.refinement.priors import Scales, typical_scales
 from doo_ti.refinement.residuals import mark_distance
 from doo_ti.refinement.search import Optimum, searched
-from doo_ti.refinement.unknowns import Theta, Unknowns, Values
+from doo_ti.refinement.theta import Theta
+from doo_ti.refinement.unknowns import Unknowns, Values
 from doo_ti.relaxation.contact_table import require_clear
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax

@@ -15,8 +15,9 @@ from doo_ti.refinement.fit import Fit, Fitted
 from doo_ti.refinement.priors import Scales
 from doo_ti.refinement.residuals import Comparison
 from doo_ti.refinement.rolls import rolled, rolls_chosen_again
+from doo_ti.refinement.theta import Theta
 from doo_ti.refinement.turns import AGAIN, turns_chosen_again, twisted
-from doo_ti.refinement.unknowns import Theta, Unknowns
+from doo_ti.refinement.unknowns import Unknowns
 from doo_ti.rod.types import Clamp, Clamps
 from doo_ti.system.errors import InputError
 

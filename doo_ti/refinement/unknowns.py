@@ -11,26 +11,24 @@
     spacing                 ln of the rod's length between neighbouring marks over that which the observations state
 
 The prior of the first five is so wide that it matters only along directions that the observations do not determine; only twist
-over bend is expected to be that of a common rod (:data:`RATIO`) where nothing says how far the rod is twisted.
+over bend is expected to be that of a common rod (:func:`doo_ti.refinement.theta.common_rod`) where nothing says how far the rod
+is twisted.
 
 Axes: D observations, P unknowns, the first T of them Θ's, K knots, E edges between marks, N edges of the mesh.
 """
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from doo_ti.refinement.held_rod import POSE, HeldRod, Lengths, Mesh
 from doo_ti.refinement.priors import Scales, covariance, knots_of, values_at
+from doo_ti.refinement.theta import Theta, common_rod
 from doo_ti.relaxation.sensitivity import tilt_axes
 from doo_ti.rod.frames import rotation_matrix
 from doo_ti.rod.types import Material
-from doo_ti.system.arguments import typed
-from doo_ti.system.errors import InputError, require_whole
-from doo_ti.system.short_repr import short_repr
+from doo_ti.system.errors import InputError
 
 PARAMETERS = ("bend", "bend_1", "bend_2", "bend_12", "twist", "weight", "up")
 LOGARITHMIC = ("bend", "bend_1", "bend_2", "twist", "weight")
@@ -38,60 +36,11 @@ WIDE = 7.0  # standard deviation of the logarithm of a positive unknown: a facto
 TILT = 0.1  # rad, of gravity's direction, where that is learned
 CLIP_MEAN, CLIP_SPREAD = 0.75, 0.75
 """Prior of where a clip ends: mean and standard deviation, in spacings of the outer marks, inwards from the outermost."""
-RATIO, RATIO_FACTOR = 0.8, 0.4
-"""Prior of twist over bend stiffness where nothing says how far the rod is twisted: median, and standard deviation of its
-logarithm."""
+RATIO_FACTOR = 0.4
+"""Prior of twist over bend stiffness where nothing says how far the rod is twisted: standard deviation of its logarithm about
+that of a common rod."""
 TURNS = 12
 """Numbers of the constant errors of clamps."""
-
-
-@typed
-@dataclass(frozen=True)
-class Theta:
-    """One material and the direction of gravity.
-
-    bend (2, 2) mm³, twist mm³, weight μ, rest_curvature None, (2,) or (E−1, 2) in 1/mm, up (3,) unit vector
-    """
-
-    __repr__ = short_repr
-
-    bend: Annotated[np.ndarray, "2 2"]
-    twist: float
-    weight: float = 1.0
-    rest_curvature: Annotated[np.ndarray | None, "2 | J 2"] = None
-    up: Annotated[np.ndarray, "3"] = (0.0, 0.0, 1.0)
-
-    if TYPE_CHECKING:  # what it takes; the fields are the arrays that it makes of them
-        def __init__(self, bend: ArrayLike, twist: float, weight: float = 1.0, rest_curvature: ArrayLike | None = None,
-                     up: ArrayLike = (0.0, 0.0, 1.0)) -> None: ...
-
-    def __post_init__(self) -> None:
-        for name in ("bend", "rest_curvature", "up"):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64))
-
-    @classmethod
-    @typed
-    def of(cls, material: Material, row: int = 0, up: ArrayLike = (0.0, 0.0, 1.0)) -> "Theta":
-        """Row ``row`` of ``material``. Raises InputError where bend or twist vary along the rod."""
-        if material.bend.shape[1] > 1 or material.twist.shape[1] > 1:
-            raise InputError("refine", "material", "bend or twist vary along the rod", "give one value for the whole rod")
-        require_whole("Theta.of", "row", row, 0, material.count - 1)
-        rest = material.rest_curvature
-        rest = None if rest is None else rest[row, 0] if rest.shape[1] == 1 else rest[row]
-        return cls(material.bend[row, 0], float(material.twist[row, 0]), float(material.weight[row]), rest, np.asarray(up))
-
-    @property
-    def entries(self) -> dict[str, float]:
-        """Parameter: value, in mm³, the weight μ without unit; ``bend`` is α of a round rod."""
-        return {"bend": self.bend[0, 0], "bend_1": self.bend[0, 0], "bend_2": self.bend[1, 1], "bend_12": self.bend[0, 1],
-                "twist": self.twist, "weight": self.weight}
-
-    @property
-    def material(self) -> Material:
-        """The same as a table of one row."""
-        rest = self.rest_curvature
-        return Material(self.bend, self.twist, self.weight, None if rest is None else rest[None])
 
 
 @dataclass(frozen=True)
@@ -183,9 +132,14 @@ class Unknowns:
             found |= {"curvature"} | ({"range"} if self.curvature == "field" else set())
         return found
 
-    def columns(self, prefix: str) -> np.ndarray:
-        """Indices of the unknowns whose names begin with ``prefix``."""
-        return np.array([k for k, name in enumerate(self.names) if name.startswith(prefix)], dtype=int)
+    @cached_property
+    def _columns(self) -> dict[str, np.ndarray]:
+        parts = np.array([name.partition("[")[0] for name in self.names])
+        return {part: np.flatnonzero(parts == part) for part in set(parts.tolist())}
+
+    def columns(self, part: str) -> np.ndarray:
+        """Indices of the unknowns that are called ``part``, or ``part[·]``."""
+        return self._columns.get(part, np.zeros(0, dtype=int))
 
     def begun(self, theta: Theta, clip: np.ndarray) -> Values:
         """Initial values: ``theta`` with its own rest curvature, and clamps without errors.
@@ -217,7 +171,7 @@ class Unknowns:
         of = {name: amount for name, amount in zip(self.names, step, strict=True)}
         theta = values.theta
         root = np.sqrt(np.diag(theta.bend))
-        correlation = np.tanh(np.arctanh(theta.bend[0, 1] / root.prod()) + of.get("bend_12", 0.0))
+        correlation = np.tanh(np.arctanh(theta.correlation) + of.get("bend_12", 0.0))
         both = of.get("bend", 0.0)
         root = root * np.exp(0.5 * np.array([of.get(name, 0.0) + both for name in ("bend_1", "bend_2")]))
         up = theta.up
@@ -297,7 +251,7 @@ class Unknowns:
             if name in LOGARITHMIC:
                 parts.append(np.log(theta.entries[name] / start.entries[name]))
             elif name == "bend_12":
-                parts.append(np.arctanh(_correlation(theta.bend)) - np.arctanh(_correlation(start.bend)))
+                parts.append(np.arctanh(theta.correlation) - np.arctanh(start.correlation))
             else:
                 parts.append(_tilt(start.up, theta.up)[int(name[3])])
         for end, name in enumerate(("clip_start", "clip_end")):
@@ -342,15 +296,6 @@ class Unknowns:
     def expected(self, theta: Theta) -> Theta:
         """``theta`` as the mean of the prior: a common rod where that knows of the twist stiffness."""
         return common_rod(theta) if len(self._ratio) else theta
-
-
-def common_rod(theta: Theta) -> Theta:
-    """``theta`` with the twist stiffness of a common rod of its bend stiffness."""
-    return replace(theta, twist=RATIO * float(np.sqrt(np.linalg.det(theta.bend))))
-
-
-def _correlation(bend: np.ndarray) -> float:
-    return bend[0, 1] / np.sqrt(bend[0, 0] * bend[1, 1])
 
 
 def _tilt(origin: np.ndarray, up: np.ndarray) -> np.ndarray:

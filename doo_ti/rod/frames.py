@@ -178,6 +178,18 @@ def rotation_matrix(turn: np.ndarray) -> np.ndarray:
     return matrix_from_quaternion(quaternion_of_turn(turn))
 
 
+def right_jacobian(turn: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) J of Exp(turn + d) = Exp(turn) Exp(J d) to first order, of rotation vectors (..., 3)."""
+    angle = np.linalg.norm(turn, axis=-1)[..., None, None]
+    cross = np.cross(np.eye(3), turn[..., None, :])  # rows e_k × turn: the matrix of turn × once transposed
+    cross = np.swapaxes(cross, -1, -2)
+    small = angle < 1e-4
+    safe = np.where(small, 1.0, angle)
+    first = np.where(small, 0.5 - angle**2 / 24, (1 - np.cos(safe)) / safe**2)
+    second = np.where(small, 1 / 6 - angle**2 / 120, (safe - np.sin(safe)) / safe**3)
+    return np.eye(3) + first * cross + second * cross @ cross
+
+
 def turned_about_tangent(frame: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """(..., 3, 3) frames turned about their tangents by angles (...), rad."""
     turn = quaternion_about(frame[..., 0], angle)

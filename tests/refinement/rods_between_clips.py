@@ -9,7 +9,8 @@ from doo_ti.lab.synthesis import synthesise
 from doo_ti.refinement.held_rod import HeldRod
 from doo_ti.refinement.priors import Scales, typical_scales
 from doo_ti.refinement.residuals import Comparison
-from doo_ti.refinement.unknowns import Theta, Unknowns
+from doo_ti.refinement.theta import Theta
+from doo_ti.refinement.unknowns import Unknowns
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import observation_clamps
 

@@ -7,11 +7,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from doo_ti import Clamp, Newton
-from doo_ti.refinement.held_rod import POSE, Lengths, right_jacobian
+from doo_ti.refinement.held_rod import POSE, Lengths
 from doo_ti.refinement.priors import covariance, knots_of, values_at
 from doo_ti.refinement.refine import mesh_correction, relaxed_on
 from doo_ti.refinement.unknowns import Unknowns
-from doo_ti.rod.frames import rotation_matrix
+from doo_ti.rod.frames import right_jacobian, rotation_matrix
 from tests.refinement.rods_between_clips import TRUTH, held, suture
 
 

@@ -9,7 +9,7 @@ from doo_ti import Clamp, Grid, InputError, Observations, observation_clamps, re
 from doo_ti.refinement.fit import lowest_cells, theta_of_cell
 from doo_ti.refinement.folds import folds_of, refine_held_out
 from doo_ti.refinement.refine import RefinementOptions, refine
-from doo_ti.refinement.unknowns import Theta
+from doo_ti.refinement.theta import Theta
 from doo_ti.rod.grid import Axis
 from doo_ti.rod.types import Status
 from tests.references.rods import clamps_at
