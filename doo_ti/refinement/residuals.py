@@ -30,6 +30,8 @@ RODS_AT_ONCE = 128
 SOFT = 30.0
 """Times the median: rods whose derivatives are larger are about to snap."""
 GAP_MODES = 6
+OF_POSES = ("end_shift", "start_turn", "end_turn")
+"""Of :func:`doo_ti.relaxation.sensitivity.sensitivity`, three columns each: what a pose moves, beside the whole rod."""
 
 
 @dataclass(frozen=True)
@@ -115,6 +117,7 @@ class _Quantity:
     weights  (X, ·) of the interpolation, and their derivatives by u (:meth:`Mesh.at`)
     present  (rods, ·, 3) the vectors on the mesh
     changes  (rods, ·, 3, columns) their derivatives, from :func:`doo_ti.relaxation.sensitivity.sensitivity`
+    carried  (rods, 3, GEOMETRY + Q) displacement of the start, which carries the whole rod along; zero for directions
     """
 
     place: np.ndarray
@@ -122,6 +125,7 @@ class _Quantity:
     weights: tuple[np.ndarray, np.ndarray]
     present: np.ndarray
     changes: np.ndarray
+    carried: np.ndarray
 
     def at_places(self) -> np.ndarray:
         """(rods, X, 3, columns) the derivatives at the places."""
@@ -133,7 +137,7 @@ class _Quantity:
         """(rods, X, 3, GEOMETRY + M − 1) derivatives as the mesh slides along the rod by its lengths, and the places by the
         spacings."""
         by_place = np.concatenate([mesh.slide(self.place), self.slope / mesh.edge], axis=1)
-        return np.einsum("mv,rvk,me->rmke", self.weights[1], self.present, by_place)
+        return (self.weights[1] @ self.present)[..., None] * by_place[:, None]
 
 
 @dataclass(frozen=True)
@@ -186,18 +190,19 @@ class Comparison:
         apart = rod.directors(solution, self.unknowns.lengths(values)) - seen.frames[..., 1]
         return (*found, (self.directors[..., None] * apart).reshape(len(apart), -1))
 
-    def linear(self, solution: Solution, values: Values, used: np.ndarray, leave_out_soft: bool = True
+    def linear(self, solution: Solution, values: Values, used: np.ndarray, leave_out_soft: bool = True, shared: bool = True
                ) -> tuple[tuple[Residuals, ...], np.ndarray]:
         """The linear model around ``values``, all effects zero, of the rods ``used`` (D,) bool; and the rods in it (D,) bool:
-        those with derivatives, without those about to snap if ``leave_out_soft``."""
-        parts = [self._derivatives(solution, values, slice(first, min(first + RODS_AT_ONCE, len(used))))
+        those with derivatives, without those about to snap if ``leave_out_soft``. Without ``shared`` it has the effects alone,
+        P = 0, at a fraction of the time."""
+        parts = [self._derivatives(solution, values, slice(first, min(first + RODS_AT_ONCE, len(used))), shared)
                  for first in range(0, len(used), RODS_AT_ONCE)]
         kinds = [tuple(np.concatenate(pieces) for pieces in zip(*kind, strict=True))
                  for kind in zip(*(of_kinds for of_kinds, _ in parts), strict=True)]
         used = used & np.concatenate([usable for _, usable in parts])
         # A rod about to snap moves far for tiny changes of the unknowns: the linear model does not hold for it.
-        size = np.sqrt((kinds[0][0] ** 2).mean(axis=(1, 2)))
         if used.any() and leave_out_soft:
+            size = np.sqrt((kinds[0][0] ** 2).mean(axis=(1, 2)))
             used &= size <= SOFT * np.median(size[used])
         weights, counts = [np.repeat(self.weight, 3, axis=1)], [self.count]
         if self.directors is not None:
@@ -237,51 +242,48 @@ class Comparison:
         gap = np.broadcast_to(modes, shape) if kind == "marks" else np.zeros(shape)
         return np.concatenate([effects, gap], axis=-1)
 
-    def _derivatives(self, solution: Solution, values: Values, rows: slice):
-        """(J, Z) of each kind, Z without the gap, and usable (R,) bool, of the R rods ``rows``."""
+    def _derivatives(self, solution: Solution, values: Values, rows: slice, shared: bool):
+        """(J, Z) of each kind, Z without the gap, and usable (R,) bool, of the R rods ``rows``; J without columns if not
+        ``shared``."""
         unknowns = self.unknowns
-        elementary, chain = unknowns.chain(values)
-        modes, mesh = unknowns.modes(values)
-        found = sensitivity(solution, (*elementary, "modes", "length", "end_shift", "start_turn", "end_turn"), modes,
-                            rows.start, rows.stop)
+        (elementary, chain), (modes, mesh) = unknowns.chain(values), unknowns.modes(values)
+        names = (*elementary, "modes", "length", *OF_POSES) if shared else OF_POSES
+        found = sensitivity(solution, names, modes if shared else None, rows.start, rows.stop)
         lengths, shape = unknowns.lengths(values), found.configuration
         moved, turned = (slopes[:, rows] for slopes in unknowns.rod.clamp_slopes(lengths, unknowns.pose(values)))
+        by_clamps = np.concatenate([moved[1] - moved[0], *turned], axis=1)
         place, slope = lengths.mark_place, lengths.mark_slope
-        marks = _Quantity(place, slope, mesh.at(place), shape.vertices, found.vertices)
-        kinds = [self._combined(marks, chain, values, mesh, (moved[1] - moved[0], *turned), moved[0], rows)]
+        quantities = [_Quantity(place, slope, mesh.at(place), shape.vertices, found.vertices, moved[0])]
         if self.directors is not None:
-            middles = 0.5 * (place[1:] + place[:-1])
-            slope = 0.5 * (slope[1:] + slope[:-1])
-            directors = _Quantity(middles, slope, mesh.at_edges(middles), shape.frames[..., 1], found.directors)
-            kinds.append(self._combined(directors, chain, values, mesh, (moved[1] - moved[0], *turned), None, rows))
+            place, slope = (0.5 * (ends[1:] + ends[:-1]) for ends in (place, slope))
+            quantities.append(_Quantity(place, slope, mesh.at_edges(place), shape.frames[..., 1], found.directors,
+                                        np.zeros_like(moved[0])))
+        kinds = []
+        for one in quantities:
+            at = one.at_places()
+            poses = at[..., -by_clamps.shape[1] :] @ by_clamps[:, None] + one.carried[:, None]
+            effects = poses[..., GEOMETRY:] * unknowns.loose if unknowns.clamps else poses[..., :0]
+            by_unknowns = self._shared(at, poses, one.sliding(mesh), chain, values, mesh, rows) if shared else at[..., :0]
+            kinds.append([part.reshape(len(at), 3 * at.shape[1], part.shape[-1]) for part in (by_unknowns, effects)])
         return kinds, found.usable
 
-    def _combined(self, quantity: _Quantity, chain: np.ndarray, values: Values, mesh: Mesh, clamps: tuple[np.ndarray, ...],
-                  carried: np.ndarray | None, rows: slice) -> tuple[np.ndarray, np.ndarray]:
-        """(J, Z) of a quantity by the unknowns and the poses: the chain rule over its derivatives on the mesh.
+    def _shared(self, at: np.ndarray, poses: np.ndarray, sliding: np.ndarray, chain: np.ndarray, values: Values, mesh: Mesh,
+                rows: slice) -> np.ndarray:
+        """(R, X, 3, P) derivatives by the unknowns: the chain rule over those on the mesh.
 
+        at       (R, X, 3, columns of :func:`sensitivity`)
+        poses    (R, X, 3, GEOMETRY + Q) by the lengths, as they move the clamps, and by the poses
+        sliding  (R, X, 3, GEOMETRY + M − 1), from :meth:`_Quantity.sliding`
         chain    (columns of Θ, unknowns of Θ), from :meth:`Unknowns.chain`
-        clamps   (R, 3, GEOMETRY + Q) each: the far clamp's displacement beyond the start's, and the rotations of both
-        carried  (R, 3, GEOMETRY + Q) displacement of the start, which carries the whole rod along; None for directions
         """
-        unknowns, at = self.unknowns, quantity.at_places()
+        unknowns = self.unknowns
         theta, knots = chain.shape[0], len(unknowns.columns("curvature"))
-        of_theta, of_knots, of_joints, length, *of_clamps = np.split(at, np.cumsum([theta, knots, GEOMETRY, 1, 3, 3]), axis=-1)
-        # Columns of the lengths, then of the pose.
-        by_shift, by_start, by_end = (np.einsum("rmab,rbq->rmaq", *pair) for pair in zip(of_clamps, clamps, strict=True))
-        by_clamps = by_shift + (by_start + by_end)
-        if carried is not None:
-            by_clamps = by_clamps + carried[:, None]
-        sliding = quantity.sliding(mesh)
-        by_lengths = by_clamps[..., :GEOMETRY] + of_joints + length * (mesh.edge_slope / mesh.edge) + sliding[..., :GEOMETRY]
-        by_pose = by_clamps[..., GEOMETRY:]
-        names = unknowns.names
-        ends = [end for end, name in enumerate(("clip_start", "clip_end")) if name in names]
+        of_theta, of_knots, of_joints, length, _ = np.split(at, np.cumsum([theta, knots, GEOMETRY, 1]), axis=-1)
+        by_lengths = poses[..., :GEOMETRY] + of_joints + length * (mesh.edge_slope / mesh.edge) + sliding[..., :GEOMETRY]
+        ends = [end for end, name in enumerate(("clip_start", "clip_end")) if name in unknowns.names]
         parts = [of_theta @ chain, by_lengths[..., ends], of_knots]
         if unknowns.turns:
-            parts.append(np.einsum("rmaq,rqc->rmac", by_pose, unknowns.constant_slopes()[rows]))
+            parts.append(poses[..., GEOMETRY:] @ unknowns.constant_slopes()[rows, None])
         if len(unknowns.columns("spacing")):
             parts.append(by_lengths[..., 2:] * unknowns.lengths(values).spacing + sliding[..., GEOMETRY:])
-        shared = np.concatenate(parts, axis=-1).reshape(len(at), -1, len(names))
-        effects = by_pose * unknowns.loose if unknowns.clamps else by_pose[..., :0]
-        return shared, effects.reshape(len(at), shared.shape[1], -1)
+        return np.concatenate(parts, axis=-1)

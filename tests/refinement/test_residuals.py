@@ -53,6 +53,9 @@ def test_residuals_follow_the_unknowns(rng, theta, parameters, kinds, fields):
     assert used.all()
     shared = np.concatenate([kind.shared for kind in linear], axis=1)
     effects = np.concatenate([kind.effects for kind in linear], axis=1)
+    for kind, alone in zip(linear, comparison.linear(state.solution, values, used, False, shared=False)[0], strict=True):
+        assert alone.shared.shape[2] == 0
+        np.testing.assert_allclose(alone.effects, kind.effects, atol=1e-9 * max(np.abs(kind.effects).max(initial=0.0), 1.0))
     none, still = np.zeros(len(unknowns.names)), np.zeros((3, POSE))
     columns = [(unknowns.names[k], none + np.eye(len(none))[k], still, shared[..., k]) for k in range(len(none))]
     if unknowns.clamps:
