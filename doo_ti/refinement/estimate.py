@@ -31,7 +31,7 @@ UNITS = {"weight": "", "twist_ratio": "", "clip_start": "mm", "clip_end": "mm", 
 FARTHEST = np.log(1000.0)
 """A parameter that can be moved by this much is not bounded on that side."""
 LARGEST_FIRST_TRIAL = 2.5  # change of a logarithm
-STEPS = 6  # of each fit with the parameter held
+STEPS = 20  # of each fit with the parameter held
 TRIALS = 6
 CLOSE = 0.04  # relative error of the root of F's rise that is small enough to interpolate
 

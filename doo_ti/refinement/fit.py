@@ -28,13 +28,15 @@ from doo_ti.system.errors import InputError
 
 LARGEST_STEP = 1.0  # of an unknown of Θ or a clip: small steps keep rods on their branches
 LARGEST_TURN = 0.3  # rad, of a clamp
-POSE_STEPS, POSED = 12, 0.1  # of an observation's clamps alone, and by how much −2 ln of its posterior falls at least
+POSE_STEPS, POSED = 12, 0.1  # of an observation's clamps alone, and by how much −2 ln of its posterior falls at least, also
+# where another turn or roll is taken
 FOLLOWED = 3  # steps of the clamps after each of the shared unknowns, which they follow
 LARGEST_ROLL = 1.0  # rad, of a clamp in one observation
 SHORTENED = 1 / 3  # factor by which a step that does not help is shortened
 MOST_SHORTENED = 8
 LEAST_SHARE = 2e-3  # share of a step: if no longer step helps, the fit stops
-SETTLED = 0.03  # standard errors: the fit is done when Θ moves by less
+SETTLED = 0.03  # standard errors: the fit is done when Θ moves by less, and −2 ln of the posterior falls by less than STILL:
+STILL = 0.01  # while clamps of single observations move, the evidence changes far more than the posterior falls
 SCALE_STEPS = 12  # of the search for the sizes, in each step
 ODD = 9.0
 """Times the others' mean square, three times their size: a rod with such residuals is a misfit."""
@@ -136,9 +138,9 @@ class Fit:
         least = self._given(rest, *self._densities(best))
         for other in others:
             value = self._given(rest, *self._densities(other))
-            if (value < least).any():
-                best = self._merged(best, other, value < least)
-                least = np.minimum(value, least)
+            better = value < least - POSED
+            if better.any():
+                best, least = self._merged(best, other, better), np.where(better, value, least)
         return best
 
     def _densities(self, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -173,7 +175,7 @@ class Fit:
         share, before = np.ones(len(rows)), self._of_rods(state, state.scales)
         for _ in range(steps):
             sound = rows & state.solution.converged & state.solution.stable
-            linear, usable = self.comparison.linear(state.solution, state.values, sound, leave_out_soft=False)
+            linear, usable = self.comparison.linear(state.solution, state.values, sound, False, shared=False)
             wanted = best_effects(self.unknowns, linear, state.scales)[:, :POSE]
             step = np.where(usable[:, None], self._turned(wanted - state.values.scatter), 0.0)
             trial = self.at(replace(state.values, scatter=state.values.scatter + share[:, None] * step), state.scales,
@@ -214,7 +216,8 @@ class Fit:
             found, count = fitted.posterior, self.unknowns.theta_count
             errors = np.maximum(np.sqrt(np.diag(found.covariance)[:count]), 1e-9)
             settled = bool((np.abs(found.step[:count]) <= SETTLED * errors).all()) and left == 0.0
-            trial, share = self._stepped(fitted, self._share(found.step), moving=left != 0.0)
+            trial, share, gained = self._stepped(fitted, self._share(found.step), moving=left != 0.0)
+            settled = settled and gained < STILL
             left *= 1 - share
             if share < LEAST_SHARE:  # no progress: rods snap, or rounding decides whether the posterior rises
                 done = settled
@@ -260,9 +263,9 @@ class Fit:
             limits[self.unknowns.columns(prefix)] = size
         return float(min(1.0, 1 / max((np.abs(step) / limits).max(), 1e-300)))
 
-    def _stepped(self, fitted: Fitted, share: float, moving: bool) -> tuple[State, float]:
-        """The state after a step that lowers −2 ln of the posterior and loses no rod, and its share of the whole step; share 0
-        where no step does. A step ``moving`` a held combination of unknowns may raise it."""
+    def _stepped(self, fitted: Fitted, share: float, moving: bool) -> tuple[State, float, float]:
+        """The state after a step that lowers −2 ln of the posterior and loses no rod, its share of the whole step, and by how
+        much it lowers it; share 0 where no step does. A step ``moving`` a held combination of unknowns may raise it."""
         state, found, unknowns = fitted.state, fitted.posterior, self.unknowns
         effects = found.effects[:, :POSE] if unknowns.clamps else 0 * state.values.scatter
         effects = np.where(state.used[:, None], effects, state.values.scatter)
@@ -275,10 +278,11 @@ class Fit:
             if unknowns.rod.direction_unknown:
                 trial = self.posed(trial, state.used, FOLLOWED)
             kept = trial.solution.converged & trial.solution.stable
-            if kept[state.used].all() and (moving or self._objective(trial, state.used, state.scales) <= before):
-                return trial, share
+            gained = before - self._objective(trial, state.used, state.scales)
+            if kept[state.used].all() and (moving or gained >= 0):
+                return trial, share, gained
             share *= SHORTENED
-        return state, 0.0
+        return state, 0.0, 0.0
 
     def _objective(self, state: State, used: np.ndarray, scales: Scales) -> float:
         """−2 ln of the posterior without its constant, the gap integrated out, over the rods ``used``."""

@@ -25,6 +25,7 @@ from doo_ti.refinement.held_rod import TWIST
 from doo_ti.refinement.priors import ANY_TWIST, Scales
 from doo_ti.refinement.turns import chosen_again
 from doo_ti.refinement.unknowns import Unknowns, Values
+from doo_ti.rod.frames import quaternion_of_turn, rotation_vector
 
 ROLLS = np.linspace(-np.pi, np.pi, 48, endpoint=False)
 TWISTS = np.radians(np.arange(-210.0, 211.0, 30.0))
@@ -147,9 +148,10 @@ def rolled(fit: Fit, fitted: Fitted, curvature: str) -> tuple[Fit, list[State]]:
             chosen.append(one)
     found = []
     for one in chosen:
-        scatter = state.values.scatter.copy()
-        scatter[sound, 0] += one.roll
+        roll, scatter = np.zeros(len(sound)), state.values.scatter.copy()
+        roll[sound] = one.roll
         scatter[sound, TWIST] += one.twist
+        scatter = _rolled_further(scatter, roll)
         begun = replace(values, scatter=scatter, curvature=one.curvature.reshape(-1, 2) / unknowns.rod.length)
         found.append(curved.posed(curved.from_marks(begun, scales)))
     return curved, found
@@ -182,11 +184,19 @@ def _linear_model(fit: Fit, state: State, scales: Scales) -> tuple[_LinearModel,
 def _other_rolls(fit: Fit, values: Values, scales: Scales) -> Iterator[State]:
     """All observations rolled further by each of TRIED rolls, with the most probable clamps then."""
     for extra in np.linspace(0.0, 2 * np.pi, TRIED, endpoint=False)[1:]:
-        scatter = values.scatter.copy()
-        scatter[:, 0] += (extra + np.pi) % (2 * np.pi) - np.pi
+        scatter = _rolled_further(values.scatter, extra)
         yield fit.posed(fit.from_marks(replace(values, scatter=scatter), scales))
 
 
-def rolls_chosen_again(fit: Fit, fitted: Fitted, steps: int) -> Fitted:
-    """``fitted``, continued with the rolls that are most probable under what was learned, as long as that helps."""
+def _rolled_further(scatter: np.ndarray, extra) -> np.ndarray:
+    """``scatter`` (D, POSE) with the start rolled by ``extra`` more, without whole turns, which its prior would count."""
+    scatter = scatter.copy()
+    scatter[:, 0] += extra
+    scatter[:, :3] = rotation_vector(quaternion_of_turn(scatter[:, :3]))
+    return scatter
+
+
+def rolls_chosen_again(fit: Fit, fitted: Fitted, steps: int) -> list[Fitted]:
+    """``fitted``, continued with the rolls that are most probable under what was learned, as long as that helps. All that were
+    reached, the best first."""
     return chosen_again(fit, fitted, steps, lambda state: _other_rolls(fit, state.values, state.scales))

@@ -77,12 +77,12 @@ def searched(unknowns: Unknowns, thetas: Sequence[Theta], clip: np.ndarray, scal
     if rod.turns_unknown and "twist" in model.parameters:
         found = _from_twists(found, scales, steps)
     if rod.rolls_known:
-        found = _once([Optimum(fit, turns_chosen_again(fit, found[0].fitted, steps)), *found])
+        found = _once([*(Optimum(fit, one) for one in turns_chosen_again(fit, found[0].fitted, steps)), *found])
     if straight_first:
         fit, states = rolled(fit, found[0].fitted, unknowns.curvature)
         curved = _continued(fit, [fit.run(state, TRIED_FIRST) for state in states], steps)
-        first = rolls_chosen_again(fit, curved[0].fitted, steps).after(found[0].fitted)
-        curved = _once([Optimum(fit, first), *curved])
+        again = rolls_chosen_again(fit, curved[0].fitted, steps)
+        curved = _once([*(Optimum(fit, one.after(found[0].fitted)) for one in again), *curved])
         found = _ordered(found[:1], curved) if options.curvature == "auto" else curved
     return found
 
@@ -114,13 +114,13 @@ def _rolls_free(clamps: Clamps) -> bool:
 
 
 def _from_twists(found: list[Optimum], scales: Scales, steps: int) -> list[Optimum]:
-    """``found`` with what is reached from the Θ of the best with other twist stiffnesses, once more as long as that makes it
+    """``found`` with what is reached from the Θ of the best with other twist stiffnesses, once more as long as another Θ is
     better."""
     for _ in range(AGAIN):
         (fit, best), before = (found[0].fit, found[0].fitted), found
         tried = [fit.run(state, TRIED_FIRST) for state in twisted(fit, best.state.values, scales)]
         found = _once(sorted([*found, *_continued(fit, tried, steps)], key=lambda one: one.fitted.rank))
-        if found[0] is before[0]:
+        if found[0].like(before[0]):
             break
     return found
 

@@ -34,9 +34,9 @@ def twisted(fit: Fit, values: Values, scales: Scales) -> Iterator[State]:
             yield fit.begin(replace(values, theta=twisted, scatter=0 * values.scatter), scales)
 
 
-def turns_chosen_again(fit: Fit, fitted: Fitted, steps: int) -> Fitted:
+def turns_chosen_again(fit: Fit, fitted: Fitted, steps: int) -> list[Fitted]:
     """``fitted``, continued with the turns that are most probable under what was learned, as long as that helps: of several, or
-    of those that were measured and those that misfits took instead."""
+    of those that were measured and those that misfits took instead. All that were reached, the best first."""
     turns = TURNS if fit.unknowns.rod.turns_unknown else (None,)
 
     def others(state: State) -> Iterable[State]:
@@ -46,19 +46,19 @@ def turns_chosen_again(fit: Fit, fitted: Fitted, steps: int) -> Fitted:
     return chosen_again(fit, fitted, steps, others)
 
 
-def chosen_again(fit: Fit, fitted: Fitted, steps: int, others: Callable[[State], Iterable[State]]) -> Fitted:
+def chosen_again(fit: Fit, fitted: Fitted, steps: int, others: Callable[[State], Iterable[State]]) -> list[Fitted]:
     """``fitted``, continued as long as that makes it better. Each time every observation takes the most probable of its present
-    state and the ``others``.
+    state and the ``others``. All that were reached, the best first.
 
     others  from a state, states that differ from it in poses and shapes alone
     """
+    reached = [fitted]
     for _ in range(AGAIN):
-        state = fitted.state
+        state = reached[-1].state
         begun = fit.best_of([state, *others(state)])
         if np.array_equal(begun.values.scatter, state.values.scatter):
             break
-        further = fit.run(begun, steps)
-        if further.rank >= fitted.rank:
+        reached.append(fit.run(begun, steps).after(reached[-1]))
+        if reached[-1].rank >= reached[-2].rank:
             break
-        fitted = further.after(fitted)
-    return fitted
+    return sorted(reached, key=lambda one: one.rank)

@@ -9,11 +9,12 @@ from doo_ti import observation_clamps
 from doo_ti.refinement.estimate import Interval
 from doo_ti.refinement.fit import Fit, State
 from doo_ti.refinement.priors import Scales, typical_scales
-from doo_ti.refinement.refine import RefinementOptions, refine
+from doo_ti.refinement.refine import RefinementOptions, _optima, refine
 from doo_ti.refinement.residuals import Comparison
-from doo_ti.refinement.rolls import TWISTS, _LinearModel, _turned
+from doo_ti.refinement.rolls import TWISTS, _LinearModel, _rolled_further, _turned
 from doo_ti.refinement.turns import turns_chosen_again
 from doo_ti.refinement.unknowns import Unknowns
+from doo_ti.rod.frames import rotation_matrix
 from tests.io.rods import joint_twist
 from tests.refinement.rods_between_clips import TRUTH, held, suture
 
@@ -36,6 +37,24 @@ def test_rolls_twists_and_curvature_of_a_linear_model_are_found_together(rng):
     assert np.linalg.norm(best.curvature) == pytest.approx(np.linalg.norm(curvature), rel=0.05)
 
 
+def test_rolls_have_no_whole_turns(rng):
+    scatter = rng.normal(size=(7, 12)) * np.repeat([2.0, 0.3, 1.0], [1, 2, 9])
+    rolled, plain = _rolled_further(scatter, 6.0), scatter + 6.0 * np.eye(12)[0]
+    np.testing.assert_allclose(rotation_matrix(rolled[:, :3]), rotation_matrix(plain[:, :3]), atol=1e-12)
+    np.testing.assert_array_equal(rolled[:, 3:], plain[:, 3:])
+    assert (np.linalg.norm(rolled[:, :3], axis=1) <= np.pi).all() and np.abs(plain[:, 0]).max() > np.pi
+
+
+@pytest.mark.thorough
+def test_a_converged_fit_is_at_rest_in_every_observation():
+    """While the clamps of a single observation still move, the evidence is not that of the optimum."""
+    seen = replace(suture(), start_frame=None, end_frame=None, total_twist=None)
+    for one in _optima(seen, observation_clamps(seen), (TRUTH,), RefinementOptions(curvature="field")):
+        assert one.fitted.converged
+        further = one.fit.run(one.fitted.state, 12)
+        assert further.posterior.value == pytest.approx(one.fitted.posterior.value, abs=0.5)
+
+
 @pytest.mark.thorough
 def test_turns_that_were_measured_are_returned_to():
     seen = suture()
@@ -47,7 +66,7 @@ def test_turns_that_were_measured_are_returned_to():
     measured = _twist(begun)
     wrong = fit._merged(begun, fit.from_marks(values, scales, turn=1), np.arange(seen.count) == 4)
     assert abs(_twist(wrong)[4] - measured[4]) > 3
-    np.testing.assert_allclose(_twist(turns_chosen_again(fit, fit.run(wrong, 3), 5).state), measured, atol=0.5)
+    np.testing.assert_allclose(_twist(turns_chosen_again(fit, fit.run(wrong, 3), 5)[0].state), measured, atol=0.5)
 
 
 def _twist(state: State) -> np.ndarray:
