@@ -19,7 +19,6 @@ from tests.commands.test_calibrate import TEXT, pictures  # noqa: F401  a fixtur
 from tests.commands.test_triangulate import prepared, rows_of
 from tests.io.rods import wavy_vertices
 from tests.learning.lab import small_lab
-from tools.dask_cluster import Cluster
 
 # System call number of socket(2), and the number of the architecture that a seccomp filter receives.
 SOCKET = {"x86_64": (41, 0xC000003E), "aarch64": (198, 0xC00000B7)}
@@ -127,10 +126,11 @@ def connections(folder: Path, *words: str, **environment: str) -> tuple[int, lis
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("strace") is None, reason="takes strace")
 def test_dask_and_the_viewer_stay_on_this_machine(tmp_path):
-    pytest.importorskip("distributed", reason="no cluster without Dask")
+    distributed = pytest.importorskip("distributed", reason="no cluster without Dask")
     save_observations(tmp_path / "o.npz", small_lab())
-    with Cluster(ROOT) as cluster:
-        code, addresses = connections(tmp_path, *"sweep o.npz --bend 2e5:8e5:3 --out run --dask".split(), cluster.address)
+    words = "sweep o.npz --bend 2e5:8e5:3 --out run --dask".split()
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None) as cluster:
+        code, addresses = connections(tmp_path, *words, cluster.scheduler_address)
     assert code == 0 and addresses and set(addresses) == {"127.0.0.1"}
     code, addresses = connections(tmp_path, "view", "run", DISPLAY=":99")
     assert code == 1 and set(addresses) <= {"127.0.0.1", "::1"}

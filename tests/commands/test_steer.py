@@ -9,7 +9,7 @@ from doo_ti.cli import main
 from doo_ti.io.observation_files import save_observations
 from doo_ti.rod.observations import Observations
 from tests.commands.test_bad_input import refused
-from tools.trials.servo import BEND, tasks
+from tools.studies.trials.servo import BEND, tasks
 
 
 @pytest.fixture(scope="module")

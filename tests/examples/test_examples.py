@@ -15,7 +15,7 @@ import pytest
 from PIL import Image
 
 from doo_ti.cli import main
-from tools.gallery import DRAWN_BY, digest
+from tools.maintenance.gallery import DRAWN_BY, digest
 
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPTS = [path for path in sorted((ROOT / "docs" / "examples").glob("[0-9][0-9]_*.*")) if path.suffix in (".py", ".sh")]
@@ -35,7 +35,7 @@ exit "$code"
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.name)
 def test_the_picture_is_of_the_script_as_it_is(script):
-    """Else ``python tools/gallery.py NUMBER`` draws it again."""
+    """Else ``python tools/maintenance/gallery.py NUMBER`` draws it again."""
     with Image.open(script.with_suffix(".png")) as picture:
         assert picture.text.get(DRAWN_BY) == digest(script)
 

@@ -189,7 +189,7 @@ def _rig():
     """Three small cameras that look at the rods from about 70 mm."""
     from doo_ti.vision.cameras.camera import Camera
     from doo_ti.vision.cameras.rig import Rig
-    from tools.trials.cameras import looking
+    from tests.vision.poses import looking
 
     middle, cameras = np.load("rods.npz")["vertices_mm"].mean(axis=(0, 1)), []
     for index, angle in enumerate((0.3, 2.1, 4.2)):

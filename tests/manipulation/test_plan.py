@@ -10,7 +10,7 @@ import doo_ti as d
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.manipulation.legs import Carrier, unwound
 from doo_ti.manipulation.poses import moved
-from tools.trials.servo import Tasks, tasks
+from tools.studies.trials.servo import Tasks, tasks
 
 
 @cache

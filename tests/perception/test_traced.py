@@ -16,7 +16,7 @@ from doo_ti.vision.detection.detect import detect
 from doo_ti.vision.detection.images import load_sets, read_image
 from doo_ti.vision.reprojection.coverage import coverage
 from doo_ti.vision.reprojection.distance_map import distance_maps
-from tools.angle_study import EDGES, LENGTH_MM, apart, cameras, curve, dense, detection
+from tools.studies.angle_study import EDGES, LENGTH_MM, apart, cameras, curve, dense, detection
 
 MATERIAL, UP = Material(6e5, 8e5), np.array([0.0, 0.0, 1.0])
 PAIRS = Path(__file__).resolve().parents[3] / "shared" / "data" / "suture_stereo" / "rendered"

@@ -13,7 +13,7 @@ from doo_ti.io.observation_files import save_observations
 from doo_ti.refinement.plan import plan
 from doo_ti.rod.grid import Axis, Grid
 from doo_ti.rod.start import observation_clamps
-from tools.table_study import GUESS, TABLE, specimen
+from tools.studies.table_study import GUESS, TABLE, specimen
 
 SIMPLE = RefinementOptions(curvature="none", clamps="exact")
 TABLE_FILE = """

@@ -1,7 +1,4 @@
-"""A few rods of each row of the hard set: every rod has a status, and its status is correct.
-
-How many of them converge is for tools/hard_set.py, over many more rods.
-"""
+"""A few rods of each hard row: every rod has a status, and its status is correct; of a thousand nearly all converge."""
 
 from functools import cache
 
@@ -12,8 +9,8 @@ from doo_ti.relaxation.newton import TOLERANCES
 from doo_ti.rod.types import Clamp, Solution, Status
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import State, clamped_start, equilibrium
+from tests.relaxation.hard_rods import PRECISIONS, ROWS, Rods, edge_error, rods_of
 from tests.relaxation.lab import vertex_distance
-from tools.hard_set import PRECISIONS, ROWS, Rods, edge_error, rods_of
 
 COUNT = 8
 SAME = 0.02  # mm, mean vertex distance of two rods in the same minimum
@@ -99,3 +96,11 @@ def test_dense_linear_algebra_agrees_with_the_reported_rod(row):
         assert softest > -1e-11
     # A rod that sags more than it resists is judged by its largest gravity moment instead of B.
     assert row.startswith("soft") or dense.residual <= 1e-8
+
+
+@pytest.mark.slow
+@every_row
+def test_mixed_converges_on_99_percent_of_a_thousand(row):
+    """Of those that are feasible."""
+    solution = rods_of(row, 1000).relaxed("mixed")
+    assert solution.converged[solution.status != Status.INFEASIBLE].mean() >= 0.99

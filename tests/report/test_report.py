@@ -20,8 +20,6 @@ from doo_ti.report import (
 from doo_ti.report.canvas import fit_titles, new_figure
 from doo_ti.report.plane import LandscapePlane, cell_edges, valley_cells
 from tests.record import runs
-from tools.bench.curves import Panel, panels_picture
-from tools.trials.twist_picture import angle_errors_picture
 
 GREY = (154, 154, 154)
 
@@ -67,11 +65,8 @@ def test_titles_fit_into_the_picture():
 def test_names_in_titles_legends_and_panels_are_no_mathematics():
     name, vertices = "a$^{$ b", np.cumsum(np.ones((3, 1, 5, 3)), axis=2)
     landscapes_picture(io.BytesIO(), [[LandscapePanel(name, runs.plane(), ((name, (0, 0)),))]], title=name)
-    panels_picture(io.BytesIO(), [Panel(name, "rods", "rods a second", {name: ([1, 2, 4], [1, 2, 3])}, grown) for grown in
-                                  (True, False)], name)
     rods = MovingRods(np.arange(3.0), vertices, [name], np.zeros((3, 1), int), np.ones((3, 1), bool))
     motions_picture(io.BytesIO(), rods, title=name)
-    angle_errors_picture(io.BytesIO(), {name: np.arange(9.0)}, success_deg=5.0, title=name)
     angle = np.arange(0.0, 360.0, 90.0)
     angle_curves_picture(io.BytesIO(), angle, angle[None], phi=[0.0], low=[0.0], high=[9.0], names=[name],
                          unsound=np.zeros((1, 4), bool), title=name)

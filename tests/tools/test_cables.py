@@ -4,7 +4,7 @@ import csv
 
 import numpy as np
 
-from tools.cables import APART, SLOWEST, STILL, STRETCH, main, slowest
+from tools.studies.cables import APART, SLOWEST, STILL, STRETCH, main, slowest
 
 
 def test_the_slowest_stretches_are_kept_in_order():

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from tools import compare_architectures
-from tools.compare_architectures import SAME, Found, compared, one
+from tools.studies import compare_architectures
+from tools.studies.compare_architectures import SAME, Found, compared, one
 
 
 def test_a_case_leaves_what_it_found_and_how_long_it_took(tmp_path, monkeypatch):

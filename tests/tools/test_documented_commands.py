@@ -1,4 +1,4 @@
-"""What the documents measured and drew has a command, where it stands: each exists, takes its options, and runs at small size."""
+"""What the documents measured and drew has a command, where it stands: each exists, and takes its options."""
 
 import re
 import shlex
@@ -9,14 +9,15 @@ from pathlib import Path
 import pytest
 
 from doo_ti.commands.help_text import EXAMPLES
-from tools import compare_peers, detection_study, mutations, reproduce
-from tools.replication import specimens
-from tools.replication.criteria import CRITERIA, Verdict, verdict
-from tools.replication.study import ITEMS
+from tools.maintenance import mutations
+from tools.studies import compare_peers, detection_study, reproduce
+from tools.studies.replication import specimens
+from tools.studies.replication.criteria import CRITERIA, Verdict, verdict
+from tools.studies.replication.study import ITEMS
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = [*sorted((ROOT / "docs").rglob("*.md")),
-             *(ROOT / name for name in ("doo_ti/PAPER.md", "tools/README.md", "README.md"))]
+             *(ROOT / name for name in ("doo_ti/PAPER.md", "tools/README.md", "README.md", "CONTRIBUTING.md"))]
 MEASURED = [command for page in DOCUMENTS for last in re.findall(r"\*\*Measured with\*\* .*", page.read_text(encoding="utf-8"),
             re.DOTALL) for command in re.findall(r"`([^`]+)`", last)]
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tools import group_study
+from tools.studies import group_study
 
 
 @pytest.mark.slow

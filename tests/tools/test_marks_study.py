@@ -10,9 +10,9 @@ from scipy.special import ellipe, ellipk
 
 from doo_ti import load_observations
 from tests.conftest import SEED
-from tools.marks_study.rod import cross, equilibria, turned
-from tools.marks_study.specimens import NUISANCES, drawn, exact, mark_lengths, specimen
-from tools.marks_study.table import deviation, table
+from tools.studies.marks_study.rod import cross, equilibria, turned
+from tools.studies.marks_study.specimens import NUISANCES, drawn, exact, mark_lengths, specimen
+from tools.studies.marks_study.table import deviation, table
 
 
 def test_buckled_elastica():

@@ -1,4 +1,4 @@
-"""The trials' measures, their changes of images and seeds, and rods that are recovered with the energy, not without it."""
+"""The trials' measures, their changes of images, and rods that are recovered with the energy, not without it."""
 
 from dataclasses import replace
 
@@ -10,14 +10,13 @@ from doo_ti.vision.rendering.tubes import smooth_curve
 from doo_ti.vision.reprojection.distance_map import distance_maps
 from doo_ti.vision.reprojection.score import score
 from tests.vision.drawn_maps import curves, drawn_maps, three_cameras
-from tools.perception_study import mapped, photographed, recovered
-from tools.replication.images import PAPER_MM
-from tools.trials.perception import (
+from tools.studies.perception_study import mapped, photographed, recovered
+from tools.studies.replication.images import PAPER_MM
+from tools.studies.trials.perception import (
     Trial,
     crossings,
     distance_to_curve,
     filled,
-    seeds_off,
     sets_of,
     unseen,
     usual_width,
@@ -58,16 +57,6 @@ def test_distance_to_a_curve(rng):
     wanted = np.linalg.norm(points[:, :, None] - dense[:, None], axis=-1).min(axis=-1)
     np.testing.assert_allclose(distance_to_curve(points, curve), wanted, atol=2e-3)
     np.testing.assert_allclose(distance_to_curve(rods, curve), 0, atol=1e-12)
-
-
-def test_seeds_are_off_by_what_was_asked(rng):
-    point, direction = rng.normal(size=(2, 50, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    moved, turned = seeds_off(point, direction, 1.5, 0.1, rng)
-    np.testing.assert_allclose(np.linalg.norm(moved - point, axis=1), 1.5)
-    np.testing.assert_allclose(np.linalg.norm(turned, axis=1), 1)
-    np.testing.assert_allclose((turned * direction).sum(axis=1), np.cos(0.1))
-    assert np.linalg.norm((moved - point).mean(axis=0)) < 0.7 and np.linalg.norm((turned - direction).mean(axis=0)) < 0.05
 
 
 def test_correct_is_below_a_millimetre_and_a_number():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tools import picture_study as study
+from tools.studies import picture_study as study
 
 
 @pytest.mark.thorough

@@ -8,7 +8,7 @@ from doo_ti.io.observation_files import load_observations
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.types import Material
 from tests.relaxation.lab import lab
-from tools.trials.prediction import moved_as_one, moved_by_blend, predict_marks, predict_steps, rotation_steps
+from tools.studies.trials.prediction import moved_as_one, moved_by_blend, predict_marks, predict_steps, rotation_steps
 
 
 def test_guesses_that_know_no_rod():

@@ -6,7 +6,7 @@ import pytest
 from doo_ti.io.observation_files import load_observations
 from doo_ti.rod.types import Material
 from tests.twist.rods import MATERIAL, twisted_rods
-from tools.trials.twist import twist_trials
+from tools.studies.trials.twist import twist_trials
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.observation_files import save_observations
 from doo_ti.twist.curves import end_offsets
 from doo_ti.twist.estimation import TwistOptions, TwistVerdict, estimate_twist
-from tools.table_study import TABLE, specimen
+from tools.studies.table_study import TABLE, specimen
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from doo_ti.vision.cameras.board import Board
 from doo_ti.vision.cameras.calibration import Sighting
 from doo_ti.vision.cameras.camera import Camera
 from doo_ti.vision.cameras.rig import Rig
-from tools.trials.cameras import looking
+from tests.vision.poses import looking
 
 OVERSAMPLING = 3
 

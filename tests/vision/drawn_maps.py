@@ -6,7 +6,7 @@ from doo_ti.vision.cameras.camera import Camera
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.reprojection.distance_map import DistanceMaps
 from tests.oracle.reprojection import Map, polyline_distance
-from tools.trials.cameras import looking
+from tests.vision.poses import looking
 
 
 def three_cameras() -> Rig:

@@ -2,7 +2,7 @@
 
 Prints one table: rods/s, the ratio to a NumPy workload timed in the same round, and that ratio over the baseline's.
 ``--check`` exits with 1 where a ratio is below half the baseline or fewer rods converge; ``--write`` makes a new
-baseline, on an idle machine. ``tools/bench/study.py`` measures the same cases and more.
+baseline, on an idle machine.
 """
 
 import sys

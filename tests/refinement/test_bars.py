@@ -1,0 +1,80 @@
+"""Refinement against what it has to reach: rods of its own mesh, rods of an independent solver, the lab, a real cable."""
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from doo_ti import load_observations, observation_clamps, relax
+from doo_ti.refinement.folds import folds_of, refine_held_out
+from doo_ti.refinement.refine import RefinementOptions, refine
+from doo_ti.refinement.theta import Theta
+from tests.relaxation.lab import SUTURES, lab
+
+CABLE = Theta(3.2e6 * np.eye(2), 3.2e6)
+
+
+def fitted(observations, folder) -> dict[str, dict]:
+    """The parameters that ``doo-ti sweep`` and ``doo-ti refine RUN --json`` print as commands, by name."""
+    def command(*words):
+        return subprocess.run([sys.executable, "-m", "doo_ti", *words], check=True, capture_output=True, text=True).stdout
+
+    command("sweep", str(observations), "--bend", "5e4:1e7:25", "--twist-ratio", "0.1:6:25", "--out", str(folder), "--json")
+    return {one["name"]: one for one in json.loads(command("refine", str(folder), "--json"))[0]["parameters"]}
+
+
+def holds(parameter: dict, truth: float) -> bool:
+    low, high = parameter["low"], parameter["high"]
+    return (low is None or low <= truth) and (high is None or truth <= high)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", SUTURES)
+def test_rods_of_the_model_s_own_mesh_give_their_theta_back(laboratory, name):
+    """Without noise, straight, clips known: to 0.1 %."""
+    rods = lab(laboratory, name)
+    clean = relax(rods.start, rods.material(), rods.clamps).configuration.vertices
+    options = RefinementOptions(clip=1.5, curvature="none", clamps="exact", edges=33, intervals="covariance")
+    begin = Theta(1.4 * rods.bend, 0.8 * rods.twist)
+    found = refine(replace(rods.observations, vertices=clean), rods.clamps, begin, options).theta
+    assert (found.bend[0, 0], found.twist) == pytest.approx((rods.bend[0, 0], rods.twist), rel=1e-3)
+
+
+@pytest.mark.slow
+def test_specimens_of_an_independent_mesh_solver(shared_data, tmp_path):
+    truth = json.loads((shared_data / "specimens" / "truth.json").read_text())
+    found = {name: fitted(shared_data / "specimens" / f"{name}.npz", tmp_path / name) for name in truth}
+    for key in ("bend", "twist"):
+        assert sum(holds(found[name][key], true[key]) for name, true in truth.items()) >= len(truth) - 1
+    assert np.median([abs(np.log(found[name]["bend"]["value"] / true["bend"])) for name, true in truth.items()]) <= np.log(1.2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SUTURES)
+def test_the_lab_s_sutures_are_in_their_intervals(shared_data, tmp_path, name):
+    found, rods = fitted(shared_data / f"lab_a/{name}.npz", tmp_path / "run"), lab(shared_data, name)
+    assert holds(found["bend"], rods.bend[0, 0]) and holds(found["twist"], rods.twist)
+
+
+@pytest.mark.slow
+def test_an_undetermined_parameter_does_not_widen_the_others(shared_data):
+    """The twist stiffness of a cable with free rolls, learned in addition to bend."""
+    cable, widths = load_observations(shared_data / "cables/dlo1.npz"), []
+    for names in (("bend",), ("bend", "twist")):
+        one = refine(cable, observation_clamps(cable), CABLE, RefinementOptions(names)).estimate.parameter("bend")
+        widths.append(np.log(one.high / one.low))
+    assert widths[1] == pytest.approx(widths[0], rel=0.1)
+
+
+@pytest.mark.slow
+def test_a_real_cable_in_five_folds_by_recording(shared_data):
+    """Errors of what the fit did not see, mm."""
+    path = shared_data / "cables/dlo1.npz"
+    observations = load_observations(path)
+    with np.load(path, allow_pickle=False) as keys:
+        fold = folds_of(keys["source_trajectory"], 5)
+    held = refine_held_out(observations, observation_clamps(observations), CABLE, fold, RefinementOptions(("bend",)))
+    assert held.mean_distance <= 10.9

@@ -1,0 +1,100 @@
+"""The public cable data (docs/cables.md): from its pickles to the files that the studies read, and the studies on it.
+
+    python tools/studies/cables.py make DATA_SET --out FOLDER      # DATA_SET/DLO1/train/*.pkl … DLO5
+    python tools/studies/cables.py results FOLDER                  # every figure of docs/ on real cables
+
+Only the training part is read. ``results`` ends with exit code 1 where a file is missing or a study fails.
+"""
+
+import argparse
+import csv
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[2]
+if not __package__:
+    sys.path.insert(0, str(ROOT))
+
+from doo_ti.io.cable_recordings import RATE_HZ, read_recordings, save_recordings  # noqa: E402
+from doo_ti.system.errors import InputError  # noqa: E402
+from doo_ti.system.files import write_whole  # noqa: E402
+
+CABLES = tuple(f"dlo{number}" for number in range(1, 6))
+STRETCH, APART, SLOWEST = 150, 50, 6
+"""Frames of a stretch of motion, frames from one to the next, and how many are kept."""
+STILL = Path(__file__).with_name("still_frames.csv")
+"""Recording and frame of 60 nearly still frames of dlo1 and dlo3: those that had changed least."""
+
+
+def slowest(positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The slowest stretches (6, 150, V, 3) of recordings (R, T, V, 3), and their speeds (6,) m/s: of the fastest marker in each
+    frame, mean over the stretch. Stretches of one recording may overlap."""
+    speed = np.linalg.norm(np.gradient(positions.astype(np.float64), axis=1), axis=-1).max(axis=-1) * RATE_HZ * 1e-3
+    begins = np.arange(0, positions.shape[1] - STRETCH + 1, APART)
+    mean = np.stack([speed[:, begin : begin + STRETCH].mean(axis=1) for begin in begins], axis=1)
+    order = np.argsort(mean, axis=None)[:SLOWEST]
+    rows, columns = np.unravel_index(order, mean.shape)
+    return np.stack([positions[row, begins[column] :][:STRETCH] for row, column in zip(rows, columns, strict=True)]), \
+        mean.ravel()[order]
+
+
+def make(source: Path, out: Path) -> None:
+    """Raises InputError for missing or damaged recordings."""
+    with STILL.open(encoding="utf-8", newline="") as file:
+        still = [(row["cable"], int(row["recording"]), int(row["frame"])) for row in csv.DictReader(file)]
+    folder = out / "cables"
+    (folder / "motion").mkdir(parents=True, exist_ok=True)
+    for cable in CABLES:
+        positions, names = read_recordings(source / cable.upper() / "train")
+        save_recordings(folder / "motion" / f"{cable}_train.npz", positions, names)
+        stretches, speed = slowest(positions)
+        write_whole(folder / f"{cable}_motion.npz", lambda file: np.savez_compressed(
+            file, positions_mm=stretches.astype(np.float64), rate_hz=RATE_HZ, mean_speed_m_per_s=speed))
+        places = [(names.tolist().index(recording), frame) for name, recording, frame in still if name == cable]
+        if places:
+            recording, frame = np.array(places).T
+            vertices = positions[recording, frame].astype(np.float64)
+            edges = np.linalg.norm(np.diff(vertices, axis=1), axis=-1)
+            write_whole(folder / f"{cable}.npz", lambda file: np.savez_compressed(
+                file, vertices_mm=vertices, rest_length_mm=np.median(edges, axis=0), source_trajectory=recording,
+                source_frame=frame))
+
+
+def results(data: Path) -> int:
+    """Runs the studies one after the other; returns the number of those that failed."""
+    files = [data / "cables" / "motion" / f"{cable}_train.npz" for cable in CABLES]
+    missing = [path for path in (*files, data / "cables" / "dlo1.npz", data / "cables" / "dlo3.npz") if not path.is_file()]
+    if missing:
+        raise InputError(missing[0], "file", "missing", "make it: python tools/studies/cables.py make DATA_SET --out FOLDER")
+    predict = ["tools/studies/prediction_study.py", "cables", "--data", data]
+    identify = [["-m", "doo_ti", "identify", path, "--folds", "4", "--out", data / f"{path.stem}_theta.json"] for path in files]
+    failed = 0
+    for words in (predict, *identify):
+        print(f"\n## {' '.join(str(word) for word in words)}\n", flush=True)
+        failed += subprocess.run([sys.executable, *map(str, words)], cwd=ROOT).returncode != 0
+    return failed
+
+
+def main(words: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    commands = parser.add_subparsers(dest="command", required=True)
+    one = commands.add_parser("make", help="convert the pickles")
+    one.add_argument("source", type=Path, metavar="DATA_SET")
+    one.add_argument("--out", type=Path, required=True, metavar="FOLDER")
+    commands.add_parser("results", help="the studies on the converted data").add_argument("data", type=Path, metavar="FOLDER")
+    options = parser.parse_args(words)
+    try:
+        if options.command == "make":
+            make(options.source, options.out)
+            return 0
+        return int(results(options.data.resolve()) > 0)
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return 2 if options.command == "make" else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,206 @@
+"""Stiffness from photographs: ``python tools/studies/picture_study.py [--specimens N] [--seed S] [--rough FACTOR]``.
+
+Draws cables of 300 mm that hang between two clips, ten poses each, clips at random places and in random directions, which
+nobody measures. Their shapes are Kirchhoff's rod by collocation (scipy), followed from the circular arc without weight;
+OpenCV draws them, two cameras take them, with blur, noise and an uneven background. Then the commands of docs/perception.md:
+``doo-ti perceive`` begun by a click in one camera, under a stiffness that is wrong by a factor, and ``doo-ti refine``. Prints a
+line for each specimen, and how many 95 % intervals of EI over weight contain the truth. Exit code 1 where fewer than nine
+tenths do.
+"""
+
+import argparse
+import io
+import json
+import sys
+import tempfile
+import time
+from contextlib import redirect_stdout
+from pathlib import Path
+
+import cv2
+import numpy as np
+from scipy.integrate import solve_bvp
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+if not __package__:
+    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from doo_ti.cli import main as doo_ti  # noqa: E402
+from doo_ti.vision.cameras.camera import Camera  # noqa: E402
+from doo_ti.vision.cameras.rig import Rig, save_rig  # noqa: E402
+
+LENGTH, POSES = 300.0, 10
+SIZE, FOCAL_PX, AWAY_MM = (1280, 960), 1500.0, 650.0
+THICK_PX, BLUR_PX, NOISE = 4, 0.8, 3.0
+FINER = 4  # threads are drawn on finer pixels: OpenCV rounds the joints of a thick line to whole ones
+CLICK_PX = 3.0
+OUTER = 2  # vertices at either end that are left out
+STEPS = 6  # of the continuation
+
+
+# --- the true shapes ------------------------------------------------------------------------------------------------------
+
+
+def slopes(load: float, ratio: float):
+    """Of (r, the frame as a quaternion x, y, z, w, force n, moment m) along a rod of length 1, EI 1 and GJ ``ratio``."""
+    def along(s, y):
+        q = y[3:7] / np.linalg.norm(y[3:7], axis=0)
+        t = Rotation.from_quat(q.T).as_matrix()[:, :, 0].T
+        n, m = y[7:10], y[10:13]
+        twisting = (m * t).sum(axis=0) * t
+        spin = m - twisting + twisting / ratio
+        vector = 0.5 * (q[3] * spin + np.cross(spin, q[:3], axis=0))
+        return np.concatenate([t, vector, -0.5 * (spin * q[:3]).sum(axis=0)[None], 0 * n[:2], load + 0 * s[None],
+                               -np.cross(t, n, axis=0)])
+    return along
+
+
+def hanging(load: float, ratio: float, start: Rotation, span: np.ndarray, end: Rotation) -> np.ndarray | None:
+    """(6001, 3) places, in lengths of the rod, between the clips ``start`` and ``end``, whose first axes are tangents, ``span``
+    apart; None where the rod cannot be followed from the arc from ``start`` in the direction of ``span``."""
+    way = span / np.linalg.norm(span)
+    axis = np.cross(start.as_matrix()[:, 0], way)
+    half = np.arcsin(np.clip(np.linalg.norm(axis), 0, 1))
+    axis *= 2 * half / max(np.linalg.norm(axis), 1e-12)
+    s = np.linspace(0, 1, 41)
+    frames = Rotation.from_rotvec(s[:, None] * axis) * start
+    turn, arc = (end * frames[-1].inv()).as_rotvec(), way * np.sin(half) / max(half, 1e-12)
+    quaternions = frames.as_quat()
+    for k in range(1, len(s)):  # one sign along the rod
+        quaternions[k] *= np.sign(quaternions[k] @ quaternions[k - 1])
+    t = frames.as_matrix()[:, :, 0]
+    places = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (t[1:] + t[:-1]) * np.diff(s)[:, None], axis=0)])
+    state = np.concatenate([places, quaternions, np.zeros((len(s), 3)), np.tile(axis, (len(s), 1))], axis=1).T
+    first = quaternions[0]
+    for share in np.linspace(0, 1, STEPS + 1)[1:]:
+        goal, held = arc + share * (span - arc), Rotation.from_rotvec(share * turn) * frames[-1]
+
+        def ends(left, right, goal=goal, held=held):
+            off = (Rotation.from_quat(right[3:7] / np.linalg.norm(right[3:7])) * held.inv()).as_rotvec()
+            return np.concatenate([left[:7] - np.append(np.zeros(3), first), right[:3] - goal, off])
+
+        found = solve_bvp(slopes(share * load, ratio), ends, s, state, tol=1e-4 if share < 1 else 1e-6, max_nodes=2000)
+        if not found.success:
+            return None
+        s, state = found.x, found.y
+    return found.sol(np.linspace(0, 1, 6001))[:3].T
+
+
+def pose(rng: np.random.Generator, load: float, ratio: float) -> np.ndarray:
+    """(6001, 3) mm: the cable in a random pose about the world's origin, z up."""
+    while True:
+        way = rng.uniform(-0.6, 0.6)
+        span = rng.uniform(0.45, 0.85) * np.array([np.cos(way), np.sin(way), rng.uniform(-0.4, 0.4)])
+        turns = [Rotation.from_euler("zy", [way + rng.uniform(-0.9, 0.9), dip + rng.uniform(-0.7, 0.7)])
+                 for dip in (0.5, -0.5)]
+        rolls = [Rotation.from_euler("x", rng.uniform(-0.8, 0.8)) for _ in turns]
+        start, end = (turn * roll for turn, roll in zip(turns, rolls, strict=True))
+        found = hanging(load, ratio, start, span, end)
+        if found is not None:
+            return LENGTH * (found - 0.5 * (found.min(axis=0) + found.max(axis=0)))
+
+
+# --- the photographs ------------------------------------------------------------------------------------------------------
+
+
+def rig(rng: np.random.Generator) -> Rig:
+    """Two cameras that look at the origin, 40 to 90 degrees apart, somewhat from above."""
+    matrix = np.array([[FOCAL_PX, 0, SIZE[0] / 2], [0, FOCAL_PX, SIZE[1] / 2], [0, 0, 1.0]])
+    apart, cameras = np.radians(rng.uniform(40, 90)), []
+    for name, azimuth in (("left", -0.5 * np.pi - 0.5 * apart), ("right", -0.5 * np.pi + 0.5 * apart)):
+        tilt = rng.uniform(0.1, 0.5)
+        ahead = -np.array([np.cos(azimuth) * np.cos(tilt), np.sin(azimuth) * np.cos(tilt), np.sin(tilt)])
+        right = np.cross(ahead, [0, 0, 1.0])
+        right /= np.linalg.norm(right)
+        cameras.append(Camera(name, *SIZE, matrix, np.array([-0.05, 0.02, 0, 0, 0]),
+                              np.stack([right, np.cross(ahead, right), ahead]), np.array([0, 0, AWAY_MM])))
+    return Rig(tuple(cameras))
+
+
+def photograph(camera: Camera, rod: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A dark thread before a light wall of uneven brightness."""
+    wall = cv2.resize(rng.uniform(150, 215, (5, 6)).astype(np.float32), SIZE, interpolation=cv2.INTER_CUBIC)
+    line, shift = np.zeros((FINER * SIZE[1], FINER * SIZE[0]), np.uint8), 4
+    points = np.round(((camera.project(rod[::5]) + 0.5) * FINER - 0.5) * 2**shift).astype(np.int32)  # centres are whole numbers
+    cv2.polylines(line, [points[:, None]], False, 255, FINER * THICK_PX, cv2.LINE_AA, shift)
+    line = cv2.resize(line, SIZE, interpolation=cv2.INTER_AREA)
+    image = wall + (60 - wall) * (line / 255.0)
+    image = cv2.GaussianBlur(image, (0, 0), BLUR_PX) + rng.normal(0, NOISE, image.shape)
+    return np.clip(image, 0, 255).astype(np.uint8)
+
+
+def photographed(folder: Path, seed: int) -> tuple[float, list[np.ndarray]]:
+    """Write rig.yaml, the images and sets.csv of a specimen; returns its EI over weight in mm³, and its true shapes."""
+    rng = np.random.default_rng(seed)
+    stiffness, ratio = np.exp(rng.uniform(np.log(2e5), np.log(2e6))), rng.uniform(0.5, 1.2)
+    cameras, lines, rods = rig(rng), ["name,left,right,left_u,left_v"], []
+    save_rig(folder / "rig.yaml", cameras)
+    for number in range(POSES):
+        rods.append(pose(rng, LENGTH**3 / stiffness, ratio))
+        names = [f"pose_{number}_{camera.name}.png" for camera in cameras.cameras]
+        for camera, name in zip(cameras.cameras, names, strict=True):
+            cv2.imwrite(str(folder / name), photograph(camera, rods[-1], rng))
+        u, v = cameras.cameras[0].project(rods[-1][:1])[0] + rng.uniform(-CLICK_PX, CLICK_PX, 2)
+        lines.append(f"pose_{number},{','.join(names)},{u:.0f},{v:.0f}")
+    (folder / "sets.csv").write_text("\n".join(lines) + "\n")
+    return float(stiffness), rods
+
+
+# --- the commands ---------------------------------------------------------------------------------------------------------
+
+
+def answer(*words: str) -> dict:
+    """What a command prints as JSON."""
+    out = io.StringIO()
+    with redirect_stdout(out):
+        doo_ti([*words, "--json"])
+    return json.loads(out.getvalue())
+
+
+def learned(folder: Path, bend: float) -> tuple[dict, dict, np.ndarray]:
+    """(of perceive, of refine, the rods' vertices), both begun with this bend stiffness, weight 1."""
+    rough, rods = ["--bend", f"{bend:.4g}", "--twist-ratio", "0.8"], str(folder / "rods.npz")
+    marks = str(folder / "marks.npz")
+    seen = answer("perceive", "--rig", str(folder / "rig.yaml"), "--sets", str(folder / "sets.csv"), *rough, "--out", rods,
+                  "--no-picture", "--no-recording")
+    with redirect_stdout(io.StringIO()):
+        doo_ti(["convert", rods, marks, "--marks", f"{OUTER}:-{OUTER}", "--complete"])
+    return seen, answer("refine", marks, *rough, "--clip", "0")[0], np.load(rods)["vertices_mm"]
+
+
+def main(words: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--specimens", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=2011)
+    parser.add_argument("--rough", type=float, default=3.0, help="the true stiffness times this, or over this where "
+                        "the seed is odd, is what the commands begin with")
+    parser.add_argument("--keep", type=Path, help="folder for the images and rods")
+    options = parser.parse_args(words)
+    print("| seed | EI/w | guessed | found | 95 % interval | inside | median mm | clear, likely | used | s |\n|" + "---|" * 10)
+    rows = []
+    for seed in range(options.seed, options.seed + options.specimens):
+        with tempfile.TemporaryDirectory() as own:
+            folder = Path(own) if options.keep is None else options.keep / str(seed)
+            folder.mkdir(parents=True, exist_ok=True)
+            begun, factor = time.monotonic(), options.rough ** (-1) ** seed
+            truth, shapes = photographed(folder, seed)
+            seen, fit, rods = learned(folder, 2 * truth * factor)
+        value, low, high = fit["stiffness"]["EI_over_weight_mm3"]
+        low, high = 0.0 if low is None else low, np.inf if high is None else high
+        off = [cKDTree(shape).query(rod[OUTER:-OUTER])[0] for rod, shape in zip(rods, shapes, strict=True)]
+        rows.append((low <= truth <= high, abs(np.log(value / truth)), high / max(low, 1e-300), np.median(np.concatenate(off)),
+                     fit["rods_used"]))
+        inside, verdicts = "yes" if rows[-1][0] else "NO", f"{seen['verdicts']['clear']}, {seen['verdicts']['likely']}"
+        used = f"{fit['rods_used']}{'' if fit['converged'] else ', NOT converged'}"
+        print(f"| {seed} | {truth:.3g} | ×{factor:.2g} | {value:.4g} | {low:.4g} … {high:.4g} | {inside} | {rows[-1][3]:.3f} | "
+              f"{verdicts} | {used} | {time.monotonic() - begun:.0f} |", flush=True)
+    inside, error, width, off, used = np.transpose(rows)
+    print(f"\n{inside.sum():.0f} of {len(rows)} intervals contain the truth; median estimate off by "
+          f"×{np.exp(np.median(error)):.3f}, median interval ×{np.median(width):.3f} wide; median of rods "
+          f"{np.median(off):.3f} mm; {used.sum():.0f} of {POSES * len(rows)} poses used")
+    return int(inside.sum() < 0.9 * options.specimens)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

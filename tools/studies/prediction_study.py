@@ -1,0 +1,141 @@
+"""Accuracy of predicted motions (§III-D): the lab's rotation steps, cables between two grippers, and the rate for a planner.
+
+    python tools/studies/prediction_study.py [lab cables candidates] [--data DIR]
+
+The lab's data ships with the tests; that of the cables does not (docs/cables.md): ``cables`` runs where --data names it.
+"""
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+if not __package__:
+    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from doo_ti.io.motion_file import load_path  # noqa: E402
+from doo_ti.io.observation_files import load_observations  # noqa: E402
+from doo_ti.motion.journey import Journey  # noqa: E402
+from doo_ti.motion.path import LARGEST_TURN, motion_between  # noqa: E402
+from doo_ti.prediction.predict import predict_step  # noqa: E402
+from doo_ti.relaxation.relax import relax  # noqa: E402
+from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about, quaternion_from_matrix, quaternion_product  # noqa: E402
+from doo_ti.rod.metric import distance  # noqa: E402
+from doo_ti.rod.observations import Observations  # noqa: E402
+from doo_ti.rod.start import observation_clamps, start_configuration  # noqa: E402
+from doo_ti.rod.types import Clamps, Material  # noqa: E402
+from tools.studies.trials.prediction import moved_as_one, moved_by_blend, predict_marks, predict_steps, rotation_steps  # noqa: E402
+
+CABLES = {"dlo1": 3.16e6, "dlo3": 4.47e7}
+"""bend in mm³ at weight 1, the minimum of a sweep over the still frames (33 values over 2.4 decades; 14.07 and 15.76 mm). Twist
+is not determined, because the ends may spin."""
+CANDIDATES = 4096
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("rows", nargs="*", help="default: lab candidates")
+    parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[2] / "tests" / "data")
+    options = parser.parse_args()
+    rows = options.rows or ["lab", "candidates"]
+    if "lab" in rows:
+        lab_steps(options.data / "lab_a")
+    if "cables" in rows:
+        for name, bend in CABLES.items():
+            cable(options.data / "cables", name, bend)
+    if "candidates" in rows:
+        candidates(options.data / "lab_a")
+
+
+def lab_steps(folder: Path) -> None:
+    """Each observation from the one before it, 30° of rotation less, under the true Θ."""
+    truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    print("| 30° steps | steps | mean mm | median mm | largest mm | own minimum's mean mm | predicted jumps "
+          "| on another branch | lost |")
+    print("|---" * 9 + "|")
+    named = []
+    for name, theta in truth.items():
+        observations = load_observations(folder / f"{name}.npz")
+        steps = predict_steps(observations, *rotation_steps(observations), Material(np.array(theta["bend"]), theta["twist"]))
+        error = steps.error
+        print(f"| {name} | {len(error)} | {np.nanmean(error):.3f} | {np.nanmedian(error):.3f} | {np.nanmax(error):.2f} "
+              f"| {steps.own_error.mean():.3f} | {int(steps.jumps.sum())} | {int((~steps.same_branch).sum())} "
+              f"| {int(np.isnan(error).sum())} |")
+        for row in np.flatnonzero((steps.jumps > 0) | ~steps.same_branch):
+            place = steps.from_index[row]
+            reasons = ["jumps"] * bool(steps.jumps[row]) + ["on another branch than observed"] * (not steps.same_branch[row])
+            named.append(f"  {name} {observations.end_distance[place]:g} mm, from {observations.end_rotation[place]:g}°: "
+                         f"{' and '.join(reasons)}, {error[row]:.2f} mm off")
+    print("\n".join(named))
+
+
+def cable(folder: Path, name: str, bend: float) -> None:
+    """The last frame of each sequence, predicted from the first and the grippers' path."""
+    still = load_observations(folder / f"{name}.npz")
+    path = load_path(folder / f"{name}_motion.npz")
+    with np.load(folder / f"{name}_motion.npz") as file:
+        marks = file["positions_mm"].astype(float)
+    first, last = (Observations(marks[:, moment], rest_length=still.rest_length, name=name) for moment in (0, -1))
+    prediction = predict_marks(first, Material(bend, bend), path, sub_step=np.radians(10.0))
+    shifts = (marks[:, -1, 0] - marks[:, 0, 0], marks[:, -1, -1] - marks[:, 0, -1])
+    guesses = {"as one": moved_as_one(first.vertices, *shifts),
+               "blend": moved_by_blend(first.vertices, *shifts, still.rest_length)}
+    off = distance(prediction.at(-1), last)
+    print(f"\n| {name}, bend {bend:g} | model at first | predicted mm | "
+          + " | ".join(f"{guess} mm" for guess in guesses) + " | beaten | jumps | followed |")
+    print("|---" * (6 + len(guesses)) + "|")
+    errors = {guess: np.linalg.norm(shape - last.vertices, axis=-1).sum(axis=1) / still.edges
+              for guess, shape in guesses.items()}
+    started = distance(prediction.at(0), first)
+    for stretch in range(len(off)):
+        others = [error[stretch] for error in errors.values()]
+        print(f"| stretch {stretch} | {started[stretch]:.1f} | **{off[stretch]:.1f}** | "
+              + " | ".join(f"{error:.1f}" for error in others)
+              + f" | {'both' if off[stretch] < min(others) else 'no'} | {prediction.jumps[:, stretch].sum()} "
+              f"| {'yes' if prediction.followed[-1, stretch] else 'no'} |")
+
+
+def candidates(folder: Path) -> None:
+    """Rods per second and sub-step over many end motions of one rod, kernels compiled."""
+    observations = load_observations(folder / "vicryl.npz").take([14])
+    clamps, material = observation_clamps(observations), Material(6e5, 8e5)
+    rod = relax(start_configuration(observations, clamps), material, clamps).configuration
+    goal = _end_motions(clamps)
+    motion = motion_between(clamps.take(np.zeros(CANDIDATES, dtype=int)), goal)
+    each = Journey(motion, material, LARGEST_TURN, rod.rest_length).sub_steps
+    steps = each.sum() / CANDIDATES
+    print(f"\n{CANDIDATES} end motions of one rod, up to 10 mm and 10°, {each.min()} to {each.max()} sub-steps")
+    for watch in (True, False):
+        wall, processor, main = [], [], []
+        for _ in range(12):
+            began = time.perf_counter(), time.process_time(), time.thread_time()
+            solution, jumps = predict_step(rod, material, clamps, goal, watch=watch)
+            ended = time.perf_counter(), time.process_time(), time.thread_time()
+            for kept, now, then in zip((wall, processor, main), ended, began, strict=True):
+                kept.append(now - then)
+        rate = CANDIDATES * steps / np.array(wall[1:])
+        # Work outside this thread runs in two others.
+        alone = CANDIDATES * steps / min(own + 0.5 * (both - own) for own, both in zip(main, processor, strict=True))
+        print(f"  jumps {'detected' if watch else 'not detected'}: median {np.median(rate):,.0f}, best {rate.max():,.0f} "
+              f"rods/s per sub-step; by its processor time {alone:,.0f} on two idle cores; "
+              f"{int(solution.converged.sum())} converged"
+              + (f", {int(jumps.sum())} jumps" if watch else ""))
+
+
+def _end_motions(clamps: Clamps) -> Clamps:
+    random = np.random.default_rng(2011)
+    rows = np.zeros(CANDIDATES, dtype=int)
+    shift, axis = (vector / np.linalg.norm(vector, axis=1)[:, None] for vector in random.normal(size=(2, CANDIDATES, 3)))
+    size = random.random((2, CANDIDATES))
+    turn = quaternion_about(axis, np.radians(10.0) * size[0])
+    frame = matrix_from_quaternion(quaternion_product(turn, quaternion_from_matrix(clamps.end_frame[rows])))
+    still = clamps.take(rows)
+    return Clamps(clamps.start, clamps.end, still.start_position, still.end_position + 10.0 * size[1][:, None] * shift,
+                  still.start_frame, frame)
+
+
+if __name__ == "__main__":
+    main()
