@@ -76,6 +76,7 @@ from doo_ti.relaxation.end_loads import end_loads as end_loads
 from doo_ti.relaxation.external import External as External
 from doo_ti.relaxation.external import Springs as Springs
 from doo_ti.relaxation.newton import Newton as Newton
+from doo_ti.relaxation.point_loads import PointLoads as PointLoads
 from doo_ti.relaxation.pullback import Pullback as Pullback
 from doo_ti.relaxation.pullback import pullback as pullback
 from doo_ti.relaxation.relax import relax as relax

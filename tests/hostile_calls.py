@@ -65,7 +65,8 @@ def objects() -> dict[str, list]:
         solution().take([0, 0]), grippers, grippers.take(NONE), d.Grippers.resting(HELD, 3), d.Dynamics(),
         d.Dynamics(drag=[1.0, 2.0], point_mass=np.ones((2, 13))), STEPPING, replace(STEPPING, tolerance=1.0),
         d.MovingStart(ROPE), d.MovingStart(THREE), d.Springs(np.zeros((1, 13, 3)), np.ones((1, 13))),
-        d.Springs(np.zeros((2, 7, 3)), np.ones((2, 7))), d.Newton(max_iterations=20), d.Descent(max_iterations=20), plane,
+        d.Springs(np.zeros((2, 7, 3)), np.ones((2, 7))), d.PointLoads(np.ones((1, 13, 3)), np.ones((1, 13))),
+        d.Newton(max_iterations=20), d.Descent(max_iterations=20), plane,
         d.Sphere((0, 0, -200), [5.0, 6.0]), d.Itself(), d.Moving(plane, np.zeros((4, 3))), d.Surroundings([plane], 1.0),
         d.Capsule((0, 0, -200), (9, 0, -200), 1.0), d.Cylinder((0, 0, -200), (9, 0, -200), 1.0),
         d.Ring((0, 0, -200), (0, 0, 1), 5.0, 1.0), d.Box((0, 0, -200), (1, 1, 1)), d.DistanceGrid(np.ones((3, 3, 3)), 1.0),
@@ -108,7 +109,7 @@ def functions() -> dict[str, tuple[Callable, dict]]:
         "relax again": (d.relax, {"x0": solution(), "material": MATERIAL, "material_index": [0]}),
         "simulate": (d.simulate, {
             "start": ROPE, "material": MATERIAL, "grippers": o["Grippers"], "dynamics": o["Dynamics"], "stepping": STEPPING,
-            "springs": None, "up": (0, 0, 1), "pairs": None, "directions": (), **around, "progress": None}),
+            "springs": None, "loads": None, "up": (0, 0, 1), "pairs": None, "directions": (), **around, "progress": None}),
         "relax in contact": (d.relax, {"x0": ROPE, **relaxed, "obstacles": [o["Plane"], d.Itself()], "radius": 1.0}),
         "simulate in contact": (d.simulate, {
             "start": ROPE, "material": MATERIAL, "grippers": o["Grippers"], "dynamics": o["Dynamics"], "stepping": STEPPING,

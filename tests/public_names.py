@@ -58,6 +58,7 @@ from doo_ti import (
     PerceptionVerdict,
     Plane,
     PlanOptions,
+    PointLoads,
     Prediction,
     Pullback,
     RecordedMotion,
@@ -163,6 +164,7 @@ def relaxed(observations: Observations) -> Solution:
     DistanceGrid.from_mesh("part.stl", spacing=1.0, margin=9.0, position=(0, 0, 9))
     assert_type(contact.gap, np.ndarray)
     relax(start, Material.diagonal(1e5, 2e5, 1e5), clamps, Descent(), external=Springs(np.zeros((1, 9, 3)), np.zeros((1, 9))))
+    relax(start, material, clamps, external=PointLoads(np.zeros((1, 9, 3)), mass=2.0))
     best = choose_hypothesis(index, distance(solution.configuration, observations, index), solution.converged)
     assert_type(solution.configuration.curvature, np.ndarray)
     assert_type(solution.take(best).configuration.take(slice(1)).vertices, np.ndarray)

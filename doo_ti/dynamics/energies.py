@@ -9,12 +9,12 @@ import numpy as np
 
 from doo_ti.dynamics.parameters import RATES, Dynamics, vertex_lengths
 from doo_ti.dynamics.trajectory import Detail
-from doo_ti.relaxation.time_layout import DRAG, DRAG_BY_SPEED, INERTIA, LOAD, SPRING, SPRING_POINT
+from doo_ti.relaxation.time_layout import DRAG, DRAG_BY_SPEED, FORCE, INERTIA, LOAD, SPRING, SPRING_POINT
 from doo_ti.relaxation.time_steps import Memory, curvatures
 from doo_ti.rod.frames import quaternion_of_turn, quaternion_product, rotation_vector, tangent_from_quaternion
 from doo_ti.rod.types import Material, Status
 
-STORED = ("kinetic", "gravity", "bending", "twist", "springs")
+STORED = ("kinetic", "gravity", "bending", "twist", "springs", "loads")
 """Parts of the energy that a rod has at an instant."""
 FLOWS = ("drag", "bend_damping", "twist_damping", "contact", "work")
 """What has been dissipated since the start, by what, and the grippers' work on the rod since then. Contact takes what friction
@@ -34,6 +34,7 @@ class Losses:
     bend_damping, twist_damping  (R,) s
     weight         (R, V) energy per mm of height: of the rod and of point masses
     mass           (R, V) energy over (mm/s)², drag (R, V) energy s/mm², drag_by_speed (R, V) energy s²/mm³
+    force          (R, V, 3) dead forces, energy per mm
     spring_stiffness (R, V), spring_point (R, V, 3)
     up             (3,)
     """
@@ -48,6 +49,7 @@ class Losses:
     mass: np.ndarray
     drag: np.ndarray
     drag_by_speed: np.ndarray
+    force: np.ndarray
     spring_stiffness: np.ndarray
     spring_point: np.ndarray
     up: np.ndarray
@@ -63,7 +65,8 @@ class Losses:
         drag, by_speed = (numbers[..., column - INERTIA] / rate for column in (DRAG, DRAG_BY_SPEED))
         mass = numbers[..., 0] / rate**2
         return cls(length, material.bend[rows], material.twist[rows], rest[rows], *damping, weight, mass, drag, by_speed,
-                   numbers[..., SPRING - INERTIA], numbers[..., SPRING_POINT - INERTIA :], up)
+                   numbers[..., FORCE - INERTIA : SPRING - INERTIA], numbers[..., SPRING - INERTIA],
+                   numbers[..., SPRING_POINT - INERTIA :], up)
 
     @property
     def pair_length(self) -> np.ndarray:
@@ -100,7 +103,7 @@ class Losses:
             "kinetic": (0.5 * self.mass * (velocity**2).sum(axis=-1)).sum(axis=-1),
             "gravity": (self.weight * (place @ self.up)).sum(axis=-1),
             "bending": work[..., :4].sum(axis=(-1, -2)), "twist": work[..., 4].sum(axis=-1),
-            "springs": (0.5 * self.spring_stiffness * apart).sum(axis=-1)}
+            "springs": (0.5 * self.spring_stiffness * apart).sum(axis=-1), "loads": -(self.force * place).sum(axis=(-1, -2))}
 
     def dissipated(self, memory: Memory, change: np.ndarray, step: float) -> dict[str, np.ndarray]:
         """(R,) what was dissipated in the step before ``memory``, of h = ``step``, at its mean speeds; the strains changed by
@@ -188,7 +191,8 @@ class Account:
         place, velocity = (memory.places[..., k : k + 3] for k in (0, 6))
         speed = np.linalg.norm(velocity, axis=-1)
         force = (-own.mass[..., None] * acceleration - (own.drag + own.drag_by_speed * speed)[..., None] * velocity
-                 - own.weight[..., None] * own.up - own.spring_stiffness[..., None] * (place - own.spring_point) + contact)
+                 + own.force - own.weight[..., None] * own.up - own.spring_stiffness[..., None] * (place - own.spring_point)
+                 + contact)
         total = force.sum(axis=1)
         end = np.where(self.held.all(axis=1)[:, None], end_force, np.where(self.held[:, 1:], -total, 0.0))
         start = np.where(self.held[:, :1], -total - end, 0.0)
@@ -205,14 +209,17 @@ class Account:
 
         Energies are those of STORED and FLOWS, ``sum`` of the former, ``dissipated`` by drag, damping and contact together, and
         ``unaccounted``: the sum at the start and the work, less the sum and what was dissipated. That is lost by the scheme, or
-        an error of this account; both are of the scheme's order in h. Gravity counts from the start.
+        an error of this account; both are of the scheme's order in h. Gravity and loads count from the start.
         """
         frames, velocities, rows = zip(*self._instants, strict=True)
         failed = np.pad(status != Status.CONVERGED, ((0, 0), (1, 0)))
         parts = {name: np.where(failed, np.nan, np.stack([row[name] for row in rows], axis=1)) for name in (*STORED, *FLOWS)}
-        parts["gravity"] = parts["gravity"] - parts["gravity"][:, :1]
+        for name in ("gravity", "loads"):
+            parts[name] = parts[name] - parts[name][:, :1]
         if not self.losses.spring_stiffness.any():
             del parts["springs"]
+        if not self.losses.force.any():
+            del parts["loads"]
         if not self.touches:
             del parts["contact"]
         total = sum(parts[name] for name in STORED if name in parts)

@@ -134,7 +134,8 @@ class Dynamics:
     twist_damping    s: the same of twist
     drag             1/s: force against the velocity v, −c v for each unit of the rod's mass
     quadratic_drag   1/mm: −c₂ |v| v for each unit of the rod's mass
-    point_mass       mm of rod that weigh as much, at every vertex: a scalar, (G,), or (G, V)
+    point_mass       mm of rod that weigh as much, at every vertex: a scalar, (G,), or (G, V). Of markers that are part of the
+                     rod; what it carries is for :class:`.PointLoads`
 
     Raises InputError for numbers that are negative or not finite, and shapes that do not match.
     """

@@ -17,14 +17,15 @@ from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.obstacle_path import obstacle_path
 from doo_ti.dynamics.parameters import RATES, Direction, Dynamics, MovingStart, Stepping
 from doo_ti.dynamics.self_contact import kept_apart
-from doo_ti.dynamics.step_terms import damping_shares, stiffened, vertex_numbers
+from doo_ti.dynamics.step_terms import add_loads, damping_shares, stiffened, vertex_numbers
 from doo_ti.dynamics.trajectory import Trajectory, joined
 from doo_ti.relaxation.checked_input import paired_rows
 from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.input_tables import tables, under
 from doo_ti.relaxation.newton import MOST_IN_CONTACT, Newton
+from doo_ti.relaxation.point_loads import PointLoads
 from doo_ti.relaxation.tables import Tables, whole_start
-from doo_ti.relaxation.time_layout import INERTIA, LOAD, PLACE_2, SPRING, SPRING_POINT, VELOCITY_1
+from doo_ti.relaxation.time_layout import INERTIA, LOAD, PLACE_2, VELOCITY_1
 from doo_ti.relaxation.time_loop import (
     END_FORCE,
     FRICTION_WORK,
@@ -57,6 +58,7 @@ def simulate(
     stepping: Stepping,
     *,
     springs: Springs | None = None,
+    loads: PointLoads | None = None,
     up: ArrayLike = (0.0, 0.0, 1.0),
     pairs: tuple[np.ndarray, np.ndarray] | None = None,
     directions: Sequence[Direction] = (),
@@ -71,6 +73,7 @@ def simulate(
     grippers    of S rods, or of one that all share, at T instants
     stepping    how fast the instants follow each other, and the time steps between them
     springs     at the vertices, one row for all rods or R of them
+    loads       forces, masses with their inertia, and springs at the vertices, in the place of ``springs``
     pairs       (R,) rows of start and of material that make up each rod; by default they pair one to one, a single row with
                 every row of the other
     directions  P parameters to differentiate the positions by, in f64
@@ -93,10 +96,11 @@ def simulate(
 
     index = paired_rows(begin.configuration.count, material.count, *((None, None) if pairs is None else pairs), "simulate")
     surroundings = Surroundings.checked("simulate", obstacles, radius, len(index[0]), moving=True)
-    many = springs is not None and springs.count == len(index[0]) > 1
+    loads = _all_loads(springs, loads, len(index[0]), begin.configuration.edges + 1)
+    many = loads is not None and loads.count > 1
 
     def moved(stepping: Stepping, rows: np.ndarray, progress=None, touching: bool = False) -> tuple[Trajectory, np.ndarray]:
-        own = Springs(springs.points[rows], springs.stiffness[rows]) if many else springs
+        own = loads.take(rows) if many else loads
         touchable = surroundings.take(rows)
         motion = _Motion(*given, stepping, own, direction, tuple(part[rows] for part in index), touchable, touching)
         memory, remembered = motion.begin(begin, directions)
@@ -113,16 +117,27 @@ def simulate(
     return adapted(run, len(index[0]), stepping, progress)
 
 
+def _all_loads(springs: Springs | None, loads: PointLoads | None, rods: int, vertices: int) -> PointLoads | None:
+    """Springs as loads, or loads. Raises InputError where both are given, and for those of other rods."""
+    if springs is not None and loads is not None:
+        raise InputError("simulate", "springs", "given beside loads", "give PointLoads(…, springs=springs)")
+    for name, given in (("springs", springs), ("loads", loads)):
+        if given is not None and (given.vertices != vertices or given.count not in (1, rods)):
+            raise InputError("simulate", name, f"{given.count} rows of {given.vertices} vertices",
+                             f"give 1 or R rows of {vertices} vertices")
+    return loads if springs is None else PointLoads(np.zeros((springs.count, vertices, 3)), springs=springs)
+
+
 class _Motion:
     """A motion laid out for the kernels."""
 
-    def __init__(self, start, material, grippers, dynamics, stepping, springs, up, pairs, surroundings, touching):
+    def __init__(self, start, material, grippers, dynamics, stepping, loads, up, pairs, surroundings, touching):
         if grippers.count not in (1, start.count):
             raise InputError("simulate", "grippers", f"{grippers.count} rods, start has {start.count}", "give one, or as many")
         if dynamics.count not in (1, material.count):
             raise InputError("simulate", "dynamics", f"{dynamics.count} rows, material has {material.count}",
                              "give one, or as many")
-        self.start, self.material, self.dynamics, self.springs, self.up = start, material, dynamics, springs, up
+        self.start, self.material, self.dynamics, self.loads, self.up = start, material, dynamics, loads, up
         self.stepping, self.substeps, self.step = stepping, stepping.substeps, stepping.step
         self.grippers = refined_within_reach(grippers, stepping.substeps, start.rest_length)
         self.pairs, self.surroundings, self.touching = pairs, surroundings, touching
@@ -150,22 +165,17 @@ class _Motion:
     def numbers(self, table: Tables, factor: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(numbers (N, V, -), shares (N, 2), (R,) row of each rod), see :func:`.make_steps`."""
         lengths = table.rest_length
-        vertices = self.start.edges + 1
-        of_rod = self.springs is not None and self.springs.count != 1 or len(lengths) > 1
+        of_rod = self.loads is not None and self.loads.count != 1 or len(lengths) > 1
         rows = table.count if of_rod else self.material.count
         of_material = table.material_index if of_rod else np.arange(rows)
         if len(lengths) > 1:
             lengths = lengths[table.configuration_index]
         rate = factor / self.step
         numbers = vertex_numbers("simulate", self.material, self.dynamics, lengths, of_material, rate)
+        if self.loads is not None:
+            add_loads(numbers, self.loads, rate)
         if self.stepping.quasi_static:
             numbers[..., : LOAD - INERTIA] = 0.0
-        if self.springs is not None:
-            if self.springs.vertices != vertices or self.springs.count not in (1, table.count):
-                shape = f"{self.springs.points.shape}"
-                raise InputError("simulate", "springs", f"points of shape {shape}", f"give 1 or R rows of {vertices} vertices")
-            numbers[..., SPRING - INERTIA] = self.springs.stiffness
-            numbers[..., SPRING_POINT - INERTIA :] = self.springs.points
         index = np.arange(table.count) if of_rod else table.material_index
         return numbers, damping_shares(self.dynamics, self.material.count, rate)[of_material], index
 

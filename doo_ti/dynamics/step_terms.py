@@ -6,7 +6,17 @@ Axes: G materials, R rods, V vertices.
 import numpy as np
 
 from doo_ti.dynamics.parameters import GRAVITY, Dynamics, vertex_lengths
-from doo_ti.relaxation.time_layout import DRAG, DRAG_BY_SPEED, INERTIA, LOAD, VERTEX_ITEMS
+from doo_ti.relaxation.point_loads import PointLoads
+from doo_ti.relaxation.time_layout import (
+    DRAG,
+    DRAG_BY_SPEED,
+    FORCE,
+    INERTIA,
+    LOAD,
+    SPRING,
+    SPRING_POINT,
+    VERTEX_ITEMS,
+)
 from doo_ti.rod.types import Material
 from doo_ti.system.errors import InputError
 
@@ -32,7 +42,7 @@ def stiffened(material: Material, dynamics: Dynamics, rate: float) -> Material:
 def vertex_numbers(source: str, material: Material, dynamics: Dynamics, lengths: np.ndarray, rows: np.ndarray,
                    rate: float) -> np.ndarray:
     """(R, V, VERTEX_ITEMS − INERTIA) of rods with edges of ``lengths`` (1 or R, E) mm and the materials ``rows`` (R,), at the
-    ``rate`` a/h of a step: what :mod:`doo_ti.relaxation.time_sweep` has of a vertex from INERTIA on, without springs.
+    ``rate`` a/h of a step: what :mod:`doo_ti.relaxation.time_sweep` has of a vertex from INERTIA on, without loads.
 
     Raises InputError, naming ``source``, for rods without mass.
     """
@@ -49,3 +59,13 @@ def vertex_numbers(source: str, material: Material, dynamics: Dynamics, lengths:
     numbers[..., DRAG_BY_SPEED - INERTIA] = mass * dynamics.column("quadratic_drag", count)[rows, None] * rate
     numbers[..., LOAD - INERTIA] = 2.0 * weight[:, None] * point
     return numbers
+
+
+def add_loads(numbers: np.ndarray, loads: PointLoads, rate: float) -> None:
+    """Add the masses, forces and springs of ``loads``, of R rows or one, to :func:`vertex_numbers`, in place."""
+    numbers[..., 0] += loads.mass / GRAVITY * rate**2
+    numbers[..., LOAD - INERTIA] += loads.mass
+    numbers[..., FORCE - INERTIA : SPRING - INERTIA] = loads.force
+    if loads.springs is not None:
+        numbers[..., SPRING - INERTIA] = loads.springs.stiffness
+        numbers[..., SPRING_POINT - INERTIA :] = loads.springs.points

@@ -6,6 +6,7 @@ Raises InputError that names the argument, its value and a remedy.
 import numpy as np
 
 from doo_ti.relaxation.external import External
+from doo_ti.relaxation.point_loads import PointLoads
 from doo_ti.rod.types import Clamps, Configuration, Material
 from doo_ti.system.errors import InputError, real_array
 
@@ -110,6 +111,13 @@ def external_rows(external: External | None, index, count: int, edges: int) -> n
     if rows.shape != (count,) or (rows.size and (rows.min() < 0 or rows.max() >= external.count)):
         raise InputError("relax", "external_index", f"not {count} rows below {external.count}", "give (R,) row numbers")
     return rows
+
+
+def loads_along(loads: PointLoads, up: np.ndarray, floating: bool) -> PointLoads:
+    """``loads`` whose masses hang against ``up``. Raises InputError where nothing holds a rod (``floating``)."""
+    if floating and loads.springs is None:
+        raise InputError("clamps", "start, end", "both ends are free under point loads", "hold one end, or give springs too")
+    return loads.hanging(up)
 
 
 def _row_numbers(name: str, value, function: str) -> np.ndarray:

@@ -8,10 +8,19 @@ import numpy as np
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.bows import bowed_among, straight_rods
-from doo_ti.relaxation.checked_input import check_material, check_shapes, clamp_kinds, external_rows, paired_rows, rest_lengths
+from doo_ti.relaxation.checked_input import (
+    check_material,
+    check_shapes,
+    clamp_kinds,
+    external_rows,
+    loads_along,
+    paired_rows,
+    rest_lengths,
+)
 from doo_ti.relaxation.clamp_table import INFEASIBLE, STRAIGHT, TAUT, TAUT_SLACK, clamp_table
 from doo_ti.relaxation.contact_table import contact_table
 from doo_ti.relaxation.external import External
+from doo_ti.relaxation.point_loads import PointLoads
 from doo_ti.relaxation.tables import FREE, Tables, outer_edges, rod_rows, room, whole_start
 from doo_ti.rod.frames import quaternion_product, smallest_rotation, tangent_from_quaternion
 from doo_ti.rod.types import Clamps, Configuration, Material
@@ -44,6 +53,8 @@ def tables(
     index_e = external_rows(external, external_index, rods, edges)
     kinds = clamp_kinds(clamps, count)
     floating = not kinds.any(axis=1).all()
+    if isinstance(external, PointLoads):
+        external = loads_along(external, up, floating)
     check_material(material, edges, floating and external is None)
     clamp, found = clamp_table(configuration, lengths, kinds, clamps)
     if (external is not None or obstacles) and (kinds[:, 0] == FREE).any():

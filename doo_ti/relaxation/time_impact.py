@@ -116,6 +116,7 @@ class TimeImpact(TimeSweep):
         moved = variable(minus(x, last))
         found.energy = found.energy + length * dot(rod.gravity, scaled(moved, 1.0 / rod.length_unit))
         found.energy = found.energy + vertex.load * (up[0] * moved[0] + up[1] * moved[1] + up[2] * moved[2])
+        found.energy = found.energy - dot(vertex.force, moved)
         middle = minus(scaled(plus(x, last), 0.5), vertex.spring_point)
         found.energy = found.energy + vertex.spring * dot(middle, moved)
         mass = vertex.inertia * time.interval * time.interval

@@ -2,13 +2,13 @@
 
 from doo_ti.physics.view import Layout
 
-# Of a vertex: positions and velocities at the last two instants, mm and mm/s; then, in energy over mm² but ``load``, in energy
-# over mm: inertia κ, drag d, its growth with speed per mm/s, the weight of a point mass there, and a spring's stiffness with
-# its point.
-VERTEX = Layout(place_1=3, place_2=3, velocity_1=3, velocity_2=3, inertia=1, drag=1, drag_by_speed=1, load=1, spring=1,
+# Of a vertex: positions and velocities at the last two instants, mm and mm/s; then, in energy over mm² but ``load`` and
+# ``force``, in energy over mm: inertia κ, drag d, its growth with speed per mm/s, the weight of a point mass there, a dead
+# force, and a spring's stiffness with its point.
+VERTEX = Layout(place_1=3, place_2=3, velocity_1=3, velocity_2=3, inertia=1, drag=1, drag_by_speed=1, load=1, force=3, spring=1,
                 spring_point=3)
-PLACE_2, VELOCITY_1, INERTIA, DRAG, DRAG_BY_SPEED, LOAD, SPRING, SPRING_POINT = map(VERTEX.at, (
-    "place_2", "velocity_1", "inertia", "drag", "drag_by_speed", "load", "spring", "spring_point"))
+PLACE_2, VELOCITY_1, INERTIA, DRAG, DRAG_BY_SPEED, LOAD, FORCE, SPRING, SPRING_POINT = map(VERTEX.at, (
+    "place_2", "velocity_1", "inertia", "drag", "drag_by_speed", "load", "force", "spring", "spring_point"))
 VERTEX_ITEMS = len(VERTEX)
 # Of an edge, after those of the vertex where it ends: its frames at the last two instants, and of the joint where it begins the
 # rest curvature of its left and its right frame and its rest twist, for the step being made.

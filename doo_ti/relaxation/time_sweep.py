@@ -18,8 +18,8 @@ from doo_ti.physics.quaternion import normalised, product, relative_rotation, ta
 from doo_ti.physics.tuples import choose, chosen, dot, minus, plus, record, repeated, scaled, variable
 from doo_ti.physics.view import Layout
 from doo_ti.relaxation.contacts import Contacts
-from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.loaded_elimination import LoadedElimination
+from doo_ti.relaxation.point_loads import PointLoads
 from doo_ti.relaxation.time_layout import MOTION, ROD, VERTEX
 
 # What a launch is given after the policy of Newton: the step h in s, a and b above, and the least share of the clamps' way
@@ -29,7 +29,7 @@ STEP, RATE, EXTRAPOLATION, LEAST_WAY, WATCHED, TIME_COLUMNS = 0, 1, 2, 3, 4, 5
 
 @ti.data_oriented
 class TimeSweep(LoadedElimination):
-    """The chain under the springs of a time step, whose points it sets itself.
+    """The chain under the springs of a time step, whose points it sets itself, and dead forces.
 
     damped: joints have rest curvatures and twists of their own; ``isotropic`` rods are undamped. ``contacts`` with obstacles.
 
@@ -37,7 +37,7 @@ class TimeSweep(LoadedElimination):
     """
 
     def __init__(self, number, isotropic: bool, stride: int, contacts: Contacts | None = None):
-        super().__init__(number, isotropic, stride, Springs, any_ends=True, contacts=contacts)
+        super().__init__(number, isotropic, stride, PointLoads, any_ends=True, contacts=contacts)
         self.damped = not isotropic
         self.edge_layout, self.rod_layout = self.edge_layout + Layout(motion=MOTION), self.rod_layout + ROD
 
@@ -126,8 +126,7 @@ class TimeSweep(LoadedElimination):
     def prepare(self, rod, time, up, done):
         """Set the springs and rest curvatures of the next step. In the lanes that are ``done`` also set where its Newton
         iterations start: every frame turned once more as in the last step, and a free vertex 0 in free flight."""
-        first, first_stiffness, free_flight = self.spring(rod, rod.head.vertex, time, up)
-        rod.head.outer.point, rod.head.outer.stiffness = first, first_stiffness
+        free_flight = self.set_spring(rod, rod.head.outer, rod.head.vertex, time, up)
         drift = variable(minus(scaled(free_flight, 1.0 / rod.length_unit), rod.anchor))
         going = done & (rod.loose > 0.5)
         if ti.static(self.touches):
@@ -136,8 +135,7 @@ class TimeSweep(LoadedElimination):
         choose(rod.head, going, drift=drift)
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)
-            x, k, ahead = self.spring(rod, edge.motion, time, up)
-            edge.outer.point, edge.outer.stiffness = x, k
+            self.set_spring(rod, edge.outer, edge.motion, time, up)
             last = edge.motion.frame_1
             q = variable(last)
             if ti.static(not self.touches):
@@ -148,8 +146,8 @@ class TimeSweep(LoadedElimination):
                     self.set_rest(rod, self.edge(rod.head, e - 1), edge, time)
 
     @ti.func
-    def spring(self, rod, vertex, time, up):
-        """(point, stiffness) of the spring of a step at a ``vertex``, and x̂, mm."""
+    def set_spring(self, rod, outer, vertex, time, up):
+        """Set point and stiffness of the spring of a step at a ``vertex``, and the force there, in ``outer``; returns x̂, mm."""
         y, ahead, fast = self.extrapolated(vertex, time)
         drag = time.share * (vertex.drag + vertex.drag_by_speed * ti.sqrt(dot(fast, fast)))
         inertia, stiffness = time.share * time.share * vertex.inertia, vertex.spring
@@ -160,9 +158,9 @@ class TimeSweep(LoadedElimination):
             viscosity = rod.contacts.viscosity
             k = k + viscosity
             pull = plus(pull, scaled(vertex.place_1, viscosity))
-        load = vertex.load
-        point = scaled((pull[0] - load * up[0], pull[1] - load * up[1], pull[2] - load * up[2]), 1.0 / (k + 1e-30))
-        return point, k, ahead
+        outer.point, outer.stiffness = scaled(pull, 1.0 / (k + 1e-30)), k
+        outer.force = minus(vertex.force, scaled(up, vertex.load))
+        return ahead
 
     @ti.func
     def extrapolated(self, vertex, time):

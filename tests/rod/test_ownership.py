@@ -45,6 +45,8 @@ CALLS = {
     "in f32": lambda: (d.relax, ROPE, MATERIAL, CLAMPS, {"precision": "f32 only"}),
     "on springs": lambda: (d.relax, ROPE, MATERIAL, CLAMPS, {
         "external": d.Springs(np.zeros((1, 13, 3)), np.zeros((1, 13))), "external_index": np.zeros(1, int)}),
+    "under loads": lambda: (d.relax, ROPE, MATERIAL, CLAMPS, {
+        "external": d.PointLoads(np.zeros((1, 13, 3)), np.ones((1, 13)))}),
     "on a plane": lambda: (d.relax, ROPE, MATERIAL, CLAMPS, {
         "obstacles": [d.Plane(BESIDE, np.array([0, 0, 1.0])), d.Itself()], "radius": np.ones(1)}),
     "sensitivity": lambda: (d.sensitivity, solution(), ("bend", "modes"), np.zeros((1, 11, 2))),
@@ -76,6 +78,7 @@ CALLS = {
     "score": lambda: (d.score, picture()[1], picture()[2], np.zeros(1, int), picture()[0], 5e-3, MATERIAL),
     "distance_maps": lambda: (d.distance_maps, [[detection()]]),
     "tracked": lambda: (lambda *given: d.Tracker(*given), picture()[0], np.full(6, 3.0), MATERIAL),
+    "point loads": lambda: (d.PointLoads, np.zeros((1, 13, 3)), np.ones((1, 13))),
     "springs": lambda: (d.Springs, np.zeros((1, 13, 3)), np.zeros((1, 13))),
     "grippers": lambda: (d.Grippers, np.full(1, 3), np.full(1, 3), *(getattr(STILL, name) for name in (
         "start_position", "end_position", "start_frame", "end_frame"))),

@@ -1,0 +1,179 @@
+"""Forces and masses at vertices: closed forms, dense f64 linear algebra, and what is refused."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from scipy.special import ellipeinc, ellipk, ellipkinc
+
+from doo_ti import Clamp, Clamps, Descent, InputError, Material, Newton, PointLoads, Springs, end_clamps, relax, straight_rod
+from tests.oracle.chain_form import rod_of
+from tests.oracle.equilibrium import State, clamped_start
+from tests.oracle.external import Springs as DenseSprings
+from tests.oracle.external import minimum, total_energy
+from tests.relaxation.test_external import ALL_ENDS, UP, dense, rods_under_springs
+
+LENGTH, BEND = 200.0, 1e5
+SHARP = Newton(tolerance=1e-10)
+HELD_ENDS = tuple(pair for pair in ALL_ENDS if pair != (Clamp.FREE, Clamp.FREE))
+
+
+def cantilever(force: float, edges: int, across=(0.0, 0.0, -1.0), weight: float = 0.0, mass: float = 0.0):
+    """The solution of a rod along x, clamped at its start, with a force and a mass at its tip."""
+    rod = straight_rod(LENGTH, edges, vertex_clamps=True)
+    forces, masses = np.zeros((1, rod.edges + 1, 3)), np.zeros((1, rod.edges + 1))
+    forces[0, -1], masses[0, -1] = force * np.array(across), mass
+    return relax(rod, Material(BEND, BEND, weight), end_clamps(rod, Clamp.FRAME, Clamp.FREE), SHARP,
+                 external=PointLoads(forces, masses))
+
+
+def test_a_small_force_bends_a_cantilever_by_pl3_over_3ei():
+    force = 1e-3 * BEND / LENGTH**2
+    off = []
+    for edges in (40, 80, 160):
+        solution = cantilever(force, edges)
+        assert solution.stable.all()
+        off.append(-solution.configuration.vertices[0, -1, 2] / (force * LENGTH**3 / (3 * BEND)) - 1)
+    print(f"deflection off by {', '.join(f'{error:.1e}' for error in off)}")
+    assert abs(off[-1]) < 1e-3 and np.log2(off[0] / off[1]) == pytest.approx(2, abs=0.1)
+
+
+@pytest.mark.parametrize("as_mass", [False, True])
+def test_a_cantilever_under_a_tip_load_is_the_elastica(as_mass):
+    """P L²/EI = 4: the tip is down by two thirds of the length (elliptic integrals, Bisshopp and Drucker 1945)."""
+    load = 4.0
+    k, phi = _elastica(load)
+    deflection = 1 - 2 / np.sqrt(load) * (ellipeinc(np.pi / 2, k) - ellipeinc(phi, k))
+    reach = np.sqrt(2 * (2 * k - 1) / load)
+    off = []
+    for edges in (40, 80, 160):
+        force = load * BEND / LENGTH**2
+        solution = cantilever(0.0, edges, mass=force) if as_mass else cantilever(force, edges)
+        tip = solution.configuration.vertices[0, -1] / LENGTH
+        off.append(np.hypot(tip[0] - reach, tip[2] + deflection))
+    print(f"tip off by {', '.join(f'{error:.1e}' for error in off)} of the length")
+    assert off[-1] < 1e-3 and np.log2(off[1] / off[2]) == pytest.approx(2, abs=0.1)
+
+
+def _elastica(load: float) -> tuple[float, float]:
+    """(k², φ₁) of a cantilever under P L²/EI = ``load``."""
+    def missing(slope):
+        k = (1 + np.sin(slope)) / 2
+        return ellipk(k) - ellipkinc(np.arcsin(1 / np.sqrt(2 * k)), k) - np.sqrt(load)
+    k = (1 + np.sin(brentq(missing, 1e-3, np.pi / 2 - 1e-9))) / 2
+    return k, np.arcsin(1 / np.sqrt(2 * k))
+
+
+def test_a_heavy_mass_in_the_middle_pulls_a_limp_rope_straight():
+    """Both halves are straight, with the tension of the triangle of forces."""
+    rod, mass = straight_rod(LENGTH, 160, start=(-80.0, 0.0, 0.0)), 1e4
+    points = np.array([[-80.0, 0.0, 0.0]]), np.array([[80.0, 0.0, 0.0]])
+    clamps = Clamps(Clamp.POSITION, Clamp.POSITION, *points, rod.frames[:, 0], rod.frames[:, -1])
+    masses = np.zeros((1, 161))
+    masses[0, 80] = mass
+    solution = relax(rod, Material(10.0, 10.0, 1.0), clamps, external=PointLoads(np.zeros((1, 161, 3)), masses))
+    assert solution.converged.all() and solution.stable.all()
+    weight = mass + 2.0 * LENGTH
+    along = (mass + LENGTH) / 2 * 80.0 / 60.0  # half the rope's weight acts half-way down each side
+    np.testing.assert_allclose(solution.end_force[0], [along, 0.0, weight / 2], rtol=1e-3, atol=1e-3 * weight)
+    assert solution.configuration.vertices[0, 80, 2] == pytest.approx(-60.0, abs=0.1)
+
+
+def test_a_mass_weighs_what_its_grams_do():
+    """A rod of 0.2 N/m with 5 g at its tip, and a force of as much."""
+    material = Material.from_physical(EI=1e-4, GJ=1e-4, weight_per_length=0.2)
+    rod = straight_rod(LENGTH, 20)
+    clamps = end_clamps(rod, Clamp.FRAME, Clamp.FREE)
+    force, mass = np.zeros((1, 21, 3)), np.zeros((1, 21))
+    force[0, -1, 2], mass[0, -1] = -5e-3 * 9.80665, 5.0
+    one = relax(rod, material, clamps, external=PointLoads.from_physical(force, material))
+    other = relax(rod, material, clamps, external=PointLoads.from_physical(np.zeros((1, 21, 3)), material, mass))
+    np.testing.assert_allclose(one.configuration.vertices, other.configuration.vertices, atol=1e-9)
+    light = relax(rod, material, clamps)
+    assert one.configuration.vertices[0, -1, 2] < light.configuration.vertices[0, -1, 2] - 1.0
+
+
+@dataclass(frozen=True)
+class DenseLoads:
+    """Springs and dead forces (V, 3)."""
+
+    springs: DenseSprings
+    force: np.ndarray
+
+    def energy(self, vertices):
+        return self.springs.energy(vertices) - (self.force * vertices).sum()
+
+    def vertex_gradient(self, vertices):
+        return self.springs.vertex_gradient(vertices) - self.force
+
+    def vertex_curvature(self):
+        return self.springs.vertex_curvature()
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("with_springs", [True, False])
+def test_minima_are_those_of_dense_linear_algebra(rng, with_springs):
+    """All pairs of clamps that hold an end, round rods and general ones; with springs also rods that nothing holds."""
+    for isotropic in (True, False):
+        start, clamps, material, springs = rods_under_springs(rng, 2, isotropic, ends=ALL_ENDS if with_springs else HELD_ENDS)
+        loads = PointLoads(300.0 * rng.normal(size=springs.points.shape), rng.uniform(0, 300, springs.stiffness.shape),
+                           springs if with_springs else None)
+        whole = loads.force - loads.mass[..., None] * UP / np.linalg.norm(UP)
+        solution = relax(start, material, clamps, Newton.careful(tolerance=1e-9), up=UP, external=loads)
+        assert solution.converged.all() and solution.stable.all()
+        for row in range(start.count):
+            own = dense(springs, row) if with_springs else DenseSprings.at_vertices(np.zeros(8), np.zeros((8, 3)))
+            energy, rod = DenseLoads(own, whole[row]), rod_of(start, material, row, up=UP)
+            found = State(solution.configuration.start[row], solution.configuration.quaternions[row])
+            _, ends = clamped_start(start, clamps, row)
+            assert solution.energy[row] == pytest.approx(total_energy(rod, energy, found), rel=1e-11)
+            here = minimum(rod, energy, found, ends, max_iterations=0)
+            assert here.residual < 1e-9 and here.eigenvalues[0] > -1e-9 * here.eigenvalues[-1]
+            if ends.end != Clamp.FREE:
+                np.testing.assert_allclose(-solution.end_force[row], here.force, atol=1e-8 * np.abs(here.force).max())
+
+
+def test_forces_that_springs_would_have_are_those_of_springs(rng):
+    """At rest the springs are replaced by what they pull with."""
+    start, clamps, material, springs = rods_under_springs(rng, 2, True)
+    one = relax(start, material, clamps, SHARP, up=UP, external=springs)
+    places = one.configuration.vertices
+    pulls = springs.stiffness[..., None] * (springs.points - places)
+    half = Springs(springs.points, 0.5 * springs.stiffness)
+    other = relax(one, material, clamps, SHARP, up=UP, external=PointLoads(0.5 * pulls, springs=half))
+    np.testing.assert_allclose(other.configuration.vertices, places, atol=1e-6)
+
+
+@pytest.mark.parametrize("precision", ["f32", "mixed"])
+def test_precisions_agree(rng, precision):
+    start, clamps, material, springs = rods_under_springs(rng, 4, True)
+    loads = PointLoads(200.0 * rng.normal(size=springs.points.shape))
+    exact = relax(start, material, clamps, up=UP, external=loads)
+    other = relax(start, material, clamps, up=UP, external=loads, precision=precision)
+    same = exact.converged & other.converged & (np.abs(exact.energy - other.energy) < 1e-4 * np.abs(exact.energy))
+    assert same.sum() >= len(same) - 1
+    off = np.abs(other.configuration.vertices - exact.configuration.vertices)[same].max()
+    assert off < (1e-2 if precision == "f32" else 1e-4)
+
+
+def test_wrong_input_is_reported_in_one_sentence(rng):
+    zero, material = np.zeros((1, 21, 3)), Material(1e5, 1e5)
+    rod = straight_rod(LENGTH, 20)
+    held, loose = end_clamps(rod, Clamp.FRAME, Clamp.FREE), end_clamps(rod, Clamp.FREE, Clamp.FREE)
+    physical = Material.from_physical([1e-4, 2e-4], 1e-4, 0.2)
+    for call, source, field in (
+        (lambda: PointLoads(np.zeros((21, 3))), "PointLoads", "force"),
+        (lambda: PointLoads(zero, np.zeros(21)), "PointLoads", "mass"),
+        (lambda: PointLoads(zero, -1.0), "PointLoads", "mass"),
+        (lambda: PointLoads(np.full((1, 21, 3), np.nan)), "PointLoads", "force"),
+        (lambda: PointLoads(zero, springs=Springs(np.zeros((1, 9, 3)), np.zeros((1, 9)))), "PointLoads", "springs"),
+        (lambda: PointLoads.from_physical(zero, material), "PointLoads", "material"),
+        (lambda: PointLoads.from_physical(zero, physical), "PointLoads", "force"),
+        (lambda: relax(rod, material, held, external=PointLoads(np.zeros((1, 9, 3)))), "external", "points"),
+        (lambda: relax(rod, replace(material, weight=0.0), loose, external=PointLoads(zero)), "clamps", "start, end"),
+        (lambda: relax(rod, material, held, Descent(), external=PointLoads(zero)), "relax", "solver"),
+    ):
+        with pytest.raises(InputError) as caught:
+            call()
+        assert (caught.value.source, caught.value.field) == (source, field) and "\n" not in str(caught.value)
