@@ -79,7 +79,7 @@ class Elimination(Chain):
             t, m1, m2 = tangent(q), first_director(q), second_director(q)
             length = edge.length
             remaining = remaining - length
-            c = plus(scaled(rod.gravity, self.hanging_weight(rod, length, remaining)), multiplier)
+            c = plus(self.edge_pull(rod, edge, self.hanging_weight(rod, length, remaining)), multiplier)
             l1, l2 = linear_gradient(c, length, m1, m2)
             straighten = linear_hessian(c, length, t)
             g = (g[0], g[1] + l1, g[2] + l2)
@@ -115,6 +115,11 @@ class Elimination(Chain):
         change, positive = self.bordered(rod, s, plus(z, miss))
         return record(moment=ti.sqrt(found.squared), scale=found.scale, change=change, inertia=found.negative + positive,
                       slope=found.slope, energy=zero, magnitude=zero)
+
+    @ti.func
+    def edge_pull(self, rod, edge, weight):
+        """The linear potential of an edge with that hanging ``weight``, without λ."""
+        return scaled(rod.gravity, weight)
 
     @ti.func
     def observe(self, found, g, h):

@@ -4,12 +4,13 @@
     loads.start_force, loads.end_moment, loads.force_unit      # (R, 3), (R, 3), "N"
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.sensitivity_kernel import run_sensitivity
+from doo_ti.relaxation.point_loads import PointLoads
+from doo_ti.relaxation.sensitivity_kernel import run_sensitivity, vertex_forces
 from doo_ti.relaxation.tables import Tables
 from doo_ti.rod.physical_units import force_in_newton
 from doo_ti.rod.types import Solution
@@ -67,29 +68,40 @@ def end_loads(solution: Solution) -> EndLoads:
     weight (:class:`EndLoads`).
 
     What an end does not hold is zero: the moment at a position clamp, all of a free end. Both forces together carry the rod's
-    weight. NaN in rods that have not converged, and in taut ones (:class:`doo_ti.rod.types.Solution`).
+    weight, and point loads. NaN in rods that have not converged, and in taut ones (:class:`doo_ti.rod.types.Solution`).
 
-    Raises InputError for joined solutions and for rods under an external energy.
+    Raises InputError for joined solutions, and for rods under an external energy other than forces and masses.
     """
-    table = own_tables(solution, "end_loads")
+    solution = alone("end_loads", solution)
+    table = solution.tables
     runtime.start()
     nothing = np.zeros((0, 0)), np.zeros((1, table.edges - 1, 2))
     moments = run_sensitivity(solution, solution.converged, *nothing, 0, table.count)[3]
     clamp = table.clamp[table.configuration_index]
-    weight = 2.0 * table.material[table.material_index, of.WEIGHT, None] * clamp[:, of.TOTAL, None] * table.up
+    total = 2.0 * table.material[table.material_index, of.WEIGHT, None] * clamp[:, of.TOTAL, None] * table.up
+    weight = total - vertex_forces(table).sum(axis=1)
     end = np.where(clamp[:, of.RELEASED, None] > 0, weight, solution.end_force)
-    carried = 0.0 if table.contact is None else table.contact.forces.sum(axis=1)
-    loads = np.stack([weight - carried - end, moments[:, 0], end, moments[:, 1]], axis=1)
+    loads = np.stack([weight - end, moments[:, 0], end, moments[:, 1]], axis=1)
     loads[~solution.converged | (clamp[:, of.TILT_INNER] == 0)] = np.nan
     return EndLoads.of(loads, table, 0, table.count)
 
 
-def own_tables(solution: Solution, function: str) -> Tables:
-    """The tables of ``solution``, an argument of ``function``. Raises InputError where it has none, and for rods under an
-    external energy."""
+def alone(function: str, solution: Solution) -> Solution:
+    """``solution``, an argument of ``function``, as one of rods without an external energy, but for point loads: those held at
+    the far end alone hang from there. Raises InputError where it has no tables, and under other external energies."""
     table = solution.tables
     if table is None:
         raise InputError(function, "solution", "joins several calls", "relax where its rods ended")
-    if table.external is not None:
-        raise InputError(function, "solution", "rods under an external energy", "relax them without")
-    return table
+    loads = table.external
+    if loads is None:
+        return solution
+    if not isinstance(loads, PointLoads) or loads.springs is not None:
+        raise InputError(function, "solution", "rods under an external energy",
+                         "relax them without, or under forces and masses")
+    if table.contact is not None:  # among obstacles vertex 0 is free to move with or without them
+        return solution
+    clamp = table.clamp.copy()
+    loose = clamp[:, of.LOOSE] > 0
+    clamp[loose, of.LOOSE], clamp[loose, of.RELEASED], clamp[loose, of.CLOSED] = 0.0, 1.0, 0.0
+    force = np.where(loose[table.configuration_index, None], 0.0, solution.end_force)
+    return replace(solution, end_force=force, tables=replace(table, clamp=clamp))

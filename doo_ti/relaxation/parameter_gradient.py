@@ -24,8 +24,8 @@ SHIFT, TURN_START, TURN_END, MOVE, DIRECTION_COLUMNS = 10, 13, 16, 19, 22
 NO_MODE = -1
 
 # Of an edge after what chain has of it: curvature and twist at the vertex where it ends, kept because eliminating writes over
-# the place where chain has them; and the sum of the forces of obstacles on all vertices after its first, with the sign of a
-# gradient.
+# the place where chain has them; and the sum of the forces of obstacles and of point loads on all vertices after its first,
+# with the sign of a gradient.
 KEPT = Layout(kept=8, beyond=3)
 
 

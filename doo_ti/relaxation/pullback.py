@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.relaxation.end_loads import own_tables
+from doo_ti.relaxation.end_loads import alone
 from doo_ti.relaxation.pullback_kernel import run_pullback
 from doo_ti.relaxation.sensitivity import (
     CURVATURES,
@@ -59,7 +59,7 @@ def pullback(solution: Solution, cotangent: np.ndarray | None, parameters: Seque
     solution    of :func:`doo_ti.relaxation.relax.relax` in f64
     cotangent   (R, V, 3) derivatives of the scalar by ``solution.configuration.vertices``, per mm; None: zero
     parameters  those of :func:`doo_ti.relaxation.sensitivity.sensitivity`, and "forces": by a force on every vertex, in the
-                package's unit (energy in mm² per mm)
+                package's unit (energy in mm² per mm), see :class:`.PointLoads`
     modes       (M, E−1, 2) where "modes" is among the parameters
     frames      (R, E, 3, 3) derivatives of the scalar by ``solution.configuration.frames``; None: zero
 
@@ -69,8 +69,9 @@ def pullback(solution: Solution, cotangent: np.ndarray | None, parameters: Seque
     Raises InputError for cotangents of another shape, or that are not finite in a rod that has derivatives, and where
     :func:`.sensitivity` does.
     """
-    table = own_tables(solution, "pullback")
-    check_parameters("pullback", parameters, (*PARAMETERS, FORCES), modes, table.edges)
+    solution = alone("pullback", solution)
+    table = solution.tables
+    check_parameters("pullback", parameters, (*PARAMETERS, FORCES), modes, table)
     usable = at_minima(solution)
     count, edges = table.count, table.edges
     pulls = _cotangent("cotangent", cotangent, (count, edges + 1, 3), usable)

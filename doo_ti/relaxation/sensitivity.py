@@ -36,7 +36,7 @@ import numpy as np
 from doo_ti.contact.itself import smallest_self_gap
 from doo_ti.relaxation import parameter_gradient as change
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.end_loads import EndLoads, own_tables
+from doo_ti.relaxation.end_loads import EndLoads, alone
 from doo_ti.relaxation.sensitivity_kernel import run_sensitivity
 from doo_ti.rod.frames import matrix_from_quaternion, smallest_rotation
 from doo_ti.rod.types import Configuration, Solution
@@ -98,10 +98,14 @@ def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist"
     with both spins free keeps its first spin; along other motions that cost nothing (a weightless bow about its chord, a rod
     that hangs from a point about up) a rod does not move either.
 
-    Raises InputError for unknown or repeated parameters, modes of another shape, and for rods under an external energy.
+    Forces and masses at vertices (:class:`.PointLoads`) stay as they are.
+
+    Raises InputError for unknown or repeated parameters, modes of another shape, "up" of rods with point masses, rods with
+    point loads among obstacles, and where :func:`.end_loads` does.
     """
-    table = own_tables(solution, "sensitivity")
-    check_parameters("sensitivity", parameters, PARAMETERS, modes, table.edges)
+    solution = alone("sensitivity", solution)
+    table = solution.tables
+    check_parameters("sensitivity", parameters, PARAMETERS, modes, table)
     last = table.count if last is None else last
     require_whole("sensitivity", "first", first, 0, table.count)
     require_whole("sensitivity", "last", last, first, table.count)
@@ -176,10 +180,10 @@ def parameter_directions(parameters: Sequence[str], edges: int, up: np.ndarray, 
     return tuple(names), np.concatenate(blocks), along if len(along) else np.zeros((1, edges - 1, 2))
 
 
-def check_parameters(function: str, parameters: Sequence[str], known: tuple[str, ...], modes: np.ndarray | None, edges: int
-                     ) -> None:
-    """Raise InputError, naming ``function``, unless ``parameters`` are among those ``known`` and the modes suit rods of that
-    many edges."""
+def check_parameters(function: str, parameters: Sequence[str], known: tuple[str, ...], modes: np.ndarray | None,
+                     table: of.Tables) -> None:
+    """Raise InputError, naming ``function``, unless ``parameters`` are among those ``known`` and suit the rods of ``table``,
+    and the modes do."""
     every = ", ".join(known)
     if isinstance(parameters, str) or not parameters:
         raise InputError(function, "parameters", f"{parameters!r}", f"give a list of {every}")
@@ -190,8 +194,14 @@ def check_parameters(function: str, parameters: Sequence[str], known: tuple[str,
         raise InputError(function, "parameters", f"{', '.join(parameters)}", "give each parameter once")
     if ("modes" in parameters) != (modes is not None):
         raise InputError(function, "modes", "given without their parameter, or the parameter without them", "give both")
-    if modes is not None and (np.ndim(modes) != 3 or np.shape(modes)[1:] != (edges - 1, 2)):
-        raise InputError(function, "modes", f"shape {np.shape(modes)}", f"give (M, {edges - 1}, 2)")
+    joints = table.edges - 1
+    if modes is not None and (np.ndim(modes) != 3 or np.shape(modes)[1:] != (joints, 2)):
+        raise InputError(function, "modes", f"shape {np.shape(modes)}", f"give (M, {joints}, 2)")
+    if table.contact is not None and table.external is not None:
+        raise InputError(function, "solution", "rods under point loads among obstacles", "relax them without one of the two")
+    if "up" in parameters and table.external is not None and table.external.mass.any():
+        raise InputError(function, "parameters", "'up' of rods with point masses, whose weight turns too",
+                         "give their weight as forces, which do not turn")
 
 
 def _curvature_modes(name: str, edges: int, modes: np.ndarray | None) -> np.ndarray:

@@ -74,7 +74,7 @@ class SensitivityColumns(EndMoments):
 
     @ti.func
     def load_forces(self, tables, rod, row, unit):
-        """The forces of obstacles beyond every edge, those of row ``row`` of their table if it has any."""
+        """The forces of obstacles and of point loads beyond every edge, those of row ``row`` of their table if it has any."""
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)
             for k in ti.static(range(3)):

@@ -7,7 +7,7 @@ import numpy as np
 import taichi as ti
 
 from doo_ti.physics.number import Number
-from doo_ti.physics.tuples import against, forward, negated, plus, record, repeated, symmetric_gram, variable
+from doo_ti.physics.tuples import against, forward, negated, plus, record, repeated, scaled, symmetric_gram, variable
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.chain_layout import edge_layout, numbers_of_rod, rod_layout
 from doo_ti.relaxation.contact_layout import contact_items
@@ -33,6 +33,11 @@ class SensitivitySweep(SensitivityColumns, Elimination):
     def __init__(self, stride: int):
         super().__init__(Number(1, 64), False, stride, edge_layout(False, KEPT))
         self.loading = Loading(self, in_millimetres=True)
+
+    @ti.func
+    def edge_pull(self, rod, edge, weight):
+        """With the point loads, which are kept with the forces of obstacles."""
+        return plus(scaled(rod.gravity, weight), edge.outer.beyond)
 
     @ti.func
     def schur_complement(self, rod):
@@ -157,11 +162,21 @@ def _launch(table: Tables, first: int, last: int, rows: np.ndarray, contact: Con
 
 
 def _beyond(table: Tables, first: int, last: int) -> np.ndarray:
-    """(R, E, 3) the forces of obstacles on all vertices after the first one of every edge, with the sign of a gradient; one
-    number where there are no obstacles."""
-    if table.contact is None:
+    """(R, E, 3) the forces of obstacles and of point loads on all vertices after the first one of every edge, with the sign of
+    a gradient, less those on all vertices where a rod hangs from its far end; one number where there are none."""
+    if table.contact is None and table.external is None:
         return np.zeros((1, 1, 1))
-    return -np.cumsum(table.contact.forces[first:last, :0:-1], axis=1)[:, ::-1].copy()
+    forces = vertex_forces(table)[first:last]
+    beyond = -np.cumsum(forces[:, :0:-1], axis=1)[:, ::-1]
+    hanging = table.released[table.configuration_index[first:last]]
+    beyond[hanging] += forces[hanging].sum(axis=1)[:, None]
+    return beyond.copy()
+
+
+def vertex_forces(table: Tables) -> np.ndarray:
+    """(R, V, 3) of obstacles and of point loads with their masses' weight."""
+    forces = np.zeros((table.count, table.edges + 1, 3)) if table.contact is None else table.contact.forces
+    return forces if table.external is None else forces + table.external.whole_force[table.external_index]
 
 
 # What kernels are given, in this order: for rods at rest of any kind, and where their derivatives go.

@@ -7,7 +7,23 @@ import pytest
 from scipy.optimize import brentq
 from scipy.special import ellipeinc, ellipk, ellipkinc
 
-from doo_ti import Clamp, Clamps, Descent, InputError, Material, Newton, PointLoads, Springs, end_clamps, relax, straight_rod
+from doo_ti import (
+    Clamp,
+    Clamps,
+    Descent,
+    InputError,
+    Material,
+    Newton,
+    Plane,
+    PointLoads,
+    Springs,
+    end_clamps,
+    end_loads,
+    pullback,
+    relax,
+    sensitivity,
+    straight_rod,
+)
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import State, clamped_start
 from tests.oracle.external import Springs as DenseSprings
@@ -145,6 +161,53 @@ def test_forces_that_springs_would_have_are_those_of_springs(rng):
     np.testing.assert_allclose(other.configuration.vertices, places, atol=1e-6)
 
 
+def test_a_hanging_rod_carries_its_weight_and_the_mass():
+    rod = straight_rod(LENGTH, 20, direction=(0.0, 0.0, -1.0))
+    masses = np.zeros((1, 21))
+    masses[0, -1] = 1e4
+    solution = relax(rod, Material(BEND, BEND, 1.0), end_clamps(rod, Clamp.POSITION, Clamp.FREE),
+                     external=PointLoads(np.zeros((1, 21, 3)), masses))
+    np.testing.assert_allclose(end_loads(solution).start_force[0], [0.0, 0.0, 1e4 + 2.0 * LENGTH], atol=1e-6)
+
+
+def test_obstacles_and_the_clamp_carry_all_loads():
+    """A rod with a mass on it that lies on a table half-way, held at its start or at its end."""
+    rod, material = straight_rod(LENGTH, 20, start=(0.0, 0.0, 20.0)), Material(BEND, BEND, 1.0)
+    masses = np.zeros((1, 21))
+    masses[0, 10] = 500.0
+    for ends in ((Clamp.FRAME, Clamp.FREE), (Clamp.FREE, Clamp.FRAME)):
+        solution = relax(rod, material, end_clamps(rod, *ends), external=PointLoads(np.zeros((1, 21, 3)), masses),
+                         obstacles=[Plane((0, 0, 0), (0, 0, 1))], radius=1.0)
+        assert solution.converged.all() and solution.contact.touching.any()
+        loads = end_loads(solution)
+        together = loads.start_force + loads.end_force + solution.contact.force.sum(axis=1)
+        np.testing.assert_allclose(together[0], [0.0, 0.0, 2.0 * LENGTH + 500.0], atol=1e-2)
+
+
+def test_forces_at_the_ends_and_their_derivatives(rng):
+    """Both together carry all loads; by central differences, for all pairs of clamps that hold an end."""
+    start, clamps, _, springs = rods_under_springs(rng, 1, True, ends=HELD_ENDS)
+    loads = PointLoads(100.0 * rng.normal(size=springs.points.shape), rng.uniform(0, 100, springs.stiffness.shape))
+    bend = rng.uniform(1e5, 3e5, start.count)
+
+    def relaxed(change=0.0, begin=start, solver=SHARP):
+        return relax(begin, Material(bend + change, 2e5, 100.0), clamps, solver, up=UP, external=loads)
+
+    solution, up = relaxed(), UP / np.linalg.norm(UP)
+    found, ends = sensitivity(solution, ("bend",)), end_loads(solution)
+    assert found.usable.all()
+    weight = 200.0 * start.rest_length.sum(axis=-1) + loads.mass.sum(axis=1)
+    np.testing.assert_allclose(ends.start_force + ends.end_force, weight[:, None] * up - loads.force.sum(axis=1), rtol=1e-9)
+    more, less = (relaxed(step, solution, replace(SHARP, first_shift=0.0)) for step in (10.0, -10.0))
+    pairs = [(found.vertices, more.configuration.vertices - less.configuration.vertices)]
+    pairs += [(getattr(found.loads, name), getattr(end_loads(more), name) - getattr(end_loads(less), name))
+              for name in ("start_force", "start_moment", "end_force", "end_moment")]
+    for own, difference in pairs:
+        own, expected = own[..., 0].reshape(len(own), -1), (difference / 20.0).reshape(len(own), -1)
+        size = np.abs(own).max(axis=1)
+        assert (np.abs(own - expected).max(axis=1) < 1e-5 * size + 1e-6 * size.max()).all()
+
+
 @pytest.mark.parametrize("precision", ["f32", "mixed"])
 def test_precisions_agree(rng, precision):
     start, clamps, material, springs = rods_under_springs(rng, 4, True)
@@ -155,6 +218,23 @@ def test_precisions_agree(rng, precision):
     assert same.sum() >= len(same) - 1
     off = np.abs(other.configuration.vertices - exact.configuration.vertices)[same].max()
     assert off < (1e-2 if precision == "f32" else 1e-4)
+
+
+def test_what_has_no_derivatives_is_refused(rng):
+    rod = straight_rod(LENGTH, 20)
+    material, held = Material(BEND, BEND), end_clamps(rod, Clamp.FRAME, Clamp.FREE)
+    masses = PointLoads(np.zeros((1, 21, 3)), 1.0)
+    sprung = PointLoads(np.zeros((1, 21, 3)), springs=Springs(rod.vertices, np.ones((1, 21))))
+    table = [Plane((0, 0, -500), (0, 0, 1))]
+    for solution, parameters, field in (
+        (relax(rod, material, held, external=masses), ("up",), "parameters"),
+        (relax(rod, material, held, external=sprung), ("bend",), "solution"),
+        (relax(rod, material, held, external=masses, obstacles=table, radius=1.0), ("bend",), "solution"),
+    ):
+        for call in (lambda: sensitivity(solution, parameters), lambda: pullback(solution, None, parameters)):
+            with pytest.raises(InputError) as caught:
+                call()
+            assert caught.value.field == field and "\n" not in str(caught.value)
 
 
 def test_wrong_input_is_reported_in_one_sentence(rng):
