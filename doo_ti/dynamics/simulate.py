@@ -23,7 +23,7 @@ from doo_ti.relaxation.checked_input import paired_rows
 from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.input_tables import tables, under
 from doo_ti.relaxation.newton import MOST_IN_CONTACT, Newton
-from doo_ti.relaxation.point_loads import PointLoads
+from doo_ti.relaxation.point_loads import PointLoads, check_rows
 from doo_ti.relaxation.tables import Tables, whole_start
 from doo_ti.relaxation.time_layout import INERTIA, LOAD, PLACE_2, VELOCITY_1
 from doo_ti.relaxation.time_loop import (
@@ -121,10 +121,8 @@ def _all_loads(springs: Springs | None, loads: PointLoads | None, rods: int, ver
     """Springs as loads, or loads. Raises InputError where both are given, and for those of other rods."""
     if springs is not None and loads is not None:
         raise InputError("simulate", "springs", "given beside loads", "give PointLoads(…, springs=springs)")
-    for name, given in (("springs", springs), ("loads", loads)):
-        if given is not None and (given.vertices != vertices or given.count not in (1, rods)):
-            raise InputError("simulate", name, f"{given.count} rows of {given.vertices} vertices",
-                             f"give 1 or R rows of {vertices} vertices")
+    for given in (springs, loads):
+        check_rows("simulate", given, rods, vertices)
     return loads if springs is None else PointLoads(np.zeros((springs.count, vertices, 3)), springs=springs)
 
 

@@ -15,6 +15,7 @@ from doo_ti.motion.jumps import PARTS, JumpCount
 from doo_ti.motion.path import Motion
 from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.point_loads import PointLoads
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.types import Configuration, Material, Solution, sticky
 
@@ -34,6 +35,7 @@ class Journey:
                  the branch
     precision    of the last state; sub-steps run in f64 if that is chosen, else in f32, with f64 where f32 does not converge
     surroundings the obstacles that the R rods may touch, without friction
+    loads        on their vertices, of one row or R
     """
 
     motion: Motion
@@ -44,6 +46,7 @@ class Journey:
     solver: Newton | Descent = Newton()
     precision: str = "mixed"
     surroundings: Surroundings = Surroundings()
+    loads: PointLoads | None = None
 
     @property
     def sub_steps(self) -> np.ndarray:
@@ -80,7 +83,8 @@ class Journey:
         for steps in np.unique(need) if motions else [FEWEST_STEPS]:
             rows = np.flatnonzero(need == steps)
             rods = (first + rows).ravel()
-            part = replace(self, motion=self.motion.take(rows), surroundings=self.surroundings.take(rods))
+            part = replace(self, motion=self.motion.take(rows), surroundings=self.surroundings.take(rods),
+                           loads=None if self.loads is None else self.loads.take(rods % self.loads.count))
             yield rods, int(steps), part
 
     def _end(self, begin: Configuration, steps: int, watch: bool) -> tuple[Solution, np.ndarray]:
@@ -117,6 +121,7 @@ class Journey:
         solver = replace(self.solver, first_shift=0.0) if isinstance(self.solver, Newton) else self.solver
         return relax(configuration, self.material, self.motion.at(share).take(rods % self._motions), solver, up=self.up,
                      precision=precision, configuration_index=np.arange(len(rods)), material_index=rods // self._motions,
+                     external=self.loads, external_index=None if self.loads is None else rods % self.loads.count,
                      **self.surroundings.take(rods).arguments)
 
     @property

@@ -20,6 +20,7 @@ from doo_ti.io.motion_file import ClampPath
 from doo_ti.motion.path import LARGEST_TURN, motion_between
 from doo_ti.prediction.predict import Prediction, begun, rotation_about_rod
 from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.point_loads import PointLoads
 from doo_ti.rod.frames import edge_frames
 from doo_ti.rod.types import Clamps, Configuration, Material, Status, sticky
 from doo_ti.system.arguments import typed
@@ -35,7 +36,7 @@ EVEN = 1e-3
 def predict_moving(
     configuration: Configuration, material: Material, clamps: Clamps, path: ClampPath, dynamics: Dynamics, stepping: Stepping,
     *, between: int = 1, up: ArrayLike = (0.0, 0.0, 1.0), advance: Callable[[int], None] = lambda rods: None,
-    obstacles: Sequence[Obstacle | Moving] = (), radius: ArrayLike | None = None,
+    obstacles: Sequence[Obstacle | Moving] = (), radius: ArrayLike | None = None, loads: PointLoads | None = None,
 ) -> Prediction:
     """As :func:`doo_ti.prediction.predict.predict`, with inertia: rods at rest at the path's first moment, then carried along
     it at the speed that the rate gives it.
@@ -46,6 +47,7 @@ def predict_moving(
     between   number of returned states per interval of the path; clamps move between its moments on cubics
     obstacles, radius  as in :func:`doo_ti.dynamics.simulate.simulate`, with friction; a :class:`.Moving` has the instants of
               the states that are returned. On the way to the path's first moment there is no friction, and nothing moves
+    loads     forces and masses at the vertices, of R rows or one
 
     In what is returned ``stable`` says that all steps have converged, since a rod in motion is at no minimum; ``energy`` is
     without the kinetic energy, and ``jumps`` are counted only on the way to the first moment. Raises InputError where numbers
@@ -53,7 +55,7 @@ def predict_moving(
     """
     even = path.states(between)
     _, rods, (first, held, jumps) = begun(configuration, material, clamps, path, LARGEST_TURN, up, Newton(), "f64",
-                                         Surroundings(obstacle_list("predict_moving", obstacles, True), radius).at(0))
+                                         Surroundings(obstacle_list("predict_moving", obstacles, True), radius).at(0), loads)
     rows = np.arange(len(rods)) % len(clamps.start_position)
     lengths = configuration.rest_length if configuration.rest_length.ndim == 1 else configuration.rest_length[: rows.max() + 1]
     grippers = refined_within_reach(grippers_along(path, held), between, lengths)
@@ -68,9 +70,9 @@ def predict_moving(
 
     found = simulate(first.configuration, material, grippers.take(rows), dynamics,
                      replace(stepping, rate=rate, detailed=True), up=up, pairs=pairs, progress=progress,
-                     obstacles=obstacles, radius=radius)
+                     obstacles=obstacles, radius=radius, loads=loads)
     energies = found.detail.energies
-    stored = sum(energies[name] for name in ("bending", "twist", "gravity"))
+    stored = sum(energies[name] for name in ("bending", "twist", "gravity", "springs", "loads") if name in energies)
     status = sticky(first.status[:, None], found.status).T
     turned = [np.zeros(len(rows))]
     for k in range(grippers.instants - 1):

@@ -23,6 +23,7 @@ from doo_ti.io.motion_file import ClampPath
 from doo_ti.motion.journey import Journey
 from doo_ti.motion.path import LARGEST_TURN, Motion, motion_between
 from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.point_loads import PointLoads, check_rows
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import angle_about, matrix_from_quaternion, smallest_rotation, total_twist, vertices_from_quaternions
 from doo_ti.rod.plausible import doubt_angle
@@ -103,6 +104,7 @@ def predict(
     configuration: Configuration, material: Material, clamps: Clamps, path: ClampPath, *, sub_step: float = LARGEST_TURN,
     between: int = 1, up: ArrayLike = (0.0, 0.0, 1.0), solver: Newton | None = None, precision: str = "mixed",
     advance: Callable[[int], None] = lambda rods: None, obstacles: Sequence[Obstacle] = (), radius: ArrayLike | None = None,
+    loads: PointLoads | None = None,
 ) -> Prediction:
     """Move the clamps of rods along a path, quasi-statically, and return the rods at its moments (§III-D).
 
@@ -117,6 +119,7 @@ def predict(
     advance        called with the number of rods at each moment, (T − 1)·between·R in all
     obstacles, radius  as in :func:`doo_ti.relaxation.relax.relax`, without friction and at rest; for others there is
                    :func:`doo_ti.prediction.moving.predict_moving` with quasi-static steps
+    loads          forces and masses at the vertices, of R rows or one
 
     A rod that fails keeps that status at all later moments; the next interval begins at its last configuration. Raises
     InputError where numbers of rods and motions do not match.
@@ -127,7 +130,7 @@ def predict(
                          "give predict_moving with quasi-static steps, or obstacles without friction")
     time = path.states(between)
     travel, rods, (solution, held, jumps) = begun(configuration, material, clamps, path, sub_step, up, solver or Newton(),
-                                                  precision, surroundings)
+                                                  precision, surroundings, loads)
     motions = len(clamps.start_position)
     film = _Film(solution, jumps, held)
     for moment in range(path.moments - 1):
@@ -139,7 +142,7 @@ def predict(
 
 
 def begun(configuration: Configuration, material: Material, clamps: Clamps, path: ClampPath, sub_step: float, up,
-          solver: Newton, precision: str, surroundings: Surroundings):
+          solver: Newton, precision: str, surroundings: Surroundings, loads: PointLoads | None = None):
     """The beginning of :func:`predict`: (the travel, the rods' (R,) rows of ``material``, (the R rods at rest at the path's
     first moment, their N clamps there, (R,) jumps on the way))."""
     motions = clamps.count
@@ -151,7 +154,8 @@ def begun(configuration: Configuration, material: Material, clamps: Clamps, path
     rods = np.arange(motions * material.count)
     if configuration.count == motions:
         configuration = configuration.take(rods % motions)
-    travel = _Travel(material, configuration.rest_length, sub_step, up, solver, precision, surroundings)
+    check_rows("predict", loads, len(rods), configuration.edges + 1)
+    travel = _Travel(material, configuration.rest_length, sub_step, up, solver, precision, surroundings, loads)
     solution = travel.rest(configuration, clamps)
     jumps = np.zeros(len(rods), dtype=np.int32)
     approach = motion_between(clamps, path.at(0, clamps))
@@ -165,6 +169,7 @@ def predict_step(
     configuration: Configuration, material: Material, clamps: Clamps, goal: Annotated[Clamps, "K"], *,
     rotation: Annotated[ArrayLike | None, "() | 1K"] = None, sub_step: float = LARGEST_TURN, up: ArrayLike = (0.0, 0.0, 1.0),
     precision: str = "f32", watch: bool = True, obstacles: Sequence[Obstacle] = (), radius: ArrayLike | None = None,
+    loads: PointLoads | None = None,
 ) -> tuple[Solution, np.ndarray | None]:
     """One rod after each of K candidate motions of its clamps, for planners: the solution, K rods, and (K,) how often each has
     jumped to another branch.
@@ -176,6 +181,7 @@ def predict_step(
     watch          whether jumps are detected, and sub-steps that look like one are repeated in smaller ones. Without it a call
                    takes three quarters of the time and returns None in place of the jumps
     obstacles, radius  as in :func:`doo_ti.relaxation.relax.relax`, for K rods; without friction
+    loads          forces and masses at the vertices, of K rows or one
 
     The number of sub-steps of a rod depends on its own motion. A rod that does not converge in one of them keeps that status.
     Raises InputError where there is more than one rod or material.
@@ -187,12 +193,13 @@ def predict_step(
     doubt_angle("predict_step", "rotation", rotation)
     count = len(goal.start_position)
     surroundings = Surroundings.checked("predict_step", obstacles, radius, count)
+    check_rows("predict_step", loads, count, configuration.edges + 1)
     rows = np.zeros(count, dtype=np.int64)
     motion = motion_between(clamps.take(rows), goal, None if rotation is None else np.broadcast_to(rotation, count))
     still = {f"{end}_{part}": None for end in ("start", "end") for part in ("shift", "turn")
              if not getattr(motion, f"{end}_{part}").any()}
     journey = Journey(replace(motion, **still), material, sub_step, configuration.rest_length, up, precision=precision,
-                      surroundings=surroundings)
+                      surroundings=surroundings, loads=loads)
     solution, jumps = journey.end(configuration.take(rows), watch)
     return solution, jumps if watch else None
 
@@ -208,18 +215,19 @@ class _Travel:
     solver: Newton
     precision: str
     surroundings: Surroundings
+    loads: PointLoads | None
 
     def rest(self, configuration: Configuration, clamps: Clamps) -> Solution:
         """R rods relaxed under N clamps."""
         rods, motions = np.arange(configuration.count), len(clamps.start_position)
         return relax(configuration, self.material, clamps.take(rods % motions), self.solver, up=self.up,
                      precision=self.precision, configuration_index=rods, material_index=rods // motions,
-                     **self.surroundings.arguments)
+                     external=self.loads, **self.surroundings.arguments)
 
     def go(self, configuration: Configuration, motion: Motion) -> tuple[Solution, np.ndarray, Motion]:
         """The rods after ``motion``, their numbers of jumps, and the motion itself."""
         journey = Journey(motion, self.material, self.sub_step, self.rest_length, self.up, self.solver, self.precision,
-                          self.surroundings)
+                          self.surroundings, self.loads)
         return *journey.end(configuration), motion
 
 

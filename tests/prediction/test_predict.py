@@ -5,9 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.io.motion_file import ClampPath
 from doo_ti.motion.path import carried_clamps, carry
+from doo_ti.prediction.moving import predict_moving
 from doo_ti.prediction.predict import predict, predict_step
+from doo_ti.relaxation.point_loads import PointLoads
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.types import Clamp, Clamps, Material, Status
 from doo_ti.system.errors import InputError
@@ -180,3 +183,31 @@ def test_spin_free_ends_go_along_with_their_tangents():
     assert prediction.followed.all() and (prediction.end_rotation == 0).all()
     np.testing.assert_allclose(prediction.at(-1).frames[:, -1, :, 0], (about_z @ clamps.end_frame)[..., 0], atol=1e-9)
     np.testing.assert_allclose(prediction.total_twist[-1], 0, atol=1e-6)
+
+
+def test_loads_go_along():
+    """Each rod carries its own: both predictions end where relaxing under them does, and a candidate motion too."""
+    rods, clamps = bows(MATERIAL)
+    force, mass = np.zeros((2, EDGES + 1, 3)), np.zeros((2, EDGES + 1))
+    force[0, 12], mass[1, 20] = (0.0, 150.0, 0.0), 100.0
+    loads, shift = PointLoads(force, mass), np.array([-6.0, 3.0, 2.0])
+    path = line(clamps, np.zeros(3), 0.5 * shift, shift)
+    goal = replace(clamps, end_position=clamps.end_position + shift)
+    found = predict(rods, MATERIAL, clamps, path, loads=loads)
+    assert found.followed.all() and (found.jumps == 0).all()
+    there = relax(found.at(-1), MATERIAL, goal, external=loads)
+    np.testing.assert_allclose(found.vertices[-1], there.configuration.vertices, atol=1e-4)
+    np.testing.assert_allclose(found.energy[-1], there.energy, rtol=1e-8)
+    bare = predict(rods, MATERIAL, clamps, path)
+    assert (np.abs(found.vertices[-1] - bare.vertices[-1]).max(axis=(1, 2)) > 0.3).all()
+    slowly = predict_moving(rods, MATERIAL, clamps, path, Dynamics(), Stepping(1.0, quasi_static=True), loads=loads)
+    np.testing.assert_allclose(slowly.vertices[-1], there.configuration.vertices, atol=1e-3)
+    one = PointLoads(force[:1])
+    begin = relax(rods.take([0]), MATERIAL, clamps.take([0]), external=one).configuration
+    step, jumps = predict_step(begin, MATERIAL, clamps.take([0]), goal.take([0, 0]), loads=one, precision="f64")
+    assert (jumps == 0).all()
+    np.testing.assert_allclose(step.configuration.vertices, there.configuration.vertices[[0, 0]], atol=1e-4)
+    for call in (lambda: predict(rods, MATERIAL, clamps, path, loads=PointLoads(np.zeros((3, EDGES + 1, 3)))),
+                 lambda: predict_step(begin, MATERIAL, clamps.take([0]), goal, loads=PointLoads(np.zeros((1, 9, 3))))):
+        with pytest.raises(InputError, match="loads"):
+            call()
