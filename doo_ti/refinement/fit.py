@@ -109,9 +109,17 @@ class Fit:
 
     def begin(self, values: Values, scales: Scales) -> State:
         """Rods relaxed from their observations. Raises InputError where none is converged and stable."""
-        state = self.from_marks(values, scales)
-        if self.unknowns.rod.direction_unknown:
+        state, rod = self.from_marks(values, scales), self.unknowns.rod
+        if rod.direction_unknown:
             state = self.posed(state)
+        guessed = ~rod.observations.valid[:, [0, -1]].all(axis=1)
+        if rod.turns_unknown and guessed.any():
+            # A clamp without the outer mark is at a guess, and so is the turn nearest to the marks until it is posed.
+            state = self.posed(state, guessed)
+            for other in (self.posed(self.from_marks(values, scales, turn), guessed) for turn in (-1, 0, 1)):
+                sound = other.solution.converged & other.solution.stable
+                nearer = sound & guessed & (self._of_rods(other, scales) < self._of_rods(state, scales))
+                state = self._merged(state, other, nearer)
         if not state.used.any():
             raise InputError(self.unknowns.rod.observations.source, "vertices_mm",
                              "no rod is converged and stable at the first Θ",

@@ -69,6 +69,19 @@ def test_turns_that_were_measured_are_returned_to():
     np.testing.assert_allclose(_twist(turns_chosen_again(fit, fit.run(wrong, 3), 5)[0].state), measured, atol=0.5)
 
 
+@pytest.mark.thorough
+def test_twists_do_not_follow_the_guessed_place_of_a_missing_outer_mark():
+    twisted = suture(end_rotations_deg=(0.0, 90.0, 170.0, 250.0, -120.0, -200.0), end_distances_mm=(42.0, 78.0))
+    vertices, rest = twisted.vertices[:, ::6].copy(), twisted.rest_length[:30].reshape(-1, 6).sum(axis=1)
+    vertices[::2, -1] = vertices[1::3, 0] = np.nan
+    seen = replace(twisted, vertices=vertices, rest_length=rest, valid=np.isfinite(vertices).all(axis=-1), total_twist=None)
+    unknowns = Unknowns(held(seen), ("bend", "twist"))
+    scales = typical_scales(unknowns.rod.length, 18.0, unknowns.scale_names | {"marks", "gap"}, {})
+    values = unknowns.begun(TRUTH, np.full(2, 1.5))
+    begun = Fit(Comparison.of(unknowns, False), values, RefinementOptions().solver).begin(values, scales)
+    np.testing.assert_allclose(_twist(begun), twisted.total_twist, atol=1.0)
+
+
 def _twist(state: State) -> np.ndarray:
     return joint_twist(state.solution.configuration.quaternions).sum(axis=1)
 
