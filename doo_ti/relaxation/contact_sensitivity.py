@@ -16,6 +16,7 @@ from doo_ti.physics.closure import linear_gradient
 from doo_ti.physics.number import Number
 from doo_ti.physics.quaternion import first_director, second_director
 from doo_ti.physics.tuples import (
+    add,
     against,
     applied,
     extended,
@@ -52,9 +53,9 @@ LEAST_FORCE = 1e-6
 class Kept(Nothing):
     """No energy, with room for what is kept of an edge: besides what all rods have there the blocks of K, by the displacement
     of the edge's start, by both, and by that of its end beyond its start; and the displacement of its start that a column
-    prescribes."""
+    prescribes; and the point load on its end."""
 
-    layout = KEPT + Layout(curvature=6, curvature_s=9, curvature_ss=6, moved=3)
+    layout = KEPT + Layout(curvature=6, curvature_s=9, curvature_ss=6, moved=3, load=3)
 
 
 @ti.data_oriented
@@ -99,6 +100,19 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
                 contact.force = contact.force / (unit * unit)
                 contact.force_between = contact.force_between / (unit * unit)
                 contact.active = ti.select(contact.force_between > 0.0, 1.0, 0.0)
+        row = ti.min(tables.rods[index, of.RESULT_ROW], tables.point_loads.shape[0] - 1)
+        for e in range(rod.edges):
+            vertex = ti.min(e + 1, tables.point_loads.shape[1] - 1)
+            for k in ti.static(range(3)):
+                self.edge(rod.head, e).outer.load[k] = tables.point_loads[row, vertex, k] / rod.head.energy_unit
+
+    @ti.func
+    def load(self, rod, edge, e, start, end, found):
+        """With the point load on the edge's end."""
+        load = LoadedElimination.load(self, rod, edge, e, start, end, found)
+        force = negated(edge.outer.load)
+        add(load, gradient=force, gradient_s=force, known=force, known_s=force)
+        return load
 
     @ti.func
     def keep_load(self, edge, load):

@@ -100,8 +100,8 @@ def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist"
 
     Forces and masses at vertices (:class:`.PointLoads`) stay as they are.
 
-    Raises InputError for unknown or repeated parameters, modes of another shape, "up" of rods with point masses, rods with
-    point loads among obstacles, and where :func:`.end_loads` does.
+    Raises InputError for unknown or repeated parameters, modes of another shape, "up" of rods with point masses, and where
+    :func:`.end_loads` does.
     """
     solution = alone("sensitivity", solution)
     table = solution.tables
@@ -197,8 +197,6 @@ def check_parameters(function: str, parameters: Sequence[str], known: tuple[str,
     joints = table.edges - 1
     if modes is not None and (np.ndim(modes) != 3 or np.shape(modes)[1:] != (joints, 2)):
         raise InputError(function, "modes", f"shape {np.shape(modes)}", f"give (M, {joints}, 2)")
-    if table.contact is not None and table.external is not None:
-        raise InputError(function, "solution", "rods under point loads among obstacles", "relax them without one of the two")
     if "up" in parameters and table.external is not None and table.external.mass.any():
         raise InputError(function, "parameters", "'up' of rods with point masses, whose weight turns too",
                          "give their weight as forces, which do not turn")

@@ -154,7 +154,8 @@ def _launch(table: Tables, first: int, last: int, rows: np.ndarray, contact: Con
     else:
         kernel = kernel_for(stride, block, contact.known)
         obstacles, radius = (array if len(array) == 1 else array[first:last] for array in (contact.obstacles, contact.radius))
-        outer = (obstacles, contact.kinds, contact.grids, radius, contact.memory[first:last])
+        loads = np.zeros((1, 1, 3)) if table.external is None else point_loads(table)[first:last]
+        outer = (obstacles, contact.kinds, contact.grids, radius, contact.memory[first:last], loads)
         items = numbers_of_rod(edges, False, Kept, True) + contact_items(edges, len(contact.kinds))
     kernel(
         table.start.reshape(-1), table.rest_length, table.clamp, table.material, np.array(table.up, dtype=np.float64), rods,
@@ -176,7 +177,12 @@ def _beyond(table: Tables, first: int, last: int) -> np.ndarray:
 def vertex_forces(table: Tables) -> np.ndarray:
     """(R, V, 3) of obstacles and of point loads with their masses' weight."""
     forces = np.zeros((table.count, table.edges + 1, 3)) if table.contact is None else table.contact.forces
-    return forces if table.external is None else forces + table.external.whole_force[table.external_index]
+    return forces if table.external is None else forces + point_loads(table)
+
+
+def point_loads(table: Tables) -> np.ndarray:
+    """(R, V, 3) forces and the weight of masses, of rods that have them."""
+    return table.external.whole_force[table.external_index]
 
 
 # What kernels are given, in this order: for rods at rest of any kind, and where their derivatives go.
@@ -197,7 +203,8 @@ COLUMNS = {
     "loads": TABLE3,  # [row, LOADS, column] out
     "moments": TABLE2,  # [row, 6] out: at the start and at the end
 }
-CONTACTS_AT_REST = {name: OBSTACLES[name] for name in ("obstacles", "kinds", "grids", "radius", "memory")}
+CONTACTS_AT_REST = {name: OBSTACLES[name] for name in ("obstacles", "kinds", "grids", "radius", "memory")} | {
+    "point_loads": TABLE3}  # [row, vertex, 3], or a single one of zero
 
 
 @cache

@@ -4,7 +4,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from doo_ti import Clamp, Configuration, Itself, Material, Newton, Plane, Sphere, end_clamps, end_loads, overhand_knot, relax
+from doo_ti import (
+    Clamp,
+    Configuration,
+    Itself,
+    Material,
+    Newton,
+    Plane,
+    PointLoads,
+    Sphere,
+    end_clamps,
+    end_loads,
+    overhand_knot,
+    pullback,
+    relax,
+)
 from doo_ti.relaxation.sensitivity import sensitivity, tilt_axes
 from doo_ti.rod.frames import rotation_matrix
 from tests.contact.clutter import OBSTACLES, RADIUS, sagging
@@ -108,6 +122,33 @@ def test_loads_balance_weight_and_contact():
     moment = loads.start_moment + loads.end_moment + np.cross(x[:, -1], loads.end_force)
     moment = moment + np.cross(x, rest.contact.force + hanging).sum(axis=1)
     assert np.abs(moment)[rows].max() < 1e-6 * np.abs(loads.start_moment)[rows].max()
+
+
+def test_point_loads_stiffen_rods_in_contact():
+    """Forces and masses, on a slope and a ball, the free end last or first: by central differences of fourth order."""
+    one = Configuration.straight(np.array([0.0, 0.0, 12.0]), np.array([1.0, 0.2, -0.1]), 100.0, 24)
+    rng = np.random.default_rng(5)
+    among = dict(obstacles=[Plane((0, 0, 0), (0.05, 0.02, 1)), Sphere((60, 3, -8), 12.0)], radius=2.0)
+    close = Newton(tolerance=1e-10, max_iterations=1000, gap_tolerance=1e-8)
+    loads, cotangent = PointLoads(rng.normal(size=(1, 25, 3)), 1.0), rng.normal(size=(1, 25, 3))
+    for kinds in ((Clamp.FRAME, Clamp.FREE), (Clamp.FREE, Clamp.FRAME), (Clamp.FRAME, Clamp.POSITION)):
+        clamps = with_kinds(clamps_at(one), [kinds])
+        if kinds[1] == Clamp.POSITION:
+            clamps = replace(clamps, end_position=clamps.end_position - [4.0, 0.0, 0.0])
+
+        def again(step, begin, solver=replace(close, first_shift=0.0), clamps=clamps):
+            return relax(begin, Material(4e4 + step, 3e4, 1.0), clamps, solver, external=loads, **among)
+
+        rest = again(0.0, one, close)
+        assert rest.stable.all() and rest.contact.touching.any()
+        near, far = ((again(step, rest).configuration.vertices - again(-step, rest).configuration.vertices) / (2 * step)
+                     for step in (200.0, 400.0))
+        found = sensitivity(rest, ("bend",)).vertices[..., 0]
+        off = np.abs(found - (4 * near - far) / 3).max() / np.abs(found).max()
+        print(f"off by {off:.1e}")
+        assert off < 1e-4
+        pulled = pullback(rest, cotangent, ("bend",))["bend"]
+        np.testing.assert_allclose(pulled, (cotangent * found).sum(axis=(1, 2)), rtol=1e-6)
 
 
 def test_rods_that_touch_nothing_are_as_without_obstacles():

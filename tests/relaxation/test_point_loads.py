@@ -225,11 +225,9 @@ def test_what_has_no_derivatives_is_refused(rng):
     material, held = Material(BEND, BEND), end_clamps(rod, Clamp.FRAME, Clamp.FREE)
     masses = PointLoads(np.zeros((1, 21, 3)), 1.0)
     sprung = PointLoads(np.zeros((1, 21, 3)), springs=Springs(rod.vertices, np.ones((1, 21))))
-    table = [Plane((0, 0, -500), (0, 0, 1))]
     for solution, parameters, field in (
         (relax(rod, material, held, external=masses), ("up",), "parameters"),
         (relax(rod, material, held, external=sprung), ("bend",), "solution"),
-        (relax(rod, material, held, external=masses, obstacles=table, radius=1.0), ("bend",), "solution"),
     ):
         for call in (lambda: sensitivity(solution, parameters), lambda: pullback(solution, None, parameters)):
             with pytest.raises(InputError) as caught:
