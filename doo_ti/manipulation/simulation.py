@@ -68,8 +68,8 @@ class Simulation:
     @typed
     def step(self, grippers: Clamps) -> Solution:
         """The rods after their grippers have moved to ``grippers``, of B rods and the kinds of clamps that they have: along
-        straight lines, frames turning the shortest way. A rod that fails in a sub-step keeps that status in the result, and goes
-        on from where it was last at rest."""
+        straight lines, frames turning the shortest way. A rod that fails in a sub-step keeps that status in the result, and
+        goes on from where it was last at rest."""
         if grippers.count != self.clamps.count:
             raise InputError("Simulation.step", "grippers", f"{grippers.count} rows", f"give {self.clamps.count}")
         motion = motion_between(self.clamps, grippers)
