@@ -206,24 +206,6 @@ def test_files_that_are_refused(tmp_path):
         assert str(tmp_path / name) in str(caught.value)
 
 
-def test_damaged_files_are_read_or_refused(tmp_path, rng):
-    """Bytes changed, cut out and repeated: never another error, nor a warning."""
-    texts = {name: text for name, (text, _) in FILES.items()} | {"cable.xml": CABLE}
-    words = [b"nan", b"1e400", b"-1", b"", b",", b"\n", b"[", b")", b"99999999999", b"\x00", b"\xff", b'"', b"<body>"]
-    for trial in range(400):
-        name = sorted(texts)[trial % len(texts)]
-        content = bytearray(texts[name].encode())
-        for _ in range(rng.integers(1, 5)):
-            at, length = rng.integers(len(content)), rng.integers(0, 40)
-            content[at : at + length] = words[rng.integers(len(words))] if rng.random() < 0.6 else content[: rng.integers(50)]
-        path = tmp_path / name
-        path.write_bytes(bytes(content) or b" ")
-        try:
-            load_observations(path, unit="m" if trial % 2 else None)
-        except InputError as error:
-            assert str(path) in str(error)
-
-
 def test_options_that_do_not_fit_the_file(tmp_path):
     (tmp_path / "x.txt").write_text(FILES["blocks.txt"][0])
     (tmp_path / "x.csv").write_text(table(MARKS, "observation,vertex,x,y,z"))

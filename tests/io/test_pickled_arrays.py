@@ -62,19 +62,6 @@ def test_other_content_is_refused(tmp_path, value):
         read_pickled_array(written(tmp_path / "a.pkl", value))
 
 
-def test_damaged_files_are_refused_in_one_line(tmp_path, rng):
-    whole = pickle.dumps(list(FRAMES), 4)
-    for _ in range(300):
-        content = bytearray(whole[: rng.integers(1, len(whole))] if rng.random() < 0.3 else whole)
-        for place in rng.integers(0, len(content), 3):
-            content[place] = rng.integers(0, 256)
-        (tmp_path / "a.pkl").write_bytes(bytes(content))
-        try:
-            read_pickled_array(tmp_path / "a.pkl")
-        except InputError as error:
-            assert "\n" not in str(error)
-
-
 def test_a_folder_of_recordings_is_one_npz(tmp_path):
     for number in (9, 10):
         written(tmp_path / f"{number}.pkl", [number * frame for frame in FRAMES])

@@ -66,18 +66,11 @@ def test_the_energy_is_the_sum_it_says(rng):
     assert total_energy(rod, springs, state) == pytest.approx(energy_of(rod, state)[0] + expected, rel=1e-13)
 
 
-def test_gradient_against_complex_steps_and_central_differences(rng):
+def test_gradient_against_complex_steps(rng):
     rod, state, springs = problem(rng)
     gradient, _ = total_derivatives(rod, springs, state)
     exact = np.array([slope(rod, springs, state, k) for k in everything(rod)])
     np.testing.assert_allclose(gradient, exact, rtol=0, atol=1e-12 * np.abs(exact).max())
-    for k in everything(rod):
-        sides = []
-        for sign in (1e-5, -1e-5):
-            step = np.zeros(3 + 3 * rod.edges)
-            step[k] = sign
-            sides.append(total_energy(rod, springs, turned(state, step)))
-        assert (sides[0] - sides[1]) / 2e-5 == pytest.approx(gradient[k], abs=1e-6 * np.abs(gradient).max())
 
 
 @pytest.mark.thorough
@@ -91,16 +84,6 @@ def test_hessian_against_differences_of_complex_steps(rng):
             difference = slope(rod, springs, state, k, offsets[m]) - slope(rod, springs, state, k, -offsets[m])
             assert difference / 2e-5 == pytest.approx(hessian[k, m], abs=1e-7 * np.abs(hessian).max())
     np.testing.assert_allclose(hessian, hessian.T, rtol=0, atol=1e-13 * np.abs(hessian).max())
-
-
-def test_vertex_jacobian_moves_the_vertices(rng):
-    rod, state, _ = problem(rng)
-    jacobian = vertex_jacobian(rod, state.quaternions)
-    for k in everything(rod):
-        unknowns = np.zeros(3 + 3 * rod.edges, dtype=complex)
-        unknowns[k] = 1e-100j
-        moving = vertices_of(rod, turned(state, unknowns)).imag * 1e100
-        np.testing.assert_allclose(jacobian[:, :, k], moving, atol=1e-13)
 
 
 def on_closure(rod, state, ends, matrix) -> np.ndarray:
@@ -142,27 +125,6 @@ def test_the_step_solves_the_shifted_problem(rng, start, end):
                                atol=1e-6 * np.abs(gradient).max())
 
 
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize("end", [Clamp.FREE, Clamp.TANGENT], ids=["free end", "both held"])
-@pytest.mark.parametrize("start", STARTS)
-def test_unshifted_steps_converge_quadratically(rng, start, end):
-    """Near the minimum the residual decreases quadratically: gradient, Hessian and multiplier are consistent."""
-    rod, state, springs = problem(rng)
-    ends = ends_of(rod, state, start, end)
-    found = minimum(rod, springs, state, ends)
-    assert found.converged and found.stable
-    free = free_variables(rod, ends)
-    near = moved(found.state, free, 1e-3 * rng.normal(size=len(free)))
-    sizes = []
-    for _ in range(4):
-        step = newton_step(rod, springs, near, ends)
-        miss = 0.0 if end == Clamp.FREE else np.linalg.norm(vertices_of(rod, near)[-1] - ends.end_position)
-        sizes.append(max(np.abs(step.residual).max() / 2e4, miss))
-        near = turned(near, np.append(step.translation, step.rotation))
-    assert step.descends and sizes[-1] < 1e-10, sizes
-    assert all(after < max(2e3 * before**2, 1e-10) for before, after in zip(sizes, sizes[1:], strict=False)), sizes
-
-
 CASES = {
     "frame, free end": (4, Clamp.FRAME, Clamp.FREE),
     "tangent, free end": (5, Clamp.TANGENT, Clamp.FREE),
@@ -192,19 +154,6 @@ def test_minimum_against_a_general_optimiser(rng, case):
     np.testing.assert_allclose(vertices_of(rod, moved(near, free, answer.x)), found.vertices, atol=1e-2)
 
 
-@pytest.mark.sampled(2)
-@pytest.mark.parametrize("start", [*STARTS, Clamp.FREE])
-def test_no_neighbour_of_the_minimum_is_lower(rng, start):
-    """Springs alone hold a rod that no clamp does."""
-    rod, state, springs = problem(rng, 8)
-    ends = ends_of(rod, state, start, Clamp.FREE)
-    found = minimum(rod, springs, state, ends)
-    assert found.converged and found.stable and found.energy < total_energy(rod, springs, state)
-    free = free_variables(rod, ends)
-    for _ in range(20):
-        assert total_energy(rod, springs, moved(found.state, free, 1e-3 * rng.normal(size=len(free)))) > found.energy
-
-
 @pytest.mark.thorough
 def test_without_springs_it_is_the_equilibrium_of_the_rod(rng):
     for end in (Clamp.FREE, Clamp.TANGENT):
@@ -214,17 +163,6 @@ def test_without_springs_it_is_the_equilibrium_of_the_rod(rng):
         found, plain = minimum(rod, none, state, ends), equilibrium(rod, state, ends)
         assert found.converged and found.energy == pytest.approx(plain.energy, rel=1e-10)
         np.testing.assert_allclose(found.force, plain.force, rtol=1e-5, atol=1e-6)
-
-
-def test_stiff_springs_put_the_vertices_on_their_targets(rng):
-    """Targets that a rod of these lengths can reach, with springs far stiffer than the rod: it reaches them."""
-    rod, state = random_rod(rng, edges=6), random_state(rng, edges=6, bending=0.1)
-    free_end = ends_of(rod, state, Clamp.FRAME, Clamp.FREE)
-    bent = turned(state, np.append(np.zeros(6), 0.2 * rng.normal(size=15)))
-    springs = Springs.at_vertices(np.full(7, 1e7), vertices_of(rod, bent))
-    found = minimum(rod, springs, closed(rod, free_end, state, free_variables(rod, free_end)), free_end)
-    assert found.converged
-    np.testing.assert_allclose(found.vertices, vertices_of(rod, bent), atol=5e-3)
 
 
 def test_an_unstable_start_is_left(rng):

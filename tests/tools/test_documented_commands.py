@@ -10,10 +10,8 @@ import pytest
 
 from doo_ti.commands.help_text import EXAMPLES
 from tools.maintenance import mutations
-from tools.studies import compare_peers, detection_study, reproduce
-from tools.studies.replication import specimens
-from tools.studies.replication.criteria import CRITERIA, Verdict, verdict
-from tools.studies.replication.study import ITEMS
+from tools.studies import detection_study, reproduce
+from tools.studies.replication.criteria import CRITERIA
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = [*sorted((ROOT / "docs").rglob("*.md")),
@@ -70,43 +68,11 @@ def test_items_are_measured_and_reported(tmp_path, capsys):
     assert "did not run" not in text and "1.40 / 0." in text
 
 
-def test_a_missing_scene_fails_the_run(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(specimens, "SCENES", tmp_path)
-    report = tmp_path / "REPLICATION.md"
-    assert reproduce.main(["Table I", "--size", "tiny", "--report", str(report)]) == 1
-    assert "did not run" in report.read_text(encoding="utf-8") and "nylon.toml" in capsys.readouterr().err
-
-
-def test_a_scene_that_a_small_run_leaves_out_is_missed(tmp_path, monkeypatch, capsys):
-    for scene in specimens.SCENES.glob("*.*"):
-        if scene.name != "loops_silk.toml":
-            (tmp_path / scene.name).write_bytes(scene.read_bytes())
-    monkeypatch.setattr(specimens, "SCENES", tmp_path)
-    assert reproduce.main(["Fig. 6", "--size", "tiny", "--report", str(tmp_path / "REPLICATION.md")]) == 1
-    assert "loops_silk.toml" in capsys.readouterr().err
-
-
-def test_criteria_are_those_of_the_items():
-    assert set(CRITERIA) < set(ITEMS)
-    assert [verdict(held) for held in ([True] * 4 + [False], [True, False], [False] * 5)] == [
-        Verdict.REPRODUCED, Verdict.PARTLY, Verdict.NOT]
-
-
 @pytest.mark.thorough
 def test_detection_is_measured(capsys, monkeypatch):
     monkeypatch.setattr(detection_study, "ROWS", detection_study.ROWS[:2])
     assert detection_study.main(["--rods", "1"]) == 0
     assert len(capsys.readouterr().out.strip().splitlines()) == 2 + len(detection_study.ROWS)
-
-
-def test_a_closer_or_missing_peer_gives_no_ratio():
-    def row(name, microseconds, continuum):
-        return compare_peers.Row(name, microseconds, "", 0.0, continuum, continuum)
-
-    here = row("this package", 2.0, 0.03)
-    assert compare_peers.ratio([here, row("MuJoCo", 8e4, 0.07), row("MuJoCo", 2e5, 0.04)]) == 4e4
-    assert compare_peers.ratio([here, row("MuJoCo", 8e4, 0.07), row("MuJoCo", 2e5, 0.01)]) == 0
-    assert compare_peers.ratio([here]) == 0
 
 
 @pytest.mark.parametrize("fault", mutations.FAULTS.values(), ids=mutations.FAULTS)

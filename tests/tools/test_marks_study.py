@@ -1,17 +1,12 @@
 """The rod of the marks study against a closed form and an initial value problem; its specimens; its table."""
 
-import json
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import ellipe, ellipk
 
-from doo_ti import load_observations
 from tests.conftest import SEED
 from tools.studies.marks_study.rod import cross, equilibria, turned
-from tools.studies.marks_study.specimens import NUISANCES, drawn, exact, mark_lengths, specimen
 from tools.studies.marks_study.table import deviation, table
 
 
@@ -49,24 +44,6 @@ def test_the_rod_solves_the_initial_value_problem_of_its_start(load):
         y = solve_ivp(along, (0, 1), y, args=(rod,), rtol=1e-9, atol=1e-11).y[:, -1]
         np.testing.assert_allclose(y[:3], span[rod], atol=3e-5)
         np.testing.assert_allclose(y[3:12], end[rod].ravel(), atol=3e-4)
-
-
-def test_specimens_are_the_same_every_time_and_nuisances_do_not_change_each_other(tmp_path):
-    recipe = replace(drawn("cable", SEED, NUISANCES, small=True), poses=4)
-    other = replace(recipe, nuisances=("clip", "spacing"))
-    assert specimen(recipe, tmp_path / "one") == specimen(recipe, tmp_path / "two")
-    assert json.loads((tmp_path / "one" / "truth.json").read_text())["EI"] == recipe.EI
-    for file in (tmp_path / "one").iterdir():
-        assert file.read_bytes() == (tmp_path / "two" / file.name).read_bytes()
-    read = load_observations(tmp_path / "one" / "marks.csv", unit="m", up=np.eye(3)["xyz".index(recipe.up)],
-                             columns={"observation": "pose", "vertex": "mark"})
-    assert read.vertices.shape == (4, 13, 3) and not read.valid.all()
-    arc, believed = mark_lengths(drawn("cable", SEED, ()))
-    np.testing.assert_allclose(np.diff(arc), believed)
-    plain = exact(other)[0]
-    np.testing.assert_array_equal(plain, exact(replace(other, nuisances=("clip", "spacing", "missing", "frames")))[0])
-    gaps, lengths = np.linalg.norm(np.diff(plain, axis=1), axis=-1), np.diff(mark_lengths(other)[0])
-    assert (gaps < lengths * (1 + 1e-6)).all() and (gaps > 0.5 * lengths).all()
 
 
 def test_coverage_is_counted_towards_the_truth():

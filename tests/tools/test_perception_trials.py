@@ -6,75 +6,15 @@ import numpy as np
 import pytest
 
 from doo_ti.perception.search import PerceptionOptions
-from doo_ti.vision.rendering.tubes import smooth_curve
 from doo_ti.vision.reprojection.distance_map import distance_maps
-from doo_ti.vision.reprojection.score import score
-from tests.vision.drawn_maps import curves, drawn_maps, three_cameras
 from tools.studies.perception_study import mapped, photographed, recovered
 from tools.studies.replication.images import PAPER_MM
 from tools.studies.trials.perception import (
-    Trial,
-    crossings,
-    distance_to_curve,
     filled,
-    sets_of,
     unseen,
     usual_width,
     with_energy,
-    without_camera,
 )
-
-
-def test_crossings_of_known_figures():
-    t = np.linspace(0.1, 2 * np.pi - 0.1, 200)
-    eight = np.stack([np.cos(t), np.sin(2 * t)], axis=1)
-    trefoil = np.stack([np.sin(t) + 2 * np.sin(2 * t), np.cos(t) - 2 * np.cos(2 * t)], axis=1)
-    spiral = t[:, None] * np.stack([np.cos(3 * t), np.sin(3 * t)], axis=1)
-    assert crossings(np.stack([eight, trefoil, spiral])).tolist() == [1, 3, 0]
-
-
-def test_crossings_of_any_polygon(rng):
-    """Against signs of triangles, a pair of edges at a time."""
-    polygons = rng.normal(size=(3, 4, 12, 2))
-
-    def side(a, b, c):
-        return np.sign((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
-
-    for polygon, found in zip(polygons.reshape(-1, 12, 2), crossings(polygons).ravel(), strict=True):
-        wanted = 0
-        for i in range(11):
-            for j in range(i + 2, 11):
-                a, b, c, d = polygon[i], polygon[i + 1], polygon[j], polygon[j + 1]
-                wanted += side(a, b, c) != side(a, b, d) and side(c, d, a) != side(c, d, b)
-        assert found == wanted
-
-
-def test_distance_to_a_curve(rng):
-    """Against the same curve, sampled a hundred times as densely."""
-    rods = curves(rng, 3, 8)
-    curve, dense = smooth_curve(rods, 20), smooth_curve(rods, 2000)
-    points = rods + rng.normal(scale=0.3, size=rods.shape)
-    wanted = np.linalg.norm(points[:, :, None] - dense[:, None], axis=-1).min(axis=-1)
-    np.testing.assert_allclose(distance_to_curve(points, curve), wanted, atol=2e-3)
-    np.testing.assert_allclose(distance_to_curve(rods, curve), 0, atol=1e-12)
-
-
-def test_correct_is_below_a_millimetre_and_a_number():
-    energy, truth = np.array([1.0, 2.0, np.inf, 3.0]), np.array([0.5, 1.0, 2.0, 4.0])
-    trial = Trial(np.array([0.99, 1.0, np.nan, 5.0]), np.zeros(4), energy, truth, np.zeros(4, dtype=int))
-    assert trial.correct.tolist() == [True, False, False, False]
-    assert trial.overlooked.tolist() == [False, True, True, False]
-
-
-def test_fewer_cameras_and_sets(rng):
-    rods, rig = curves(rng, 3, 6), three_cameras()
-    maps = drawn_maps(rig, rods)
-    whole = score(rods, maps, np.arange(3), rig, 1.0)
-    less, pair = without_camera(maps, rig, 1)
-    assert pair.names == (rig.names[0], rig.names[2])
-    np.testing.assert_array_equal(score(rods, less, np.arange(3), pair, 1.0).camera_error, whole.camera_error[:, [0, 2]])
-    some = score(rods[[2, 0]], sets_of(maps, np.array([2, 0])), np.arange(2), rig, 1.0)
-    np.testing.assert_array_equal(some.camera_error, whole.camera_error[[2, 0]])
 
 
 @pytest.mark.thorough

@@ -11,14 +11,6 @@ from tests.relaxation.lab import lab
 from tools.studies.trials.prediction import moved_as_one, moved_by_blend, predict_marks, predict_steps, rotation_steps
 
 
-def test_guesses_that_know_no_rod():
-    vertices = np.stack([np.linspace(0, 30, 4), np.zeros(4), np.zeros(4)], axis=1)[None]
-    start, end = np.array([[1.0, 0, 0]]), np.array([[0, 0, 3.0]])
-    np.testing.assert_allclose(moved_as_one(vertices, start, end) - vertices, np.tile([0.5, 0, 1.5], (1, 4, 1)))
-    blend = moved_by_blend(vertices, start, end, np.full(3, 10.0)) - vertices
-    np.testing.assert_allclose(blend[0], [[1, 0, 0], [2 / 3, 0, 1], [1 / 3, 0, 2], [0, 0, 3]])
-
-
 @pytest.mark.parametrize("name, largest", [("nylon", 1.0), ("vicryl", 1.0), ("silk", 1.0)])
 def test_the_lab_s_rotation_steps(laboratory, name, largest):
     rods = lab(laboratory, name)
