@@ -79,6 +79,7 @@ def test_busy_lanes_and_the_share_of_the_peak(reference):
     assert Measurement("rods/s", 1.0, 1.0, 1.0, 1.0).share_of({"f32": 8.0}) is None
 
 
+@pytest.mark.thorough
 def test_the_peak_is_the_most_that_was_found(monkeypatch):
     monkeypatch.setattr(peak, "TRIPS", 1000)
     found = peak.peak_gflops()

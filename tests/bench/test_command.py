@@ -19,6 +19,7 @@ def small(monkeypatch):
     monkeypatch.setattr(peak, "TRIPS", 1000)
 
 
+@pytest.mark.thorough
 def test_everything_goes_into_one_table_and_one_file(capsys, tmp_path):
     out = tmp_path / "new" / "bench"
     assert main(["bench", "--rods", "64", "--rounds", "1", "--out", str(out)]) == 0

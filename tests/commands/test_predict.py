@@ -200,6 +200,7 @@ def theta_file(folder, shape_length: float = 100.0, **changes):
     return folder / "theta.json"
 
 
+@pytest.mark.thorough
 def test_rods_with_inertia(folder, capsys):
     command = ["predict", str(folder / "seen.npz"), "--motion", str(folder / "marks.npz"), "--theta", str(theta_file(folder)),
                "--out", str(folder / "f.npz")]

@@ -157,6 +157,7 @@ def long_outer_edges() -> Observations:
     return Observations(marks, rest_length=np.full(8, 120.0), start_frame=clamps.start_frame, end_frame=clamps.end_frame)
 
 
+@pytest.mark.thorough
 def test_clips_need_not_hold_whole_outer_edges(tmp_path, capsys):
     path, run = tmp_path / "rods.npz", tmp_path / "run"
     save_observations(path, long_outer_edges())

@@ -48,6 +48,7 @@ def test_predict_follows_the_path_to_the_target(folder, own, capsys):
         assert np.linalg.norm(moved["vertices_mm"][-1, 0] - own.goal[0], axis=-1).mean() < 0.5
 
 
+@pytest.mark.thorough
 def test_a_target_out_of_reach_is_said(folder, own, capsys):
     asked = np.full_like(own.goal, np.nan)
     asked[:, 0], asked[:, -1] = [0.0, 0, 0], [400.0, 0, 0]

@@ -82,6 +82,7 @@ def test_friction_and_stiffness_are_found(motion):
     assert not found.failed.any() and np.abs(off).max() < 1e-3 and found.error.max() < 1e-3
 
 
+@pytest.mark.thorough
 def test_friction_and_stiffness_are_found_in_noise(motion, rng):
     """0.3 mm at every marker, those of the grippers included, whose noise shakes the rod loose unless it is smoothed."""
     noisy = RecordedMotion.of(motion.positions + 0.3 * rng.normal(size=motion.positions.shape), RATE)
@@ -96,6 +97,7 @@ def test_friction_and_stiffness_are_found_in_noise(motion, rng):
     assert abs(found.theta.friction - TRUE.friction) < abs(shaken.theta.friction - TRUE.friction)
 
 
+@pytest.mark.thorough
 def test_a_rope_may_be_dragged_at_one_end(rng):
     """With 0.3 mm of noise at all markers; the free end slides as well."""
     motion = recorded(rng, Clamp.FREE)
@@ -123,6 +125,7 @@ def test_intervals_hold_the_truth(rng):
     assert np.mean(inside) > 0.7 and (largest < 0.15).all()
 
 
+@pytest.mark.thorough
 def test_differences_of_rollouts_are_those_of_any_step(motion):
     """Ten times the step gives the same slopes, but where contacts begin."""
     fitted = Unknowns(TRUE, 0, OPTIONS.fitted)
@@ -175,6 +178,7 @@ def test_what_cannot_be_is_one_line(motion):
         identify(motion, GUESS, high)
 
 
+@pytest.mark.thorough
 def test_commands_take_the_table_and_the_friction(motion, tmp_path, capsys):
     np.savez(tmp_path / "dragged.npz", positions_mm=motion.positions, rate_hz=RATE)
     (tmp_path / "table.toml").write_text('[[obstacles]]\nkind = "plane"\npoint = [0, 0, 0]\nnormal = [0, 0, 1]\n')

@@ -70,6 +70,7 @@ def test_rods_that_are_not_finite_are_found_after_relaxations_and_not_in_motions
     assert not approach_in_motion(places, gone, rows, lengths, radius).any()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("edges, radius", [(20, 3.0), (40, 1.0)])
 @pytest.mark.parametrize("precision", ["f32", "f64", "mixed"])
 def test_rods_that_stay_in_order_are_apart_and_have_not_turned(rng, edges, radius, precision, monkeypatch):

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from doo_ti import (
     Clamp,
@@ -31,6 +32,7 @@ UP = np.array([0.1, 0.05, 1.0]) / np.linalg.norm([0.1, 0.05, 1.0])
 LOADS = ("start_force", "start_moment", "end_force", "end_moment")
 
 
+@pytest.mark.thorough
 def test_rods_relaxed_again_move_so():
     """Amid obstacles of all kinds, by central differences: places, and forces and moments at both ends."""
     start, material, clamps = sagging(np.random.default_rng(5), 48)

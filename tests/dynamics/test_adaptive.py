@@ -45,6 +45,7 @@ def test_a_rod_is_refined_alone_as_among_others(rng):
         np.testing.assert_array_equal(together.memory.places[chosen], fixed.memory.places[chosen])
 
 
+@pytest.mark.thorough
 def test_pairs_springs_and_detail_go_with_their_rods(rng):
     rods, grippers = swung(rng, 3)
     material, pairs = Material([3e4, 6e4], [2e4, 4e4]), (np.array([0, 2, 2, 1]), np.array([1, 0, 1, 0]))

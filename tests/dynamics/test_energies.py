@@ -49,6 +49,7 @@ def at_rest(rng, material: Material, start: Clamp, end: Clamp, count: int = 3):
     return relax(rods, material, clamps_at(rods, start, end)).configuration
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("scheme, order", [("bdf2", 1.8), ("euler", 0.8)])
 @pytest.mark.parametrize("start, end", [(Clamp.FRAME, Clamp.FRAME), (Clamp.FRAME, Clamp.FREE), (Clamp.FREE, Clamp.TANGENT),
                                         (Clamp.TANGENT, Clamp.POSITION), (Clamp.POSITION, Clamp.FRAME)])
@@ -64,6 +65,7 @@ def test_energy_losses_and_work_balance(rng, start, end, scheme, order):
         assert (fine[name][:, -1] > 0).all() and (np.diff(fine[name], axis=1) >= 0).all()
 
 
+@pytest.mark.thorough
 def test_an_undamped_rod_keeps_its_energy(rng):
     """At rest until gravity turns by 30 degrees. No loss, and grippers that rest do no work: the drift is the scheme's, of
     second order."""

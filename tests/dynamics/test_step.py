@@ -98,7 +98,7 @@ def random_rods(rng, general: bool):
     return rods, material, moving(rods, KINDS, rng), dynamics, velocity, springs
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("general, scheme, smooth", [(False, "bdf2", False), (True, "euler", True), (True, "bdf2", True)])
 def test_steps_are_those_of_dense_linear_algebra(rng, monkeypatch, general, scheme, smooth):
     rods, material, grippers, dynamics, velocity, springs = random_rods(rng, general)

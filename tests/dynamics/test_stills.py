@@ -54,6 +54,7 @@ def noisy(rng, count: int, noise: float) -> RecordedMotion:
     return RecordedMotion.of(positions, RATE)
 
 
+@pytest.mark.thorough
 def test_still_frames_narrow_the_intervals(rng):
     """Four recordings of 1 mm noise alone, and with twelve still frames of 0.05 mm noise, three times; the truth is inside."""
     begin = replace(GUESS, quadratic_drag=TRUE.quadratic_drag)

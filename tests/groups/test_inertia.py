@@ -152,6 +152,7 @@ def test_rods_that_collide_keep_their_momentum():
     assert gap.min() > -1e-3 * 1.5 and (gap < 0.01).any() and moved[..., 1].mean() > 1.0
 
 
+@pytest.mark.thorough
 def test_a_group_moves_among_others_as_alone():
     group = harness(3)
     rods = [replace(rod, start=rod.start + [[0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [2.0, 0.0, 0.0]]) for rod in group.rods]

@@ -84,7 +84,7 @@ def off(kind: str, ratio: float) -> tuple[np.ndarray, np.ndarray]:
     return found, sure
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", [kind for kind in KINDS[1:] if kind not in ("along", "net")])  # those take long
 def test_what_is_soft_is_resolved_beside_what_is_stiff(kind):
     found, sure = off(kind, 1e6)
@@ -99,7 +99,7 @@ def test_the_whole_table(kind):
     assert np.mean([np.isfinite(found) for found, _ in every]) > (0.75 if kind == "net" else 0.98)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("ratio", RATIOS[::-3])
 def test_rods_that_nothing_ties_are_those_alone(ratio):
     """Where both come to rest in the same equilibrium, of which a bent rod has several."""

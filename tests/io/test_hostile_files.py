@@ -256,7 +256,8 @@ def read_all(folder: Path, answers) -> None:
     answers.send(wrong)
 
 
-@pytest.mark.parametrize("kind", ["small", pytest.param("damaged", marks=pytest.mark.thorough)])
+@pytest.mark.thorough
+@pytest.mark.parametrize("kind", ["small", "damaged"])
 def test_files_are_read_or_refused_in_bounded_memory(tmp_path, rng, kind):
     pytest.importorskip("trimesh")
     if kind == "small":

@@ -124,6 +124,7 @@ def test_spins_are_spread_over_a_turn(rng):
     assert hypotheses_of(hinted, observation_clamps(hinted), spins=8).count == 6 * 8
 
 
+@pytest.mark.thorough
 def test_an_unknown_spin_is_found(tmp_path):
     """The rods of the small lab without their end frames: with 24 angles the twist of the labels is found again, and
     the material with it; an end that may spin does not determine twist."""

@@ -45,6 +45,7 @@ def test_a_held_gripper_stays():
     assert path.reached and np.abs(path.start_position - own.clamps.start_position).max() == 0.0
 
 
+@pytest.mark.thorough
 def test_targets_out_of_reach_are_approached_and_said():
     own = some().take(np.array([0]))
     asked = np.full_like(own.goal, np.nan)
@@ -55,6 +56,7 @@ def test_targets_out_of_reach_are_approached_and_said():
     assert path.distance < d.Targets(asked).distance(own.real.vertices)[0]
 
 
+@pytest.mark.thorough
 def test_obstacles_are_kept_clear_of():
     """A ball where the straight motion of the grippers would take the rod."""
     own = some().take(np.array([1]))

@@ -31,6 +31,7 @@ def run(own: Tasks, servo: d.Servo, steps: int, marks: int = 11) -> tuple[np.nda
     return np.array(distances), simulation
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", PLANTS)
 def test_unknown_rods_reach_their_goals(name):
     own = some(name)
@@ -121,6 +122,7 @@ def test_targets_of_a_few_vertices():
     assert (apart < NEAR).all() and (servo.status == d.ServoStatus.REACHED).all()
 
 
+@pytest.mark.thorough
 def test_targets_out_of_reach_are_approached_and_said():
     own = some("own mesh").take(np.arange(3))
     asked = np.full_like(own.goal, np.nan)

@@ -181,7 +181,7 @@ def test_a_way_is_the_same_in_any_company():
         np.testing.assert_array_equal(counted, jumps[row])
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("precision", ["f64", "f32", "mixed"])
 @pytest.mark.parametrize("degrees", [10, 60])
 def test_results_of_a_rod_are_those_of_its_end(precision, degrees):

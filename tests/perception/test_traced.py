@@ -56,6 +56,7 @@ def test_cameras_close_together_see_the_whole_thread(seen):
     assert (np.abs(found.thread_length / LENGTH_MM - 1) < 0.03).all()
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("share", [0.8, 1.15])
 def test_a_rod_of_another_length_lies_where_the_thread_is(seen, share):
     found = recovered(seen, share * LENGTH_MM)

@@ -17,6 +17,7 @@ def without_rerun(folder: Path, *words: str) -> subprocess.CompletedProcess:
     return subprocess.run([sys.executable, "-c", WITHOUT, str(ROOT), *words], capture_output=True, text=True, cwd=folder)
 
 
+@pytest.mark.thorough
 def test_a_sweep_leaves_its_recording_out_and_says_so(tmp_path):
     (tmp_path / "silk.toml").write_text(SCENE, encoding="utf-8")
     done = without_rerun(tmp_path, "sweep", "silk.toml", "--out", "run")
@@ -26,6 +27,7 @@ def test_a_sweep_leaves_its_recording_out_and_says_so(tmp_path):
     assert (tmp_path / "run" / "summary.json").is_file() and not (tmp_path / "run" / "run.rrd").exists()
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("words", [
     ("simulate", "pendulum", "--out", "a.npz", "--recording", "a.rrd"),
     ("predict", "three_materials", "--out", "a.npz", "--recording", "a.rrd"),

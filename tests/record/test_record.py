@@ -194,6 +194,7 @@ def test_one_free_axis_gives_cells_on_a_line_and_no_surface(tmp_path, rng):
     assert len(moving["/landscape/cells"]["trial"]["trial"]) == runs.BENDS
 
 
+@pytest.mark.thorough
 def test_same_run_same_recording(tmp_path, rng):
     from doo_ti.record import record_sweep
 

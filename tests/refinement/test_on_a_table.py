@@ -39,12 +39,14 @@ def test_the_intervals_contain_the_truth(rope):
         assert parameter.low < value < parameter.high < 1.4 * parameter.low
 
 
+@pytest.mark.thorough
 def test_without_the_table_they_do_not(rope):
     observations, truth = rope
     found = refine(observations, observation_clamps(observations), GUESS, replace(SIMPLE, intervals="covariance"))
     assert found.mean_distance > 2.0 or found.used.sum() < 5
 
 
+@pytest.mark.thorough
 def test_the_command_takes_the_table(rope, tmp_path, capsys):
     observations, truth = rope
     save_observations(tmp_path / "rope.npz", observations)
@@ -64,6 +66,7 @@ def test_the_command_takes_the_table(rope, tmp_path, capsys):
         assert message in error and error.count("\n") == 1
 
 
+@pytest.mark.thorough
 def test_a_run_with_a_table_is_refined_with_it(rope, tmp_path, capsys):
     observations, truth = rope
     save_observations(tmp_path / "rope.npz", observations)

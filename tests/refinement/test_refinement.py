@@ -65,6 +65,7 @@ def test_clips_that_end_at_the_outer_marks(rng):
         refine(observations, observation_clamps(observations), Theta(truth.bend, truth.twist), replace(options, clip=-1.0))
 
 
+@pytest.mark.thorough
 def test_marks_in_a_wrong_order_are_named(rng):
     """The reverse order of evenly spaced marks on a straight rod is right as well."""
     observations, truth = own_mesh(rng, count=10)
@@ -115,6 +116,7 @@ def test_intervals_hold_the_truth_of_a_curved_rod_between_clips(found):
     assert outline[:, 0].min() < found.theta.bend[0, 0] < outline[:, 0].max()
 
 
+@pytest.mark.thorough
 def test_straight_rods_fit_worse(seen):
     out = refine(seen, observation_clamps(seen), BEGIN, replace(QUICK, models=True))
     scores = {score.model: score for score in out.scores}
@@ -130,6 +132,7 @@ def test_clamps_that_are_off_are_found_out():
     assert holds(out.estimate.parameter("bend"), BEND) and holds(out.estimate.parameter("twist"), TWIST)
 
 
+@pytest.mark.thorough
 def test_stated_errors_of_frames_are_taken(seen):
     clamps = observation_clamps(seen)
     tight, learned = (refine(seen, clamps, BEGIN, replace(QUICK, frame_error=error)) for error in ((0.05, 1e-3), None))
@@ -273,6 +276,7 @@ def test_held_out_errors_are_those_of_rods_the_fit_did_not_see(seen):
     assert 0 < out.standard_error < 0.05
 
 
+@pytest.mark.thorough
 def test_spins_that_are_free_do_not_keep_rest_curvature_from_being_learned(rng):
     rods = wandering(rng, 12, 12, wander=0.05)
     truth = Theta(3e4 * np.eye(2), 3e4, 1.0, [0.02, 0.0])

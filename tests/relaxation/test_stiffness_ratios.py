@@ -98,7 +98,7 @@ def off(kind: str, ratio: float, precision: str) -> list[tuple[bool, float]]:
     return found
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("precision", ["f64", "mixed", "f32"])
 def test_the_soft_part_is_resolved_whatever_the_ratio(kind, precision):

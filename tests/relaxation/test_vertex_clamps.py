@@ -34,6 +34,7 @@ def cantilever() -> tuple[float, float]:
     return abs(y[1, -1]), EI * abs(y[3, 0])
 
 
+@pytest.mark.thorough
 def test_a_cantilever_is_held_at_its_vertex():
     tip, moment = cantilever()
     errors = []

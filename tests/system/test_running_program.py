@@ -107,7 +107,7 @@ bits()
 """
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.thorough
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="nothing forks here")
 @pytest.mark.parametrize(("begin", "end", "code"), [
     ("bits()", "sys.exit(7)", 7), ("bits()", "raise RuntimeError", 1), ("bits(); begin(); bits()", "sys.exit(7)", 7)])

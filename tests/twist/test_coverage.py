@@ -19,7 +19,7 @@ WORLDS = {
     "smooth rest curvature": {"rest_curvature_range_mm": 30.0}, "poor labels": {"label_noise_mm": 0.5}}
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("world", WORLDS)
 def test_the_intervals_contain_the_truth(world):
     """Of each suture some specimens, all of their observations, alone and three or six to a grasp. And a clear verdict is

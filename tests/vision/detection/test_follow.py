@@ -57,6 +57,7 @@ def test_a_striped_thread_is_followed_at_its_middle_past_others():
     assert np.median(np.abs((along * found.direction).sum(axis=1))) > 0.99
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("colour", [RED, YELLOW, (40, 40, 40)])
 @pytest.mark.parametrize("aside", [5.0, 8.0])
 def test_the_shadow_beside_a_cable_is_no_part_of_it(colour, aside):
@@ -94,6 +95,7 @@ def test_a_region_and_a_colour():
         assert shares(part.points, curve)[1] > 0.99
 
 
+@pytest.mark.thorough
 def test_more_points_than_opencv_samples_at_once():
     image = np.full((1000, 1000), 200, np.uint8)
     for row in range(10, 1000, 14):
@@ -101,6 +103,7 @@ def test_more_points_than_opencv_samples_at_once():
     assert detect(image).count > 40_000
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("rough", [0, 25])
 @pytest.mark.parametrize("width", [3, 9, 40])
 def test_the_centre_line_of_a_mask(width, rough):

@@ -62,6 +62,7 @@ def edges(rng) -> np.ndarray:
                             start + rng.normal(0, 2.0, (count, 3))])
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("number", NUMBERS, ids=str)
 def test_energy_and_gradient_are_those_of_the_formula(number, assigned, rng):
     rows = edges(rng)
@@ -80,6 +81,7 @@ def test_energy_and_gradient_are_those_of_the_formula(number, assigned, rng):
                 assert one[4 + axis] == pytest.approx(stretched / 2e-5, abs=1e-5 * scale)
 
 
+@pytest.mark.thorough
 def test_curvature_is_that_of_finite_differences(assigned, rng):
     number, rows, step = Number(1, 64), edges(rng), 1e-5
     now = on_device(number, assigned, rows)

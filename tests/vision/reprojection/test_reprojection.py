@@ -98,6 +98,7 @@ def test_hessian_is_that_of_finite_differences(scene, rng):
     assert smooth >= 8
 
 
+@pytest.mark.sampled(1)
 @every_number
 def test_gradient_is_that_of_finite_differences(number, scene, rng):
     """By the device's own energy, in f64; other numbers by the f64 gradient."""

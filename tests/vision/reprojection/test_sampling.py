@@ -63,6 +63,7 @@ def test_values_and_derivatives_are_those_of_the_spline(number, rng):
         np.testing.assert_allclose(derivatives[:2], slope, atol=1e-11 if exact else 5e-3)
 
 
+@pytest.mark.thorough
 def test_second_derivatives_are_those_of_the_gradient(rng):
     """Away from the lines halfway between pixels, where the second derivatives jump."""
     maps, windows, values = five_maps(rng)
