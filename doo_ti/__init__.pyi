@@ -60,6 +60,7 @@ from doo_ti.perception.tracking import How as How
 from doo_ti.perception.tracking import TrackedFrame as TrackedFrame
 from doo_ti.perception.tracking import Tracker as Tracker
 from doo_ti.perception.tracking import TrackingOptions as TrackingOptions
+from doo_ti.perception.tracking import seen_vertices as seen_vertices
 from doo_ti.prediction.moving import predict_moving as predict_moving
 from doo_ti.prediction.predict import Prediction as Prediction
 from doo_ti.prediction.predict import predict as predict

@@ -25,6 +25,7 @@ from doo_ti.commands import (
     predict,
     refine,
     relax,
+    servo,
     simulate,
     steer,
     sweep,
@@ -199,7 +200,7 @@ def _parser() -> _Parser:
                      description="Fit discrete elastic rods to observed shapes (Javdani et al., ICRA 2011).")
     parser.add_argument("--version", action="version", version=f"doo-ti {__version__}")
     add = parser.add_subparsers(dest="command", required=True, metavar="COMMAND").add_parser
-    for commands in (relax, sweep, learn, refine, predict, steer, simulate, group, identify, twist, plan, view, synth, bench,
-                     cameras, perceive, track, warm):
+    for commands in (relax, sweep, learn, refine, predict, steer, servo, simulate, group, identify, twist, plan, view, synth,
+                     bench, cameras, perceive, track, warm):
         commands.declare(add)
     return parser

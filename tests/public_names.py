@@ -131,6 +131,7 @@ from doo_ti import (
     rod_along,
     save_observations,
     score,
+    seen_vertices,
     sensitivity,
     simulate,
     start_configuration,
@@ -249,6 +250,7 @@ def followed(rig: Rig, frames: Sequence[list[Detection]], material: Material, mo
     tracker = Tracker(rig, [3.0] * 33, material, options=TrackingOptions(lost_px=2.0))
     camera: Camera = rig.cameras[0]
     print(camera.name)
+    print(seen_vertices(tracker.see(frames[0], [0, 0, 0], [1, 0, 0]), rig, frames[0]).shape)
     return [frame for detected in frames if (frame := tracker.see(detected, [0, 0, 0], [1, 0, 0], motion)).how != How.LOST]
 
 

@@ -7,7 +7,7 @@ GROUPS = {
     "Fit a rod to observed shapes": ("sweep", "refine", "learn", "plan", "figures"),
     "Predict shapes": ("relax", "group", "predict", "twist"),
     "Images": ("calibrate", "triangulate", "perceive", "track"),
-    "Motion": ("simulate", "identify", "steer"),
+    "Motion": ("simulate", "identify", "steer", "servo"),
     "Utilities": ("synth", "convert", "view", "bench", "warm"),
 }
 """Commands by what they are for, in the order of their use."""
@@ -44,6 +44,10 @@ EXAMPLES = {
     "steer": ((
         "steer rope.npz --target goal.npz --EI 1e-4 --GJ 1e-4 --linear-density 50 --out path.csv", "both grippers' motion"), (
         "steer rope.npz --target goal.npz --bend 6e5 --obstacles table.toml --radius 1 --out path.csv", "past obstacles")),
+    "servo": ((
+        "servo rope.npz --target goal.npz --rig rig.yaml --bend 6e5 --out run", "with a true rod as the model says"), (
+        "servo rope.npz --target goal.npz --rig rig.yaml --EI 1e-4 --GJ 1e-4 --linear-density 50 --true-EI 1.3e-4 --out run",
+        "with one that is stiffer")),
     "simulate": ((
         "simulate scenes/motion/hanging_cables.toml --out hanging.npz --animation hanging.gif", "eight cables"), (
         "simulate motion.npz --theta theta.json --out predicted.npz --recording predicted.rrd", "recorded grippers")),
@@ -69,6 +73,7 @@ FIRST = {
     "relax": (*_MATERIAL, *_FILES, "--clamp-start", "--clamp-end", "--obstacles", "--radius"),
     "predict": ("--motion", *_MATERIAL, *_FILES, "--obstacles", "--radius", "--picture", "--recording"),
     "steer": (*_MATERIAL, *_FILES, "--clamp-start", "--clamp-end", "--obstacles", "--radius", "--seconds"),
+    "servo": (*_MATERIAL, *_FILES, "--true-EI", "--true-GJ", "--noise", "--occlude", "--steps", "--reached"),
     "simulate": ("--theta", "--linear-density", "--tolerance", "--obstacles", "--radius", "--unit", "--rate", "--picture",
                  "--recording", "--animation"),
     "perceive": ("--sets", "--seed-pixel", "--edge", "--length", "--rest-length", *_MATERIAL, "--masks", "--colour"),

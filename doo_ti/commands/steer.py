@@ -1,22 +1,14 @@
 """Paths of both grippers that bring a rod to a target (§VI)."""
 
 from argparse import Namespace
-from pathlib import Path
-
-import numpy as np
 
 from doo_ti.commands import loading
 from doo_ti.commands import options as given
-from doo_ti.commands.moving_rods import curved
 from doo_ti.commands.results import report
-from doo_ti.io.arrays import AXES, checked_arrays, frame_columns, read_npz
-from doo_ti.rod.observations import Observations
-from doo_ti.rod.physical_units import UNITS_IN_MM
-from doo_ti.rod.start import check_experiment, observation_clamps
-from doo_ti.rod.types import Clamp
+from doo_ti.commands.steered import add_steered, path_table, steered_rod, warn_not_reached
 from doo_ti.system.errors import InputError
-from doo_ti.system.files import read_content, write_text
-from doo_ti.system.terminal import busy, in_line, warn
+from doo_ti.system.files import write_text
+from doo_ti.system.terminal import busy, in_line
 
 MOST_SECONDS = 3600.0
 """Of a search."""
@@ -26,13 +18,8 @@ REACHED = 2.0
 
 def declare(add) -> None:
     parser = given.command(add, "steer", run, "plan a motion of both grippers that brings a rod to a shape (§VI)")
-    parser.add_argument("start", metavar="START.npz", help=f"the rod as it is, in row 0: {loading.FORMATS}")
-    parser.add_argument("--target", required=True, metavar="TARGET.npz",
-                        help="vertices_mm (1, V, 3), where vertices shall be; NaN where nothing is asked")
+    add_steered(parser)
     parser.add_argument("--out", required=True, metavar="PATH.csv", help="file to write, which predict --motion reads")
-    given.add_material(parser, "one number each", given.SHAPE_ONLY, round_rod=True)
-    given.add_clamps(parser)
-    loading.add_loading(parser, "START and TARGET")
     given.add_obstacles(parser, "without friction")
     parser.add_argument("--reached", metavar="MM", help=f"distance at which the target is reached (default {REACHED:g})")
     parser.add_argument("--seconds", metavar="S", help="longest search (default 10)")
@@ -42,81 +29,31 @@ def declare(add) -> None:
 def run(options: Namespace, words: list[str]) -> int:
     """Plan the motion, write it, and print whether it reaches the target."""
     out = given.output_file(options.out, ".csv")
-    grid, surroundings = given.round_cell(options, "steered"), given.surroundings(options)
+    surroundings = given.surroundings(options)
     if surroundings.rub:
         raise InputError(options.obstacles, "friction", "given, but plans have none", "leave it out")
     reached, seconds = given.length("--reached", options.reached), given.positive("--seconds", options.seconds, "s")
     if seconds is not None and seconds > MOST_SECONDS:
         raise InputError(given.SOURCE, "--seconds", f"{options.seconds}", f"give at most {MOST_SECONDS:g}")
     seed = given.whole("--seed", options.seed, 0, 2**31 - 1)
-    observations = loading.load(options, options.start).take(np.zeros(1, dtype=np.int64))
-    for source in (options.start, options.target):
-        given.refuse_overwriting(out, source)
-    places = _target(options, observations)
-    clamps = observation_clamps(observations, *given.clamps(options))
-    for end, kind in (("start", clamps.start), ("end", clamps.end)):
-        if (np.asarray(kind) < Clamp.TANGENT).any():
-            raise InputError(given.SOURCE, f"--clamp-{end}", Clamp(int(np.max(kind))).name.lower(), "give tangent or frame")
-    check_experiment(observations, clamps, grid.axes[-1].values[-1], 0.0)
-    material = curved(options, grid.materials(), observations.rest_length)
-    loading.warn(observations)
+    rod = steered_rod(options, [out], surroundings)
 
-    from doo_ti.commands.starting_rods import settled
     from doo_ti.manipulation.plan import PlanOptions, plan_manipulation
     from doo_ti.manipulation.targets import Targets
-    from doo_ti.relaxation.relax import relax
-    from doo_ti.rod.straight import end_clamps
 
     chosen = PlanOptions(reached_mm=reached or REACHED, seconds=seconds or PlanOptions.seconds, seed=seed or 0)
     with busy("planning (kernels are compiled once on a machine)"):
-        start = relax(settled(observations, clamps, material, surroundings), material, clamps, up=observations.up,
-                      **surroundings.arguments)
-        if not (start.converged & start.stable).all():
-            raise InputError(options.start, "vertices_mm", "observation 0 has no stable equilibrium",
-                             "give a rod that is held within its length")
-        # From here on both grippers hold frames: where the file has none, those of the rod that rolls freely.
-        held = end_clamps(start.configuration, Clamp.FRAME, Clamp.FRAME)
-        path = plan_manipulation(start.configuration, material, held, Targets(places), chosen, up=observations.up,
+        start, held = rod.at_rest()
+        path = plan_manipulation(start.configuration, rod.material, held, Targets(rod.places), chosen, up=rod.observations.up,
                                  **surroundings.arguments)
     out.parent.mkdir(parents=True, exist_ok=True)
-    write_text(out, _table(path))
+    write_text(out, path_table(path))
     if not path.reached:
-        warn(f"{in_line(options.target)}: the target is not reached; the path ends {path.distance:.3g} mm from it, at the "
-             "nearest shape that was found")
+        warn_not_reached(options, f"the path ends {path.distance:.3g} mm from it, at the nearest shape that was found")
     summary = {"reached": path.reached, "distance_mm": path.distance, "moments": path.moments, "seconds": path.time[-1],
                "out": str(out)}
     report(options, summary, lambda: [
-        f"{observations.name}: target {'reached' if path.reached else 'not reached'}, {path.distance:.3g} mm from it "
+        f"{rod.observations.name}: target {'reached' if path.reached else 'not reached'}, {path.distance:.3g} mm from it "
         "(root mean square)", f"  path        {path.moments} moments, certified stable, without a jump",
-        loading.rod_line(observations), f"  written to {in_line(out)}"])
+        loading.rod_line(rod.observations), f"  written to {in_line(out)}"])
     return 0
-
-
-def _target(options: Namespace, observations: Observations) -> np.ndarray:
-    """(1, V, 3) mm."""
-    path = Path(options.target)
-    if path.suffix != ".npz":
-        raise InputError(path, "file", f"suffix {path.suffix!r}", "name a .npz file with vertices_mm")
-    arrays = read_npz(path, read_content(path), ("vertices_mm",))
-    if "vertices_mm" not in arrays:
-        raise InputError(path, "vertices_mm", "missing", "give (1, V, 3) mm, NaN where nothing is asked")
-    places = arrays["vertices_mm"]
-    missing = np.isnan(places) if places.dtype.kind == "f" else np.zeros(places.shape, dtype=bool)
-    places = checked_arrays(path, {"vertices_mm": np.where(missing, 0, places) if missing.any() else places})["vertices_mm"]
-    wanted = (1, observations.edges + 1, 3)
-    if places.shape != wanted:
-        raise InputError(path, "vertices_mm", f"shape {places.shape}", f"give {wanted}, as START has vertices")
-    places = np.where(missing, np.nan, places)
-    if not np.isfinite(places).all(axis=-1).any():
-        raise InputError(path, "vertices_mm", "NaN everywhere", "give at least one vertex a place")
-    return places if options.unit is None else places * UNITS_IN_MM[options.unit]
-
-
-def _table(path) -> str:
-    """The path as CSV."""
-    names, columns = ["time_s"], [path.time[:, None]]
-    for end in ("start", "end"):
-        names += [f"{end}_{axis}_mm" for axis in AXES] + list(frame_columns(f"{end}_frame"))
-        columns += [getattr(path, f"{end}_position")[:, 0], getattr(path, f"{end}_frame")[:, 0].reshape(path.moments, 9)]
-    rows = np.concatenate(columns, axis=1)
-    return "\n".join([",".join(names), *(",".join(repr(float(value)) for value in row) for row in rows)]) + "\n"

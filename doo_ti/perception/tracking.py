@@ -96,6 +96,26 @@ class TrackedFrame:
     how: How
 
 
+@typed
+def seen_vertices(frame: TrackedFrame, rig: Rig, detected: list[Detection], within_px: float = TrackingOptions.lost_px
+                  ) -> np.ndarray:
+    """(V, 3) mm: the vertices of a tracked rod that images show, NaN at the others, as a servo takes them.
+
+    detected   of each camera of the rig, those of the frame
+    within_px  px: a camera shows a vertex that is so near to the thread that it detected. Two cameras must: of places that one
+               sees or none the rod's stiffness is all that is known, which a servo has yet to learn
+
+    Raises InputError for another number of detections.
+    """
+    if len(detected) != len(rig.cameras):
+        raise InputError("seen_vertices", "detected", f"{len(detected)}", f"give one for each camera, {len(rig.cameras)}")
+    pixels = rig.project(frame.vertices)
+    apart = [np.linalg.norm(own[:, None] - found.points, axis=-1).min(axis=1, initial=np.inf)
+             for own, found in zip(pixels, detected, strict=True)]
+    shown = np.sum(np.array(apart) <= within_px, axis=0) >= FEWEST_CAMERAS
+    return np.where(shown[:, None], frame.vertices, np.nan)
+
+
 @dataclass(frozen=True)
 class _Rod:
     """One rod in pieces, in one frame; ``camera_error`` is of the cameras that see a thread there."""

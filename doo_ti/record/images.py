@@ -1,4 +1,5 @@
-"""Recordings of rods in images: Algorithm 1, whose hypotheses grow and are pruned, and a rod tracked through a video.
+"""Recordings of rods in images: Algorithm 1, whose hypotheses grow and are pruned, a rod tracked through a video, and one that
+a servo brings to a target.
 
 Images are shown as they were taken, and curves are projected onto them with the lens' distortion, which the viewer's own
 cameras do not have; their frusta are shown in space.
@@ -11,6 +12,7 @@ import rerun
 import rerun.blueprint as blueprint
 
 from doo_ti.perception.growth import GrowthStep
+from doo_ti.perception.virtual_cameras import SeenMoment
 from doo_ti.record.stream import (
     BACKGROUND,
     FAILED,
@@ -197,3 +199,51 @@ def _track_layout(rig: Rig) -> blueprint.Blueprint:
     beside = blueprint.Vertical(space, blueprint.Horizontal(error, words), row_shares=[3, 1])
     views = blueprint.Grid(*images, grid_columns=1 if len(images) <= 3 else 2)
     return blueprint.Blueprint(blueprint.Horizontal(beside, views, column_shares=[2, 1]), *panels("frame"))
+
+
+MODEL, TARGET = (198, 120, 221), (253, 231, 37)
+
+
+def record_servo(path, *, run_id: str, name: str, rig: Rig, moments: list[SeenMoment], model: np.ndarray, target: np.ndarray,
+                 distance: np.ndarray, words: list[str], up=(0, 0, 1)) -> None:
+    """Write the recording ``path`` of a rod that a servo moves, on the timeline ``step``.
+
+    moments   T of them, what cameras saw before each step
+    model     (T, V, 3) mm, where the servo expected the rod then
+    target    (V, 3) mm, NaN where nothing is asked
+    distance  (T, 2) mm to the target after each step, true and as estimated
+    words     T, the status after each step
+    up        direction against gravity
+    """
+    asked = target[np.isfinite(target).all(axis=1)]
+    with recording(path, run_id, name, _servo_layout(rig)) as stream:
+        log_up(stream, "world", np.asarray(up, float))
+        stream.log("world/target", rerun.LineStrips3D([asked], colors=TARGET, radii=rerun.Radius.ui_points(1.2)), static=True)
+        for camera in rig.cameras:
+            _log_frustum(stream, f"world/cameras/{camera.name}", camera, FRUSTUM_MM)
+        for step, (moment, own) in enumerate(zip(moments, model, strict=True)):
+            stream.set_time("step", sequence=step)
+            how, rod = moment.frame.how, moment.frame.vertices[np.isfinite(moment.frame.vertices).all(axis=1)]
+            for entity, curve, color in (("rods", rod, TRACKED_COLORS[how]), ("truth", moment.rod, _rgb(TRUTH)),
+                                         ("model", own, MODEL)):
+                stream.log(f"world/{entity}", rerun.LineStrips3D([curve], colors=color, radii=rerun.Radius.ui_points(1.6)))
+            for camera, image in zip(rig.cameras, moment.images, strict=True):
+                stream.log(f"images/{camera.name}", rerun.Image(image, color_model="L").compress(jpeg_quality=JPEG_QUALITY))
+                for entity, curve, color in (("rods", rod, TRACKED_COLORS[how]), ("target", asked, TARGET)):
+                    stream.log(f"images/{camera.name}/{entity}", rerun.LineStrips2D(
+                        [_drawn(camera.project(curve))], colors=color, radii=rerun.Radius.ui_points(1.2)))
+            for kind, value in zip(("true", "estimated"), distance[step], strict=True):
+                stream.log(f"curves/distance/{kind}", rerun.Scalars(value))
+            if step == 0 or words[step] != words[step - 1]:
+                stream.log("log", rerun.TextLog(f"step {step + 1}: {words[step]}"))
+
+
+def _servo_layout(rig: Rig) -> blueprint.Blueprint:
+    """The rod among the cameras and its distance to the target on the left, images on the right."""
+    space = space_view("Rods: blue tracked, purple the model, yellow the target", "world")
+    distance = blueprint.TimeSeriesView(name="Distance to the target [mm]", origin="curves/distance")
+    images = [blueprint.Spatial2DView(name=camera.name, origin=f"images/{camera.name}", background=BACKGROUND)
+              for camera in rig.cameras]
+    beside = blueprint.Vertical(space, blueprint.Horizontal(distance, log_view("Statuses", "step")), row_shares=[3, 1])
+    views = blueprint.Grid(*images, grid_columns=1 if len(images) <= 3 else 2)
+    return blueprint.Blueprint(blueprint.Horizontal(beside, views, column_shares=[2, 1]), *panels("step"))

@@ -66,14 +66,16 @@ def test_wrong_words_name_the_right_one(argv, meant, capsys):
 
 def defaults() -> dict[tuple[str, str], float]:
     """The numbers that commands take where an option is absent, by where the code has them."""
-    from doo_ti.commands import bench, moving_rods, plan, refine, seen_rods, steer, synth, view
+    from doo_ti.commands import bench, moving_rods, plan, refine, seen_rods, servo, steer, synth, view
     from doo_ti.dynamics.identify import IdentifyOptions
     from doo_ti.dynamics.parameters import Dynamics, Stepping
     from doo_ti.learning.experiment import SweepOptions
     from doo_ti.manipulation.plan import PlanOptions
     from doo_ti.motion.path import LARGEST_TURN
     from doo_ti.perception.search import PerceptionOptions
+    from doo_ti.perception.virtual_cameras import DIAMETER_MM
     from doo_ti.rod.types import Material
+    from doo_ti.vision.rendering.render import RenderOptions
 
     found = {("simulate", "--most-substeps"): Stepping.most_substeps, ("simulate", "--substeps"): Stepping.substeps,
              ("predict", "--substeps"): moving_rods.SUBSTEPS,
@@ -85,6 +87,8 @@ def defaults() -> dict[tuple[str, str], float]:
              ("figures", "--cells"): view.MOST_CELLS, ("bench", "--rods"): bench.RODS, ("bench", "--rounds"): bench.ROUNDS,
              ("sweep", "--roll-hypotheses"): SweepOptions.spins, ("relax", "--frame-weight"): SweepOptions.frame_weight}
     found |= {("steer", "--reached"): steer.REACHED, ("steer", "--seconds"): PlanOptions.seconds}
+    found |= {("servo", "--reached"): servo.REACHED, ("servo", "--steps"): servo.STEPS, ("servo", "--diameter"): DIAMETER_MM,
+              ("servo", "--noise"): RenderOptions.noise}
     found |= {("twist", "--observations"): 1, ("simulate", "--smoothing"): 1, ("identify", "--smoothing"): 1}
     for command in COMMANDS:
         found |= {(command, "--weight"): Material.weight, (command, "--twist-ratio"): 1}

@@ -10,7 +10,7 @@ from doo_ti import InputError, Material
 from doo_ti.motion.path import motion_between
 from doo_ti.perception.perceive import perceive
 from doo_ti.perception.search import PerceptionOptions, Search
-from doo_ti.perception.tracking import How, Tracker, TrackingOptions
+from doo_ti.perception.tracking import How, TrackedFrame, Tracker, TrackingOptions, seen_vertices
 from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about
 from doo_ti.rod.types import Status
 from doo_ti.vision.detection.detect import detect
@@ -158,6 +158,25 @@ def test_tracking_is_faster_than_algorithm_1(video):
     ours, theirs = 1e3 * np.median(seconds.min(axis=1)[:, 1:], axis=1)
     print(f"tracked {ours:.0f} ms, Algorithm 1 {theirs:.0f} ms a frame: {theirs / ours:.1f} times as fast")
     assert ours < theirs
+
+
+def test_vertices_that_two_cameras_show_are_seen(video):
+    rig, rod = three_cameras(), rods()[0]
+    frame = TrackedFrame(rod, np.zeros(len(rod)), 0.0, np.zeros(3), Status.CONVERGED, True, How.TRACKED)
+    without = []
+    for camera, found in zip(rig.cameras, video[0], strict=True):
+        kept = np.linalg.norm(found.points - camera.project(rod[10]), axis=1) > 3.0
+        parts = {name: getattr(found, name)[kept] for name in ("points", "direction", "strength")}
+        without.append(replace(found, **parts))
+    np.testing.assert_array_equal(seen_vertices(frame, rig, video[0]), rod)
+    np.testing.assert_array_equal(seen_vertices(frame, rig, [*video[0][:2], without[2]]), rod)
+    seen = seen_vertices(frame, rig, [video[0][0], *without[1:]])
+    assert np.isnan(seen[10]).all()
+    np.testing.assert_array_equal(seen[[8, 12]], rod[[8, 12]])
+    assert np.isnan(seen_vertices(frame, rig, [video[0][0], NOTHING, NOTHING])).all()
+    assert np.isnan(seen_vertices(replace(frame, vertices=np.full_like(rod, np.nan)), rig, video[0])).all()
+    with pytest.raises(InputError, match="detected"):
+        seen_vertices(frame, rig, video[0][:2])
 
 
 @pytest.mark.parametrize("change", [{"lost_px": 0.0}, {"worse_px": np.nan}])

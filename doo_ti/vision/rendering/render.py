@@ -104,10 +104,11 @@ MOST = {"occluders": MOST_THINGS, "clutter": MOST_THINGS, "specks": MOST_THINGS,
 
 
 def render_set(rig: Rig, rod: np.ndarray, diameter_mm: float, options: RenderOptions = RenderOptions(),
-               seed: int | Sequence[int] = 0) -> list[np.ndarray]:
+               seed: int | Sequence[int] = 0, covered: Sequence[str] = ()) -> list[np.ndarray]:
     """C images (H, W) uint8 of one rod (V, 3) mm of the given diameter.
 
-    seed  of everything random: the same seed gives the same images
+    seed     of everything random: the same seed gives the same images
+    covered  names of cameras that something out of focus hides everything from, as bright as the occluders
 
     Raises InputError for a rod that is not (V, 3) finite numbers with V ≥ 2, coinciding neighbours, and diameters out of
     range.
@@ -120,7 +121,9 @@ def render_set(rig: Rig, rod: np.ndarray, diameter_mm: float, options: RenderOpt
     check_diameter(diameter_mm)
     curve = smooth_curve(rod, _samples(rig, rod)) if options.smooth else rod
     scene = _scene(rig, curve, diameter_mm, options, np.random.default_rng([*np.atleast_1d(seed), 0]))
-    return [_photograph(camera, scene, options, np.random.default_rng([*np.atleast_1d(seed), 1 + index]))
+    hidden = replace(options, background=options.occluder)
+    return [_photograph(camera, *(([], hidden) if camera.name in covered else (scene, options)),
+                        np.random.default_rng([*np.atleast_1d(seed), 1 + index]))
             for index, camera in enumerate(rig.cameras)]
 
 

@@ -41,6 +41,8 @@ def draw(camera: Camera, tubes: list[Tube], background: np.ndarray, light: np.nd
     Parts that are not in front of the camera are left out.
     """
     image = np.array(background, dtype=np.float32)
+    if not tubes:
+        return image
     segments = _join([_segments(camera, tube, light) for tube in tubes])
     strands = _strands(*_covered(segments, *image.shape), segments)
     pixel, cover, grey, depth = _shaded(*strands, segments, shading)

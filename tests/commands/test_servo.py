@@ -1,0 +1,142 @@
+"""``doo-ti servo``: rods come nearer to their targets by rendered images, files, targets out of reach, refused input."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from doo_ti.cli import main
+from doo_ti.io.motion_file import load_path
+from doo_ti.io.observation_files import save_observations
+from doo_ti.manipulation.poses import moved
+from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.relax import relax
+from doo_ti.rod.material import Material
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.physical_units import stiffness
+from doo_ti.rod.straight import hanging
+from doo_ti.rod.types import Clamp
+from doo_ti.system.terminal import has_recorder
+from doo_ti.vision.cameras.camera import Camera
+from doo_ti.vision.cameras.rig import Rig, save_rig
+from tests.commands.test_bad_input import refused
+from tests.vision.poses import looking
+
+BEND, DENSITY = 6e5, 10.0
+EI = stiffness(BEND / 2, DENSITY)
+STIFFER = 1.4
+VIEWS = {"front": (0.0, 1.0, -0.4), "beside": (-0.8, 0.5, -0.6)}
+
+
+@pytest.fixture(scope="module")
+def places():
+    """(rod at the start, its clamps, (1, V, 3) the true rod's shape after a move of both grippers)."""
+    rods, clamps = hanging(150.0, 15, np.zeros((1, 3)), np.array([[100.0, 0.0, 0.0]]), clamp=Clamp.FRAME)
+    start = relax(rods, Material(BEND, BEND), clamps, Newton.careful())
+    true = Material(STIFFER * BEND, STIFFER * BEND)
+    ends = moved(clamps, np.array([[0, 5, 0, 0.1, 0, 0, 8, 0, 10, 0, 0.2, 0.1]]))
+    goal = relax(relax(rods, true, clamps, Newton.careful()).configuration, true, ends, Newton.careful())
+    assert start.converged.all() and goal.converged.all()
+    return start.configuration, clamps, goal.configuration.vertices
+
+
+@pytest.fixture
+def folder(tmp_path, places):
+    """A rod between two grippers, where it shall be, and two cameras."""
+    rod, clamps, goal = places
+    save_observations(tmp_path / "start.npz", Observations(
+        rod.vertices, rest_length=rod.rest_length, total_twist=np.zeros(1), start_frame=clamps.start_frame,
+        end_frame=clamps.end_frame))
+    np.savez(tmp_path / "target.npz", vertices_mm=goal)
+    _rig(tmp_path / "rig.yaml", 400.0)
+    return tmp_path
+
+
+def _rig(path, distance: float, views: dict = VIEWS) -> None:
+    matrix = np.array([[500.0, 0.0, 159.5], [0.0, 500.0, 119.5], [0.0, 0.0, 1.0]])
+    save_rig(path, Rig(tuple(Camera(name, 320, 240, matrix, np.zeros(5), *looking(
+        np.array(view) / np.linalg.norm(view), distance, (50.0, 0.0, -25.0))) for name, view in views.items())))
+
+
+def words(folder, *more: str, target: str = "target.npz", rig: str = "rig.yaml") -> list[str]:
+    return ["servo", str(folder / "start.npz"), "--target", str(folder / target), "--rig", str(folder / rig), "--EI", repr(EI),
+            "--GJ", repr(EI), "--linear-density", repr(DENSITY), "--out", str(folder / "run"), *more]
+
+
+def stiffer() -> list[str]:
+    return ["--true-EI", repr(STIFFER * EI), "--true-GJ", repr(STIFFER * EI)]
+
+
+def test_a_rod_comes_nearer_and_everything_is_written(folder, capsys):
+    assert main([*words(folder, *stiffer(), "--steps", "3", "--no-recording"), "--json"]) == 0
+    out, err = capsys.readouterr()
+    said = json.loads(out)
+    with (folder / "run" / "steps.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    with np.load(folder / "start.npz") as start, np.load(folder / "target.npz") as target:
+        first = np.sqrt(np.sum((start["vertices_mm"] - target["vertices_mm"]) ** 2, axis=-1).mean())
+    assert len(rows) == said["steps"] <= 3 and said["distance_mm"] == float(rows[-1]["distance_mm"]) < 0.6 * first
+    assert said["frames"]["lost"] == 0 and all(int(row["vertices_seen"]) > 10 for row in rows)
+    assert said["EI"]["low"] < said["EI"]["value"] < said["EI"]["high"]
+    assert said["EI"]["true"] == pytest.approx(STIFFER * EI) and float(rows[-1]["EI_Nm2"]) == said["EI"]["value"]
+    assert load_path(folder / "run" / "path.csv").moments == 1 + len(rows)
+    assert (folder / "run" / "servo.png").stat().st_size > 10_000
+    assert ("not reached" in err) == (not said["reached"])
+
+
+@pytest.mark.thorough
+def test_the_target_is_reached_though_a_camera_is_covered_now_and_then(folder, capsys):
+    _rig(folder / "three.yaml", 400.0, {**VIEWS, "above": (0.2, 0.2, -1.0)})
+    assert main([*words(folder, *stiffer(), "--occlude", "front:0.33", "--noise", "4", "--seed", "3", rig="three.yaml"),
+                 "--json"]) == 0
+    out, err = capsys.readouterr()
+    said = json.loads(out)
+    assert said["reached"] and said["distance_mm"] < 1.5 and 0 < said["covered"] < said["steps"] and "not reached" not in err
+    assert said["frames"]["lost"] == 0
+    if has_recorder():
+        assert (folder / "run" / "servo.rrd").stat().st_size > 100_000
+    assert main(["predict", str(folder / "start.npz"), "--motion", str(folder / "run" / "path.csv"), "--EI", repr(STIFFER * EI),
+                 "--GJ", repr(STIFFER * EI), "--linear-density", repr(DENSITY), "--out", str(folder / "moved.npz")]) == 0
+    with np.load(folder / "moved.npz") as predicted, np.load(folder / "target.npz") as target:
+        apart = predicted["vertices_mm"][-1] - target["vertices_mm"]
+    assert np.sqrt(np.sum(apart**2, axis=-1).mean()) == pytest.approx(said["distance_mm"], abs=0.05)
+
+
+@pytest.mark.thorough
+def test_with_every_camera_covered_the_rod_moves_as_the_model_says(folder, capsys):
+    argv = words(folder, "--occlude", "front:1", "--occlude", "beside:1", "--steps", "4", "--no-recording", "--json")
+    assert main(argv) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["frames"]["lost"] == said["steps"] and said["EI"]["value"] == pytest.approx(EI)
+
+
+@pytest.mark.thorough
+def test_a_target_out_of_reach_is_said(folder, places, capsys):
+    asked = np.full_like(places[2], np.nan)
+    asked[:, 0], asked[:, -1] = [0.0, 0, 0], [400.0, 0, 0]
+    np.savez(folder / "far.npz", vertices_mm=asked)
+    assert main(words(folder, "--steps", "6", "--no-recording", target="far.npz")) == 0
+    out, err = capsys.readouterr()
+    assert "target not reached" in out and "the target is not reached" in err and err.count("\n") == 1
+
+
+@pytest.mark.parametrize("more, said", [
+    (["--true-EI", "0"], "--true-EI"), (["--true-GJ", "x"], "--true-GJ"), (["--steps", "0"], "--steps"),
+    (["--noise", "-1"], "--noise"), (["--noise", "1e9"], "noise"), (["--occlude", "left:0.5"], "--occlude"),
+    (["--occlude", "front:2"], "--occlude"), (["--diameter", "1e9"], "--diameter"), (["--reached", "0"], "--reached"),
+    (["--seed", "-1"], "--seed"), (["--clamp-end", "free"], "--clamp-end"), (["--rig", "absent.yaml"], "absent.yaml"),
+    (["--target", "absent.npz"], "absent.npz"), (["--bend", "1e5:1e6:3"], "--bend")])
+def test_wrong_options_are_refused(folder, capsys, more, said):
+    refused(capsys, folder, [*words(folder), *more], said)
+
+
+def test_true_stiffness_needs_the_density(folder, capsys):
+    argv = words(folder, *stiffer())
+    at = argv.index("--EI")
+    refused(capsys, folder, [*argv[:at], "--bend", "6e5", *argv[at + 6:]], "--linear-density", "--true-EI")
+
+
+def test_cameras_that_look_elsewhere_are_refused(folder, capsys):
+    _rig(folder / "near.yaml", 100.0)
+    refused(capsys, folder, words(folder, rig="near.yaml"), "near.yaml", "see all of the rod")
