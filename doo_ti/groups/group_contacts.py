@@ -21,7 +21,7 @@ from doo_ti.physics.algebra import absolute, largest_of
 from doo_ti.physics.tuples import add, choose, dot, extended, identity, minus, picked, plus, scaled, variable
 from doo_ti.physics.view import NUMBERS, exact
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contact_layout import FINE, ROUGHEST, contact_items
+from doo_ti.relaxation.contact_layout import FINE, contact_items
 from doo_ti.relaxation.loading import stiffness_scale
 from doo_ti.relaxation.pair_layout import pair_items
 from doo_ti.relaxation.self_contacts import SelfContacts
@@ -153,13 +153,13 @@ class GroupContacts(Ties, SelfContacts):
         followed the last change. It is at least what rounding of places makes of the forces."""
         stiffness = rod.contacts.stiffness + self.group(rod).stiffness
         noise = self.rounding * stiffness * rod.longest * rod.total * rod.total
-        return ti.select(self.behind(rod), ti.max(given, 0.0 * given + ROUGHEST), given) + noise
+        return given + noise
 
     @ti.func
-    def end_round(self, rod, lane, calm, rests, entered):
+    def end_round(self, rod, lane, calm, rests):
         """As of one rod; but where ties still miss that the next step closes, it is taken first."""
         missing = ~self.draws(rod) & (self.miss(rod) > TIE_TOLERANCE)
-        return SelfContacts.end_round(self, rod, lane, calm & ~missing, rests & ~missing, entered) | (rests & missing)
+        return SelfContacts.end_round(self, rod, lane, calm & ~missing, rests & ~missing) | (rests & missing)
 
     @ti.func
     def settle(self, rod, due):
@@ -178,7 +178,7 @@ class GroupContacts(Ties, SelfContacts):
         SelfContacts.load(self, tables, slot, rod, unit, scale)
         one, row = self.of_lane(tables, slot), tables.rods[rod, of.RESULT_ROW]
         ties, head = tables.ties.shape[0], self.group(one)
-        if tables.barrier == 0:
+        if tables.touching == 0:
             one.contacts.phase = FINE
         self.load_apart(tables, one, row)
         stiffness = STIFFNESS_OF_TIES / (scale.total * scale.total * scale.total)

@@ -35,7 +35,7 @@ class GroupTables:
     clamp        (N, CLAMP_COLUMNS), material (1 or N, STIFFNESS + E · STIFFNESS_COLUMNS), see :mod:`.relaxation.tables`
     up           (3,)
     contact      obstacles, and the radius of the thinnest rod
-    barrier      whether anything may touch
+    touching     whether anything may touch
     begins       (E,) int32: of a break the number of the rod behind it, else zero
     begins_at    (N, G, 3) mm, where the rods begin at the start
     ties         (K, 4) int32: the vertex that a tie holds, and the one before it that it is held at, or -1 for a place; and of
@@ -58,7 +58,7 @@ class GroupTables:
     material: np.ndarray
     up: np.ndarray
     contact: ContactTable
-    barrier: bool
+    touching: bool
     begins: np.ndarray
     begins_at: np.ndarray
     ties: np.ndarray
@@ -79,7 +79,7 @@ class GroupTables:
 
 
 GROUPS = {
-    "barrier": ti.i32,
+    "touching": ti.i32,
     "begins": INDEX1, "ties": INDEX2, "borders": INDEX2, "targets": TABLE3, "free": TABLE3, "burden": TABLE3, "apart": INDEX2,
     "places": TABLE3,  # [group, rod, 3] mm: where the rods begin, the first left out, in and out
     "tie_forces": TABLE3,  # [group, tie, 6] force, energy per mm, and moment in the axes of the later edge, in and out
@@ -166,6 +166,6 @@ def _launch(table: GroupTables, options: Newton, state: GroupState, previous: np
     kernel(
         table.start.reshape(-1), table.rest_length, table.clamp, table.material, rods, policy_row(table.up, options, 64),
         threads, scratch, queue, state.frames.reshape(-1), state.results, joints.numbers(), joints.field(),
-        *contact.arguments(state.forces, options.gap_tolerance, settles=False), int(table.barrier), table.begins, table.ties,
+        *contact.arguments(state.forces, options.gap_tolerance, settles=False), int(table.touching), table.begins, table.ties,
         table.borders, table.targets, table.free, table.burden, table.apart, state.places, state.tie_forces, previous,
         state.touch, state.friction_work)

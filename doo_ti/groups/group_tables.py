@@ -137,7 +137,7 @@ def group_tables(group: Group, up: np.ndarray, obstacles, radius, contact: bool,
     crossing = smallest_gap(start, apart, np.zeros((1, start.shape[1]))) < DEEPEST_STEP * table.radius
     return GroupTables(
         start=_joined([member.start for member in members], 1.0), rest_length=lengths, clamp=clamp,
-        material=material, up=up, contact=table.touching(np.arange(group.count)), barrier=touch or bool(bodies), begins=begins,
+        material=material, up=up, contact=table.touching(np.arange(group.count)), touching=touch or bool(bodies), begins=begins,
         begins_at=begins_at, ties=ties, targets=targets, free=np.ascontiguousarray(free), burden=burden,
         rest=np.zeros((1, lengths.shape[1], JOINT_ITEMS)), apart=apart, radii=radii,
         feasible=np.all([member.feasible for member in members], axis=0) & ~crossing)

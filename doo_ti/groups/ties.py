@@ -157,16 +157,16 @@ class Ties:
     @ti.func
     def settle_ties(self, rod, due):
         """New forces of the ties in the lanes in which they draw points together, and a larger κ where they had to do so again.
-        From then on forces change with every step, unless contacts have a barrier yet."""
+        From then on forces change with every step."""
         head = self.group(rod)
         stiffness, first = head.stiffness, due & self.draws(rod)
         for b in range(rod.borders.shape[0]):
             tie, at, lever = self.tie(rod, rod.borders[b, 0]), self.bordered_force(rod, b), self.lever(rod, b)
             change = scaled(self.bordered_miss(rod, b), stiffness * (tie.active * tie.scale) * lever * lever)
             choose(at, first, now=plus(at.now, change))
-        again = first & (head.bound > 0.0) & ~self.behind(rod)
+        again = first & (head.bound > 0.0)
         self.bound_forces(rod, first)
         most = MOST_TIE_STIFFNESS / (rod.total * rod.total * rod.total)
         stiffness = ti.select(again, ti.min(STIFFER_TIES * stiffness, most), stiffness)
         head.stiffness = stiffness
-        choose(head, first & ~self.behind(rod), give=GIVE / stiffness)
+        choose(head, first, give=GIVE / stiffness)

@@ -1,4 +1,4 @@
-"""Contact of a chain with obstacles: an augmented Lagrangian of the gaps, and a barrier (docs/contact.md).
+"""Contact of a chain with obstacles: an augmented Lagrangian of the gaps (docs/contact.md).
 
 The gap at a place x of the rod is g = φ(x) − r ≥ 0. With forces λ ≥ 0 that are known from the round before, Newton minimises
 
@@ -35,13 +35,7 @@ from doo_ti.physics.tuples import (
     traced,
     variable,
 )
-from doo_ti.relaxation.contact_layout import (
-    BARRIER,
-    LOADED,
-    ROUGH,
-    SAG,
-    WALL,
-)
+from doo_ti.relaxation.contact_layout import EVEN
 from doo_ti.relaxation.contact_places import ContactPlaces
 
 
@@ -59,7 +53,7 @@ class ContactEnergy(ContactPlaces):
     def __init__(self, number, kinds: frozenset[int], rub: bool = False, moves: bool = False,
                  expects: bool = False):
         super().__init__(number, kinds, moves)
-        self.rub, self.first_phase, self.settles_early, self.expects = rub, ROUGH, not rub, expects
+        self.rub, self.settles_early, self.expects = rub, not rub, expects
 
     @ti.func
     def touched(self, rod, index, start, end):
@@ -210,7 +204,7 @@ class ContactEnergy(ContactPlaces):
         normal_start = previous.normal
         normal_end = contact.normal
         value_start, value_end = previous.value, contact.value
-        slope_start, slope_end = dot(normal_start, edge), dot(normal_end, edge)
+        slope_start, slope_end = dot(normal_start, edge) - EVEN * radius, dot(normal_end, edge) + EVEN * radius
         # φ along an edge lies above its tangents at both ends, which meet here.
         meet = (value_end - value_start - slope_end) / ti.min(slope_start - slope_end, zero - 1e-20)
         bridging = (slope_start < 0.0) & (slope_end > 0.0)
@@ -221,27 +215,20 @@ class ContactEnergy(ContactPlaces):
         depth = self.obstacle(rod, o).depth
         near = close & bridging & (low < 2.0 * radius)
         active = close & (contact.active > 0.5)
-        contact.weight = zero
+        contact.acts = zero
         contact.sagging = zero
         between = self.some(near | active, zero)
         if between:
             if some < 2:
                 self.clear_between(rod, zero)
             seen = self.nearest(rod, o, index, start, edge, (slope_start, slope_end), near | active)
-            lower = value_start < value_end
             sagging = ti.select(near, least - seen.value, zero)
             contact.sagging = sagging
-            sag = ti.max(sagging / (SAG * radius), zero)
-            behind = self.behind(rod)
             # Where rounds find an edge inside an obstacle between its ends, its nearest point counts from then on.
-            active = active | ((sagging > zero) & (seen.value < radius) & ~behind)
+            active = active | ((sagging > zero) & (seen.value < radius))
             known = contact.active
             contact.active = ti.select(active, zero + 1.0, known)
-            fading = ti.select(behind & near, 2.0 * sag / ((1.0 + sag * sag) * (1.0 + sag * sag) * SAG * radius), zero)
-            share = record(
-                weight=ti.select(behind, sag * sag / (1.0 + sag * sag), ti.select(active, zero + 1.0, zero)),
-                slope=fading, s=ti.select(lower, zero, zero + 1.0), normal=chosen(lower, normal_start, normal_end))
-            self.add_between(rod, contact, edge, seen, share)
+            self.add_between(rod, contact, edge, seen, active)
         return between, ti.select(close, low + depth, least - radius)
 
     @ti.func
@@ -250,29 +237,7 @@ class ContactEnergy(ContactPlaces):
         stiffness = rod.contacts.stiffness
         push = ti.max(force - stiffness * gap, 0.0 * gap)
         acting = ti.select(push > 0.0, stiffness, 0.0 * gap)
-        energy = 0.5 * push * push * rod.contacts.compliance
-        if self.some_behind(rod):
-            behind = self.behind(rod)
-            wall = self.barrier(rod, gap)
-            push, acting = ti.select(behind, wall.push, push), ti.select(behind, wall.stiffness, acting)
-            energy = ti.select(behind, wall.energy, energy)
-        return record(push=push, stiffness=acting, energy=energy)
-
-    @ti.func
-    def barrier(self, rod, gap):
-        """A barrier μ (1 − x)³/x in x, the gap over the radius, where that is below one: its energy, force and stiffness. It
-        does not act on rods that have just been loaded."""
-        zero = 0.0 * gap
-        radius = rod.contacts.radius
-        x = (gap + rod.contacts.offset) / radius
-        inside = (x < 1.0) & (rod.contacts.phase < ti.static(0.5 * (LOADED + BARRIER)))
-        strength = ti.select(inside, rod.contacts.strength, zero)
-        inverse, rest = 1.0 / ti.max(x, zero + 1e-3), 1.0 - x
-        first = rest * rest * inverse
-        second = first * rest * inverse
-        stiffness = 6.0 * rest * inverse + 6.0 * first * inverse + 2.0 * second * inverse
-        return record(energy=ti.select(inside & (x <= 1e-3), zero + 2.0 * WALL, strength * first * rest),
-                      push=strength * (3.0 * first + second) / radius, stiffness=strength * stiffness / (radius * radius))
+        return record(push=push, stiffness=acting, energy=0.5 * push * push * rod.contacts.compliance)
 
     @ti.func
     def add_vertex(self, rod, o, at, contact):
@@ -381,33 +346,28 @@ class ContactEnergy(ContactPlaces):
         return record(energy=energy, pull=scaled(z, share), stiffness=scaled(flat, stiffness * share))
 
     @ti.func
-    def add_between(self, rod, contact, edge, seen, share):
-        """Add the contact at the nearest point of the edge, the energy of which counts by a weight. ``share``: that weight, its
-        derivative by the sag of φ from the nearer end, s there and the normal."""
+    def add_between(self, rod, contact, edge, seen, acts):
+        """Add the contact at the nearest point of the edge in the lanes where it ``acts``; in others it may hold any number."""
         s, normal, zero = seen.s, seen.normal, 0.0 * seen.s
-        weight = share.weight
-        counts = weight > 0.0  # a lane where it does not may hold any number
-        contact.nearest_point = (s, seen.value) + normal + (weight,)
+        contact.nearest_point = (s, seen.value) + normal + (ti.select(acts, zero + 1.0, zero),)
         gap = seen.value - rod.contacts.radius
-        self.settle_now(rod, contact.of("force_between"), gap, counts)
+        self.settle_now(rod, contact.of("force_between"), gap, acts)
         pushed = self.push(rod, contact.force_between, gap)
-        rod.contacts.closest = ti.min(rod.contacts.closest, ti.select(counts, gap, zero + 1e30))
-        own = ti.select(counts, pushed.energy, zero)
-        self.expect(rod, contact.of("pushes_between"), contact.force_between, gap, counts, pushed)
-        force, stiffness = ti.select(counts, weight * pushed.push, zero), ti.select(counts, weight * pushed.stiffness, zero)
+        rod.contacts.closest = ti.min(rod.contacts.closest, ti.select(acts, gap, zero + 1e30))
+        own = ti.select(acts, pushed.energy, zero)
+        self.expect(rod, contact.of("pushes_between"), contact.force_between, gap, acts, pushed)
+        force, stiffness = ti.select(acts, pushed.push, zero), ti.select(acts, pushed.stiffness, zero)
         known = self.known_force(rod, contact.force_between, force)
         if ti.static(self.settles_early):
             excess = scaled(normal, known - force)
             add(rod.contacts, excess=excess, excess_s=scaled(excess, s))
-        self.add_penalty(rod, weight * own, ti.max(force, zero) * rod.total)
+        self.add_penalty(rod, own, ti.max(force, zero) * rod.total)
         turned = applied(full(seen.curvature), edge)
         across = plus(normal, scaled(turned, s))
         slide = known / seen.bend
         fixed = minus(scaled(outer(normal), stiffness), scaled(seen.curvature, known))
-        fading = share.slope * own
-        pull = scaled(normal, 0.0 - force - fading)
-        lift = scaled(share.normal, fading)
-        add(rod.contacts, gradient=plus(pull, lift), gradient_s=plus(scaled(pull, s), scaled(lift, share.s)),
+        pull = scaled(normal, 0.0 - force)
+        add(rod.contacts, gradient=pull, gradient_s=scaled(pull, s),
             curvatures=plus(fixed, scaled(outer(turned), slide)),
             curvatures_s=plus(scaled(full(fixed), s), scaled(outer_product(turned, across), slide)),
             curvatures_ss=plus(scaled(fixed, s * s), scaled(outer(across), slide)))

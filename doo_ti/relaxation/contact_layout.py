@@ -4,16 +4,14 @@ from doo_ti.contact.distance import COLUMNS
 from doo_ti.physics.tuples import picked
 from doo_ti.physics.view import Layout
 
-# Of a rod: its radius, κ, the tolerance of its gaps, by how much the last round changed a gap, and its phase; of the barrier
-# what it adds to gaps, its strength μ and how many strengths it has had; how close to an obstacle a vertex is where more than
-# its φ counts; κ as it was at first; the work that friction has done; one where a step is tried for the second time; μ as it
-# was at first; of a motion how much of the clamps' way to the next instant is behind the rod, how much of it is made at once,
-# the multiplier of closure at the last instant, and the largest force; and of steps that viscosity eases, the viscosity now and
-# at first, and how many there were.
+# Of a rod: its radius, κ, the tolerance of its gaps, by how much the last round changed a gap, and its phase; how close to an
+# obstacle a vertex is where more than its φ counts; κ as it was at first; the work that friction has done; one where a step is
+# tried for the second time; of a motion how much of the clamps' way to the next instant is made, and how much at once, the
+# multiplier of closure at the last instant, and the largest force; and of steps that viscosity eases, the viscosity now and at
+# first, and how many there were.
 ROD = Layout(
-    radius=1, stiffness=1, tolerance=1, change=1, phase=1, offset=1, strength=1, stage=1, reach=1, first_stiffness=1, work=1,
-    retried=1, first_strength=1, way_made=1, way=1, multiplier=3, largest=1, viscosity=1, first_viscosity=1, eased=1,
-    given=("radius", 13))
+    radius=1, stiffness=1, tolerance=1, change=1, phase=1, reach=1, first_stiffness=1, work=1, retried=1, way_made=1, way=1,
+    multiplier=3, largest=1, viscosity=1, first_viscosity=1, eased=1, given=("radius", 9))
 # Sums, which are kept here because a loop over obstacles has no room for them in registers: the energy of all contacts, its
 # magnitude, and the part of it that only makes gaps close, which is no energy of the rod; the square of the largest share of
 # its way to the middle of an obstacle that a vertex has made in this step; the least φ, the least gap where no clamp holds the
@@ -22,9 +20,8 @@ SUMS = Layout(energy=1, magnitude=1, penalty=1, crossing=1, deepest=1, closest=1
 # Then the κ with which the step settles forces, zero where it does not, and how many steps have done so; 1/κ; one where the
 # step before was refused, and one where the derivatives therefore have a contact that does not push
 # (:meth:`.ContactEnergy.expect`); that part of the energy at the accepted frames; and, one number each for all rods of the
-# pack, whether a barrier keeps any away from obstacles, whether the step of any was refused, and the longest edge.
-STEP = Layout(settling=1, early=1, compliance=1, expecting=1, expected=1, penalty_kept=1, some_behind=1, some_expecting=1,
-              longest_edge=1)
+# pack, whether the step of any was refused, and the longest edge.
+STEP = Layout(settling=1, early=1, compliance=1, expecting=1, expected=1, penalty_kept=1, some_expecting=1, longest_edge=1)
 # And of one edge the derivatives of the energy of its contacts between its ends, as :meth:`.LoadedElimination.load` returns
 # them, and how much of the first two is not of known forces; and those by the place of the vertex where it ends of the energy
 # of the contacts there.
@@ -47,73 +44,53 @@ VERTEX = Layout(place=3, standing=3, room=1, room_standing=1, force_end=3, force
 """A vertex; its contacts follow."""
 # λ of both, and the friction on both; for friction, where a round does not change them, the normal at the vertex, the place on
 # the edge and the normal there; one where rounds have the contact of the edge; of the vertex φ, its normal and ∇∇φ; of the edge
-# the nearest point s, φ* and its normal, the weight of its contact, and by how much it is nearer there than at its ends; one
+# the nearest point s, φ* and its normal, one where it has a contact, and by how much it is nearer there than at its ends; one
 # number for all rods of the pack, how far the nearest is from being close; and, of both, one where it has pushed in the last
 # trip.
 CONTACT = Layout(
     force=1, force_between=1, friction=3, friction_between=3, rubbed_normal=3, rubbed_place=1, rubbed_normal_between=3,
-    active=1, value=1, normal=3, curvature=6, place_between=1, value_between=1, normal_between=3, weight=1,
+    active=1, value=1, normal=3, curvature=6, place_between=1, value_between=1, normal_between=3, acts=1,
     nearest_point=("place_between", 6), sagging=1, nearest=1, pushes=1, pushes_between=1,
     remembered=("force", 16))
 """The contact of a vertex and the edge that ends there with an obstacle."""
 REMEMBERED, REMEMBERED_IN_MOTION = CONTACT.at("friction"), CONTACT.at("value")
 """Numbers of a contact that last from one relaxation to the next, and from one step to the next."""
-# Phases of a rod: it has just been loaded and begins with a barrier; this keeps it away from obstacles and finds out where it
-# will touch them; rounds to a rough tolerance of its moments; rounds to the final one.
-LOADED, BARRIER, ROUGH, FINE = 3.0, 2.0, 1.0, 0.0
+# Phases of a rod: rounds to a rough tolerance of its moments, and rounds to the final one.
+ROUGH, FINE = 1.0, 0.0
 
-SEARCHES = 24
+SEARCHES = 48
 """Evaluations, at most, to find the point of an edge that is nearest to an obstacle."""
-SAG = 0.1
-"""Of a radius: where an edge is nearer to an obstacle than its ends by so much, its nearest point has half its weight."""
-BENDING_LOADS = 20.0
-"""The forces to expect are the weight of an edge and so many B/L²."""
+EVEN = 1e-5
+"""Of a radius: φ along an edge counts that times (s − ½)² more, so that the nearest point is unique, and moves continuously,
+where an edge lies flat on a face. Gaps may be wrong by a quarter of it."""
+BENDING_LOADS, LOOP_LOADS = 20.0, 200.0
+"""The forces to expect are the weight of an edge and so many B/L²; more where rods touch themselves, which are bent to loops.
+With 20 there, too, loops are pressed so far into each other that a knot slips over an end of its rod."""
 SOFT = 0.1
 """Of a radius: at first κ gives way by that under such a force."""
 THROUGH = 0.4
 """Of the way to the middle of an obstacle: at first κ gives way by that, at most, under the weight of the whole rod."""
-TIGHT, SOFTEST = 0.3, 1.0
-"""Of a radius: the most by which κ gives way under the largest force, so that forces end where contact does; and where a step
-was refused, so that the rod does not slip into the obstacle."""
-EARLY_ROTATION, EARLY_SHIFT, EARLY_STIFFER, MOST_EARLY = 3e-2, 1e-3, 7.0, 12.0
-"""A step in which every edge turns by less than that, rad, settles forces, unless a larger shift, over H's largest diagonal
-entry, makes it small; κ is from then on at least so many times the first; and at most so many steps of a rod do so."""
-ALMOST, ALMOST_STIFFER = 5e-3, 40.0
-"""Of a radius: once such a step has changed gaps by less, κ is in f64 at least so many times the first."""
+TIGHT = 0.3
+"""Of a radius: the most by which κ gives way under the largest force, so that forces end where contact does."""
+EARLY_ROTATION, EARLY_STIFFER, MOST_EARLY = 3e-2, 10.0, 12.0
+"""A step in which every edge turns by less than that, rad, settles forces; κ is from then on at least so many times the first;
+and at most so many steps of a rod do so."""
 FOLLOWED = 0.7
 """If such a step leaves a residual above ROUGHER and changes gaps by more than that share of what the one before did, the rod
 has not followed its forces yet, and the next step settles none."""
-DEEP = 0.5
-"""Of a radius: if a vertex is so deep inside an obstacle, such a step leaves κ as it is; at half that depth κ may double."""
 STIFFER, SLOW, STIFFEST = 5.0, 0.3, 1e6
 """κ grows by so much where a round leaves more than that share of the change of the round before, up to so many times the
 first."""
-HOPELESS, HOPELESS_32 = 1e11, 1e7
-"""Times the first κ and the radius: larger contact forces mean that the rod cannot get out of an obstacle. In f32 the limit is
-lower, and f64 continues."""
-OPEN = 0.01
-"""Of a radius: a round that changes a gap by more has left it open."""
-SECANT = 0.3
-"""After the barrier κ is that share of the barrier's largest force over its gap."""
-BARRIER_SHARE = 1 / 16
-"""The barrier at a quarter of a radius pushes at first like such a force."""
-WALL = 1e29
-"""More energy than a rod has: behind the barrier."""
-WEAKER, STAGES = 1 / 30, 2
-"""The barrier becomes weaker by that, until it has had so many stages."""
-NEAR_ENOUGH = 0.03
-"""Of a radius: or until it leaves so small a gap."""
+HOPELESS = 1e8
+"""Times the first κ and the radius: larger contact forces mean that the rod cannot get out of an obstacle."""
 CLOSE = 4.0
 """Radii: what is further from an obstacle than that, and half an edge, is not close."""
-LEAST_OFFSET = 0.05
-"""Of a radius: the smallest gap of a rod's start, as the barrier sees it."""
 APPROACH = 0.75
 """A step is taken whole if it shortens no gap by more than that gap times max_rotation over this: by 0.8 of it by default."""
-SLACK, SLACK_OF_SHARP = 0.3, 0.1
-"""Of a radius: what is added to a gap for that in rounds, in which a rod may be pressed into an obstacle; and where the
-obstacle has edges, past which the rod could slip."""
-ROUGHEST, ROUGHER = 1e-2, 3e-3
-"""The residual to reach under the barrier, and until the forces of contacts have settled."""
+SLACK = 0.3
+"""Of a radius: what is added to a gap for that, as a rod may be pressed into an obstacle in rounds."""
+ROUGHER = 3e-3
+"""The residual to reach until the forces of contacts have settled."""
 
 VISCOUS, THICKER, THINNER, LEAST_VISCOSITY, MOST_VISCOSITY, MOST_EASED = 30.0, 8.0, 1 / 4, 1 / 100, 1e5, 48.0
 """Viscosity that eases a step is at first so many times the expected forces over the rod's length at every vertex, larger by

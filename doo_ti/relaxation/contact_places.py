@@ -3,7 +3,7 @@
 import taichi as ti
 
 from doo_ti.contact.distance import Distance
-from doo_ti.contact.obstacles import BOX, CYLINDER, GRID, PLANE
+from doo_ti.contact.obstacles import PLANE
 from doo_ti.physics.algebra import absolute, largest_of
 from doo_ti.physics.tuples import (
     add,
@@ -21,7 +21,7 @@ from doo_ti.physics.tuples import (
     scaled,
     variable,
 )
-from doo_ti.relaxation.contact_layout import BARRIER, CONTACT, CONTACTS, OBSTACLE, ROUGH, SEARCHES, VERTEX, contact_items
+from doo_ti.relaxation.contact_layout import CONTACT, CONTACTS, EVEN, OBSTACLE, SEARCHES, VERTEX, contact_items
 
 
 @ti.data_oriented
@@ -37,16 +37,6 @@ class ContactPlaces:
         self.rounding = 2e-7 if number.bits == 32 else 1e-13
         # And of the place on an edge, of its length: φ there is wrong by its square.
         self.place_rounding = 3e-4 if number.bits == 32 else 1e-7
-
-    @ti.func
-    def behind(self, rod):
-        """Whether a barrier keeps the rod away from obstacles, or is about to."""
-        return rod.contacts.phase > ti.static(0.5 * (BARRIER + ROUGH))
-
-    @ti.func
-    def some_behind(self, rod):
-        """Whether it does so in some lane of the pack."""
-        return rod.contacts.lane(0).some_behind > 0.5
 
     @ti.func
     def some(self, condition, zero):
@@ -89,7 +79,6 @@ class ContactPlaces:
         rod.contacts.compliance = 1.0 / rod.contacts.stiffness
         rod.contacts.expected = zero
         common = rod.contacts.lane(0)  # one number for all rods of the pack, the largest of theirs
-        common.some_behind = self.largest(ti.select(self.behind(rod), zero + 1.0, zero))
         common.some_expecting = self.largest(rod.contacts.expecting)
         common.longest_edge = self.largest(rod.longest)
 
@@ -163,12 +152,6 @@ class ContactPlaces:
         return rod.kinds[o] != ti.static(PLANE)
 
     @ti.func
-    def is_sharp(self, rod, o):
-        """Whether obstacle ``o`` may have edges: a box, a cylinder or a grid."""
-        kind = rod.kinds[o]
-        return kind == ti.static(BOX) or kind == ti.static(CYLINDER) or kind >= ti.static(GRID)
-
-    @ti.func
     def is_any_close(self, rod, at):
         """Whether the vertex at ``at`` in scratch is close to any obstacle in some lane."""
         return at.lane(0).nearest_of_all < 0.0
@@ -235,34 +218,36 @@ class ContactPlaces:
     @ti.func
     def nearest(self, rod, o, index, start, edge, ends, wanted):
         """The point of the edge to vertex ``index`` that is nearest to an obstacle in the lanes where it is ``wanted``, by
-        Newton's method between bounds, from ``ends``, φ_s at both: a record of ``s``, of φ there with its derivatives, and of
-        φ_ss, or a very large number where an end is the nearest."""
+        Newton's method between bounds, which halves them where a step is not half as long as the one before, from ``ends``, φ_s
+        at both: a record of ``s``, of φ there with its derivatives, and of φ_ss, or a very large number where an end is the
+        nearest."""
         zero = 0.0 * rod.total
         low, high = zero, zero + 1.0
         bridging = (ends[0] < 0.0) & (ends[1] > 0.0)
         s = variable((self.first_guess(edge, ends, bridging),))
         found = record(s=zero, value=zero, normal=repeated(zero, 3), curvature=repeated(zero, 6), bend=zero + 1.0)
-        going = ti.select(wanted, zero + 1.0, zero)
+        going, longest, even = (ti.select(wanted, zero + 1.0, zero), zero + 2.0, EVEN * rod.contacts.radius)
         searches = 0
         while searches < SEARCHES and self.largest(going) > 0.5:
             searches += 1
             seen = self.distance.measure(self.obstacle(rod, o), rod.grids, rod.kinds[o],
                                          plus(start, scaled(edge, s[0])))
             here = going > 0.5
-            slope = dot(seen.normal, edge)
-            bend = ti.max(dot(edge, applied(full(seen.curvature), edge)), zero + 1e-20)
-            choose(found, here, s=s[0], value=self.clearance(rod, index, seen.value), bend=bend)
+            aside = s[0] - 0.5
+            slope = dot(seen.normal, edge) + 2.0 * even * aside
+            bend = ti.max(dot(edge, applied(full(seen.curvature), edge)), zero) + 2.0 * even
+            choose(found, here, s=s[0], value=self.clearance(rod, index, seen.value) + even * aside * aside, bend=bend)
             found.normal = chosen(here, seen.normal, found.normal)
             found.curvature = chosen(here, seen.curvature, found.curvature)
             low, high = ti.select(slope < 0.0, s[0], low), ti.select(slope < 0.0, high, s[0])
             step = s[0] - slope / bend
-            step = ti.select((step >= low) & (step <= high), step, 0.5 * (low + high))
+            converges = (step >= low) & (step <= high) & (absolute(step - s[0]) <= 0.5 * longest)
+            step = ti.select(converges, step, 0.5 * (low + high))
+            longest = absolute(step - s[0])
             # A lane that has found its point keeps it while others go on.
             going = ti.select(here & bridging & (absolute(step - s[0]) > self.place_rounding), zero + 1.0, zero)
             s = (step,)
-        # Inside a box φ may have a kink there and no curvature: the point then stays at the kink.
-        curved = found.bend > 1e-9 * ti.sqrt(dot(edge, edge))
-        found.bend = ti.select(bridging & curved, found.bend, zero + 1e30)
+        found.bend = ti.select(bridging, found.bend, zero + 1e30)
         return found
 
     @ti.func

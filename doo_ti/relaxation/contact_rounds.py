@@ -6,34 +6,19 @@ from doo_ti.physics.algebra import absolute, largest_of
 from doo_ti.physics.tuples import add, choose, chosen, dot, minus, plus, record, repeated, scaled, variable
 from doo_ti.relaxation.contact_energy import ContactEnergy
 from doo_ti.relaxation.contact_layout import (
-    ALMOST,
-    ALMOST_STIFFER,
     APPROACH,
-    BARRIER,
-    DEEP,
     EARLY_STIFFER,
     FINE,
     FOLLOWED,
     HOPELESS,
-    HOPELESS_32,
-    LEAST_OFFSET,
-    LOADED,
     MOST_EARLY,
-    NEAR_ENOUGH,
-    OPEN,
     ROUGH,
     ROUGHER,
-    ROUGHEST,
-    SECANT,
     SLACK,
-    SLACK_OF_SHARP,
     SLOW,
-    SOFTEST,
-    STAGES,
     STIFFER,
     STIFFEST,
     TIGHT,
-    WEAKER,
 )
 
 
@@ -61,29 +46,25 @@ class ContactRounds(ContactEnergy):
         middle of an obstacle, or of the gap there and on the edge that ends there, whose start makes the step ``before``."""
         zero = 0.0 * move[0]
         at = self.vertex(rod, index)
-        behind = self.behind(rod)
         radius = rod.contacts.radius
-        floor = ti.select(behind, zero - 1e30, zero)
+        slack = SLACK * radius
         most = zero
         if self.is_any_close(rod, at) or (index > 0 and self.is_any_close(rod, self.vertex(rod, index - 1))):
             for o in range(rod.obstacles):
                 contact = self.contact(at, o)
                 value = contact.value
-                slack = ti.select(self.is_sharp(rod, o), SLACK_OF_SHARP, SLACK) * radius
-                slack = ti.select(behind, rod.contacts.offset, slack)
                 if self.is_close(rod, contact):
-                    gap = ti.max(value - radius, floor) + slack
+                    gap = ti.max(value - radius, zero) + slack
                     normal = contact.normal
                     share = (0.0 - APPROACH) * dot(normal, move) / ti.max(gap, 1e-6 * radius)
                     most = ti.select(self.close_lanes(rod, value), ti.max(most, share), most)
                 if self.is_curved(rod, o) and self.is_edge_close(rod, index, o):
-                    weight = contact.weight
                     s = contact.place_between
                     between = plus(before, scaled(minus(move, before), s))
-                    gap = ti.max(contact.value_between - radius, floor) + slack
+                    gap = ti.max(contact.value_between - radius, zero) + slack
                     away = contact.normal_between
                     share = (0.0 - APPROACH) * dot(away, between) / ti.max(gap, 1e-6 * radius)
-                    most = ti.select(weight > 0.0, ti.max(most, share), most)
+                    most = ti.select(contact.acts > 0.0, ti.max(most, share), most)
         return ti.max(dot(move, move) * self.nearness(rod, index, at), most * most)
 
     # --- rounds ---
@@ -92,8 +73,8 @@ class ContactRounds(ContactEnergy):
     def tolerance(self, rod, given):
         """The residual that a rod is to reach where ``given`` is that of one without contact: more while its rounds are rough,
         and at least what rounding of places makes of the forces."""
-        rough = ti.select(self.behind(rod), 0.0 * given + ROUGHEST, 0.0 * given + ROUGHER)
-        return self.final_tolerance(rod, ti.select(self.settled(rod), given, ti.max(given, rough)))
+        rough = ti.max(given, 0.0 * given + ROUGHER)
+        return self.final_tolerance(rod, ti.select(self.settled(rod), given, rough))
 
     @ti.func
     def final_tolerance(self, rod, given):
@@ -106,41 +87,21 @@ class ContactRounds(ContactEnergy):
         return rod.contacts.phase < ti.static(0.5 * (ROUGH + FINE))
 
     @ti.func
-    def shows_saddles(self, rod):
-        """The lanes in which a wrong inertia at rest means a saddle: in the final rounds, and wherever the last round has left
-        a gap open. A straight rod that is pushed end-on against a wall never closes its gap before it bends."""
-        change = rod.contacts.change
-        return self.settled(rod) | ((change > OPEN * rod.contacts.radius) & (change < 1e29))
-
-    @ti.func
-    def enter(self, rod, fresh, pushed):
-        """Begin with the barrier where a rod has just been loaded, or was ``pushed`` into it by a step that nothing judged, its
-        gaps larger by so much that it is within; returns the lanes where they are."""
-        radius = rod.contacts.radius
-        needed = LEAST_OFFSET * radius - rod.contacts.closest
-        loaded = fresh & (rod.contacts.phase > ti.static(0.5 * (LOADED + BARRIER)))
-        further = pushed & self.behind(rod) & (needed > rod.contacts.offset)
-        choose(rod.contacts, loaded | further, offset=ti.max(needed, 0.0 * radius))
-        choose(rod.contacts, loaded, phase=0.0 * radius + BARRIER)
-        return loaded | further
-
-    @ti.func
-    def end_round(self, rod, lane, calm, rests, entered):
+    def end_round(self, rod, lane, calm, rests):
         """End a round where a lane's rod ``rests`` under the forces of its contacts or, while these still change, is ``calm``
-        to a rougher tolerance; returns the lanes in which another round follows, those that have ``entered`` one included."""
+        to a rougher tolerance; returns the lanes in which another round follows."""
         zero = 0.0 * rod.total
         settled = self.settled(rod)
         due = (rests | (calm & ~settled)) & (lane.active > 0.5)
-        again = due | entered
-        behind = self.behind(rod)
+        again = variable((due,))
         if self.some(due, zero):
             close = self.settle(rod, due) <= rod.contacts.tolerance
-            choose(rod.contacts, due & close & ~behind, phase=zero + FINE)
-            again = entered | (due & ~(close & settled))
+            choose(rod.contacts, due & close, phase=zero + FINE)
+            again = (due & ~(close & settled),)
         # The next trip evaluates the rod where it is, under the new forces.
-        choose(lane, again, trying=zero, closing=zero, escaping=zero, step_scale=zero, best=zero + 1e30, idle_trips=zero,
-               aimless=zero, returned=zero)
-        return again
+        choose(lane, again[0], trying=zero, escaping=zero, step_scale=zero, best=zero + 1e30, idle_trips=zero, aimless=zero,
+               returned=zero)
+        return again[0]
 
     @ti.func
     def settle_early(self, rod, lane, ready, rests):
@@ -151,7 +112,7 @@ class ContactRounds(ContactEnergy):
         zero = 0.0 * rod.total
         early, done = variable((zero > 1.0,)), variable((zero > 1.0,))
         if ti.static(self.settles_early):
-            stiffness, change, radius = rod.contacts.stiffness, self.settled_gap(rod), rod.contacts.radius
+            stiffness, change = rod.contacts.stiffness, self.settled_gap(rod)
             settled = rod.contacts.settling > 0.0
             # The rod has not followed its forces, and might never if they changed again at once.
             lagging = settled & (lane.residual * rod.total > ROUGHER) & (change > FOLLOWED * rod.contacts.change)
@@ -162,28 +123,21 @@ class ContactRounds(ContactEnergy):
             last = within & ~done[0]
             choose(rod.contacts, last, phase=zero + FINE)
             choose(lane, settled, best=zero + 1e30, idle_trips=zero, aimless=zero)
-            rough = ~self.behind(rod) & ~self.settled(rod)
-            settles = ready & rough & ~done[0] & ~lagging & (rod.contacts.early < MOST_EARLY)
+            settles = ready & ~self.settled(rod) & ~done[0] & ~lagging & (rod.contacts.early < MOST_EARLY)
             rod.contacts.settling = ti.select(settles, stiffness, zero)
             choose(rod.contacts, settles, early=rod.contacts.early + 1.0)
-            stiffer = zero + EARLY_STIFFER
-            if ti.static(self.bits == 64):  # in f32 so large a κ would make rounding large
-                stiffer = ti.select(settled & (change < ALMOST * radius), zero + ALMOST_STIFFER, stiffer)
-            # Deep in an obstacle a much larger κ would throw the rod out of it.
-            depth = ti.max(0.0 - rod.contacts.closest, 1e-3 * radius)
-            larger = ti.min(stiffer * rod.contacts.first_stiffness, DEEP * radius / depth * stiffness)
-            choose(rod.contacts, settles, stiffness=ti.max(stiffness, larger))
+            stiffer = ti.max(stiffness, EARLY_STIFFER * rod.contacts.first_stiffness)
+            choose(rod.contacts, settles, stiffness=stiffer)
             early = (settles | last,)
         return early[0], done[0]
 
     @ti.func
     def settle(self, rod, due):
-        """End a round in the lanes that are ``due`` with new forces, or the barrier with those it exerts. Returns the largest
-        change of a gap that they mean."""
+        """End a round in the lanes that are ``due`` with new forces. Returns the largest change of a gap that they mean."""
         zero = 0.0 * rod.total
-        radius, stiffness, behind = rod.contacts.radius, rod.contacts.stiffness, self.behind(rod)
+        stiffness = rod.contacts.stiffness
         # Friction settles no sooner with a larger κ.
-        found = record(change=zero, secant=zero, largest=zero, rubbed=zero)
+        found = record(change=zero, largest=zero, rubbed=zero)
         for v in range(rod.edges + 1):
             at = self.vertex(rod, v)
             for o in range(rod.obstacles):
@@ -197,21 +151,14 @@ class ContactRounds(ContactEnergy):
                 if ti.static(self.rub):
                     found.rubbed = largest_of(found.rubbed, self.settle_friction(rod, v, o, due))
         self.settle_pairs(rod, due, found)
-        change = ti.select(due & ~behind, found.change / stiffness, zero)
-        slow = due & ~behind & (change > SLOW * rod.contacts.change) & (change > rod.contacts.tolerance)
+        change = ti.select(due, found.change / stiffness, zero)
+        slow = due & (change > SLOW * rod.contacts.change) & (change > rod.contacts.tolerance)
         slow = slow & (stiffness < STIFFEST * rod.contacts.first_stiffness)
         choose(rod.contacts, due, largest=found.largest)
         choose(rod.contacts, slow, stiffness=STIFFER * stiffness)
-        self.tighten(rod, due & ~behind)
-        choose(rod.contacts, due & ~behind, change=change)
-        nearest = rod.contacts.closest + rod.contacts.offset
-        last = due & behind & ((rod.contacts.stage > STAGES - 1.5) | (nearest < NEAR_ENOUGH * radius))
-        stiffer = ti.max(SECANT * found.secant, rod.contacts.first_stiffness)
-        choose(rod.contacts, last & (found.secant > 0.0), stiffness=stiffer, first_stiffness=stiffer)
-        choose(rod.contacts, last, phase=zero + ROUGH)
-        choose(rod.contacts, due & behind & ~last, strength=WEAKER * rod.contacts.strength)
-        choose(rod.contacts, due & behind, stage=1.0 + rod.contacts.stage)
-        return largest_of(change, ti.select(due & ~behind, found.rubbed / stiffness, zero))
+        self.tighten(rod, due)
+        choose(rod.contacts, due, change=change)
+        return largest_of(change, ti.select(due, found.rubbed / stiffness, zero))
 
     @ti.func
     def expected(self, rod):
@@ -219,26 +166,33 @@ class ContactRounds(ContactEnergy):
         return rod.contacts.expected > 0.5
 
     @ti.func
-    def note_refused(self, rod, where):
-        """Have the next trip expect contacts in the lanes ``where`` a step was refused, and no others."""
-        zero = 0.0 * rod.total
-        rod.contacts.expecting = ti.select(where & ~self.behind(rod), zero + 1.0, zero)
-
-    @ti.func
     def jammed(self, rod):
         """The lanes in which forces have grown beyond all bounds: no place that the rod can get to is outside the obstacles."""
-        most = ti.static(HOPELESS_32 if self.bits == 32 else HOPELESS)
-        return rod.contacts.largest > most * rod.contacts.first_stiffness * rod.contacts.radius
+        return rod.contacts.largest > HOPELESS * rod.contacts.first_stiffness * rod.contacts.radius
 
     @ti.func
     def soften(self, rod, where):
-        """Make κ smaller, down to the first or to what bears the forces, in the lanes ``where`` a step was refused; returns
-        those in which it had grown."""
-        stiffness = rod.contacts.stiffness
-        least = ti.max(rod.contacts.first_stiffness, self.bearing(rod, SOFTEST))
-        softer = where & ~self.behind(rod) & (stiffness > least)
+        """Make κ smaller, down to the first or to what gives way by a radius under the largest force, in the lanes ``where`` a
+        step was refused, unless the rod is deep (:meth:`stiffen`); returns those in which it had grown."""
+        stiffness, radius = rod.contacts.stiffness, rod.contacts.radius
+        least = ti.max(rod.contacts.first_stiffness, rod.contacts.largest / radius)
+        softer = where & (stiffness > least) & (rod.contacts.closest >= 0.0 - radius)
         choose(rod.contacts, softer, stiffness=ti.max(stiffness / STIFFER, least))
         return softer
+
+    @ti.func
+    def stiffen(self, rod, where):
+        """A larger κ in the lanes ``where`` a step was refused and the rod is deeper than its radius inside an obstacle: forces
+        that draw it through are larger than those that κ was chosen for."""
+        stiffness, radius = rod.contacts.stiffness, rod.contacts.radius
+        deep = where & (rod.contacts.closest < 0.0 - radius) & (stiffness < STIFFEST * rod.contacts.first_stiffness)
+        choose(rod.contacts, deep, stiffness=STIFFER * stiffness)
+
+    @ti.func
+    def note_refused(self, rod, where):
+        """Have the next trip expect contacts in the lanes ``where`` a step was refused, and no others."""
+        zero = 0.0 * rod.total
+        rod.contacts.expecting = ti.select(where, zero + 1.0, zero)
 
     @ti.func
     def settle_vertex(self, rod, contact, due, found):
@@ -246,7 +200,7 @@ class ContactRounds(ContactEnergy):
         old = contact.force
         gap = contact.value - rod.contacts.radius
         new = self.settled_force(rod, old, gap)
-        self.note_force(rod, found, gap, old, new)
+        self.note_change(found, old, new)
         contact.force = ti.select(due, new, old)
 
     @ti.func
@@ -255,21 +209,17 @@ class ContactRounds(ContactEnergy):
         zero = 0.0 * rod.total
         old = contact.force_between
         # Where the edge does not bridge the obstacle its nearest point is not known.
-        sagging, weight = contact.sagging, contact.weight
-        known = ((weight > 0.0) | (sagging > 0.0)) & (index > 0)
+        known = ((contact.acts > 0.0) | (contact.sagging > 0.0)) & (index > 0)
         gap = ti.select(known, contact.value_between - rod.contacts.radius, zero + 1e6)
         new, late = self.settle_between(rod, index, o, due, gap, self.settled_force(rod, old, gap))
-        found.change = largest_of(found.change, ti.select(self.behind(rod), zero, late))
-        self.note_force(rod, found, gap, old, new)
+        found.change = largest_of(found.change, late)
+        self.note_change(found, old, new)
         contact.force_between = ti.select(due, new, old)
 
     @ti.func
     def settled_force(self, rod, old, gap):
-        """max(0, λ − κ g), or what the barrier exerts."""
-        new = ti.max(old - rod.contacts.stiffness * gap, 0.0 * gap)
-        if self.some_behind(rod):
-            new = ti.select(self.behind(rod), self.barrier(rod, gap).push, new)
-        return new
+        """max(0, λ − κ g)."""
+        return ti.max(old - rod.contacts.stiffness * gap, 0.0 * gap)
 
     @ti.func
     def settle_far(self, rod, contact, due, found):
@@ -277,19 +227,11 @@ class ContactRounds(ContactEnergy):
         zero = 0.0 * rod.total
         old = contact.force
         gap = contact.value - rod.contacts.radius
-        new = ti.select(self.behind(rod), zero, ti.max(old - rod.contacts.stiffness * gap, zero))
+        new = self.settled_force(rod, old, gap)
         self.note_change(found, old, new)
         self.note_change(found, contact.force_between, zero)
         choose(contact, due, force=new, force_between=zero, active=zero)
         contact.sagging = zero
-
-    @ti.func
-    def note_force(self, rod, found, gap, old, new):
-        """Take the change of a contact's force, and what the barrier says about κ, into ``found``."""
-        if self.some_behind(rod):
-            least = 1e-3 * rod.contacts.radius
-            found.secant = largest_of(found.secant, new / ti.max(gap + rod.contacts.offset, least))
-        self.note_change(found, old, new)
 
     @ti.func
     def note_change(self, found, old, new):
@@ -300,12 +242,8 @@ class ContactRounds(ContactEnergy):
     @ti.func
     def tighten(self, rod, where):
         """Make κ so large that it gives way by no more than a part of the radius under the largest force."""
-        choose(rod.contacts, where, stiffness=ti.max(rod.contacts.stiffness, self.bearing(rod, TIGHT)))
-
-    @ti.func
-    def bearing(self, rod, share: ti.template()):
-        """The κ that gives way by that share of the radius under the largest force."""
-        return rod.contacts.largest / (share * rod.contacts.radius)
+        least = rod.contacts.largest / (TIGHT * rod.contacts.radius)
+        choose(rod.contacts, where, stiffness=ti.max(rod.contacts.stiffness, least))
 
     @ti.func
     def settle_between(self, rod, index, o, due, gap, force):

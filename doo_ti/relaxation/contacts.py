@@ -8,7 +8,6 @@ from doo_ti.physics.tuples import choose, dot, repeated
 from doo_ti.physics.view import exact
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_layout import (
-    BARRIER_SHARE,
     BENDING_LOADS,
     CLOSE,
     CONTACT,
@@ -17,7 +16,7 @@ from doo_ti.relaxation.contact_layout import (
     INERT,
     LEAST_BLOCKED,
     LEAST_VISCOSITY,
-    LOADED,
+    LOOP_LOADS,
     MOST_EASED,
     MOST_VISCOSITY,
     REMEMBERED,
@@ -100,7 +99,7 @@ class Contacts(ContactRounds):
 
     @ti.func
     def retry(self, rod, failed, blocked, bowed, least):
-        """Prepare a step that has failed for another try, which knows no forces and begins with the barrier; returns the lanes
+        """Prepare a step that has failed for another try, which knows no forces; returns the lanes
         in which there is one. A second try, and a first one that would begin inside an obstacle (``blocked``), though not one
         in which a straight rod was ``bowed``, makes half the way, down to ``least`` of that to the next instant. Where that
         fails too there is no equilibrium near, and the rod goes to another one against viscosity."""
@@ -122,9 +121,8 @@ class Contacts(ContactRounds):
                 for o in range(rod.obstacles):
                     choose(self.contact(at, o), once, remembered=repeated(zero, REMEMBERED_IN_MOTION))
             self.forget_pairs(rod, once)
-            choose(rod.contacts, once, phase=zero + LOADED, offset=zero, stage=zero, settling=zero, early=zero,
-                   strength=rod.contacts.first_strength, change=zero + 1e30, stiffness=rod.contacts.first_stiffness,
-                   retried=zero + 1.0)
+            choose(rod.contacts, once, phase=zero + ROUGH, settling=zero, early=zero, change=zero + 1e30,
+                   stiffness=rod.contacts.first_stiffness, retried=zero + 1.0)
         return once
 
     @ti.func
@@ -149,10 +147,9 @@ class Contacts(ContactRounds):
                 self.vertex(one, v).previous[k] = tables.places[row, v, k] / unit
         # The first step of a motion knows no forces. All others continue as if no launch had ended before them.
         stiffness = exact(own.stiffness) + INERT * inertia
-        own.stiffness, own.first_stiffness, own.phase, own.way = stiffness, stiffness, self.first_phase, 1.0
+        own.stiffness, own.first_stiffness, own.phase, own.way = stiffness, stiffness, ROUGH, 1.0
         own.work, own.largest, own.viscosity, own.eased, own.way_made = 0.0, 0.0, 0.0, 0.0, 0.0
         if tables.memory[row, 0, 0, CONTACT.at("force_between")] > 0.0:
-            own.phase = ROUGH
             for pair in ti.static(CARRIED_ON):
                 own[pair[1]] = tables.memory[row, 0, 0, pair[0]]
             self.load_carried_pairs(tables, slot, row)
@@ -171,17 +168,15 @@ class Contacts(ContactRounds):
         own = ti.min(row, tables.obstacles.shape[0] - 1)
         vertices = one.edges + 1
         radius = tables.radius[ti.min(row, tables.radius.shape[0] - 1)] / unit
-        bending = BENDING_LOADS * scale.bend / (scale.total * scale.total)
+        bending = ti.static(LOOP_LOADS if self.itself else BENDING_LOADS) * scale.bend / (scale.total * scale.total)
         force, whole = bending + scale.weight * scale.length, bending + scale.weight * scale.total
         thinnest = ti.cast(1e30, ti.f64)
         for o in range(count):
             thinnest = ti.min(thinnest, tables.obstacles[own, o, DEPTH] / unit)
         stiffness = ti.max(force / (SOFT * radius), whole / (THROUGH * (radius + thinnest)))
-        strength = BARRIER_SHARE * force * radius
         viscosity = VISCOUS * whole / (scale.total * vertices * unit * unit)
         tolerance = ti.max(tables.tolerance * radius, 10.0 * self.rounding * scale.total)
-        base.given = (radius, stiffness, tolerance, 1e30, self.first_phase, 0.0, strength, 0.0,
-                      CLOSE * radius + 0.5 * scale.longest, stiffness, 0.0, 0.0, strength)
+        base.given = (radius, stiffness, tolerance, 1e30, ROUGH, CLOSE * radius + 0.5 * scale.longest, stiffness, 0.0, 0.0)
         base.first_viscosity, base.settling, base.early, base.expecting = viscosity, 0.0, 0.0, 0.0
         for o in range(count):
             at = self.obstacle(one, o)

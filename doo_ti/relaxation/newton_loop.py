@@ -63,7 +63,7 @@ class NewtonLoop(NewtonTrip):
         return record(
             energy=zero, magnitude=zero, miss=repeated(zero, 3), multiplier=repeated(zero, 3), residual=zero,
             change=repeated(zero, 3), longest=one, shift=zero, scale=one, step_scale=zero, coarse=zero, fresh=zero,
-            trying=zero, closing=zero, share=one, returned=zero, troubled=zero, escaping=zero, escapes=zero, rounds=zero,
+            trying=zero, closing=zero, returned=zero, troubled=zero, escaping=zero, escapes=zero, rounds=zero,
             heading=one, best=zero, idle_trips=zero, aimless=zero, rejects=zero, trips=zero, status=zero, stable=zero,
             lengths_known=zero, along=zero, begun=zero, arrived=zero, spins_first=zero, strays=zero, active=zero, finished=one)
 
@@ -135,7 +135,7 @@ class NewtonLoop(NewtonTrip):
         shift = ti.cast(tables.policy[fixed.FIRST_SHIFT], self.scalar) * lane.scale
         choose(
             lane, begun, shift=shift, fresh=one, best=self.constant(1e30), step_scale=zero, trips=zero, idle_trips=zero,
-            aimless=zero, rejects=zero, trying=zero, closing=zero, share=one, returned=zero, troubled=zero, escaping=zero,
+            aimless=zero, rejects=zero, trying=zero, closing=zero, returned=zero, troubled=zero, escaping=zero,
             escapes=zero, strays=zero, along=self.constant(1e30))
         lane.finished = zero
 

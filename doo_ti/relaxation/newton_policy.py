@@ -10,12 +10,10 @@ MOST_SHIFT = 1e3  # times what is stiff at an edge: no shift is larger there
 DECAY, NEGLIGIBLE = 1 / 16, 1e-5  # each accepted step multiplies the shift by DECAY, below NEGLIGIBLE it is zero;
 DECAY_TROUBLED, NEGLIGIBLE_TROUBLED = 1 / 4, 1e-6  # the same once a step was refused or the inertia was wrong
 CUT = 0.1  # a step of which a smaller share may be taken does not make the shift smaller
-# Of rods that may touch something: a step of which a smaller share was taken does not make the shift smaller; the part of it
-# that is tried after it was refused; the square of what a step towards closure leaves of the miss at most; and the share below
-# which a step is too large to be shortened.
-SHORTENED, PART, NEARER, LEAST_SHARE = 0.8, 0.3, 0.98, 1e-4
+# Of rods that may touch something: a step of which a smaller share was taken does not make the shift smaller; and the part of
+# it that is tried after it was refused.
+SHORTENED, PART = 0.8, 0.3
 STILL, BY_ROUNDING = 1e-10, 1e3  # rad: a smaller step is rounding, and by how much the residual then may exceed its tolerance
-VAGUE = 1e3  # tolerances: above them a step that raises the energy, even by less than rounding, may not raise the residual
 FAR_FROM_REST = 1e-3  # residual, above which frames spin before they tilt
 # Eigenvalues that are smaller, over H's largest diagonal entry, are neutral motions; of a rod that nothing touches only once it
 # is at rest, since what is added to the diagonal for that makes steps less exact.
@@ -25,7 +23,6 @@ TRACE, TRACE_AT_REST, TRACE_IN_CONTACT = 1e-12, 1e-9, 1e-9
 # magnitude of the energy.
 TURN_LEFT, NEUTRAL, DECREMENT_ROUNDING = 300.0, 1e-5, 1e-18
 CLOSING_DISTANCE = 0.3  # edge lengths: above it a step only projects
-REACHING_DISTANCE = 0.1  # and above it, among obstacles, a step may be taken because it brings the far end closer
 ESCAPE_ROTATION = 0.1  # rad
 ESCAPE_ROUNDS = 3.0  # inverse iterations before the first step off a saddle
 COARSE_ROTATION = 0.2  # rad: while steps are larger, an external energy gives its coarse curvature, if it has one

@@ -5,11 +5,7 @@ import taichi as ti
 from doo_ti.physics.algebra import absolute
 from doo_ti.physics.tuples import chosen, dot, plus, record, scaled, variable
 from doo_ti.relaxation import newton_policy as fixed
-from doo_ti.relaxation.contact_layout import (
-    EARLY_ROTATION,
-    EARLY_SHIFT,
-    WALL,
-)
+from doo_ti.relaxation.contact_layout import EARLY_ROTATION
 from doo_ti.relaxation.elimination import Elimination
 from doo_ti.rod.types import Status
 
@@ -29,7 +25,6 @@ class NewtonTrip:
     trying, closing, escaping            flags: the step is judged by its energy; it only closes; it leaves a saddle
     rounds, heading, escapes             of leaving a saddle: inverse iterations made, the way taken, saddles left so far
     strays                               how often the rod has left a saddle without having come to rest there
-    share                                of a step that only closes: less where it would carry the rod through an obstacle
     spins_first                          one where the step is in spins that are made before tilts
     best, idle_trips, aimless            the smallest residual so far, trips without progress and without notable progress
     """
@@ -44,10 +39,9 @@ class NewtonTrip:
         single = number.bits == 32
         self.rounding = 2e-6 if single else 1e-10
         self.closure_rounding = 0.0 if single else 1e-15  # of a rod's length
+        self.still = 0.0 if single else fixed.STILL
         self.shape_tolerance = fixed.SHAPE_TOLERANCE_32 if single else 1e30
         self.closure_tolerance = 1e-7 if single else 1e-12
-        self.still = 0.0 if single else fixed.STILL
-        self.vague = 1e30 if single else fixed.VAGUE
         # Neutral motions, a weightless bow about its chord, have an eigenvalue that is rounding of either sign: a small part of
         # H's scale on the diagonal makes it positive, in contact a larger one, since κ makes rounding larger. f32 cannot
         # distinguish them from soft saddles and leaves them to f64.
@@ -75,7 +69,7 @@ class NewtonTrip:
         moving = ti.max(lane.trying, ti.max(lane.fresh, lane.closing))
         if ti.static(self.touches):
             # Where the rod may touch something, its start is looked at before it moves.
-            moving = ti.max(lane.trying, lane.closing * lane.share)
+            moving = lane.trying
         x, normal = self.sweep.step(rod, lane.step_scale, moving, lane.miss)
         far = (lane.fresh > 0.5) | (lane.residual * rod.total > fixed.FAR_FROM_REST)
         lane.spins_first = self.sweep.spinning_first(rod, ti.select(far, one, zero))
@@ -138,19 +132,9 @@ class NewtonTrip:
         downhill = (lane.trying > 0.5) & (after <= before + noise_level)
         moved = lane.trying > 0.5
         if ti.static(self.touches):
-            # No step, not even one that only closes, may carry a vertex past the middle of an obstacle.
-            moved = moved | ((lane.closing > 0.5) & (lane.fresh < 0.5))
+            # No step may carry a vertex past the middle of an obstacle. The Lagrangian says nothing across a change of forces.
             passable = rod.contacts.crossing < 1.0
-            # Far from closure the Lagrangian says little.
-            missed, misses = dot(lane.miss, lane.miss), dot(miss, miss)
-            reaching = (missed > (fixed.REACHING_DISTANCE * rod.longest) ** 2) & (misses < fixed.NEARER * missed)
-            # Nor does it across a change of forces.
-            settling = (lane.trying > 0.5) & (rod.contacts.settling > 0.0) & finite
-            # A step that raises the residual, and the energy by no more than rounding, is refused: where a contact begins,
-            # whole steps could otherwise alternate between its two sides without end.
-            vague = (after >= before) & (found.moment > lane.residual) & (lane.escaping < 0.5)
-            vague = vague & (found.moment * rod.total > self.vague * self.tolerance(tables, rod))
-            downhill = ((downhill & ~vague) | settling | ((lane.trying > 0.5) & reaching)) & passable
+            downhill = (downhill | (moved & (rod.contacts.settling > 0.0) & finite)) & passable
             finite = finite & (passable | ~moved)
         taken = ti.select(((lane.trying < 0.5) & finite) | downhill, self.constant(1.0), self.constant(0.0))
         stands = taken > 0.5
@@ -180,13 +164,14 @@ class NewtonTrip:
         if ti.static(self.touches):
             # First a part of the same step: where contacts begin and end, the energy is not quadratic.
             stiffer = stiffer & (lane.rejects > 0.5)
+        if ti.static(self.touches):
+            self.sweep.contacts.stiffen(rod, judged.uphill)
         if ti.static(self.among_obstacles):
             # Then the same step under weaker contacts: along curved obstacles a large κ leaves room for short steps only.
             stiffer = stiffer & ~self.sweep.contacts.soften(rod, stiffer)
         lane.shift = ti.select(stiffer, ti.max(self.growth * lane.shift, self.first_shift * lane.scale), lane.shift)
         lane.rejects = ti.select(judged.downhill, zero, lane.rejects + ti.select(judged.uphill, one, zero))
         lane.escaping = ti.select(judged.downhill, zero, lane.escaping)
-        lane.share = ti.select(judged.uphill, 0.5 * lane.share, ti.min(2.0 * lane.share, one))
         lane.trips = lane.trips + lane.active
 
     @ti.func
@@ -237,9 +222,6 @@ class NewtonTrip:
             doubtful = calm & ~altered & wrong & ~rested
             wrong = wrong & ~doubtful
         at_saddle = calm & ~altered & wrong
-        if ti.static(self.among_obstacles):
-            # While forces are rough, a motion that will turn out to be neutral may have a negative eigenvalue.
-            at_saddle = at_saddle & self.sweep.contacts.shows_saddles(rod)
         # Beside a saddle a rod may make no progress though its residual is not yet small.
         aimless = wrong & (lane.aimless > fixed.PATIENCE_AT_SADDLE) & (lane.escaping < 0.5) & (lane.closing < 0.5)
         limit = ti.cast(tables.policy[fixed.ESCAPES], self.scalar)
@@ -262,10 +244,7 @@ class NewtonTrip:
         lane.closing = ti.select(place.gap > ti.cast(tables.policy[fixed.CLOSING], self.scalar) * rod.longest, one, zero)
         if ti.static(self.touches):
             # A step that only closes does not know obstacles: it would carry the rod into them.
-            lane.closing = ti.select(self.sweep.contacts.behind(rod), lane.closing, zero)
-            # A step that also closes may be refused because closing leads behind the barrier, which then has to give way.
-            refused = judged.uphill & (place.gap > 1e3 * self.closure_tolerance * rod.total)
-            lane.closing = ti.select(refused & self.sweep.contacts.behind(rod), one, lane.closing)
+            lane.closing = zero
         lane.rounds = ti.select((lane.escaping > 0.5) & place.right & ~place.leaving, lane.rounds + 1.0, lane.rounds)
         lane.rounds = ti.select(place.leaving, zero, lane.rounds)
         unready = (lane.escaping > 0.5) & (lane.rounds <= fixed.ESCAPE_ROUNDS)
@@ -279,12 +258,6 @@ class NewtonTrip:
             far = (lane.longest > fixed.COARSE_ROTATION) & ~place.small & (lane.escaping < 0.5)
             lane.coarse = ti.select(far, one, zero)
         cap = ti.min(one, ti.cast(tables.policy[fixed.ROTATION_LIMIT], self.scalar) / (lane.longest + 1e-30))
-        if ti.static(self.among_obstacles):
-            # A rod that nothing holds yet, such as one above a table, would take a step without end: its H needs a shift.
-            boundless = (cap < fixed.LEAST_SHARE) & (lane.trying > 0.5) & (lane.escaping < 0.5)
-            larger = ti.max(self.growth * lane.shift, self.first_shift * lane.scale)
-            lane.shift = ti.select(boundless, larger, lane.shift)
-            lane.trying = ti.select(boundless, zero, lane.trying)
         if ti.static(self.touches):
             part = (lane.rejects > 0.5) & (lane.rejects < 1.5)
             if ti.static(self.expects):
@@ -320,16 +293,13 @@ class NewtonTrip:
         # At rest, though a neutral motion leaves the certificate undecided: converged, not certified.
         at_rest = place.small & place.settled & (late | stuck)
         if ti.static(self.touches):
-            entered = self.sweep.contacts.enter(rod, fresh, judged.stands & (lane.energy > WALL))
-            most = ti.static(EARLY_SHIFT if self.among_obstacles else 1e30)
-            near = (lane.longest < EARLY_ROTATION) & (lane.shift <= most * lane.scale)
-            ready = (lane.trying > 0.5) & (lane.escaping < 0.5) & near & ~entered & ~lost
+            ready = (lane.trying > 0.5) & (lane.escaping < 0.5) & (lane.longest < EARLY_ROTATION) & ~lost
             given = self.constant(0.0) + ti.cast(tables.policy[fixed.TOLERANCE], self.scalar)
             exact = lane.residual * rod.total <= self.sweep.contacts.final_tolerance(rod, given)
-            early, done = self.sweep.contacts.settle_early(rod, lane, ready, place.at_minimum & exact & ~entered)
-            calm = place.calm & ~entered & ~place.leaving & ~early & ~done
+            early, done = self.sweep.contacts.settle_early(rod, lane, ready, place.at_minimum & exact)
+            calm = place.calm & ~place.leaving & ~early & ~done
             ended, at_rest, stuck = ended & ~early, at_rest & ~early, stuck & ~early
-            goes_on = self.sweep.contacts.end_round(rod, lane, calm, (ended | at_rest) & ~entered & ~done, entered)
+            goes_on = self.sweep.contacts.end_round(rod, lane, calm, (ended | at_rest) & ~done)
             ended, at_rest, stuck = ended & ~goes_on, at_rest & ~goes_on, stuck & ~goes_on
             blocked = self.sweep.contacts.blocked(rod, fresh, lane.miss)
             lane.status = ti.select(blocked, self.constant(self.infeasible), lane.status)

@@ -25,7 +25,7 @@ ROUNDED = 2e-3
 """Squared radii by which a place on an edge is drawn to the middle of the edge, so that the nearest places of parallel edges
 are unique: a distance of two radii becomes larger by at most 2.5e-4 of a radius."""
 REACH = 3.0
-"""Radii between centrelines: within them the barrier acts."""
+"""Radii between centrelines: within them the nearest places of two edges are computed."""
 DEEPEST_STEP = 0.1
 """Radii between centrelines: no step brings two edges nearer."""
 LEAST_DISTANCE = 1e-3

@@ -23,7 +23,7 @@ from doo_ti.physics.tuples import (
     variable,
 )
 from doo_ti.physics.view import NUMBERS
-from doo_ti.relaxation.contact_layout import LOADED, contact_items
+from doo_ti.relaxation.contact_layout import contact_items
 from doo_ti.relaxation.contacts import Contacts
 from doo_ti.relaxation.pair_distance import pair_block, pair_distance, pair_slopes, pair_weights
 from doo_ti.relaxation.pair_layout import (
@@ -45,8 +45,7 @@ class SelfContactEnergy(Contacts):
 
     def __init__(self, number, kinds: frozenset[int], rub: bool = False, moves: bool = False):
         super().__init__(number, kinds, rub, moves)
-        # Without the barrier parts of the rod could pass through each other, thin as they are.
-        self.first_phase, self.settles_early = LOADED, False
+        self.settles_early = False
 
     # --- views of scratch ---
 

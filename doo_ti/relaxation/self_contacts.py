@@ -39,9 +39,6 @@ class SelfContacts(SelfContactEnergy):
         """By how much the next step, the moves of all vertices, is too large for one that may be taken whole: the square of its
         share of the distance or of the gap of two edges."""
         zero, radius = 0.0 * rod.total, rod.contacts.radius
-        behind = self.behind(rod)
-        slack = ti.select(behind, rod.contacts.offset, SLACK * radius)
-        floor = ti.select(behind, zero - 1e30, zero)
         most = zero
         for j in range(2, rod.edges):
             for i in range(j - 1):
@@ -61,7 +58,7 @@ class SelfContacts(SelfContactEnergy):
                         plus(scaled(self.move(rod, i), weights[0]), scaled(self.move(rod, i + 1), weights[1])),
                         plus(scaled(self.move(rod, j), weights[2]), scaled(self.move(rod, j + 1), weights[3])))
                     normal = at.normal
-                    gap = ti.max(clearance - 2.0 * radius, floor) + slack
+                    gap = ti.max(clearance - 2.0 * radius, zero) + SLACK * radius
                     share = (0.0 - APPROACH) * dot(normal, change) / ti.max(gap, 1e-6 * radius)
                     most = ti.select(near & (share > 0.0), largest_of(most, share * share), most)
         return most
@@ -77,7 +74,6 @@ class SelfContacts(SelfContactEnergy):
     def settle_pairs(self, rod, due, found):
         """New forces between edges in the lanes that are ``due``: their largest change to ``found``."""
         zero, radius = 0.0 * rod.total, rod.contacts.radius
-        stiffness, behind = rod.contacts.stiffness, self.behind(rod)
         for j in range(2, rod.edges):
             for i in range(j - 1):
                 at = self.pair(rod, i, j)
@@ -85,8 +81,8 @@ class SelfContacts(SelfContactEnergy):
                 old = at.force
                 if self.some((gap < radius) | (old > 0.0), zero):
                     gap = ti.min(gap, 4.0 * radius)
-                    new = ti.select(behind, self.barrier(rod, gap).push, ti.max(old - stiffness * gap, zero))
-                    self.note_force(rod, found, gap, old, new)
+                    new = self.settled_force(rod, old, gap)
+                    self.note_change(found, old, new)
                     at.force = ti.select(due, new, old)
                     if ti.static(self.rub):
                         found.rubbed = largest_of(found.rubbed, self.settle_pair_friction(rod, i, j, at, due))

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from doo_ti.contact.obstacles import Box, Capsule, Plane, Sphere
+from doo_ti.contact.obstacles import Box, Capsule, Cylinder, Plane, Sphere
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.dynamics.simulate import simulate
@@ -14,9 +14,9 @@ from doo_ti.rod.types import Clamp, Configuration, Material
 from tests.references.rods import clamps_at
 
 EDGES, FRAMES = 15, 100
-SCENES = ("flat", "table", "slope", "ball", "wall", "peg")
-"""Rods fall level or at an angle on a table, on a slope and on a ball; held at one end they swing into a wall and a peg.
-Besides these there is "box", a turned one on the table."""
+SCENES = ("flat", "table", "slope", "ball", "box", "drum", "wall", "peg")
+"""Rods fall level or at an angle on a table, on a slope, on a ball, on a turned box and on an upright cylinder; held at one end
+they swing into a wall and a peg."""
 
 
 def along(tangents: np.ndarray, length: np.ndarray) -> Configuration:
@@ -44,6 +44,10 @@ def falling(rng, scene: str, length: np.ndarray, radius: np.ndarray):
         size = rng.uniform(0.1, 0.3, count) * length
         top = below + 0.9 * (fall - radius)
         obstacles.append(Sphere(x.mean(axis=1) * [1.0, 1.0, 0.0] + np.stack([zero, zero, top - size], axis=-1), size))
+    if scene == "drum":
+        size, high = rng.uniform(0.05, 0.2, count) * length, below + 0.9 * (fall - radius)
+        foot, top = (x.mean(axis=1) * [1.0, 1.0, 0.0] + np.stack([zero, zero, z], axis=-1) for z in (high - 2.0 * size, high))
+        obstacles.append(Cylinder(foot, top, size))
     if scene == "box":
         size = rng.uniform(0.1, 0.4, (count, 3)) * length[:, None]
         turn = Rotation.from_rotvec(np.stack([zero, zero, rng.uniform(0.0, 1.5, count)], axis=-1)).as_matrix()

@@ -78,16 +78,6 @@ def test_no_step_raises_the_energy_of_a_thousand_rods(rng, scheme, friction, dam
     no_step_raises_the_energy(rng, 170, SCENES, 1e-6, scheme=scheme, friction=friction, damping=damping, rate=rate)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("scheme", ["bdf2", "euler"])
-@pytest.mark.parametrize("friction", [0.0, 0.3])
-def test_no_step_raises_the_energy_of_rods_on_boxes(rng, scheme, friction):
-    """Many of these stop at the edges of a box, before the step that they cannot make."""
-    found = moved(rng, "box", 170, detailed=True, scheme=scheme, friction=friction)
-    print(f"{np.sum(~found.converged)} of 170 stop; the energy rises by {np.nanmax(largest_rise(found)):.1e} of its range")
-    assert np.nanmax(largest_rise(found)) < 1e-6
-
-
 @pytest.mark.thorough
 @pytest.mark.parametrize("damping", [0.0, 0.02])
 def test_impacts_are_the_same_in_several_launches_and_alone(damping):
