@@ -21,7 +21,7 @@ SHARED_KERNELS = {
                 "tests/examples/test_examples.py::test_example[12_", "tests/examples/test_examples.py::test_example[13_",
                 "tests/examples/test_examples.py::test_example[14_"),
     "images": ("tests/perception/", "tests/vision/reprojection/", "tests/commands/test_perceive.py",
-               "tests/commands/test_track.py",
+               "tests/commands/test_track.py", "tests/commands/test_servo.py",
                "tests/examples/test_examples.py::test_example[04_", "tests/examples/test_examples.py::test_example[08_")}
 """Tests that use the same kernels, which take up to a minute to compile."""
 

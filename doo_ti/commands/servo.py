@@ -160,6 +160,7 @@ def _steps(rod: SteeredRod, true: Material, cameras: "VirtualCameras", rig: Rig,
     from doo_ti.manipulation.servo import Servo
     from doo_ti.manipulation.simulation import Simulation
     from doo_ti.manipulation.targets import ServoOptions, Targets
+    from doo_ti.perception.virtual_cameras import TRACKED_NOISE
 
     up, targets, steps = rod.observations.up, Targets(rod.places), []
     with progress() as bar:
@@ -171,7 +172,8 @@ def _steps(rod: SteeredRod, true: Material, cameras: "VirtualCameras", rig: Rig,
             raise InputError(given.SOURCE, "--true-EI", "the true rod has no stable equilibrium at the start",
                              "give another, or a rod that is held within its length")
         _check_seen(state.configuration.vertices[0], rig)
-        servo = Servo(model.configuration, rod.material, begin, targets, ServoOptions(reached_mm=reached), up=up)
+        chosen = ServoOptions(reached_mm=reached, noise_mm=TRACKED_NOISE * float(np.sum(rod.observations.rest_length)))
+        servo = Servo(model.configuration, rod.material, begin, targets, chosen, up=up)
         while len(steps) < most and not _settled(steps):
             truth, expected = state.configuration.vertices[0], servo.vertices[0]
             if not np.isfinite(truth).all():
@@ -192,8 +194,7 @@ def _settled(steps: list[Step]) -> bool:
 def _check_seen(vertices: np.ndarray, rig: Rig) -> None:
     """Raise InputError unless two cameras see the rod when it begins."""
     rig.check_sight(vertices, "the rod at its start")
-    seeing = sum(bool(camera.sees(vertices).all()) for camera in rig.cameras)
-    if seeing < 2:
+    if (seeing := sum(bool(camera.sees(vertices).all()) for camera in rig.cameras)) < 2:
         raise InputError(rig.source, "cameras", f"{seeing} of {len(rig.cameras)} see all of the rod at its start",
                          "let two or more look at it from different sides")
 

@@ -26,6 +26,9 @@ from doo_ti.vision.rendering.render import RenderOptions, render_set
 
 DIAMETER_MM = 2.0
 """Of the thread, unless given."""
+TRACKED_NOISE = 0.003
+"""Of the rod's length, standard deviation of a coordinate that a servo should assume. Rods are tracked to a fifth of that by
+three cameras and to a half by two, root mean square, but their errors are common to neighbouring vertices and to moments."""
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from doo_ti.manipulation.damped_step import DampedSteps  # noqa: E402
 from doo_ti.manipulation.poses import held, moved  # noqa: E402
 from doo_ti.manipulation.servo import Servo  # noqa: E402
 from doo_ti.manipulation.targets import ServoOptions, Targets  # noqa: E402
+from doo_ti.perception.virtual_cameras import TRACKED_NOISE  # noqa: E402
 from doo_ti.relaxation.newton import Newton  # noqa: E402
 from doo_ti.relaxation.relax import relax  # noqa: E402
 from doo_ti.relaxation.sensitivity import gripper_jacobian  # noqa: E402
@@ -105,7 +106,8 @@ def row(name: str, count: int, seed: int, steps: int, cameras: bool = False) -> 
     """A line of the table for one plant."""
     both = name != "far"
     own = tasks(count, seed, PLANTS[name], both)
-    options = ServoOptions() if both else ServoOptions(free=("end_shift", "end_turn"))
+    free = ServoOptions.free if both else ("end_shift", "end_turn")
+    options = ServoOptions(free, noise_mm=TRACKED_NOISE * LENGTH if cameras else ServoOptions.noise_mm)
     servo = Servo(own.rods, own.nominal, own.clamps, Targets(own.goal), options)
     distances, snaps = run(own, servo, steps, (by_cameras if cameras else by_marks)(own, seed))
     learned, true = servo.material, BEND * own.factors[0]
