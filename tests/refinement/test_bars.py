@@ -60,8 +60,9 @@ def test_the_lab_s_sutures_are_in_their_intervals(shared_data, tmp_path, name):
 
 
 @pytest.mark.slow
-def test_an_undetermined_parameter_does_not_widen_the_others(shared_data):
-    """The twist stiffness of a cable with free rolls, learned in addition to bend."""
+@pytest.mark.xfail(strict=True, reason="bend's interval is a third narrower with twist learned: ln(high / low) 0.119 for 0.173")
+def test_an_undetermined_parameter_does_not_change_the_others(shared_data):
+    """The twist stiffness of a cable with free rolls, learned beside bend: the width of the interval of bend."""
     cable, widths = load_observations(shared_data / "cables/dlo1.npz"), []
     for names in (("bend",), ("bend", "twist")):
         one = refine(cable, observation_clamps(cable), CABLE, RefinementOptions(names)).estimate.parameter("bend")
