@@ -143,6 +143,9 @@ def functions() -> dict[str, tuple[Callable, dict]]:
                                 "surroundings": d.Surroundings()}),
         "Tracker.see": (lambda **given: d.Tracker(rig, np.full(6, 3.0), MATERIAL).see(**given), {
             "detected": [detection()] * 3, "point": rods[0, 0], "direction": rods[0, 1] - rods[0, 0], "far": None}),
+        "seen_vertices": (d.seen_vertices, {
+            "frame": d.TrackedFrame(rods[0], np.ones(7), 0.0, np.zeros(3), d.Status.CONVERGED, True, d.How.TRACKED),
+            "rig": rig, "detected": [detection()] * 3, "within_px": 2.0}),
         "sensitivity": (d.sensitivity, {"solution": solution(), "parameters": ("bend", "modes"), "modes": np.zeros((1, 11, 2)),
                                         "first": 0, "last": 1}),
         "pullback": (d.pullback, {"solution": solution(), "cotangent": np.ones((1, 13, 3)), "parameters": ("bend", "modes"),
