@@ -105,8 +105,10 @@ def seen_vertices(frame: TrackedFrame, rig: Rig, detected: list[Detection], with
     within_px  px: a camera shows a vertex that is so near to the thread that it detected. Two cameras must: of places that one
                sees or none the rod's stiffness is all that is known, which a servo has yet to learn
 
-    Raises InputError for another number of detections.
+    Raises InputError for another number of detections, and a frame that is not of one rod.
     """
+    if frame.vertices.ndim != 2 or frame.vertices.shape[1] != 3:
+        raise InputError("seen_vertices", "frame", f"vertices {frame.vertices.shape}", "give a frame of a Tracker, (V, 3) mm")
     if len(detected) != len(rig.cameras):
         raise InputError("seen_vertices", "detected", f"{len(detected)}", f"give one for each camera, {len(rig.cameras)}")
     pixels = rig.project(frame.vertices)
