@@ -6,7 +6,6 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the commands set it, before NumPy reads it
 os.environ.setdefault("DOO_TI_COMPILE", "briefly")  # the same bits, in three quarters of the time of all tests
-os.environ.setdefault("TI_OFFLINE_CACHE_MAX_SIZE_OF_FILES", str(1 << 30))  # 100 MB, its default, do not hold all
 
 import numpy as np  # noqa: E402
 import pytest  # noqa: E402

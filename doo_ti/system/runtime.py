@@ -23,6 +23,8 @@ from doo_ti.system.terminal import compiling
 
 KERNELS = "TI_OFFLINE_CACHE_FILE_PATH"
 """The environment variable with the folder of Taichi's compiled kernels."""
+KERNELS_HELD = 1 << 30
+"""Bytes of kernels that the folder holds. With Taichi's 100 MB all commands in turn would compile most of them again."""
 TASKS = Path("/proc/self/task")
 """Where Linux lists the threads of a process."""
 
@@ -229,6 +231,7 @@ def _started(architecture: str, threads: int | None, pinned: bool) -> str:
         ti.init(
             arch={"cpu": ti.cpu, "cuda": ti.cuda}[architecture],
             offline_cache=folder is not None,
+            offline_cache_max_size_of_files=KERNELS_HELD,
             enable_fallback=False,
             log_level=ti.ERROR,
             **_settings(architecture),
