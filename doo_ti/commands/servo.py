@@ -201,10 +201,11 @@ def _check_seen(vertices: np.ndarray, rig: Rig) -> None:
 
 def _path(begin: Clamps, steps: list[Step]) -> ClampPath:
     """The grippers' poses, a second for each step."""
+    from doo_ti.manipulation.poses import ARRAYS
+
     held = [begin, *(step.clamps for step in steps)]
-    poses = {name: np.stack([getattr(clamps, name) for clamps in held])
-             for name in ("start_position", "end_position", "start_frame", "end_frame")}
-    return ClampPath(np.arange(len(held), dtype=float), **poses)
+    return ClampPath(np.arange(len(held), dtype=float), **{
+        name: np.stack([getattr(clamps, name) for clamps in held]) for name in ARRAYS})
 
 
 def _table(steps: list[Step], unit: Stiffness) -> str:

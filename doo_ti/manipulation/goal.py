@@ -94,9 +94,8 @@ def all_goals(rods: Configuration, clamps: Clamps, model: Model, targets: Target
 def fit(rods: Configuration, clamps: Clamps, model: Model, targets: Targets, options: ServoOptions) -> Goal:
     """The rods that are nearest to their targets, from these on, by damped least squares in the grippers' poses
     (Levenberg, Marquardt); every one is certified."""
-    begin = model.relaxed(rods, clamps)
-    rods = finite_rods(begin.configuration, rods)
     solution = model.relaxed(rods, clamps)
+    rods = finite_rods(solution.configuration, rods)
     distance = _distance(solution, targets)
     length, reach = np.full(rods.count, LONGEST), (rods.rest_length.sum(), rods.rest_length[0])
     weight = np.repeat(targets.shares, 3, axis=1)

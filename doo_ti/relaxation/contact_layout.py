@@ -61,8 +61,8 @@ ROUGH, FINE = 1.0, 0.0
 SEARCHES = 48
 """Evaluations, at most, to find the point of an edge that is nearest to an obstacle."""
 EVEN = 1e-5
-"""Of a radius: φ along an edge counts that times (s − ½)² more, so that the nearest point is unique, and moves continuously,
-where an edge lies flat on a face. Gaps may be wrong by a quarter of it."""
+"""Of a radius: that times (s − ½)² is added to φ along an edge, s from 0 to 1, so that an edge that lies flat on a face has one
+nearest point, which moves continuously. Gaps are off by at most a quarter of it."""
 BENDING_LOADS, LOOP_LOADS = 20.0, 200.0
 """The forces to expect are the weight of an edge and so many B/L²; more where rods touch themselves, which are bent to loops.
 With 20 there, too, loops are pressed so far into each other that a knot slips over an end of its rod."""
@@ -79,8 +79,9 @@ FOLLOWED = 0.7
 """If such a step leaves a residual above ROUGHER and changes gaps by more than that share of what the one before did, the rod
 has not followed its forces yet, and the next step settles none."""
 STIFFER, SLOW, STIFFEST = 5.0, 0.3, 1e6
-"""κ grows by so much where a round leaves more than that share of the change of the round before, up to so many times the
-first."""
+"""κ grows by the factor STIFFER where a round leaves more than the share SLOW of the change of the round before, and where a
+refused step is deep inside an obstacle, up to STIFFEST times the first κ; it shrinks by that factor where one is refused
+elsewhere."""
 HOPELESS = 1e8
 """Times the first κ and the radius: larger contact forces mean that the rod cannot get out of an obstacle."""
 CLOSE = 4.0

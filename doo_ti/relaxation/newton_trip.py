@@ -66,10 +66,9 @@ class NewtonTrip:
         rod = self.sweep.rods(tables, head, lane.coarse)
         rod.spins_first = lane.spins_first
         # Take the step, and judge it afterwards. The factorisation at its end has the shift that follows a good step.
-        moving = ti.max(lane.trying, ti.max(lane.fresh, lane.closing))
-        if ti.static(self.touches):
-            # Where the rod may touch something, its start is looked at before it moves.
-            moving = lane.trying
+        moving = lane.trying
+        if ti.static(not self.touches):  # a rod that may touch something is looked at before it moves
+            moving = ti.max(lane.trying, ti.max(lane.fresh, lane.closing))
         x, normal = self.sweep.step(rod, lane.step_scale, moving, lane.miss)
         far = (lane.fresh > 0.5) | (lane.residual * rod.total > fixed.FAR_FROM_REST)
         lane.spins_first = self.sweep.spinning_first(rod, ti.select(far, one, zero))
@@ -164,7 +163,6 @@ class NewtonTrip:
         if ti.static(self.touches):
             # First a part of the same step: where contacts begin and end, the energy is not quadratic.
             stiffer = stiffer & (lane.rejects > 0.5)
-        if ti.static(self.touches):
             self.sweep.contacts.stiffen(rod, judged.uphill)
         if ti.static(self.among_obstacles):
             # Then the same step under weaker contacts: along curved obstacles a large κ leaves room for short steps only.
@@ -241,10 +239,9 @@ class NewtonTrip:
         lane.shift = ti.select(place.leaving, zero, lane.shift)
         lane.escapes = ti.select(place.leaving & place.at_saddle, lane.escapes + 1.0, lane.escapes)
         lane.strays = ti.select(place.leaving & ~place.at_saddle, lane.strays + 1.0, lane.strays)
-        lane.closing = ti.select(place.gap > ti.cast(tables.policy[fixed.CLOSING], self.scalar) * rod.longest, one, zero)
-        if ti.static(self.touches):
-            # A step that only closes does not know obstacles: it would carry the rod into them.
-            lane.closing = zero
+        if ti.static(not self.touches):  # a step that only closes does not know obstacles: it would carry the rod into them
+            far = place.gap > ti.cast(tables.policy[fixed.CLOSING], self.scalar) * rod.longest
+            lane.closing = ti.select(far, one, zero)
         lane.rounds = ti.select((lane.escaping > 0.5) & place.right & ~place.leaving, lane.rounds + 1.0, lane.rounds)
         lane.rounds = ti.select(place.leaving, zero, lane.rounds)
         unready = (lane.escaping > 0.5) & (lane.rounds <= fixed.ESCAPE_ROUNDS)

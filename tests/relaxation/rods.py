@@ -1,9 +1,12 @@
 """Random rods to relax, and bit-for-bit comparison of solutions."""
 
+from dataclasses import replace
+
 import numpy as np
 
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Solution
-from tests.references.rods import chain, stacked
+from doo_ti.relaxation.relax import relax
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution
+from tests.references.rods import chain, clamps_at, stacked
 
 PAIRS = [(start, end) for start in Clamp for end in Clamp if (start, end) != (Clamp.FREE, Clamp.FREE)]
 RESULTS = ("energy", "residual", "closure", "iterations", "status", "stable", "precision")
@@ -19,6 +22,15 @@ def wandering(rng, count: int, edges: int, rest_length=3.0, wander: float = 0.15
         m1, place = np.cross(tangents[0], rng.normal(size=3)), 20 * rng.normal(size=3)
         rods.append(chain(tangents, m1, rest_length, place, spin))
     return stacked(rods)
+
+
+def one_of_three_at_rest(rng) -> Solution:
+    """Three rods: one at a minimum, one whose clamps are out of its reach, and one that is not certified."""
+    rods = wandering(rng, 1, 12).take([0, 0, 0])
+    clamps = clamps_at(rods)
+    clamps.end_position[1] += 1000.0
+    solution = relax(rods, Material(1e5, 1e5), clamps)
+    return replace(solution, stable=solution.stable & [True, True, False])
 
 
 def definite(rng, *shape: int, scale: float = 2e5) -> np.ndarray:
