@@ -21,7 +21,7 @@ MOST_SHOWN = 40
 """Characters of a value in a message."""
 INDEX_BITS = 63
 
-_ARRAY = set(get_args(ArrayLike))
+_ARRAY = set(get_args(ArrayLike)) or {ArrayLike}  # a union before NumPy 2.5, a name for one since
 _WORDS = {bool: "True or False", int: "a whole number", float: "a number", str: "text", NoneType: "None"}
 
 
@@ -230,7 +230,7 @@ def rule_of(annotation: Any) -> Rule | None:
         rules = [_Array()] if every >= _ARRAY or np.ndarray in every else []
         plain = [rule_of(part) for part in parts if part is not np.ndarray and (part not in _ARRAY or not every >= _ARRAY)]
         return None if None in plain else _Either([rule for rule in plain if rule is not None] + rules)
-    if annotation is np.ndarray or origin is np.ndarray:
+    if annotation in (np.ndarray, ArrayLike) or origin is np.ndarray:
         return _Array()
     if annotation in (Any, object) or isinstance(annotation, TypeVar):
         return None

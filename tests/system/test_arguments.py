@@ -5,7 +5,7 @@ import json
 import weakref
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Annotated
+from typing import Annotated, NewType
 
 import numpy as np
 import pytest
@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 import doo_ti
 from doo_ti import InputError
 from doo_ti.dynamics.theta import save_form
+from doo_ti.system import argument_rules
 from doo_ti.system.arguments import typed
 from tests import hostile_calls
 
@@ -140,3 +141,14 @@ def test_nothing_of_a_call_outlives_its_result():
         assert [ref() for ref in kept] == [None, None, None]
     finally:
         gc.enable()
+
+
+def test_array_like_is_a_name_since_numpy_2_5(monkeypatch):
+    named = NewType("ArrayLike", object)  # as opaque as NumPy's ``type ArrayLike = …``, which Python 3.11 cannot write
+    monkeypatch.setattr(argument_rules, "ArrayLike", named)
+    monkeypatch.setattr(argument_rules, "_ARRAY", {named})
+    for annotation in (named, named | None, Annotated[named | None, "3"]):
+        rule = argument_rules.rule_of(annotation)
+        assert list(rule.take([1.0, 2.0, 3.0])) == [1.0, 2.0, 3.0]
+        with pytest.raises(argument_rules.Mismatch, match="rows of different lengths"):
+            rule.take([[1.0], [2.0, 3.0]])
