@@ -41,8 +41,8 @@ OF_FILES = ("unit", "columns")
 """Options that only files of marks have a use for."""
 OF_OBSERVATIONS = (*OF_FILES, "rest_length")
 """Options that only files of observations have a use for."""
-RECORDINGS = ".npz (positions_mm, rate_hz), .csv of OptiTrack or Vicon, a table, .pkl of the public cable data"
-FORMATS = ".npz, .csv, .parquet; or curves as .csv of OptiTrack or Vicon, .xml (MuJoCo), .usda, .txt"
+RECORDINGS = ".npz (positions_mm, rate_hz), .csv of OptiTrack or Vicon, a table"
+FORMATS = ".npz, .csv, .parquet; or curves as .csv of OptiTrack or Vicon, .xml (MuJoCo), .usd, .txt"
 
 
 def add_loading(parser: ArgumentParser, of: str = "OBS") -> None:

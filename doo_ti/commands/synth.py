@@ -1,6 +1,5 @@
 """Observations to files: from the virtual lab (§V-A), with images of its rods if wanted, and from one format to another."""
 
-import os
 from argparse import Namespace
 from dataclasses import fields, replace
 from pathlib import Path
@@ -10,7 +9,6 @@ import numpy as np
 from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.results import observed, save, save_arrays
-from doo_ti.io.cable_recordings import read_recordings, save_recordings
 from doo_ti.io.formats import read_curves
 from doo_ti.io.motion_recording import read_recording
 from doo_ti.io.scene import Scene, Synthesis, load_scene
@@ -23,9 +21,7 @@ DIAMETER_MM = 0.5
 
 def declare(add) -> None:
     parser = given.command(add, "convert", run_convert, "convert observations from one file format to another", json=False)
-    parser.add_argument("observations", metavar="IN",
-                        help=f"{loading.FORMATS}; or recorded motion of the public cable data, .pkl or a folder of them, "
-                        "to .npz (docs/cables.md)")
+    parser.add_argument("observations", metavar="IN", help=loading.FORMATS)
     parser.add_argument("out", metavar="OUT", help=".npz, .csv or .parquet")
     loading.add_loading(parser)
     parser.add_argument("--select", metavar="FROM:TO[:STEP]", help="only these observations, numbered from 0 (default: all; "
@@ -51,15 +47,8 @@ def declare(add) -> None:
 
 
 def run_convert(options: Namespace, words: list[str]) -> int:
-    """Observations from one format to another; keys that observations do not have are dropped. Pickles of recorded motion to
-    one npz."""
+    """Observations from one format to another; keys that observations do not have are dropped."""
     out = given.output_file(options.out, option="OUT")
-    source = Path(options.observations)
-    if source.suffix == ".pkl" or os.path.isdir(source):
-        if out.suffix != ".npz":
-            raise InputError(given.SOURCE, "OUT", f"{out.name!r}", "name a .npz file for recorded motion")
-        save_recordings(out, *read_recordings(source))
-        return 0
     given.refuse_overwriting(out, options.observations, "OUT")
     if options.motion:
         return _convert_motion(options, out)

@@ -105,7 +105,7 @@ class RecordedMotion:
     def load(cls, path: str | Path, fill_gaps: bool = False, unit: str | None = None,
              columns: Mapping[str, str] | Sequence[str] | None = None, rate: float | None = None,
              free_end: bool = False) -> "RecordedMotion":
-        """The recordings of a file (:mod:`doo_ti.io.motion_recording`): npz, motion capture, the public cable data.
+        """The recordings of a file (:mod:`doo_ti.io.motion_recording`): npz, motion capture, tables.
 
         fill_gaps             positions that are not finite are taken from lines between the frames around
         unit, columns, rate   as of :func:`doo_ti.io.motion_recording.read_recording`

@@ -1,7 +1,7 @@
 """Curves from files of other programs, as their readers return them, and what a user may say about such files.
 
     optitrack_csv, vicon_csv    motion capture: markers at every frame
-    mujoco_xml, usd_text        cables of simulators and editors
+    mujoco_xml, usd             cables of simulators and editors
     polyline_text               plain numbers
 
 Axes: D curves, or frames of one; V points.

@@ -4,7 +4,7 @@
     .csv, .parquet    a row for each vertex; .csv also motion capture and plain polylines
     .txt, .xyz        plain polylines
     .xml              cables of MuJoCo models
-    .usda             curves of USD scenes
+    .usd, .usda, .usdc  curves of USD scenes
 """
 
 import os
@@ -19,14 +19,15 @@ from doo_ti.io.curves import Curves
 from doo_ti.io.mujoco_xml import read_mujoco
 from doo_ti.io.observation_tables import KEYS_IN_TABLES, LABELS, RENAMED, read_table
 from doo_ti.io.polyline_text import is_polyline, read_polylines
-from doo_ti.io.usd_text import read_usd
+from doo_ti.io.usd import read_usd
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import MOST_BYTES, MOST_TEXT_BYTES, read_content
 
 TABLES = (".csv", ".parquet")
 OWN = (".npz", *TABLES)
 """Suffixes of files that the package also writes."""
-OF_OTHERS = {".txt": read_polylines, ".xyz": read_polylines, ".xml": read_mujoco, ".usda": read_usd}
+OF_OTHERS = {".txt": read_polylines, ".xyz": read_polylines, ".xml": read_mujoco,
+             ".usd": read_usd, ".usda": read_usd, ".usdc": read_usd}
 MOST_CSV_BYTES = 1 << 28
 """Reading CSV takes about fifteen times as much memory."""
 
@@ -34,9 +35,8 @@ MOST_CSV_BYTES = 1 << 28
 def checked_suffix(path: Path, known: tuple[str, ...] = OWN) -> None:
     """Raise InputError unless the suffix of ``path`` is ``known``."""
     if path.suffix not in known:
-        remedy = "convert it with: usdcat IN.usd -o OUT.usda" if path.suffix in (".usd", ".usdc") else \
-            f"use one of {', '.join(known)}"
-        raise InputError(path, "file", f"suffix {path.suffix!r} is not a format of observations", remedy)
+        raise InputError(path, "file", f"suffix {path.suffix!r} is not a format of observations",
+                         f"use one of {', '.join(known)}")
 
 
 def read_keys(path: Path, columns=None) -> tuple[bytes, dict[str, np.ndarray]]:

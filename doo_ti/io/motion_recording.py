@@ -3,12 +3,10 @@
     .npz               positions_mm (R, T, V, 3) or (T, V, 3), rate_hz; optionally recording (R,) names, up (3,)
     .csv of motion capture (OptiTrack Motive, Vicon Nexus)
     .csv, .parquet     a row for each mark of a frame, and other files of observations; they state no rate
-    .pkl, a folder     recordings of the public cable data
 
 Axes: R recordings, T frames, V markers.
 """
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +14,6 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.io.arrays import read_npz
-from doo_ti.io.cable_recordings import RATE_HZ, read_recordings
 from doo_ti.io.formats import read_curves
 from doo_ti.io.observation_files import load_observations
 from doo_ti.rod.physical_units import UNITS_IN_MM
@@ -56,12 +53,10 @@ def read_recording(path: str | Path, unit: str | None = None, columns: Mapping[s
     Raises InputError for files that cannot be read, and where neither the file nor ``rate`` states the rate.
     """
     path = Path(path)
-    if path.suffix == ".npz" or path.suffix == ".pkl" or os.path.isdir(path):
+    if path.suffix == ".npz":
         if columns is not None:
             raise InputError(path, "columns", "the file has no columns", "leave `columns` out")
-        found = _of_arrays(path, rate) if path.suffix == ".npz" else _of_cable_data(path, rate)
-        factor = 1.0 if unit is None else UNITS_IN_MM[unit] / (1.0 if path.suffix == ".npz" else UNITS_IN_MM["m"])
-        return MotionRecording(factor * found.positions, found.rate, found.names, found.up)
+        return _of_arrays(path, rate, 1.0 if unit is None else UNITS_IN_MM[unit])
     curves = read_curves(path, columns)
     if curves is not None and curves.rate is not None:
         factor = curves.unit if unit is None else UNITS_IN_MM[unit]
@@ -91,7 +86,8 @@ def _every_frame(path: Path, labels: np.ndarray, positions: np.ndarray) -> tuple
     return labels[0] + step * np.arange(count), whole
 
 
-def _of_arrays(path: Path, rate: float | None) -> MotionRecording:
+def _of_arrays(path: Path, rate: float | None, unit: float) -> MotionRecording:
+    """The recordings of an npz, its lengths in a ``unit`` of so many mm."""
     found = read_npz(path, read_content(path), ("positions_mm", "rate_hz", "recording", "up"))
     if rate is not None:
         found["rate_hz"] = np.float64(rate)
@@ -100,7 +96,7 @@ def _of_arrays(path: Path, rate: float | None) -> MotionRecording:
             raise InputError(path, key, "missing", "give positions_mm (R, T, V, 3) or (T, V, 3) and rate_hz")
         if found[key].dtype.kind not in "fiu":
             raise InputError(path, key, f"dtype {found[key].dtype} is not numeric", "store real numbers")
-    positions, names = found["positions_mm"].astype(np.float64), found.get("recording")
+    positions, names = unit * found["positions_mm"].astype(np.float64), found.get("recording")
     if found["rate_hz"].size != 1:
         raise InputError(path, "rate_hz", f"shape {found['rate_hz'].shape}", "give one number: frames per second")
     count = 1 if positions.ndim == 3 else len(positions) if positions.ndim else 0
@@ -108,8 +104,3 @@ def _of_arrays(path: Path, rate: float | None) -> MotionRecording:
         raise InputError(path, "recording", f"shape {names.shape}", f"give ({count},) names")
     up = unit_up(found["up"], str(path)) if "up" in found else None
     return MotionRecording(positions, float(found["rate_hz"].reshape(())), None if names is None else names.tolist(), up)
-
-
-def _of_cable_data(path: Path, rate: float | None) -> MotionRecording:
-    positions, names = read_recordings(path)
-    return MotionRecording(positions.astype(np.float64), rate or RATE_HZ, names.tolist())

@@ -36,13 +36,6 @@ def nexus(points: np.ndarray) -> str:
                       ",," + ",".join(["mm"] * 3 * len(names)), *rows, "", "Joints", "100"]) + "\n"
 
 
-def usda(points: np.ndarray, header: str) -> str:
-    triples = ", ".join(f"({x:g}, {y:g}, {z:g})" for x, y, z in points.reshape(-1, 3))
-    return (f'#usda 1.0\n(\n    {header}\n)\ndef Xform "World"\n{{\n    def BasisCurves "rope"\n    {{\n'
-            f"        int[] curveVertexCounts = {[points.shape[1]] * len(points)}\n        point3f[] points = [{triples}]\n"
-            '        uniform token type = "linear"\n        float[] widths = [4]\n    }\n}\n')
-
-
 def table(points: np.ndarray, names: str, number: bool = True) -> str:
     rows = [",".join([*([str(d), str(v)] if number else []), *(repr(float(x)) for x in mark)])
             for d, rod in enumerate(points) for v, mark in enumerate(rod)]
@@ -58,8 +51,6 @@ FILES = {
     "motive.csv": (motive(MARKS / 1000, "Meters"), (0, 1, 0)),
     "motive_mm.csv": (motive(MARKS, "Millimeters"), (0, 1, 0)),
     "nexus.csv": (nexus(MARKS), (0, 0, 1)),
-    "cm.usda": (usda(MARKS / 10, "metersPerUnit = 0.01"), (0, 1, 0)),
-    "m.usda": (usda(MARKS / 1000, 'metersPerUnit = 1\n    upAxis = "Z"'), (0, 0, 1)),
     "blocks.txt": ("# a rod\n" + "\n\n".join("\n".join("%r, %r, %r" % tuple(mark) for mark in rod.tolist()) for rod in MARKS),
                    (0, 0, 1)),
     "lines.csv": ("\n".join(" ".join(map(repr, rod.ravel().tolist())) for rod in MARKS), (0, 0, 1)),
@@ -71,8 +62,6 @@ FILES = {
     "lines_german.csv": ("\n\n".join("\n".join(german("%r,%r,%r" % tuple(mark)) for mark in rod) for rod in MARKS.tolist()),
                          (0, 0, 1)),
     "lines_german.txt": ("\n".join(" ".join(map(repr, rod.ravel().tolist())).replace(".", ",") for rod in MARKS), (0, 0, 1)),
-    "sample.usda": (usda(MARKS, "metersPerUnit = 0.001").replace(
-        "point3f[] points = [", "point3f[] points.timeSamples = { 0: [").replace(")]", ")] }"), (0, 1, 0)),
 }
 
 
@@ -86,9 +75,9 @@ def test_each_format_gives_the_same_marks(tmp_path, name):
     assert load_observations(tmp_path / name, up=(1, 0, 0)).up.tolist() == [1, 0, 0]
 
 
-@pytest.mark.parametrize("name", ["motive.csv", "m.usda", "blocks.txt", "bare.csv"])
+@pytest.mark.parametrize("name", ["motive.csv", "blocks.txt", "bare.csv"])
 def test_a_unit_applies_whatever_the_file_states(tmp_path, name):
-    numbers = {"motive.csv": MARKS / 1000, "m.usda": MARKS / 1000}.get(name, MARKS)
+    numbers = {"motive.csv": MARKS / 1000}.get(name, MARKS)
     (tmp_path / name).write_text(FILES[name][0])
     for unit, factor in (("mm", 1), ("cm", 10), ("m", 1000)):
         observations = load_observations(tmp_path / name, unit=unit)
@@ -186,8 +175,6 @@ def test_mujoco_cables(tmp_path):
 
 def test_files_that_are_refused(tmp_path):
     cases = {
-        "x.usda": ("nothing", "text form"),
-        "z.usda": (FILES["m.usda"][0].replace("[4, 4]", "[4, 5]"), "rope"), "x.usd": ("x", "usdcat"),
         "x.xml": ("<mujoco>", "XML"), "y.xml": ("<mujoco><worldbody/></mujoco>", "cable"),
         "z.xml": (CABLE.replace("quat=", "euler="), "euler"), "w.xml": ("<!DOCTYPE x>" + CABLE, "document type"),
         "v.xml": (CABLE.replace("cos(s) sin(s)", "tan(s) s"), "tan"), "x.txt": ("1 2 3\n4 5", "line 2"),

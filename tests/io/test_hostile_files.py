@@ -6,7 +6,6 @@ neither those of this one.
 
 import io
 import multiprocessing
-import pickle
 import struct
 import time
 import zipfile
@@ -21,7 +20,7 @@ import pytest
 
 from doo_ti import Observations
 from doo_ti.system.errors import InputError
-from tests.io.test_formats import CABLE, MARKS, motive, nexus, table, usda
+from tests.io.test_formats import CABLE, MARKS, motive, nexus, table
 
 resource = pytest.importorskip("resource", reason="the memory of a process is limited on Unix only")
 ROOT = Path(__file__).parents[2]
@@ -48,11 +47,6 @@ def parquet(rows: int) -> bytes:
     return file.getvalue()
 
 
-def nested(depth: int) -> bytes:
-    """A pickled tuple of tuples of …: each holds the one before it twice."""
-    return b"\x80\x04)" + b"".join(b"q%ch%ch%c\x86" % (n, n, n) for n in range(depth))
-
-
 def scene(**changed) -> str:
     keys = {"rate_hz": "10.0", "duration_s": "1.0", "rod": "{ length_mm = 100.0, edges = 20 }", "obstacles": "[]",
             "materials": "{ a = { bend = 1e5 } }", "moments": "[]"} | changed
@@ -62,14 +56,6 @@ def scene(**changed) -> str:
 SPHERES = "[" + ", ".join(['{ kind = "sphere", centre = [0, 0, 0], radius = 1.0, moments = [{ time_s = 0.0 }] }'] * 80) + "]"
 RODS = "{" + ", ".join(f"r{n} = {{ edges = 4, length_mm = 9.0 }}" for n in range(200)) + "}"
 LONG = '<composite type="cable" prefix="{}" count="100000"/>'
-CURVES = """#usda 1.0
-def BasisCurves "a" {
-int[] curveVertexCounts = [3]
-point3f[] points = [(0, 0, 0), (1, 0, 0), (2, 1, 0)]
-double3 xformOp:translate = (1, 2, 3)
-uniform token[] xformOpOrder = ["xformOp:translate"]
-}
-"""
 MODEL = "<mujoco><worldbody>{}</worldbody></mujoco>"
 ENTITIES = "".join(f'<!ENTITY a{n} "{f"&a{n - 1};" * 9}">' for n in range(1, 10))
 HEAVY = b"ply\nformat binary_little_endian 1.0\nelement vertex 2000000000\nproperty float x\nelement face 2000000000\n" \
@@ -97,9 +83,6 @@ def small() -> dict[str, bytes]:
         "sparse_marks.csv": "observation,camera,mark,u_px,v_px\n" + "".join(f"{n},left,{n},1,1\n" for n in range(600)),
         "cables.xml": MODEL.format("".join(LONG.format(n) for n in range(180))), "deep.xml": "<mujoco>" + "<body>" * 1600,
         "deep_bodies.xml": MODEL.format("<body>" * 700 + LONG.format(1) + "</body>" * 700), "lines.txt": "1 2 3\n\n" * 1400,
-        "deep.usda": "#usda 1.0\n" + 'def Xform "a" {\n' * 600, "braces.usda": "#usda 1.0\n" + "{" * 9000,
-        "quotes.usda": "#usda 1.0\n" + '"\\' * 4900, "lists.usda": CURVES + "points = [" * 900,
-        "order.usda": CURVES.replace('translate"]', 'translate"' + ', "xformOp:translate"' * 450 + "]"),
         "deep.toml": "a = " + "[" * 9000, "deep.json": "[" * 9000, "deep.yaml": "a: " + "[" * 9000,
         "digits.json": '{"bend_mm3": ' + "9" * 9000 + "}", "points.obj": "v 0 0 0\nv 1 0 0\nv 0 1 0\n",
         "index.obj": "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 2000000000\n", "frames.toml": scene(duration_s="100000.0"),
@@ -108,11 +91,7 @@ def small() -> dict[str, bytes]:
         "between.toml": "between = 100000\n" + scene(rate_hz="", duration_s="", obstacles=SPHERES, rod=THIN, moments=times,
                                                      materials="{ a = { bend = 1e5, twist = 1e5 } }")}
     return {name: text.encode() for name, text in texts.items()} | {
-        "put.pkl": b"\x80\x02]r\xff\xff\xff\x7f.", "put_text.pkl": b"]p999999999\n.",
-        "bytes.pkl": b"\x80\x04\x8e" + b"\xff" * 7,
-        "text.pkl": nested(60) + b"\x8c\x05numpy\x8c\x05dtype\x93q\x64h\x3b\x85R.",
-        "hash.pkl": nested(60) + b"q\x64}h\x64Ns.",
-        "again.pkl": pickle.dumps([np.zeros((50, 3, 9))] * 900, 4), "shape.npz": npz("(3000000000, 4, 3)"),
+        "shape.npz": npz("(3000000000, 4, 3)"),
         "bzip2.npz": npz("(625000, 4, 3)", large, zipfile.ZIP_BZIP2),
         "lzma.npz": npz("(625000, 4, 3)", large, zipfile.ZIP_LZMA),
         "rows.parquet": parquet(10_000_000), "damaged.stl": b"solid \xe9\xff" + bytes(range(256)),
@@ -161,7 +140,7 @@ def good() -> dict[str, bytes]:
     corners = "".join("%g %g %g\n" % tuple(corner) for corner in CORNERS)
     texts = {
         "a.csv": table(MARKS, "observation,vertex,x,y,z"), "b.csv": motive(MARKS, "Meters"), "c.csv": nexus(MARKS),
-        "a.txt": corners, "a.usda": usda(MARKS, 'upAxis = "Z"'), "b.usda": CURVES, "a.xml": CABLE,
+        "a.txt": corners, "a.xml": CABLE,
         "a.toml": scene(obstacles=SPHERES), "a.yaml": (ROOT / "scenes/rig.yaml").read_text(),
         "a.obj": "".join(f"v {line}\n" for line in corners.splitlines()) + "".join("f %d %d %d\n" % (a + 1, b + 1, c + 1)
                                                                                 for a, b, c in FACES),
@@ -169,7 +148,7 @@ def good() -> dict[str, bytes]:
     return {name: text.encode() for name, text in texts.items()} | {
         "a.png": cv2.imencode(".png", np.eye(40, dtype=np.uint8))[1].tobytes(),
         "a.jpg": cv2.imencode(".jpg", np.eye(40, dtype=np.uint8))[1].tobytes(),
-        "a.npz": archive.getvalue(), "a.parquet": columns.getvalue(), "a.pkl": pickle.dumps(list(MARKS), 4),
+        "a.npz": archive.getvalue(), "a.parquet": columns.getvalue(),
         "a.stl": bytes(80) + struct.pack("<I", 4) + b"".join(triangles)}
 
 
@@ -199,7 +178,6 @@ def readers() -> dict[str, list]:
     from doo_ti.io.motion_recording import read_recording
     from doo_ti.io.motion_scene import load_motion_scene
     from doo_ti.io.observation_files import load_observations
-    from doo_ti.io.pickled_arrays import read_pickled_array
     from doo_ti.io.scene import load_scene
     from doo_ti.learning.chunks import read_columns
     from doo_ti.learning.pairs import load_pairs
@@ -223,9 +201,9 @@ def readers() -> dict[str, list]:
         ".npz": [*curves, load_path, lambda path: read_rest_length(str(path)), lambda path: load_offsets(path, seen),
                  lambda path: read_groups(f"{path}:vertices_mm", seen)],
         **dict.fromkeys((".png", ".jpg", ".gif", ".bmp", ".tif", ".ras", ".pgm", ".pfm", ".hdr"), [read_image]),
-        ".json": [load_theta, read_table], ".yaml": [load_rig], ".pkl": [read_pickled_array],
+        ".json": [load_theta, read_table], ".yaml": [load_rig],
         ".toml": [load_scene, read_motion_scene, load_dynamic_scene, load_group_scene, load_obstacles],
-        ".stl": mesh, ".ply": mesh, ".obj": mesh, **dict.fromkeys((".xml", ".usda"), curves),
+        ".stl": mesh, ".ply": mesh, ".obj": mesh, ".xml": curves,
         ".parquet": [*curves, lambda path: read_columns(path, ["x"])], ".xyz": curves,
         ".txt": [*curves, lambda path: read_rest_length(str(path))]}
 

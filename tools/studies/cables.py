@@ -8,6 +8,7 @@ Only the training part is read. ``results`` ends with exit code 1 where a file i
 
 import argparse
 import csv
+import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -18,15 +19,44 @@ ROOT = Path(__file__).resolve().parents[2]
 if not __package__:
     sys.path.insert(0, str(ROOT))
 
-from doo_ti.io.cable_recordings import RATE_HZ, read_recordings, save_recordings  # noqa: E402
 from doo_ti.system.errors import InputError  # noqa: E402
 from doo_ti.system.files import write_whole  # noqa: E402
 
+RATE_HZ = 100.0
+"""Of the published recordings; their files do not contain it."""
 CABLES = tuple(f"dlo{number}" for number in range(1, 6))
 STRETCH, APART, SLOWEST = 150, 50, 6
 """Frames of a stretch of motion, frames from one to the next, and how many are kept."""
 STILL = Path(__file__).with_name("still_frames.csv")
 """Recording and frame of 60 nearly still frames of dlo1 and dlo3: those that had changed least."""
+
+
+class ArrayReader(pickle.Unpickler):
+    """Reads arrays and lists of them. A pickle names what its reader calls, which may be anything: here only those names of NumPy
+    are looked up that make arrays."""
+
+    def find_class(self, module: str, name: str):
+        if (module.replace("numpy._core", "numpy.core"), name) not in (
+                ("numpy", "ndarray"), ("numpy", "dtype"), ("numpy.core.multiarray", "_reconstruct"),
+                ("numpy.core.numeric", "_frombuffer"), ("_codecs", "encode")):
+            raise pickle.UnpicklingError(f"it names {module}.{name}")
+        return super().find_class(module.replace("numpy.core", "numpy._core"), name)
+
+
+def read_recordings(folder: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (R, T, V, 3) float32 in mm, and the numbers (R,), of the pickles of a cable: T frames (3, V) in m each. Raises
+    InputError for other files."""
+    paths = sorted(folder.glob("*.pkl"), key=lambda path: int(path.stem))
+    if not paths:
+        raise InputError(folder, "folder", "no files *.pkl", "name the data set")
+    found = []
+    for path in paths:
+        try:
+            with path.open("rb") as file:
+                found.append(1e3 * np.swapaxes(np.array(ArrayReader(file).load(), dtype=np.float64), 1, 2))
+        except (pickle.UnpicklingError, EOFError, ValueError, TypeError, AttributeError) as error:
+            raise InputError(path, "file", f"no list of frames ({error})", "download it again") from None
+    return np.stack(found).astype(np.float32), np.array([int(path.stem) for path in paths])
 
 
 def slowest(positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -49,7 +79,8 @@ def make(source: Path, out: Path) -> None:
     (folder / "motion").mkdir(parents=True, exist_ok=True)
     for cable in CABLES:
         positions, names = read_recordings(source / cable.upper() / "train")
-        save_recordings(folder / "motion" / f"{cable}_train.npz", positions, names)
+        write_whole(folder / "motion" / f"{cable}_train.npz", lambda file: np.savez_compressed(
+            file, positions_mm=positions, rate_hz=RATE_HZ, recording=names))
         stretches, speed = slowest(positions)
         write_whole(folder / f"{cable}_motion.npz", lambda file: np.savez_compressed(
             file, positions_mm=stretches.astype(np.float64), rate_hz=RATE_HZ, mean_speed_m_per_s=speed))
