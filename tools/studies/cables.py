@@ -32,8 +32,8 @@ STILL = Path(__file__).with_name("still_frames.csv")
 
 
 class ArrayReader(pickle.Unpickler):
-    """Reads arrays and lists of them. A pickle names what its reader calls, which may be anything: here only those names of NumPy
-    are looked up that make arrays."""
+    """Reads arrays and lists of them. A pickle names what its reader calls, which may be anything: here those names alone
+    are looked up that make arrays of NumPy."""
 
     def find_class(self, module: str, name: str):
         if (module.replace("numpy._core", "numpy.core"), name) not in (
