@@ -8,7 +8,6 @@ from tempfile import TemporaryDirectory
 
 from doo_ti.commands import options as given
 from doo_ti.commands.results import report, theta_of, theta_text
-from doo_ti.learning.summary import SUMMARY, changed_files, read_summary
 from doo_ti.system.errors import InputError, InterruptedRunError
 from doo_ti.system.terminal import busy, in_line
 
@@ -60,8 +59,6 @@ def run(options: Namespace, words: list[str]) -> int:
         _draw_unfinished(path, out)
         print(f"  written to  {out}")
         return 0
-    if (path / RECORDING).exists() and (path / SUMMARY).exists() and changed_files(path, read_summary(path), (RECORDING,)):
-        raise InputError(path / RECORDING, "file", "not as the sweep wrote it", "run the sweep again, which makes it again")
     given.require_recorder("view")
     picture = None if options.screenshot is None else given.output_file(options.screenshot, ".png", "--screenshot")
     if not (options.web or picture) and sys.platform == "linux" and not (

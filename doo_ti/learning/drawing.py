@@ -26,8 +26,9 @@ MOST_MOMENTS = 60
 """Iterations, or sub-steps, evenly chosen, that are recorded."""
 
 
-def draw(folder: Path, experiment: Experiment, overview: Overview, identity: str, remark: str = "") -> None:
-    """Write landscape.png and, where rerun is installed, run.rrd into ``folder``; their title ends with ``remark``."""
+def draw(folder: Path, experiment: Experiment, overview: Overview, identity: str, remark: str = "") -> list[str]:
+    """Write landscape.png and, where rerun is installed, run.rrd into ``folder``; their title ends with ``remark``. Returns the
+    names of those that were written."""
     from doo_ti.report import landscape_picture
 
     observations, grid, sums, best = experiment.observations, experiment.grid, overview.sums, overview.best
@@ -35,10 +36,12 @@ def draw(folder: Path, experiment: Experiment, overview: Overview, identity: str
     terms = f"{observations.count} observations" if static else f"{experiment.pairs.count} pairs"
     title = f"{observations.name}: {overview.objective} error over {terms}{remark}"
     plane = plane_of(overview)
+    written = []
     if grid.varying:
-        landscape_picture(folder / "landscape.png", plane, title=title)
+        written.append("landscape.png")
+        landscape_picture(folder / written[-1], plane, title=title)
     if not can_record():
-        return
+        return written
     from doo_ti.record import record_sweep
     from doo_ti.report.grid_view import Observed
 
@@ -53,6 +56,7 @@ def draw(folder: Path, experiment: Experiment, overview: Overview, identity: str
                     "rods_converged": int(sums.status[Status.CONVERGED]), "rods_stable": sums.stable,
                     "recorded_iterations": "those of Newton" if static else "sub-steps of the motion"},
     )
+    return [*written, "run.rrd"]
 
 
 def plane_of(landscape: Summed):

@@ -13,7 +13,7 @@ import numpy as np
 
 from doo_ti.learning.chunks import RODS, Terms, cell_files, rods_in, terms_in, whole_rods_in
 from doo_ti.learning.objective import CellSums, counts_by_name, is_sound, status_counts
-from doo_ti.learning.summary import changed_files, check_cells, read_summary, sweep_identity
+from doo_ti.learning.summary import read_summary, sweep_identity
 from doo_ti.rod.grid import Grid, Interval, valley
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
@@ -166,7 +166,6 @@ def read_landscape(run: Path | str) -> Landscape:
     """The landscape in the folder of a finished sweep. Raises InputError where it holds none."""
     run = Path(run)
     summary = read_summary(run)
-    check_cells(run, changed_files(run, summary))
     grid = Grid.from_dict(summary.get("grid"), str(run / "summary.json"))
     return gather_landscape(run, grid, in_line(summary.get("material", run.name)), sweep_identity(summary))
 

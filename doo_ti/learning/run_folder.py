@@ -28,19 +28,11 @@ from doo_ti.io.observation_files import load_observations, save_observations
 from doo_ti.learning.experiment import Experiment, SweepOptions
 from doo_ti.learning.hypotheses import Hypotheses
 from doo_ti.learning.pairs import load_pairs, save_pairs
-from doo_ti.learning.summary import (
-    changed_files,
-    check_cells,
-    maker,
-    maker_text,
-    read_summary,
-    read_table,
-    sweep_identity,
-)
+from doo_ti.learning.summary import maker, maker_text, read_summary, read_table, sweep_identity
 from doo_ti.rod.grid import Grid
 from doo_ti.rod.types import Clamp
 from doo_ti.system.errors import InputError
-from doo_ti.system.files import MOST_TEXT_BYTES, read_content, remove_leftovers, write_whole
+from doo_ti.system.files import MOST_TEXT_BYTES, read_content, remove_leftovers, write_text, write_whole
 
 OBSERVATIONS, PAIRS, OBSTACLES = "observations.npz", "pairs.csv", "obstacles.npz"
 IDENTITY, PLAN = "identity.txt", "plan.json"
@@ -84,11 +76,7 @@ def claim(run: Path, identity: str, experiment: Experiment) -> None:
         _save_once(run / OBSTACLES, save_surroundings, experiment.options.surroundings)
     plan = {"material": experiment.observations.name, "grid": experiment.grid.as_dict(), "hypotheses": None,
             "provenance": {**_inputs(experiment), "sweep_sha256": identity}}
-    _save_once(path.with_name(PLAN), _save_text, json.dumps(plan, indent=2) + "\n")
-
-
-def _save_text(path: Path, text: str) -> None:
-    write_whole(path, lambda file: file.write(text.encode()))
+    _save_once(path.with_name(PLAN), write_text, json.dumps(plan, indent=2) + "\n")
 
 
 def _save_once(path: Path, save, content) -> None:
@@ -108,29 +96,23 @@ def _is_free(run: Path) -> bool:
     return all(path == cells or (path.parent == cells and path.name.startswith(f".{IDENTITY}.")) for path in run.rglob("*"))
 
 
-def finished(run: Path, identity: str) -> dict | None:
-    """The summary of a sweep that was finished before, or None where the summary, a picture or a recording is missing or
-    damaged: they are written again from the cells. Raises InputError where cells are missing or damaged."""
+def finished(run: Path, identity: str, chunks: int) -> dict | None:
+    """The summary of a sweep of so many ``chunks`` that was finished before, or None where it, a picture or a recording is
+    missing: they are written again from the cells."""
     try:
         summary = read_summary(run)
     except InputError:
         return None
-    if sweep_identity(summary) != identity or not isinstance(summary.get("files"), dict):
-        return None
-    changed = changed_files(run, summary)
-    check_cells(run, changed)
-    is_whole = not changed and summary["files"].keys() >= {f"cells/{path.name}" for path in (run / "cells").glob("*.parquet")}
-    return summary if is_whole else None
+    shown = summary.get("shown")
+    is_whole = isinstance(shown, list) and all((run / str(name)).is_file() for name in shown) and len(
+        list((run / "cells").glob("*.parquet"))) == chunks
+    return summary if is_whole and sweep_identity(summary) == identity else None
 
 
 def read_experiment(run: Path) -> Experiment:
     """The experiment of a finished sweep, from its folder alone, with each observation's resolved hypothesis, so that it gives
     the stored cells again. Raises InputError where the folder holds none."""
-    summary = read_summary(run)
-    for name in changed_files(Path(run), summary, (OBSERVATIONS, PAIRS, OBSTACLES)):
-        raise InputError(Path(run) / name, "file", "gone, or not what the sweep wrote",
-                         "run the sweep again, which writes it")
-    return _experiment(Path(run), Path(run) / "summary.json", summary)
+    return _experiment(Path(run), Path(run) / "summary.json", read_summary(run))
 
 
 def read_plan(run: Path) -> tuple[Experiment, str]:

@@ -9,6 +9,7 @@ and the files that :mod:`doo_ti.learning.run_folder` names. A sweep that was sto
 stored.
 """
 
+import json
 import shlex
 import time
 from collections.abc import Iterator, Sequence
@@ -27,7 +28,7 @@ from doo_ti.learning.hypotheses import Hypotheses
 from doo_ti.learning.landscape import gather_overview
 from doo_ti.learning.pairs import Pairs
 from doo_ti.learning.run_folder import claim, finished, identity_of, provenance
-from doo_ti.learning.summary import DENSITY, write_summary
+from doo_ti.learning.summary import DENSITY, SUMMARY
 from doo_ti.learning.up_axes import other_up
 from doo_ti.learning.workers import ThisProcess, Workers, started_workers
 from doo_ti.rod.grid import Grid
@@ -35,6 +36,7 @@ from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import check_experiment
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, InterruptedRunError
+from doo_ti.system.files import write_text
 from doo_ti.system.terminal import progress
 
 CHUNK_BYTES = 32 << 20
@@ -78,7 +80,7 @@ def _swept(run: Path, experiment: Experiment, workers: ThisProcess | Workers, co
     with _resumable(run, command):
         claim(run, identity, experiment)
         left = [chunk for chunk in chunks if not chunk_path(run, part, *chunk).exists()]
-        if not left and (done := finished(run, identity)):
+        if not left and (done := finished(run, identity, len(chunks))):
             return done
         paths = [chunk_path(run, part, *chunk) for chunk in chunks if chunk not in set(left)]
         check_identity(paths, identity)
@@ -101,9 +103,10 @@ def _swept(run: Path, experiment: Experiment, workers: ThisProcess | Workers, co
                        "relaxation_s": seconds},
             "provenance": provenance(experiment, identity, command),
         }
-        draw(run, experiment, overview, identity)
+        summary["shown"] = draw(run, experiment, overview, identity)
         summary["timing"]["total_s"] = time.monotonic() - began
-        return write_summary(run, summary)
+        write_text(run / SUMMARY, json.dumps(summary, indent=2) + "\n")
+        return summary
 
 
 def _other_up(experiment: Experiment) -> dict | None:

@@ -11,7 +11,6 @@ from doo_ti.cli import main
 from doo_ti.io.scene import Synthesis
 from doo_ti.lab.synthesis import synthesise
 from doo_ti.learning.landscape import read_landscape
-from doo_ti.learning.summary import SEAL
 from doo_ti.learning.sweeps import SweepOptions, sweep
 from doo_ti.rod.grid import Axis, Grid
 from tests.record.recordings import read
@@ -135,13 +134,8 @@ def test_runs_that_do_not_go_together(lab, tmp_path, capsys, words, problem):
 
 @pytest.mark.thorough
 def test_pairs_that_are_not_those_of_the_cells(lab, tmp_path, capsys):
-    """In a run without the digests of its files, as those of older versions."""
     run = tmp_path / "dynamic"
     shutil.copytree(lab / "dynamic", run)
-    summary = json.loads((run / "summary.json").read_text())
-    for key in ("files", SEAL):
-        del summary[key]
-    (run / "summary.json").write_text(json.dumps(summary))
     (run / "pairs.csv").write_text("".join((run / "pairs.csv").read_text().splitlines(keepends=True)[:-1]))
     assert main(["figures", str(run), "--out", str(tmp_path / "out")]) == 2
     assert "the cells hold" in capsys.readouterr().err and not (tmp_path / "out").exists()
