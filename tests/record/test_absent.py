@@ -7,8 +7,19 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-WITHOUT = "import sys; sys.modules['rerun'] = None; sys.path.insert(0, sys.argv.pop(1)); from doo_ti.cli import main; " \
-          "sys.exit(main(sys.argv[1:]))"
+WITHOUT = """
+import importlib.metadata as metadata, sys
+installed = metadata.version
+def version(package):
+    if package == "rerun-sdk":
+        raise metadata.PackageNotFoundError(package)
+    return installed(package)
+metadata.version = version
+sys.modules["rerun"] = None
+sys.path.insert(0, sys.argv.pop(1))
+from doo_ti.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
 SCENE = ('name = "silk"\n[synthesis]\nseed = 4\nbend = 1.5e5\ntwist = 5e4\nend_distances_mm = [42, 66]\n'
          'end_rotations_deg = [0, -30]\n[grid]\nbend = "1e5:2e5:2"\n')
 
