@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import null_space
 
-from tests.oracle.chain_form import Rod, chain_derivatives, chain_energy, closure_gradient, linear_derivatives
-from tests.oracle.equilibrium import Ends, State, closed, energy_of, free_variables, moved, vertices_of
+from tests.oracle.chain_form import Rod, chain_derivatives, chain_energy, closure_gradient, linear_derivatives, rod_of
+from tests.oracle.equilibrium import Ends, State, clamped_start, closed, energy_of, free_variables, moved, vertices_of
 
 NEUTRAL = 1e-11
 """Eigenvalues below this share of the largest are rounding: a motion at constant energy."""
@@ -113,7 +113,11 @@ class Minimum:
     @property
     def stable(self) -> bool:
         """A strict minimum: no neutral mode either, to rounding."""
-        return bool(self.eigenvalues[0] > NEUTRAL * self.eigenvalues[-1])
+        return bool(self.smallest_eigenvalue > NEUTRAL * self.eigenvalues[-1])
+
+    @property
+    def smallest_eigenvalue(self) -> float:
+        return float(self.eigenvalues[0])
 
 
 def total_energy(rod: Rod, springs: Springs, state: State):
@@ -196,13 +200,16 @@ def newton_step(rod: Rod, springs: Springs, state: State, ends: Ends, shift: flo
 
 
 def minimum(
-    rod: Rod, springs: Springs, state: State, ends: Ends, *, tolerance=1e-10, max_iterations=500, longest_step=0.2
+    rod: Rod, springs: Springs | None, state: State, ends: Ends, *, tolerance=1e-10, max_iterations=500, longest_step=0.2,
+    leave_saddles=True
 ) -> Minimum:
     """Descend from ``state`` to a minimum, never uphill: Newton's step with the size of every eigenvalue, so that negative
     ones lead downhill too; halved until the energy does not rise; along the softest mode off a saddle.
 
-    tolerance on the residual in 1/mm; longest_step: rad, the largest component of one step's rotations.
+    tolerance on the residual in 1/mm; longest_step: rad, the largest component of one step's rotations; leave_saddles: else
+    it stops at any equilibrium. Springs may be None.
     """
+    springs = Springs.at_vertices(np.zeros(rod.edges + 1), np.zeros((rod.edges + 1, 3))) if springs is None else springs
     free = free_variables(rod, ends)
     scale = np.linalg.eigvalsh(rod.bend).max()
     state, converged = closed(rod, ends, state, free), False
@@ -211,7 +218,7 @@ def minimum(
         eigenvalues, modes = np.linalg.eigh(at.basis.T @ at.hessian @ at.basis)
         floor = NEUTRAL * np.abs(eigenvalues).max()
         at_rest = bool(np.abs(at.residual).max() <= tolerance * scale)
-        converged = at_rest and bool(eigenvalues[0] >= -floor)
+        converged = at_rest and bool(eigenvalues[0] >= -floor or not leave_saddles)
         if converged or iteration == max_iterations:
             break
         if at_rest:
@@ -255,3 +262,9 @@ def _energy(rod: Rod, springs: Springs, state: State) -> tuple[float, float]:
     energy, size = energy_of(rod, state)
     pulled = float(springs.energy(vertices_of(rod, state)))
     return energy + pulled, size + pulled
+
+
+def relaxed(configuration, material, clamps, index=0, material_index=None, *, up=(0.0, 0.0, 1.0), **options) -> Minimum:
+    """:func:`minimum` of one row of the package's tables; no clamp kind or length is checked."""
+    rod = rod_of(configuration, material, index, material_index, up)
+    return minimum(rod, None, *clamped_start(configuration, clamps, index), **options)

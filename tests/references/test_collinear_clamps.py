@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 
 from doo_ti.relaxation.relax import Newton, relax
 from doo_ti.rod.types import Configuration, Material
-from tests.oracle.equilibrium import relaxed
+from tests.oracle.external import relaxed
 from tests.references.rods import chain, clamps_at, stacked
 
 EDGES, EDGE = 33, 3.0

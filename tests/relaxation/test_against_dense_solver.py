@@ -1,4 +1,4 @@
-"""F against dense linear algebra, one batch of every pair of clamps: same energies and shapes from the same starts.
+"""F against dense linear algebra, one batch of every pair of clamps: energies, residuals and certificates of the same rods.
 
 B differs from edge to edge with its off-diagonal, β from vertex to vertex; rods are curved at rest, their rest lengths
 uneven, and up is not z.
@@ -10,7 +10,8 @@ import pytest
 from doo_ti.relaxation.relax import Newton, relax
 from doo_ti.rod.types import Clamp, Material
 from tests.oracle.chain_form import rod_of
-from tests.oracle.equilibrium import State, clamped_start, equilibrium, relaxed
+from tests.oracle.equilibrium import State, clamped_start
+from tests.oracle.external import minimum, relaxed
 from tests.references.rods import clamps_at, jiggled
 from tests.relaxation.rods import PAIRS, definite, wandering, with_kinds
 
@@ -34,31 +35,19 @@ def general_rods(rng, weight: float):
 def test_every_pair_of_clamps(rng, weight):
     start, clamps, material = general_rods(rng, WEIGHTS[weight])
     solution = relax(start, material, clamps, Newton(tolerance=1e-9), up=UP)
-    worst_energy = worst_shape = worst_residual = 0.0
     for row, kinds in enumerate(PAIRS):
         rod = rod_of(start, material, row, up=UP)
-        state, ends = clamped_start(start, clamps, row)
         found = State(solution.configuration.start[row], solution.configuration.quaternions[row])
-        here = equilibrium(rod, found, ends, max_iterations=0, leave_saddles=False)
-        dense = equilibrium(rod, state, ends)
+        here = minimum(rod, None, found, clamped_start(start, clamps, row)[1], max_iterations=0)
         names = " - ".join(kind.name.lower() for kind in kinds)
-        scale = abs(dense.energy) + 1e-3 * np.abs(rod.bend).max() / rod.rest_length.sum()
-        energy_error = abs(solution.energy[row] - dense.energy) / scale
-        print(f"{weight}, {names}: energy {dense.energy:.6g}, off by {energy_error:.1e}, residual {here.residual:.1e}")
+        scale = abs(here.energy) + 1e-3 * np.abs(rod.bend).max() / rod.rest_length.sum()
+        softest = here.smallest_eigenvalue / here.eigenvalues[-1]
+        print(f"{weight}, {names}: energy {here.energy:.6g}, residual {here.residual:.1e}, softest eigenvalue {softest:.1e}")
         assert solution.status[row] == 0, names
         assert abs(solution.energy[row] - here.energy) < 1e-12 * (abs(here.energy) + scale), names
-        assert energy_error < 1e-9, names
         assert here.residual < 1e-10 and here.closure < 1e-12, names
-        worst_energy, worst_residual = max(worst_energy, energy_error), max(worst_residual, here.residual)
         # Rods that nothing holds against a rigid turn have no shape of their own, and no strict minimum.
-        strict = dense.smallest_eigenvalue > 1e-7 * dense.eigenvalues[-1]
-        if strict:
-            apart = np.linalg.norm(solution.configuration.vertices[row] - dense.vertices, axis=1).max()
-            worst_shape = max(worst_shape, apart)
-            assert solution.stable[row], names
-    print(f"{weight}: energies within {worst_energy:.1e}, vertices within {worst_shape:.1e} mm, "
-          f"residuals up to {worst_residual:.1e}")
-    assert worst_shape < 1e-5
+        assert softest > -1e-11 and (solution.stable[row] or softest < 1e-7), names
 
 
 @pytest.mark.parametrize("kinds", [(Clamp.FREE, Clamp.FREE), (Clamp.TANGENT, Clamp.FREE)], ids=["free", "tangent"])

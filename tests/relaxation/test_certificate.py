@@ -10,7 +10,8 @@ from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.relax import Newton, relax
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
 from tests.oracle.chain_form import rod_of
-from tests.oracle.equilibrium import State, clamped_start, equilibrium
+from tests.oracle.equilibrium import State, clamped_start
+from tests.oracle.external import minimum
 from tests.references.rods import chain, clamps_at, jiggled, stacked
 from tests.relaxation.rods import definite, wandering, with_kinds
 
@@ -29,7 +30,7 @@ def dense(start: Configuration, material: Material, clamps: Clamps, solution, ro
     """The oracle at what F returned for that rod, without moving it."""
     rod = rod_of(start, material, row, **options)
     state = State(solution.configuration.start[row], solution.configuration.quaternions[row].astype(np.float64))
-    return equilibrium(rod, state, clamped_start(start, clamps, row)[1], max_iterations=0, leave_saddles=False)
+    return minimum(rod, None, state, clamped_start(start, clamps, row)[1], max_iterations=0)
 
 
 PLANAR = [(distance, side) for distance in (24.0, 32.0, 40.0) for side in (-1.0, 1.0)]
@@ -54,7 +55,7 @@ def test_planar_rods_at_0_degrees_rest_on_saddles_and_leave_them(precision):
         place = [rows[0][rod]]
         lone = Configuration(rods.start[place], resting.configuration.quaternions[[rod]], rods.rest_length[place])
         state, ends = clamped_start(lone, clamps.take(place), 0)
-        here = equilibrium(rod_of(lone, one), state, ends, max_iterations=0, leave_saddles=False)
+        here = minimum(rod_of(lone, one), None, state, ends, max_iterations=0)
         assert (here.smallest_eigenvalue < 0) == saddles[rod]
     left = relax(rods, material, clamps, **index)
     gained = resting.energy - left.energy

@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 from doo_ti.relaxation.relax import Newton, relax
 from doo_ti.rod.frames import quaternion_product
 from doo_ti.rod.types import Clamp, Configuration, Material
-from tests.oracle.equilibrium import relaxed
+from tests.oracle.external import relaxed
 from tests.references.rods import chain, clamps_at, jiggled, stacked
 from tests.relaxation.rods import definite, wandering
 

@@ -8,7 +8,8 @@ import pytest
 from doo_ti.relaxation.newton import TOLERANCES
 from doo_ti.rod.types import Clamp, Solution, Status
 from tests.oracle.chain_form import rod_of
-from tests.oracle.equilibrium import State, clamped_start, equilibrium
+from tests.oracle.equilibrium import State, clamped_start
+from tests.oracle.external import minimum
 from tests.relaxation.hard_rods import PRECISIONS, ROWS, Rods, edge_error, rods_of
 from tests.relaxation.lab import vertex_distance
 
@@ -88,7 +89,7 @@ def test_dense_linear_algebra_agrees_with_the_reported_rod(row):
     rod = rod_of(rods.start, rods.material, at)
     _, ends = clamped_start(rods.start, rods.clamps, at)
     found = State(solution.configuration.start[at], solution.configuration.quaternions[at])
-    dense = equilibrium(rod, found, ends, max_iterations=0, leave_saddles=False)
+    dense = minimum(rod, None, found, ends, max_iterations=0)
     softest = dense.smallest_eigenvalue / dense.eigenvalues[-1]
     print(f"{row}: residual {solution.residual[at]:.1e}, dense {dense.residual:.1e}, softest eigenvalue {softest:.1e}")
     assert solution.energy[at] == pytest.approx(dense.energy, rel=1e-10)
