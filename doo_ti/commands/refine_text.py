@@ -58,7 +58,7 @@ def summary_of(observations: Observations, surroundings: Surroundings, found, he
         "mean_distance_mm": found.mean_distance, "distance_mm": found.distance, "rods_used": int(found.used.sum()),
         "left_out": found.reasons, "misfits": observations.labels[np.flatnonzero(found.misfits)],
         "mislabelled": [{"observation": observations.labels[one.observation], "why": one.text} for one in found.mislabelled],
-        "rivals": [_theta(theta) for theta in estimate.rivals], "converged": found.converged,
+        "swivels": found.swivels, "rivals": [_theta(theta) for theta in estimate.rivals], "converged": found.converged,
         "iterations": found.steps,
         "regions": [{"parameters": pair, "outline": estimate.region(*pair)} for pair in pairs],
         "held_out": None if held_out is None else {
@@ -117,6 +117,8 @@ def summary_lines(summary: dict) -> list[str]:
     if curvature["root_mean_square"]:
         lines.append(_line("rest curvature", f"{curvature['root_mean_square']:.3g} 1/mm (root mean square), "
                                              f"over a range of {curvature['range_mm']:.3g} mm"))
+    if summary["swivels"]:
+        lines.append(_line("ends", "fit best as free to roll in what holds them; if clips held them, give their frames"))
     errors = summary["clamp_errors"]
     if max(errors["turn_deg"]) > 0:
         start, end = errors["turn_deg"]

@@ -217,10 +217,12 @@ class Fit:
         """The best values that are reached from ``state``; with ``held`` = (v, a), those whose v·x is larger by a than that of
         ``state``, x being the unknowns."""
         done, tried, left = False, 0, 0.0 if held is None else held[1]
+        snapping = np.zeros(len(state.used), dtype=bool)  # stay out: the fit would pull them in and lose them again for ever
         for tried in range(1, steps + 1):
             fitted = self._linear(state, None if held is None else (held[0], left))
             if done:
                 break
+            snapping |= state.used & ~fitted.state.used
             found, count = fitted.posterior, self.unknowns.theta_count
             errors = np.maximum(np.sqrt(np.diag(found.covariance)[:count]), 1e-9)
             settled = bool((np.abs(found.step[:count]) <= SETTLED * errors).all()) and left == 0.0
@@ -231,8 +233,8 @@ class Fit:
                 done = settled
                 break
             trial, again = self._misfits_relaxed_again(trial)
-            done = settled and share == 1 and not again and bool((trial.used == state.used).all())
-            state = trial
+            state = replace(trial, used=trial.used & ~snapping)
+            done = settled and share == 1 and not again and bool((state.used == fitted.state.used).all())
         else:
             fitted = self._linear(state, None if held is None else (held[0], left))
         return replace(fitted, converged=done, steps=tried)
@@ -331,9 +333,6 @@ class Fit:
         if not nearer.any():
             return state, False
         return self._merged(state, trial, nearer), True
-
-
-# --- where to begin -------------------------------------------------------------------------------------------------------
 
 
 def lowest_cells(grid: Grid, mean_distance: np.ndarray, count: int) -> np.ndarray:

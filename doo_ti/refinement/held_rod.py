@@ -27,7 +27,7 @@ from doo_ti.rod.start import choose_hypothesis, fill_missing, held_spins, span_e
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution
 
 POSE = 12
-"""Numbers of two poses: rotation of the start clamp, of the end clamp, displacement of the start, of the end; rad and mm."""
+"""Numbers of two poses: rotations of the start and end clamps, displacements of the start and the end; rad and mm."""
 SHORTENED = (1.0, 0.5, 0.25, 0.0)
 """Shares of the expected length of a clip with which a fit may begin."""
 TWIST = 3
@@ -117,6 +117,7 @@ class HeldRod:
     edges         N of the mesh
     surroundings  what the rods touch, with one row for all observations or one for each
     exact         whether the clamps are exactly where they were reported, and where the outer marks say
+    swivels       whether ends of unknown roll may roll freely, as a rod between fingers does; else they are held at that roll
     """
 
     observations: Observations
@@ -124,6 +125,7 @@ class HeldRod:
     edges: int
     surroundings: Surroundings = Surroundings()
     exact: bool = False
+    swivels: bool = False
 
     @cached_property
     def mark_place(self) -> np.ndarray:
@@ -143,8 +145,8 @@ class HeldRod:
 
     @cached_property
     def held(self) -> Clamps:
-        """The clamps of the model. Where the frame was not reported the roll is unknown, not free: clips hold it."""
-        if self.exact:
+        """The clamps of the model. Where the frame was not reported the roll is unknown, not free, unless the rod swivels."""
+        if self.exact or self.swivels:
             return self.clamps
         count = self.observations.count
         kinds, hidden = [], []
@@ -168,7 +170,7 @@ class HeldRod:
         for end, (kind, reported) in enumerate(zip((self.clamps.start, self.clamps.end), self.reported, strict=True)):
             held = np.max(kind)
             roll = "any_roll" if end == 0 and self.rolled_together or not self._both_hold_rolls else "any_twist"
-            turn = ("turn_scatter",) * 3 if reported else (roll, "any_turn", "any_turn")
+            turn = ("turn_scatter",) * 3 if reported else ("" if self.swivels else roll, "any_turn", "any_turn")
             turns += ("",) * 3 if self.exact or held < Clamp.TANGENT else turn
             shifts += ("",) * 3 if self.exact or held < Clamp.POSITION else ("any_shift",) * 3
         return (*turns, *shifts)
@@ -190,7 +192,7 @@ class HeldRod:
     @property
     def twist_unknown(self) -> bool:
         """Whether marks alone say how far the rod is twisted."""
-        return "any_twist" in self.pose_scales
+        return self.swivels or "any_twist" in self.pose_scales
 
     @property
     def rolls_known(self) -> bool:
@@ -229,7 +231,7 @@ class HeldRod:
             within.append(int((span_excess(self.mesh_clamps(lengths, pose), free) <= 0).sum()))
         return SHORTENED[int(np.argmax(within))] * clip
 
-    def _ends(self, pose: np.ndarray):
+    def ends(self, pose: np.ndarray):
         """Of each end: its reported position and frame, and the rotation of the clamp in that frame's axes, and the frame after
         it. The end rolls with the start where their rolls count together."""
         clamps = self.held
@@ -242,7 +244,7 @@ class HeldRod:
     def mesh_clamps(self, lengths: Lengths, pose: np.ndarray) -> Clamps:
         """The clamps of the mesh, off their reported poses by ``pose`` (D, Q)."""
         mesh, positions, frames = self.mesh(lengths), [], []
-        for end, (position, frame, _, now) in enumerate(self._ends(pose)):
+        for end, (position, frame, _, now) in enumerate(self.ends(pose)):
             position = position + np.einsum("dij,dj->di", frame, pose[:, 6 + 3 * end : 9 + 3 * end])
             if self.clamped[end]:
                 position = position + INWARDS[end] * (lengths.clip[end] * frame[..., 0] - 0.5 * mesh.edge * now[..., 0])
@@ -255,7 +257,7 @@ class HeldRod:
         start's and the end's vertex, and rotations in the world (2, D, 3, GEOMETRY + Q)."""
         mesh, count = self.mesh(lengths), self.observations.count
         moved, turned = np.zeros((2, 2, count, 3, GEOMETRY + POSE))
-        for end, (_, frame, turn, now) in enumerate(self._ends(pose)):
+        for end, (_, frame, turn, now) in enumerate(self.ends(pose)):
             first = GEOMETRY + 3 * end
             moved[end][..., first + 6 : first + 9] = frame
             turned[end][..., first : first + 3] = now @ right_jacobian(turn)
@@ -284,8 +286,7 @@ class HeldRod:
         if turn is not None:
             index, turns = np.arange(len(rows)), np.full(len(rows), turn)
         starts = start_configuration(seen.take(index), clamps.take(index), turns)
-        around = self.surroundings.take(rows[index])
-        solution = relax(starts, material, clamps.take(index), solver, up=up, **around.arguments)
+        solution = relax(starts, material, clamps.take(index), solver, up=up, **self.surroundings.take(rows[index]).arguments)
         if len(index) == len(rows):
             return solution
         apart = self.marks(solution, lengths) - np.nan_to_num(self.observations.vertices[rows][index])

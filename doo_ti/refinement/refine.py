@@ -27,6 +27,7 @@ from doo_ti.refinement.priors import Scales, typical_scales
 from doo_ti.refinement.residuals import mark_distance
 from doo_ti.refinement.search import Optimum, searched
 from doo_ti.refinement.theta import Theta
+from doo_ti.refinement.turns import turns_chosen_again
 from doo_ti.refinement.unknowns import Unknowns, Values
 from doo_ti.relaxation.contact_table import require_clear
 from doo_ti.relaxation.newton import Newton
@@ -39,6 +40,9 @@ from doo_ti.system.errors import InputError
 from doo_ti.system.short_repr import short_repr
 
 FEWEST_EDGES, MOST_EDGES = 24, 400
+PER_LAYER, MOST_FOR_LAYERS = 2.0, 64
+"""Edges of the first mesh in the length over which a rod bends beside a clamp, and how many at most for their sake: the first Θ
+may be far too soft."""
 ASYMPTOTIC = 1.0
 """Times the noise: a larger correction of the mesh is not reliable, and the mesh is made twice as fine."""
 CORRECTIONS = 2
@@ -107,6 +111,7 @@ class Refinement:
     mislabelled         those left out that fit as the others do with their marks in another order, or without one of them
     converged           False where the allowed steps did not suffice
     steps               number of steps tried
+    swivels             whether rods that roll freely in what holds them fit best: their rest curvature lies as they are bent
     mesh_edges          N
     mesh_error          mm, root mean square of the correction for the length of the mesh's edges; None without correction
     """
@@ -124,6 +129,7 @@ class Refinement:
     mislabelled: tuple[Mislabelled, ...]
     converged: bool
     steps: int
+    swivels: bool
     mesh_edges: int
     mesh_error: float | None
 
@@ -175,11 +181,20 @@ def unknowns_of(rod: HeldRod, options: RefinementOptions) -> Unknowns:
 def _optima(observations: Observations, clamps: Clamps, thetas: tuple[Theta, ...], options: RefinementOptions) -> list[Optimum]:
     """The optima of the fit on its first mesh, the best first."""
     check(observations, clamps, options)
-    edges = options.edges or int(np.clip(2 * observations.edges, FEWEST_EDGES, MOST_EDGES))
+    edges = options.edges or first_edges(observations, thetas[0])
     rod = HeldRod(observations, clamps, edges, options.surroundings, options.clamps == "exact")
     unknowns = unknowns_of(rod, options)
     clip = rod.clip_in_reach(unknowns.clip_prior) if options.clip is None else np.full(2, options.clip)
     return searched(unknowns, thetas, clip, _scales(unknowns, options), options)
+
+
+def first_edges(observations: Observations, theta: Theta) -> int:
+    """As many as the marks need, and the bends beside clamps, √(EI/T) long, T half the rod's weight: on a coarser mesh the
+    wrong one of several optima may fit better."""
+    length = float(observations.rest_length.sum())
+    layers = length * np.sqrt(2.0 * theta.weight * length / float(np.trace(theta.bend)))  # EI/w is α/(2 μ)
+    wanted = max(2 * observations.edges, min(np.ceil(PER_LAYER * layers), MOST_FOR_LAYERS))
+    return int(np.clip(wanted, FEWEST_EDGES, MOST_EDGES))
 
 
 def check(observations: Observations, clamps: Clamps, options: RefinementOptions) -> None:
@@ -241,7 +256,8 @@ def _refinement(best: Optimum, rivals: list[Optimum], options: RefinementOptions
         scores=scores(fit, fitted) if options.models else (), marks=marks, mean_squares=fit.mean_squares(state.residuals),
         distance=mark_distance(marks, rod.observations, frames, options.frame_weight),
         status=state.solution.status, stable=state.solution.stable, used=state.used, misfits=sound & ~state.used,
-        mislabelled=mislabelled(fit, fitted), converged=fitted.converged, steps=fitted.steps, mesh_edges=rod.edges,
+        mislabelled=mislabelled(fit, fitted), converged=fitted.converged, steps=fitted.steps,
+        swivels=rod.swivels, mesh_edges=rod.edges,
         mesh_error=None if np.ndim(correction) == 0 else _root_mean_square(correction[state.used]))
 
 
@@ -269,6 +285,8 @@ def _corrected(found: Optimum, options: RefinementOptions) -> Optimum:
             correction = mesh_correction(finer, values, solution, fit.solver)
         fit = replace(fit, comparison=replace(fit.comparison, correction=correction))
         fitted = fit.run(fit.at(values, fitted.state.scales, solution), options.iterations).after(fitted)
+    if fit.unknowns.rod.turns_unknown:  # a misfit of the first mesh may have taken another turn
+        fitted = turns_chosen_again(fit, fitted, options.iterations)[0]
     return Optimum(fit, fitted)
 
 

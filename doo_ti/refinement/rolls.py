@@ -137,7 +137,7 @@ def rolled(fit: Fit, fitted: Fitted, curvature: str) -> tuple[Fit, list[State]]:
     curved = replace(fit, comparison=replace(fit.comparison, unknowns=replace(fit.unknowns, curvature=curvature)))
     unknowns, state = curved.unknowns, fitted.state
     values = replace(state.values, curvature=np.zeros((len(unknowns.knots), 2)))
-    scales = _expected(state.scales, unknowns)
+    scales = expected(state.scales, unknowns)
     model, sound = _linear_model(curved, replace(state, values=values), scales)
     random = np.random.default_rng(0)
     starts = sorted((model.start(roll) for roll in random.uniform(-np.pi, np.pi, (BEGUN, len(model.slope)))),
@@ -157,7 +157,7 @@ def rolled(fit: Fit, fitted: Fitted, curvature: str) -> tuple[Fit, list[State]]:
     return curved, found
 
 
-def _expected(scales: Scales, unknowns: Unknowns) -> Scales:
+def expected(scales: Scales, unknowns: Unknowns) -> Scales:
     """``scales`` with those of a curved rod to begin with. What a straight rod leaves unexplained is not the gap of a curved
     one."""
     length = unknowns.rod.length

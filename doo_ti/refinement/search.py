@@ -15,6 +15,7 @@ from doo_ti.refinement.fit import Fit, Fitted
 from doo_ti.refinement.priors import Scales
 from doo_ti.refinement.residuals import Comparison
 from doo_ti.refinement.rolls import rolled, rolls_chosen_again
+from doo_ti.refinement.swivels import bent, swivelling
 from doo_ti.refinement.theta import Theta
 from doo_ti.refinement.turns import AGAIN, turns_chosen_again, twisted
 from doo_ti.refinement.unknowns import Unknowns
@@ -83,7 +84,8 @@ def searched(unknowns: Unknowns, thetas: Sequence[Theta], clip: np.ndarray, scal
         curved = _continued(fit, [fit.run(state, TRIED_FIRST) for state in states], steps)
         again = rolls_chosen_again(fit, curved[0].fitted, steps)
         curved = _once([*(Optimum(fit, one.after(found[0].fitted)) for one in again), *curved])
-        found = _ordered(found[:1], curved) if options.curvature == "auto" else curved
+        free = _swivelling(found[0], min(found[0], curved[0], key=lambda one: one.fitted.rank), unknowns.curvature, steps)
+        found = _ordered(*([found[:1]] if options.curvature == "auto" else []), curved, free)
     return found
 
 
@@ -125,6 +127,16 @@ def _from_twists(found: list[Optimum], scales: Scales, steps: int) -> list[Optim
     return found
 
 
+def _swivelling(straight: Optimum, best: Optimum, curvature: str, steps: int) -> list[Optimum]:
+    """Optima of curved rods that roll freely, from the fit of straight ones that do not; none where these are far behind
+    ``best``. Those that became straight say nothing that ``straight`` does not."""
+    fit, states = swivelling(straight.fit, straight.fitted, curvature)
+    tried = bent(fit, [fit.run(state, TRIED_FIRST) for state in states])
+    if not tried or Optimum(fit, min(tried, key=lambda one: one.rank)).behind(best) > NEAR:
+        return []
+    return [one for one in _continued(fit, tried, steps) if one.fitted.converged and bent(fit, [one.fitted])]
+
+
 def _continued(fit: Fit, tried: list[Fitted], steps: int) -> list[Optimum]:
     """Those of ``tried`` that are near the best, each continued for ``steps``, the best first."""
     tried, found = sorted(tried, key=lambda one: one.rank), []
@@ -144,6 +156,8 @@ def _once(optima: Iterable[Optimum]) -> list[Optimum]:
     return found
 
 
-def _ordered(straight: list[Optimum], curved: list[Optimum]) -> list[Optimum]:
-    """Both together, the more probable kind first: the curved one where the evidence is for it."""
-    return [*curved, *straight] if curved[0].behind(straight[0]) < 0 else [*straight, *curved]
+def _ordered(first: list[Optimum], *others: list[Optimum]) -> list[Optimum]:
+    """All together, those of the most probable kind in front."""
+    behind = [0.0, *(kind[0].behind(first[0]) for kind in others if kind)]
+    kinds = [first, *filter(None, others)]
+    return [one for k in np.argsort(behind, kind="stable") for one in kinds[k]]

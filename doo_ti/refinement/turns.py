@@ -2,7 +2,8 @@
 
 The frames leave the twist open up to whole turns. F takes, of several, the rod nearest to the marks: under a twist stiffness
 that is too low a wrong turn changes the shape little, is taken, and confirms the stiffness. So a fit begins with several twist
-stiffnesses, each with the turns that are nearest then; the posterior decides. At its end each observation's turns are chosen
+stiffnesses, each with the turns that are nearest then, and once with as little twist as the frames leave in all rods, which
+marks that are far apart may not tell from a turn more; the posterior decides. At its end each observation's turns are chosen
 once more, under what was learned.
 """
 
@@ -14,6 +15,7 @@ import numpy as np
 
 from doo_ti.refinement.fit import Fit, Fitted, State
 from doo_ti.refinement.priors import Scales
+from doo_ti.refinement.theta import common_rod
 from doo_ti.refinement.unknowns import Values
 from doo_ti.system.errors import InputError
 
@@ -26,8 +28,11 @@ AGAIN = 3
 
 
 def twisted(fit: Fit, values: Values, scales: Scales) -> Iterator[State]:
-    """Rods relaxed from their observations at ``values``, with each of several twist stiffnesses."""
+    """Rods relaxed from their observations at ``values``, with each of several twist stiffnesses, and with the least twist."""
     theta = values.theta
+    least = fit.posed(fit.from_marks(replace(values, theta=common_rod(theta), scatter=0 * values.scatter), scales, turn=0))
+    if least.used.any():
+        yield least
     for ratio in RATIOS:
         twisted = replace(theta, twist=ratio * float(np.diag(theta.bend).mean()))
         with suppress(InputError):  # no rod is stable at that twist stiffness

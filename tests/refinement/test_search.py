@@ -5,14 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import observation_clamps
+from doo_ti import Observations, observation_clamps
 from doo_ti.refinement.estimate import Interval
 from doo_ti.refinement.fit import Fit, State
 from doo_ti.refinement.priors import Scales, typical_scales
-from doo_ti.refinement.refine import RefinementOptions, _optima, refine
+from doo_ti.refinement.refine import RefinementOptions, _optima, first_edges, refine
 from doo_ti.refinement.residuals import Comparison
 from doo_ti.refinement.rolls import TWISTS, _LinearModel, _rolled_further, _turned
-from doo_ti.refinement.turns import turns_chosen_again
+from doo_ti.refinement.theta import Theta
+from doo_ti.refinement.turns import turns_chosen_again, twisted
 from doo_ti.refinement.unknowns import Unknowns
 from doo_ti.rod.frames import rotation_matrix
 from tests.io.rods import joint_twist
@@ -70,16 +71,33 @@ def test_turns_that_were_measured_are_returned_to():
 
 
 @pytest.mark.thorough
+def test_fits_begin_with_the_least_twist_too():
+    """Between marks far apart a soft rod with a turn more looks the same, and would confirm its softness."""
+    seen = replace(suture(), total_twist=None)
+    unknowns = Unknowns(held(seen), ("bend", "twist"))
+    scales = typical_scales(unknowns.rod.length, 3.0, unknowns.scale_names | {"marks", "gap"}, {})
+    values = unknowns.begun(TRUTH, unknowns.clip_prior)
+    least = next(iter(twisted(Fit(Comparison.of(unknowns, False), values, RefinementOptions().solver), values, scales)))
+    assert np.abs(_twist(least)).max() < np.pi + 0.5
+
+
+def test_the_first_mesh_resolves_bends_beside_clamps():
+    cable = Observations(np.linspace(0, [1000.0, 0, 0], 9)[None], rest_length=np.full(8, 125.0))
+    edges = [first_edges(cable, Theta(bend * np.eye(2), bend)) for bend in (1e9, 2e6, 1e3)]
+    assert edges == [24, 45, 64]
+
+
+@pytest.mark.thorough
 def test_twists_do_not_follow_the_guessed_place_of_a_missing_outer_mark():
-    twisted = suture(end_rotations_deg=(0.0, 90.0, 170.0, 250.0, -120.0, -200.0), end_distances_mm=(42.0, 78.0))
-    vertices, rest = twisted.vertices[:, ::6].copy(), twisted.rest_length[:30].reshape(-1, 6).sum(axis=1)
+    turned = suture(end_rotations_deg=(0.0, 90.0, 170.0, 250.0, -120.0, -200.0), end_distances_mm=(42.0, 78.0))
+    vertices, rest = turned.vertices[:, ::6].copy(), turned.rest_length[:30].reshape(-1, 6).sum(axis=1)
     vertices[::2, -1] = vertices[1::3, 0] = np.nan
-    seen = replace(twisted, vertices=vertices, rest_length=rest, valid=np.isfinite(vertices).all(axis=-1), total_twist=None)
+    seen = replace(turned, vertices=vertices, rest_length=rest, valid=np.isfinite(vertices).all(axis=-1), total_twist=None)
     unknowns = Unknowns(held(seen), ("bend", "twist"))
     scales = typical_scales(unknowns.rod.length, 18.0, unknowns.scale_names | {"marks", "gap"}, {})
     values = unknowns.begun(TRUTH, np.full(2, 1.5))
     begun = Fit(Comparison.of(unknowns, False), values, RefinementOptions().solver).begin(values, scales)
-    np.testing.assert_allclose(_twist(begun), twisted.total_twist, atol=1.0)
+    np.testing.assert_allclose(_twist(begun), turned.total_twist, atol=1.0)
 
 
 def _twist(state: State) -> np.ndarray:
