@@ -35,6 +35,8 @@ MEASURED = 0.02
 """Relative error of a length between marks that somebody measured."""
 MOST_OFF = 1.5
 """Stated length of the rod over that of arcs through its marks, or the inverse, above which one of both is wrong."""
+DOUBTFUL = 1.05
+"""The same, above which a warning is printed: arcs are off by up to 2 % on rods of ten marks or more."""
 MOST_UNEVEN = 20.0
 """Longest edge over the median one, above which the marks may be of several rods."""
 OF_FILES = ("unit", "columns")
@@ -193,7 +195,7 @@ def with_ends_in_reach(observations: Observations, start: Clamp | None, end: Cla
 def warn(observations: Observations) -> None:
     """Print a warning where the rod is implausible. To be called once everything is checked, so that wrong input is reported
     in one line."""
-    for doubt in (unit_doubt(observations), order_doubt(observations)):
+    for doubt in (unit_doubt(observations), order_doubt(observations), length_doubt(observations)):
         if doubt is not None:
             terminal.warn(f"{in_line(observations.source)}: {doubt}")
 
@@ -234,6 +236,15 @@ def order_doubt(observations: Observations) -> str | None:
         return None
     return (f"mark {lengths.argmax() + 1} is {longest:.4g} mm from the mark before, the median is {usual:.4g} mm; if the file "
             "holds several rods, name the column that numbers them: --columns observation=NAME")
+
+
+def length_doubt(observations: Observations) -> str | None:
+    """Why the stated lengths between marks may be wrong, or None."""
+    stated, arcs = float(observations.rest_length.sum()), float(observations.arcs.sum())
+    if 1 / DOUBTFUL <= stated / arcs <= DOUBTFUL:
+        return None
+    return (f"rest_length_mm: the rod is stated to be {stated:.4g} mm long, but arcs through its marks are {arcs:.4g} mm; "
+            "check the length from the first mark to the last along the rod and the --unit, or give no length")
 
 
 def _span(values: np.ndarray) -> str:

@@ -1,13 +1,16 @@
 """Own files on the command line: units, columns, motion capture; what was loaded, and a warning for implausible lengths."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from doo_ti.cli import main
+from doo_ti.commands.loading import length_doubt
 from doo_ti.commands.results import hypotheses_lines
 from doo_ti.io.observation_files import load_observations
+from doo_ti.rod.observations import Observations
 from tests.io.test_formats import CABLE, MARKS, motive, table
 
 
@@ -71,6 +74,13 @@ def test_lengths_that_the_marks_contradict_are_refused(tmp_path, metres, capfd):
     error = capfd.readouterr().err
     assert "--rest-length: 300 mm, but arcs through the marks are" in error and error.count("\n") == 1
     assert main([*words, "110"]) == 0
+
+
+def test_lengths_that_the_marks_hardly_allow_are_doubted():
+    seen = Observations(MARKS)
+    stated, plausible = (replace(seen, rest_length=share * seen.arcs) for share in (1.1, 0.98))
+    assert "rest_length_mm" in length_doubt(stated) and f"{1.1 * seen.arcs.sum():.4g} mm" in length_doubt(stated)
+    assert length_doubt(plausible) is None and length_doubt(seen) is None
 
 
 def test_observations_keep_their_labels():
