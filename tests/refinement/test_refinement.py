@@ -288,6 +288,19 @@ def test_spins_that_are_free_do_not_keep_rest_curvature_from_being_learned(rng):
     assert np.linalg.norm(out.theta.rest_curvature[0]) == pytest.approx(0.02, rel=0.05)
 
 
+@pytest.mark.thorough
+def test_a_fixed_twist_stiffness_bounds_bend_less_than_one_that_is_learned():
+    """Straight rods whose frames nobody reported: a learned twist stiffness is expected near that of bend, which bounds bend. A
+    fixed one is no such bound: the ratio of both may become anything."""
+    rods = replace(suture(rotations=3, rest_curvature_rms_per_mm=0.0), start_frame=None, end_frame=None, total_twist=None)
+    fixed, learned = (refine(rods, observation_clamps(rods), TRUTH, RefinementOptions(names, curvature="none")).estimate
+                      for names in (("bend",), ("bend", "twist")))
+    assert holds(fixed.parameter("bend"), BEND) and holds(learned.parameter("bend"), BEND)
+    assert fixed.parameter("bend").error == pytest.approx(learned.parameter("bend").error, rel=0.1)
+    assert fixed.parameter("bend").high > learned.parameter("bend").high
+    assert not learned.parameter("twist").determined
+
+
 def test_wrong_options_are_refused(seen):
     clamps = observation_clamps(seen)
     for change, word in ((dict(frame_weight=5.0), "frame"), (dict(clip=60.0), "clip"), (dict(curvature="bent"), "curvature"),
