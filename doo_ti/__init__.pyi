@@ -42,6 +42,9 @@ from doo_ti.learning.landscape import read_landscape as read_landscape
 from doo_ti.learning.pairs import Pairs as Pairs
 from doo_ti.learning.sweeps import sweep as sweep
 from doo_ti.manipulation.belief import LearnedMaterial as LearnedMaterial
+from doo_ti.manipulation.grips import Grip as Grip
+from doo_ti.manipulation.grips import HeldSolution as HeldSolution
+from doo_ti.manipulation.grips import relax_held as relax_held
 from doo_ti.manipulation.plan import ManipulationPath as ManipulationPath
 from doo_ti.manipulation.plan import PlanOptions as PlanOptions
 from doo_ti.manipulation.plan import plan_manipulation as plan_manipulation

@@ -80,7 +80,7 @@ def objects() -> dict[str, list]:
         d.Interval("bend", 1.0, 0.5, 2.0, True, False),
         d.SweepTrajectory(np.zeros((2, 1, 13, 3)), np.zeros((2, 1)), np.zeros((2, 1)), np.zeros(1, int), np.zeros(1)),
         d.PlanOptions(seconds=0.2), d.ManipulationPath(np.arange(2.0), np.zeros((2, 1, 3))),
-        d.Targets(ROPE.vertices), d.Targets(THREE.vertices[:1]), d.ServoOptions(free=("end_shift",)),
+        d.Grip.where(ROPE, 6), d.Targets(ROPE.vertices), d.Targets(THREE.vertices[:1]), d.ServoOptions(free=("end_shift",)),
         d.Pairs([0], [1], [1.0]), d.Stills.of(seen(), np.array([0.0, 1.0, 0.0]), 500.0)]
     kinds: dict[str, list] = {}
     for one in found:
@@ -127,7 +127,10 @@ def functions() -> dict[str, tuple[Callable, dict]]:
         "plan_manipulation": (d.plan_manipulation, {"rod": ROPE, **relaxed, "targets": o["Targets"],
                                                     "options": o["PlanOptions"], "up": (0, 0, 1), **around}),
         "Simulation": (d.Simulation, {"rods": ROPE, **relaxed, "sub_step": 0.1, "up": (0, 0, 1), **around}),
-        "Simulation.step": (lambda **given: d.Simulation(ROPE, MATERIAL, CLAMPS).step(**given), {"grippers": CLAMPS}),
+        "Simulation.step": (lambda **given: d.Simulation(ROPE, MATERIAL, CLAMPS).step(**given), {
+            "grippers": CLAMPS, "grips": [o["Grip"]]}),
+        "relax_held": (d.relax_held, {"rods": ROPE, **relaxed, "grips": [o["Grip"]], "solver": o["Newton"], "up": (0, 0, 1),
+                                      "precision": "f64", **around}),
         "relax_group": (d.relax_group, {"group": o["Group"], "solver": None, "up": None, **around, "contact": True}),
         "follow_group": (lambda **given: list(d.follow_group(**given)), {
             "group": o["Group"], "clamps": [o["Group"].clamps], "solver": None, "up": None, **around, "contact": True,

@@ -134,6 +134,10 @@ def shaped(rods: d.Configuration, material: d.Material, clamps: d.Clamps, goal: 
     while (servo.status == d.ServoStatus.MOVING).any():
         state: d.Solution = simulation.step(servo.step(simulation.state.configuration.vertices))
         print(state)
+    grip = d.Grip.where(simulation.state.configuration, 3)
+    simulation.step(clamps, [grip])
+    held: d.HeldSolution = d.relax_held(rods, material, clamps, [grip], precision="f64")
+    print(held.grip_loads().force, held.solution.status)
     return servo.material
 
 

@@ -20,7 +20,7 @@ from tests import hostile_calls
 
 NOT_CALLED = {"Contacts", "Obstacle", "EndLoads", "GroupSolution", "Hypotheses", "Identified", "Landscape", "Perception",
               "Prediction", "Pullback", "Refinement", "Score", "Sensitivity", "TrackedFrame", "Trajectory", "TwistEstimate",
-              "External", "LearnedMaterial"}
+              "External", "LearnedMaterial", "HeldSolution"}
 """Results, and what obstacles and energies have in common: a program does not make them."""
 LONG = {"DistanceGrid.from_mesh", "Tracker.see", "detect", "estimate_twist", "follow_group", "identify",
         "identify_from_guesses", "relax in contact", "simulate in contact",

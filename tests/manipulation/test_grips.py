@@ -1,0 +1,131 @@
+"""Rods that grippers hold between their ends: the planar elastica, forces as derivatives of the energy, and re-grasping."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_bvp
+
+from doo_ti.contact.itself import Itself
+from doo_ti.manipulation.grips import Grip, relax_held
+from doo_ti.manipulation.simulation import Simulation
+from doo_ti.relaxation.end_loads import end_loads
+from doo_ti.relaxation.relax import relax
+from doo_ti.rod.straight import hanging, straight_rod
+from doo_ti.rod.types import Clamp, Clamps, Material, Status
+from doo_ti.system.errors import InputError
+
+LENGTH, SPAN, RAISED = 400.0, 380.0, 40.0
+IN_PLANE = 1e5
+FRAME = np.eye(3)[None]
+
+
+def raised(edges: int):
+    """A weightless ribbon between level clamps whose middle a gripper raises."""
+    rod = straight_rod(LENGTH, edges, (0, 0, 0), (1, 0, 0), vertex_clamps=True)
+    clamps = Clamps(Clamp.FRAME, Clamp.FRAME, np.zeros((1, 3)), np.array([[SPAN, 0, 0]]), FRAME, FRAME)
+    grip = Grip(rod.edges // 2, np.array([[SPAN / 2, 0, RAISED]]), FRAME)
+    return relax_held(rod, Material.diagonal(1e7, IN_PLANE, 1e6, weight=0.0), clamps, [grip])
+
+
+def elastica(guess: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """The force on the raised end of half the ribbon over its stiffness: EI θ'' = F_x sin θ − F_z cos θ, θ = 0 at both ends."""
+    s = np.linspace(0, LENGTH / 2, 200)
+    angle = np.interp(s, np.linspace(0, LENGTH / 2, len(guess)), guess)
+    start = np.array([angle, np.gradient(angle, s), np.cumsum(np.cos(angle)) * s[1], np.cumsum(np.sin(angle)) * s[1]])
+    found = solve_bvp(
+        lambda s, y, f: np.array([y[1], f[0] * np.sin(y[0]) - f[1] * np.cos(y[0]), np.cos(y[0]), np.sin(y[0])]),
+        lambda a, b, f: np.array([a[0], a[2], a[3], b[0], b[2] - SPAN / 2, b[3] - RAISED]), s, start, p=force, tol=1e-8)
+    assert found.success, found.message
+    return found.p
+
+
+def test_a_raised_middle_is_the_elastica_to_second_order():
+    off = []
+    for edges in (40, 80, 160):
+        held = raised(edges)
+        assert held.solution.converged.all() and held.solution.stable.all()
+        half = held.parts[0]
+        tangents = half.configuration.frames[0, :, :, 0]
+        own = end_loads(half).end_force[0, [0, 2]] / IN_PLANE
+        force = 2 * IN_PLANE * elastica(np.arctan2(tangents[:, 2], tangents[:, 0]), own)[1]
+        off.append(abs(held.grip_loads().force[0, 0, 2] / force - 1))
+    print("relative errors", off)
+    assert off[-1] < 1e-3 and off[0] / off[1] > 3.5 and off[1] / off[2] > 3.5
+
+
+@pytest.fixture(scope="module")
+def rope():
+    """(three ropes at rest, their material and clamps), of uneven stiffness and curved."""
+    rod, clamps = hanging(300.0, 30, (0, 0, 0), ((180, 0, 0), (200, 30, 0), (220, 0, 40)), clamp=Clamp.FRAME)
+    along = np.linspace(1.0, 2.0, rod.edges)[None, :, None, None] * 4e5 * np.eye(2)
+    material = Material(along, np.linspace(3e5, 5e5, rod.edges - 1)[None], rest_curvature=(1e-3, 2e-3))
+    solution = relax(rod, material, clamps)
+    assert solution.converged.all()
+    return solution, material, clamps
+
+
+def test_taking_hold_moves_little_and_loads_balance(rope):
+    solution, material, clamps = rope
+    grips = [Grip.where(solution.configuration, vertex) for vertex in (9, 20)]
+    held = relax_held(solution.configuration, material, clamps, grips)
+    assert held.solution.converged.all() and held.solution.stable.all()
+    moved = np.linalg.norm(held.solution.configuration.vertices - solution.configuration.vertices, axis=2)
+    assert moved.max() < 0.05
+    np.testing.assert_allclose(held.solution.energy, solution.energy, rtol=1e-3)
+    raised = [replace(grip, position=grip.position + [0, 0, 5.0]) for grip in grips]
+    lifted = relax_held(held.solution.configuration, material, clamps, raised)
+    first, last = end_loads(lifted.parts[0]), end_loads(lifted.parts[-1])
+    whole = first.start_force + last.end_force + lifted.grip_loads().force.sum(axis=1)
+    np.testing.assert_allclose(whole, [[0, 0, 2 * 300.0]] * 3, atol=1e-5)
+
+
+def test_loads_are_the_derivatives_of_the_energy(rope):
+    solution, material, clamps = rope
+    grip = Grip.where(solution.configuration, 12)
+    grip = replace(grip, position=grip.position + [3.0, -4.0, 6.0])
+    held = relax_held(solution.configuration, material, clamps, [grip])
+    loads, step = held.grip_loads(), 1e-3
+    for axis in range(3):
+        vector = np.eye(3)[axis]
+        shifted = [relax_held(held.solution.configuration, material, clamps, [replace(grip, position=grip.position + move)])
+                   .solution.energy for move in (step * vector, -step * vector)]
+        np.testing.assert_allclose((shifted[0] - shifted[1]) / (2 * step), loads.force[:, 0, axis], rtol=1e-5, atol=1e-3)
+
+
+def test_grippers_take_hold_and_let_go(rope):
+    solution, material, clamps = rope
+    simulation = Simulation(solution.configuration, material, clamps)
+    at_rest = simulation.state
+    grip = Grip.where(at_rest.configuration, 15)
+    up = replace(grip, position=grip.position + [0, 0, 20.0])
+    lifted = simulation.step(clamps, [up])
+    assert lifted.converged.all()
+    np.testing.assert_allclose(lifted.configuration.vertices[:, 15], up.position, atol=1e-6)
+    other = Grip.where(lifted.configuration, 8)
+    regrasped = simulation.step(clamps, [other, up])
+    assert regrasped.converged.all() and simulation.held.grip_loads().force.shape == (3, 2, 3)
+    back = simulation.step(clamps)
+    assert back.converged.all()
+    np.testing.assert_allclose(back.configuration.vertices, at_rest.configuration.vertices, atol=1e-4)
+
+
+def test_a_rod_has_the_status_of_its_worst_stretch(rope):
+    solution, material, clamps = rope
+    grip = Grip.where(solution.configuration, 15)
+    away = replace(grip, position=grip.position + np.array([0, 500.0, 0]) * np.array([[0], [1], [0]]))
+    held = relax_held(solution.configuration, material, clamps, [away])
+    assert held.solution.status.tolist() == [Status.CONVERGED, Status.INFEASIBLE, Status.CONVERGED]
+    assert np.isnan(held.grip_loads().force[1]).all() and np.isfinite(held.grip_loads().force[[0, 2]]).all()
+
+
+@pytest.mark.parametrize(("vertices", "obstacles", "words"), [
+    ((1,), (), "2 edges"), ((9, 10), (), "2 edges"), ((20, 9), (), "order of their vertices"),
+    ((9,), (Itself(),), "Itself beside grips")])
+def test_grips_that_do_not_suit_are_refused(rope, vertices, obstacles, words):
+    solution, material, clamps = rope
+    grips = [Grip.where(solution.configuration, vertex) for vertex in vertices]
+    with pytest.raises(InputError, match=words):
+        relax_held(solution.configuration, material, clamps, grips, obstacles=obstacles, radius=1.0 if obstacles else None)
+    with pytest.raises(InputError, match="between the ends"):
+        Grip.where(solution.configuration, 30)
