@@ -86,11 +86,8 @@ def simulate(
     is infeasible from that instant on. Raises InputError for inputs that do not match.
     """
     begin = start if isinstance(start, MovingStart) else MovingStart(start)
-    for name, value, plain in (("precision", stepping.precision, "f64"), ("tolerance", stepping.tolerance, None)):
-        if directions and value != plain:
-            raise InputError("simulate", name, f"{value} with directions", f"give {plain}")
-    if directions and obstacles:
-        raise InputError("simulate", "obstacles", "given with directions", "leave one of the two out")
+    if directions:
+        _check_derivatives(stepping, obstacles)
     given = begin.configuration, material, grippers, dynamics
     direction = unit_up(up, "simulate")
 
@@ -115,6 +112,15 @@ def simulate(
     if stepping.tolerance is None and stepping.precision != "mixed":
         return run(stepping, np.arange(len(index[0])), progress)
     return adapted(run, len(index[0]), stepping, progress)
+
+
+def _check_derivatives(stepping: Stepping, obstacles: Sequence[Obstacle | Moving]) -> None:
+    """Raises InputError where positions are not to be differentiated under those options."""
+    for name, value, plain in (("precision", stepping.precision, "f64"), ("tolerance", stepping.tolerance, None)):
+        if value != plain:
+            raise InputError("simulate", name, f"{value} with directions", f"give {plain}")
+    if obstacles:
+        raise InputError("simulate", "obstacles", "given with directions", "leave one of the two out")
 
 
 def _all_loads(springs: Springs | None, loads: PointLoads | None, rods: int, vertices: int) -> PointLoads | None:

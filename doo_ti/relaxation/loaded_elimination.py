@@ -101,11 +101,9 @@ class LoadedElimination(LooseStart):
 
     @ti.func
     def eliminate(self, rod, shift, search, multiplier, miss):
-        """Assemble H + shift and eliminate it from the far end to the start; as :meth:`.Elimination.eliminate`.
-
-        The force p, the sum of all known gradients further out, enters the geometric part of H and the residual; the force c,
-        which elimination changes, enters the right-hand side.
-        """
+        """Assemble H + shift and eliminate it from the far end to the start, as :meth:`.Elimination.eliminate`. The force p,
+        the sum of all known gradients further out, enters the geometric part of H and the residual; the force c, which
+        elimination changes, enters the right-hand side."""
         zero = 0.0 * rod.total
         found = record(squared=zero, scale=zero, negative=zero, slope=zero, energy=zero, magnitude=zero)
         beyond, border = self.at_the_end(rod, multiplier)

@@ -84,9 +84,8 @@ def relax(
                            clamps are inside, or whose start cannot be moved out, is INFEASIBLE. Friction acts only in
                            motions. See ``Solution.contact``
 
-    Clamped frames replace the first and last frame of the start. Inputs are not modified, results are float64.
-    Energies include the constant μ z_0 Σ l̄_i. Raises InputError for inputs that do not match; infeasible rods have the
-    status INFEASIBLE and NaN everywhere else.
+    Clamped frames replace the first and last frame of the start. Results are float64; energies include the constant
+    μ z_0 Σ l̄_i. Raises InputError for inputs that do not match; infeasible rods have the status INFEASIBLE, else NaN.
     """
     obstacles = obstacle_list("relax", obstacles)
     once_more = isinstance(x0, Solution) and clamps is None

@@ -70,27 +70,7 @@ class TimeLoop(NewtonLoop):
         steps_made = supply.places + (tables.queue.shape[0] - LANES) // 2
         for slot in range(self.width):
             if self.lane(lane.finished, slot) > 0.5:
-                again = 0
-                if self.lane(lane.active, slot) > 0.5 and self.lane(repeats, slot) > 0.5:
-                    again = 1
-                    row = tables.rods[tables.queue[supply.places + slot], of.RESULT_ROW]
-                    frame = tables.queue[steps_made + slot] // tables.every
-                    tables.outcome[row, frame, TRIPS] += self.lane(lane.trips, slot)
-                    if self.lane(made, slot) > 0.5:  # a part of its step
-                        self.note_link(tables, head, slot, row, frame)
-                elif self.lane(lane.active, slot) > 0.5:
-                    step = tables.queue[steps_made + slot]
-                    again = self.conclude(tables, head, slot, lane, tables.queue[supply.places + slot], step)
-                    tables.queue[steps_made + slot] = step + 1
-                if again == 0:
-                    self.refill(tables, head, slot, lane, supply)
-                    tables.queue[steps_made + slot] = 0
-                    if self.lane(lane.active, slot) > 0.5:
-                        row = tables.rods[tables.queue[supply.places + slot], of.RESULT_ROW]
-                        last = [tables.results[row, of.FORCE + k] for k in ti.static(range(3))]
-                        put_lane(lane, self.with_lane, slot, multiplier=last)
-                        self.loading.load_motion(tables, head, slot, tables.queue[supply.places + slot])
-                        self.load_slopes(tables, head, slot, tables.queue[supply.places + slot])
+                self.exchange_lane(tables, head, slot, lane, supply, self.lane(repeats, slot), self.lane(made, slot))
         going = (lane.finished > 0.5) & (lane.active > 0.5)
         if self.largest(ti.select(going, one, zero)) > 0.5:
             next_rod = self.sweep.rods(tables, head, lane.coarse)
@@ -101,6 +81,33 @@ class TimeLoop(NewtonLoop):
                                                    tables.queue[steps_made + slot])
                     if reach == TAUT:
                         put_lane(lane, self.with_lane, slot, multiplier=repeated(0.0, 3))
+
+    @ti.func
+    def exchange_lane(self, tables, head, slot, lane, supply, repeats, made):
+        """The next step of the rod in a finished lane or, where that is over, another rod. ``repeats``: one where the step is
+        not over; ``made``: one where a part of it is."""
+        steps_made = supply.places + (tables.queue.shape[0] - LANES) // 2
+        again = 0
+        if self.lane(lane.active, slot) > 0.5 and repeats > 0.5:
+            again = 1
+            row = tables.rods[tables.queue[supply.places + slot], of.RESULT_ROW]
+            frame = tables.queue[steps_made + slot] // tables.every
+            tables.outcome[row, frame, TRIPS] += self.lane(lane.trips, slot)
+            if made > 0.5:
+                self.note_link(tables, head, slot, row, frame)
+        elif self.lane(lane.active, slot) > 0.5:
+            step = tables.queue[steps_made + slot]
+            again = self.conclude(tables, head, slot, lane, tables.queue[supply.places + slot], step)
+            tables.queue[steps_made + slot] = step + 1
+        if again == 0:
+            self.refill(tables, head, slot, lane, supply)
+            tables.queue[steps_made + slot] = 0
+            if self.lane(lane.active, slot) > 0.5:
+                row = tables.rods[tables.queue[supply.places + slot], of.RESULT_ROW]
+                last = [tables.results[row, of.FORCE + k] for k in ti.static(range(3))]
+                put_lane(lane, self.with_lane, slot, multiplier=last)
+                self.loading.load_motion(tables, head, slot, tables.queue[supply.places + slot])
+                self.load_slopes(tables, head, slot, tables.queue[supply.places + slot])
 
     @ti.func
     def advance(self, tables, head, lane):
