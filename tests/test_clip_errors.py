@@ -71,6 +71,7 @@ def test_a_tilt_turns_the_clip_about_its_outer_end_and_turns_with_it():
         np.testing.assert_allclose(seen_in(frame, piece), np.tile(3 * np.array([np.cos(size), b, -a]), (9, 1)), atol=1e-8)
 
 
+@pytest.mark.thorough
 def test_an_offset_moves_the_clip_sideways_and_turns_with_it():
     recipe = replace(ROUND, **OFFSET)
     rods, reported, offset = fine_vertices(recipe), synthesise(recipe), errors_of(recipe).offset

@@ -150,50 +150,6 @@ def test_learn_prints_the_best_cell_and_its_range(capsys, tmp_path):
     assert "silk: 6 cells x 4 observations" in capsys.readouterr().out
 
 
-def test_learn_refuses_runs_it_cannot_compare(capsys, tmp_path):
-    grid = Grid.from_dict({"axes": [{"name": "bend", "values": [1e5, 1e6], "log": True}], "bend_12": 0})
-    write_run(tmp_path / "a", grid, np.ones((2, 3)))
-    write_run(tmp_path / "b", Grid.from_dict({**grid.as_dict(), "bend_12": 1.0}), np.ones((2, 3)))
-    write_run(tmp_path / "part", grid, np.ones((2, 3)))
-    (tmp_path / "part" / "cells" / "b.parquet").unlink()
-    write_run(tmp_path / "torn", grid, np.ones((2, 3)))
-    (tmp_path / "torn" / "cells" / "b.parquet").write_bytes(b"PAR1")
-    write_run(tmp_path / "bare", grid, np.ones((2, 3)))
-    (tmp_path / "bare" / "summary.json").write_text("{}")
-    write_run(tmp_path / "blind", grid, np.full((2, 3), np.nan))
-    for runs, word in ((["a", "b"], "another grid"), (["part"], "each cell and observation"), (["bare"], "grid"),
-                       (["torn"], "cannot be read"), (["blind"], "no cell has an error")):
-        assert main(["learn", *(str(tmp_path / run) for run in runs)]) == 2
-        out, err = capsys.readouterr()
-        assert out == "" and err.count("\n") == 1 and word in err
-
-
-@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".npz"])
-def test_convert(capsys, tmp_path, suffix):
-    npz_bytes(tmp_path)
-    assert main(["convert", str(tmp_path / "good.npz"), str(tmp_path / "new" / f"x{suffix}")]) == 0
-    there, here = load_observations(tmp_path / "new" / f"x{suffix}"), load_observations(tmp_path / "good.npz")
-    np.testing.assert_array_equal(there.vertices, here.vertices)
-    np.testing.assert_array_equal(there.end_frame, here.end_frame)
-    assert "3 observations of 9 vertices" in capsys.readouterr().out
-
-
-def test_synth_writes_what_the_lab_makes(capsys, tmp_path, monkeypatch):
-    npz_bytes(tmp_path)
-    asked = []
-
-    def synthesise(recipe):
-        asked.append(recipe)
-        return load_observations(tmp_path / "good.npz")
-
-    monkeypatch.setitem(sys.modules, "doo_ti.lab.synthesis", types.SimpleNamespace(synthesise=synthesise))
-    lab = "[synthesis]\nbend = 1e5\ntwist = 1e5\nseed = 4\n[grid]\nbend = 1e5\n"
-    (tmp_path / "lab.toml").write_text(lab)
-    assert main(["synth", str(tmp_path / "lab.toml"), "--out", str(tmp_path / "x.parquet")]) == 0
-    assert asked[0].seed == 4 and asked[0].name == "lab"
-    assert load_observations(tmp_path / "x.parquet").count == 3
-
-
 def test_view_opens_the_recording(tmp_path, monkeypatch):
     opened = []
 
@@ -275,7 +231,6 @@ def test_a_command_that_is_stopped_says_whether_it_starts_from_the_beginning(cap
 
 
 def test_relax_writes_every_key(capsys, tmp_path):
-    pytest.importorskip("doo_ti.rod.metric", reason="Eq. 1 is not there yet")
     npz_bytes(tmp_path)
     out = tmp_path / "new" / "F.npz"
     argv = ["relax", str(tmp_path / "good.npz"), *MATERIAL, "--out", str(out)]
@@ -298,7 +253,6 @@ def test_relax_writes_every_key(capsys, tmp_path):
 
 @pytest.mark.thorough
 def test_machines_get_nothing_but_json(tmp_path):
-    pytest.importorskip("doo_ti.rod.metric", reason="Eq. 1 is not there yet")
     npz_bytes(tmp_path)
     argv = [sys.executable, "-m", "doo_ti", "relax", str(tmp_path / "good.npz"), *MATERIAL, "--json", "--out",
             str(tmp_path / "F.npz")]
@@ -308,7 +262,6 @@ def test_machines_get_nothing_but_json(tmp_path):
 
 
 def test_relax_picks_the_turn_that_was_seen(tmp_path):
-    pytest.importorskip("doo_ti.rod.metric", reason="Eq. 1 is not there yet")
     npz_bytes(tmp_path)
     known = load_observations(tmp_path / "good.npz")
     keys = {"vertices_mm": known.vertices, "rest_length_mm": known.rest_length, "start_frame": known.start_frame,

@@ -13,6 +13,7 @@ from doo_ti.lab.synthesis import synthesise
 from doo_ti.learning.landscape import read_landscape
 from doo_ti.learning.sweeps import SweepOptions, sweep
 from doo_ti.rod.grid import Axis, Grid
+from tests.commands.test_bad_input import refused
 from tests.record.recordings import read
 
 BENDS = np.geomspace(1e5, 4e6, 4)
@@ -107,12 +108,9 @@ def test_a_large_grid_is_thinned_and_that_is_reported(one_run, tmp_path, capsys)
     assert "recorded" not in capsys.readouterr().out
 
 
-def refused(folder, out, capsys, words: list[str], problem: str) -> None:
+def refused_runs(folder, out, capsys, words: list[str], problem: str) -> None:
     runs = [str(folder / word) if (folder / word).exists() or word == "nowhere" else word for word in words]
-    assert main(["figures", *runs, "--out", str(out)]) == 2
-    printed, err = capsys.readouterr()
-    assert printed == "" and err.count("\n") == 1 and problem in err
-    assert not out.exists()
+    refused(capsys, out.parent, ["figures", *runs, "--out", str(out)], problem)
 
 
 @pytest.mark.parametrize(("words", "problem"), [
@@ -121,7 +119,7 @@ def refused(folder, out, capsys, words: list[str], problem: str) -> None:
     (["silk", "--by", "colour"], "--by"), ([], "RUN"),
 ])
 def test_wrong_input_is_one_line_and_nothing_is_written(one_run, tmp_path, capsys, words, problem):
-    refused(one_run, tmp_path / "out", capsys, words, problem)
+    refused_runs(one_run, tmp_path / "out", capsys, words, problem)
 
 
 @pytest.mark.thorough
@@ -129,7 +127,7 @@ def test_wrong_input_is_one_line_and_nothing_is_written(one_run, tmp_path, capsy
     (["silk", "static"], "grid"), (["unlabelled", "--by", "end-distance"], "end_distance_mm"),
 ])
 def test_runs_that_do_not_go_together(lab, tmp_path, capsys, words, problem):
-    refused(lab, tmp_path / "out", capsys, words, problem)
+    refused_runs(lab, tmp_path / "out", capsys, words, problem)
 
 
 @pytest.mark.thorough

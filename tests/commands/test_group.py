@@ -8,6 +8,7 @@ import pytest
 from doo_ti.cli import main
 from doo_ti.groups.follow import follow_group
 from doo_ti.rod.types import Status
+from tests.commands.test_bad_input import refused
 
 SCENE = """
 name = "two rods"
@@ -110,13 +111,10 @@ def test_what_is_done_before_an_interruption_stays(scene, tmp_path, capsys, monk
 ])
 def test_wrong_input_is_one_line(scene, tmp_path, capsys, monkeypatch, words, said):
     monkeypatch.chdir(tmp_path)
-    assert main(["group", str(scene), *words]) == 2
-    text = capsys.readouterr().err
-    assert said in text and text.count("\n") == 1 and [path.name for path in tmp_path.iterdir()] == ["scene.toml"]
+    refused(capsys, tmp_path, ["group", str(scene), *words], said)
 
 
 def test_a_rod_that_nothing_holds_is_one_line(scene, tmp_path, capsys):
     scene.write_text(SCENE.replace('start = "frame"', ""))
-    assert main(["group", str(scene), "--out", str(tmp_path / "f.npz")]) == 2
-    text = capsys.readouterr().err
-    assert "scene.toml: clamps: rod 0 has weight and nothing holds it" in text and text.count("\n") == 1
+    refused(capsys, tmp_path, ["group", str(scene), "--out", str(tmp_path / "f.npz")],
+            "scene.toml: clamps: rod 0 has weight and nothing holds it")

@@ -20,6 +20,7 @@ def written(folder, **changes) -> str:
     return str(folder / "lab.npz")
 
 
+@pytest.mark.thorough
 def test_a_dynamic_sweep_reports_pairs_and_jumps(capsys, tmp_path):
     argv = ["sweep", written(tmp_path), *GRID, "--objective", "dynamic", "--out", str(tmp_path / "run")]
     assert main(argv) == 0

@@ -152,6 +152,7 @@ def test_stiffness_need_not_be_known(photographed, perceived, tmp_path, capsys):
     assert f"error {error.mean():.3f} mm" in printed.out
 
 
+@pytest.mark.thorough
 def test_a_click_and_no_length(photographed, tmp_path, capsys):
     """The rod begins at the end of the thread near the click, and ends at its other end: of its blunt ends, as detected."""
     folder, rods = photographed
@@ -180,6 +181,7 @@ def test_a_click_and_no_length(photographed, tmp_path, capsys):
         refused(capsys, tmp_path, [*argv, *change, "--out", str(tmp_path / "new" / "f.npz")], *words)
 
 
+@pytest.mark.thorough
 def test_printed_text(photographed, tmp_path, capsys):
     folder, _ = photographed
     (tmp_path / "lengths.txt").write_text("3.0\n" * EDGES)

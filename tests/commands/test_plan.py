@@ -6,6 +6,7 @@ import json
 import pytest
 
 from doo_ti.cli import main
+from tests.commands.test_bad_input import refused
 
 SCENE = """
 name = "cord"
@@ -53,7 +54,4 @@ def test_other_clamps_than_the_scene_s(scene, capsys):
     (["--weight", "1:2:2"], "ratios"),
 ])
 def test_wrong_input_is_one_line(scene, tmp_path, capsys, words, option):
-    assert main(["plan", scene, *words, "--out", str(tmp_path / "plan")]) == 2
-    printed = capsys.readouterr().err
-    assert option in printed and printed.count("\n") == 1
-    assert not (tmp_path / "plan").exists()
+    refused(capsys, tmp_path, ["plan", scene, *words, "--out", str(tmp_path / "plan")], option)

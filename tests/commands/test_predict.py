@@ -16,6 +16,7 @@ from doo_ti.rod.frames import quaternion_from_matrix
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import observation_clamps, start_configuration
 from doo_ti.rod.types import Material
+from tests.commands.test_bad_input import refused
 from tests.references.rods import chain, clamps_at, stacked
 
 MATERIAL = ["--bend", "6e5", "--twist", "1e5"]
@@ -109,9 +110,7 @@ def test_logs_of_robots(folder):
     (["--motion-axis", "w"], "--motion-axis"), (["--motion-up", "0,0,0"], "up"), (["--motion-columns", "time=clock"], "clock"),
 ])
 def test_wrong_options_of_motions(folder, capsys, options, said):
-    assert main([*words(folder, "seen.npz", "turn.csv"), *options]) == 2
-    printed = capsys.readouterr().err
-    assert said in printed and printed.count("\n") == 1
+    refused(capsys, folder, [*words(folder, "seen.npz", "turn.csv"), *options], said)
 
 
 def test_materials_and_starts_at_once(folder, capsys):
@@ -125,6 +124,7 @@ def test_materials_and_starts_at_once(folder, capsys):
     np.testing.assert_allclose(moved, np.tile([-6.0, 2.0, 0], (6, 1)), atol=1e-5)
 
 
+@pytest.mark.thorough
 def test_a_motion_that_begins_elsewhere_is_pointed_out(folder, capsys):
     """Displacements without --relative: one line on standard error; none with it, or where the motion begins at the clamp."""
     np.savez(folder / "moves.npz", end_position_mm=np.outer([0, 0.5, 1], [-6.0, 2.0, 0]))
@@ -179,17 +179,14 @@ def test_a_rod_that_is_lost_is_reported(folder, capsys):
 def test_wrong_input_is_one_line(folder, capsys, monkeypatch, more, printed):
     monkeypatch.chdir(folder)
     np.savez("metres.npz", end_position_mm=[[90.0, 0, 0], [90000.0, 0, 0]])
-    assert main(["predict", "seen.npz", *MATERIAL, "--out", "f.npz", *more]) == 2
-    line = capsys.readouterr().err
-    assert printed in line and line.count("\n") == 1
-    assert not (folder / "f.npz").exists()
+    refused(capsys, folder, ["predict", "seen.npz", *MATERIAL, "--out", "f.npz", *more], printed)
 
 
 @pytest.mark.parametrize("more, printed", [(["--bend", "1e6"], "--bend"), (["--relative"], "--relative"),
                                          (["--motion", "turn.csv"], "--motion")])
 def test_a_scene_says_it_all(folder, capsys, more, printed):
-    assert main(["predict", str(SCENES / "pulled_straight.toml"), "--out", str(folder / "f.npz"), *more]) == 2
-    assert printed in capsys.readouterr().err
+    scene = str(SCENES / "pulled_straight.toml")
+    refused(capsys, folder, ["predict", scene, "--out", str(folder / "f.npz"), *more], printed)
 
 
 def theta_file(folder, shape_length: float = 100.0, **changes):
@@ -250,9 +247,7 @@ def test_times_of_a_motion_are_kept_and_forces_are_in_newton(folder, capsys):
     ("turn.csv", ["--dynamic"], "end_rotation"), ("marks.npz", ["--dynamic", "--rate", "9", "--drag", "-1"], "--drag"),
 ])
 def test_motions_with_inertia_that_are_refused(folder, motion, more, field, capsys):
-    assert main([*words(folder, "seen.npz", motion), *more]) == 2
-    message = capsys.readouterr().err
-    assert message.count("\n") == 1 and field in message and not (folder / "f.npz").exists()
+    refused(capsys, folder, [*words(folder, "seen.npz", motion), *more], field)
 
 
 def test_rest_curvature_of_a_theta(folder, capsys):

@@ -53,19 +53,6 @@ def test_a_rod_does_not_fall_through_a_thin_peg():
         assert np.interp(40.0, x[:, 0], x[:, 2]) > 2.4
 
 
-def test_each_rod_has_its_own_obstacles(rng):
-    """Tables at a height of their own give every rod the shape that it has alone."""
-    rods, clamps = slack_rods(np.full(4, 30.0), np.full(4, 70.0), np.zeros(4), 100.0, 33, Clamp.FRAME)
-    points = np.stack([np.zeros(4), np.zeros(4), np.array([0.0, 20.0, 28.5, -500.0])], axis=1)
-    together = relax(rods, Material(1e4, 1e4), clamps, obstacles=[Plane(points, (0, 0, 1))], radius=1.0)
-    assert together.converged.all()
-    for row in range(4):
-        one = np.array([row])
-        table = Plane(points[row], (0, 0, 1))
-        alone = relax(rods.take(one), Material(1e4, 1e4), clamps.take(one), obstacles=[table], radius=1.0)
-        np.testing.assert_array_equal(alone.configuration.quaternions[0], together.configuration.quaternions[row])
-
-
 def test_no_edge_begins_across_the_corner_of_a_box(rng):
     """Rods of 5 mm edges over boxes of 5 to 7 mm."""
     count = 128

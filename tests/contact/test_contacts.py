@@ -10,7 +10,6 @@ from doo_ti import (
     Configuration,
     InputError,
     Material,
-    Newton,
     Plane,
     predict,
     predict_step,
@@ -59,13 +58,6 @@ def test_solutions_without_obstacles_have_no_contact(solution):
 def test_forces_follow_their_rods(solution):
     both = Solution.concatenate([solution.take([1, 0]), solution.take([0])])
     assert (both.contact_force == solution.contact_force[[1, 0, 0]]).all()
-
-
-def test_relaxing_again_leaves_the_first_solution_as_it_was(solution):
-    before = solution.contact_force.copy()
-    softer = relax(solution, Material(3e5, 3e5), None, Newton())
-    assert softer.converged[0] and (softer.contact_force[0] != before[0]).any()
-    assert (solution.contact_force == before).all()
 
 
 def test_out_of_reach_of_obstacles_rods_are_as_without():
@@ -122,7 +114,7 @@ def test_a_clamp_that_holds_the_middle_of_an_edge_in_a_peg_is_infeasible(clamp, 
     assert found.status[0] == status
 
 
-@pytest.mark.parametrize("precision", ["f32", "f64"])
+@pytest.mark.parametrize("precision", ["f64", pytest.param("f32", marks=pytest.mark.thorough)])
 def test_a_rod_that_is_too_short_to_get_round_a_peg_is_stalled_before_its_forces_overflow(precision):
     """It lies round the peg, and its ends are then drawn further apart than that allows."""
     x = np.linspace(0.0, 96.0, 200)

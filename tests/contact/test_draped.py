@@ -53,6 +53,7 @@ def test_ropes_come_to_rest_over_things(kinds, thing):
     come_to_rest(kinds, [Plane((0, 0, -20), (0, 0, 1)), THINGS[thing]], 0.93)
 
 
+@pytest.mark.thorough
 def test_f64_finishes_what_f32_cannot():
     """A rope that hangs from a point to a flat floor turns about it at no cost, which f32 cannot certify."""
     rods, material, clamps = released((Clamp.POSITION, Clamp.FREE))

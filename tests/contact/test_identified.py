@@ -74,6 +74,7 @@ def motion() -> RecordedMotion:
     return recorded(np.random.default_rng(2011))
 
 
+@pytest.mark.thorough
 def test_friction_and_stiffness_are_found(motion):
     found = identify(motion, GUESS, AS_RECORDED)
     off = [getattr(found.theta, name) / getattr(TRUE, name) - 1 for name in ("bend", "bend_damping", "friction")]

@@ -18,6 +18,7 @@ def straight(direction, start=(0.0, 0.0, 0.0)) -> Configuration:
     return Configuration.straight(np.array(start), np.array(direction), LENGTH, EDGES)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("scheme", ["bdf2", "euler"])
 @pytest.mark.parametrize("bend", [1e3, 1e6])
 def test_a_rod_that_falls_flat_stays_down(scheme, bend):
@@ -31,6 +32,7 @@ def test_a_rod_that_falls_flat_stays_down(scheme, bend):
     assert found.converged.all() and down < 30 and height[down:].max() < 1.0 and height.min() > -0.01
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("scheme", ["bdf2", "euler"])
 @pytest.mark.parametrize("speed", [0.0, 20.0])
 def test_a_rod_that_swings_into_a_wall_stays_there(scheme, speed):

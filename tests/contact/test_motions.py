@@ -40,6 +40,7 @@ def moved():
     return carried()
 
 
+@pytest.mark.thorough
 def test_steps_of_many_radii_end_in_equilibria_outside_the_pegs(moved):
     assert moved.converged.all()
     x = moved.positions.reshape(-1, EDGES + 1, 3)
@@ -47,6 +48,7 @@ def test_steps_of_many_radii_end_in_equilibria_outside_the_pegs(moved):
     assert (moved.friction_work[:, -1] > 0).mean() > 0.8
 
 
+@pytest.mark.thorough
 def test_a_rod_moves_alone_and_in_another_order_as_among_others(moved):
     for rows in (slice(3, 4), slice(None, None, -1)):
         other = carried(rows)

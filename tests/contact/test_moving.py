@@ -187,6 +187,7 @@ shift = [0, -100, 40]
 """
 
 
+@pytest.mark.thorough
 def test_scenes_of_predict_state_motions(tmp_path, capsys):
     """Steps are as many as the fastest obstacle needs, or an error says how many that is."""
     path, out = tmp_path / "scene.toml", tmp_path / "f.npz"

@@ -24,6 +24,7 @@ def bent(rng, edges: int) -> np.ndarray:
     return frames
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("edges, radius", [(7, 2.0), (33, 0.5), (40, 4.0)])
 def test_rods_that_touch_on_their_way_are_found_and_no_others(rng, edges, radius):
     lengths = np.full((1, edges), 100.0 / edges) * rng.uniform(0.8, 1.2, edges)

@@ -27,13 +27,8 @@ def shares(edges: int, length: float) -> np.ndarray:
     return length * np.array([0.5, *[1.0] * (edges - 1), 0.5])
 
 
-def joint_energy(angles: np.ndarray, bend: float, length: float):
-    """Bending energy of a planar chain: ω = 2 tan(θ/2) of the left and the right edge, ½ B ω²/l̄ each, l̄ = 2 ``length``."""
-    return np.sum(4.0 * bend * np.tan(np.diff(angles, axis=-1) / 2) ** 2 / (2.0 * length), axis=-1)
-
-
 def joint_moments(angles: np.ndarray, bend: float, length: float) -> np.ndarray:
-    """(E,) the derivative of :func:`joint_energy`."""
+    """(E,) the slopes of a planar chain's bending energy: ω = 2 tan(θ/2) of both edges, ½ B ω²/l̄ each, l̄ = 2 ``length``."""
     half = np.diff(angles) / 2
     moment = 4.0 * bend * np.tan(half) / np.cos(half) ** 2 / (2.0 * length)
     return np.append(0.0, moment) - np.append(moment, 0.0)

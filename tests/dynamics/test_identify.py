@@ -78,6 +78,7 @@ def test_intervals_of_parameters_are_those_of_the_vector(rng):
                                found.theta.rest.ravel(), rtol=1e-12)
 
 
+@pytest.mark.thorough
 def test_theta_is_found_of_rods_with_a_free_end(rng):
     """From recordings that one gripper shakes; the last two markers count as well."""
     free = RecordedMotion.of(recorded(rng, TRUE, 4, 80, 0.0), RATE, free_end=True)

@@ -72,6 +72,7 @@ def test_masses_are_as_point_masses_of_the_rod():
     assert one.positions[0, -1, -1, 2] < unloaded.positions[0, -1, -1, 2] - 10.0
 
 
+@pytest.mark.thorough
 def test_the_account_of_energies_holds_them():
     """What is unaccounted vanishes with the second order of the step."""
     loads, start = at_tip((0.0, 300.0, 0.0), 200.0), relax(ROD, MATERIAL, CANTILEVER).configuration

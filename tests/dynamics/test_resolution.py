@@ -55,7 +55,7 @@ def test_a_stiff_rod_falls_as_a_light_pendulum(bend):
     assert found.converged.all() and abs(turned(found.positions[0])[-1] / expected - 1.0) < 0.01
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("rate", [2000.0, 300.0, 100.0])
 def test_f32_is_near_f64_or_stalls(rate):
     """Ropes from limp to stiff, side by side as alone; what f32 stops is repeated in f64."""

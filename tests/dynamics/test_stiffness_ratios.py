@@ -13,7 +13,7 @@ INSTANTS = 61
 
 
 @pytest.mark.parametrize("pose", range(6))
-@pytest.mark.sampled(1)
+@pytest.mark.thorough
 def test_a_motion_comes_to_rest_where_the_scaled_solve_does(pose):
     rod, held = poses()
     clamps = held[pose]

@@ -151,13 +151,9 @@ def _observations() -> None:
         _command("convert", "rods.npz", name)
     keys = dict(np.load("rods.npz"))
     count = len(keys["vertices_mm"])
-    np.savez(
-        "labs.npz",
-        vertices_mm=keys["vertices_mm"],
-        valid=np.ones(keys["vertices_mm"].shape[:2], bool),
-        sigma_mm=np.array(0.12),
-        up=np.array([0.0, 0.0, 1.0]),
-    )
+    vertices = keys["vertices_mm"]
+    np.savez("labs.npz", vertices_mm=vertices, valid=np.ones(vertices.shape[:2], bool), sigma_mm=np.array(0.12),
+             up=np.array([0.0, 0.0, 1.0]))
     np.savez("groups.npz", group=np.arange(count) // 2)
     np.savez("offsets.npz", offset_deg=120.0 * (np.arange(count) // 2))
     Path("offsets.csv").write_text("offset_deg\n" + "".join(f"{120 * (row // 2)}\n" for row in range(count)))
@@ -168,21 +164,11 @@ def _motions() -> None:
     rod = dict(np.load("rods.npz"))
     first, last = rod["vertices_mm"][0, 0], rod["vertices_mm"][0, -1]
     shift = np.array([[0, 0, 0], [0.5, 0, 0], [1.0, 0.3, 0]])
-    held = {
-        "time_s": np.arange(3.0),
-        "start_position_mm": first + 0 * shift,
-        "end_position_mm": last + shift,
-        "start_frame": np.tile(rod["start_frame"][0], (3, 1, 1)),
-        "end_frame": np.tile(rod["end_frame"][0], (3, 1, 1)),
-        "end_rotation_deg": np.array([0.0, 5.0, 10.0]),
-    }
-    np.savez("path.npz", **{key: value for key, value in held.items() if key != "end_rotation_deg"})
+    frames = {name: np.tile(rod[name][0], (3, 1, 1)) for name in ("start_frame", "end_frame")}
+    np.savez("path.npz", time_s=np.arange(3.0), start_position_mm=first + 0 * shift, end_position_mm=last + shift, **frames)
     np.savez("marks_path.npz", positions_mm=rod["vertices_mm"][0] + np.linspace(0, 1, 9)[:, None] * shift[:, None])
-    rows = zip(held["time_s"], held["end_position_mm"], strict=True)
-    Path("path.csv").write_text(
-        "time_s,end_x_mm,end_y_mm,end_z_mm\n"
-        + "".join(f"{time:g},{place[0]:.6f},{place[1]:.6f},{place[2]:.6f}\n" for time, place in rows)
-    )
+    Path("path.csv").write_text("time_s,end_x_mm,end_y_mm,end_z_mm\n" + "".join(
+        f"{time},{x:.6f},{y:.6f},{z:.6f}\n" for time, (x, y, z) in enumerate(last + shift)))
 
 
 def _rig():
@@ -223,41 +209,19 @@ def _images() -> None:
     first = dict(zip(names, lines[0].split(","), strict=True))
     cells = [f"images/{first[f'cam{index}']}" for index in range(3)]
     seed = [first[name] for name in names if name.startswith(("seed_", "dir_"))]
-    Path("frames.csv").write_text(
-        "frame,cam0,cam1,cam2,time_s,seed_x,seed_y,seed_z,dir_x,dir_y,dir_z\n"
-        + "".join(
-            ",".join([f"f{row}", *cells, f"{row / 30:.4f}", *(seed if row == 0 else [""] * 6)]) + "\n" for row in range(2)
-        )
-    )
+    Path("frames.csv").write_text("frame,cam0,cam1,cam2,time_s,seed_x,seed_y,seed_z,dir_x,dir_y,dir_z\n" + "".join(
+        ",".join([f"f{row}", *cells, f"{row / 30:.4f}", *(seed if row == 0 else [""] * 6)]) + "\n" for row in range(2)))
     Path("lengths.txt").write_text("3.0\n" * 8)
     np.savez("lengths.npz", rest_length_mm=np.full(8, 3.0))
-    _command(
-        "perceive",
-        "--rig",
-        "rig.yaml",
-        "--sets",
-        "images/sets.csv",
-        "--rest-length",
-        "3:8",
-        *MATERIAL,
-        "--hypotheses",
-        "6",
-        "--out",
-        "perceived.npz",
-        "--no-picture",
-        "--no-recording",
-    )
+    _command(*"perceive --rig rig.yaml --sets images/sets.csv --rest-length 3:8 --hypotheses 6 --out perceived.npz".split(),
+             *MATERIAL, "--no-picture", "--no-recording")
 
 
 def _marks() -> None:
     rig, vertices = _rig(), np.load("rods.npz")["vertices_mm"]
     pixels = rig.project(vertices) + np.random.default_rng(SEED).normal(0, 0.1, (3, *vertices.shape[:2], 2))
-    rows = [
-        f"pose{pose},cam{camera},{mark},{pixels[camera, pose, mark, 0]:.3f},{pixels[camera, pose, mark, 1]:.3f}\n"
-        for pose in range(2)
-        for camera in range(3)
-        for mark in range(vertices.shape[1])
-    ]
+    rows = [f"pose{pose},cam{camera},{mark},{pixels[camera, pose, mark, 0]:.3f},{pixels[camera, pose, mark, 1]:.3f}\n"
+            for pose in range(2) for camera in range(3) for mark in range(vertices.shape[1])]
     Path("marks.csv").write_text("observation,camera,mark,u_px,v_px\n" + "".join(rows))
     Path("labels.csv").write_text("observation,end_distance_mm,end_rotation_deg,total_twist_deg\npose0,14,0,0\npose1,19,0,0\n")
 

@@ -178,6 +178,7 @@ def shares(solution, rail: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return pressed, np.linalg.norm(rest, axis=-1), (rest * along).sum(axis=-1)
 
 
+@pytest.mark.thorough
 def test_rods_that_are_drawn_over_others_stick_and_then_slip():
     """Against Coulomb's law: the friction is held by what the rails bend until it is the coefficient times the force."""
     coefficient, shifts = 0.3, (0.0, 0.003, 0.006, 2.0, 2.5)

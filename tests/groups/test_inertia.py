@@ -47,6 +47,7 @@ def places(solutions) -> np.ndarray:
     return np.array([np.concatenate([rod.vertices[0] for rod in solution.rods]) for solution in solutions])
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("scheme", ["bdf2", "euler"])
 @pytest.mark.parametrize("end", [Clamp.FREE, Clamp.TANGENT])
 def test_rods_that_are_not_tied_move_as_each_alone(scheme, end):

@@ -58,6 +58,7 @@ def test_a_ring_closes_without_a_joint():
     assert second_order(errors) and errors[-1] < 1.1e-3
 
 
+@pytest.mark.thorough
 def test_a_heavy_ring_hangs_as_the_smooth_one():
     exact, material = RADIUS * heavy_ring(1.0), Material(2.0 * RADIUS**3, RADIUS**3)
     hung = [closed(edges, material, Clamp.TANGENT).rods[0].vertices[0, :, 2] for edges in EDGES]

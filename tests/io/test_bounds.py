@@ -12,9 +12,11 @@ import pyarrow.parquet
 import pytest
 
 from doo_ti.commands.refine import read_groups
+from doo_ti.contact.obstacle_file import load_obstacles
 from doo_ti.io import arrays
 from doo_ti.io.arrays import read_arrays
-from doo_ti.io.marks import read_labels
+from doo_ti.io.marks import read_labels, read_marks
+from doo_ti.io.motion_file import load_path
 from doo_ti.io.motion_scene import load_motion_scene
 from doo_ti.io.observation_files import load_observations, save_observations
 from doo_ti.io.scene import load_scene
@@ -32,7 +34,9 @@ READERS = {
     "_sets.csv": lambda path: load_sets(path, None), "_views.csv": read_views,
     "_arrays.csv": lambda path: read_arrays(path, {"a": ((), ("a",))}),
     "_pairs.csv": lambda path: load_pairs(path, small_lab()), "_labels.csv": lambda path: read_labels(path, ("a",)),
-    ".toml": load_scene, "_motion.toml": load_motion_scene, "_groups.npz": lambda path: read_groups(f"{path}:key", small_lab()),
+    "_marks.csv": lambda path: read_marks(path, None),
+    ".toml": load_scene, "_motion.toml": load_motion_scene, "_obstacles.toml": load_obstacles, "_path.csv": load_path,
+    "_groups.npz": lambda path: read_groups(f"{path}:key", small_lab()),
 }
 
 
@@ -41,8 +45,8 @@ READERS = {
 def test_pipes_and_devices_are_no_files(tmp_path, suffix):
     os.mkfifo(tmp_path / f"pipe{suffix}")
     (tmp_path / f"zero{suffix}").symlink_to("/dev/zero")
-    for name in ("pipe", "zero"):
-        with pytest.raises(InputError, match="not a file") as caught:
+    for name, problem in (("pipe", "not a file"), ("zero", "not a file"), ("none", "no such file")):
+        with pytest.raises(InputError, match=problem) as caught:
             READERS[suffix](tmp_path / f"{name}{suffix}")
         assert name in caught.value.source
 

@@ -98,12 +98,6 @@ def test_wrong_tables_are_named(tmp_path, text, word):
         load_path(file)
 
 
-def test_files_that_are_not_there_or_of_another_kind(tmp_path):
-    for name, word in (("none.npz", "no such file"), ("motion.txt", "suffix")):
-        with pytest.raises(InputError, match=word):
-            load_path(tmp_path / name)
-
-
 def test_half_a_turn_is_determined_by_the_given_rotation():
     frames = np.stack([np.eye(3), np.diag([1.0, -1, -1])])[:, None]
     path = ClampPath(np.arange(2.0), end_frame=frames, end_rotation=np.array([[0.0], [-np.pi]]))

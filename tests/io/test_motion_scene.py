@@ -99,8 +99,3 @@ def test_names_of_several_lines_take_one(tmp_path):
     (tmp_path / "scene.toml").write_text('name = "a\\nb"\n' + GOOD.replace("[materials.cord]", '[materials."c\\nd"]'))
     scene = load_motion_scene(tmp_path / "scene.toml")
     assert scene.name == r"a\nb" and scene.names == (r"c\nd",)
-
-
-def test_a_scene_that_is_not_there(tmp_path):
-    with pytest.raises(InputError, match="no such file"):
-        load_motion_scene(tmp_path / "none.toml")

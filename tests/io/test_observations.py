@@ -7,12 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti.io.observation_files import load_observations, save_observations
+from doo_ti.io.observation_files import load_observations
 from doo_ti.rod.observations import KEYS, Observations
 from doo_ti.system.errors import InputError
 from tests.io.rods import twisted_frames, wavy_vertices
-
-LAB = ("nylon", "vicryl", "silk", "ribbon")
 
 
 def full_keys(rng) -> dict[str, np.ndarray]:
@@ -94,15 +92,6 @@ def test_lengths_along_arcs():
     np.testing.assert_array_equal(unseen.rest_length, 9.0)
 
 
-def test_arrays_are_copies_that_cannot_be_written(rng):
-    vertices = wavy_vertices(rng)
-    observations = Observations(vertices)
-    vertices[0, 0] = 7e7
-    assert observations.vertices[0, 0, 0] != 7e7
-    with pytest.raises(ValueError, match="read-only"):
-        observations.vertices[0, 0] = 0
-
-
 def test_take_keeps_what_belongs_to_an_observation(tmp_path, rng):
     path = tmp_path / "x.npz"
     np.savez(path, **full_keys(rng))
@@ -112,15 +101,6 @@ def test_take_keeps_what_belongs_to_an_observation(tmp_path, rng):
     np.testing.assert_array_equal(taken.sigma, observations.sigma[[2, 0, 0]])
     np.testing.assert_array_equal(taken.rest_length, observations.rest_length)
     np.testing.assert_array_equal(taken.end_distance, [54, 30, 30])
-
-
-def test_saved_observations_come_back(tmp_path, rng):
-    np.savez(tmp_path / "x.npz", **full_keys(rng))
-    observations = load_observations(tmp_path / "x.npz")
-    save_observations(tmp_path / "y.npz", observations)
-    again = load_observations(tmp_path / "y.npz")
-    assert same(observations, again, 1e-14)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["x.npz", "y.npz"]
 
 
 # One wrong key each: key, its value from the right one, a word of the problem.

@@ -154,11 +154,3 @@ def test_wrong_scenes_are_named(tmp_path, case):
 def test_an_unknown_key_lists_the_valid_ones(tmp_path):
     with pytest.raises(InputError, match="label_noise_mm"):
         load_scene(write(tmp_path, **synthesis("noise = 1")))
-
-
-def test_a_scene_that_cannot_be_read(tmp_path):
-    with pytest.raises(InputError, match="no such file"):
-        load_scene(tmp_path / "absent.toml")
-    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match="not TOML"):
-        load_scene(tmp_path / "binary.toml")

@@ -71,6 +71,7 @@ def test_the_end_clip_turns_by_the_end_rotation():
         np.testing.assert_allclose(frame[0, :, 1], expected, atol=1e-12)
 
 
+@pytest.mark.sampled(1)
 @both
 def test_noise_is_on_free_marks_alone(recipe):
     """Rest curvature is drawn first, so without noise the same seed gives the same shapes."""

@@ -16,7 +16,7 @@ from doo_ti.learning.summary import maker
 from doo_ti.learning.sweeps import SweepOptions, sweep
 from doo_ti.system.errors import InputError, InterruptedRunError
 from tests.learning.lab import GRID, small_lab
-from tests.learning.test_sweep import assert_same_cells
+from tests.learning.test_sweep import assert_same_cells, small_chunks  # noqa: F401  a fixture
 
 
 @pytest.fixture(scope="module")
@@ -26,14 +26,9 @@ def scheduler():
         yield cluster.scheduler_address
 
 
-@pytest.fixture
-def small_chunks(monkeypatch):
-    monkeypatch.setattr(sweeps, "CHUNK_BYTES", 18 * 32 * 33)  # three cells of six observations
-
-
 @pytest.mark.thorough
 @pytest.mark.filterwarnings("default")
-def test_a_cluster_changes_nothing(tmp_path, scheduler, small_chunks):
+def test_a_cluster_changes_nothing(tmp_path, scheduler, small_chunks):  # noqa: F811
     observations = small_lab()
     alone = sweep(tmp_path / "alone", observations, GRID)
     shared = sweep(tmp_path / "shared", observations, GRID, options=SweepOptions(scheduler=scheduler))
@@ -47,7 +42,7 @@ def _refuses(*chunk):
 
 @pytest.mark.thorough
 @pytest.mark.filterwarnings("default")
-def test_a_failure_on_a_worker_is_reported_with_the_way_to_resume(tmp_path, scheduler, small_chunks, monkeypatch):
+def test_a_failure_on_a_worker_is_reported_with_the_way_to_resume(tmp_path, scheduler, small_chunks, monkeypatch):  # noqa: F811
     monkeypatch.setattr(sweeps, "chunk_rows", _refuses)
     with pytest.raises(InterruptedRunError, match="a worker's trouble.*doo-ti sweep"):
         sweep(tmp_path / "run", small_lab(), GRID, options=SweepOptions(scheduler=scheduler), command=["doo-ti", "sweep"])

@@ -4,10 +4,8 @@ import json
 from dataclasses import replace
 
 import numpy as np
-import pyarrow.parquet
 import pytest
 
-from doo_ti.learning import sweeps
 from doo_ti.learning.cells import relax_cells
 from doo_ti.learning.experiment import Experiment, SweepOptions
 from doo_ti.learning.landscape import read_landscape
@@ -21,11 +19,7 @@ from doo_ti.rod.start import observation_clamps, start_configuration
 from doo_ti.rod.types import Material
 from doo_ti.system.errors import InputError
 from tests.learning.lab import DYNAMIC, GRID, small_lab
-
-
-def cells(run) -> dict[str, np.ndarray]:
-    table = pyarrow.concat_tables([pyarrow.parquet.read_table(path) for path in sorted((run / "cells").glob("*.parquet"))])
-    return {name: table.column(name).to_numpy() for name in table.column_names if name != "material"}
+from tests.learning.test_sweep import cells
 
 
 def assert_same_rows(first: dict, second: dict) -> None:
@@ -85,18 +79,6 @@ def test_the_landscape_is_the_weighted_mean(tmp_path):
 
 
 @pytest.mark.thorough
-def test_chunks_and_workers_change_nothing(tmp_path, monkeypatch):
-    observations = replace(small_lab(), total_twist=None)
-    sweep(tmp_path / "one", observations, GRID, options=DYNAMIC)
-    monkeypatch.setattr(sweeps, "CHUNK_BYTES", 24 * 32 * 33)
-    sweep(tmp_path / "chunks", observations, GRID, options=DYNAMIC)
-    sweep(tmp_path / "workers", observations, GRID, options=replace(DYNAMIC, workers=2))
-    assert len(list((tmp_path / "chunks" / "cells").glob("*.parquet"))) == 6
-    assert_same_rows(cells(tmp_path / "one"), cells(tmp_path / "chunks"))
-    assert_same_rows(cells(tmp_path / "one"), cells(tmp_path / "workers"))
-
-
-@pytest.mark.thorough
 @pytest.mark.parametrize("options", [SweepOptions(), DYNAMIC, replace(DYNAMIC, precision="f64", sub_step=0.1)])
 @pytest.mark.parametrize("hint", [True, False])
 def test_a_folder_is_enough_to_relax_its_cells_again(tmp_path, options, hint):
@@ -127,6 +109,8 @@ def test_another_set_of_pairs_is_another_sweep(tmp_path):
     sweep(tmp_path / "run", observations, GRID, options=DYNAMIC)
     with pytest.raises(InputError, match="another sweep"):
         sweep(tmp_path / "run", observations, GRID, options=DYNAMIC, pairs=Pairs([0], [4], [1.0]))
+    with pytest.raises(InputError, match="another sweep"):
+        sweep(tmp_path / "run", observations, GRID, options=replace(DYNAMIC, precision="f64"))
     with pytest.raises(InputError, match="static"):
         sweep(tmp_path / "static", observations, GRID, pairs=Pairs([0], [4], [1.0]))
     with pytest.raises(InputError, match="end_rotation_deg: "):

@@ -29,6 +29,7 @@ def plan(own: Tasks, goal: np.ndarray, **options) -> d.ManipulationPath:
     return d.plan_manipulation(own.real, own.true, own.clamps, d.Targets(goal), **options)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("row", range(3))
 def test_a_rod_that_follows_the_plan_comes_to_its_target(row):
     own = some().take(np.array([row]))
@@ -39,6 +40,7 @@ def test_a_rod_that_follows_the_plan_comes_to_its_target(row):
     assert np.allclose(path.start_position[0], own.clamps.start_position)
 
 
+@pytest.mark.thorough
 def test_a_held_gripper_stays():
     own = tasks(2, 4, both=False).take(np.array([0]))
     path = plan(own, own.goal, options=d.PlanOptions(free=("end_shift", "end_turn")))

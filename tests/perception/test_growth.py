@@ -49,13 +49,3 @@ def test_selection_is_greedy_in_every_set():
                 found.append(k)
         wanted += found
     assert kept.tolist() == wanted
-
-
-def test_sets_do_not_know_of_each_other():
-    random = np.random.default_rng(6)
-    of_set = np.repeat([0, 1], [20, 35])
-    score, tip = random.random(55), random.random((55, 3))
-    direction = np.tile([1.0, 0, 0], (55, 1))
-    together = select_hypotheses(score, tip, direction, of_set, 4, 0.3, 1.0)
-    alone = select_hypotheses(score[20:], tip[20:], direction[20:], of_set[20:], 4, 0.3, 1.0) + 20
-    assert together[together >= 20].tolist() == alone.tolist()

@@ -56,7 +56,7 @@ def test_cameras_close_together_see_the_whole_thread(seen):
     assert (np.abs(found.thread_length / LENGTH_MM - 1) < 0.03).all()
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("share", [0.8, 1.15])
 def test_a_rod_of_another_length_lies_where_the_thread_is(seen, share):
     found = recovered(seen, share * LENGTH_MM)
@@ -67,6 +67,7 @@ def test_a_rod_of_another_length_lies_where_the_thread_is(seen, share):
     assert (np.abs(found.left_over - max(0.0, 1 - share) * LENGTH_MM) < 0.03 * LENGTH_MM).all()
 
 
+@pytest.mark.thorough
 def test_a_click_begins_a_thread_of_unknown_length(seen):
     rig, curves, detections = seen
     for points, images in zip(curves, detections, strict=True):

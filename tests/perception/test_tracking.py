@@ -115,6 +115,7 @@ def test_a_moving_gripper_takes_the_rod_along():
     assert all(frame.how == How.TRACKED for frame in found[1:]) and error.max() < 0.15
 
 
+@pytest.mark.thorough
 def test_a_known_far_clamp_predicts(video, monkeypatch):
     """Every fifth frame, the far end 13 mm further: the prediction is a much better start than the last rod."""
     rows = np.arange(0, FRAMES, 5)

@@ -136,22 +136,6 @@ def test_packs_are_scalars_to_the_last_bit(rng):
                     np.testing.assert_array_equal(pair_kernel(Number(width, bits), isotropic)(rows), alone)
 
 
-def test_isotropic_is_a_case_of_the_general(rng):
-    runtime.start()
-    number = Number(1, 64)
-    for where in WHERE:
-        frames = np.hstack(joints(rng, where))
-        total, alpha, twist = rng.uniform(2, 10, ROWS), rng.uniform(1e4, 1e6, ROWS), rng.uniform(1e4, 1e6, ROWS)
-        bend = np.broadcast_to(alpha[:, None, None] * np.eye(2), (2, ROWS, 2, 2))
-        short = pair_kernel(number, True)(np.column_stack([frames, alpha / total, twist / total]))
-        stiffness = general_stiffness(bend, twist, np.zeros((ROWS, 2)), total)
-        long = pair_kernel(number, False)(np.hstack([frames, stiffness]))
-        error = max(relative_error(a, b) for a, b in zip(unpacked(short)[1:], unpacked(long)[1:], strict=True))
-        print(f"isotropic against general, {where}: {error:.1e} of the largest entry")
-        assert error < 1e-13
-        np.testing.assert_allclose(short[:, 0], long[:, 0], rtol=1e-13)
-
-
 @every_number
 def test_linear_potential_on_packs_is_the_oracles(rng, number):
     """c·t l: gravity and closure's multiplier."""
@@ -295,32 +279,6 @@ def test_bend_force_is_the_slope_of_the_energy(rng, number):
             slope_error = max(slope_error, (np.abs(found - expected) / np.abs(slope).max(axis=1)).max())
     print(f"bend force, {number}: energy {error:.1e}, slope {slope_error:.1e} of the largest entry")
     assert max(error, slope_error) < (1e-12 if number.bits == 64 else 1e-4)
-
-
-def test_twist_changes_by_the_holonomy(rng):
-    """δm = ½ κb·(δe⁻/|e⁻| + δe⁺/|e⁺|) when edges move and their frames follow: the kernel's κb says so to rounding."""
-    runtime.start()
-
-    @ti.func
-    def function(v: ti.template()):
-        kb, bottom = vertex_form.curvature_binormal((v[0], v[1], v[2]), (v[3], v[4], v[5]), v[6], v[7])
-        return kb
-
-    edges, frames, lengths = vertices(rng)
-    kb = columns_kernel(Number(1, 64), 8, 3, function)(np.column_stack([edges.reshape(ROWS, 6), lengths]))
-    for side in (0, 1):
-        for k in (1, 2):
-            across = frames[:, side, :, k]
-            step = np.zeros(edges.shape, dtype=complex)
-            step[:, side] = 1j * STEP * across
-            moved, m1, _ = followed(edges + step, frames)
-            tangents = [oracle.normalise(edge) for edge in moved]
-            reference = oracle.transport(*tangents, m1[0])
-            # The angle's rate from its sine and cosine, whose squares sum to one.
-            sine = oracle.dot(oracle.cross(reference, m1[1]), tangents[1])
-            cosine = oracle.dot(reference, m1[1])
-            rate = (sine.imag * cosine.real - cosine.imag * sine.real) / STEP
-            np.testing.assert_allclose(rate, 0.5 * np.sum(kb * across, axis=1) / lengths[:, side], atol=1e-13)
 
 
 @pytest.mark.sampled(4)

@@ -136,6 +136,7 @@ def test_a_rod_that_is_pulled_too_far_is_lost_alone():
     np.testing.assert_array_equal(prediction.quaternions[:, 1], alone.quaternions[:, 0])
 
 
+@pytest.mark.thorough
 def test_candidates_of_one_rod():
     """For planners: the same as each motion predicted alone, with and without detection of jumps."""
     rods, clamps = bows(MATERIAL)

@@ -29,6 +29,7 @@ def rope():
     return specimen(2012)
 
 
+@pytest.mark.thorough
 def test_the_intervals_contain_the_truth(rope):
     observations, truth = rope
     found = refine(observations, observation_clamps(observations), GUESS, replace(SIMPLE, surroundings=TABLE))

@@ -80,6 +80,7 @@ def test_the_order_is_greedy_and_the_region_shrinks(configurations):
     assert later.order.tolist() == found.order[1:3].tolist()
 
 
+@pytest.mark.thorough
 def test_measured_configurations_are_not_picked_and_picks_end(configurations):
     found = plan(configurations, grid(), sigma=0.1, picks=100, measured=[0, 4])
     assert sorted(found.order.tolist()) == [1, 2, 3, 5, 6, 7, 8]

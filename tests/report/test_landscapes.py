@@ -126,6 +126,7 @@ def test_every_panel_and_key_is_inside_the_picture(rng):
         assert ["5", "20"] in numbers and ["41"] in numbers, "cells that do not compete, their rods, and cells not evaluated"
 
 
+@pytest.mark.thorough
 def test_pictures_of_several_are_png(tmp_path, rng):
     panels = [LandscapePanel(name, plane(rng)) for name in ("one", "two")]
     landscapes_picture(tmp_path / "several.png", [panels], title="made up")

@@ -58,7 +58,7 @@ def said(folder: Path, script: str) -> list[str]:
     return [line for line in done.stdout.splitlines() if not line.startswith("[Taichi]")]
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize(("calls", "options", "own", "ours"), [(BEFORE, "", 2, 2), (AFTER, "", 3, 4), (BEFORE, OTHERS, 2, 2)])
 def test_the_users_own_taichi_program_stays_and_ours_runs_in_it(tmp_path, calls, options, own, ours):
     lines = said(tmp_path, f"{TOGETHER}{options}{calls}")

@@ -49,12 +49,6 @@ def test_a_rig_survives_its_file(tmp_path):
             np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
 
 
-def test_the_rig_of_the_images(laboratory):
-    found = load_rig(laboratory / "images_a" / "rig.yaml")
-    assert len(set(found.names)) == 3
-    assert all(200 < np.linalg.norm(camera.centre) < 500 for camera in found.cameras)
-
-
 @pytest.mark.sampled(9)
 @pytest.mark.parametrize("spoil, word", [
     (lambda text: text.replace("cameras:", "kameras:"), "cameras"),
@@ -82,8 +76,6 @@ def test_a_bad_file_is_refused(tmp_path, spoil, word):
     (tmp_path / "bad.yaml").write_text(spoil(text))
     with pytest.raises(InputError, match=word):
         load_rig(tmp_path / "bad.yaml")
-    with pytest.raises(InputError, match="no such file"):
-        load_rig(tmp_path / "none.yaml")
 
 
 @pytest.mark.parametrize("change", [

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from doo_ti.system.errors import InputError
-from doo_ti.vision.cameras.rig import load_rig
 from doo_ti.vision.detection.images import load_sets
 from tests.vision.cameras.test_rig import rig
 
@@ -31,12 +30,6 @@ def test_rods_that_begin_at_pixels(tmp_path):
     assert sets.clicks == ({0: (10.0, 20.5)}, {0: (1.0, 2.0), 1: (3.0, 4.0)}, {1: (5.0, 6.0)})
 
 
-def test_the_sets_of_the_images(laboratory):
-    folder = laboratory / "images_a"
-    sets, truth = load_sets(folder / "sets.csv", load_rig(folder / "rig.yaml")), np.load(folder / "truth.npz")
-    assert sets.names == tuple(truth["names"]) and all(path.exists() for line in sets.paths for path in line)
-
-
 @pytest.mark.parametrize("text, word", [
     (HEADER, "no rows"), (HEADER.replace("seed_y", "y") + LINE, "seed_y"), (HEADER.replace("cam2", "cam9") + LINE, "cam9"),
     (HEADER + LINE.replace("1,2,3", "1,x,3"), "seed_y: 'x' in line 2"), (HEADER + LINE + LINE, "twice"),
@@ -53,9 +46,4 @@ def test_the_sets_of_the_images(laboratory):
 def test_wrong_lists_are_reported(tmp_path, text, word):
     (tmp_path / "sets.csv").write_text(text)
     with pytest.raises(InputError, match=word):
-        load_sets(tmp_path / "sets.csv", rig())
-
-
-def test_a_file_that_is_not_there(tmp_path):
-    with pytest.raises(InputError, match="no such file"):
         load_sets(tmp_path / "sets.csv", rig())

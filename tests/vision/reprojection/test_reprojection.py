@@ -98,24 +98,6 @@ def test_hessian_is_that_of_finite_differences(scene, rng):
     assert smooth >= 8
 
 
-@pytest.mark.sampled(1)
-@every_number
-def test_gradient_is_that_of_finite_differences(number, scene, rng):
-    """By the energy of one rod a thread in f64, which a GPU has as well."""
-    _, rods, _ = scene
-    edges = edges_near(rng, rods)
-    _, gradient, _ = evaluated(number, scene, edges)
-    wanted, step = np.empty((len(edges), 6)), 1e-6
-    for k in range(6):
-        move = step * np.eye(7)[k + 1]
-        ahead, behind = (evaluated(NUMBERS[0], scene, edges + sign * move)[0] for sign in (1, -1))
-        wanted[:, k] = (ahead - behind) / (2 * step)
-    size = np.abs(wanted).max(axis=1, keepdims=True)
-    close = np.abs(gradient - wanted) < (1e-6 if number.bits == 64 else 1e-3) * size
-    # A point that crosses a line between pixels on the way has a kink in the third derivative only.
-    assert close.mean() > 0.99
-
-
 @every_number
 def test_coarse_curvature_is_positive_semidefinite(number, scene, rng):
     """With the same energy and gradient; on the crease it has the true curvature across."""
