@@ -118,13 +118,13 @@ from doo_ti.twist.estimation import TwistOptions as TwistOptions
 from doo_ti.twist.estimation import TwistVerdict as TwistVerdict
 from doo_ti.twist.estimation import estimate_twist as estimate_twist
 from doo_ti.vision.cameras.camera import Camera as Camera
-from doo_ti.vision.cameras.reading import RigReading as RigReading
+from doo_ti.vision.cameras.foreign import RigReading as RigReading
 from doo_ti.vision.cameras.rig import Rig as Rig
 from doo_ti.vision.cameras.rig import load_rig as load_rig
 from doo_ti.vision.detection.detect import detect as detect
+from doo_ti.vision.detection.detect import detect_mask as detect_mask
 from doo_ti.vision.detection.follow import follow as follow
 from doo_ti.vision.detection.line import Detection as Detection
-from doo_ti.vision.detection.mask import detect_mask as detect_mask
 from doo_ti.vision.detection.options import DetectionOptions as DetectionOptions
 from doo_ti.vision.reprojection.distance_map import DistanceMaps as DistanceMaps
 from doo_ti.vision.reprojection.distance_map import distance_maps as distance_maps

@@ -9,16 +9,14 @@ import numpy as np
 from doo_ti.commands import image_options
 from doo_ti.commands import options as given
 from doo_ti.commands.results import counted, report, shortened
-from doo_ti.io.marks import Marks, read_labels, read_marks
 from doo_ti.io.observation_files import save_observations
 from doo_ti.rod.physical_units import UNITS_IN_MM
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line, progress
-from doo_ti.vision.cameras.board import FORMS, Board, parse_board
+from doo_ti.vision.cameras.board import FORMS, Board, Views, find_sightings, parse_board, read_views
 from doo_ti.vision.cameras.calibration import COEFFICIENTS, WORLDS, Calibration, CalibrationOptions, calibrate
 from doo_ti.vision.cameras.rig import Rig, save_rig
-from doo_ti.vision.cameras.views import Views, find_sightings, read_views
-from doo_ti.vision.reprojection.marks import MarkedRods, observe
+from doo_ti.vision.reprojection.marks import MarkedRods, Marks, observe, read_labels, read_marks
 from doo_ti.vision.reprojection.triangulation import MarkStatus, Points, TriangulationOptions, triangulate
 
 MOST_LISTED = 20

@@ -12,8 +12,8 @@ import numpy as np
 from doo_ti.commands import options as given
 from doo_ti.commands.results import counted, in_newton, report, save_arrays
 from doo_ti.contact.touch import Touch
-from doo_ti.io.shipped import scene_file
-from doo_ti.learning.objective import status_counts
+from doo_ti.io.toml_file import scene_file
+from doo_ti.learning.landscape import status_counts
 from doo_ti.rod.types import Status
 from doo_ti.system.errors import InputError, InterruptedRunError
 from doo_ti.system.terminal import in_line, progress
@@ -109,7 +109,7 @@ def _draw(moments: "list[GroupSolution]", picture: Path | None, recording: Path 
 
         save_group(picture, moments, **about)
     if recording is not None:
-        from doo_ti.record.groups import record_group
+        from doo_ti.record.motions import record_group
 
         record_group(recording, moments, **about)
 

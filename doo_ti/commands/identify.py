@@ -176,7 +176,7 @@ def _lines(summary: dict, motion) -> list[str]:
 
 
 def _draw(picture: Path, found, rollouts) -> None:
-    from doo_ti.report.rollouts import save_rollout
+    from doo_ti.report.motions import save_rollout
     from doo_ti.report.touched import Touched
 
     picture.parent.mkdir(parents=True, exist_ok=True)

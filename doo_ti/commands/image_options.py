@@ -5,11 +5,11 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from doo_ti.commands import options as given
-from doo_ti.io.shipped import scene_file
+from doo_ti.io.toml_file import scene_file
 from doo_ti.rod.physical_units import UNITS_IN_MM
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line
-from doo_ti.vision.cameras.reading import LENSES, POSES, RigReading
+from doo_ti.vision.cameras.foreign import LENSES, POSES, RigReading
 from doo_ti.vision.cameras.rig import Rig, load_rig
 
 
@@ -77,8 +77,8 @@ def by_camera(option: str, texts: Iterable[str] | None, names: tuple[str, ...], 
 
 def sight(options: Namespace, sets, method: str = "ridge"):
     """The Sight that :func:`add_thread` describes, of the images in ``sets``."""
+    from doo_ti.vision.detection.detect import Sight
     from doo_ti.vision.detection.options import DetectionOptions
-    from doo_ti.vision.detection.sight import Sight
 
     colour = None if options.colour is None else tuple(given.numbers("--colour", options.colour))
     regions = {camera: tuple(map(int, box))

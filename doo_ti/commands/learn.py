@@ -6,9 +6,8 @@ from shutil import get_terminal_size
 
 from doo_ti.commands import options as given
 from doo_ti.commands.results import plain, report, run_lines, save_json
-from doo_ti.learning.cross_validation import Scores, cross_validate
+from doo_ti.learning.cross_validation import FACTORS, Scores, check_comparable, cross_validate, partition, usual_factors
 from doo_ti.learning.landscape import Landscape, read_landscape
-from doo_ti.learning.partition import FACTORS, check_comparable, partition, usual_factors
 from doo_ti.learning.score_table import caption, comma_separated, entries, file_stem, markdown, text
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import write_text

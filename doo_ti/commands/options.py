@@ -12,7 +12,7 @@ import numpy as np
 
 from doo_ti.commands.help_text import FIRST, examples
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.io.formats import checked_suffix
+from doo_ti.io.observation_files import checked_suffix
 from doo_ti.io.scene import CLAMPS, PRECISIONS
 from doo_ti.rod.grid import UNITS, Axis, Grid, parse_axes, parse_axis
 from doo_ti.rod.physical_units import bend_or_twist, force_in_newton, weight_per_length

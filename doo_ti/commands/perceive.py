@@ -12,7 +12,7 @@ from doo_ti.commands import image_options, loading
 from doo_ti.commands import options as given
 from doo_ti.commands.results import RODS, counted, report, save_arrays, shortened
 from doo_ti.commands.seen_rods import GUESSED_BEND, RECORDED, PerceptionTask, perception_task
-from doo_ti.learning.objective import status_counts
+from doo_ti.learning.landscape import status_counts
 from doo_ti.rod.types import Status
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import can_record, in_line, progress
@@ -120,8 +120,7 @@ def _begun(task: PerceptionTask, detected: list[list]) -> tuple[PerceptionTask, 
     sets, length_range = task.sets, np.full(2, np.nan)
     if task.rest_length is not None and sets.direction is not None:
         return task, length_range
-    from doo_ti.perception.seeds import seed_from_pixels
-    from doo_ti.perception.whole_thread import whole_threads
+    from doo_ti.perception.seeds import seed_from_pixels, whole_threads
 
     if sets.point is None:
         sources = [f"{sets.source}: {in_line(name)}" if sets.count > 1 else sets.source for name in sets.names]
@@ -187,7 +186,7 @@ def _sigma(task: PerceptionTask, found) -> np.ndarray:
     """(S, V) mm. The first two vertices, which the seed gives, are as uncertain as a click where the seed was one."""
     if task.sets.clicks is None:
         return found.sigma
-    from doo_ti.perception.shape_uncertainty import point_sigma
+    from doo_ti.perception.finalists import point_sigma
 
     sigma = found.sigma.copy()
     sigma[:, :2] = np.maximum(sigma[:, :2], point_sigma(task.sets.rig, found.vertices[:, :2], CLICK_PX))

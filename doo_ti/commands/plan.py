@@ -12,7 +12,7 @@ from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.results import report, save_json
 from doo_ti.io.scene import Synthesis, load_scene
-from doo_ti.io.shipped import scene_file
+from doo_ti.io.toml_file import scene_file
 from doo_ti.rod.observations import Observations
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import write_text

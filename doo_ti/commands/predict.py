@@ -34,8 +34,8 @@ from doo_ti.commands.starting_rods import settled, with_frames
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.motion_file import ClampPath
 from doo_ti.io.scene import PRECISIONS
-from doo_ti.io.shipped import scene_file
-from doo_ti.learning.objective import status_counts
+from doo_ti.io.toml_file import scene_file
+from doo_ti.learning.landscape import status_counts
 from doo_ti.rod.frames import matrix_from_quaternion, smallest_rotation
 from doo_ti.rod.physical_units import UNITS_IN_MM
 from doo_ti.rod.start import check_experiment, observation_clamps

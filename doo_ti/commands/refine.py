@@ -205,7 +205,7 @@ def _task(options: Namespace, source: str, starts: int) -> Task:
 
 def run_density(run: Path) -> float | None:
     """The linear density in g/m that the sweep of a run was given."""
-    from doo_ti.learning.summary import DENSITY, read_summary
+    from doo_ti.learning.chunks import DENSITY, read_summary
 
     density = read_summary(run).get(DENSITY)
     return float(density) if isinstance(density, (int, float)) and 0 < density < np.inf else None

@@ -20,7 +20,7 @@ from doo_ti.commands.results import (
     theta_text,
 )
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.learning.objective import status_counts
+from doo_ti.learning.landscape import status_counts
 from doo_ti.rod.grid import Grid
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses

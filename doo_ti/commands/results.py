@@ -11,7 +11,7 @@ import numpy as np
 
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.observation_files import load_observations, save_observations
-from doo_ti.io.rod_table import write_rod_table
+from doo_ti.io.observation_tables import write_rod_table
 from doo_ti.io.scene import Scene, Synthesis
 from doo_ti.rod.grid import Grid, Interval
 from doo_ti.rod.observations import Observations
@@ -46,7 +46,7 @@ RODS = (".npz", ".csv")
 
 
 def save_arrays(out: Path, arrays: dict[str, np.ndarray], axes: tuple[str, ...] = ("observation",)) -> None:
-    """Write an npz, or by its suffix a CSV file with a row per vertex (:mod:`doo_ti.io.rod_table`), completely or not at all;
+    """Write an npz, or by its suffix a CSV file with a row per vertex (:mod:`doo_ti.io.observation_tables`), whole or not;
     arrays that have no place in the table are named on standard error.
 
     axes  names of the leading axes of the positions

@@ -24,7 +24,7 @@ from doo_ti.vision.cameras.rig import Rig
 
 if TYPE_CHECKING:
     from doo_ti.manipulation.belief import LearnedMaterial
-    from doo_ti.perception.virtual_cameras import SeenMoment, VirtualCameras
+    from doo_ti.perception.virtual_lab import SeenMoment, VirtualCameras
 
 STEPS, MOST_STEPS = 30, 1000
 REACHED = 1.0
@@ -95,7 +95,7 @@ def run(options: Namespace, words: list[str]) -> int:
     true, cameras = _true(options, rod.material, unit), _cameras(options, rig, rod)
     begin, steps, end = _steps(rod, true, cameras, rig, most, reached)
 
-    from doo_ti.report.steering import servo_picture
+    from doo_ti.report.motions import servo_picture
 
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / PATH, path_table(_path(begin, steps)))
@@ -137,7 +137,7 @@ def _true(options: Namespace, material: Material, unit: Stiffness) -> Material:
 
 def _cameras(options: Namespace, rig: Rig, rod: SteeredRod) -> "VirtualCameras":
     """What looks at the true rod."""
-    from doo_ti.perception.virtual_cameras import DIAMETER_MM, VirtualCameras
+    from doo_ti.perception.virtual_lab import DIAMETER_MM, VirtualCameras
     from doo_ti.vision.rendering.render import RenderOptions, check_diameter
 
     covered = {name: share for name, (share,) in image_options.by_camera(
@@ -160,7 +160,7 @@ def _steps(rod: SteeredRod, true: Material, cameras: "VirtualCameras", rig: Rig,
     from doo_ti.manipulation.servo import Servo
     from doo_ti.manipulation.simulation import Simulation
     from doo_ti.manipulation.targets import ServoOptions, Targets
-    from doo_ti.perception.virtual_cameras import TRACKED_NOISE
+    from doo_ti.perception.virtual_lab import TRACKED_NOISE
 
     up, targets, steps = rod.observations.up, Targets(rod.places), []
     with progress() as bar:

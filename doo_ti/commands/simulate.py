@@ -24,8 +24,8 @@ from doo_ti.commands.starting_rods import Moved, from_observations
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.contact.touch import Touch
 from doo_ti.io.pose_table import holds_poses
-from doo_ti.io.shipped import scene_file
-from doo_ti.learning.objective import status_counts
+from doo_ti.io.toml_file import scene_file
+from doo_ti.learning.landscape import status_counts
 from doo_ti.rod.types import Clamp, Status
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import busy, in_line, progress
@@ -297,18 +297,18 @@ def _draw(found: _Simulated, shown: dict[str, Path]) -> None:
         touched = Touched(found.surroundings, found.positions, found.contact["contact_force"], found.newtons)
     energies = {name: found.energies[name] for name in SPLIT} if found.energies else None
     if "picture" in shown:
-        from doo_ti.report.rollouts import save_rollout
+        from doo_ti.report.motions import save_rollout
 
         save_rollout(shown["picture"], found.name, found.names, found.positions, found.recorded, found.rate, found.up,
                      energies, touched)
     if "animation" in shown:
-        from doo_ti.report.rollouts import save_animation
+        from doo_ti.report.motions import save_animation
 
         with busy("drawing the animation"):
             save_animation(shown["animation"], found.name, found.names, found.positions, found.recorded, found.rate, found.up,
                            touched)
     if "recording" in shown:
-        from doo_ti.record.rollouts import record_rollout
+        from doo_ti.record.motions import record_rollout
 
         record_rollout(shown["recording"], found.name, found.names, found.positions, found.recorded, found.rate, found.up,
                        energies, touched)

@@ -13,9 +13,9 @@ from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.results import hypotheses_lines, note_theta, peak_memory, plain, run_lines, theta_text
 from doo_ti.io.scene import MOST_ROLLS, OBJECTIVES, Scene, Synthesis, load_scene
-from doo_ti.io.shipped import scene_file
+from doo_ti.io.toml_file import scene_file
+from doo_ti.learning.chunks import SUMMARY
 from doo_ti.learning.pairs import Pairs, load_pairs
-from doo_ti.learning.summary import SUMMARY
 from doo_ti.rod.grid import Grid
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.physical_units import relative_stiffness, stiffness

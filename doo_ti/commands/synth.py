@@ -9,10 +9,10 @@ import numpy as np
 from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.results import observed, save, save_arrays
-from doo_ti.io.formats import read_curves
 from doo_ti.io.motion_recording import read_recording
+from doo_ti.io.observation_files import read_curves
 from doo_ti.io.scene import Scene, Synthesis, load_scene
-from doo_ti.io.shipped import scene_file
+from doo_ti.io.toml_file import scene_file
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line, progress
 
@@ -125,7 +125,7 @@ def _photograph(options: Namespace, scene: Scene) -> None:
     if not isinstance(scene.observations, Synthesis):
         raise InputError(scene.source, "observations", "a file, which does not say how the rods lie between their marks",
                          "give a scene with [synthesis]")
-    from doo_ti.perception.lab_images import lab_rods, save_truth
+    from doo_ti.perception.virtual_lab import lab_rods, save_truth
     from doo_ti.vision.rendering.render import check_diameter
 
     check_diameter(diameter, given.SOURCE, "--diameter")

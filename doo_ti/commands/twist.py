@@ -10,7 +10,7 @@ from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import curved
 from doo_ti.commands.results import RODS, counted, report, save_arrays, shortened, theta_of, theta_text
-from doo_ti.io.rod_table import write_columns
+from doo_ti.io.observation_tables import write_columns
 from doo_ti.io.scene import PRECISIONS
 from doo_ti.rod.grid import Grid
 from doo_ti.rod.observations import Observations

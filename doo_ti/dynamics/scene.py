@@ -64,8 +64,7 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.inertia_keys import InertiaKeys
 from doo_ti.dynamics.parameters import Dynamics, Stepping
-from doo_ti.io.clamp_moments import ClampName, end_paths
-from doo_ti.io.keyframes import instants
+from doo_ti.io.clamp_moments import ClampName, end_paths, instants
 from doo_ti.io.material_keys import newtons, stated_material
 from doo_ti.io.motion_scene import rod_radius
 from doo_ti.io.toml_file import Finite, Positive, Table, Vector, checked, read_toml, unit_direction

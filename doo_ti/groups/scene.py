@@ -61,8 +61,7 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.inertia_keys import InertiaKeys
 from doo_ti.dynamics.parameters import Dynamics
 from doo_ti.groups.group import Group, Tie
-from doo_ti.io.clamp_moments import ClampName, end_paths
-from doo_ti.io.keyframes import instants
+from doo_ti.io.clamp_moments import ClampName, end_paths, instants
 from doo_ti.io.material_keys import StatedMaterial, newtons, stated_material
 from doo_ti.io.toml_file import NotNegative, Positive, Table, Vector, checked, read_toml, unit_direction
 from doo_ti.rod.knots import rod_along

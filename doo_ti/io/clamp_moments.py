@@ -1,9 +1,10 @@
-"""The clamps of a rod's ends as scenes state them: how they hold, and where they are at some moments.
+"""What TOML files state at some moments of a motion, smooth between them: quantities of any kind, and the clamps of a rod's
+ends.
 
     start = "frame"                    # free, position, tangent or frame
     end = "free"
 
-    [[moments]]                        # none or more; what is left out stays as it was; smooth between them
+    [[moments]]                        # none or more; what is left out stays as it was
     time_s = 0.0
     start_position_mm = [0, 0, 0]      # at first where the rod is
     start_direction = [0, 0, -1]
@@ -13,16 +14,60 @@
     end_turns = 2.5
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
-from doo_ti.io.keyframes import between_moments
-from doo_ti.io.toml_file import Finite, NotNegative, Table, Vector
+from doo_ti.io.toml_file import Finite, NotNegative, Table, Vector, checked, unit_direction
 from doo_ti.rod.frames import matrix_from_quaternion, quaternion_product, smallest_rotation, turned_about_tangent
 from doo_ti.rod.types import Configuration
 from doo_ti.system.errors import InputError
+
+
+def instants(source, rate: float, duration: float, most: int, called: str) -> np.ndarray:
+    """(1 + steps,) s: ``rate`` instants a second from zero to ``duration``, the values of ``rate_hz`` and ``duration_s`` in the
+    file ``source``. Raises InputError, which calls them ``called``, for fewer than one step or more than ``most``."""
+    steps = round(duration * rate)
+    if not 1 <= steps <= most:
+        raise InputError(source, "duration_s", f"{steps} {called} at rate_hz", f"give 1 to {most:,}")
+    return np.arange(steps + 1) / rate
+
+
+def between_moments(source, name: str, rows: list, table: type[Table], first: Mapping[str, object],
+                    time: np.ndarray) -> dict[str, np.ndarray]:
+    """The quantities of ``first``, as they are at time zero, at the instants ``time`` (T,) in s: (T, ...) each, on monotone
+    cubics between the moments of ``rows``, called ``name`` in the file ``source``; after the last they stay.
+
+    table  how a moment is written: ``time_s``, and quantities that are None where they stay as they were. Those whose names
+           end in "direction" become unit vectors
+
+    Raises InputError where times do not rise, and as :func:`.checked` does.
+    """
+    from scipy.interpolate import PchipInterpolator
+
+    now, at, values = dict(first), [0.0], {key: [value] for key, value in first.items()}
+    for k, row in enumerate(rows):
+        moment = checked(source, f"{name}[{k}]", row, table)
+        if moment.time_s < at[-1] or k and moment.time_s == at[-1]:
+            raise InputError(source, f"{name}[{k}].time_s", f"{moment.time_s:g} does not rise", "give moments in their order")
+        for key in now:
+            value = getattr(moment, key)
+            if value is not None:
+                direction = key.endswith("direction")
+                now[key] = unit_direction(source, f"{name}[{k}].{key}", value) if direction else np.array(value)
+        if moment.time_s == at[-1]:
+            at.pop()
+            for key in now:
+                values[key].pop()
+        at.append(moment.time_s)
+        for key in now:
+            values[key].append(now[key])
+    if len(at) == 1:
+        return {key: np.broadcast_to(value[0], (len(time), *np.shape(value[0]))) for key, value in values.items()}
+    return {key: PchipInterpolator(at, np.array(value))(np.minimum(time, at[-1])) for key, value in values.items()}
+
 
 ClampName = Literal["free", "position", "tangent", "frame"]
 

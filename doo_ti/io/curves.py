@@ -1,16 +1,31 @@
-"""Curves from files of other programs, as their readers return them, and what a user may say about such files.
+"""Curves from files of other programs (MuJoCo's: :mod:`doo_ti.io.mujoco_xml`), and what a user may say about such files.
 
-    optitrack_csv, vicon_csv    motion capture: markers at every frame
-    mujoco_xml, usd             cables of simulators and editors
-    polyline_text               plain numbers
+**Plain polylines**: numbers between commas, spaces, tabs or semicolons; also with decimals behind a comma, where something else
+separates them. Three numbers in a line are a point, an empty line begins the next curve; more, three for each point, are a
+whole curve in a line.
 
-Axes: D curves, or frames of one; V points.
+**USD**: the points of every ``BasisCurves`` and ``NurbsCurves``, in order, where transforms put them; points with time samples
+give a curve for each. Control points of cubic curves are taken as points of the rod, which they are only for interpolating
+bases. Files are read by Pixar's library, the extra ``usd``.
+
+**Motion capture** as CSV, from OptiTrack Motive and Vicon Nexus: three columns X, Y, Z for each marker below a few lines of
+header; a cell is empty where the marker was not seen. Motive ("Export tracking data"): line 1 is ``Format Version,…,Export
+Frame Rate,120,…,Length Units,Meters,…``; rows ``Type``, ``Name``, ``ID`` and ``Position`` describe the columns; markers of
+rigid bodies and unlabelled ones are left out unless they are named; y points up. Nexus ("Trajectories"): a line
+``Trajectories``, the rate, names ``Subject:Marker``, ``Frame,Sub Frame,X,Y,Z,…``, units, and rows up to an empty line; z points
+up.
+
+Axes: D curves, or T frames of one; V points or markers, in the order of the file or of the names that the user gives.
 """
 
+import re
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from doo_ti.io.csv_table import csv_rows, decoded, number_in
+from doo_ti.rod.physical_units import UNITS_IN_MM
 from doo_ti.rod.types import LARGEST
 from doo_ti.system.errors import InputError
 
@@ -62,3 +77,200 @@ def checked_points(path, points: np.ndarray) -> np.ndarray:
     if not (np.abs(points) <= LARGEST).all():
         raise InputError(path, "points", "not finite", "give finite numbers")
     return points
+
+
+FORM = "give lines of X Y Z, with an empty line between curves, or all numbers of a curve in one line"
+
+_DECIMAL = re.compile(r"[-+]?\d+(?:,\d+)?(?:[eE][-+]?\d+)?")
+"""A number with decimals behind a comma, or a whole one."""
+
+
+def is_polyline(content: bytes) -> bool:
+    """Whether the first line with text holds nothing but numbers."""
+    text = decoded(content[: 1 << 16], "replace")
+    return _numbers(next((line for line in text.splitlines() if line.strip() and not line.startswith("#")), "")) is not None
+
+
+def read_polylines(path: Path, content: bytes, names: list[str] | None = None) -> Curves:
+    """The curves of a file of numbers, in mm. Raises InputError for anything else, and for curves of different sizes."""
+    if names is not None:
+        raise InputError(path, "columns", "the file has no names", "leave `columns` out")
+    lines, breaks = [], [0]
+    try:
+        whole = decoded(content)
+    except UnicodeDecodeError:
+        raise InputError(path, "file", "is no text", FORM) from None
+    for number, text in enumerate(whole.splitlines(), start=1):
+        text = text.partition("#")[0].strip()
+        if not text:
+            breaks += [len(lines)] * (len(lines) > breaks[-1])
+            continue
+        values = _numbers(text)
+        if values is None or lines and len(values) != len(lines[0]) or len(values) % 3:
+            raise InputError(path, f"line {number}", f"{text[:40]!r}", FORM)
+        lines.append(values)
+    if not lines:
+        raise InputError(path, "file", "holds no numbers", FORM)
+    if len(lines[0]) > 3:
+        return Curves(checked_points(path, np.array(lines).reshape(len(lines), -1, 3)))
+    counts = np.diff([*breaks, len(lines)] if breaks[-1] < len(lines) else breaks)
+    if len(set(counts)) > 1:
+        raise InputError(path, "points", f"curves of {counts.min()} to {counts.max()} points", "give equally many in each")
+    return Curves(checked_points(path, np.array(lines).reshape(len(counts), -1, 3)))
+
+
+def _numbers(text: str) -> list[float] | None:
+    """The numbers of a line, or None where there is anything else."""
+    words = text.replace(";", " ").split()
+    if len(words) % 3 == 0 and all(map(_DECIMAL.fullmatch, words)) and "," in text:
+        words = [word.replace(",", ".") for word in words]
+    else:
+        words = text.replace(",", " ").replace(";", " ").split()
+    try:
+        return [float(word) for word in words] or None
+    except ValueError:
+        return None
+
+
+UP = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
+
+
+def read_usd(path: Path, content: bytes, names: list[str] | None = None) -> Curves:
+    """The curves of a USD file, all or those of the prims ``names``. Raises InputError for files that cannot be read or have no
+    curves, for curves of different sizes, and where usd-core is not installed."""
+    try:
+        from pxr import Tf, Usd, UsdGeom
+    except ImportError:
+        raise InputError(path, "file", "usd-core is not installed", "pip install 'doo_ti[usd]'") from None
+    try:
+        stage = Usd.Stage.Open(str(path))
+    except Tf.ErrorException as error:
+        reason = str(error).strip().splitlines()[-1].strip()
+        raise InputError(path, "file", f"is not USD ({reason})", "export the rod as a curve") from None
+    prims = [prim for prim in stage.Traverse() if prim.IsA(UsdGeom.BasisCurves) or prim.IsA(UsdGeom.NurbsCurves)]
+    if not prims:
+        raise InputError(path, "BasisCurves", "the file has none", "export the rod as a curve")
+    called = [prim.GetName() for prim in prims]
+    found = {name if called.count(name) == 1 else str(prim.GetPath()): UsdGeom.Curves(prim)
+             for name, prim in zip(called, prims, strict=True)}
+    curves = [curve for name in chosen_names(path, "BasisCurves", list(found), names)
+              for curve in _placed(path, name, found[name])]
+    sizes = {len(curve) for curve in curves}
+    if len(sizes) > 1:
+        raise InputError(path, "points", f"curves of {min(sizes)} to {max(sizes)} points", "name curves that have equally many")
+    unit = 1000.0 * UsdGeom.GetStageMetersPerUnit(stage)
+    return Curves(checked_points(path, np.stack(curves)), unit, UP[str(UsdGeom.GetStageUpAxis(stage))])
+
+
+def _placed(path: Path, name: str, curves) -> list[np.ndarray]:
+    """The curves (V, 3) of one prim in the world: one after the other, and at every time sample."""
+    from pxr import Usd
+
+    found = []
+    for time in curves.GetPointsAttr().GetTimeSamples() or [Usd.TimeCode.Default()]:
+        points, sizes = (np.array(attribute.Get(time) or ()) for attribute in (
+            curves.GetPointsAttr(), curves.GetCurveVertexCountsAttr()))
+        if not len(sizes) or sizes.min() < 1 or sizes.sum() != len(points):
+            raise InputError(path, name, "curveVertexCounts do not add up to the points", "export the rod as a curve")
+        matrix = np.array(curves.ComputeLocalToWorldTransform(time))  # of rows of points
+        found += np.split(points.astype(np.float64) @ matrix[:3, :3] + matrix[3, :3], np.cumsum(sizes)[:-1])
+    return found
+
+
+MOTIVE_UNITS = {"meters": "m", "centimeters": "cm", "millimeters": "mm"}
+REMEDY = "export the markers' trajectories as CSV again"
+
+
+def is_motive(content: bytes) -> bool:
+    """Whether these bytes begin a CSV file of OptiTrack Motive."""
+    return content[:200].lstrip(b"\xef\xbb\xbf").startswith(b"Format Version")
+
+
+def is_nexus(content: bytes) -> bool:
+    """Whether these bytes are a CSV file of Vicon Nexus: one line says only ``Trajectories``."""
+    lines = content[: 1 << 16].lstrip(b"\xef\xbb\xbf").splitlines()
+    return any(line.strip(b' ,;\t"') == b"Trajectories" for line in lines)
+
+
+def read_motive(path: Path, content: bytes, names: list[str] | None = None) -> Curves:
+    """The markers of a Motive file. Raises InputError for files without markers, and for names that they do not have."""
+    rows, decimal = csv_rows(path, content, REMEDY)
+    about = dict(zip(rows[0][1][::2], rows[0][1][1::2], strict=False))
+    unit = _unit(path, "Length Units", MOTIVE_UNITS, about.get("Length Units", "Meters").strip().lower())
+    rate = _number(path, decimal, 1, about.get("Export Frame Rate") or about.get("Capture Frame Rate") or "")
+    header = next((row for row, (_, cells) in enumerate(rows) if cells and cells[0].strip() == "Frame"), None)
+    if header is None:
+        raise InputError(path, "Frame", "no row begins with it", REMEDY)
+    above = {cells[1].strip(): cells for _, cells in rows[1:header] if len(cells) > 1}
+    if "Name" not in above:
+        raise InputError(path, "Name", "no row names the markers", REMEDY)
+    kinds = rows[header - 1][1]
+    columns: dict[str, list[int]] = {}
+    for column in range(2, len(rows[header][1])):
+        kind, axis = _cell(kinds, column), _cell(rows[header][1], column)
+        name, what = _cell(above["Name"], column), _cell(above.get("Type", []), column) or "Marker"
+        ours = name in names if names is not None else what == "Marker" and not name.startswith("Unlabeled")
+        if kind in ("Position", "") and axis in ("X", "Y", "Z") and ours:
+            columns.setdefault(name, []).append(column)
+    points, labels = _points(path, decimal, rows[header + 1 :], columns, names)
+    return Curves(points, unit, (0.0, 1.0, 0.0), rate, labels=labels)
+
+
+def read_nexus(path: Path, content: bytes, names: list[str] | None = None) -> Curves:
+    """The markers of a Nexus file. Raises InputError for files without markers, and for names that they do not have. A name may
+    leave out the subject."""
+    rows, decimal = csv_rows(path, content, REMEDY)
+    begin = next((row for row, (_, cells) in enumerate(rows) if cells and cells[0].strip() == "Trajectories"), len(rows))
+    if len(rows) < begin + 6:
+        raise InputError(path, "Trajectories", "no rows below it", REMEDY)
+    rate = _number(path, decimal, rows[begin + 1][0], _cell(rows[begin + 1][1], 0))
+    labels, units = rows[begin + 2][1], rows[begin + 4][1]
+    columns: dict[str, list[int]] = {}
+    for column in range(2, len(labels)):
+        if name := _cell(labels, column):
+            short = name.partition(":")[2] or name
+            columns.setdefault(short if names is not None and name not in names else name, []).extend(range(column, column + 3))
+    rest = rows[begin + 5 :]
+    end = next((row for row, (_, cells) in enumerate(rest) if not any(map(str.strip, cells))), len(rest))
+    unit = _unit(path, "Trajectories", {name: name for name in UNITS_IN_MM}, _cell(units, 2) or "mm")
+    points, labels = _points(path, decimal, rest[:end], columns, names)
+    return Curves(points, unit, rate=rate, labels=labels)
+
+
+def _points(path: Path, decimal: str, rows: list, columns: dict[str, list[int]],
+            names: list[str] | None) -> tuple[np.ndarray, np.ndarray | None]:
+    """(T, V, 3) the positions of the markers in ``columns``, all or those of the ``names``, NaN where a marker was not seen;
+    and (T,) the numbers of the frames, None where they are not whole numbers that rise."""
+    order = chosen_names(path, "Name", list(columns), names)
+    if len(order) < 3:
+        raise InputError(path, "Name", f"{len(order)} markers", "name three or more along the rod, in their order")
+    short = next((name for name in order if len(columns[name]) != 3), None)
+    if short is not None:
+        raise InputError(path, short, f"{len(columns[short])} columns of a position", "give markers of different names")
+    chosen = [column for name in order for column in columns[name]]
+    frames = [(line, cells) for line, cells in rows if any(map(str.strip, cells))]
+    points = np.array([[_number(path, decimal, line, _cell(cells, column)) for column in chosen] for line, cells in frames])
+    texts = [_cell(cells, 0) for _, cells in frames]
+    labels = np.array(texts, dtype=np.int64) if all(text.isdecimal() and len(text) < 16 for text in texts) else None
+    if not len(points):
+        raise InputError(path, "Frame", "no frames", REMEDY)
+    return points.reshape(len(points), -1, 3), labels if labels is not None and (np.diff(labels) > 0).all() else None
+
+
+def _unit(path: Path, field: str, known: dict[str, str], name: str) -> float:
+    """mm in the unit that the file calls ``name``."""
+    if name not in known:
+        raise InputError(path, field, f"{name[:40]!r} is not a known unit of length", f"export in one of {', '.join(known)}")
+    return UNITS_IN_MM[known[name]]
+
+
+def _cell(cells: list[str], column: int) -> str:
+    return cells[column].strip() if column < len(cells) else ""
+
+
+def _number(path: Path, decimal: str, line: int, cell: str) -> float:
+    """The number in a cell, NaN where it is empty."""
+    value = number_in(cell or "nan", decimal)
+    if np.isinf(value):
+        raise InputError(path, f"line {line}", f"{cell!r} is not a finite number", REMEDY)
+    return value

@@ -14,8 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.io.arrays import read_npz
-from doo_ti.io.formats import read_curves
-from doo_ti.io.observation_files import load_observations
+from doo_ti.io.observation_files import load_observations, read_curves
 from doo_ti.rod.physical_units import UNITS_IN_MM
 from doo_ti.rod.types import unit_up
 from doo_ti.system.errors import InputError

@@ -1,8 +1,9 @@
-"""TOML files: msgspec checks that each value has its declared type and range; one form of error message.
-
-A message names file, key, value and remedy:
+"""TOML files: msgspec checks that each value has its declared type and range; one form of error message, which names file, key,
+value and remedy:
 
     scene.toml: rod.edges: 2 is not allowed; give a whole number >= 4
+
+and the scenes that come with the package: commands take them by name in any folder, ``vicryl``, ``whip``, ``scenes/rig.yaml``.
 """
 
 import re
@@ -104,3 +105,22 @@ def _remedy(problem: str, kind) -> str:
     each = "in each entry " if get_origin(kind) is tuple and "`array`" not in problem else ""
     return f"{each}give " + re.sub("`(.*?)`", lambda names: " or ".join(
         _WORDS.get(name, name) for name in names[1].split(" | ") if name != "null"), expected[1])
+
+
+PACKAGE = Path(__file__).parents[1]
+INSTALLED, SOURCE = PACKAGE / "scenes", PACKAGE.parent / "scenes"
+"""Where they lie in an installed package, and in its source."""
+
+
+def scene_file(name: str) -> str:
+    """``name`` where there is such a file or folder, else the scene of that name that comes with the package, else ``name``."""
+    asked = Path(name)
+    if not name or asked.exists() or asked.is_absolute() or ".." in asked.parts:
+        return name
+    folder = INSTALLED if INSTALLED.is_dir() else SOURCE
+    within = Path(*asked.parts[1:]) if asked.parts[0] == "scenes" and len(asked.parts) > 1 else asked
+    for place in (folder, folder / "motion", folder / "groups"):
+        for file in (place / within, place / within.with_suffix(".toml")):
+            if file.is_file():
+                return str(file)
+    return name

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.learning.chunks import chunk_path, read_columns, read_rows, write_rows
-from doo_ti.learning.experiment import Experiment
-from doo_ti.learning.hypotheses import nearest, resolved, scores, started
+from doo_ti.learning.experiment import Experiment, nearest, resolved, scores, started
 from doo_ti.motion.journey import Journey
 from doo_ti.motion.path import motion_between
 from doo_ti.relaxation.relax import relax

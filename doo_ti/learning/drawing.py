@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.learning.cells import settled, sub_steps
-from doo_ti.learning.experiment import Experiment
-from doo_ti.learning.hypotheses import started
+from doo_ti.learning.experiment import Experiment, started
 from doo_ti.learning.landscape import Overview, Summed, gather_part
 from doo_ti.learning.run_folder import read_plan
 from doo_ti.relaxation.newton import Newton

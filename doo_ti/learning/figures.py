@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from doo_ti.learning.cross_validation import check_comparable
 from doo_ti.learning.drawing import plane_of
 from doo_ti.learning.experiment import Experiment
 from doo_ti.learning.figure_rods import Cells, cells_to_record, draw_regimes, record_figure
 from doo_ti.learning.landscape import Landscape, read_landscape
-from doo_ti.learning.partition import check_comparable
 from doo_ti.learning.run_folder import read_experiment
 from doo_ti.report import LandscapePanel, landscapes_picture
 from doo_ti.system.errors import InputError

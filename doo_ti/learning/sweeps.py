@@ -21,14 +21,12 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.learning.cells import load_kernels, relax_hypotheses, resolve
-from doo_ti.learning.chunks import check_identity, chunk_path, read_rows, write_chunk
+from doo_ti.learning.chunks import DENSITY, SUMMARY, check_identity, chunk_path, read_rows, write_chunk
 from doo_ti.learning.drawing import draw
-from doo_ti.learning.experiment import Experiment, SweepOptions
-from doo_ti.learning.hypotheses import Hypotheses
+from doo_ti.learning.experiment import Experiment, Hypotheses, SweepOptions
 from doo_ti.learning.landscape import gather_overview
 from doo_ti.learning.pairs import Pairs
 from doo_ti.learning.run_folder import claim, finished, identity_of, provenance
-from doo_ti.learning.summary import DENSITY, SUMMARY
 from doo_ti.learning.up_axes import other_up
 from doo_ti.learning.workers import ThisProcess, Workers, started_workers
 from doo_ti.rod.grid import Grid

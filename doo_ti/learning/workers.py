@@ -14,7 +14,7 @@ from multiprocessing.connection import wait
 from socket import create_connection
 from threading import Thread
 
-from doo_ti.learning.summary import maker, maker_text
+from doo_ti.learning.chunks import maker, maker_text
 from doo_ti.system import runtime
 from doo_ti.system.errors import InputError
 from doo_ti.system.interruption import kept_from_children

@@ -11,7 +11,7 @@ Beyond the paper, evidence counts both ways. An edge that points at a camera cos
 from the thread. Rods that are traced along the detected lines join the last hypotheses, and what each leaves unexplained of
 these lines is added to its E_vis:
 
-    E_vis = E / B + ν Σ_c (E_proj^c + E_cover^c)              doo_ti.vision.reprojection.coverage
+    E_vis = E / B + ν Σ_c (E_proj^c + E_cover^c)              doo_ti.vision.reprojection.image_energy
 
 Images of a thin, uniform thread that crosses itself agree with many curves; the energy of the rod distinguishes them. The last
 hypotheses are relaxed on a finer mesh. All image sets are searched at once.
@@ -30,18 +30,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.perception.finalists import finalists, left_over
+from doo_ti.perception.finalists import finalists, left_over, vertex_sigma
 from doo_ti.perception.growth import rank_distinct
 from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search
-from doo_ti.perception.shape_uncertainty import vertex_sigma
 from doo_ti.perception.traced import SAME_LENGTH
 from doo_ti.rod.types import LARGEST, Configuration, Material, Status, unit_up
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
 from doo_ti.system.short_repr import short_repr
 from doo_ti.vision.cameras.rig import Rig
-from doo_ti.vision.reprojection.coverage import outside_others
 from doo_ti.vision.reprojection.distance_map import DistanceMaps
+from doo_ti.vision.reprojection.image_energy import outside_others
 from doo_ti.vision.reprojection.score import score
 
 CLEAR_PX, AMBIGUOUS_PX = 0.1, 0.02
@@ -90,7 +89,7 @@ class Perception:
     status            (A,) Status of its last relaxation
     stable            (A,) bool: certified to be a minimum of E_vis
     sigma             (A, V) mm: uncertainty of its vertices by noise in the detection
-                      (:mod:`doo_ti.perception.shape_uncertainty`)
+                      (:mod:`doo_ti.perception.finalists`)
     runner_up         (A, K, V, 3) mm: the next best rods that differ from all better ones; NaN where there are fewer
     runner_up_energy  (A, K) their E_vis, infinite where there are fewer
     gap               (A,) px: E_vis of the best runner-up less that of the best rod, as a mean distance along all images;

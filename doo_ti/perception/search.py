@@ -1,13 +1,15 @@
 """The steps of Algorithm 1: hypotheses grow by an edge, are relaxed under E_vis, and the best that differ are kept.
 
     E_vis = E / B + ν Σ_c E_proj^c                                                                        (§IV-A)
+    E_vis = E / B + ν Σ_c (E_proj^c + E_cover^c)                                 with evidence from both sides
 
-with E_proj in px² (a projected edge's mean distance to the nearest detected pixel, times its length), and the rod's energy E
-over the largest eigenvalue of B, in 1/mm: so ν is in 1/(mm px²), and its effect does not depend on the rod's stiffness.
+with E_proj in px² (a projected edge's mean distance to the nearest detected pixel, times its length), what the rod's image is
+away from the detected line, E_cover what the line is away from the rod's image, and the rod's energy E over the largest
+eigenvalue of B, in 1/mm: so ν is in 1/(mm px²), and its effect does not depend on the rod's stiffness.
 
 All image sets are searched at once; the stages that need no physics are in :mod:`doo_ti.perception.growth`.
 
-Axes: A image sets, C cameras, N hypotheses of all sets, M sampled directions, E edges, V vertices.
+Axes: A image sets, C cameras, N hypotheses of all sets, M sampled directions, R rods, E edges, V vertices.
 """
 
 from dataclasses import dataclass, field
@@ -32,7 +34,7 @@ from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, require_whole
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.reprojection.distance_map import DistanceMaps
-from doo_ti.vision.reprojection.image_energy import Reprojection
+from doo_ti.vision.reprojection.image_energy import Coverage, Reprojection, coverage
 from doo_ti.vision.reprojection.score import score
 
 FAILED = Status.NOT_FINITE, Status.INFEASIBLE
@@ -208,3 +210,18 @@ class Search:
         point, first = self.point[hypotheses.of_set], self.first[hypotheses.of_set]
         clamps = Clamps(Clamp.TANGENT, Clamp.FREE, point, point, first, first)
         return Configuration(point, hypotheses.quaternions, rest_length), clamps
+
+
+def evidence(rig: Rig, maps: DistanceMaps, rods: Configuration, of_set: np.ndarray, material: Material, up: np.ndarray,
+             options: PerceptionOptions, points: int) -> tuple[np.ndarray, Coverage]:
+    """(R,) E_vis in 1/mm, infinite where it is not finite, and what rods of the sets ``of_set`` (R,) explain. A material that
+    is not round counts as a round one as stiff.
+
+    points  places along an edge where a map is sampled
+    """
+    stiffness = float(np.linalg.eigvalsh(material.bend).max())
+    round_one = Material(stiffness, stiffness, material.weight[0])
+    one_way = score(rods.vertices, maps, of_set, rig, options.nu * stiffness, round_one, points=points, cap=options.cap, up=up)
+    found = coverage(rig, rods.vertices, of_set, maps.detections, options.cap)
+    energy = one_way.total / stiffness + options.nu * found.error.sum(axis=1)
+    return np.where(np.isfinite(energy), energy, np.inf), found

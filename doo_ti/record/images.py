@@ -12,7 +12,7 @@ import rerun
 import rerun.blueprint as blueprint
 
 from doo_ti.perception.growth import GrowthStep
-from doo_ti.perception.virtual_cameras import SeenMoment
+from doo_ti.perception.virtual_lab import SeenMoment
 from doo_ti.record.stream import (
     BACKGROUND,
     FAILED,
@@ -24,7 +24,7 @@ from doo_ti.record.stream import (
     recording,
     space_view,
 )
-from doo_ti.report.extent import box, widest
+from doo_ti.report.canvas import box, widest
 from doo_ti.report.reprojections import BEST, DETECTED, RUNNER_UP, TRUTH, SeenRod
 from doo_ti.vision.cameras.camera import Camera
 from doo_ti.vision.cameras.rig import Rig

@@ -1,4 +1,7 @@
-"""A recording while it is written, and what all recordings have in common. Axes: D observations, R rods, V vertices."""
+"""A recording while it is written, and what all recordings have in common, obstacles and contact forces among it.
+
+Axes: D observations, R rods, T frames, V vertices.
+"""
 
 import os
 from collections.abc import Iterator
@@ -12,7 +15,9 @@ import pyarrow
 import rerun
 import rerun.blueprint as blueprint
 
+from doo_ti.contact.moving import Moving, since_first
 from doo_ti.report.grid_view import GridView, Observed
+from doo_ti.report.touched import Touched
 from doo_ti.system.files import whole_file
 
 DESCRIPTORS = Path("/proc/self/fd")
@@ -145,3 +150,43 @@ def front_view(grid: GridView, world: str, name: str, aspect: float = 1.35) -> b
     width, height = grid.extent
     away = 0.52 * max(height, width / aspect) / np.tan(np.radians(27.5))
     return space_view(name, world, (grid.centre - away * grid.basis[1], grid.centre, grid.basis[2]))
+
+
+OBSTACLE, FORCE = (130, 138, 150, 255), (110, 160, 255)
+
+
+def log_obstacles(stream, entity: str, when: list, touched: Touched, offset: np.ndarray) -> None:
+    """The obstacles around each rod, moved by the rod's ``offset`` (R, 3), below ``entity``; those that move at the T times
+    ``when``."""
+    for row, move in enumerate(offset):
+        for number, (given, _, vertices, triangles, normals) in enumerate(touched.meshes(row, 0)):
+            own, corners = f"{entity}/{row}/{number}", _outward(vertices[triangles], normals).reshape(-1, 3)
+            if isinstance(given, Moving):
+                rotation, shift = since_first(*given.path)
+                stream.send_columns(own, when, rerun.Transform3D.columns(mat3x3=rotation[0], translation=shift[0] + move))
+            else:
+                corners = corners + move
+            stream.log(own, rerun.Mesh3D(
+                vertex_positions=corners, vertex_normals=np.repeat(normals, 3, axis=0), albedo_factor=OBSTACLE,
+                # A table does not hide from below what lies on it.
+                face_rendering=rerun.components.MeshFaceRendering.Front), static=True)
+
+
+def _outward(corners: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Triangles (M, 3, 3) with their corners in the sense of their outward ``normals`` (M, 3)."""
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    turned = (across * normals).sum(axis=-1) < 0.0
+    return np.where(turned[:, None, None], corners[:, ::-1], corners)
+
+
+def log_forces(stream, entity: str, when: list, touched: Touched, offset: np.ndarray) -> None:
+    """Contact forces on the rods that have an ``offset`` (R, 3), as arrows at the T times ``when``."""
+    places, vectors, counts = [], [], []
+    for frame in range(touched.force.shape[1]):
+        found = [touched.arrows(row, frame) for row in range(len(offset))]
+        places += [origin + move for (origin, _), move in zip(found, offset, strict=True)]
+        vectors += [vector for _, vector in found]
+        counts.append(sum(len(origin) for origin, _ in found))
+    stream.log(entity, rerun.Arrows3D.from_fields(colors=FORCE, radii=rerun.Radius.ui_points(0.8)), static=True)
+    stream.send_columns(entity, when, rerun.Arrows3D.columns(
+        origins=np.concatenate(places), vectors=np.concatenate(vectors)).partition(counts))

@@ -1,15 +1,27 @@
-"""Starting the rerun viewer, as one process that ends with the command."""
+"""The rerun viewer, as one process that ends with the command: its window, its page for a browser, and screenshots.
+
+As the viewer serves it, the page reports its use, asks for new versions, and takes its fonts from another server. A header that
+browsers obey forbids all of that; the viewer cannot send it, so that its page goes through a server that adds it.
+
+Screenshots need no display, but a Vulkan driver; on Debian: ``apt-get install mesa-vulkan-drivers libvulkan1``.
+"""
 
 import os
 import socket
 import subprocess
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from http.client import HTTPConnection
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from tempfile import TemporaryFile
+from tempfile import TemporaryDirectory, TemporaryFile
+from threading import Thread
 
-from doo_ti.record.web_page import local_page
+from rerun.experimental import ViewerClient
+
 from doo_ti.system.errors import InputError, InterruptedRunError
+from doo_ti.system.files import write_whole
 from doo_ti.system.interruption import ended, kept_from_children
 
 FILE = "run.rrd"
@@ -90,3 +102,78 @@ def _program() -> str:
     if not found:
         raise InterruptedRunError(f"view: {folder} has no viewer; install rerun-sdk again")
     return found[0]
+
+
+HEADER = "Content-Security-Policy"
+POLICY = "default-src 'self' http://127.0.0.1:{data} 'unsafe-inline' 'unsafe-eval' data: blob:"
+KEPT = ("Content-Type", "rerun-final-length")
+ANSWER_SECONDS = 60.0
+
+
+@contextmanager
+def local_page(web: int, data: int) -> Iterator[int]:
+    """The port at which the page of the viewer at port ``web`` is served, as a context; the page may ask it and port ``data``,
+    where the viewer has its recording."""
+
+    class Page(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            viewer = HTTPConnection("127.0.0.1", web, timeout=ANSWER_SECONDS)
+            try:
+                viewer.request("GET", self.path)
+                answer = viewer.getresponse()
+                content = answer.read()
+            except OSError:
+                self.send_error(502)
+                return
+            finally:
+                viewer.close()
+            self.send_response(answer.status)
+            for name in KEPT:
+                if answer.getheader(name):
+                    self.send_header(name, answer.getheader(name))
+            self.send_header("Content-Length", str(len(content)))
+            self.send_header(HEADER, POLICY.format(data=data))
+            self.end_headers()
+            self.wfile.write(content)
+
+        def log_message(self, *parts) -> None:
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Page)
+    thread = Thread(target=server.serve_forever, daemon=True)
+    thread.start()
+    try:
+        yield server.server_address[1]
+    finally:
+        server.shutdown()
+        server.server_close()
+
+
+def save_screenshot(path: str | Path, picture: str | Path, size: tuple[int, int] = (1600, 900)) -> None:
+    """Write what the viewer shows of a run (its folder or the .rrd file) as a PNG; the software driver of Mesa suffices.
+
+    Raises InputError where there is no recording, InterruptedRunError where the viewer does not start.
+    """
+    port = free_port()
+    with running_viewer(path, "--headless", "--port", str(port), "--window-size", "{}x{}".format(*size)) as viewer:
+        client = _connect(viewer, port)
+        client.run_command("ui.toggle_top_panel")
+        time.sleep(12)  # until the viewer's notices disappear and its plots are drawn
+        # The viewer writes a file by its name.
+        with TemporaryDirectory() as folder:
+            client.save_screenshot(str(Path(folder) / "view.png"))
+            write_whole(Path(picture), lambda file: file.write((Path(folder) / "view.png").read_bytes()))
+
+
+def _connect(viewer: subprocess.Popen, port: int) -> ViewerClient:
+    """The viewer on ``port``, once it has the recording open."""
+    client, deadline = None, time.monotonic() + 60
+    while viewer.poll() is None and time.monotonic() < deadline:
+        try:
+            client = client or ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
+            if client.get_state().active_recording:
+                return client
+        except ConnectionError:  # not listening yet
+            pass
+        time.sleep(0.5)
+    raise InterruptedRunError("view: the viewer did not start; on Debian apt-get install mesa-vulkan-drivers libvulkan1")

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import numpy as np
 
-from doo_ti.report.extent import box, deviations, widest
+from doo_ti.report.canvas import box, deviations, widest
 from doo_ti.rod.observations import Observations
 from doo_ti.system.arguments import typed
 from doo_ti.system.short_repr import short_repr

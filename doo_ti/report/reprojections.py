@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.report.canvas import literal, new_figure, save_figure
-from doo_ti.report.extent import box, widest
+from doo_ti.report.canvas import box, literal, new_figure, save_figure, widest
 from doo_ti.vision.cameras.rig import Rig
 
 BEST, RUNNER_UP, TRUTH, DETECTED = "#2f7bff", "#ff2e4d", "#ffd400", "#00c08b"

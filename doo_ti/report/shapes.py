@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.report.canvas import literal, new_figure, save_figure
-from doo_ti.report.extent import box
+from doo_ti.report.canvas import box, literal, new_figure, save_figure
 from doo_ti.report.touched import Touched
 
 MOST_RODS, COLUMNS = 12, 4

@@ -10,7 +10,7 @@ from doo_ti.contact.meshes import mesh
 from doo_ti.contact.moving import Moving
 from doo_ti.contact.obstacles import PLANE, Obstacle
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.report.extent import box, widest
+from doo_ti.report.canvas import box, widest
 
 PLANE_COLOR, OBSTACLE, FORCE = "#eceef2", "#c9ced8", "#1d4ed8"
 FAINT = 0.25

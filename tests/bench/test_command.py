@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from doo_ti.bench import cases, peak, summary
+from doo_ti.bench import cases, clock, table
 from doo_ti.bench.table import percent
 from doo_ti.cli import main
 from tests.commands.test_bad_input import refused
@@ -16,7 +16,7 @@ from tests.commands.test_bad_input import refused
 def small(monkeypatch):
     """The whole command, small enough to take seconds."""
     monkeypatch.setattr(cases, "ROUND_SECONDS", 0.0)
-    monkeypatch.setattr(peak, "TRIPS", 1000)
+    monkeypatch.setattr(clock, "TRIPS", 1000)
 
 
 @pytest.mark.thorough
@@ -43,7 +43,7 @@ def test_shares_are_rounded_down_and_those_above_all_are_shown():
 
 def test_for_machines_it_is_one_object_and_nothing_is_written(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(summary, "completed", lambda begun, steps: {**begun, "per_second": np.float64(np.nan)})
+    monkeypatch.setattr(table, "completed", lambda begun, steps: {**begun, "per_second": np.float64(np.nan)})
     assert main(["bench", "--rods", "32", "--rounds", "2", "--threads", "1", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["rods"], found["rounds"], found["per_second"]) == (32, 2, None)

@@ -73,7 +73,7 @@ def defaults() -> dict[tuple[str, str], float]:
     from doo_ti.manipulation.plan import PlanOptions
     from doo_ti.motion.path import LARGEST_TURN
     from doo_ti.perception.search import PerceptionOptions
-    from doo_ti.perception.virtual_cameras import DIAMETER_MM
+    from doo_ti.perception.virtual_lab import DIAMETER_MM
     from doo_ti.rod.types import Material
     from doo_ti.vision.rendering.render import RenderOptions
 

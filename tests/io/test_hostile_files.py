@@ -173,19 +173,18 @@ def readers() -> dict[str, list]:
     from doo_ti.dynamics.scene import load_dynamic_scene
     from doo_ti.dynamics.theta import load_theta
     from doo_ti.groups.scene import load_group_scene
-    from doo_ti.io.marks import read_labels, read_marks
     from doo_ti.io.motion_file import load_path
     from doo_ti.io.motion_recording import read_recording
     from doo_ti.io.motion_scene import load_motion_scene
     from doo_ti.io.observation_files import load_observations
     from doo_ti.io.scene import load_scene
-    from doo_ti.learning.chunks import read_columns
+    from doo_ti.learning.chunks import read_columns, read_table
     from doo_ti.learning.pairs import load_pairs
-    from doo_ti.learning.summary import read_table
     from doo_ti.twist.curves import load_offsets
+    from doo_ti.vision.cameras.board import read_views
     from doo_ti.vision.cameras.rig import load_rig
-    from doo_ti.vision.cameras.views import read_views
     from doo_ti.vision.detection.images import load_sets, read_image
+    from doo_ti.vision.reprojection.marks import read_labels, read_marks
 
     def read_motion_scene(path):
         found = load_motion_scene(path)

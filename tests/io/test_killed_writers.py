@@ -28,7 +28,7 @@ from doo_ti import Observations, save_observations
 from doo_ti.commands.results import save_arrays, save_json
 from doo_ti.record import record_motion
 from doo_ti.report import MovingRods, landscape_picture, motions_picture
-from doo_ti.report.rollouts import save_animation, save_rollout
+from doo_ti.report.motions import save_animation, save_rollout
 
 random = np.random.default_rng(3)
 frames, vertices = 40, 30

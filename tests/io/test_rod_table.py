@@ -4,7 +4,7 @@ import numpy as np
 import pyarrow.csv
 
 from doo_ti.io.observation_files import load_observations
-from doo_ti.io.rod_table import write_rod_table
+from doo_ti.io.observation_tables import write_rod_table
 
 
 def written(path, arrays: dict, axes: tuple[str, ...]) -> tuple[dict, list[str]]:

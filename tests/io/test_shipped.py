@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from doo_ti.cli import main
-from doo_ti.io.shipped import scene_file
+from doo_ti.io.toml_file import scene_file
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 

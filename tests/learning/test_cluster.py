@@ -12,7 +12,7 @@ import pytest
 
 from doo_ti.io.observation_files import save_observations
 from doo_ti.learning import sweeps, workers
-from doo_ti.learning.summary import maker
+from doo_ti.learning.chunks import maker
 from doo_ti.learning.sweeps import SweepOptions, sweep
 from doo_ti.system.errors import InputError, InterruptedRunError
 from tests.learning.lab import GRID, small_lab

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti.learning.cross_validation import cross_validate
+from doo_ti.learning.cross_validation import cross_validate, partition
 from doo_ti.learning.drawing import plane_of
-from doo_ti.learning.hypotheses import Hypotheses, resolved
-from doo_ti.learning.partition import partition
+from doo_ti.learning.experiment import Hypotheses, resolved
 from doo_ti.rod.types import Status
 from doo_ti.system.errors import InputError
 from tests.learning.landscapes import static

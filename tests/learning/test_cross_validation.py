@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from doo_ti.learning import cross_validation
-from doo_ti.learning.cross_validation import chosen_cells, cross_validate
-from doo_ti.learning.partition import Part, Partition
+from doo_ti.learning.cross_validation import Part, Partition, chosen_cells, cross_validate
 from doo_ti.rod.types import Status
 from tests.learning.landscapes import dynamic, static
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti.io.observation_files import load_observations
-from doo_ti.learning.experiment import Experiment, SweepOptions
-from doo_ti.learning.hypotheses import Hypotheses, hypotheses_of, nearest, resolved, scores, started
+from doo_ti.learning.experiment import Experiment, Hypotheses, SweepOptions, hypotheses_of, nearest, resolved, scores, started
 from doo_ti.learning.landscape import read_landscape
 from doo_ti.learning.sweeps import sweep
 from doo_ti.rod.grid import Axis, Grid

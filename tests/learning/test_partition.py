@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doo_ti.learning.partition import partition, usual_factors
+from doo_ti.learning.cross_validation import partition, usual_factors
 from doo_ti.system.errors import InputError
 from tests.learning.landscapes import dynamic, grid_of, static
 

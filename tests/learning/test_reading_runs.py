@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 
-from doo_ti.learning.summary import maker
+from doo_ti.learning.chunks import maker
 from doo_ti.learning.sweeps import sweep
 from doo_ti.rod.types import Status
 from tests.learning.lab import DYNAMIC, GRID, small_lab

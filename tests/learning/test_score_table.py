@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti.learning.cross_validation import cross_validate
-from doo_ti.learning.partition import partition
+from doo_ti.learning.cross_validation import cross_validate, partition
 from doo_ti.learning.score_table import LISTED, caption, comma_separated, entries, file_stem, markdown, notes, text
 from doo_ti.rod.grid import Axis, Grid
 from tests.learning.landscapes import static

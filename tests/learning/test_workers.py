@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from doo_ti.learning.summary import maker
+from doo_ti.learning.chunks import maker
 from doo_ti.learning.workers import as_made, started_workers
 from doo_ti.system.errors import InputError
 

@@ -8,9 +8,9 @@ import pytest
 
 from doo_ti import InputError, Material
 from doo_ti.perception import search
+from doo_ti.perception.finalists import bending_hessian, point_sigma, vertex_sigma
 from doo_ti.perception.growth import rank_distinct
 from doo_ti.perception.perceive import Perception, PerceptionOptions, PerceptionVerdict, perceive
-from doo_ti.perception.shape_uncertainty import bending_hessian, point_sigma, vertex_sigma
 from doo_ti.rod.types import Status
 from doo_ti.vision.cameras.rig import Rig, load_rig
 from doo_ti.vision.detection.detect import detect

@@ -9,12 +9,11 @@ from PIL import Image
 from doo_ti.contact.obstacles import Plane
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.report import LandscapePanel, MovingRods, Ribbons, SeenRod, landscapes_picture, motions_picture, ribbons_picture
-from doo_ti.report.canvas import limits_around
-from doo_ti.report.extent import box, deviations, widest
+from doo_ti.report.canvas import box, deviations, limits_around, widest
 from doo_ti.report.grid_view import Observed, facing, grid_view
+from doo_ti.report.motions import save_animation, save_rollout
 from doo_ti.report.plane import LandscapePlane
 from doo_ti.report.reprojections import reprojections_picture
-from doo_ti.report.rollouts import save_animation, save_rollout
 from doo_ti.report.touched import Touched
 from tests.vision.drawn_maps import three_cameras
 
@@ -89,7 +88,7 @@ def test_motions_are_drawn(tmp_path, rod):
 def test_motions_are_recorded(tmp_path, rod):
     rerun = pytest.importorskip("rerun")
     from doo_ti.record import record_motion, record_ribbons, record_sweep
-    from doo_ti.record.rollouts import record_rollout
+    from doo_ti.record.motions import record_rollout
     from tests.record import runs
     from tests.record.recordings import read
 

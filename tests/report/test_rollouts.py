@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from doo_ti.report.rollouts import _view, save_animation, save_rollout
+from doo_ti.report.motions import _view, save_animation, save_rollout
 
 
 @pytest.mark.parametrize(("height", "view"), [(2.0, "from above"), (60.0, "from the side")])
 @pytest.mark.parametrize("up", [(0.0, 0.0, 1.0), (0.0, 1.0, 0.0)])
 def test_flat_rods_are_shown_from_above(tmp_path, monkeypatch, height, view, up):
     shown = []
-    monkeypatch.setattr("doo_ti.report.rollouts.literal", lambda text: shown.append(text) or text)
+    monkeypatch.setattr("doo_ti.report.motions.literal", lambda text: shown.append(text) or text)
     s = np.linspace(0, np.pi, 12)
     shifts = np.linspace(0, 20, 5)[None, :, None]
     across = 60 * np.sin(s) + shifts

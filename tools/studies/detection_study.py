@@ -13,7 +13,7 @@ import numpy as np
 if not __package__:
     sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from doo_ti.perception.lab_images import lab_rods  # noqa: E402
+from doo_ti.perception.virtual_lab import lab_rods  # noqa: E402
 from doo_ti.vision.cameras.rig import load_rig  # noqa: E402
 from doo_ti.vision.detection.options import DetectionOptions  # noqa: E402
 from doo_ti.vision.rendering.render import Photographs, RenderOptions  # noqa: E402

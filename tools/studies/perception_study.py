@@ -16,10 +16,10 @@ if not __package__:
 
 from doo_ti.commands.results import counted  # noqa: E402
 from doo_ti.io.scene import Synthesis, load_scene  # noqa: E402
-from doo_ti.learning.objective import status_counts  # noqa: E402
-from doo_ti.perception.lab_images import LabRods, lab_rods  # noqa: E402
+from doo_ti.learning.landscape import status_counts  # noqa: E402
 from doo_ti.perception.perceive import Perception, PerceptionVerdict, perceive  # noqa: E402
 from doo_ti.perception.search import PerceptionOptions, Search  # noqa: E402
+from doo_ti.perception.virtual_lab import LabRods, lab_rods  # noqa: E402
 from doo_ti.rod.types import Material  # noqa: E402
 from doo_ti.vision.cameras.rig import Rig, load_rig  # noqa: E402
 from doo_ti.vision.detection.line import Detection  # noqa: E402

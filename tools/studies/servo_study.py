@@ -25,7 +25,7 @@ from doo_ti.manipulation.damped_step import DampedSteps  # noqa: E402
 from doo_ti.manipulation.poses import held, moved  # noqa: E402
 from doo_ti.manipulation.servo import Servo  # noqa: E402
 from doo_ti.manipulation.targets import ServoOptions, Targets  # noqa: E402
-from doo_ti.perception.virtual_cameras import TRACKED_NOISE  # noqa: E402
+from doo_ti.perception.virtual_lab import TRACKED_NOISE  # noqa: E402
 from doo_ti.relaxation.newton import Newton  # noqa: E402
 from doo_ti.relaxation.relax import relax  # noqa: E402
 from doo_ti.relaxation.sensitivity import gripper_jacobian  # noqa: E402

@@ -14,8 +14,7 @@ from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import write_text
 from doo_ti.vision.cameras.camera import Camera
-from doo_ti.vision.cameras.foreign import colmap_cameras, own_cameras, read_yaml, stereo_cameras
-from doo_ti.vision.cameras.reading import RigReading, others
+from doo_ti.vision.cameras.foreign import RigReading, colmap_cameras, others, own_cameras, read_yaml, stereo_cameras
 
 NEAREST_MM = 1.0
 """Distance of cameras below which lengths are hardly in mm."""

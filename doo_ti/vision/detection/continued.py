@@ -13,8 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from doo_ti.vision.detection.appearance import BAR, Appearance
-from doo_ti.vision.detection.chains import chain_length, chains_of, outward
-from doo_ti.vision.detection.line import Detection
+from doo_ti.vision.detection.line import Detection, chain_length, chains_of, outward
 from doo_ti.vision.detection.ridge import REACH_PX, Curvature, Ridges, edges_across, gradient
 
 TIMES = (2.0, 4.0)

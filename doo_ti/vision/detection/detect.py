@@ -1,22 +1,94 @@
-"""The thread's centre line in an image (§IV-A).
+"""The thread's centre line in an image or its file (§IV-A), by whatever there is of it: a mask, the image's own alpha channel,
+a colour, or grey levels.
 
-The paper's binary image marks the pixels of the thread. Here the line is found to a fraction of a pixel, as
-points with directions; all later steps are as exact as these. The paper's way, a Canny edge detector with an offset Gaussian,
-is :mod:`doo_ti.vision.detection.canny`. First the thread's :mod:`doo_ti.vision.detection.appearance` is measured.
+The paper's binary image marks the pixels of the thread. Here the line is found to a fraction of a pixel, as points with
+directions; all later steps are as exact as these. First the thread's :mod:`doo_ti.vision.detection.appearance` is measured. The
+paper's way is there too: Canny's edges, which vote for the centre line.
+
+In a mask the distance to the border is a roof, whose crest is the centre line. Smoothed by σ, a crest between slopes of ±1 that
+end at distance a from it has the second derivative across
+
+    −2 (1 − exp(−a² / 2σ²)) / (σ √(2π)),
+
+whatever the thread's width 2a; branches to corners and bumps of the border have √½ of it or less.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
 from doo_ti.system.arguments import typed
-from doo_ti.vision.detection.appearance import BAR, SURE, Appearance, appearance, of_a_thread
-from doo_ti.vision.detection.canny import canny_line
-from doo_ti.vision.detection.colour import as_colour, lab, likeness, likeness_table
+from doo_ti.system.errors import InputError
+from doo_ti.vision.cameras.camera import Camera
+from doo_ti.vision.detection.appearance import (
+    BAR,
+    SURE,
+    Appearance,
+    appearance,
+    as_colour,
+    lab,
+    likeness,
+    likeness_table,
+    of_a_thread,
+)
 from doo_ti.vision.detection.continued import continued
+from doo_ti.vision.detection.images import read_image, read_mask
 from doo_ti.vision.detection.line import Detection, in_whole_pixels, moved
 from doo_ti.vision.detection.options import DetectionOptions, check_image, cropped
 from doo_ti.vision.detection.ridge import REACH_PX, Curvature, edges_across, gradient, pieces
+
+CANNY_STRONG, CANNY_WEAK = 0.4, 0.15
+"""Canny's thresholds over the slope of the thread's edges."""
+VOTE_BLUR_PX = 1.0
+"""Standard deviation of a vote."""
+MEETING = 0.5
+"""Least share of votes on the centre line, of those of two complete edges with an edge pixel per px of length."""
+STEEPEST = 8000
+"""Slope of the thread's edges in the whole numbers that Canny takes."""
+
+
+def canny_line(image: np.ndarray, look: Appearance, least_contrast: float, shortest_px: float) -> tuple[np.ndarray, ...]:
+    """(N, 2) pixels of the centre line in an image (H, W) float32, their (N, 2) directions and (N,) strengths.
+
+    "A Canny edge detector with a blurred, offset Gaussian kernel" (§IV-A): every edge pixel votes for the place half a thread's
+    width along the gradient towards the thread's middle; votes are blurred. The centre line lies where votes of both edges
+    coincide. Votes have directions: those of opposite edges cancel, and only votes that cancel count.
+
+    look            of the thread: the offset is half its width
+    least_contrast  grey levels: fainter edges are ignored
+    shortest_px     of a piece of line
+    """
+    import cv2
+
+    slope = gradient(image)
+    whole = np.clip(np.rint(slope * (STEEPEST / look.slope)), -32767, 32767).astype(np.int16)
+    floor = 0.25 * least_contrast / look.slope
+    weak, strong = (STEEPEST * max(share, floor) for share in (CANNY_WEAK, CANNY_STRONG))
+    edge = cv2.Canny(np.ascontiguousarray(whole[..., 0]), np.ascontiguousarray(whole[..., 1]), weak, strong, L2gradient=True)
+    row, column = np.nonzero(edge)
+    outward = slope[row, column] / np.maximum(np.linalg.norm(slope[row, column], axis=1, keepdims=True), 1e-30)
+    meeting = _meeting(row, column, outward if look.polarity == "dark" else -outward, look.width_px / 2, image.shape)
+    curvature = Curvature(meeting, VOTE_BLUR_PX)
+    ridges = curvature.ridges("light", 1e-3)
+    ridges = ridges[(meeting[ridges.row, ridges.column] >= MEETING) & (np.abs(ridges.offset) <= REACH_PX)]
+    ridges = ridges[pieces(ridges, 0.0, shortest_px) > 0]
+    return np.stack([ridges.column, ridges.row], axis=1).astype(np.float64), ridges.tangent, look.slope * ridges.strength
+
+
+def _meeting(row: np.ndarray, column: np.ndarray, outward: np.ndarray, offset: float, shape: tuple[int, int]) -> np.ndarray:
+    """(H, W) float32: blurred votes of edge pixels that coincide with votes from the other edge, 1 for two complete edges."""
+    import cv2
+
+    x = np.rint(column - offset * outward[:, 0]).astype(np.int64)
+    y = np.rint(row - offset * outward[:, 1]).astype(np.int64)
+    inside = (x >= 0) & (x < shape[1]) & (y >= 0) & (y < shape[0])
+    place, length = (y * shape[1] + x)[inside], shape[0] * shape[1]
+    ballots = [np.bincount(place, weight, length).reshape(shape).astype(np.float32)
+               for weight in (None, outward[inside, 0], outward[inside, 1])]
+    votes, across, down = (cv2.GaussianBlur(ballot, (0, 0), VOTE_BLUR_PX, borderType=cv2.BORDER_CONSTANT) for ballot in ballots)
+    return (votes - np.sqrt(across * across + down * down)) * np.float32(VOTE_BLUR_PX * np.sqrt(2 * np.pi) / 2)
+
 
 SIGMA_PER_WIDTH, SMALLEST_SIGMA = 0.35, 0.8
 """Standard deviation of the ridges' smoothing, px: a bar gets a single ridge, and neighbouring strands stay apart."""
@@ -101,3 +173,103 @@ def _alike(piece: np.ndarray, width: np.ndarray, strength: np.ndarray) -> np.nda
     first = np.argmax(count * mean**2)
     ratio = median / median[first]
     return ((ratio < WIDTH_RATIO) & (ratio > 1 / WIDTH_RATIO) & (mean > FAINTEST * mean[first]))[piece]
+
+
+SIGMA = 1.0
+CREST = 0.8
+"""Least second derivative over that of a full roof."""
+LABELS = 16
+WORKING_WIDTH = 16.0
+"""px: masks of wider threads are halved, so that their rough borders are smoothed."""
+LARGEST_HOLE = 20
+"""px of a hole or speck that is regarded as noise."""
+
+
+@typed
+def detect_mask(mask: np.ndarray, options: DetectionOptions = DetectionOptions()) -> Detection:
+    """The centre line of a mask (H, W) of any numbers. With at most LABELS different ones the thread is where they are not 0;
+    with more, in a smoothed mask, where they exceed half of the largest. Of ``options`` its ``shortest_px`` and ``region``
+    are used.
+
+    Raises InputError for anything else, and for masks smaller than 16 × 16.
+    """
+    mask = np.asarray(mask)
+    if mask.ndim != 2 or min(mask.shape) < 16 or mask.dtype.kind not in "buif":
+        raise InputError("detection", "mask", f"shape {mask.shape} of {mask.dtype}", "give (H, W) numbers, at least 16 x 16")
+    part, corner = cropped(mask, options)
+    least = 0 if len(np.unique(mask)) <= LABELS else mask.max() / 2
+    roof, scale = _roof(_cleaned(part > least))
+    ridges = Curvature(roof, SIGMA).ridges("light", 0.1)
+    half = roof[ridges.row, ridges.column].astype(np.float64)
+    full = 2 * SIGMA / np.sqrt(2 * np.pi) * (1 - np.exp(-0.5 * (half / SIGMA) ** 2))
+    kept = (ridges.strength >= CREST * full) & (np.abs(ridges.offset) <= REACH_PX) & (half > 0)
+    ridges, half = ridges[kept], half[kept]
+    kept = pieces(ridges, 0.0, options.shortest_px / scale) > 0
+    ridges, half = ridges[kept], half[kept]
+    # Distances are from pixel to pixel: half a pixel lies beyond the border.
+    width = 2 * (half + np.abs(ridges.offset)) - 1
+    found = in_whole_pixels(scale, ridges.point, ridges.tangent, np.full(len(width), 255.0), scale * width)
+    typical, polarity = (float(np.median(found[3])), "light") if len(width) else (np.nan, "")
+    return moved(Detection(*found[:3], typical, polarity, mask.shape, "mask", found[3]), corner)
+
+
+def _cleaned(inside: np.ndarray) -> np.ndarray:
+    """(H, W) uint8: 1 within, without small holes and specks."""
+    import cv2
+
+    for within in (0, 1):
+        of_kind = (inside == within).astype(np.uint8)
+        label, sizes = cv2.connectedComponentsWithStats(of_kind, connectivity=4 + 4 * within)[1:3]
+        small = sizes[:, cv2.CC_STAT_AREA] <= LARGEST_HOLE
+        small[0] = False
+        inside = inside ^ small[label]
+    return inside.astype(np.uint8)
+
+
+def _roof(inside: np.ndarray) -> tuple[np.ndarray, float]:
+    """(h, w) float32: px from the nearest pixel outside, halved where the thread is wide, and px of the mask to one of it."""
+    import cv2
+
+    scale = 1.0
+    while True:
+        # The thread goes on beyond the image's border; distances to nothing would have no end.
+        roof = cv2.distanceTransform(np.pad(inside, 2, mode="edge"), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[2:-2, 2:-2]
+        roof = np.minimum(roof, max(inside.shape))
+        if not inside.any() or 4 * np.median(roof[inside > 0]) <= WORKING_WIDTH or min(inside.shape) < 32:
+            return np.ascontiguousarray(roof), scale
+        inside, scale = (cv2.pyrDown(255 * inside) > 127).astype(np.uint8), 2 * scale
+
+
+@dataclass(frozen=True)
+class Sight:
+    """How threads are sought in images.
+
+    options  of the detection
+    regions  by the name of a camera: the part of its images where the thread is, as ``options.region``
+    masks    a folder with masks named as the images are, whatever their suffix; or a mask for each image, by its path; None:
+             the image's alpha channel where it has one
+    """
+
+    options: DetectionOptions = DetectionOptions()
+    regions: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    masks: Path | dict[Path, Path] | None = None
+
+    def detected(self, path: Path, camera: Camera) -> Detection:
+        """The thread in the image that ``camera`` took. Raises InputError for files that are missing or do not fit."""
+        options = replace(self.options, region=self.regions.get(camera.name, self.options.region))
+        mask = self._mask(path, camera)
+        if mask is not None:
+            return detect_mask(mask, options)
+        return detect(read_image(path, camera, colour=options.colour is not None), options)
+
+    def _mask(self, path: Path, camera: Camera):
+        if self.masks is None:
+            return read_mask(path, camera)
+        if isinstance(self.masks, dict):
+            found = self.masks[path]
+        else:
+            found = next(iter(sorted(self.masks.glob(f"{path.stem}.*"))), None)
+            if found is None:
+                raise InputError(self.masks, path.stem, "no mask of this name", "name masks as the images are")
+        mask = read_mask(found, camera)
+        return read_image(found, camera) if mask is None else mask

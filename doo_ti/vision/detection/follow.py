@@ -3,7 +3,7 @@
 1. **Start.** Around the pixel, the line of largest contrast in Lab is sought over places, directions and widths.
 2. **Colours.** Across the thread the colour at an offset s is compared with that farther off on either side: where the median
    difference is large against the scatter along the thread, s is within, unless it is in the thread's shadow. That gives the
-   thread's middle, width and colours; a striped thread has several (:mod:`doo_ti.vision.detection.look`).
+   thread's middle, width and colours; a striped thread has several (:mod:`doo_ti.vision.detection.appearance`).
 3. **Walk.** In the likeness to these colours the thread is a light line of known width. Of circular arcs that go on from the
    last point, the one along which the line is strongest is followed for half a width; strength is the second derivative across,
    1 for a clean line. Where it is missing, for instance where something crosses, the arc goes on to where the line is
@@ -16,9 +16,8 @@ import numpy as np
 
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
-from doo_ti.vision.detection.colour import TOLERANCE, as_colour, lab, likeness, likeness_table
+from doo_ti.vision.detection.appearance import TOLERANCE, Line, Look, as_colour, lab, likeness, likeness_table, looked, window
 from doo_ti.vision.detection.line import Detection, moved
-from doo_ti.vision.detection.look import Line, Look, looked, window
 from doo_ti.vision.detection.options import DetectionOptions, check_image, cropped
 from doo_ti.vision.detection.ridge import Curvature
 

@@ -1,9 +1,11 @@
-"""The centre line that was found in an image: points with directions and widths."""
+"""The centre line that was found in an image: points with directions and widths, and chains of those that follow each other
+along their directions."""
 
 from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from doo_ti.system.arguments import typed
 
@@ -69,3 +71,68 @@ def in_whole_pixels(scale: float, points: np.ndarray, direction: np.ndarray, *va
     between = np.arange(scale) - (scale - 1) / 2
     points = (scale * points[:, None] + between[:, None] * direction[:, None]).reshape(-1, 2)
     return points, *(np.repeat(array, len(between), axis=0) for array in (direction, *values))
+
+
+NEXT_PX = 2.6
+"""Largest distance between points that follow each other."""
+SLOPE, BEND = 0.6, 0.77
+"""Of two points that follow each other: largest share of the step across the direction of either, least cosine between both."""
+SHORTEST_PX = 4.0
+"""Chains that are shorter are noise."""
+END_PX = 8.0
+"""Length of the end of a chain whose direction counts."""
+
+
+def chains_of(detection: Detection) -> list[np.ndarray]:
+    """(M, 2) px each, M points in order."""
+    points, direction = thinned(detection)
+    if len(points) < 2:
+        return []
+    pairs = cKDTree(points).query_pairs(NEXT_PX, output_type="ndarray")
+    pairs = np.concatenate([pairs, pairs[:, ::-1]])
+    one, other = pairs.T
+    step = points[other] - points[one]
+    length = np.linalg.norm(step, axis=1)
+    forward = (step * direction[one]).sum(axis=1)
+    turned = np.abs((direction[one] * direction[other]).sum(axis=1))
+    aside = np.maximum(np.abs(_cross(step, direction[one])), np.abs(_cross(step, direction[other])))
+    fits = (aside <= SLOPE * length) & (turned >= BEND) & (length > 0.3)
+    one, other, forward, length, aside = (values[fits] for values in (one, other, forward, length, aside))
+    way = (forward > 0).astype(int)
+    best = np.full((len(points), 2), -1)
+    order = np.lexsort((other, length + 2 * aside, way, one))
+    keys = 2 * one[order] + way[order]
+    leading = order[np.flatnonzero(np.diff(keys, prepend=-1))]
+    best[one[leading], way[leading]] = other[leading]
+    mutual = np.array([[k if k >= 0 and i in best[k] else -1 for k in row] for i, row in enumerate(best)])
+    chains, left = [], np.ones(len(points), dtype=bool)
+    ends = np.flatnonzero((mutual >= 0).sum(axis=1) == 1)
+    for begin in [*ends, *np.flatnonzero((mutual >= 0).all(axis=1))]:  # ends first, then closed chains
+        if not left[begin]:
+            continue
+        rows, here = [], int(begin)
+        while here >= 0 and left[here]:
+            rows.append(here)
+            left[here] = False
+            here = next((int(k) for k in mutual[here] if k >= 0 and left[k]), -1)
+        if len(rows) > 2 and chain_length(points[rows]) >= SHORTEST_PX:
+            chains.append(points[rows])
+    return chains
+
+
+def outward(chain: np.ndarray, way: int) -> np.ndarray:
+    """(2,) unit direction in which a chain ends."""
+    points = chain if way else chain[::-1]
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points[::-1], axis=0), axis=1))])
+    back = points[::-1][min(np.searchsorted(arc, END_PX), len(points) - 1)]
+    out = points[-1] - back
+    return out / max(np.linalg.norm(out), 1e-12)
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+
+
+def chain_length(points: np.ndarray) -> float:
+    """px."""
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())

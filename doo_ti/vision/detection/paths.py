@@ -14,8 +14,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from doo_ti.vision.detection.chains import NEXT_PX, SHORTEST_PX, chain_length, chains_of, outward
-from doo_ti.vision.detection.line import Detection
+from doo_ti.vision.detection.line import NEXT_PX, SHORTEST_PX, Detection, chain_length, chains_of, outward
 
 WIDEST_GAP = 0.3
 """Of the image's height: the longest gap that a path crosses."""

@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 
 from doo_ti.system.errors import InputError
-from doo_ti.vision.cameras.camera import Camera
-from doo_ti.vision.cameras.fisheye import rational_of_fisheye
-from doo_ti.vision.cameras.reading import POSES, RigReading
+from doo_ti.vision.cameras.camera import Camera, rational_of_fisheye
+from doo_ti.vision.cameras.foreign import POSES, RigReading
 from doo_ti.vision.cameras.rig import Rig, load_rig, save_rig
 from tests.vision.cameras.test_rig import rig
 

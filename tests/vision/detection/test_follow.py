@@ -6,9 +6,8 @@ import pytest
 from scipy.spatial import cKDTree
 
 from doo_ti.system.errors import InputError
-from doo_ti.vision.detection.detect import detect
+from doo_ti.vision.detection.detect import detect, detect_mask
 from doo_ti.vision.detection.follow import follow
-from doo_ti.vision.detection.mask import detect_mask
 from doo_ti.vision.detection.options import DetectionOptions
 
 SIZE = 400, 600

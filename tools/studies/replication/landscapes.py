@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.learning.cells import journey
-from doo_ti.learning.experiment import Experiment
-from doo_ti.learning.hypotheses import started
+from doo_ti.learning.experiment import Experiment, started
 from doo_ti.learning.landscape import Landscape
 from doo_ti.learning.pairs import Pairs
 from doo_ti.learning.sweeps import chunk_rows

@@ -16,8 +16,8 @@ from doo_ti.vision.detection.detect import detect
 from doo_ti.vision.detection.line import Detection
 from doo_ti.vision.detection.options import DetectionOptions
 from doo_ti.vision.rendering.render import Photographs
-from doo_ti.vision.reprojection.coverage import coverage
 from doo_ti.vision.reprojection.distance_map import DistanceMaps
+from doo_ti.vision.reprojection.image_energy import coverage
 
 CORRECT_MM = 1.0
 """A rod with a smaller mean error of its vertices counts as recovered correctly."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from doo_ti.manipulation.poses import held, moved
 from doo_ti.manipulation.simulation import Simulation
-from doo_ti.perception.virtual_cameras import VirtualCameras
+from doo_ti.perception.virtual_lab import VirtualCameras
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.material import Material

@@ -1,16 +1,37 @@
-"""Recordings of rods in one place of space: motions (§III-D), and ribbons of several materials (Fig. 5c).
+"""Recordings of rods in one place of space: motions (§III-D), simulated ones beside what was recorded of them, groups
+(docs/groups.md), and ribbons of several materials (Fig. 5c).
 
-Axes: T moments, R rods, D observations, V vertices.
+Axes: T moments or frames, R rods, D observations, V vertices.
 """
+
+from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import rerun
 import rerun.blueprint as blueprint
 
-from doo_ti.record.obstacles import log_forces, log_obstacles
-from doo_ti.record.stream import FAILED, OBSERVED, drawn_strips, entity_name, log_up, log_view, panels, recording, space_view
+from doo_ti.contact.surroundings import Surroundings
+from doo_ti.groups.relax_group import GroupSolution
+from doo_ti.record.stream import (
+    FAILED,
+    OBSERVED,
+    drawn_strips,
+    entity_name,
+    front_view,
+    log_forces,
+    log_obstacles,
+    log_up,
+    log_view,
+    panels,
+    recording,
+    space_view,
+)
 from doo_ti.report import MovingRods, Ribbons, distinct_colors
-from doo_ti.report.extent import box, widest
+from doo_ti.report.canvas import box, widest
+from doo_ti.report.grid_view import Observed, facing, grid_view
+from doo_ti.report.groups import GroupMotion
+from doo_ti.report.touched import Touched
 
 GRIPPER = (120, 120, 130)
 MOST_CURVES = 12
@@ -140,3 +161,100 @@ def _ribbon_layout(ribbons: list[Ribbons], basis: np.ndarray) -> blueprint.Bluep
     view = space_view("Ribbons, mm", "world", (position, middle, basis[2]))
     text = blueprint.TextDocumentView(name="Ribbons", origin="summary")
     return blueprint.Blueprint(blueprint.Horizontal(view, text, column_shares=[1.2, 1]), *panels("difference"))
+
+
+SIMULATED = (255, 140, 60)
+MOST_RODS = 64
+
+
+def record_rollout(path: Path, name: str, names: list[str], positions: np.ndarray, recorded: np.ndarray | None,
+                   rate: float, up: np.ndarray, energies: dict[str, np.ndarray] | None = None,
+                   touched: Touched | None = None) -> None:
+    """Record the first :data:`MOST_RODS` of (R, T, V, 3) rods in mm, on the timeline ``time``.
+
+    ``world/rods`` and ``world/observations`` hold a strip for each rod, moved to its place in the grid view; ``curves/error``
+    the mean |difference| of each rod in mm; ``curves/energy`` has the ``energies`` (R, T) of the first rod by name, mm²;
+    ``world/obstacles`` and ``world/forces`` what rods have ``touched``, and what that exerts on them.
+    """
+    rods = positions[:MOST_RODS]
+    count, frames = rods.shape[:2]
+    seen = None if recorded is None else recorded[:MOST_RODS]
+    places = (rods if seen is None else seen).reshape(count, -1, 3)
+    grid = grid_view(Observed(places, up=facing(places, up)[0]))
+    title = f"Rods, mm: orange simulated{', white recorded' * (seen is not None)}"
+    views = [front_view(grid, "world", title if touched is None else f"{title}, blue {touched.legend}", 1.8)]
+    if seen is not None:
+        views.append(blueprint.TimeSeriesView(name="Mean |difference|, mm", origin="curves/error"))
+    if energies is not None:
+        views.append(blueprint.TimeSeriesView(name=f"Energies of {names[0]}, mm²", origin="curves/energy"))
+    layout = blueprint.Blueprint(blueprint.Vertical(*views, row_shares=[2, 1, 1][: len(views)]), *panels("time"))
+    when = [rerun.TimeColumn("time", duration=np.arange(frames) / rate)]
+    with recording(path, f"rollout {name}", name, layout) as stream:
+        log_up(stream, "world", up)
+        for entity, shown, color, width in (("observations", seen, OBSERVED, 0.7), ("rods", rods, SIMULATED, 1.2)):
+            if shown is None:
+                continue
+            placed = shown + grid.offset[:, None, None]
+            # A rod that may touch something is as thick as it is.
+            thick = touched is not None and shown is rods
+            radius = float(np.min(touched.surroundings.radius)) if thick else rerun.Radius.ui_points(width)
+            stream.log(f"world/{entity}", rerun.LineStrips3D.from_fields(
+                colors=color, radii=radius, labels=names[:MOST_RODS], show_labels=count <= 12), static=True)
+            strips = drawn_strips(placed.swapaxes(0, 1).reshape(-1, *rods.shape[2:]))
+            stream.send_columns(f"world/{entity}", when, rerun.LineStrips3D.columns(strips=strips).partition([count] * frames))
+        if touched is not None:
+            log_obstacles(stream, "world/obstacles", when, touched, grid.offset)
+            log_forces(stream, "world/forces", when, touched, grid.offset)
+        if seen is not None:
+            error = np.abs(rods - seen).mean(axis=(2, 3)).T
+            stream.log("curves/error", rerun.SeriesLines(
+                names=names[:MOST_RODS], widths=[1.0] * count, colors=distinct_colors(count)), static=True)
+            stream.send_columns("curves/error", when, rerun.Scalars.columns(
+                scalars=np.ascontiguousarray(error).ravel()).partition([count] * frames))
+        if energies is not None:
+            values = np.stack([value[0] for value in energies.values()], axis=-1)
+            stream.log("curves/energy", rerun.SeriesLines(names=list(energies), widths=[1.0] * len(energies),
+                                                          colors=distinct_colors(len(energies))), static=True)
+            stream.send_columns("curves/energy", when, rerun.Scalars.columns(scalars=values.ravel()).partition(
+                [len(energies)] * frames))
+
+
+TIE = (255, 255, 255)
+
+
+def record_group(path: Path, moments: Sequence[GroupSolution], *, name: str, names: Sequence[str] | None = None,
+                 surroundings: Surroundings | None = None, row: int = 0, rate: float = 1.0,
+                 up: Sequence[float] = (0.0, 0.0, 1.0), newton: float | None = None) -> None:
+    """Record the group ``row`` at T moments, ``rate`` of them a second, on the timeline ``time``.
+
+    ``world/rods`` has an entity for each rod, by its number and its name where there are ``names``: as thick as it is where
+    ``surroundings`` say so, in red at moments that have not converged; ``world/ties`` the tied points; ``world/obstacles`` and
+    ``world/forces`` what rods touch, and what that exerts, in N where ``newton`` says how many their unit of force has.
+    """
+    seen = GroupMotion.of(moments, row, surroundings, newton)
+    grid = grid_view(Observed(seen.vertices.reshape(1, -1, 3), up=up))
+    layout = blueprint.Blueprint(front_view(grid, "world", f"Rods, mm: blue {seen.touched.legend}", 1.8), *panels("time"))
+    frames, count = len(seen.rods), len(seen.rods[0])
+    when = [rerun.TimeColumn("time", duration=np.arange(frames) / rate)]
+    called = [str(rod) if names is None else f"{rod}_{entity_name(names[rod])}" for rod in range(count)]
+    with recording(path, f"group {name}", name, layout) as stream:
+        log_up(stream, "world", grid.basis[2])
+        radii = [None] * count if seen.radii is None else seen.radii.tolist()
+        for rod, (own, color) in enumerate(zip(called, distinct_colors(count), strict=True)):
+            place = f"world/rods/{own}"
+            stream.log(place, rerun.LineStrips3D.from_fields(radii=_thick(radii[rod], 1.0, 1.2)), static=True)
+            strips = [strip for moment in seen.rods for strip in drawn_strips(moment[rod][None])]
+            stream.send_columns(place, when, rerun.LineStrips3D.columns(
+                strips=strips, colors=np.where(seen.sound[:, None], color, np.array(FAILED, dtype=color.dtype))))
+        if len(seen.tied):
+            thickest = None if seen.radii is None else max(radii)
+            stream.log("world/ties", rerun.Points3D.from_fields(colors=TIE, radii=_thick(thickest, 1.3, 2.0)), static=True)
+            stream.send_columns("world/ties", when, rerun.Points3D.columns(
+                positions=seen.vertices[:, seen.tied].reshape(-1, 3)).partition([len(seen.tied)] * frames))
+        log_obstacles(stream, "world/obstacles", when, seen.touched, np.zeros((1, 3)))
+        log_forces(stream, "world/forces", when, seen.touched, np.zeros((1, 3)))
+
+
+def _thick(radius: float | None, share: float, points: float):
+    """So many times the radius, or so many points of the screen where there is none."""
+    return rerun.Radius.ui_points(points) if radius is None else share * radius

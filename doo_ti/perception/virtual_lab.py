@@ -1,4 +1,5 @@
-"""A moving rod as cameras of the virtual lab see it (§V-A, §VI): rendered, detected, and tracked, moment by moment.
+"""The virtual lab before cameras (§V-A, §VI): its rods for images, with their true shapes; and a moving rod as cameras see it:
+rendered, detected, and tracked, moment by moment.
 
     cameras = VirtualCameras(rig, rest_length, material)
     servo = Servo(rods, material, clamps, targets)
@@ -8,21 +9,82 @@
 
 The grippers' poses are known, as a robot knows them: the rod is sought from the near one on. Nothing else of the rod is.
 
-Axes: C cameras, V vertices.
+Axes: S observations, C cameras, V marks or vertices, n vertices of the fine mesh.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from doo_ti.io.scene import Synthesis
+from doo_ti.lab.synthesis import fine_vertices
 from doo_ti.motion.path import motion_between
 from doo_ti.perception.tracking import TrackedFrame, Tracker, seen_vertices
 from doo_ti.rod.types import Clamps, Material
+from doo_ti.system.errors import InputError
+from doo_ti.system.files import write_whole
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.detection.detect import detect
 from doo_ti.vision.detection.options import DetectionOptions
 from doo_ti.vision.rendering.render import RenderOptions, render_set
+
+
+@dataclass(frozen=True)
+class LabRods:
+    """The rods of a scene, free of any noise.
+
+    names        S of them: rod, end distance and end rotation
+    curve        (S, n, 3) mm: the fine mesh, with its rest curvature and its clips
+    vertices     (S, V, 3) mm: its marks
+    rest_length  (V − 1,) mm between them
+    """
+
+    names: tuple[str, ...]
+    curve: np.ndarray
+    vertices: np.ndarray
+    rest_length: np.ndarray
+
+    @property
+    def point(self) -> np.ndarray:
+        """(S, 3) mm: v⁰."""
+        return self.vertices[:, 0]
+
+    @property
+    def direction(self) -> np.ndarray:
+        """(S, 3) unit vectors along e⁰, which the clip holds if it is at least as long."""
+        first = self.vertices[:, 1] - self.vertices[:, 0]
+        return first / np.linalg.norm(first, axis=-1, keepdims=True)
+
+    def take(self, rows) -> "LabRods":
+        """The rods of these rows."""
+        rows = np.asarray(rows)
+        return LabRods(tuple(np.array(self.names)[rows].tolist()), self.curve[rows], self.vertices[rows], self.rest_length)
+
+
+def lab_rods(synthesis: Synthesis) -> LabRods:
+    """The rods behind :func:`doo_ti.lab.synthesis.synthesise`, in its order.
+
+    Raises InputError for rods that are not round, and InterruptedRunError where a rod cannot be carried to a stable
+    equilibrium.
+    """
+    if not synthesis.material().is_isotropic or synthesis.frames:
+        raise InputError(synthesis.source, "synthesis.bend", f"{synthesis.name} is not round",
+                         "images are of threads: give one number, and no frames")
+    curve = fine_vertices(synthesis)
+    spacing = synthesis.length_mm / (synthesis.marks - 1)
+    names = tuple(f"{synthesis.name}_{distance:g}mm_{rotation:03g}deg" for rotation in synthesis.end_rotations_deg
+                  for distance in synthesis.end_distances_mm)
+    return LabRods(names, curve, curve[:, :: round(spacing / synthesis.fine_edge_mm)], np.full(synthesis.marks - 1, spacing))
+
+
+def save_truth(path: Path, rods: LabRods, diameter_mm: float) -> None:
+    """Write the true shapes as npz: ``names``, ``vertices_mm``, ``curve_mm``, ``rest_length_mm``, ``thread_diameter_mm``."""
+    write_whole(path, lambda file: np.savez_compressed(
+        file, names=np.array(rods.names), vertices_mm=rods.vertices, curve_mm=rods.curve, rest_length_mm=rods.rest_length,
+        thread_diameter_mm=diameter_mm))
+
 
 DIAMETER_MM = 2.0
 """Of the thread, unless given."""
