@@ -28,8 +28,8 @@ def run(options: Namespace, words: list[str]) -> int:
     out = given.output_folder(options.out)
 
     from doo_ti.bench.cases import Specimens, cases
+    from doo_ti.bench.clock import Reference
     from doo_ti.bench.table import accuracy_step, begun, case_steps, completed, text
-    from doo_ti.bench.workload import Reference
     from doo_ti.system import runtime
 
     specimens = Specimens(rods)

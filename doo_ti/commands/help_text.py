@@ -50,7 +50,7 @@ EXAMPLES = {
         "with one that is stiffer")),
     "simulate": ((
         "simulate scenes/motion/hanging_cables.toml --out hanging.npz --animation hanging.gif", "eight cables"), (
-        "simulate motion.npz --theta theta.json --out predicted.npz --recording predicted.rrd", "recorded grippers")),
+        "simulate marks.npz --motion poses.csv --theta theta.json --out moved.npz", "observed rods that grippers move")),
     "identify": (("identify motion.npz --out theta.json", "a rod from recorded motion"),
                  ("identify motion.npz --obstacles table.toml --radius 2 --fit friction,bend_damping --out theta.json",
                   "of a rod that is moved on a table")),
@@ -74,7 +74,7 @@ FIRST = {
     "predict": ("--motion", *_MATERIAL, *_FILES, "--obstacles", "--radius", "--picture", "--recording"),
     "steer": (*_MATERIAL, *_FILES, "--clamp-start", "--clamp-end", "--obstacles", "--radius", "--seconds"),
     "servo": (*_MATERIAL, *_FILES, "--true-EI", "--true-GJ", "--noise", "--occlude", "--steps", "--reached"),
-    "simulate": ("--theta", "--linear-density", "--tolerance", "--obstacles", "--radius", "--unit", "--rate", "--picture",
+    "simulate": ("--motion", "--theta", *_MATERIAL, "--tolerance", "--obstacles", "--radius", "--unit", "--rate", "--picture",
                  "--recording", "--animation"),
     "perceive": ("--sets", "--seed-pixel", "--edge", "--length", "--rest-length", *_MATERIAL, "--masks", "--colour"),
     "track": ("--motion", *_MATERIAL, "--colour", "--masks", "--width", "--no-recording"),

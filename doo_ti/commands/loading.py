@@ -1,8 +1,11 @@
-"""Observations of a command: the options that say how a file states them, what was loaded, and doubts about its unit.
+"""Observations of a command: the options that say how a file states them and the lengths between marks, what was loaded, and
+doubts about its unit.
 
     loaded      60 observations of 34 marks; the rod is 99 mm long, its ends 30 to 78 mm apart; up 0,0,1
 """
 
+import os
+import re
 from argparse import ArgumentParser, Namespace
 from dataclasses import replace
 from pathlib import Path
@@ -11,11 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from doo_ti.commands import options as given
-from doo_ti.commands.rest_length import read_rest_length
 from doo_ti.commands.results import observed
-from doo_ti.io.motion_file import TOOL_AXES, ClampPath, load_path
+from doo_ti.io.arrays import read_npz
+from doo_ti.io.csv_table import decoded
 from doo_ti.io.observation_files import load_observations
-from doo_ti.io.pose_table import NAMED
 from doo_ti.io.scene import Scene, Synthesis
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.physical_units import UNITS_IN_MM
@@ -24,9 +26,10 @@ from doo_ti.rod.start import observation_clamps, reachable
 from doo_ti.rod.types import Clamp
 from doo_ti.system import terminal
 from doo_ti.system.errors import InputError
+from doo_ti.system.files import MOST_TEXT_BYTES, read_content
 from doo_ti.system.terminal import in_line
 
-if TYPE_CHECKING:  # the kernels of moving rods
+if TYPE_CHECKING:
     from doo_ti.dynamics.recorded import RecordedMotion
 
 FEW = 0.25
@@ -51,10 +54,14 @@ def add_loading(parser: ArgumentParser, of: str = "OBS") -> None:
     """How the files ``of`` some arguments state the marks, and the direction of gravity."""
     group = parser.add_argument_group("your own files", "docs/observations.md")
     add_files(group, of)
+    add_rest_length(group)
+    given.add_up(group)
+
+
+def add_rest_length(group) -> None:
     group.add_argument("--rest-length", metavar="MM|FILE", help="length of the rod from the first mark to the last, along it; "
                        "or a .npz with rest_length_mm, or a text file, of the lengths between the marks (default: as the file "
                        "states, else arcs through the marks)")
-    given.add_up(group)
 
 
 def add_files(group, of: str) -> None:
@@ -63,31 +70,6 @@ def add_files(group, of: str) -> None:
                        "else mm)")
     group.add_argument("--columns", metavar="x=NAME,…|A,B,C", help="columns of a table that hold x, y, z, observation, vertex; "
                        "of other files, names of markers or curves in their order along the rod")
-
-
-def add_poses(group, option: str) -> None:
-    """How the file that ``option`` names states poses of grippers."""
-    group.add_argument("--motion-columns", metavar="time=NAME,…", help=f"in a .csv of {option}: the column of the time, and "
-                       "what the columns of the grippers begin with, as in start=left,end=right")
-    group.add_argument("--motion-axis", metavar="AXIS|AXIS,AXIS", default="x", help="the axis, x, y, z, -x, -y or -z, of the "
-                       f"tools at the start and at the end that points along the rod, where {option} states orientations "
-                       "(default x)")
-
-
-def poses(options: Namespace, source: str, unit: str | None, turn: np.ndarray | None = None) -> ClampPath:
-    """The path of the grippers in the file ``source``, lengths in ``unit`` and turned by ``turn`` (3, 3)."""
-    named, axes = None, [axis.strip() for axis in options.motion_axis.split(",")]
-    if options.motion_columns is not None:
-        parts = [part.partition("=") for part in options.motion_columns.split(",")]
-        named = {name.strip(): column.strip() for name, _, column in parts}
-        if not all(named.values()) or not named.keys() <= set(NAMED):
-            raise InputError(given.SOURCE, "--motion-columns", f"{options.motion_columns!r}",
-                             f"give NAME=COLUMN for some of {', '.join(NAMED)}")
-    axes = axes * 2 if len(axes) == 1 else axes
-    if len(axes) != 2 or not set(axes) <= TOOL_AXES.keys():
-        known = ", ".join(TOOL_AXES)
-        raise InputError(given.SOURCE, "--motion-axis", f"{options.motion_axis!r}", f"give one or two of {known}")
-    return load_path(Path(source), unit, named, tuple(axes), turn)
 
 
 def add_recordings(parser: ArgumentParser, default_up: str) -> None:
@@ -161,10 +143,7 @@ def _measured(observations: Observations, text: str) -> Observations:
 def of_scene(options: Namespace, scene: Scene) -> Observations:
     """A scene's observations, loaded or synthesised, under the scene's name."""
     if isinstance(scene.observations, Synthesis):
-        for option in OF_OBSERVATIONS:
-            if getattr(options, option) is not None:
-                raise InputError(given.SOURCE, f"--{option.replace('_', '-')}", "given, but the scene is simulated",
-                                 "leave it out")
+        given.refuse(options, OF_OBSERVATIONS, "given, but the scene is simulated", "leave it out")
         return observed(scene, given.up(options))
     return replace(load(options, scene.observations), name=scene.name)
 
@@ -250,3 +229,45 @@ def length_doubt(observations: Observations) -> str | None:
 def _span(values: np.ndarray) -> str:
     low, high = f"{values.min():.4g}", f"{values.max():.4g}"
     return low if low == high else f"{low} to {high}"
+
+
+MOST_EDGES = 2000
+LEAST_MM, MOST_MM = 1e-3, 1e4
+"""Of an edge."""
+
+
+def read_rest_length(text: str) -> np.ndarray:
+    """(E,) mm, from ``3:33`` or a file."""
+    option, remedy = "--rest-length", "give MM:COUNT, such as 3:33, or a file of lengths in mm"
+    length, _, count = text.partition(":")
+    if count and not os.path.exists(text):
+        edges, each = given.whole(option, count, 2, MOST_EDGES), given.length(option, length)
+        if not LEAST_MM <= each <= MOST_MM:
+            raise InputError(given.SOURCE, option, f"edges of {each:g} mm", f"give {LEAST_MM:g} to {MOST_MM:g} mm")
+        return np.full(edges, each)
+    path = Path(text)
+    try:
+        content = read_content(path, MOST_TEXT_BYTES, remedy)
+    except InputError as error:
+        raise InputError(given.SOURCE, option, f"{text!r}: {error.problem}", remedy) from None
+    try:
+        values = read_npz(path, content, ("rest_length_mm",)).get("rest_length_mm") if path.suffix == ".npz" else \
+            np.array(_words(path, decoded(content)), dtype=np.float64)
+    except ValueError as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(path, "file", "holds something that is not a number", remedy) from None
+    if values is None or values.dtype.kind not in "fiu" or values.ndim != 1 or not 2 <= len(values) <= MOST_EDGES \
+            or not ((values >= LEAST_MM) & (values <= MOST_MM)).all():
+        raise InputError(path, "rest_length_mm", f"missing, or not 2 or more numbers from {LEAST_MM:g} to {MOST_MM:g}",
+                         "give one for each edge, in mm")
+    return values.astype(np.float64)
+
+
+def _words(path: Path, text: str) -> list[str]:
+    """The numbers of a text, between commas, semicolons or spaces. Raises InputError where commas may also be in them."""
+    words = text.replace(";", " ").split()
+    if len(words) > 1 and all(re.fullmatch(r"\d+,\d+", word) for word in words):
+        raise InputError(path, "rest_length_mm", f"{words[0]!r} is one number, or two", "write decimals behind a point, and "
+                         "numbers between spaces")
+    return " ".join(words).replace(",", " ").split()

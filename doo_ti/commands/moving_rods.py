@@ -1,69 +1,260 @@
-"""What ``--theta`` and ``--dynamic`` give the commands: rest curvature, and friction, damping, drag and time steps of moving
-rods."""
+"""Rods that observations show, held by grippers along a path: where they begin, and what ``--theta`` and the options of losses
+say of rest curvature, friction, damping and drag."""
 
-from argparse import Namespace
-from dataclasses import replace
+from argparse import Action, Namespace
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.rod.types import Material
+from doo_ti.io.motion_file import TOOL_AXES, ClampPath, load_path
+from doo_ti.io.pose_table import NAMED
+from doo_ti.rod.frames import matrix_from_quaternion, smallest_rotation
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.physical_units import UNITS_IN_MM
+from doo_ti.rod.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, unit_up
 from doo_ti.system.errors import InputError
+from doo_ti.system.terminal import busy, warn
+
+if TYPE_CHECKING:
+    from doo_ti.dynamics.grippers import Grippers
+    from doo_ti.dynamics.parameters import Dynamics, Stepping
 
 LOSSES = {"bend_damping": "s", "twist_damping": "s", "drag": "1/s", "quadratic_drag": "1/mm"}
-STEPS = ("rate", "substeps", "tolerance")
-SUBSTEPS = 1
-"""Of predictions, unless given."""
 MOST_STRETCH = 0.1
 """By which the rod's length may differ from that of THETA.json."""
+MOST_LENGTHS = 100.0
+"""Of a rod, between its clamps."""
+FAR_OFF = 0.05
+"""Of the rod's length, from a clamp to where its motion begins: more is no error of measurement."""
 
 
-def add_dynamic(parser, rate: str) -> None:
-    """The options of rods with inertia; ``rate`` says what --rate is the number of, and its default."""
-    group = parser.add_argument_group("inertia", "for fast motion (docs/dynamics.md); the default is statics at every instant")
-    group.add_argument("--dynamic", action="store_true", help="rods have inertia, and losses as --theta or these options say")
-    group.add_argument("--rate", metavar="HZ", help=rate)
-    group.add_argument("--substeps", metavar="N", help=f"time steps between the states that are returned (default {SUBSTEPS})")
-    group.add_argument("--tolerance", metavar="MM", help="double them for each rod until the estimated error is below this")
+# --- options -------------------------------------------------------------------------------------------------------------
+
+
+def add_losses(parser) -> None:
+    """Damping and drag of rods with inertia."""
+    group = parser.add_argument_group("losses", "of rods that observations show (docs/dynamics.md)")
     group.add_argument("--bend-damping", metavar="S", help="bending at the rate ω̇ is resisted by S B ω̇ (default 0)")
     group.add_argument("--twist-damping", metavar="S", help="the same of twist (default 0)")
     group.add_argument("--drag", metavar="C", help="force −C v on each unit of mass, 1/s (default 0)")
     group.add_argument("--quadratic-drag", metavar="C2", help="force −C2 |v| v, 1/mm (default 0)")
 
 
-def is_dynamic(options: Namespace) -> bool:
-    """Whether rods have inertia. Raises InputError where only options of such rods are given."""
-    if not options.dynamic:
-        for name in (*STEPS, *LOSSES):
-            if getattr(options, name, None) is not None:
-                raise InputError(given.SOURCE, f"--{name.replace('_', '-')}", "given without --dynamic", "give both")
-    return options.dynamic
+def add_motion(parser) -> None:
+    """The path of the grippers of observed rods, and how its file states it."""
+    parser.add_argument("--motion", metavar="PATH", help="poses of the clamps over time: .npz, or .csv such as a robot's log")
+    parser.add_argument("--relative", action="store_true",
+                        help="apply the motion relative to each observation's own clamps, instead of as absolute poses")
+    group = parser.add_argument_group("the motion's file", "docs/motions.md")
+    group.add_argument("--motion-columns", metavar="time=NAME,…", help="in a .csv: the column of the time, and what the "
+                       "columns of the grippers begin with, as in start=left,end=right")
+    group.add_argument("--motion-axis", metavar="AXIS|AXIS,AXIS", help="the axis, x, y, z, -x, -y or -z, of the tools at the "
+                       "start and at the end that points along the rod, where orientations are stated (default x)")
+    group.add_argument("--motion-unit", choices=tuple(UNITS_IN_MM), help="unit of all lengths in PATH (default: --unit, else "
+                       "as its columns state, else mm)")
+    group.add_argument("--motion-up", metavar="X,Y,Z", help="direction against gravity in PATH, which is turned about the "
+                       "origin so that it becomes that of OBS (default: both have the same coordinates)")
 
 
-def stepping(options: Namespace, rate: float):
-    """The time steps of a motion with ``rate`` returned states per second."""
+OF_MOTIONS = ("motion", "motion_columns", "motion_axis", "motion_unit", "motion_up", "relative")
+"""Options that only paths of grippers have a use for."""
+
+
+class Moved(Action):
+    """An option that another command has now."""
+
+    def __call__(self, parser, namespace, values, option_string=None):
+        raise InputError(given.SOURCE, option_string, "is of another command now", "give the rest to doo-ti simulate")
+
+
+# --- rods ----------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class HeldRods:
+    """N rods that observations show, held by grippers, under G materials: R = G·N, material by material.
+
+    clamps      (N) how they are held at first
+    path        where the grippers go: N paths, or one for all
+    start       (R) the rods as they begin: of several whole turns that fit, the one nearest to what was seen
+    theta       columns that state the G materials
+    names       R of them
+    newtons     (R,) N in the unit of force, or None
+    """
+
+    observations: Observations
+    clamps: Clamps
+    path: ClampPath
+    materials: Material
+    start: Configuration
+    theta: dict[str, np.ndarray]
+    names: list[str]
+    newtons: np.ndarray | None
+    surroundings: Surroundings
+
+
+def held_rods(options: Namespace, out: Path, kinds: tuple[Clamp | None, Clamp | None], moving: bool = False) -> HeldRods:
+    """The rods of the file ``options.source``, whose clamps go along ``--motion``, at first of these ``kinds``; ``moving`` with
+    inertia."""
+    if options.motion is None:
+        raise InputError(given.SOURCE, "--motion", "missing", "name a file of poses, or give a scene of motion")
+    grid, surroundings = given.grid(options), rubbed(options, given.surroundings(options))
+    observations = loading.load(options, options.source)
+    for source in (options.source, options.motion):
+        given.refuse_overwriting(out, source)
+    path = _path(options, observations.up)
+    observations = _with_frames(observations, path, options.relative)
+    if path.count not in (1, observations.count) and observations.count > 1:
+        raise InputError(options.motion, "positions_mm", f"{path.count} motions for {observations.count} observations",
+                         "give one motion, or one for each observation")
+    if observations.count < path.count:
+        observations = observations.take(np.zeros(path.count, dtype=np.int64))
+    clamps = observation_clamps(observations, *kinds)
+    check_experiment(observations, clamps, grid.axes[-1].values[-1], 0.0)
+    path = path.relative_to(clamps) if options.relative else path
+    check_reach(path, clamps, float(observations.rest_length.sum()))
+    materials = curved(options, grid.materials(), observations.rest_length, moving)
+    cells, rows = np.divmod(np.arange(materials.count * observations.count), observations.count)
+    newtons = given.newtons(options, materials.weight)
+    return HeldRods(observations, clamps, path, materials, settled(observations, clamps, materials, surroundings.at(0)),
+                    grid.cell_values(), [f"cell {cell}, " * (materials.count > 1) + f"observation {observations.labels[row]}"
+                                         for cell, row in zip(cells, rows, strict=True)],
+                    None if newtons is None else np.repeat(newtons, observations.count), surroundings)
+
+
+@dataclass(frozen=True)
+class MovedRods:
+    """What is to be simulated of R rods: arguments of :func:`doo_ti.dynamics.simulate.simulate`, and N in their unit of force,
+    or None."""
+
+    name: str
+    names: list[str]
+    start: Configuration
+    material: Material
+    grippers: "Grippers"
+    dynamics: "Dynamics"
+    stepping: "Stepping"
+    up: np.ndarray
+    pairs: tuple[np.ndarray, np.ndarray]
+    surroundings: Surroundings
+    newtons: np.ndarray | None
+
+
+def moved_rods(options: Namespace, out: Path, changes: dict) -> tuple[MovedRods, np.ndarray | float]:
+    """Rods that observations show, at rest where their motion begins, and (R, V, 3) what they touch there.
+
+    changes  fields of :class:`doo_ti.dynamics.parameters.Stepping`
+    """
     from doo_ti.dynamics.parameters import Stepping
+    from doo_ti.motion.path import LARGEST_TURN
+    from doo_ti.prediction.moving import grippers_along, rate_of
+    from doo_ti.prediction.predict import begun
+    from doo_ti.relaxation.newton import Newton
 
-    return Stepping(rate, given.whole("--substeps", options.substeps, 1, 1000) or SUBSTEPS,
-                    tolerance=given.length("--tolerance", options.tolerance))
+    given.refuse(options, ("fill_gaps", "smoothing"), "given, but the motion has no markers", "leave it out")
+    start, end = given.clamps(options)
+    held = held_rods(options, out, (start, Clamp.FREE if options.free_end else end), True)
+    rate = given.positive("--rate", options.rate, "per second")
+    path = held.path if rate is None else held.path.resampled(rate) if held.path.timed else replace(
+        held.path, time=held.path.time / rate, timed=True)
+    if not path.timed:
+        raise InputError(given.SOURCE, "--rate", "missing, and the motion has no times", "give its moments per second")
+    options.theta_note = given.EVERYTHING
+    stepping, dynamics, seen = Stepping(rate_of(path), **changes), losses(options), held.observations
+    warn_of(held)
+    with busy(f"relaxing {len(held.names)} rods (kernels are compiled once on a machine)"):
+        _, rows, (first, clamps, _) = begun(held.start, held.materials, held.clamps, path, LARGEST_TURN, seen.up, Newton(),
+                                            "f64", held.surroundings.at(0))
+    failed = np.flatnonzero(~first.converged)
+    if len(failed):
+        raise InputError(options.source, "vertices_mm", f"{held.names[failed[0]]} has no equilibrium where the motion begins",
+                         "let the motion begin where the rod is held, within its length")
+    each = np.arange(len(rows))
+    moved = MovedRods(seen.name, held.names, first.configuration, held.materials,
+                      grippers_along(path, clamps).take(each % seen.count), dynamics, stepping, seen.up, (each, rows),
+                      held.surroundings, held.newtons)
+    return moved, 0.0 if first.contact_force is None else first.contact_force
 
 
-def step_summary(names: list[str], substeps: np.ndarray, error: np.ndarray, tolerance: float) -> dict:
-    """What the summaries say of the time steps (R,) of rods whose ``error`` (R,) was estimated."""
-    used, rods = np.unique(substeps, return_counts=True)
-    return {"substeps": {str(n): int(rod) for n, rod in zip(used, rods, strict=True)},
-            "above_tolerance": int((~(error <= tolerance)).sum()), "step_error_mm": dict(zip(names, error, strict=True))}
+def _path(options: Namespace, up: np.ndarray) -> ClampPath:
+    """The path of the grippers in the file of ``--motion``, in the coordinates of observations with ``up`` (3,) against
+    gravity."""
+    named, axes, turn = None, [axis.strip() for axis in (options.motion_axis or "x").split(",")], None
+    if options.motion_columns is not None:
+        parts = [part.partition("=") for part in options.motion_columns.split(",")]
+        named = {name.strip(): column.strip() for name, _, column in parts}
+        if not all(named.values()) or not named.keys() <= set(NAMED):
+            raise InputError(given.SOURCE, "--motion-columns", f"{options.motion_columns!r}",
+                             f"give NAME=COLUMN for some of {', '.join(NAMED)}")
+    axes = axes * 2 if len(axes) == 1 else axes
+    if len(axes) != 2 or not set(axes) <= TOOL_AXES.keys():
+        known = ", ".join(TOOL_AXES)
+        raise InputError(given.SOURCE, "--motion-axis", f"{options.motion_axis!r}", f"give one or two of {known}")
+    if options.motion_up is not None:
+        own = unit_up(given.numbers("--motion-up", options.motion_up), given.SOURCE)
+        turn = matrix_from_quaternion(smallest_rotation(own, up))
+    return load_path(Path(options.motion), options.motion_unit or options.unit, named, tuple(axes), turn)
 
 
-def step_lines(summary: dict, between: str) -> list[str]:
-    """:func:`step_summary` as text; ``between`` says from where to where the steps are counted. Nothing without an estimate."""
-    if "step_error_mm" not in summary:
-        return []
-    error = np.array(list(summary["step_error_mm"].values()))
-    steps = ", ".join(f"{n} for {rods}" for n, rods in summary["substeps"].items())
-    return [f"  time steps  {steps} rods {between}; estimated error: median {np.median(error):.3g}, largest "
-            f"{error.max():.3g} mm, above the tolerance in {summary['above_tolerance']} rods"]
+def _with_frames(observations: Observations, path: ClampPath, relative: bool) -> Observations:
+    """The observations with the frames of the path's first moment, where they have none of their own and the path has:
+    the rods are held by them."""
+    if path.tangents_only or relative:
+        return observations
+    frames = {name: np.broadcast_to(value[0], (observations.count, 3, 3)) for name, value in
+              (("start_frame", path.start_frame), ("end_frame", path.end_frame))
+              if value is not None and getattr(observations, name) is None and value.shape[1] in (1, observations.count)}
+    return replace(observations, **frames)
+
+
+def settled(observations: Observations, clamps: Clamps, materials: Material, surroundings: Surroundings) -> Configuration:
+    """(G·N) the rods at the start, material by material: of several whole turns that fit, the one nearest to what was seen."""
+    from doo_ti.relaxation.relax import relax
+    from doo_ti.rod.metric import distance
+
+    index, turns = turn_hypotheses(observations, clamps)
+    starts = start_configuration(observations.take(index), clamps.take(index), turns)
+    if len(index) == observations.count:
+        return starts
+    of_material, row = np.divmod(np.arange(materials.count * len(index)), len(index))
+    solution = relax(starts, materials, clamps.take(index), up=observations.up, configuration_index=row,
+                     material_index=of_material, **surroundings.arguments)
+    score = distance(solution.configuration, observations, index[row])
+    best = choose_hypothesis(of_material * observations.count + index[row], score, solution.converged & solution.stable)
+    return starts.take(row[best])
+
+
+def check_reach(path: ClampPath, clamps: Clamps, length: float) -> None:
+    """Raise InputError where clamps are further apart at a moment than :data:`MOST_LENGTHS` of the rod: positions in another
+    unit, not a rod that is too short."""
+    for moment in range(path.moments):
+        held = path.at(moment, clamps)
+        apart = np.linalg.norm(held.end_position - held.start_position, axis=-1).max()
+        if apart > MOST_LENGTHS * length:
+            raise InputError(path.source, f"moment {moment}", f"the clamps are {apart:.4g} mm apart, and the rod "
+                             f"{length:.4g} mm long", "correct the positions")
+
+
+def warn_of(held: HeldRods) -> None:
+    """Print a warning where a rod is implausible, and where its path begins farther from its clamps than :data:`FAR_OFF` of it:
+    displacements, perhaps, or the path of another rod. To be called once everything is checked."""
+    loading.warn(held.observations)
+    first = held.path.at(0, held.clamps)
+    for name in ("start_position", "end_position"):
+        off = np.linalg.norm(getattr(first, name) - getattr(held.clamps, name), axis=-1)
+        if off.max() > FAR_OFF * held.observations.rest_length.sum():
+            warn(f"{held.path.source}: {name}_mm: the motion begins {off.max():.4g} mm from the clamp of observation "
+                 f"{held.observations.labels[off.argmax()]}; give --relative where these are displacements")
+            return
+
+
+# --- theta ---------------------------------------------------------------------------------------------------------------
 
 
 def losses(options: Namespace):

@@ -5,7 +5,7 @@ Raises InputError naming the option, its value and the remedy.
 
 import os
 from argparse import SUPPRESS, Action, ArgumentParser, Namespace, RawDescriptionHelpFormatter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -130,8 +130,7 @@ def _of_theta(options: Namespace) -> dict[str, str]:
     """The axes that ``--theta`` gives, as texts."""
     if options.theta is None:
         return {}
-    if given := next((name for name in MATERIAL if getattr(options, name) is not None), None):
-        raise InputError(SOURCE, "--theta", f"given beside --{given.replace('_', '-')}", "give one of the two")
+    refuse(options, MATERIAL, "given beside --theta", "give one of the two")
     from doo_ti.dynamics.theta import load_theta
 
     theta = load_theta(options.theta)
@@ -146,10 +145,7 @@ def _physical_axes(options: Namespace) -> list[Axis]:
         text = getattr(options, physical)
         if text is None:
             continue
-        for other in others:
-            if getattr(options, other) is not None:
-                option = f"--{other.replace('_', '-')}"
-                raise InputError(SOURCE, f"--{physical}", f"given beside {option}", f"give one of --{physical} and {option}")
+        refuse(options, others, f"given beside --{physical}", "give one of the two")
         density = positive("--linear-density", options.linear_density, "g/m")
         if density is None:
             raise InputError(SOURCE, "--linear-density", f"missing beside --{physical}", "give the rod's in g/m")
@@ -185,13 +181,9 @@ def round_cell(options: Namespace, rods: str) -> Grid:
 
 def frame_weight(options: Namespace, default: float = 0.0) -> float:
     """w_m of Eq. 1, mm."""
-    if options.frame_weight is None:
-        return default
-    wanted = f"zero or a positive number of mm up to {LARGEST:g}"
-    value = _decimal("--frame-weight", options.frame_weight, wanted, minimum=0.0)
-    if value > LARGEST:
-        raise InputError(SOURCE, "--frame-weight", f"{value:g} is out of range", f"give {wanted}")
-    return value
+    found = _number("--frame-weight", options.frame_weight, f"a number of mm from zero up to {LARGEST:g}",
+                    lambda weight: 0 <= weight <= LARGEST)
+    return default if found is None else found
 
 
 def up(options: Namespace) -> np.ndarray | None:
@@ -212,8 +204,7 @@ def world_up(options: Namespace) -> np.ndarray:
 
 def clamps(options: Namespace) -> tuple[Clamp | None, Clamp | None]:
     """The kinds of clamps at the start and at the end, or None where the options leave them out."""
-    start, end = (None if name is None else Clamp[name.upper()] for name in (options.clamp_start, options.clamp_end))
-    return start, end
+    return tuple(None if name is None else Clamp[name.upper()] for name in (options.clamp_start, options.clamp_end))
 
 
 def surroundings(options: Namespace) -> Surroundings:
@@ -235,9 +226,15 @@ def surroundings(options: Namespace) -> Surroundings:
 def scene_surroundings(options: Namespace, found: Surroundings) -> Surroundings:
     """Those of a scene, or of the options where the scene has none."""
     given = surroundings(options)
-    if given and found:
-        raise InputError(SOURCE, "--obstacles", "given, but the scene has its own", "leave it out")
+    refuse(options, ("obstacles",) if found else (), "given, but the scene has its own", "leave it out")
     return given or found
+
+
+def refuse(options: Namespace, names: Iterable[str], problem: str, remedy: str) -> None:
+    """Raise InputError, with that problem and remedy, for the first of the options ``names`` that is given."""
+    for name in names:
+        if getattr(options, name, None) not in (None, False):
+            raise InputError(SOURCE, f"--{name.replace('_', '-')}", problem, remedy)
 
 
 def solver(name: str):
@@ -255,32 +252,32 @@ def whole(option: str, text: str | None, minimum: int, most: int | None = None) 
         value = int(text)
     except ValueError:
         raise InputError(SOURCE, option, f"{text!r} is not a whole number", f"give {minimum} or more") from None
-    if value < minimum:
-        raise InputError(SOURCE, option, f"{value} is below {minimum}", f"give {minimum} or more")
-    if most is not None and value > most:
-        raise InputError(SOURCE, option, f"{value} is above {most}", f"give {most} or less")
+    if value < minimum or most is not None and value > most:
+        raise InputError(SOURCE, option, f"{value} is {f'below {minimum}' if value < minimum else f'above {most}'}",
+                         f"give {minimum} {'or more' if most is None else f'to {most}'}")
     return value
 
 
 def positive(option: str, text: str | None, unit: str = "") -> float | None:
     """A positive number, or None."""
-    wanted = f"a positive number{' of ' * bool(unit)}{unit}"
-    return _fitting(option, text, wanted, lambda value: value > 0, "is not a positive number")
+    return _number(option, text, f"a positive number{' of ' * bool(unit)}{unit}", lambda value: 0 < value)
 
 
 def not_negative(option: str, text: str | None, unit: str = "") -> float | None:
     """A number from zero up, or None."""
-    wanted = f"a number{' of ' * bool(unit)}{unit} from zero up"
-    return _fitting(option, text, wanted, lambda value: value >= 0, "is negative")
+    return _number(option, text, f"a number{' of ' * bool(unit)}{unit} from zero up", lambda value: 0 <= value)
 
 
-def _fitting(option: str, text: str | None, wanted: str, fits: Callable[[float], bool], problem: str) -> float | None:
-    """A number that ``fits``, or None. Raises InputError with that ``problem`` for others."""
+def _number(option: str, text: str | None, wanted: str, fits: Callable[[float], bool] = lambda value: True) -> float | None:
+    """A finite number that ``fits``, or None."""
     if text is None:
         return None
-    value = _decimal(option, text, wanted)
-    if not fits(value):
-        raise InputError(SOURCE, option, f"{text!r} {problem}", f"give {wanted}")
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not (np.isfinite(value) and fits(value)):
+        raise InputError(SOURCE, option, f"{text!r} is not {wanted}", f"give {wanted}")
     return value
 
 
@@ -291,7 +288,7 @@ def length(option: str, text: str | None) -> float | None:
 
 def numbers(option: str, text: str | None) -> tuple[float, ...]:
     """``30,54,78``: numbers between commas; none without text."""
-    return () if text is None else tuple(_decimal(option, part, "numbers between commas") for part in text.split(","))
+    return () if text is None else tuple(_number(option, part, "a number, between commas") for part in text.split(","))
 
 
 def rows(option: str, text: str | None, count: int) -> tuple[int, ...]:
@@ -339,16 +336,6 @@ def output_folder(text: str | None, option: str = "--out") -> Path | None:
         raise InputError(SOURCE, option, f"{text!r} is not a folder", "name one, such as . for the current one")
     _check_folder(Path(text), option)
     return Path(text)
-
-
-def _decimal(option: str, text: str, wanted: str, minimum: float = -np.inf) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        raise InputError(SOURCE, option, f"{text!r} is not a number", f"give {wanted}") from None
-    if not (np.isfinite(value) and value >= minimum):
-        raise InputError(SOURCE, option, f"{text!r} is out of range", f"give {wanted}")
-    return value
 
 
 def _check_folder(folder: Path, option: str = "--out") -> None:

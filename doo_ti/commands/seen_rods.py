@@ -9,7 +9,7 @@ import numpy as np
 
 from doo_ti.commands import image_options, loading
 from doo_ti.commands import options as given
-from doo_ti.commands.rest_length import MOST_EDGES, read_rest_length
+from doo_ti.commands.loading import MOST_EDGES, read_rest_length
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.arrays import read_npz
 from doo_ti.io.csv_table import read_csv
@@ -24,7 +24,6 @@ RECORDED = 3
 """Sets in a recording."""
 EDGES = 33
 """Of a rod whose edges are not given."""
-"""Time steps from one frame to the next, unless given: a hand moves a rod far between the frames of a video."""
 GUESSED_BEND = 1e6
 """mm³, of a rod in images whose stiffness is not given: E_vis takes the rod's energy relative to its stiffness, so that only
 its weight and twist against its bending depend on it."""
@@ -150,9 +149,8 @@ def _sets(options: Namespace, rig):
 def _extent(options: Namespace) -> Extent:
     """What ``--edge`` and ``--length`` say."""
     edge, bounds = given.length("--edge", options.edge), (0.0, np.inf)
-    for name, value in (("--edge", options.edge), ("--length", options.length)):
-        if value is not None and options.rest_length is not None:
-            raise InputError(given.SOURCE, name, "given beside --rest-length", "give the one or the other")
+    if options.rest_length is not None:
+        given.refuse(options, ("edge", "length"), "given beside --rest-length", "give the one or the other")
     if options.length is not None:
         low, colon, high = options.length.partition(":")
         bounds = given.length("--length", low), given.length("--length", high if colon else low)
@@ -171,9 +169,7 @@ def _truth(options: Namespace, names: tuple[str, ...]) -> np.ndarray | None:
     """(A, V, 3) mm: the rods of ``--truth`` by the sets' names, or in order where it has no names; None without one."""
     path = options.truth
     if path is None:
-        for option in loading.OF_FILES:
-            if getattr(options, option) is not None:
-                raise InputError(given.SOURCE, f"--{option}", "given without --truth", "give both")
+        given.refuse(options, loading.OF_FILES, "given without --truth", "give both")
         return None
     vertices = load_observations(path, None, options.unit, loading.columns(options)).vertices
     named = read_npz(Path(path), read_content(Path(path)), ("name", "names")) if Path(path).suffix == ".npz" else {}

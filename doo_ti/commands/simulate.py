@@ -1,6 +1,6 @@
 """Rods in motion: simulated from a recording's grippers, or from a scene (docs/dynamics.md)."""
 
-from argparse import Namespace
+from argparse import SUPPRESS, Namespace
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from doo_ti.commands import loading
 from doo_ti.commands import options as given
-from doo_ti.commands.moving_rods import require_length, step_lines, step_summary
+from doo_ti.commands.moving_rods import LOSSES, OF_MOTIONS, MovedRods, add_losses, add_motion, moved_rods, require_length
 from doo_ti.commands.results import (
     RODS,
     contact_lines,
@@ -20,7 +20,6 @@ from doo_ti.commands.results import (
     save_arrays,
     shortened,
 )
-from doo_ti.commands.starting_rods import Moved, from_observations
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.contact.touch import Touch
 from doo_ti.io.pose_table import holds_poses
@@ -30,6 +29,7 @@ from doo_ti.rod.types import Clamp, Status
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import busy, in_line, progress
 
+CLAMPS = ("clamp_start", "clamp_end")
 MOST_LISTED = 8
 SCHEMES = ("bdf2", "euler")
 ENERGY = "energy_{}"
@@ -62,11 +62,9 @@ class _Simulated:
 
 def declare(add) -> None:
     parser = given.command(add, "simulate", run, "simulate rods in motion: with inertia, damping and drag, grippers moving")
-    parser.add_argument("source", metavar="MOTION|SCENE.toml", type=scene_file,
-                        help=f"recorded markers, the first and last edges on the grippers: {loading.RECORDINGS}; or a scene")
-    parser.add_argument("--theta", metavar="THETA.json", help="the rod, as doo-ti identify writes it; needed for MOTION")
-    parser.add_argument("--linear-density", metavar="G_PER_M", help="mass per length of the rod in g/m: arrows of contact "
-                        "forces are then in N (default: the scene's)")
+    parser.add_argument("source", metavar="RECORDING|SCENE.toml|OBS", type=scene_file,
+                        help=f"recorded markers, the first and last edges on the grippers: {loading.RECORDINGS}; or a scene; "
+                        f"or, with --motion, observations the rods start from: {loading.FORMATS}")
     parser.add_argument("--out", required=True, metavar="F.npz|F.csv", help="file to write")
     parser.add_argument("--substeps", metavar="N", help="time steps from one frame to the next (default: 1, or the scene's)")
     parser.add_argument("--tolerance", metavar="MM", help="estimate the error of the time steps, and double them for each rod "
@@ -77,9 +75,14 @@ def declare(add) -> None:
                         help="arithmetic; mixed: f32, and f64 for rods that it cannot finish (default f64)")
     parser.add_argument("--quasi-static", action="store_true", help="without inertia and drag: every step is an equilibrium "
                         "(default: as the scene says)")
-    parser.add_argument("--start", metavar="OBS", help="observations from which the rods start, where MOTION holds poses "
-                        "of the grippers without markers: .npz or .csv, such as a robot's log (docs/motions.md)")
-    loading.add_poses(parser, "MOTION")
+    given.add_material(parser, "of rods that observations show: a number or LO:HI:N[:log|:lin]; a RECORDING needs --theta",
+                       given.EVERYTHING, "for --EI, --GJ and forces in N")
+    add_losses(parser)
+    given.add_clamps(parser)
+    add_motion(parser)
+    parser.add_argument("--start", metavar="OBS", help=SUPPRESS)
+    parser.set_defaults(theta_note=None)
+    loading.add_rest_length(parser)
     given.add_obstacles(parser, "with friction")
     loading.add_recordings(parser, "the file's, else the one in THETA.json, else 0,0,1")
     parser.add_argument("--picture", metavar="F.png", help="also draw rods and errors over time (default: no)")
@@ -98,9 +101,13 @@ def run(options: Namespace, words: list[str]) -> int:
     if from_scene:
         found = _scene(options, changes, up)
     else:
-        from_poses = options.start is not None or holds_poses(Path(options.source))
-        found = _carried(options, *from_observations(options, out, changes)) if from_poses else \
-            _recorded(options, out, changes, up)
+        if options.start is not None:  # how observations and their motion were named before
+            options.source, options.motion = options.start, options.source
+        elif options.motion is None and holds_poses(Path(options.source)):
+            raise InputError(options.source, "file", "holds poses of grippers, and no rods", "give observations of the "
+                             "rods, and this file as --motion")
+        found = _recorded(options, out, changes, up) if options.motion is None else _carried(
+            options, *moved_rods(options, out, changes))
     for path in shown.values():
         path.parent.mkdir(parents=True, exist_ok=True)
     arrays, summary = _results(found, out)
@@ -143,6 +150,8 @@ def _recorded(options: Namespace, out: Path, changes: dict, up: np.ndarray) -> _
 
     if options.theta is None:
         raise InputError(given.SOURCE, "--theta", "missing", "give the rod: a file that doo-ti identify has written")
+    given.refuse(options, (*given.MATERIAL, *LOSSES, *OF_MOTIONS, *CLAMPS, "rest_length"), "given, but the rod is recorded",
+                 "leave it out, or give observations with --motion")
     theta, surroundings = load_theta(options.theta), given.surroundings(options)
     motion, = loading.recordings(options, [options.source])
     given.refuse_overwriting(out, options.source)
@@ -175,35 +184,37 @@ def _contact(surroundings: Surroundings, positions: np.ndarray, force, work, tou
 
 
 def _scene(options: Namespace, changes: dict, up: np.ndarray) -> _Simulated:
-    from doo_ti.dynamics.scene import load_dynamic_scene
+    from doo_ti.dynamics.scene import load_motion_scene
     from doo_ti.relaxation.relax import relax
 
-    for name in ("theta", "fill_gaps", "rate", "smoothing", "free_end", "start", "motion_columns", *loading.OF_FILES):
-        if getattr(options, name):
-            raise InputError(given.SOURCE, f"--{name.replace('_', '-')}", "given, but a scene has its own rods", "leave it out")
-    scene = load_dynamic_scene(options.source)
+    given.refuse(options, ("theta", "fill_gaps", "rate", "smoothing", "free_end", *OF_MOTIONS, *given.MATERIAL, *LOSSES,
+                           *CLAMPS, *loading.OF_OBSERVATIONS), "given, but a scene has its own rods", "leave it out")
+    scene = load_motion_scene(options.source)
+    if scene.stepping is None:
+        raise InputError(options.source, "rate_hz", "missing", "give it and duration_s, or the scene to doo-ti predict")
+    grippers = scene.grippers
     if options.linear_density is not None and scene.newtons is not None:
         raise InputError(given.SOURCE, "--linear-density", "given, but the scene has it", "leave it out")
-    surroundings = given.scene_surroundings(options, scene.surroundings)
+    surroundings = given.scene_surroundings(options, scene.surroundings())
     count = scene.material.count
     pairs = np.zeros(count, dtype=np.int64), np.arange(count)
     start, first_force = scene.start, np.zeros((count, scene.start.edges + 1, 3))
     if scene.at_rest:
-        if Clamp.FREE == scene.grippers.start and Clamp.FREE == scene.grippers.end:
+        if Clamp.FREE == grippers.start and Clamp.FREE == grippers.end:
             raise InputError(options.source, "rod.at_rest", "both ends are free", "let it begin straight, or clamp an end")
         with busy(f"relaxing {count} rods (kernels are compiled once on a machine)"):
-            solution = relax(start, scene.material, scene.grippers.at(0), up=up, configuration_index=pairs[0],
+            solution = relax(start, scene.material, grippers.at(0), up=up, configuration_index=pairs[0],
                              material_index=pairs[1], **surroundings.at(0).arguments)
         first_force = first_force if solution.contact_force is None else solution.contact_force
         start, pairs = solution.configuration, (np.arange(count), np.arange(count))
-    grippers = scene.grippers.take(pairs[0] * 0) if start.count > 1 else scene.grippers
-    moved = Moved(scene.name, list(scene.names), start, scene.material, grippers, scene.dynamics,
-                   replace(scene.stepping, **changes), up, pairs, surroundings,
-                   given.newtons(options, scene.material.weight) if scene.newtons is None else scene.newtons)
+    grippers = grippers.take(pairs[0] * 0) if start.count > 1 else grippers
+    moved = MovedRods(scene.name, list(scene.names), start, scene.material, grippers, scene.dynamics,
+                      replace(scene.stepping, **changes), up, pairs, surroundings,
+                      given.newtons(options, scene.material.weight) if scene.newtons is None else scene.newtons)
     return _carried(options, moved, first_force)
 
 
-def _carried(options: Namespace, moved: Moved, first_force) -> _Simulated:
+def _carried(options: Namespace, moved: MovedRods, first_force) -> _Simulated:
     """The rods at all instants; ``first_force`` is what they touch at the first."""
     from doo_ti.dynamics.simulate import simulate
 
@@ -250,7 +261,7 @@ def _results(found: _Simulated, out: Path) -> tuple[dict, dict]:
         summary |= contact_summary(found.surroundings, found.contact["contact_force"], gap, found.status)
     if found.step_error is not None:
         arrays["step_error_mm"] = found.step_error
-        summary |= step_summary(found.names, found.substeps, found.step_error, found.tolerance)
+        summary |= _step_summary(found.names, found.substeps, found.step_error, found.tolerance)
     if found.recorded is not None:
         from doo_ti.dynamics.rollouts import mean_error
 
@@ -281,12 +292,29 @@ def _lines(found: _Simulated, summary: dict, arrays: dict) -> list[str]:
         touch = found.contact["touch"][:, -1]
         lines.append(f"  friction    takes {np.nanmin(work):.3g} to {np.nanmax(work):.3g} mm² in all; at the end "
                      f"{(touch == Touch.STICKS).sum()} vertices stick, {(touch == Touch.SLIPS).sum()} slip")
-    lines += step_lines(summary, "a frame")
+    lines += _step_lines(summary)
     if found.recorded is not None:
         lines.append(f"  error       mean {summary['mean_error_mm']:.4g} mm, median {summary['median_error_mm']:.4g} mm over "
                      "recordings (mean |difference| over markers and coordinates, grippers' included)")
         lines += [f"  glitch      {in_line(line)}" for line in shortened(list(found.glitches), MOST_LISTED, "and {} more")]
     return [*lines, f"  written to {in_line(summary['out'])}"]
+
+
+def _step_summary(names: list[str], substeps: np.ndarray, error: np.ndarray, tolerance: float) -> dict:
+    """What the summaries say of the time steps (R,) of rods whose ``error`` (R,) was estimated."""
+    used, rods = np.unique(substeps, return_counts=True)
+    return {"substeps": {str(n): int(rod) for n, rod in zip(used, rods, strict=True)},
+            "above_tolerance": int((~(error <= tolerance)).sum()), "step_error_mm": dict(zip(names, error, strict=True))}
+
+
+def _step_lines(summary: dict) -> list[str]:
+    """:func:`_step_summary` as text; nothing without an estimate."""
+    if "step_error_mm" not in summary:
+        return []
+    error = np.array(list(summary["step_error_mm"].values()))
+    steps = ", ".join(f"{n} for {rods}" for n, rods in summary["substeps"].items())
+    return [f"  time steps  {steps} rods a frame; estimated error: median {np.median(error):.3g}, largest "
+            f"{error.max():.3g} mm, above the tolerance in {summary['above_tolerance']} rods"]
 
 
 def _draw(found: _Simulated, shown: dict[str, Path]) -> None:

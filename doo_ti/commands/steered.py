@@ -37,7 +37,7 @@ class SteeredRod:
     def at_rest(self) -> tuple[Solution, Clamps]:
         """The rod at the start, and its grippers, which hold frames from there on: where the file has none, those of the rod
         that rolls freely. Raises InputError where it has no stable equilibrium."""
-        from doo_ti.commands.starting_rods import settled
+        from doo_ti.commands.moving_rods import settled
         from doo_ti.relaxation.relax import relax
         from doo_ti.rod.straight import end_clamps
 

@@ -1,8 +1,9 @@
-"""Scenes of rods in motion, in one TOML file.
+"""Scenes of rods in motion, in one TOML file, for ``simulate`` and ``predict``.
 
     name = "whip"
-    rate_hz = 200                      # frames per second
+    rate_hz = 200                      # frames per second; without it ``predict`` goes straight from one moment to the next,
     duration_s = 1.0
+    between = 40                       # in so many states (1)
     substeps = 2                       # time steps from one frame to the next (1)
     quasi_static = true                # without inertia and drag: every step is an equilibrium, with friction (false)
     scheme = "bdf2"                    # or "euler"
@@ -19,7 +20,7 @@
     knot_finer = 4.0                   # edges in the knot, where it touches itself, are so many times shorter (as needed)
 
     [materials.rope]                   # one or more, all in the same motion
-    bend = 6e5                         # mm³, or EI in N m²: doo_ti/io/material_keys.py; not a matrix
+    bend = 6e5                         # mm³, or EI in N m²: doo_ti/io/material_keys.py; with rate_hz not a matrix
     twist = 8e5
     weight = 1.0
     density = 1.0                      # mass per length over that of a rod of weight 1 (the weight)
@@ -30,9 +31,9 @@
 
     [clamps]                           # free, position, tangent or frame
     start = "frame"                    # (frame)
-    end = "free"                       # (free)
+    end = "free"                       # (free, without rate_hz frame)
 
-    [[moments]]                        # of the clamps, none or more; what is left out stays as it was; smooth between them
+    [[moments]]                        # of the clamps, none or more, without rate_hz two; what is left out stays as it was
     time_s = 0.0
     start_position_mm = [0, 0, 0]
     start_direction = [0, 0, -1]
@@ -50,9 +51,12 @@
     point = [0, 0, -900]
     normal = [0, 0, 1]
     friction = 0.3
+
+Without rate_hz the rod is at first straight where the first moment has it. What is computed begins at the first moment: the rod
+is brought there before.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -64,14 +68,14 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.inertia_keys import InertiaKeys
 from doo_ti.dynamics.parameters import Dynamics, Stepping
-from doo_ti.io.clamp_moments import ClampName, end_paths, instants
-from doo_ti.io.material_keys import newtons, stated_material
-from doo_ti.io.motion_scene import rod_radius
+from doo_ti.io.clamp_moments import ClampName, EndPaths, Moment, end_paths, instants
+from doo_ti.io.material_keys import StatedMaterial, newtons, stated_material
+from doo_ti.io.motion_file import MOST_MOMENTS, ClampPath
 from doo_ti.io.toml_file import Finite, Positive, Table, Vector, checked, read_toml, unit_direction
 from doo_ti.rod.frames import quaternion_product, smallest_rotation
 from doo_ti.rod.knots import overhand_knot
-from doo_ti.rod.straight import with_end_edges
-from doo_ti.rod.types import Clamp, Configuration, Material
+from doo_ti.rod.straight import end_clamps, with_end_edges
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line
 
@@ -79,27 +83,60 @@ MOST_FRAMES = 1_000_000
 
 
 @dataclass(frozen=True)
-class DynamicScene:
-    """A scene, checked: one rod ``start``, relaxed first where ``at_rest``, under G materials called ``names``; ``newtons``
-    (G,) are N in the unit of force of each, or None."""
+class MotionScene:
+    """A scene, checked.
+
+    names     G of the materials; ``newtons`` (G,) N in the unit of force of each, or None
+    start     one rod, relaxed first where ``at_rest``, and ``clamps`` that hold it there
+    time      (T,) s of the instants, or without a rate of the moments, and ``held`` where its ends are then
+    between   states from one of them to the next
+    dynamics, stepping  of rods with inertia; None without a rate
+    """
 
     name: str
     names: tuple[str, ...]
+    material: Material
+    newtons: np.ndarray | None
     start: Configuration
     at_rest: bool
-    material: Material
-    dynamics: Dynamics
-    grippers: Grippers
-    stepping: Stepping
-    surroundings: Surroundings
-    newtons: np.ndarray | None = None
+    clamps: Clamps
+    time: np.ndarray
+    held: EndPaths
+    between: int
+    source: str
+    obstacles: list
+    radius: float | None
+    dynamics: Dynamics | None
+    stepping: Stepping | None
+
+    @property
+    def path(self) -> ClampPath:
+        """Where the clamps go."""
+        held = self.held
+        return ClampPath(self.time, held.start_position[:, None], held.end_position[:, None], held.start_frame[:, None],
+                         held.end_frame[:, None], held.end_rotation[:, None], source=self.source)
+
+    @property
+    def grippers(self) -> Grippers:
+        """The same at the instants of a motion."""
+        held = self.held
+        return Grippers(self.clamps.start, self.clamps.end, held.start_position[None], held.end_position[None],
+                        held.start_frame[None], held.end_frame[None])
+
+    def surroundings(self, between: int = 1) -> Surroundings:
+        """What the rods may touch, at as many states ``between`` the instants. Raises InputError for wrong obstacles."""
+        if not 1 <= between <= MOST_MOMENTS // (len(self.time) - 1):
+            raise InputError(self.source, "between", f"{between}", f"give 1 to {MOST_MOMENTS // (len(self.time) - 1)}")
+        states = np.interp(np.arange(between * (len(self.time) - 1) + 1) / between, np.arange(len(self.time)), self.time)
+        return Surroundings(obstacles_of(self.source, self.obstacles, states), self.radius)
 
 
 class _File(Table):
-    rate_hz: Positive
-    duration_s: Positive
     rod: dict
     materials: Annotated[dict, Meta(min_length=1)]
+    rate_hz: Positive | None = None
+    duration_s: Positive | None = None
+    between: Annotated[int, Meta(ge=1, le=100_000)] = 1
     name: str | None = None
     substeps: Annotated[int, Meta(ge=1, le=1000)] = 1
     scheme: Literal["bdf2", "euler"] = "bdf2"
@@ -122,14 +159,9 @@ class _Rod(Table):
     knot_finer: Positive | None = None
 
 
-class _Material(InertiaKeys, kw_only=True):
-    bend: Positive | None = None
-    EI: Positive | None = None
-
-
 class _Clamps(Table):
     start: ClampName = "frame"
-    end: ClampName = "free"
+    end: ClampName | None = None
 
 
 class _Circle(Table):
@@ -137,27 +169,48 @@ class _Circle(Table):
     turns_per_s: Finite
 
 
-def load_dynamic_scene(path: str | Path) -> DynamicScene:
+def load_motion_scene(path: str | Path) -> MotionScene:
     """The scene of a TOML file. Raises InputError for unreadable files, unknown keys, wrong types and values."""
     path = Path(path)
     file = checked(path, "", read_toml(path)[0], _File)
-    rod, clamps = checked(path, "rod", file.rod, _Rod), checked(path, "clamps", file.clamps, _Clamps)
-    time = instants(path, file.rate_hz, file.duration_s, MOST_FRAMES, "frames")
-    start = _start(path, rod, unit_direction(path, "rod.direction", rod.direction))
+    rod, kinds = checked(path, "rod", file.rod, _Rod), checked(path, "clamps", file.clamps, _Clamps)
+    if file.obstacles and rod.radius_mm is None:
+        raise InputError(path, "rod.radius_mm", "missing beside obstacles", "give the radius of the rod")
+    time = _times(path, file)
+    start = _start(path, rod, file)
     start = with_end_edges(start) if rod.vertex_clamps else start
-    grippers = _grippers(path, file, clamps, start, time)
-    names = tuple(map(in_line, file.materials))
-    material, dynamics, in_newton = _materials(path, file.materials)
-    surroundings = Surroundings(obstacles_of(path, file.obstacles, time), rod_radius(path, file.obstacles, rod.radius_mm))
-    return DynamicScene(in_line(path.stem if file.name is None else file.name), names, start, rod.at_rest, material, dynamics,
-                        grippers, Stepping(file.rate_hz, file.substeps, file.scheme, quasi_static=file.quasi_static),
-                        surroundings, in_newton)
+    clamps = end_clamps(start, *(Clamp[name.upper()] for name in (
+        kinds.start, kinds.end or ("frame" if file.rate_hz is None else "free"))))
+    names, material, dynamics, in_newton = _materials(path, file)
+    stepping = None if file.rate_hz is None else Stepping(
+        file.rate_hz, file.substeps, file.scheme, quasi_static=file.quasi_static)
+    return MotionScene(in_line(path.stem if file.name is None else file.name), names, material, in_newton, start, rod.at_rest,
+                       clamps, time, _held(path, file, start, time), file.between, str(path), file.obstacles, rod.radius_mm,
+                       dynamics, stepping)
 
 
-def _start(path: Path, rod: _Rod, direction: np.ndarray) -> Configuration:
+def _times(path: Path, file: _File) -> np.ndarray:
+    """(T,) s: the instants, or without a rate the moments."""
+    if (file.rate_hz is None) != (file.duration_s is None):
+        missing, other = ("rate_hz", "duration_s") if file.rate_hz is None else ("duration_s", "rate_hz")
+        raise InputError(path, missing, f"missing beside {other}", "give both, or neither")
+    if file.rate_hz is not None:
+        return instants(path, file.rate_hz, file.duration_s, MOST_FRAMES, "frames")
+    if len(file.moments) < 2:
+        raise InputError(path, "moments", f"{len(file.moments)}", "give two or more, or rate_hz and duration_s")
+    return np.array([checked(path, f"moments[{k}]", row, Moment).time_s for k, row in enumerate(file.moments)])
+
+
+def _start(path: Path, rod: _Rod, file: _File) -> Configuration:
     """The rod as it is at first."""
+    position, direction, key = rod.position_mm, rod.direction, "rod.direction"
+    if file.rate_hz is None:
+        first = checked(path, "moments[0]", file.moments[0], Moment)
+        position = first.start_position_mm or position
+        direction, key = (first.start_direction, "moments[0].start_direction") if first.start_direction else (direction, key)
+    direction = unit_direction(path, key, direction)
     if rod.knot_loop_mm is None:
-        return Configuration.straight(rod.position_mm, direction, rod.length_mm, rod.edges)
+        return Configuration.straight(position, direction, rod.length_mm, rod.edges)
     if rod.radius_mm is None:
         raise InputError(path, "rod.radius_mm", "missing beside a knot", "give the radius of the rod")
     try:
@@ -166,25 +219,40 @@ def _start(path: Path, rod: _Rod, direction: np.ndarray) -> Configuration:
         key = f"{error.field}_mm" if error.field in ("length", "radius") else error.field
         raise InputError(path, f"rod.{key}", error.problem, error.remedy.replace("`finer`", "knot_finer")) from None
     turn = smallest_rotation(np.array([1.0, 0.0, 0.0]), direction)
-    return Configuration(np.array([rod.position_mm], dtype=np.float64), quaternion_product(turn, knot.quaternions),
+    return Configuration(np.array([position], dtype=np.float64), quaternion_product(turn, knot.quaternions),
                          knot.rest_length)
 
 
-def _materials(path: Path, table: dict) -> tuple[Material, Dynamics, np.ndarray | None]:
-    keys = {f"materials.{name}": checked(path, f"materials.{name}", values, _Material) for name, values in table.items()}
+def _materials(path: Path, file: _File) -> tuple[tuple[str, ...], Material, Dynamics | None, np.ndarray | None]:
+    keys = {f"materials.{name}": checked(path, f"materials.{name}", values, InertiaKeys)
+            for name, values in file.materials.items()}
     found = [stated_material(path, key, one) for key, one in keys.items()]
+    for (key, one), own in zip(keys.items(), found, strict=True):
+        try:
+            Material(own.bend[None], own.twist, own.weight)
+        except InputError as error:
+            field = error.field if one.EI is None else {"bend": "EI", "twist": "GJ"}.get(error.field, error.field)
+            raise InputError(path, f"{key}.{field}", error.problem, error.remedy) from None
     material = Material(*(np.array([getattr(one, field) for one in found]) for field in ("bend", "twist", "weight")))
+    return (tuple(map(in_line, file.materials)), material,
+            None if file.rate_hz is None else _dynamics(path, keys, found), newtons(found))
+
+
+def _dynamics(path: Path, keys: dict[str, InertiaKeys], found: list[StatedMaterial]) -> Dynamics:
+    """Of rods with inertia, which are round."""
+    for key, one in keys.items():
+        if isinstance(one.bend, tuple) or isinstance(one.EI, tuple):
+            raise InputError(path, f"{key}.{'bend' if one.EI is None else 'EI'}", "a matrix", "give a number, or no rate_hz")
     each = [one.dynamics(path, key, own.weight) for (key, one), own in zip(keys.items(), found, strict=True)]
-    return material, Dynamics(*(np.array([getattr(own, name) for own in each]) for name in (
-        "density", "bend_damping", "twist_damping", "drag", "quadratic_drag"))), newtons(found)
+    return Dynamics(*(np.array([getattr(own, name) for own in each]) for name in (
+        "density", "bend_damping", "twist_damping", "drag", "quadratic_drag")))
 
 
-def _grippers(path: Path, file: _File, clamps: _Clamps, start: Configuration, time: np.ndarray) -> Grippers:
+def _held(path: Path, file: _File, start: Configuration, time: np.ndarray) -> EndPaths:
     held = end_paths(path, "moments", file.moments, start, time)
-    begin = held.start_position
-    if file.circle is not None:
-        circle = checked(path, "circle", file.circle, _Circle)
-        angle = 2 * np.pi * circle.turns_per_s * time
-        begin = begin + circle.radius_mm * np.stack([np.cos(angle) - 1, np.sin(angle), 0 * angle], axis=-1)
-    return Grippers(Clamp[clamps.start.upper()], Clamp[clamps.end.upper()], begin[None], held.end_position[None],
-                    held.start_frame[None], held.end_frame[None])
+    if file.circle is None:
+        return held
+    circle = checked(path, "circle", file.circle, _Circle)
+    angle = 2 * np.pi * circle.turns_per_s * time
+    return replace(held, start_position=held.start_position + circle.radius_mm * np.stack(
+        [np.cos(angle) - 1, np.sin(angle), 0 * angle], axis=-1))

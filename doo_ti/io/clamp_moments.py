@@ -12,6 +12,8 @@ ends.
     end_direction = [0, 0, -1]
     start_turns = 0.0                  # about its direction, since the beginning (0)
     end_turns = 2.5
+
+``end_rotation_deg``, what end_turns was in scenes of ``predict``, is read too.
 """
 
 from collections.abc import Mapping
@@ -24,6 +26,7 @@ from doo_ti.io.toml_file import Finite, NotNegative, Table, Vector, checked, uni
 from doo_ti.rod.frames import matrix_from_quaternion, quaternion_product, smallest_rotation, turned_about_tangent
 from doo_ti.rod.types import Configuration
 from doo_ti.system.errors import InputError
+from doo_ti.system.terminal import warn
 
 
 def instants(source, rate: float, duration: float, most: int, called: str) -> np.ndarray:
@@ -75,23 +78,26 @@ ClampName = Literal["free", "position", "tangent", "frame"]
 class Moment(Table):
     """One moment; what is None stays as it was."""
 
-    time_s: NotNegative
+    time_s: NotNegative = 0.0
     start_position_mm: Vector | None = None
     start_direction: Vector | None = None
     end_position_mm: Vector | None = None
     end_direction: Vector | None = None
     start_turns: Finite | None = None
     end_turns: Finite | None = None
+    end_rotation_deg: Finite | None = None
 
 
 @dataclass(frozen=True)
 class EndPaths:
-    """Where both ends of a rod are held at T instants: positions (T, 3) mm, and frames (T, 3, 3) with columns t, m1, m2."""
+    """Where both ends of a rod are held at T instants: positions (T, 3) mm, frames (T, 3, 3) with columns t, m1, m2, and (T,)
+    rad by which the end has turned about its direction."""
 
     start_position: np.ndarray
     end_position: np.ndarray
     start_frame: np.ndarray
     end_frame: np.ndarray
+    end_rotation: np.ndarray
 
 
 def end_paths(source, key: str, rows: list, start: Configuration, time: np.ndarray) -> EndPaths:
@@ -100,9 +106,10 @@ def end_paths(source, key: str, rows: list, start: Configuration, time: np.ndarr
     rows   the moments, the value of ``key`` in the file ``source``
     start  the rod: where its ends are as long as no moment says otherwise
 
-    While its direction changes, an end turns about it only by its ``turns``. Raises InputError as
-    :func:`.between_moments` does, and where a direction reverses from one moment to the next.
+    While its direction changes, also from the rod's own to that of the first moment, an end turns about it only by its
+    ``turns``. Raises InputError as :func:`.between_moments` does, and where a direction reverses from one moment to the next.
     """
+    rows = [_in_turns(source, f"{key}[{number}]", row) for number, row in enumerate(rows)]
     vertices, frames = start.vertices[0], start.frames[0]
     first = {"start_position_mm": vertices[0], "start_direction": frames[0, :, 0], "end_position_mm": vertices[-1],
              "end_direction": frames[-1, :, 0], "start_turns": 0.0, "end_turns": 0.0}
@@ -113,9 +120,20 @@ def end_paths(source, key: str, rows: list, start: Configuration, time: np.ndarr
         if not (length > 0).all():
             raise InputError(source, key, f"{end}_direction reverses from one moment to the next",
                              "give a moment with a direction in between")
-        along = _transported(paths[f"{end}_direction"] / length, frames[edge, :, 1])
+        along = np.concatenate([frames[edge, None, :, 0], paths[f"{end}_direction"] / length])
+        along = _transported(along, frames[edge, :, 1])[1:]
         held[end] = turned_about_tangent(along, 2 * np.pi * paths[f"{end}_turns"])
-    return EndPaths(paths["start_position_mm"], paths["end_position_mm"], held["start"], held["end"])
+    return EndPaths(paths["start_position_mm"], paths["end_position_mm"], held["start"], held["end"],
+                    2 * np.pi * paths["end_turns"])
+
+
+def _in_turns(source, key: str, row):
+    """The moment ``row`` with ``end_turns`` for ``end_rotation_deg``, if it has that."""
+    if not isinstance(row, dict) or "end_rotation_deg" not in row:
+        return row
+    turns = checked(source, key, row, Moment).end_rotation_deg / 360.0
+    warn(f"{source}: {key}.end_rotation_deg is called end_turns now: {turns:g}")
+    return {name: value for name, value in row.items() if name != "end_rotation_deg"} | {"end_turns": turns}
 
 
 def _transported(directions: np.ndarray, m1: np.ndarray) -> np.ndarray:

@@ -171,7 +171,9 @@ def record_track(path, *, run_id: str, name: str, rig: Rig, paths, vertices: np.
     how       (T,) :class:`doo_ti.perception.tracking.How`
     up        direction against gravity
     """
-    with recording(path, run_id, name, _track_layout(rig)) as stream:
+    layout = _video_layout(rig, "frame", "Rod: blue tracked, orange by Algorithm 1", "error", "Distance to the detection [px]",
+                           "How the rod was found")
+    with recording(path, run_id, name, layout) as stream:
         log_up(stream, "world", np.asarray(up, float))
         for camera in rig.cameras:
             _log_frustum(stream, f"world/cameras/{camera.name}", camera, 0.2 * float(np.linalg.norm(camera.centre)))
@@ -189,16 +191,15 @@ def record_track(path, *, run_id: str, name: str, rig: Rig, paths, vertices: np.
                 stream.log(f"curves/error/{camera.name}", rerun.Scalars(off))
 
 
-def _track_layout(rig: Rig) -> blueprint.Blueprint:
-    """The rod among the cameras and its distance to the detection on the left, images on the right."""
-    space = space_view("Rod: blue tracked, orange by Algorithm 1", "world")
-    error = blueprint.TimeSeriesView(name="Distance to the detection [px]", origin="curves/error")
+def _video_layout(rig: Rig, timeline: str, rods: str, curve: str, title: str, log: str) -> blueprint.Blueprint:
+    """Rods among the cameras on the left, above a ``curve`` and the log; images on the right."""
+    curves = blueprint.TimeSeriesView(name=title, origin=f"curves/{curve}")
     images = [blueprint.Spatial2DView(name=camera.name, origin=f"images/{camera.name}", background=BACKGROUND)
               for camera in rig.cameras]
-    words = log_view("How the rod was found", "frame")
-    beside = blueprint.Vertical(space, blueprint.Horizontal(error, words), row_shares=[3, 1])
+    below = blueprint.Horizontal(curves, log_view(log, timeline))
+    beside = blueprint.Vertical(space_view(rods, "world"), below, row_shares=[3, 1])
     views = blueprint.Grid(*images, grid_columns=1 if len(images) <= 3 else 2)
-    return blueprint.Blueprint(blueprint.Horizontal(beside, views, column_shares=[2, 1]), *panels("frame"))
+    return blueprint.Blueprint(blueprint.Horizontal(beside, views, column_shares=[2, 1]), *panels(timeline))
 
 
 MODEL, TARGET = (198, 120, 221), (253, 231, 37)
@@ -216,7 +217,9 @@ def record_servo(path, *, run_id: str, name: str, rig: Rig, moments: list[SeenMo
     up        direction against gravity
     """
     asked = target[np.isfinite(target).all(axis=1)]
-    with recording(path, run_id, name, _servo_layout(rig)) as stream:
+    layout = _video_layout(rig, "step", "Rods: blue tracked, purple the model, yellow the target", "distance",
+                           "Distance to the target [mm]", "Statuses")
+    with recording(path, run_id, name, layout) as stream:
         log_up(stream, "world", np.asarray(up, float))
         stream.log("world/target", rerun.LineStrips3D([asked], colors=TARGET, radii=rerun.Radius.ui_points(1.2)), static=True)
         for camera in rig.cameras:
@@ -236,14 +239,3 @@ def record_servo(path, *, run_id: str, name: str, rig: Rig, moments: list[SeenMo
                 stream.log(f"curves/distance/{kind}", rerun.Scalars(value))
             if step == 0 or words[step] != words[step - 1]:
                 stream.log("log", rerun.TextLog(f"step {step + 1}: {words[step]}"))
-
-
-def _servo_layout(rig: Rig) -> blueprint.Blueprint:
-    """The rod among the cameras and its distance to the target on the left, images on the right."""
-    space = space_view("Rods: blue tracked, purple the model, yellow the target", "world")
-    distance = blueprint.TimeSeriesView(name="Distance to the target [mm]", origin="curves/distance")
-    images = [blueprint.Spatial2DView(name=camera.name, origin=f"images/{camera.name}", background=BACKGROUND)
-              for camera in rig.cameras]
-    beside = blueprint.Vertical(space, blueprint.Horizontal(distance, log_view("Statuses", "step")), row_shares=[3, 1])
-    views = blueprint.Grid(*images, grid_columns=1 if len(images) <= 3 else 2)
-    return blueprint.Blueprint(blueprint.Horizontal(beside, views, column_shares=[2, 1]), *panels("step"))

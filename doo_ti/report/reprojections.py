@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from doo_ti.report.canvas import box, literal, new_figure, save_figure, widest
+from doo_ti.report.grid_view import upright_basis
 from doo_ti.vision.cameras.rig import Rig
 
 BEST, RUNNER_UP, TRUTH, DETECTED = "#2f7bff", "#ff2e4d", "#ffd400", "#00c08b"
@@ -97,7 +98,7 @@ def _draw_image(axes, camera, seen: SeenRod, column: int) -> None:
 
 def _draw_space(axes, seen: SeenRod, up: np.ndarray) -> None:
     """All rods in space, gravity downwards, seen from the side of the plane in which the best one mostly lies."""
-    frame = _upright(seen.best, up)
+    frame = upright_basis(seen.best[None], up)
     points = np.concatenate([curve for _, curve, _ in seen.rods]) @ frame.T
     for _, curve, color in seen.rods:
         axes.plot(*(curve @ frame.T).T, color=color, linewidth=WIDTHS[color])
@@ -114,12 +115,3 @@ def _draw_space(axes, seen: SeenRod, up: np.ndarray) -> None:
         axis.labelpad = -5
     axes.tick_params(labelsize=6, pad=-2)
     axes.locator_params(nbins=4)
-
-
-def _upright(curve: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """(3, 3) rows: the curve's main horizontal direction, across it, and up."""
-    up = up / np.linalg.norm(up)
-    spread = curve - curve.mean(axis=0)
-    level = spread - (spread @ up)[:, None] * up
-    right = np.linalg.eigh(level.T @ level - 1e-9 * (1 + np.sum(level**2)) * np.outer(up, up))[1][:, -1]
-    return np.stack([right, np.cross(up, right), up])

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.report.canvas import box, literal, new_figure, save_figure
+from doo_ti.report.canvas import box, limits_around, literal, new_figure, save_figure
+from doo_ti.report.grid_view import upright_basis
 from doo_ti.report.touched import Touched
 
 MOST_RODS, COLUMNS = 12, 4
@@ -44,16 +45,8 @@ class MovingRods:
 
     @property
     def basis(self) -> np.ndarray:
-        """(3, 3) rows right, along the mean line between the ends, into the picture, and up."""
-        up = np.asarray(self.up, float) / np.linalg.norm(self.up)
-        chords = self.vertices[..., -1, :] - self.vertices[..., 0, :]
-        chords = chords[np.isfinite(chords).all(axis=-1)]
-        chord = chords.sum(axis=0) / max(len(chords), 1)
-        right = chord - (chord @ up) * up
-        if not np.linalg.norm(right) > 1e-6 * (np.linalg.norm(chord) + 1e-9):
-            right = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
-        right /= np.linalg.norm(right)
-        return np.stack([right, np.cross(up, right), up])
+        """(3, 3) rows right, into the picture, and up."""
+        return upright_basis(self.vertices.reshape(-1, *self.vertices.shape[2:]), self.up)
 
 
 def motions_picture(path_or_buffer, rods: MovingRods, *, title: str) -> None:
@@ -63,7 +56,7 @@ def motions_picture(path_or_buffer, rods: MovingRods, *, title: str) -> None:
     vertices, jumps = rods.vertices[:, :shown], rods.jumps[:, :shown]
     moments = np.unique(np.linspace(0, len(time) - 1, SHOWN).round().astype(int))
     views = [rods.basis[[0, 2]], rods.basis[:2]]
-    limits = [_limits(vertices @ view.T) for view in views]
+    limits = [limits_around(vertices @ view.T, 0.55, 0.18) for view in views]
     heights = [np.ptp(limit[1]) / np.ptp(limit[0]) for limit in limits]
     columns, blocks = min(shown, COLUMNS), -(-shown // COLUMNS)
     figure = new_figure((3.4 * columns + 0.8, blocks * (3.2 * sum(heights) + 0.8) + 0.8))
@@ -86,7 +79,7 @@ def motions_picture(path_or_buffer, rods: MovingRods, *, title: str) -> None:
             if row == 0:
                 count = int(jumps[:, rod].sum())
                 axes.set_title(literal(rods.names[rod]) + f": {count} jump{'s' * (count != 1)}" * (count > 0), fontsize=10)
-    figure.supxlabel("along the line between the ends [mm]", fontsize=10)
+    figure.supxlabel("[mm]", fontsize=10)
     figure.colorbar(_time_scale(time), ax=list(panels.ravel()), pad=0.01, aspect=40).set_label("time [s]", fontsize=10)
     more = f" ({len(rods.names) - shown} more are not drawn)" if len(rods.names) > shown else ""
     red = "\nred: before a jump (dashed) and after it" if jumps.any() else ""
@@ -103,15 +96,6 @@ def _draw_moments(axes, flat: np.ndarray, time: np.ndarray, moments: np.ndarray,
     for moment in jumps:
         axes.plot(*flat[max(moment - 1, 0)].T, "--", color=JUMP, linewidth=1.8)
         axes.plot(*flat[moment].T, color=JUMP, linewidth=1.8)
-
-
-def _limits(flat: np.ndarray) -> np.ndarray:
-    """(2, 2) limits to the right and up, mm, around (..., 2) points: at least a third as high as wide, and as wide as high."""
-    low, high = box(flat.reshape(-1, 2))
-    half = 0.5 * (high - low) + 3.0
-    half = np.maximum(half, half.max() / 3)
-    middle = 0.5 * (low + high)
-    return np.stack([middle - half, middle + half], axis=-1)
 
 
 def _time_scale(time: np.ndarray):

@@ -78,7 +78,6 @@ def defaults() -> dict[tuple[str, str], float]:
     from doo_ti.vision.rendering.render import RenderOptions
 
     found = {("simulate", "--most-substeps"): Stepping.most_substeps, ("simulate", "--substeps"): Stepping.substeps,
-             ("predict", "--substeps"): moving_rods.SUBSTEPS,
              ("predict", "--sub-step"): np.degrees(LARGEST_TURN), ("predict", "--steps-between"): 1,
              ("identify", "--modes"): IdentifyOptions.modes, ("identify", "--robust"): IdentifyOptions.delta,
              ("identify", "--substeps"): IdentifyOptions.substeps, ("perceive", "--nu"): PerceptionOptions.nu,

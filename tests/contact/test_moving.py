@@ -12,7 +12,7 @@ from doo_ti.contact.obstacles import Capsule, Cylinder, Plane
 from doo_ti.contact.touch import Touch
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Dynamics, Stepping
-from doo_ti.dynamics.scene import load_dynamic_scene
+from doo_ti.dynamics.scene import load_motion_scene
 from doo_ti.dynamics.simulate import simulate
 from doo_ti.io.motion_file import ClampPath
 from doo_ti.prediction.moving import predict_moving
@@ -197,8 +197,6 @@ def test_scenes_of_predict_state_motions(tmp_path, capsys):
     with np.load(out) as found:
         gap, height = found["smallest_gap_mm"][:, 0], found["vertices_mm"][:, 0, :, 2]
     assert gap.min() > -RADIUS * GAP_TOLERANCE - 1e-9 and (height[-1] - height[0]).max() > 15.0
-    assert main(["predict", str(path), "--out", str(out), "--dynamic", "--rate", "1"]) == 2
-    assert "substeps" in capsys.readouterr().err
     path.write_text(PREDICTED.replace("moments]]\ntime_s = 0.5", "moments]]\ntime_s = 1e30"), encoding="utf-8")
     assert main(["predict", str(path), "--out", str(out)]) == 2
     assert capsys.readouterr().err.count("\n") == 1
@@ -230,7 +228,7 @@ turns = 0.25
 def test_scenes_state_motions(tmp_path):
     path = tmp_path / "scene.toml"
     path.write_text(SCENE, encoding="utf-8")
-    moving, = load_dynamic_scene(path).surroundings.obstacles
+    moving, = load_motion_scene(path).surroundings().obstacles
     assert isinstance(moving.obstacle, Capsule) and moving.instants == 21
     last = moving.at(-1)
     np.testing.assert_allclose([last.start[0], last.end[0]], [(30, 10, 0), (10, 10, 0)], atol=1e-12)
@@ -241,4 +239,4 @@ def test_scenes_state_motions(tmp_path):
             ('kind = "capsule"\nstart = [50, 0, -20]\nend = [50, 0, -40]\nradius = 5.0', 'kind = "itself"', "the rod itself")):
         path.write_text(SCENE.replace(old, new), encoding="utf-8")
         with pytest.raises(InputError, match=message):
-            load_dynamic_scene(path)
+            load_motion_scene(path).surroundings()

@@ -7,8 +7,7 @@ import pytest
 from doo_ti import Box, Capsule, Cylinder, InputError, Plane, Ring, Sphere, load_obstacles
 from doo_ti.contact.meshes import mesh
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.dynamics.scene import load_dynamic_scene
-from doo_ti.io.motion_scene import load_motion_scene
+from doo_ti.dynamics.scene import load_motion_scene
 
 ALL = """
 [[obstacles]]
@@ -84,25 +83,24 @@ def test_bad_files_name_file_key_and_remedy(tmp_path, case):
 
 
 SCENES = {
-    load_dynamic_scene: "rate_hz = 10\nduration_s = 1\n[rod]\nlength_mm = 100\nedges = 5\n[materials.a]\nbend = 1e5\n",
-    load_motion_scene: "[rod]\nlength_mm = 100\nedges = 5\n[materials.a]\nbend = 1e5\ntwist = 1e5\n[[moments]]\n[[moments]]\n"
+    "with a rate": "rate_hz = 10\nduration_s = 1\n[rod]\nlength_mm = 100\nedges = 5\n[materials.a]\nbend = 1e5\n",
+    "without": "[rod]\nlength_mm = 100\nedges = 5\n[materials.a]\nbend = 1e5\n[[moments]]\n[[moments]]\n"
                        "time_s = 1.0\n",
 }
 
 
-@pytest.mark.parametrize("load", SCENES)
-def test_scenes_have_obstacles_and_the_radius_of_the_rod(tmp_path, load):
+@pytest.mark.parametrize("kind", SCENES)
+def test_scenes_have_obstacles_and_the_radius_of_the_rod(tmp_path, kind):
     path = tmp_path / "scene.toml"
-    path.write_text(SCENES[load] + ALL)
+    path.write_text(SCENES[kind] + ALL)
     with pytest.raises(InputError, match=r"rod\.radius_mm: missing beside obstacles"):
-        load(path)
-    path.write_text((SCENES[load] + ALL).replace("edges = 5", "edges = 5\nradius_mm = 30"))  # more than an edge is allowed
-    scene = load(path)
-    found = scene.surroundings if load is load_dynamic_scene else scene
+        load_motion_scene(path)
+    path.write_text((SCENES[kind] + ALL).replace("edges = 5", "edges = 5\nradius_mm = 30"))  # more than an edge is allowed
+    found = load_motion_scene(path).surroundings()
     assert found.radius == 30 and len(found.obstacles) == 6
-    path.write_text((SCENES[load] + ALL).replace("edges = 5", "edges = 5\nradius_mm = 0"))
+    path.write_text((SCENES[kind] + ALL).replace("edges = 5", "edges = 5\nradius_mm = 0"))
     with pytest.raises(InputError, match=r"rod\.radius_mm: 0 is not allowed; give a number > 0"):
-        load(path)
+        load_motion_scene(path)
 
 
 def test_gaps_are_those_of_edges_too():

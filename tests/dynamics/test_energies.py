@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from doo_ti.contact.touch import Touch
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Dynamics, Stepping
-from doo_ti.dynamics.scene import load_dynamic_scene
+from doo_ti.dynamics.scene import load_motion_scene
 from doo_ti.dynamics.simulate import simulate
 from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.relax import relax
@@ -115,9 +115,9 @@ def test_a_detailed_motion_is_the_same_motion(rng):
     ("rope_over_peg", 40, 5e-3), pytest.param("overhand_knot", 8, 0.05, marks=pytest.mark.slow)])
 def test_energies_balance_where_rods_slide_over_obstacles_and_themselves(scene, frames, share):
     """The work of friction, which the kernels sum up, is what stored energy and the grippers' work leave for contact."""
-    told = load_dynamic_scene(SCENES / f"{scene}.toml")
+    told = load_motion_scene(SCENES / f"{scene}.toml")
     grippers = told.grippers.until(frames)
-    touched, undamped = told.surroundings.arguments, replace(told.dynamics, bend_damping=0.0, twist_damping=0.0)
+    touched, undamped = told.surroundings().arguments, replace(told.dynamics, bend_damping=0.0, twist_damping=0.0)
     rest = relax(told.start, told.material, grippers.at(0), **touched).configuration
     found = simulate(rest, told.material, grippers, undamped, replace(told.stepping, detailed=True), **touched)
     assert found.converged.all()

@@ -13,10 +13,10 @@ import pytest
 
 from doo_ti.commands.refine import read_groups
 from doo_ti.contact.obstacle_file import load_obstacles
+from doo_ti.dynamics.scene import load_motion_scene
 from doo_ti.io import arrays
 from doo_ti.io.arrays import read_arrays
 from doo_ti.io.motion_file import load_path
-from doo_ti.io.motion_scene import load_motion_scene
 from doo_ti.io.observation_files import load_observations, save_observations
 from doo_ti.io.scene import load_scene
 from doo_ti.learning.pairs import load_pairs

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.commands.rest_length import read_rest_length
+from doo_ti.commands.loading import read_rest_length
 from doo_ti.io.csv_table import parse_csv, read_csv
 from doo_ti.system.errors import InputError
 

@@ -165,17 +165,16 @@ def damaged(content: bytes, rng) -> bytes:
 
 def readers() -> dict[str, list]:
     """Whatever reads a file with that suffix."""
+    from doo_ti.commands.loading import read_rest_length
     from doo_ti.commands.refine import read_groups
-    from doo_ti.commands.rest_length import read_rest_length
     from doo_ti.commands.seen_rods import load_frames
     from doo_ti.contact.distance_grid import DistanceGrid
-    from doo_ti.contact.obstacle_file import load_obstacles, obstacles_of
-    from doo_ti.dynamics.scene import load_dynamic_scene
+    from doo_ti.contact.obstacle_file import load_obstacles
+    from doo_ti.dynamics.scene import load_motion_scene
     from doo_ti.dynamics.theta import load_theta
     from doo_ti.groups.scene import load_group_scene
     from doo_ti.io.motion_file import load_path
     from doo_ti.io.motion_recording import read_recording
-    from doo_ti.io.motion_scene import load_motion_scene
     from doo_ti.io.observation_files import load_observations
     from doo_ti.io.scene import load_scene
     from doo_ti.learning.chunks import read_columns, read_table
@@ -188,7 +187,7 @@ def readers() -> dict[str, list]:
 
     def read_motion_scene(path):
         found = load_motion_scene(path)
-        obstacles_of(path, found.obstacles, found.path.states(found.between))
+        assert found.path.count and found.surroundings(found.between)
 
     rig, seen = load_rig(ROOT / "scenes/rig.yaml"), Observations(MARKS, rest_length=np.ones(3))
     curves = [load_observations, lambda path: read_recording(path, rate=10.0)]
@@ -201,7 +200,7 @@ def readers() -> dict[str, list]:
                  lambda path: read_groups(f"{path}:vertices_mm", seen)],
         **dict.fromkeys((".png", ".jpg", ".gif", ".bmp", ".tif", ".ras", ".pgm", ".pfm", ".hdr"), [read_image]),
         ".json": [load_theta, read_table], ".yaml": [load_rig],
-        ".toml": [load_scene, read_motion_scene, load_dynamic_scene, load_group_scene, load_obstacles],
+        ".toml": [load_scene, read_motion_scene, load_group_scene, load_obstacles],
         ".stl": mesh, ".ply": mesh, ".obj": mesh, ".xml": curves,
         ".parquet": [*curves, lambda path: read_columns(path, ["x"])], ".xyz": curves,
         ".txt": [*curves, lambda path: read_rest_length(str(path))]}

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from doo_ti.dynamics.scene import load_dynamic_scene
+from doo_ti.dynamics.scene import load_motion_scene
 from doo_ti.groups.scene import load_group_scene
-from doo_ti.io.motion_scene import load_motion_scene
 from doo_ti.rod.physical_units import STANDARD_GRAVITY
 from doo_ti.system.errors import InputError
 
@@ -13,8 +12,7 @@ EI, GJ, DENSITY = 2e-5, 1.5e-5, 4.0
 WEIGHT = 1e-3 * DENSITY * STANDARD_GRAVITY
 """N/m."""
 SCENES = {
-    load_motion_scene: "rod = { length_mm = 60.0, edges = 20 }\nmoments = [{}, { time_s = 1.0, end_rotation_deg = 30.0 }]\n",
-    load_dynamic_scene: "rod = { length_mm = 60.0, edges = 20 }\nrate_hz = 10.0\nduration_s = 1.0\n",
+    load_motion_scene: "rod = { length_mm = 60.0, edges = 20 }\nrate_hz = 10.0\nduration_s = 1.0\n",
     load_group_scene: "".join(f'rods.{name} = {{ material = "{name}", edges = 10, length_mm = 90.0 }}\n' for name in "ab"),
 }
 
@@ -26,16 +24,16 @@ def loaded(folder, load, *materials: str):
     return load(folder / "scene.toml")
 
 
-@pytest.mark.parametrize("load", [load_motion_scene, load_dynamic_scene])
-def test_stiffness_in_newton(tmp_path, load):
-    scene = loaded(tmp_path, load, f"EI = {EI}\nGJ = {GJ}\nlinear_density = {DENSITY}",
+def test_stiffness_in_newton(tmp_path):
+    scene = loaded(tmp_path, load_motion_scene, f"EI = {EI}\nGJ = {GJ}\nlinear_density = {DENSITY}",
                    f"bend = 3e5\ntwist = 2e5\nweight = 2.0\nlinear_density = {2 * DENSITY}")
     np.testing.assert_allclose(np.squeeze(scene.material.bend[0]) / 2e9 * WEIGHT, EI * np.eye(2))
     np.testing.assert_allclose(scene.material.twist[:, 0], [2e9 * GJ / WEIGHT, 2e5])
     assert scene.material.weight.tolist() == [1.0, 2.0]
     # A rod lying on the ground is held by twice its weight for each mm of it, in the units of the package, or its weight in N.
     np.testing.assert_allclose(scene.newtons * 2 * scene.material.weight * 60, 60e-3 * WEIGHT * np.array([1.0, 2.0]))
-    assert loaded(tmp_path, load, "bend = 3e5\ntwist = 2e5", f"EI = {EI}\nGJ = {GJ}\nlinear_density = 3").newtons is None
+    scene = loaded(tmp_path, load_motion_scene, "bend = 3e5\ntwist = 2e5", f"EI = {EI}\nGJ = {GJ}\nlinear_density = 3")
+    assert scene.newtons is None
 
 
 def test_rods_of_a_group_share_one_unit(tmp_path):
@@ -52,13 +50,13 @@ def test_rods_of_a_group_share_one_unit(tmp_path):
 
 
 @pytest.mark.parametrize("load, tables, said", [
-    (load_dynamic_scene, ["EI = 1e-5"], "materials.a.linear_density: missing"),
-    (load_dynamic_scene, ["EI = 1e-5\nbend = 1e5\nlinear_density = 3"], "materials.a.bend: given beside EI"),
-    (load_dynamic_scene, ["EI = 1e-5\nweight = 1\nlinear_density = 3"], "materials.a.weight: given beside EI"),
-    (load_dynamic_scene, ["bend = 1e5\nGJ = 1e-5\nlinear_density = 3"], "materials.a.GJ: given beside bend"),
-    (load_dynamic_scene, ["linear_density = 3"], "materials.a.bend: missing"),
-    (load_dynamic_scene, ["EI = -1e-5\nlinear_density = 3"], "materials.a.EI"),
-    (load_motion_scene, ["EI = 1e-5\nlinear_density = 3"], "materials.a.GJ: missing"),
+    (load_motion_scene, ["EI = 1e-5"], "materials.a.linear_density: missing"),
+    (load_motion_scene, ["EI = 1e-5\nbend = 1e5\nlinear_density = 3"], "materials.a.bend: given beside EI"),
+    (load_motion_scene, ["EI = 1e-5\nweight = 1\nlinear_density = 3"], "materials.a.weight: given beside EI"),
+    (load_motion_scene, ["bend = 1e5\nGJ = 1e-5\nlinear_density = 3"], "materials.a.GJ: given beside bend"),
+    (load_motion_scene, ["linear_density = 3"], "materials.a.bend: missing"),
+    (load_motion_scene, ["EI = -1e-5\nlinear_density = 3"], "materials.a.EI"),
+    (load_motion_scene, ["bend = [[1e5, 0], [0, 1e5]]\ntwist = 1e5"], "materials.a.bend: a matrix"),
     (load_group_scene, ["EI = 1e-5\nlinear_density = 3", "bend = 1e5"], "materials.b: in other units"),
     (load_group_scene, ["bend = 1e5\nlinear_density = 3", "bend = 1e5\nlinear_density = 4"], "not proportional"),
     (load_group_scene, ["EI = [[1e-5, 0], [0, 1e-5]]\nlinear_density = 3", "bend = 1e5"], "materials.b"),

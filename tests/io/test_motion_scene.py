@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doo_ti.io.motion_scene import load_motion_scene
+from doo_ti.dynamics.scene import load_motion_scene
 from doo_ti.prediction.predict import predict
+from doo_ti.rod.types import Clamp, Configuration
 from doo_ti.system.errors import InputError
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes" / "motion"
@@ -74,15 +75,36 @@ def test_omitted_quantities_stay_as_they_were(tmp_path):
     file.write_text(GOOD, encoding="utf-8")
     scene = load_motion_scene(file)
     assert scene.name == "scene" and scene.between == 1 and scene.start.edges == 20
-    np.testing.assert_array_equal(scene.path.end_position[:, 0], [[50, 0, 0], [50, 0, 0]])
+    np.testing.assert_allclose(scene.path.end_position[:, 0], [[50, 0, 0], [50, 0, 0]])
     np.testing.assert_allclose(scene.clamps.end_position, [[60, 0, 0]])
     np.testing.assert_allclose(np.degrees(scene.path.end_rotation[:, 0]), [0, 30])
 
 
+def test_one_scene_is_for_predict_and_simulate(tmp_path):
+    """At the instants of a rate, smooth between moments; without one the moments themselves, which simulate does not take."""
+    file = tmp_path / "scene.toml"
+    file.write_text("rate_hz = 4\nduration_s = 1\n" + GOOD.replace("end_rotation_deg = 30", "end_turns = 0.25"))
+    scene = load_motion_scene(file)
+    np.testing.assert_allclose(np.degrees(scene.path.end_rotation[:, 0]), 90 * np.array([0, 0.25, 0.5, 0.75, 1]), atol=1e-9)
+    np.testing.assert_array_equal(scene.path.end_frame[:, 0], scene.grippers.end_frame[0])
+    assert scene.clamps.end == Clamp.FREE and scene.stepping.rate == 4 and scene.dynamics.density == 1
+    file.write_text(GOOD, encoding="utf-8")
+    assert load_motion_scene(file).stepping is None and load_motion_scene(file).clamps.end == Clamp.FRAME
+
+
+def test_a_clamp_that_turns_along_the_material_has_a_frame(tmp_path):
+    """Its first direction is where m1 of the rod pointed."""
+    file = tmp_path / "scene.toml"
+    m1 = Configuration.straight((0, 0, 0), (1, 0, 0), 60.0, 20).frames[0, -1, :, 1]
+    file.write_text(GOOD.replace("[50, 0, 0]", f"[50, 0, 0]\nend_direction = {m1.tolist()}"), encoding="utf-8")
+    frame = load_motion_scene(file).path.end_frame[0, 0]
+    np.testing.assert_allclose(frame[:, :2], np.stack([m1, [-1, 0, 0]], axis=-1), atol=1e-12)
+
+
 @pytest.mark.parametrize("old, new, word", [
     ("[rod]", "[rods]", "rod"), ("edges = 20", "edges = 2", "rod.edges"), ("= 60.0", "= -1", "rod.length_mm"),
-    ("[materials.cord]", "[materials]", "materials"), ("bend = 1e6", "bend = [1, 2]", "bend"), ("twist = 5e5", "", "twist"),
-    ("bend = 1e6", "bend = -1e6", "positive definite"), ("time_s = 1", "", "time_s"), ("time_s = 1", "time_s = 0", "rising"),
+    ("[materials.cord]", "[materials]", "materials"), ("bend = 1e6", "bend = [1, 2]", "bend"),
+    ("bend = 1e6", "bend = -1e6", "positive definite"), ("time_s = 1", "", "time_s"), ("time_s = 1", "time_s = 0", "rise"),
     ("[50, 0, 0]", "[50, 0]", "end_position_mm"), ("end_rotation_deg = 30", "end_direction = [0, 0, 0]", "end_direction"),
     ("end_rotation_deg = 30", "colour = 3", "moments\\[1\\].colour"), ("length_mm", "length = [", "TOML"),
 ])

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.io.motion_scene import load_motion_scene
+from doo_ti.dynamics.scene import load_motion_scene
 from doo_ti.learning.landscape import Landscape
 from doo_ti.prediction.predict import predict
 from tools.studies.replication.landscapes import best_cells, values
