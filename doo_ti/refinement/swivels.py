@@ -12,10 +12,14 @@ from dataclasses import replace
 import numpy as np
 
 from doo_ti.refinement.fit import Fit, Fitted, State
+from doo_ti.refinement.priors import NAMES, Scales
 from doo_ti.refinement.rolls import expected
 
 BEGUN = (0.3, 1.0, 2.0)
 """The initial rest curvature times the rod's length."""
+SIZE, FACTOR = 1.0, 0.7
+"""Prior of the size of the rest curvature, times the rod's length: median, and standard deviation of the logarithm. Far smaller
+ones are straight rods, of which there is a fit already: to that this one would shrink, past what fits as well."""
 STRAIGHT = 0.1
 """That below which a rod counts as straight: it rolls freely to anywhere, and the held rod of unknown roll contains it."""
 
@@ -27,12 +31,17 @@ def swivelling(fit: Fit, fitted: Fitted, curvature: str) -> tuple[Fit, list[Stat
     unknowns = replace(fit.unknowns, rod=rod, curvature=curvature)
     free, state = replace(fit, comparison=replace(fit.comparison, unknowns=unknowns)), fitted.state
     values = replace(state.values, scatter=_without_roll(fit, state))
-    scales = expected(state.scales, unknowns)
+    scales = _of_curved(expected(state.scales, unknowns), rod.length)
     found = []
     for size in BEGUN:
         field = np.tile([size / rod.length, 0.0], (len(unknowns.knots), 1))
         found.append(free.posed(free.from_marks(replace(values, curvature=field), scales)))
     return free, found
+
+
+def _of_curved(scales: Scales, length: float) -> Scales:
+    own = np.array(NAMES) == "curvature"
+    return replace(scales, typical=np.where(own, SIZE / length, scales.typical), factor=np.where(own, FACTOR, scales.factor))
 
 
 def bent(fit: Fit, fits: Iterable[Fitted]) -> list[Fitted]:
