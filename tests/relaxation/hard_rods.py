@@ -13,6 +13,7 @@ from doo_ti import Clamp, Clamps, Configuration, Material, relax
 from doo_ti.bench.workload import BEND_RANGE, TWIST_RATIO_RANGE, log_uniform
 from doo_ti.rod.frames import bishop_frames, quaternion_about, quaternion_from_matrix, quaternion_product
 from doo_ti.rod.types import Solution
+from tests.references.rods import clamps_at
 
 SEED = 2011
 PRECISIONS = ("f32", "mixed", "f64")
@@ -39,12 +40,6 @@ def chain(tangents: np.ndarray, spin: np.ndarray, rest_length: np.ndarray, rando
     untwisted = quaternion_from_matrix(bishop_frames(tangents, across(random, tangents[:, 0])))
     frames = quaternion_product(quaternion_about(tangents, spin), untwisted)
     return Configuration(np.zeros((len(tangents), 3)), frames, rest_length)
-
-
-def clamped(configuration: Configuration, start=Clamp.FRAME, end=Clamp.FRAME) -> Clamps:
-    """Clamps that hold the ends where they are."""
-    vertices, frames = configuration.vertices, configuration.frames
-    return Clamps(start, end, vertices[:, 0], vertices[:, -1], frames[:, 0], frames[:, -1])
 
 
 def directions(random: np.random.Generator, count: int) -> np.ndarray:
@@ -96,14 +91,14 @@ def held(random: np.random.Generator, count: int, material: Material, rest_lengt
     angle = np.abs(random.normal(scale=NOISE, size=rods.quaternions.shape[:2]))
     noise = quaternion_about(directions(random, angle.size).reshape(*angle.shape, 3), angle)
     noisy = replace(rods, quaternions=quaternion_product(rods.quaternions, noise))
-    return Rods(noisy, material, clamped(rods, start, end))
+    return Rods(noisy, material, clamps_at(rods, start, end))
 
 
 def nearly_taut(random: np.random.Generator, count: int) -> Rods:
     """Straight, 0.05 mm of slack in 99 mm, in any direction of space, the far clamp turned."""
     along = directions(random, count)
     rods = chain(np.repeat(along[:, None], EDGES, axis=1), even_twist(random, count), EVEN, random)
-    clamps = replace(clamped(rods), end_position=98.95 * along)
+    clamps = replace(clamps_at(rods), end_position=98.95 * along)
     return Rods(rods, isotropic(random, count), clamps)
 
 
@@ -112,7 +107,7 @@ def collinear(random: np.random.Generator, count: int, weight: float) -> Rods:
     constant energy."""
     size = random.uniform(0.3, 1.8, count)[:, None] * np.sin(2 * np.pi * np.linspace(0.0, 1.0, EDGES))
     rods = chain(in_plane(random, size), even_twist(random, count), EVEN, random)
-    return Rods(rods, isotropic(random, count, weight=weight), clamped(rods))
+    return Rods(rods, isotropic(random, count, weight=weight), clamps_at(rods))
 
 
 def ten_turns(random: np.random.Generator, count: int) -> Rods:
@@ -120,7 +115,7 @@ def ten_turns(random: np.random.Generator, count: int) -> Rods:
     ends are then brought together by up to a half."""
     angle = random.uniform(0.0, np.pi, count)[:, None] * np.linspace(-0.5, 0.5, EDGES)
     rods = chain(in_plane(random, angle), even_twist(random, count, turns=10), EVEN, random)
-    clamps = clamped(rods)
+    clamps = clamps_at(rods)
     nearer = random.uniform(0.5, 0.95, count)[:, None] * clamps.end_position
     return Rods(rods, isotropic(random, count), replace(clamps, end_position=nearer))
 
@@ -132,7 +127,7 @@ def sharp_joints(random: np.random.Generator, count: int) -> Rods:
     for j in range(1, EDGES):
         tangents[:, j] = np.cos(1.5) * tangents[:, j - 1] + np.sin(1.5) * across(random, tangents[:, j - 1])
     rods = chain(tangents, even_twist(random, count), EVEN, random)
-    return Rods(rods, isotropic(random, count), clamped(rods))
+    return Rods(rods, isotropic(random, count), clamps_at(rods))
 
 
 def of_edges(random: np.random.Generator, count: int, edges: int) -> Rods:

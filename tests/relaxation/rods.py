@@ -9,7 +9,7 @@ from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution
 from tests.references.rods import chain, clamps_at, stacked
 
 PAIRS = [(start, end) for start in Clamp for end in Clamp if (start, end) != (Clamp.FREE, Clamp.FREE)]
-RESULTS = ("energy", "residual", "closure", "iterations", "status", "stable", "precision")
+RESULTS = ("energy", "residual", "closure", "iterations", "status", "stable", "end_force", "precision")
 
 
 def wandering(rng, count: int, edges: int, rest_length=3.0, wander: float = 0.15, twist: float = 0.1) -> Configuration:

@@ -61,6 +61,7 @@ def test_rods_at_rest_with_a_neutral_motion_have_converged(rng, kinds):
     assert solution.converged.all()
 
 
+@pytest.mark.thorough
 def test_isotropic_rods_that_may_spin(rng):
     """αI with both spins free turns about itself at no cost: F holds one spin, and its energies are the oracle's."""
     kinds = [(Clamp.POSITION, Clamp.POSITION), (Clamp.TANGENT, Clamp.POSITION), (Clamp.TANGENT, Clamp.TANGENT)]

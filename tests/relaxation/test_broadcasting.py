@@ -1,4 +1,4 @@
-"""Scalars, tables and pairs of rows: every way to specify the same rods gives the same bits; mismatches are refused."""
+"""Scalars, tables and pairs of rows: every way to specify the same rods gives the same bits."""
 
 from dataclasses import replace
 
@@ -115,7 +115,8 @@ def test_one_index_alone_leaves_the_rows_of_the_other_table_one_to_one(rods):
     turned = relax(start, material, clamps, material_index=rows)
     assert_same(turned, slice(None), relax(start, material.take(rows), clamps), slice(None))
     for index in ({"configuration_index": [0, 1]}, {"material_index": [0, 1]}, {"material_index": [2]}):
-        assert "rows for" in str(refused(lambda: relax(start, material, clamps, **index)))
+        with pytest.raises(InputError, match="rows for"):
+            relax(start, material, clamps, **index)
 
 
 def test_length_of_up_does_not_matter(rods):
@@ -125,67 +126,3 @@ def test_length_of_up_does_not_matter(rods):
     assert_same(one, slice(None), two, slice(None))
     sideways = relax(start, material, clamps, up=[0, 1, 1])
     assert (sideways.energy != one.energy).all()
-
-
-def refused(call) -> InputError:
-    with pytest.raises(InputError) as caught:
-        call()
-    error = caught.value
-    assert error.source and error.field and error.problem and error.remedy and "\n" not in str(error)
-    return error
-
-
-@pytest.mark.parametrize("bad", [
-    lambda s, c, m: relax(s, Material([1e5, 2e5], 1e5), c),
-    lambda s, c, m: relax(s, m, c, up=[0, 0, 0]),
-    lambda s, c, m: relax(s, m, c, up=[0, 1]),
-    lambda s, c, m: relax(s, m, c, up=[0, 0, np.nan]),
-    lambda s, c, m: relax(s, m, c, precision="f16"),
-    lambda s, c, m: relax(s, m, c, configuration_index=[0, COUNT]),
-    lambda s, c, m: relax(s, m, c, configuration_index=[-1]),
-    lambda s, c, m: relax(s, m, c, configuration_index=[[0, 1]]),
-    lambda s, c, m: relax(s, m, c, configuration_index=[0], material_index=[1]),
-    lambda s, c, m: relax(replace(s, rest_length=np.ones(EDGES + 1)), m, c),
-    lambda s, c, m: relax(replace(s, rest_length=np.zeros(EDGES)), m, c),
-    lambda s, c, m: relax(replace(s, rest_length=np.full(EDGES, np.nan)), m, c),
-    lambda s, c, m: relax(replace(s, quaternions=s.quaternions[:, :1], rest_length=np.ones(1)), m, c),
-    lambda s, c, m: relax(s, Material(1e5, np.full((1, EDGES), 1e5)), c),
-    lambda s, c, m: relax(s, Material(repeated(B, 1, EDGES - 1), 1e5), c),
-    lambda s, c, m: relax(s, Material(B, 1e5, 1.0, np.zeros((1, EDGES, 2))), c),
-    lambda s, c, m: relax(s, m, replace(c, start=Clamp.FREE, end=Clamp.FREE)),
-], ids=["materials", "no up", "short up", "up not a number", "precision", "row too large", "negative row",
-        "table of rows", "no such material", "count of lengths", "lengths zero", "lengths not a number",
-        "one edge", "count of β", "count of B", "count of ω̄", "both ends free"])
-def test_what_does_not_match_is_refused(rods, bad):
-    start, clamps = rods
-    print(refused(lambda: bad(start, clamps, Material(1e5, 1e5))))
-
-
-@pytest.mark.parametrize("bad", [
-    lambda: Material(-1e5, 1e5), lambda: Material(0.0, 1e5), lambda: Material([[1e5, 2e5], [2e5, 1e5]], 1e5),
-    lambda: Material([[1e5, 2e4], [0.0, 1e5]], 1e5), lambda: Material(np.nan, 1e5), lambda: Material("stiff", 1e5),
-    lambda: Material(1e5, 0.0), lambda: Material(1e5, -1.0), lambda: Material(1e5, 1e5, -1.0),
-    lambda: Material(1e5, np.inf), lambda: Material([1e5, 2e5], [1e5, 2e5, 3e5]),
-    lambda: Material(np.ones((3, 3)), 1e5),
-    lambda: Material(1e5, 1e5, 1.0, [1.0, 2.0, 3.0]), lambda: Material(1e5, 1e5, 1.0, 0.1),
-], ids=["negative B", "B zero", "indefinite B", "asymmetric B", "B not a number", "text", "β zero", "negative β",
-        "negative μ", "infinite β", "lengths differ", "3 × 3", "three curvatures", "one curvature"])
-def test_materials_out_of_range_are_refused(bad):
-    print(refused(bad))
-
-
-@pytest.mark.parametrize("bad", [
-    lambda s, c, m: relax(s, m, c.take(np.arange(COUNT - 1))),
-    lambda s, c, m: relax(s.take(np.arange(COUNT - 1)), m, c),
-    lambda s, c, m: relax(s, m, replace(c, start=np.array([1, 2]))),
-    lambda s, c, m: relax(s, m, replace(c, start=7)),
-    lambda s, c, m: relax(s, m, replace(c, end_frame=c.end_frame[:, 0])),
-    lambda s, c, m: relax(s, m, replace(c, end_position=c.end_position[:, :2])),
-    lambda s, c, m: relax(replace(s, start=s.start[:3]), m, c),
-    lambda s, c, m: relax(replace(s, quaternions=s.quaternions[..., :3]), m, c),
-    lambda s, c, m: relax(s, m, c, configuration_index=[0.5, 1.5]),
-], ids=["fewer clamps", "fewer starts", "count of kinds", "no such clamp", "frames of one axis", "positions in a plane",
-        "fewer positions", "quaternions of three", "rows that are not whole"])
-def test_tables_that_do_not_match_are_refused(rods, bad):
-    start, clamps = rods
-    print(refused(lambda: bad(start, clamps, Material(1e5, 1e5))))

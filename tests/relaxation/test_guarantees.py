@@ -1,4 +1,4 @@
-"""Guarantees for every rod: edge lengths, clamps, closure, unchanged inputs, independence of other rods."""
+"""Guarantees for every rod: edge lengths, clamps, closure, energy, independence of bad rods."""
 
 from dataclasses import replace
 
@@ -21,33 +21,6 @@ def rods_under_all_clamps(rng, count: int = len(PAIRS)):
     rods = wandering(rng, count, EDGES, rng.uniform(1, 6, EDGES))
     kinds = [PAIRS[k % len(PAIRS)] for k in range(count)]
     return jiggled(rods, rng, 0.05), with_kinds(clamps_at(rods), kinds), kinds
-
-
-def read_only(*owners) -> list[tuple[np.ndarray, np.ndarray]]:
-    """All arrays of the dataclasses made read-only, each with a copy of it."""
-    arrays = [value for owner in owners for value in vars(owner).values() if isinstance(value, np.ndarray)]
-    for array in arrays:
-        array.setflags(write=False)
-    return [(array, array.copy()) for array in arrays]
-
-
-@pytest.mark.parametrize("solver", SOLVERS)
-def test_inputs_are_never_modified(rng, solver):
-    """They may be read-only, and stay what they were, straight starts that have to bow among them."""
-    start, clamps, _ = rods_under_all_clamps(rng)
-    straight = np.tile(start.quaternions[0, 0], (EDGES, 1))
-    start = replace(start, quaternions=np.concatenate([straight[None], start.quaternions[1:]]))
-    material = Material(definite(rng, 2), [2e5, 3e5], [1.0, 2.0], 0.01 * rng.normal(size=(2, 2)))
-    kept = read_only(start, clamps, material)
-    rows = np.arange(len(PAIRS)), np.arange(len(PAIRS)) % 2
-    up = np.array([0.0, 0.6, 0.8])
-    kept += [(array, array.copy()) for array in (*rows, up)]
-    solution = relax(
-        start, material, clamps, SOLVERS[solver], up=up, configuration_index=rows[0], material_index=rows[1])
-    for array, copy in kept:
-        np.testing.assert_array_equal(array, copy)
-    outputs = (solution.configuration.quaternions, solution.configuration.start, solution.energy)
-    assert not any(np.shares_memory(out, array) for out in outputs for array, _ in kept)
 
 
 def test_layout_and_number_type_of_inputs_do_not_matter(rng):
@@ -146,36 +119,10 @@ def check_neighbours(rng, how: str, solver, precision: str) -> None:
     others = np.flatnonzero(np.arange(60) != BAD)
     assert_same(solution, others, healthy, others)
     assert solution.status[BAD] == status and not solution.stable[BAD] and not solution.converged[BAD]
-
-
-@pytest.mark.parametrize("solver", SOLVERS)
-def test_a_rod_that_is_not_finite_says_so(rng, solver):
-    start, clamps, _ = rods_under_all_clamps(rng, 60)
-    bad_start, _, _ = spoiled(start, clamps, SPOILED[0])
-    clamps = replace(clamps, start=Clamp.FRAME, end=Clamp.FRAME).take([BAD])
-    solution = relax(bad_start.take([BAD]), Material(2e5, 1e5, 1.0), clamps, SOLVERS[solver])
-    assert solution.status[0] == Status.NOT_FINITE
-
-
-def test_a_rod_that_is_not_finite_reports_no_other_rods_numbers(rng):
-    start, clamps, _ = rods_under_all_clamps(rng, 60)
-    clamps = replace(clamps, start=Clamp.FRAME, end=Clamp.FRAME)
-    bad_start, _, _ = spoiled(start, clamps, SPOILED[0])
-    solution = relax(bad_start, Material(2e5, 1e5, 1.0), clamps)
-    assert solution.status[BAD] == Status.NOT_FINITE
-    print(f"energy {solution.energy[BAD]}, residual {solution.residual[BAD]}, closure {solution.closure[BAD]}")
     assert np.isnan([solution.energy[BAD], solution.residual[BAD], solution.closure[BAD]]).all()
-
-
-def test_an_infeasible_rod_reports_nothing(rng):
-    start, clamps, _ = rods_under_all_clamps(rng, 60)
-    clamps = replace(clamps, start=Clamp.FRAME, end=Clamp.FRAME)
-    _, far, _ = spoiled(start, clamps, SPOILED[-1])
-    solution = relax(start, Material(2e5, 1e5, 1.0), far)
-    assert np.isnan([solution.energy[BAD], solution.residual[BAD], solution.closure[BAD]]).all()
-    assert np.isnan(solution.configuration.quaternions[BAD]).all()
-    assert np.isnan(solution.configuration.vertices[BAD, 1:]).all()
-    assert solution.iterations[BAD] == 0
+    if status == Status.INFEASIBLE:
+        assert np.isnan(solution.configuration.quaternions[BAD]).all() and solution.iterations[BAD] == 0
+        assert np.isnan(solution.configuration.vertices[BAD, 1:]).all()
 
 
 @pytest.mark.parametrize("how", ["a clamp at infinity", "a frame of zeros", "two edges, both clamped"])

@@ -1,4 +1,4 @@
-"""A rod's result is the same to the last bit alone, in a batch of 4096 mixed rods, in any place, on any threads."""
+"""A rod's result is the same to the last bit alone, shuffled, among rods of other kinds, and on any number of threads."""
 
 import hashlib
 import os
@@ -9,85 +9,97 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doo_ti.relaxation.relax import Descent, Newton, relax
-from doo_ti.rod.types import Clamp, Material
+from doo_ti import Clamp, Clamps, Descent, Itself, Material, Newton, Plane, Solution, Springs, relax
+from doo_ti.contact.obstacles import Sphere
+from doo_ti.rod.frames import across, bishop_frames, quaternion_from_matrix
+from doo_ti.rod.types import Configuration
 from doo_ti.system import runtime
-from tests.references.rods import clamps_at, jiggled
-from tests.relaxation.rods import PAIRS, RESULTS, assert_same, definite, wandering, with_kinds
+from tests.references.rods import clamps_at
+from tests.relaxation.rods import RESULTS, assert_same, wandering
 
-BATCH, STARTS, MATERIALS, EDGES = 4096, 30, 8, 20
-
-
-def mixed_rods(seed: int, kind: str):
-    """Tables of starts under all pairs of clamps and of materials over decades, and the rows of a shuffled batch."""
-    rng = np.random.default_rng(seed)
-    rods = wandering(rng, STARTS, EDGES, rng.uniform(1, 6, EDGES))
-    clamps = with_kinds(clamps_at(rods), [PAIRS[k % len(PAIRS)] for k in range(STARTS)])
-    bend = np.geomspace(1e5, 5e6, MATERIALS)
-    if kind == "general":
-        bend = bend[:, None, None, None] * definite(rng, MATERIALS, EDGES, scale=1.0)
-    material = Material(bend, rng.uniform(1e5, 1e6, MATERIALS), rng.uniform(0.5, 2, MATERIALS))
-    return jiggled(rods, rng, 0.05), clamps, material, rng.integers(0, [STARTS, MATERIALS], (BATCH, 2))
+EDGES, EDGE = 16, 6.0
 
 
-def row_of(material: Material, row: int) -> Material:
-    return Material(material.bend[[row]], material.twist[[row]], material.weight[[row]])
+def rods(rng: np.random.Generator, count: int, kinds: int = 4) -> tuple[Configuration, Material, Clamps]:
+    """Random rods with every pair of clamps that holds one; of round, ribbon, taper, curved at rest the first."""
+    turns = np.cumsum(rng.normal(0, 0.12, (count, EDGES, 3)), axis=1)
+    tangents = turns + [1.0, 0, 0] + 0.5 * rng.normal(size=(count, 1, 3))
+    tangents /= np.linalg.norm(tangents, axis=-1, keepdims=True)
+    frames = bishop_frames(tangents, across(tangents[:, 0]))
+    start = Configuration(rng.uniform(-5, 5, (count, 3)), quaternion_from_matrix(frames), np.full(EDGES, EDGE))
+    held = rng.integers(0, 4, (count, 2))
+    held[(held == 0).all(axis=1), 0] = Clamp.FRAME
+    vertices = start.vertices
+    ends = vertices[:, -1] + rng.normal(0, 3.0, (count, 3))
+    clamps = Clamps(held[:, 0], held[:, 1], vertices[:, 0], ends, frames[:, 0], frames[:, -1])
+    alpha, kind = 10.0 ** rng.uniform(4.5, 6, count), rng.integers(0, kinds, count)
+    if kinds == 1:
+        return start, Material(alpha, 0.7 * alpha, 1.0), clamps
+    bend = alpha[:, None, None, None] * np.eye(2) * np.ones((1, EDGES, 1, 1))
+    bend[kind == 1, :, 0, 0] *= 3.0
+    bend[kind == 2] *= np.linspace(0.5, 2.0, EDGES)[:, None, None]
+    rest = np.where((kind == 3)[:, None, None], 1e-3, 0.0) * np.ones((1, EDGES - 1, 2))
+    return start, Material(bend, 0.7 * alpha, 1.0, rest), clamps
+
+
+def call(given, rows: np.ndarray, **options) -> Solution:
+    start, material, clamps = given
+    springs = options.pop("springs", None)
+    if springs is not None:
+        options["external"] = Springs(springs.points[rows], springs.stiffness[rows])
+    return relax(start.take(rows), material.take(rows), clamps.take(rows), **options)
+
+
+def surroundings(kind: str, count: int, rng: np.random.Generator) -> dict:
+    if kind == "springs":
+        return {"springs": Springs(rng.uniform(-50, 100, (count, EDGES + 1, 3)), np.full((count, EDGES + 1), 0.5))}
+    obstacles = [Plane((0, 0, -25.0), (0, 0, 1)), Sphere((60.0, 0, -10.0), 8.0)]
+    descent = Descent(tolerance=1e-2, max_iterations=400)
+    return {"nothing": {}, "round": {}, "descent": {"solver": descent}, "obstacles": {"obstacles": obstacles, "radius": 1.0},
+            "itself": {"obstacles": [Itself()], "radius": 1.0}}[kind]
+
+
+def compare(rng, count: int, kind: str, precision: str, batches) -> None:
+    given = rods(rng, count, 1 if kind in ("round", "descent") else 4)
+    options = surroundings(kind, count, rng) | {"precision": precision}
+    whole = call(given, np.arange(count), **options)
+    print(f"{kind} {precision}: {np.bincount(whole.status, minlength=5)}, {whole.stable.sum()} stable")
+    for size, number in batches:
+        order = rng.permutation(count)
+        for first in range(0, min(count, size * number), size):
+            rows = order[first : first + size]
+            assert_same(whole, rows, call(given, rows, **options), slice(None))
 
 
 @pytest.mark.sampled(2)
-@pytest.mark.parametrize("precision", ["f64", "f32", "mixed"])
-@pytest.mark.parametrize("kind", ["isotropic", "general"])
-def test_newton(kind, precision):
-    start, clamps, material, rows = mixed_rods(5, kind)
-    batch = relax(
-        start, material, clamps, precision=precision, configuration_index=rows[:, 0], material_index=rows[:, 1])
-    print(f"seed 5, {kind}, {precision}: {np.bincount(batch.status, minlength=5)} rods by status")
-    # In any place: every rod that occurs again.
-    _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
-    assert_same(batch, np.arange(BATCH), batch, first[inverse.ravel()])
-    # Alone, and in a batch smaller than a pack.
-    for place in (0, 1, 15, 16, 777, 2048, 4095):
-        s, g = rows[place]
-        alone = relax(start.take([s]), row_of(material, g), clamps.take([s]), precision=precision)
-        assert_same(batch, [place], alone, [0])
-    few = relax(start, material, clamps, precision=precision, configuration_index=rows[100:103, 0],
-                material_index=rows[100:103, 1])
-    assert_same(batch, np.arange(100, 103), few, np.arange(3))
+@pytest.mark.parametrize("kind", ["nothing", "round", "springs", "obstacles", "itself"])
+@pytest.mark.parametrize("precision", ["f64", "mixed", "f32"])
+def test_shuffled_batches_have_the_same_bits(rng, kind, precision):
+    compare(rng, 240, kind, precision, ((1, 12), (7, 6), (100, 3)))
 
 
-def test_descent():
-    rng = np.random.default_rng(6)
-    rods = wandering(rng, 5, 9)
-    clamps = with_kinds(clamps_at(rods), [(3, 3), (2, 1), (3, 0), (1, 3), (0, 2)])
-    start, material = jiggled(rods, rng, 0.05), Material([3e5, 2e6], 4e5, 1.0)
-    options = Descent(tolerance=1e-2, max_iterations=400)
-    rows = rng.integers(0, [5, 2], (90, 2))
-    batch = relax(start, material, clamps, options, configuration_index=rows[:, 0], material_index=rows[:, 1])
-    print(f"seed 6: {np.bincount(batch.status, minlength=5)} rods by status")
-    _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
-    assert_same(batch, np.arange(90), batch, first[inverse.ravel()])
-    for place in (0, 31, 89):
-        s, g = rows[place]
-        alone = relax(start.take([s]), row_of(material, g), clamps.take([s]), options)
-        assert_same(batch, [place], alone, [0])
+def test_descent(rng):
+    compare(rng, 60, "descent", "f64", ((1, 3), (7, 3)))
 
 
-def test_earlier_calls_leave_nothing_behind():
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["nothing", "springs", "obstacles"])
+def test_twenty_thousand_rods_have_the_same_bits(rng, kind):
+    compare(rng, 20_000, kind, "f64", ((1, 100), (7, 60), (1000, 20)))
+
+
+def test_earlier_calls_leave_nothing_behind(rng):
     """Scratch is kept between calls."""
-    start, clamps, material, rows = mixed_rods(7, "isotropic")
-    index = {"configuration_index": rows[:64, 0], "material_index": rows[:64, 1]}
-    before = relax(start, material, clamps, **index)
-    long = wandering(np.random.default_rng(8), 3, 100)
-    relax(long, material, clamps_at(long, Clamp.FRAME, Clamp.FREE), Newton(max_iterations=3),
-          configuration_index=np.arange(40) % 3, material_index=np.arange(40) % MATERIALS)
-    assert_same(before, slice(None), relax(start, material, clamps, **index), slice(None))
+    given, long = rods(rng, 64, 1), wandering(rng, 3, 100)
+    before = call(given, np.arange(64))
+    relax(long, Material(1e5, 1e5), clamps_at(long, Clamp.FRAME, Clamp.FREE), Newton(max_iterations=3),
+          configuration_index=np.arange(40) % 3)
+    assert_same(before, slice(None), call(given, np.arange(64)), slice(None))
 
 
 def digest() -> str:
     """Of everything F returns for 300 mixed rods, through f32 and f64."""
-    start, clamps, material, rows = mixed_rods(9, "isotropic")
-    solution = relax(start, material, clamps, precision="mixed", configuration_index=rows[:300, 0],
-                     material_index=rows[:300, 1])
+    solution = call(rods(np.random.default_rng(9), 300, 1), np.arange(300), precision="mixed")
     arrays = (solution.configuration.quaternions, *(getattr(solution, name) for name in RESULTS))
     return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
 

@@ -48,13 +48,6 @@ def test_f64_takes_over_what_f32_cannot_finish(rng):
     np.testing.assert_allclose(demanding.energy, relax(start, material, clamps).energy, rtol=1e-10)
 
 
-def test_mixed_reaches_the_tolerance_of_f64(rng):
-    rods = wandering(rng, 10, 12)
-    start, clamps = jiggled(rods, rng, 0.05), clamps_at(rods)
-    solution = relax(start, Material(2e5, 1e5, 1.0), clamps, Newton(tolerance=1e-10), precision="mixed")
-    assert solution.converged.all() and solution.residual.max() <= 1e-10 and solution.closure.max() <= 1e-12
-
-
 @pytest.mark.parametrize(("name", "share"), [*((suture, 0.99) for suture in SUTURES), ("ribbon", 0.97)])
 def test_lab(laboratory, name, share):
     """Every third observation over 3 × 3 cells around the truth."""

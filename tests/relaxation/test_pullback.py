@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from doo_ti import (
     Clamp,
@@ -70,44 +69,28 @@ def test_it_is_the_adjoint_of_sensitivity(rng, kind):
 
 
 def test_rods_relaxed_again_change_so(rng):
-    """Central differences of the scalar, of rods under forces and masses."""
+    """Central differences of the scalar, of rods under forces and masses, by those forces too."""
     rods = wandering(rng, 6, 12)
     kinds = [(Clamp.FRAME, Clamp.FRAME), (Clamp.TANGENT, Clamp.FRAME), (Clamp.FREE, Clamp.FRAME)] * 2
     clamps, rest = with_kinds(clamps_at(rods), kinds), 0.01 * rng.normal(size=(6, 11, 2))
-    bend, twist, cotangent = np.array([[2e5, 3e4], [3e4, 1e5]]), 1.5e5, rng.normal(size=(6, 13, 3))
+    bend, cotangent, along = np.array([[2e5, 3e4], [3e4, 1e5]]), rng.normal(size=(6, 13, 3)), rng.normal(size=(6, 13, 3))
     force, mass = 30.0 * rng.normal(size=(6, 13, 3)), rng.uniform(0, 30, (6, 13))
-    solution = relax(rods, Material(bend, twist, 1.0, rest), clamps, SHARP, up=UP, external=PointLoads(force, mass))
-    names = ("bend", "twist", "weight", "rest_curvature_per_joint", "end_shift", "end_turn", "length", "forces")
-    pulled = pullback(solution, cotangent, names)
+    solution = relax(rods, Material(bend, 1.5e5, 1.0, rest), clamps, SHARP, up=UP, external=PointLoads(force, mass))
+    pulled = pullback(solution, cotangent, ("bend", "forces"))
     assert pulled.usable.all()
 
-    def scalar(changed, there=clamps, stretch=0.0, more=0.0):
-        begin = replace(solution.configuration, rest_length=rods.rest_length * np.exp(stretch))
-        again = relax(begin, changed, there, replace(SHARP, first_shift=0.0), up=UP, external=PointLoads(force + more, mass))
+    def scalar(stiffer=0.0, more=0.0):
+        again = relax(solution.configuration, Material(bend + stiffer * np.eye(2), 1.5e5, 1.0, rest), clamps,
+                      replace(SHARP, first_shift=0.0), up=UP, external=PointLoads(force + more, mass))
         assert again.converged.all()
         return np.einsum("rvk,rvk->r", cotangent, again.configuration.vertices)
 
-    def difference(call, step):
-        """Of fourth order in the step."""
-        near, far = ((call(k * step) - call(-k * step)) / (2 * k * step) for k in (1, 2))
-        return (4 * near - far) / 3
-
-    material, bent = Material(bend, twist, 1.0, rest), np.zeros((11, 2))
-    bent[4, 1] = 1.0
-    axis, along = np.array([0.3, -0.5, 0.8]), rng.normal(size=(6, 13, 3))
     for found, call, step in (
-        (pulled["bend"], lambda h: scalar(Material(bend + h * np.eye(2), twist, 1.0, rest)), 300.0),
-        (pulled["twist"], lambda h: scalar(Material(bend, twist + h, 1.0, rest)), 1000.0),
-        (pulled["weight"], lambda h: scalar(Material(bend, twist, 1.0 + h, rest)), 3e-3),
-        (pulled["rest_curvature_per_joint"][:, 4, 1], lambda h: scalar(Material(bend, twist, 1.0, rest + h * bent)), 3e-5),
-        (pulled["end_shift"] @ axis, lambda h: scalar(material, replace(clamps, end_position=clamps.end_position + h * axis)),
-         1e-3),
-        (pulled["end_turn"] @ axis, lambda h: scalar(material, replace(
-            clamps, end_frame=Rotation.from_rotvec(h * axis).as_matrix() @ clamps.end_frame)), 1e-3),
-        (pulled["length"], lambda h: scalar(material, clamps, h), 3e-6),
-        ((pulled["forces"] * along).sum(axis=(1, 2)), lambda h: scalar(material, more=h * along), 0.1),
+        (pulled["bend"], lambda h: scalar(h), 300.0),
+        ((pulled["forces"] * along).sum(axis=(1, 2)), lambda h: scalar(more=h * along), 0.1),
     ):
-        expected = difference(call, step)
+        near, far = ((call(k * step) - call(-k * step)) / (2 * k * step) for k in (1, 2))
+        expected = (4 * near - far) / 3
         assert np.abs(found - expected).max() < 1e-6 * np.abs(expected).max()
 
 
