@@ -12,14 +12,10 @@ import pyarrow
 import pyarrow.parquet
 import pytest
 
+from doo_ti import Clamp, Grid, InterruptedRunError, Observations, Status, load_observations, save_observations
 from doo_ti.cli import main
-from doo_ti.io.observation_files import load_observations, save_observations
 from doo_ti.learning.landscape import gather_overview
 from doo_ti.rod.frames import bishop_frames
-from doo_ti.rod.grid import Grid
-from doo_ti.rod.observations import Observations
-from doo_ti.rod.types import Clamp, Status
-from doo_ti.system.errors import InterruptedRunError
 from tests.commands.test_bad_input import MATERIAL, npz_bytes
 
 SCENE = """

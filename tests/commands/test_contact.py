@@ -5,9 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from doo_ti import Observations, save_observations
 from doo_ti.cli import main
-from doo_ti.io.observation_files import save_observations
-from doo_ti.rod.observations import Observations
 
 PLANE = '[[obstacles]]\nkind = "plane"\npoint = [0, 0, 0]\nnormal = [0, 0, 1]\n'
 MATERIAL = ["--bend", "6e5", "--precision", "f64", "--clamp-end", "free"]

@@ -7,12 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from doo_ti import Axis, Grid, SweepOptions, read_landscape, sweep
 from doo_ti.cli import main
 from doo_ti.io.scene import Synthesis
 from doo_ti.lab.synthesis import synthesise
-from doo_ti.learning.landscape import read_landscape
-from doo_ti.learning.sweeps import SweepOptions, sweep
-from doo_ti.rod.grid import Axis, Grid
 from tests.commands.test_bad_input import refused
 from tests.record.recordings import read
 

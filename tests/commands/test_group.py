@@ -5,9 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from doo_ti import Status, follow_group
 from doo_ti.cli import main
-from doo_ti.groups.follow import follow_group
-from doo_ti.rod.types import Status
 from tests.commands.test_bad_input import refused
 
 SCENE = """

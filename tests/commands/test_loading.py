@@ -6,11 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from doo_ti import Observations, load_observations
 from doo_ti.cli import main
 from doo_ti.commands.loading import length_doubt
 from doo_ti.commands.results import hypotheses_lines
-from doo_ti.io.observation_files import load_observations
-from doo_ti.rod.observations import Observations
 from tests.commands.test_bad_input import refused
 from tests.io.test_formats import CABLE, MARKS, motive, table
 

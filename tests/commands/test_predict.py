@@ -7,15 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from doo_ti import Material, Observations, load_observations, observation_clamps, relax, save_observations, start_configuration
 from doo_ti.cli import main
 from doo_ti.commands.results import plain
 from doo_ti.dynamics.theta import MotionTheta, load_theta, save_form
-from doo_ti.io.observation_files import load_observations, save_observations
-from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import quaternion_from_matrix
-from doo_ti.rod.observations import Observations
-from doo_ti.rod.start import observation_clamps, start_configuration
-from doo_ti.rod.types import Material
 from tests.commands.test_bad_input import refused
 from tests.references.rods import chain, clamps_at, stacked
 

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doo_ti import Material, Observations, relax, save_observations
+from doo_ti import Material, Observations, load_observations, relax, save_observations
 from doo_ti.cli import main
-from doo_ti.io.observation_files import load_observations
 from tests.commands.test_bad_input import refused
 from tests.references.rods import chain, clamps_at, stacked
 from tests.relaxation.rods import wandering

@@ -6,19 +6,11 @@ import json
 import numpy as np
 import pytest
 
+from doo_ti import Camera, Clamp, Material, Newton, Observations, hanging, load_path, relax, save_observations
 from doo_ti.cli import main
-from doo_ti.io.motion_file import load_path
-from doo_ti.io.observation_files import save_observations
 from doo_ti.manipulation.poses import moved
-from doo_ti.relaxation.newton import Newton
-from doo_ti.relaxation.relax import relax
-from doo_ti.rod.material import Material
-from doo_ti.rod.observations import Observations
 from doo_ti.rod.physical_units import stiffness
-from doo_ti.rod.straight import hanging
-from doo_ti.rod.types import Clamp
 from doo_ti.system.terminal import has_recorder
-from doo_ti.vision.cameras.camera import Camera
 from doo_ti.vision.cameras.rig import Rig, save_rig
 from tests.commands.test_bad_input import refused
 from tests.vision.poses import looking

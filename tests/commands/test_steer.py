@@ -5,9 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from doo_ti import Observations, save_observations
 from doo_ti.cli import main
-from doo_ti.io.observation_files import save_observations
-from doo_ti.rod.observations import Observations
 from tests.commands.test_bad_input import refused
 from tools.studies.trials.servo import BEND, tasks
 

@@ -5,12 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from doo_ti import Camera, load_observations
 from doo_ti.cli import main
-from doo_ti.io.observation_files import load_observations
 from doo_ti.io.scene import load_scene
 from doo_ti.lab.synthesis import synthesise
 from doo_ti.perception.virtual_lab import lab_rods
-from doo_ti.vision.cameras.camera import Camera
 from doo_ti.vision.cameras.rig import Rig, load_rig, save_rig
 from doo_ti.vision.detection.images import load_sets
 from doo_ti.vision.rendering.render import Photographs, RenderOptions

@@ -7,10 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from doo_ti import Clamp, load_observations, observation_clamps, start_configuration
 from doo_ti.cli import main
-from doo_ti.io.observation_files import load_observations
-from doo_ti.rod.start import observation_clamps, start_configuration
-from doo_ti.rod.types import Clamp
 from doo_ti.vision.cameras.rig import Rig, save_rig
 from tests.commands.test_bad_input import refused
 from tests.io.rods import wavy_vertices

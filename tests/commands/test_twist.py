@@ -5,12 +5,9 @@ import json
 import numpy as np
 import pytest
 
+from doo_ti import Material, Observations, relax, save_observations
 from doo_ti.cli import main
-from doo_ti.io.observation_files import save_observations
 from doo_ti.prediction.predict import total_twist
-from doo_ti.relaxation.relax import relax
-from doo_ti.rod.observations import Observations
-from doo_ti.rod.types import Material
 from tests.commands.test_bad_input import refused
 from tests.references.rods import chain, clamps_at, stacked
 

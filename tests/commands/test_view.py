@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import pytest
 
+from doo_ti import InterruptedRunError, sweep
 from doo_ti.cli import main
 from doo_ti.learning import sweeps
-from doo_ti.learning.sweeps import sweep
-from doo_ti.system.errors import InterruptedRunError
 from tests.learning.lab import DYNAMIC, GRID, small_lab
 
 

@@ -2,9 +2,7 @@
 
 import numpy as np
 
-from doo_ti.contact.obstacles import Box, Capsule, Cylinder, Plane, Ring, Sphere
-from doo_ti.relaxation.relax import relax
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
+from doo_ti import Box, Capsule, Clamp, Clamps, Configuration, Cylinder, Material, Plane, Ring, Sphere, relax
 
 LENGTH, EDGES, RADIUS = 100.0, 33, 0.5
 

@@ -5,12 +5,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from doo_ti.contact.obstacles import Box, Capsule, Cylinder, Plane, Sphere
-from doo_ti.dynamics.grippers import Grippers
-from doo_ti.dynamics.parameters import Dynamics, Stepping
-from doo_ti.dynamics.simulate import simulate
+from doo_ti import Box, Capsule, Clamp, Configuration, Cylinder, Dynamics, Grippers, Material, Plane, Sphere, Stepping, simulate
 from doo_ti.rod.frames import across, bishop_frames, quaternion_from_matrix
-from doo_ti.rod.types import Clamp, Configuration, Material
 from tests.references.rods import clamps_at
 
 EDGES, FRAMES = 15, 100

@@ -3,13 +3,8 @@
 import numpy as np
 import pytest
 
-from doo_ti.contact.obstacles import Cylinder, Ring
-from doo_ti.dynamics.grippers import Grippers
-from doo_ti.dynamics.parameters import Dynamics, Stepping
-from doo_ti.dynamics.simulate import simulate
-from doo_ti.relaxation.external import Springs
+from doo_ti import Clamp, Configuration, Cylinder, Dynamics, Grippers, Material, Ring, Springs, Stepping, simulate
 from doo_ti.rod.frames import across, bishop_frames, quaternion_from_matrix
-from doo_ti.rod.types import Clamp, Configuration, Material
 
 ROPE, DRUM, STRAIGHT = 0.2, 20.0, 30.0
 DRAWN, STEPS = 4.0, 40

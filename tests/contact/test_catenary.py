@@ -3,12 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.contact.obstacles import Plane
-from doo_ti.dynamics.grippers import Grippers
-from doo_ti.dynamics.parameters import Dynamics, Stepping
-from doo_ti.dynamics.simulate import simulate
-from doo_ti.relaxation.relax import relax
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
+from doo_ti import Clamp, Clamps, Configuration, Dynamics, Grippers, Material, Plane, Stepping, relax, simulate
 from tests.contact.elastica import along, solved
 
 SLOPE, LENGTH, RADIUS, EDGES = np.deg2rad(20.0), 200.0, 2.0, 50

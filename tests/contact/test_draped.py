@@ -4,8 +4,7 @@ place along it."""
 import numpy as np
 import pytest
 
-from doo_ti import Box, Capsule, Clamp, Clamps, Configuration, Material, Newton, Plane, Sphere, relax
-from doo_ti.rod.types import Solution, Status
+from doo_ti import Box, Capsule, Clamp, Clamps, Configuration, Material, Newton, Plane, Solution, Sphere, Status, relax
 
 LENGTH, EDGES, RADIUS, COUNT = 200.0, 40, 1.0, 60
 HELD = [(Clamp.FRAME, Clamp.FREE), (Clamp.POSITION, Clamp.FREE), (Clamp.FREE, Clamp.FRAME), (Clamp.FREE, Clamp.POSITION)]

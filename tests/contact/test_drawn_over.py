@@ -3,11 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.contact.obstacles import Ring, Sphere
-from doo_ti.relaxation.external import Springs
-from doo_ti.relaxation.newton import Newton
-from doo_ti.relaxation.relax import relax
-from doo_ti.rod.types import Clamp, Clamps, Material
+from doo_ti import Clamp, Clamps, Material, Newton, Ring, Sphere, Springs, relax
 from tests.contact.elastica import CURVATURE, X, along, arc, solved
 
 BEND, RADIUS, ROUND, HALF_ANGLE, TENSION, FREE = 4e4, 1.0, 30.0, np.deg2rad(18.0), 900.0, 20.0

@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.contact.obstacles import Box, Capsule, Cylinder, Plane, Ring, Sphere
-from doo_ti.relaxation.relax import relax
-from doo_ti.rod.types import Status
+from doo_ti import Box, Capsule, Cylinder, Plane, Ring, Sphere, Status, relax
 from tests.contact.clutter import OBSTACLES, RADIUS, gaps, sagging
 from tests.oracle.chain_form import chain_derivatives, chain_energy, rod_of
 from tests.oracle.equilibrium import clamped_start, free_variables

@@ -3,11 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.contact.obstacles import Plane
-from doo_ti.dynamics.grippers import Grippers
-from doo_ti.dynamics.parameters import Dynamics, Stepping
-from doo_ti.dynamics.simulate import simulate
-from doo_ti.rod.types import Clamp, Configuration, Material
+from doo_ti import Clamp, Configuration, Dynamics, Grippers, Material, Plane, Stepping, simulate
 from tests.contact.impacts import SCENES, moved
 from tests.references.rods import clamps_at
 

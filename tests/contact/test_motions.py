@@ -3,12 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.contact.obstacles import Capsule, Plane
-from doo_ti.dynamics.grippers import Grippers
-from doo_ti.dynamics.parameters import Dynamics, Stepping
-from doo_ti.dynamics.simulate import simulate
-from doo_ti.relaxation.relax import relax
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
+from doo_ti import Capsule, Clamp, Clamps, Configuration, Dynamics, Grippers, Material, Plane, Stepping, relax, simulate
 from tests.contact.clutter import gaps
 
 LENGTH, EDGES, RADIUS, FRAMES, COUNT = 100.0, 33, 0.5, 12, 12

@@ -5,23 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from doo_ti import Clamp, ClampPath, Grippers, InputError, Material, Moving, Touch, predict_moving, relax, simulate
 from doo_ti.cli import main
 from doo_ti.contact.gap_tolerance import GAP_TOLERANCE
-from doo_ti.contact.moving import Moving
 from doo_ti.contact.obstacles import Capsule, Cylinder, Plane
-from doo_ti.contact.touch import Touch
-from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.dynamics.scene import load_motion_scene
-from doo_ti.dynamics.simulate import simulate
-from doo_ti.io.motion_file import ClampPath
-from doo_ti.prediction.moving import predict_moving
-from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import rotation_matrix
-from doo_ti.rod.material import Material
 from doo_ti.rod.straight import hanging, straight_rod
-from doo_ti.rod.types import Clamp
-from doo_ti.system.errors import InputError
 
 RADIUS, INSTANTS = 2.0, 21
 TIME = np.linspace(0.0, 1.0, INSTANTS)

@@ -4,9 +4,8 @@
 import numpy as np
 import pytest
 
-from doo_ti import Box, Capsule, Cylinder, InputError, Plane, Ring, Sphere, load_obstacles
+from doo_ti import Box, Capsule, Cylinder, InputError, Plane, Ring, Sphere, Surroundings, load_obstacles
 from doo_ti.contact.meshes import mesh
-from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.scene import load_motion_scene
 
 ALL = """

@@ -3,10 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.contact.obstacles import Plane
-from doo_ti.relaxation.newton import Newton
-from doo_ti.relaxation.relax import relax
-from doo_ti.rod.types import Clamp, Clamps, Material
+from doo_ti import Clamp, Clamps, Material, Newton, Plane, relax
 from tests.contact.elastica import ANGLE, X, Z, along, arc, solved
 
 BEND, RADIUS = 4e4, 1.0

@@ -3,16 +3,9 @@
 import numpy as np
 import pytest
 
-from doo_ti.contact.obstacles import Plane
-from doo_ti.dynamics.grippers import Grippers
-from doo_ti.dynamics.parameters import Dynamics, Stepping
-from doo_ti.dynamics.simulate import simulate
+from doo_ti import Clamp, Clamps, Configuration, Dynamics, Grippers, Material, Newton, Plane, Stepping, relax, simulate
 from doo_ti.relaxation.contact_table import contact_table
 from doo_ti.relaxation.input_tables import tables
-from doo_ti.relaxation.newton import Newton
-from doo_ti.relaxation.relax import relax
-from doo_ti.rod.material import Material
-from doo_ti.rod.types import Clamp, Clamps, Configuration
 
 LENGTH, RADIUS, FRAMES = 40.0, 1.0, 60
 FAR = Plane((0, 0, -100.0), (0, 0, 1))

@@ -3,11 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.contact.obstacles import Box, Cylinder
-from doo_ti.dynamics.grippers import Grippers
-from doo_ti.dynamics.parameters import Dynamics, Stepping
-from doo_ti.dynamics.simulate import simulate
-from doo_ti.rod.types import Clamp, Material
+from doo_ti import Box, Clamp, Cylinder, Dynamics, Grippers, Material, Stepping, simulate
 from tests.contact.clutter import gaps
 from tests.contact.impacts import along, unit
 from tests.references.rods import clamps_at

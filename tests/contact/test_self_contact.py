@@ -4,21 +4,14 @@ import numpy as np
 import pytest
 import taichi as ti
 
+from doo_ti import Clamp, Clamps, Dynamics, Grippers, InputError, Material, Newton, Status, Stepping, relax, simulate
 from doo_ti.contact.itself import Itself, edge_distance, smallest_self_gap
-from doo_ti.dynamics.grippers import Grippers
-from doo_ti.dynamics.parameters import Dynamics, Stepping
-from doo_ti.dynamics.simulate import simulate
 from doo_ti.physics.tuples import record
-from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.pair_distance import pair_block, pair_distance, pair_slopes, pair_weights
-from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about, quaternion_product
 from doo_ti.rod.knots import overhand_knot, rod_along
-from doo_ti.rod.material import Material
 from doo_ti.rod.straight import end_clamps, straight_rod
-from doo_ti.rod.types import Clamp, Clamps, Status
 from doo_ti.system import runtime
-from doo_ti.system.errors import InputError
 from tests.contact.topology import determinant, link
 from tests.oracle.chain_form import chain_derivatives, chain_energy, rod_of
 from tests.oracle.equilibrium import clamped_start, free_variables

@@ -3,12 +3,8 @@
 import numpy as np
 import pytest
 
-from doo_ti.contact.obstacles import Plane
-from doo_ti.dynamics.grippers import Grippers
+from doo_ti import Clamp, Configuration, Grippers, Material, Plane, simulate
 from doo_ti.dynamics.parameters import GRAVITY, Dynamics, Stepping
-from doo_ti.dynamics.simulate import simulate
-from doo_ti.rod.material import Material
-from doo_ti.rod.types import Clamp, Configuration
 
 SLOPE, LENGTH, EDGES, RADIUS, RATE, INSTANTS = np.deg2rad(20.0), 40.0, 6, 1.0, 200.0, 41
 

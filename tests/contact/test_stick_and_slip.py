@@ -2,13 +2,7 @@
 
 import numpy as np
 
-from doo_ti.contact.obstacles import Plane
-from doo_ti.contact.touch import Touch
-from doo_ti.dynamics.grippers import Grippers
-from doo_ti.dynamics.parameters import Dynamics, Stepping
-from doo_ti.dynamics.simulate import simulate
-from doo_ti.relaxation.relax import relax
-from doo_ti.rod.types import Clamp, Configuration, Material
+from doo_ti import Clamp, Configuration, Dynamics, Grippers, Material, Plane, Stepping, Touch, relax, simulate
 
 LENGTH, EDGES, RADIUS, FRAMES, PUSH = 300.0, 40, 1.0, 4, 4.0  # mm
 

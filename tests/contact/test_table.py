@@ -4,9 +4,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
 
-from doo_ti.contact.obstacles import Plane
-from doo_ti.relaxation.relax import relax
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
+from doo_ti import Clamp, Clamps, Configuration, Material, Plane, relax
 
 BEND, LENGTH, RADIUS, HEIGHT = 4e4, 200.0, 1.0, 25.0
 WEIGHT = 2.0  # per mm, of a material of weight 1

@@ -3,8 +3,7 @@
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from doo_ti.dynamics.grippers import Grippers
-from doo_ti.rod.types import Clamp, Configuration
+from doo_ti import Clamp, Configuration, Grippers
 from tests.references.rods import chain, clamps_at
 
 GRAVITY = 9806.65  # mm/s²

@@ -3,12 +3,9 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from doo_ti.dynamics.grippers import Grippers
-from doo_ti.dynamics.parameters import Stepping
-from doo_ti.dynamics.simulate import simulate
+from doo_ti import Clamp, Grippers, Stepping, simulate
 from doo_ti.dynamics.theta import MotionTheta, simulated
 from doo_ti.rod.frames import edge_frames
-from doo_ti.rod.types import Clamp
 from tests.references.rods import chain, stacked
 
 RATE = 100.0

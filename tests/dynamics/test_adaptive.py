@@ -3,11 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.dynamics.parameters import Dynamics, Stepping
-from doo_ti.dynamics.simulate import simulate
-from doo_ti.relaxation.external import Springs
-from doo_ti.rod.types import Clamp, Material, Status
-from doo_ti.system.errors import InputError
+from doo_ti import Clamp, Dynamics, InputError, Material, Springs, Status, Stepping, simulate
 from tests.dynamics.test_batches import DYNAMICS, RATE, moved, rows, swung
 from tests.dynamics.test_energies import CURVED, at_rest, shaken
 

@@ -5,11 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from doo_ti import Clamp, Dynamics, Grippers, Material, Status, Stepping, simulate
 from doo_ti.dynamics import simulate as simulation
-from doo_ti.dynamics.grippers import Grippers
-from doo_ti.dynamics.parameters import Dynamics, Stepping
-from doo_ti.dynamics.simulate import simulate
-from doo_ti.rod.types import Clamp, Material, Status
 from tests.references.rods import clamps_at
 from tests.relaxation.rods import wandering
 

@@ -7,15 +7,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from doo_ti.contact.touch import Touch
-from doo_ti.dynamics.grippers import Grippers
-from doo_ti.dynamics.parameters import Dynamics, Stepping
+from doo_ti import Clamp, Dynamics, Grippers, Material, Springs, Stepping, Touch, relax, simulate
 from doo_ti.dynamics.scene import load_motion_scene
-from doo_ti.dynamics.simulate import simulate
-from doo_ti.relaxation.external import Springs
-from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import vertices_from_quaternions
-from doo_ti.rod.types import Clamp, Material
 from tests.dynamics.motions import resting
 from tests.references.rods import clamps_at
 from tests.relaxation.rods import wandering

@@ -3,14 +3,10 @@
 import numpy as np
 import pytest
 
+from doo_ti import Clamp, Configuration, Grippers, InputError, Material, Newton, Status, simulate
 from doo_ti.dynamics import simulate as simulation
-from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Direction, Dynamics, MovingStart, Stepping
-from doo_ti.dynamics.simulate import simulate
-from doo_ti.relaxation.newton import Newton
 from doo_ti.rod.frames import bishop_frames, matrix_from_quaternion, quaternion_about, quaternion_from_matrix
-from doo_ti.rod.types import Clamp, Configuration, Material, Status
-from doo_ti.system.errors import InputError
 
 EDGES, STEPS, RATE = 7, 30, 100.0
 LENGTHS = np.linspace(38.0, 46.0, EDGES)

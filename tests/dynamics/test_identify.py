@@ -5,9 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti.dynamics.identify import IdentifyOptions, identify
-from doo_ti.dynamics.recorded import RecordedMotion
-from doo_ti.dynamics.theta import MotionTheta
+from doo_ti import IdentifyOptions, MotionTheta, RecordedMotion, identify
 from tests.dynamics.recordings import RATE, recorded
 
 TRUE = MotionTheta(

@@ -4,10 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from doo_ti.dynamics.parameters import Dynamics, MovingStart, Stepping
-from doo_ti.dynamics.simulate import simulate
-from doo_ti.relaxation.external import Springs
-from doo_ti.rod.types import Clamp, Material
+from doo_ti import Clamp, Dynamics, Material, MovingStart, Springs, Stepping, simulate
 from tests.dynamics.motions import (
     GRAVITY,
     MASS_PER_LENGTH,

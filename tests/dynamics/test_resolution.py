@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.dynamics.parameters import Dynamics, Stepping
-from doo_ti.dynamics.simulate import simulate
-from doo_ti.rod.types import Clamp, Configuration, Material, Status
+from doo_ti import Clamp, Configuration, Dynamics, Material, Status, Stepping, simulate
 from tests.dynamics.motions import GRAVITY, planar, resting
 
 ASIDE = np.radians(60.0)

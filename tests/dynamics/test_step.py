@@ -4,14 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from doo_ti import Clamp, Dynamics, Grippers, Material, MovingStart, Newton, Springs, Status, Stepping, simulate
 from doo_ti.dynamics import simulate as simulation
-from doo_ti.dynamics.grippers import Grippers
-from doo_ti.dynamics.parameters import Dynamics, MovingStart, Stepping
-from doo_ti.dynamics.simulate import simulate
-from doo_ti.relaxation.external import Springs
-from doo_ti.relaxation.newton import Newton
 from doo_ti.rod.frames import quaternion_product, smallest_rotation
-from doo_ti.rod.types import Clamp, Material, Status
 from tests.dynamics.dense import Body, Instant, step
 from tests.oracle.algebra import directors
 from tests.oracle.chain_form import rod_of

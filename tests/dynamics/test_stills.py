@@ -5,12 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti.dynamics.identify import identify
-from doo_ti.dynamics.recorded import RecordedMotion
-from doo_ti.dynamics.stills import Stills
+from doo_ti import InputError, Observations, RecordedMotion, Stills, identify
 from doo_ti.dynamics.theta import Unknowns
-from doo_ti.rod.observations import Observations
-from doo_ti.system.errors import InputError
 from tests.dynamics.recordings import RATE
 from tests.dynamics.test_identify import GUESS, OPTIONS, TRUE, rolled_out
 from tests.references.rods import chain, stacked

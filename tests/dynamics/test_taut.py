@@ -3,13 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.contact.obstacles import Plane
-from doo_ti.dynamics.grippers import Grippers
-from doo_ti.dynamics.parameters import Direction, Dynamics, Stepping
-from doo_ti.dynamics.simulate import simulate
-from doo_ti.io.motion_file import ClampPath
-from doo_ti.prediction.moving import predict_moving
-from doo_ti.relaxation.relax import relax
+from doo_ti import ClampPath, Direction, Dynamics, Grippers, Plane, Stepping, predict_moving, relax, simulate
 from doo_ti.rod.types import Clamp, Configuration, Material, Status
 from tests.references.rods import clamps_at
 

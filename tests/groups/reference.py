@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag
 
-from doo_ti.groups.group import Group
-from doo_ti.rod.types import Clamp
+from doo_ti import Clamp, Group
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import State, clamped_start, free_variables, moved, vertices_of
 from tests.oracle.external import Springs, total_derivatives, vertex_jacobian

@@ -5,8 +5,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from doo_ti.groups.group import Group
-from doo_ti.rod.types import Clamp
+from doo_ti import Clamp, Group
 from tests.groups.reference import _derivatives as derivatives_under
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import clamped_start, free_variables, moved, vertices_of

@@ -5,15 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti.contact.itself import Itself
-from doo_ti.contact.obstacles import Plane
-from doo_ti.contact.touch import Touch
-from doo_ti.groups.follow import follow_group
-from doo_ti.groups.group import Group, Tie
-from doo_ti.groups.relax_group import relax_group
-from doo_ti.relaxation.newton import Newton
-from doo_ti.rod.knots import rod_along
-from doo_ti.rod.material import Material
+from doo_ti import Group, Itself, Material, Newton, Plane, Tie, Touch, follow_group, relax_group, rod_along
 from doo_ti.rod.straight import end_clamps, straight_rod
 from doo_ti.rod.types import Clamp, Configuration, Status
 from tests.contact.topology import linking

@@ -5,16 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti.groups.follow import follow_group
-from doo_ti.groups.group import Group, Tie
-from doo_ti.groups.relax_group import relax_group
-from doo_ti.relaxation.newton import Newton
-from doo_ti.relaxation.relax import relax
+from doo_ti import Group, InputError, Material, Newton, Tie, end_clamps, follow_group, hanging, relax, relax_group, straight_rod
 from doo_ti.rod.frames import rotation_matrix
-from doo_ti.rod.material import Material
-from doo_ti.rod.straight import end_clamps, hanging, straight_rod
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Status
-from doo_ti.system.errors import InputError
 from tests.groups.reference import reference
 
 MATERIAL = Material(1e5, 8e4)

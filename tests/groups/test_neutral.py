@@ -5,13 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti.groups.follow import follow_group
-from doo_ti.groups.group import Group, Tie
-from doo_ti.groups.relax_group import relax_group
-from doo_ti.relaxation.newton import Newton
-from doo_ti.relaxation.relax import relax
+from doo_ti import Clamp, Group, Material, Newton, Status, Tie, follow_group, relax, relax_group
 from doo_ti.rod.straight import end_clamps, hanging, straight_rod
-from doo_ti.rod.types import Clamp, Material, Status
 
 FREE = (Clamp.FREE, Clamp.FREE)
 MOST = 60

@@ -5,11 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doo_ti.groups.follow import follow_group
-from doo_ti.groups.group import Tie
+from doo_ti import Clamp, InputError, Tie, follow_group
 from doo_ti.groups.scene import load_group_scene
-from doo_ti.rod.types import Clamp
-from doo_ti.system.errors import InputError
 
 SCENES = sorted((Path(__file__).resolve().parents[2] / "scenes" / "groups").glob("*.toml"))
 SCENE = """

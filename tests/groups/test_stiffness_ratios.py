@@ -5,12 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from doo_ti.groups.group import Group, Tie
-from doo_ti.groups.relax_group import relax_group
-from doo_ti.relaxation.relax import relax
-from doo_ti.rod.material import Material
-from doo_ti.rod.straight import end_clamps, straight_rod
-from doo_ti.rod.types import Clamp, Clamps, Status
+from doo_ti import Clamp, Clamps, Group, Material, Status, Tie, end_clamps, relax, relax_group, straight_rod
 from tests.groups.scaled_reference import nearest_equilibrium
 
 EDGES, LENGTH, SOFT, POSES = 12, 120.0, 1e6, 6

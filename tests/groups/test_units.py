@@ -5,14 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti.dynamics.parameters import Dynamics
-from doo_ti.groups.follow import follow_group
-from doo_ti.groups.group import Group, Tie
-from doo_ti.groups.relax_group import relax_group
-from doo_ti.relaxation.newton import Newton
+from doo_ti import Clamp, Dynamics, Group, InputError, Material, Newton, Tie, follow_group, relax_group
 from doo_ti.rod.straight import end_clamps, hanging, straight_rod
-from doo_ti.rod.types import Clamp, Material
-from doo_ti.system.errors import InputError
 from tests.groups.reference import reference
 
 TRUNK, BRANCH = {"EI": 1e-4, "GJ": 8e-5, "weight_per_length": 0.6}, {"EI": 2e-6, "GJ": 1e-6, "weight_per_length": 0.05}

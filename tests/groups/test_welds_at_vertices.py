@@ -4,14 +4,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_bvp
 
-from doo_ti.groups.group import Group, Tie
-from doo_ti.groups.relax_group import GroupSolution, relax_group
+from doo_ti import Group, GroupSolution, InputError, Tie, end_clamps, hanging, relax, relax_group, rod_along, straight_rod
 from doo_ti.groups.scene import load_group_scene
-from doo_ti.relaxation.relax import relax
-from doo_ti.rod.knots import rod_along
-from doo_ti.rod.straight import end_clamps, hanging, straight_rod
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
-from doo_ti.system.errors import InputError
 
 LENGTH = 300.0
 RADIUS = LENGTH / (2 * np.pi)

@@ -11,19 +11,15 @@ import pyarrow
 import pyarrow.parquet
 import pytest
 
+from doo_ti import InputError, load_observations, load_obstacles, load_path, load_rig, save_observations
 from doo_ti.commands.refine import read_groups
-from doo_ti.contact.obstacle_file import load_obstacles
 from doo_ti.dynamics.scene import load_motion_scene
 from doo_ti.io import arrays
 from doo_ti.io.arrays import read_arrays
-from doo_ti.io.motion_file import load_path
-from doo_ti.io.observation_files import load_observations, save_observations
 from doo_ti.io.scene import load_scene
 from doo_ti.learning.pairs import load_pairs
-from doo_ti.system.errors import InputError
 from doo_ti.system.files import read_content
 from doo_ti.vision.cameras.board import read_views
-from doo_ti.vision.cameras.rig import load_rig
 from doo_ti.vision.detection.images import load_sets, read_image, stated_size
 from doo_ti.vision.reprojection.marks import read_labels, read_marks
 from tests.learning.lab import small_lab

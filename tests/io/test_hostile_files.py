@@ -18,8 +18,7 @@ import pyarrow
 import pyarrow.parquet
 import pytest
 
-from doo_ti import Observations
-from doo_ti.system.errors import InputError
+from doo_ti import InputError, Observations
 from tests.io.test_formats import CABLE, MARKS, motive, nexus, table
 
 resource = pytest.importorskip("resource", reason="the memory of a process is limited on Unix only")

@@ -6,9 +6,7 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 
-from doo_ti.io.observation_files import load_observations, save_observations
-from doo_ti.rod.observations import Observations
-from doo_ti.system.errors import InputError
+from doo_ti import InputError, Observations, load_observations, save_observations
 from tests.io.rods import wavy_vertices
 from tests.io.test_observations import full_keys, same
 

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
+from doo_ti import Clamp, Clamps, InputError
 from doo_ti.io.motion_file import ClampPath, load_path, path_of_marks
-from doo_ti.rod.types import Clamp, Clamps
-from doo_ti.system.errors import InputError
 
 QUARTER = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
 

@@ -5,10 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from doo_ti import Clamp, Configuration, InputError, predict
 from doo_ti.dynamics.scene import load_motion_scene
-from doo_ti.prediction.predict import predict
-from doo_ti.rod.types import Clamp, Configuration
-from doo_ti.system.errors import InputError
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes" / "motion"
 GOOD = """

@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti.io.observation_files import load_observations
+from doo_ti import InputError, load_observations
 from doo_ti.rod.observations import KEYS, Observations
-from doo_ti.system.errors import InputError
 from tests.io.rods import twisted_frames, wavy_vertices
 
 

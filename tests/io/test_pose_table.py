@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from doo_ti.io.motion_file import load_path
+from doo_ti import InputError, load_path
 from doo_ti.io.pose_table import holds_poses
-from doo_ti.system.errors import InputError
 
 TURNS = Rotation.from_euler("xyz", [[0.1, -0.4, 0.9], [0.3, -0.2, 1.0], [0.5, 0.1, 1.4]])
 PLACES = np.array([[50.0, 0, 1], [52, 3, 1], [54, 5, 0]])

@@ -5,9 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from doo_ti import Clamp, InputError
 from doo_ti.io.scene import Synthesis, load_scene
-from doo_ti.rod.types import Clamp
-from doo_ti.system.errors import InputError
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 GOOD = {

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.io.observation_files import load_observations
-from doo_ti.system.errors import InputError
+from doo_ti import InputError, load_observations
 
 Usd = pytest.importorskip("pxr.Usd", reason="the extra `usd` is not installed")
 

@@ -5,15 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from doo_ti import Clamp, Clamps, InterruptedRunError, Material, distance, observation_clamps, relax, start_configuration
 from doo_ti.io.scene import Synthesis
 from doo_ti.lab import synthesis as lab
 from doo_ti.lab.synthesis import synthesise
-from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import quaternion_from_matrix
-from doo_ti.rod.metric import distance
-from doo_ti.rod.start import observation_clamps, start_configuration
-from doo_ti.rod.types import Clamp, Clamps, Material
-from doo_ti.system.errors import InterruptedRunError
 from tests.io.rods import joint_twist
 from tests.references.rods import chain, clamps_at
 

@@ -6,13 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.io.observation_files import load_observations
+from doo_ti import Axis, Grid, Material, Observations, load_observations
 from doo_ti.io.scene import Synthesis
 from doo_ti.lab.synthesis import synthesise
 from doo_ti.learning.experiment import Experiment, SweepOptions
-from doo_ti.rod.grid import Axis, Grid
-from doo_ti.rod.observations import Observations
-from doo_ti.rod.types import Material
 
 GRID = Grid((Axis("bend", [2e5, 4e5, 8e5, 1.6e6]), Axis("twist_ratio", [0.5, 1.0, 2.0])))
 DYNAMIC = SweepOptions(objective="dynamic")

@@ -4,9 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.learning.landscape import Landscape
-from doo_ti.rod.grid import Axis, Grid
-from doo_ti.rod.types import Status
+from doo_ti import Axis, Grid, Landscape, Status
 
 
 def grid_of(cells: int) -> Grid:

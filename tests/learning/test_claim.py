@@ -4,11 +4,10 @@ from threading import Barrier, Thread
 
 import pytest
 
+from doo_ti import InputError, InterruptedRunError, sweep
 from doo_ti.learning import run_folder
 from doo_ti.learning.experiment import Experiment
 from doo_ti.learning.run_folder import claim
-from doo_ti.learning.sweeps import sweep
-from doo_ti.system.errors import InputError, InterruptedRunError
 from tests.learning.lab import GRID, small_lab
 
 

@@ -10,11 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from doo_ti.io.observation_files import save_observations
+from doo_ti import InputError, InterruptedRunError, SweepOptions, save_observations, sweep
 from doo_ti.learning import sweeps, workers
 from doo_ti.learning.chunks import maker
-from doo_ti.learning.sweeps import SweepOptions, sweep
-from doo_ti.system.errors import InputError, InterruptedRunError
 from tests.learning.lab import GRID, small_lab
 from tests.learning.test_sweep import assert_same_cells, small_chunks  # noqa: F401  a fixture
 

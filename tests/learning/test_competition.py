@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from doo_ti import InputError, Status
 from doo_ti.learning.cross_validation import cross_validate, partition
 from doo_ti.learning.drawing import plane_of
 from doo_ti.learning.experiment import Hypotheses, resolved
-from doo_ti.rod.types import Status
-from doo_ti.system.errors import InputError
 from tests.learning.landscapes import static
 
 

@@ -10,12 +10,10 @@ import pyarrow
 import pyarrow.parquet
 import pytest
 
+from doo_ti import InputError, read_landscape, sweep
 from doo_ti.cli import main
 from doo_ti.learning import run_folder
 from doo_ti.learning.chunks import maker
-from doo_ti.learning.landscape import read_landscape
-from doo_ti.learning.sweeps import sweep
-from doo_ti.system.errors import InputError
 from tests.learning.lab import DYNAMIC, GRID, small_lab
 
 

@@ -6,18 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from doo_ti import InputError, Material, distance, observation_clamps, read_landscape, relax, start_configuration, sweep
 from doo_ti.learning.cells import relax_cells
 from doo_ti.learning.experiment import Experiment, SweepOptions
-from doo_ti.learning.landscape import read_landscape
 from doo_ti.learning.pairs import Pairs, pairs_from_labels
 from doo_ti.learning.run_folder import read_experiment
-from doo_ti.learning.sweeps import sweep
 from doo_ti.motion.path import carried_clamps, carry
-from doo_ti.relaxation.relax import relax
-from doo_ti.rod.metric import distance
-from doo_ti.rod.start import observation_clamps, start_configuration
-from doo_ti.rod.types import Material
-from doo_ti.system.errors import InputError
 from tests.learning.lab import DYNAMIC, GRID, small_lab
 from tests.learning.test_sweep import cells
 

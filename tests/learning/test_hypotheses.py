@@ -5,14 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti.io.observation_files import load_observations
+from doo_ti import Axis, Clamp, Grid, InputError, load_observations, observation_clamps, read_landscape, sweep
 from doo_ti.learning.experiment import Experiment, Hypotheses, SweepOptions, hypotheses_of, nearest, resolved, scores, started
-from doo_ti.learning.landscape import read_landscape
-from doo_ti.learning.sweeps import sweep
-from doo_ti.rod.grid import Axis, Grid
-from doo_ti.rod.start import observation_clamps
-from doo_ti.rod.types import Clamp
-from doo_ti.system.errors import InputError
 from tests.io.rods import joint_twist
 from tests.learning.lab import DYNAMIC, small_lab
 

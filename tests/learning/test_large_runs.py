@@ -8,12 +8,9 @@ import pyarrow
 import pyarrow.parquet
 import pytest
 
+from doo_ti import Axis, Grid, InputError, Status, sweep
 from doo_ti.learning import chunks
 from doo_ti.learning.landscape import gather_landscape, gather_overview
-from doo_ti.learning.sweeps import sweep
-from doo_ti.rod.grid import Axis, Grid
-from doo_ti.rod.types import Status
-from doo_ti.system.errors import InputError
 from tests.learning.lab import DYNAMIC, GRID, small_lab
 
 CELLS_OF_A_FILE, OBSERVATIONS = 40, 100

@@ -5,22 +5,13 @@ import json
 import numpy as np
 import pytest
 
+from doo_ti import Axis, Descent, DistanceGrid, Grid, InputError, Observations, Pairs, Surroundings, hanging, relax, sweep
 from doo_ti.cli import main
-from doo_ti.contact.distance_grid import DistanceGrid
 from doo_ti.contact.obstacles import Plane, Ring, Sphere
-from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.observation_files import save_observations
 from doo_ti.learning.experiment import Experiment, SweepOptions
-from doo_ti.learning.pairs import Pairs
 from doo_ti.learning.run_folder import claim, identity_of, read_experiment, read_plan
-from doo_ti.learning.sweeps import sweep
-from doo_ti.relaxation.descent import Descent
-from doo_ti.relaxation.relax import relax
-from doo_ti.rod.grid import Axis, Grid
-from doo_ti.rod.observations import Observations
-from doo_ti.rod.straight import hanging
 from doo_ti.rod.types import Clamp, Material
-from doo_ti.system.errors import InputError
 
 TRUE, RADIUS, HEIGHT = 2e5, 2.0, 25.0
 TABLE = Surroundings([Plane((0, 0, 0), (0, 0, 1))], RADIUS)

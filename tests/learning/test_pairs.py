@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from doo_ti import InputError, observation_clamps
 from doo_ti.learning.pairs import Pairs, check_ways, load_pairs, pairs_from_labels, save_pairs
-from doo_ti.rod.start import observation_clamps
-from doo_ti.system.errors import InputError
 from tests.learning.lab import lab_rods, small_lab
 
 

@@ -8,9 +8,8 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 
+from doo_ti import Status, sweep
 from doo_ti.learning.chunks import maker
-from doo_ti.learning.sweeps import sweep
-from doo_ti.rod.types import Status
 from tests.learning.lab import DYNAMIC, GRID, small_lab
 
 PAGE = (Path(__file__).parents[2] / "docs" / "reading_runs.md").read_text(encoding="utf-8")

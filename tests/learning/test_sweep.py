@@ -7,12 +7,8 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 
+from doo_ti import Axis, Grid, InputError, InterruptedRunError, Observations, SweepOptions, read_landscape, sweep
 from doo_ti.learning import sweeps
-from doo_ti.learning.landscape import read_landscape
-from doo_ti.learning.sweeps import SweepOptions, sweep
-from doo_ti.rod.grid import Axis, Grid
-from doo_ti.rod.observations import Observations
-from doo_ti.system.errors import InputError, InterruptedRunError
 from tests.learning.lab import DYNAMIC, GRID, small_lab
 
 COLUMNS = {

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Clamps, Material, Observations, load_observations, observation_clamps, relax
+from doo_ti import Clamp, Clamps, Material, Observations, load_observations, observation_clamps, relax, start_configuration
 from doo_ti.learning.up_axes import other_up
 from doo_ti.rod.frames import bishop_frames
-from doo_ti.rod.start import start_configuration
 
 AXES = {name: sign * np.eye(3)["xyz".index(name[-1])] for name, sign in
         (("x", 1.0), ("y", 1.0), ("z", 1.0), ("-x", -1.0), ("-y", -1.0), ("-z", -1.0))}

@@ -6,14 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_bvp
 
-from doo_ti.contact.itself import Itself
-from doo_ti.manipulation.grips import Grip, relax_held
-from doo_ti.manipulation.simulation import Simulation
-from doo_ti.relaxation.end_loads import end_loads
-from doo_ti.relaxation.relax import relax
-from doo_ti.rod.straight import hanging, straight_rod
+from doo_ti import Grip, InputError, Itself, Simulation, end_loads, hanging, relax, relax_held, straight_rod
 from doo_ti.rod.types import Clamp, Clamps, Material, Status
-from doo_ti.system.errors import InputError
 
 LENGTH, SPAN, RAISED = 400.0, 380.0, 40.0
 IN_PLANE = 1e5

@@ -3,15 +3,11 @@
 import numpy as np
 import pytest
 
+from doo_ti import Axis, Clamp, Clamps, Configuration, Grid, Material, Motion, Newton, Status, relax
 from doo_ti.learning.cells import carried, journey, relaxed
 from doo_ti.learning.experiment import Experiment
 from doo_ti.motion.journey import Journey
-from doo_ti.motion.path import Motion
-from doo_ti.relaxation.newton import Newton
-from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import quaternion_from_matrix
-from doo_ti.rod.grid import Axis, Grid
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
 from tests.learning.lab import DYNAMIC, lab_rods
 from tests.relaxation.lab import vertex_distance
 

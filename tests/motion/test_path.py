@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
+from doo_ti import Clamp, Clamps, InputError
 from doo_ti.motion.path import LARGEST_TURN, motion_between
 from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about
-from doo_ti.rod.types import Clamp, Clamps
-from doo_ti.system.errors import InputError
 
 
 def clamps_of(rng, count: int, start=Clamp.FRAME, end=Clamp.FRAME) -> Clamps:

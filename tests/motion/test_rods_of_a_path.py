@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
+from doo_ti import Material, relax
 from doo_ti.motion.path import carried_clamps, carry
-from doo_ti.relaxation.relax import relax
-from doo_ti.rod.types import Material
 from tests.references.rods import chain, clamps_at, stacked
 from tests.relaxation.lab import vertex_distance
 from tests.relaxation.rods import assert_same

@@ -3,14 +3,8 @@
 import numpy as np
 import pytest
 
-from doo_ti.contact.obstacles import Plane
-from doo_ti.contact.surroundings import Surroundings
-from doo_ti.perception.perceive import PerceptionOptions, perceive
-from doo_ti.perception.tracking import How, Tracker
-from doo_ti.relaxation.relax import relax
+from doo_ti import How, InputError, PerceptionOptions, Plane, Surroundings, Tracker, detect, perceive, relax
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
-from doo_ti.system.errors import InputError
-from doo_ti.vision.detection.detect import detect
 from doo_ti.vision.rendering.render import render_set
 from doo_ti.vision.rendering.tubes import smooth_curve
 from tests.vision.drawn_maps import drawn_maps, three_cameras

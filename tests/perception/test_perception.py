@@ -6,20 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import InputError, Material
+from doo_ti import Detection, DistanceMaps, InputError, Material, Rig, Status, detect, distance_maps, load_rig, score
 from doo_ti.perception import search
 from doo_ti.perception.finalists import bending_hessian, point_sigma, vertex_sigma
 from doo_ti.perception.growth import rank_distinct
 from doo_ti.perception.perceive import Perception, PerceptionOptions, PerceptionVerdict, perceive
-from doo_ti.rod.types import Status
-from doo_ti.vision.cameras.rig import Rig, load_rig
-from doo_ti.vision.detection.detect import detect
 from doo_ti.vision.detection.images import load_sets, read_image
-from doo_ti.vision.detection.line import Detection
 from doo_ti.vision.rendering.render import render_set
 from doo_ti.vision.rendering.tubes import smooth_curve
-from doo_ti.vision.reprojection.distance_map import DistanceMaps, distance_maps
-from doo_ti.vision.reprojection.score import score
 from tests.vision.drawn_maps import curves, drawn_maps, three_cameras
 
 EDGES, ALPHA, SETS = 14, 2e5, 3

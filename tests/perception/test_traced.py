@@ -5,15 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doo_ti.perception.perceive import PerceptionVerdict, perceive
-from doo_ti.perception.search import PerceptionOptions
+from doo_ti import InputError, Material, PerceptionOptions, PerceptionVerdict, detect, distance_maps, load_rig, perceive
 from doo_ti.perception.seeds import seed_from_pixels, whole_threads
-from doo_ti.rod.types import Material
-from doo_ti.system.errors import InputError
-from doo_ti.vision.cameras.rig import load_rig
-from doo_ti.vision.detection.detect import detect
 from doo_ti.vision.detection.images import load_sets, read_image
-from doo_ti.vision.reprojection.distance_map import distance_maps
 from doo_ti.vision.reprojection.image_energy import coverage
 from tools.studies.angle_study import EDGES, LENGTH_MM, apart, cameras, curve, dense, detection
 

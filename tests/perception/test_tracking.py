@@ -6,16 +6,11 @@ from time import perf_counter
 import numpy as np
 import pytest
 
-from doo_ti import InputError, Material
+from doo_ti import Detection, InputError, Material, Status, detect, distance_maps, perceive
 from doo_ti.motion.path import motion_between
-from doo_ti.perception.perceive import perceive
 from doo_ti.perception.search import PerceptionOptions, Search
 from doo_ti.perception.tracking import How, TrackedFrame, Tracker, TrackingOptions, seen_vertices
 from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about
-from doo_ti.rod.types import Status
-from doo_ti.vision.detection.detect import detect
-from doo_ti.vision.detection.line import Detection
-from doo_ti.vision.reprojection.distance_map import distance_maps
 from tests.perception.videos import FRAMES, MATERIAL, REST_LENGTH, far_motion, images, photographed, rods
 from tests.vision.drawn_maps import curves, three_cameras
 

@@ -4,11 +4,8 @@ from functools import cache
 
 import numpy as np
 
-from doo_ti.motion.path import Motion
-from doo_ti.relaxation.newton import Newton
-from doo_ti.relaxation.relax import relax
+from doo_ti import Clamp, Clamps, Configuration, Material, Motion, Newton, relax
 from doo_ti.rod.frames import across, bishop_frames, quaternion_from_matrix
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
 from doo_ti.vision.rendering.render import render_set
 from doo_ti.vision.rendering.tubes import smooth_curve
 from tests.vision.drawn_maps import curves, three_cameras

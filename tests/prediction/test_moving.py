@@ -5,14 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti.dynamics.grippers import Grippers
-from doo_ti.dynamics.parameters import Dynamics, Stepping
-from doo_ti.dynamics.simulate import simulate
-from doo_ti.io.motion_file import ClampPath
+from doo_ti import ClampPath, Dynamics, Grippers, InputError, Material, Stepping, predict, simulate
 from doo_ti.prediction.moving import predict_moving, rate_of
-from doo_ti.prediction.predict import predict
-from doo_ti.rod.types import Material
-from doo_ti.system.errors import InputError
 from tests.prediction.test_predict import MATERIAL, bows, line
 
 SHIFTS = np.linspace(0, 1, 5)[:, None] * [-6.0, 3.0, 2.0]

@@ -5,15 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti.dynamics.parameters import Dynamics, Stepping
-from doo_ti.io.motion_file import ClampPath
+from doo_ti import ClampPath, Dynamics, InputError, PointLoads, Stepping, predict, predict_moving, predict_step, relax
 from doo_ti.motion.path import carried_clamps, carry
-from doo_ti.prediction.moving import predict_moving
-from doo_ti.prediction.predict import predict, predict_step
-from doo_ti.relaxation.point_loads import PointLoads
-from doo_ti.relaxation.relax import relax
 from doo_ti.rod.types import Clamp, Clamps, Material, Status
-from doo_ti.system.errors import InputError
 from tests.references.rods import chain, clamps_at, stacked
 
 MATERIAL = Material(6e5, 8e5)

@@ -8,10 +8,8 @@ at μ = 1.7818 (Gomez, Moulton, Vella, Nature Physics 13, 2017).
 import numpy as np
 import pytest
 
-from doo_ti.io.motion_file import ClampPath
-from doo_ti.prediction.predict import predict
+from doo_ti import Clamp, ClampPath, Clamps, Configuration, Material, predict
 from doo_ti.rod.frames import quaternion_from_matrix
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
 
 LENGTH, EDGES, SHORTENING = 100.0, 64, 0.01
 EDGE = LENGTH / EDGES

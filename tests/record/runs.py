@@ -2,10 +2,8 @@
 
 import numpy as np
 
-from doo_ti.report.grid_view import Observed
-from doo_ti.report.plane import LandscapePlane
+from doo_ti import LandscapePlane, Observed, Status
 from doo_ti.rod.grid import Axis, Grid, valley
-from doo_ti.rod.types import Status
 
 ITERATIONS, OBSERVATIONS, VERTICES, BENDS, RATIOS = 13, 6, 9, 5, 4
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.report.grid_view import Observed
-from doo_ti.system.errors import InputError
+from doo_ti import InputError, Observed
 
 from . import runs
 from .recordings import read

@@ -4,14 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from doo_ti.contact.obstacles import Plane
-from doo_ti.contact.surroundings import Surroundings
-from doo_ti.groups.group import Group, Tie
-from doo_ti.groups.relax_group import GroupSolution
+from doo_ti import Group, GroupSolution, Material, Plane, Status, Surroundings, Tie, end_clamps, straight_rod
 from doo_ti.record import FAILED, record_group
-from doo_ti.rod.material import Material
-from doo_ti.rod.straight import end_clamps, straight_rod
-from doo_ti.rod.types import Status
 from tests.record.recordings import read
 
 

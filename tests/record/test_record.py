@@ -5,10 +5,7 @@ import sys
 import numpy as np
 import pytest
 
-from doo_ti.report.grid_view import Observed
-from doo_ti.report.plane import LandscapePlane
-from doo_ti.rod.types import Status
-from doo_ti.system.errors import InputError, InterruptedRunError
+from doo_ti import InputError, InterruptedRunError, LandscapePlane, Observed, Status
 
 from . import runs
 from .recordings import read

@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from doo_ti.relaxation.newton import Newton
-from doo_ti.relaxation.relax import relax
+from doo_ti import Clamps, Configuration, Material, Newton, relax
 from doo_ti.rod.frames import quaternion_from_matrix
-from doo_ti.rod.types import Clamps, Configuration, Material
 from tests.references.rods import clamps_at, jiggled
 
 EDGES, LENGTH, ALPHA, BETA = 24, 3.0, 6e5, 4e5

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from doo_ti.relaxation.relax import Newton, relax
-from doo_ti.rod.types import Configuration, Material
+from doo_ti import Configuration, Material, Newton, relax
 from tests.oracle.external import relaxed
 from tests.references.rods import chain, clamps_at, stacked
 

@@ -11,8 +11,7 @@ from scipy.integrate import solve_bvp
 from scipy.optimize import brentq
 from scipy.special import jv
 
-from doo_ti.relaxation.relax import Newton, relax
-from doo_ti.rod.types import Clamp, Material
+from doo_ti import Clamp, Material, Newton, relax
 from tests.references.rods import chain, clamps_at, orders, show, stacked
 
 ALPHA, BETA, LENGTH = 6e5, 4e5, 100.0

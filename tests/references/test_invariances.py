@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from doo_ti.relaxation.relax import Newton, relax
+from doo_ti import Clamp, Clamps, Configuration, Material, Newton, relax
 from doo_ti.rod.frames import quaternion_from_matrix
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
 from tests.references.rods import chain, clamps_at, jiggled
 
 EDGES = 14

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from doo_ti.relaxation.relax import Newton, relax
-from doo_ti.rod.types import Material
+from doo_ti import Material, Newton, relax
 from tests.references.kirchhoff import ContinuumRod
 from tests.references.rods import chain, clamps_at, orders, show
 

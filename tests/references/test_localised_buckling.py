@@ -10,8 +10,7 @@ with ψ the tangent's azimuth. Clamps hold both ends as this solution has them t
 import numpy as np
 import pytest
 
-from doo_ti.relaxation.relax import Newton, relax
-from doo_ti.rod.types import Configuration, Material
+from doo_ti import Configuration, Material, Newton, relax
 from tests.references.rods import chain, clamps_at, orders, show
 
 ALPHA, BETA, LENGTH, WAVES = 6e5, 5e5, 100.0, 8.0

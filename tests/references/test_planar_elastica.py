@@ -10,8 +10,7 @@ import pytest
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk
 
-from doo_ti.relaxation.relax import Newton, relax
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
+from doo_ti import Clamp, Clamps, Configuration, Material, Newton, relax
 from tests.references.rods import chain, clamps_at, orders, show, stacked
 
 ALPHA, BETA, LENGTH = 6e5, 4e5, 100.0

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from doo_ti.relaxation.relax import relax
-from doo_ti.rod.types import Configuration, Material
+from doo_ti import Configuration, Material, relax
 from tests.references.rods import chain, clamps_at, orders, show, stacked
 
 ALPHA, BETA, SPAN = 6e5, 4e5, 100.0

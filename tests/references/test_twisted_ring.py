@@ -8,8 +8,7 @@ freely about its clamped edge (each section spinning back in place costs nothing
 import numpy as np
 import pytest
 
-from doo_ti.relaxation.relax import Newton, relax
-from doo_ti.rod.types import Configuration, Material
+from doo_ti import Configuration, Material, Newton, relax
 from tests.references.rods import chain, clamps_at, jiggled, orders, show, stacked
 
 ALPHA, BETA, RADIUS = 6e5, 4e5, 20.0

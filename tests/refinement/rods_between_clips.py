@@ -4,15 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from doo_ti import Observations, Theta, observation_clamps
 from doo_ti.io.scene import Synthesis
 from doo_ti.lab.synthesis import synthesise
 from doo_ti.refinement.held_rod import HeldRod
 from doo_ti.refinement.priors import Scales, typical_scales
 from doo_ti.refinement.residuals import Comparison
-from doo_ti.refinement.theta import Theta
 from doo_ti.refinement.unknowns import Unknowns
-from doo_ti.rod.observations import Observations
-from doo_ti.rod.start import observation_clamps
 
 BEND, TWIST, NOISE = 4e5, 3e5, 0.1
 TRUTH = Theta(BEND * np.eye(2), TWIST)

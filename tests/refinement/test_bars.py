@@ -8,10 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import load_observations, observation_clamps, relax
+from doo_ti import RefinementOptions, Theta, load_observations, observation_clamps, refine, relax
 from doo_ti.refinement.folds import folds_of, refine_held_out
-from doo_ti.refinement.refine import RefinementOptions, refine
-from doo_ti.refinement.theta import Theta
 from tests.relaxation.lab import SUTURES, lab
 
 CABLE = Theta(3.2e6 * np.eye(2), 3.2e6)

@@ -6,12 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, InputError, Plane, RefinementOptions, refine
+from doo_ti import Axis, Clamp, Grid, InputError, Plane, RefinementOptions, Surroundings, refine, save_observations
 from doo_ti.cli import main
-from doo_ti.contact.surroundings import Surroundings
-from doo_ti.io.observation_files import save_observations
 from doo_ti.refinement.plan import plan
-from doo_ti.rod.grid import Axis, Grid
 from doo_ti.rod.start import observation_clamps
 from tools.studies.table_study import GUESS, TABLE, specimen
 

@@ -5,17 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti.io.observation_files import load_observations
+from doo_ti import InputError, Material, Newton, distance, load_observations, relax, sensitivity
 from doo_ti.io.scene import Synthesis
 from doo_ti.refinement.plan import plan, planned
-from doo_ti.relaxation.newton import Newton
-from doo_ti.relaxation.relax import relax
-from doo_ti.relaxation.sensitivity import sensitivity
 from doo_ti.rod.grid import Grid, parse_axis
-from doo_ti.rod.metric import distance
 from doo_ti.rod.start import observation_clamps, start_configuration
-from doo_ti.rod.types import Material
-from doo_ti.system.errors import InputError
 
 BEND, TWIST = 1.8e6, 1.2e6
 

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Newton
+from doo_ti import Clamp, Newton, Theta
 from doo_ti.refinement.fit import Fit
 from doo_ti.refinement.held_rod import POSE
-from doo_ti.refinement.theta import Theta
 from doo_ti.refinement.unknowns import TURNS
 from tests.refinement.rods_between_clips import TRUTH, held, model, suture
 

@@ -5,14 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Observations, observation_clamps
+from doo_ti import Observations, Theta, observation_clamps
 from doo_ti.refinement.estimate import Interval
 from doo_ti.refinement.fit import Fit, State
 from doo_ti.refinement.priors import Scales, typical_scales
 from doo_ti.refinement.refine import RefinementOptions, _optima, first_edges, refine
 from doo_ti.refinement.residuals import Comparison
 from doo_ti.refinement.rolls import TWISTS, _LinearModel, _rolled_further, _turned
-from doo_ti.refinement.theta import Theta
 from doo_ti.refinement.turns import turns_chosen_again, twisted
 from doo_ti.refinement.unknowns import Unknowns
 from doo_ti.rod.frames import rotation_matrix

@@ -3,10 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Clamps, Observations, observation_clamps, relax
-from doo_ti.refinement.refine import RefinementOptions, refine
-from doo_ti.refinement.theta import Theta
-from doo_ti.rod.start import start_configuration
+from doo_ti import Clamp, Clamps, Observations, RefinementOptions, Theta, observation_clamps, refine, relax, start_configuration
 from tools.studies.marks_study.specimens import clamps, drawn
 
 LENGTH, BEND, CURVATURE, NOISE = 100.0, 4e5, 0.015, 0.1

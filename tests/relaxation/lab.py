@@ -6,10 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.io.observation_files import load_observations
-from doo_ti.rod.observations import Observations
-from doo_ti.rod.start import observation_clamps, start_configuration
-from doo_ti.rod.types import Clamps, Configuration, Material
+from doo_ti import Clamps, Configuration, Material, Observations, load_observations, observation_clamps, start_configuration
 
 SUTURES = ("nylon", "vicryl", "silk")
 RIBBON_WIDTH = 6.7  # mm, w_m of Eq. 1

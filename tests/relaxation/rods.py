@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from doo_ti.relaxation.relax import relax
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution
+from doo_ti import Clamp, Clamps, Configuration, Material, Solution, relax
 from tests.references.rods import chain, clamps_at, stacked
 
 PAIRS = [(start, end) for start in Clamp for end in Clamp if (start, end) != (Clamp.FREE, Clamp.FREE)]

@@ -7,8 +7,7 @@ uneven, and up is not z.
 import numpy as np
 import pytest
 
-from doo_ti.relaxation.relax import Newton, relax
-from doo_ti.rod.types import Clamp, Material
+from doo_ti import Clamp, Material, Newton, relax
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import State, clamped_start
 from tests.oracle.external import minimum, relaxed

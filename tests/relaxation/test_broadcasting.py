@@ -5,9 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti.relaxation.relax import relax
-from doo_ti.rod.types import Clamp, Material
-from doo_ti.system.errors import InputError
+from doo_ti import Clamp, InputError, Material, relax
 from tests.references.rods import clamps_at, jiggled
 from tests.relaxation.rods import assert_same, definite, wandering
 

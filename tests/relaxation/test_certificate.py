@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from doo_ti.relaxation.external import Springs
-from doo_ti.relaxation.relax import Newton, relax
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
+from doo_ti import Clamp, Clamps, Configuration, Material, Newton, Springs, relax
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import State, clamped_start
 from tests.oracle.external import minimum

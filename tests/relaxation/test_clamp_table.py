@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from doo_ti import Clamp, Clamps, Configuration, InputError
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.clamp_table import FEW, INFEASIBLE, SOUND, STRAIGHT, TAUT, clamp_table
 from doo_ti.rod.frames import matrix_from_quaternion, smallest_rotation, vertices_from_quaternions
-from doo_ti.rod.types import Clamp, Clamps, Configuration
-from doo_ti.system.errors import InputError
 
 FREE, POSITION, TANGENT, FRAME = (int(kind) for kind in Clamp)
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from doo_ti.relaxation.relax import Descent, Newton, relax
-from doo_ti.rod.types import Clamp, Material, Status
+from doo_ti import Clamp, Descent, Material, Newton, Status, relax
 from tests.references.rods import clamps_at, jiggled
 from tests.relaxation.lab import lab, vertex_distance
 from tests.relaxation.rods import PAIRS, definite, wandering, with_kinds

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from doo_ti import Clamp, InputError, Material, Newton, Springs, relax
-from doo_ti.relaxation.end_loads import end_loads
-from doo_ti.relaxation.sensitivity import gripper_jacobian, sensitivity
+from doo_ti import Clamp, InputError, Material, Newton, Springs, end_loads, gripper_jacobian, relax, sensitivity
 from tests.references.rods import chain, clamps_at
 from tests.relaxation.rods import PAIRS, wandering, with_kinds
 

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti.relaxation.relax import Newton, relax
-from doo_ti.rod.types import Clamp, Configuration, Material
+from doo_ti import Clamp, Configuration, Material, Newton, relax
 from tests.oracle.external import relaxed
 from tests.references.rods import chain, clamps_at, jiggled
 from tests.relaxation.rods import definite, wandering

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti.relaxation.relax import Descent, Newton, relax
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
+from doo_ti import Clamp, Clamps, Configuration, Descent, Material, Newton, Status, relax
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import State, energy_of
 from tests.references.rods import clamps_at, jiggled

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Descent, Material, Newton, Springs, Stepping, relax
-from doo_ti.system.errors import InputError
+from doo_ti import Clamp, Descent, InputError, Material, Newton, Springs, Stepping, relax
 from tests.references.rods import clamps_at
 from tests.relaxation.rods import wandering
 

@@ -9,10 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Clamps, Descent, Itself, Material, Newton, Plane, Solution, Springs, relax
-from doo_ti.contact.obstacles import Sphere
+from doo_ti import Clamp, Clamps, Configuration, Descent, Itself, Material, Newton, Plane, Solution, Sphere, Springs, relax
 from doo_ti.rod.frames import across, bishop_frames, quaternion_from_matrix
-from doo_ti.rod.types import Configuration
 from doo_ti.system import runtime
 from tests.references.rods import clamps_at
 from tests.relaxation.rods import RESULTS, assert_same, wandering

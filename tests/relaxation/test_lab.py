@@ -3,11 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.io.observation_files import load_observations
-from doo_ti.relaxation.relax import Newton, relax
-from doo_ti.rod.metric import distance
-from doo_ti.rod.start import observation_clamps, start_configuration
-from doo_ti.rod.types import Clamp, Material
+from doo_ti import Clamp, Material, Newton, distance, load_observations, observation_clamps, relax, start_configuration
 from tests.relaxation.lab import RIBBON_WIDTH, lab
 
 BARS = {"nylon": 0.90, "vicryl": 0.85, "silk": 0.90}

@@ -3,12 +3,9 @@
 import numpy as np
 import pytest
 
+from doo_ti import Clamp, Clamps, Configuration, Descent, Material, Newton, relax
 from doo_ti.physics.number import Number
 from doo_ti.relaxation import batch
-from doo_ti.relaxation.descent import Descent
-from doo_ti.relaxation.newton import Newton
-from doo_ti.relaxation.relax import relax
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
 
 THREADS = 7
 

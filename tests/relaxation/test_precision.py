@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
+from doo_ti import Material, Newton, relax
 from doo_ti.relaxation.newton import TOLERANCES
-from doo_ti.relaxation.relax import Newton, relax
-from doo_ti.rod.types import Material
 from tests.references.rods import clamps_at, jiggled
 from tests.relaxation.lab import SUTURES, lab, vertex_distance
 from tests.relaxation.rods import definite, wandering

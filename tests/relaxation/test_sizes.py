@@ -6,8 +6,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Material, Newton, Springs, relax
-from doo_ti.rod.types import Clamps, Configuration
+from doo_ti import Clamp, Clamps, Configuration, Material, Newton, Springs, relax
 from tests.references.rods import clamps_at, jiggled
 from tests.relaxation.rods import wandering, with_kinds
 

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
+from doo_ti import Clamp, Clamps, Configuration, Descent, Material, Newton, Status, relax
 from doo_ti.relaxation.newton import TOLERANCES
-from doo_ti.relaxation.relax import Descent, Newton, relax
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
 from tests.references.rods import chain, clamps_at, jiggled
 from tests.relaxation.rods import wandering
 

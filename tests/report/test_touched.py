@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from doo_ti import Plane
-from doo_ti.contact.surroundings import Surroundings
+from doo_ti import Plane, Surroundings
 from doo_ti.report.touched import Touched
 
 

@@ -5,11 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti.relaxation.relax import relax
-from doo_ti.rod.metric import distance
-from doo_ti.rod.observations import Observations
-from doo_ti.rod.types import Configuration, Material, Status
-from doo_ti.system.errors import InputError
+from doo_ti import Configuration, InputError, Material, Observations, Status, distance, relax
 from tests.io.rods import twisted_frames, wavy_vertices
 from tests.oracle.metric import distance as defined
 from tests.references.rods import clamps_at

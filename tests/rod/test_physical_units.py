@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, InputError, Material, relax
+from doo_ti import Clamp, Clamps, Configuration, InputError, Material, relax
 from doo_ti.cli import main
 from doo_ti.commands.options import grid
 from doo_ti.rod.grid import parse_axis
 from doo_ti.rod.physical_units import stiffness, weight_per_length
-from doo_ti.rod.types import Clamps, Configuration
 
 EI, GJ, DENSITY = 2e-6, 1.5e-6, 1.2  # N m², g/m: a suture
 LENGTH, EDGES = 60.0, 40

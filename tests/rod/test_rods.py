@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, InputError, Material, end_clamps, hanging, relax, straight_rod
-from doo_ti.rod.types import Status
+from doo_ti import Clamp, InputError, Material, Status, end_clamps, hanging, relax, straight_rod
 
 
 def test_a_straight_rod():

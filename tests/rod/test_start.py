@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from doo_ti.io.observation_files import load_observations
+from doo_ti import Clamp, InputError, Observations, load_observations
 from doo_ti.rod.frames import matrix_from_quaternion
-from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import (
     check_feasible,
     choose_hypothesis,
@@ -15,8 +14,6 @@ from doo_ti.rod.start import (
     start_configuration,
     turn_hypotheses,
 )
-from doo_ti.rod.types import Clamp
-from doo_ti.system.errors import InputError
 from tests.io.rods import joint_twist, twisted_frames, wavy_vertices
 
 

@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 
 import doo_ti
-from doo_ti import Material, end_loads, relax
-from doo_ti.rod.observations import Observations
+from doo_ti import Material, Observations, end_loads, relax
 from tests.references.rods import clamps_at
 from tests.relaxation.rods import wandering
 

@@ -3,10 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.io.motion_file import ClampPath, load_path
-from doo_ti.io.observation_files import load_observations
-from doo_ti.rod.observations import Observations
-from doo_ti.rod.types import Material
+from doo_ti import ClampPath, Material, Observations, load_observations, load_path
 from tests.relaxation.lab import lab
 from tools.studies.trials.prediction import moved_as_one, moved_by_blend, predict_marks, predict_steps, rotation_steps
 

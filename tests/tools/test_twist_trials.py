@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.io.observation_files import load_observations
-from doo_ti.rod.types import Material
+from doo_ti import Material, load_observations
 from tests.twist.rods import MATERIAL, twisted_rods
 from tools.studies.trials.twist import twist_trials
 

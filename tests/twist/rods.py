@@ -4,10 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from doo_ti import Material, Observations, relax
 from doo_ti.prediction.predict import total_twist
-from doo_ti.relaxation.relax import relax
-from doo_ti.rod.observations import Observations
-from doo_ti.rod.types import Material
 from tests.references.rods import chain, clamps_at, stacked
 
 MATERIAL = Material(6e5, 4e5)

@@ -6,11 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Material
+from doo_ti import Material, TwistVerdict, consecutive_groups, end_offsets, estimate_twist
 from doo_ti.bench.workload import LAB, SUTURES
 from doo_ti.lab.synthesis import synthesise
-from doo_ti.twist.curves import consecutive_groups, end_offsets
-from doo_ti.twist.estimation import TwistVerdict, estimate_twist
 
 SPECIMENS = range(300, 303)
 WORLDS = {

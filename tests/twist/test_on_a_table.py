@@ -3,11 +3,8 @@
 import numpy as np
 import pytest
 
-from doo_ti import InputError, Material, Plane
+from doo_ti import InputError, Material, Plane, Surroundings, end_offsets, save_observations
 from doo_ti.cli import main
-from doo_ti.contact.surroundings import Surroundings
-from doo_ti.io.observation_files import save_observations
-from doo_ti.twist.curves import end_offsets
 from doo_ti.twist.estimation import TwistOptions, TwistVerdict, estimate_twist
 from tools.studies.table_study import TABLE, specimen
 

@@ -5,15 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from doo_ti import Clamp, InputError, Material, Observations, consecutive_groups, distance, end_offsets, relax
 from doo_ti.prediction.predict import total_twist
-from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import angle_about
-from doo_ti.rod.metric import distance
-from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import held_spins, observation_clamps, start_configuration
-from doo_ti.rod.types import Clamp, Material
-from doo_ti.system.errors import InputError
-from doo_ti.twist.curves import consecutive_groups, end_offsets
 from doo_ti.twist.estimation import TwistOptions, TwistVerdict, estimate_twist
 from tests.references.rods import chain
 from tests.twist.rods import EDGES, MATERIAL, twisted_rods

@@ -5,10 +5,9 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
+from doo_ti import Camera, Rig
 from doo_ti.vision.cameras.board import Board
 from doo_ti.vision.cameras.calibration import Sighting
-from doo_ti.vision.cameras.camera import Camera
-from doo_ti.vision.cameras.rig import Rig
 from tests.vision.poses import looking
 
 OVERSAMPLING = 3

@@ -2,9 +2,7 @@
 
 import numpy as np
 
-from doo_ti.vision.cameras.camera import Camera
-from doo_ti.vision.cameras.rig import Rig
-from doo_ti.vision.reprojection.distance_map import DistanceMaps
+from doo_ti import Camera, DistanceMaps, Rig
 from tests.oracle.reprojection import Map, polyline_distance
 from tests.vision.poses import looking
 

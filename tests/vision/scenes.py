@@ -3,9 +3,7 @@
 import cv2
 import numpy as np
 
-from doo_ti.vision.cameras.camera import Camera
-from doo_ti.vision.cameras.rig import Rig
-from doo_ti.vision.detection.line import Detection
+from doo_ti import Camera, Detection, Rig
 
 
 def small_rig(count: int = 2) -> Rig:

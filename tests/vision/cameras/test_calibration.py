@@ -6,10 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from doo_ti.system.errors import InputError
+from doo_ti import InputError, Rig
 from doo_ti.vision.cameras.board import Board, find_corners, parse_board
 from doo_ti.vision.cameras.calibration import Bundle, CalibrationOptions, Sighting, adjusted, calibrate, places
-from doo_ti.vision.cameras.rig import Rig
 from tests.vision.boards import around, look, poses, sightings
 
 CHESSBOARD, CHARUCO = Board(9, 6, 10.0), Board(10, 7, 10.0, 7.0)

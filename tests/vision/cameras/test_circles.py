@@ -4,9 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from doo_ti.system.errors import InputError
+from doo_ti import Camera, InputError
 from doo_ti.vision.cameras.board import find_corners, parse_board
-from doo_ti.vision.cameras.camera import Camera
 
 CAMERA = Camera("cam", 640, 480, np.array([[800.0, 0, 320], [0, 800, 240], [0, 0, 1]]), np.zeros(5), np.eye(3), np.zeros(3))
 

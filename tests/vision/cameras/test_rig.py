@@ -4,8 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from doo_ti.system.errors import InputError
-from doo_ti.vision.cameras.camera import Camera
+from doo_ti import Camera, InputError
 from doo_ti.vision.cameras.rig import Rig, load_rig, save_rig
 
 

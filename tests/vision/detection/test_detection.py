@@ -8,11 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from doo_ti.system.errors import InputError
-from doo_ti.vision.cameras.rig import load_rig
-from doo_ti.vision.detection.detect import detect
+from doo_ti import DetectionOptions, InputError, detect, load_rig
 from doo_ti.vision.detection.images import read_image
-from doo_ti.vision.detection.options import DetectionOptions
 from doo_ti.vision.rendering.render import RenderOptions, render_set
 from doo_ti.vision.rendering.tubes import smooth_curve
 from tests.vision.scenes import against, bow, small_rig

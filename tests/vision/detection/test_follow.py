@@ -5,10 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from doo_ti.system.errors import InputError
-from doo_ti.vision.detection.detect import detect, detect_mask
-from doo_ti.vision.detection.follow import follow
-from doo_ti.vision.detection.options import DetectionOptions
+from doo_ti import DetectionOptions, InputError, detect, detect_mask, follow
 
 SIZE = 400, 600
 GREEN, YELLOW, RED = (60, 120, 40), (70, 210, 230), (50, 40, 200)

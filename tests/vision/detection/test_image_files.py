@@ -6,11 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from doo_ti.system.errors import InputError
-from doo_ti.vision.cameras.camera import Camera
+from doo_ti import Camera, DetectionOptions, InputError
 from doo_ti.vision.detection.detect import Sight
 from doo_ti.vision.detection.images import orientation_tags, read_image, read_mask
-from doo_ti.vision.detection.options import DetectionOptions
 
 
 def picture() -> np.ndarray:

@@ -5,9 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti.system.errors import InputError
-from doo_ti.vision.detection.detect import detect
-from doo_ti.vision.detection.line import Detection
+from doo_ti import Detection, InputError, detect
 from doo_ti.vision.rendering.render import RenderOptions, render_set
 from doo_ti.vision.rendering.tubes import smooth_curve
 from doo_ti.vision.reprojection.distance_map import NEAR_PX, distance_maps

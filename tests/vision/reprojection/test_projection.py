@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import taichi as ti
 
-from doo_ti.vision.cameras.camera import Camera
-from doo_ti.vision.cameras.rig import Rig
+from doo_ti import Camera, Rig
 from doo_ti.vision.reprojection.sampling import (
     CAMERA_COLUMNS,
     WIDEST,

@@ -5,7 +5,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Clamps, Configuration, InputError, Material, Newton, relax
+from doo_ti import Clamp, Clamps, Configuration, InputError, Material, Newton, Reprojection, relax, score
 from doo_ti.relaxation.newton import TOLERANCES
 from doo_ti.rod.frames import (
     bishop_frames,
@@ -14,8 +14,6 @@ from doo_ti.rod.frames import (
     smallest_rotation,
     tangent_from_quaternion,
 )
-from doo_ti.vision.reprojection.image_energy import Reprojection
-from doo_ti.vision.reprojection.score import score
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import State, clamped_start
 from tests.oracle.external import minimum, newton_step, total_energy

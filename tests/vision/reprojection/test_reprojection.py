@@ -6,14 +6,9 @@ import numpy as np
 import pytest
 import taichi as ti
 
+from doo_ti import DistanceMaps, InputError, Material, Reprojection, Rig, score
 from doo_ti.physics.view import Scratch
-from doo_ti.rod.types import Material
-from doo_ti.system.errors import InputError
-from doo_ti.vision.cameras.rig import Rig
-from doo_ti.vision.reprojection.distance_map import DistanceMaps
 from doo_ti.vision.reprojection.edge_integral import UNSEEN
-from doo_ti.vision.reprojection.image_energy import Reprojection
-from doo_ti.vision.reprojection.score import score
 from tests.oracle.reprojection import edge_error, edge_gradient, edge_hessian, rod_energy
 from tests.vision.device import NUMBERS, row_kernel
 from tests.vision.drawn_maps import curves, drawn_maps, map_of, three_cameras

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 import scipy.optimize
 
+from doo_ti import Camera, InputError, Rig
 from doo_ti.rod.frames import handedness, orthonormality_error
-from doo_ti.system.errors import InputError
-from doo_ti.vision.cameras.camera import Camera
-from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.reprojection.marks import Marks, observe, read_labels, read_marks
 from doo_ti.vision.reprojection.triangulation import MarkStatus, Points, TriangulationOptions, triangulate
 from tests.io.rods import twisted_frames, wavy_vertices
