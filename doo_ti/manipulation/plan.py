@@ -4,18 +4,18 @@
     path.reached, path.distance          # mm; a target out of reach: the nearest that was found
     predict(rod, material, clamps, path)
 
-The target's equilibria are found first (:mod:`.goal`). A straight motion of the grippers to one of them is tried; then ways on
-which the rod is unwound to one that is nearly straight, and wound up to the goal (:func:`.legs.unwound`); then two trees of
-equilibria, from the start and from the goals, that grow towards each other (:mod:`.tree`). Every leg is followed on the model,
-in sub-steps, by :class:`doo_ti.motion.journey.Journey`: a rod that loses its stability, or jumps, has not followed it. The way
-that is found is shortened, and followed once more as a whole.
+The target's equilibria are found first (:mod:`.goal`). Two trees of equilibria, from the start and from the goals, grow towards
+random ones and towards each other (:mod:`.search`), by ways of many states that are relaxed at once (:mod:`.equilibria`). The
+way that is found is shortened, and followed in sub-steps by :func:`~doo_ti.prediction.predict.predict`: where the rod loses its
+stability, or jumps, the search goes on without that leg.
 
-Axes: T moments, N nodes, M samples.
+Axes: T moments and states, R rods.
 """
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,9 +23,11 @@ from numpy.typing import ArrayLike
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.motion_file import ClampPath
-from doo_ti.manipulation.goal import Goal, Model, all_goals
-from doo_ti.manipulation.legs import Carrier, between, unwound
-from doo_ti.manipulation.poses import change_between, joined, moved
+from doo_ti.manipulation.clearance import CLEAR, Clearance
+from doo_ti.manipulation.equilibria import Equilibria, States, joined_states
+from doo_ti.manipulation.goal import Model, all_goals
+from doo_ti.manipulation.poses import ARRAYS, change_between
+from doo_ti.manipulation.search import Search
 from doo_ti.manipulation.targets import ServoOptions, Targets
 from doo_ti.manipulation.tree import Tree
 from doo_ti.prediction.predict import predict
@@ -34,16 +36,10 @@ from doo_ti.rod.types import Clamp, Clamps, Configuration, unit_up
 from doo_ti.system.arguments import owning, typed
 from doo_ti.system.errors import InputError, require_whole
 
-SAMPLES = 24
-"""Poses that a tree grows towards at once."""
-SPREAD_MM, SPREAD = 0.25, 0.8
-"""Of samples about the line between two nodes: of the rod's length, and rad."""
-WIDER = 2.0
-"""Factor between the three spreads of rods that are shifted as one, which obstacles may be in the way of."""
-MOMENT = 0.05
-"""Of the rod's length, and as many rad times the lever: longest motion from one moment of the path to the next."""
-SHORTCUTS = 3
-"""Rounds in which the way is shortened."""
+NEARLY = 1.2
+"""Goals that are so many times further from the target than the nearest one count as well."""
+LEAST = 1e-2
+"""mm, between two moments."""
 SECOND = 10.0
 """mm that the grippers move in a second of the path's time."""
 
@@ -56,7 +52,7 @@ class PlanOptions:
     free        which grippers' coordinates move, as in :class:`~doo_ti.manipulation.targets.ServoOptions`
     reached_mm  distance to the target, weighted root mean square, at which it is reached
     lever_mm    mm that count as much as a radian
-    seconds     longest search
+    seconds     longest search; the way that was found is then followed once more
     seed        of the samples
 
     Raises InputError for numbers that are not positive.
@@ -106,182 +102,116 @@ def plan_manipulation(rod: Configuration, material: Material, clamps: Clamps, ta
     clamps, and clamps that hold no frame.
     """
     options = PlanOptions() if options is None else options
+    ends = time.monotonic() + options.seconds
     surroundings = Surroundings.checked("plan_manipulation", obstacles, radius, 1)
     up = unit_up(up, "plan_manipulation")
     _check(rod, material, clamps, targets, surroundings)
-    carrier = Carrier(material, rod.rest_length, up, surroundings)
-    begin, goals, carrier = _ends(rod, clamps, targets, options, carrier)
-    search = _Search(begin, clamps, carrier, targets, goals, options)
-    found = []
-    # What was followed leg by leg may part as a whole where branches are near each other: the search then goes on.
-    for rods, way in search.ways():
-        for candidate in (search.shortened(rods, way), way):
-            found.append(_path(rod, material, clamps, candidate, targets, options, carrier))
-            if found[-1].reached:
-                return found[-1]
-    return min(found, key=lambda path: path.distance)
+    moves = ServoOptions(free=options.free).moves
+    space = Equilibria(material, Clearance(surroundings, float(rod.rest_length.sum()), rod.edges), up, clamps, moves,
+                       options.lever_mm)
+    return _Planner(space, rod, clamps, targets, options).path(ends)
 
 
-def _ends(rod: Configuration, clamps: Clamps, targets: Targets, options: PlanOptions, carrier: Carrier
-          ) -> tuple[Configuration, Goal, Carrier]:
-    """The rod at rest, its goals, and the carrier: rods touch obstacles only where the rod does at the beginning, or at its
-    goal. Raises InputError for a rod that is not at rest."""
-    servo = ServoOptions(free=options.free, lever_mm=options.lever_mm, reached_mm=options.reached_mm)
-    for touches in (False, True) if carrier.surroundings else (False,):
-        model = Model(carrier.material, np.zeros((1, 12)), carrier.up, carrier.surroundings if touches else Surroundings())
+class _Planner:
+    """One plan: where it begins and what it may lead to."""
+
+    def __init__(self, space: Equilibria, rod: Configuration, clamps: Clamps, targets: Targets, options: PlanOptions):
+        self._space, self._targets, self._options = space, targets, options
+        self._begin, self._goals = self._ends(rod, clamps)
+
+    def _ends(self, rod: Configuration, clamps: Clamps) -> tuple[States, Configuration]:
+        """The rod at rest, and its goals. These touch obstacles only where none that is as near as is asked does not. Raises
+        InputError for a rod that is not at rest."""
+        options, space = self._options, self._space
+        servo = ServoOptions(free=options.free, lever_mm=options.lever_mm, reached_mm=options.reached_mm)
+        model = Model(space.material, np.zeros((1, 12)), space.up, space.clearance.surroundings)
         begin = model.relaxed(rod, clamps)
-        if (begin.converged & begin.stable).all():
-            goals = all_goals(begin.configuration, clamps, model, targets, servo)
-            if touches or not carrier.surroundings:
+        if not (begin.converged & begin.stable).all():
+            raise InputError("plan_manipulation", "rod", "no stable equilibrium under its clamps",
+                             "give a rod at rest under them")
+        for around in (Surroundings(), model.surroundings)[: 1 + bool(model.surroundings)]:
+            goals = all_goals(begin.configuration, clamps, replace(model, surroundings=around), self._targets, servo)
+            clear = np.isfinite(goals.distance) & (bool(around) | (space.clearance.of(goals.rods.vertices) > 0))
+            goals = goals.take(np.flatnonzero(clear))
+            if goals.distance.min(initial=np.inf) <= options.reached_mm:
                 break
-            clear = carrier.clear(goals.rods.vertices)
-            nearest = goals.distance[clear].min(initial=np.inf)
-            if carrier.clear(begin.configuration.vertices).all() and nearest <= options.reached_mm:
-                goals = goals.take(np.flatnonzero(clear))
+        here = self._targets.distance(begin.configuration.vertices)[0]
+        nearest = goals.distance.min(initial=here)
+        near = np.flatnonzero((goals.distance <= max(options.reached_mm, NEARLY * nearest)) & (goals.distance < here))
+        near = self._different(begin.configuration, goals.rods, near)
+        return States(begin.configuration, clamps, np.zeros(1, dtype=bool)), goals.rods.take(near)
+
+    def _different(self, begin: Configuration, rods: Configuration, rows: np.ndarray) -> np.ndarray:
+        """Those ``rows`` of which no other has the same shape and needs the grippers to roll less from ``begin`` on."""
+        shapes, space = rods.vertices[rows], self._space
+        away = space.shapes(begin).take(np.zeros(len(rows), dtype=int)).apart(space.shapes(rods.take(rows)), space.lever)
+        same = space.same(shapes[:, None], shapes)
+        return rows[(away[:, None] <= np.where(same, away, np.inf)).all(axis=1)]
+
+    def path(self, ends: float) -> ManipulationPath:
+        """The path to a goal, or to the nearest node."""
+        if not self._goals.count:
+            return self._followed(joined_states([self._begin, self._begin]))[0]
+        start, goals = Tree(self._begin.rods, self._space), Tree(self._goals, self._space)
+        search, best = Search(start, goals, self._space, ends, self._options.seed), None
+        # What was joined from states may part where branches are near each other: the search then goes on.
+        for first, last in search.found():
+            states, leg = self._states(start, first, goals, last)
+            for own in (search.shortened(states), states):
+                path, broken = self._followed(own)
+                if broken == own.rods.count:
+                    return path
+                best = path if best is None or path.distance < best.distance else best
+            if leg[broken] < len(first) - 1:
+                start.cut(first[leg[broken] + 1])
+            else:
+                goals.cut(last[max(leg[broken] - len(first), 0)])
+        every = np.zeros(start.rods.count, dtype=int)
+        distance = np.where(start.alive, self._targets.take(every).distance(start.rods.vertices), np.inf)
+        path, _ = self._followed(self._states(start, start.branch(int(np.argmin(distance))), goals, [])[0])
+        return path if best is None or path.distance < best.distance else best
+
+    def _states(self, start: Tree, first: list[int], goals: Tree, last: list[int]) -> tuple[States, np.ndarray]:
+        """All states of the way through nodes of both trees, and after which of these, in that order, each comes."""
+        nodes = Configuration.concatenate([tree.rods.take(np.array(own, dtype=np.int64))
+                                           for tree, own in ((start, first), (goals, last))])
+        if nodes.count < 2:
+            return joined_states([self._begin, self._begin]), np.zeros(2, dtype=int)
+        own = np.arange(nodes.count - 1)
+        ways = self._space.ways(nodes.take(own), nodes.take(own + 1))
+        return joined_states([self._begin, ways.states]), np.append(0, ways.way)
+
+    def _followed(self, states: States) -> tuple[ManipulationPath, int]:
+        """The path through T states as far as the rod follows it, certified, without a jump and clear of obstacles; and the
+        number of states that it comes to."""
+        clamps, rods = states.clamps, self._begin.rods
+        change = change_between(clamps.take(np.arange(clamps.count - 1)), clamps.take(np.arange(1, clamps.count)))
+        size = np.linalg.norm(change * np.repeat([1.0, self._space.lever] * 2, 3), axis=1)
+        time = np.append(0.0, np.cumsum(np.maximum(size, LEAST))) / SECOND
+        arrays = {name: getattr(clamps, name)[:, None] for name in ARRAYS}
+        shapes = states.rods.vertices
+        reached, turns = 0, 1 + np.flatnonzero(np.diff(states.touching[1:]))
+        for first, last in pairwise([0, *turns, clamps.count - 1]):
+            rows, touches = slice(first, last + 1), states.touching[last]
+            part = ClampPath(time[rows], **{name: values[rows] for name, values in arrays.items()})
+            around = self._space.clearance.surroundings.arguments if touches else {}
+            seen = predict(rods, self._space.material, clamps.take([first]), part, up=self._space.up, **around)
+            sound = seen.followed[:, 0] & (np.cumsum(seen.jumps[:, 0]) == 0)
+            sound[1:] &= touches | self._clear(seen.vertices[:, 0])
+            sound &= self._space.same(seen.vertices[:, 0], shapes[rows])
+            count = len(sound) if sound.all() else max(int(np.argmin(sound)), 1)
+            rods, reached = seen.at(count - 1), first + count - 1
+            if count < len(sound):
                 break
-    if not (begin.converged & begin.stable).all():
-        raise InputError("plan_manipulation", "rod", "no stable equilibrium under its clamps", "give a rod at rest under them")
-    return begin.configuration, goals, replace(carrier, touches=touches)
+        distance = float(self._targets.distance(rods.vertices)[0])
+        rows = np.arange(reached + 1) if reached else [0, 0]
+        return ManipulationPath(time[: len(rows)], source="plan", distance=distance, **{
+            name: values[rows] for name, values in arrays.items()}, reached=distance <= self._options.reached_mm), reached + 1
 
-
-class _Search:
-    """The way from a rod to one of its goals."""
-
-    def __init__(self, rod: Configuration, clamps: Clamps, carrier: Carrier, targets: Targets, goals: Goal,
-                 options: PlanOptions):
-        self._targets, self._carrier, self._options = targets, carrier, options
-        self._random = np.random.default_rng(options.seed)
-        self._ends = time.monotonic() + options.seconds
-        found = np.flatnonzero(np.isfinite(goals.distance))
-        near = found[goals.distance[found] <= max(options.reached_mm, 1.2 * goals.distance[found].min(initial=np.inf))]
-        self._tree = Tree(rod, clamps, carrier, options.lever_mm)
-        self._goals = None
-        here = targets.distance(rod.vertices)[0]
-        if len(near) and goals.distance[near[0]] < here:
-            self._goals = Tree(goals.rods.take(near), goals.clamps.take(near), carrier, options.lever_mm, back=True)
-
-    def ways(self) -> Iterator[tuple[Configuration, Clamps]]:
-        """The rods and the grippers' poses at the ends of the legs of ways to the goals, from the first ones on; at last of the
-        way to the nearest node."""
-        if self._goals is not None:
-            for attempt in (self._direct, self._unwinding):
-                yield from attempt()
-            while time.monotonic() < self._ends:
-                yield from self._growing()
-        nearest = int(np.argmin(self._targets_distance()))
-        nodes = np.array(self._tree.way(nearest))
-        yield self._tree.rods.take(nodes), self._tree.clamps.take(nodes)
-
-    def shortened(self, rods: Configuration, way: Clamps) -> Clamps:
-        """The way without poses that a straight motion can leave out: the longest that can, again and again."""
-        for _ in range(SHORTCUTS):
-            count = way.count
-            if count < 3:
-                break
-            first, last = np.triu_indices(count, 2)
-            chosen = self._random.permutation(len(first))[:SAMPLES]
-            first, last = first[chosen], last[chosen]
-            ends, sound = self._carrier.carry(rods.take(first), way.take(first), way.take(last))
-            good = np.flatnonzero(sound & self._carrier.same(ends, rods.take(last)))
-            if len(good):
-                best = good[np.argmax((last - first)[good])]
-                kept = np.concatenate([np.arange(first[best] + 1), np.arange(last[best], count)])
-                rods, way = rods.take(kept), way.take(kept)
-        return way
-
-    def _direct(self) -> Iterator[tuple[Configuration, Clamps]]:
-        """The straight motions to the goals."""
-        yield from self._met(np.zeros(self._goals.count, dtype=int), np.arange(self._goals.count))
-
-    def _unwinding(self) -> Iterator[tuple[Configuration, Clamps]]:
-        """Both trees unwound as far as their rods follow, and straight motions between what they have become."""
-        ends = [[0], [0]]
-        for tree, found in zip((self._tree, self._goals), ends, strict=True):
-            nodes = np.arange(tree.roots)
-            ways = [list(unwound(tree.rods.take([root]), tree.clamps.take([root]))) for root in nodes]
-            for pieces in zip(*ways, strict=True):
-                going = nodes >= 0
-                poses = self._fixed(joined([piece for piece, goes in zip(pieces, going, strict=True) if goes]))
-                nodes[going] = tree.extend(nodes[going], poses, whole=True)
-                found += [int(node) for node in nodes if node >= 0]
-                if (nodes < 0).all():
-                    break
-        pairs = np.array([(one, other) for one in ends[0] for other in ends[1]])
-        change = change_between(self._tree.clamps.take(pairs[:, 0]), self._goals.clamps.take(pairs[:, 1]))
-        order = np.argsort(np.linalg.norm(change, axis=1))[:SAMPLES]
-        yield from self._met(pairs[order, 0], pairs[order, 1])
-
-    def _growing(self) -> Iterator[tuple[Configuration, Clamps]]:
-        """Both trees grown towards samples and towards each other, by turns."""
-        for tree, other in ((self._tree, self._goals), (self._goals, self._tree)):
-            samples = self._fixed(self._samples())
-            new = tree.extend(tree.nearest(samples), samples)
-            new = new[new >= 0]
-            if len(new):
-                there = other.nearest(tree.clamps.take(new), tree.rods.take(new).vertices)
-                yield from self._met(*((new, there) if tree is self._tree else (there, new)))
-
-    def _met(self, nodes: np.ndarray, others: np.ndarray) -> Iterator[tuple[Configuration, Clamps]]:
-        """The way over a straight motion from one of ``nodes`` to that of ``others`` among the goals' nodes, if a rod comes to
-        the same equilibrium."""
-        tree, goals = self._tree, self._goals
-        new = tree.extend(nodes, goals.clamps.take(others), whole=True)
-        rows = np.flatnonzero(new >= 0)
-        same = self._carrier.same(tree.rods.take(new[rows]), goals.rods.take(others[rows]))
-        if not same.any():
-            return
-        one = rows[np.argmax(same)]
-        first, last = np.array(tree.way(int(new[one]))), np.array(goals.way(int(others[one]))[-2::-1], dtype=int)
-        yield (Configuration.concatenate([tree.rods.take(first), goals.rods.take(last)]),
-               joined([tree.clamps.take(first), goals.clamps.take(last)]))
-
-    def _samples(self) -> Clamps:
-        """Poses about the straight motions between nodes of both trees, and, as many, those of nodes shifted as one."""
-        random, half = self._random, SAMPLES // 2
-        one, other = (random.integers(tree.count, size=half) for tree in (self._tree, self._goals))
-        begin, end, share = self._tree.clamps.take(one), self._goals.clamps.take(other), random.random(half)
-        spread = np.repeat([SPREAD_MM * self._carrier.length, SPREAD] * 2, 3)
-        apart = moved(between(begin, end, share), spread * random.normal(size=(half, 12)))
-        way = 0.5 * (end.start_position + end.end_position - begin.start_position - begin.end_position)
-        far = SPREAD_MM * self._carrier.length * WIDER ** random.integers(3, size=(half, 1))
-        shift = share[:, None] * way + far * random.normal(size=(half, 3))
-        return joined([apart, moved(begin, np.concatenate([shift, 0 * shift, shift, 0 * shift], axis=1))])
-
-    def _fixed(self, poses: Clamps) -> Clamps:
-        """``poses`` with the coordinates that are not free as at the beginning."""
-        moves = ServoOptions(free=self._options.free).moves
-        if moves.all():
-            return poses
-        root = self._tree.clamps.take(np.zeros(poses.count, dtype=int))
-        return moved(root, change_between(root, poses) * moves)
-
-    def _targets_distance(self) -> np.ndarray:
-        every = np.zeros(self._tree.count, dtype=int)
-        return self._targets.take(every).distance(self._tree.rods.vertices)
-
-
-def _path(rod: Configuration, material: Material, clamps: Clamps, way: Clamps, targets: Targets, options: PlanOptions,
-          carrier: Carrier) -> ManipulationPath:
-    """The path along the legs of a way, and where the rod ends that follows it."""
-    way = way if way.count > 1 else way.take([0, 0])
-    change = change_between(way.take(np.arange(way.count - 1)), way.take(np.arange(1, way.count)))
-    size = np.linalg.norm(change * np.repeat([1.0, options.lever_mm] * 2, 3), axis=1)
-    moments = np.maximum(np.ceil(size / (MOMENT * carrier.length)), 1).astype(int)
-    legs = np.concatenate([[0], np.repeat(np.arange(len(moments)), moments)])
-    share = np.concatenate([[0.0], *(np.arange(1, count + 1) / count for count in moments)])
-    poses = between(way.take(legs), way.take(legs + 1), share)
-    seconds = np.concatenate([[0.0], np.cumsum(np.maximum(np.repeat(size / moments, moments), 1e-3))]) / SECOND
-    arrays = dict(start_position=poses.start_position[:, None], end_position=poses.end_position[:, None],
-                  start_frame=poses.start_frame[:, None], end_frame=poses.end_frame[:, None])
-    path = ManipulationPath(seconds, source="plan", **arrays)
-    around = carrier.surroundings.arguments if carrier.touches else {}
-    followed = predict(rod, material, clamps, path, up=carrier.up, **around)
-    distance = float(targets.distance(followed.vertices[-1])[0])
-    sound = bool(followed.followed[-1].all()) and not followed.jumps.any()
-    if carrier.surroundings and not carrier.touches:
-        sound &= bool(carrier.clear(followed.vertices[:, 0]).all())
-    reached = sound and distance <= options.reached_mm
-    return ManipulationPath(seconds, source="plan", distance=distance, reached=reached, **arrays)
+    def _clear(self, vertices: np.ndarray) -> np.ndarray:
+        """(T − 1,) bool: whether a rod of vertices (T, V, 3) touches nothing until each moment, from the one before."""
+        gap = self._space.clearance.of(vertices) + CLEAR * self._space.length
+        return self._space.clearance.between(vertices[:-1], vertices[1:], gap[:-1], gap[1:])
 
 
 def _check(rod: Configuration, material: Material, clamps: Clamps, targets: Targets, surroundings: Surroundings) -> None:

@@ -1,78 +1,65 @@
-"""Trees of rods at rest, joined by legs on which they stay on their branch of equilibria (Kuffner and LaValle, *RRT-Connect*,
-ICRA 2000).
-
-Axes: N nodes, M samples.
-"""
+"""Trees of rods at rest (Kuffner and LaValle, *RRT-Connect*, ICRA 2000). Axes: N nodes, M samples."""
 
 import numpy as np
 
-from doo_ti.manipulation.legs import Carrier
-from doo_ti.manipulation.poses import change_between, joined, moved
-from doo_ti.rod.types import Clamps, Configuration
-
-REACH = 0.6
-"""Of the rod's length, the longest leg of a tree, shifts in mm and turns times the lever."""
-SHAPE = 1.0
-"""Weight of the mean distance of two shapes beside that of their grippers' poses, in the distance of nodes."""
+from doo_ti.manipulation.equilibria import Equilibria
+from doo_ti.manipulation.shapes import Shapes
+from doo_ti.rod.types import Configuration
 
 
 class Tree:
     """Nodes that the roots lead to.
 
-    rods, clamps  N nodes, ``roots`` roots first
-    parent        (N,) of each, -1 of the roots
-    back          legs lead back to their parents as well: the tree is that of goals
+    rods     N rods at rest, the roots first
+    parent   (N,) of each, -1 of the roots
+    alive    (N,) bool: ways to the others turned out to be broken
     """
 
-    def __init__(self, rods: Configuration, clamps: Clamps, carrier: Carrier, lever: float, back: bool = False):
-        self._back = back
-        self.rods, self.clamps, self.parent = rods, clamps, np.full(rods.count, -1)
-        self.roots = rods.count
-        self._carrier, self._scale = carrier, np.repeat([1.0, lever, 1.0, lever], 3)
+    def __init__(self, roots: Configuration, space: Equilibria):
+        self.rods, self.parent, self.alive = roots, np.full(roots.count, -1), np.ones(roots.count, dtype=bool)
+        self._space, self._shapes = space, space.shapes(roots)
 
-    @property
-    def count(self) -> int:
-        """N."""
-        return len(self.parent)
+    def nearest(self, rods: Configuration) -> np.ndarray:
+        """(M,) the nodes that are nearest to M rods."""
+        apart = self._apart(self._space.shapes(rods))
+        return np.argmin(np.where(self.alive, apart, np.inf), axis=1)
 
-    def nearest(self, clamps: Clamps, vertices: np.ndarray | None = None) -> np.ndarray:
-        """(M,) the nodes that are nearest to M poses of the grippers, and shapes (M, V, 3) where given."""
-        samples = np.repeat(np.arange(clamps.count), self.count)
-        nodes = np.tile(np.arange(self.count), clamps.count)
-        change = change_between(self.clamps.take(nodes), clamps.take(samples)) * self._scale
-        apart = np.linalg.norm(change, axis=1).reshape(clamps.count, self.count)
-        if vertices is not None:
-            own = self.rods.vertices
-            apart = apart + SHAPE * np.linalg.norm(vertices[:, None] - own, axis=-1).mean(axis=-1)
-        return np.argmin(apart, axis=1)
+    def pairs(self, other: "Tree") -> np.ndarray:
+        """(2, N·M) all pairs of a node and one of the other tree's M, the nearest first."""
+        apart = other._apart(self._shapes)
+        return np.stack(np.unravel_index(np.argsort(apart, axis=None, kind="stable"), apart.shape))
 
-    def extend(self, nodes: np.ndarray, goal: Clamps, whole: bool = False) -> np.ndarray:
-        """Legs from ``nodes`` (M,) towards poses of the grippers, as far as REACH or the ``whole`` way: (M,) the new nodes, -1
-        where a rod does not stay on its branch."""
-        begin = self.clamps.take(nodes)
-        change = change_between(begin, goal)
-        size = np.linalg.norm(change * self._scale, axis=1)
-        if not whole:
-            change = change * np.minimum(1.0, REACH * self._carrier.length / np.maximum(size, 1e-12))[:, None]
-            goal = moved(begin, change)
-        rods, sound = self._carrier.carry(self.rods.take(nodes), begin, goal)
-        rows = np.flatnonzero(sound)
-        if self._back and len(rows):
-            home, sound = self._carrier.carry(rods.take(rows), goal.take(rows), begin.take(rows))
-            rows = rows[sound & self._carrier.same(home, self.rods.take(nodes[rows]))]
+    def _apart(self, shapes: Shapes) -> np.ndarray:
+        """(M, N) mm."""
+        return shapes.take(np.s_[:, None]).apart(self._shapes, self._space.lever)
+
+    def extend(self, nodes: np.ndarray, goals: Configuration) -> tuple[np.ndarray, np.ndarray]:
+        """Ways from ``nodes`` (M,) towards M rods: (M,) the new nodes where they end, -1 where that is at once; and which (M,)
+        of them come to the goals."""
+        ways = self._space.ways(self.rods.take(nodes), goals)
+        rows = np.flatnonzero(ways.reach)
         found = np.full(len(nodes), -1)
-        found[rows] = self.count + np.arange(len(rows))
-        self._add(rods.take(rows), goal.take(rows), nodes[rows])
-        return found
+        found[rows] = len(self.parent) + np.arange(len(rows))
+        self._add(ways.states.rods.take(np.array([ways.rows(row)[-1] for row in rows], dtype=np.int64)), nodes[rows])
+        return found, ways.whole
 
-    def way(self, node: int) -> list[int]:
+    def branch(self, node: int) -> list[int]:
         """The nodes from a root to ``node``."""
         found = [node]
         while self.parent[found[-1]] >= 0:
             found.append(int(self.parent[found[-1]]))
         return found[::-1]
 
-    def _add(self, rods: Configuration, clamps: Clamps, parents: np.ndarray) -> None:
+    def cut(self, node: int) -> None:
+        """Without ``node`` and what it leads to."""
+        self.alive[node] = False
+        for later in range(node + 1, len(self.parent)):
+            self.alive[later] &= self.parent[later] < 0 or self.alive[self.parent[later]]
+
+    def _add(self, rods: Configuration, parents: np.ndarray) -> None:
         self.rods = Configuration.concatenate([self.rods, rods])
-        self.clamps = joined([self.clamps, clamps])
+        own = self._space.shapes(rods)
+        self._shapes = Shapes(*(np.concatenate([getattr(part, name) for part in (self._shapes, own)])
+                                for name in ("place", "frame", "joints")), own.rest_length, own.anchor)
         self.parent = np.concatenate([self.parent, parents])
+        self.alive = np.concatenate([self.alive, self.alive[parents]])

@@ -8,7 +8,6 @@ import pytest
 
 import doo_ti as d
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.manipulation.legs import Carrier, unwound
 from doo_ti.manipulation.poses import moved
 from tools.studies.trials.servo import Tasks, tasks
 
@@ -75,18 +74,19 @@ def test_obstacles_are_kept_clear_of():
     assert path.reached and around.smallest_gap(shapes).min() > 0.0
 
 
-def test_a_bow_is_unwound_to_a_nearly_straight_rod():
-    """Stable all the way, as theory has it of rods without weight."""
-    rod, clamps = d.hanging(330.0, 33, (0, 0, 0), (150, 0, 0), clamp=d.Clamp.FRAME)
-    material = d.Material(6e5, 6e5, 0.0)
-    here = d.relax(rod, material, clamps, d.Newton.careful()).configuration
-    carrier = Carrier(material, rod.rest_length, np.array([0, 0, 1.0]), Surroundings())
-    for poses in unwound(here, clamps):
-        here, sound = carrier.carry(here, clamps, poses)
-        clamps = poses
-        assert sound.all()
-    ends = here.vertices[0, [0, -1]]
-    assert np.linalg.norm(ends[1] - ends[0]) > 310.0
+@pytest.mark.thorough
+def test_a_rod_that_rests_on_an_obstacle_is_lifted_off_it():
+    """The start is in contact, the goal behind the pole."""
+    own = some().take(np.array([1]))
+    middle = own.real.vertices[0, 16] - [0.0, 0, 5.0]
+    pole = d.Capsule(middle - [0.0, 200.0, 0], middle + [0.0, 200.0, 0], 6.0)
+    start = d.relax(own.real, own.true, own.clamps, obstacles=[pole], radius=1.5)
+    far = d.relax(own.real, own.true, moved(own.clamps, np.array([[60.0, 0, 60, 0, 0, 0] * 2])))
+    assert np.abs(start.contact_force).max() > 1.0
+    path = d.plan_manipulation(start.configuration, own.true, own.clamps, d.Targets(far.configuration.vertices),
+                               obstacles=[pole], radius=1.5)
+    seen = d.predict(start.configuration, own.true, own.clamps, path, obstacles=[pole], radius=1.5)
+    assert path.reached and seen.followed.all() and not seen.jumps.any()
 
 
 def test_what_cannot_be_planned_is_refused():

@@ -1,0 +1,169 @@
+"""The equilibria of a rod between grippers, and ways in them: shapes are interpolated, and each is let go where grippers hold
+its ends (projection to the manifold of certified equilibria: Berenson, Srinivasa, Ferguson and Kuffner, *Manipulation planning
+on constraint manifolds*, ICRA 2009). Axes: R rods or ways, S states of all ways."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from doo_ti.manipulation.clearance import Clearance
+from doo_ti.manipulation.poses import change_between, finite_rods, joined, moved, put_rods
+from doo_ti.manipulation.shapes import Shapes
+from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.relax import relax
+from doo_ti.rod.frames import matrix_from_quaternion
+from doo_ti.rod.types import Clamps, Configuration, Material
+
+STEP = 0.03
+"""Of the rod's length, between two states of a way, turns times the lever."""
+ABRUPT = 4.0
+"""Times as far as their interpolated shapes may two successive states be apart; further, and the rod has jumped."""
+SAME = 2e-3
+"""Of the rod's length, between two shapes of one equilibrium: a tenth of what branches differ by, a thousand times rounding."""
+
+
+@dataclass(frozen=True)
+class States:
+    """S rods at rest, and the grippers' poses.
+
+    touching  (S,) bool: they may touch obstacles, and on the way from the one before as well
+    """
+
+    rods: Configuration
+    clamps: Clamps
+    touching: np.ndarray
+
+    def take(self, rows: np.ndarray) -> "States":
+        """Those named by ``rows``."""
+        return States(self.rods.take(rows), self.clamps.take(rows), self.touching[rows])
+
+
+def joined_states(parts: list[States]) -> States:
+    """The states of several, one after the other."""
+    return States(Configuration.concatenate([part.rods for part in parts]), joined([part.clamps for part in parts]),
+                  np.concatenate([part.touching for part in parts]))
+
+
+@dataclass(frozen=True)
+class Ways:
+    """R ways in S states, one way after the other, without its first state.
+
+    states   S
+    way      (S,) of which it is
+    reach    (R,) states that follow each other continuously, stable and clear, from the first on
+    whole    (R,) bool: whether these are all
+    """
+
+    states: States
+    way: np.ndarray
+    reach: np.ndarray
+    whole: np.ndarray
+
+    def rows(self, number: int) -> np.ndarray:
+        """The continuous states of one way."""
+        return np.searchsorted(self.way, number) + np.arange(self.reach[number])
+
+
+@dataclass(frozen=True)
+class Equilibria:
+    """What is constant: one material, what surrounds the rod, the direction against gravity, and the grippers.
+
+    home    one row: coordinates that are not free stay so
+    moves   (12,) bool, the free ones of the grippers' coordinates
+    lever   mm that count as much as a radian
+    """
+
+    material: Material
+    clearance: Clearance
+    up: np.ndarray
+    home: Clamps
+    moves: np.ndarray
+    lever: float
+
+    @property
+    def length(self) -> float:
+        """mm."""
+        return self.clearance.length
+
+    @property
+    def held_anchor(self) -> bool:
+        """Whether the anchor is held by a gripper that does not move."""
+        return not (self.moves[:6].any() and self.moves[6:].any())
+
+    @property
+    def anchor(self) -> int:
+        """The edge whose pose is interpolated: one that is held, or the middle one."""
+        start, end = self.moves[:6].any(), self.moves[6:].any()
+        return 0 if not start else self.clearance.edges - 1 if not end else self.clearance.edges // 2
+
+    def shapes(self, rods: Configuration) -> Shapes:
+        """The shapes of R rods."""
+        return Shapes.of(rods, self.anchor)
+
+    def grippers(self, rods: Configuration) -> Clamps:
+        """The grippers' poses at the ends of R rods, coordinates that are not free as at home."""
+        home, ends = self.home.take(np.zeros(rods.count, dtype=np.int64)), rods.vertices[:, [0, -1]]
+        frames = matrix_from_quaternion(rods.quaternions[:, [0, -1]])
+        clamps = Clamps(home.start, home.end, *(part[:, end].copy() for part in (ends, frames) for end in (0, 1)))
+        return clamps if self.moves.all() else moved(home, change_between(home, clamps) * self.moves)
+
+    def at_rest(self, shapes: Shapes, touching: np.ndarray) -> tuple[States, np.ndarray]:
+        """The rods that grippers hold at the ends of R ``shapes``, those that are ``touching`` (R,) among the obstacles, and
+        which (R,) are at certified rest."""
+        rods = shapes.rods
+        clamps, sound = self.grippers(rods), np.zeros(rods.count, dtype=bool)
+        for own in (False, True):
+            rows = np.flatnonzero(touching == own)
+            if len(rows):
+                around = self.clearance.around(len(rows)).arguments if own else {}
+                solution = relax(rods.take(rows), self.material, clamps.take(rows), Newton.careful(), up=self.up, **around)
+                rods = put_rods(rods, rows, finite_rods(solution.configuration, rods.take(rows)))
+                sound[rows] = solution.converged & solution.stable
+        return States(rods, clamps, touching), sound
+
+    def touch(self, rods: Configuration) -> np.ndarray:
+        """(R,) bool: whether rods touch obstacles, or are nearly so near."""
+        return self.clearance.of(rods.vertices) <= 0
+
+    def same(self, vertices: np.ndarray, others: np.ndarray) -> np.ndarray:
+        """(…) bool: whether shapes (…, V, 3) are those of one equilibrium."""
+        return _travel(vertices, others) < SAME * self.length
+
+    def ways(self, begin: Configuration, end: Configuration) -> Ways:
+        """From R rods at rest to R others; in contact where one of both is."""
+        here, there, touching = self.shapes(begin), self.shapes(end), self.touch(begin) | self.touch(end)
+        one = np.arange(begin.count)
+        pieces = np.maximum(np.ceil(here.apart(there, self.lever) / (STEP * self.length)), 1).astype(int)
+        way = np.repeat(one, pieces)
+        first = np.cumsum(pieces) - pieces
+        share = (np.arange(len(way)) - first[way] + 1) / pieces[way]
+        guessed = here.take(way).towards(there.take(way), share)
+        states, sound = self.at_rest(guessed, touching[way])
+        after, guess = states.rods.vertices, guessed.rods.vertices
+        before, guess_before = np.roll(after, 1, axis=0), np.roll(guess, 1, axis=0)
+        before[first] = guess_before[first] = begin.vertices
+        sound &= _travel(before, after) <= ABRUPT * _travel(guess_before, guess) + SAME * self.length
+        sound[first + pieces - 1] &= self.same(after[first + pieces - 1], end.vertices)
+        going = np.flatnonzero(self._unbroken(sound, first, way))
+        clear = np.zeros(len(way), dtype=bool)
+        clear[going] = self._clear(before[going], after[going], np.isin(going, first))
+        reach = np.add.reduceat(self._unbroken(sound & (clear | touching[way]), first, way), first)
+        return Ways(replace(states, touching=~clear), way, reach, reach == pieces)
+
+    def _clear(self, before: np.ndarray, after: np.ndarray, first: np.ndarray) -> np.ndarray:
+        """(S,) bool: whether rods keep clear from each state to the next; ``first`` (S,) of its way."""
+        gap = self.clearance.of(after)
+        gap_before = np.roll(gap, 1)
+        gap_before[first] = self.clearance.of(before[first])
+        return self.clearance.between(before, after, gap_before, gap)
+
+    @staticmethod
+    def _unbroken(sound: np.ndarray, first: np.ndarray, way: np.ndarray) -> np.ndarray:
+        """(S,) whether a state and all before it in its way are sound."""
+        broken = np.cumsum(~sound)
+        return broken == (broken - ~sound)[first][way]
+
+
+def _travel(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """(…) mm, the farthest that a vertex moves."""
+    return np.linalg.norm(after - before, axis=-1).max(axis=-1)
