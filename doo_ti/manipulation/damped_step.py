@@ -17,6 +17,7 @@ class DampedSteps:
     """
 
     def __init__(self, normal: np.ndarray, gradient: np.ndarray):
+        self._normal, self._gradient = normal, gradient
         values, self._vectors = np.linalg.eigh(normal)
         self._values = np.maximum(values, 0.0)
         # Products of single matrices, so that the rounding of a rod does not depend on how many others there are.
@@ -33,3 +34,19 @@ class DampedSteps:
         damping = np.where(fits, LEAST_DAMPING, np.exp(high))[:, None]
         step = (self._vectors @ (self._along / (self._values + damping))[..., None])[..., 0]
         return np.where(length[:, None] > 0, step, 0.0)
+
+    def below(self, length: np.ndarray, across: np.ndarray, room: np.ndarray) -> np.ndarray:
+        """(B, K) the steps of at most ``length`` (B,) whose product with ``across`` (B, K) is at most ``room`` (B,): where that
+        of :meth:`within` is more, the best of those that have just that (one active constraint)."""
+        step = self.within(length)
+        rows = np.flatnonzero(np.sum(across * step, axis=1) > room)
+        if len(rows):
+            size = np.linalg.norm(across[rows], axis=1, keepdims=True)
+            unit, fixed = across[rows] / size, room[rows, None] / size
+            along = np.eye(across.shape[1]) - unit[:, :, None] * unit[:, None]
+            normal = self._normal[rows]
+            left = self._gradient[rows] - (normal @ (fixed * unit)[..., None])[..., 0]
+            rest = DampedSteps(along @ normal @ along, (along @ left[..., None])[..., 0]).within(
+                np.sqrt(np.maximum(length[rows] ** 2 - fixed[:, 0] ** 2, 0.0)))
+            step[rows] = np.where(length[rows, None] > 0, rest + fixed * unit, 0.0)
+        return step

@@ -40,8 +40,31 @@ def slack(clamps: Clamps, length: float, stiff: np.ndarray | float) -> np.ndarra
     """(B,) mm by which rods of that ``length``, of which grippers hold ``stiff`` mm at each end, (B,) or one number, are longer
     between their grippers than these are apart."""
     stiff = np.broadcast_to(stiff, clamps.count)
-    way = clamps.end_position - clamps.start_position - stiff[:, None] * (clamps.start_frame[..., 0] + clamps.end_frame[..., 0])
-    return length - 2 * stiff - np.linalg.norm(way, axis=-1)
+    return length - 2 * stiff - np.linalg.norm(_way(clamps, stiff), axis=-1)
+
+
+def slack_gradient(clamps: Clamps, stiff: np.ndarray) -> np.ndarray:
+    """(B, 12) of :func:`slack` by the change of :func:`moved`."""
+    along = -_unit(_way(clamps, stiff))
+    turns = [np.cross(frame[..., 0], along) * -stiff[:, None] for frame in (clamps.start_frame, clamps.end_frame)]
+    return np.concatenate([-along, turns[0], along, turns[1]], axis=1)
+
+
+def drawn_in(clamps: Clamps, excess: np.ndarray, stiff: np.ndarray, moves: np.ndarray) -> Clamps:
+    """The clamps with grippers that are nearer to each other by ``excess`` (B,) mm: those whose shifts are free, of ``moves``
+    (12,), by equal parts."""
+    start, end = float(moves[0]), float(moves[6])
+    part = _unit(_way(clamps, stiff)) * (excess / max(start + end, 1.0))[:, None]
+    return replace(clamps, start_position=clamps.start_position + start * part, end_position=clamps.end_position - end * part)
+
+
+def _way(clamps: Clamps, stiff: np.ndarray) -> np.ndarray:
+    """(B, 3) mm, between the ends of what grippers hold."""
+    return clamps.end_position - clamps.start_position - stiff[:, None] * (clamps.start_frame[..., 0] + clamps.end_frame[..., 0])
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
 
 
 def joined(parts: list[Clamps]) -> Clamps:

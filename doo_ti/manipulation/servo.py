@@ -30,7 +30,17 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.manipulation.belief import CENTRE, CLIP, Belief, LearnedMaterial
 from doo_ti.manipulation.damped_step import DampedSteps
 from doo_ti.manipulation.goal import Model, nearest_goal
-from doo_ti.manipulation.poses import change_between, finite_rods, held, moved, put_rods, put_rows, slack
+from doo_ti.manipulation.poses import (
+    change_between,
+    drawn_in,
+    finite_rods,
+    held,
+    moved,
+    put_rods,
+    put_rows,
+    slack,
+    slack_gradient,
+)
 from doo_ti.manipulation.resynchronise import between_marks, resynchronised
 from doo_ti.manipulation.targets import ServoOptions, ServoStatus, Targets
 from doo_ti.relaxation.newton import Newton
@@ -54,6 +64,8 @@ NONLINEAR, NONLINEAR_MM = 0.5, 1.0
 snap: with 1 snaps pass, with 0.2 steps are short."""
 WORSE, ROUNDING = 1.02, 0.1
 """Growth of the distance to the target, as a factor and in mm, that is still taken for rounding and noise."""
+EXACT = 1e-6
+"""Of the rod's length, rounding of its slack."""
 GAIN = 0.3
 """Of the newest moment in the offset."""
 SNAPPED, SNAPPED_SHARE = 5.0, 0.02
@@ -61,7 +73,8 @@ SNAPPED, SNAPPED_SHARE = 5.0, 0.02
 AIMS, NEARER = 3, 0.5
 """How often a rod that comes no nearer is given a goal to go to, and the share of its distance that the goal must be within."""
 LITTLE = 0.02
-"""Of the distance to the target: what a step must gain at least, or the rod is as near as it comes."""
+"""Of the distance to the target, what a step must gain at least, or the rod is as near as it comes; and of the longest step, by
+how much it must bring grippers nearer to the poses that they go to."""
 
 
 class Servo:
@@ -200,32 +213,35 @@ class Servo:
     def _move(self, expected: np.ndarray, columns: np.ndarray, steps: DampedSteps, usable: np.ndarray) -> None:
         """Move the grippers, and the models with them: as far as these follow."""
         start = self.clamps
-        before, self.distance = self._targets.distance(expected + self._offset), self.distance.copy()
+        here, self.distance = self._targets.distance(expected + self._offset), self.distance.copy()
         waiting = np.arange(len(usable))
-        refused, rested = np.zeros((2, len(usable)), dtype=bool)
+        refused = np.zeros(len(usable), dtype=bool)
         longest = np.where(usable, self._length, 0.0)
         gain = np.zeros(len(usable))
         length, stiff = self._last.rest_length.sum(), self._belief.held(self._edge)
-        least = np.minimum(slack(start, length, stiff), self._options.slack * length)
+        loose = slack(start, length, stiff)
+        least, moves = np.minimum(loose, self._options.slack * length), self._options.moves
+        tighter, room = -slack_gradient(start, stiff) * moves / self._options.scale, loose - least
         to_aim = change_between(start, self._aims) * self._options.scale
         for attempt in range(TRIES):
             most = longest if attempt < TRIES - 1 else np.zeros_like(longest)
-            step = np.where(self._aiming[:, None], _shortened(to_aim, most), steps.within(most))[waiting]
-            self.clamps = put_rows(self.clamps, waiting, moved(start.take(waiting), step / self._options.scale))
+            step = np.where(self._aiming[:, None], _shortened(to_aim, most), steps.below(most, tighter, room))[waiting]
+            there = moved(start.take(waiting), step / self._options.scale)
+            tight = np.maximum(least[waiting] - slack(there, length, stiff[waiting]), 0.0)
+            self.clamps = put_rows(self.clamps, waiting, drawn_in(there, tight, stiff[waiting], moves))
             model = self._relaxed(waiting)
             linear = (columns[waiting] @ step[..., None]).reshape(len(waiting), -1, 3)
             shapes = model.configuration.vertices
             off = _size(shapes - expected[waiting] - linear)
             distance = self._targets.take(waiting).distance(shapes + self._offset[waiting])
             size = np.linalg.norm(step, axis=1)
-            nearer = self._aiming[waiting] | (distance <= WORSE * before[waiting] + ROUNDING)
-            nearer &= slack(self.clamps.take(waiting), length, stiff[waiting]) >= least[waiting]
+            nearer = self._aiming[waiting] | (distance <= WORSE * here[waiting] + ROUNDING)
+            nearer &= slack(self.clamps.take(waiting), length, stiff[waiting]) >= least[waiting] - EXACT * length
             follows = (off <= NONLINEAR * _size(linear) + NONLINEAR_MM) & nearer
             good = model.converged & model.stable & (follows | (size == 0))
             done = waiting[good]
             self._last = put_rods(self._last, done, model.configuration.take(np.flatnonzero(good)))
-            rested[done] = size[good] == 0
-            self.distance[done], gain[done] = distance[good], (before[waiting] - distance)[good]
+            self.distance[done], gain[done] = distance[good], (here[waiting] - distance)[good]
             if attempt == 0:
                 self._length[done] = np.minimum(2 * np.maximum(size[good], 1.0), self._options.step_mm)
             longest[waiting] = SHORTER * np.minimum(longest[waiting], np.maximum(size, 0.1))
@@ -238,8 +254,10 @@ class Servo:
         if len(waiting):
             self.clamps = put_rows(self.clamps, waiting, start.take(waiting))
         self._judge(gain, refused)
-        arrived = np.linalg.norm(to_aim, axis=1) <= self._options.step_mm
-        self._aiming &= ~(arrived | (self.status == ServoStatus.LOST) | rested)
+        left, before = (np.linalg.norm(change, axis=1) for change in (
+            change_between(self.clamps, self._aims) * self._options.scale, to_aim))
+        ends = (before <= self._options.step_mm) | (left > before - LITTLE * self._options.step_mm)  # there, or no way to it
+        self._aiming &= ~(ends | (self.status == ServoStatus.LOST))
         self._aim()
 
     def _judge(self, gain: np.ndarray, refused: np.ndarray) -> None:
@@ -259,7 +277,9 @@ class Servo:
         self._aimed[rods] += 1
         here = Targets(self._targets.vertices[rods] - self._offset[rods], self._targets.shares[rods])
         goal = nearest_goal(self._last.take(rods), self.clamps.take(rods), self._models(rods), here, self._options)
-        good = goal.distance < NEARER * self.distance[rods]
+        length = self._last.rest_length.sum()
+        loose = slack(goal.clamps, length, self._belief.held(self._edge)[rods]) >= self._options.slack * length
+        good = loose & (goal.distance < NEARER * self.distance[rods])
         self._aims = put_rows(self._aims, rods[good], goal.clamps.take(np.flatnonzero(good)))
         self._aiming[rods[good]] = True
         self._length[rods[good]] = self._options.step_mm
