@@ -162,18 +162,18 @@ def _steps(rod: SteeredRod, true: Material, cameras: "VirtualCameras", rig: Rig,
     from doo_ti.manipulation.targets import ServoOptions, Targets
     from doo_ti.perception.virtual_lab import TRACKED_NOISE
 
-    up, targets, steps = rod.observations.up, Targets(rod.places), []
+    up, around, targets, steps = rod.observations.up, rod.surroundings.arguments, Targets(rod.places), []
     with progress() as bar:
         shown = bar.add_task("steps", total=most, unit="steps")
         model, begin = rod.at_rest()
-        simulation = Simulation(model.configuration, true, begin, up=up)
+        simulation = Simulation(model.configuration, true, begin, up=up, **around)
         state = simulation.state
         if not (state.converged & state.stable).all():
             raise InputError(given.SOURCE, "--true-EI", "the true rod has no stable equilibrium at the start",
                              "give another, or a rod that is held within its length")
         _check_seen(state.configuration.vertices[0], rig)
         chosen = ServoOptions(reached_mm=reached, noise_mm=TRACKED_NOISE * float(np.sum(rod.observations.rest_length)))
-        servo = Servo(model.configuration, rod.material, begin, targets, chosen, up=up)
+        servo = Servo(model.configuration, rod.material, begin, targets, chosen, up=up, **around)
         while len(steps) < most and not _settled(steps):
             truth, expected = state.configuration.vertices[0], servo.vertices[0]
             if not np.isfinite(truth).all():

@@ -20,7 +20,6 @@ def declare(add) -> None:
     parser = given.command(add, "steer", run, "plan a motion of both grippers that brings a rod to a shape (§VI)")
     add_steered(parser)
     parser.add_argument("--out", required=True, metavar="PATH.csv", help="file to write, which predict --motion reads")
-    given.add_obstacles(parser, "without friction")
     parser.add_argument("--reached", metavar="MM", help=f"distance at which the target is reached (default {REACHED:g})")
     parser.add_argument("--seconds", metavar="S", help="longest search (default 10)")
     parser.add_argument("--seed", metavar="N", help="of the search's random numbers (default 0)")
@@ -29,14 +28,11 @@ def declare(add) -> None:
 def run(options: Namespace, words: list[str]) -> int:
     """Plan the motion, write it, and print whether it reaches the target."""
     out = given.output_file(options.out, ".csv")
-    surroundings = given.surroundings(options)
-    if surroundings.rub:
-        raise InputError(options.obstacles, "friction", "given, but plans have none", "leave it out")
     reached, seconds = given.length("--reached", options.reached), given.positive("--seconds", options.seconds, "s")
     if seconds is not None and seconds > MOST_SECONDS:
         raise InputError(given.SOURCE, "--seconds", f"{options.seconds}", f"give at most {MOST_SECONDS:g}")
     seed = given.whole("--seed", options.seed, 0, 2**31 - 1)
-    rod = steered_rod(options, [out], surroundings)
+    rod = steered_rod(options, [out])
 
     from doo_ti.manipulation.plan import PlanOptions, plan_manipulation
     from doo_ti.manipulation.targets import Targets
@@ -45,7 +41,7 @@ def run(options: Namespace, words: list[str]) -> int:
     with busy("planning (kernels are compiled once on a machine)"):
         start, held = rod.at_rest()
         path = plan_manipulation(start.configuration, rod.material, held, Targets(rod.places), chosen, up=rod.observations.up,
-                                 **surroundings.arguments)
+                                 **rod.surroundings.arguments)
     out.parent.mkdir(parents=True, exist_ok=True)
     write_text(out, path_table(path))
     if not path.reached:

@@ -56,12 +56,16 @@ def add_steered(parser) -> None:
                         help="vertices_mm (1, V, 3), where vertices shall be; NaN where nothing is asked")
     given.add_material(parser, "one number each", given.SHAPE_ONLY, round_rod=True)
     given.add_clamps(parser)
+    given.add_obstacles(parser, "without friction")
     loading.add_loading(parser, "START and TARGET")
 
 
-def steered_rod(options: Namespace, written: Iterable[Path], surroundings: Surroundings = Surroundings()) -> SteeredRod:
+def steered_rod(options: Namespace, written: Iterable[Path]) -> SteeredRod:
     """What :func:`add_steered` describes. Raises InputError for whatever is wrong with it, and for files to be ``written`` that
     are read."""
+    surroundings = given.surroundings(options)
+    if surroundings.rub:
+        raise InputError(options.obstacles, "friction", "given, but steered rods know none", "leave it out")
     grid = given.round_cell(options, "steered")
     observations = loading.load(options, options.start).take(np.zeros(1, dtype=np.int64))
     for out in written:
