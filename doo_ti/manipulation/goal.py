@@ -95,29 +95,30 @@ def fit(rods: Configuration, clamps: Clamps, model: Model, targets: Targets, opt
     """The rods that are nearest to their targets, from these on, by damped least squares in the grippers' poses
     (Levenberg, Marquardt); every one is certified."""
     solution = model.relaxed(rods, clamps)
-    rods = finite_rods(solution.configuration, rods)
-    distance = _distance(solution, targets)
+    rods, distance = finite_rods(solution.configuration, rods), _distance(solution, targets)
     length, reach = np.full(rods.count, LONGEST), (rods.rest_length.sum(), rods.rest_length[0])
-    weight = np.repeat(targets.shares, 3, axis=1)
     for _ in range(ITERATIONS):
-        columns = gripper_jacobian(solution).vertices
-        columns = np.nan_to_num(columns.reshape(rods.count, -1, 12)) * (options.moves / options.scale)
-        across = np.swapaxes(columns, 1, 2) * weight[:, None]
-        error = np.nan_to_num(targets.places - solution.configuration.vertices).reshape(rods.count, -1)
-        step = DampedSteps(across @ columns, (across @ error[..., None])[..., 0]).within(length)
-        there = moved(clamps, step / options.scale)
-        tried = model.relaxed(rods, there)
-        nearer = _distance(tried, targets)
-        loose = slack(there, *reach) >= np.minimum(slack(clamps, *reach), options.slack * reach[0])
-        searching = length >= options.reached_mm * SHRINK
-        good = (nearer < distance) & loose & searching
-        length = np.where(good, np.minimum(GROW * length, LONGEST), SHRINK * np.minimum(length, np.linalg.norm(step, axis=1)))
-        taken = np.flatnonzero(good)
-        if not searching.any():
+        rows = np.flatnonzero(length >= options.reached_mm * SHRINK)  # others have come as near as they can
+        if not len(rows):
             break
-        rods = put_rods(rods, taken, tried.configuration.take(taken))
-        clamps, distance = put_rows(clamps, taken, there.take(taken)), np.where(good, nearer, distance)
-        solution = model.relaxed(rods, clamps)
+        own, here, asked = model.take(rows), clamps.take(rows), targets.take(rows)
+        solution = own.relaxed(rods.take(rows), here)
+        columns = gripper_jacobian(solution).vertices
+        columns = np.nan_to_num(columns.reshape(len(rows), -1, 12)) * (options.moves / options.scale)
+        across = np.swapaxes(columns, 1, 2) * np.repeat(asked.shares, 3, axis=1)[:, None]
+        error = np.nan_to_num(asked.places - solution.configuration.vertices).reshape(len(rows), -1)
+        step = DampedSteps(across @ columns, (across @ error[..., None])[..., 0]).within(length[rows])
+        there = moved(here, step / options.scale)
+        tried = own.relaxed(rods.take(rows), there)
+        nearer = _distance(tried, asked)
+        loose = slack(there, *reach) >= np.minimum(slack(here, *reach), options.slack * reach[0])
+        good = (nearer < distance[rows]) & loose
+        length[rows] = np.where(good, np.minimum(GROW * length[rows], LONGEST),
+                                SHRINK * np.minimum(length[rows], np.linalg.norm(step, axis=1)))
+        taken, good = rows[good], np.flatnonzero(good)
+        rods, clamps = put_rods(rods, taken, tried.configuration.take(good)), put_rows(clamps, taken, there.take(good))
+        distance[taken] = nearer[good]
+    solution = model.relaxed(rods, clamps)
     return Goal(finite_rods(solution.configuration, rods), clamps, _distance(solution, targets))
 
 

@@ -60,7 +60,8 @@ def drawn_in(clamps: Clamps, excess: np.ndarray, stiff: np.ndarray, moves: np.nd
 
 def _way(clamps: Clamps, stiff: np.ndarray) -> np.ndarray:
     """(B, 3) mm, between the ends of what grippers hold."""
-    return clamps.end_position - clamps.start_position - stiff[:, None] * (clamps.start_frame[..., 0] + clamps.end_frame[..., 0])
+    tangents = clamps.start_frame[..., 0] + clamps.end_frame[..., 0]
+    return clamps.end_position - clamps.start_position - stiff[:, None] * tangents
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
