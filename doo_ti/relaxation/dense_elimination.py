@@ -8,6 +8,9 @@ vertex 0 and with the rotation of every edge before it, δx_v = ξ + Σ_{e<v} A_
 
 besides the terms of bending and twisting and, on the diagonal, those of a force on a curved path. Block 0 belongs to ξ, block
 e + 1 to ω_e. The pivots and the Schur complement of closure certify a minimum, as those of a band do.
+
+The chain of a group (:mod:`doo_ti.groups.group_elimination`) has breaks between its rods. A break stands where an edge would;
+its unknown is the place ξ of the vertex behind it, where sums over vertices begin anew.
 """
 
 import taichi as ti
@@ -48,15 +51,9 @@ def symmetric_sum(m) -> tuple:
 
 @traced
 def turned_block(left, m, right) -> tuple:
-    """A_e M A_fᵀ, where A is 0 in its first row: ``left`` and ``right`` are the other two of both, or three where it is I."""
+    """A_e M A_fᵀ, of the rows of both A."""
     rows = [tuple(sum_of(m[3 * k + c] * a[k] for k in range(3)) for c in range(3)) for a in left]
-    block = [[sum_of(r[c] * b[c] for c in range(3)) for b in right] for r in rows]
-    zero = 0.0 * m[0]
-    whole = [[zero] * 3 for _ in range(3)]
-    for r, line in enumerate(block):
-        for c, value in enumerate(line):
-            whole[r + 3 - len(left)][c + 3 - len(right)] = value
-    return tuple(value for line in whole for value in line)
+    return tuple(sum_of(r[c] * b[c] for c in range(3)) for r in rows for b in right)
 
 
 def sum_of(values):
@@ -70,7 +67,14 @@ def sum_of(values):
 @ti.data_oriented
 class DenseElimination(DenseFactors):
     """The part of a :class:`.LoadedElimination` that solves the Newton system, for rods whose contacts are
-    :class:`.SelfContacts`: a class to derive from before the other."""
+    :class:`.SelfContacts`: a class to derive from before the other. ``breaks``: the chain is that of a group."""
+
+    breaks = False
+
+    @ti.func
+    def begins(self, rod, e):
+        """Of a break the number of the rod behind it, else zero."""
+        return 0
 
     @ti.func
     def eliminate(self, rod, shift, search, multiplier, miss):
@@ -149,20 +153,25 @@ class DenseElimination(DenseFactors):
         for q in range(rod.edges):
             for back in range(rod.edges - 1 - q):
                 p = rod.edges - 1 - back
-                self.contacts.add_block(rod, p, q, self.load_block(rod, p + 1, q))
+                if self.begins(rod, p) == 0:
+                    self.contacts.add_block(rod, p, q, self.load_block(rod, p + 1, q))
         for back in range(rod.edges):
             p = rod.edges - 1 - back
-            both = plus(self.load_diagonal(rod, p + 1), symmetric_sum(self.load_block(rod, p + 1, p)))
-            self.contacts.add_diagonal(rod, p, full(both))
+            if self.begins(rod, p) == 0:
+                both = plus(self.load_diagonal(rod, p + 1), symmetric_sum(self.load_block(rod, p + 1, p)))
+                self.contacts.add_diagonal(rod, p, full(both))
 
     @ti.func
     def levers(self, rod, index):
-        """The rows of A of block ``index`` > 0, rotations that are held left out."""
-        edge = self.edge(rod.head, index - 1)
-        q = edge.frame
-        rows = closure_rows(edge.length, first_director(q), second_director(q))
-        tilt = self.freedom(rod, index - 1)[1]
-        return scaled(row(rows, 1), tilt), scaled(row(rows, 2), tilt)
+        """The rows of A of block ``index``, with zeros for what is held: the identity where a rod begins."""
+        a, free = variable(identity(0.0 * rod.total)), variable(repeated(rod.loose, 3))
+        if index > 0:
+            free = self.freedom(rod, index - 1)
+            if self.begins(rod, index - 1) == 0:
+                edge = self.edge(rod.head, index - 1)
+                q = edge.frame
+                a = closure_rows(edge.length, first_director(q), second_director(q))
+        return scaled(row(a, 0), free[1]), scaled(row(a, 1), free[1]), scaled(row(a, 2), free[2])
 
     @ti.func
     def assemble(self, rod, shift, search, multiplier, found):
@@ -174,27 +183,39 @@ class DenseElimination(DenseFactors):
         for back in range(rod.edges):
             e = rod.edges - 1 - back
             edge = self.edge(rod.head, e)
-            q = edge.frame
-            t, m1, m2 = tangent(q), first_director(q), second_director(q)
-            length = edge.length
             force = plus(force, self.contacts.own_vertex(rod, e + 1).load)
-            pull = plus(scaled(rod.gravity, self.hanging_weight(rod, length, beyond)), force)
-            beyond = beyond + length
-            l1, l2 = linear_gradient(pull, length, m1, m2)
-            straighten = linear_hessian(pull, length, t)
             u = variable(repeated(zero, 9))
             h_before, g_before = variable(repeated(zero, 6)), variable(repeated(zero, 3))
-            if e > 0:
-                previous = self.edge(rod.head, e - 1)
-                left, right, h_left, h_right, across = self.derivatives(
-                    self.bent(previous.bent), self.stiffness(previous, edge, rod.stiffness))
-                g, h = plus(g, right), plus(h, h_right)
-                h_before, g_before, u = h_left, left, across
-            g = (g[0], g[1] + l1, g[2] + l2)
-            h = self.second_derivatives(rod, (h[0], h[1], h[2], h[3] + straighten, h[4], h[5] + straighten), g)
-            self.assemble_edge(rod, e, edge, g, h, u, closure_rows(length, m1, m2), (shift, search), found)
+            if self.begins(rod, e) > 0:
+                self.assemble_row(rod, e + 1, self.freedom(rod, e), u)
+                self.assemble_begin(rod, e + 1, self.freedom(rod, e), shift, force, found)
+                force = repeated(zero, 3)
+            else:
+                if e > 0:
+                    if self.begins(rod, e - 1) == 0:
+                        previous = self.edge(rod.head, e - 1)
+                        left, right, h_left, h_right, across = self.derivatives(
+                            self.bent(previous.bent), self.stiffness(previous, edge, rod.stiffness))
+                        g, h = plus(g, right), plus(h, h_right)
+                        h_before, g_before, u = h_left, left, across
+                slope, whole, rows = self.pulled_edge(rod, e, edge, g, h, force, beyond)
+                self.assemble_edge(rod, e, edge, slope, whole, u, rows, (shift, search), found)
+            beyond = beyond + edge.length
             h, g = h_before, g_before
-        self.assemble_start(rod, shift, force, found)
+        self.assemble_begin(rod, 0, repeated(rod.loose, 3), shift, plus(force, self.contacts.own_vertex(rod, 0).load), found)
+
+    @ti.func
+    def pulled_edge(self, rod, e, edge, slope, bent, force, beyond):
+        """Of an edge whose bending and twisting has the gradient ``slope`` and second derivative ``bent``: these with what the
+        ``force`` on it and the weight of the length ``beyond`` it add, and the rows of A."""
+        q, length = edge.frame, edge.length
+        t, m1, m2 = tangent(q), first_director(q), second_director(q)
+        pull = plus(scaled(rod.gravity, self.hanging_weight(rod, length, beyond)), force)
+        l1, l2 = linear_gradient(pull, length, m1, m2)
+        straighten = linear_hessian(pull, length, t)
+        g = (slope[0], slope[1] + l1, slope[2] + l2)
+        h = (bent[0], bent[1], bent[2], bent[3] + straighten, bent[4], bent[5] + straighten)
+        return g, self.second_derivatives(rod, h, g), closure_rows(length, m1, m2)
 
     @ti.func
     def assemble_edge(self, rod, e, edge, slope, bent, across, rows, given, found):
@@ -224,30 +245,22 @@ class DenseElimination(DenseFactors):
         sums = variable(full(self.load_diagonal(rod, line)))
         for back in range(line):
             q = line - 1 - back
+            if self.begins(rod, q) > 0:
+                sums = repeated(0.0 * rod.total, 9)
             sums = plus(sums, self.load_block(rod, line, q))
-            block = variable(repeated(0.0 * rod.total, 9))
-            if q > 0:
-                block = turned_block(own, sums, self.levers(rod, q))
-                if back == 0:
-                    bent = column_scaled(row_scaled(transposed(across), free), self.freedom(rod, q - 1))
-                    block = plus(block, bent)
-            else:
-                loose = rod.loose
-                start = identity(0.0 * loose)
-                block = scaled(turned_block(own, sums, (row(start, 0), row(start, 1), row(start, 2))), loose)
+            block = variable(turned_block(own, sums, self.levers(rod, q)))
+            if back == 0 and q > 0:
+                block = plus(block, column_scaled(row_scaled(transposed(across), free), self.freedom(rod, q - 1)))
             self.store_block(rod, line, q, block)
 
     @ti.func
-    def assemble_start(self, rod, shift, force, found):
-        """Block 0: that of the place of vertex 0."""
-        loose = rod.loose
-        whole = plus(force, self.contacts.own_vertex(rod, 0).load)
-        slope = scaled(plus(whole, scaled(rod.gravity, 2.0 * rod.total)), loose)
+    def assemble_begin(self, rod, line, free, shift, force, found):
+        """The row of the place where a rod begins, all of which bears ``force``."""
+        slope = products(free, plus(force, scaled(rod.gravity, 2.0 * rod.total)))
         self.observe_moment(found, scaled(slope, rod.total))
-        d = self.load_diagonal(rod, 0)
-        shifted_start = on_diagonal(d, self.shift_of_start(rod, shift))
-        self.store_diagonal(rod, 0, held_pivot(shifted_start, (loose, loose, loose)))
-        self.store_side(rod, 0, negated(slope), scaled(identity(0.0 * loose), loose * rod.closed))
+        diagonal = on_diagonal(self.load_diagonal(rod, line), self.shift_of_start(rod, shift))
+        self.store_diagonal(rod, line, held_pivot(diagonal, free))
+        self.store_side(rod, line, negated(slope), scaled(identity(0.0 * rod.loose), rod.loose * rod.closed))
 
     @ti.func
     def store_side(self, rod, line, right, border):
@@ -267,13 +280,19 @@ class DenseElimination(DenseFactors):
         longest = 0.0 * size
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)
-            w = self.solution(rod, e + 1)
-            edge.rotation = w
+            w = variable(self.solution(rod, e + 1))
             q = edge.frame
-            length = edge.length
-            change = scaled(minus(scaled(first_director(q), w[2]), scaled(second_director(q), w[1])), length)
-            longest = largest_of(longest, self.contacts.approach(rod, e + 1, x, plus(x, change)))
-            x = plus(x, change)
+            change = scaled(minus(scaled(first_director(q), w[2]), scaled(second_director(q), w[1])), edge.length)
+            before, after = variable(x), variable(plus(x, change))
+            if ti.static(self.breaks):
+                if self.begins(rod, e) > 0:
+                    before, after = w, w
+                    self.begin_at(rod, e, w)
+                    size = largest_of(size, dot(w, w) / (rod.total * rod.total))
+                    w = repeated(0.0 * size, 3)
+            edge.rotation = w
+            longest = largest_of(longest, self.contacts.approach(rod, e + 1, before, after))
+            x = after
             self.contacts.own_vertex(rod, e + 1).move = x
             size = self.longer(size, w)
         longest = largest_of(largest_of(longest, size), self.contacts.approach_itself(rod))
