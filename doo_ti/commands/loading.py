@@ -20,8 +20,7 @@ from doo_ti.io.csv_table import decoded
 from doo_ti.io.observation_files import load_observations
 from doo_ti.io.scene import Scene, Synthesis
 from doo_ti.rod.observations import Observations
-from doo_ti.rod.physical_units import UNITS_IN_MM
-from doo_ti.rod.plausible import likely_unit
+from doo_ti.rod.physical_units import UNITS_IN_MM, likely_unit
 from doo_ti.rod.start import observation_clamps, reachable
 from doo_ti.rod.types import Clamp
 from doo_ti.system import terminal

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from doo_ti.dynamics.parameters import Dynamics
-from doo_ti.io.material_keys import MaterialKeys
+from doo_ti.io.scene_keys import MaterialKeys
 from doo_ti.io.toml_file import NotNegative, Positive
 from doo_ti.system.errors import InputError
 

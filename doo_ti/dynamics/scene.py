@@ -20,7 +20,7 @@
     knot_finer = 4.0                   # edges in the knot, where it touches itself, are so many times shorter (as needed)
 
     [materials.rope]                   # one or more, all in the same motion
-    bend = 6e5                         # mm³, or EI in N m²: doo_ti/io/material_keys.py; with rate_hz not a matrix
+    bend = 6e5                         # mm³, or EI in N m²: doo_ti/io/scene_keys.py; with rate_hz not a matrix
     twist = 8e5
     weight = 1.0
     density = 1.0                      # mass per length over that of a rod of weight 1 (the weight)
@@ -68,9 +68,8 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.inertia_keys import InertiaKeys
 from doo_ti.dynamics.parameters import Dynamics, Stepping
-from doo_ti.io.clamp_moments import ClampName, EndPaths, Moment, end_paths, instants
-from doo_ti.io.material_keys import StatedMaterial, newtons, stated_material
 from doo_ti.io.motion_file import MOST_MOMENTS, ClampPath
+from doo_ti.io.scene_keys import ClampName, EndPaths, Moment, StatedMaterial, end_paths, instants, newtons, stated_material
 from doo_ti.io.toml_file import Finite, Positive, Table, Vector, checked, read_toml, unit_direction
 from doo_ti.rod.frames import quaternion_product, smallest_rotation
 from doo_ti.rod.knots import overhand_knot

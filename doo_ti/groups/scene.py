@@ -8,7 +8,7 @@
     scheme = "bdf2"                    # of the time steps, or "euler"
 
     [materials.wire]                   # one or more
-    bend = 2e5                         # mm³, or, of all materials, EI in N m² (doo_ti/io/material_keys.py): the first one
+    bend = 2e5                         # mm³, or, of all materials, EI in N m² (doo_ti/io/scene_keys.py): the first one
     twist = 1.5e5                      # then has a weight of 1, to which the weight of ties and density are relative
     weight = 1.0
     density = 1.0                      # with inertia: mass per length over that of a rod of weight 1 (the weight)
@@ -28,7 +28,7 @@
     end = "tangent"                    # (free)
     vertex_clamps = true               # clamps, and welds of ends, act at the end vertices, not half an edge off (false)
 
-    [[rods.trunk.moments]]             # of its clamps: doo_ti/io/clamp_moments.py. Ends that are elsewhere are drawn there
+    [[rods.trunk.moments]]             # of its clamps: doo_ti/io/scene_keys.py. Ends that are elsewhere are drawn there
     time_s = 0.0
     end_position_mm = [350, 0, 8]
 
@@ -61,8 +61,7 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.inertia_keys import InertiaKeys
 from doo_ti.dynamics.parameters import Dynamics
 from doo_ti.groups.group import Group, Tie
-from doo_ti.io.clamp_moments import ClampName, end_paths, instants
-from doo_ti.io.material_keys import StatedMaterial, newtons, stated_material
+from doo_ti.io.scene_keys import ClampName, StatedMaterial, end_paths, instants, newtons, stated_material
 from doo_ti.io.toml_file import NotNegative, Positive, Table, Vector, checked, read_toml, unit_direction
 from doo_ti.rod.knots import rod_along
 from doo_ti.rod.straight import with_end_edges

@@ -37,8 +37,7 @@ from doo_ti.rod.frames import (
     quaternion_product,
     smallest_rotation,
 )
-from doo_ti.rod.physical_units import UNITS_IN_MM
-from doo_ti.rod.plausible import doubt_angle
+from doo_ti.rod.physical_units import UNITS_IN_MM, doubt_angle
 from doo_ti.rod.types import Clamps
 from doo_ti.system.arguments import owning, typed
 from doo_ti.system.errors import InputError, require_whole

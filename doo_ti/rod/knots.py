@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti.rod.frames import across, bishop_frames, quaternion_from_matrix
-from doo_ti.rod.plausible import doubt_length
+from doo_ti.rod.physical_units import doubt_length
 from doo_ti.rod.straight import with_end_edges
 from doo_ti.rod.types import LARGEST, Configuration
 from doo_ti.system.arguments import typed

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.rod.physical_units import bend_or_twist, force_in_newton
-from doo_ti.rod.plausible import doubt_weight
+from doo_ti.rod.physical_units import bend_or_twist, doubt_weight, force_in_newton
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, real_array
 from doo_ti.system.short_repr import counted, span_text

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from doo_ti.io.clamp_moments import between_moments
+from doo_ti.io.scene_keys import between_moments
 from doo_ti.io.toml_file import NotNegative, Table, Vector
 
 TIME = np.linspace(0.0, 2.0, 5)
