@@ -68,10 +68,9 @@ BENDING_LOADS, LOOP_LOADS = 20.0, 200.0
 With 20 there, too, loops are pressed so far into each other that a knot slips over an end of its rod."""
 SOFT = 0.1
 """Of a radius: at first κ gives way by that under such a force."""
-THROUGH = 0.4
-"""Of the way to the middle of an obstacle: at first κ gives way by that, at most, under the weight of the whole rod."""
-TIGHT = 0.3
-"""Of a radius: the most by which κ gives way under the largest force, so that forces end where contact does."""
+PRESSED_IN = 0.3
+"""Of a radius: the most by which κ gives way under the largest force, so that forces end where contact does, and what is added
+to a gap where a step may close it. Of the way to the middle of an obstacle: the most under the weight of the whole rod."""
 EARLY_ROTATION, EARLY_STIFFER, MOST_EARLY = 3e-2, 10.0, 12.0
 """A step in which every edge turns by less than that, rad, settles forces; κ is from then on at least so many times the first;
 and at most so many steps of a rod do so."""
@@ -81,23 +80,18 @@ has not followed its forces yet, and the next step settles none."""
 STIFFER, SLOW, STIFFEST = 5.0, 0.3, 1e6
 """κ grows by the factor STIFFER where a round leaves more than the share SLOW of the change of the round before, and where a
 refused step is deep inside an obstacle, up to STIFFEST times the first κ; it shrinks by that factor where one is refused
-elsewhere."""
-HOPELESS = 1e8
-"""Times the first κ and the radius: larger contact forces mean that the rod cannot get out of an obstacle."""
+elsewhere. A force that is larger than STIFFEST times the first κ and the radius means that the rod cannot get out of an
+obstacle."""
 CLOSE = 4.0
 """Radii: what is further from an obstacle than that, and half an edge, is not close."""
 APPROACH = 0.75
 """A step is taken whole if it shortens no gap by more than that gap times max_rotation over this: by 0.8 of it by default."""
-SLACK = 0.3
-"""Of a radius: what is added to a gap for that, as a rod may be pressed into an obstacle in rounds."""
 ROUGHER = 3e-3
 """The residual to reach until the forces of contacts have settled."""
 
-VISCOUS, THICKER, THINNER, LEAST_VISCOSITY, MOST_VISCOSITY, MOST_EASED = 30.0, 8.0, 1 / 4, 1 / 100, 1e5, 48.0
+VISCOUS, THICKER, MOST_EASED = 1.0, 10.0, 16.0
 """Viscosity that eases a step is at first so many times the expected forces over the rod's length at every vertex, larger by
-THICKER where a step with it fails, else smaller by THINNER, none below a share of the first; at most so much, and so often."""
-LEAST_BLOCKED = 1 / 64
-"""Of the shortest way otherwise: that of a step which would begin inside an obstacle."""
+THICKER where a step with it fails, else smaller by that, none below the first; at most so often."""
 HELD = 0.999
 """A contact sticks while its friction is below that share of the coefficient times its force."""
 INERT = 10.0

@@ -10,15 +10,13 @@ from doo_ti.relaxation.contact_layout import (
     EARLY_STIFFER,
     FINE,
     FOLLOWED,
-    HOPELESS,
     MOST_EARLY,
+    PRESSED_IN,
     ROUGH,
     ROUGHER,
-    SLACK,
     SLOW,
     STIFFER,
     STIFFEST,
-    TIGHT,
 )
 
 
@@ -47,7 +45,7 @@ class ContactRounds(ContactEnergy):
         zero = 0.0 * move[0]
         at = self.vertex(rod, index)
         radius = rod.contacts.radius
-        slack = SLACK * radius
+        slack = PRESSED_IN * radius
         most = zero
         if self.is_any_close(rod, at) or (index > 0 and self.is_any_close(rod, self.vertex(rod, index - 1))):
             for o in range(rod.obstacles):
@@ -168,7 +166,7 @@ class ContactRounds(ContactEnergy):
     @ti.func
     def jammed(self, rod):
         """The lanes in which forces have grown beyond all bounds: no place that the rod can get to is outside the obstacles."""
-        return rod.contacts.largest > HOPELESS * rod.contacts.first_stiffness * rod.contacts.radius
+        return rod.contacts.largest > STIFFEST * rod.contacts.first_stiffness * rod.contacts.radius
 
     @ti.func
     def soften(self, rod, where):
@@ -242,7 +240,7 @@ class ContactRounds(ContactEnergy):
     @ti.func
     def tighten(self, rod, where):
         """Make κ so large that it gives way by no more than a part of the radius under the largest force."""
-        least = rod.contacts.largest / (TIGHT * rod.contacts.radius)
+        least = rod.contacts.largest / (PRESSED_IN * rod.contacts.radius)
         choose(rod.contacts, where, stiffness=ti.max(rod.contacts.stiffness, least))
 
     @ti.func

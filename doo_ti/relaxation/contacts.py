@@ -14,19 +14,14 @@ from doo_ti.relaxation.contact_layout import (
     CONTACTS,
     HELD,
     INERT,
-    LEAST_BLOCKED,
-    LEAST_VISCOSITY,
     LOOP_LOADS,
     MOST_EASED,
-    MOST_VISCOSITY,
+    PRESSED_IN,
     REMEMBERED,
     REMEMBERED_IN_MOTION,
     ROUGH,
     SOFT,
     THICKER,
-    THINNER,
-    THROUGH,
-    TIGHT,
     VISCOUS,
 )
 from doo_ti.relaxation.contact_rounds import ContactRounds
@@ -62,8 +57,8 @@ class Contacts(ContactRounds):
         # The clamps wait until the rod has come to rest without viscosity.
         further = ti.max(2.0 * rod.contacts.way, least)
         choose(rod.contacts, done, way=ti.select(eased, zero, ti.min(further, one - made)))
-        thinner = THINNER * rod.contacts.viscosity
-        enough = thinner > LEAST_VISCOSITY * rod.contacts.first_viscosity
+        thinner = rod.contacts.viscosity / THICKER
+        enough = thinner >= 0.5 * rod.contacts.first_viscosity  # rounding apart, the first one
         choose(rod.contacts, done, viscosity=ti.select(enough, thinner, zero), multiplier=multiplier)
         choose(rod.contacts, done & ~midway, eased=zero)
         if ti.static(self.rub):
@@ -107,10 +102,8 @@ class Contacts(ContactRounds):
         viscosity = rod.contacts.viscosity
         again = failed & (rod.contacts.retried < 0.5) & (bowed | ~blocked) & (viscosity <= 0.0)
         quasi_static = least < 0.9
-        shortest = ti.select(blocked, LEAST_BLOCKED * least, least)
-        shorter = failed & ~again & (rod.contacts.way > 1.5 * shortest) & quasi_static & ((viscosity <= 0.0) | blocked)
-        eased = failed & ~again & ~blocked & ~shorter & quasi_static & (rod.contacts.eased < MOST_EASED) & (
-            viscosity < MOST_VISCOSITY * rod.contacts.first_viscosity)
+        shorter = failed & ~again & (rod.contacts.way > 1.5 * least) & quasi_static & ((viscosity <= 0.0) | blocked)
+        eased = failed & ~again & ~blocked & ~shorter & quasi_static & (rod.contacts.eased < MOST_EASED)
         once = again | shorter | eased
         if self.some(once, zero):
             choose(rod.contacts, shorter, way=0.5 * rod.contacts.way)
@@ -173,7 +166,7 @@ class Contacts(ContactRounds):
         thinnest = ti.cast(1e30, ti.f64)
         for o in range(count):
             thinnest = ti.min(thinnest, tables.obstacles[own, o, DEPTH] / unit)
-        stiffness = ti.max(force / (SOFT * radius), whole / (THROUGH * (radius + thinnest)))
+        stiffness = ti.max(force / (SOFT * radius), whole / (PRESSED_IN * (radius + thinnest)))
         viscosity = VISCOUS * whole / (scale.total * vertices * unit * unit)
         tolerance = ti.max(tables.tolerance * radius, 10.0 * self.rounding * scale.total)
         base.given = (radius, stiffness, tolerance, 1e30, ROUGH, CLOSE * radius + 0.5 * scale.longest, stiffness, 0.0, 0.0)
@@ -193,7 +186,7 @@ class Contacts(ContactRounds):
                 largest = ti.max(largest, self.load_contact(tables, self.contact(at, o), row, v, o))
         # A rod that begins with large forces would slip into the obstacle if κ gave way as if it had none.
         base.largest = largest
-        base.stiffness = ti.max(stiffness, largest / (TIGHT * radius))
+        base.stiffness = ti.max(stiffness, largest / (PRESSED_IN * radius))
         self.load_pairs(tables, slot, row)
 
     @ti.func
