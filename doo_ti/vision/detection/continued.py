@@ -110,8 +110,9 @@ def _joined(line: Detection, own: list[np.ndarray], width: float) -> list[_Part]
 def _goes_on(chain: np.ndarray, known: list[np.ndarray], width: float) -> bool:
     """Whether a chain begins where one of those ``known`` ends, and no other one ends beside that half of it."""
     line = cKDTree(chain)
-    others = [other for other in known if line.query(other)[0].max() > width]  # edges of it are not
-    if len(others) < len(known) and chain_length(chain) < GLINT * width:
+    inside = [line.query(other)[0].max() <= width for other in known]
+    edges, others = ([other for other, here in zip(known, inside, strict=True) if bool(here) is kind] for kind in (True, False))
+    if edges and (chain_length(chain) < GLINT * width or any(_turns_back(edge) for edge in edges)):
         return False
     strand = any((cKDTree(other).query(chain)[0] <= 0.6 * width).mean() > BESIDE for other in others)
     if strand or sum(chain_length(other) for other in others) < chain_length(chain):
@@ -123,6 +124,11 @@ def _goes_on(chain: np.ndarray, known: list[np.ndarray], width: float) -> bool:
     inward = -np.stack([outward(chain, way) for way in (0, 1)])[half]
     agreeing = (apart <= TOUCHING * width + ENDS_PX) & ((ahead * inward).sum(axis=1) >= AGREEING)
     return int(np.bincount(half[agreeing], minlength=2).max()) == 1
+
+
+def _turns_back(chain: np.ndarray) -> bool:
+    """Whether a chain ends the way it began: a narrow loop, not an edge."""
+    return outward(chain, 0) @ outward(chain, 1) >= AGREEING
 
 
 def _edges_of(points: np.ndarray, own: list[np.ndarray], parts: list[_Part], width: float) -> np.ndarray:

@@ -1,13 +1,21 @@
 """Threads with glints, and needles that are wider than their threads, drawn by OpenCV; strands beside each other."""
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from doo_ti.io.scene import load_scene
+from doo_ti.perception.lab_images import lab_rods
+from doo_ti.vision.cameras.rig import Rig, load_rig
 from doo_ti.vision.detection.detect import detect
+from doo_ti.vision.rendering.render import render_set
+from doo_ti.vision.rendering.tubes import smooth_curve
 from tests.vision.detection.test_follow import beside, drawn, shares, wave
 
+SCENES = Path(__file__).resolve().parents[3] / "scenes"
 DARK, WHITE = (50, 40, 60), (205, 215, 220)
 
 
@@ -47,3 +55,14 @@ def test_strands_side_by_side_are_two_lines(apart):
     found = detect(grey(*((line, DARK, 4) for line in pair)))
     assert not (cKDTree(curve).query(found.points)[0] < 1.0).any()
     assert shares(found.points, np.concatenate(pair), 2.0)[1] > 0.93
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("seed", [0, 5, 7])
+def test_a_narrow_loop_is_no_glint(seed):
+    """A rod that crosses itself, seen from beside it: two strands three widths apart, on which a line between them ends."""
+    rods = lab_rods(load_scene(SCENES / "silk.toml").observations)
+    rig = Rig(load_rig(SCENES / "rig.yaml").cameras[2:])
+    curve = smooth_curve(rods.curve[rods.names.index("silk_54mm_150deg")], 8)
+    recall, precision = shares(detect(render_set(rig, curve, 0.5, seed=seed)[0]).points, rig.project(curve)[0], 2.0)
+    assert recall > 0.99 and precision > 0.97
