@@ -186,7 +186,7 @@ def _sigma(task: PerceptionTask, found) -> np.ndarray:
     """(S, V) mm. The first two vertices, which the seed gives, are as uncertain as a click where the seed was one."""
     if task.sets.clicks is None:
         return found.sigma
-    from doo_ti.perception.finalists import point_sigma
+    from doo_ti.perception.shape_uncertainty import point_sigma
 
     sigma = found.sigma.copy()
     sigma[:, :2] = np.maximum(sigma[:, :2], point_sigma(task.sets.rig, found.vertices[:, :2], CLICK_PX))

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.perception.finalists import finalists, left_over, vertex_sigma
+from doo_ti.perception.finalists import finalists, left_over
 from doo_ti.perception.growth import rank_distinct
 from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search
 from doo_ti.perception.traced import SAME_LENGTH
@@ -251,7 +251,7 @@ def _result(search: Search, kept: Hypotheses) -> Perception:
     with np.errstate(invalid="ignore"):  # a rod that is not finite is data
         edge_error, image_length = _reprojected(search, rods.vertices)
         worse = runner_up_energy.min(axis=1, initial=np.inf) - final.energy_vis[best]
-        sigma = vertex_sigma(search.rig, marks[best], options.sigma_px, options.correlation_px)
+        sigma = search.sigma(rods)
     both = search.maps.detections is not None and options.evidence == "both"
     outside = outside_others(search.rig, rods.vertices, search.maps.detections) if both else np.zeros(image_length.shape[:2])
     return Perception(

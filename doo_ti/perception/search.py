@@ -18,6 +18,7 @@ import numpy as np
 
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.perception.growth import Hypotheses, sampled_directions, select_hypotheses, suppress_similar
+from doo_ti.perception.shape_uncertainty import line_scatter, vertex_sigma
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import (
@@ -70,7 +71,8 @@ class PerceptionOptions:
     evidence             "both": from the rod to the images and back, with hypotheses traced in them, where the maps' detections
                          are known; "rod": the paper's, E_proj of hypotheses that grew
     sigma_px             px: standard deviation of detected points, across the line …
-    correlation_px       px: … and the length of line within which their errors are equal. Both only for the uncertainty
+    correlation_px       px: … and the length of line within which their errors are equal. Both only for the uncertainty, which
+                         is larger where detected points turn out to be farther off
     """
 
     nu: float = 0.005
@@ -195,6 +197,12 @@ class Search:
         """(N, i + 1, 3) mm, of rods whose edges are whole."""
         edges = hypotheses.quaternions.shape[1]
         return Configuration(self.point[hypotheses.of_set], hypotheses.quaternions, self.rest_length[:edges]).vertices
+
+    def sigma(self, rods: Configuration) -> np.ndarray:
+        """(A, V) mm: uncertainty of the marks of one rod of each set, whose edges are cut into pieces."""
+        detections, marks = self.maps.detections, rods.vertices[:, :: self.options.pieces]
+        scatter = 0.0 if detections is None else line_scatter(self.rig, rods.vertices, detections)
+        return vertex_sigma(self.rig, marks, self.options.sigma_px, self.options.correlation_px, scatter)
 
     def seen(self, points: int, nu: float, cap: float) -> Reprojection:
         """ν Σ E_proj in the units of the rod's energy."""

@@ -18,7 +18,6 @@ from numpy.typing import ArrayLike
 
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.motion.path import Motion
-from doo_ti.perception.finalists import vertex_sigma
 from doo_ti.perception.perceive import check_seeds, checked_rod, checked_seeds, perceive
 from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search
 from doo_ti.prediction.predict import predict_step
@@ -254,7 +253,7 @@ class Tracker:
         marks = rod.configuration.vertices[:, :: search.options.pieces]
         error = np.full(len(self._rig.cameras), np.nan)
         error[[self._rig.names.index(name) for name in search.rig.names]] = rod.camera_error
-        sigma = vertex_sigma(search.rig, marks, search.options.sigma_px, search.options.correlation_px)
+        sigma = search.sigma(rod.configuration)
         return TrackedFrame(marks[0], sigma[0], rod.energy_vis, np.maximum(error, 0.0), Status(rod.status), bool(rod.stable),
                             how)
 

@@ -8,9 +8,9 @@ import pytest
 
 from doo_ti import Detection, DistanceMaps, InputError, Material, Rig, Status, detect, distance_maps, load_rig, score
 from doo_ti.perception import search
-from doo_ti.perception.finalists import bending_hessian, point_sigma, vertex_sigma
 from doo_ti.perception.growth import rank_distinct
 from doo_ti.perception.perceive import Perception, PerceptionOptions, PerceptionVerdict, perceive
+from doo_ti.perception.shape_uncertainty import bending_hessian, point_sigma, vertex_sigma
 from doo_ti.vision.detection.images import load_sets, read_image
 from doo_ti.vision.rendering.render import render_set
 from doo_ti.vision.rendering.tubes import smooth_curve

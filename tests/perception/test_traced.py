@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from doo_ti import InputError, Material, PerceptionOptions, PerceptionVerdict, detect, distance_maps, load_rig, perceive
 from doo_ti.perception.seeds import seed_from_pixels, whole_threads
@@ -127,3 +128,16 @@ def test_stereo_pairs_of_a_suture(number):
 def apart_px(image: np.ndarray, line: np.ndarray) -> np.ndarray:
     """(N,) px of the points of a line (N, 2) from the nearest of an image (M, 2)."""
     return np.linalg.norm(line[:, None] - image, axis=-1).min(axis=1)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("noise", [0.1, 0.5])
+def test_sigma_is_as_large_as_the_errors(noise):
+    """Of two cameras 10° apart, whose detected lines are off by more than is assumed."""
+    rng = np.random.default_rng(5)
+    rig, curves = cameras(10.0, third=False), [curve(rng) for _ in range(6)]
+    found = recovered((rig, curves, [[detection(view, points, noise, rng) for view in rig.cameras] for points in curves]))
+    error = np.array([cKDTree(points).query(rod)[0][2:] for rod, points in zip(found.vertices, curves, strict=True)])
+    ratio = np.sqrt((error**2).mean(axis=1) / (3 * found.sigma[:, 2:] ** 2).mean(axis=1))
+    print(ratio, found.sigma.max(axis=1), found.verdict)
+    assert 0.5 < np.sqrt(np.mean(ratio**2)) < 2
