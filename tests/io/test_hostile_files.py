@@ -186,7 +186,7 @@ def readers() -> dict[str, list]:
 
     def read_motion_scene(path):
         found = load_motion_scene(path)
-        assert found.path.count and found.surroundings(found.between)
+        assert found.path.count and found.surroundings(found.between) is not None
 
     rig, seen = load_rig(ROOT / "scenes/rig.yaml"), Observations(MARKS, rest_length=np.ones(3))
     curves = [load_observations, lambda path: read_recording(path, rate=10.0)]

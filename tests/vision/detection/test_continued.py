@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from doo_ti.io.scene import load_scene
-from doo_ti.perception.lab_images import lab_rods
+from doo_ti.perception.virtual_lab import lab_rods
 from doo_ti.vision.cameras.rig import Rig, load_rig
 from doo_ti.vision.detection.detect import detect
 from doo_ti.vision.rendering.render import render_set
