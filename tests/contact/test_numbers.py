@@ -1,4 +1,4 @@
-"""The numbers that contact goes by: with each of them halved or doubled rods converge as often, and end where they do otherwise."""
+"""The numbers that contact goes by: with each halved or doubled rods converge as often, and end where they do otherwise."""
 
 import json
 import subprocess
