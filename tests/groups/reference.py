@@ -1,115 +1,129 @@
-"""The minimum of a group by dense linear algebra: Newton's method on all rods with their ties and held ends as constraints."""
+"""The minimum of a group, whose joints may differ in stiffness by many powers of ten, by dense linear algebra in the rotations
+of joints instead of edges, with ties and held ends as constraints: what is stiff then does not hide what is soft."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import block_diag
+from scipy.spatial.transform import Rotation
 
 from doo_ti import Clamp, Group
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import State, clamped_start, free_variables, moved, vertices_of
 from tests.oracle.external import Springs, total_derivatives, vertex_jacobian
 
-STEPS = 60
-NEUTRAL = 1e-9
-"""Of the largest eigenvalue: a motion at constant energy."""
+STEPS, LONGEST, ENOUGH = 60, 0.3, 1e-9
+"""Of Newton's method, and rad: of a step at most, and at its end."""
+BALANCINGS, NEUTRAL = 30, 1e-11
+"""Of the scales of a system's rows; and the share of its largest singular value below which a motion costs nothing."""
 
 
 @dataclass(frozen=True)
 class Reference:
-    """vertices (V, 3) of each rod; tie_force (K, 3) on the first vertex of each tie; end_force (G, 3), zero of free ends;
-    least, the smallest eigenvalue of the projected Hessian over the largest; residual, the largest of a force or moment that
-    is left."""
+    """vertices (V, 3) of each rod; step, rad of the last; tie_force (K, 3) on the first vertex of each tie; end_force (G, 3),
+    zero of free ends; least, the smallest eigenvalue of the projected Hessian over the largest."""
 
     vertices: list[np.ndarray]
+    step: float
     tie_force: np.ndarray
     end_force: np.ndarray
     least: float
-    residual: float
 
 
-def reference(group: Group, row: int = 0, pushed: float = 1e-3, seed: int = 3) -> Reference:
-    """The equilibrium near the shapes of ``group``, from where these are turned at random by ``pushed`` rad."""
-    rng = np.random.default_rng(seed)
-    rods, states, ends, free = [], [], [], []
+def nearest_equilibrium(group: Group, row: int = 0) -> Reference:
+    """The equilibrium near the shapes of ``group``, whose welds hold."""
+    rods, states, ends = [], [], []
     for start, material, clamps in zip(group.rods, group.each_material, group.clamps, strict=True):
         rods.append(rod_of(start, material, row))
         state, held = clamped_start(start, clamps, row)
         states.append(state)
         ends.append(held)
-        free.append(free_variables(rods[-1], held))
-    states = [moved(state, own, pushed * rng.normal(size=len(own))) for state, own in zip(states, free, strict=True)]
-    for _ in range(STEPS):
-        at = _system(group, rods, states, ends, free)
-        step = np.linalg.lstsq(at["matrix"], at["right"], rcond=1e-13)[0]
-        size = sum(len(own) for own in free)
-        parts = np.split(step[:size], np.cumsum([len(own) for own in free])[:-1])
-        states = [moved(state, own, part) for state, own, part in zip(states, free, parts, strict=True)]
-        if np.abs(step[:size]).max() < 1e-12:
-            break
-    at = _system(group, rods, states, ends, free)
-    _, singular, right = np.linalg.svd(at["border"])
-    basis = right[int((singular > 1e-9 * singular[0]).sum()):].T
-    eigenvalues = np.linalg.eigvalsh(basis.T @ at["hessian"] @ basis)
-    multiplier, tied = at["multiplier"].reshape(-1, 3), len(group.ties)
-    end_force = np.zeros((len(rods), 3))
-    held = [number for number, end in enumerate(ends) if end.end_position is not None]
-    end_force[held] = -multiplier[tied:]
-    return Reference([vertices_of(rod, state) for rod, state in zip(rods, states, strict=True)], -multiplier[:tied], end_force,
-                     float(eigenvalues[0] / eigenvalues[-1]), at["residual"])
-
-
-def _system(group: Group, rods, states, ends, free) -> dict:
-    """The Newton system at some states, and the multipliers that fit its gradient best."""
-    places = [vertices_of(rod, state) for rod, state in zip(rods, states, strict=True)]
-    jacobians = [vertex_jacobian(rod, state.quaternions) for rod, state in zip(rods, states, strict=True)]
-    sizes = [len(own) for own in free]
+    weights = [np.zeros((rod.edges + 1, 3)) for rod in rods]
+    for tie in group.ties:
+        weights[tie.first[0]][tie.first[1]] += [0.0, 0.0, tie.weight]
+    sizes = [3 + 3 * rod.edges for rod in rods]
     first = np.cumsum([0, *sizes])
-    rows, miss = [], []
-
-    def add(entries, value):
-        row = np.zeros((3, first[-1]))
-        for sign, rod, vertex in entries:
-            row[:, first[rod] : first[rod + 1]] += sign * jacobians[rod][vertex][:, free[rod]]
-        rows.append(row)
-        miss.append(value)
-
-    ties = [[(sign, rod, vertex % len(places[rod])) for sign, (rod, vertex) in ((1.0, tie.first), (-1.0, tie.second))]
-            for tie in group.ties]
-    for (_, a, v), (_, b, w) in ties:
-        add([(1.0, a, v), (-1.0, b, w)], places[a][v] - places[b][w])
-    for rod, end in enumerate(ends):
-        if end.end is not Clamp.FREE:
-            add([(1.0, rod, -1)], places[rod][-1] - end.end_position)
-    border = np.concatenate(rows) if rows else np.zeros((0, first[-1]))
-    miss = np.concatenate(miss) if miss else np.zeros(0)
-    up = np.array([0.0, 0.0, 1.0])
-    burden = [np.zeros_like(place) for place in places]
-    for tie, ((_, a, v), _) in zip(group.ties, ties, strict=True):
-        burden[a][v] += tie.weight * up
-    plain = [_derivatives(rod, state, pull) for rod, state, pull in zip(rods, states, burden, strict=True)]
-    gradient = np.concatenate([part[0][own] for part, own in zip(plain, free, strict=True)])
-    multiplier = -np.linalg.lstsq(border.T, gradient, rcond=1e-12)[0]
-    # The multipliers pull at vertices, and thereby bend the paths of these.
-    for number, entries in enumerate(ties):
-        for sign, rod, vertex in entries:
-            burden[rod][vertex] += sign * multiplier[3 * number : 3 * number + 3]
-    number = len(ties)
-    for rod, end in enumerate(ends):
-        if end.end is not Clamp.FREE:
-            burden[rod][-1] += multiplier[3 * number : 3 * number + 3]
-            number += 1
-    hessian = block_diag(*(_derivatives(rod, state, pull)[1][np.ix_(own, own)]
-                           for rod, state, pull, own in zip(rods, states, burden, free, strict=True)))
-    matrix = np.block([[hessian, border.T], [border, np.zeros((len(border),) * 2)]])
-    residual = gradient + border.T @ multiplier
-    return {"matrix": matrix, "right": -np.concatenate([residual, miss]), "border": border, "hessian": hessian,
-            "multiplier": multiplier, "residual": float(np.abs(residual).max())}
+    free = np.concatenate([offset + free_variables(rod, end) for offset, rod, end in zip(first, rods, ends, strict=False)])
+    pulls = weights
+    for _ in range(STEPS):
+        places = [vertices_of(rod, state) for rod, state in zip(rods, states, strict=True)]
+        rows, miss, at = _constraints(group, rods, states, places, ends, first)
+        gradient = np.concatenate([derivatives_under(*parts)[0] for parts in zip(rods, states, weights, strict=True)])
+        hessian = block_diag(*(derivatives_under(*parts)[1] for parts in zip(rods, states, pulls, strict=True)))
+        turn = block_diag(*(_from_joints(state.quaternions) for state in states))
+        held = np.delete(np.eye(first[-1]), free, axis=0)
+        border, wrong = np.concatenate([rows, held]) @ turn, np.concatenate([miss, np.zeros(len(held))])
+        hessian = turn.T @ hessian @ turn
+        step, multiplier = _solved(hessian, turn.T @ gradient, border, wrong)
+        step = turn @ step
+        parts = np.split(step, first[1:-1])
+        size = max(np.abs(own[3:]).max() for own in parts)
+        states = [moved(state, np.arange(len(own)), min(1.0, LONGEST / size) * own)
+                  for state, own in zip(states, parts, strict=True)]
+        pulls = [weight.copy() for weight in weights]
+        for number, entries in enumerate(at):
+            for sign, rod, vertex in entries:
+                pulls[rod][vertex] += sign * multiplier[3 * number : 3 * number + 3]
+        if size < ENOUGH:
+            break
+    _, singular, right = np.linalg.svd(border)
+    basis = right[int((singular > 1e-9 * singular[0]).sum()):].T
+    eigenvalues = np.linalg.eigvalsh(basis.T @ hessian @ basis)
+    forces, end_force = -multiplier[: 3 * len(at)].reshape(-1, 3), np.zeros((len(rods), 3))
+    end_force[[rod for rod, end in enumerate(ends) if end.end is not Clamp.FREE]] = forces[len(group.ties) :]
+    return Reference([vertices_of(rod, state) for rod, state in zip(rods, states, strict=True)], float(size),
+                     forces[: len(group.ties)], end_force, float(eigenvalues[0] / eigenvalues[-1]))
 
 
-def _derivatives(rod, state: State, pull: np.ndarray):
+def derivatives_under(rod, state: State, pull: np.ndarray):
     """Gradient and Hessian of a rod whose vertices bear a constant gradient ``pull`` (V, 3)."""
-    count = rod.edges + 1
-    springs = Springs(np.eye(count), np.zeros((count, 3, 3)), np.zeros((count, 3)))
+    springs = Springs(np.eye(rod.edges + 1), np.zeros((rod.edges + 1, 3, 3)), np.zeros((rod.edges + 1, 3)))
     object.__setattr__(springs, "vertex_gradient", lambda vertices: pull)
     return total_derivatives(rod, springs, state)
+
+
+def _from_joints(quaternions: np.ndarray) -> np.ndarray:
+    """(3 + 3 E)²: (displacement, rotations of edges in their own axes) from (the same, rotations of joints in the world's),
+    each of which turns all edges behind it, the first all."""
+    frames = Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
+    turn = np.eye(3 + 3 * len(frames))
+    for edge, frame in enumerate(frames):
+        turn[3 + 3 * edge : 6 + 3 * edge, 3 : 6 + 3 * edge] = np.tile(frame.T, edge + 1)
+    return turn
+
+
+def _constraints(group: Group, rods, states, places, ends, first):
+    """Rows and misses of ties, of held places and, last, of welds; and of all but welds the vertices at which they pull."""
+    at = [[(sign, rod, vertex % len(places[rod])) for sign, (rod, vertex) in ((1.0, tie.first), (-1.0, tie.second))]
+          for tie in group.ties]
+    miss = [places[a][v] - places[b][w] for (_, a, v), (_, b, w) in at]
+    for rod, end in enumerate(ends):
+        if end.end is not Clamp.FREE:
+            at.append([(1.0, rod, len(places[rod]) - 1)])
+            miss.append(places[rod][-1] - end.end_position)
+    jacobians = [vertex_jacobian(rod, state.quaternions) for rod, state in zip(rods, states, strict=True)]
+    rows = np.zeros((3 * (len(at) + len(group.welded)), first[-1]))
+    for number, entries in enumerate(at):
+        for sign, rod, vertex in entries:
+            rows[3 * number : 3 * number + 3, first[rod] : first[rod + 1]] += sign * jacobians[rod][vertex]
+    # Both edges of a weld turn alike in the world's axes, which keeps their rotation to each other exactly.
+    for number, edges in enumerate(group.welded.values(), start=len(at)):
+        for sign, edge in zip((1.0, -1.0), edges, strict=True):
+            rod = int(np.searchsorted(group.first_vertices, edge, side="right")) - 1
+            own = edge - group.first_vertices[rod]
+            frame = Rotation.from_quat(states[rod].quaternions[own], scalar_first=True).as_matrix()
+            column = first[rod] + 3 + 3 * own
+            rows[3 * number : 3 * number + 3, column : column + 3] += sign * frame
+    return rows, np.concatenate([*miss, np.zeros(3 * len(group.welded))]) if miss else np.zeros(len(rows)), at
+
+
+def _solved(hessian, gradient, rows, miss):
+    """The step and the multipliers of a bordered system, of which every row and column is scaled to the same size."""
+    size = len(hessian)
+    matrix, right = np.block([[hessian, rows.T], [rows, np.zeros((len(rows),) * 2)]]), -np.concatenate([gradient, miss])
+    scale = np.ones(len(matrix))
+    for _ in range(BALANCINGS):
+        largest = np.abs(scale[:, None] * matrix * scale).max(axis=1)
+        scale /= np.sqrt(np.where(largest > 0.0, largest, 1.0))
+    found = scale * np.linalg.lstsq(scale[:, None] * matrix * scale, scale * right, rcond=NEUTRAL)[0]
+    return found[:size], found[size:]

@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from doo_ti import Clamp, Clamps, Group, Material, Status, Tie, end_clamps, relax, relax_group, straight_rod
-from tests.groups.scaled_reference import nearest_equilibrium
+from tests.groups.reference import nearest_equilibrium
 
 EDGES, LENGTH, SOFT, POSES = 12, 120.0, 1e6, 6
 RATIOS = tuple(10.0**power for power in range(10))
@@ -71,9 +71,9 @@ def off(kind: str, ratio: float) -> tuple[np.ndarray, np.ndarray]:
     solution = relax_group(drawn(kind, ratio))
     found, sure = np.full(POSES, np.nan), np.zeros(POSES, dtype=bool)
     for row in np.flatnonzero(solution.converged):
-        exact, step = nearest_equilibrium(solution.group, row)
-        found[row] = apart(exact, [rod.vertices[row] for rod in solution.rods])
-        sure[row] = step < SURE
+        exact = nearest_equilibrium(solution.group, row)
+        found[row] = apart(exact.vertices, [rod.vertices[row] for rod in solution.rods])
+        sure[row] = exact.step < SURE
     print(f"{kind} {ratio:.0e}:", ", ".join("-" if np.isnan(error) else f"{error:.0e}" for error in found),
           "iterations", *solution.iterations)
     return found, sure

@@ -7,7 +7,7 @@ import pytest
 
 from doo_ti import Clamp, Dynamics, Group, InputError, Material, Newton, Tie, follow_group, relax_group
 from doo_ti.rod.straight import end_clamps, hanging, straight_rod
-from tests.groups.reference import reference
+from tests.groups.reference import nearest_equilibrium
 
 TRUNK, BRANCH = {"EI": 1e-4, "GJ": 8e-5, "weight_per_length": 0.6}, {"EI": 2e-6, "GJ": 1e-6, "weight_per_length": 0.05}
 UNIT = 0.25
@@ -39,7 +39,7 @@ def test_tied_rods_of_different_weight(order):
     solution = relax_group(group, Newton(tolerance=1e-10, max_iterations=1000))
     assert solution.converged[0] and solution.stable[0]
     newton = UNIT / 2.0 * 1e-3
-    exact = reference(replace(solution.group, materials=[by_hand(rod) for rod in rods],
+    exact = nearest_equilibrium(replace(solution.group, materials=[by_hand(rod) for rod in rods],
                               ties=[replace(group.ties[0], weight=0.02 / newton)]))
     for rod, vertices in zip(solution.rods, exact.vertices, strict=True):
         assert np.abs(rod.vertices[0] - vertices).max() < 1e-6 * 300.0

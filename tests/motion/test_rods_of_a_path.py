@@ -5,21 +5,16 @@ import pytest
 
 from doo_ti import Material, relax
 from doo_ti.motion.path import carried_clamps, carry
-from tests.references.rods import chain, clamps_at, stacked
+from tests.references.rods import bows, clamps_at
 from tests.relaxation.lab import vertex_distance
 from tests.relaxation.rods import assert_same
 
 MATERIALS = {"round": Material(6e5, 8e5, 1.0), "flat": Material.diagonal(3e6, 2e5, 5e5)}
-EDGES = 33
 
 
 def relaxed_bows(material: Material):
-    """Three bows between clamps that are not on one line, at rest."""
-    rods = []
-    for size in (0.6, 0.9, 1.2):
-        angle = np.linspace(-size, size, EDGES)
-        rods.append(chain(np.stack([np.cos(angle), 0.5 * np.sin(2 * angle), np.sin(angle)], axis=1), [0, 1, 0], 3.0))
-    rods = stacked(rods)
+    """Three of them at rest, and their clamps."""
+    rods = bows(0.6, 0.9, 1.2)
     clamps = clamps_at(rods)
     solution = relax(rods, material, clamps)
     assert (solution.converged & solution.stable).all()

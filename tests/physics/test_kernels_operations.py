@@ -10,7 +10,8 @@ import taichi as ti
 from doo_ti.physics import algebra, angle, tuples
 from doo_ti.physics.number import Number
 from doo_ti.system import runtime
-from tests.physics.columns import ROWS, columns_kernel, every_number, table
+from tests.physics.columns import ROWS, columns_kernel, every_number
+from tests.vision.device import table
 
 
 def applied(number: Number, function, outputs: int, values: np.ndarray) -> np.ndarray:

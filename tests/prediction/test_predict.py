@@ -8,7 +8,8 @@ import pytest
 from doo_ti import ClampPath, Dynamics, InputError, PointLoads, Stepping, predict, predict_moving, predict_step, relax
 from doo_ti.motion.path import carried_clamps, carry
 from doo_ti.rod.types import Clamp, Clamps, Material, Status
-from tests.references.rods import chain, clamps_at, stacked
+from tests.references import rods as references
+from tests.references.rods import chain, clamps_at
 
 MATERIAL = Material(6e5, 8e5)
 SOFT_IN_TWIST = Material(6e5, 1e5)
@@ -16,12 +17,8 @@ EDGES = 33
 
 
 def bows(material: Material):
-    """Two bows between clamps that are not on one line, at rest."""
-    rods = []
-    for size in (0.6, 0.9):
-        angle = np.linspace(-size, size, EDGES)
-        rods.append(chain(np.stack([np.cos(angle), 0.5 * np.sin(2 * angle), np.sin(angle)], axis=1), [0, 1, 0], 3.0))
-    rods = stacked(rods)
+    """Two of them at rest, and their clamps."""
+    rods = references.bows(0.6, 0.9, edges=EDGES)
     rods = replace(rods, rest_length=rods.rest_length[0])
     clamps = clamps_at(rods)
     solution = relax(rods, material, clamps)

@@ -25,8 +25,10 @@ def strict():
     rerun.set_strict_mode(False)
 
 
-def written(tmp_path, record, run) -> tuple[dict, dict]:
-    record(tmp_path / "run.rrd", **run)
+def written(tmp_path, run) -> tuple[dict, dict]:
+    from doo_ti.record import record_sweep
+
+    record_sweep(tmp_path / "run.rrd", **run)
     assert [entry.name for entry in tmp_path.iterdir()] == ["run.rrd"]
     return read(tmp_path / "run.rrd")
 
@@ -35,9 +37,7 @@ def written(tmp_path, record, run) -> tuple[dict, dict]:
 def test_sweep_holds_the_documented_entities(tmp_path, rng):
     from rerun.chunk import RrdReader
 
-    from doo_ti.record import record_sweep
-
-    static, moving = written(tmp_path, record_sweep, runs.sweep(rng))
+    static, moving = written(tmp_path, runs.sweep(rng))
     properties = {"/__properties", "/__properties/run"}
     assert set(static) | set(moving) == ROOT | LANDSCAPE | properties
     assert {entity: set(timelines) for entity, timelines in moving.items()} == {
@@ -54,10 +54,8 @@ def test_sweep_holds_the_documented_entities(tmp_path, rng):
 
 @pytest.mark.thorough
 def test_rods_are_instances_of_one_entity_and_lie_on_their_observations(tmp_path, rng):
-    from doo_ti.record import record_sweep
-
     run = runs.sweep(rng)
-    static, moving = written(tmp_path, record_sweep, run)
+    static, moving = written(tmp_path, run)
     rods, still = moving["/world/rods"]["iteration"], static["/world/rods"]
     assert rods["iteration"] == list(range(runs.ITERATIONS))
     strips = np.array(rods["LineStrips3D:strips"])
@@ -77,7 +75,7 @@ def test_rods_are_instances_of_one_entity_and_lie_on_their_observations(tmp_path
 
 @pytest.mark.thorough
 def test_a_rod_that_is_nan_is_not_drawn_and_keeps_its_place(tmp_path, rng):
-    from doo_ti.record import FAILED, record_sweep
+    from doo_ti.record import FAILED
 
     run = runs.sweep(rng)
     rods = run["trajectory"]
@@ -88,7 +86,7 @@ def test_a_rod_that_is_nan_is_not_drawn_and_keeps_its_place(tmp_path, rng):
     rods.energy[:, 3], rods.residual[:, 3] = np.nan, np.nan
     rods.status[[2, 3]] = Status.NOT_FINITE, Status.INFEASIBLE
     run["observed"].vertices[1, 4] = np.nan
-    static, moving = written(tmp_path, record_sweep, run)
+    static, moving = written(tmp_path, run)
     strips = moving["/world/rods"]["iteration"]["LineStrips3D:strips"]
     counts = np.array([[len(strip) for strip in row] for row in strips])
     expected = np.full(counts.shape, runs.VERTICES)
@@ -105,8 +103,6 @@ def test_a_rod_that_is_nan_is_not_drawn_and_keeps_its_place(tmp_path, rng):
 
 @pytest.mark.thorough
 def test_curves_are_statistics_over_the_rods(tmp_path, rng):
-    from doo_ti.record import record_sweep
-
     run = runs.sweep(rng)
     rods = run["trajectory"]
     rods.energy[0], rods.residual[0] = np.nan, np.nan
@@ -114,7 +110,7 @@ def test_curves_are_statistics_over_the_rods(tmp_path, rng):
     rods.energy[9:, 4] = np.nan
     held = rods.energy.copy()
     held[9:, 4] = held[8, 4]
-    static, moving = written(tmp_path, record_sweep, run)
+    static, moving = written(tmp_path, run)
     expected = {
         "energy/mean": held[1:].mean(axis=1), "energy/median": np.median(held[1:], axis=1),
         "residual/median": np.log10(np.median(rods.residual[1:], axis=1)),
@@ -130,11 +126,9 @@ def test_curves_are_statistics_over_the_rods(tmp_path, rng):
 
 @pytest.mark.thorough
 def test_landscape_picture_surface_and_cells(tmp_path, rng):
-    from doo_ti.record import record_sweep
-
     run = runs.sweep(rng)
     landscape = run["plane"].grid
-    static, moving = written(tmp_path, record_sweep, run)
+    static, moving = written(tmp_path, run)
     (picture,) = static["/landscape/picture"]["Image:format"][0]
     assert (picture["width"], picture["height"]) == (1600, 1200)
     assert len(static["/landscape/picture"]["Image:buffer"][0][0]) == 3 * 1600 * 1200
@@ -160,9 +154,7 @@ def test_landscape_picture_surface_and_cells(tmp_path, rng):
 
 @pytest.mark.thorough
 def test_summary_names_the_best_parameters_with_units_and_intervals(tmp_path, rng):
-    from doo_ti.record import record_sweep
-
-    static, _ = written(tmp_path, record_sweep, runs.sweep(rng))
+    static, _ = written(tmp_path, runs.sweep(rng))
     text = static["/summary"]["TextDocument:text"][0][0]
     assert "| bend α | **10⁶ mm³** | 5.62×10⁵ … 1.78×10⁶ mm³ |" in text
     assert "mean distance (Eq. 1) **0.65 mm** over 6 of 6 rods" in text
@@ -171,22 +163,18 @@ def test_summary_names_the_best_parameters_with_units_and_intervals(tmp_path, rn
 
 
 def test_relaxation_has_no_landscape(tmp_path, rng):
-    from doo_ti.record import record_sweep
-
     run = runs.relaxation(rng)
     run |= {"observed": Observed(run["observed"].vertices), "properties": {}}
-    static, moving = written(tmp_path, record_sweep, run)
+    static, moving = written(tmp_path, run)
     assert set(static) | set(moving) == ROOT | {"/__properties"}
     assert set(moving["/world/rods"]) == {"iteration"}
 
 
 def test_one_free_axis_gives_cells_on_a_line_and_no_surface(tmp_path, rng):
-    from doo_ti.record import record_sweep
-
     run = runs.sweep(rng)
     cells = runs.Grid((runs.Axis("bend", np.geomspace(1e5, 1e7, runs.BENDS)),))
     run |= {"plane": LandscapePlane.of(runs.axes(cells), run["plane"].grid[:, 1:2], (2, 0, 0)), "intervals": ()}
-    static, moving = written(tmp_path, record_sweep, run)
+    static, moving = written(tmp_path, run)
     assert "/landscape/surface" not in static
     assert len(moving["/landscape/cells"]["trial"]["trial"]) == runs.BENDS
 

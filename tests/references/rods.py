@@ -26,6 +26,13 @@ def stacked(rods: list[Configuration]) -> Configuration:
     )
 
 
+def bows(*sizes: float, edges: int = 33) -> Configuration:
+    """Bows between clamps that are not on one line."""
+    angles = [np.linspace(-size, size, edges) for size in sizes]
+    return stacked([chain(np.stack([np.cos(angle), 0.5 * np.sin(2 * angle), np.sin(angle)], axis=1), [0, 1, 0], 3.0)
+                    for angle in angles])
+
+
 def clamps_at(configuration: Configuration, start=Clamp.FRAME, end=Clamp.FRAME) -> Clamps:
     """Clamps that hold the ends where they are."""
     vertices, frames = configuration.vertices, configuration.frames

@@ -1,12 +1,14 @@
 """Taichi functions of numbers per rod run over rows of a table, a lane per row."""
 
 import numpy as np
+import pytest
 import taichi as ti
 
 from doo_ti.physics.number import Number
 from doo_ti.system import runtime
 
 NUMBERS = [Number(1, 64), Number(8, 64), Number(1, 32), Number(16, 32)]
+every_number = pytest.mark.parametrize("number", NUMBERS, ids=lambda number: f"{number.width} x f{number.bits}")
 table = ti.types.ndarray(dtype=ti.f64, ndim=2)
 
 

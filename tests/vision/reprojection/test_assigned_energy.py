@@ -8,7 +8,7 @@ from doo_ti.physics.number import Number
 from doo_ti.physics.view import Scratch
 from doo_ti.system.errors import InputError
 from doo_ti.vision.reprojection.assigned_energy import AssignedPoints
-from tests.vision.device import NUMBERS, row_kernel
+from tests.vision.device import every_number, row_kernel
 from tests.vision.drawn_maps import three_cameras
 
 ROWS, EDGES, PLACES, NU = 6, 4, 3, 2.5
@@ -63,7 +63,7 @@ def edges(rng) -> np.ndarray:
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.parametrize("number", NUMBERS, ids=str)
+@every_number
 def test_energy_and_gradient_are_those_of_the_formula(number, assigned, rng):
     rows = edges(rng)
     found = on_device(number, assigned, rows)

@@ -18,11 +18,10 @@ from doo_ti.vision.reprojection.sampling import (
     camera_table,
 )
 from tests.oracle.reprojection import jacobian, project
-from tests.vision.device import NUMBERS, row_kernel
+from tests.vision.device import every_number, row_kernel
 from tests.vision.drawn_maps import three_cameras
 
 CAMERA = 1
-every_number = pytest.mark.parametrize("number", NUMBERS, ids=lambda number: f"{number.width} x f{number.bits}")
 
 
 @cache

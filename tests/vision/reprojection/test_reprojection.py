@@ -10,12 +10,11 @@ from doo_ti import DistanceMaps, InputError, Material, Reprojection, Rig, score
 from doo_ti.physics.view import Scratch
 from doo_ti.vision.reprojection.edge_integral import UNSEEN
 from tests.oracle.reprojection import edge_error, edge_gradient, edge_hessian, rod_energy
-from tests.vision.device import NUMBERS, row_kernel
+from tests.vision.device import NUMBERS, every_number, row_kernel
 from tests.vision.drawn_maps import curves, drawn_maps, map_of, three_cameras
 
 POINTS, CAP, NU = 5, 30.0, 0.7
 SYMMETRIC = [[0, 1, 2], [1, 3, 4], [2, 4, 5]]
-every_number = pytest.mark.parametrize("number", NUMBERS, ids=lambda number: f"{number.width} x f{number.bits}")
 
 
 @pytest.fixture(scope="module")

@@ -8,9 +8,7 @@ import taichi as ti
 
 from doo_ti.vision.reprojection.sampling import MapSampling
 from tests.oracle.reprojection import STEP, Map
-from tests.vision.device import NUMBERS, row_kernel
-
-every_number = pytest.mark.parametrize("number", NUMBERS, ids=lambda number: f"{number.width} x f{number.bits}")
+from tests.vision.device import NUMBERS, every_number, row_kernel
 
 
 @cache
