@@ -25,7 +25,7 @@ from doo_ti.rod.frames import (
 )
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution
 
-TWISTS = np.radians([0.0, 90.0, -90.0, 180.0, -180.0])
+TWISTS = np.radians([0.0, 90.0, -90.0, 180.0, -180.0, 270.0, -270.0, 360.0, -360.0])
 """By which guesses are twisted more than the rod is. Marks do not show twist; the fit finds it within a quarter turn."""
 GUESSES = 1 + len(TWISTS)
 """Of each rod: itself as it is, and drawn to its target under each twist."""
