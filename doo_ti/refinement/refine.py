@@ -25,7 +25,7 @@ from doo_ti.refinement.held_rod import HeldRod
 from doo_ti.refinement.mislabelled import Mislabelled, mislabelled
 from doo_ti.refinement.priors import Scales, typical_scales
 from doo_ti.refinement.residuals import mark_distance
-from doo_ti.refinement.search import Optimum, searched
+from doo_ti.refinement.search import Optimum, once, searched
 from doo_ti.refinement.theta import Theta
 from doo_ti.refinement.turns import turns_chosen_again
 from doo_ti.refinement.unknowns import Unknowns, Values
@@ -168,7 +168,7 @@ def refine(observations: Observations, clamps: Clamps, theta: Theta | Sequence[T
     best, *others = within_reach(_optima(observations, clamps, thetas, options), MARGIN)
     if options.edges is None:
         best, *others = (_corrected(one, options) for one in (best, *others))
-    best, *rivals = within_reach([best, *others])
+    best, *rivals = once(within_reach([best, *others]))
     return _refinement(best, rivals, options)
 
 

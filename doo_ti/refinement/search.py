@@ -58,8 +58,11 @@ class Optimum:
         return own - other
 
     def like(self, other: "Optimum") -> bool:
-        """Whether Θ is the same."""
-        count = self.fit.unknowns.theta_count
+        """Whether Θ and the kind of model are the same."""
+        own, its = self.fit.unknowns, other.fit.unknowns
+        if (own.curvature, own.rod.swivels) != (its.curvature, its.rod.swivels):
+            return False
+        count = own.theta_count
         apart = (one.fit.unknowns.offset(one.fitted.state.values, one.fit.origin)[:count] for one in (self, other))
         errors = np.sqrt(np.diag(other.fitted.posterior.covariance)[:count])
         return bool((np.abs(np.subtract(*apart)) <= SAME * errors).all())
@@ -78,12 +81,12 @@ def searched(unknowns: Unknowns, thetas: Sequence[Theta], clip: np.ndarray, scal
     if rod.turns_unknown and "twist" in model.parameters:
         found = _from_twists(found, scales, steps)
     if rod.rolls_known:
-        found = _once([*(Optimum(fit, one) for one in turns_chosen_again(fit, found[0].fitted, steps)), *found])
+        found = once([*(Optimum(fit, one) for one in turns_chosen_again(fit, found[0].fitted, steps)), *found])
     if straight_first:
         fit, states = rolled(fit, found[0].fitted, unknowns.curvature)
         curved = _continued(fit, [fit.run(state, TRIED_FIRST) for state in states], steps)
         again = rolls_chosen_again(fit, curved[0].fitted, steps)
-        curved = _once([*(Optimum(fit, one.after(found[0].fitted)) for one in again), *curved])
+        curved = once([*(Optimum(fit, one.after(found[0].fitted)) for one in again), *curved])
         free = _swivelling(found[0], min(found[0], curved[0], key=lambda one: one.fitted.rank), unknowns.curvature, steps)
         found = _ordered(*([found[:1]] if options.curvature == "auto" else []), curved, free)
     return found
@@ -121,7 +124,7 @@ def _from_twists(found: list[Optimum], scales: Scales, steps: int) -> list[Optim
     for _ in range(AGAIN):
         (fit, best), before = (found[0].fit, found[0].fitted), found
         tried = [fit.run(state, TRIED_FIRST) for state in twisted(fit, best.state.values, scales)]
-        found = _once(sorted([*found, *_continued(fit, tried, steps)], key=lambda one: one.fitted.rank))
+        found = once(sorted([*found, *_continued(fit, tried, steps)], key=lambda one: one.fitted.rank))
         if found[0].like(before[0]):
             break
     return found
@@ -144,10 +147,10 @@ def _continued(fit: Fit, tried: list[Fitted], steps: int) -> list[Optimum]:
         near = one.state.used.sum() == tried[0].state.used.sum() and one.posterior.value < tried[0].posterior.value + NEAR
         if near and not any(Optimum(fit, one).like(other) for other in found):
             found.append(Optimum(fit, fit.run(one.state, steps).after(one)))
-    return _once(sorted(found, key=lambda one: one.fitted.rank))
+    return once(sorted(found, key=lambda one: one.fitted.rank))
 
 
-def _once(optima: Iterable[Optimum]) -> list[Optimum]:
+def once(optima: Iterable[Optimum]) -> list[Optimum]:
     """Each optimum once."""
     found: list[Optimum] = []
     for one in optima:

@@ -27,8 +27,6 @@ from pathlib import Path
 for name, value in {"OPENBLAS_NUM_THREADS": "1", "DOO_TI_PINNED": "0", "TI_CPU_MAX_NUM_THREADS": "1"}.items():
     os.environ.setdefault(name, value)  # before NumPy and Taichi read them
 
-import numpy as np  # noqa: E402
-
 if not __package__:
     sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 
@@ -98,26 +96,25 @@ def fit(recipe: Recipe, folder: Path) -> dict:
                          "--out", folder / "run")
     if code:
         return result(folder, code, text, began)
-    began = time.perf_counter()
-    return result(folder, *command("refine", folder / "run", "--no-models", "--out", folder / "out.json"), began)
+    warned, began = {"warned": text}, time.perf_counter()
+    code, text = command("refine", folder / "run", "--no-models", "--out", folder / "out.json")
+    return warned | result(folder, code, text, began)
 
 
-def left_out(recipe: Recipe, folder: Path) -> list[dict]:
-    """Fits of the specimen in ``folder`` without each pose."""
+def left_out(recipe: Recipe, folder: Path, whole: dict) -> list[dict]:
+    """EI and GJ without each pose, of the specimen in ``folder`` whose fit is ``whole``: as many folds as poses."""
+    poses = [pose for pose in range(recipe.poses) if f"observation {pose} is left out" not in whole["warned"]]
+    code, text = command("refine", folder / "run", "--no-models", "--folds", len(poses), "--out", folder / "folds.json")
+    if code:
+        return [{"code": code, "text": text}]
+    found = json.loads((folder / "folds.json").read_text())[0]
+    folds, all_poses = found["held_out"], found["theta"]
     rows = []
-    for pose in range(recipe.poses):
-        part = folder / str(pose)
-        part.mkdir()
-        if recipe.spacings_stated:
-            (part / "spacing.txt").write_text((folder / "spacing.txt").read_text())
-        if recipe.frames_given:
-            with np.load(folder / "marks.npz") as marks:
-                np.savez(part / "marks.npz", up=marks["up"], observation=np.delete(np.arange(recipe.poses), pose),
-                         **{key: np.delete(marks[key], pose, 0) for key in marks.files if key != "up"})
-        else:
-            lines = (folder / "marks.csv").read_text().splitlines(keepends=True)
-            (part / "marks.csv").write_text("".join(line for line in lines if line.split(",")[0] != str(pose)))
-        rows.append({"pose": pose, **fit(recipe, part)})
+    for pose, fold in zip(poses, folds["fold"], strict=True):
+        rows.append({"pose": pose})
+        for name, key in (("EI", "bend_1"), ("GJ", "twist")):
+            value = found["stiffness"][f"{name}_Nm2"][0]
+            rows[-1][name] = [value * folds["theta"][fold][key] / all_poses[key]]
     return rows
 
 
@@ -132,7 +129,7 @@ def done(job: Job) -> dict:
         row = {"key": job.key, "group": job.group, "generated": round(time.perf_counter() - began, 2), "truth": truth}
         row |= fit(recipe, folder)
         if job.group == "leave" and row["code"] == 0:
-            row["left_out"] = left_out(recipe, folder)
+            row["left_out"] = left_out(recipe, folder, row)
     return row
 
 

@@ -78,7 +78,7 @@ def moved(row: dict) -> list[str]:
     lines = []
     for part in row.get("left_out", ()):
         for name in ("EI", "GJ"):
-            z = deviation(row.get(name), part[name][0]) if part.get(name) and part[name][0] else None
+            z = deviation(row.get(name), part[name][0]) if part.get(name) else None
             if z is not None and abs(z) > 1.96:
                 mentioned = f"observation {part['pose']} " in row["text"]
                 lines.append(f"{row['key']} without pose {part['pose']}: {name} × {part[name][0] / row[name][0]:.3f}, "
