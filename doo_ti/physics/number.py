@@ -46,8 +46,6 @@ class Lanes(NamedTuple):
     lane: Callable
     with_lane: Callable
     constant: Callable
-    put: Callable
-    get: Callable
     gather: Callable
 
 
@@ -69,18 +67,10 @@ def _scalar_lanes(scalar):
         return ti.cast(value, scalar)
 
     @ti.func
-    def put(array: ti.template(), at, index, new):
-        array[at] = ti.cast(new, scalar)
-
-    @ti.func
-    def get(array: ti.template(), at, index):
-        return array[at]
-
-    @ti.func
     def gather(array: ti.template(), places):
         return ti.cast(array[places[0]], scalar)
 
-    return Lanes(largest, lane, with_lane, constant, put, get, gather)
+    return Lanes(largest, lane, with_lane, constant, gather)
 
 
 def _largest_of_halves(width: int, scalar):
@@ -131,18 +121,8 @@ def _pack_lanes(pack, scalar):
         return pack(value)
 
     @ti.func
-    def put(array: ti.template(), at, index, new):
-        """Set one lane of an array's entry."""
-        array[at][index] = ti.cast(new, scalar)
-
-    @ti.func
-    def get(array: ti.template(), at, index):
-        """One lane of an array's entry."""
-        return array[at][index]
-
-    @ti.func
     def gather(array: ti.template(), places):
         """The value whose lanes are an array's numbers at ``places``, one for each lane."""
         return pack([ti.cast(array[places[slot]], scalar) for slot in ti.static(range(pack.n))])
 
-    return Lanes(largest, lane, with_lane, constant, put, get, gather)
+    return Lanes(largest, lane, with_lane, constant, gather)

@@ -87,7 +87,7 @@ class ContactEnergy(ContactPlaces):
                     self.clear(rod, zero)
                     some = 1
                 if self.is_close(rod, contact):
-                    self.add_vertex(rod, o, at, contact)
+                    self.add_vertex(rod, o, contact)
                 if self.is_curved(rod, o):
                     between, low = self.touched_between(rod, o, index, start, edge, some)
                     room = ti.min(room, low)
@@ -132,7 +132,7 @@ class ContactEnergy(ContactPlaces):
                 if some == 0:
                     self.clear(rod, zero)
                     some = 1
-                self.add_vertex(rod, o, at, contact)
+                self.add_vertex(rod, o, contact)
             if ti.static(self.rub):
                 if self.some(contact.force > 0.0, zero):
                     if some == 0:
@@ -240,7 +240,7 @@ class ContactEnergy(ContactPlaces):
         return record(push=push, stiffness=acting, energy=0.5 * push * push * rod.contacts.compliance)
 
     @ti.func
-    def add_vertex(self, rod, o, at, contact):
+    def add_vertex(self, rod, o, contact):
         """Add a contact of the vertex where the edge ends."""
         normal = contact.normal
         value, zero = contact.value, 0.0 * rod.total

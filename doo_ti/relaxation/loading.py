@@ -165,10 +165,10 @@ class Loading:
                 for k in ti.static(range(2)):
                     edge.rest[k] = 0.5 * both * tables.material[g, column + (of.REST + k)]
             for k in ti.static(range(2)):
-                edge.shift_shares[k] = self.shift_share(tables, row, g, e, k)
+                edge.shift_shares[k] = self.shift_share(tables, g, e, k)
 
     @ti.func
-    def shift_share(self, tables, row, g, e, tilt: ti.template()):
+    def shift_share(self, tables, g, e, tilt: ti.template()):
         """The share of a shift that an edge's spin or ``tilt`` has: all of it, unless that is more than MOST_SHIFT times what
         is stiff in it at its two joints."""
         stiff = ti.cast(0.0, ti.f64)

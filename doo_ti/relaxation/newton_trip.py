@@ -33,8 +33,7 @@ class NewtonTrip:
         number = sweep.number
         self.sweep, self.has_coarse, self.touches = sweep, has_coarse, sweep.touches
         lanes = number.lanes()
-        self.largest, self.lane, self.with_lane, self.constant, self.get = (
-            lanes.largest, lanes.lane, lanes.with_lane, lanes.constant, lanes.get)
+        self.largest, self.lane, self.with_lane, self.constant = lanes.largest, lanes.lane, lanes.with_lane, lanes.constant
         self.scalar = number.scalar
         single = number.bits == 32
         self.rounding = 2e-6 if single else 1e-10
@@ -95,7 +94,7 @@ class NewtonTrip:
         found = self.sweep.eliminate(rod, diagonal, (noise, echo), multiplier, miss)
         found.energy += energy
         found.magnitude += magnitude
-        judged = self.judge_step(tables, rod, lane, found, miss)
+        judged = self.judge_step(rod, lane, found, miss)
         if self.largest(ti.select(judged.uphill, one, zero)) > 0.5:
             self.sweep.restore(rod, ti.select(judged.uphill, one, zero))
         longest, size, decrement = self.sweep.substitute(rod, found)
@@ -118,7 +117,7 @@ class NewtonTrip:
         return value
 
     @ti.func
-    def judge_step(self, tables, rod, lane, found, miss):
+    def judge_step(self, rod, lane, found, miss):
         """Judge the step by the Lagrangian: a record of flags."""
         multiplier = plus(lane.multiplier, lane.change)
         before = lane.energy + dot(multiplier, lane.miss)

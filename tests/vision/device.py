@@ -19,7 +19,7 @@ def row_kernel(number: Number, inputs: int, outputs: int, function):
     them. Rows are repeated to fill the lanes.
     """
     lanes = number.lanes()
-    put, lane, width = lanes.put, lanes.lane, number.width
+    lane, with_lane, width = lanes.lane, lanes.with_lane, number.width
 
     @ti.kernel
     def apply(
@@ -30,7 +30,7 @@ def row_kernel(number: Number, inputs: int, outputs: int, function):
             for group in range(source.shape[0] // width):
                 for k in range(inputs):
                     for slot in range(width):
-                        put(scratch, k, slot, source[group * width + slot, k])
+                        scratch[k] = with_lane(scratch[k], slot, source[group * width + slot, k])
                 found = function(scratch, numbers, values)
                 for k in ti.static(range(outputs)):
                     scratch[k] = found[k]
