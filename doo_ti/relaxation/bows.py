@@ -28,6 +28,8 @@ SLIGHT = 0.2
 """rad: the slope of a bow where there is no room for a wide one."""
 STEEPEST = 2.2
 """rad: the slope of a bow at its ends; steeper ones cross themselves."""
+STEEP = 1e-3
+"""The sine of the angle between a rod and the vertical, below which its first bow goes along a director."""
 SERIES, NEWTON_ROUNDS = 9, 6
 MOST_THREADS = 4096
 
@@ -90,7 +92,7 @@ def straight_rods(whole, lengths, anchor, tilting, share, up) -> Straight:
     that ``share`` (N,) of what it is. Their first bow is against ``up``, or towards m1 where the line is upright."""
     middle = matrix_from_quaternion(whole[:, whole.shape[1] // 2])
     axis = np.cross(-up, middle[..., 0])
-    upright = np.linalg.norm(axis, axis=-1, keepdims=True) < 1e-3
+    upright = np.linalg.norm(axis, axis=-1, keepdims=True) < STEEP
     axis = np.where(upright, middle[..., 2], axis)
     axis /= np.linalg.norm(axis, axis=-1, keepdims=True)
     place = (np.cumsum(tilting, axis=1) - 0.5) / tilting.sum(axis=1, keepdims=True)

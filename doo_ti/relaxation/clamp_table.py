@@ -30,6 +30,8 @@ BOTH, NOT_THE_FIRST, NOT_THE_LAST = range(3)
 TAUT_SLACK = 1e-7
 # By so much of the reach a span may exceed it.
 ROUNDING = 1e-12
+# The square of the difference of two tangents, below which a rod may be straight.
+ALIKE = 1e-4
 FEW = 512
 """Up to so many starts are read on the caller's thread: to wake another takes as long."""
 
@@ -201,7 +203,7 @@ class ClampReader:
             apart = minus(tangent(inner), tangent(middle))
             if slack < TAUT_SLACK:
                 found = TAUT
-            elif dot(apart, apart) < 1e-4:
+            elif dot(apart, apart) < ALIKE:
                 found = STRAIGHT
         else:
             found = INFEASIBLE

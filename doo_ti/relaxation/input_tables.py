@@ -20,14 +20,16 @@ from doo_ti.relaxation.checked_input import (
 from doo_ti.relaxation.clamp_table import INFEASIBLE, STRAIGHT, TAUT, TAUT_SLACK, clamp_table
 from doo_ti.relaxation.contact_table import contact_table
 from doo_ti.relaxation.external import External
+from doo_ti.relaxation.newton_policy import MOST_SHIFT
 from doo_ti.relaxation.point_loads import PointLoads
 from doo_ti.relaxation.tables import FREE, Tables, outer_edges, rod_rows, room, whole_start
 from doo_ti.rod.frames import quaternion_product, smallest_rotation, tangent_from_quaternion
 from doo_ti.rod.types import Clamps, Configuration, Material
 from doo_ti.system.errors import InputError
 
-UNEVEN = 1e3
-"""Of the largest stiffness of a rod to its smallest, above which it is relaxed with evener ones first (:func:`evened`)."""
+UNEVEN = MOST_SHIFT
+"""Of the largest stiffness of a rod to its smallest, above which it is relaxed with evener ones first (:func:`evened`): up to
+there no shift is limited (:meth:`.Loading.shift_share`)."""
 RATIOS = (1e2, 1e4, 1e6, 1e8)
 """Of their stiffness then, one after the other."""
 

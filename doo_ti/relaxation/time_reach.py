@@ -6,18 +6,13 @@ from doo_ti.physics.quaternion import product, second_director, tangent, transpo
 from doo_ti.physics.tuples import cross, dot, minus, plus, repeated, scaled, variable
 from doo_ti.physics.view import exact
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.clamp_table import INFEASIBLE, ROUNDING, SOUND, STRAIGHT, TAUT, TAUT_SLACK
+from doo_ti.relaxation.bows import STEEP, STEEPEST
+from doo_ti.relaxation.clamp_table import ALIKE, INFEASIBLE, ROUNDING, SOUND, STRAIGHT, TAUT, TAUT_SLACK
 from doo_ti.relaxation.obstacle_motion import ObstacleLoading
 from doo_ti.relaxation.time_sweep import TimeSweep
 
 BOWED = 4
 """Of a step: its rod was straight and is bowed (after the findings of :mod:`.clamp_table`)."""
-STEEPEST = 2.2
-"""rad: the slope of a bow at its ends; steeper ones cross themselves."""
-ALIKE = 1e-4
-"""The square of the difference of two tangents, below which a rod may be straight."""
-UPRIGHT = 1e-3
-"""The sine of the angle between a rod and the vertical, below which a bow goes along a director."""
 
 
 @ti.data_oriented
@@ -133,7 +128,7 @@ class ReachLoading(ObstacleLoading):
         middle = exact(self.edge(own, edges // 2).frame)
         t, m2 = tangent(middle), second_director(middle)
         axis = variable(cross((tables.up[0], tables.up[1], tables.up[2]), t))
-        if dot(axis, axis) < ti.static(UPRIGHT**2):
+        if dot(axis, axis) < ti.static(STEEP**2):
             axis = (0.0 - m2[0], 0.0 - m2[1], 0.0 - m2[2])
         # The chord of a rod of slope a cos(π s/L) is L J0(a), J0(2 √u) = 1 − u + u²/4 − …
         slope = ti.min(2.0 * ti.sqrt(slack * (1.0 + slack * (0.25 + 0.1 * slack))), STEEPEST)
