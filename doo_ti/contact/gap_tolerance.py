@@ -12,6 +12,12 @@ LEAST, MOST = 1e-10, 0.1
 """What may be given; smaller ones are below rounding."""
 
 
+def gap_tolerance(given: float | None, itself: bool, in_motion: bool) -> float:
+    """``given``, or the usual one of rods that may touch themselves or each other, or obstacles alone, in a motion or not."""
+    usual = GAP_TOLERANCE if itself else GAP_TOLERANCE_IN_MOTION if in_motion else GAP_TOLERANCE_OF_OBSTACLES
+    return usual if given is None else given
+
+
 def require_gap_tolerance(source: str, value: float) -> None:
     """Raise InputError, naming ``source``, unless ``value`` may be given."""
     require_number(source, "gap_tolerance", value)

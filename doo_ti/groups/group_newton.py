@@ -166,6 +166,6 @@ def _launch(table: GroupTables, options: Newton, state: GroupState, previous: np
     kernel(
         table.start.reshape(-1), table.rest_length, table.clamp, table.material, rods, policy_row(table.up, options, 64),
         threads, scratch, queue, state.frames.reshape(-1), state.results, joints.numbers(), joints.field(),
-        *contact.arguments(state.forces, options.gap_tolerance, settles=False), int(table.touching), table.begins, table.ties,
+        *contact.arguments(state.forces, options.gap_tolerance), int(table.touching), table.begins, table.ties,
         table.borders, table.targets, table.free, table.burden, table.apart, state.places, state.tie_forces, previous,
         state.touch, state.friction_work)

@@ -120,7 +120,7 @@ def _launch_kernel(table: Tables, isotropic: bool, any_ends: bool, start, rods, 
     items = numbers_of_rod(table.edges, isotropic, external, any_ends)
     if contact is not None:
         items += contact.items(table.edges, len(contact.kinds))
-        outer += contact.arguments(contact.forces, options.gap_tolerance, not contact.itself)
+        outer += contact.arguments(contact.forces, options.gap_tolerance)
     threads, stride = fitting(threads, stride, items)
     if contact is None:
         kernel = newton.newton_kernel(number, isotropic, stride, block, serial, kind, any_ends)

@@ -7,7 +7,7 @@ import numpy as np
 
 from doo_ti.contact.contacts import Contacts
 from doo_ti.contact.distance_grid import DistanceGrid, grid_table
-from doo_ti.contact.gap_tolerance import GAP_TOLERANCE, GAP_TOLERANCE_OF_OBSTACLES
+from doo_ti.contact.gap_tolerance import GAP_TOLERANCE, gap_tolerance
 from doo_ti.contact.obstacles import FRICTION, GRID, Obstacle, obstacle_table
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.relaxation import tables as of
@@ -61,11 +61,10 @@ class ContactTable:
         where there are any, since kernels with them take longer to compile."""
         return frozenset(range(GRID)) | frozenset(np.minimum(self.kinds, GRID).tolist())
 
-    def arguments(self, forces: np.ndarray, gap_tolerance: float | None, settles: bool) -> tuple:
-        """What a kernel is given of contacts, which writes ``forces``. ``settles``: its steps may settle forces."""
-        if gap_tolerance is None:
-            gap_tolerance = GAP_TOLERANCE_OF_OBSTACLES if settles else GAP_TOLERANCE
-        return (self.obstacles, self.kinds, self.grids, self.radius, gap_tolerance, self.memory, forces, self.self_friction)
+    def arguments(self, forces: np.ndarray, tolerance: float | None, in_motion: bool = False) -> tuple:
+        """What a kernel is given of contacts, which writes ``forces``; ``tolerance`` of gaps, None: the usual one."""
+        tolerance = gap_tolerance(tolerance, self.itself, in_motion)
+        return (self.obstacles, self.kinds, self.grids, self.radius, tolerance, self.memory, forces, self.self_friction)
 
     def copy(self) -> "ContactTable":
         """The table with a memory and forces of its own, which a launch changes."""

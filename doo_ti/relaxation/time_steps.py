@@ -5,12 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.contact.gap_tolerance import GAP_TOLERANCE, GAP_TOLERANCE_IN_MOTION
 from doo_ti.physics.number import Number
 from doo_ti.relaxation import newton
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.batch import layout_for, policy_row, scratch_for
-from doo_ti.relaxation.contact_table import ContactTable
 from doo_ti.relaxation.loading import LANES
 from doo_ti.relaxation.tables import Tables, room
 from doo_ti.relaxation.time_kernel import time_contact_kernel, time_kernel, time_slope_kernel
@@ -131,7 +129,7 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
         kernel, size = _kernel_for(table, isotropic, number, stride, block, slopes, moves)
         more = ()
         if contact is not None:
-            more = *contact.arguments(forces, _gap_tolerance(contact, options), False), touches, poses, contact.pair_memory
+            more = *contact.arguments(forces, options.gap_tolerance, in_motion=True), touches, poses, contact.pair_memory
         elif slopes is not None:
             more = slopes.material, slopes.numbers, slopes.shares, slopes.memory, position_slopes
         scratch = scratch_for(number, threads * size)
@@ -162,9 +160,3 @@ def _kernel_for(table: Tables, isotropic: bool, number: Number, stride: int, blo
         return kernel, numbers_of_rod(edges) + slope_items(edges, slopes.count)
     kernel, numbers_of_rod = time_kernel(number, isotropic, stride, block)
     return kernel, numbers_of_rod(edges)
-
-
-def _gap_tolerance(contact: ContactTable, options: newton.Newton) -> float:
-    """Over the radius, in a motion."""
-    usual = GAP_TOLERANCE if contact.itself else GAP_TOLERANCE_IN_MOTION
-    return usual if options.gap_tolerance is None else options.gap_tolerance
