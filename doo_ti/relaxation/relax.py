@@ -175,18 +175,25 @@ def _newton(table: Tables, solver: Newton, precision: str, begin: Solution | Non
     rows = np.flatnonzero(feasible & (short | (precision == "mixed")) & (bits == 32))
     if len(rows):
         usable = (results[:, of.STATUS] == CONVERGED) | (results[:, of.STATUS] == STALLED)
-        before, along = results[rows, of.ITERATIONS], results[rows, of.ALONG]
-        finer = replace(solver, first_shift=0.0)
-        batch.continue_newton(table, finer, 64, frames, results, rows, usable)
+        finer, before = replace(solver, first_shift=0.0), results[:, of.ITERATIONS].copy()
+        _continue(table, finer, 64, frames, results, rows, usable)
         # Where f32 has stalled inside an obstacle f64 cannot begin there.
         inside = rows[usable[rows] & (results[rows, of.STATUS] == INFEASIBLE)]
         if len(inside):
             usable[inside] = False
             batch.continue_newton(table, finer, 64, frames, results, inside, usable)
-        results[rows, of.ITERATIONS] += before
-        results[rows, of.ALONG] = np.where(usable[rows], np.minimum(results[rows, of.ALONG], along), results[rows, of.ALONG])
+            results[inside, of.ITERATIONS] += before[inside]
         bits[rows] = 64
     return frames, results, bits
+
+
+def _continue(table: Tables, solver: Newton, bits: int, frames, results, rows: np.ndarray, usable: np.ndarray) -> None:
+    """Relax the rods ``rows`` further, in place, those that are ``usable`` (R,) from where they are: their iterations are those
+    of both relaxations, and ALONG that of both ways."""
+    before, along = results[rows, of.ITERATIONS], results[rows, of.ALONG]
+    batch.continue_newton(table, solver, bits, frames, results, rows, usable)
+    results[rows, of.ITERATIONS] += before
+    results[rows, of.ALONG] = np.where(usable[rows], np.minimum(results[rows, of.ALONG], along), results[rows, of.ALONG])
 
 
 @cache
@@ -209,11 +216,8 @@ def _with_ratios(table: Tables, solver: Newton, bits: int, frames: np.ndarray, r
         if not len(rows):
             return
         evener, later = evened(table, ratio)
-        spent, along = results[rows, of.ITERATIONS], results[rows, of.ALONG]
         usable = np.isin(results[:, of.STATUS], (CONVERGED, STALLED, LIMIT))
-        batch.continue_newton(evener, solver, bits, frames, results, rows, usable)
-        results[rows, of.ITERATIONS] += spent
-        results[rows, of.ALONG] = np.where(usable[rows], np.minimum(results[rows, of.ALONG], along), results[rows, of.ALONG])
+        _continue(evener, solver, bits, frames, results, rows, usable)
         rows = later
 
 
