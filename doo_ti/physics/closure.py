@@ -5,7 +5,7 @@ The one constraint a chain of frames does not keep by itself is closure, Σ_j l_
 
 import taichi as ti
 
-from doo_ti.physics.tuples import cross, dot, negated, repeated, scaled
+from doo_ti.physics.tuples import cross, dot, minus, negated, repeated, scaled
 
 
 @ti.func
@@ -24,6 +24,12 @@ def linear_hessian(c, length, t):
 def closure_rows(length, m1, m2):
     """A = l (0; −m2ᵀ; m1ᵀ), by which the far end follows the edge's rotation: nine numbers."""
     return repeated(0.0 * length, 3) + negated(scaled(m2, length)) + scaled(m1, length)
+
+
+@ti.func
+def shift_of_end(length, m1, m2, w):
+    """Aᵀw, by which the rotation w of an edge moves its end."""
+    return scaled(minus(scaled(m1, w[2]), scaled(m2, w[1])), length)
 
 
 @ti.func

@@ -14,7 +14,7 @@ border of closure.
 import taichi as ti
 
 from doo_ti.physics.algebra import absolute, factor, largest_of
-from doo_ti.physics.closure import closure_rows, linear_gradient, linear_hessian
+from doo_ti.physics.closure import closure_rows, linear_gradient, linear_hessian, shift_of_end
 from doo_ti.physics.quaternion import first_director, second_director, tangent
 from doo_ti.physics.tuples import (
     against,
@@ -281,9 +281,7 @@ class LoadedElimination(LooseStart):
             decrement = decrement + squared(edge.pivots, right)
             w = self.solved_edge(edge, self.less_displaced(edge, right, x), w)
             q = edge.frame
-            length = edge.length
-            m1, m2 = first_director(q), second_director(q)
-            change = scaled(minus(scaled(m1, w[2]), scaled(m2, w[1])), length)
+            change = shift_of_end(edge.length, first_director(q), second_director(q), w)
             if ti.static(self.touches):
                 longest = largest_of(longest, self.contacts.approach(rod, e + 1, x, plus(x, change)))
             x = plus(x, change)

@@ -8,7 +8,7 @@ themselves and to their neighbours is part of the derivative.
 import taichi as ti
 
 from doo_ti.physics import pair
-from doo_ti.physics.closure import linear_gradient
+from doo_ti.physics.closure import linear_gradient, shift_of_end
 from doo_ti.physics.quaternion import first_director, second_director, tangent
 from doo_ti.physics.tuples import applied, dot, minus, plus, record, repeated, scaled, transposed, variable
 from doo_ti.physics.view import Layout
@@ -181,5 +181,4 @@ class ParameterGradient(chain.Chain):
             w = variable(column.turn_start)
             if e == rod.edges - 1:
                 w = column.turn_end
-            moved = minus(scaled(edge.m1, w[2]), scaled(edge.m2, w[1]))
-            change.closure = plus(change.closure, scaled(moved, edge.length))
+            change.closure = plus(change.closure, shift_of_end(edge.length, edge.m1, edge.m2, w))
