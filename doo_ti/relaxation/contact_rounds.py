@@ -223,12 +223,9 @@ class ContactRounds(ContactEnergy):
     def settle_far(self, rod, contact, due, found):
         """New forces where neither a vertex nor the edge that ends there is close to the obstacle in any lane."""
         zero = 0.0 * rod.total
-        old = contact.force
-        gap = contact.value - rod.contacts.radius
-        new = self.settled_force(rod, old, gap)
-        self.note_change(found, old, new)
+        self.settle_vertex(rod, contact, due, found)
         self.note_change(found, contact.force_between, zero)
-        choose(contact, due, force=new, force_between=zero, active=zero)
+        choose(contact, due, force_between=zero, active=zero)
         contact.sagging = zero
 
     @ti.func
