@@ -28,7 +28,10 @@ from doo_ti.relaxation.contact_layout import CONTACT, CONTACTS, EVEN, OBSTACLE, 
 class ContactPlaces:
     """Where the rods in a pack are, seen from obstacles of some ``kinds``. Of the record ``rod`` it reads ``contacts``, the
     view of its numbers in scratch, ``kinds``, ``grids``, and ``obstacles``, how many there are. ``moves``: obstacles may move
-    during a motion."""
+    during a motion. ``itself``: rods may touch themselves, or each other (:class:`.SelfContacts`).
+    """
+
+    itself = False
 
     def __init__(self, number, kinds: frozenset[int], moves: bool = False):
         self.largest, self.moves, self.bits = number.lanes().largest, moves, number.bits
@@ -213,7 +216,10 @@ class ContactPlaces:
                     between = self.nearest(rod, o, index + 1, start, edge, ends, bridging)
                     value = ti.min(value, ti.select(bridging, between.value, value))
                 least = ti.min(least, value - rod.contacts.radius)
-        return (least < 0.0 - rod.contacts.tolerance) | self.pinched_pairs(rod)
+        pinched = least < 0.0 - rod.contacts.tolerance
+        if ti.static(self.itself):
+            pinched = pinched | self.pinched_pairs(rod)
+        return pinched
 
     @ti.func
     def nearest(self, rod, o, index, start, edge, ends, wanted):
@@ -285,9 +291,3 @@ class ContactPlaces:
         s = contact.rubbed_place
         before, after = self.slid(rod, self.vertex(rod, index - 1), o), self.slid(rod, self.vertex(rod, index), o)
         return plus(scaled(before, 1.0 - s), scaled(after, s))
-
-    @ti.func
-    def pinched_pairs(self, rod):
-        """Whether clamps hold two edges of a rod that may touch itself (:class:`doo_ti.relaxation.self_contacts.SelfContacts`)
-        where they are in each other."""
-        return rod.total < 0.0

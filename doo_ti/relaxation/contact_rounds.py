@@ -36,7 +36,8 @@ class ContactRounds(ContactEnergy):
             at.place = chosen(lost > 0.5, standing, place)
             kept, room = at.room_standing, at.room
             at.room = ti.select(lost > 0.5, kept, room)
-        self.restore_pairs(rod, lost)
+        if ti.static(self.itself):
+            self.restore_pairs(rod, lost)
 
     @ti.func
     def approach(self, rod, index, before, move):
@@ -148,7 +149,8 @@ class ContactRounds(ContactEnergy):
                     self.settle_far(rod, contact, due, found)
                 if ti.static(self.rub):
                     found.rubbed = largest_of(found.rubbed, self.settle_friction(rod, v, o, due))
-        self.settle_pairs(rod, due, found)
+        if ti.static(self.itself):
+            self.settle_pairs(rod, due, found)
         change = ti.select(due, found.change / stiffness, zero)
         slow = due & (change > SLOW * rod.contacts.change) & (change > rod.contacts.tolerance)
         slow = slow & (stiffness < STIFFEST * rod.contacts.first_stiffness)
@@ -292,17 +294,3 @@ class ContactRounds(ContactEnergy):
         change = minus(pull, friction.value)
         choose(friction, due, value=pull)
         return ti.sqrt(dot(change, change))
-
-    # --- of a rod that may also touch itself, :class:`doo_ti.relaxation.self_contacts.SelfContacts` ---
-
-    @ti.func
-    def stand_pairs(self, rod):
-        """Keep the distances of edges from each other before a step."""
-
-    @ti.func
-    def restore_pairs(self, rod, lost):
-        """Restore them in the lanes that reject the step."""
-
-    @ti.func
-    def settle_pairs(self, rod, due, found):
-        """New forces between edges in the lanes that are ``due``: their largest change to ``found``."""

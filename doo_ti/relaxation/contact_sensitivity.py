@@ -108,17 +108,13 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
 
     @ti.func
     def load(self, rod, edge, e, start, end, found):
-        """With the point load on the edge's end."""
+        """With the point load on the edge's end; keeps the blocks of K of the edge."""
         load = LoadedElimination.load(self, rod, edge, e, start, end, found)
         force = negated(edge.outer.load)
         add(load, gradient=force, gradient_s=force, known=force, known_s=force)
-        return load
-
-    @ti.func
-    def keep_load(self, edge, load):
-        """Keep the blocks of K of an edge."""
         own = edge.outer
         own.curvature, own.curvature_s, own.curvature_ss = load.curvature, load.curvature_s, load.curvature_ss
+        return load
 
     @ti.func
     def hold_start(self, rod, column):

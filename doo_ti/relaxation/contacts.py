@@ -35,10 +35,7 @@ CARRIED_ON = tuple((CONTACT.at(place) + k, CONTACTS.at(number)) for place, numbe
 
 @ti.data_oriented
 class Contacts(ContactRounds):
-    """The contacts from one instant to the next, and on their way into scratch and out of it. ``itself``: rods may touch
-    themselves, or each other."""
-
-    itself = False
+    """The contacts from one instant to the next, and on their way into scratch and out of it."""
 
     # --- from one instant to the next ---
 
@@ -90,7 +87,9 @@ class Contacts(ContactRounds):
                     friction = contact.friction_between
                     active = contact.active > 0.5
                     work = work + ti.select(active, dot(friction, self.slid_between(rod, v, contact, o)), zero)
-        return work + self.pair_work(rod)
+        if ti.static(self.itself):
+            work = work + self.pair_work(rod)
+        return work
 
     @ti.func
     def retry(self, rod, failed, blocked, bowed, least):
@@ -113,7 +112,8 @@ class Contacts(ContactRounds):
                 at = self.vertex(rod, v)
                 for o in range(rod.obstacles):
                     choose(self.contact(at, o), once, remembered=repeated(zero, REMEMBERED_IN_MOTION))
-            self.forget_pairs(rod, once)
+            if ti.static(self.itself):
+                self.forget_pairs(rod, once)
             choose(rod.contacts, once, phase=zero + ROUGH, settling=zero, early=zero, change=zero + 1e30,
                    stiffness=rod.contacts.first_stiffness, retried=zero + 1.0)
         return once
@@ -145,7 +145,8 @@ class Contacts(ContactRounds):
         if tables.memory[row, 0, 0, CONTACT.at("force_between")] > 0.0:
             for pair in ti.static(CARRIED_ON):
                 own[pair[1]] = tables.memory[row, 0, 0, pair[0]]
-            self.load_carried_pairs(tables, slot, row)
+            if ti.static(self.itself):
+                self.load_carried_pairs(tables, slot, row)
         for k in ti.static(range(3)):
             own.multiplier[k] = tables.results[row, of.FORCE + k]
 
@@ -187,7 +188,8 @@ class Contacts(ContactRounds):
         # A rod that begins with large forces would slip into the obstacle if κ gave way as if it had none.
         base.largest = largest
         base.stiffness = ti.max(stiffness, largest / (PRESSED_IN * radius))
-        self.load_pairs(tables, slot, row)
+        if ti.static(self.itself):
+            self.load_pairs(tables, slot, row)
 
     @ti.func
     def load_contact(self, tables, contact, row, v, o):
@@ -215,7 +217,8 @@ class Contacts(ContactRounds):
                 force = exact(self.vertex(one, v).force_end[k])
                 if v < one.edges:
                     force += self.vertex(one, v + 1).force_start[k]
-                force += self.pair_force(tables, slot, v, k)
+                if ti.static(self.itself):
+                    force += self.pair_force(tables, slot, v, k)
                 tables.forces[place, v, k] = force * force_unit
 
     @ti.func
@@ -223,7 +226,9 @@ class Contacts(ContactRounds):
         """The :class:`.Touch` of each vertex of the lane, with the edge that ends there, into row ``place``."""
         one = self.of_lane(tables, slot)
         for v in range(one.edges + 1):
-            touch = self.pair_touch(tables, slot, v)
+            touch = ti.cast(NONE, ti.i32)
+            if ti.static(self.itself):
+                touch = self.pair_touch(tables, slot, v)
             for o in range(one.obstacles):
                 contact, coefficient = self.contact(self.vertex(one, v), o), self.obstacle(one, o).friction
                 touch = ti.max(touch, self.touch_of(contact.force, contact.friction, coefficient))
@@ -261,7 +266,8 @@ class Contacts(ContactRounds):
         """The same of a rod in motion, with what its next step begins with."""
         self.unload(tables, slot, row)
         self.carry_on(tables, slot, row, CARRIED_ON[1:])
-        self.carry_pairs(tables, slot, row)
+        if ti.static(self.itself):
+            self.carry_pairs(tables, slot, row)
 
     @ti.func
     def carry_on(self, tables, slot, row, pairs: ti.template()):
@@ -269,36 +275,3 @@ class Contacts(ContactRounds):
         own = tables.contacts.lane(slot)
         for pair in ti.static(pairs):
             tables.memory[row, 0, 0, pair[0]] = own[pair[1]]
-
-    # --- of a rod that may also touch itself, :class:`doo_ti.relaxation.self_contacts.SelfContacts` ---
-
-    @ti.func
-    def pair_work(self, rod):
-        """The work of the rod's friction on itself since the instant before."""
-        return 0.0 * rod.total
-
-    @ti.func
-    def forget_pairs(self, rod, once):
-        """Forget the forces between edges in the lanes where ``once``."""
-
-    @ti.func
-    def load_pairs(self, tables, slot, row):
-        """Begin lane ``slot`` without forces between edges."""
-
-    @ti.func
-    def load_carried_pairs(self, tables, slot, row):
-        """What the launch before has left of edges, into lane ``slot``."""
-
-    @ti.func
-    def carry_pairs(self, tables, slot, row):
-        """What the next launch needs of edges, from lane ``slot``."""
-
-    @ti.func
-    def pair_touch(self, tables, slot, vertex):
-        """The :class:`.Touch` of the edge that ends at a vertex of lane ``slot`` with other edges."""
-        return ti.cast(NONE, ti.i32)
-
-    @ti.func
-    def pair_force(self, tables, slot, vertex, k: ti.template()):
-        """Component ``k`` of the rod's own force on a vertex of lane ``slot``."""
-        return ti.cast(0.0, ti.f64)

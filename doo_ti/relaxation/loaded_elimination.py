@@ -118,7 +118,6 @@ class LoadedElimination(LooseStart):
             t, m1, m2 = tangent(q), first_director(q), second_director(q)
             start = minus(end, scaled(t, length))
             load = self.load(rod, edge, e, start, end, found)
-            self.keep_load(edge, load)
             end = start
             weight = scaled(rod.gravity, self.hanging_weight(rod, length, beyond.length))
             beyond.length = beyond.length + length
@@ -211,11 +210,6 @@ class LoadedElimination(LooseStart):
             if some > 1:
                 self.contacts.take_between(rod, load)
         return load
-
-    @ti.func
-    def keep_load(self, edge, load):
-        """Keep the derivatives of an edge's load for later: only derivatives by parameters need them
-        (:class:`doo_ti.relaxation.contact_sensitivity.ContactSensitivity`)."""
 
     @ti.func
     def condensed(self, h, shifts, beyond, a1, a2):

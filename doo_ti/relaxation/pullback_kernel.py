@@ -32,7 +32,7 @@ class Adjoint(SensitivityColumns):
     """The adjoint solve in place of the columns. ``tables`` holds, besides: pulls and twists, the cotangents; displaced and
     turned, dx and p; gradient, by each direction; curvature, by ω̄ of every joint.
 
-    A class that derives from this one and from one that solves columns adds ``pushed_work``.
+    A class that derives from this one and from one that solves columns where rods touch obstacles adds ``pushed_work``.
     """
 
     @ti.func
@@ -48,7 +48,8 @@ class Adjoint(SensitivityColumns):
             self.put_curvature(tables, rod, row, joint, unit)
         for p in range(tables.columns):
             column = self.column(tables, rod, index, p, multiplier)
-            self.hold_start(rod, column)
+            if ti.static(self.touches):
+                self.hold_start(rod, column)
             closure = self.assemble_column(rod, column)
             along = self.followed(tables, rod, row, column, total)
             tables.gradient[row, p] = along - dot(change, closure) - unit * self.worked(tables, rod, row, column)
@@ -113,7 +114,10 @@ class Adjoint(SensitivityColumns):
             edge = self.edge(rod.head, e)
             after, before = self.vector(tables.displaced, row, e + 1), variable(moved)
             moved = self.end_of_turned(edge, moved, self.held_turn_of(rod, e, column), column.stretch)
-            found += dot(self.vector(tables.turned, row, e), edge.rotation) + self.pushed_work(edge, before, moved, x, after)
+            work = dot(self.vector(tables.turned, row, e), edge.rotation)
+            if ti.static(self.touches):
+                work += self.pushed_work(edge, before, moved, x, after)
+            found += work
             x = after
         return found
 
@@ -128,12 +132,6 @@ class Adjoint(SensitivityColumns):
         for k in ti.static(range(3)):
             table[row, place, k] = v[k]
 
-    @ti.func
-    def pushed_work(self, edge, before, after, start, end):
-        """Of obstacles that an edge touches, whose ends a column moves by ``before`` and ``after``: what the change of their
-        forces does along the displacements ``start`` and ``end``."""
-        return 0.0 * edge.length
-
 
 @ti.data_oriented
 class AdjointSweep(Adjoint, SensitivitySweep):
@@ -146,6 +144,8 @@ class ContactAdjoint(Adjoint, ContactSensitivity):
 
     @ti.func
     def pushed_work(self, edge, before, after, start, end):
+        """Of obstacles that an edge touches, whose ends a column moves by ``before`` and ``after``: what the change of their
+        forces does along the displacements ``start`` and ``end``."""
         whole, own = self.pushes(edge, before, after)
         return dot(start, whole) + dot(minus(end, start), own)
 

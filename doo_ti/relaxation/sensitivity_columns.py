@@ -24,7 +24,7 @@ class SensitivityColumns(EndMoments):
     """The work of a thread. ``tables`` is the record of the kernel's arrays.
 
     A class that derives from this one and from an elimination adds ``schur_complement``, ``solve_column`` and ``started``, and,
-    where rods touch obstacles, what these change.
+    where rods touch obstacles, ``load_contacts``, ``hold_start`` and ``pushed``.
     """
 
     @ti.func
@@ -37,7 +37,8 @@ class SensitivityColumns(EndMoments):
             row = tables.rods[index, of.RESULT_ROW]
             self.loading.load(tables, head, 0, index, 0.0)
             rod = self.rods(tables, head, 0.0)
-            self.load_contacts(tables, rod, index)
+            if ti.static(self.touches):
+                self.load_contacts(tables, rod, index)
             unit = head.energy_unit
             self.load_forces(tables, rod, row, unit)
             force = self.three(tables.results, row, of.FORCE)
@@ -60,7 +61,8 @@ class SensitivityColumns(EndMoments):
         schur = self.schur_complement(rod)
         for p in range(tables.columns):
             column = self.column(tables, rod, index, p, multiplier)
-            self.hold_start(rod, column)
+            if ti.static(self.touches):
+                self.hold_start(rod, column)
             closure = self.assemble_column(rod, column)
             change = self.solve_column(rod, column, schur, closure)
             self.store_column(tables, rod, row, p, column)
@@ -207,14 +209,6 @@ class SensitivityColumns(EndMoments):
             tables.loads[row, place + k, p] = v[k] * unit
 
     # --- where rods touch obstacles: :class:`doo_ti.relaxation.contact_sensitivity.ContactSensitivity` ---
-
-    @ti.func
-    def load_contacts(self, tables, rod, index):
-        """Make the contacts of row ``index`` of the rods, just loaded, those of a rod at rest."""
-
-    @ti.func
-    def hold_start(self, rod, column):
-        """Make ``column`` one of a rod whose vertex 0 is free, if it is."""
 
     @ti.func
     def pushed(self, tables, rod, row, p):

@@ -29,7 +29,10 @@ RESOLVED = 3e-3
 class TimeLoop(NewtonLoop):
     """Newton's loop over the steps of every rod. ``tables`` holds, besides what :class:`MotionLoading` reads, what it writes:
     positions (rod · frame, V, 3) mm, and outcome (rod, frame, OUTCOMES); and steps, and every: a frame is stored after so many.
+    ``differentiates``: with derivatives (:class:`.TimeSlopeLoop`).
     """
+
+    differentiates = False
 
     def __init__(self, sweep: TimeSweep):
         super().__init__(sweep)
@@ -58,7 +61,8 @@ class TimeLoop(NewtonLoop):
             time.kept, once_more = impact.kept, once_more | bounced
             choose(lane, once_more, multiplier=tables.contacts.multiplier)
             done = done & ~once_more
-        self.differentiate(tables, rod, time, up, ti.select(done, one, zero))
+        if ti.static(self.differentiates):
+            self.differentiate(tables, rod, time, up, ti.select(done, one, zero))
         if ti.static(self.touches):
             once_more = once_more | self.sweep.contacts.renew(rod, done & (lane.status < 0.5), least, lane.multiplier)
         repeats, made = ti.select(once_more, one, zero), ti.select(done, one, zero)
@@ -107,7 +111,8 @@ class TimeLoop(NewtonLoop):
                 last = [tables.results[row, of.FORCE + k] for k in ti.static(range(3))]
                 put_lane(lane, self.with_lane, slot, multiplier=last)
                 self.loading.load_motion(tables, head, slot, tables.queue[supply.places + slot])
-                self.load_slopes(tables, head, slot, tables.queue[supply.places + slot])
+                if ti.static(self.differentiates):
+                    self.load_slopes(tables, head, slot, tables.queue[supply.places + slot])
 
     @ti.func
     def advance(self, tables, head, lane):
@@ -152,7 +157,8 @@ class TimeLoop(NewtonLoop):
                     # The tension of a taut rod is not determined.
                     tables.outcome[row, frame, END_FORCE + k] = ti.select(taut, ti.math.nan, force)
                 self.loading.store_vertices(tables.positions, row * frames + frame, 3, own, edges)
-                self.write_slopes(tables, slot, row * frames + frame)
+                if ti.static(self.differentiates):
+                    self.write_slopes(tables, slot, row * frames + frame)
                 if ti.static(self.touches):
                     self.sweep.contacts.unload_forces(tables, slot, row * frames + frame, unit)
                     self.sweep.contacts.unload_touch(tables, slot, row * frames + frame)
@@ -166,29 +172,12 @@ class TimeLoop(NewtonLoop):
                     self.sweep.contacts.unload_motion(tables, slot, row)
                 for k in ti.static(range(3)):
                     tables.results[row, of.FORCE + k] = self.lane(lane.multiplier[k], slot)
-                self.store_slopes(tables, slot, row)
+                if ti.static(self.differentiates):
+                    self.store_slopes(tables, slot, row)
         else:
             for later in range(frame, frames):
                 tables.outcome[row, later, STATE] = status
         return again
-
-    # --- of a loop that differentiates the steps, :class:`doo_ti.relaxation.time_slope_loop.TimeSlopeLoop` ---
-
-    @ti.func
-    def differentiate(self, tables, rod, time, up, done):
-        """The derivatives of the steps that have converged, in the lanes where ``done`` is one."""
-
-    @ti.func
-    def load_slopes(self, tables, head, slot, rod):
-        """The derivatives that rod ``rod`` remembers, and its parameters, into lane ``slot``."""
-
-    @ti.func
-    def store_slopes(self, tables, slot, row):
-        """The derivatives that the lane's rod remembers into row ``row``."""
-
-    @ti.func
-    def write_slopes(self, tables, slot, place):
-        """The derivatives of the lane's positions, for row ``place`` of the positions."""
 
     @ti.func
     def tolerance(self, tables, rod):

@@ -20,6 +20,8 @@ class TimeSlopeLoop(TimeLoop):
     A parameter costs the same for one lane as for all: lanes that have converged wait for the others of their pack.
     """
 
+    differentiates = True
+
     @ti.func
     def exchanges(self, lane):
         """Once all lanes with a rod have finished."""
@@ -44,6 +46,7 @@ class TimeSlopeLoop(TimeLoop):
 
     @ti.func
     def differentiate(self, tables, rod, time, up, done):
+        """The derivatives of the steps that have converged, in the lanes where ``done`` is one."""
         if self.largest(done) > 0.5:
             self.sweep.differentiate(rod, tables.blocks, tables.material_slopes.shape[0], time, up)
 
@@ -54,6 +57,7 @@ class TimeSlopeLoop(TimeLoop):
 
     @ti.func
     def load_slopes(self, tables, head, slot, rod):
+        """The derivatives that rod ``rod`` remembers, and its parameters, into lane ``slot``."""
         row, g, numbers = tables.rods[rod, of.RESULT_ROW], tables.rods[rod, of.MATERIAL_ROW], tables.rods[rod, of.EXTERNAL_ROW]
         own = head.lane(slot)
         unit, length_unit = exact(own.energy_unit), exact(own.length_unit)
@@ -88,6 +92,7 @@ class TimeSlopeLoop(TimeLoop):
 
     @ti.func
     def store_slopes(self, tables, slot, row):
+        """The derivatives that the lane's rod remembers into row ``row``."""
         for p in range(tables.material_slopes.shape[0]):
             for v in range(tables.rest_length.shape[1] + 1):
                 block = self.own_block(tables, slot, p, v)
@@ -96,6 +101,7 @@ class TimeSlopeLoop(TimeLoop):
 
     @ti.func
     def write_slopes(self, tables, slot, place):
+        """The derivatives of the lane's positions, for row ``place`` of the positions."""
         for p in range(tables.material_slopes.shape[0]):
             for v in range(tables.rest_length.shape[1] + 1):
                 block = self.own_block(tables, slot, p, v)
