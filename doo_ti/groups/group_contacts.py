@@ -19,7 +19,7 @@ from doo_ti.groups.layout import (
 from doo_ti.groups.ties import Ties
 from doo_ti.physics.algebra import absolute, largest_of
 from doo_ti.physics.tuples import add, choose, dot, extended, identity, minus, picked, plus, scaled, variable
-from doo_ti.physics.view import NUMBERS, exact
+from doo_ti.physics.view import NUMBERS, exact, read, write
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_layout import FINE, contact_items
 from doo_ti.relaxation.loading import stiffness_scale
@@ -194,21 +194,18 @@ class GroupContacts(Ties, SelfContacts):
             vertex.weight = tables.burden[row, v, 0] / unit
             vertex.held = tables.burden[row, v, 1]
             vertex.thicker = tables.burden[row, v, 2] / unit
-            for k in ti.static(range(3)):
-                vertex.spring_point[k] = tables.burden[row, v, 3 + k] / unit
-                self.vertex(one, v).previous[k] = tables.previous[row, v, k] / unit
+            vertex.spring_point = scaled(read(tables.burden, row, v, 3), 1.0 / unit)
+            self.vertex(one, v).previous = scaled(read(tables.previous, row, v, 0), 1.0 / unit)
             vertex.spring = tables.burden[row, v, 6] * unit / force_unit
         for g in range(one.rods):
-            for k in ti.static(range(3)):
-                self.member(one, g).begin[k] = tables.places[row, g, k] / unit
+            self.member(one, g).begin = scaled(read(tables.places, row, g, 0), 1.0 / unit)
         for t in range(ties):
             tie = self.tie(one, t)
+            tie.target = scaled(read(tables.targets, row, t, 0), 1.0 / unit)
             for k in ti.static(range(3)):
-                tie.target[k] = tables.targets[row, t, k] / unit
                 tie.force.now[k] = tables.tie_forces[row, t, k] / force_unit
                 tie.moment.now[k] = tables.tie_forces[row, t, 3 + k] / (force_unit * unit)
-            for k in ti.static(range(4)):
-                tie.rest[k] = tables.targets[row, t, 4 + k]
+            tie.rest = read(tables.targets, row, t, 4, count=4)
             tie.active = tables.targets[row, t, 3]
             tie.scale = tables.targets[row, t, 8] / divisor
         most = ti.cast(0.0, ti.f64)
@@ -241,8 +238,7 @@ class GroupContacts(Ties, SelfContacts):
         unit = exact(self.group(one).unit)
         tables.works[place] = one.contacts.work * force_unit * unit
         for g in range(one.rods):
-            for k in ti.static(range(3)):
-                tables.places[place, g, k] = exact(self.member(one, g).begin[k]) * unit
+            write(tables.places, place, g, 0, values=scaled(exact(self.member(one, g).begin), unit))
         for t in range(tables.ties.shape[0]):
             tie = self.tie(one, t)
             for k in ti.static(range(3)):

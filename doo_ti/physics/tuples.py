@@ -71,8 +71,8 @@ def traced(function):
 
     @picked
     @wraps(function)
-    def call(*arguments):
-        value = expr_init(function(*arguments))
+    def call(*arguments, **options):
+        value = expr_init(function(*arguments, **options))
         return _Evaluated(value) if isinstance(value, tuple) else value
 
     return call

@@ -139,6 +139,19 @@ class View:
 
 
 @traced
+def read(array, *place, count: int = 3) -> tuple:
+    """``count`` numbers of an array that follow each other from ``place`` on."""
+    return tuple(subscript(None, array, *place[:-1], place[-1] + k if k else place[-1]) for k in range(count))
+
+
+@picked
+def write(array, *place, values) -> None:
+    """Store ``values`` in an array, one after the other from ``place`` on."""
+    for k, value in enumerate(values):
+        subscript(None, array, *place[:-1], place[-1] + k if k else place[-1])._assign(value)
+
+
+@traced
 def exact(values):
     """A number, or several, in f64."""
     return tuple(ti.cast(value, ti.f64) for value in values) if isinstance(values, tuple) else ti.cast(values, ti.f64)

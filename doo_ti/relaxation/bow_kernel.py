@@ -8,7 +8,7 @@ from doo_ti.contact.distance import COLUMNS, Distance
 from doo_ti.contact.obstacles import OBSTACLE_COLUMNS, PLANE
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import cross, dot, minus, plus, record, scaled, variable
-from doo_ti.physics.view import Scratch
+from doo_ti.physics.view import Scratch, read
 from doo_ti.system import runtime
 
 # Columns of a try: the number of half waves; whether it lies aside; to which side; the largest slope, rad; and one where the
@@ -32,10 +32,6 @@ class BowSearch:
         number = Number(1, 32)
         self.distance, self.scalar = Distance(number, kinds), number.scalar
         self.memory = Scratch(number, 1)
-
-    @ti.func
-    def three(self, table: ti.template(), r, k):
-        return (table[r, k, 0], table[r, k, 1], table[r, k, 2])
 
     @ti.func
     def value(self, tables, r, o, x):
@@ -67,7 +63,7 @@ class BowSearch:
     def bent(self, tables, r, e, half_waves, slope, across):
         """An edge of a bow, whose edges turn in the plane of the line and of ``across``."""
         angle = slope * ti.cos(ti.math.pi * half_waves * tables.place[r, e]) * tables.free[r, e]
-        t, length = self.three(tables.tangents, r, e), tables.lengths[r, e]
+        t, length = read(tables.tangents, r, e, 0), tables.lengths[r, e]
         flat = minus(across, scaled(t, dot(across, t)))
         return plus(scaled(t, length * ti.cos(angle)), scaled(flat, length * ti.sin(angle)))
 
@@ -76,12 +72,12 @@ class BowSearch:
         """Whether a try of that slope is outside all obstacles and, where it is ``followed``, passes through none."""
         edges, fine = tables.lengths.shape[1], True
         half_waves = tables.tries[number, HALF_WAVES]
-        t = self.three(tables.tangents, r, edges // 2)
-        axis = variable((tables.axis[r, 0], tables.axis[r, 1], tables.axis[r, 2]))
+        t = read(tables.tangents, r, edges // 2, 0)
+        axis = variable(read(tables.axis, r, 0))
         if tables.tries[number, ASIDE] > 0.5:
             axis = cross(t, axis)
         across = scaled(cross(axis, t), tables.tries[number, SIGN])
-        begin = (tables.anchor[r, 0], tables.anchor[r, 1], tables.anchor[r, 2])
+        begin = read(tables.anchor, r, 0)
         way = record(line=begin, midway=begin, end=begin, last=begin, last_midway=begin)
         v = 0
         while v <= edges and fine:
@@ -92,7 +88,7 @@ class BowSearch:
                 way.last, way.last_midway = way.end, way.midway
                 way.end = plus(way.end, self.bent(tables, r, e, half_waves, slope, across))
                 if followed:
-                    way.line = plus(way.line, scaled(self.three(tables.tangents, r, e), length))
+                    way.line = plus(way.line, scaled(read(tables.tangents, r, e, 0), length))
                     way.midway = plus(way.midway, self.bent(tables, r, e, half_waves, MIDWAY * slope, across))
             o = 0
             while o < tables.kinds.shape[0] and fine:

@@ -8,6 +8,7 @@ import taichi as ti
 from doo_ti.physics.algebra import absolute, larger
 from doo_ti.physics.quaternion import from_matrix, normalised, tangent, transported, turned_in_world
 from doo_ti.physics.tuples import cross, dot, minus, record, repeated, row, scaled, transposed, variable
+from doo_ti.physics.view import read, write
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.tables import FRAME, POSITION, TANGENT
 from doo_ti.rod.frames import FRAME_TOLERANCE
@@ -37,21 +38,9 @@ FEW = 512
 
 
 @ti.func
-def vector(table: ti.template(), s, column: ti.template()):
-    """Three numbers of row s of a table, from ``column`` on."""
-    return (table[s, column], table[s, column + 1], table[s, column + 2])
-
-
-@ti.func
-def matrix(table: ti.template(), s, column: ti.template()):
-    """Nine of them."""
-    return vector(table, s, column) + vector(table, s, column + 3) + vector(table, s, column + 6)
-
-
-@ti.func
 def frame_of(start: ti.template(), s, edge):
     """The frame of an edge of start s, as a unit quaternion."""
-    return normalised((start[s, edge, 0], start[s, edge, 1], start[s, edge, 2], start[s, edge, 3]))
+    return normalised(read(start, s, edge, 0, count=4))
 
 
 @ti.func
@@ -104,7 +93,7 @@ class ClampReader:
         for s in range(thread * share, ti.min((thread + 1) * share, tables.start.shape[0])):
             if tables.rest_length.shape[0] > 1:
                 self.measure(tables.rest_length, s, size)
-            self.read(tables, size, s)
+            self.fill(tables, size, s)
 
     @ti.func
     def measure(self, rest_length: ti.template(), s, size):
@@ -128,22 +117,16 @@ class ClampReader:
             size.standing = ti.max(size.standing, absolute(length * (length - 2.0 * before)))
 
     @ti.func
-    def put(self, clamp: ti.template(), s, column: ti.template(), values):
-        """Numbers into row s of the table of clamps, from ``column`` on."""
-        for k in ti.static(range(len(values))):
-            clamp[s, column + k] = values[k]
-
-    @ti.func
-    def read(self, tables, size, s):
+    def fill(self, tables, size, s):
         """Fill row s of the table of clamps, and of the findings."""
         kind_start, kind_end = tables.states[s, KIND_START], tables.states[s, KIND_END]
         closed = (kind_start >= POSITION) & (kind_end >= POSITION)
         released = (kind_start < POSITION) & (kind_end >= POSITION)
         self.read_flags(tables.clamp, s, kind_start, kind_end, closed, released)
-        anchor = variable(vector(tables.given, s, ORIGIN))
+        anchor = variable(read(tables.given, s, ORIGIN))
         if kind_start >= POSITION:
-            anchor = vector(tables.given, s, START_POSITION)
-        far = vector(tables.given, s, END_POSITION)
+            anchor = read(tables.given, s, START_POSITION)
+        far = read(tables.given, s, END_POSITION)
         line = variable(repeated(ti.cast(0.0, ti.f64), 3))
         if closed:
             line = minus(far, anchor)
@@ -151,15 +134,15 @@ class ClampReader:
         if released:
             anchor = far
             hanging = size.standing
-        self.put(tables.clamp, s, of.TARGET, line)
-        self.put(tables.clamp, s, of.ANCHOR, anchor)
+        write(tables.clamp, s, of.TARGET, values=line)
+        write(tables.clamp, s, of.ANCHOR, values=anchor)
         tables.clamp[s, of.TOTAL], tables.clamp[s, of.LONGEST] = size.total, size.longest
         tables.clamp[s, of.SHORTEST_PAIR], tables.clamp[s, of.HANGING] = size.shortest_pair, hanging
-        frame_start, frame_end = (matrix(tables.given, s, START_FRAME), matrix(tables.given, s, END_FRAME))
+        frame_start, frame_end = (read(tables.given, s, START_FRAME, count=9), read(tables.given, s, END_FRAME, count=9))
         first = held_frame(kind_start, frame_start, frame_of(tables.start, s, 0))
         last = held_frame(kind_end, frame_end, frame_of(tables.start, s, tables.start.shape[1] - 1))
-        self.put(tables.clamp, s, of.ENDS, first)
-        self.put(tables.clamp, s, of.ENDS + 4, last)
+        write(tables.clamp, s, of.ENDS, values=first)
+        write(tables.clamp, s, of.ENDS + 4, values=last)
         tables.states[s, OF_REACH] = SOUND
         if closed:
             tables.states[s, OF_REACH] = self.reached(tables, size, s, line, first, last)

@@ -4,8 +4,8 @@ import taichi as ti
 
 from doo_ti.contact.obstacles import DEPTH, OBSTACLE_COLUMNS, SIZES
 from doo_ti.contact.touch import Touch
-from doo_ti.physics.tuples import choose, dot, repeated
-from doo_ti.physics.view import exact
+from doo_ti.physics.tuples import choose, dot, repeated, scaled
+from doo_ti.physics.view import exact, read
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_layout import (
     BENDING_LOADS,
@@ -136,8 +136,7 @@ class Contacts(ContactRounds):
         one = self.of_lane(tables, slot)
         own = one.contacts
         for v in range(one.edges + 1):
-            for k in ti.static(range(3)):
-                self.vertex(one, v).previous[k] = tables.places[row, v, k] / unit
+            self.vertex(one, v).previous = scaled(read(tables.places, row, v, 0), 1.0 / unit)
         # The first step of a motion knows no forces. All others continue as if no launch had ended before them.
         stiffness = exact(own.stiffness) + INERT * inertia
         own.stiffness, own.first_stiffness, own.phase, own.way = stiffness, stiffness, ROUGH, 1.0
@@ -147,8 +146,7 @@ class Contacts(ContactRounds):
                 own[pair[1]] = tables.memory[row, 0, 0, pair[0]]
             if ti.static(self.itself):
                 self.load_carried_pairs(tables, slot, row)
-        for k in ti.static(range(3)):
-            own.multiplier[k] = tables.results[row, of.FORCE + k]
+        own.multiplier = read(tables.results, row, of.FORCE)
 
     # --- a rod into a lane and out of it ---
 

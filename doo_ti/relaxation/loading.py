@@ -3,8 +3,8 @@
 import taichi as ti
 
 from doo_ti.physics.quaternion import normalised, tangent, transported
-from doo_ti.physics.tuples import dot, record
-from doo_ti.physics.view import exact
+from doo_ti.physics.tuples import dot, record, scaled
+from doo_ti.physics.view import exact, read, write
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.newton_policy import MOST_SHIFT
@@ -56,11 +56,6 @@ class Loading:
         self.loads_start = self.loaded and functions.load_start is not None
 
     @ti.func
-    def frame_from(self, source: ti.template(), place):
-        """The frame at ``place`` of ``source``, of any length."""
-        return (source[place], source[place + 1], source[place + 2], source[place + 3])
-
-    @ti.func
     def load(self, tables, head, slot, rod, lengths_known):
         """Row ``rod`` of the rods into lane ``slot``. Lengths that all rods share are loaded once per lane.
 
@@ -97,8 +92,7 @@ class Loading:
             self.contacts.load(tables, slot, rod, unit, scale)
         if ti.static(self.moves_start):
             lane.loose = tables.clamp[s, of.LOOSE]
-            for k in ti.static(range(3)):
-                lane.drift[k] = tables.results[tables.rods[rod, of.RESULT_ROW], of.DRIFT + k] / unit
+            lane.drift = scaled(read(tables.results, tables.rods[rod, of.RESULT_ROW], of.DRIFT), 1.0 / unit)
             if ti.static(self.loads_start):
                 self.functions.load_start(lane.outer, tables.numbers, tables.rods[rod, of.EXTERNAL_ROW], 1.0 / divisor * unit)
 
@@ -109,7 +103,7 @@ class Loading:
         edges = tables.rest_length.shape[1]
         place = row * edges * 4
         for e in range(edges):
-            self.edge(lane, e).frame = self.frame_from(source, place)
+            self.edge(lane, e).frame = read(source, place, count=4)
             place += 4
         self.load_end(tables.clamp, s, 0, source, row * edges * 4, self.edge(lane, 0))
         self.load_end(tables.clamp, s, 1, source, place - 4, self.edge(lane, edges - 1))
@@ -118,12 +112,11 @@ class Loading:
     def load_end(self, clamp: ti.template(), s, end: ti.template(), source: ti.template(), place, edge):
         """What clamp s holds of the first frame or the last, which is at ``place`` of ``source``, into that edge of a lane."""
         if clamp[s, of.TILT_START + end] == 0.0:
-            column = ti.static(of.ENDS + 4 * end)
-            held = (clamp[s, column], clamp[s, column + 1], clamp[s, column + 2], clamp[s, column + 3])
+            held = read(clamp, s, of.ENDS + 4 * end, count=4)
             edge.frame = held
             if clamp[s, of.SPIN_START + end] > 0.0:
                 # A tangent alone: by parallel transport, which does not exist from the opposite tangent.
-                frame = normalised(self.frame_from(source, place))
+                frame = normalised(read(source, place, count=4))
                 old, new = tangent(frame), tangent(held)
                 if 1.0 + dot(old, new) > 1e-14:
                     edge.frame = transported(frame, old, new)
@@ -133,9 +126,7 @@ class Loading:
         """The lane's frames into row ``row`` of the results' frames."""
         edges = tables.rest_length.shape[1]
         for e in range(edges):
-            frame = self.edge(lane, e).frame
-            for k in ti.static(range(4)):
-                tables.frames[(row * edges + e) * 4 + k] = frame[k]
+            write(tables.frames, (row * edges + e) * 4, values=self.edge(lane, e).frame)
 
     @ti.func
     def force_unit(self, lane):
@@ -191,10 +182,10 @@ class Loading:
     def load_parameters(self, tables, lane, s, g, divisor, unit):
         """Parameters of the rod (configuration s, material g) into a lane, stiffness over ``divisor`` and lengths over
         ``unit``."""
+        lane.target = scaled(read(tables.clamp, s, of.TARGET), 1.0 / unit)
+        lane.anchor = scaled(read(tables.clamp, s, of.ANCHOR), 1.0 / unit)
         for k in ti.static(range(3)):
-            lane.target[k] = tables.clamp[s, of.TARGET + k] / unit
             lane.gravity[k] = tables.material[g, of.WEIGHT] * tables.up[k] / divisor * (unit * unit * unit)
-            lane.anchor[k] = tables.clamp[s, of.ANCHOR + k] / unit
         # A round rod with both spins free turns about itself at no cost: hold its first spin.
         spin_start = tables.clamp[s, of.SPIN_START] * (1.0 - tables.material[g, of.ROUND] * tables.clamp[s, of.SPIN_END])
         free = (spin_start, tables.clamp[s, of.TILT_START], tables.clamp[s, of.SPIN_END], tables.clamp[s, of.TILT_END],

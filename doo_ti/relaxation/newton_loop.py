@@ -2,8 +2,8 @@
 
 import taichi as ti
 
-from doo_ti.physics.tuples import choose, dot, record, repeated
-from doo_ti.physics.view import exact
+from doo_ti.physics.tuples import choose, dot, record, repeated, scaled
+from doo_ti.physics.view import exact, write
 from doo_ti.relaxation import newton_policy as fixed
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.elimination import Elimination
@@ -105,8 +105,7 @@ class NewtonLoop(NewtonTrip):
             along *= own.closed
             tables.results[row, of.ALONG] = along / (ti.sqrt(dot(target, target)) + 1e-30)
         if ti.static(self.sweep.moves_start):
-            for k in ti.static(range(3)):
-                tables.results[row, of.DRIFT + k] = exact(own.drift[k]) * own.length_unit
+            write(tables.results, row, of.DRIFT, values=scaled(exact(own.drift), exact(own.length_unit)))
         tables.results[row, of.ITERATIONS] = self.lane(lane.trips, slot)
         tables.results[row, of.STATUS] = status
         tables.results[row, of.STABLE] = self.lane(lane.stable, slot)

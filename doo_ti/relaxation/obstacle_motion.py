@@ -6,7 +6,7 @@ import taichi as ti
 from doo_ti.contact.obstacles import AXES, POINT
 from doo_ti.physics.quaternion import first_director, partway, product, rotated, second_director, tangent
 from doo_ti.physics.tuples import minus, plus, record, scaled, variable
-from doo_ti.physics.view import exact
+from doo_ti.physics.view import exact, read
 from doo_ti.relaxation.loading import Loading
 
 # Columns of an obstacle's pose at an instant: first its turn, a quaternion, then its shift, mm. They take a place x of it from
@@ -47,11 +47,11 @@ class ObstacleLoading(Loading):
                 turn = partway(old, turn, share)
                 shift = plus(scaled(before, 1.0 - share), scaled(shift, share))
             carry = product(turn, (old[0], 0.0 - old[1], 0.0 - old[2], 0.0 - old[3]))
-            point = scaled(self.columns_from(tables, own, o, POINT), 1.0 / unit)
+            point = scaled(read(tables.obstacles, own, o, POINT), 1.0 / unit)
             at.point = plus(rotated(turn, point), shift)
-            at.axis_1 = rotated(turn, self.columns_from(tables, own, o, ti.static(AXES)))
-            at.axis_2 = rotated(turn, self.columns_from(tables, own, o, ti.static(AXES + 3)))
-            at.axis_3 = rotated(turn, self.columns_from(tables, own, o, ti.static(AXES + 6)))
+            at.axis_1 = rotated(turn, read(tables.obstacles, own, o, AXES))
+            at.axis_2 = rotated(turn, read(tables.obstacles, own, o, AXES + 3))
+            at.axis_3 = rotated(turn, read(tables.obstacles, own, o, AXES + 6))
             at.pose = turn + shift
             at.carry = tangent(carry) + first_director(carry) + second_director(carry)
             at.carried = minus(shift, rotated(carry, before))
@@ -68,14 +68,6 @@ class ObstacleLoading(Loading):
     @ti.func
     def pose_from(self, tables, row, instant, o, unit):
         """The record of ``turn`` and ``shift`` of an obstacle at an instant, lengths over ``unit``."""
-        i, shift = ti.min(row, tables.poses.shape[0] - 1), ti.static(POSE_SHIFT)
-        return record(
-            turn=(tables.poses[i, instant, o, 0], tables.poses[i, instant, o, 1], tables.poses[i, instant, o, 2],
-                  tables.poses[i, instant, o, 3]),
-            shift=(tables.poses[i, instant, o, shift] / unit, tables.poses[i, instant, o, shift + 1] / unit,
-                   tables.poses[i, instant, o, shift + 2] / unit))
-
-    @ti.func
-    def columns_from(self, tables, row, o, first: ti.template()):
-        """Three numbers of an obstacle in its table."""
-        return (tables.obstacles[row, o, first], tables.obstacles[row, o, first + 1], tables.obstacles[row, o, first + 2])
+        i = ti.min(row, tables.poses.shape[0] - 1)
+        return record(turn=read(tables.poses, i, instant, o, 0, count=4),
+                      shift=scaled(read(tables.poses, i, instant, o, POSE_SHIFT), 1.0 / unit))

@@ -11,7 +11,7 @@ from doo_ti.physics import pair
 from doo_ti.physics.closure import linear_gradient, shift_of_end
 from doo_ti.physics.quaternion import first_director, second_director, tangent
 from doo_ti.physics.tuples import applied, dot, minus, plus, record, repeated, scaled, transposed, variable
-from doo_ti.physics.view import Layout
+from doo_ti.physics.view import Layout, read
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
 
@@ -73,26 +73,21 @@ class ParameterGradient(chain.Chain):
         change = stretch * stretch
         for k in ti.static(range(BEND, TWIST + 1)):
             change += tables.directions[p, k] * tables.directions[p, k]
-        bend = self.three(tables.directions, p, BEND)
+        bend = read(tables.directions, p, BEND)
         s = tables.rods[index, of.CLAMP_ROW]
         last = self.edge(rod.head, rod.edges - 1)
         holds_start = (1.0 - tables.clamp[s, of.SPIN_START], 1.0 - tables.clamp[s, of.TILT_START])
         holds_end = (1.0 - tables.clamp[s, of.SPIN_END], 1.0 - tables.clamp[s, of.TILT_END])
-        start = self.held_turn(self.edge(rod.head, 0), self.three(tables.directions, p, TURN_START), holds_start)
-        end = self.held_turn(last, self.three(tables.directions, p, TURN_END), holds_end)
-        pull, mode = self.three(tables.directions, p, PULL), ti.cast(tables.directions[p, MODE], ti.i32)
+        start = self.held_turn(self.edge(rod.head, 0), read(tables.directions, p, TURN_START), holds_start)
+        end = self.held_turn(last, read(tables.directions, p, TURN_END), holds_end)
+        pull, mode = read(tables.directions, p, PULL), ti.cast(tables.directions[p, MODE], ti.i32)
         along = change + dot(pull, pull) + dot(start, start)
         return record(
             local=(along == 0.0) & (mode == NO_MODE), bends=change > 0.0, bend=(bend[0] / unit, bend[1] / unit, bend[2] / unit),
             twist=tables.directions[p, TWIST] / unit, mode=mode, modes=tables.modes, pull=scaled(pull, factor), stretch=stretch,
             whole=scaled(plus(scaled(pull, factor), scaled(rod.gravity, stretch)), 2.0 * rod.total),
-            shift=self.three(tables.directions, p, SHIFT), move=self.three(tables.directions, p, MOVE),
+            shift=read(tables.directions, p, SHIFT), move=read(tables.directions, p, MOVE),
             turned=dot(start, start) + dot(end, end) > 0.0, turn_start=start, turn_end=end, multiplier=multiplier)
-
-    @ti.func
-    def three(self, table: ti.template(), row, column: ti.template()):
-        """Three numbers of a table's row from ``column`` on."""
-        return (table[row, column], table[row, column + 1], table[row, column + 2])
 
     @ti.func
     def held_turn(self, edge, w, holds):

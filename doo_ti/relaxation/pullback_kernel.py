@@ -18,6 +18,7 @@ from doo_ti.physics.closure import linear_gradient
 from doo_ti.physics.number import Number
 from doo_ti.physics.quaternion import first_director, second_director
 from doo_ti.physics.tuples import dot, minus, negated, plus, record, repeated, scaled, variable
+from doo_ti.physics.view import read, write
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_sensitivity import ContactSensitivity
 from doo_ti.relaxation.kernel_factory import TABLE2, TABLE3, loop_kernel
@@ -42,7 +43,7 @@ class Adjoint(SensitivityColumns):
         unit = rod.head.energy_unit
         total = variable(repeated(0.0 * rod.total, 3))
         for v in range(rod.edges + 1):
-            total = plus(total, self.vector(tables.pulls, row, v))
+            total = plus(total, read(tables.pulls, row, v, 0))
         change = self.solve_adjoint(tables, rod, row, total)
         for joint in range(rod.edges - 1):
             self.put_curvature(tables, rod, row, joint, unit)
@@ -63,9 +64,9 @@ class Adjoint(SensitivityColumns):
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)
             q = edge.frame
-            beyond = minus(beyond, self.vector(tables.pulls, row, e))
+            beyond = minus(beyond, read(tables.pulls, row, e, 0))
             r1, r2 = linear_gradient(beyond, edge.length, first_director(q), second_director(q))
-            m = self.vector(tables.twists, row, e)
+            m = read(tables.twists, row, e, 0)
             edge.rotation = negated((m[0], m[1] + r1, m[2] + r2))
         column = record(local=rod.total < 0.0, move=none, stretch=0.0 * rod.total, turn_start=none, turn_end=none,
                         whole=negated(total))
@@ -74,10 +75,10 @@ class Adjoint(SensitivityColumns):
         factor = 1.0 / rod.head.energy_unit
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)
-            self.put(tables.displaced, row, e, scaled(x, factor))
-            self.put(tables.turned, row, e, scaled(edge.rotation, factor))
+            write(tables.displaced, row, e, 0, values=scaled(x, factor))
+            write(tables.turned, row, e, 0, values=scaled(edge.rotation, factor))
             x = self.moved_end(edge, x, column.stretch)
-        self.put(tables.displaced, row, rod.edges, scaled(x, factor))
+        write(tables.displaced, row, rod.edges, 0, values=scaled(x, factor))
         return change
 
     @ti.func
@@ -85,52 +86,40 @@ class Adjoint(SensitivityColumns):
         """−pᵀ ∂g/∂ω̄ of a joint: ½ B δω of both frames, since its energy is that of ω − ω̄ l̄/2 over 2 l̄."""
         bent, s = self.kept_pair(rod, joint)
         x, y, inverse, m, turn = bent
-        before, after = self.vector(tables.turned, row, joint), self.vector(tables.turned, row, joint + 1)
+        before, after = read(tables.turned, row, joint, 0), read(tables.turned, row, joint + 1, 0)
         change = pair.curvature_variation(x, y, inverse, turn, before, after)
         none = repeated(0.0 * unit, 2)
         left = pair.moment(s[0], pair.strain((change[0], change[1]), none), 0.25)
         right = pair.moment(s[1], pair.strain((change[2], change[3]), none), 0.25)
         # As the complex numbers i/2 B δω.
-        tables.curvature[row, joint, 0] = unit * (left[1] + right[1])
-        tables.curvature[row, joint, 1] = 0.0 - unit * (left[0] + right[0])
+        write(tables.curvature, row, joint, 0, values=(unit * (left[1] + right[1]), 0.0 - unit * (left[0] + right[0])))
 
     @ti.func
     def followed(self, tables, rod, row, column, total):
         """What the cotangents make of the displacements and turns that the column itself prescribes."""
         moved = variable(column.move)
-        found = dot(self.vector(tables.pulls, row, 0), moved)
+        found = dot(read(tables.pulls, row, 0, 0), moved)
         for e in range(rod.edges):
             w = self.held_turn_of(rod, e, column)
             moved = self.end_of_turned(self.edge(rod.head, e), moved, w, column.stretch)
-            found += dot(self.vector(tables.pulls, row, e + 1), moved) + dot(self.vector(tables.twists, row, e), w)
+            found += dot(read(tables.pulls, row, e + 1, 0), moved) + dot(read(tables.twists, row, e, 0), w)
         return found - rod.released * dot(total, moved)
 
     @ti.func
     def worked(self, tables, rod, row, column):
         """pᵀ ∂g/∂θ, ∂g/∂θ being in the place of the step: with what obstacles and the weight do to vertices."""
-        moved, x = variable(column.move), variable(self.vector(tables.displaced, row, 0))
+        moved, x = variable(column.move), variable(read(tables.displaced, row, 0, 0))
         found = rod.loose * dot(x, column.whole)
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)
-            after, before = self.vector(tables.displaced, row, e + 1), variable(moved)
+            after, before = read(tables.displaced, row, e + 1, 0), variable(moved)
             moved = self.end_of_turned(edge, moved, self.held_turn_of(rod, e, column), column.stretch)
-            work = dot(self.vector(tables.turned, row, e), edge.rotation)
+            work = dot(read(tables.turned, row, e, 0), edge.rotation)
             if ti.static(self.touches):
                 work += self.pushed_work(edge, before, moved, x, after)
             found += work
             x = after
         return found
-
-    @ti.func
-    def vector(self, table: ti.template(), row, place):
-        """Three numbers of a table."""
-        return (table[row, place, 0], table[row, place, 1], table[row, place, 2])
-
-    @ti.func
-    def put(self, table: ti.template(), row, place, v):
-        """Three numbers into a table."""
-        for k in ti.static(range(3)):
-            table[row, place, k] = v[k]
 
 
 @ti.data_oriented

@@ -8,6 +8,7 @@ import taichi as ti
 
 from doo_ti.physics.quaternion import first_director, second_director, tangent
 from doo_ti.physics.tuples import minus, plus, products, record, repeated, scaled, variable
+from doo_ti.physics.view import read, write
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.end_moments import FIRST, LAST, EndMoments
 from doo_ti.relaxation.newton_policy import TRACE, TRACE_IN_CONTACT
@@ -41,7 +42,7 @@ class SensitivityColumns(EndMoments):
                 self.load_contacts(tables, rod, index)
             unit = head.energy_unit
             self.load_forces(tables, rod, row, unit)
-            force = self.three(tables.results, row, of.FORCE)
+            force = read(tables.results, row, of.FORCE)
             multiplier = (0.0 - force[0] / unit, 0.0 - force[1] / unit, 0.0 - force[2] / unit)
             self.differentiate(tables, rod, index, row, multiplier)
             index += tables.threads
@@ -56,8 +57,8 @@ class SensitivityColumns(EndMoments):
             tables.sound[row] = 1
         else:
             tables.sound[row] = self.is_minimum(rod, multiplier)
-        self.put_vector(tables.moments, row, 0, scaled(self.end_moment(rod, FIRST, multiplier), unit))
-        self.put_vector(tables.moments, row, 3, scaled(self.end_moment(rod, LAST, multiplier), unit))
+        write(tables.moments, row, 0, values=scaled(self.end_moment(rod, FIRST, multiplier), unit))
+        write(tables.moments, row, 3, values=scaled(self.end_moment(rod, LAST, multiplier), unit))
         schur = self.schur_complement(rod)
         for p in range(tables.columns):
             column = self.column(tables, rod, index, p, multiplier)
@@ -67,12 +68,6 @@ class SensitivityColumns(EndMoments):
             change = self.solve_column(rod, column, schur, closure)
             self.store_column(tables, rod, row, p, column)
             self.store_loads(tables, rod, row, p, column, change)
-
-    @ti.func
-    def put_vector(self, table: ti.template(), row, place: ti.template(), v):
-        """Three numbers into a table's row."""
-        for k in ti.static(range(3)):
-            table[row, place + k] = v[k]
 
     @ti.func
     def load_forces(self, tables, rod, row, unit):

@@ -4,7 +4,7 @@ import taichi as ti
 
 from doo_ti.physics.quaternion import partway, tangent, transported
 from doo_ti.physics.tuples import dot, minus, plus, repeated, scaled, variable
-from doo_ti.physics.view import exact
+from doo_ti.physics.view import exact, read, write
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.time_layout import INERTIA, SPRING_POINT, VERTEX_ITEMS
 from doo_ti.relaxation.time_reach import ReachLoading
@@ -50,8 +50,8 @@ class MotionLoading(ReachLoading):
         edges = tables.rest_length.shape[1]
         for e in range(edges):
             motion, place = self.edge(own, e).motion, (row * edges + e) * 4
-            motion.frame_1 = self.frame_from(tables.frames, place)
-            motion.frame_2 = self.frame_from(tables.frames_before, place)
+            motion.frame_1 = read(tables.frames, place, count=4)
+            motion.frame_2 = read(tables.frames_before, place, count=4)
         if ti.static(self.touches):
             own.euler = 0.0
         self.load_last_reach(tables, own, tables.rods[rod, of.CLAMP_ROW])
@@ -73,8 +73,8 @@ class MotionLoading(ReachLoading):
         own, edges = head.lane(slot), tables.rest_length.shape[1]
         unit = exact(own.length_unit)
         share = self.share_of_way(tables, slot)
-        anchor = variable([tables.path[s, step, PATH_ANCHOR + k] for k in ti.static(range(3))])
-        line = variable([tables.path[s, step, PATH_TARGET + k] for k in ti.static(range(3))])
+        anchor = variable(read(tables.path, s, step, PATH_ANCHOR))
+        line = variable(read(tables.path, s, step, PATH_TARGET))
         if share < 1.0:
             # From where the clamps were at the last instant; a free vertex 0 is measured from a fixed place.
             start = exact(own.vertex.place_1)
@@ -110,9 +110,7 @@ class MotionLoading(ReachLoading):
         """The frame of an end ``edge`` after that share of its way; returns its tangent, zero where it is not held."""
         along = variable(repeated(ti.cast(0.0, ti.f64), 3))
         if tables.clamp[s, of.TILT_START + end] == 0.0:
-            column = ti.static(PATH_ENDS + 4 * end)
-            held = variable((tables.path[s, step, column], tables.path[s, step, column + 1],
-                             tables.path[s, step, column + 2], tables.path[s, step, column + 3]))
+            held = variable(read(tables.path, s, step, PATH_ENDS + 4 * end, count=4))
             along = tangent(held)
             last = exact(edge.motion.frame_1)
             if tables.clamp[s, of.SPIN_START + end] > 0.0:
@@ -134,14 +132,11 @@ class MotionLoading(ReachLoading):
         own, edges = head.lane(slot), tables.rest_length.shape[1]
         self.store_vertices(tables.places, row, INERTIA, own, edges)
         for e in range(edges):
-            motion = self.edge(own, e).motion
-            for k in ti.static(range(4)):
-                place = (row * edges + e) * 4 + k
-                tables.frames[place] = motion.frame_1[k]
-                tables.frames_before[place] = motion.frame_2[k]
+            motion, place = self.edge(own, e).motion, (row * edges + e) * 4
+            write(tables.frames, place, values=motion.frame_1)
+            write(tables.frames_before, place, values=motion.frame_2)
         if ti.static(self.moves_start):
-            for k in ti.static(range(3)):
-                tables.results[row, of.DRIFT + k] = exact(own.length_unit) * own.drift[k]
+            write(tables.results, row, of.DRIFT, values=scaled(exact(own.drift), exact(own.length_unit)))
 
     @ti.func
     def store_vertices(self, target: ti.template(), row, count: ti.template(), own, edges):

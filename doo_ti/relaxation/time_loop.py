@@ -3,7 +3,7 @@
 import taichi as ti
 
 from doo_ti.physics.tuples import choose, chosen, plus, put_lane, repeated, scaled
-from doo_ti.physics.view import exact
+from doo_ti.physics.view import exact, read
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.clamp_table import INFEASIBLE, TAUT
 from doo_ti.relaxation.loading import LANES
@@ -108,8 +108,7 @@ class TimeLoop(NewtonLoop):
             tables.queue[steps_made + slot] = 0
             if self.lane(lane.active, slot) > 0.5:
                 row = tables.rods[tables.queue[supply.places + slot], of.RESULT_ROW]
-                last = [tables.results[row, of.FORCE + k] for k in ti.static(range(3))]
-                put_lane(lane, self.with_lane, slot, multiplier=last)
+                put_lane(lane, self.with_lane, slot, multiplier=read(tables.results, row, of.FORCE))
                 self.loading.load_motion(tables, head, slot, tables.queue[supply.places + slot])
                 if ti.static(self.differentiates):
                     self.load_slopes(tables, head, slot, tables.queue[supply.places + slot])

@@ -8,7 +8,7 @@ import taichi as ti
 
 from doo_ti.physics import vertex_form
 from doo_ti.physics.tuples import choose, dot, minus, picked, plus, record, repeated, scaled, variable
-from doo_ti.physics.view import Layout
+from doo_ti.physics.view import Layout, read
 from doo_ti.relaxation import tables as of
 
 VERTEX = Layout(position=3, director=3, force=3, state=("position", 9), trial_position=3, trial_director=3, trial_force=3,
@@ -183,17 +183,13 @@ class VertexChain:
         longest, shortest = (ti.cast(0.0, ti.f64), ti.cast(1e30, ti.f64))
         for v in range(edges + 1):
             at = self.vertex(origin, v)
-            for k in ti.static(range(3)):
-                at.position[k] = tables.vertices[s, v, k]
-                at.force[k] = 0.0
+            at.position, at.force = read(tables.vertices, s, v, 0), repeated(ti.cast(0.0, ti.f64), 3)
             if v < edges:
                 longest = ti.max(longest, tables.rest_length[row, v])
                 shortest = ti.min(shortest, tables.rest_length[row, v])
                 at.length = tables.rest_length[row, v]
                 column = ti.min(of.STIFFNESS + v * of.STIFFNESS_COLUMNS, tables.material.shape[1] - of.STIFFNESS_COLUMNS)
-                for k in ti.static(range(3)):
-                    at.director[k] = tables.directors[s, v, k]
-                    at.bend[k] = tables.material[g, column + (of.BEND + k)]
+                at.director, at.bend = read(tables.directors, s, v, 0), read(tables.material, g, column + of.BEND)
                 if v > 0:
                     both = tables.rest_length[row, v - 1] + tables.rest_length[row, v]
                     at.inverse_length = 1.0 / both
