@@ -39,7 +39,7 @@ class GroupContacts(Ties, SelfContacts):
     # --- views of scratch ---
 
     @picked
-    def numbers(self, tables):
+    def items(self, tables):
         edges = tables.rest_length.shape[1]
         group = group_items(edges, tables.places.shape[1], tables.ties.shape[0], tables.borders.shape[0])
         return contact_items(edges, tables.kinds.shape[0]) + pair_items(edges) + group

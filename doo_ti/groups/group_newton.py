@@ -3,6 +3,7 @@
 from copy import deepcopy
 from dataclasses import dataclass, fields, replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import taichi as ti
@@ -10,18 +11,14 @@ import taichi as ti
 from doo_ti.groups.group_contacts import GroupContacts
 from doo_ti.groups.group_elimination import GroupElimination
 from doo_ti.groups.joint_rest import JointRest
-from doo_ti.groups.layout import group_items
 from doo_ti.physics.number import Number
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.batch import UNTOUCHED, buffers, fitting, layout_for, policy_row
-from doo_ti.relaxation.chain_layout import numbers_of_rod
-from doo_ti.relaxation.contact_layout import contact_items
+from doo_ti.relaxation.batch import UNTOUCHED, laid_out, layout_for, policy_row
 from doo_ti.relaxation.contact_table import ContactTable
 from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, TABLE1, TABLE3, loop_kernel
 from doo_ti.relaxation.newton import NEWTON, OBSTACLES, OUTER, Newton
 from doo_ti.relaxation.newton_loop import NewtonLoop
 from doo_ti.relaxation.newton_policy import TRACE_IN_CONTACT
-from doo_ti.relaxation.pair_layout import pair_items
 from doo_ti.rod.types import Status
 from doo_ti.system import runtime
 
@@ -92,12 +89,12 @@ GROUPS = {
 
 @cache
 def group_kernel(number: Number, stride: int, block: int, obstacles: frozenset[int]):
-    """The kernel, compiled on first use, for one kind of number and obstacles of those kinds."""
+    """(The kernel, compiled on first use, for one kind of number and obstacles of those kinds, and :meth:`.Chain.items`.)"""
     sweep = GroupElimination(number, stride, GroupContacts(number, obstacles, rub=True))
     loop = NewtonLoop(sweep, sweep.functions)
     loop.trace = TRACE_IN_CONTACT
-    return runtime.compiled_briefly(
-        loop_kernel("newton_of_groups", number, NEWTON | OUTER | OBSTACLES | GROUPS, loop.work, block))
+    given = NEWTON | OUTER | OBSTACLES | GROUPS
+    return loop_kernel("newton_of_groups", number, given, loop.work, block, brief=True), sweep.items
 
 
 @dataclass(frozen=True)
@@ -154,15 +151,12 @@ def _launch(table: GroupTables, options: Newton, state: GroupState, previous: np
     """Relax the groups ``rows``."""
     if not len(rows):
         return
-    edges = table.start.shape[1]
     rods = of.rod_rows(rows, rows % len(table.material), rows, rows, rows % len(table.rest))
     contact, joints = table.contact, JointRest(table.rest)
-    number, threads, stride, block = layout_for(len(rows), 64, True)
-    items = numbers_of_rod(edges, False, joints, True) + contact_items(edges, len(contact.kinds)) + pair_items(edges)
-    items += group_items(edges, state.places.shape[1], len(table.ties), len(table.borders))
-    threads, stride = fitting(threads, stride, items)
-    kernel = group_kernel(number, stride, block, contact.known)
-    scratch, queue = buffers(number, threads, items)
+    given = SimpleNamespace(rest_length=table.rest_length, kinds=contact.kinds, places=state.places, ties=table.ties,
+                            borders=table.borders)
+    kernel, threads, scratch, queue = laid_out(
+        layout_for(len(rows), 64, True), lambda *layout: group_kernel(*layout, contact.known), given)
     kernel(
         table.start.reshape(-1), table.rest_length, table.clamp, table.material, rods, policy_row(table.up, options, 64),
         threads, scratch, queue, state.frames.reshape(-1), state.results, joints.numbers(), joints.field(),

@@ -3,19 +3,20 @@
 Scratch memory is allocated once per thread and reused, independent of the number of rods.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from doo_ti.physics.number import Number
 from doo_ti.relaxation import descent, newton
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.chain_layout import numbers_of_rod
 from doo_ti.relaxation.external import Nothing
 from doo_ti.relaxation.loading import LANES, TRIPS
 from doo_ti.relaxation.newton_policy import CLOSING_DISTANCE
 from doo_ti.relaxation.tables import Tables, room, whole_start
-from doo_ti.relaxation.vertex_chain import VERTEX
 from doo_ti.rod.frames import matrix_from_quaternion, quaternion_from_matrix, vertices_from_quaternions
 from doo_ti.rod.types import Solution, Status
 from doo_ti.system import runtime
@@ -27,7 +28,8 @@ UNTOUCHED = np.full(of.RESULTS, np.nan)
 """The results of an infeasible rod, which no kernel relaxes."""
 UNTOUCHED[[of.ITERATIONS, of.STATUS]] = 0.0, Status.INFEASIBLE
 
-_queues: dict[Number, np.ndarray] = {}
+_last: dict[int, tuple[Number, np.ndarray]] = {}
+"""By bits: the numbers and the queue of the last launch."""
 
 
 def run_newton(table: Tables, options: newton.Newton, bits: int, begin: Solution | None = None, moving: bool = True):
@@ -85,7 +87,7 @@ def _untouched(count: int) -> np.ndarray:
 
 def pack_trips(bits: int) -> tuple[int, int]:
     """(trips through Newton's loop, all threads together, and rods in a pack) of the last launch in that precision."""
-    number, queue = next((number, queue) for number, queue in _queues.items() if number.bits == bits)
+    number, queue = _last[bits]
     return int(queue[TRIPS]), number.width
 
 
@@ -110,23 +112,22 @@ def _launch_kernel(table: Tables, isotropic: bool, any_ends: bool, start, rods, 
                    bits: int, frames, results) -> None:
     """:func:`_launch_newton` over rods of one kernel."""
     contact = table.contact
-    number, threads, stride, block = layout_for(len(rods), bits, contact is not None and contact.itself)
+    layout = layout_for(len(rods), bits, contact is not None and contact.itself)
     external = Nothing() if table.external is None and any_ends else table.external
     kind = None if external is None else type(external)
     outer = () if external is None else (external.numbers(), external.field())
-    # Decided by the rods of the call, not of this launch: the few rods that a large call leaves to f64 need no second kernel.
-    # An external energy has no serial kernel, because it takes long to compile.
-    serial = block == 1 and table.count <= number.width and external is None
-    items = numbers_of_rod(table.edges, isotropic, external, any_ends)
-    if contact is not None:
-        items += contact.items(table.edges, len(contact.kinds))
-        outer += contact.arguments(contact.forces, options.gap_tolerance)
-    threads, stride = fitting(threads, stride, items)
     if contact is None:
-        kernel = newton.newton_kernel(number, isotropic, stride, block, serial, kind, any_ends)
+        # Decided by the rods of the call, not of this launch: the few rods that a large call leaves to f64 need no second
+        # kernel. An external energy has no serial kernel, because it takes long to compile.
+        serial = layout[3] == 1 and table.count <= layout[0].width and external is None
+        given = SimpleNamespace(rest_length=table.rest_length)
+        launch = laid_out(layout, lambda *layout: newton.newton_kernel(*layout, isotropic, serial, kind, any_ends), given)
     else:
-        kernel = newton.contact_kernel(number, isotropic, stride, block, kind, contact.known, contact.itself)
-    scratch, queue = buffers(number, threads, items)
+        outer += contact.arguments(contact.forces, options.gap_tolerance)
+        given = SimpleNamespace(rest_length=table.rest_length, kinds=contact.kinds)
+        launch = laid_out(layout, lambda *layout: newton.contact_kernel(
+            *layout, isotropic, kind, contact.known, contact.itself), given)
+    kernel, threads, scratch, queue = launch
     kernel(
         start.reshape(-1), table.rest_length, table.clamp, table.material, rods, policy, threads, scratch, queue,
         frames.reshape(-1), results, *outer)
@@ -150,12 +151,12 @@ def run_descent(table: Tables, options: descent.Descent, bits: int):
     closed, _ = run_newton(table, projection, 64, moving=False)
     table = table.restarted(closed)
     vertices, directors = _vertex_form(table)
-    number, threads, stride, block = layout_for(len(table.rods), bits)
-    scratch, queue = buffers(number, threads, len(VERTEX) * (table.edges + 1))
+    kernel, threads, scratch, queue = laid_out(
+        layout_for(len(table.rods), bits), descent.descent_kernel, SimpleNamespace(vertices=vertices))
     positions = np.full((table.count, table.edges + 1, 3), np.nan)
     axes = np.full((table.count, table.edges, 3), np.nan)
     results = _untouched(table.count)
-    descent.descent_kernel(number, stride, block)(
+    kernel(
         vertices, directors, table.rest_length, table.clamp, table.material, np.array(table.up, dtype=np.float64), table.rods,
         options.tolerance, options.max_iterations, options.largest_move, threads, scratch, queue, positions, axes, results,
     )
@@ -198,18 +199,29 @@ def layout_for(rods: int, bits: int, alone: bool = False) -> tuple[Number, int, 
     return Number(1, bits), threads, threads, 64
 
 
-def fitting(threads: int, stride: int, items: int) -> tuple[int, int]:
-    """As many of the threads, and the stride of their scratch, as have ``items`` numbers each that 32 bits can count."""
-    fewer = max(1, min(threads, of.MOST_NUMBERS // items))
-    return fewer, stride if stride == 1 else fewer
+class Launch(NamedTuple):
+    """What a launch needs besides tables: the kernel, its threads, scratch for all of them, and the queue, all zero (a NumPy
+    array, because filling a Taichi array takes a launch)."""
+
+    kernel: Callable
+    threads: int
+    scratch: Any
+    queue: np.ndarray
 
 
-def scratch_for(number: Number, size: int):
-    """Scratch of ``size`` values or more, kept from call to call."""
-    return runtime.array_for(number, size, number.type)
+def laid_out(layout: tuple[Number, int, int, int], factory: Callable, given: SimpleNamespace) -> Launch:
+    """A launch in that ``layout`` (:func:`layout_for`), of as many of its threads as have numbers that 32 bits can count.
 
-
-def buffers(number: Number, threads: int, items: int):
-    """(scratch for every thread, and the queue, all zero: a NumPy array, because filling a Taichi array takes a launch)."""
-    queue = _queues[number] = np.zeros(LANES + threads * number.width, dtype=np.int32)
-    return scratch_for(number, threads * items), queue
+    factory  makes of (number, stride, block) the kernel and a function that says how many numbers of scratch a thread needs
+    given    the arrays of the kernel whose shapes that function reads
+    """
+    number, threads, stride, block = layout
+    kernel, items = factory(number, stride, block)
+    size = items(given)
+    if threads * size > of.MOST_NUMBERS:
+        threads = max(1, of.MOST_NUMBERS // size)
+        kernel, _ = factory(number, stride if stride == 1 else threads, block)
+    # Places of the lanes' rods; motions also have their steps.
+    queue = np.zeros(LANES + 2 * threads * number.width, dtype=np.int32)
+    _last[number.bits] = number, queue
+    return Launch(kernel, threads, runtime.array_for(number, threads * size, number.type), queue)

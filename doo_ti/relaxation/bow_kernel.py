@@ -9,7 +9,7 @@ from doo_ti.contact.obstacles import OBSTACLE_COLUMNS, PLANE
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import cross, dot, minus, plus, record, scaled, variable
 from doo_ti.physics.view import Scratch, read
-from doo_ti.system import runtime
+from doo_ti.relaxation.kernel_factory import INDEX1, TABLE1, loop_kernel
 
 # Columns of a try: the number of half waves; whether it lies aside; to which side; the largest slope, rad; and one where the
 # way from the straight line is followed.
@@ -32,6 +32,12 @@ class BowSearch:
         number = Number(1, 32)
         self.distance, self.scalar = Distance(number, kinds), number.scalar
         self.memory = Scratch(number, 1)
+
+    @ti.func
+    def work(self, tables, thread):
+        """A thread's share of the rods."""
+        for k in range((tables.chosen.shape[0] - thread + tables.threads - 1) // tables.threads):
+            tables.chosen[thread + k * tables.threads] = self.search(tables, thread + k * tables.threads)
 
     @ti.func
     def value(self, tables, r, o, x):
@@ -127,32 +133,25 @@ class BowSearch:
         return found
 
 
+SINGLE1, SINGLE2, SINGLE3 = (ti.types.ndarray(dtype=ti.f32, ndim=ndim) for ndim in (1, 2, 3))
+ARGUMENTS = {
+    "anchor": SINGLE2,  # [rod, 3] mm
+    "tangents": SINGLE3,  # [rod, edge, 3] of the straight lines
+    "axis": SINGLE2,  # [rod, 3] about which the edges of the first bow turn
+    "lengths": SINGLE2,  # [rod, edge] mm
+    "place": SINGLE2,  # [rod, edge] of the free edges along the rod
+    "free": SINGLE2,  # [rod, edge] one where it may tilt
+    "slope": SINGLE1,  # [rod] that closes it, rad
+    "tries": SINGLE2,  # [try, TRY_COLUMNS]
+    "obstacles": SINGLE1,  # [1 or rod · obstacle · column]
+    "kinds": INDEX1, "grids": TABLE1,
+    "threads": ti.i32,
+    "chosen": INDEX1,  # [rod] out: a try, or NONE
+}
+"""What the kernel is given, in this order."""
+
+
 @cache
-def bow_kernel(kinds: frozenset[int]):
-    """The kernel for obstacles of some kinds."""
-    search = BowSearch(kinds)
-    f32 = [ti.types.ndarray(dtype=ti.f32, ndim=ndim) for ndim in range(1, 4)]
-
-    @runtime.kernel
-    def choose(
-        anchor: f32[1],  # [rod, 3] mm
-        tangents: f32[2],  # [rod, edge, 3] of the straight lines
-        axis: f32[1],  # [rod, 3] about which the edges of the first bow turn
-        lengths: f32[1],  # [rod, edge] mm
-        place: f32[1],  # [rod, edge] of the free edges along the rod
-        free: f32[1],  # [rod, edge] one where it may tilt
-        slope: f32[0],  # [rod] that closes it, rad
-        tries: f32[1],  # [try, TRY_COLUMNS]
-        obstacles: f32[0],  # [1 or rod · obstacle · column]
-        kinds: ti.types.ndarray(dtype=ti.i32, ndim=1),
-        grids: ti.types.ndarray(dtype=ti.f64, ndim=1),
-        threads: ti.i32,
-        chosen: ti.types.ndarray(dtype=ti.i32, ndim=1),  # [rod] out: a try, or NONE
-    ):
-        for thread in range(threads):
-            tables = record(anchor=anchor, tangents=tangents, axis=axis, lengths=lengths, place=place, free=free, slope=slope,
-                            tries=tries, obstacles=obstacles, kinds=kinds, grids=grids)
-            for k in range((chosen.shape[0] - thread + threads - 1) // threads):
-                chosen[thread + k * threads] = search.search(tables, thread + k * threads)
-
-    return choose
+def bow_kernel(kinds: frozenset[int], block: int):
+    """The kernel for obstacles of some kinds; ``block`` as of :func:`.loop_kernel`."""
+    return loop_kernel("choose_bows", Number(1, 32), ARGUMENTS, BowSearch(kinds).work, block)

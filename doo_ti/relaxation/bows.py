@@ -121,12 +121,12 @@ def bowed_among(rods: Straight, obstacles: Sequence[Obstacle], beside_others: bo
 
 def _chosen(rods: Straight, obstacles: Sequence[Obstacle], tries: np.ndarray) -> np.ndarray:
     """(N,) the first of the ``tries`` (K, TRY_COLUMNS) that fits, or NONE."""
-    runtime.start()
+    on_cpu = runtime.start() == "cpu"
     kinds, grids = grid_table(obstacles)
     chosen = np.empty(len(rods.whole), dtype=np.int32)
     known = frozenset(np.minimum(kinds, GRID).tolist())
     single = (np.ascontiguousarray(value, dtype=np.float32) for value in (
         rods.anchor, rods.tangents, rods.axis, rods.lengths, rods.place, rods.free, rods.slope, tries,
         obstacle_table(obstacles).reshape(-1)))
-    bow_kernel(known)(*single, kinds, grids, min(len(chosen), MOST_THREADS), chosen)
+    bow_kernel(known, 1 if on_cpu else 64)(*single, kinds, grids, min(len(chosen), MOST_THREADS), chosen)
     return chosen

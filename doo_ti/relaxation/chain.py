@@ -79,9 +79,14 @@ class Chain:
     # --- access to scratch ---
 
     @picked
-    def numbers(self, edges):
-        """Numbers of a rod with so many edges."""
+    def chain_items(self, edges):
+        """Numbers of a rod with so many edges, without contacts."""
         return len(self.rod_layout) + len(self.edge_layout) * edges
+
+    @picked
+    def items(self, given):
+        """How many numbers of a rod scratch holds for a kernel that is ``given`` a record of such arrays."""
+        return self.chain_items(given.rest_length.shape[1])
 
     @picked
     def completed(self, given, thread):
@@ -95,12 +100,12 @@ class Chain:
     @picked
     def behind(self, array, threads, thread, edges, numbers, layout: Layout):
         """The view of ``numbers`` more of a thread in scratch: behind the chains of all threads."""
-        return self.memory.behind(array, threads, thread, self.numbers(edges), layout, numbers)
+        return self.memory.behind(array, threads, thread, self.chain_items(edges), layout, numbers)
 
     @picked
     def head(self, array, thread, edges):
         """The view of what a thread's scratch holds of its rods."""
-        return self.memory.of_thread(array, thread, self.rod_layout, self.numbers(edges))
+        return self.memory.of_thread(array, thread, self.rod_layout, self.chain_items(edges))
 
     @picked
     def edge(self, head, e):

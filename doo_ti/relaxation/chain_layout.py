@@ -38,9 +38,3 @@ def edge_layout(isotropic: bool, outer: Layout | None = None, force: bool = Fals
 def rod_layout(outer_start: Layout | None = None) -> Layout:
     """What scratch holds of a rod, whose vertex 0 may move if there are numbers ``outer_start`` of an external energy there."""
     return ROD if outer_start is None else ROD + LOOSE + Layout(outer=outer_start)
-
-
-def numbers_of_rod(edges: int, isotropic: bool, external=None, any_ends: bool = False) -> int:
-    """How many numbers scratch holds of a rod with so many edges (:class:`doo_ti.relaxation.loaded_elimination`)."""
-    edge = edge_layout(isotropic, None if external is None else external.layout, any_ends)
-    return len(rod_layout(external.start_layout if any_ends else None)) + len(edge) * edges

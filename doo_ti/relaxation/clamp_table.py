@@ -6,10 +6,12 @@ import numpy as np
 import taichi as ti
 
 from doo_ti.physics.algebra import absolute, larger
+from doo_ti.physics.number import Number
 from doo_ti.physics.quaternion import from_matrix, normalised, tangent, transported, turned_in_world
 from doo_ti.physics.tuples import cross, dot, minus, record, repeated, row, scaled, transposed, variable
 from doo_ti.physics.view import read, write
 from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.kernel_factory import INDEX2, TABLE2, TABLE3, loop_kernel
 from doo_ti.relaxation.tables import FRAME, POSITION, TANGENT
 from doo_ti.rod.frames import FRAME_TOLERANCE
 from doo_ti.rod.types import Clamps, Configuration
@@ -84,12 +86,12 @@ class ClampReader:
     """Fills the table of clamps. ``tables`` is the record of the kernel's arrays."""
 
     @ti.func
-    def read_share(self, tables, threads, thread):
+    def read_share(self, tables, thread):
         """Rows of one thread."""
         zero = ti.cast(0.0, ti.f64)
         size = record(total=zero, longest=zero, shortest_pair=zero, hanging=zero, standing=zero)
         self.measure(tables.rest_length, 0, size)
-        share = (tables.start.shape[0] + threads - 1) // threads
+        share = (tables.start.shape[0] + tables.threads - 1) // tables.threads
         for s in range(thread * share, ti.min((thread + 1) * share, tables.start.shape[0])):
             if tables.rest_length.shape[0] > 1:
                 self.measure(tables.rest_length, s, size)
@@ -193,27 +195,21 @@ class ClampReader:
         return found
 
 
+ARGUMENTS = {
+    "states": INDEX2,  # [start, STATES] in and out
+    "given": TABLE2,  # [start, ORIGIN …] mm
+    "start": TABLE3,  # [start, edge, 4] of any length
+    "rest_length": TABLE2,  # [1 or start, edge] mm
+    "threads": ti.i32,
+    "clamp": TABLE2,  # [start, CLAMP_COLUMNS] out
+}
+"""What the kernel is given, in this order."""
+
+
 @cache
 def clamp_kernel(serial: bool, block: int):
-    """The kernel, compiled on first use; ``serial``: on the caller's thread; ``block``: threads in a block, 1 on a CPU."""
-    reader = ClampReader()
-    table2, table3 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (2, 3))
-
-    @runtime.kernel
-    def read_clamps(
-        states: ti.types.ndarray(dtype=ti.i32, ndim=2),  # [start, STATES] in and out
-        given: table2,  # [start, ORIGIN …] mm
-        start: table3,  # [start, edge, 4] of any length
-        rest_length: table2,  # [1 or start, edge] mm
-        threads: ti.i32,
-        clamp: table2,  # [start, CLAMP_COLUMNS] out
-    ):
-        ti.loop_config(block_dim=block, serialize=serial)
-        for thread in range(threads):
-            tables = record(states=states, given=given, start=start, rest_length=rest_length, clamp=clamp)
-            reader.read_share(tables, threads, thread)
-
-    return read_clamps
+    """The kernel, compiled on first use; ``serial`` and ``block`` as of :func:`.loop_kernel`."""
+    return loop_kernel("read_clamps", Number(1, 64), ARGUMENTS, ClampReader().read_share, block, serial)
 
 
 @runtime.exclusive

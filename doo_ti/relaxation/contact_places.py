@@ -62,7 +62,7 @@ class ContactPlaces:
         return vertex.part(CONTACT, len(VERTEX) + index * len(CONTACT))
 
     @picked
-    def numbers(self, tables):
+    def items(self, tables):
         """How many numbers of a rod's contacts scratch holds."""
         return contact_items(tables.rest_length.shape[1], tables.kinds.shape[0])
 

@@ -1,6 +1,6 @@
 """The obstacles of many rods as tables, and which of the rods can reach any (docs/contact.md)."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -11,8 +11,8 @@ from doo_ti.contact.gap_tolerance import GAP_TOLERANCE, gap_tolerance
 from doo_ti.contact.obstacles import FRICTION, GRID, Obstacle, obstacle_table
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contact_layout import REMEMBERED, REMEMBERED_IN_MOTION, contact_items
-from doo_ti.relaxation.pair_layout import CARRIED, self_contact_items
+from doo_ti.relaxation.contact_layout import REMEMBERED, REMEMBERED_IN_MOTION
+from doo_ti.relaxation.pair_layout import CARRIED
 from doo_ti.rod.types import Clamp, Clamps, Configuration
 from doo_ti.system.errors import InputError
 
@@ -49,11 +49,6 @@ class ContactTable:
     def rubs(self) -> bool:
         """Whether there is any friction."""
         return bool((self.obstacles[..., FRICTION] > 0).any()) or self.itself and bool((self.self_friction > 0).any())
-
-    @property
-    def items(self) -> Callable[[int, int], int]:
-        """How many numbers of a rod's contacts the kernel keeps, by edges and obstacles."""
-        return self_contact_items if self.itself else contact_items
 
     @property
     def known(self) -> frozenset[int]:

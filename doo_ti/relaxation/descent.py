@@ -15,7 +15,7 @@ from functools import cache
 import taichi as ti
 
 from doo_ti.physics.number import Number
-from doo_ti.physics.tuples import chosen, put_lane, record, repeated
+from doo_ti.physics.tuples import chosen, picked, put_lane, record, repeated
 from doo_ti.physics.view import Scratch
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, SCRATCH, TABLE1, TABLE2, TABLE3, loop_kernel
@@ -82,10 +82,15 @@ class DescentLoop:
         self.converged, self.limit = int(Status.CONVERGED), int(Status.ITERATION_LIMIT)
         self.stalled, self.not_finite = int(Status.STALLED), int(Status.NOT_FINITE)
 
+    @picked
+    def items(self, given):
+        """As :meth:`.Chain.items`."""
+        return given.vertices.shape[1] * VERTEX.size
+
     @ti.func
     def work(self, tables, thread):
         """A thread's work, until the queue is empty."""
-        origin = self.memory.of_thread(tables.scratch, thread, VERTEX, tables.vertices.shape[1] * VERTEX.size)
+        origin = self.memory.of_thread(tables.scratch, thread, VERTEX, self.items(tables))
         lane = self.idle_lanes()
         places = LANES + thread * self.width  # where the queue says which rods the lanes have
         running = 1
@@ -233,5 +238,6 @@ ARGUMENTS = {
 
 @cache
 def descent_kernel(number: Number, stride: int, block: int):
-    """The kernel for one kind of number; materials are always general. See :func:`.newton.newton_kernel`."""
-    return loop_kernel("descent", number, ARGUMENTS, DescentLoop(number, stride).work, block)
+    """As :func:`.newton.newton_kernel`, for materials of any kind."""
+    loop = DescentLoop(number, stride)
+    return loop_kernel("descent", number, ARGUMENTS, loop.work, block), loop.items

@@ -22,12 +22,14 @@ SOURCE = """def {name}({names}):
 """
 
 
-def loop_kernel(name: str, number: Number, arguments: dict, work: Callable, block: int, serial: bool = False) -> Callable:
+def loop_kernel(name: str, number: Number, arguments: dict, work: Callable, block: int, serial: bool = False,
+                brief: bool = False) -> Callable:
     """A kernel that takes ``arguments``, types by names in the order of a call, among them ``threads``, and has each of so many
     threads do ``work``, a Taichi function of the record of all arguments and of the thread's number.
 
     block   threads in a block, 1 on a CPU
     serial  on a CPU, work on the caller's thread
+    brief   see :func:`.runtime.compiled_briefly`: for kernels that otherwise take minutes to compile
     """
     source = SOURCE.format(name=name, names=", ".join(arguments), fields=", ".join(f"{one}={one}" for one in arguments))
     file = f"<kernel {name}>"
@@ -37,4 +39,5 @@ def loop_kernel(name: str, number: Number, arguments: dict, work: Callable, bloc
     exec(compile(source, file, "exec"), scope)
     scratch = ti.types.ndarray(dtype=number.type, ndim=1)
     scope[name].__annotations__ = {one: scratch if kind is SCRATCH else kind for one, kind in arguments.items()}
-    return runtime.kernel(scope[name])
+    kernel = runtime.kernel(scope[name])
+    return runtime.compiled_briefly(kernel) if brief else kernel

@@ -82,8 +82,13 @@ class LoadedElimination(LooseStart):
         tables = LooseStart.completed(self, given, thread)
         if not self.touches:
             return tables
-        edges, numbers = given.rest_length.shape[1], self.contacts.numbers(given)
+        edges, numbers = given.rest_length.shape[1], self.contacts.items(given)
         return extended(tables, contacts=self.behind(given.scratch, given.threads, thread, edges, numbers, CONTACTS))
+
+    @picked
+    def items(self, given):
+        own = LooseStart.items(self, given)
+        return own + self.contacts.items(given) if self.touches else own
 
     @ti.func
     def tip(self, rod):

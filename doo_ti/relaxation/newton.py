@@ -29,7 +29,6 @@ from doo_ti.relaxation.kernel_factory import (
 from doo_ti.relaxation.loaded_elimination import LoadedElimination
 from doo_ti.relaxation.newton_loop import NewtonLoop
 from doo_ti.relaxation.self_contacts import SelfContacts
-from doo_ti.system import runtime
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, require_number, require_whole
 
@@ -119,9 +118,10 @@ OBSTACLES = {
 
 
 @cache
-def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, serial: bool, external: type | None = None,
+def newton_kernel(number: Number, stride: int, block: int, isotropic: bool, serial: bool, external: type | None = None,
                   any_ends: bool = False):
-    """The compiled-on-first-use kernel for one kind of number, of material and of external energy.
+    """(The compiled-on-first-use kernel for one kind of number, of material and of external energy, and a function of its
+    arrays, :meth:`.Chain.items`.)
 
     stride: distance between the items of an edge in scratch, 1 on a CPU, the number of threads on a GPU.
     block, serial: see :func:`.loop_kernel`; to wake another thread takes as long as to relax a few rods.
@@ -129,15 +129,15 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, seri
     any_ends: not all rods under the external energy have vertex 0 held and the far end free, which is faster.
     """
     if external is None:
-        loop = NewtonLoop(Elimination(number, isotropic, stride))
-        return loop_kernel("newton", number, NEWTON, loop.work, block, serial)
+        sweep = Elimination(number, isotropic, stride)
+        return loop_kernel("newton", number, NEWTON, NewtonLoop(sweep).work, block, serial), sweep.items
     sweep = LoadedElimination(number, isotropic, stride, external, any_ends)
     loop = NewtonLoop(sweep, sweep.functions, external.has_coarse)
-    return loop_kernel("newton_under_load", number, NEWTON | OUTER, loop.work, block, serial)
+    return loop_kernel("newton_under_load", number, NEWTON | OUTER, loop.work, block, serial), sweep.items
 
 
 @cache
-def contact_kernel(number: Number, isotropic: bool, stride: int, block: int, external: type, obstacles: frozenset[int],
+def contact_kernel(number: Number, stride: int, block: int, isotropic: bool, external: type, obstacles: frozenset[int],
                    itself: bool):
     """The same for rods that may touch obstacles of those kinds, or ``itself``, under an external energy."""
     if itself:
@@ -145,5 +145,5 @@ def contact_kernel(number: Number, isotropic: bool, stride: int, block: int, ext
     else:
         sweep = LoadedElimination(number, isotropic, stride, external, True, Contacts(number, obstacles, expects=True))
     loop = NewtonLoop(sweep, sweep.functions, external.has_coarse)
-    return runtime.compiled_briefly(
-        loop_kernel("newton_in_contact", number, NEWTON | OUTER | OBSTACLES, loop.work, block))
+    kernel = loop_kernel("newton_in_contact", number, NEWTON | OUTER | OBSTACLES, loop.work, block, brief=True)
+    return kernel, sweep.items

@@ -25,7 +25,6 @@ from doo_ti.relaxation.kernel_factory import TABLE2, TABLE3, loop_kernel
 from doo_ti.relaxation.sensitivity_columns import SensitivityColumns
 from doo_ti.relaxation.sensitivity_kernel import AT_REST, CONTACTS_AT_REST, SensitivitySweep, run_at_rest
 from doo_ti.rod.types import Solution
-from doo_ti.system import runtime
 
 
 @ti.data_oriented
@@ -163,14 +162,15 @@ COTANGENTS = {
 
 
 @cache
-def pullback_kernel(stride: int, block: int):
-    """The compiled-on-first-use kernel; ``stride`` and ``block`` as Newton's kernel has them."""
-    return loop_kernel("pull_back", Number(1, 64), AT_REST | COTANGENTS, AdjointSweep(stride).work, block)
+def pullback_kernel(number: Number, stride: int, block: int):
+    """As :func:`.newton_kernel`."""
+    sweep = AdjointSweep(stride)
+    return loop_kernel("pull_back", number, AT_REST | COTANGENTS, sweep.work, block), sweep.items
 
 
 @cache
-def contact_pullback_kernel(stride: int, block: int, known: frozenset[int]):
+def contact_pullback_kernel(number: Number, stride: int, block: int, known: frozenset[int]):
     """The same for rods that touch obstacles of the kinds ``known``."""
     sweep = ContactAdjoint(stride, known)
-    return runtime.compiled_briefly(
-        loop_kernel("pull_back_in_contact", Number(1, 64), AT_REST | COTANGENTS | CONTACTS_AT_REST, sweep.work, block))
+    given = AT_REST | COTANGENTS | CONTACTS_AT_REST
+    return loop_kernel("pull_back_in_contact", number, given, sweep.work, block, brief=True), sweep.items

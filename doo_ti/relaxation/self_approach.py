@@ -18,6 +18,7 @@ whole turns.
 """
 
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import taichi as ti
@@ -27,10 +28,10 @@ from doo_ti.physics.algebra import largest_of
 from doo_ti.physics.angle import passed_half_turn, turned_about_own_tangent
 from doo_ti.physics.number import Number
 from doo_ti.physics.quaternion import tangent
-from doo_ti.physics.tuples import dot, itemwise, minus, plus, record, repeated, scaled, variable
+from doo_ti.physics.tuples import dot, itemwise, minus, picked, plus, record, repeated, scaled, variable
 from doo_ti.physics.view import Scratch
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.batch import layout_for, scratch_for
+from doo_ti.relaxation.batch import laid_out, layout_for
 from doo_ti.relaxation.closest_approach import ENOUGH, WAY, ClosestApproach, least_distance
 from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, SCRATCH, TABLE1, loop_kernel
 from doo_ti.relaxation.tables import Tables
@@ -60,11 +61,16 @@ class SelfApproach:
         self.ways = ClosestApproach()
         self.vertex = self.ways.vertex
 
+    @picked
+    def items(self, given):
+        """As :meth:`.Chain.items`."""
+        return (given.edges + 1) * WAY.size
+
     @ti.func
     def work(self, tables, thread):
         """A thread's share of the rods, pack after pack."""
-        edges, rods = tables.edges, tables.flags.shape[0]
-        head = self.memory.of_thread(tables.scratch, thread, WAY, (edges + 1) * WAY.size)
+        rods = tables.flags.shape[0]
+        head = self.memory.of_thread(tables.scratch, thread, WAY, self.items(tables))
         for pack in range((rods + self.width - 1) // self.width):
             if pack % tables.threads == thread:
                 # The last pack has its last rod several times.
@@ -230,22 +236,23 @@ ARGUMENTS = {
 
 @cache
 def _kernel(number: Number, stride: int, block: int, by_frames: bool):
-    """The kernel of rods that are given by frames, or by places."""
-    return loop_kernel("approach", number, ARGUMENTS, SelfApproach(number, stride, by_frames).work, block)
+    """As :func:`.newton_kernel`, of rods that are given by frames, or by places."""
+    approach = SelfApproach(number, stride, by_frames)
+    return loop_kernel("approach", number, ARGUMENTS, approach.work, block), approach.items
 
 
 def _approach(by_frames: bool, before, after, rows, rest_length, radius, more) -> np.ndarray:
     """(N,) APART, TOUCHING or TURNED, of the N rods of ``rows``, that touch where they come nearer to themselves than two radii
     and ``more``."""
     edges = rest_length.shape[1]
-    number, threads, stride, block = layout_for(len(rows), 32)
-    scratch = scratch_for(number, threads * (edges + 1) * len(WAY))
+    kernel, threads, scratch, _ = laid_out(
+        layout_for(len(rows), 32), lambda *layout: _kernel(*layout, by_frames), SimpleNamespace(edges=edges))
     near = 2.0 * radius + more
     limits = np.empty((len(near), LIMITS))
     limits[:, RADIUS], limits[:, NEAR] = radius, near
     limits[:, ARC_BETWEEN] = _arc_between(radius, rest_length.min(), rest_length.max())
     flags = np.zeros(len(rows), dtype=np.int32)
-    _kernel(number, stride, block, by_frames)(
+    kernel(
         before.reshape(-1), after.reshape(-1), rows, rest_length.reshape(-1), limits.reshape(-1), edges, threads, scratch,
         flags)
     return flags

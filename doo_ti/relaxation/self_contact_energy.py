@@ -50,7 +50,7 @@ class SelfContactEnergy(Contacts):
     # --- views of scratch ---
 
     @picked
-    def numbers(self, tables):
+    def items(self, tables):
         return self_contact_items(tables.rest_length.shape[1], tables.kinds.shape[0])
 
     @picked

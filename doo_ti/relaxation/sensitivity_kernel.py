@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import taichi as ti
@@ -9,12 +10,12 @@ import taichi as ti
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import against, forward, negated, plus, record, repeated, scaled, symmetric_gram, variable
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.chain_layout import edge_layout, numbers_of_rod, rod_layout
-from doo_ti.relaxation.contact_layout import contact_items
-from doo_ti.relaxation.contact_sensitivity import ContactSensitivity, Kept
+from doo_ti.relaxation.batch import laid_out
+from doo_ti.relaxation.chain_layout import edge_layout
+from doo_ti.relaxation.contact_sensitivity import ContactSensitivity
 from doo_ti.relaxation.contact_table import ContactTable
 from doo_ti.relaxation.elimination import Elimination
-from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, TABLE1, TABLE2, TABLE3, TABLE4, loop_kernel
+from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, SCRATCH, TABLE1, TABLE2, TABLE3, TABLE4, loop_kernel
 from doo_ti.relaxation.loading import Loading
 from doo_ti.relaxation.newton import OBSTACLES
 from doo_ti.relaxation.parameter_gradient import DIRECTION_COLUMNS, KEPT
@@ -145,21 +146,19 @@ def _launch(table: Tables, first: int, last: int, rows: np.ndarray, contact: Con
     if not len(rods):
         return
     rods[:, of.RESULT_ROW] -= first
-    edges, on_cpu = table.edges, runtime.start() == "cpu"
+    on_cpu = runtime.start() == "cpu"
     threads = min(len(rods), runtime.thread_count() if on_cpu else MOST_THREADS_ON_A_GPU)
-    stride, block = (1, 1) if on_cpu else (threads, 64)
-    if contact is None:
-        kernel, outer = kernel_for(stride, block), ()
-        items = len(rod_layout()) + len(edge_layout(False, KEPT)) * edges
-    else:
-        kernel = kernel_for(stride, block, contact.known)
+    given, kinds, outer = SimpleNamespace(rest_length=table.rest_length), (), ()
+    if contact is not None:
+        given.kinds, kinds = contact.kinds, (contact.known,)
         obstacles, radius = (array if len(array) == 1 else array[first:last] for array in (contact.obstacles, contact.radius))
         loads = np.zeros((1, 1, 3)) if table.external is None else point_loads(table)[first:last]
         outer = (obstacles, contact.kinds, contact.grids, radius, contact.memory[first:last], loads)
-        items = numbers_of_rod(edges, False, Kept, True) + contact_items(edges, len(contact.kinds))
+    layout = Number(1, 64), threads, *((1, 1) if on_cpu else (threads, 64))
+    kernel, threads, scratch, _ = laid_out(layout, lambda *layout: kernel_for(*layout, *kinds), given)
     kernel(
         table.start.reshape(-1), table.rest_length, table.clamp, table.material, np.array(table.up, dtype=np.float64), rods,
-        *state, threads, np.zeros(threads * items), *arrays, *outer)
+        *state, threads, scratch, *arrays, *outer)
 
 
 def _beyond(table: Tables, first: int, last: int) -> np.ndarray:
@@ -195,7 +194,7 @@ AT_REST = {
     "beyond": TABLE3,  # [row, edge, 3] forces of obstacles, see :func:`_beyond`
     "directions": TABLE2,  # [column, DIRECTION_COLUMNS]
     "modes": TABLE3,  # [mode, joint, 2]
-    "columns": ti.i32, "threads": ti.i32, "scratch": TABLE1,
+    "columns": ti.i32, "threads": ti.i32, "scratch": SCRATCH,
     "sound": INDEX1,  # [row] out: one where there are results
 }
 COLUMNS = {
@@ -208,14 +207,15 @@ CONTACTS_AT_REST = {name: OBSTACLES[name] for name in ("obstacles", "kinds", "gr
 
 
 @cache
-def sensitivity_kernel(stride: int, block: int):
-    """The compiled-on-first-use kernel; ``stride`` and ``block`` as Newton's kernel has them."""
-    return loop_kernel("solve", Number(1, 64), AT_REST | COLUMNS, SensitivitySweep(stride).work, block)
+def sensitivity_kernel(number: Number, stride: int, block: int):
+    """As :func:`.newton_kernel`."""
+    sweep = SensitivitySweep(stride)
+    return loop_kernel("solve", number, AT_REST | COLUMNS, sweep.work, block), sweep.items
 
 
 @cache
-def contact_sensitivity_kernel(stride: int, block: int, known: frozenset[int]):
+def contact_sensitivity_kernel(number: Number, stride: int, block: int, known: frozenset[int]):
     """The same for rods that touch obstacles of the kinds ``known``."""
     sweep = ContactSensitivity(stride, known)
-    return runtime.compiled_briefly(
-        loop_kernel("solve_in_contact", Number(1, 64), AT_REST | COLUMNS | CONTACTS_AT_REST, sweep.work, block))
+    given = AT_REST | COLUMNS | CONTACTS_AT_REST
+    return loop_kernel("solve_in_contact", number, given, sweep.work, block, brief=True), sweep.items

@@ -15,7 +15,6 @@ from doo_ti.relaxation.time_loop import TimeLoop
 from doo_ti.relaxation.time_slope_loop import TimeSlopeLoop
 from doo_ti.relaxation.time_slopes import TimeSlopes
 from doo_ti.relaxation.time_sweep import TimeSweep
-from doo_ti.system import runtime
 
 
 class DenseTimeSweep(DenseElimination, TimeImpact):
@@ -60,35 +59,32 @@ SLOPES = {
 
 
 @cache
-def time_kernel(number: Number, isotropic: bool, stride: int, block: int):
-    """(compiled-on-first-use kernel for one kind of number, numbers of a rod in scratch by its edges).
+def time_kernel(number: Number, stride: int, block: int, isotropic: bool):
+    """(compiled-on-first-use kernel for one kind of number, :meth:`.Chain.items`).
 
     isotropic: round rods, straight at rest and undamped.
 
     stride, block: as of :func:`.newton_kernel`.
     """
     sweep = TimeSweep(number, isotropic, stride)
-    return loop_kernel("make_steps", number, STEPS, TimeLoop(sweep).work, block), sweep.numbers
+    return loop_kernel("make_steps", number, STEPS, TimeLoop(sweep).work, block), sweep.items
 
 
 @cache
-def time_contact_kernel(number: Number, isotropic: bool, stride: int, block: int, kinds: frozenset[int], rub: bool,
+def time_contact_kernel(number: Number, stride: int, block: int, isotropic: bool, kinds: frozenset[int], rub: bool,
                         itself: bool, moves: bool):
     """The same for rods that may touch obstacles of some ``kinds``, or ``itself``, with friction if they ``rub``, and for
-    obstacles that move if ``moves``. The numbers that :func:`.contact_items` or :func:`.self_contact_items` says come on top in
-    scratch."""
+    obstacles that move if ``moves``."""
     if itself:
         sweep = DenseTimeSweep(number, isotropic, stride, SelfContacts(number, kinds, rub, moves))
     else:
         sweep = TimeImpact(number, isotropic, stride, Contacts(number, kinds, rub, moves))
-    kernel = loop_kernel("make_steps_in_contact", number, STEPS | OBSTACLES | MOTIONS, TimeLoop(sweep).work, block)
-    return runtime.compiled_briefly(kernel), sweep.numbers
+    given = STEPS | OBSTACLES | MOTIONS
+    return loop_kernel("make_steps_in_contact", number, given, TimeLoop(sweep).work, block, brief=True), sweep.items
 
 
 @cache
-def time_slope_kernel(stride: int, block: int, width: int):
-    """The same for steps with their derivatives, in f64 and for any rods, ``width`` in a pack; the numbers that
-    :func:`.slope_items` says come on top in scratch."""
-    number = Number(width, 64)
+def time_slope_kernel(number: Number, stride: int, block: int):
+    """The same for steps with their derivatives, in f64 and for any rods."""
     sweep = TimeSlopes(number, stride)
-    return loop_kernel("make_steps_with_slopes", number, STEPS | SLOPES, TimeSlopeLoop(sweep).work, block), sweep.numbers
+    return loop_kernel("make_steps_with_slopes", number, STEPS | SLOPES, TimeSlopeLoop(sweep).work, block), sweep.items

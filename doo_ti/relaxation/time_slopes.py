@@ -67,6 +67,10 @@ class TimeSlopes(TimeSweep):
                         blocks=self.behind(given.scratch, given.threads, thread, edges, numbers, SHARED))
 
     @picked
+    def items(self, given):
+        return TimeSweep.items(self, given) + slope_items(given.rest_length.shape[1], given.material_slopes.shape[0])
+
+    @picked
     def shared(self, blocks, vertex):
         """The view of the shared block of a vertex."""
         return blocks.part(SHARED, vertex * len(SHARED))

@@ -2,19 +2,18 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 
-from doo_ti.physics.number import Number
 from doo_ti.relaxation import newton
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.batch import layout_for, policy_row, scratch_for
-from doo_ti.relaxation.loading import LANES
+from doo_ti.relaxation.batch import Launch, laid_out, layout_for, policy_row
 from doo_ti.relaxation.tables import Tables, room
 from doo_ti.relaxation.time_kernel import time_contact_kernel, time_kernel, time_slope_kernel
 from doo_ti.relaxation.time_layout import PLACE_2
 from doo_ti.relaxation.time_loop import OUTCOMES, STATE
-from doo_ti.relaxation.time_slopes import CURVATURE_1, CURVATURE_2, REMEMBERED, slope_items
+from doo_ti.relaxation.time_slopes import CURVATURE_1, CURVATURE_2, REMEMBERED
 from doo_ti.rod.frames import quaternion_product
 from doo_ti.rod.types import Status
 from doo_ti.system import runtime
@@ -125,15 +124,12 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
     results = np.zeros((table.count, of.LOADED_RESULTS))
     results[:, of.FORCE : of.FORCE + 3], results[:, of.DRIFT:] = memory.multiplier, memory.drift
     for isotropic, part in table.by_material(rods):
-        number, threads, stride, block = layout_for(len(part), bits, contact is not None and contact.itself)
-        kernel, size = _kernel_for(table, isotropic, number, stride, block, slopes, moves)
+        kernel, threads, scratch, queue = _laid_out(table, isotropic, len(part), bits, slopes, moves)
         more = ()
         if contact is not None:
             more = *contact.arguments(forces, options.gap_tolerance, in_motion=True), touches, poses, contact.pair_memory
         elif slopes is not None:
             more = slopes.material, slopes.numbers, slopes.shares, slopes.memory, position_slopes
-        scratch = scratch_for(number, threads * size)
-        queue = np.zeros(LANES + 2 * threads * number.width, dtype=np.int32)
         kernel(table.rest_length, table.clamp, path, table.material, numbers, shares, part,
                policy_row(table.up, options, bits), time, steps, every, threads, scratch, queue, memory.frames.reshape(-1),
                memory.frames_before.reshape(-1), memory.places, results, positions, outcome, *more)
@@ -148,15 +144,14 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
     return positions.reshape(table.count, frames, table.edges + 1, 3), outcome, position_slopes, forces, touches
 
 
-def _kernel_for(table: Tables, isotropic: bool, number: Number, stride: int, block: int, slopes: Slopes | None, moves: bool):
-    """(kernel, numbers of a thread in scratch) for rods of one kind, with obstacles that move if ``moves``."""
-    contact, edges = table.contact, table.edges
+def _laid_out(table: Tables, isotropic: bool, rods: int, bits: int, slopes: Slopes | None, moves: bool) -> Launch:
+    """The launch of so many rods of one kind, with obstacles that move if ``moves``."""
+    contact, given = table.contact, SimpleNamespace(rest_length=table.rest_length)
+    layout = layout_for(rods, bits, contact is not None and contact.itself)
     if contact is not None:
-        kernel, numbers_of_rod = time_contact_kernel(
-            number, isotropic, stride, block, contact.known, contact.rubs, contact.itself, moves)
-        return kernel, numbers_of_rod(edges) + contact.items(edges, len(contact.kinds))
+        given.kinds, known = contact.kinds, (contact.known, contact.rubs, contact.itself, moves)
+        return laid_out(layout, lambda *layout: time_contact_kernel(*layout, isotropic, *known), given)
     if slopes is not None:
-        kernel, numbers_of_rod = time_slope_kernel(stride, block, number.width)
-        return kernel, numbers_of_rod(edges) + slope_items(edges, slopes.count)
-    kernel, numbers_of_rod = time_kernel(number, isotropic, stride, block)
-    return kernel, numbers_of_rod(edges)
+        given.material_slopes = slopes.material
+        return laid_out(layout, time_slope_kernel, given)
+    return laid_out(layout, lambda *layout: time_kernel(*layout, isotropic), given)
