@@ -37,6 +37,24 @@ def length_unit(total):
     return unit
 
 
+@ti.func
+def stiffness_column(material: ti.template(), e):
+    """Where the stiffness of edge ``e`` begins in a row of a table of materials."""
+    return ti.min(of.STIFFNESS + e * of.STIFFNESS_COLUMNS, material.shape[1] - of.STIFFNESS_COLUMNS)
+
+
+@ti.func
+def load_stiffness(view, material: ti.template(), g, rest_length: ti.template(), row, e, scale):
+    """B of edge ``e`` and, of the joint where it begins, β and ω̄ l̄/2 into their places in a ``view``, from row ``g`` of a table
+    of materials and from ``row`` of the lengths, stiffness times ``scale``."""
+    column = stiffness_column(material, e)
+    view.bend = scaled(read(material, g, column + of.BEND), scale)
+    if e > 0:
+        view.twist = material[g, column + of.TWIST] * scale
+        both = rest_length[row, e - 1] + rest_length[row, e]
+        view.rest = scaled(read(material, g, column + of.REST, count=2), 0.5 * both)
+
+
 @ti.data_oriented
 class Loading:
     """Loading of rods into lanes of ``sweep`` (:class:`.Chain`), and storing of their frames.
@@ -77,7 +95,10 @@ class Loading:
         if lengths_known < 0.5 or tables.rest_length.shape[0] > 1:
             self.load_lengths(tables, lane, row, unit)
         if ti.static(not self.isotropic):
-            self.load_stiffness(tables, lane, row, g, 1.0 / divisor)
+            for e in range(tables.rest_length.shape[1]):
+                edge = self.edge(lane, e)
+                load_stiffness(edge, tables.material, g, tables.rest_length, row, e, 1.0 / divisor)
+                edge.shift_shares = (self.shift_share(tables, g, e, 0), self.shift_share(tables, g, e, 1))
         if ti.static(self.loaded):
             for e in range(tables.rest_length.shape[1]):
                 self.functions.load(self.edge(lane, e).outer, tables.numbers, tables.rods[rod, of.EXTERNAL_ROW], e,
@@ -144,39 +165,19 @@ class Loading:
                 edge.inverse_length = 1.0 / both
 
     @ti.func
-    def load_stiffness(self, tables, lane, row, g, scale):
-        """B, β and ω̄ l̄/2 of material g into a lane, stiffness times ``scale``."""
-        for e in range(tables.rest_length.shape[1]):
-            edge, column = self.edge(lane, e), self.stiffness_column(tables, e)
-            for k in ti.static(range(3)):
-                edge.bend[k] = tables.material[g, column + (of.BEND + k)] * scale
-            if e > 0:
-                edge.twist = tables.material[g, column + of.TWIST] * scale
-                both = tables.rest_length[row, e - 1] + tables.rest_length[row, e]
-                for k in ti.static(range(2)):
-                    edge.rest[k] = 0.5 * both * tables.material[g, column + (of.REST + k)]
-            for k in ti.static(range(2)):
-                edge.shift_shares[k] = self.shift_share(tables, g, e, k)
-
-    @ti.func
     def shift_share(self, tables, g, e, tilt: ti.template()):
         """The share of a shift that an edge's spin or ``tilt`` has: all of it, unless that is more than MOST_SHIFT times what
         is stiff in it at its two joints."""
         stiff = ti.cast(0.0, ti.f64)
         last = tables.rest_length.shape[1] - 1
         for beside in ti.static(range(-1 if tilt else 0, 2)):
-            column = self.stiffness_column(tables, ti.min(ti.max(e + beside, 0 if tilt else 1), last))
+            column = stiffness_column(tables.material, ti.min(ti.max(e + beside, 0 if tilt else 1), last))
             own = tables.material[g, column + of.TWIST]
             if ti.static(tilt):
                 b = (tables.material[g, column], tables.material[g, column + 1], tables.material[g, column + 2])
                 own = (b[0] * b[1] - b[2] * b[2]) / ti.max(b[0] + b[1], 1e-300)  # between half the smaller eigenvalue and it
             stiff = ti.max(stiff, own)
         return ti.min(1.0, MOST_SHIFT * stiff / tables.material[g, of.STIFFEST])
-
-    @ti.func
-    def stiffness_column(self, tables, e):
-        """Where the stiffness of edge ``e`` begins in a row of the materials."""
-        return ti.min(of.STIFFNESS + e * of.STIFFNESS_COLUMNS, tables.material.shape[1] - of.STIFFNESS_COLUMNS)
 
     @ti.func
     def load_parameters(self, tables, lane, s, g, divisor, unit):

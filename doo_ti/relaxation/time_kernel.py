@@ -50,7 +50,7 @@ MOTIONS = {  # among obstacles, whose forces (OBSTACLES) are those of [row · fr
     "pair_memory": TABLE3,  # [row, pair of edges, CARRIED] in and out, or one number
 }
 SLOPES = {
-    "material_slopes": TABLE3,  # [parameter, material, -]
+    "material_slopes": TABLE2,  # [parameter · material, -]
     "number_slopes": TABLE4,  # [parameter, numbers, vertex, NUMBERS]
     "share_slopes": TABLE3,  # [parameter, numbers, 2]
     "slopes": TABLE4,  # [row, parameter, vertex, REMEMBERED] in and out

@@ -4,6 +4,7 @@ import taichi as ti
 
 from doo_ti.physics.view import exact
 from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.loading import load_stiffness
 from doo_ti.relaxation.time_loop import TimeLoop
 from doo_ti.relaxation.time_slopes import NUMBERS, REMEMBERED
 
@@ -12,7 +13,7 @@ from doo_ti.relaxation.time_slopes import NUMBERS, REMEMBERED
 class TimeSlopeLoop(TimeLoop):
     """The loop with derivatives by P parameters. ``tables`` holds, besides, blocks, the view of this thread's in scratch, and
 
-    material_slopes, number_slopes, share_slopes  (P, material, -), (P, numbers, V, NUMBERS) and (P, numbers, 2) derivatives of
+    material_slopes, number_slopes, share_slopes  (P · material, -), (P, numbers, V, NUMBERS) and (P, numbers, 2) derivatives of
                                                   what a rod is given
     slopes                                        (row, P, V, REMEMBERED) those that it remembers, in and out
     position_slopes                               (rod · frame, P, V, 3) those of positions, out
@@ -48,7 +49,7 @@ class TimeSlopeLoop(TimeLoop):
     def differentiate(self, tables, rod, time, up, done):
         """The derivatives of the steps that have converged, in the lanes where ``done`` is one."""
         if self.largest(done) > 0.5:
-            self.sweep.differentiate(rod, tables.blocks, tables.material_slopes.shape[0], time, up)
+            self.sweep.differentiate(rod, tables.blocks, tables.number_slopes.shape[0], time, up)
 
     @ti.func
     def own_block(self, tables, slot, parameter, vertex):
@@ -61,7 +62,9 @@ class TimeSlopeLoop(TimeLoop):
         row, g, numbers = tables.rods[rod, of.RESULT_ROW], tables.rods[rod, of.MATERIAL_ROW], tables.rods[rod, of.EXTERNAL_ROW]
         own = head.lane(slot)
         unit, length_unit = exact(own.energy_unit), exact(own.length_unit)
-        for p in range(tables.material_slopes.shape[0]):
+        lengths = ti.min(tables.rods[rod, of.CLAMP_ROW], tables.rest_length.shape[0] - 1)
+        for p in range(tables.number_slopes.shape[0]):
+            material = p * tables.material.shape[0] + g
             for v in range(tables.rest_length.shape[1] + 1):
                 block = self.own_block(tables, slot, p, v)
                 for k in range(REMEMBERED):
@@ -69,31 +72,17 @@ class TimeSlopeLoop(TimeLoop):
                 for k in range(NUMBERS):
                     block[REMEMBERED + k] = tables.number_slopes[p, numbers, v, k] / unit
                 if v > 0:
-                    self.load_stiffness_slopes(tables, block, rod, p, v - 1, 1.0 / (unit * length_unit))
+                    load_stiffness(block, tables.material_slopes, material, tables.rest_length, lengths, v - 1,
+                                   1.0 / (unit * length_unit))
             first = self.own_block(tables, slot, p, 0)
             for k in ti.static(range(2)):
                 first.of_rod[k] = tables.share_slopes[p, numbers, k]
-            first.of_rod[2] = tables.material_slopes[p, g, of.WEIGHT]
-
-    @ti.func
-    def load_stiffness_slopes(self, tables, block, rod, p, e, scale):
-        """Derivatives of B of edge ``e``, and of β and ω̄ l̄/2 of the joint where it begins."""
-        g, s = tables.rods[rod, of.MATERIAL_ROW], tables.rods[rod, of.CLAMP_ROW]
-        columns = tables.material_slopes.shape[2] - of.STIFFNESS_COLUMNS
-        column = ti.min(of.STIFFNESS + e * of.STIFFNESS_COLUMNS, columns)
-        for k in ti.static(range(3)):
-            block.of_bend[k] = tables.material_slopes[p, g, column + (of.BEND + k)] * scale
-        if e > 0:
-            block.of_twist = tables.material_slopes[p, g, column + of.TWIST] * scale
-            lengths = ti.min(s, tables.rest_length.shape[0] - 1)
-            both = tables.rest_length[lengths, e - 1] + tables.rest_length[lengths, e]
-            for k in ti.static(range(2)):
-                block.of_rest[k] = 0.5 * both * tables.material_slopes[p, g, column + (of.REST + k)]
+            first.of_rod[2] = tables.material_slopes[material, of.WEIGHT]
 
     @ti.func
     def store_slopes(self, tables, slot, row):
         """The derivatives that the lane's rod remembers into row ``row``."""
-        for p in range(tables.material_slopes.shape[0]):
+        for p in range(tables.number_slopes.shape[0]):
             for v in range(tables.rest_length.shape[1] + 1):
                 block = self.own_block(tables, slot, p, v)
                 for k in range(REMEMBERED):
@@ -102,7 +91,7 @@ class TimeSlopeLoop(TimeLoop):
     @ti.func
     def write_slopes(self, tables, slot, place):
         """The derivatives of the lane's positions, for row ``place`` of the positions."""
-        for p in range(tables.material_slopes.shape[0]):
+        for p in range(tables.number_slopes.shape[0]):
             for v in range(tables.rest_length.shape[1] + 1):
                 block = self.own_block(tables, slot, p, v)
                 for k in ti.static(range(3)):

@@ -39,10 +39,10 @@ SHARED = Layout(lag=3, slip=3, speed=1, heading=3, seen=("lag", 10), lever_1=3, 
 # vertex in motion has them, and of X, Y and m. Derivatives of the inertia, drags and load of the vertex, of B, β and ω̄ l̄/2; and
 # W_r of the elimination. In the block of vertex 0, where no edge ends, the derivatives of the shares of damping and of the
 # weight are in the place of B.
-OWN = Layout(place_1=3, place_2=3, velocity_1=3, velocity_2=3, curvature_1=5, curvature_2=5, of_numbers=4, of_bend=3,
-             of_rod=("of_bend", 3), of_twist=1, of_rest=2, right=3)
+OWN = Layout(place_1=3, place_2=3, velocity_1=3, velocity_2=3, curvature_1=5, curvature_2=5, of_numbers=4, bend=3,
+             of_rod=("bend", 3), twist=1, rest=2, right=3)
 CURVATURE_1, CURVATURE_2, REMEMBERED = map(OWN.at, ("curvature_1", "curvature_2", "of_numbers"))
-NUMBERS = OWN.at("of_bend") - OWN.at("of_numbers")
+NUMBERS = OWN.at("bend") - OWN.at("of_numbers")
 
 
 @picked
@@ -62,13 +62,13 @@ class TimeSlopes(TimeSweep):
     @picked
     def completed(self, given, thread):
         edges = given.rest_length.shape[1]
-        numbers = slope_items(edges, given.material_slopes.shape[0])
+        numbers = slope_items(edges, given.number_slopes.shape[0])
         return extended(TimeSweep.completed(self, given, thread),
                         blocks=self.behind(given.scratch, given.threads, thread, edges, numbers, SHARED))
 
     @picked
     def items(self, given):
-        return TimeSweep.items(self, given) + slope_items(given.rest_length.shape[1], given.material_slopes.shape[0])
+        return TimeSweep.items(self, given) + slope_items(given.rest_length.shape[1], given.number_slopes.shape[0])
 
     @picked
     def shared(self, blocks, vertex):
@@ -199,11 +199,11 @@ class TimeSlopes(TimeSweep):
         inverse_length = edge.inverse_length
         u = shared.strain
         rest = self.rest_slope(rod, shared, own, first, time)
-        left = minus(pair.moment(own_before.of_bend, (u[0], u[1]), inverse_length),
+        left = minus(pair.moment(own_before.bend, (u[0], u[1]), inverse_length),
                      pair.moment(previous.bend, (rest[0], rest[1]), inverse_length))
-        right = minus(pair.moment(own.of_bend, (u[2], u[3]), inverse_length),
+        right = minus(pair.moment(own.bend, (u[2], u[3]), inverse_length),
                       pair.moment(edge.bend, (rest[2], rest[3]), inverse_length))
-        twist = own.of_twist * u[4] - edge.twist * rest[4]
+        twist = own.twist * u[4] - edge.twist * rest[4]
         x, y, inverse, turn = self.curved(shared)
         return pair.gradient_of_moments(left, right, 2.0 * inverse_length * twist, x, y, inverse, turn)
 
@@ -215,7 +215,7 @@ class TimeSlopes(TimeSweep):
         ahead = shared.ahead
         bend, twist = rod.head.bend_share, rod.head.twist_share
         bend_change, twist_change = first.of_rod[0], first.of_rod[1]
-        rest1, rest2 = own.of_rest[0], own.of_rest[1]
+        rest1, rest2 = own.rest[0], own.rest[1]
         return (rest1 + bend_change * ahead[0] + 2.0 * bend * y[1], rest2 + bend_change * ahead[1] - 2.0 * bend * y[0],
                 rest1 + bend_change * ahead[2] + 2.0 * bend * y[3], rest2 + bend_change * ahead[3] - 2.0 * bend * y[2],
                 twist_change * ahead[4] + twist * y[4])

@@ -129,7 +129,8 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
         if contact is not None:
             more = *contact.arguments(forces, options.gap_tolerance, in_motion=True), touches, poses, contact.pair_memory
         elif slopes is not None:
-            more = slopes.material, slopes.numbers, slopes.shares, slopes.memory, position_slopes
+            material = slopes.material.reshape(-1, slopes.material.shape[-1])
+            more = material, slopes.numbers, slopes.shares, slopes.memory, position_slopes
         kernel(table.rest_length, table.clamp, path, table.material, numbers, shares, part,
                policy_row(table.up, options, bits), time, steps, every, threads, scratch, queue, memory.frames.reshape(-1),
                memory.frames_before.reshape(-1), memory.places, results, positions, outcome, *more)
@@ -152,6 +153,6 @@ def _laid_out(table: Tables, isotropic: bool, rods: int, bits: int, slopes: Slop
         given.kinds, known = contact.kinds, (contact.known, contact.rubs, contact.itself, moves)
         return laid_out(layout, lambda *layout: time_contact_kernel(*layout, isotropic, *known), given)
     if slopes is not None:
-        given.material_slopes = slopes.material
+        given.number_slopes = slopes.numbers
         return laid_out(layout, time_slope_kernel, given)
     return laid_out(layout, lambda *layout: time_kernel(*layout, isotropic), given)

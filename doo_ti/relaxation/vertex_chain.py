@@ -9,7 +9,7 @@ import taichi as ti
 from doo_ti.physics import vertex_form
 from doo_ti.physics.tuples import choose, dot, minus, picked, plus, record, repeated, scaled, variable
 from doo_ti.physics.view import Layout, read
-from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.loading import load_stiffness
 
 VERTEX = Layout(position=3, director=3, force=3, state=("position", 9), trial_position=3, trial_director=3, trial_force=3,
                 trial=("trial_position", 9), ratio=1, right=1, length=1, inverse_length=1, bend=3, twist=1, rest=2)
@@ -188,12 +188,8 @@ class VertexChain:
                 longest = ti.max(longest, tables.rest_length[row, v])
                 shortest = ti.min(shortest, tables.rest_length[row, v])
                 at.length = tables.rest_length[row, v]
-                column = ti.min(of.STIFFNESS + v * of.STIFFNESS_COLUMNS, tables.material.shape[1] - of.STIFFNESS_COLUMNS)
-                at.director, at.bend = read(tables.directors, s, v, 0), read(tables.material, g, column + of.BEND)
+                at.director = read(tables.directors, s, v, 0)
+                load_stiffness(at, tables.material, g, tables.rest_length, row, v, 1.0)
                 if v > 0:
-                    both = tables.rest_length[row, v - 1] + tables.rest_length[row, v]
-                    at.inverse_length = 1.0 / both
-                    at.twist = tables.material[g, column + of.TWIST]
-                    for k in ti.static(range(2)):
-                        at.rest[k] = 0.5 * both * tables.material[g, column + (of.REST + k)]
+                    at.inverse_length = 1.0 / (tables.rest_length[row, v - 1] + tables.rest_length[row, v])
         return longest, shortest
