@@ -40,7 +40,8 @@ class ExternalFunctions(NamedTuple):
 
 
 class External(Protocol):
-    """The interface of an external energy. ``external_index`` gives each rod one of its ``count`` rows.
+    """The interface of an external energy, and what a class that derives from it has unless it says otherwise: no energy.
+    ``external_index`` gives each rod one of its ``count`` rows.
 
     layout        of the numbers it needs in scratch per edge
     start_layout  of vertex 0
@@ -48,33 +49,45 @@ class External(Protocol):
     vertices      of the rods it is for, None where it is for any number of them
     """
 
-    layout: ClassVar[Layout]
-    start_layout: ClassVar[Layout]
-    has_coarse: ClassVar[bool]
+    layout: ClassVar[Layout] = Layout()
+    start_layout: ClassVar[Layout] = Layout()
+    has_coarse: ClassVar[bool] = False
 
     @property
-    def count(self) -> int: ...
+    def count(self) -> int:
+        return 1
 
     @property
-    def vertices(self) -> int | None: ...
+    def vertices(self) -> int | None:
+        return None
 
     def numbers(self) -> np.ndarray:
-        """(count, -, -) float64."""
+        """(count, -, -) float64, one number at least."""
+        return np.zeros((1, 1, 1))
 
     def field(self) -> np.ndarray:
         """(-,) float32, one number at least."""
+        return np.zeros(1, dtype=np.float32)
 
     def energy_at_start(self, start: np.ndarray, index: np.ndarray) -> np.ndarray:
         """(R,) the part that no edge carries: at vertex 0 in ``start`` (R, 3), of the rows ``index`` (R,)."""
+        return np.zeros(len(start))
 
     @staticmethod
     def functions(number: Number) -> ExternalFunctions:
         """For one kind of number."""
+        import taichi as ti
+
+        @ti.func
+        def load(own, numbers: ti.template(), row, edge, scale):
+            pass
+
+        return ExternalFunctions(load, None)
 
 
 @typed
 @dataclass(frozen=True)
-class Springs:
+class Springs(External):
     """½ k |x_i − p_i|² at every vertex: the simplest external energy.
 
     points     (A, V, 3) mm
@@ -90,7 +103,6 @@ class Springs:
     stiffness: np.ndarray
     layout: ClassVar[Layout] = Layout(point=3, stiffness=1)
     start_layout: ClassVar[Layout] = layout
-    has_coarse: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         points, stiffness = (np.array(value, dtype=np.float64) for value in (self.points, self.stiffness))
@@ -118,10 +130,6 @@ class Springs:
     def numbers(self) -> np.ndarray:
         """(A, V, 4): point and stiffness."""
         return np.ascontiguousarray(np.concatenate([self.points, self.stiffness[..., None]], axis=-1))
-
-    def field(self) -> np.ndarray:
-        """Unused."""
-        return np.zeros(1, dtype=np.float32)
 
     def energy_at_start(self, start: np.ndarray, index: np.ndarray) -> np.ndarray:
         """(R,) energy at vertex 0 in ``start`` (R, 3), which no kernel moves."""
@@ -165,35 +173,5 @@ class Springs:
         return ExternalFunctions(load, evaluate, load_start, evaluate_start)
 
 
-@dataclass(frozen=True)
-class Nothing:
+class Nothing(External):
     """No energy: for rods that only contact loads."""
-
-    layout: ClassVar[Layout] = Layout()
-    start_layout: ClassVar[Layout] = Layout()
-    has_coarse: ClassVar[bool] = False
-    count: ClassVar[int] = 1
-    vertices: ClassVar[None] = None
-
-    def numbers(self) -> np.ndarray:
-        """Unused."""
-        return np.zeros((1, 1, 1))
-
-    def field(self) -> np.ndarray:
-        """Unused."""
-        return np.zeros(1, dtype=np.float32)
-
-    def energy_at_start(self, start: np.ndarray, index: np.ndarray) -> np.ndarray:
-        """(R,) zero."""
-        return np.zeros(len(start))
-
-    @staticmethod
-    def functions(number) -> ExternalFunctions:
-        """On the device."""
-        import taichi as ti
-
-        @ti.func
-        def load(own, numbers: ti.template(), row, edge, scale):
-            pass
-
-        return ExternalFunctions(load, None)

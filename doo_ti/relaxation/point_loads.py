@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from doo_ti.physics.number import Number
 from doo_ti.physics.view import Layout
-from doo_ti.relaxation.external import ExternalFunctions, Springs
+from doo_ti.relaxation.external import External, ExternalFunctions, Springs
 from doo_ti.rod.material import LARGEST, Material
 from doo_ti.rod.physical_units import STANDARD_GRAVITY
 from doo_ti.system.arguments import typed
@@ -24,7 +24,7 @@ from doo_ti.system.short_repr import short_repr
 
 @typed
 @dataclass(frozen=True)
-class PointLoads:
+class PointLoads(External):
     """−F_i · x_i at every vertex: dead forces, and masses that hang there. An external energy, alone or together with springs.
 
     force    (A, V, 3) on the vertices, in the package's unit, energy (mm²) per mm
@@ -45,7 +45,6 @@ class PointLoads:
     up: np.ndarray | None = field(default=None, init=False)
     layout: ClassVar[Layout] = Springs.layout + Layout(force=3)
     start_layout: ClassVar[Layout] = layout
-    has_coarse: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         force, mass = (np.array(real_array("PointLoads", name, getattr(self, name), "give real numbers"), dtype=np.float64)
@@ -114,10 +113,6 @@ class PointLoads:
         """(A, V, 7): point and stiffness of a spring, and the force."""
         springs = np.zeros((*self.mass.shape, 4)) if self.springs is None else self.springs.numbers()
         return np.ascontiguousarray(np.concatenate([springs, self.whole_force], axis=-1))
-
-    def field(self) -> np.ndarray:
-        """Unused."""
-        return np.zeros(1, dtype=np.float32)
 
     def energy_at_start(self, start: np.ndarray, index: np.ndarray) -> np.ndarray:
         """(R,) energy at vertex 0 in ``start`` (R, 3), which no kernel moves."""

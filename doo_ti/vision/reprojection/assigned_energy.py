@@ -21,7 +21,7 @@ import taichi as ti
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import full, minus, plus, put_lane, record, repeated, scaled
 from doo_ti.physics.view import Layout
-from doo_ti.relaxation.external import ExternalFunctions
+from doo_ti.relaxation.external import External, ExternalFunctions
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras.rig import Rig
@@ -46,7 +46,7 @@ POINT = 6
 
 @typed
 @dataclass(frozen=True)
-class AssignedPoints:
+class AssignedPoints(External):
     """ν E_back as an external energy of :func:`doo_ti.relaxation.relax.relax`; ``external_index`` names the row of each rod.
 
     rig      C cameras
@@ -68,7 +68,6 @@ class AssignedPoints:
     along: float = 0.05
     soft: float = 3.0
     layout: ClassVar[Layout] = Layout(row=1, edge=1, nu=1)
-    start_layout: ClassVar[Layout] = Layout()
     has_coarse: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
@@ -109,10 +108,6 @@ class AssignedPoints:
         form = n[..., :, None] * n[..., None, :] + self.along * t[..., :, None] * t[..., None, :]
         table = np.concatenate([self.points, form[..., [0, 0, 1], [0, 1, 1]], self.weight[..., None]], axis=-1)
         return np.ascontiguousarray(table.swapaxes(1, 2), dtype=np.float32).reshape(-1)
-
-    def energy_at_start(self, start: np.ndarray, index: np.ndarray) -> np.ndarray:
-        """(R,) none: all of it lies on edges."""
-        return np.zeros(len(start))
 
     @staticmethod
     def functions(number: Number) -> ExternalFunctions:

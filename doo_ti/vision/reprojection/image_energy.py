@@ -26,7 +26,7 @@ import taichi as ti
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import minus
 from doo_ti.physics.view import Layout
-from doo_ti.relaxation.external import ExternalFunctions
+from doo_ti.relaxation.external import External, ExternalFunctions
 from doo_ti.relaxation.tables import MOST_NUMBERS
 from doo_ti.system import runtime
 from doo_ti.system.arguments import typed
@@ -52,7 +52,7 @@ NU = COLUMNS
 
 @typed
 @dataclass(frozen=True)
-class Reprojection:
+class Reprojection(External):
     """ν Σ_c E_proj^c as an external energy of :func:`doo_ti.relaxation.relax.relax`, for rods of any number of edges.
 
     maps    of A sets of images; ``external_index`` names the set of each rod
@@ -76,9 +76,7 @@ class Reprojection:
     cap: float = 40.0
     reach: float = 2.0
     layout: ClassVar[Layout] = Layout(images=1, nu=1)
-    start_layout: ClassVar[Layout] = Layout()
     has_coarse: ClassVar[bool] = True
-    vertices: ClassVar[None] = None
 
     def __post_init__(self) -> None:
         _check_maps(self.maps, self.rig)
@@ -107,10 +105,6 @@ class Reprojection:
     def field(self) -> np.ndarray:
         """(N,) float32: the distances of all maps."""
         return np.ascontiguousarray(self.maps.values, dtype=np.float32)
-
-    def energy_at_start(self, start: np.ndarray, index: np.ndarray) -> np.ndarray:
-        """(R,) none: all of it lies on edges."""
-        return np.zeros(len(start))
 
     @staticmethod
     def functions(number: Number) -> ExternalFunctions:
