@@ -30,6 +30,8 @@ EDGE = Layout(
     excesses=("excess", 6), end_gradient=3, end_curvatures=6, end_excess=3, end=("end_gradient", 12))
 CONTACTS = ROD + SUMS + STEP + EDGE
 """Of a rod; its obstacles follow, and then its vertices."""
+CARRIED_ON = tuple(map(CONTACTS.at, ("first_stiffness", "stiffness", "largest", "way", "work")))
+"""Numbers of a rod that last from one launch of a motion to the next."""
 OBSTACLE = COLUMNS + Layout(turn=4, shift=3, pose=("turn", 7), turn_before=4, shift_before=3,
                             pose_before=("turn_before", 7), carry=9, carried=3)
 """An obstacle; of one that moves its turn and its shift from where it was at first, now and at the last instant, and by which

@@ -11,7 +11,7 @@ from doo_ti.contact.gap_tolerance import GAP_TOLERANCE, gap_tolerance
 from doo_ti.contact.obstacles import FRICTION, GRID, Obstacle, obstacle_table
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contact_layout import REMEMBERED, REMEMBERED_IN_MOTION
+from doo_ti.relaxation.contact_layout import CARRIED_ON, REMEMBERED, REMEMBERED_IN_MOTION
 from doo_ti.relaxation.pair_layout import CARRIED
 from doo_ti.rod.types import Clamp, Clamps, Configuration
 from doo_ti.system.errors import InputError
@@ -31,6 +31,7 @@ class ContactTable:
     self_friction  (1 or R,) the rods' coefficients of friction on themselves
     itself     whether the kernel is the one for rods that touch themselves
     pair_memory  (R, P, CARRIED) of their P pairs of edges, from launch to launch; one number where there is one launch
+    rod_memory  (R, CARRIED_ON) other numbers of the rods, from launch to launch of a motion
     """
 
     obstacles: np.ndarray
@@ -44,6 +45,7 @@ class ContactTable:
     self_friction: np.ndarray
     itself: bool = False
     pair_memory: np.ndarray = field(default_factory=lambda: np.zeros((1, 1, 1)))
+    rod_memory: np.ndarray = field(default_factory=lambda: np.zeros((1, 1)))
 
     @property
     def rubs(self) -> bool:
@@ -125,7 +127,7 @@ def contact_table(obstacles: Sequence[Obstacle], radius, count: int, edges: int,
     kinds, grids = grid_table(obstacles)
     return ContactTable(
         obstacles=obstacle_table(obstacles), kinds=kinds, grids=grids, radius=radius, near=near, memory=memory, forces=forces,
-        surroundings=surroundings,
+        surroundings=surroundings, rod_memory=np.zeros((rows, len(CARRIED_ON))),
         self_friction=np.zeros(1) if surroundings.itself is None else surroundings.itself.friction)
 
 

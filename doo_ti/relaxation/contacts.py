@@ -9,9 +9,9 @@ from doo_ti.physics.view import exact, read
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_layout import (
     BENDING_LOADS,
+    CARRIED_ON,
     CLOSE,
     CONTACT,
-    CONTACTS,
     HELD,
     INERT,
     LOOP_LOADS,
@@ -27,10 +27,6 @@ from doo_ti.relaxation.contact_layout import (
 from doo_ti.relaxation.contact_rounds import ContactRounds
 
 NONE, STICKS, SLIPS = map(int, Touch)
-CARRIED_ON = tuple((CONTACT.at(place) + k, CONTACTS.at(number)) for place, numbers in (
-    ("force_between", ("first_stiffness",)), ("friction_between", ("stiffness", "largest", "way")), ("rubbed_place", ("work",)))
-    for k, number in enumerate(numbers))
-"""No edge ends at vertex 0: these numbers of its contact, as memory has them, are these of the rod."""
 
 
 @ti.data_oriented
@@ -141,9 +137,9 @@ class Contacts(ContactRounds):
         stiffness = exact(own.stiffness) + INERT * inertia
         own.stiffness, own.first_stiffness, own.phase, own.way = stiffness, stiffness, ROUGH, 1.0
         own.work, own.largest, own.viscosity, own.eased, own.way_made = 0.0, 0.0, 0.0, 0.0, 0.0
-        if tables.memory[row, 0, 0, CONTACT.at("force_between")] > 0.0:
-            for pair in ti.static(CARRIED_ON):
-                own[pair[1]] = tables.memory[row, 0, 0, pair[0]]
+        if tables.rod_memory[row, 0] > 0.0:
+            for k in ti.static(range(len(CARRIED_ON))):
+                own[CARRIED_ON[k]] = tables.rod_memory[row, k]
             if ti.static(self.itself):
                 self.load_carried_pairs(tables, slot, row)
         own.multiplier = read(tables.results, row, of.FORCE)
@@ -196,14 +192,10 @@ class Contacts(ContactRounds):
             contact.pushes, contact.pushes_between = 0.0, 0.0
         for k in ti.static(range(REMEMBERED, REMEMBERED_IN_MOTION) if self.rub else (CONTACT.at("active"),)):
             contact[k] = 0.0
-        # No edge ends at vertex 0: memory has other numbers there.
-        force, between = tables.memory[row, v, o, 0], ti.select(v > 0, tables.memory[row, v, o, 1], 0.0)
+        force, between = tables.memory[row, v, o, 0], tables.memory[row, v, o, 1]
         contact.force, contact.force_between = force, between
         for k in range(REMEMBERED, tables.memory.shape[3]):
             contact[k] = tables.memory[row, v, o, k]
-        if v == 0:
-            for pair in ti.static(CARRIED_ON[1:]):
-                contact[pair[0]] = 0.0
         return ti.max(force, between)
 
     @ti.func
@@ -247,8 +239,7 @@ class Contacts(ContactRounds):
 
     @ti.func
     def unload(self, tables, slot, row):
-        """The lane's contacts into row ``row`` of the memory, in the units of the chain; in the place of the edge before vertex
-        0, which there is not, κ."""
+        """The lane's contacts into row ``row`` of the memory, in the units of the chain."""
         one = self.of_lane(tables, slot)
         for v in range(one.edges + 1):
             for o in range(one.obstacles):
@@ -257,19 +248,13 @@ class Contacts(ContactRounds):
                     tables.memory[row, v, o, k] = contact[k]
                 for k in range(REMEMBERED, tables.memory.shape[3]):
                     tables.memory[row, v, o, k] = contact[k]
-        self.carry_on(tables, slot, row, CARRIED_ON[:1])
 
     @ti.func
     def unload_motion(self, tables, slot, row):
         """The same of a rod in motion, with what its next step begins with."""
         self.unload(tables, slot, row)
-        self.carry_on(tables, slot, row, CARRIED_ON[1:])
+        own = tables.contacts.lane(slot)
+        for k in ti.static(range(len(CARRIED_ON))):
+            tables.rod_memory[row, k] = own[CARRIED_ON[k]]
         if ti.static(self.itself):
             self.carry_pairs(tables, slot, row)
-
-    @ti.func
-    def carry_on(self, tables, slot, row, pairs: ti.template()):
-        """Those items of the lane's rod into row ``row`` of the memory."""
-        own = tables.contacts.lane(slot)
-        for pair in ti.static(pairs):
-            tables.memory[row, 0, 0, pair[0]] = own[pair[1]]

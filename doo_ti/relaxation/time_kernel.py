@@ -48,6 +48,7 @@ MOTIONS = {  # among obstacles, whose forces (OBSTACLES) are those of [row · fr
     "touches": INDEX2,  # [row · frame, vertex] out
     "poses": TABLE4,  # [1 or row, 1 + step, obstacle, POSE_COLUMNS] of obstacles that move, else anything
     "pair_memory": TABLE3,  # [row, pair of edges, CARRIED] in and out, or one number
+    "rod_memory": TABLE2,  # [row, CARRIED_ON] in and out
 }
 SLOPES = {
     "material_slopes": TABLE2,  # [parameter · material, -]

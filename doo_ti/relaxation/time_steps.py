@@ -127,7 +127,8 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
         kernel, threads, scratch, queue = _laid_out(table, isotropic, len(part), bits, slopes, moves)
         more = ()
         if contact is not None:
-            more = *contact.arguments(forces, options.gap_tolerance, in_motion=True), touches, poses, contact.pair_memory
+            more = (*contact.arguments(forces, options.gap_tolerance, in_motion=True), touches, poses, contact.pair_memory,
+                    contact.rod_memory)
         elif slopes is not None:
             material = slopes.material.reshape(-1, slopes.material.shape[-1])
             more = material, slopes.numbers, slopes.shares, slopes.memory, position_slopes
