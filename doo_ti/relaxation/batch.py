@@ -45,16 +45,14 @@ def run_newton(table: Tables, options: newton.Newton, bits: int, begin: Solution
         infeasible = ~table.feasible[table.configuration_index]
         frames[infeasible], results[infeasible, : of.RESULTS] = np.nan, UNTOUCHED
     if begin is None:
-        _launch_newton(table, table.start, table.rods, options, bits, frames, results, moving)
+        _launch_newton(table, table.rods, options, bits, frames, results, moving)
     else:
-        ended = np.ascontiguousarray(begin.configuration.quaternions)
+        frames[...] = begin.configuration.quaternions
         usable = begin.status == int(Status.CONVERGED)
         if table.loaded:
             moved = usable & (table.clamp[table.configuration_index, of.LOOSE] > 0)
             results[moved, of.DRIFT:] = (begin.configuration.start - table.anchor[table.configuration_index])[moved]
-        lost = np.flatnonzero(~usable & table.feasible[table.configuration_index])
-        frames[lost] = table.start[table.configuration_index[lost]]
-        _launch_newton(table, ended, table.resumed(usable), options, bits, frames, results)
+        _launch_newton(table, table.continued(usable, np.arange(table.count)), options, bits, frames, results)
     return frames, results
 
 
@@ -64,18 +62,15 @@ def continue_newton(table: Tables, options: newton.Newton, bits: int, frames, re
     results[again, of.DRIFT:] = 0.0
     if table.contact is not None:
         table.contact.forget(again)
-    _launch_newton(table, table.start, table.continued(usable, rows), options, bits, frames, results)
+    _launch_newton(table, table.continued(usable, rows), options, bits, frames, results)
 
 
 def relax_touching(table: Tables, options: newton.Newton, frames, results, rows) -> Tables:
     """Relax the rods ``rows`` once more, from their starts and as rods that may touch themselves, in place. Returns the tables
     with their forces."""
-    contact = table.contact.touching(rows)
-    results[rows, of.DRIFT:] = 0.0
-    rods = table.rods[np.isin(table.rods[:, of.RESULT_ROW], rows)]
-    table = replace(table, contact=contact)
-    _launch_newton(table, table.start, rods, options, 64, frames, results)
-    return replace(table, contact=replace(contact, itself=False))
+    table = replace(table, contact=table.contact.touching(rows))
+    continue_newton(table, options, 64, frames, results, rows, np.zeros(table.count, dtype=bool))
+    return replace(table, contact=replace(table.contact, itself=False))
 
 
 def _untouched(count: int) -> np.ndarray:
@@ -92,8 +87,8 @@ def pack_trips(bits: int) -> tuple[int, int]:
 
 
 @runtime.exclusive
-def _launch_newton(table: Tables, start, rods, options: newton.Newton, bits: int, frames, results, moving: bool = True) -> None:
-    """One launch over ``rods``, whose starts are rows of ``start`` (-, E, 4) or of ``frames``."""
+def _launch_newton(table: Tables, rods, options: newton.Newton, bits: int, frames, results, moving: bool = True) -> None:
+    """One launch over ``rods``, from the starts of the table or from ``frames``."""
     contact = table.contact
     # Rods out of reach of all obstacles are relaxed without them.
     some_far = contact is not None and not contact.itself and not contact.near.all()
@@ -101,14 +96,14 @@ def _launch_newton(table: Tables, start, rods, options: newton.Newton, bits: int
         contact, table = None, replace(table, contact=None)
     elif some_far:
         near = contact.near[rods[:, of.RESULT_ROW]]
-        _launch_newton(replace(table, contact=None), start, rods[~near], options, bits, frames, results, moving)
+        _launch_newton(replace(table, contact=None), rods[~near], options, bits, frames, results, moving)
         rods = rods[near]
     for isotropic, any_ends, part in table.by_kernel(rods):
-        _launch_kernel(table, isotropic, any_ends, start, part, policy_row(table.up, options, bits, moving), options, bits,
+        _launch_kernel(table, isotropic, any_ends, part, policy_row(table.up, options, bits, moving), options, bits,
                        frames, results)
 
 
-def _launch_kernel(table: Tables, isotropic: bool, any_ends: bool, start, rods, policy: np.ndarray, options: newton.Newton,
+def _launch_kernel(table: Tables, isotropic: bool, any_ends: bool, rods, policy: np.ndarray, options: newton.Newton,
                    bits: int, frames, results) -> None:
     """:func:`_launch_newton` over rods of one kernel."""
     contact = table.contact
@@ -129,7 +124,7 @@ def _launch_kernel(table: Tables, isotropic: bool, any_ends: bool, start, rods, 
             *layout, isotropic, kind, contact.known, contact.itself), given)
     kernel, threads, scratch, queue = launch
     kernel(
-        start.reshape(-1), table.rest_length, table.clamp, table.material, rods, policy, threads, scratch, queue,
+        table.start.reshape(-1), table.rest_length, table.clamp, table.material, rods, policy, threads, scratch, queue,
         frames.reshape(-1), results, *outer)
 
 

@@ -135,14 +135,6 @@ class Tables:
         origin = np.where(usable[good], FROM_RESULTS, of_start)
         return rod_rows(of_start, self.material_index[good], good, origin, self.external_index[good])
 
-    def resumed(self, usable: np.ndarray) -> np.ndarray:
-        """``rods`` for a launch over other starts, one for each row of the results: from there where ``usable`` (R,), else
-        from the frames in that row."""
-        rods = self.rods.copy()
-        rows = rods[:, RESULT_ROW]
-        rods[:, START_ROW] = np.where(usable[rows], rows, FROM_RESULTS)
-        return rods
-
     def by_material(self, rods: np.ndarray) -> list[tuple[bool, np.ndarray]]:
         """``rods`` (-, ROD_COLUMNS) parted by whether they are isotropic. A rod's own material decides which kernel takes it,
         so that its result does not depend on the others of a call."""
