@@ -13,7 +13,7 @@ from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.checked_input import check_material, check_shapes, clamp_kinds, rest_lengths
 from doo_ti.relaxation.clamp_table import INFEASIBLE, STRAIGHT, clamp_table
 from doo_ti.relaxation.contact_table import contact_table, require_margin
-from doo_ti.relaxation.input_tables import bending_range, evened_materials, material_table, projectable
+from doo_ti.relaxation.input_tables import bending_range, evened_materials, material_table, projectable, put_extremes
 from doo_ti.relaxation.loading import REFERENCE_LENGTH
 from doo_ti.relaxation.pair_layout import DEEPEST_STEP
 from doo_ti.rod.frames import quaternion_product, vertices_from_quaternions
@@ -65,8 +65,7 @@ class Member:
         """(N,) mm³ of the rod as a whole: of its joints one after the other, each bent its softer way, and at least what weight
         makes of it (:func:`.stiffness_scale`)."""
         along = self.material[:, of.STIFFNESS:].reshape(len(self.material), -1, of.STIFFNESS_COLUMNS)
-        softer, _ = bending_range(along[..., of.BEND], along[..., of.BEND + 1], along[..., of.BEND + 2])
-        whole = self.lengths.sum(axis=1) / (self.lengths / softer).sum(axis=1)
+        whole = self.lengths.sum(axis=1) / (self.lengths / _bending_range(along)[0]).sum(axis=1)
         weight = self.material[:, of.WEIGHT] * self.clamp[:, of.HANGING] * self.clamp[:, of.TOTAL] / REFERENCE_LENGTH
         return np.maximum(whole, weight)
 
@@ -84,6 +83,11 @@ class Member:
             still[:, end] = self.held[:, kind]
             still[:, inner] = np.maximum(still[:, inner], self.held[:, kind] * (1.0 - self.clamp[:, tilt]))
         return still
+
+
+def _bending_range(along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(-, E) each, the smaller and the larger bending stiffness of every edge of ``along`` (-, E, STIFFNESS_COLUMNS)."""
+    return bending_range(along[..., of.BEND], along[..., of.BEND + 1], along[..., of.BEND + 2])
 
 
 def _edge_by_edge(table: np.ndarray, edges: int) -> np.ndarray:
@@ -220,11 +224,8 @@ def evened_group(table: GroupTables, most: float) -> tuple[GroupTables, np.ndarr
     ends = np.append(np.flatnonzero(table.begins), len(table.begins))
     for first, end in zip(np.append(0, ends[:-1] + 1), ends, strict=True):
         own = along[:, first:end]
-        softest, largest = bending_range(own[..., of.BEND], own[..., of.BEND + 1], own[..., of.BEND + 2])
-        twist, head = own[..., of.TWIST], material[:, : of.STIFFNESS].copy()
-        head[:, of.LARGEST_BEND] = largest.max(axis=1)
-        head[:, of.STIFFEST] = np.maximum(largest.max(axis=1), twist.max(axis=1))
-        head[:, of.SOFTEST] = np.minimum(softest.min(axis=1), twist.min(axis=1))
+        head = material[:, : of.STIFFNESS].copy()
+        put_extremes(head, _bending_range(own), own[..., of.TWIST])
         even, uneven = evened_materials(np.concatenate([head, own.reshape(len(own), -1)], axis=1), most)
         own[...] = even[:, of.STIFFNESS:].reshape(own.shape)
         heads.append(even[:, : of.STIFFNESS])

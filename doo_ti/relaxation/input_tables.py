@@ -127,16 +127,22 @@ def material_table(material: Material, edges: int) -> np.ndarray:
     along[..., of.BEND], along[..., of.BEND + 1], along[..., of.BEND + 2] = first, second, mixed
     along[:, 0, of.TWIST] = twist[:, 0]  # where the kernel of isotropic rods, whose stiffness is uniform, finds it
     joints[..., of.TWIST] = twist
-    smallest, largest = bending_range(first, second, mixed)
     table[:, of.ROUND] = ((first == second) & (mixed == 0)).all(axis=1)
     if rest is not None:
         joints[..., of.REST : of.REST + 2] = rest
         table[:, of.ROUND] *= (rest == 0).all(axis=(1, 2))
     table[:, of.WEIGHT] = material.weight
+    put_extremes(table, bending_range(first, second, mixed), twist)
+    return table
+
+
+def put_extremes(table: np.ndarray, bend: tuple[np.ndarray, np.ndarray], twist: np.ndarray) -> None:
+    """Into a table of materials the largest and smallest stiffness along the rods, which have the range ``bend`` (G, 1 or E)
+    each and ``twist`` (G, 1 or joints)."""
+    smallest, largest = bend
     table[:, of.LARGEST_BEND] = _along(np.maximum, largest)
     table[:, of.STIFFEST] = np.maximum(table[:, of.LARGEST_BEND], _along(np.maximum, twist))
     table[:, of.SOFTEST] = np.minimum(_along(np.minimum, smallest), _along(np.minimum, twist))
-    return table
 
 
 def _along(chosen: np.ufunc, values: np.ndarray) -> np.ndarray:
