@@ -1,59 +1,14 @@
-"""Scenes of rods in motion, in one TOML file, for ``simulate`` and ``predict``.
+"""Scenes of rods in motion, in one TOML file, for ``simulate`` and ``predict``, whose keys docs/scenes.md explains.
 
-    name = "whip"
-    rate_hz = 200                      # frames per second; without it ``predict`` goes straight from one moment to the next,
-    duration_s = 1.0
-    between = 40                       # in so many states (1)
-    substeps = 2                       # time steps from one frame to the next (1)
-    quasi_static = true                # without inertia and drag: every step is an equilibrium, with friction (false)
-    scheme = "bdf2"                    # or "euler"
+    name, rate_hz, duration_s, ...     frames per second, how long, and the time steps between frames
+    [rod]                              the one rod: straight at first, or with a knot
+    [materials.NAME]                   one or more, all in the same motion
+    [clamps]                           how the ends are held
+    [[moments]], [circle]              where, from moment to moment
+    [[obstacles]]                      which may move (:mod:`doo_ti.contact.obstacle_file`)
 
-    [rod]
-    length_mm = 1000.0
-    edges = 40
-    direction = [0, 0, -1]             # in which it is straight at first (along x)
-    position_mm = [0, 0, 0]            # of its first vertex (the origin)
-    at_rest = true                     # relaxed before the motion begins (false: it begins straight)
-    vertex_clamps = true               # clamps act at the end vertices, not in the middle of the outer edges (false)
-    radius_mm = 3.0                    # needed with obstacles and with a knot
-    knot_loop_mm = 20.0                # an open overhand knot in its middle at first, with a loop of that radius (none)
-    knot_finer = 4.0                   # edges in the knot, where it touches itself, are so many times shorter (as needed)
-
-    [materials.rope]                   # one or more, all in the same motion
-    bend = 6e5                         # mm³, or EI in N m²: doo_ti/io/scene_keys.py; with rate_hz not a matrix
-    twist = 8e5
-    weight = 1.0
-    density = 1.0                      # mass per length over that of a rod of weight 1 (the weight)
-    bend_damping_s = 0.01              # (0)
-    twist_damping_s = 0.01             # (0)
-    drag_per_s = 0.1                   # (0)
-    quadratic_drag_per_mm = 1e-5       # (0)
-
-    [clamps]                           # free, position, tangent or frame
-    start = "frame"                    # (frame)
-    end = "free"                       # (free, without rate_hz frame)
-
-    [[moments]]                        # of the clamps, none or more, without rate_hz two; what is left out stays as it was
-    time_s = 0.0
-    start_position_mm = [0, 0, 0]
-    start_direction = [0, 0, -1]
-    end_position_mm = [0, 0, -1000]
-    end_direction = [0, 0, -1]
-    start_turns = 0.0                  # about its direction, since the beginning (0)
-    end_turns = 2.5
-
-    [circle]                           # on which the start runs besides, horizontal
-    radius_mm = 50.0
-    turns_per_s = 1.5
-
-    [[obstacles]]                      # none or more, which may move, see doo_ti/contact/obstacle_file.py
-    kind = "plane"
-    point = [0, 0, -900]
-    normal = [0, 0, 1]
-    friction = 0.3
-
-Without rate_hz the rod is at first straight where the first moment has it. What is computed begins at the first moment: the rod
-is brought there before.
+Without rate_hz ``predict`` goes straight from one moment to the next, in ``between`` states, and the rod is at first straight
+where the first moment has it. What is computed begins at the first moment: the rod is brought there before.
 """
 
 from dataclasses import dataclass, replace

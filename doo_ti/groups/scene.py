@@ -1,52 +1,11 @@
-"""Scenes of groups, in one TOML file (docs/groups.md).
+"""Scenes of groups, in one TOML file, whose keys docs/scenes.md explains.
 
-    name = "wire harness"
-    radius_mm = 2.0                    # of the rods, needed with obstacles (without it rods do not touch each other)
-    rate_hz = 10                       # moments per second of a motion,
-    duration_s = 2.0                   # and how long it lasts (both left out: one relaxation)
-    dynamic = true                     # the rods have inertia; from each moment to the next is a time step (false)
-    scheme = "bdf2"                    # of the time steps, or "euler"
-
-    [materials.wire]                   # one or more
-    bend = 2e5                         # mm³, or, of all materials, EI in N m² (doo_ti/io/scene_keys.py): the first one
-    twist = 1.5e5                      # then has a weight of 1, to which the weight of ties and density are relative
-    weight = 1.0
-    density = 1.0                      # with inertia: mass per length over that of a rod of weight 1 (the weight)
-    bend_damping_s = 0.01              # (0)
-    twist_damping_s = 0.01             # (0)
-    drag_per_s = 0.1                   # (0)
-    quadratic_drag_per_mm = 1e-5       # (0)
-
-    [rods.trunk]                       # one or more, in the order in which they are numbered
-    material = "wire"                  # (the only one)
-    radius_mm = 3.0                    # (that of all)
-    edges = 36
-    length_mm = 360.0                  # straight at first
-    position_mm = [0, 0, 8]            # of its first vertex (the origin)
-    direction = [1, 0, 0]              # (along x)
-    start = "frame"                    # free, position, tangent or frame (free)
-    end = "tangent"                    # (free)
-    vertex_clamps = true               # clamps, and welds of ends, act at the end vertices, not half an edge off (false)
-
-    [[rods.trunk.moments]]             # of its clamps: doo_ti/io/scene_keys.py. Ends that are elsewhere are drawn there
-    time_s = 0.0
-    end_position_mm = [350, 0, 8]
-
-    [rods.branch]
-    edges = 14
-    points_mm = [[120, 0, 8], [150, 40, 8], [180, 90, 8]]    # instead of length, position and direction: a curve through these
-    closed = false                     # true: from the last of them back to the first (false)
-
-    [[ties]]                           # none or more: points that stay at one place
-    first = ["trunk", 12]              # rod and vertex, from 0; below 0 from its end
-    second = ["branch", 0]
-    weight = 50.0                      # energy per mm, of what sits there (0)
-    weld = true                        # the two edges keep their rotation to each other, too (false)
-
-    [[obstacles]]                      # none or more, see doo_ti/contact/obstacle_file.py; kind "itself" has the rods' friction
-    kind = "plane"
-    point = [0, 0, 0]
-    normal = [0, 0, 1]
+    name, radius_mm, rate_hz, ...      of all rods, and the moments of a motion; without a rate one relaxation
+    [materials.NAME]                   one or more; ties and density are relative to the first one's weight
+    [rods.NAME]                        one or more, in the order in which they are numbered: start, clamps and material
+    [[rods.NAME.moments]]              of its clamps (:mod:`doo_ti.io.scene_keys`); ends that are elsewhere are drawn there
+    [[ties]]                           points that stay at one place
+    [[obstacles]]                      kind "itself" has the rods' friction (:mod:`doo_ti.contact.obstacle_file`)
 """
 
 from dataclasses import dataclass
