@@ -77,9 +77,9 @@ class GroupContacts(Ties, SelfContacts):
     # --- what a rod that touches itself has otherwise ---
 
     @ti.func
-    def apart(self, rod, i, at, arc):
+    def may_touch(self, rod, i, at, arc):
         """Whether two edges may touch is known from the start."""
-        return at.apart > 0.5
+        return at.may_touch > 0.5
 
     @ti.func
     def held(self, rod, index):
@@ -162,11 +162,11 @@ class GroupContacts(Ties, SelfContacts):
         return SelfContacts.end_round(self, rod, lane, calm & ~missing, rests & ~missing) | (rests & missing)
 
     @ti.func
-    def settle(self, rod, due):
+    def update_forces(self, rod, due):
         """End a round with new forces of contacts and, a first one, of ties. Returns the largest change of a gap that they
         mean, or what a tie misses times the ratio of their tolerances."""
-        change, zero = SelfContacts.settle(self, rod, due), 0.0 * rod.total
-        self.settle_ties(rod, due)
+        change, zero = SelfContacts.update_forces(self, rod, due), 0.0 * rod.total
+        self.update_ties(rod, due)
         choose(rod.contacts, due, work=self.friction_work(rod))
         return largest_of(change, ti.select(due, self.miss(rod) / TIE_TOLERANCE * rod.contacts.tolerance, zero))
 
@@ -226,7 +226,7 @@ class GroupContacts(Ties, SelfContacts):
                 self.contact(self.vertex(one, v), o).sagging = 0.0
         own = ti.min(row, tables.apart.shape[0] - 1)
         for number in range(tables.apart.shape[1]):
-            self.numbered_pair(one, number).apart = ti.cast(tables.apart[own, number], ti.f64)
+            self.numbered_pair(one, number).may_touch = ti.cast(tables.apart[own, number], ti.f64)
 
     @ti.func
     def unload_forces(self, tables, slot, place, force_unit):

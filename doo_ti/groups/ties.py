@@ -155,7 +155,7 @@ class Ties:
         return head.give * head.stiffness > 1.0
 
     @ti.func
-    def settle_ties(self, rod, due):
+    def update_ties(self, rod, due):
         """New forces of the ties in the lanes in which they draw points together, and a larger κ where they had to do so again.
         From then on forces change with every step."""
         head = self.group(rod)

@@ -32,6 +32,7 @@ from doo_ti.relaxation.chain_layout import ROD, edge_layout
 from doo_ti.relaxation.newton_policy import UP
 
 STAND_INS = {"start": "frames", "numbers": "material", "field": "material", "kinds": "rods", "grids": "material"}
+"""What stands in for an array that a kernel does not take: Taichi's functions must be given one, and nothing reads it."""
 EASILY_TWISTED = 1e-2
 """β over α, below which twisting is much easier than bending."""
 
@@ -71,7 +72,8 @@ class Chain:
         self.touches = False
         self.largest = number.lanes().largest
         self.twist_angle = twist_angle_function(number)
-        # What makes AᵀA regular: a share of its trace, and where that is zero a number whose cube is not.
+        # What makes AᵀA regular: a share of its trace, and where that is zero a number whose cube, the
+        # determinant, is none that rounds to zero.
         # Without closure the edges of a straight rod are parallel; with it they never quite are, and λ has to be exact.
         self.regular, self.regular_open, self.least = (1e-6, 0.0, 1e-12) if number.bits == 32 else (1e-16, 1e-13, 1e-30)
         self.tiny = 1e-30 if number.bits == 32 else 1e-100  # see :func:`.factor`

@@ -53,7 +53,7 @@ class ContactEnergy(ContactPlaces):
     def __init__(self, number, kinds: frozenset[int], rub: bool = False, moves: bool = False,
                  expects: bool = False):
         super().__init__(number, kinds, moves)
-        self.rub, self.settles_early, self.expects = rub, not rub, expects
+        self.rub, self.updates_in_steps, self.expects = rub, not rub, expects
 
     @ti.func
     def touched(self, rod, index, start, end):
@@ -152,13 +152,13 @@ class ContactEnergy(ContactPlaces):
     def clear_between(self, rod, zero):
         """Begin the sums over the contacts of an edge between its ends."""
         rod.contacts.between = repeated(zero, 27)
-        if ti.static(self.settles_early):
+        if ti.static(self.updates_in_steps):
             rod.contacts.excesses = repeated(zero, 6)
 
     @ti.func
     def known(self, whole, excess):
         """Of three sums of an edge those of the forces that are known."""
-        if ti.static(self.settles_early):
+        if ti.static(self.updates_in_steps):
             return minus(whole, excess)
         else:
             return whole
@@ -246,42 +246,42 @@ class ContactEnergy(ContactPlaces):
         value, zero = contact.value, 0.0 * rod.total
         close = self.close_lanes(rod, value)
         gap = value - rod.contacts.radius
-        self.settle_now(rod, contact.of("force"), gap, close)
+        self.update_now(rod, contact.of("force"), gap, close)
         pushed = self.push(rod, ti.select(close, contact.force, zero), gap)
         self.add_penalty(rod, pushed.energy, pushed.push * rod.total)
         self.expect(rod, contact.of("pushes"), contact.force, gap, close, pushed)
         pull = scaled(normal, 0.0 - pushed.push)
         known = self.known_force(rod, contact.force, pushed.push)
-        if ti.static(self.settles_early):
+        if ti.static(self.updates_in_steps):
             add(rod.contacts, end_excess=scaled(normal, known - pushed.push))
         add(rod.contacts, end_gradient=pull, end_curvatures=scaled(outer(normal), pushed.stiffness))
         if self.is_curved(rod, o):
             add(rod.contacts, end_curvatures=scaled(contact.curvature, 0.0 - known))
 
     @ti.func
-    def settle_now(self, rod, force, gap, counts):
-        """Where the contact ``counts`` and the step settles forces, set its ``force`` λ to max(0, λ − κ g) with the κ before
+    def update_now(self, rod, force, gap, counts):
+        """Where the contact ``counts`` and the step updates forces, set its ``force`` λ to max(0, λ − κ g) with the κ before
         the step."""
-        if ti.static(self.settles_early):
-            stiffness, old = rod.contacts.settling, force.value
-            settles = counts & (stiffness > 0.0)
-            new = ti.select(settles, ti.max(old - stiffness * gap, 0.0 * gap), old)
+        if ti.static(self.updates_in_steps):
+            stiffness, old = rod.contacts.update_stiffness, force.value
+            updates = counts & (stiffness > 0.0)
+            new = ti.select(updates, ti.max(old - stiffness * gap, 0.0 * gap), old)
             force.value = new
-            rod.contacts.settled = largest_of(rod.contacts.settled, absolute(new - old))
+            rod.contacts.force_change = largest_of(rod.contacts.force_change, absolute(new - old))
 
     @ti.func
-    def settled_gap(self, rod):
-        """By how much the step changed a gap by settling forces, in the lanes where it did."""
-        return rod.contacts.settled / rod.contacts.settling
+    def gap_change(self, rod):
+        """By how much the step changed a gap by updating forces, in the lanes where it did."""
+        return rod.contacts.force_change / rod.contacts.update_stiffness
 
     @ti.func
-    def known_force(self, rod, settled, push):
-        """The force of a contact in the residual and in the second derivatives of φ: in a step that settles forces the
-        ``settled`` λ where the contact pushes at all; otherwise its whole ``push``, or none where it is only expected. The
+    def known_force(self, rod, updated, push):
+        """The force of a contact in the residual and in the second derivatives of φ: in a step that updates forces the
+        ``updated`` λ where the contact pushes at all; otherwise its whole ``push``, or none where it is only expected. The
         difference, −κ g, only closes the gap."""
         known = variable((push,))
-        if ti.static(self.settles_early):
-            known = (ti.select((rod.contacts.settling > 0.0) & (push > 0.0), settled, push),)
+        if ti.static(self.updates_in_steps):
+            known = (ti.select((rod.contacts.update_stiffness > 0.0) & (push > 0.0), updated, push),)
         if ti.static(self.expects):
             known = (ti.max(known[0], 0.0 * push),)
         return known[0]
@@ -351,14 +351,14 @@ class ContactEnergy(ContactPlaces):
         s, normal, zero = seen.s, seen.normal, 0.0 * seen.s
         contact.nearest_point = (s, seen.value) + normal + (ti.select(acts, zero + 1.0, zero),)
         gap = seen.value - rod.contacts.radius
-        self.settle_now(rod, contact.of("force_between"), gap, acts)
+        self.update_now(rod, contact.of("force_between"), gap, acts)
         pushed = self.push(rod, contact.force_between, gap)
         rod.contacts.closest = ti.min(rod.contacts.closest, ti.select(acts, gap, zero + 1e30))
         own = ti.select(acts, pushed.energy, zero)
         self.expect(rod, contact.of("pushes_between"), contact.force_between, gap, acts, pushed)
         force, stiffness = ti.select(acts, pushed.push, zero), ti.select(acts, pushed.stiffness, zero)
         known = self.known_force(rod, contact.force_between, force)
-        if ti.static(self.settles_early):
+        if ti.static(self.updates_in_steps):
             excess = scaled(normal, known - force)
             add(rod.contacts, excess=excess, excess_s=scaled(excess, s))
         self.add_penalty(rod, own, ti.max(force, zero) * rod.total)

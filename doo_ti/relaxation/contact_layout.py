@@ -15,13 +15,14 @@ ROD = Layout(
 # Sums, which are kept here because a loop over obstacles has no room for them in registers: the energy of all contacts, its
 # magnitude, and the part of it that only makes gaps close, which is no energy of the rod; the square of the largest share of
 # its way to the middle of an obstacle that a vertex has made in this step; the least φ, the least gap where no clamp holds the
-# rod, and by how much the step changed a force by settling forces.
-SUMS = Layout(energy=1, magnitude=1, penalty=1, crossing=1, deepest=1, closest=1, settled=1, sums=("energy", 7))
-# Then the κ with which the step settles forces, zero where it does not, and how many steps have done so; 1/κ; one where the
+# rod, and by how much the step changed a force by updating forces.
+SUMS = Layout(energy=1, magnitude=1, penalty=1, crossing=1, deepest=1, closest=1, force_change=1, sums=("energy", 7))
+# Then the κ with which the step updates forces, zero where it does not, and how many steps have done so; 1/κ; one where the
 # step before was refused, and one where the derivatives therefore have a contact that does not push
 # (:meth:`.ContactEnergy.expect`); that part of the energy at the accepted frames; and, one number each for all rods of the
 # pack, whether the step of any was refused, and the longest edge.
-STEP = Layout(settling=1, early=1, compliance=1, expecting=1, expected=1, penalty_kept=1, some_expecting=1, longest_edge=1)
+STEP = Layout(update_stiffness=1, early=1, compliance=1, expecting=1, expected=1, penalty_kept=1, some_expecting=1,
+              longest_edge=1)
 # And of one edge the derivatives of the energy of its contacts between its ends, as :meth:`.LoadedElimination.load` returns
 # them, and how much of the first two is not of known forces; and those by the place of the vertex where it ends of the energy
 # of the contacts there.
@@ -39,8 +40,8 @@ turn, column after column, and shift a place of it has moved since then."""
 # Its place; the least room of the edge that ends there, which is how far it is from the middle of an obstacle; both also from
 # before the step; the forces on that edge's end and on its start; of a motion the place at the instant before; the least φ of
 # all obstacles; and, one number each for all rods of the pack, how far the nearest obstacle is from being close, and whether
-# there are forces. The number of items of a vertex with its contacts is odd: with a power of two all vertices would share a
-# few lines of the processor's cache.
+# there are forces; and ``odd``, unused: with a power of two of items all vertices would share a few lines of the processor's
+# cache.
 VERTEX = Layout(place=3, standing=3, room=1, room_standing=1, force_end=3, force_start=3, previous=3, least=1, nearest_of_all=1,
                 pushed=1, odd=1)
 """A vertex; its contacts follow."""
@@ -74,11 +75,11 @@ PRESSED_IN = 0.3
 """Of a radius: the most by which κ gives way under the largest force, so that forces end where contact does, and what is added
 to a gap where a step may close it. Of the way to the middle of an obstacle: the most under the weight of the whole rod."""
 EARLY_ROTATION, EARLY_STIFFER, MOST_EARLY = 3e-2, 10.0, 12.0
-"""A step in which every edge turns by less than that, rad, settles forces; κ is from then on at least so many times the first;
+"""A step in which every edge turns by less than that, rad, updates forces; κ is from then on at least so many times the first;
 and at most so many steps of a rod do so."""
 FOLLOWED = 0.7
 """If such a step leaves a residual above ROUGHER and changes gaps by more than that share of what the one before did, the rod
-has not followed its forces yet, and the next step settles none."""
+has not followed its forces yet, and the next step updates none."""
 STIFFER, SLOW, STIFFEST = 5.0, 0.3, 1e6
 """κ grows by the factor STIFFER where a round leaves more than the share SLOW of the change of the round before, and where a
 refused step is deep inside an obstacle, up to STIFFEST times the first κ; it shrinks by that factor where one is refused

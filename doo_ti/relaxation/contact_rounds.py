@@ -73,7 +73,7 @@ class ContactRounds(ContactEnergy):
         """The residual that a rod is to reach where ``given`` is that of one without contact: more while its rounds are rough,
         and at least what rounding of places makes of the forces."""
         rough = ti.max(given, 0.0 * given + ROUGHER)
-        return self.final_tolerance(rod, ti.select(self.settled(rod), given, rough))
+        return self.final_tolerance(rod, ti.select(self.is_fine(rod), given, rough))
 
     @ti.func
     def final_tolerance(self, rod, given):
@@ -81,7 +81,7 @@ class ContactRounds(ContactEnergy):
         return given + self.rounding * rod.contacts.stiffness * rod.longest * rod.total * rod.total
 
     @ti.func
-    def settled(self, rod):
+    def is_fine(self, rod):
         """The lanes whose rods are in their final rounds."""
         return rod.contacts.phase < ti.static(0.5 * (ROUGH + FINE))
 
@@ -90,48 +90,48 @@ class ContactRounds(ContactEnergy):
         """End a round where a lane's rod ``rests`` under the forces of its contacts or, while these still change, is ``calm``
         to a rougher tolerance; returns the lanes in which another round follows."""
         zero = 0.0 * rod.total
-        settled = self.settled(rod)
-        due = (rests | (calm & ~settled)) & (lane.active > 0.5)
+        fine = self.is_fine(rod)
+        due = (rests | (calm & ~fine)) & (lane.active > 0.5)
         again = variable((due,))
         if self.some(due, zero):
-            close = self.settle(rod, due) <= rod.contacts.tolerance
+            close = self.update_forces(rod, due) <= rod.contacts.tolerance
             choose(rod.contacts, due & close, phase=zero + FINE)
-            again = (due & ~(close & settled),)
+            again = (due & ~(close & fine),)
         # The next trip evaluates the rod where it is, under the new forces.
         choose(lane, again[0], trying=zero, escaping=zero, step_scale=zero, best=zero + 1e30, idle_trips=zero, aimless=zero,
                returned=zero)
         return again[0]
 
     @ti.func
-    def settle_early(self, rod, lane, ready, rests):
-        """Let the next step settle forces in the lanes that are ``ready`` and whose rounds are rough: forces then change as
+    def plan_update(self, rod, lane, ready, rests):
+        """Let the next step update forces in the lanes that are ``ready`` and whose rounds are rough: forces then change as
         soon as the step has moved the rod, so that no trip only evaluates the rod under new forces. Where the forces that this
-        step settled changed by no more than the tolerance, the rod is done if it ``rests`` under them, else the final rounds
+        step updated changed by no more than the tolerance, the rod is done if it ``rests`` under them, else the final rounds
         begin. Returns the lanes of both kinds in which the rod needs another trip, and those in which it is done."""
         zero = 0.0 * rod.total
         early, done = variable((zero > 1.0,)), variable((zero > 1.0,))
-        if ti.static(self.settles_early):
-            stiffness, change = rod.contacts.stiffness, self.settled_gap(rod)
-            settled = rod.contacts.settling > 0.0
+        if ti.static(self.updates_in_steps):
+            stiffness, change = rod.contacts.stiffness, self.gap_change(rod)
+            updated = rod.contacts.update_stiffness > 0.0
             # The rod has not followed its forces, and might never if they changed again at once.
-            lagging = settled & (lane.residual * rod.total > ROUGHER) & (change > FOLLOWED * rod.contacts.change)
-            choose(rod.contacts, settled, change=change)
-            within = settled & (change <= rod.contacts.tolerance)
+            lagging = updated & (lane.residual * rod.total > ROUGHER) & (change > FOLLOWED * rod.contacts.change)
+            choose(rod.contacts, updated, change=change)
+            within = updated & (change <= rod.contacts.tolerance)
             if ti.static(self.bits == 32):  # in f64 another step makes forces far more exact
                 done = (within & rests,)
             last = within & ~done[0]
             choose(rod.contacts, last, phase=zero + FINE)
-            choose(lane, settled, best=zero + 1e30, idle_trips=zero, aimless=zero)
-            settles = ready & ~self.settled(rod) & ~done[0] & ~lagging & (rod.contacts.early < MOST_EARLY)
-            rod.contacts.settling = ti.select(settles, stiffness, zero)
-            choose(rod.contacts, settles, early=rod.contacts.early + 1.0)
+            choose(lane, updated, best=zero + 1e30, idle_trips=zero, aimless=zero)
+            updates = ready & ~self.is_fine(rod) & ~done[0] & ~lagging & (rod.contacts.early < MOST_EARLY)
+            rod.contacts.update_stiffness = ti.select(updates, stiffness, zero)
+            choose(rod.contacts, updates, early=rod.contacts.early + 1.0)
             stiffer = ti.max(stiffness, EARLY_STIFFER * rod.contacts.first_stiffness)
-            choose(rod.contacts, settles, stiffness=stiffer)
-            early = (settles | last,)
+            choose(rod.contacts, updates, stiffness=stiffer)
+            early = (updates | last,)
         return early[0], done[0]
 
     @ti.func
-    def settle(self, rod, due):
+    def update_forces(self, rod, due):
         """End a round in the lanes that are ``due`` with new forces. Returns the largest change of a gap that they mean."""
         zero = 0.0 * rod.total
         stiffness = rod.contacts.stiffness
@@ -142,15 +142,15 @@ class ContactRounds(ContactEnergy):
             for o in range(rod.obstacles):
                 contact = self.contact(at, o)
                 if self.is_close(rod, contact) or self.is_edge_close(rod, v, o):
-                    self.settle_vertex(rod, contact, due, found)
+                    self.update_vertex(rod, contact, due, found)
                     if self.is_curved(rod, o):
-                        self.settle_edge(rod, v, o, contact, due, found)
+                        self.update_edge(rod, v, o, contact, due, found)
                 else:
-                    self.settle_far(rod, contact, due, found)
+                    self.update_far(rod, contact, due, found)
                 if ti.static(self.rub):
-                    found.rubbed = largest_of(found.rubbed, self.settle_friction(rod, v, o, due))
+                    found.rubbed = largest_of(found.rubbed, self.update_friction(rod, v, o, due))
         if ti.static(self.itself):
-            self.settle_pairs(rod, due, found)
+            self.update_pairs(rod, due, found)
         change = ti.select(due, found.change / stiffness, zero)
         slow = due & (change > SLOW * rod.contacts.change) & (change > rod.contacts.tolerance)
         slow = slow & (stiffness < STIFFEST * rod.contacts.first_stiffness)
@@ -195,37 +195,37 @@ class ContactRounds(ContactEnergy):
         rod.contacts.expecting = ti.select(where, zero + 1.0, zero)
 
     @ti.func
-    def settle_vertex(self, rod, contact, due, found):
+    def update_vertex(self, rod, contact, due, found):
         """The new force of the contact of a vertex."""
         old = contact.force
         gap = contact.value - rod.contacts.radius
-        new = self.settled_force(rod, old, gap)
+        new = self.updated_force(rod, old, gap)
         self.note_change(found, old, new)
         contact.force = ti.select(due, new, old)
 
     @ti.func
-    def settle_edge(self, rod, index, o, contact, due, found):
+    def update_edge(self, rod, index, o, contact, due, found):
         """That of the edge to vertex ``index``; none ends at vertex 0."""
         zero = 0.0 * rod.total
         old = contact.force_between
         # Where the edge does not bridge the obstacle its nearest point is not known.
         known = ((contact.acts > 0.0) | (contact.sagging > 0.0)) & (index > 0)
         gap = ti.select(known, contact.value_between - rod.contacts.radius, zero + 1e6)
-        new, late = self.settle_between(rod, index, o, due, gap, self.settled_force(rod, old, gap))
+        new, late = self.update_between(rod, index, o, due, gap, self.updated_force(rod, old, gap))
         found.change = largest_of(found.change, late)
         self.note_change(found, old, new)
         contact.force_between = ti.select(due, new, old)
 
     @ti.func
-    def settled_force(self, rod, old, gap):
+    def updated_force(self, rod, old, gap):
         """max(0, λ − κ g)."""
         return ti.max(old - rod.contacts.stiffness * gap, 0.0 * gap)
 
     @ti.func
-    def settle_far(self, rod, contact, due, found):
+    def update_far(self, rod, contact, due, found):
         """New forces where neither a vertex nor the edge that ends there is close to the obstacle in any lane."""
         zero = 0.0 * rod.total
-        self.settle_vertex(rod, contact, due, found)
+        self.update_vertex(rod, contact, due, found)
         self.note_change(found, contact.force_between, zero)
         choose(contact, due, force_between=zero, active=zero)
         contact.sagging = zero
@@ -243,7 +243,7 @@ class ContactRounds(ContactEnergy):
         choose(rod.contacts, where, stiffness=ti.max(rod.contacts.stiffness, least))
 
     @ti.func
-    def settle_between(self, rod, index, o, due, gap, force):
+    def update_between(self, rod, index, o, due, gap, force):
         """Whether the rounds that follow have the nearest point of an edge: as long as it is nearer than the ends. Returns its
         force, which otherwise goes to the nearer end, and what it should have been where they did not have it so far."""
         zero = 0.0 * gap
@@ -263,7 +263,7 @@ class ContactRounds(ContactEnergy):
         return ti.select(sags, force, zero), late
 
     @ti.func
-    def settle_friction(self, rod, index, o, due):
+    def update_friction(self, rod, index, o, due):
         """New friction on a vertex and on the edge that ends there, under the new forces: by how much it changes."""
         zero = 0.0 * rod.total
         at = self.vertex(rod, index)

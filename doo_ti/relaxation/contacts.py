@@ -67,7 +67,7 @@ class Contacts(ContactRounds):
         zero = 0.0 * rod.total
         choose(rod.contacts, where, phase=zero + ROUGH, change=zero + 1e30, stiffness=rod.contacts.first_stiffness)
         self.tighten(rod, where)
-        choose(rod.contacts, where, retried=zero, settling=zero, early=zero)
+        choose(rod.contacts, where, retried=zero, update_stiffness=zero, early=zero)
 
     @ti.func
     def friction_work(self, rod):
@@ -110,7 +110,7 @@ class Contacts(ContactRounds):
                     choose(self.contact(at, o), once, remembered=repeated(zero, REMEMBERED_IN_MOTION))
             if ti.static(self.itself):
                 self.forget_pairs(rod, once)
-            choose(rod.contacts, once, phase=zero + ROUGH, settling=zero, early=zero, change=zero + 1e30,
+            choose(rod.contacts, once, phase=zero + ROUGH, update_stiffness=zero, early=zero, change=zero + 1e30,
                    stiffness=rod.contacts.first_stiffness, retried=zero + 1.0)
         return once
 
@@ -165,7 +165,7 @@ class Contacts(ContactRounds):
         viscosity = VISCOUS * whole / (scale.total * vertices * unit * unit)
         tolerance = ti.max(tables.tolerance * radius, 10.0 * self.rounding * scale.total)
         base.given = (radius, stiffness, tolerance, 1e30, ROUGH, CLOSE * radius + 0.5 * scale.longest, stiffness, 0.0, 0.0)
-        base.first_viscosity, base.settling, base.early, base.expecting = viscosity, 0.0, 0.0, 0.0
+        base.first_viscosity, base.update_stiffness, base.early, base.expecting = viscosity, 0.0, 0.0, 0.0
         for o in range(count):
             at = self.obstacle(one, o)
             for k in range(OBSTACLE_COLUMNS):

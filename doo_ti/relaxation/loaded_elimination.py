@@ -50,6 +50,7 @@ from doo_ti.relaxation.contact_layout import CONTACTS
 from doo_ti.relaxation.contacts import Contacts
 from doo_ti.relaxation.elimination import held_pivot
 from doo_ti.relaxation.loose_start import LooseStart
+from doo_ti.relaxation.newton_policy import INERTIA_OF_A_MINIMUM
 
 
 @traced
@@ -169,7 +170,7 @@ class LoadedElimination(LooseStart):
         """The result of :meth:`eliminate`, from what edge 0 passes on: vertex 0 and closure are eliminated here."""
         zero = 0.0 * rod.total
         change = variable(repeated(zero, 3))
-        positive = zero + 3.0  # what a minimum counts without closure
+        positive = zero + INERTIA_OF_A_MINIMUM  # without closure all of it is counted
         if ti.static(self.moves_start):
             self.eliminate_start(rod, shift, beyond, border, found)
             change, positive = self.bordered(rod, border.schur, plus(border.right, miss))

@@ -49,7 +49,7 @@ class Newton:
     max_escapes     how often a rod may leave a saddle it has converged to
     gap_tolerance   of a rod's radius: how far the gap at a contact may be off; in f32 at least 2e-6 of the length. A smaller
                     value makes the forces of single contacts more exact, above all those of stiff rods with short edges.
-                    None: 1e-5, and 2e-4 for rods that may touch themselves or each other and where there is friction
+                    None: 1e-5, and 2e-4 for rods that may touch themselves or each other
     """
 
     tolerance: float | None = None

@@ -1,5 +1,7 @@
 """The numbers that the Newton loop goes by (docs/chain.md)."""
 
+INERTIA_OF_A_MINIMUM = 3.0
+"""Negative pivots of H and positive eigenvalues of closure's Schur complement, together: one for each row of closure."""
 SHAPE_TOLERANCE_32 = 1e-4
 """rad: in f32 the next Newton step has to be smaller too, or f64 takes over."""
 

@@ -17,16 +17,23 @@ class NewtonTrip:
     Its functions share three records: ``tables``, the arrays that host and kernel share; ``rod``, the parameters of the rods
     in the lanes (:class:`.Chain`); and ``lane``, the state of each lane's rod and its next step:
 
-    energy, magnitude, miss, multiplier  of the accepted frames; ``residual`` their largest moment
+    energy, magnitude, miss, multiplier  of the accepted frames, magnitude being the sum of the energy's absolute terms, the
+                                         scale of its rounding; ``residual`` their largest moment
     begun, arrived, along                the smallest t·target of an edge at the start, in the accepted frames, in all of them
     change, longest                      δλ, and how large the step is for one that may be taken whole, rad
     shift, scale                         added to the diagonal of H, and H's largest diagonal entry
     step_scale                           share of the step that is taken
-    trying, closing, escaping            flags: the step is judged by its energy; it only closes; it leaves a saddle
+    fresh, trying, closing, escaping     flags: the rod has just been loaded; the step is judged by its energy; it only closes;
+                                         it leaves a saddle
+    coarse                               one where an external energy gives its coarse curvature
+    rejects, returned                    steps refused since the last accepted one; one where the trip before ended so
+    troubled                             one once a step was refused or the inertia was wrong: the shift then decays more slowly
     rounds, heading, escapes             of leaving a saddle: inverse iterations made, the way taken, saddles left so far
     strays                               how often the rod has left a saddle without having come to rest there
     spins_first                          one where the step is in spins that are made before tilts
     best, idle_trips, aimless            the smallest residual so far, trips without progress and without notable progress
+    trips, status, stable                iterations made, and the rod's :class:`.Status` and certificate when it is finished
+    active, finished, lengths_known      flags of the lane: it has a rod; that is to be exchanged; edge lengths have been loaded
     """
 
     def __init__(self, sweep: Elimination, has_coarse: bool):
@@ -132,7 +139,7 @@ class NewtonTrip:
         if ti.static(self.touches):
             # No step may carry a vertex past the middle of an obstacle. The Lagrangian says nothing across a change of forces.
             passable = rod.contacts.crossing < 1.0
-            downhill = (downhill | (moved & (rod.contacts.settling > 0.0) & finite)) & passable
+            downhill = (downhill | (moved & (rod.contacts.update_stiffness > 0.0) & finite)) & passable
             finite = finite & (passable | ~moved)
         taken = ti.select(((lane.trying < 0.5) & finite) | downhill, self.constant(1.0), self.constant(0.0))
         stands = taken > 0.5
@@ -202,18 +209,18 @@ class NewtonTrip:
             at_rest = at_rest & (absolute(decrement) <= enough)
         small = at_rest & (gap <= self.closure_tolerance * rod.total) & ~judged.broken
         if ti.static(self.touches):
-            # The residual of a step that settles forces does not say how far gaps are open.
+            # The residual of a step that updates forces does not say how far gaps are open.
             contacts = self.sweep.contacts
-            unsettled = contacts.settled_gap(rod) > rod.contacts.tolerance
-            small = small & ~((rod.contacts.settling > 0.0) & unsettled)
-        wrong = ((inertia < 2.5) | (inertia > 3.5)) & judged.stands
-        right = (inertia > 2.5) & (inertia < 3.5) & judged.stands
+            open_gaps = contacts.gap_change(rod) > rod.contacts.tolerance
+            small = small & ~((rod.contacts.update_stiffness > 0.0) & open_gaps)
+        off = absolute(inertia - fixed.INERTIA_OF_A_MINIMUM)
+        wrong, right = (off > 0.5) & judged.stands, (off < 0.5) & judged.stands
         calm = small & (lane.escaping < 0.5) & judged.stands
         altered = (lane.shift > 0.0) | (lane.coarse > 0.5)
         if ti.static(self.expects):
             altered = altered | self.sweep.contacts.expected(rod)
         # Where rounding limits the residual, the size of the next step bounds the error of the shape.
-        settled = size <= self.shape_tolerance
+        resolved = size <= self.shape_tolerance
         doubtful = self.constant(0.0) > 0.5
         if ti.static(self.trace_at_rest > self.trace):
             doubtful = calm & ~altered & wrong & ~rested
@@ -226,8 +233,8 @@ class NewtonTrip:
         # After a refused step a shifted one comes first: from the same frames the same step would be refused again.
         certify = calm & altered & (lane.rejects < 0.5)
         return record(
-            gap=gap, small=small, calm=calm, settled=settled, right=right, wrong=wrong, doubtful=doubtful,
-            at_minimum=calm & ~altered & right & settled, at_saddle=at_saddle, leaving=leaving,
+            gap=gap, small=small, calm=calm, resolved=resolved, right=right, wrong=wrong, doubtful=doubtful,
+            at_minimum=calm & ~altered & right & resolved, at_saddle=at_saddle, leaving=leaving,
             resting=at_saddle & (lane.escapes >= limit), certify=certify)
 
     @ti.func
@@ -287,12 +294,12 @@ class NewtonTrip:
         lane.status = ti.select(stuck, self.constant(self.stalled), self.constant(self.limit))
         lane.status = ti.select(lost, self.constant(self.not_finite), lane.status)
         # At rest, though a neutral motion leaves the certificate undecided: converged, not certified.
-        at_rest = place.small & place.settled & (late | stuck)
+        at_rest = place.small & place.resolved & (late | stuck)
         if ti.static(self.touches):
             ready = (lane.trying > 0.5) & (lane.escaping < 0.5) & (lane.longest < EARLY_ROTATION) & ~lost
             given = self.constant(0.0) + ti.cast(tables.policy[fixed.TOLERANCE], self.scalar)
             exact = lane.residual * rod.total <= self.sweep.contacts.final_tolerance(rod, given)
-            early, done = self.sweep.contacts.settle_early(rod, lane, ready, place.at_minimum & exact)
+            early, done = self.sweep.contacts.plan_update(rod, lane, ready, place.at_minimum & exact)
             calm = place.calm & ~place.leaving & ~early & ~done
             ended, at_rest, stuck = ended & ~early, at_rest & ~early, stuck & ~early
             goes_on = self.sweep.contacts.end_round(rod, lane, calm, (ended | at_rest) & ~done)

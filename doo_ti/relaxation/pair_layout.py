@@ -15,7 +15,7 @@ VERTEX = Layout(load=3, pull=3, move=3, arc=1)
 # edges at which it acts; the distance of the edges, or a bound below it, now and before the step; the nearest places on both
 # and the gradient of the distance; and, in a group, one where they may touch.
 PAIR = Layout(force=1, friction=3, rubbed_normal=3, rubbed_places=2, remembered=("force", 9), distance=1, distance_standing=1,
-              places=2, normal=3, nearest=("places", 5), apart=1)
+              places=2, normal=3, nearest=("places", 5), may_touch=1)
 REMEMBERED, CARRIED = PAIR.at("distance"), PAIR.at("places")
 """Numbers of a pair that last from one step to the next, and from one launch to the next."""
 # Then the dense matrix of the Newton system, the rows of its lower triangle one after the other; three rows that are being

@@ -79,10 +79,10 @@ def relax(
     external_index         ``material_index``: by default one row for each rod, one for all, or as many rows as before, paired
                            as before
     obstacles, radius      what the rods may touch but not enter, and their radius in mm, one or (R,): the rod, edges of that
-                           thickness, ends outside all of them to 2e-4 of its radius (in f32 to 2e-6 of its length, if that is
-                           more). Every obstacle has one row, or R. A start inside one is moved out of it first; a rod whose
-                           clamps are inside, or whose start cannot be moved out, is INFEASIBLE. Friction acts only in
-                           motions. See ``Solution.contact``
+                           thickness, ends outside all of them to 1e-5 of its radius (in f32 to 2e-6 of its length, if that is
+                           more), outside itself to 1e-3. Every obstacle has one row, or R. A start inside one is moved out of
+                           it first; a rod whose clamps are inside, or whose start cannot be moved out, is INFEASIBLE.
+                           Friction acts only in motions. See ``Solution.contact``
 
     Clamped frames replace the first and last frame of the start. Results are float64; energies include the constant
     μ z_0 Σ l̄_i. Raises InputError for inputs that do not match; infeasible rods have the status INFEASIBLE, else NaN.

@@ -45,7 +45,7 @@ class SelfContactEnergy(Contacts):
 
     def __init__(self, number, kinds: frozenset[int], rub: bool = False, moves: bool = False):
         super().__init__(number, kinds, rub, moves)
-        self.settles_early = False
+        self.updates_in_steps = False
 
     # --- views of scratch ---
 
@@ -137,9 +137,9 @@ class SelfContactEnergy(Contacts):
                 away = minus(plus(start, end), plus(first, last))
                 # No two places are nearer than the middles less half of both edges.
                 bound = 0.5 * ti.sqrt(dot(away, away)) - rod.longest
-                apart = self.apart(rod, i, at, arc)
-                at.distance = ti.select(apart, bound, zero + 1e30)
-                near = apart & (self.pair_clearance(rod, i, j, bound) < REACH * radius)
+                counts = self.may_touch(rod, i, at, arc)
+                at.distance = ti.select(counts, bound, zero + 1e30)
+                near = counts & (self.pair_clearance(rod, i, j, bound) < REACH * radius)
                 if self.some(near, zero):
                     self.touch(rod, i, j, at, near, minus(start, first), minus(last, first), minus(end, start))
                 if ti.static(self.rub):
@@ -150,7 +150,7 @@ class SelfContactEnergy(Contacts):
             add(at, load=at.pull)
 
     @ti.func
-    def apart(self, rod, i, at, arc):
+    def may_touch(self, rod, i, at, arc):
         """Whether edge ``i`` may touch an edge that begins ``arc`` along the rod less what must lie between them; their items
         begin ``at``."""
         return arc > self.own_vertex(rod, i + 1).arc

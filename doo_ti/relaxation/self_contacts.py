@@ -71,7 +71,7 @@ class SelfContacts(SelfContactEnergy):
     # --- rounds ---
 
     @ti.func
-    def settle_pairs(self, rod, due, found):
+    def update_pairs(self, rod, due, found):
         """New forces between edges in the lanes that are ``due``: their largest change to ``found``."""
         zero, radius = 0.0 * rod.total, rod.contacts.radius
         for j in range(2, rod.edges):
@@ -81,14 +81,14 @@ class SelfContacts(SelfContactEnergy):
                 old = at.force
                 if self.some((gap < radius) | (old > 0.0), zero):
                     gap = ti.min(gap, 4.0 * radius)
-                    new = self.settled_force(rod, old, gap)
+                    new = self.updated_force(rod, old, gap)
                     self.note_change(found, old, new)
                     at.force = ti.select(due, new, old)
                     if ti.static(self.rub):
-                        found.rubbed = largest_of(found.rubbed, self.settle_pair_friction(rod, i, j, at, due))
+                        found.rubbed = largest_of(found.rubbed, self.update_pair_friction(rod, i, j, at, due))
 
     @ti.func
-    def settle_pair_friction(self, rod, i, j, at, due):
+    def update_pair_friction(self, rod, i, j, at, due):
         """New friction of two edges under the new force: by how much it changes."""
         change = self.keep_friction(at.of("friction"), self.rubbed_pair(rod, i, j, at).pull, due)
         clearance = self.pair_clearance(rod, i, j, at.distance)

@@ -11,10 +11,8 @@ from doo_ti.physics.tuples import minus, plus, products, record, repeated, scale
 from doo_ti.physics.view import read, write
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.end_moments import FIRST, LAST, EndMoments
-from doo_ti.relaxation.newton_policy import TRACE, TRACE_IN_CONTACT
+from doo_ti.relaxation.newton_policy import INERTIA_OF_A_MINIMUM, TRACE, TRACE_IN_CONTACT
 from doo_ti.relaxation.parameter_gradient import NO_MODE
-
-INERTIA_OF_A_MINIMUM = 3.0
 
 # The loads of a rod: force and moment at its start, force and moment at its end.
 START_FORCE, START_MOMENT, END_FORCE, END_MOMENT, LOADS = 0, 3, 6, 9, 12

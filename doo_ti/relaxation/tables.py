@@ -21,6 +21,14 @@ FREE, POSITION, TANGENT, FRAME = (int(kind) for kind in Clamp)
 # rod between its clamps measures in mm: its length, its longest edge, its shortest two neighbours, and the largest moment arm
 # of gravity on an edge (a length times a length); the point the chain hangs from, vertex 0 or, where that is free, the far end;
 # one where nothing holds vertex 0 and an external energy moves it; and the first frame and the last as the clamps hold them.
+#
+#     start  far end  CLOSED  RELEASED  the chain hangs from
+#     held   held     1       0         vertex 0; closure brings the far end to its clamp
+#     held   free     0       0         vertex 0
+#     free   held     0       1         the far end
+#     free   free     0       0         vertex 0, where it is: only without weight or under an external energy
+#
+# Under an external energy or among obstacles a free start is LOOSE instead of RELEASED, and CLOSED where the far end is held.
 TARGET, CLOSED, SPIN_START, SPIN_END, TILT_START, TILT_END, TILT_INNER, RELEASED = 0, 3, 4, 5, 6, 7, 8, 9
 TOTAL, LONGEST, SHORTEST_PAIR, HANGING, ANCHOR, LOOSE, ENDS, CLAMP_COLUMNS = 10, 11, 12, 13, 14, 17, 18, 26
 

@@ -147,7 +147,7 @@ class TimeImpact(TimeSweep):
 
     @ti.func
     def prepare(self, rod, time, up, done):
-        if ti.static(self.damped):
+        if ti.static(self.joints_rest):
             rod.head.stiffness = self.stiffness_shares(rod, time)
         TimeSweep.prepare(self, rod, time, up, done)
 
@@ -155,7 +155,7 @@ class TimeImpact(TimeSweep):
     def stiffness(self, left, right, material):
         """As :meth:`.Chain.stiffness`; that of damped rods times ``material``, of bending and of twist."""
         given = TimeSweep.stiffness(self, left, right, material)
-        if ti.static(self.damped):
+        if ti.static(self.joints_rest):
             return (scaled(given[0], material[0]), scaled(given[1], material[0]), given[2], given[3] * material[1]) + given[4:]
         else:
             return given

@@ -26,14 +26,14 @@ class MotionLoading(ReachLoading):
 
     def __init__(self, sweep: TimeSweep):
         super().__init__(sweep)
-        self.damped, self.moving_vertex = sweep.damped, sweep.moving_vertex
+        self.joints_rest, self.moving_vertex = sweep.joints_rest, sweep.moving_vertex
 
     @ti.func
     def load_motion(self, tables, head, slot, rod):
         """Load the state of rod ``rod`` at its last two instants, its mass, drag and springs into lane ``slot``."""
         row, numbers = tables.rods[rod, of.RESULT_ROW], tables.rods[rod, of.EXTERNAL_ROW]
         own = head.lane(slot)
-        if ti.static(self.damped):
+        if ti.static(self.joints_rest):
             own.bend_share, own.twist_share = tables.shares[numbers, 0], tables.shares[numbers, 1]
         unit = exact(own.energy_unit)
         inertia = ti.cast(0.0, ti.f64)

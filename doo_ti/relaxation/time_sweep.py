@@ -31,14 +31,15 @@ STEP, RATE, EXTRAPOLATION, LEAST_WAY, WATCHED, TIME_COLUMNS = 0, 1, 2, 3, 4, 5
 class TimeSweep(LoadedElimination):
     """The chain under the springs of a time step, whose points it sets itself, and dead forces.
 
-    damped: joints have rest curvatures and twists of their own; ``isotropic`` rods are undamped. ``contacts`` with obstacles.
+    joints_rest: joints have rest curvatures and twists of their own, as damping needs; ``isotropic`` rods are undamped.
+    ``contacts`` with obstacles.
 
     Its functions take a record ``time`` of the lanes' steps (:meth:`steps_of`).
     """
 
     def __init__(self, number, isotropic: bool, stride: int, contacts: Contacts | None = None):
         super().__init__(number, isotropic, stride, PointLoads, any_ends=True, contacts=contacts)
-        self.damped = not isotropic
+        self.joints_rest = not isotropic
         self.edge_layout, self.rod_layout = self.edge_layout + Layout(motion=MOTION), self.rod_layout + ROD
 
     @ti.func
@@ -141,7 +142,7 @@ class TimeSweep(LoadedElimination):
             if ti.static(not self.touches):
                 q = normalised(product(last, relative_rotation(edge.motion.frame_2, last)))
             choose(edge, done, frame=q)
-            if ti.static(self.damped):
+            if ti.static(self.joints_rest):
                 if e > 0:
                     self.set_rest(rod, self.edge(rod.head, e - 1), edge, time)
 
