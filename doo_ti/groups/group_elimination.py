@@ -150,7 +150,7 @@ class GroupElimination(Border, Welds, DenseElimination, LoadedElimination):
 
     @ti.func
     def pulled_edge(self, rod, e, edge, slope, bent, force, beyond):
-        """As of one rod, with what the welds of the edge add; the weight is a force on the vertices (:meth:`.GroupContacts.hang`)."""
+        """As of one rod, with what the welds of the edge add; weight is a force on vertices (:meth:`.GroupContacts.hang`)."""
         q = edge.frame
         t, m1, m2 = tangent(q), first_director(q), second_director(q)
         length = edge.length
