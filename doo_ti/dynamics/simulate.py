@@ -90,16 +90,14 @@ def simulate(
         _check_derivatives(stepping, obstacles)
     given = begin.configuration, material, grippers, dynamics
     direction = unit_up(up, "simulate")
-
     index = paired_rows(begin.configuration.count, material.count, *((None, None) if pairs is None else pairs), "simulate")
     surroundings = Surroundings.checked("simulate", obstacles, radius, len(index[0]), moving=True)
     loads = _all_loads(springs, loads, len(index[0]), begin.configuration.edges + 1)
     many = loads is not None and loads.count > 1
 
     def moved(stepping: Stepping, rows: np.ndarray, progress=None, touching: bool = False) -> tuple[Trajectory, np.ndarray]:
-        own = loads.take(rows) if many else loads
-        touchable = surroundings.take(rows)
-        motion = _Motion(*given, stepping, own, direction, tuple(part[rows] for part in index), touchable, touching)
+        own, pairs = loads.take(rows) if many else loads, tuple(part[rows] for part in index)
+        motion = _Motion(*given, stepping, own, direction, pairs, surroundings.take(rows), touching)
         memory, remembered = motion.begin(begin, directions)
         return motion.run(memory, progress, directions, remembered), motion.relinked
 

@@ -59,9 +59,7 @@ def predict_moving(
     rows = np.arange(len(rods)) % len(clamps.start_position)
     lengths = configuration.rest_length if configuration.rest_length.ndim == 1 else configuration.rest_length[: rows.max() + 1]
     grippers = refined_within_reach(grippers_along(path, held), between, lengths)
-    pairs = np.arange(len(rods)), rods
-    rate = stepping.rate * between
-    done = 0
+    rate, done = stepping.rate * between, 0
 
     def progress(frames: int) -> None:
         nonlocal done
@@ -69,7 +67,7 @@ def predict_moving(
         done = frames
 
     found = simulate(first.configuration, material, grippers.take(rows), dynamics,
-                     replace(stepping, rate=rate, detailed=True), up=up, pairs=pairs, progress=progress,
+                     replace(stepping, rate=rate, detailed=True), up=up, pairs=(np.arange(len(rods)), rods), progress=progress,
                      obstacles=obstacles, radius=radius, loads=loads)
     energies = found.detail.energies
     stored = sum(energies[name] for name in ("bending", "twist", "gravity", "springs", "loads") if name in energies)

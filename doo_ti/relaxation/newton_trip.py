@@ -213,8 +213,9 @@ class NewtonTrip:
             contacts = self.sweep.contacts
             open_gaps = contacts.gap_change(rod) > rod.contacts.tolerance
             small = small & ~((rod.contacts.update_stiffness > 0.0) & open_gaps)
-        off = absolute(inertia - fixed.INERTIA_OF_A_MINIMUM)
-        wrong, right = (off > 0.5) & judged.stands, (off < 0.5) & judged.stands
+        least, most = ti.static(fixed.INERTIA_OF_A_MINIMUM - 0.5, fixed.INERTIA_OF_A_MINIMUM + 0.5)
+        wrong = ((inertia < least) | (inertia > most)) & judged.stands
+        right = (inertia > least) & (inertia < most) & judged.stands
         calm = small & (lane.escaping < 0.5) & judged.stands
         altered = (lane.shift > 0.0) | (lane.coarse > 0.5)
         if ti.static(self.expects):

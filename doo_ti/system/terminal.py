@@ -120,18 +120,16 @@ def _lines_meanwhile(doing: str):
         thread.join()
 
 
-def progress(*, keep: bool = False):
-    """A progress bar on standard error as a context: how much of how much is done, the rate and the time left. Work is added
-    with ``bar.add_task("growth", total=320, unit="edges")``. Where standard error is no terminal, a line reports every
-    :data:`LINE_SECONDS` instead.
-
-    keep  True: the last state of the bar stays, also in a file. False: it is shown on a terminal only, and removed at the end
-
-    The rate is in units per second, unless the task's field ``rate`` gives another text.
-    """
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
+def _columns() -> tuple:
+    """A task's name and its rate, as columns of :func:`progress`."""
+    from rich.progress import ProgressColumn
     from rich.text import Text
+
+    class Description(ProgressColumn):
+        """A name may hold [markup] and escape sequences, which are shown as they are."""
+
+        def render(self, task) -> Text:
+            return Text(visible(task.description))
 
     class Rate(ProgressColumn):
         is_compiling = False
@@ -143,11 +141,20 @@ def progress(*, keep: bool = False):
             speed = "" if speed is None else f"{speed:,.{0 if speed >= 10 else 2}f} {task.fields['unit']}/s"
             return Text(task.fields.get("rate", speed))
 
-    class Description(ProgressColumn):
-        """A name may hold [markup] and escape sequences, which are shown as they are."""
+    return Description(), Rate()
 
-        def render(self, task) -> Text:
-            return Text(visible(task.description))
+
+def progress(*, keep: bool = False):
+    """A progress bar on standard error as a context: how much of how much is done, the rate and the time left. Work is added
+    with ``bar.add_task("growth", total=320, unit="edges")``. Where standard error is no terminal, a line reports every
+    :data:`LINE_SECONDS` instead.
+
+    keep  True: the last state of the bar stays, also in a file. False: it is shown on a terminal only, and removed at the end
+
+    The rate is in units per second, unless the task's field ``rate`` gives another text.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     class Lines(Progress):
         """Reports in lines where there is no terminal."""
@@ -185,6 +192,6 @@ def progress(*, keep: bool = False):
                 print(f"{in_line(task.description)}: {task.completed:,.0f}{of_all} {task.fields['unit']}{left}",
                       file=sys.stderr, flush=True)
 
-    console, rate = Console(stderr=True), Rate()
+    console, (description, rate) = Console(stderr=True), _columns()
     columns = BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[unit]}"), rate, TimeRemainingColumn()
-    return Lines(Description(), *columns, console=console, transient=not keep, disable=not (keep or console.is_terminal))
+    return Lines(description, *columns, console=console, transient=not keep, disable=not (keep or console.is_terminal))
