@@ -12,7 +12,6 @@ stability, or jumps, the search goes on without that leg.
 Axes: T moments and states, R rods.
 """
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -35,6 +34,7 @@ from doo_ti.rod.material import Material
 from doo_ti.rod.types import Clamp, Clamps, Configuration, unit_up
 from doo_ti.system.arguments import owning, typed
 from doo_ti.system.errors import InputError, require_whole
+from doo_ti.system.runtime import working_time
 
 NEARLY = 1.2
 """Goals that are so many times further from the target than the nearest one count as well."""
@@ -52,7 +52,8 @@ class PlanOptions:
     free        which grippers' coordinates move, as in :class:`~doo_ti.manipulation.targets.ServoOptions`
     reached_mm  distance to the target, weighted root mean square, at which it is reached
     lever_mm    mm that count as much as a radian
-    seconds     longest search; the way that was found is then followed once more
+    seconds     longest search, without the time that kernels take to compile; the way that was found is then followed once
+                more
     seed        of the samples
 
     Raises InputError for numbers that are not positive.
@@ -102,7 +103,7 @@ def plan_manipulation(rod: Configuration, material: Material, clamps: Clamps, ta
     clamps, and clamps that hold no frame.
     """
     options = PlanOptions() if options is None else options
-    ends = time.monotonic() + options.seconds
+    ends = working_time() + options.seconds
     surroundings = Surroundings.checked("plan_manipulation", obstacles, radius, 1)
     up = unit_up(up, "plan_manipulation")
     _check(rod, material, clamps, targets, surroundings)

@@ -1,7 +1,6 @@
 """The search for a way from a rod at rest to one of its goals, by two trees that grow towards each other (Kuffner and LaValle,
 *RRT-Connect*, ICRA 2000), many ways at once. Axes: N nodes, M samples, T states."""
 
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -11,6 +10,7 @@ from doo_ti.manipulation.equilibria import Equilibria, States, joined_states
 from doo_ti.manipulation.shapes import Shapes
 from doo_ti.manipulation.tree import Tree
 from doo_ti.rod.types import Configuration
+from doo_ti.system.runtime import working_time
 
 SAMPLES = 32
 """Random rods that a tree grows towards at once, and ways that are tried for a shortcut."""
@@ -24,7 +24,7 @@ class Search:
     """The ways from ``begin``, one rod, to ``goals``.
 
     space    the equilibria
-    ends     of the monotonic clock: nothing is searched later
+    ends     of :func:`.working_time`: nothing is searched later
     """
 
     def __init__(self, begin: Tree, goals: Tree, space: Equilibria, ends: float, seed: int):
@@ -38,7 +38,7 @@ class Search:
         They meet in one rod, which is a node of both."""
         start, goals = self._start, self._goals
         yield from self._joined(start, goals, *start.pairs(goals))
-        while time.monotonic() < self._ends:
+        while working_time() < self._ends:
             for tree, other in ((start, goals), (goals, start)):
                 samples = self._samples()
                 new, _ = tree.extend(tree.nearest(samples), samples)
@@ -58,7 +58,7 @@ class Search:
         """The states of a way without detours: a straight way between two of them, again and again."""
         for _ in range(SHORTCUTS):
             count = states.rods.count
-            if time.monotonic() > self._ends:
+            if working_time() > self._ends:
                 break
             pairs = np.sort(self._random.integers(count, size=(SAMPLES, 2)), axis=1)
             pairs = pairs[pairs[:, 1] > pairs[:, 0] + 1]

@@ -7,8 +7,9 @@ is not cut into blocks. Where a program calls ``ti.init`` itself, before or afte
 """
 
 import os
-from collections.abc import Callable
-from contextlib import ExitStack, redirect_stdout, suppress
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from functools import partial, wraps
 from io import StringIO
 from pathlib import Path
@@ -38,6 +39,7 @@ _one_at_a_time = RLock()
 _holder: int | None = None
 _program: Any = None  # what running_program.running says of the program that _architecture is of
 _of_user = False  # whether the user's own code began it
+_compiled_for = 0.0  # s, that first launches of kernels have taken
 _settings_of_user: tuple | None = None  # while ours are in force
 _arrays: dict[Any, Any] = {}
 
@@ -175,8 +177,23 @@ def _shown(during_first: ExitStack, primal, key=None, *rest, **options) -> None:
     """What Taichi does before it launches a kernel; where it has not been compiled before, the terminal shows until the end of
     that launch that it is."""
     if key not in primal.compiled_kernels:
-        during_first.enter_context(compiling())
+        during_first.enter_context(_compiling())
     type(primal).materialize(primal, key, *rest, **options)
+
+
+@contextmanager
+def _compiling() -> Iterator[None]:
+    """The first launch of a kernel: the terminal shows it, and :func:`working_time` stands still."""
+    global _compiled_for
+    began = time.monotonic()
+    with compiling():
+        yield
+    _compiled_for += time.monotonic() - began
+
+
+def working_time() -> float:
+    """s, of a clock for limits of time: it stands still while kernels are compiled, which is not part of the work."""
+    return time.monotonic() - _compiled_for
 
 
 def compiled_briefly(kernel: Callable[_Arguments, None]) -> Callable[_Arguments, None]:

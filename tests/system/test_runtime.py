@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -185,3 +186,10 @@ def test_a_kernel_that_is_compiled_briefly_changes_no_setting():
         kernel(number=2)
     on_cpu = runtime.start() == "cpu"
     assert seen == [(1, not on_cpu), (2, not on_cpu)] and settings.advanced_optimization == before
+
+
+def test_the_clock_of_limits_stands_still_while_kernels_compile():
+    began = time.monotonic() - runtime.working_time()
+    with runtime._compiling():
+        time.sleep(0.05)
+    assert time.monotonic() - runtime.working_time() - began >= 0.05
