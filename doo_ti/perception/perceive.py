@@ -89,7 +89,7 @@ class Perception:
     status            (A,) Status of its last relaxation
     stable            (A,) bool: certified to be a minimum of E_vis
     sigma             (A, V) mm: uncertainty of its vertices by noise in the detection
-                      (:mod:`doo_ti.perception.finalists`)
+                      (:mod:`doo_ti.perception.shape_uncertainty`)
     runner_up         (A, K, V, 3) mm: the next best rods that differ from all better ones; NaN where there are fewer
     runner_up_energy  (A, K) their E_vis, infinite where there are fewer
     gap               (A,) px: E_vis of the best runner-up less that of the best rod, as a mean distance along all images;
