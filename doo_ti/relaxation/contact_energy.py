@@ -23,7 +23,6 @@ from doo_ti.physics.tuples import (
     add,
     applied,
     choose,
-    chosen,
     dot,
     full,
     minus,
@@ -35,8 +34,8 @@ from doo_ti.physics.tuples import (
     traced,
     variable,
 )
+from doo_ti.relaxation.contact_friction import ContactFriction
 from doo_ti.relaxation.contact_layout import EVEN
-from doo_ti.relaxation.contact_places import ContactPlaces
 
 
 @traced
@@ -46,7 +45,7 @@ def outer_product(a, b) -> tuple:
 
 
 @ti.data_oriented
-class ContactEnergy(ContactPlaces):
+class ContactEnergy(ContactFriction):
     """The energy of the contacts of the rods in a pack, in a motion with friction if they ``rub``. ``expects``: steps that are
     refused are tried again with the contacts they have met."""
 
@@ -300,50 +299,6 @@ class ContactEnergy(ContactPlaces):
                 pushed.push = ti.select(expected, force - stiffness * gap, pushed.push)
                 pushed.stiffness = ti.select(expected, stiffness, pushed.stiffness)
                 choose(rod.contacts, expected, expected=zero + 1.0)
-
-    @ti.func
-    def rub_vertex(self, rod, o, at, contact):
-        """Add the friction of the vertex."""
-        limit = self.limit(rod, o, contact.force)
-        rubbed = self.rubbed(rod, limit, contact.friction, contact.rubbed_normal, self.slid(rod, at, o))
-        self.add_penalty(rod, rubbed.energy, dot(rubbed.pull, rubbed.pull) / rod.contacts.stiffness)
-        add(rod.contacts, end_gradient=rubbed.pull, end_curvatures=rubbed.stiffness)
-
-    @ti.func
-    def rub_between(self, rod, o, index, contact, counts):
-        """Add the friction at the nearest point of an edge in the lanes where it ``counts``."""
-        zero = 0.0 * rod.total
-        s, u = contact.rubbed_place, self.slid_between(rod, index, contact, o)
-        limit = self.limit(rod, o, contact.force_between)
-        rubbed = self.rubbed(rod, limit, contact.friction_between, contact.rubbed_normal_between, u)
-        pull, bent = chosen(counts, rubbed.pull, repeated(zero, 3)), chosen(counts, rubbed.stiffness, repeated(zero, 6))
-        self.add_penalty(rod, ti.select(counts, rubbed.energy, zero), dot(pull, pull) / rod.contacts.stiffness)
-        add(rod.contacts, gradient=pull, gradient_s=scaled(pull, s), curvatures=bent, curvatures_s=scaled(full(bent), s),
-            curvatures_ss=scaled(bent, s * s))
-
-    @ti.func
-    def limit(self, rod, o, force):
-        """μ λ, the largest friction of a contact with obstacle ``o``."""
-        return self.obstacle(rod, o).friction * force
-
-    @ti.func
-    def rubbed(self, rod, limit, friction, gradient, u):
-        """Friction of a contact that has moved by ``u``: its energy, its derivative and its stiffness.
-
-        With the friction q of the round before and z = q + κ u along the surface it is z where |z| ≤ μ λ, and else of that size
-        along z: the derivative of |z|²/2κ, or of μ λ (|z| − μ λ/2)/κ.
-        """
-        stiffness = rod.contacts.stiffness
-        normal = self.distance.unit(gradient)
-        whole = plus(friction, scaled(u, stiffness))
-        z = minus(whole, scaled(normal, dot(normal, whole)))
-        size = ti.sqrt(dot(z, z) + 1e-30)
-        slips = size > limit
-        share = ti.select(slips, limit / size, 0.0 * limit + 1.0)
-        energy = ti.select(slips, limit * (size - 0.5 * limit), 0.5 * size * size) / stiffness
-        across = scaled(plus(outer(normal), scaled(outer(z), ti.select(slips, 1.0 / (size * size), 0.0 * size))), 0.0 - 1.0)
-        flat = (1.0 + across[0], across[1], across[2], 1.0 + across[3], across[4], 1.0 + across[5])
-        return record(energy=energy, pull=scaled(z, share), stiffness=scaled(flat, stiffness * share))
 
     @ti.func
     def add_between(self, rod, contact, edge, seen, acts):
