@@ -70,7 +70,8 @@ class Moved(Action):
     """An option that another command has now."""
 
     def __call__(self, parser, namespace, values, option_string=None):
-        raise InputError(given.SOURCE, option_string, "is of another command now", "give the rest to doo-ti simulate")
+        raise InputError(given.SOURCE, option_string, "rods with inertia are simulated by doo-ti simulate now",
+                         "call that with the same options but this one")
 
 
 # --- rods ----------------------------------------------------------------------------------------------------------------

@@ -252,7 +252,7 @@ def _summary(task: _Task, prediction, result: dict, out: Path) -> dict:
 
 
 def _draw(task: _Task, prediction, arrays: dict[str, np.ndarray], pictures: dict[str, Path | None],
-                    lines: list[str]) -> None:
+          lines: list[str]) -> None:
     """Write the picture and the recording that are asked for: path or None by suffix, ``.png`` and ``.rrd``.
 
     arrays  those of the file

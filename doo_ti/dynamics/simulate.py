@@ -40,6 +40,7 @@ from doo_ti.rod.frames import (
     quaternion_product,
     smallest_rotation,
     tangent_from_quaternion,
+    unit_vectors,
 )
 from doo_ti.rod.types import Clamp, Configuration, Material, Status, unit_up
 from doo_ti.system.arguments import typed
@@ -321,7 +322,7 @@ def _memory(frames, x, v, a, h: float, status) -> Memory:
     """The memory of rods at places ``x`` with velocities ``v`` and accelerations ``a``, all (R, V, 3)."""
     places = np.concatenate([x, x - h * v + 0.5 * h**2 * a, v, v - h * a], axis=-1)
     edges = np.diff(places[..., PLACE_2 : PLACE_2 + 3], axis=1)
-    tangents = edges / np.maximum(np.linalg.norm(edges, axis=-1, keepdims=True), 1e-300)
+    tangents = unit_vectors(edges)
     turn = smallest_rotation(tangent_from_quaternion(frames), tangents)
     before = quaternion_product(turn, frames)
     return Memory(frames.copy(), np.ascontiguousarray(before), places, np.zeros((len(x), 3)), np.zeros((len(x), 3)), status)

@@ -11,6 +11,7 @@ all rods.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import Annotated
 
 import numpy as np
@@ -127,7 +128,7 @@ def relax_held(rods: Configuration, material: Material, clamps: Clamps, grips: S
     other. Raises InputError for grips that are not in the order of their vertices, or closer to each other or to an end than
     two edges, and for ``Itself`` among the obstacles.
     """
-    stretches = Stretches.between("relax_held", rods, grips)
+    stretches = Stretches.between("relax_held", rods, grips, obstacles)
     own = stretches.clamps(clamps, grips)
     return stretches.relaxed(rods, stretches.material(material), own, solver, up=up, precision=precision, obstacles=obstacles,
                              radius=radius)
@@ -135,14 +136,14 @@ def relax_held(rods: Configuration, material: Material, clamps: Clamps, grips: S
 
 @dataclass(frozen=True)
 class Stretches:
-    """The stretches of rods of ``edges`` edges between the held ``vertices``: those of the grips, and both ends."""
+    """The stretches of rods between the held ``vertices``: those of the grips, and both ends."""
 
-    edges: int
     vertices: tuple[int, ...]
 
     @classmethod
-    def between(cls, function: str, rods: Configuration, grips: Sequence[Grip]) -> "Stretches":
-        """Raises InputError, of ``function``, for grips that do not suit the rods."""
+    def between(cls, function: str, rods: Configuration, grips: Sequence[Grip], obstacles: Sequence[Obstacle]
+                ) -> "Stretches":
+        """Raises InputError, of ``function``, for grips that do not suit the rods, and for ``Itself`` beside grips."""
         held = (0, *(grip.vertex for grip in grips), rods.edges)
         for before, after in zip(held[:-1], held[1:], strict=True):
             if grips and after - before < LEAST_EDGES:
@@ -152,7 +153,9 @@ class Stretches:
         for grip in grips:
             if len(grip.position) != rods.count:
                 raise InputError(function, "grips", f"{len(grip.position)} rows for {rods.count} rods", "give one for each rod")
-        return cls(rods.edges, held)
+        if grips and any(isinstance(body, Itself) for body in obstacles):
+            raise InputError(function, "obstacles", "Itself beside grips", "leave it out: stretches do not touch each other")
+        return cls(held)
 
     @property
     def _spans(self) -> list[tuple[int, int, int, int]]:
@@ -199,9 +202,6 @@ class Stretches:
     def relaxed(self, rods: Configuration, materials: Sequence[Material], clamps: Sequence[Clamps],
                 solver: Newton | None = None, **options) -> HeldSolution:
         """The rods at rest, each stretch from where it is to its clamps. ``options`` go to :func:`.relax`."""
-        if len(materials) > 1 and any(isinstance(body, Itself) for body in options.get("obstacles") or ()):
-            raise InputError("relax_held", "obstacles", "Itself beside grips",
-                             "leave it out: stretches do not touch each other")
         parts = tuple(relax(part, material, own, solver, **options) for part, material, own in zip(
             self.rods(rods, clamps), materials, clamps, strict=True))
         return HeldSolution(parts, parts[0] if len(parts) == 1 else self._joined(rods, parts))
@@ -213,9 +213,6 @@ class Stretches:
         whole = Configuration(parts[0].configuration.start, np.concatenate(frames, axis=1), rods.rest_length)
         length = np.sum(rods.rest_length, axis=-1)
         misses = [part.closure * np.sum(part.configuration.rest_length, axis=-1) / length for part in parts]
-        status = parts[0].status
-        for part in parts[1:]:
-            status = sticky(status, part.status)
         forces = None
         if parts[0].contact_force is not None:
             forces = np.zeros(whole.vertices.shape)
@@ -227,6 +224,7 @@ class Stretches:
         return Solution(
             whole, energy=np.sum([part.energy for part in parts], axis=0),
             residual=np.max([part.residual for part in parts], axis=0), closure=np.max(misses, axis=0),
-            iterations=np.sum([part.iterations for part in parts], axis=0, dtype=np.int32), status=status,
+            iterations=np.sum([part.iterations for part in parts], axis=0, dtype=np.int32),
+            status=reduce(sticky, (part.status for part in parts)),
             stable=np.all([part.stable for part in parts], axis=0), end_force=parts[-1].end_force,
             precision=np.min([part.precision for part in parts], axis=0), contact_force=forces)

@@ -4,7 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from doo_ti.rod.frames import quaternion_from_matrix, quaternion_product, rotation_matrix, rotation_vector
+from doo_ti.rod.frames import (
+    quaternion_from_matrix,
+    quaternion_product,
+    rotation_matrix,
+    rotation_vector,
+    unit_vectors,
+)
 from doo_ti.rod.types import Clamps, Configuration
 
 ARRAYS = ("start_position", "end_position", "start_frame", "end_frame")
@@ -45,7 +51,7 @@ def slack(clamps: Clamps, length: float, stiff: np.ndarray | float) -> np.ndarra
 
 def slack_gradient(clamps: Clamps, stiff: np.ndarray) -> np.ndarray:
     """(B, 12) of :func:`slack` by the change of :func:`moved`."""
-    along = -_unit(_way(clamps, stiff))
+    along = -unit_vectors(_way(clamps, stiff))
     turns = [np.cross(frame[..., 0], along) * -stiff[:, None] for frame in (clamps.start_frame, clamps.end_frame)]
     return np.concatenate([-along, turns[0], along, turns[1]], axis=1)
 
@@ -54,7 +60,7 @@ def drawn_in(clamps: Clamps, excess: np.ndarray, stiff: np.ndarray, moves: np.nd
     """The clamps with grippers that are nearer to each other by ``excess`` (B,) mm: those whose shifts are free, of ``moves``
     (12,), by equal parts."""
     start, end = float(moves[0]), float(moves[6])
-    part = _unit(_way(clamps, stiff)) * (excess / max(start + end, 1.0))[:, None]
+    part = unit_vectors(_way(clamps, stiff)) * (excess / max(start + end, 1.0))[:, None]
     return replace(clamps, start_position=clamps.start_position + start * part, end_position=clamps.end_position - end * part)
 
 
@@ -62,10 +68,6 @@ def _way(clamps: Clamps, stiff: np.ndarray) -> np.ndarray:
     """(B, 3) mm, between the ends of what grippers hold."""
     tangents = clamps.start_frame[..., 0] + clamps.end_frame[..., 0]
     return clamps.end_position - clamps.start_position - stiff[:, None] * tangents
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
 
 
 def joined(parts: list[Clamps]) -> Clamps:

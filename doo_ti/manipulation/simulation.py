@@ -64,8 +64,8 @@ class Simulation:
         """All rods back at their first clamps, at rest, without other grippers."""
         rods, self.clamps = self._begin
         self.grips: tuple[Grip, ...] = ()
-        whole = Stretches.between("Simulation", rods, ())
-        self.held = self._relaxed(whole, rods, [self.clamps], np.arange(rods.count))
+        whole = Stretches.between("Simulation", rods, (), self._around.obstacles)
+        self.held = self._relaxed(whole, rods, [self._material], [self.clamps], np.arange(rods.count))
         self.state = self.held.solution
         self._last = finite_rods(self.state.configuration, rods)
         return self.state
@@ -78,27 +78,28 @@ class Simulation:
         the result, and goes on from where it was last at rest."""
         if grippers.count != self.clamps.count:
             raise InputError("Simulation.step", "grippers", f"{grippers.count} rows", f"give {self.clamps.count}")
-        stretches = Stretches.between("Simulation.step", self._last, grips)
+        stretches = Stretches.between("Simulation.step", self._last, grips, self._around.obstacles)
         known = {grip.vertex: grip for grip in self.grips}
         taken = [known.get(grip.vertex) or Grip.where(self._last, grip.vertex) for grip in grips]
         motions = [motion_between(*ends) for ends in zip(
             stretches.clamps(self.clamps, taken), stretches.clamps(grippers, grips), strict=True)]
         steps = np.max([motion.needed_steps(length, self._sub_step) for motion, length in zip(
             motions, stretches.lengths(self._last), strict=True)], axis=0)
+        materials = stretches.material(self._material) if grips else [self._material]
         most, status = int(np.max(steps, initial=1)), np.zeros(len(steps), dtype=np.int8)
         # A rod takes as many sub-steps as its own grippers need; all take their last one together.
         for step in range(1, most + 1):
             late = step - most + steps
             rods = np.flatnonzero(late > 0)
             clamps = [motion.take(rods).at(late[rods] / steps[rods]) for motion in motions]
-            held = self._relaxed(stretches, self._last.take(rods), clamps, rods)
+            held = self._relaxed(stretches, self._last.take(rods), materials, clamps, rods)
             self._last = put_rods(self._last, rods, finite_rods(held.solution.configuration, self._last.take(rods)))
             status[rods] = sticky(status[rods], held.solution.status)
         self.clamps, self.grips, self.held = grippers, tuple(grips), held
         self.state = replace(held.solution, status=status)
         return self.state
 
-    def _relaxed(self, stretches: Stretches, rods: Configuration, clamps: Sequence[Clamps], rows: np.ndarray) -> HeldSolution:
-        material = self._material if self._material.count == 1 else self._material.take(rows)
-        return stretches.relaxed(rods, stretches.material(material), clamps, Newton.careful(), up=self._up,
-                                 **self._around.take(rows).arguments)
+    def _relaxed(self, stretches: Stretches, rods: Configuration, materials: Sequence[Material], clamps: Sequence[Clamps],
+                 rows: np.ndarray) -> HeldSolution:
+        own = [material if material.count == 1 else material.take(rows) for material in materials]
+        return stretches.relaxed(rods, own, clamps, Newton.careful(), up=self._up, **self._around.take(rows).arguments)

@@ -107,6 +107,11 @@ def smallest_rotation(source: np.ndarray, target: np.ndarray) -> np.ndarray:
     return quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
 
 
+def unit_vectors(vectors: np.ndarray) -> np.ndarray:
+    """(…, 3) vectors of length one along ``vectors``; zero where these are."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
+
+
 def across(tangent: np.ndarray) -> np.ndarray:
     """(..., 3) unit vectors across unit tangents: the coordinate axis least along each, made orthogonal."""
     axis = np.eye(3)[np.argmin(np.abs(tangent), axis=-1)]

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from doo_ti.rod.frames import unit_vectors
 from doo_ti.vision.cameras.camera import Camera
 
 DRAWN_BLUR_PX = 6**-0.5
@@ -69,8 +70,8 @@ def _segments(camera: Camera, tube: Tube, light: np.ndarray) -> dict[str, np.nda
     curve = np.asarray(tube.curve, dtype=np.float64)
     tangent = np.gradient(curve, axis=0)
     ray = curve - camera.centre
-    side = _unit(np.cross(ray, tangent))
-    front = _unit(np.cross(tangent, side))
+    side = unit_vectors(np.cross(ray, tangent))
+    front = unit_vectors(np.cross(tangent, side))
     front *= -np.sign((front * ray).sum(axis=1, keepdims=True))
     centre, left = camera.project(curve), camera.project(curve + tube.radius * side)
     right = camera.project(curve - tube.radius * side)
@@ -87,10 +88,6 @@ def _segments(camera: Camera, tube: Tube, light: np.ndarray) -> dict[str, np.nda
     }
     seen = np.isfinite(centre[:-1] + centre[1:] + (left + right)[:-1] + (left + right)[1:]).all(axis=1)
     return {name: value[seen] for name, value in found.items()}
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)
 
 
 def _join(parts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
