@@ -181,7 +181,7 @@ def _task(options: Namespace, source: str, starts: int) -> Task:
         observations, thetas, kinds, weight, around, landscape = _of_run(options, Path(source), starts)
         density = run_density(Path(source)) if density is None else density
     else:
-        from doo_ti.refinement.fit import theta_of_cell
+        from doo_ti.refinement.search import theta_of_cell
 
         observations, around, landscape = loading.load(options, source).along_arcs(), given.surroundings(options), None
         grid = given.single_cell(options, "give one, or refine the run of a sweep")
@@ -215,7 +215,7 @@ def _of_run(options: Namespace, run: Path, starts: int):
     """(observations, the Θ of the lowest cells, kinds of clamps, frame weight, obstacles, landscape) of a run's folder."""
     from doo_ti.learning.landscape import read_landscape
     from doo_ti.learning.run_folder import read_experiment
-    from doo_ti.refinement.fit import lowest_cells, theta_of_cell
+    from doo_ti.refinement.search import lowest_cells, theta_of_cell
     from doo_ti.refinement.theta import common_rod
 
     for name in (*given.MATERIAL, *loading.OF_OBSERVATIONS, "obstacles", "radius"):

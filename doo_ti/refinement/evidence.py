@@ -81,24 +81,28 @@ class Evidence:
         slope = sum(w * kind.shared_slope for w, kind in zip(weights, self.moments, strict=True))
         passed = mixed @ inner
         precision, log_prior = self.unknowns.precision(scales)
-        hessian = precision + sum(w * kind.shared for w, kind in zip(weights, self.moments, strict=True)) - (
-            passed @ np.swapaxes(mixed, 1, 2)).sum(axis=0)
+        hessian = precision + sum(w * kind.shared for w, kind in zip(weights, self.moments, strict=True)) - np.tensordot(
+            passed, mixed, axes=([0, 2], [0, 2]))
         slope = slope - (passed @ slope_z[..., None]).sum(axis=0)[:, 0] + precision @ self.offset
         step, covariance_x, log_hessian = self._solved(hessian, slope, precision)
         effects = -(inner @ (slope_z + np.swapaxes(mixed, 1, 2) @ step)[..., None])[..., 0]
         # The gradient of F is the expectation of that of the complete data's −2 ln likelihood (Fisher's identity).
         crossed = np.swapaxes(passed, 1, 2) @ covariance_x
-        spread_z = inner + crossed @ passed
+        spread_z = np.einsum("dqq->dq", inner) + (crossed * np.swapaxes(passed, 1, 2)).sum(axis=-1)
         gradient = dict.fromkeys(NAMES, 0.0)
         value = log_hessian - log_prior - float(np.linalg.slogdet(inner)[1].sum())
-        for w, kind in zip(weights, self.moments, strict=True):
+        # Σ w · spread over all kinds: each unknown and effect counts one, less what the priors know of it.
+        rest = self._free + spread_z.size - float((covariance_x * precision).sum() + (spread_z / variance).sum())
+        for w, kind in [*zip(weights, self.moments, strict=True)][::-1]:
             squares = self._squares(kind, step, effects)
-            spread = (covariance_x * kind.shared).sum() + (spread_z * kind.effects).sum() - 2 * (
-                np.swapaxes(crossed, 1, 2) * kind.mixed).sum()
+            spread = rest / w if kind is self.moments[0] else float(
+                (covariance_x * kind.shared).sum() + ((inner + crossed @ passed) * kind.effects).sum() - 2 * (
+                    np.swapaxes(crossed, 1, 2) * kind.mixed).sum())
+            rest -= w * spread
             value += w * squares + 2 * kind.count * np.log(scales[kind.scale])
             gradient[kind.scale] += 2 * (kind.count - w * (squares + spread))
         rods = len(effects)
-        second = (effects**2).sum(axis=0) + np.einsum("dqq->q", spread_z)
+        second = (effects**2).sum(axis=0) + spread_z.sum(axis=0)
         value += float((effects**2 / variance).sum() + rods * np.log(variance).sum())
         for q, name in enumerate(kinds):
             gradient[name] += 2 * (rods - second[q] / variance[q])
@@ -108,6 +112,11 @@ class Evidence:
         extra, own = scales.prior()
         learned = np.array([gradient[name] for name, free in zip(NAMES, scales.learned, strict=True) if free])
         return Posterior(step, covariance_x, effects, value + extra, learned + own)
+
+    @property
+    def _free(self) -> int:
+        """Number of free directions of x."""
+        return len(self.offset) if self.basis is None else self.basis.shape[1]
 
     def left_out(self, linear: tuple[Residuals, ...], scales: Scales) -> np.ndarray:
         """(D,) ln of the probability density of each observation, given all others, at these sizes: half of the decrease of F

@@ -6,23 +6,20 @@ The prior makes H positive definite, and steps are shortened, not damped, becaus
 its last equilibrium, which keeps it on its branch. Rods that fit far worse than the others are relaxed once more from their
 observations, also with a whole turn more and less, and are left out where that does not help.
 
-Axes: D observations, P unknowns, G cells of a grid.
+Axes: D observations, P unknowns.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import generate_binary_structure, minimum_filter
 
 from doo_ti.refinement.evidence import Evidence, Posterior, best_effects, integrated
 from doo_ti.refinement.held_rod import POSE
 from doo_ti.refinement.priors import Scales
 from doo_ti.refinement.residuals import Comparison, Moments, Residuals
-from doo_ti.refinement.theta import Theta
 from doo_ti.refinement.unknowns import Unknowns, Values
 from doo_ti.relaxation.newton import Newton
-from doo_ti.rod.grid import Grid
 from doo_ti.rod.types import Solution
 from doo_ti.system.errors import InputError
 
@@ -181,32 +178,45 @@ class Fit:
             return state
         rows = np.ones(len(state.used), dtype=bool) if rows is None else rows
         share, before = np.ones(len(rows)), self._of_rods(state, state.scales)
+        latest, begin, moved = state, state, rows  # the last rods, the best so far, and those of which the last are the best
+        step, usable = np.zeros_like(state.values.scatter), np.zeros_like(rows)
         for _ in range(steps):
-            sound = rows & state.solution.converged & state.solution.stable
-            linear, usable = self.comparison.linear(state.solution, state.values, sound, False, shared=False)
-            wanted = best_effects(self.unknowns, linear, state.scales)[:, :POSE]
-            step = np.where(usable[:, None], self._turned(wanted - state.values.scatter), 0.0)
-            trial = self.at(replace(state.values, scatter=state.values.scatter + share[:, None] * step), state.scales,
-                            state.solution)
-            after = self._of_rods(trial, state.scales)
-            better = usable & trial.solution.converged & trial.solution.stable & (after < before)
-            share = np.where(better, np.minimum(1.0, share / SHORTENED), share * SHORTENED)
-            gained = np.where(better, before - after, 0.0)
-            if better.any():
-                state = trial if (better | ~usable).all() else self._merged(state, trial, better)
-            before = np.where(better, after, before)
-            if not ((gained > POSED) | (usable & ~better & (share > LEAST_SHARE))).any():
+            if moved.any():  # the others' linear model is as before
+                sound = moved & latest.solution.converged & latest.solution.stable
+                linear, sound = self.comparison.linear(latest.solution, latest.values, sound, False, shared=False)
+                wanted = best_effects(self.unknowns, linear, state.scales)[:, :POSE]
+                step[moved] = np.where(sound[:, None], self._turned(wanted - latest.values.scatter), 0.0)[moved]
+                usable = np.where(moved, sound, usable)
+            latest = self.at(replace(begin.values, scatter=begin.values.scatter + share[:, None] * step), state.scales,
+                             begin.solution)
+            after = self._of_rods(latest, state.scales)
+            moved = usable & latest.solution.converged & latest.solution.stable & (after < before)
+            share = np.where(moved, np.minimum(1.0, share / SHORTENED), share * SHORTENED)
+            begin = self._mixed(begin, latest, moved)
+            gained = np.where(moved, before - after, 0.0)
+            before = np.where(moved, after, before)
+            if not ((gained > POSED) | (usable & ~moved & (share > LEAST_SHARE))).any():
                 break
-        return state
+        if (moved | ~usable).all():
+            return latest
+        return self.at(begin.values, begin.scales, begin.solution)
 
-    def _merged(self, state: State, other: State, rows: np.ndarray) -> State:
-        """``other`` in the observations ``rows``, ``state`` elsewhere."""
+    @staticmethod
+    def _mixed(state: State, other: State, rows: np.ndarray) -> State:
+        """The poses and shapes of ``other`` in the observations ``rows``, of ``state`` elsewhere: where rods begin, not yet
+        relaxed."""
         quaternions, start, scatter = (np.where(rows[(slice(None),) + (None,) * (new.ndim - 1)], new, old) for new, old in (
             (other.solution.configuration.quaternions, state.solution.configuration.quaternions),
             (other.solution.configuration.start, state.solution.configuration.start),
             (other.values.scatter, state.values.scatter)))
         shape = replace(state.solution.configuration, quaternions=quaternions, start=start)
-        return self.at(replace(state.values, scatter=scatter), state.scales, replace(state.solution, configuration=shape))
+        values, solution = replace(state.values, scatter=scatter), replace(state.solution, configuration=shape)
+        return replace(state, values=values, solution=solution)
+
+    def _merged(self, state: State, other: State, rows: np.ndarray) -> State:
+        """``other`` in the observations ``rows``, ``state`` elsewhere."""
+        mixed = self._mixed(state, other, rows)
+        return self.at(mixed.values, mixed.scales, mixed.solution)
 
     @staticmethod
     def _turned(step: np.ndarray) -> np.ndarray:
@@ -333,17 +343,3 @@ class Fit:
         if not nearer.any():
             return state, False
         return self._merged(state, trial, nearer), True
-
-
-def lowest_cells(grid: Grid, mean_distance: np.ndarray, count: int) -> np.ndarray:
-    """Up to ``count`` local minima of a landscape (G,) over the cells of ``grid``, the lowest first: cells with no lower
-    neighbour along any axis. Cells that are NaN count as infinitely high."""
-    height = np.nan_to_num(np.asarray(mean_distance, dtype=np.float64), nan=np.inf).reshape(grid.shape)
-    neighbours = generate_binary_structure(height.ndim, 1)
-    cells = np.flatnonzero(np.isfinite(height) & (height <= minimum_filter(height, footprint=neighbours, mode="nearest")))
-    return cells[np.argsort(height.ravel()[cells], kind="stable")][:count]
-
-
-def theta_of_cell(grid: Grid, cell: int, up) -> Theta:
-    """Θ of a grid's cell."""
-    return Theta.of(grid.materials(np.array([cell])), up=up)

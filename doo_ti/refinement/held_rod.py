@@ -1,14 +1,9 @@
-"""An observed rod between its clips, on a mesh of its own: finer than its marks, and clamped where the clips end.
+"""An observed rod between its clips, on a mesh of its own: finer than its marks, and clamped where the clips end
+(:mod:`doo_ti.refinement.mesh`).
 
-A discrete rod whose first edge is held bends from the middle of that edge on. So the middle of the mesh's first edge is placed
-at the end of the clip, ``clip`` mm from the first mark, and likewise at the other end. All edges have the length
-
-    h = (L − c_0 − c_1)/(N − 1)        with both ends clamped, L the length between the outer marks.
-
-A clip that ends before the outer mark has a negative length. Marks lie between the mesh's vertices, by cubic interpolation;
-inside a clip the rod is straight. A clamp may be off its reported pose by six numbers: a rotation about the clip's end and a
-displacement, both in the axes of the reported frame. Where no frame was reported the pose is that of the outer two marks, and
-its roll is unknown: then the six numbers are what holds the rod, and have no limits worth the name.
+A clamp may be off its reported pose by six numbers: a rotation about the clip's end and a displacement, both in the axes of the
+reported frame. Where no frame was reported the pose is that of the outer two marks, and its roll is unknown: then the six
+numbers are what holds the rod, and have no limits worth the name.
 
 Axes: D observations, M marks, N edges of the mesh, Q = 12 numbers of the two poses.
 """
@@ -19,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from doo_ti.contact.surroundings import Surroundings
+from doo_ti.refinement.mesh import GEOMETRY, Lengths, Mesh, mesh_of
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import right_jacobian, rotation_matrix, turned_about_tangent
@@ -34,78 +30,6 @@ TWIST = 3
 """Of these that which turns the end about its tangent."""
 INWARDS = (1.0, -1.0)
 """Of the start's tangent and of the end's: into the rod."""
-
-
-@dataclass(frozen=True)
-class Lengths:
-    """Where marks and clips are along the rod.
-
-    clip     (2,) mm from the outer marks inwards to where the clips end
-    spacing  (M − 1,) mm of rod between neighbouring marks
-    """
-
-    clip: np.ndarray
-    spacing: np.ndarray
-
-    @property
-    def mark_place(self) -> np.ndarray:
-        """(M,) arc length of the marks from the first one, mm."""
-        return np.concatenate([[0.0], np.cumsum(self.spacing)])
-
-    @property
-    def mark_slope(self) -> np.ndarray:
-        """(M, M − 1) derivative of :attr:`mark_place` by the logarithm of each spacing."""
-        return np.tri(len(self.spacing) + 1, len(self.spacing), -1) * self.spacing
-
-
-GEOMETRY = 3
-"""Columns of derivatives by both clip lengths and by L."""
-
-
-@dataclass(frozen=True)
-class Mesh:
-    """The mesh for given lengths.
-
-    edge         h, mm
-    place        (N + 1,) arc length of its vertices from the first mark, mm
-    edge_slope   (GEOMETRY,) derivative of ``edge``
-    first_slope  (GEOMETRY,) derivative of ``place[0]``
-    """
-
-    edge: float
-    place: np.ndarray
-    edge_slope: np.ndarray
-    first_slope: np.ndarray
-
-    @property
-    def joints(self) -> np.ndarray:
-        """(N − 1,) mm."""
-        return self.place[1:-1]
-
-    @property
-    def joint_slope(self) -> np.ndarray:
-        """(N − 1, GEOMETRY) derivative of :attr:`joints`."""
-        steps = np.arange(1, len(self.place) - 1)[:, None]
-        return self.first_slope + steps * self.edge_slope
-
-    def at(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(X, N + 1) weights of the vertices at arc lengths ``place`` (X,), and their derivatives by u = (s − s_0)/h."""
-        return _interpolation((place - self.place[0]) / self.edge, len(self.place))
-
-    def at_edges(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(X, N) weights of the edges, each at its middle and linear in between, and their derivatives by u."""
-        u = np.clip((place - self.place[0]) / self.edge - 0.5, 0.0, len(self.place) - 2)
-        low = np.minimum(u.astype(int), len(self.place) - 3)
-        weights, slopes = np.zeros((2, len(place), len(self.place) - 1))
-        rows = np.arange(len(place))
-        weights[rows, low], weights[rows, low + 1] = 1 - (u - low), u - low
-        slopes[rows, low], slopes[rows, low + 1] = -1.0, 1.0
-        return weights, slopes
-
-    def slide(self, place: np.ndarray) -> np.ndarray:
-        """(X, GEOMETRY) derivative of u = (s − s_0)/h at given arc lengths s."""
-        u = (place - self.place[0]) / self.edge
-        return -(self.first_slope + u[:, None] * self.edge_slope) / self.edge
 
 
 @dataclass(frozen=True)
@@ -205,20 +129,14 @@ class HeldRod:
         seen = self.observations
         return self.rolls_known and seen.total_twist is None and seen.frames is None
 
-    @property
+    @cached_property
     def clamped(self) -> np.ndarray:
         """(2,) bool: ends with a clip, where the clamp holds at least the tangent."""
         return np.array([np.max(kind) >= Clamp.TANGENT for kind in (self.clamps.start, self.clamps.end)])
 
     def mesh(self, lengths: Lengths) -> Mesh:
         """The mesh for ``lengths``; the length of a clip at an end without one is ignored."""
-        held = self.clamped.astype(float)
-        count = self.edges - 0.5 * held.sum()
-        edge = (lengths.spacing.sum() - held @ lengths.clip) / count
-        slope = np.append(-held, 1.0) / count
-        first = held[0] * (lengths.clip[0] - 0.5 * edge)
-        first_slope = held[0] * (np.eye(GEOMETRY)[0] - 0.5 * slope)
-        return Mesh(edge, first + edge * np.arange(self.edges + 1), slope, first_slope)
+        return mesh_of(tuple(self.clamped.tolist()), self.edges, tuple(lengths.clip.tolist()), float(lengths.spacing.sum()))
 
     def clip_in_reach(self, clip: np.ndarray) -> np.ndarray:
         """(2,) ``clip``, shortened where the clamps of some observations would be further apart than the rod between them is
@@ -329,22 +247,3 @@ class HeldRod:
             end_frame=seen.end_frame, frames=None if seen.frames is None else seen.frames[:, nearest],
             total_twist=np.zeros(seen.count) if self.twist_unknown else seen.total_twist, up=seen.up, name=seen.name,
             source=seen.source)
-
-
-def _interpolation(u: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Weights (X, count) of ``count`` evenly spaced values at the places u, and their derivatives: cubic, but linear in the
-    outermost intervals and beyond, which a clip may hold."""
-    weights, slopes = np.zeros((2, len(u), count))
-    rows = np.arange(len(u))
-    inner = (u > 1) & (u < count - 2) & (count >= 6)
-    low = np.where(inner, np.clip(np.floor(u).astype(int) - 1, 1, max(count - 5, 1)), 0)
-    t = u - low
-    cubic = ((0, (1, 2, 3), -6.0), (1, (0, 2, 3), 2.0), (2, (0, 1, 3), -2.0), (3, (0, 1, 2), 6.0))
-    for k, (a, b, c), scale in cubic:
-        weights[rows[inner], (low + k)[inner]] = (((t - a) * (t - b) * (t - c)) / scale)[inner]
-        slopes[rows[inner], (low + k)[inner]] = (((t - b) * (t - c) + (t - a) * (t - c) + (t - a) * (t - b)) / scale)[inner]
-    outer = ~inner
-    low = np.clip(np.floor(u).astype(int), 0, count - 2)
-    weights[rows[outer], low[outer]], weights[rows[outer], low[outer] + 1] = (1 - (u - low))[outer], (u - low)[outer]
-    slopes[rows[outer], low[outer]], slopes[rows[outer], low[outer] + 1] = -1.0, 1.0
-    return weights, slopes

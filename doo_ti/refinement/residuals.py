@@ -18,7 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.refinement.held_rod import GEOMETRY, POSE, Mesh
+from doo_ti.refinement.held_rod import POSE
+from doo_ti.refinement.mesh import GEOMETRY, Mesh
 from doo_ti.refinement.priors import Scales
 from doo_ti.refinement.unknowns import Unknowns, Values
 from doo_ti.relaxation.sensitivity import sensitivity

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.ndimage import generate_binary_structure, minimum_filter
 
 from doo_ti.refinement.fit import Fit, Fitted
 from doo_ti.refinement.priors import Scales
@@ -19,6 +20,7 @@ from doo_ti.refinement.swivels import bent, swivelling
 from doo_ti.refinement.theta import Theta
 from doo_ti.refinement.turns import AGAIN, turns_chosen_again, twisted
 from doo_ti.refinement.unknowns import Unknowns
+from doo_ti.rod.grid import Grid
 from doo_ti.rod.types import Clamp, Clamps
 from doo_ti.system.errors import InputError
 
@@ -164,3 +166,17 @@ def _ordered(first: list[Optimum], *others: list[Optimum]) -> list[Optimum]:
     behind = [0.0, *(kind[0].behind(first[0]) for kind in others if kind)]
     kinds = [first, *filter(None, others)]
     return [one for k in np.argsort(behind, kind="stable") for one in kinds[k]]
+
+
+def lowest_cells(grid: Grid, mean_distance: np.ndarray, count: int) -> np.ndarray:
+    """Up to ``count`` local minima of a landscape (G,) over the cells of ``grid``, the lowest first: cells with no lower
+    neighbour along any axis. Cells that are NaN count as infinitely high."""
+    height = np.nan_to_num(np.asarray(mean_distance, dtype=np.float64), nan=np.inf).reshape(grid.shape)
+    neighbours = generate_binary_structure(height.ndim, 1)
+    cells = np.flatnonzero(np.isfinite(height) & (height <= minimum_filter(height, footprint=neighbours, mode="nearest")))
+    return cells[np.argsort(height.ravel()[cells], kind="stable")][:count]
+
+
+def theta_of_cell(grid: Grid, cell: int, up) -> Theta:
+    """Θ of a grid's cell."""
+    return Theta.of(grid.materials(np.array([cell])), up=up)

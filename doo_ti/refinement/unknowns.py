@@ -22,7 +22,8 @@ from functools import cached_property
 
 import numpy as np
 
-from doo_ti.refinement.held_rod import POSE, HeldRod, Lengths, Mesh
+from doo_ti.refinement.held_rod import POSE, HeldRod
+from doo_ti.refinement.mesh import Lengths, Mesh
 from doo_ti.refinement.priors import Scales, covariance, knots_of, values_at
 from doo_ti.refinement.theta import Theta, common_rod
 from doo_ti.relaxation.sensitivity import tilt_axes

@@ -7,7 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from doo_ti import Clamp, Newton
-from doo_ti.refinement.held_rod import POSE, Lengths
+from doo_ti.refinement.held_rod import POSE
+from doo_ti.refinement.mesh import Lengths
 from doo_ti.refinement.priors import covariance, knots_of, values_at
 from doo_ti.refinement.refine import mesh_correction, relaxed_on
 from doo_ti.refinement.unknowns import Unknowns

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from doo_ti import Axis, Clamp, Grid, InputError, Observations, Status, Theta, observation_clamps, relax
-from doo_ti.refinement.fit import lowest_cells, theta_of_cell
 from doo_ti.refinement.folds import folds_of, refine_held_out
 from doo_ti.refinement.refine import RefinementOptions, refine
+from doo_ti.refinement.search import lowest_cells, theta_of_cell
 from tests.references.rods import clamps_at
 from tests.refinement.rods_between_clips import BEND, NOISE, TRUTH, TWIST, suture
 from tests.relaxation.rods import wandering

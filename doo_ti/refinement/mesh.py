@@ -1,0 +1,122 @@
+"""The mesh of a rod between its clips, and where marks are on it.
+
+A discrete rod whose first edge is held bends from the middle of that edge on. So the middle of the mesh's first edge is placed
+at the end of the clip, ``clip`` mm from the first mark, and likewise at the other end. All edges have the length
+
+    h = (L − c_0 − c_1)/(N − 1)        with both ends clamped, L the length between the outer marks.
+
+A clip that ends before the outer mark has a negative length. Marks lie between the mesh's vertices, by cubic interpolation;
+inside a clip the rod is straight.
+
+Axes: M marks, N edges of the mesh.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+GEOMETRY = 3
+"""Columns of derivatives by both clip lengths and by L."""
+
+
+@dataclass(frozen=True)
+class Lengths:
+    """Where marks and clips are along the rod.
+
+    clip     (2,) mm from the outer marks inwards to where the clips end
+    spacing  (M − 1,) mm of rod between neighbouring marks
+    """
+
+    clip: np.ndarray
+    spacing: np.ndarray
+
+    @cached_property
+    def mark_place(self) -> np.ndarray:
+        """(M,) arc length of the marks from the first one, mm."""
+        return np.concatenate([[0.0], np.cumsum(self.spacing)])
+
+    @property
+    def mark_slope(self) -> np.ndarray:
+        """(M, M − 1) derivative of :attr:`mark_place` by the logarithm of each spacing."""
+        return np.tri(len(self.spacing) + 1, len(self.spacing), -1) * self.spacing
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """The mesh for given lengths.
+
+    edge         h, mm
+    place        (N + 1,) arc length of its vertices from the first mark, mm
+    edge_slope   (GEOMETRY,) derivative of ``edge``
+    first_slope  (GEOMETRY,) derivative of ``place[0]``
+    """
+
+    edge: float
+    place: np.ndarray
+    edge_slope: np.ndarray
+    first_slope: np.ndarray
+
+    @property
+    def joints(self) -> np.ndarray:
+        """(N − 1,) mm."""
+        return self.place[1:-1]
+
+    @property
+    def joint_slope(self) -> np.ndarray:
+        """(N − 1, GEOMETRY) derivative of :attr:`joints`."""
+        steps = np.arange(1, len(self.place) - 1)[:, None]
+        return self.first_slope + steps * self.edge_slope
+
+    def at(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(X, N + 1) weights of the vertices at arc lengths ``place`` (X,), and their derivatives by u = (s − s_0)/h."""
+        return _interpolation(tuple(((place - self.place[0]) / self.edge).tolist()), len(self.place))
+
+    def at_edges(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(X, N) weights of the edges, each at its middle and linear in between, and their derivatives by u."""
+        u = np.clip((place - self.place[0]) / self.edge - 0.5, 0.0, len(self.place) - 2)
+        low = np.minimum(u.astype(int), len(self.place) - 3)
+        weights, slopes = np.zeros((2, len(place), len(self.place) - 1))
+        rows = np.arange(len(place))
+        weights[rows, low], weights[rows, low + 1] = 1 - (u - low), u - low
+        slopes[rows, low], slopes[rows, low + 1] = -1.0, 1.0
+        return weights, slopes
+
+    def slide(self, place: np.ndarray) -> np.ndarray:
+        """(X, GEOMETRY) derivative of u = (s − s_0)/h at given arc lengths s."""
+        u = (place - self.place[0]) / self.edge
+        return -(self.first_slope + u[:, None] * self.edge_slope) / self.edge
+
+
+@lru_cache(maxsize=64)
+def mesh_of(clamped: tuple[bool, bool], edges: int, clip: tuple[float, float], length: float) -> Mesh:
+    """The mesh of :meth:`HeldRod.mesh`, kept: a fit asks for the same one many times."""
+    held = np.array(clamped, dtype=float)
+    count = edges - 0.5 * held.sum()
+    edge = (length - held @ clip) / count
+    slope = np.append(-held, 1.0) / count
+    first = held[0] * (clip[0] - 0.5 * edge)
+    first_slope = held[0] * (np.eye(GEOMETRY)[0] - 0.5 * slope)
+    return Mesh(edge, first + edge * np.arange(edges + 1), slope, first_slope)
+
+
+@lru_cache(maxsize=64)
+def _interpolation(places: tuple[float, ...], count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Weights (X, count) of ``count`` evenly spaced values at the places u, and their derivatives: cubic, but linear in the
+    outermost intervals and beyond, which a clip may hold."""
+    u = np.array(places)
+    weights, slopes = np.zeros((2, len(u), count))
+    rows = np.arange(len(u))
+    inner = (u > 1) & (u < count - 2) & (count >= 6)
+    low = np.where(inner, np.clip(np.floor(u).astype(int) - 1, 1, max(count - 5, 1)), 0)
+    t = u - low
+    cubic = ((0, (1, 2, 3), -6.0), (1, (0, 2, 3), 2.0), (2, (0, 1, 3), -2.0), (3, (0, 1, 2), 6.0))
+    for k, (a, b, c), scale in cubic:
+        weights[rows[inner], (low + k)[inner]] = (((t - a) * (t - b) * (t - c)) / scale)[inner]
+        slopes[rows[inner], (low + k)[inner]] = (((t - b) * (t - c) + (t - a) * (t - c) + (t - a) * (t - b)) / scale)[inner]
+    outer = ~inner
+    low = np.clip(np.floor(u).astype(int), 0, count - 2)
+    weights[rows[outer], low[outer]], weights[rows[outer], low[outer] + 1] = (1 - (u - low))[outer], (u - low)[outer]
+    slopes[rows[outer], low[outer]], slopes[rows[outer], low[outer] + 1] = -1.0, 1.0
+    weights.flags.writeable = slopes.flags.writeable = False  # kept, and shared by all who ask
+    return weights, slopes

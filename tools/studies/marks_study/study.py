@@ -1,0 +1,163 @@
+"""How well ``doo-ti refine`` knows the stiffness of cables and sutures from marks:
+``python tools/studies/marks_study [SET ...]``.
+
+Each specimen is a continuum rod (rod.py), measured as people measure (specimens.py), and fitted with the commands of the
+README: ``sweep``, then ``refine RUN``. A line of JSON per fit goes to FOLDER/rows.jsonl; fits that are there are not repeated.
+
+    all          random nuisances, families in turn (default)
+    none         no nuisance at all, small specimens, as those that follow
+    only:NAME    this nuisance alone: spacing, clip, frames, chord, missing, mislabel, curvature, uneven, turns
+    without:NAME the specimens of ``all`` whose truth was outside, with this nuisance off
+    leave        small specimens with random nuisances, each pose left out in turn
+"""
+
+import argparse
+import contextlib
+import io
+import json
+import sys
+import tempfile
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path
+
+from doo_ti.cli import main as doo_ti
+from tools.studies.marks_study.specimens import FAMILIES, Recipe, drawn, specimen
+from tools.studies.marks_study.table import outside, table
+
+GRIDS = {"cable": "1e-5:1e-1:25", "suture": "1e-9:1e-5:17"}  # N m², of EI
+
+
+@dataclass(frozen=True)
+class Job:
+    group: str
+    family: str
+    seed: int
+
+    @property
+    def key(self) -> str:
+        return f"{self.group} {self.family} {self.seed}"
+
+
+def recipe_of(job: Job) -> Recipe:
+    kind, _, name = job.group.partition(":")
+    if kind == "all":
+        return drawn(job.family, job.seed)
+    if kind == "without":
+        whole = drawn(job.family, job.seed).nuisances
+        return drawn(job.family, job.seed, tuple(n for n in whole if n != name))
+    if kind == "leave":
+        return drawn(job.family, job.seed, small=True)
+    recipe = drawn(job.family, job.seed, (name,) if name else (), small=True)
+    return replace(recipe, frames_given=True) if name == "frames" else recipe
+
+
+def command(*words: object) -> tuple[int, str]:
+    """Exit code and all that a command printed."""
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out):
+        code = doo_ti([str(word) for word in words])
+    return code, out.getvalue()
+
+
+def source(recipe: Recipe, folder: Path) -> list[object]:
+    """The file of marks with the options that say how to read it."""
+    lengths = ["--rest-length", folder / "spacing.txt"] if recipe.spacings_stated else []
+    if recipe.frames_given:
+        return [folder / "marks.npz", *lengths]
+    return [folder / "marks.csv", "--unit", "m", "--up", recipe.up, "--columns", "observation=pose,vertex=mark", *lengths]
+
+
+def result(folder: Path, code: int, text: str, began: float) -> dict:
+    """What ``refine`` found, from its ``--out``."""
+    row = {"code": code, "text": text, "seconds": round(time.perf_counter() - began, 2)}
+    if code == 0:
+        found = json.loads((folder / "out.json").read_text())[0]
+        row |= {key: found.get(key) for key in ("converged", "sensitive", "advice", "not_determined")}
+        for name in ("EI", "GJ"):
+            row[name] = (found["stiffness"] or {}).get(f"{name}_Nm2")
+    return row
+
+
+def fit(recipe: Recipe, folder: Path) -> dict:
+    marks = source(recipe, folder)
+    twist = ["--twist-ratio", "0.25:4:5"] if recipe.frames_given else []
+    began = time.perf_counter()
+    code, text = command("sweep", *marks, "--EI", GRIDS[recipe.family], *twist, "--linear-density", recipe.grams_per_metre,
+                         "--out", folder / "run")
+    if code:
+        return result(folder, code, text, began)
+    warned, began = {"warned": text}, time.perf_counter()
+    code, text = command("refine", folder / "run", "--no-models", "--out", folder / "out.json")
+    return warned | result(folder, code, text, began)
+
+
+def left_out(recipe: Recipe, folder: Path, whole: dict) -> list[dict]:
+    """EI and GJ without each pose, of the specimen in ``folder`` whose fit is ``whole``: as many folds as poses."""
+    poses = [pose for pose in range(recipe.poses) if f"observation {pose} is left out" not in whole["warned"]]
+    code, text = command("refine", folder / "run", "--no-models", "--folds", len(poses), "--out", folder / "folds.json")
+    if code:
+        return [{"code": code, "text": text}]
+    found = json.loads((folder / "folds.json").read_text())[0]
+    folds, all_poses = found["held_out"], found["theta"]
+    rows = []
+    for pose, fold in zip(poses, folds["fold"], strict=True):
+        rows.append({"pose": pose})
+        for name, key in (("EI", "bend_1"), ("GJ", "twist")):
+            value = found["stiffness"][f"{name}_Nm2"][0]
+            rows[-1][name] = [value * folds["theta"][fold][key] / all_poses[key]]
+    return rows
+
+
+def done(job: Job) -> dict:
+    recipe = recipe_of(job)
+    with tempfile.TemporaryDirectory() as name:
+        folder, began = Path(name), time.perf_counter()
+        try:
+            truth = specimen(recipe, folder)
+        except RuntimeError as error:  # its clamps have too few stable rods
+            return {"key": job.key, "group": job.group, "skipped": str(error)}
+        row = {"key": job.key, "group": job.group, "generated": round(time.perf_counter() - began, 2), "truth": truth}
+        row |= fit(recipe, folder)
+        if job.group == "leave" and row["code"] == 0:
+            row["left_out"] = left_out(recipe, folder, row)
+    return row
+
+
+def main(words: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("sets", nargs="*", metavar="SET", default=["all"])
+    parser.add_argument("--specimens", type=int, default=100, help="of each family and set (default 100)")
+    parser.add_argument("--seed", type=int, default=7000, help="the first (default 7000)")
+    parser.add_argument("--families", nargs="+", choices=FAMILIES, default=FAMILIES)
+    parser.add_argument("--jobs", type=int, default=1, help="processes (default 1)")
+    parser.add_argument("--out", type=Path, default=Path(tempfile.gettempdir()) / "marks_study")
+    options = parser.parse_args(words)
+    options.out.mkdir(parents=True, exist_ok=True)
+    file = options.out / "rows.jsonl"
+    rows = [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
+    there = {row["key"] for row in rows}
+    seeds = range(options.seed, options.seed + options.specimens)
+    jobs = [Job(group, family, seed) for seed in seeds for group in options.sets for family in options.families]
+    jobs = [job for job in jobs if job.key not in there and wanted(job, rows)]
+    with contextlib.ExitStack() as stack:
+        results = map(done, jobs)
+        if options.jobs > 1:
+            pool = stack.enter_context(ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")))
+            results = pool.map(done, jobs)
+        for row in results:
+            with file.open("a") as lines:
+                lines.write(json.dumps(row) + "\n")
+            rows.append(row)
+            print(row["key"], row.get("skipped") or f"code {row['code']}, {row['seconds']} s", file=sys.stderr, flush=True)
+    print(table(rows))
+    return 0
+
+
+def wanted(job: Job, rows: list[dict]) -> bool:
+    """A specimen without a nuisance is of interest only where it has it and was outside with it."""
+    kind, _, name = job.group.partition(":")
+    whole = {row["key"]: row for row in rows}.get(f"all {job.family} {job.seed}")
+    return kind != "without" or bool(whole and outside(whole) and name in drawn(job.family, job.seed).nuisances)
