@@ -3,9 +3,9 @@
     interval of v·x = {t : F(t) − min F ≤ quantile of F(1, n)},    F(t) = −2 ln p(marks | v·x = t),
 
 with all else integrated out or fitted again at every t (:mod:`doo_ti.refinement.evidence`). F is followed from its minimum
-both ways, and from other optima whose F is below that bound too (:mod:`doo_ti.refinement.search`): the interval is from the
-lowest to the highest t of them all. Where Θ enters nearly linearly this is the interval by the covariance. An end of an
-interval is None where the observations do not bound the parameter on that side.
+both ways. Other optima whose F is below that bound too (:mod:`doo_ti.refinement.search`) have intervals by their covariances:
+the interval is from the lowest to the highest t of them all. Where Θ enters nearly linearly this is the interval by the
+covariance. An end of an interval is None where the observations do not bound the parameter on that side.
 
 Positive parameters are estimated by their logarithms, so their intervals are factors and never reach zero.
 """
@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import f as f_distribution
 
-from doo_ti.refinement.fit import Fit, Fitted, State
+from doo_ti.refinement.fit import OF_INTERVALS, Fit, Fitted, State
 from doo_ti.refinement.priors import Scales
 from doo_ti.refinement.search import Optimum
 from doo_ti.refinement.theta import Theta
@@ -159,7 +159,7 @@ def estimated(best: Optimum, rivals: Sequence[Optimum] = (), profiled: bool = Tr
     theta = unknowns.theta_at(values)
     found = _intervals(best, degrees, 0.0, profiled)
     for rival in rivals:
-        others = _intervals(rival, degrees, max(rival.behind(best), 0.0), profiled)
+        others = _intervals(rival, degrees, max(rival.behind(best), 0.0), profiled=False)
         shifts = _shifts(best, rival)
         found = {name: one.widened(others[name], shifts[name]) if name in others else one for name, one in found.items()}
     suffix = "/weight" if "weight" in unknowns.names else ""
@@ -265,7 +265,7 @@ def interval(fit: Fit, fitted: Fitted, direction: np.ndarray, wanted: float) -> 
     """The interval of ``direction`` (P,) · x by the profile: where the root of F's rise becomes ``wanted``."""
     error = float(np.sqrt(direction @ fitted.posterior.covariance @ direction))
     least = fitted.evidence.holding(direction).posterior(fitted.state.scales).value
-    fit = replace(fit, rods=fitted.state.used)
+    fit = replace(fit, rods=fitted.state.used, tolerance=OF_INTERVALS)
     low, high = (_reach(fit, fitted, sign * direction, wanted, error, least) for sign in (-1.0, 1.0))
     return Interval(None if low is None else -low, high, error)
 

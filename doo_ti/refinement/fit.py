@@ -32,8 +32,8 @@ LARGEST_ROLL = 1.0  # rad, of a clamp in one observation
 SHORTENED = 1 / 3  # factor by which a step that does not help is shortened
 MOST_SHORTENED = 8
 LEAST_SHARE = 2e-3  # share of a step: if no longer step helps, the fit stops
-SETTLED = 0.03  # standard errors: the fit is done when Θ moves by less, and −2 ln of the posterior falls by less than STILL:
-STILL = 0.01  # while clamps of single observations move, the evidence changes far more than the posterior falls
+FINE, OF_INTERVALS, ROUGH = (0.03, 0.01), (0.1, 0.1), (0.1, 0.5)  # a fit is done when Θ would move by less than so many standard
+# errors, and −2 ln of the posterior falls by less; roughly while it is one of several, of which the best is continued
 SCALE_STEPS = 12  # of the search for the sizes, in each step
 ODD = 9.0
 """Times the others' mean square, three times their size: a rod with such residuals is a misfit."""
@@ -93,12 +93,14 @@ class Fit:
     origin      the values that the wide prior of Θ is centred on
     solver      of the relaxations
     rods        (D,) bool: rods that count, however large their residuals become; None: all except misfits
+    tolerance   FINE, OF_INTERVALS or ROUGH
     """
 
     comparison: Comparison
     origin: Values
     solver: Newton
     rods: np.ndarray | None = None
+    tolerance: tuple[float, float] = FINE
 
     @property
     def unknowns(self) -> Unknowns:
@@ -235,16 +237,16 @@ class Fit:
             snapping |= state.used & ~fitted.state.used
             found, count = fitted.posterior, self.unknowns.theta_count
             errors = np.maximum(np.sqrt(np.diag(found.covariance)[:count]), 1e-9)
-            settled = bool((np.abs(found.step[:count]) <= SETTLED * errors).all()) and left == 0.0
+            settled = bool((np.abs(found.step[:count]) <= self.tolerance[0] * errors).all()) and left == 0.0
             trial, share, gained = self._stepped(fitted, self._share(found.step), moving=left != 0.0)
-            settled = settled and gained < STILL
+            settled = settled and gained < self.tolerance[1]
             left *= 1 - share
             if share < LEAST_SHARE:  # no progress: rods snap, or rounding decides whether the posterior rises
                 done = settled
                 break
             trial, again = self._misfits_relaxed_again(trial)
             state = replace(trial, used=trial.used & ~snapping)
-            done = settled and share == 1 and not again and bool((state.used == fitted.state.used).all())
+            done = settled and not again and bool((state.used == fitted.state.used).all())
         else:
             fitted = self._linear(state, None if held is None else (held[0], left))
         return replace(fitted, converged=done, steps=tried)

@@ -21,6 +21,7 @@ import numpy as np
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.refinement.adequacy import Adequacy, Score, adequacy, scores
 from doo_ti.refinement.estimate import Estimate, estimated, within_reach
+from doo_ti.refinement.fit import FINE
 from doo_ti.refinement.held_rod import HeldRod
 from doo_ti.refinement.mislabelled import Mislabelled, mislabelled
 from doo_ti.refinement.priors import Scales, typical_scales
@@ -166,8 +167,8 @@ def refine(observations: Observations, clamps: Clamps, theta: Theta | Sequence[T
     """
     thetas = (theta,) if isinstance(theta, Theta) else tuple(theta)
     best, *others = within_reach(_optima(observations, clamps, thetas, options), MARGIN)
-    if options.edges is None:
-        best, *others = (_corrected(one, options) for one in (best, *others))
+    finished = _corrected if options.edges is None else _finished
+    best, *others = (finished(one, options) for one in (best, *others))
     best, *rivals = once(within_reach([best, *others]))
     return _refinement(best, rivals, options)
 
@@ -261,6 +262,12 @@ def _refinement(best: Optimum, rivals: list[Optimum], options: RefinementOptions
         mesh_error=None if np.ndim(correction) == 0 else _root_mean_square(correction[state.used]))
 
 
+def _finished(found: Optimum, options: RefinementOptions) -> Optimum:
+    """The fit, which the search has left roughly at its optimum, at it."""
+    fit = replace(found.fit, tolerance=FINE)
+    return Optimum(fit, fit.run(found.fitted.state, options.iterations).after(found.fitted))
+
+
 def _root_mean_square(values: np.ndarray) -> float:
     return float(np.sqrt((values**2).mean())) if values.size else 0.0
 
@@ -270,7 +277,7 @@ def _root_mean_square(values: np.ndarray) -> float:
 
 def _corrected(found: Optimum, options: RefinementOptions) -> Optimum:
     """The fit repeated with the correction of its mesh, on a mesh twice as fine where the correction is too large."""
-    fit, fitted = found.fit, found.fitted
+    fit, fitted = replace(found.fit, tolerance=FINE), found.fitted
     for _ in range(CORRECTIONS):
         values, solution = fitted.state.values, fitted.state.solution
         correction = mesh_correction(fit.unknowns, values, solution, fit.solver)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import generate_binary_structure, minimum_filter
 
-from doo_ti.refinement.fit import Fit, Fitted
+from doo_ti.refinement.fit import ROUGH, Fit, Fitted
 from doo_ti.refinement.priors import Scales
 from doo_ti.refinement.residuals import Comparison
 from doo_ti.refinement.rolls import rolled, rolls_chosen_again
@@ -72,8 +72,8 @@ class Optimum:
 
 def searched(unknowns: Unknowns, thetas: Sequence[Theta], clip: np.ndarray, scales: Scales, options: "RefinementOptions"
              ) -> list[Optimum]:
-    """The optima that are reached from each of ``thetas`` and ``clip`` (2,), the clips' lengths. Raises InputError where no rod
-    is converged and stable at any Θ."""
+    """The optima that are reached, roughly, from each of ``thetas`` and ``clip`` (2,), the clips' lengths. Raises InputError
+    where no rod is converged and stable at any Θ."""
     rod, steps = unknowns.rod, options.iterations
     straight_first = rod.rolled_together and unknowns.curvature != "none" and all(
         one.rest_curvature is None for one in thetas)
@@ -98,7 +98,7 @@ def _from_thetas(comparison: Comparison, thetas: Sequence[Theta], clip: np.ndarr
                  options: "RefinementOptions") -> list[Optimum]:
     unknowns, tried = comparison.unknowns, []
     origin = replace(unknowns.begun(thetas[0], clip), theta=unknowns.expected(thetas[0]))
-    fit = Fit(comparison, origin, options.solver)
+    fit = Fit(comparison, origin, options.solver, tolerance=ROUGH)
     for theta in thetas:
         values = unknowns.begun(theta, clip)
         if _rolls_free(unknowns.rod.held) and len(values.curvature) and not values.curvature.any():
