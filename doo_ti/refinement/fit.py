@@ -32,8 +32,8 @@ LARGEST_ROLL = 1.0  # rad, of a clamp in one observation
 SHORTENED = 1 / 3  # factor by which a step that does not help is shortened
 MOST_SHORTENED = 8
 LEAST_SHARE = 2e-3  # share of a step: if no longer step helps, the fit stops
-FINE, OF_INTERVALS, ROUGH = (0.03, 0.01), (0.1, 0.1), (0.1, 0.5)  # a fit is done when Θ would move by less than so many standard
-# errors, and −2 ln of the posterior falls by less; roughly while it is one of several, of which the best is continued
+FINE, OF_INTERVALS, ROUGH = (0.03, 0.01), (0.1, 0.1), (0.1, 0.5)  # a fit is done when Θ would move by fewer standard errors
+# and −2 ln of the posterior falls by less; roughly while it is one of several, of which the best is continued
 SCALE_STEPS = 12  # of the search for the sizes, in each step
 ODD = 9.0
 """Times the others' mean square, three times their size: a rod with such residuals is a misfit."""
