@@ -5,8 +5,9 @@ import numpy as np
 LEAST_DAMPING = 1e-4
 """mm² by which the square of the rod's displacement must grow with a gripper's move of 1 mm: moves that change less are damped.
 Ten times as much leaves small rotations undone, a tenth follows the noise of the marks."""
-HALVINGS = 40
-MOST_DAMPING = 1e8
+ITERATIONS, CLOSE = 50, 1e-9
+"""Of the search for the damping, of which a few do, and the share of the longest length to which it is exact."""
+LEAST_LENGTH = 1e-12
 
 
 class DampedSteps:
@@ -25,15 +26,20 @@ class DampedSteps:
 
     def within(self, length: np.ndarray) -> np.ndarray:
         """(B, K) the steps of at most ``length`` (B,), zero where that is."""
-        low, high = np.full(len(length), np.log(LEAST_DAMPING)), np.full(len(length), np.log(MOST_DAMPING))
-        fits = np.linalg.norm(self._along / (self._values + LEAST_DAMPING), axis=1) <= length
-        for _ in range(HALVINGS):
-            middle = 0.5 * (low + high)
-            short = np.linalg.norm(self._along / (self._values + np.exp(middle)[:, None]), axis=1) <= length
-            low, high = np.where(short, low, middle), np.where(short, middle, high)
-        damping = np.where(fits, LEAST_DAMPING, np.exp(high))[:, None]
-        step = (self._vectors @ (self._along / (self._values + damping))[..., None])[..., 0]
-        return np.where(length[:, None] > 0, step, 0.0)
+        damping, longest = np.full(len(length), LEAST_DAMPING), np.maximum(length, LEAST_LENGTH)
+        for _ in range(ITERATIONS):
+            # Newton's method on 1/|u| - 1/length, which is nearly linear in the damping and grows with it (Hebden, 1973): from
+            # below it never steps too far.
+            steps = self._along / (self._values + damping[:, None])
+            size = np.maximum(np.linalg.norm(steps, axis=1), 1e-300)
+            longer = size > (1.0 + CLOSE) * longest
+            if not longer.any():
+                break
+            slope = np.sum(steps**2 / (self._values + damping[:, None]), axis=1) / size**2
+            damping = damping + np.where(longer, (size / longest - 1.0) / np.where(longer, slope, 1.0), 0.0)
+        step = (self._vectors @ (self._along / (self._values + damping[:, None]))[..., None])[..., 0]
+        excess = np.linalg.norm(step, axis=1) / longest
+        return np.where(length[:, None] > 0, step / np.maximum(excess, 1.0)[:, None], 0.0)
 
     def below(self, length: np.ndarray, across: np.ndarray, room: np.ndarray) -> np.ndarray:
         """(B, K) the steps of at most ``length`` (B,) whose product with ``across`` (B, K) is at most ``room`` (B,): where that

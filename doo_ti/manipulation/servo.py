@@ -41,11 +41,12 @@ from doo_ti.manipulation.poses import (
     slack,
     slack_gradient,
 )
+from doo_ti.manipulation.rested import Rested
 from doo_ti.manipulation.resynchronise import between_marks, resynchronised
 from doo_ti.manipulation.targets import ServoOptions, ServoStatus, Targets
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.relaxation.sensitivity import GRIPPERS, sensitivity
+from doo_ti.relaxation.sensitivity import GRIPPERS
 from doo_ti.rod.straight import with_end_edges
 from doo_ti.rod.types import Clamps, Configuration, Material, Solution, unit_up
 from doo_ti.system.arguments import typed
@@ -116,6 +117,7 @@ class Servo:
         self.clamps = clamps
         model = relax(rod, self._belief.material, clamps, Newton.careful(), up=self._up, **around.arguments)
         self._last, self._sound = finite_rods(model.configuration, rod), model.converged & model.stable
+        self._rested, self._placed = Rested(count), clamps
         self._offset = np.zeros((count, rod.edges + 1, 3))
         self._length = np.full(count, options.step_mm)
         self.status = np.full(count, int(ServoStatus.MOVING))
@@ -153,17 +155,21 @@ class Servo:
         seen = _padded(seen) if self._padded else seen
         visible = np.isfinite(seen).all(axis=-1)
         self._follow_snaps(seen, visible)
-        solution = self._relaxed(np.arange(len(visible)))
-        found = sensitivity(solution, PARAMETERS + ("modes",) * self._belief.uneven,
-                            self._belief.modes if self._belief.uneven else None)
-        usable = found.usable & np.isfinite(found.vertices[:, -1]).all(axis=(1, 2))  # none of taut rods
-        found.vertices[~usable] = 0.0
-        model = np.where(usable[:, None, None], solution.configuration.vertices, self._last.vertices)
-        change = self._learn(seen - model, found.vertices, visible & usable[:, None])
-        columns = found.vertices.reshape(len(usable), -1, found.vertices.shape[-1])
+        if self.clamps is not self._placed:  # somebody has put the grippers elsewhere
+            self._rested = Rested(len(visible))
+        missing = self._rested.missing
+        if len(missing):
+            self._rested.put(missing, self._relaxed(missing), np.arange(len(missing)))
+        model, derivatives, usable = self._rested.derivatives(
+            PARAMETERS + ("modes",) * self._belief.uneven, self._belief.modes if self._belief.uneven else None)
+        derivatives[~usable] = 0.0
+        model = np.where(usable[:, None, None], model, self._last.vertices)
+        change = self._learn(seen - model, derivatives, visible & usable[:, None])
+        columns = derivatives.reshape(len(usable), -1, derivatives.shape[-1])
         expected = model + (columns @ change[..., None]).reshape(model.shape)
         by_moves = columns[..., OF_GRIPPERS] * (self._options.moves / self._options.scale)
         self._move(expected, by_moves, self._steps(expected, by_moves), usable)
+        self._placed = self.clamps
         return self.clamps
 
     def _follow_snaps(self, seen: np.ndarray, visible: np.ndarray) -> None:
@@ -187,6 +193,7 @@ class Servo:
             self._belief.forget(rods)
             self.snaps[rods] += 1
             self._last = put_rods(self._last, rods, drawn.configuration.take(np.flatnonzero(better)))
+            self._rested.forget(rods)
 
     def _learn(self, residual: np.ndarray, columns: np.ndarray, visible: np.ndarray) -> np.ndarray:
         """(B, C) the change of what the columns (B, V, 3, C) are derivatives by, learned from the ``residual`` (B, V, 3) of the
@@ -215,6 +222,7 @@ class Servo:
         start = self.clamps
         here, self.distance = self._targets.distance(expected + self._offset), self.distance.copy()
         waiting = np.arange(len(usable))
+        self._rested.forget(waiting)
         refused = np.zeros(len(usable), dtype=bool)
         longest = np.where(usable, self._length, 0.0)
         gain = np.zeros(len(usable))
@@ -222,7 +230,7 @@ class Servo:
         loose = slack(start, length, stiff)
         least, moves = np.minimum(loose, self._options.slack * length), self._options.moves
         tighter, room = -slack_gradient(start, stiff) * moves / self._options.scale, loose - least
-        to_aim = change_between(start, self._aims) * self._options.scale
+        to_aim = self._to_aims()
         for attempt in range(TRIES):
             most = longest if attempt < TRIES - 1 else np.zeros_like(longest)
             step = np.where(self._aiming[:, None], _shortened(to_aim, most), steps.below(most, tighter, room))[waiting]
@@ -241,6 +249,7 @@ class Servo:
             good = model.converged & model.stable & (follows | (size == 0))
             done = waiting[good]
             self._last = put_rods(self._last, done, model.configuration.take(np.flatnonzero(good)))
+            self._rested.put(done, model, np.flatnonzero(good))
             self.distance[done], gain[done] = distance[good], (here[waiting] - distance)[good]
             if attempt == 0:
                 self._length[done] = np.minimum(2 * np.maximum(size[good], 1.0), self._options.step_mm)
@@ -254,8 +263,7 @@ class Servo:
         if len(waiting):
             self.clamps = put_rows(self.clamps, waiting, start.take(waiting))
         self._judge(gain, refused)
-        left, before = (np.linalg.norm(change, axis=1) for change in (
-            change_between(self.clamps, self._aims) * self._options.scale, to_aim))
+        left, before = np.linalg.norm(self._to_aims(), axis=1), np.linalg.norm(to_aim, axis=1)
         ends = (before <= self._options.step_mm) | (left > before - LITTLE * self._options.step_mm)  # there, or no way to it
         self._aiming &= ~(ends | (self.status == ServoStatus.LOST))
         self._aim()
@@ -283,6 +291,13 @@ class Servo:
         self._aims = put_rows(self._aims, rods[good], goal.clamps.take(np.flatnonzero(good)))
         self._aiming[rods[good]] = True
         self._length[rods[good]] = self._options.step_mm
+
+    def _to_aims(self) -> np.ndarray:
+        """(B, 12) mm, the grippers' way to the poses that they go to; zero for rods without."""
+        rods, way = np.flatnonzero(self._aiming), np.zeros((len(self.status), 12))
+        if len(rods):
+            way[rods] = change_between(self.clamps.take(rods), self._aims.take(rods)) * self._options.scale
+        return way
 
     def _relaxed(self, rods: np.ndarray) -> Solution:
         """The models of ``rods`` at rest under their clamps and what is known of them, from their last shapes."""
