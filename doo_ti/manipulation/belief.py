@@ -26,7 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from doo_ti.manipulation.targets import ServoOptions
-from doo_ti.rod.types import Material
+from doo_ti.rod.types import Configuration, Material
 
 BEND, RATIO, CLIP, JOINTS, CURVATURE = 0, 1, 2, 14, 15
 CURVES = 3
@@ -208,3 +208,13 @@ class Belief:
         intervals = [one[:, None] * np.exp(QUANTILE * deviation[:, None] * [-1.0, 1.0])
                      for one, deviation in zip(value, spread, strict=True)]
         return LearnedMaterial(self.material, *value, *intervals, np.sqrt(self._variance))
+
+
+def elastic_curvature(rods: Configuration, material: Material) -> np.ndarray:
+    """(B, 4) curvature from rest at the first and at the last joint, in the material frames of the joints, 1/mm; zero in rods
+    that are not finite."""
+    ends, frames = rods.curvature_binormal[:, [0, -1]], rods.frames
+    middle = 0.5 * (frames[:, [0, -2]] + frames[:, [1, -1]])
+    bent = np.stack([np.sum(ends * middle[..., 2], axis=-1), -np.sum(ends * middle[..., 1], axis=-1)], axis=-1)
+    rest = 0.0 if material.rest_curvature is None else material.rest_curvature[:, [0, -1]]
+    return np.nan_to_num(bent - rest).reshape(len(bent), 4)

@@ -64,6 +64,16 @@ def drawn_in(clamps: Clamps, excess: np.ndarray, stiff: np.ndarray, moves: np.nd
     return replace(clamps, start_position=clamps.start_position + start * part, end_position=clamps.end_position - end * part)
 
 
+def boxed(clamps: Clamps, before: Clamps, boxes: tuple) -> Clamps:
+    """The clamps with each gripper in its box ((3,), (3,)) mm, or None: one that was outside before goes no farther out."""
+    places = {}
+    for name, box in zip(("start_position", "end_position"), boxes, strict=True):
+        if box is not None:
+            old = getattr(before, name)
+            places[name] = np.clip(getattr(clamps, name), np.minimum(box[0], old), np.maximum(box[1], old))
+    return replace(clamps, **places)
+
+
 def _way(clamps: Clamps, stiff: np.ndarray) -> np.ndarray:
     """(B, 3) mm, between the ends of what grippers hold."""
     tangents = clamps.start_frame[..., 0] + clamps.end_frame[..., 0]

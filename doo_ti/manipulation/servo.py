@@ -27,10 +27,11 @@ from numpy.typing import ArrayLike
 
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.manipulation.belief import CENTRE, CLIP, Belief, LearnedMaterial
+from doo_ti.manipulation.belief import CENTRE, CLIP, Belief, LearnedMaterial, elastic_curvature
 from doo_ti.manipulation.damped_step import DampedSteps
 from doo_ti.manipulation.goal import Model, nearest_goal
 from doo_ti.manipulation.poses import (
+    boxed,
     change_between,
     drawn_in,
     finite_rods,
@@ -202,7 +203,7 @@ class Servo:
         own = np.where(visible[..., None, None], columns, 0.0).reshape(count, -1, columns.shape[-1])
         apart = np.where(visible[..., None], residual, 0.0)
         frames = (self.clamps.start_frame,) * 2 + (self.clamps.end_frame,) * 2
-        transform = self._belief.transform(np.stack(frames), _elastic(self._last, self._belief.material))
+        transform = self._belief.transform(np.stack(frames), elastic_curvature(self._last, self._belief.material))
         change = self._belief.learn(apart.reshape(count, -1), own, transform, 3 * visible.sum(axis=1))
         left = apart - (own @ change[..., None]).reshape(apart.shape)
         some = visible.any(axis=1)[:, None, None]
@@ -230,13 +231,17 @@ class Servo:
         loose = slack(start, length, stiff)
         least, moves = np.minimum(loose, self._options.slack * length), self._options.moves
         tighter, room = -slack_gradient(start, stiff) * moves / self._options.scale, loose - least
-        to_aim = self._to_aims()
+        to_aim, boxes = self._to_aims(), (self._options.start_box, self._options.end_box)
         for attempt in range(TRIES):
             most = longest if attempt < TRIES - 1 else np.zeros_like(longest)
             step = np.where(self._aiming[:, None], _shortened(to_aim, most), steps.below(most, tighter, room))[waiting]
-            there = moved(start.take(waiting), step / self._options.scale)
+            origin = start.take(waiting)
+            there = boxed(moved(origin, step / self._options.scale), origin, boxes)
+            if boxes != (None, None):
+                step[:, :3] = there.start_position - origin.start_position
+                step[:, 6:9] = there.end_position - origin.end_position
             tight = np.maximum(least[waiting] - slack(there, length, stiff[waiting]), 0.0)
-            self.clamps = put_rows(self.clamps, waiting, drawn_in(there, tight, stiff[waiting], moves))
+            self.clamps = put_rows(self.clamps, waiting, boxed(drawn_in(there, tight, stiff[waiting], moves), origin, boxes))
             model = self._relaxed(waiting)
             linear = (columns[waiting] @ step[..., None]).reshape(len(waiting), -1, 3)
             shapes = model.configuration.vertices
@@ -332,16 +337,6 @@ def _shortened(vectors: np.ndarray, length: np.ndarray) -> np.ndarray:
     """``vectors`` (B, K), at most ``length`` (B,) long."""
     size = np.linalg.norm(vectors, axis=1)
     return vectors * np.minimum(1.0, length / np.maximum(size, 1e-300))[:, None]
-
-
-def _elastic(rods: Configuration, material: Material) -> np.ndarray:
-    """(B, 4) curvature from rest at the first and at the last joint, in the material frames of the joints, 1/mm; zero in rods
-    that are not finite."""
-    ends, frames = rods.curvature_binormal[:, [0, -1]], rods.frames
-    middle = 0.5 * (frames[:, [0, -2]] + frames[:, [1, -1]])
-    bent = np.stack([np.sum(ends * middle[..., 2], axis=-1), -np.sum(ends * middle[..., 1], axis=-1)], axis=-1)
-    rest = 0.0 if material.rest_curvature is None else material.rest_curvature[:, [0, -1]]
-    return np.nan_to_num(bent - rest).reshape(len(bent), 4)
 
 
 def _size(vectors: np.ndarray, visible: np.ndarray | None = None) -> np.ndarray:

@@ -85,6 +85,9 @@ class ServoStatus(IntEnum):
     LOST = 4
 
 
+Box = tuple[tuple[float, float, float], tuple[float, float, float]]
+
+
 @typed
 @dataclass(frozen=True)
 class ServoOptions:
@@ -94,6 +97,8 @@ class ServoOptions:
     step_mm       longest move of a step: the root of the sum of squares of both shifts in mm and both turns times ``lever_mm``
     lever_mm      mm that count as much as a radian
     slack         of the rod's length: grippers stay so much nearer to each other than the rod reaches between them
+    start_box, end_box  ((x, y, z), (x, y, z)) mm: the lowest and the highest places that a gripper may take; None: anywhere. A
+                  gripper that begins outside goes no farther out
     reached_mm    distance to the target at which a rod counts as there
     noise_mm      standard deviation of a coordinate of a mark
     bend, ratio   standard deviations of what is not known of ln B and ln β/B before anything is seen; zero: known
@@ -110,6 +115,8 @@ class ServoOptions:
     step_mm: float = 15.0
     lever_mm: float = 60.0
     slack: float = 0.005
+    start_box: Box | None = None
+    end_box: Box | None = None
     reached_mm: float = 0.5
     noise_mm: float = 0.3
     bend: float = 0.4
@@ -124,6 +131,10 @@ class ServoOptions:
         wrong = [name for name in self.free if name not in GRIPPERS]
         if wrong or not self.free or len(set(self.free)) < len(self.free):
             raise InputError("ServoOptions", "free", f"{self.free!r:.60}", f"name some of {', '.join(GRIPPERS)}, each once")
+        for name in ("start_box", "end_box"):
+            box = getattr(self, name)
+            if box is not None and (np.shape(box) != (2, 3) or not (np.less_equal(*box)).all()):
+                raise InputError("ServoOptions", name, f"{box!r:.60}", "give the lowest and the highest x, y, z in mm")
         for name in ("step_mm", "lever_mm", "reached_mm", "noise_mm", "memory"):
             if not 0 < getattr(self, name) < 1e6:
                 raise InputError("ServoOptions", name, f"{getattr(self, name):g}", "give a positive number")

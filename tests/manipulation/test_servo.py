@@ -1,5 +1,6 @@
 """The servo on rods that it does not know: whether they reach their targets, what it learns, and what it does elsewhere."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -78,6 +79,22 @@ def test_a_loop_does_not_depend_on_the_others():
             assert np.array_equal(getattr(clamps, name)[5], getattr(apart, name)[0])
         simulation.step(held(clamps, own.clip))
     assert together.status[5] == one.status[0] and np.array_equal(together.vertices[5], one.vertices[0])
+
+
+def test_grippers_stay_in_their_boxes_and_come_nearer_within_them():
+    own = tasks(1, 8, both=False)
+    first = own.clamps.end_position[0]
+    half = first + 0.5 * (own.goal[0, -1] - first)
+    box = np.array([np.minimum(first, half), np.maximum(first, half)])
+    options = d.ServoOptions(("end_shift", "end_turn"), end_box=tuple(map(tuple, box.tolist())))
+    free, kept = (d.Servo(own.rods, own.nominal, own.clamps, d.Targets(own.goal), with_)
+                  for with_ in (replace(options, end_box=None), options))
+    begun = kept.distance[0]
+    run(own, free, 12), run(own, kept, 12)
+    place = kept.clamps.end_position[0]
+    assert (box[0] <= place).all() and (place <= box[1]).all() and free.distance[0] < kept.distance[0] < begun
+    with pytest.raises(d.InputError, match="end_box"):
+        d.ServoOptions(end_box=((1.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
 
 
 @pytest.mark.parametrize("held", ["obstacles", "vertex clamps", "one unknown"])
