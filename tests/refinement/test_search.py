@@ -9,7 +9,7 @@ from doo_ti import Observations, Theta, observation_clamps
 from doo_ti.refinement.estimate import Interval
 from doo_ti.refinement.fit import Fit, State
 from doo_ti.refinement.priors import Scales, typical_scales
-from doo_ti.refinement.refine import RefinementOptions, _optima, first_edges, refine
+from doo_ti.refinement.refine import RefinementOptions, _finished, _optima, first_edges, refine
 from doo_ti.refinement.residuals import Comparison
 from doo_ti.refinement.rolls import TWISTS, _LinearModel, _rolled_further, _turned
 from doo_ti.refinement.turns import turns_chosen_again, twisted
@@ -49,8 +49,10 @@ def test_rolls_have_no_whole_turns(rng):
 def test_a_converged_fit_is_at_rest_in_every_observation():
     """While the clamps of a single observation still move, the evidence is not that of the optimum."""
     seen = replace(suture(), start_frame=None, end_frame=None, total_twist=None)
-    for one in _optima(seen, observation_clamps(seen), (TRUTH,), RefinementOptions(curvature="field")):
-        assert one.fitted.converged
+    options = RefinementOptions(curvature="field")
+    for found in _optima(seen, observation_clamps(seen), (TRUTH,), options):
+        one = _finished(found, options)
+        assert found.fitted.converged and one.fitted.converged
         further = one.fit.run(one.fitted.state, 12)
         assert further.posterior.value == pytest.approx(one.fitted.posterior.value, abs=0.5)
 
