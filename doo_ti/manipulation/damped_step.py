@@ -6,8 +6,9 @@ LEAST_DAMPING = 1e-4
 """mm² by which the square of the rod's displacement must grow with a gripper's move of 1 mm: moves that change less are damped.
 Ten times as much leaves small rotations undone, a tenth follows the noise of the marks."""
 ITERATIONS, CLOSE = 50, 1e-9
-"""Of the search for the damping, of which a few do, and the share of the longest length to which it is exact."""
+"""The search for the damping ends where a step's length is right to this share, after some ten iterations, or after so many."""
 LEAST_LENGTH = 1e-12
+"""mm, in place of zero in that search."""
 
 
 class DampedSteps:

@@ -223,7 +223,7 @@ class Servo:
         start = self.clamps
         here, self.distance = self._targets.distance(expected + self._offset), self.distance.copy()
         waiting = np.arange(len(usable))
-        self._rested.forget(waiting)
+        self._rested = Rested(len(usable))
         refused = np.zeros(len(usable), dtype=bool)
         longest = np.where(usable, self._length, 0.0)
         gain = np.zeros(len(usable))
@@ -241,6 +241,7 @@ class Servo:
                 step[:, :3] = there.start_position - origin.start_position
                 step[:, 6:9] = there.end_position - origin.end_position
             tight = np.maximum(least[waiting] - slack(there, length, stiff[waiting]), 0.0)
+            # Drawn in, a gripper may leave its box again.
             self.clamps = put_rows(self.clamps, waiting, boxed(drawn_in(there, tight, stiff[waiting], moves), origin, boxes))
             model = self._relaxed(waiting)
             linear = (columns[waiting] @ step[..., None]).reshape(len(waiting), -1, 3)
@@ -298,7 +299,7 @@ class Servo:
         self._length[rods[good]] = self._options.step_mm
 
     def _to_aims(self) -> np.ndarray:
-        """(B, 12) mm, the grippers' way to the poses that they go to; zero for rods without."""
+        """(B, 12) mm, what is left of the grippers' way to their goal; zero for rods without one."""
         rods, way = np.flatnonzero(self._aiming), np.zeros((len(self.status), 12))
         if len(rods):
             way[rods] = change_between(self.clamps.take(rods), self._aims.take(rods)) * self._options.scale

@@ -32,8 +32,8 @@ LARGEST_ROLL = 1.0  # rad, of a clamp in one observation
 SHORTENED = 1 / 3  # factor by which a step that does not help is shortened
 MOST_SHORTENED = 8
 LEAST_SHARE = 2e-3  # share of a step: if no longer step helps, the fit stops
-FINE, OF_INTERVALS, ROUGH = (0.03, 0.01), (0.1, 0.1), (0.1, 0.5)  # a fit is done when Θ would move by fewer standard errors
-# and −2 ln of the posterior falls by less; roughly while it is one of several, of which the best is continued
+FINE, OF_INTERVALS, ROUGH = (0.03, 0.01), (0.1, 0.1), (0.1, 0.5)  # a fit is done when a whole step would move Θ by fewer
+# standard errors and the last one lowered −2 ln of the posterior by less; ROUGH while several fits compete
 SCALE_STEPS = 12  # of the search for the sizes, in each step
 ODD = 9.0
 """Times the others' mean square, three times their size: a rod with such residuals is a misfit."""
@@ -180,7 +180,7 @@ class Fit:
             return state
         rows = np.ones(len(state.used), dtype=bool) if rows is None else rows
         share, before = np.ones(len(rows)), self._of_rods(state, state.scales)
-        latest, begin, moved = state, state, rows  # the last rods, the best so far, and those of which the last are the best
+        latest, begin, moved = state, state, rows  # the rods relaxed last, the best so far, and which of the last are the best
         step, usable = np.zeros_like(state.values.scatter), np.zeros_like(rows)
         for _ in range(steps):
             if moved.any():  # the others' linear model is as before
@@ -194,11 +194,13 @@ class Fit:
             after = self._of_rods(latest, state.scales)
             moved = usable & latest.solution.converged & latest.solution.stable & (after < before)
             share = np.where(moved, np.minimum(1.0, share / SHORTENED), share * SHORTENED)
-            begin = self._mixed(begin, latest, moved)
+            begin = self._mixed(begin, latest, moved) if moved.any() else begin
             gained = np.where(moved, before - after, 0.0)
             before = np.where(moved, after, before)
             if not ((gained > POSED) | (usable & ~moved & (share > LEAST_SHARE))).any():
                 break
+        if begin is state:  # no observation has become more probable
+            return state
         if (moved | ~usable).all():
             return latest
         return self.at(begin.values, begin.scales, begin.solution)

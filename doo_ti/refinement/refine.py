@@ -263,7 +263,7 @@ def _refinement(best: Optimum, rivals: list[Optimum], options: RefinementOptions
 
 
 def _finished(found: Optimum, options: RefinementOptions) -> Optimum:
-    """The fit, which the search has left roughly at its optimum, at it."""
+    """The optimum to the tolerance FINE, from where the search has left it."""
     fit = replace(found.fit, tolerance=FINE)
     return Optimum(fit, fit.run(found.fitted.state, options.iterations).after(found.fitted))
 

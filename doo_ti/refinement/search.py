@@ -72,8 +72,8 @@ class Optimum:
 
 def searched(unknowns: Unknowns, thetas: Sequence[Theta], clip: np.ndarray, scales: Scales, options: "RefinementOptions"
              ) -> list[Optimum]:
-    """The optima that are reached, roughly, from each of ``thetas`` and ``clip`` (2,), the clips' lengths. Raises InputError
-    where no rod is converged and stable at any Θ."""
+    """The optima that are reached from each of ``thetas`` and ``clip`` (2,), the clips' lengths, to the tolerance ROUGH. Raises
+    InputError where no rod is converged and stable at any Θ."""
     rod, steps = unknowns.rod, options.iterations
     straight_first = rod.rolled_together and unknowns.curvature != "none" and all(
         one.rest_curvature is None for one in thetas)
