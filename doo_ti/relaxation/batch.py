@@ -22,6 +22,11 @@ from doo_ti.rod.types import Solution, Status
 from doo_ti.system import runtime
 
 PROJECTIONS = 100
+BLOCK, MOST_THREADS = 64, 1 << 16
+"""On a GPU, threads in a block, and threads of a launch."""
+WIDER = 4
+"""Each stride on a GPU is so many times the one before. It is compiled in: with one for each number of rods, every launch with
+other rods would compile its kernel anew, for seconds."""
 """Rounds in which Descent's starts are brought onto closure."""
 
 UNTOUCHED = np.full(of.RESULTS, np.nan)
@@ -185,13 +190,20 @@ def _chain_form(vertices: np.ndarray, first_directors: np.ndarray) -> np.ndarray
 
 
 def layout_for(rods: int, bits: int, alone: bool = False) -> tuple[Number, int, int, int]:
-    """(kind of number, threads, item stride, block) that suit the architecture Taichi runs on; ``alone``: rods that take long
-    enough for a few of them to be worth a thread each."""
+    """(kind of number, threads, stride, block) that suit the architecture Taichi runs on; ``alone``: rods that take long enough
+    for a few of them to be worth a thread each."""
     if runtime.start() == "cpu":
         number = Number(1 if alone and rods <= 2 * runtime.thread_count() else 16 if bits == 32 else 8, bits)
         return number, max(1, min(runtime.thread_count(), -(-rods // number.width))), 1, 1
-    threads = min(max(rods, 1), 1 << 16)
-    return Number(1, bits), threads, threads, 64
+    return layout_of_gpu(rods, bits)
+
+
+def layout_of_gpu(rods: int, bits: int, most: int = MOST_THREADS) -> tuple[Number, int, int, int]:
+    """:func:`layout_for` on a GPU: a thread for each rod, at most ``most``."""
+    threads, stride = min(max(rods, 1), most), BLOCK
+    while stride < threads:
+        stride *= WIDER
+    return Number(1, bits), threads, stride, BLOCK
 
 
 class Launch(NamedTuple):
@@ -213,10 +225,12 @@ def laid_out(layout: tuple[Number, int, int, int], factory: Callable, given: Sim
     number, threads, stride, block = layout
     kernel, items = factory(number, stride, block)
     size = items(given)
-    if threads * size > of.MOST_NUMBERS:
-        threads = max(1, of.MOST_NUMBERS // size)
-        kernel, _ = factory(number, stride if stride == 1 else threads, block)
+    most = max(1, of.MOST_NUMBERS // size)
+    threads = min(threads, most)
+    if stride > most:
+        stride = most
+        kernel, _ = factory(number, stride, block)
     # Places of the lanes' rods; motions also have their steps.
     queue = np.zeros(LANES + 2 * threads * number.width, dtype=np.int32)
     _last[number.bits] = number, queue
-    return Launch(kernel, threads, runtime.array_for(number, threads * size, number.type), queue)
+    return Launch(kernel, threads, runtime.array_for(number, max(threads, stride) * size, number.type), queue)

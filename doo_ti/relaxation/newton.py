@@ -123,7 +123,7 @@ def newton_kernel(number: Number, stride: int, block: int, isotropic: bool, seri
     """(The compiled-on-first-use kernel for one kind of number, of material and of external energy, and a function of its
     arrays, :meth:`.Chain.items`.)
 
-    stride: distance between the items of an edge in scratch, 1 on a CPU, the number of threads on a GPU.
+    stride: distance between the numbers of a thread in scratch, 1 on a CPU, at least the number of threads on a GPU.
     block, serial: see :func:`.loop_kernel`; to wake another thread takes as long as to relax a few rods.
     external: the class of the external energy, whose numbers and field the kernel then takes as two more arrays.
     any_ends: not all rods under the external energy have vertex 0 held and the far end free, which is faster.

@@ -10,7 +10,7 @@ import taichi as ti
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import against, forward, negated, plus, record, repeated, scaled, symmetric_gram, variable
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.batch import laid_out
+from doo_ti.relaxation.batch import laid_out, layout_of_gpu
 from doo_ti.relaxation.chain_layout import edge_layout
 from doo_ti.relaxation.contact_sensitivity import ContactSensitivity
 from doo_ti.relaxation.contact_table import ContactTable
@@ -147,14 +147,14 @@ def _launch(table: Tables, first: int, last: int, rows: np.ndarray, contact: Con
         return
     rods[:, of.RESULT_ROW] -= first
     on_cpu = runtime.start() == "cpu"
-    threads = min(len(rods), runtime.thread_count() if on_cpu else MOST_THREADS_ON_A_GPU)
     given, kinds, outer = SimpleNamespace(rest_length=table.rest_length), (), ()
     if contact is not None:
         given.kinds, kinds = contact.kinds, (contact.known,)
         obstacles, radius = (array if len(array) == 1 else array[first:last] for array in (contact.obstacles, contact.radius))
         loads = np.zeros((1, 1, 3)) if table.external is None else point_loads(table)[first:last]
         outer = (obstacles, contact.kinds, contact.grids, radius, contact.memory[first:last], loads)
-    layout = Number(1, 64), threads, *((1, 1) if on_cpu else (threads, 64))
+    layout = (Number(1, 64), min(len(rods), runtime.thread_count()), 1, 1) if on_cpu else layout_of_gpu(
+        len(rods), 64, MOST_THREADS_ON_A_GPU)
     kernel, threads, scratch, _ = laid_out(layout, lambda *layout: kernel_for(*layout, *kinds), given)
     kernel(
         table.start.reshape(-1), table.rest_length, table.clamp, table.material, np.array(table.up, dtype=np.float64), rods,
