@@ -17,9 +17,9 @@ CUT = 0.1  # a step of which a smaller share may be taken does not make the shif
 SHORTENED, PART = 0.8, 0.3
 STILL, BY_ROUNDING = 1e-10, 1e3  # rad: a smaller step is rounding, and by how much the residual then may exceed its tolerance
 FAR_FROM_REST = 1e-3  # residual, above which frames spin before they tilt
-# Eigenvalues that are smaller, over H's largest diagonal entry, are neutral motions; of a rod that nothing touches only once it
-# is at rest, since what is added to the diagonal for that makes steps less exact.
-TRACE, TRACE_AT_REST, TRACE_IN_CONTACT = 1e-12, 1e-9, 1e-9
+# Eigenvalues that are smaller, over H's largest diagonal entry, are neutral motions. Contact needs the larger number, and so do
+# all rods once they are at rest; before, what is added to the diagonal makes steps less exact.
+TRACE, LARGE_TRACE = 1e-12, 1e-9
 # The Newton decrement of a rod at rest, in f64: at most the energy of its softest part, bent over all its length by so many
 # tolerances, rad; that of a motion that is softer by the factor NEUTRAL than bending it so; and what rounding makes of the
 # magnitude of the energy.

@@ -55,8 +55,8 @@ class NewtonTrip:
         self.expects = self.touches and sweep.contacts.expects
         patience = fixed.PATIENCE_IN_CONTACT if self.touches else fixed.PATIENCE
         self.patience = fixed.PATIENCE_32 if single else patience
-        self.trace = 0.0 if single else fixed.TRACE_IN_CONTACT if self.among_obstacles else fixed.TRACE
-        self.trace_at_rest = 0.0 if single else fixed.TRACE_AT_REST
+        self.trace = 0.0 if single else fixed.LARGE_TRACE if self.among_obstacles else fixed.TRACE
+        self.trace_at_rest = 0.0 if single else fixed.LARGE_TRACE
         self.by_decrement = not single
         self.converged, self.limit = int(Status.CONVERGED), int(Status.ITERATION_LIMIT)
         self.stalled, self.not_finite, self.infeasible = map(int, (Status.STALLED, Status.NOT_FINITE, Status.INFEASIBLE))

@@ -11,7 +11,7 @@ from doo_ti.physics.tuples import minus, plus, products, record, repeated, scale
 from doo_ti.physics.view import read, write
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.end_moments import FIRST, LAST, EndMoments
-from doo_ti.relaxation.newton_policy import INERTIA_OF_A_MINIMUM, TRACE, TRACE_IN_CONTACT
+from doo_ti.relaxation.newton_policy import INERTIA_OF_A_MINIMUM, LARGE_TRACE, TRACE
 from doo_ti.relaxation.parameter_gradient import NO_MODE
 
 # The loads of a rod: force and moment at its start, force and moment at its end.
@@ -85,7 +85,7 @@ class SensitivityColumns(EndMoments):
         A neutral motion shows when H is lowered a trace. Raised by one instead, H keeps the rod from moving along it.
         """
         none = 0.0 * rod.total
-        trace = (TRACE_IN_CONTACT if ti.static(self.touches) else TRACE) * rod.head.scale
+        trace = (LARGE_TRACE if ti.static(self.touches) else TRACE) * rod.head.scale
         shift = none - trace
         inertia = none
         for _ in range(2):
