@@ -22,12 +22,12 @@ from doo_ti.rod.types import Solution, Status
 from doo_ti.system import runtime
 
 PROJECTIONS = 100
+"""Rounds in which Descent's starts are brought onto closure."""
 BLOCK, MOST_THREADS = 64, 1 << 16
 """On a GPU, threads in a block, and threads of a launch."""
 WIDER = 4
 """Each stride on a GPU is so many times the one before. It is compiled in: with one for each number of rods, every launch with
 other rods would compile its kernel anew, for seconds."""
-"""Rounds in which Descent's starts are brought onto closure."""
 
 UNTOUCHED = np.full(of.RESULTS, np.nan)
 """The results of an infeasible rod, which no kernel relaxes."""
