@@ -6,7 +6,8 @@ LEAST_DAMPING = 1e-4
 """mm² by which the square of the rod's displacement must grow with a gripper's move of 1 mm: moves that change less are damped.
 Ten times as much leaves small rotations undone, a tenth follows the noise of the marks."""
 ITERATIONS, CLOSE = 50, 1e-9
-"""The search for the damping ends where a step's length is right to this share, after some ten iterations, or after so many."""
+"""The search for the damping ends when a step's length is right to the share CLOSE, usually within ten iterations, or after
+ITERATIONS."""
 LEAST_LENGTH = 1e-12
 """mm, in place of zero in that search."""
 

@@ -87,9 +87,8 @@ def searched(unknowns: Unknowns, thetas: Sequence[Theta], clip: np.ndarray, scal
     if straight_first:
         fit, states = rolled(fit, found[0].fitted, unknowns.curvature)
         curved = _continued(fit, [fit.run(state, TRIED_FIRST) for state in states], steps)
-        again = [Optimum(fit, one.after(found[0].fitted)) for near in curved for one in rolls_chosen_again(
-            fit, near.fitted, steps)]
-        curved = once(sorted([*again, *curved], key=lambda one: one.fitted.rank))
+        again = (one.after(found[0].fitted) for near in curved for one in rolls_chosen_again(fit, near.fitted, steps))
+        curved = once(Optimum(fit, one) for one in sorted(again, key=lambda one: one.rank))
         free = _swivelling(found[0], min(found[0], curved[0], key=lambda one: one.fitted.rank), unknowns.curvature, steps)
         found = _ordered(*([found[:1]] if options.curvature == "auto" else []), curved, free)
     return found

@@ -26,8 +26,8 @@ PROJECTIONS = 100
 BLOCK, MOST_THREADS = 64, 1 << 16
 """On a GPU, threads in a block, and threads of a launch."""
 WIDER = 4
-"""Each stride on a GPU is so many times the one before. It is compiled in: with one for each number of rods, every launch with
-other rods would compile its kernel anew, for seconds."""
+"""On a GPU, the factor from one stride to the next. A kernel is compiled for one stride: if that were the number of rods, each
+launch with another number of rods would compile its kernel again, for seconds."""
 
 UNTOUCHED = np.full(of.RESULTS, np.nan)
 """The results of an infeasible rod, which no kernel relaxes."""

@@ -146,15 +146,16 @@ def _launch(table: Tables, first: int, last: int, rows: np.ndarray, contact: Con
     if not len(rods):
         return
     rods[:, of.RESULT_ROW] -= first
-    on_cpu = runtime.start() == "cpu"
     given, kinds, outer = SimpleNamespace(rest_length=table.rest_length), (), ()
     if contact is not None:
         given.kinds, kinds = contact.kinds, (contact.known,)
         obstacles, radius = (array if len(array) == 1 else array[first:last] for array in (contact.obstacles, contact.radius))
         loads = np.zeros((1, 1, 3)) if table.external is None else point_loads(table)[first:last]
         outer = (obstacles, contact.kinds, contact.grids, radius, contact.memory[first:last], loads)
-    layout = (Number(1, 64), min(len(rods), runtime.thread_count()), 1, 1) if on_cpu else layout_of_gpu(
-        len(rods), 64, MOST_THREADS_ON_A_GPU)
+    if runtime.start() == "cpu":
+        layout = Number(1, 64), min(len(rods), runtime.thread_count()), 1, 1
+    else:
+        layout = layout_of_gpu(len(rods), 64, MOST_THREADS_ON_A_GPU)
     kernel, threads, scratch, _ = laid_out(layout, lambda *layout: kernel_for(*layout, *kinds), given)
     kernel(
         table.start.reshape(-1), table.rest_length, table.clamp, table.material, np.array(table.up, dtype=np.float64), rods,
