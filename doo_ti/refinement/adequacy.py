@@ -18,7 +18,6 @@ import numpy as np
 
 from doo_ti.refinement.evidence import Evidence
 from doo_ti.refinement.fit import Fit, Fitted
-from doo_ti.refinement.residuals import Moments
 from doo_ti.refinement.unknowns import LOGARITHMIC, Unknowns
 
 NOTABLE = 0.5
@@ -159,7 +158,7 @@ def _evidence(fit: Fit, fitted: Fitted, unknowns: Unknowns) -> float:
         values = replace(values, curvature=np.tile(mean, (len(unknowns.knots), 1)))
     comparison = replace(fit.comparison, unknowns=unknowns)
     linear, _ = comparison.linear(fitted.state.solution, values, fitted.state.used)
-    evidence = Evidence(unknowns, tuple(Moments.of(kind) for kind in linear), unknowns.offset(values, fit.origin))
+    evidence = Evidence.of(unknowns, linear, unknowns.offset(values, fit.origin))
     return evidence.posterior(evidence.best(fitted.state.scales.learning(unknowns.scale_names), 15)).value
 
 

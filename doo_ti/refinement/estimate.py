@@ -33,7 +33,7 @@ FARTHEST = np.log(1000.0)
 LARGEST_FIRST_TRIAL = 2.5  # change of a logarithm
 STEPS = 20  # of each fit with the parameter held
 TRIALS = 6
-CLOSE = 0.04  # relative error of the root of F's rise that is small enough to interpolate
+CLOSE = 0.1  # relative error of the root of F's rise that is small enough to interpolate
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ class Estimate:
 
 def degrees_of(one: Optimum) -> float:
     """n of F(1, n). Marks of one rod are not independent where the rod's clamps are off: what counts is the number of rods."""
-    return max(float(one.fitted.state.used.sum()) - one.fit.unknowns.theta_count, 1.0)
+    return max(float(one.fitted.counted.sum()) - one.fit.unknowns.theta_count, 1.0)
 
 
 def within_reach(optima: list[Optimum], margin: float = 0.0) -> list[Optimum]:

@@ -31,6 +31,9 @@ ENOUGH = 1e-7
 WARMING = 4
 """Steps of expectation and maximisation before the search, which fails from sizes that are far off."""
 SETTLED = 0.2
+MISSING = 0.8
+"""Largest share of the information about an unknown that may be missing because rolls are not known: far from the optimum the
+second derivative may have any sign."""
 FARTHEST = 2.0
 """Largest change of the logarithm of a size in one search."""
 
@@ -60,6 +63,8 @@ class Evidence:
     unknowns  whose prior is A
     moments   of the residuals, kind by kind
     offset    (P,) present values less the prior's mean: −x̄
+    share     (D,) weight of each observation, one unless several stand for the same rod (:mod:`doo_ti.refinement.rolls`)
+    constant  added to F
     basis     (P, P') directions that are free, x = basis y + along; None: all
     along     (P,) the given part of the step, along a held direction
     """
@@ -67,43 +72,58 @@ class Evidence:
     unknowns: Unknowns
     moments: tuple[Moments, ...]
     offset: np.ndarray
+    share: np.ndarray
+    constant: float = 0.0
     basis: np.ndarray | None = None
     along: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, unknowns: Unknowns, linear: Sequence[Residuals], offset: np.ndarray, share: np.ndarray | None = None,
+           constant: float = 0.0) -> "Evidence":
+        """F of the linear model ``linear``."""
+        share = np.ones(len(linear[0].values)) if share is None else share
+        return cls(unknowns, tuple(Moments.of(kind, share) for kind in linear), offset, share, constant)
 
     def holding(self, direction: np.ndarray, amount: float = 0.0) -> "Evidence":
         """The same, but direction · x is held at ``amount``, ``direction`` (P,)."""
         full, _ = np.linalg.qr(np.column_stack([direction, np.eye(len(direction))]))
         return replace(self, basis=full[:, 1 : len(direction)], along=amount * direction / (direction @ direction))
 
-    def posterior(self, scales: Scales) -> Posterior:
+    def posterior(self, scales: Scales, known: bool = False) -> Posterior:
+        """The posterior at these sizes; ``known``: as if it were known which of several rows is the rod."""
         kinds = effect_scales(self.unknowns)
         weights, variance, mixed, inner, slope_z = _effects(self.unknowns, self.moments, scales)
-        slope = sum(w * kind.shared_slope for w, kind in zip(weights, self.moments, strict=True))
-        passed = mixed @ inner
+        passed, share = mixed @ inner, self.share
+        slope = sum(w * kind.shared_slope for w, kind in zip(weights, self.moments, strict=True)) - (
+            passed @ slope_z[..., None])[..., 0]
+        counted = share[:, None, None] * passed
         precision, log_prior = self.unknowns.precision(scales)
         hessian = precision + sum(w * kind.shared for w, kind in zip(weights, self.moments, strict=True)) - np.tensordot(
-            passed, mixed, axes=([0, 2], [0, 2]))
-        slope = slope - (passed @ slope_z[..., None]).sum(axis=0)[:, 0] + precision @ self.offset
+            counted, mixed, axes=([0, 2], [0, 2]))
+        if self.unknowns.rod.copies > 1 and not known:
+            hessian = _less(hessian, self._not_known(slope))
+        slope = share @ slope + precision @ self.offset
         step, covariance_x, log_hessian = self._solved(hessian, slope, precision)
         effects = -(inner @ (slope_z + np.swapaxes(mixed, 1, 2) @ step)[..., None])[..., 0]
         # The gradient of F is the expectation of that of the complete data's −2 ln likelihood (Fisher's identity).
         crossed = np.swapaxes(passed, 1, 2) @ covariance_x
         spread_z = np.einsum("dqq->dq", inner) + (crossed * np.swapaxes(passed, 1, 2)).sum(axis=-1)
         gradient = dict.fromkeys(NAMES, 0.0)
-        value = log_hessian - log_prior - float(np.linalg.slogdet(inner)[1].sum())
+        value = self.constant + log_hessian - log_prior - float(share @ np.linalg.slogdet(inner)[1])
         # Σ w · spread over all kinds: each unknown and effect counts one, less what the priors know of it.
-        rest = self._free + spread_z.size - float((covariance_x * precision).sum() + (spread_z / variance).sum())
+        rods, each = float(share.sum()), effects.shape[1]
+        rest = self._free + rods * each - float((covariance_x * precision).sum() + (share @ (spread_z / variance)).sum())
         for w, kind in [*zip(weights, self.moments, strict=True)][::-1]:
             squares = self._squares(kind, step, effects)
             spread = rest / w if kind is self.moments[0] else float(
-                (covariance_x * kind.shared).sum() + ((inner + crossed @ passed) * kind.effects).sum() - 2 * (
-                    np.swapaxes(crossed, 1, 2) * kind.mixed).sum())
+                (covariance_x * kind.shared).sum() + share @ (
+                    ((inner + crossed @ passed) * kind.effects).sum(axis=(1, 2))
+                    - 2 * (np.swapaxes(crossed, 1, 2) * kind.mixed).sum(axis=(1, 2))))
             rest -= w * spread
             value += w * squares + 2 * kind.count * np.log(scales[kind.scale])
             gradient[kind.scale] += 2 * (kind.count - w * (squares + spread))
-        rods = len(effects)
-        second = (effects**2).sum(axis=0) + spread_z.sum(axis=0)
-        value += float((effects**2 / variance).sum() + rods * np.log(variance).sum())
+        second = share @ (effects**2 + spread_z)
+        value += float((share @ effects**2 / variance).sum() + rods * np.log(variance).sum())
         for q, name in enumerate(kinds):
             gradient[name] += 2 * (rods - second[q] / variance[q])
         x = self.offset + step
@@ -112,6 +132,13 @@ class Evidence:
         extra, own = scales.prior()
         learned = np.array([gradient[name] for name, free in zip(NAMES, scales.learned, strict=True) if free])
         return Posterior(step, covariance_x, effects, value + extra, learned + own)
+
+    def _not_known(self, slope: np.ndarray) -> np.ndarray:
+        """(P, P) the information that is missing because several rows may be the rod: the covariance of their slopes (D, P)
+        (Louis, *Finding the observed information matrix when using the EM algorithm*, 1982)."""
+        by_observation = self.unknowns.rod.by_observation
+        mean = by_observation(self.share[:, None] * slope).sum(axis=1)
+        return (self.share[:, None] * slope).T @ slope - mean.T @ mean
 
     @property
     def _free(self) -> int:
@@ -146,14 +173,14 @@ class Evidence:
         counts = self._counts(scales)
         for _ in range(WARMING):
             # Expectation and maximisation: each squared size becomes the posterior mean of the squares it is the size of.
-            share = self.posterior(scales).gradient / (2 * counts)
+            share = self.posterior(scales, known=True).gradient / (2 * counts)
             if np.abs(share).max() < SETTLED:
                 break
             change = 0.5 * np.log(np.clip(1 - share, 0.1, 3.0))
             scales = scales.at(np.clip(scales.free + change, *np.transpose(scales.bounds)))
 
         def objective(free):
-            found = self.posterior(scales.at(free))
+            found = self.posterior(scales.at(free), known=True)
             return found.value, found.gradient
 
         begin = np.clip(scales.free, *np.transpose(scales.bounds))
@@ -165,7 +192,7 @@ class Evidence:
 
     def _counts(self, scales: Scales) -> np.ndarray:
         """(H,) how many squares each learned size is the mean of; the range is not one, and is not changed here."""
-        rods, knots = len(self.moments[0].effects), max(len(self.unknowns.columns("curvature")), 2)
+        rods, knots = float(self.share.sum()), max(len(self.unknowns.columns("curvature")), 2)
         turns = self.unknowns.rod.pose_scales.count("turn_scatter")
         counts = {"curvature": knots, "range": np.inf, "turn": 2 * turns, "turn_scatter": turns * rods,
                   "gap": 3 * GAP_MODES * rods}
@@ -181,12 +208,11 @@ class Evidence:
             return -inverse @ slope, inverse, logarithm
         return self.along - inverse @ (slope + hessian @ self.along), inverse, logarithm
 
-    @staticmethod
-    def _squares(kind: Moments, step: np.ndarray, effects: np.ndarray) -> float:
+    def _squares(self, kind: Moments, step: np.ndarray, effects: np.ndarray) -> float:
         """Σ (r + J x + Z z)²."""
-        of_effects = (effects * (kind.effects @ effects[..., None])[..., 0]).sum() + 2 * (effects * kind.effects_slope).sum()
-        crossed = 2 * (step @ (kind.mixed @ effects[..., None])[..., 0].sum(axis=0))
-        return float(kind.squares + step @ kind.shared @ step + 2 * step @ kind.shared_slope + of_effects + crossed)
+        of_effects = self.share @ (effects * ((kind.effects @ effects[..., None])[..., 0] + 2 * kind.effects_slope)).sum(axis=1)
+        by_step = self.share @ (kind.shared_slope + (kind.mixed @ effects[..., None])[..., 0])
+        return float(kind.squares + step @ kind.shared @ step + 2 * step @ by_step + of_effects)
 
     def _prior_gradient(self, gradient: dict[str, float], scales: Scales, second: np.ndarray) -> None:
         """Adds the derivatives of the prior of the unknowns, whose second moments about its mean are ``second``."""
@@ -203,6 +229,18 @@ class Evidence:
         gradient["curvature"] += 2 * float(len(knots) - (inverse * both).sum())
         change = inverse @ slope
         gradient["range"] += float(2 * np.trace(change) - (change @ inverse * both).sum())
+
+
+def _less(hessian: np.ndarray, missing: np.ndarray) -> np.ndarray:
+    """``hessian`` less ``missing``, of which at most the share MISSING along any direction."""
+    try:
+        root = np.linalg.cholesky(hessian)
+    except np.linalg.LinAlgError:
+        return hessian
+    half = np.linalg.solve(root, missing)
+    values, vectors = np.linalg.eigh(np.linalg.solve(root, half.T))
+    left = root @ vectors
+    return hessian - left * np.minimum(values, MISSING) @ left.T
 
 
 def _inverse(hessian: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, float]:
@@ -240,6 +278,13 @@ def best_effects(unknowns: Unknowns, linear: tuple[Residuals, ...], scales: Scal
     """(D, Q) the most probable effects of each observation where the unknowns stay."""
     _, _, _, inner, slope_z = _effects(unknowns, [Moments.of(kind) for kind in linear], scales)
     return -(inner @ slope_z[..., None])[..., 0]
+
+
+def densities(unknowns: Unknowns, linear: tuple[Residuals, ...], scales: Scales) -> np.ndarray:
+    """(D,) −2 ln of the density of each observation's residuals, its effects integrated out, at the present unknowns."""
+    kinds = tuple(replace(kind, shared=kind.shared[..., :0]) for kind in linear)
+    _, _, squares, constant = integrated(unknowns, kinds, scales)
+    return squares + constant
 
 
 def integrated(unknowns: Unknowns, linear: tuple[Residuals, ...], scales: Scales

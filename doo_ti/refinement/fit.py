@@ -9,15 +9,15 @@ observations, also with a whole turn more and less, and are left out where that 
 Axes: D observations, P unknowns.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import logsumexp, softmax, xlogy
 
-from doo_ti.refinement.evidence import Evidence, Posterior, best_effects, integrated
+from doo_ti.refinement.evidence import Evidence, Posterior, best_effects, densities
 from doo_ti.refinement.held_rod import POSE
 from doo_ti.refinement.priors import Scales
-from doo_ti.refinement.residuals import Comparison, Moments, Residuals
+from doo_ti.refinement.residuals import Comparison, Residuals
 from doo_ti.refinement.unknowns import Unknowns, Values
 from doo_ti.relaxation.newton import Newton
 from doo_ti.rod.types import Solution
@@ -31,10 +31,13 @@ FOLLOWED = 3  # steps of the clamps after each of the shared unknowns, which the
 LARGEST_ROLL = 1.0  # rad, of a clamp in one observation
 SHORTENED = 1 / 3  # factor by which a step that does not help is shortened
 MOST_SHORTENED = 8
+TURNED = 0.5  # factor of a step that leads back by more than this share of the last
 LEAST_SHARE = 2e-3  # share of a step: if no longer step helps, the fit stops
 FINE, OF_INTERVALS, ROUGH = (0.03, 0.01), (0.1, 0.1), (0.1, 0.5)  # a fit is done when a whole step would move Θ by fewer
 # standard errors and the last one lowered −2 ln of the posterior by less; ROUGH while several fits compete
-SCALE_STEPS = 12  # of the search for the sizes, in each step
+SCALE_STEPS = 6  # of the search for the sizes, in each step
+EXACT = 1e-12  # mean square of residuals, mm² or over σ²: what is left of marks without noise is rounding
+IMPROBABLE = 1e9  # −2 ln of the density of a rod that does not count
 ODD = 9.0
 """Times the others' mean square, three times their size: a rod with such residuals is a misfit."""
 REFITTED = 0.5  # a misfit relaxed again is better if its squares are below this share of those before
@@ -64,6 +67,8 @@ class Fitted:
 
     posterior   at the sizes of ``state``
     linear      the residuals of each kind around ``state``
+    rest        (D,) −2 ln of the density of each row less that part of it that the line search computes: among rows that stand
+                for one observation it decides with it which is the most probable
     converged   False where the allowed steps did not suffice
     steps       number of steps tried
     """
@@ -72,13 +77,19 @@ class Fitted:
     evidence: Evidence
     posterior: Posterior
     linear: tuple[Residuals, ...]
+    rest: np.ndarray
     converged: bool
     steps: int
 
     @property
+    def counted(self) -> np.ndarray:
+        """(D,) bool: the observations that determine the unknowns."""
+        return self.evidence.unknowns.rod.by_observation(self.state.used).any(axis=1)
+
+    @property
     def rank(self) -> tuple[int, float]:
         """Smaller for a better fit: one in which more rods count or, if as many do, a more probable one."""
-        return -int(self.state.used.sum()), self.posterior.value
+        return -int(self.counted.sum()), self.posterior.value
 
     def after(self, before: "Fitted") -> "Fitted":
         """The same, with the steps of the fit that it continues counted too."""
@@ -118,7 +129,7 @@ class Fit:
             for other in (self.posed(self.from_marks(values, scales, turn), guessed) for turn in (-1, 0, 1)):
                 sound = other.solution.converged & other.solution.stable
                 nearer = sound & guessed & (self._of_rods(other, scales) < self._of_rods(state, scales))
-                state = self._merged(state, other, nearer)
+                state = self.merged(state, other, nearer)
         if not state.used.any():
             raise InputError(self.unknowns.rod.observations.source, "vertices_mm",
                              "no rod is converged and stable at the first Θ",
@@ -131,39 +142,6 @@ class Fit:
         solution = unknowns.rod.relaxed(unknowns.material(values), unknowns.lengths(values), unknowns.pose(values), self.solver,
                                         values.theta.up, turn=turn)
         return self._state(values, scales, solution)
-
-    def best_of(self, states: Sequence[State]) -> State:
-        """Of each observation that which is most probable given the others, at the same sizes. What is shared is free to follow
-        to first order: it may have adapted to a wrong shape of that observation."""
-        best, *others = states
-        precision, _ = self.unknowns.precision(best.scales)
-        own, slope, present = self._densities(best)
-        used = best.used & np.isfinite(present)
-        own, slope = (np.where(used.reshape(-1, *(1,) * (part.ndim - 1)), part, 0.0) for part in (own, slope))
-        rest = (precision + own.sum(axis=0) - own,
-                slope.sum(axis=0) + precision @ self.unknowns.offset(best.values, self.origin) - slope)
-        least = self._given(rest, *self._densities(best))
-        for other in others:
-            value = self._given(rest, *self._densities(other))
-            better = value < least - POSED
-            if better.any():
-                best, least = self._merged(best, other, better), np.where(better, value, least)
-        return best
-
-    def _densities(self, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of each observation B and s, and c + q, of :func:`doo_ti.refinement.evidence.integrated`; that is infinite where the
-        rod is not sound."""
-        sound = state.solution.converged & state.solution.stable
-        linear, usable = self.comparison.linear(state.solution, state.values, sound, leave_out_soft=False)
-        own, slope, squares, constant = integrated(self.unknowns, linear, state.scales)
-        return own, slope, np.where(usable, squares + constant, np.inf)
-
-    @staticmethod
-    def _given(rest: tuple[np.ndarray, np.ndarray], own: np.ndarray, slope: np.ndarray, value: np.ndarray) -> np.ndarray:
-        """(D,) −2 ln of the density of each observation given the ``rest``, B (D, P, P) and s (D, P) of all others."""
-        hessian, slope = rest[0] + own, rest[1] + slope
-        return value - np.einsum("dp,dp->d", slope, np.linalg.solve(hessian, slope[..., None])[..., 0]) + np.linalg.slogdet(
-            hessian)[1]
 
     def at(self, values: Values, scales: Scales, solution: Solution) -> State:
         """``values`` with rods relaxed from ``solution``, which is on the same mesh."""
@@ -217,7 +195,7 @@ class Fit:
         values, solution = replace(state.values, scatter=scatter), replace(state.solution, configuration=shape)
         return replace(state, values=values, solution=solution)
 
-    def _merged(self, state: State, other: State, rows: np.ndarray) -> State:
+    def merged(self, state: State, other: State, rows: np.ndarray) -> State:
         """``other`` in the observations ``rows``, ``state`` elsewhere."""
         mixed = self._mixed(state, other, rows)
         return self.at(mixed.values, mixed.scales, mixed.solution)
@@ -230,7 +208,7 @@ class Fit:
     def run(self, state: State, steps: int, held: tuple[np.ndarray, float] | None = None) -> Fitted:
         """The best values that are reached from ``state``; with ``held`` = (v, a), those whose v·x is larger by a than that of
         ``state``, x being the unknowns."""
-        done, tried, left = False, 0, 0.0 if held is None else held[1]
+        done, tried, left, before = False, 0, 0.0 if held is None else held[1], np.zeros(self.unknowns.theta_count)
         snapping = np.zeros(len(state.used), dtype=bool)  # stay out: the fit would pull them in and lose them again for ever
         for tried in range(1, steps + 1):
             fitted = self._linear(state, None if held is None else (held[0], left))
@@ -238,15 +216,17 @@ class Fit:
                 break
             snapping |= state.used & ~fitted.state.used
             found, count = fitted.posterior, self.unknowns.theta_count
-            errors = np.maximum(np.sqrt(np.diag(found.covariance)[:count]), 1e-9)
-            settled = bool((np.abs(found.step[:count]) <= self.tolerance[0] * errors).all()) and left == 0.0
-            trial, share, gained = self._stepped(fitted, self._share(found.step), moving=left != 0.0)
+            change = found.step[:count] / np.maximum(np.sqrt(np.diag(found.covariance)[:count]), 1e-9)
+            settled = bool((np.abs(change) <= self.tolerance[0]).all()) and left == 0.0
+            turned = np.sum(change * before) < -TURNED * np.sum(before**2) and left == 0.0  # sizes and Θ chase each other
+            trial, share, gained = self._stepped(fitted, self._share(found.step) * (TURNED if turned else 1.0), left != 0.0)
+            before = change
             settled = settled and gained < self.tolerance[1]
             left *= 1 - share
             if share < LEAST_SHARE:  # no progress: rods snap, or rounding decides whether the posterior rises
                 done = settled
                 break
-            trial, again = self._misfits_relaxed_again(trial)
+            trial, again = self._misfits_relaxed_again(trial) if settled or tried == 1 else (trial, False)
             state = replace(trial, used=trial.used & ~snapping)
             done = settled and not again and bool((state.used == fitted.state.used).all())
         else:
@@ -254,16 +234,14 @@ class Fit:
         return replace(fitted, converged=done, steps=tried)
 
     def _state(self, values: Values, scales: Scales, solution: Solution) -> State:
-        residuals = self.comparison.values(solution, values)
         good = solution.converged & solution.stable
-        residuals = tuple(np.where(good[:, None], kind, 0.0) for kind in residuals)
-        squares = self.mean_squares(residuals)
-        used = good & (self.comparison.count > 0)
+        residuals = tuple(np.where(good[:, None], kind, 0.0) for kind in self.comparison.values(solution, values))
+        state = State(values, scales, solution, residuals, good & (self.comparison.count > 0))
         if self.rods is not None:
-            used &= self.rods
-        elif used.any():
-            used &= squares <= ODD * np.maximum(np.median(squares[used]), 1e-20)
-        return State(values, scales, solution, residuals, used)
+            return replace(state, used=state.used & self.rods)
+        least = self._least(state, state.used)
+        odd = least > ODD * max(np.median(least[np.isfinite(least)]), EXACT) if state.used.any() else least > 0
+        return replace(state, used=state.used & ~np.repeat(odd, self.unknowns.rod.copies))
 
     def mean_squares(self, residuals: tuple[np.ndarray, ...]) -> np.ndarray:
         """(D,) of the marks' residuals."""
@@ -272,12 +250,24 @@ class Fit:
     def _linear(self, state: State, held) -> Fitted:
         """The linear model around ``state``, its sizes fitted."""
         linear, used = self.comparison.linear(state.solution, state.values, state.used, self.rods is None)
-        evidence = Evidence(self.unknowns, tuple(Moments.of(kind) for kind in linear),
-                            self.unknowns.offset(state.values, self.origin))
+        share, entropy, rest = self._shares(replace(state, used=used), linear)
+        evidence = Evidence.of(self.unknowns, linear, self.unknowns.offset(state.values, self.origin), share, entropy)
         if held is not None:
             evidence = evidence.holding(*held)
         scales = evidence.best(state.scales, SCALE_STEPS)
-        return Fitted(replace(state, scales=scales, used=used), evidence, evidence.posterior(scales), linear, False, 0)
+        state = replace(state, scales=scales, used=used)
+        return Fitted(state, evidence, evidence.posterior(scales), linear, rest, False, 0)
+
+    def _shares(self, state: State, linear: tuple[Residuals, ...]) -> tuple[np.ndarray, float, np.ndarray]:
+        """(D,) the probability of each row among those that stand for the same observation, given the present unknowns; what
+        −2 ln of the evidence rises by because it is not known; and (D,) ``rest`` of :class:`Fitted`."""
+        rod = self.unknowns.rod
+        if rod.copies == 1:
+            return np.ones(len(state.used)), 0.0, np.zeros(len(state.used))
+        density = densities(self.unknowns, linear, state.scales)
+        share = softmax(rod.by_observation(np.where(state.used, -0.5 * density, -IMPROBABLE)), axis=1).ravel()
+        share = np.where(state.used, share, 0.0)
+        return share, 2.0 * float(xlogy(share, share * rod.copies).sum()), density - self._of_rods(state, state.scales)
 
     def _share(self, step: np.ndarray) -> float:
         names = self.unknowns.names
@@ -295,24 +285,29 @@ class Fit:
         effects = np.where(state.used[:, None], effects, state.values.scatter)
         largest = np.abs(effects - state.values.scatter)[:, :6].max()
         share = min(share, LARGEST_ROLL / max(largest, 1e-300))
-        before = self._objective(state, state.used, state.scales)
+        before, counted = self._objective(state, state.used, fitted.rest), fitted.counted
         for _ in range(MOST_SHORTENED):
             values = unknowns.moved(state.values, share * found.step, share * (effects - state.values.scatter))
             trial = self.at(values, state.scales, state.solution)
             if unknowns.rod.direction_unknown:
                 trial = self.posed(trial, state.used, FOLLOWED)
-            kept = trial.solution.converged & trial.solution.stable
-            gained = before - self._objective(trial, state.used, state.scales)
-            if kept[state.used].all() and (moving or gained >= 0):
+            kept = state.used & trial.solution.converged & trial.solution.stable
+            gained = before - self._objective(trial, kept, fitted.rest)
+            if unknowns.rod.by_observation(kept).any(axis=1)[counted].all() and (moving or gained >= 0):
                 return trial, share, gained
             share *= SHORTENED
         return state, 0.0, 0.0
 
-    def _objective(self, state: State, used: np.ndarray, scales: Scales) -> float:
-        """−2 ln of the posterior without its constant, the gap integrated out, over the rods ``used``."""
-        precision, _ = self.unknowns.precision(scales)
+    def _objective(self, state: State, used: np.ndarray, rest: np.ndarray) -> float:
+        """−2 ln of the posterior without its constant, the gap integrated out, over the rods ``used``; ``rest`` (D,) as in
+        :class:`Fitted`."""
+        precision, _ = self.unknowns.precision(state.scales)
         offset = self.unknowns.offset(state.values, self.origin)
-        return float(self._of_rods(state, scales)[used].sum() + offset @ precision @ offset)
+        each, rod = self._of_rods(state, state.scales) + rest, self.unknowns.rod
+        if rod.copies > 1:
+            each = -2.0 * logsumexp(rod.by_observation(np.where(used, -0.5 * each, -np.inf)), axis=1)
+            used = np.isfinite(each)
+        return float(each[used].sum() + offset @ precision @ offset)
 
     def _of_rods(self, state: State, scales: Scales) -> np.ndarray:
         """(D,) the part of that of each observation: its residuals, and the errors of its clamps."""
@@ -330,8 +325,8 @@ class Fit:
 
     def _misfits_relaxed_again(self, state: State) -> tuple[State, bool]:
         """``state`` with its misfits relaxed from their observations, where that halves their squares, and whether any was."""
-        good = state.solution.converged & state.solution.stable
-        misfits = np.flatnonzero(~state.used & (self.comparison.count > 0))
+        lost = ~np.repeat(self.unknowns.rod.by_observation(state.used).any(axis=1), self.unknowns.rod.copies)
+        misfits = np.flatnonzero(lost & (self.comparison.count > 0))
         if not len(misfits) or self.rods is not None:
             return state, False
         unknowns, values = self.unknowns, state.values
@@ -341,9 +336,14 @@ class Fit:
         quaternions = state.solution.configuration.quaternions.copy()
         quaternions[misfits] = anew.configuration.quaternions
         moved = replace(state.solution, configuration=replace(state.solution.configuration, quaternions=quaternions))
-        trial = self.posed(self.at(values, state.scales, moved), ~state.used)
-        nearer = self.mean_squares(trial.residuals) < REFITTED * self.mean_squares(state.residuals)
-        nearer = (nearer | ~good) & trial.solution.converged & trial.solution.stable & ~state.used
+        trial = self.posed(self.at(values, state.scales, moved), lost)
+        sound, before = (one.solution.converged & one.solution.stable for one in (trial, state))
+        halved = self._least(trial, sound) < REFITTED * self._least(state, before)
+        nearer = np.repeat(halved, unknowns.rod.copies) & lost & sound
         if not nearer.any():
             return state, False
-        return self._merged(state, trial, nearer), True
+        return self.merged(state, trial, nearer), True
+
+    def _least(self, state: State, rods: np.ndarray) -> np.ndarray:
+        """(D,) the least mean square of the marks' residuals among those of the ``rods`` that stand for each observation."""
+        return self.unknowns.rod.by_observation(np.where(rods, self.mean_squares(state.residuals), np.inf)).min(axis=1)

@@ -11,6 +11,7 @@ from doo_ti.refinement.fit import Fit
 from doo_ti.refinement.held_rod import POSE, HeldRod
 from doo_ti.refinement.refine import Refinement, RefinementOptions, refine, unknowns_of
 from doo_ti.refinement.residuals import Comparison, mark_distance
+from doo_ti.refinement.rolls import at_all_rolls
 from doo_ti.refinement.theta import Theta
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.types import Clamps
@@ -83,9 +84,15 @@ def _predicted(found: Refinement, observations: Observations, clamps: Clamps, op
     unknowns = unknowns_of(rod, options)
     if not len(found.estimate.values.curvature):
         unknowns = replace(unknowns, curvature="none")
-    values = replace(found.estimate.values, scatter=np.zeros((observations.count, POSE)))
-    fit = Fit(Comparison.of(unknowns, options.frame_weight > 0), values, options.solver)
-    solution = fit.posed(fit.from_marks(values, found.estimate.scales)).solution
-    frames = rod.directors(solution, unknowns.lengths(values)) if options.frame_weight > 0 else None
-    return (mark_distance(rod.marks(solution, unknowns.lengths(values)), observations, frames, options.frame_weight),
-            solution.converged & solution.stable)
+    fit = Fit(Comparison.of(unknowns, options.frame_weight > 0), found.estimate.values, options.solver)
+    if rod.rolled_together and len(unknowns.knots):
+        fit = at_all_rolls(fit)
+    rod = fit.unknowns.rod
+    values = replace(found.estimate.values, scatter=np.zeros((rod.observations.count, POSE)))
+    state = fit.posed(fit.from_marks(values, found.estimate.scales))
+    sound, lengths = state.solution.converged & state.solution.stable, unknowns.lengths(values)
+    frames = rod.directors(state.solution, lengths) if options.frame_weight > 0 else None
+    distance = mark_distance(rod.marks(state.solution, lengths), rod.observations, frames, options.frame_weight)
+    least = rod.by_observation(np.where(sound, fit.mean_squares(state.residuals), np.inf)).argmin(axis=1)
+    best = np.arange(len(least)) * rod.copies + least
+    return distance[best], sound[best]

@@ -42,6 +42,8 @@ class HeldRod:
     surroundings  what the rods touch, with one row for all observations or one for each
     exact         whether the clamps are exactly where they were reported, and where the outer marks say
     swivels       whether ends of unknown roll may roll freely, as a rod between fingers does; else they are held at that roll
+    rolled        (D,) rad, by which both ends are rolled further than the parallel frames that stand for unknown rolls
+    copies        rows that stand for one observation, one after the other, at different rolls
     """
 
     observations: Observations
@@ -50,6 +52,8 @@ class HeldRod:
     surroundings: Surroundings = Surroundings()
     exact: bool = False
     swivels: bool = False
+    rolled: np.ndarray | None = None
+    copies: int = 1
 
     @cached_property
     def mark_place(self) -> np.ndarray:
@@ -84,7 +88,19 @@ class HeldRod:
             at = replace(self.clamps, start=np.full(count, Clamp.TANGENT if hidden[0] and not hidden[1] else Clamp.FRAME),
                          end=np.full(count, Clamp.TANGENT if hidden[1] else Clamp.FRAME))
             clamps = held_spins(self.observations, at, np.zeros(count))
+        if self.rolled is not None:
+            start, end = (turned_about_tangent(frame, self.rolled) for frame in (clamps.start_frame, clamps.end_frame))
+            clamps = replace(clamps, start_frame=start, end_frame=end)
         return clamps
+
+    def take(self, rows: np.ndarray, rolled: np.ndarray | None, copies: int = 1) -> "HeldRod":
+        """The observations ``rows`` (R,), rolled by ``rolled`` (R,)."""
+        return replace(self, observations=self.observations.take(rows), clamps=self.clamps.take(rows),
+                       surroundings=self.surroundings.take(rows), rolled=rolled, copies=copies)
+
+    def by_observation(self, rows: np.ndarray) -> np.ndarray:
+        """(D, copies, …) of what each row (D · copies, …) has."""
+        return rows.reshape(-1, self.copies, *rows.shape[1:])
 
     @cached_property
     def pose_scales(self) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from itertools import combinations
 
 import numpy as np
 
-from doo_ti.refinement.fit import ODD, Fit, Fitted, State
+from doo_ti.refinement.fit import EXACT, ODD, Fit, Fitted, State
 from doo_ti.refinement.held_rod import POSE
 from doo_ti.refinement.residuals import Comparison
 from doo_ti.rod.observations import Observations
@@ -51,7 +51,7 @@ def mislabelled(fit: Fit, fitted: Fitted) -> tuple[Mislabelled, ...]:
     misfits = np.flatnonzero(~state.used & (fit.comparison.count > 0))[:MOST]
     if fit.rods is not None or not state.used.any() or not len(misfits):
         return ()
-    usual = ODD * max(np.median(fit.mean_squares(state.residuals)[state.used]), 1e-20)
+    usual = ODD * max(np.median(fit.mean_squares(state.residuals)[state.used]), EXACT)
     best = (_best_order(fit, fitted, int(row), usual) for row in misfits)
     return tuple(one for one in best if one is not None)
 
@@ -67,7 +67,7 @@ def _best_order(fit: Fit, fitted: Fitted, row: int, usual: float) -> Mislabelled
 
     def begun(rows: np.ndarray):
         own = seen.take(rows)
-        held = replace(rod, observations=own, clamps=observation_clamps(own, *kinds),
+        held = replace(rod, observations=own, rolled=None, clamps=observation_clamps(own, *kinds),
                        surroundings=rod.surroundings.take(np.full(len(rows), row)))
         unknowns = replace(fit.unknowns, rod=held)
         correction = fit.comparison.correction

@@ -32,7 +32,7 @@ ANY_TURN, ANY_ROLL, ANY_TWIST, ANY_SHIFT = 0.5, 3.0, 3.0, 0.1
 """rad, rad, rad, and over the rod's length: of the direction of two marks, a parallel frame, no twist, the outermost mark."""
 BOUND, BOUND_OF_RANGE = 9.0, 2.5
 """Largest |ln| of a size over its typical value; for the range: from about a hundredth of the rod's length to all of it."""
-MOST_KNOTS = 40
+MOST_KNOTS = 16
 JITTER = 1e-6
 """Share of the variance that is added on the diagonal, which keeps the covariance of a smooth field invertible."""
 

@@ -26,6 +26,7 @@ from doo_ti.refinement.held_rod import HeldRod
 from doo_ti.refinement.mislabelled import Mislabelled, mislabelled
 from doo_ti.refinement.priors import Scales, typical_scales
 from doo_ti.refinement.residuals import mark_distance
+from doo_ti.refinement.rolls import most_probable
 from doo_ti.refinement.search import Optimum, once, searched
 from doo_ti.refinement.theta import Theta
 from doo_ti.refinement.turns import turns_chosen_again
@@ -245,7 +246,7 @@ def _scales(unknowns: Unknowns, options: RefinementOptions) -> Scales:
 
 
 def _refinement(best: Optimum, rivals: list[Optimum], options: RefinementOptions) -> Refinement:
-    fit, fitted = best.fit, best.fitted
+    fit, fitted = most_probable(best.fit, best.fitted)
     state, rod, correction = fitted.state, fit.unknowns.rod, fit.comparison.correction
     sound = state.solution.converged & state.solution.stable
     lengths = fit.unknowns.lengths(state.values)

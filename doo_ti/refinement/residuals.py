@@ -30,7 +30,7 @@ RODS_AT_ONCE = 128
 """Derivatives of as many rods are held in memory at a time."""
 SOFT = 30.0
 """Times the median: rods whose derivatives are larger are about to snap."""
-GAP_MODES = 6
+GAP_MODES = 4
 OF_POSES = ("end_shift", "start_turn", "end_turn")
 """Of :func:`doo_ti.relaxation.sensitivity.sensitivity`, three columns each: what a pose moves, beside the whole rod."""
 
@@ -54,10 +54,11 @@ class Residuals:
 
 @dataclass(frozen=True)
 class Moments:
-    """Products of the residuals of one kind: all that the evidence needs of them.
+    """Products of the residuals of one kind: all that the evidence needs of them. Sums are over the observations, each with its
+    share.
 
     squares  Σ r²
-    shared   (P, P) Σ JᵀJ, and (P,) Σ Jᵀr
+    shared   (P, P) Σ JᵀJ, and (D, P) Jᵀr
     mixed    (D, P, Q) JᵀZ
     effects  (D, Q, Q) ZᵀZ, and (D, Q) Zᵀr
     count    number of independent residuals
@@ -73,15 +74,17 @@ class Moments:
     count: float
 
     @classmethod
-    def of(cls, residuals: Residuals) -> "Moments":
-        # Products per observation, then sums: the order of the observations does not change the products.
-        transposed = np.swapaxes(residuals.shared, 1, 2)
-        effects = np.swapaxes(residuals.effects, 1, 2)
+    def of(cls, residuals: Residuals, share: np.ndarray | float = 1.0) -> "Moments":
+        """``share``: (D,) weight of each observation in the sums."""
+        share = np.broadcast_to(share, len(residuals.values))
+        root = np.sqrt(share)[:, None]
+        shared = (root[..., None] * residuals.shared).reshape(residuals.values.size, -1)
+        transposed, effects = np.swapaxes(residuals.shared, 1, 2), np.swapaxes(residuals.effects, 1, 2)
         values = residuals.values[..., None]
         return cls(
-            residuals.scale, float((residuals.values**2).sum()), (transposed @ residuals.shared).sum(axis=0),
-            (transposed @ values).sum(axis=0)[:, 0], transposed @ residuals.effects, effects @ residuals.effects,
-            (effects @ values)[..., 0], float(residuals.count.sum()))
+            residuals.scale, float(share @ (residuals.values**2).sum(axis=1)), shared.T @ shared, (transposed @ values)[..., 0],
+            transposed @ residuals.effects, effects @ residuals.effects,
+            (effects @ values)[..., 0], float(share @ residuals.count))
 
 
 def smooth_modes(place: np.ndarray, held: tuple[bool, bool], count: int) -> np.ndarray:

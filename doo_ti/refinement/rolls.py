@@ -1,31 +1,36 @@
-"""Where a fit begins whose rods are curved at rest, held by clips whose roll is not known.
+"""Rods that are curved at rest, held by clips whose roll is not known: every roll is tried, and counts with its probability.
 
-A straight round rod does not say how it was rolled, and marks hardly say how far it was twisted. In a rod that is curved at
-rest by κ(s), rolled by φ and twisted by θ more than the straight fit has it, κ lies as κ(s) turned by φ + θ s/L about the
-tangent of the straight rod. To first order the residuals of observation d then change by
+A straight round rod does not say how it was rolled, and marks of a slightly curved one hardly do. So each observation has
+COPIES rows, held at evenly spaced rolls φ_k with a window about each. The density of its marks is that of a mixture,
+
+    p(marks_d | x) = Σ_k p(marks_d | x, φ_k)/COPIES,
+
+whose maximum is found by expectation and maximisation (Dempster, Laird and Rubin, 1977): the share of each row is its
+probability at the present x; the step is Newton's, with the information that is missing taken off (Louis, 1982). Fits that
+choose one roll for each observation have dozens of optima, and take the coincidences of the best for what they learned.
+
+A linear model says where it begins. In a rod that is curved at rest by κ(s), rolled by φ and twisted by θ more than the
+straight fit has it, κ lies as κ(s) turned by φ + θ s/L about the tangent of the straight rod. To first order the residuals of
+observation d then change by
 
     J x + K R(φ_d + θ_d s/L) κ + z θ_d,
 
 J the derivatives by all other shared unknowns x, K those by the rest curvature, z those by the twist, the other errors of the
 clamps integrated out. Given φ and θ the best x and κ solve a linear system; given these, φ_d and θ_d are the best of a grid in
-each observation. Taken in turns from random rolls, both soon settle. Without that a fit would begin with rolls that are all
-wrong, and learn another curvature and stiffness with them.
+each observation. Taken in turns from random rolls, both soon settle.
 
-Axes: D observations, P shared unknowns, of which 2 K are those of the curvature at K knots, A rolls and T twists of the grid.
+Axes: D observations, R rows, P shared unknowns, of which 2 K are those of the curvature at K knots.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.refinement.evidence import integrated
+from doo_ti.refinement.evidence import Evidence, integrated
 from doo_ti.refinement.fit import Fit, Fitted, State
-from doo_ti.refinement.held_rod import TWIST
+from doo_ti.refinement.held_rod import POSE, TWIST
 from doo_ti.refinement.priors import ANY_TWIST, Scales
-from doo_ti.refinement.turns import chosen_again
-from doo_ti.refinement.unknowns import Unknowns, Values
-from doo_ti.rod.frames import quaternion_of_turn, rotation_vector
+from doo_ti.refinement.unknowns import Unknowns
 
 ROLLS = np.linspace(-np.pi, np.pi, 48, endpoint=False)
 TWISTS = np.radians(np.arange(-210.0, 211.0, 30.0))
@@ -36,12 +41,11 @@ SIZE, RANGE = 1.0, 0.3
 GAP = 3e-4
 """Largest gap then, over the rod's length."""
 ROUNDS = 40
-FOLLOWED = 3
-"""Solutions of the linear model that are fitted, the best of those that differ."""
-APART = 1.0
-"""−2 ln of the posterior by which solutions of the linear model differ at least."""
-TRIED = 6
-"""Rolls of each observation that are compared under what was learned."""
+COPIES = 6
+"""Rolls of each observation that are relaxed, evenly spaced."""
+NODES = np.linspace(0.0, 2 * np.pi, COPIES, endpoint=False)
+WINDOW = 0.5
+"""rad, standard deviation of a roll about each of them: together they are uniform to 5 %."""
 
 
 @dataclass(frozen=True)
@@ -132,29 +136,64 @@ def _turned(rows: np.ndarray, angle: np.ndarray) -> np.ndarray:
     return both.reshape(*both.shape[:-2], -1)
 
 
-def rolled(fit: Fit, fitted: Fitted, curvature: str) -> tuple[Fit, list[State]]:
-    """The fit with that kind of rest curvature, and where it may begin, from a finished fit of straight rods."""
-    curved = replace(fit, comparison=replace(fit.comparison, unknowns=replace(fit.unknowns, curvature=curvature)))
-    unknowns, state = curved.unknowns, fitted.state
+def rolled(fit: Fit, fitted: Fitted, curvature: str) -> tuple[Fit, State]:
+    """The fit with that kind of rest curvature in which every observation has COPIES rows, and where it begins, from a finished
+    fit of straight rods."""
+    straight = replace(fit, comparison=replace(fit.comparison, unknowns=replace(fit.unknowns, curvature=curvature)))
+    unknowns, state = straight.unknowns, fitted.state
     values = replace(state.values, curvature=np.zeros((len(unknowns.knots), 2)))
     scales = expected(state.scales, unknowns)
-    model, sound = _linear_model(curved, replace(state, values=values), scales)
+    model, sound = _linear_model(straight, replace(state, values=values), scales)
     random = np.random.default_rng(0)
-    starts = sorted((model.start(roll) for roll in random.uniform(-np.pi, np.pi, (BEGUN, len(model.slope)))),
-                    key=lambda one: one.value)
-    chosen: list[_Start] = []
-    for one in starts:
-        if len(chosen) < FOLLOWED and all(one.value > other.value + APART for other in chosen):
-            chosen.append(one)
-    found = []
-    for one in chosen:
-        roll, scatter = np.zeros(len(sound)), state.values.scatter.copy()
-        roll[sound] = one.roll
-        scatter[sound, TWIST] += one.twist
-        scatter = _rolled_further(scatter, roll)
-        begun = replace(values, scatter=scatter, curvature=one.curvature.reshape(-1, 2) / unknowns.rod.length)
-        found.append(curved.posed(curved.from_marks(begun, scales)))
-    return curved, found
+    best = min((model.start(roll) for roll in random.uniform(-np.pi, np.pi, (BEGUN, len(model.slope)))),
+               key=lambda one: one.value)
+    all_rolls = at_all_rolls(straight)
+    scatter = np.repeat(state.values.scatter, COPIES, axis=0)
+    begun = replace(values, scatter=_in_turned_frames(scatter, all_rolls.unknowns.rod.rolled),
+                    curvature=best.curvature.reshape(-1, 2) / unknowns.rod.length)
+    return all_rolls, all_rolls.posed(all_rolls.from_marks(begun, scales.given(any_roll=WINDOW)))
+
+
+def at_all_rolls(fit: Fit) -> Fit:
+    """``fit`` with COPIES rows for each observation, rolled by NODES."""
+    count = fit.unknowns.rod.observations.count
+    return _of_rows(fit, np.repeat(np.arange(count), COPIES), np.tile(NODES, count), COPIES)
+
+
+def _of_rows(fit: Fit, rows: np.ndarray, turned: np.ndarray, copies: int = 1) -> Fit:
+    """The fit whose rows are those ``rows`` of ``fit``, each at the roll ``turned``."""
+    comparison, rod = fit.comparison, fit.unknowns.rod
+    correction = comparison.correction
+    unknowns = replace(fit.unknowns, rod=rod.take(rows, turned, copies))
+    return replace(fit, rods=None if fit.rods is None else fit.rods[rows], comparison=replace(
+        comparison, unknowns=unknowns, weight=comparison.weight[rows],
+        directors=None if comparison.directors is None else comparison.directors[rows],
+        correction=correction if np.ndim(correction) == 0 else correction[rows]))
+
+
+def _in_turned_frames(scatter: np.ndarray, turned: np.ndarray) -> np.ndarray:
+    """``scatter`` (R, POSE) of the same clamps, not rolled, in frames that are rolled by ``turned`` (R,)."""
+    found, c, s = scatter.copy(), np.cos(turned), np.sin(turned)
+    found[:, 0] = 0.0
+    for y in range(1, POSE, 3):
+        found[:, y], found[:, y + 1] = c * scatter[:, y] + s * scatter[:, y + 1], c * scatter[:, y + 1] - s * scatter[:, y]
+    return found
+
+
+def most_probable(fit: Fit, fitted: Fitted) -> tuple[Fit, Fitted]:
+    """The same fit with one row for each observation, that of its most probable roll."""
+    rod, state = fit.unknowns.rod, fitted.state
+    if rod.copies == 1:
+        return fit, fitted
+    likely = rod.by_observation(fitted.evidence.share + state.used).argmax(axis=1)
+    rows = likely + rod.copies * np.arange(len(likely))
+    one, values = _of_rows(fit, rows, rod.rolled[rows]), replace(state.values, scatter=state.values.scatter[rows])
+    state = replace(one.at(values, state.scales, state.solution.take(rows)), used=state.used[rows])
+    linear = tuple(replace(kind, values=kind.values[rows], shared=kind.shared[rows], effects=kind.effects[rows],
+                           count=kind.count[rows]) for kind in fitted.linear)
+    evidence = Evidence.of(one.unknowns, linear, fitted.evidence.offset)
+    return one, replace(fitted, state=state, evidence=evidence, posterior=evidence.posterior(state.scales), linear=linear,
+                        rest=np.zeros(len(rows)))
 
 
 def expected(scales: Scales, unknowns: Unknowns) -> Scales:
@@ -179,24 +218,3 @@ def _linear_model(fit: Fit, state: State, scales: Scales) -> tuple[_LinearModel,
     return _LinearModel(information[sound], slope[sound], precision[np.ix_(order, order)],
                         unknowns.offset(state.values, fit.origin)[order], state.values.scatter[sound, TWIST], counts,
                         unknowns.knots / unknowns.rod.length), sound
-
-
-def _other_rolls(fit: Fit, values: Values, scales: Scales) -> Iterator[State]:
-    """All observations rolled further by each of TRIED rolls, with the most probable clamps then."""
-    for extra in np.linspace(0.0, 2 * np.pi, TRIED, endpoint=False)[1:]:
-        scatter = _rolled_further(values.scatter, extra)
-        yield fit.posed(fit.from_marks(replace(values, scatter=scatter), scales))
-
-
-def _rolled_further(scatter: np.ndarray, extra) -> np.ndarray:
-    """``scatter`` (D, POSE) with the start rolled by ``extra`` more, without whole turns, which its prior would count."""
-    scatter = scatter.copy()
-    scatter[:, 0] += extra
-    scatter[:, :3] = rotation_vector(quaternion_of_turn(scatter[:, :3]))
-    return scatter
-
-
-def rolls_chosen_again(fit: Fit, fitted: Fitted, steps: int) -> list[Fitted]:
-    """``fitted``, continued with the rolls that are most probable under what was learned, as long as that helps. All that were
-    reached, the best first."""
-    return chosen_again(fit, fitted, steps, lambda state: _other_rolls(fit, state.values, state.scales))

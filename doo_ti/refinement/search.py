@@ -15,7 +15,7 @@ from scipy.ndimage import generate_binary_structure, minimum_filter
 from doo_ti.refinement.fit import ROUGH, Fit, Fitted
 from doo_ti.refinement.priors import Scales
 from doo_ti.refinement.residuals import Comparison
-from doo_ti.refinement.rolls import rolled, rolls_chosen_again
+from doo_ti.refinement.rolls import rolled
 from doo_ti.refinement.swivels import bent, swivelling
 from doo_ti.refinement.theta import Theta
 from doo_ti.refinement.turns import AGAIN, turns_chosen_again, twisted
@@ -49,15 +49,20 @@ class Optimum:
 
     def behind(self, best: "Optimum") -> float:
         """−2 ln of the evidence above that of ``best``, of the rods that count in both; infinite where there are none."""
-        used = self.fitted.state.used, best.fitted.state.used
+        used = self.fitted.counted, best.fitted.counted
         if np.array_equal(*used):
             return self.fitted.posterior.value - best.fitted.posterior.value
         both = used[0] & used[1]
         if not both.any():
             return np.inf
-        own, other = (replace(one.fit, rods=both).run(replace(one.fitted.state, used=both), COMPARED).posterior.value
-                      for one in (self, best))
+        own, other = (one.with_rods(both) for one in (self, best))
         return own - other
+
+    def with_rods(self, counted: np.ndarray) -> float:
+        """−2 ln of the evidence of the observations ``counted`` (D,) alone."""
+        rods = np.repeat(counted, self.fit.unknowns.rod.copies)
+        state = replace(self.fitted.state, used=rods & self.fitted.state.used)
+        return replace(self.fit, rods=rods).run(state, COMPARED).posterior.value
 
     def like(self, other: "Optimum") -> bool:
         """Whether Θ and the kind of model are the same."""
@@ -85,10 +90,8 @@ def searched(unknowns: Unknowns, thetas: Sequence[Theta], clip: np.ndarray, scal
     if rod.rolls_known:
         found = once([*(Optimum(fit, one) for one in turns_chosen_again(fit, found[0].fitted, steps)), *found])
     if straight_first:
-        fit, states = rolled(fit, found[0].fitted, unknowns.curvature)
-        curved = _continued(fit, [fit.run(state, TRIED_FIRST) for state in states], steps)
-        again = (one.after(found[0].fitted) for near in curved for one in rolls_chosen_again(fit, near.fitted, steps))
-        curved = once(Optimum(fit, one) for one in sorted(again, key=lambda one: one.rank))
+        fit, state = rolled(fit, found[0].fitted, unknowns.curvature)
+        curved = [Optimum(fit, fit.run(state, steps))]
         free = _swivelling(found[0], min(found[0], curved[0], key=lambda one: one.fitted.rank), unknowns.curvature, steps)
         found = _ordered(*([found[:1]] if options.curvature == "auto" else []), curved, free)
     return found
@@ -146,7 +149,7 @@ def _continued(fit: Fit, tried: list[Fitted], steps: int) -> list[Optimum]:
     """Those of ``tried`` that are near the best, each continued for ``steps``, the best first."""
     tried, found = sorted(tried, key=lambda one: one.rank), []
     for one in tried:
-        near = one.state.used.sum() == tried[0].state.used.sum() and one.posterior.value < tried[0].posterior.value + NEAR
+        near = one.counted.sum() == tried[0].counted.sum() and one.posterior.value < tried[0].posterior.value + NEAR
         if near and not any(Optimum(fit, one).like(other) for other in found):
             found.append(Optimum(fit, fit.run(one.state, steps).after(one)))
     return once(sorted(found, key=lambda one: one.fitted.rank))

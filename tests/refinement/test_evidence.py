@@ -9,7 +9,6 @@ from scipy.stats import multivariate_normal
 from doo_ti import Newton
 from doo_ti.refinement.evidence import Evidence, effect_scales
 from doo_ti.refinement.fit import Fit
-from doo_ti.refinement.residuals import Moments
 from tests.refinement.rods_between_clips import TRUTH, held, model, suture
 
 
@@ -24,7 +23,7 @@ def linear_model():
     linear, used = comparison.linear(state.solution, values, state.used)
     assert used.all()
     offset = 0.1 + comparison.unknowns.offset(values, values)
-    return Evidence(comparison.unknowns, tuple(Moments.of(kind) for kind in linear), offset), linear, scales
+    return Evidence.of(comparison.unknowns, linear, offset), linear, scales
 
 
 def dense(evidence: Evidence, linear, scales):
@@ -57,7 +56,7 @@ def counted_by_rows(linear):
 def test_it_is_the_density_of_the_residuals(linear_model):
     evidence, linear, scales = linear_model
     linear = counted_by_rows(linear)
-    evidence = replace(evidence, moments=tuple(Moments.of(kind) for kind in linear))
+    evidence = Evidence.of(evidence.unknowns, linear, evidence.offset)
 
     def difference(first, second):
         values = []
@@ -94,7 +93,7 @@ def test_steps_without_each_observation(linear_model):
     for d in range(len(found)):
         others = tuple(replace(kind, **{name: np.delete(getattr(kind, name), d, axis=0)
                                         for name in ("values", "shared", "effects", "count")}) for kind in linear)
-        alone = replace(evidence, moments=tuple(Moments.of(kind) for kind in others)).posterior(scales)
+        alone = Evidence.of(evidence.unknowns, others, evidence.offset).posterior(scales)
         np.testing.assert_allclose(found[d], alone.step, rtol=1e-6, atol=1e-9)
 
 
@@ -112,7 +111,7 @@ def test_left_out_is_the_decrease_of_the_evidence(linear_model):
     """ln p(one | others) = ln p(all) − ln p(others), both by dense algebra."""
     evidence, linear, scales = linear_model
     linear = counted_by_rows(linear)
-    evidence = replace(evidence, moments=tuple(Moments.of(kind) for kind in linear))
+    evidence = Evidence.of(evidence.unknowns, linear, evidence.offset)
     own = evidence.left_out(linear, scales)
     seen, mean, spread = dense(evidence, linear, scales)
     every = multivariate_normal(mean, spread, allow_singular=True).logpdf(seen)

@@ -65,7 +65,7 @@ def test_the_field_is_linear_between_knots_and_its_covariance_slopes_as_it_says(
     wider, narrower = (covariance(knots, 2e-3, 12.0 * np.exp(step))[0] for step in (1e-5, -1e-5))
     np.testing.assert_allclose(slope, (wider - narrower) / 2e-5, atol=1e-12)
     assert np.linalg.eigvalsh(matrix).min() > 0 and matrix[0, 0] == pytest.approx(4e-6, rel=1e-5)
-    assert len(knots_of(np.full(200, 1.0))) == 40 and len(knots_of(np.full(12, 3.0))) == 11
+    assert len(knots_of(np.full(200, 1.0))) == 16 and len(knots_of(np.full(12, 3.0))) == 11
 
 
 def test_the_corrected_mesh_is_close_to_a_very_fine_one():

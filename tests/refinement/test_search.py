@@ -11,38 +11,10 @@ from doo_ti.refinement.fit import Fit, State
 from doo_ti.refinement.priors import Scales, typical_scales
 from doo_ti.refinement.refine import RefinementOptions, _finished, _optima, first_edges, refine
 from doo_ti.refinement.residuals import Comparison
-from doo_ti.refinement.rolls import TWISTS, _LinearModel, _rolled_further, _turned
 from doo_ti.refinement.turns import turns_chosen_again, twisted
 from doo_ti.refinement.unknowns import Unknowns
-from doo_ti.rod.frames import rotation_matrix
 from tests.io.rods import joint_twist
 from tests.refinement.rods_between_clips import TRUTH, held, suture
-
-
-def test_rolls_twists_and_curvature_of_a_linear_model_are_found_together(rng):
-    count, knots, own = 9, 5, 2
-    share = np.linspace(0.1, 0.9, knots)
-    roll, twist = rng.uniform(-np.pi, np.pi, count), rng.choice(TWISTS[4:-4], count)
-    curvature, other = rng.normal(size=2 * knots), np.array([0.4, -0.3])
-    slopes = rng.normal(size=(count, 40, own + 2 * knots + 1))
-    lie = _turned(np.broadcast_to(curvature, (count, 2 * knots)), -(roll[:, None] + twist[:, None] * share))
-    truth = np.concatenate([np.broadcast_to(other, (count, own)), lie, twist[:, None]], axis=1)
-    information = 1e4 * np.swapaxes(slopes, 1, 2) @ slopes
-    model = _LinearModel(information, -(information @ truth[..., None])[..., 0], 1e-6 * np.eye(own + 2 * knots),
-                         np.zeros(own + 2 * knots), np.zeros(count), np.ones(count, dtype=bool), share)
-    best = min((model.start(one) for one in rng.uniform(-np.pi, np.pi, (16, count))), key=lambda one: one.value)
-    np.testing.assert_allclose(best.twist, twist)
-    common = np.exp(1j * (best.roll - roll))  # a common roll of all, with the curvature turned back, changes nothing
-    assert np.abs(common - common.mean()).max() < 0.2
-    assert np.linalg.norm(best.curvature) == pytest.approx(np.linalg.norm(curvature), rel=0.05)
-
-
-def test_rolls_have_no_whole_turns(rng):
-    scatter = rng.normal(size=(7, 12)) * np.repeat([2.0, 0.3, 1.0], [1, 2, 9])
-    rolled, plain = _rolled_further(scatter, 6.0), scatter + 6.0 * np.eye(12)[0]
-    np.testing.assert_allclose(rotation_matrix(rolled[:, :3]), rotation_matrix(plain[:, :3]), atol=1e-12)
-    np.testing.assert_array_equal(rolled[:, 3:], plain[:, 3:])
-    assert (np.linalg.norm(rolled[:, :3], axis=1) <= np.pi).all() and np.abs(plain[:, 0]).max() > np.pi
 
 
 @pytest.mark.thorough
@@ -66,7 +38,7 @@ def test_turns_that_were_measured_are_returned_to():
     fit = Fit(Comparison.of(unknowns, False), values, RefinementOptions().solver)
     begun = fit.from_marks(values, scales)
     measured = _twist(begun)
-    wrong = fit._merged(begun, fit.from_marks(values, scales, turn=1), np.arange(seen.count) == 4)
+    wrong = fit.merged(begun, fit.from_marks(values, scales, turn=1), np.arange(seen.count) == 4)
     assert abs(_twist(wrong)[4] - measured[4]) > 3
     np.testing.assert_allclose(_twist(turns_chosen_again(fit, fit.run(wrong, 3), 5)[0].state), measured, atol=0.5)
 

@@ -1,0 +1,155 @@
+"""Rods of which nobody measured the rolls: every observation is relaxed at several, and which is right is integrated out."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.special import logsumexp
+
+from doo_ti import Newton
+from doo_ti.cli import main
+from doo_ti.refinement.evidence import Evidence, densities, integrated
+from doo_ti.refinement.fit import Fit, Fitted
+from doo_ti.refinement.held_rod import POSE
+from doo_ti.refinement.rolls import (
+    COPIES,
+    NODES,
+    TWISTS,
+    WINDOW,
+    _in_turned_frames,
+    _LinearModel,
+    _turned,
+    at_all_rolls,
+    most_probable,
+)
+from tests.refinement.rods_between_clips import TRUTH, held, model, suture
+
+MARKS = Path(__file__).resolve().parents[3] / "shared" / "data" / "marks"
+
+
+@pytest.fixture(scope="module")
+def of_all_rolls() -> tuple[Fit, Fitted]:
+    """A fit of four curved rods without frames, each at COPIES rolls, after two steps."""
+    seen = suture(4, end_distances_mm=(60.0,))
+    seen = replace(seen, start_frame=None, end_frame=None, total_twist=None)
+    comparison, scales = model(held(seen, 24))
+    values = comparison.unknowns.begun(TRUTH, np.array([2.0, 2.5]))
+    values.curvature[:] = [1 / 900, 0.0]
+    fit = at_all_rolls(Fit(comparison, values, Newton()))
+    state = fit.from_marks(replace(values, scatter=np.zeros((seen.count * COPIES, POSE))), scales.given(any_roll=WINDOW))
+    return fit, fit.run(fit.posed(state), 2)
+
+
+def probability(fitted: Fitted, scales, x: np.ndarray, fit: Fit) -> float:
+    """-2 ln of the marks' density at the unknowns ``x``, the rolls summed over one by one."""
+    own, slope, squares, constant = integrated(fit.unknowns, fitted.linear, scales)
+    each = squares + constant + 2 * slope @ x + np.einsum("p,dpq,q->d", x, own, x)
+    return float(-2 * logsumexp(-0.5 * fit.unknowns.rod.by_observation(each), axis=1, b=1 / COPIES).sum())
+
+
+def test_all_windows_together_are_as_good_as_uniform():
+    roll = np.linspace(0, 2 * np.pi, 500)
+    turns = 2 * np.pi * np.arange(-3, 4)
+    density = np.exp(-0.5 * ((roll[:, None, None] - NODES[:, None] - turns) / WINDOW) ** 2).sum(axis=(1, 2))
+    assert density.max() / density.min() < 1.05
+
+
+def test_the_clamps_are_the_same_in_turned_frames(rng):
+    seen = replace(suture(2, end_distances_mm=(60.0,)), start_frame=None, end_frame=None, total_twist=None)
+    rod = held(seen, 24)
+    unknowns, rows = model(rod)[0].unknowns, np.repeat(np.arange(seen.count), COPIES)
+    scatter = rng.normal(size=(seen.count, POSE)) * 0.3
+    scatter[:, [0, 3]] = 0.0
+    turned, lengths = np.tile(NODES, seen.count), unknowns.lengths(unknowns.begun(TRUTH, np.full(2, 2.0)))
+    plain = rod.mesh_clamps(lengths, scatter).take(rows)
+    own = rod.take(rows, turned, COPIES).mesh_clamps(lengths, _in_turned_frames(scatter[rows], turned))
+    for end in ("start", "end"):
+        np.testing.assert_allclose(getattr(own, f"{end}_position"), getattr(plain, f"{end}_position"), atol=1e-12)
+        before, now = (getattr(one, f"{end}_frame") for one in (plain, own))
+        np.testing.assert_allclose(now[..., 0], before[..., 0], atol=1e-12)
+        roll = np.arctan2(np.sum(now[..., 1] * before[..., 2], axis=-1), np.sum(now[..., 1] * before[..., 1], axis=-1))
+        np.testing.assert_allclose(np.exp(1j * roll), np.exp(1j * turned), atol=1e-12)
+
+
+def test_shares_are_those_of_a_mixture(of_all_rolls):
+    fit, fitted = of_all_rolls
+    state, evidence = fitted.state, fitted.evidence
+    share, entropy, _ = fit._shares(state, fitted.linear)
+    density = densities(fit.unknowns, fitted.linear, state.scales)
+    np.testing.assert_allclose(fit.unknowns.rod.by_observation(share).sum(axis=1), 1.0)
+    mixture = probability(fitted, state.scales, np.zeros(len(evidence.offset)), fit)
+    assert share @ density + entropy == pytest.approx(mixture, rel=1e-12)
+
+
+def test_information_is_the_second_derivative_of_the_mixture(of_all_rolls, rng):
+    fit, fitted = of_all_rolls
+    share, entropy, _ = fit._shares(fitted.state, fitted.linear)
+    evidence = Evidence.of(fit.unknowns, fitted.linear, fitted.evidence.offset, share, entropy)
+    own, slope, _, _ = integrated(fit.unknowns, fitted.linear, fitted.state.scales)
+    information = np.tensordot(share, own, 1) - evidence._not_known(slope)
+    direction = rng.normal(size=len(evidence.offset)) / np.sqrt(np.diag(np.tensordot(share, own, 1)) + 1e-6)
+    far, at, back = (probability(fitted, fitted.state.scales, step * direction, fit) for step in (0.01, 0.0, -0.01))
+    assert direction @ information @ direction == pytest.approx((far - 2 * at + back) / 2e-4, rel=1e-3)
+
+
+def test_the_gradient_by_sizes_counts_each_row_with_its_share(of_all_rolls):
+    fit, fitted = of_all_rolls
+    evidence, scales = fitted.evidence, fitted.state.scales
+    gradient = evidence.posterior(scales, known=True).gradient
+    for k in range(len(scales.free)):
+        step = 1e-5 * np.eye(len(scales.free))[k]
+        above, below = (evidence.posterior(scales.at(scales.free + sign * step), known=True).value for sign in (1, -1))
+        assert gradient[k] == pytest.approx((above - below) / 2e-5, rel=1e-5, abs=1e-3)
+
+
+def test_of_several_rows_the_most_probable_is_shown(of_all_rolls):
+    fit, fitted = of_all_rolls
+    one, found = most_probable(fit, fitted)
+    rod = fit.unknowns.rod
+    best = rod.by_observation(fitted.evidence.share).argmax(axis=1)
+    assert one.unknowns.rod.observations.count == len(best) and one.unknowns.rod.copies == 1
+    np.testing.assert_allclose(one.unknowns.rod.rolled, NODES[best])
+    squares = rod.by_observation(fit.mean_squares(fitted.state.residuals))[np.arange(len(best)), best]
+    np.testing.assert_allclose(one.mean_squares(found.state.residuals), squares, rtol=1e-6)
+    assert len(found.linear[0].values) == len(found.evidence.share) == len(best)
+
+
+def test_rolls_twists_and_curvature_of_a_linear_model_are_found_together(rng):
+    count, knots, own = 9, 5, 2
+    share = np.linspace(0.1, 0.9, knots)
+    roll, twist = rng.uniform(-np.pi, np.pi, count), rng.choice(TWISTS[4:-4], count)
+    curvature, other = rng.normal(size=2 * knots), np.array([0.4, -0.3])
+    slopes = rng.normal(size=(count, 40, own + 2 * knots + 1))
+    lie = _turned(np.broadcast_to(curvature, (count, 2 * knots)), -(roll[:, None] + twist[:, None] * share))
+    truth = np.concatenate([np.broadcast_to(other, (count, own)), lie, twist[:, None]], axis=1)
+    information = 1e4 * np.swapaxes(slopes, 1, 2) @ slopes
+    model = _LinearModel(information, -(information @ truth[..., None])[..., 0], 1e-6 * np.eye(own + 2 * knots),
+                         np.zeros(own + 2 * knots), np.zeros(count), np.ones(count, dtype=bool), share)
+    best = min((model.start(one) for one in rng.uniform(-np.pi, np.pi, (16, count))), key=lambda one: one.value)
+    np.testing.assert_allclose(best.twist, twist)
+    common = np.exp(1j * (best.roll - roll))  # a common roll of all, with the curvature turned back, changes nothing
+    assert np.abs(common - common.mean()).max() < 0.2
+    assert np.linalg.norm(best.curvature) == pytest.approx(np.linalg.norm(curvature), rel=0.05)
+
+
+@pytest.mark.thorough
+@pytest.mark.skipif(not MARKS.is_dir(), reason="shared/data/marks is not beside the repository")
+@pytest.mark.parametrize("name", ["04_cable", "10_cable"])
+def test_marks_of_others_give_the_same_from_any_start(name, tmp_path, capsys):
+    """Two public cables, curved at rest, measured without frames, by a solver that shares nothing with this package: one
+    optimum, whichever stiffness the fit begins with, and near the truth."""
+    truth = json.loads((MARKS / name / "truth.json").read_text())
+    marks = [str(MARKS / name / "marks.csv"), "--unit", "m", "--up", truth["up"], "--columns", "observation=pose,vertex=mark",
+             "--linear-density", str(truth["linear_density_g_per_m"])]
+    found = []
+    for factor in (0.4, 2.0):
+        out = tmp_path / f"{factor}.json"
+        assert main(["refine", *marks, "--EI", str(factor * truth["EI"]), "--GJ", str(factor * truth["EI"]), "--no-models",
+                     "--out", str(out)]) == 0
+        found.append(json.loads(out.read_text())[0]["stiffness"]["EI_Nm2"])
+    capsys.readouterr()
+    first, second = np.array(found)
+    np.testing.assert_allclose(first, second, rtol=0.01)
+    assert 0.98 * first[1] < truth["EI"] < 1.02 * first[2]
