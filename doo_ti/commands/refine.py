@@ -75,6 +75,9 @@ def declare(add) -> None:
     given.add_clamps(parser, "the run's, else frame where the file gives one, else tangent")
     given.add_frame_weight(parser, "the run's, else 0")
     given.add_obstacles(parser, "without friction; the run's, where it has any")
+    parser.add_argument("--mass", metavar="MARK:G,…|FILE", help="bodies of known mass in g that hang at these marks, counted "
+                        "from 0, in every observation, or a .npz with mass_g (D, V); with --parameters bend,twist,weight the "
+                        "rod's own mass is learned too, from --linear-density on")
     loading.add_loading(parser)
     parser.add_argument("--out", metavar="F.json",
                         help=f"file for the results of all sources (default: those of a run in RUN/{REFINED} only)")
@@ -82,8 +85,8 @@ def declare(add) -> None:
 
 @dataclass(frozen=True)
 class Task:
-    """One source: its observations, their clamps, the Θ to start from, what the rods touch, the linear density in g/m and the
-    landscape of a run, or None."""
+    """One source: its observations, their clamps, the Θ to start from, what the rods touch, the linear density in g/m, the
+    landscape of a run, or None, and the weights that hang at the marks, or None."""
 
     observations: Observations
     clamps: Clamps
@@ -92,6 +95,7 @@ class Task:
     surroundings: Surroundings
     density: float | None
     landscape: "Landscape | None"
+    loads: np.ndarray | None
 
 
 def run(options: Namespace, words: list[str]) -> int:
@@ -118,7 +122,7 @@ def run(options: Namespace, words: list[str]) -> int:
             with busy(f"cross-validating {task.observations.name} in {folds} folds"):
                 begin = replace(found.theta, rest_curvature=None)
                 held_out = refine_held_out(task.observations, task.clamps, begin, split, chosen)
-        summary = summary_of(task.observations, task.surroundings, found, held_out, task.density)
+        summary = summary_of(task.observations, task.surroundings, found, held_out, task.density, task.loads is not None)
         summaries.append(summary | {"other_up": _other_up(task, found.theta)})
         written = [] if task.landscape is None else _kept(task.landscape, found, summaries[-1])
         if not options.json:
@@ -141,10 +145,12 @@ def run(options: Namespace, words: list[str]) -> int:
 
 def _other_up(task: Task, theta) -> dict | None:
     """An axis that fits far better than the direction ``up`` of the fit, as JSON holds it; None where the rods have no
-    weight."""
+    weight, or bodies hang on them."""
     from doo_ti.learning.up_axes import other_up
 
-    found = None if theta.weight == 0 else other_up(task.observations, task.clamps, theta.up, task.surroundings)
+    if theta.weight == 0 or task.loads is not None:
+        return None
+    found = other_up(task.observations, task.clamps, theta.up, task.surroundings)
     return None if found is None else asdict(found)
 
 
@@ -192,15 +198,38 @@ def _task(options: Namespace, source: str, starts: int) -> Task:
     error = given.not_negative("--spacing-error", options.spacing_error, "a share")
     if error is not None:
         observations = replace(observations, spacing_error=error)
+    loads = None if options.mass is None else _loads(options.mass, observations, density)
     kinds = tuple(kind if own is None else own for own, kind in zip(given.clamps(options), kinds, strict=True))
     exact = "exact" in (options.clamps, options.frames)
     if options.groups is None:
-        observations = loading.with_ends_in_reach(observations, *kinds, exact)
+        every, observations = observations.labels, loading.with_ends_in_reach(observations, *kinds, exact)
+        loads = None if loads is None else loads[np.isin(every, observations.labels)]
     clamps = observation_clamps(observations, *kinds)
     check_experiment(observations, clamps, max(theta.weight for theta in thetas), weight, exact)
-    task = Task(observations, clamps, thetas, weight, around, density, landscape)
+    task = Task(observations, clamps, thetas, weight, around, density, landscape, loads)
     _check_model(_refinement_options(options, task), task)
     return task
+
+
+def _loads(text: str, observations: Observations, density: float | None) -> np.ndarray:
+    """(D, M) weights in the package's unit of the bodies that ``--mass`` states: as much as so many mm of rod weigh."""
+    count, marks = observations.valid.shape
+    if density is None:
+        raise InputError(given.SOURCE, "--mass", "given without --linear-density", "give that of the rod, or a guess beside "
+                         "--parameters bend,twist,weight")
+    if text.endswith(".npz"):
+        mass = read_npz(Path(text), read_content(Path(text), remedy="name a readable .npz file"), ("mass_g",)).get("mass_g")
+        if mass is None or mass.shape != (count, marks) or mass.dtype.kind not in "iuf":
+            raise InputError(text, "mass_g", "missing, or of another shape", f"give numbers of shape ({count}, {marks})")
+    else:
+        mass = np.zeros((count, marks))
+        for part in text.split(","):
+            mark, _, grams = part.partition(":")
+            at = given.whole("--mass", mark, 0, marks - 1)
+            mass[:, at] = given.not_negative("--mass", grams, "g")
+    if not (np.isfinite(mass) & (mass >= 0)).all():
+        raise InputError(text, "mass_g", "not finite, or negative", "give grams, zero where nothing hangs")
+    return 2e3 * mass / density
 
 
 def run_density(run: Path) -> float | None:
@@ -218,7 +247,7 @@ def _of_run(options: Namespace, run: Path, starts: int):
     from doo_ti.refinement.search import lowest_cells, theta_of_cell
     from doo_ti.refinement.theta import common_rod
 
-    for name in (*given.MATERIAL, *loading.OF_OBSERVATIONS, "obstacles", "radius"):
+    for name in (*given.MATERIAL, *loading.OF_OBSERVATIONS, "obstacles", "radius", "mass"):
         if getattr(options, name) is not None:
             raise InputError(given.SOURCE, f"--{name.replace('_', '-')}", f"given, but {run} is the run of a sweep",
                              "leave it out, or name a file of observations")
@@ -265,7 +294,8 @@ def _refinement_options(options: Namespace, task: Task):
     return RefinementOptions(
         tuple(names), clip, curvature or "auto", "exact" if exact else "loose", error, task.frame_weight,
         curvature_spread=spread, curvature_range=reach,
-        edges=given.whole("--edges", options.edges, 6), models=not options.no_models, surroundings=task.surroundings)
+        edges=given.whole("--edges", options.edges, 6), models=not options.no_models, surroundings=task.surroundings,
+        loads=task.loads)
 
 
 def _check_model(chosen, task: Task) -> None:

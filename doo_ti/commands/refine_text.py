@@ -9,7 +9,7 @@ from doo_ti.commands.results import counted
 from doo_ti.contact.obstacle_arrays import described
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.rod.observations import Observations
-from doo_ti.rod.physical_units import stiffness
+from doo_ti.rod.physical_units import relative_stiffness, stiffness
 from doo_ti.system.terminal import in_line
 
 LISTED = 6  # observations named individually
@@ -22,11 +22,13 @@ MODELS = {
 }
 
 
-def summary_of(observations: Observations, surroundings: Surroundings, found, held_out, density: float | None) -> dict:
+def summary_of(observations: Observations, surroundings: Surroundings, found, held_out, density: float | None,
+               loaded: bool = False) -> dict:
     """A :class:`doo_ti.refinement.refine.Refinement` as JSON holds it.
 
     held_out  a :class:`doo_ti.refinement.folds.HeldOut`, or None
     density   of the rod in g/m, or None
+    loaded    whether bodies of known mass hang at the marks: then ``density`` is that of the weight one
     """
     estimate, scales = found.estimate, found.estimate.scales
     names = estimate.names
@@ -38,7 +40,8 @@ def summary_of(observations: Observations, surroundings: Surroundings, found, he
         "theta": _theta(found.theta), "parameters": [asdict(parameter) for parameter in estimate.parameters],
         "unknowns": names, "covariance": estimate.covariance, "correlation": estimate.correlation,
         "degrees_of_freedom": estimate.degrees, "not_determined": estimate.left_open,
-        "stiffness": _stiffness(estimate, density),
+        "stiffness": _stiffness(estimate, density, loaded),
+        "linear_density_g_per_m": _learned_density(estimate, density) if loaded else None,
         "rest_curvature_per_mm": {"spread": scales["curvature"], "range_mm": scales["range"],
                                   "root_mean_square": _size(found.theta.rest_curvature)},
         "clamp_errors": {"turn_deg": np.degrees(np.linalg.norm(constant, axis=-1)).max(axis=0),
@@ -78,16 +81,30 @@ def _size(curvature: np.ndarray | None) -> float:
     return 0.0 if curvature is None else float(np.sqrt((np.asarray(curvature) ** 2).mean()))
 
 
-def _stiffness(estimate, density: float | None) -> dict:
+def _stiffness(estimate, density: float | None, loaded: bool) -> dict:
     """Stiffness over weight per length in mm³, and with a linear density in N m²: value, low, high, None where open."""
     result = {}
     for parameter in estimate.over_weight:
-        ends = [parameter.value, parameter.low, parameter.high]
         symbol = SYMBOLS[parameter.name]
-        result[f"{symbol}_over_weight_mm3"] = ends
+        result[f"{symbol}_over_weight_mm3"] = _ends(parameter)
         if density is not None:
-            result[f"{symbol}_Nm2"] = [None if end is None else stiffness(end, density) for end in ends]
+            own = _ends(parameter)
+            if loaded:  # forces are known, whatever the rod weighs
+                own = [None if end is None else float(relative_stiffness(end, 1.0))
+                       for end in _ends(estimate.parameter(parameter.name))]
+            result[f"{symbol}_Nm2"] = [None if end is None else stiffness(end, density) for end in own]
     return result
+
+
+def _learned_density(estimate, density: float) -> list[float | None] | None:
+    """The rod's mass per length in g/m with its interval, where it was learned."""
+    if "weight" not in estimate.names:
+        return None
+    return [None if end is None else density * end for end in _ends(estimate.parameter("weight"))]
+
+
+def _ends(parameter) -> list[float | None]:
+    return [parameter.value, parameter.low, parameter.high]
 
 
 def summary_lines(summary: dict) -> list[str]:
@@ -109,6 +126,8 @@ def summary_lines(summary: dict) -> list[str]:
         label, unit = (name.removesuffix("_Nm2"), "N m²") if name.endswith("_Nm2") else (
             f"{name.removesuffix('_over_weight_mm3')} over weight", "mm³")
         lines.append(_line(label, interval_text(value, low, high, unit)))
+    if summary["linear_density_g_per_m"] is not None:
+        lines.append(_line("linear density", interval_text(*summary["linear_density_g_per_m"], "g/m")))
     lines.append(_line("", "95 % intervals, with everything else fitted again"))
     if summary["rivals"]:
         others = ", ".join(f"{theta['bend_1']:.3g}" for theta in summary["rivals"])

@@ -130,7 +130,7 @@ def _extensions(unknowns: Unknowns):
         return f"parameters={','.join(name.replace('_', '-') for name in names)}", replace(unknowns, parameters=names)
 
     names = unknowns.parameters
-    if "up" not in names:
+    if "up" not in names and unknowns.rod.loads is None:
         option, extended = with_parameters(*names, "up")
         yield option, "the direction of gravity", extended
     if "bend" in names and _held_by_frames(unknowns):

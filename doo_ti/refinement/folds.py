@@ -68,7 +68,8 @@ def refine_held_out(observations: Observations, clamps: Clamps, theta: Theta, fo
     options, refinements = replace(options, intervals="covariance", models=False), []
     for k in np.unique(fold):
         inside, outside = np.flatnonzero(fold != k), np.flatnonzero(fold == k)
-        within, beyond = (replace(options, surroundings=options.surroundings.take(rows)) for rows in (inside, outside))
+        within, beyond = (replace(options, surroundings=options.surroundings.take(rows),
+                                  loads=None if options.loads is None else options.loads[rows]) for rows in (inside, outside))
         found = refine(observations.take(inside), clamps.take(inside), theta, within)
         error[outside], sound[outside] = _predicted(found, observations.take(outside), clamps.take(outside), beyond)
         refinements.append(found)
@@ -80,7 +81,8 @@ def _predicted(found: Refinement, observations: Observations, clamps: Clamps, op
     """(D,) Eq. 1 in mm of observations that ``found`` was not fitted to, each rod relaxed from its observation, and (D,) bool
     whether it is converged and stable. What is not known of its clamps is fitted to each observation."""
     edges = 2 * found.mesh_edges if found.mesh_error is not None else found.mesh_edges
-    rod = HeldRod(observations, clamps, edges, options.surroundings, options.clamps == "exact", found.swivels)
+    rod = HeldRod(observations, clamps, edges, options.surroundings, options.clamps == "exact", found.swivels,
+                  options.loads)
     unknowns = unknowns_of(rod, options)
     if not len(found.estimate.values.curvature):
         unknowns = replace(unknowns, curvature="none")

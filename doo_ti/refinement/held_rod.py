@@ -16,6 +16,7 @@ import numpy as np
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.refinement.mesh import GEOMETRY, Lengths, Mesh, mesh_of
 from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.point_loads import PointLoads
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import right_jacobian, rotation_matrix, turned_about_tangent
 from doo_ti.rod.observations import Observations
@@ -42,6 +43,7 @@ class HeldRod:
     surroundings  what the rods touch, with one row for all observations or one for each
     exact         whether the clamps are exactly where they were reported, and where the outer marks say
     swivels       whether ends of unknown roll may roll freely, as a rod between fingers does; else they are held at that roll
+    loads         (D, M) weights of bodies that hang at the marks, as :class:`.PointLoads` has them, or None
     rolled        (D,) rad, by which both ends are rolled further than the parallel frames that stand for unknown rolls
     copies        rows that stand for one observation, one after the other, at different rolls
     """
@@ -52,6 +54,7 @@ class HeldRod:
     surroundings: Surroundings = Surroundings()
     exact: bool = False
     swivels: bool = False
+    loads: np.ndarray | None = None
     rolled: np.ndarray | None = None
     copies: int = 1
 
@@ -96,7 +99,8 @@ class HeldRod:
     def take(self, rows: np.ndarray, rolled: np.ndarray | None, copies: int = 1) -> "HeldRod":
         """The observations ``rows`` (R,), rolled by ``rolled`` (R,)."""
         return replace(self, observations=self.observations.take(rows), clamps=self.clamps.take(rows),
-                       surroundings=self.surroundings.take(rows), rolled=rolled, copies=copies)
+                       surroundings=self.surroundings.take(rows), loads=None if self.loads is None else self.loads[rows],
+                       rolled=rolled, copies=copies)
 
     def by_observation(self, rows: np.ndarray) -> np.ndarray:
         """(D, copies, …) of what each row (D · copies, …) has."""
@@ -220,14 +224,14 @@ class HeldRod:
         if turn is not None:
             index, turns = np.arange(len(rows)), np.full(len(rows), turn)
         starts = start_configuration(seen.take(index), clamps.take(index), turns)
-        solution = relax(starts, material, clamps.take(index), solver, up=up, **self.surroundings.take(rows[index]).arguments)
+        solution = relax(starts, material, clamps.take(index), solver, up=up, **self.around(lengths, rows[index]))
         if len(index) == len(rows):
             return solution
         apart = self.marks(solution, lengths) - np.nan_to_num(self.observations.vertices[rows][index])
         error = np.where(self.observations.valid[rows][index], (apart**2).sum(axis=-1), 0.0).sum(axis=1)
         best = choose_hypothesis(index, error, solution.converged & solution.stable)
-        around = self.surroundings.take(rows[index[best]])
-        return relax(starts.take(best), material, clamps.take(index[best]), solver, up=up, **around.arguments)
+        around = self.around(lengths, rows[index[best]])
+        return relax(starts.take(best), material, clamps.take(index[best]), solver, up=up, **around)
 
     def followed(self, solution: Solution, material: Material, lengths: Lengths, pose: np.ndarray, solver: Newton,
                  up: np.ndarray) -> Solution:
@@ -237,7 +241,16 @@ class HeldRod:
         begin = Configuration(clamps.start_position, solution.configuration.quaternions, edges)
         if (np.asarray(self.clamps.start) == Clamp.FREE).any():
             begin = replace(begin, start=solution.configuration.start)
-        return relax(begin, material, clamps, replace(solver, first_shift=0.0), up=up, **self.surroundings.arguments)
+        return relax(begin, material, clamps, replace(solver, first_shift=0.0), up=up, **self.around(lengths))
+
+    def around(self, lengths: Lengths, rows: np.ndarray | None = None) -> dict:
+        """Arguments of :func:`doo_ti.relaxation.relax.relax`: what the rods touch, and what hangs at their marks. Derivatives
+        take bodies for fixed to the mesh, which slides along the rod a little as its lengths change."""
+        touched = (self.surroundings if rows is None else self.surroundings.take(rows)).arguments
+        if self.loads is None:
+            return touched
+        mass = (self.loads if rows is None else self.loads[rows]) @ self.mesh(lengths).nearest_two(lengths.mark_place)
+        return touched | {"external": PointLoads(np.zeros((*mass.shape, 3)), mass)}
 
     def marks(self, solution: Solution, lengths: Lengths) -> np.ndarray:
         """(R, M, 3) places of the marks of relaxed rods, mm."""

@@ -68,7 +68,8 @@ def _best_order(fit: Fit, fitted: Fitted, row: int, usual: float) -> Mislabelled
     def begun(rows: np.ndarray):
         own = seen.take(rows)
         held = replace(rod, observations=own, rolled=None, clamps=observation_clamps(own, *kinds),
-                       surroundings=rod.surroundings.take(np.full(len(rows), row)))
+                       surroundings=rod.surroundings.take(np.full(len(rows), row)),
+                       loads=None if rod.loads is None else rod.loads[np.full(len(rows), row)])
         unknowns = replace(fit.unknowns, rod=held)
         correction = fit.comparison.correction
         correction = correction if np.ndim(correction) == 0 else correction[np.full(len(rows), row)]

@@ -77,6 +77,8 @@ class RefinementOptions:
     intervals         "profile", or "covariance", which takes no extra time
     models            whether other models are fitted and compared
     surroundings      what the rods touch, without friction; with one row for all observations or one for each
+    loads             (D, M) weights of bodies that hang at the marks, as those of :class:`.PointLoads`; None: nothing hangs
+                      there. Where they are known the weight of the rod can be learned beside its stiffness
     """
 
     __repr__ = short_repr
@@ -95,6 +97,7 @@ class RefinementOptions:
     intervals: str = "profile"
     models: bool = False
     surroundings: Surroundings = Surroundings()
+    loads: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -184,7 +187,7 @@ def _optima(observations: Observations, clamps: Clamps, thetas: tuple[Theta, ...
     """The optima of the fit on its first mesh, the best first."""
     check(observations, clamps, options)
     edges = options.edges or first_edges(observations, thetas[0])
-    rod = HeldRod(observations, clamps, edges, options.surroundings, options.clamps == "exact")
+    rod = HeldRod(observations, clamps, edges, options.surroundings, options.clamps == "exact", loads=options.loads)
     unknowns = unknowns_of(rod, options)
     clip = rod.clip_in_reach(unknowns.clip_prior) if options.clip is None else np.full(2, options.clip)
     return searched(unknowns, thetas, clip, _scales(unknowns, options), options)
@@ -220,6 +223,12 @@ def check(observations: Observations, clamps: Clamps, options: RefinementOptions
             raise InputError(observations.source, "start_frame", "missing, but an error of frames is given", "leave it out")
     if options.edges is not None and not 6 <= options.edges <= 4 * MOST_EDGES:
         raise InputError("refine", "edges", f"{options.edges}", f"give 6 to {4 * MOST_EDGES}")
+    if options.loads is not None:
+        if np.shape(options.loads) != observations.valid.shape or not np.min(options.loads) >= 0:
+            raise InputError("refine", "loads", f"shape {np.shape(options.loads)}, or negative",
+                             f"give {observations.valid.shape}, of zero or more")
+        if "up" in options.parameters:
+            raise InputError("refine", "parameters", "up, of rods with bodies at their marks", "leave it out")
     if options.surroundings:
         index, turns = turn_hypotheses(observations, clamps)
         held = clamps.take(index)
@@ -328,4 +337,4 @@ def relaxed_on(unknowns: Unknowns, values: Values, solution: Solution, before: H
     start = np.where(np.isfinite(clamps.start_position), clamps.start_position, solution.configuration.start)
     begin = Configuration(start, between, np.full(rod.edges, mesh.edge))
     return relax(begin, unknowns.material(values), clamps, replace(solver, first_shift=0.0), up=values.theta.up,
-                 **rod.surroundings.arguments)
+                 **rod.around(lengths))
