@@ -226,7 +226,8 @@ class Fit:
             if share < LEAST_SHARE:  # no progress: rods snap, or rounding decides whether the posterior rises
                 done = settled
                 break
-            trial, again = self._misfits_relaxed_again(trial) if settled or tried == 1 else (trial, False)
+            now = settled or tried == 1 or self.unknowns.rod.copies == 1  # of several copies that would take most of the time
+            trial, again = self._misfits_relaxed_again(trial) if now else (trial, False)
             state = replace(trial, used=trial.used & ~snapping)
             done = settled and not again and bool((state.used == fitted.state.used).all())
         else:
