@@ -226,7 +226,7 @@ class Fit:
             if share < LEAST_SHARE:  # no progress: rods snap, or rounding decides whether the posterior rises
                 done = settled
                 break
-            now = settled or tried == 1 or self.unknowns.rod.copies == 1  # of several copies that would take most of the time
+            now = settled or tried == 1 or self.unknowns.rod.rolls_known  # others would spend most of the time on it
             trial, again = self._misfits_relaxed_again(trial) if now else (trial, False)
             state = replace(trial, used=trial.used & ~snapping)
             done = settled and not again and bool((state.used == fitted.state.used).all())
