@@ -187,6 +187,8 @@ class Comparison:
         rod = self.unknowns.rod
         seen = rod.observations
         places = rod.marks(solution, self.unknowns.lengths(values)) + self.correction
+        if len(ends := self.unknowns.outer_ends):
+            places[:, ends] += np.einsum("deij,ej->dei", self.unknowns.outer_axes, values.outer[ends])
         marks = self.weight[..., None] * (places - np.nan_to_num(seen.vertices))
         found = (np.where(self.weight[..., None] > 0, marks, 0.0).reshape(len(marks), -1),)
         if self.directors is None:
@@ -290,4 +292,10 @@ class Comparison:
             parts.append(poses[..., GEOMETRY:] @ unknowns.constant_slopes()[rows, None])
         if len(unknowns.columns("spacing")):
             parts.append(by_lengths[..., 2:] * unknowns.lengths(values).spacing + sliding[..., GEOMETRY:])
+        if len(unknowns.outer_ends):
+            by_outer = np.zeros((*at.shape[:3], len(unknowns.outer_ends), 6))
+            if at.shape[1] == len(self.weight[0]):  # directors stay
+                for k, end in enumerate(unknowns.outer_ends):
+                    by_outer[:, end, :, k] = unknowns.outer_axes[rows, k]
+            parts.append(by_outer.reshape(*at.shape[:3], -1))
         return np.concatenate(parts, axis=-1)

@@ -9,6 +9,8 @@
     curvature               L ω̄ at the knots of :mod:`doo_ti.refinement.priors`, two components each, or of the whole rod
     clamps                  constant errors of the reported frames: a rotation of each in its own axes, and one in the world's
     spacing                 ln of the rod's length between neighbouring marks over that which the observations state
+    outer                   mm by which an outer mark beside a reported frame is off the rod, along the frame's axes and the
+                            world's: it often is the place of what holds the rod, and off by as much as that is
 
 The prior of the first five is so wide that it matters only along directions that the observations do not determine; only twist
 over bend is expected to be that of a common rod (:func:`doo_ti.refinement.theta.common_rod`) where nothing says how far the rod
@@ -40,6 +42,8 @@ CLIP_MEAN, CLIP_SPREAD = 0.75, 0.75
 RATIO_FACTOR = 0.4
 """Prior of twist over bend stiffness where nothing says how far the rod is twisted: standard deviation of its logarithm about
 that of a common rod."""
+OUTER_SPREAD = 0.1
+"""Prior of by how much an outer mark beside a reported frame is off, in spacings of the outer marks."""
 TURNS = 12
 """Numbers of the constant errors of clamps."""
 
@@ -54,6 +58,7 @@ class Values:
     constant   (TURNS,) rad, constant errors of the reported frames: of start and end in their axes, and in the world's
     scatter    (D, POSE) additional errors of the clamps in each observation
     spacing    (M − 1,) logarithms of the spacings of the marks over the stated ones
+    outer      (2, 6) mm, constant errors of the outer marks
     """
 
     theta: Theta
@@ -62,6 +67,7 @@ class Values:
     constant: np.ndarray
     scatter: np.ndarray
     spacing: np.ndarray
+    outer: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -108,7 +114,22 @@ class Unknowns:
         knots = [f"curvature[{k}]" for k in range(2 * len(self.knots))]
         spacing = len(self.rod.observations.rest_length) if self.rod.observations.spacing_error > 0 else 0
         return tuple(name for part in parts for name in part) + tuple(ends) + tuple(knots) + tuple(
-            f"clamps[{k}]" for k in range(TURNS if self.turns else 0)) + tuple(f"spacing[{k}]" for k in range(spacing))
+            f"clamps[{k}]" for k in range(TURNS if self.turns else 0)) + tuple(f"spacing[{k}]" for k in range(spacing)) + tuple(
+            f"outer[{k}]" for k in range(6 * len(self.outer_ends)))
+
+    @cached_property
+    def outer_ends(self) -> np.ndarray:
+        """Of the outer marks, 0 and −1, those beside which a frame was reported that may be off."""
+        seen = self.rod.observations
+        given = [frame is not None and not self.rod.exact for frame in (seen.start_frame, seen.end_frame)]
+        return np.array([0, -1])[given]
+
+    @cached_property
+    def outer_axes(self) -> np.ndarray:
+        """(D, ·, 3, 6) the axes of the reported frames there, and of the world."""
+        seen = self.rod.observations
+        frames = np.stack([(seen.start_frame, seen.end_frame)[end] for end in self.outer_ends], axis=1)
+        return np.concatenate([frames, np.broadcast_to(np.eye(3), frames.shape)], axis=-1)
 
     @property
     def clamps(self) -> bool:
@@ -161,7 +182,7 @@ class Unknowns:
             curvature[:] = own if len(own) == 1 else np.stack([np.interp(self.knots, joints, c) for c in own.T], axis=1)
         count = self.rod.observations.count
         return Values(replace(theta, rest_curvature=None), np.array(clip, dtype=float), curvature, np.zeros(TURNS),
-                      np.zeros((count, POSE)), np.zeros(self.rod.observations.edges))
+                      np.zeros((count, POSE)), np.zeros(self.rod.observations.edges), np.zeros((2, 6)))
 
     def lengths(self, values: Values) -> Lengths:
         """Where marks and clips are along the rod."""
@@ -186,7 +207,9 @@ class Unknowns:
         constant = values.constant + (step[self.columns("clamps")] if self.turns else 0.0)
         spacing, own = values.spacing.copy(), self.columns("spacing")
         spacing[: len(own)] += step[own]
-        return Values(theta, clip, curvature, constant, values.scatter + scatter, spacing)
+        outer = values.outer.copy()
+        outer[self.outer_ends] += step[self.columns("outer")].reshape(-1, 6)
+        return Values(theta, clip, curvature, constant, values.scatter + scatter, spacing, outer)
 
     def theta_at(self, values: Values, joints: np.ndarray | None = None) -> Theta:
         """Θ with the rest curvature at ``joints`` (·,), mm; by default at the E − 1 joints between the marks' edges."""
@@ -260,7 +283,7 @@ class Unknowns:
                 parts.append(values.clip[end] - clips[end])
         constant = values.constant if self.turns else np.zeros(0)
         return np.concatenate([parts, self.rod.length * values.curvature.ravel(), constant,
-                               values.spacing[: len(self.columns("spacing"))]])
+                               values.spacing[: len(self.columns("spacing"))], values.outer[self.outer_ends].ravel()])
 
     @property
     def clip_prior(self) -> np.ndarray:
@@ -274,6 +297,7 @@ class Unknowns:
         for prefix, size in (("up", TILT), ("clip_start", outer[0]), ("clip_end", outer[1]), ("clamps", scales["turn"]),
                              ("spacing", self.rod.observations.spacing_error)):
             spread[self.columns(prefix)] = size
+        spread[self.columns("outer")] = np.repeat(OUTER_SPREAD * self.rod.observations.rest_length[self.outer_ends], 6)
         knots = self.columns("curvature")
         matrix = np.diag(1 / spread**2)
         if len(ratio := self._ratio):

@@ -9,6 +9,7 @@ from doo_ti import Axis, Clamp, Grid, InputError, Observations, Status, Theta, o
 from doo_ti.refinement.folds import folds_of, refine_held_out
 from doo_ti.refinement.refine import RefinementOptions, refine
 from doo_ti.refinement.search import lowest_cells, theta_of_cell
+from doo_ti.rod.frames import rotation_matrix
 from tests.references.rods import clamps_at
 from tests.refinement.rods_between_clips import BEND, NOISE, TRUTH, TWIST, suture
 from tests.relaxation.rods import wandering
@@ -317,3 +318,17 @@ def test_clips_have_intervals_in_mm_however_wide():
                  replace(QUICK, parameters=("bend",), curvature="none", iterations=2))
     clip = out.estimate.parameter("clip_start")
     assert clip.low is not None and clip.high - clip.low > 7.0
+
+
+@pytest.mark.thorough
+def test_outer_marks_that_are_off_with_their_frames_do_not_bend_the_fit():
+    """Reported frames 2 degrees off about y, the outer marks 0.2 mm: the place and direction that a robot believes."""
+    seen = suture()
+    tilt = rotation_matrix(np.array([0.0, np.radians(2.0), 0.0]))
+    vertices = seen.vertices.copy()
+    vertices[:, [0, -1]] += [0.0, 0.1, 0.2]
+    off = replace(seen, vertices=vertices, start_frame=tilt @ seen.start_frame, end_frame=tilt.T @ seen.end_frame)
+    found = refine(off, observation_clamps(off), TRUTH, QUICK)
+    for name, truth in (("bend", TRUTH.bend[0, 0]), ("twist", TRUTH.twist)):
+        one = found.estimate.parameter(name)
+        assert one.low < truth < one.high and one.value == pytest.approx(truth, rel=0.4)
