@@ -6,7 +6,8 @@ The prior makes H positive definite, and steps are shortened, not damped, becaus
 its last equilibrium, which keeps it on its branch. Rods that fit far worse than the others are relaxed once more from their
 observations, also with a whole turn more and less, and are left out where that does not help.
 
-Axes: D observations, P unknowns.
+Axes: D observations, P unknowns. Where rolls are not known several rows stand for each observation, and D is that of the rows
+(:mod:`doo_ti.refinement.rolls`).
 """
 
 from dataclasses import dataclass, replace
@@ -36,8 +37,7 @@ LEAST_SHARE = 2e-3  # share of a step: if no longer step helps, the fit stops
 FINE, OF_INTERVALS, ROUGH = (0.03, 0.01), (0.1, 0.1), (0.1, 0.5)  # a fit is done when a whole step would move Θ by fewer
 # standard errors and the last one lowered −2 ln of the posterior by less; ROUGH while several fits compete
 SCALE_STEPS = 6  # of the search for the sizes, in each step
-EXACT = 1e-12  # mean square of residuals, mm² or over σ²: what is left of marks without noise is rounding
-IMPROBABLE = 1e9  # −2 ln of the density of a rod that does not count
+EXACT, IMPROBABLE = 1e-12, 1e9  # mean square of residuals that is rounding; −ln of the density of a rod that does not count
 ODD = 9.0
 """Times the others' mean square, three times their size: a rod with such residuals is a misfit."""
 REFITTED = 0.5  # a misfit relaxed again is better if its squares are below this share of those before

@@ -262,8 +262,9 @@ def _refinement(best: Optimum, rivals: list[Optimum], options: RefinementOptions
     marks = rod.marks(state.solution, lengths) + correction
     marks = np.where(sound[:, None, None], marks, np.nan)
     frames = rod.directors(state.solution, lengths) if options.frame_weight > 0 else None
+    estimate = estimated(best, rivals, profiled=options.intervals == "profile")
     return Refinement(
-        estimate=estimated(best, rivals, profiled=options.intervals == "profile"), adequacy=adequacy(fit, fitted),
+        estimate=replace(estimate, values=state.values), adequacy=adequacy(fit, fitted),
         scores=scores(fit, fitted) if options.models else (), marks=marks, mean_squares=fit.mean_squares(state.residuals),
         distance=mark_distance(marks, rod.observations, frames, options.frame_weight),
         status=state.solution.status, stable=state.solution.stable, used=state.used, misfits=sound & ~state.used,

@@ -41,6 +41,7 @@ SIZE, RANGE = 1.0, 0.3
 GAP = 3e-4
 """Largest gap then, over the rod's length."""
 ROUNDS = 40
+"""Most turns of that solution."""
 COPIES = 6
 """Rolls of each observation that are relaxed, evenly spaced."""
 NODES = np.linspace(0.0, 2 * np.pi, COPIES, endpoint=False)
