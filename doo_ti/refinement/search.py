@@ -55,10 +55,10 @@ class Optimum:
         both = used[0] & used[1]
         if not both.any():
             return np.inf
-        own, other = (one.with_rods(both) for one in (self, best))
+        own, other = (one._value_of(both) for one in (self, best))
         return own - other
 
-    def with_rods(self, counted: np.ndarray) -> float:
+    def _value_of(self, counted: np.ndarray) -> float:
         """−2 ln of the evidence of the observations ``counted`` (D,) alone."""
         rods = np.repeat(counted, self.fit.unknowns.rod.copies)
         state = replace(self.fitted.state, used=rods & self.fitted.state.used)

@@ -62,12 +62,12 @@ def _best_of(fit: Fit, states: Sequence[State]) -> State:
     first order: it may have adapted to a wrong shape of that observation."""
     best, *others = states
     precision, _ = fit.unknowns.precision(best.scales)
-    own, slope, present = _densities(fit, best)
+    of_best = own, slope, present = _densities(fit, best)
     used = best.used & np.isfinite(present)
     own, slope = (np.where(used.reshape(-1, *(1,) * (part.ndim - 1)), part, 0.0) for part in (own, slope))
     rest = (precision + own.sum(axis=0) - own,
             slope.sum(axis=0) + precision @ fit.unknowns.offset(best.values, fit.origin) - slope)
-    least = _given(rest, *_densities(fit, best))
+    least = _given(rest, *of_best)
     for other in others:
         value = _given(rest, *_densities(fit, other))
         better = value < least - POSED
