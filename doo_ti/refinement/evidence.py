@@ -93,21 +93,21 @@ class Evidence:
         """The posterior at these sizes; ``known``: as if it were known which of several rows is the rod."""
         kinds = effect_scales(self.unknowns)
         weights, variance, mixed, inner, slope_z = _effects(self.unknowns, self.moments, scales)
-        passed, share = mixed @ inner, self.share
+        passed, share = inner @ mixed, self.share
         slope = sum(w * kind.shared_slope for w, kind in zip(weights, self.moments, strict=True)) - (
-            passed @ slope_z[..., None])[..., 0]
-        counted = share[:, None, None] * passed
+            slope_z[:, None] @ passed)[:, 0]
+        rows = (-1, len(self.offset))  # one product of all observations, not one for each
+        counted = (share[:, None, None] * passed).reshape(rows)
         precision, log_prior = self.unknowns.precision(scales)
-        hessian = precision + sum(w * kind.shared for w, kind in zip(weights, self.moments, strict=True)) - np.tensordot(
-            counted, mixed, axes=([0, 2], [0, 2]))
+        hessian = precision + sum(w * kind.shared for w, kind in zip(weights, self.moments, strict=True)) - counted.T @ mixed.reshape(rows)
         if self.unknowns.rod.copies > 1 and not known:
             hessian = _less(hessian, self._not_known(slope))
         slope = share @ slope + precision @ self.offset
         step, covariance_x, log_hessian = self._solved(hessian, slope, precision)
-        effects = -(inner @ (slope_z + np.swapaxes(mixed, 1, 2) @ step)[..., None])[..., 0]
+        effects = -(inner @ (slope_z + mixed @ step)[..., None])[..., 0]
         # The gradient of F is the expectation of that of the complete data's −2 ln likelihood (Fisher's identity).
-        crossed = np.swapaxes(passed, 1, 2) @ covariance_x
-        spread_z = np.einsum("dqq->dq", inner) + (crossed * np.swapaxes(passed, 1, 2)).sum(axis=-1)
+        crossed = (passed.reshape(rows) @ covariance_x).reshape(passed.shape)
+        spread_z = np.einsum("dqq->dq", inner) + (crossed * passed).sum(axis=-1)
         gradient = dict.fromkeys(NAMES, 0.0)
         value = self.constant + log_hessian - log_prior - float(share @ np.linalg.slogdet(inner)[1])
         # Σ w · spread over all kinds: each unknown and effect counts one, less what the priors know of it.
@@ -117,8 +117,8 @@ class Evidence:
             squares = self._squares(kind, step, effects)
             spread = rest / w if kind is self.moments[0] else float(
                 (covariance_x * kind.shared).sum() + share @ (
-                    ((inner + crossed @ passed) * kind.effects).sum(axis=(1, 2))
-                    - 2 * (np.swapaxes(crossed, 1, 2) * kind.mixed).sum(axis=(1, 2))))
+                    ((inner + crossed @ np.swapaxes(passed, 1, 2)) * kind.effects).sum(axis=(1, 2))
+                    - 2 * (crossed * kind.mixed).sum(axis=(1, 2))))
             rest -= w * spread
             value += w * squares + 2 * kind.count * np.log(scales[kind.scale])
             gradient[kind.scale] += 2 * (kind.count - w * (squares + spread))
@@ -211,7 +211,7 @@ class Evidence:
     def _squares(self, kind: Moments, step: np.ndarray, effects: np.ndarray) -> float:
         """Σ (r + J x + Z z)²."""
         of_effects = self.share @ (effects * ((kind.effects @ effects[..., None])[..., 0] + 2 * kind.effects_slope)).sum(axis=1)
-        by_step = self.share @ (kind.shared_slope + (kind.mixed @ effects[..., None])[..., 0])
+        by_step = self.share @ (kind.shared_slope + (effects[:, None] @ kind.mixed)[:, 0])
         return float(kind.squares + step @ kind.shared @ step + 2 * step @ by_step + of_effects)
 
     def _prior_gradient(self, gradient: dict[str, float], scales: Scales, second: np.ndarray) -> None:
@@ -265,7 +265,7 @@ def effect_scales(unknowns: Unknowns) -> tuple[str, ...]:
 
 
 def _effects(unknowns: Unknowns, moments: Sequence[Moments], scales: Scales):
-    """1/σ² of each kind, the diagonal of S (Q,), and of each observation JᵀWZ (D, P, Q), M_d⁻¹ (D, Q, Q) and ZᵀWr (D, Q)."""
+    """1/σ² of each kind, the diagonal of S (Q,), and of each observation ZᵀWJ (D, Q, P), M_d⁻¹ (D, Q, Q) and ZᵀWr (D, Q)."""
     weights = [1 / scales[kind.scale] ** 2 for kind in moments]
     variance = np.array([scales[name] for name in effect_scales(unknowns)]) ** 2
     pairs = list(zip(weights, moments, strict=True))
@@ -294,8 +294,9 @@ def integrated(unknowns: Unknowns, linear: tuple[Residuals, ...], scales: Scales
     on the residuals."""
     weights, variance, mixed, inner, slope_z = _effects(unknowns, [Moments.of(kind) for kind in linear], scales)
     pairs, slope_z = list(zip(weights, linear, strict=True)), slope_z[..., None]
-    own = sum(w * np.swapaxes(k.shared, 1, 2) @ k.shared for w, k in pairs) - mixed @ inner @ np.swapaxes(mixed, 1, 2)
-    slope = (sum(w * np.swapaxes(k.shared, 1, 2) @ k.values[..., None] for w, k in pairs) - mixed @ inner @ slope_z)[..., 0]
+    passed = np.swapaxes(mixed, 1, 2) @ inner
+    own = sum(w * np.swapaxes(k.shared, 1, 2) @ k.shared for w, k in pairs) - passed @ mixed
+    slope = (sum(w * np.swapaxes(k.shared, 1, 2) @ k.values[..., None] for w, k in pairs) - passed @ slope_z)[..., 0]
     squares = sum(w * (k.values**2).sum(axis=1) for w, k in pairs) - (slope_z * (inner @ slope_z)).sum(axis=(1, 2))
     noise = sum(k.count * np.log(2 * np.pi * scales[k.scale] ** 2) for k in linear)
     return own, slope, squares, noise - np.linalg.slogdet(inner)[1] + np.log(variance).sum()

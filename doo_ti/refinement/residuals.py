@@ -59,7 +59,7 @@ class Moments:
 
     squares  Σ r²
     shared   (P, P) Σ JᵀJ, and (D, P) Jᵀr
-    mixed    (D, P, Q) JᵀZ
+    mixed    (D, Q, P) ZᵀJ
     effects  (D, Q, Q) ZᵀZ, and (D, Q) Zᵀr
     count    number of independent residuals
     """
@@ -83,7 +83,7 @@ class Moments:
         values = residuals.values[..., None]
         return cls(
             residuals.scale, float(share @ (residuals.values**2).sum(axis=1)), shared.T @ shared, (transposed @ values)[..., 0],
-            transposed @ residuals.effects, effects @ residuals.effects,
+            effects @ residuals.shared, effects @ residuals.effects,
             (effects @ values)[..., 0], float(share @ residuals.count))
 
 
@@ -219,11 +219,11 @@ class Comparison:
                 ("marks", "frames"), self.values(solution, values), kinds, weights, counts, strict=False):
             z = self._with_gap(z, name)
             keep = np.where(used[:, None], weight, 0.0)[..., None]
-            z = np.where(keep > 0, keep * z, 0.0)
+            z = keep * z
             r = np.where(used[:, None], now, 0.0)
             if self.unknowns.clamps:
                 r = r - (z[..., :POSE] @ values.scatter[..., None])[..., 0]
-            found.append(Residuals(name, r, np.where(keep > 0, keep * j, 0.0), z, np.where(used, count, 0.0)))
+            found.append(Residuals(name, r, keep * j, z, np.where(used, count, 0.0)))
         return tuple(found), used
 
     def gap_weight(self, scales: Scales) -> np.ndarray:
