@@ -99,7 +99,8 @@ class Evidence:
         rows = (-1, len(self.offset))  # one product of all observations, not one for each
         counted = (share[:, None, None] * passed).reshape(rows)
         precision, log_prior = self.unknowns.precision(scales)
-        hessian = precision + sum(w * kind.shared for w, kind in zip(weights, self.moments, strict=True)) - counted.T @ mixed.reshape(rows)
+        hessian = precision + sum(w * kind.shared for w, kind in zip(weights, self.moments, strict=True)) - (
+            counted.T @ mixed.reshape(rows))
         if self.unknowns.rod.copies > 1 and not known:
             hessian = _less(hessian, self._not_known(slope))
         slope = share @ slope + precision @ self.offset

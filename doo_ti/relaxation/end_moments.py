@@ -15,23 +15,19 @@ FIRST, LAST = 0, 1
 
 @ti.data_oriented
 class EndMoments(ParameterGradient):
-    """The chain with the moments at its ends; ``end`` is FIRST or LAST, known when the kernel is compiled."""
+    """The chain with the moments at its ends; ``end`` is FIRST or LAST."""
 
     @ti.func
-    def end_places(self, rod, end: ti.template()):
+    def end_places(self, rod, end):
         """The number of the end's edge, that of its pair's joint, and the length after the end's edge."""
-        e, joint = 0, 0
-        remaining = rod.total - self.edge(rod.head, 0).length
-        if ti.static(end == LAST):
-            e, joint = rod.edges - 1, rod.edges - 2
-            remaining = 0.0 * rod.total
-        return e, joint, remaining
+        remaining = ti.select(end == LAST, 0.0 * rod.total, rod.total - self.edge(rod.head, 0).length)
+        return end * (rod.edges - 1), end * (rod.edges - 2), remaining
 
     @ti.func
-    def own_part(self, end: ti.template(), left, right):
+    def own_part(self, end, left, right):
         """Of what a pair does to its two edges, the part of the end's own edge."""
         part = variable(left)
-        if ti.static(end == LAST):
+        if end == LAST:
             part = right
         return part
 
@@ -41,24 +37,22 @@ class EndMoments(ParameterGradient):
         return plus(plus(scaled(edge.t, v[0]), scaled(edge.m1, v[1])), scaled(edge.m2, v[2]))
 
     @ti.func
-    def body_moment(self, rod, end: ti.template(), multiplier):
-        """g + Aλ of the end's edge, in its own axes."""
-        e, joint, remaining = self.end_places(rod, end)
-        bent, s = self.kept_pair(rod, joint)
-        left, right = self.gradient_of(bent, s)
-        own = self.own_part(end, left, right)
-        edge = self.seen(rod, self.edge(rod.head, e), remaining)
+    def body_moment(self, rod, edge, own, multiplier):
+        """g + Aλ of the end's ``edge`` in its own axes, ``own`` what its pair adds to g."""
         l1, l2 = linear_gradient(self.pull_on(rod, edge, multiplier), edge.length, edge.m1, edge.m2)
         return plus(own, (0.0 * l1, l1, l2))
 
     @ti.func
-    def end_moment(self, rod, end: ti.template(), multiplier):
+    def end_moment(self, rod, end, multiplier):
         """The moment at an end, in the world."""
         e, joint, remaining = self.end_places(rod, end)
-        return self.in_world(self.seen(rod, self.edge(rod.head, e), remaining), self.body_moment(rod, end, multiplier))
+        bent, s = self.kept_pair(rod, joint)
+        left, right = self.gradient_of(bent, s)
+        edge = self.seen(rod, self.edge(rod.head, e), remaining)
+        return self.in_world(edge, self.body_moment(rod, edge, self.own_part(end, left, right), multiplier))
 
     @ti.func
-    def moment_change(self, rod, end: ti.template(), column, change):
+    def moment_change(self, rod, end, column, change):
         """The derivative of an end's moment, in the world, by a column whose rotations lie in the place of the step and by
         which λ, with the forces of obstacles beyond the edge, changes by ``change``.
 
@@ -81,6 +75,6 @@ class EndMoments(ParameterGradient):
         l1, l2 = self.linear_change(rod, edge, column)
         c1, c2 = linear_gradient(change, edge.length, edge.m1, edge.m2)
         found = plus(found, (0.0 * l1, l1 + c1 + straighten * w[1], l2 + c2 + straighten * w[2]))
-        g = self.body_moment(rod, end, column.multiplier)
+        g = self.body_moment(rod, edge, self.own_part(end, left, right), column.multiplier)
         turned = (g[2] * w[1] - g[1] * w[2], 0.5 * g[0] * w[2], 0.0 - 0.5 * g[0] * w[1])
         return self.in_world(edge, plus(found, turned))

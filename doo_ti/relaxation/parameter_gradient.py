@@ -9,6 +9,7 @@ import taichi as ti
 
 from doo_ti.physics import pair
 from doo_ti.physics.closure import linear_gradient, shift_of_end
+from doo_ti.physics.pair import moment, strain
 from doo_ti.physics.quaternion import first_director, second_director, tangent
 from doo_ti.physics.tuples import applied, dot, minus, plus, record, repeated, scaled, transposed, variable
 from doo_ti.physics.view import Layout, read
@@ -97,34 +98,22 @@ class ParameterGradient(chain.Chain):
         return (holds[0] * dot(w, tangent(q)), holds[1] * dot(w, first_director(q)), holds[1] * dot(w, second_director(q)))
 
     @ti.func
-    def bent_to_rest(self, bent, s, rest):
-        """Gradient of a pair's bend energy at the strain ``rest`` = ω̄ l̄/2."""
-        return self.gradient_of(bent, (s[0], s[1], s[2], 0.0 * s[2], rest))
-
-    @ti.func
     def pair_change(self, rod, joint, column):
         """∂g/∂θ of the pair at ``joint``, where the edge of that number ends: (left, right)."""
         bent, s = self.kept_pair(rod, joint)
+        x, y, inverse, m, turn = bent
         none = 0.0 * s[2]
-        left, right = variable(repeated(none, 3)), variable(repeated(none, 3))
-        if column.bends:
-            # With the lengths B/l̄ and β/l̄ decrease; the rest strain ω̄ l̄/2 does not depend on them here.
-            twist = column.twist * s[2] - column.stretch * s[3]
-            left, right = self.gradient_of(bent, (column.bend, column.bend, s[2], twist, s[4]))
-            if column.stretch != 0.0:
-                stiff_left, stiff_right = self.bent_to_rest(bent, s, (none, none))
-                left = minus(left, scaled(stiff_left, column.stretch))
-                right = minus(right, scaled(stiff_right, column.stretch))
+        added = variable((none, none))  # to u̅ = ω̄ l̄/2
         if column.mode != NO_MODE:
-            w0, w1 = column.modes[column.mode, joint, 0], column.modes[column.mode, joint, 1]
-            if w0 != 0.0 or w1 != 0.0:
-                # g is linear in u = ω − ω̄ l̄/2: what ω̄ adds is the difference it makes.
-                half = 0.5 / s[2]
-                with_left, with_right = self.bent_to_rest(bent, s, (half * w0, half * w1))
-                old_left, old_right = self.bent_to_rest(bent, s, (none, none))
-                left = minus(plus(left, with_left), old_left)
-                right = minus(plus(right, with_right), old_right)
-        return left, right
+            half = 0.5 / s[2]
+            added = (half * column.modes[column.mode, joint, 0], half * column.modes[column.mode, joint, 1])
+        # μ = 2i B (ω − u̅)/l̄. Where the lengths grow, u̅ grows with them: d((ω − u̅)/l̄) = −ω/l̄.
+        of_x = minus(scaled(strain(x, (none, none)), 0.0 - column.stretch), added)
+        of_y = minus(scaled(strain(y, (none, none)), 0.0 - column.stretch), added)
+        mu = plus(moment(column.bend, strain(x, s[4]), s[2]), moment(s[0], of_x, s[2]))
+        nu = plus(moment(column.bend, strain(y, s[4]), s[2]), moment(s[1], of_y, s[2]))
+        twist = 2.0 * m * (column.twist * s[2] - column.stretch * s[3])
+        return pair.gradient_of_moments(mu, nu, twist, x, y, inverse, turn)
 
     @ti.func
     def seen(self, rod, edge, remaining):

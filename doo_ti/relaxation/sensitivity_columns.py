@@ -10,7 +10,7 @@ from doo_ti.physics.quaternion import first_director, second_director, tangent
 from doo_ti.physics.tuples import minus, plus, products, record, repeated, scaled, variable
 from doo_ti.physics.view import read, write
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.end_moments import FIRST, LAST, EndMoments
+from doo_ti.relaxation.end_moments import EndMoments
 from doo_ti.relaxation.newton_policy import INERTIA_OF_A_MINIMUM, LARGE_TRACE, TRACE
 from doo_ti.relaxation.parameter_gradient import NO_MODE
 
@@ -55,8 +55,8 @@ class SensitivityColumns(EndMoments):
             tables.sound[row] = 1
         else:
             tables.sound[row] = self.is_minimum(rod, multiplier)
-        write(tables.moments, row, 0, values=scaled(self.end_moment(rod, FIRST, multiplier), unit))
-        write(tables.moments, row, 3, values=scaled(self.end_moment(rod, LAST, multiplier), unit))
+        for end in range(2):
+            write(tables.moments, row, 3 * end, values=scaled(self.end_moment(rod, end, multiplier), unit))
         schur = self.schur_complement(rod)
         for p in range(tables.columns):
             column = self.column(tables, rod, index, p, multiplier)
@@ -191,12 +191,14 @@ class SensitivityColumns(EndMoments):
         end = minus(scaled(column.whole, rod.released), change)
         start = scaled(minus(plus(column.whole, pushed.all), end), 1.0 - rod.loose)
         self.put_load(tables, row, p, START_FORCE, start, unit)
-        self.put_load(tables, row, p, START_MOMENT, self.moment_change(rod, FIRST, column, plus(change, pushed.first)), unit)
         self.put_load(tables, row, p, END_FORCE, end, unit)
-        self.put_load(tables, row, p, END_MOMENT, self.moment_change(rod, LAST, column, plus(change, pushed.last)), unit)
+        for at in range(2):
+            change_there = plus(change, self.own_part(at, pushed.first, pushed.last))
+            moment = self.moment_change(rod, at, column, change_there)
+            self.put_load(tables, row, p, START_MOMENT + at * (END_MOMENT - START_MOMENT), moment, unit)
 
     @ti.func
-    def put_load(self, tables, row, p, place: ti.template(), v, unit):
+    def put_load(self, tables, row, p, place, v, unit):
         """A force or a moment, in the rod's unit of energy, into column ``p`` of the loads."""
         for k in ti.static(range(3)):
             tables.loads[row, place + k, p] = v[k] * unit
