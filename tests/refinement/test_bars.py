@@ -15,13 +15,14 @@ from tests.relaxation.lab import SUTURES, lab
 CABLE = Theta(3.2e6 * np.eye(2), 3.2e6)
 
 
-def fitted(observations, folder) -> dict[str, dict]:
-    """The parameters that ``doo-ti sweep`` and ``doo-ti refine RUN --json`` print as commands, by name."""
+def fitted(observations, folder, *known) -> dict[str, dict]:
+    """The parameters that ``doo-ti sweep`` and ``doo-ti refine RUN --json`` print as commands, by name; ``known``: options of
+    the latter."""
     def command(*words):
         return subprocess.run([sys.executable, "-m", "doo_ti", *words], check=True, capture_output=True, text=True).stdout
 
     command("sweep", str(observations), "--bend", "5e4:1e7:25", "--twist-ratio", "0.1:6:25", "--out", str(folder), "--json")
-    return {one["name"]: one for one in json.loads(command("refine", str(folder), "--json"))[0]["parameters"]}
+    return {one["name"]: one for one in json.loads(command("refine", str(folder), *known, "--json"))[0]["parameters"]}
 
 
 def holds(parameter: dict, truth: float) -> bool:
@@ -53,7 +54,10 @@ def test_specimens_of_an_independent_mesh_solver(shared_data, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SUTURES)
 def test_the_lab_s_sutures_are_in_their_intervals(shared_data, tmp_path, name):
-    found, rods = fitted(shared_data / f"lab_a/{name}.npz", tmp_path / "run"), lab(shared_data, name)
+    """The lab's frames are exact. Where that is not said, the intervals are three times as wide, and a twist stiffness of the
+    six parameters is 0.3 % outside."""
+    rods = lab(shared_data, name)
+    found = fitted(shared_data / f"lab_a/{name}.npz", tmp_path / "run", "--frames", "exact")
     assert holds(found["bend"], rods.bend[0, 0]) and holds(found["twist"], rods.twist)
 
 
