@@ -17,8 +17,8 @@ Rods whose clamps act half an edge further in, as those of a mesh do, differ fro
 stiffness. Models therefore bend from the clamped vertices on (:func:`doo_ti.rod.straight.with_end_edges`), and how much is
 learned: a compliance of −1 of the joints there is a clamp that holds the whole edge, one of 0 a clamp that acts at the vertex.
 
-Axes: B rods, P unknowns that are learned, N coordinates of vertices, E edges, C columns of derivatives that a rod has: by bend
-and twist stiffness, by the twelve numbers of its grippers, and by the modes.
+Axes: B rods, P unknowns that are learned, V vertices, E edges, C columns of derivatives that a rod has: by bend and twist
+stiffness, by the twelve numbers of its grippers, and by the modes.
 """
 
 from dataclasses import dataclass
@@ -27,6 +27,7 @@ import numpy as np
 
 from doo_ti.manipulation.targets import ServoOptions
 from doo_ti.rod.types import Configuration, Material
+from doo_ti.system.in_parts import in_parts
 
 BEND, RATIO, CLIP, JOINTS, CURVATURE = 0, 1, 2, 14, 15
 CURVES = 3
@@ -163,22 +164,20 @@ class Belief:
             whole[:, CLIP + 16 :, CURVATURE:] = np.eye(2 * CURVES)
         return whole[..., self.learned] * self._spread[self.learned]
 
-    def learn(self, residual: np.ndarray, columns: np.ndarray, transform: np.ndarray, count: np.ndarray) -> np.ndarray:
-        """Take in a moment: residuals (B, N) and columns (B, N, C) of the coordinates of marks, zero where not seen, of which
-        each rod has ``count`` (B,). Returns (B, C) the change, which the columns times that give of the vertices."""
+    def learn(self, residual: np.ndarray, visible: np.ndarray, columns: np.ndarray, transform: np.ndarray) -> np.ndarray:
+        """Take in a moment: residuals (B, V, 3) and columns (B, V, 3, C) of the marks, of which some are ``visible`` (B, V).
+        Returns (B, C) the change, which the columns times that give of the vertices."""
         keep, noise = 1.0 - 1.0 / self._options.memory, self._options.noise_mm**2
+        count = 3 * visible.sum(axis=1)
         number = np.maximum(count, 1)
-        turned, across = np.swapaxes(transform, 1, 2), np.swapaxes(columns, 1, 2)
-        normal = turned @ (across @ columns) @ transform
-        right = (turned @ (across @ residual[..., None]))[..., 0]
-        square = np.sum(residual**2, axis=1)
+        normal, right, square = _moments(residual, visible, columns, transform)
         missing = np.maximum(self._variance - noise, 0.0) * PERSISTENT * number / 3
         variance = noise + missing + LINEAR**2 * square / number
         before = self.unknowns[:, self.learned] / self._spread[self.learned]
         self.expected = np.sqrt(self._variance + np.sum(normal * self._covariance, axis=(1, 2)) / number)
         self._information = keep * self._information + normal / variance[:, None, None]
         self._vector = keep * self._vector + (right + (normal @ before[..., None])[..., 0]) / variance[:, None]
-        self._covariance = np.linalg.inv(np.eye(len(self.learned)) + self._information)
+        self._covariance = in_parts(np.linalg.inv, np.eye(len(self.learned)) + self._information)
         after = np.clip((self._covariance @ self._vector[..., None])[..., 0], self._least, self._most)
         step = after - before
         left = square - 2 * np.sum(step * right, axis=1) + np.sum(step * (normal @ step[..., None])[..., 0], axis=1)
@@ -208,6 +207,27 @@ class Belief:
         intervals = [one[:, None] * np.exp(QUANTILE * deviation[:, None] * [-1.0, 1.0])
                      for one, deviation in zip(value, spread, strict=True)]
         return LearnedMaterial(self.material, *value, *intervals, np.sqrt(self._variance))
+
+
+def _moments(residual: np.ndarray, visible: np.ndarray, columns: np.ndarray, transform: np.ndarray
+             ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """JᵀJ (B, P, P), Jᵀr (B, P) and |r|² (B,) of the visible marks, J = columns · transform."""
+    rods, unknowns = len(visible), transform.shape[2]
+    normal, right, square = np.zeros((rods, unknowns, unknowns)), np.zeros((rods, unknowns)), np.zeros(rods)
+    count = visible.sum(axis=1)
+    for number in np.unique(count[count > 0]):  # together, so that rounding does not depend on what other rods are there
+        some = np.flatnonzero(count == number)
+        seen = some[:, None], np.nonzero(visible[some])[1].reshape(-1, number)
+        own, apart = (array[seen].reshape(len(some), 3 * number, -1) for array in (columns, residual))
+        normal[some], right[some], square[some] = in_parts(_products, own, apart, transform[some])
+    return normal, right, square
+
+
+def _products(columns: np.ndarray, residual: np.ndarray, transform: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """JᵀJ, Jᵀr and |r|² of (n, N, C) columns and (n, N, 1) residuals, J = columns · transform."""
+    jacobian = columns @ transform
+    across = np.swapaxes(jacobian, 1, 2)
+    return across @ jacobian, (across @ residual)[..., 0], np.sum(residual**2, axis=(1, 2))
 
 
 def elastic_curvature(rods: Configuration, material: Material) -> np.ndarray:

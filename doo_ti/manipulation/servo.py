@@ -52,6 +52,7 @@ from doo_ti.rod.straight import with_end_edges
 from doo_ti.rod.types import Clamps, Configuration, Material, Solution, unit_up
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
+from doo_ti.system.in_parts import in_parts
 from doo_ti.system.short_repr import counted
 
 PARAMETERS = ("bend", "twist", *GRIPPERS)
@@ -167,7 +168,8 @@ class Servo:
         model = np.where(usable[:, None, None], model, self._last.vertices)
         change = self._learn(seen - model, derivatives, visible & usable[:, None])
         columns = derivatives.reshape(len(usable), -1, derivatives.shape[-1])
-        expected = model + (columns @ change[..., None]).reshape(model.shape)
+        expected = model + in_parts(np.matmul, columns, change[..., None]).reshape(model.shape)
+        self._keep_apart(seen - expected, visible & usable[:, None])
         by_moves = columns[..., OF_GRIPPERS] * (self._options.moves / self._options.scale)
         self._move(expected, by_moves, self._steps(expected, by_moves), usable)
         self._placed = self.clamps
@@ -198,25 +200,22 @@ class Servo:
 
     def _learn(self, residual: np.ndarray, columns: np.ndarray, visible: np.ndarray) -> np.ndarray:
         """(B, C) the change of what the columns (B, V, 3, C) are derivatives by, learned from the ``residual`` (B, V, 3) of the
-        ``visible`` marks from the model. The offset takes what it leaves."""
-        count = len(visible)
-        own = np.where(visible[..., None, None], columns, 0.0).reshape(count, -1, columns.shape[-1])
-        apart = np.where(visible[..., None], residual, 0.0)
+        ``visible`` marks from the model."""
         frames = (self.clamps.start_frame,) * 2 + (self.clamps.end_frame,) * 2
         transform = self._belief.transform(np.stack(frames), elastic_curvature(self._last, self._belief.material))
-        change = self._belief.learn(apart.reshape(count, -1), own, transform, 3 * visible.sum(axis=1))
-        left = apart - (own @ change[..., None]).reshape(apart.shape)
+        return self._belief.learn(residual, visible, columns, transform)
+
+    def _keep_apart(self, left: np.ndarray, visible: np.ndarray) -> None:
+        """Take what is ``left`` (B, V, 3) of the ``visible`` marks' distance from the model into the offset."""
         some = visible.any(axis=1)[:, None, None]
         self._offset = np.where(some, (1 - GAIN) * self._offset + GAIN * between_marks(left, visible), self._offset)
-        return change
 
     def _steps(self, expected: np.ndarray, columns: np.ndarray) -> DampedSteps:
         """The steps from shapes (B, V, 3) to their targets; derivatives (B, 3V, 12) by the grippers' coordinates in mm."""
         count = len(columns)
         weight = np.repeat(self._targets.shares, 3, axis=1)
-        across = np.swapaxes(columns, 1, 2) * weight[:, None]
         error = (self._targets.places - expected - self._offset).reshape(count, -1, 1)
-        return DampedSteps(across @ columns, (across @ error)[..., 0])
+        return DampedSteps(*in_parts(_weighted, columns, weight, error))
 
     def _move(self, expected: np.ndarray, columns: np.ndarray, steps: DampedSteps, usable: np.ndarray) -> None:
         """Move the grippers, and the models with them: as far as these follow."""
@@ -332,6 +331,12 @@ def _check(rod: Configuration, material: Material, clamps: Clamps, targets: Targ
 def _padded(vertices: np.ndarray) -> np.ndarray:
     """Places of vertices (B, V, 3), and none of the ends of two more edges."""
     return np.pad(vertices, ((0, 0), (1, 1), (0, 0)), constant_values=np.nan)
+
+
+def _weighted(columns: np.ndarray, weight: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """JᵀWJ and JᵀWe."""
+    across = np.swapaxes(columns, 1, 2) * weight[:, None]
+    return across @ columns, (across @ error)[..., 0]
 
 
 def _shortened(vectors: np.ndarray, length: np.ndarray) -> np.ndarray:

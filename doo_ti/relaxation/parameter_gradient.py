@@ -11,7 +11,7 @@ from doo_ti.physics import pair
 from doo_ti.physics.closure import linear_gradient, shift_of_end
 from doo_ti.physics.pair import moment, strain
 from doo_ti.physics.quaternion import first_director, second_director, tangent
-from doo_ti.physics.tuples import applied, dot, minus, plus, record, repeated, scaled, transposed, variable
+from doo_ti.physics.tuples import applied, dot, minus, plus, record, scaled, transposed, variable
 from doo_ti.physics.view import Layout, read
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
