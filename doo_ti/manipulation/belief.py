@@ -27,7 +27,6 @@ import numpy as np
 
 from doo_ti.manipulation.targets import ServoOptions
 from doo_ti.rod.types import Configuration, Material
-from doo_ti.system.in_parts import in_parts
 
 BEND, RATIO, CLIP, JOINTS, CURVATURE = 0, 1, 2, 14, 15
 CURVES = 3
@@ -177,7 +176,7 @@ class Belief:
         self.expected = np.sqrt(self._variance + np.sum(normal * self._covariance, axis=(1, 2)) / number)
         self._information = keep * self._information + normal / variance[:, None, None]
         self._vector = keep * self._vector + (right + (normal @ before[..., None])[..., 0]) / variance[:, None]
-        self._covariance = in_parts(np.linalg.inv, np.eye(len(self.learned)) + self._information)
+        self._covariance = np.linalg.inv(np.eye(len(self.learned)) + self._information)
         after = np.clip((self._covariance @ self._vector[..., None])[..., 0], self._least, self._most)
         step = after - before
         left = square - 2 * np.sum(step * right, axis=1) + np.sum(step * (normal @ step[..., None])[..., 0], axis=1)
@@ -219,15 +218,10 @@ def _moments(residual: np.ndarray, visible: np.ndarray, columns: np.ndarray, tra
         some = np.flatnonzero(count == number)
         seen = some[:, None], np.nonzero(visible[some])[1].reshape(-1, number)
         own, apart = (array[seen].reshape(len(some), 3 * number, -1) for array in (columns, residual))
-        normal[some], right[some], square[some] = in_parts(_products, own, apart, transform[some])
+        jacobian = own @ transform[some]
+        across = np.swapaxes(jacobian, 1, 2)
+        normal[some], right[some], square[some] = across @ jacobian, (across @ apart)[..., 0], np.sum(apart**2, axis=(1, 2))
     return normal, right, square
-
-
-def _products(columns: np.ndarray, residual: np.ndarray, transform: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """JᵀJ, Jᵀr and |r|² of (n, N, C) columns and (n, N, 1) residuals, J = columns · transform."""
-    jacobian = columns @ transform
-    across = np.swapaxes(jacobian, 1, 2)
-    return across @ jacobian, (across @ residual)[..., 0], np.sum(residual**2, axis=(1, 2))
 
 
 def elastic_curvature(rods: Configuration, material: Material) -> np.ndarray:

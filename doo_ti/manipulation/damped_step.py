@@ -2,8 +2,6 @@
 
 import numpy as np
 
-from doo_ti.system.in_parts import in_parts
-
 LEAST_DAMPING = 1e-4
 """mm² by which the square of the rod's displacement must grow with a gripper's move of 1 mm: moves that change less are damped.
 Ten times as much leaves small rotations undone, a tenth follows the noise of the marks."""
@@ -23,7 +21,7 @@ class DampedSteps:
 
     def __init__(self, normal: np.ndarray, gradient: np.ndarray):
         self._normal, self._gradient = normal, gradient
-        values, self._vectors = in_parts(np.linalg.eigh, normal)
+        values, self._vectors = np.linalg.eigh(normal)
         self._values = np.maximum(values, 0.0)
         # Products of single matrices, so that the rounding of a rod does not depend on how many others there are.
         self._along = (np.swapaxes(self._vectors, 1, 2) @ gradient[..., None])[..., 0]

@@ -52,7 +52,6 @@ from doo_ti.rod.straight import with_end_edges
 from doo_ti.rod.types import Clamps, Configuration, Material, Solution, unit_up
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
-from doo_ti.system.in_parts import in_parts
 from doo_ti.system.short_repr import counted
 
 PARAMETERS = ("bend", "twist", *GRIPPERS)
@@ -168,7 +167,7 @@ class Servo:
         model = np.where(usable[:, None, None], model, self._last.vertices)
         change = self._learn(seen - model, derivatives, visible & usable[:, None])
         columns = derivatives.reshape(len(usable), -1, derivatives.shape[-1])
-        expected = model + in_parts(np.matmul, columns, change[..., None]).reshape(model.shape)
+        expected = model + (columns @ change[..., None]).reshape(model.shape)
         self._keep_apart(seen - expected, visible & usable[:, None])
         by_moves = columns[..., OF_GRIPPERS] * (self._options.moves / self._options.scale)
         self._move(expected, by_moves, self._steps(expected, by_moves), usable)
@@ -215,7 +214,8 @@ class Servo:
         count = len(columns)
         weight = np.repeat(self._targets.shares, 3, axis=1)
         error = (self._targets.places - expected - self._offset).reshape(count, -1, 1)
-        return DampedSteps(*in_parts(_weighted, columns, weight, error))
+        across = np.swapaxes(columns, 1, 2) * weight[:, None]
+        return DampedSteps(across @ columns, (across @ error)[..., 0])
 
     def _move(self, expected: np.ndarray, columns: np.ndarray, steps: DampedSteps, usable: np.ndarray) -> None:
         """Move the grippers, and the models with them: as far as these follow."""
@@ -331,12 +331,6 @@ def _check(rod: Configuration, material: Material, clamps: Clamps, targets: Targ
 def _padded(vertices: np.ndarray) -> np.ndarray:
     """Places of vertices (B, V, 3), and none of the ends of two more edges."""
     return np.pad(vertices, ((0, 0), (1, 1), (0, 0)), constant_values=np.nan)
-
-
-def _weighted(columns: np.ndarray, weight: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """JᵀWJ and JᵀWe."""
-    across = np.swapaxes(columns, 1, 2) * weight[:, None]
-    return across @ columns, (across @ error)[..., 0]
 
 
 def _shortened(vectors: np.ndarray, length: np.ndarray) -> np.ndarray:
