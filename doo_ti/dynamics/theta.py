@@ -7,6 +7,7 @@ from typing import Annotated
 
 import numpy as np
 from numpy.polynomial import legendre
+from scipy.special import stdtrit
 
 from doo_ti.dynamics.parameters import Dynamics
 from doo_ti.rod.types import LARGEST, Material, unit_up
@@ -180,9 +181,7 @@ class Unknowns:
     def intervals(self, p: np.ndarray, covariance: np.ndarray, freedom: int) -> list[dict]:
         """Name, value, 95 % interval (``low`` None where it ends at a bound) and unit of every parameter; ``freedom``: one less
         than the recordings that ``covariance`` is from."""
-        from scipy.stats import t
-
-        deviation = t.ppf(0.975, max(freedom, 1)) * np.sqrt(np.diag(covariance))
+        deviation = stdtrit(max(freedom, 1), 0.975) * np.sqrt(np.diag(covariance))
         rows = []
         for k, name in enumerate(self.names):
             size = self.SIZES.get(name, self.CURVATURE)

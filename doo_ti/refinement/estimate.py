@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import f as f_distribution
+from scipy.special import fdtri  # scipy.stats takes as long to import as the whole package
 
 from doo_ti.refinement.fit import OF_INTERVALS, Fit, Fitted, State
 from doo_ti.refinement.priors import Scales
@@ -113,7 +113,7 @@ class Estimate:
             index.append(self.names.index(name))
         values, vectors = np.linalg.eigh(self.covariance[np.ix_(index, index)])
         spread = np.sqrt(np.maximum(values, 0.0))
-        size = np.sqrt(2 * f_distribution.ppf(PROBABILITY, 2, self.degrees))
+        size = np.sqrt(2 * fdtri(2, self.degrees, PROBABILITY))
         angle = np.linspace(0.0, 2 * np.pi, points)
         along = np.stack([np.cos(angle), np.sin(angle)]) * size * spread[:, None]
         sign = 1.0 if vectors[0, 1] >= 0 else -1.0
@@ -125,7 +125,7 @@ class Estimate:
 
     def _stretch(self, parameter: Parameter) -> tuple[float, float]:
         """Length of each half of the parameter's interval over that by the covariance."""
-        reach = np.sqrt(f_distribution.ppf(PROBABILITY, 1, self.degrees)) * parameter.error
+        reach = np.sqrt(fdtri(1, self.degrees, PROBABILITY)) * parameter.error
 
         def half(end, sign):
             if end is None:
@@ -146,7 +146,7 @@ def within_reach(optima: list[Optimum], margin: float = 0.0) -> list[Optimum]:
     ``margin`` further behind."""
     first = optima[0]
     behind = np.array([0.0, *(one.behind(first) for one in optima[1:])])
-    reach = behind.min() + f_distribution.ppf(PROBABILITY, 1, degrees_of(first)) + margin
+    reach = behind.min() + fdtri(1, degrees_of(first), PROBABILITY) + margin
     return [optima[k] for k in np.argsort(behind, kind="stable") if behind[k] <= reach]
 
 
@@ -177,7 +177,7 @@ def estimated(best: Optimum, rivals: Sequence[Optimum] = (), profiled: bool = Tr
 def _intervals(one: Optimum, degrees: float, behind: float, profiled: bool) -> dict[str, "Interval"]:
     """The intervals around an optimum whose F is ``behind`` above the least."""
     unknowns, found = one.fit.unknowns, {}
-    wanted = float(np.sqrt(max(f_distribution.ppf(PROBABILITY, 1, degrees) - behind, 0.0)))
+    wanted = float(np.sqrt(max(fdtri(1, degrees, PROBABILITY) - behind, 0.0)))
     for name, direction in _directions(unknowns.names, unknowns.theta_count).items():
         assumed = name.startswith("twist") and unknowns.rod.twist_unknown  # to be that of a common rod
         by_profile = profiled and wanted > 0 and not assumed and not name.startswith(("up", "clip"))

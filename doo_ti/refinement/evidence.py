@@ -96,18 +96,17 @@ class Evidence:
         passed, share = inner @ mixed, self.share
         slope = sum(w * kind.shared_slope for w, kind in zip(weights, self.moments, strict=True)) - (
             slope_z[:, None] @ passed)[:, 0]
-        rows = (-1, len(self.offset))  # one product of all observations, not one for each
-        counted = (share[:, None, None] * passed).reshape(rows)
+        counted = (share[:, None, None] * passed).reshape(-1, len(self.offset))
         precision, log_prior = self.unknowns.precision(scales)
         hessian = precision + sum(w * kind.shared for w, kind in zip(weights, self.moments, strict=True)) - (
-            counted.T @ mixed.reshape(rows))
+            counted.T @ mixed.reshape(counted.shape))
         if self.unknowns.rod.copies > 1 and not known:
             hessian = _less(hessian, self._not_known(slope))
         slope = share @ slope + precision @ self.offset
         step, covariance_x, log_hessian = self._solved(hessian, slope, precision)
         effects = -(inner @ (slope_z + mixed @ step)[..., None])[..., 0]
         # The gradient of F is the expectation of that of the complete data's −2 ln likelihood (Fisher's identity).
-        crossed = (passed.reshape(rows) @ covariance_x).reshape(passed.shape)
+        crossed = passed @ covariance_x
         spread_z = np.einsum("dqq->dq", inner) + (crossed * passed).sum(axis=-1)
         gradient = dict.fromkeys(NAMES, 0.0)
         value = self.constant + log_hessian - log_prior - float(share @ np.linalg.slogdet(inner)[1])

@@ -31,6 +31,8 @@ TRIED_FIRST = 4
 """Steps from each of several starts; only the best of them are continued."""
 NEAR = 30.0
 """Of these, −2 ln of the evidence above the best up to which others are continued too."""
+HOPELESS = 100.0
+"""Rods that roll freely are not tried from other starts where the first ends so far behind rods that are held."""
 SAME = 0.3
 """Standard errors: fits whose Θ differ by less are one optimum."""
 COMPARED = 5
@@ -139,7 +141,10 @@ def _swivelling(straight: Optimum, best: Optimum, curvature: str, steps: int) ->
     """Optima of curved rods that roll freely, from the fit of straight ones that do not; none where these are far behind
     ``best``. Those that became straight say nothing that ``straight`` does not."""
     fit, states = swivelling(straight.fit, straight.fitted, curvature)
-    tried = bent(fit, [fit.run(state, TRIED_FIRST) for state in states])
+    tried = [fit.run(next(states), TRIED_FIRST)]
+    if Optimum(fit, tried[0]).behind(best) > HOPELESS:
+        return []
+    tried = bent(fit, [*tried, *(fit.run(state, TRIED_FIRST) for state in states)])
     if not tried or Optimum(fit, min(tried, key=lambda one: one.rank)).behind(best) > NEAR:
         return []
     return [one for one in _continued(fit, tried, steps) if one.fitted.converged and bent(fit, [one.fitted])]

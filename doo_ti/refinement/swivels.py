@@ -6,7 +6,7 @@ makes it look like a softer straight rod. A fit with rolls that are unknown but 
 Axes: D observations.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -15,8 +15,8 @@ from doo_ti.refinement.fit import Fit, Fitted, State
 from doo_ti.refinement.priors import NAMES, Scales
 from doo_ti.refinement.rolls import expected
 
-BEGUN = (0.3, 1.0, 2.0)
-"""The initial rest curvature times the rod's length."""
+BEGUN = (1.0, 0.3, 2.0)
+"""The initial rest curvature times the rod's length, the likeliest first."""
 SIZE, FACTOR = 1.0, 0.7
 """Prior of the size of the rest curvature, times the rod's length: median, and standard deviation of the logarithm. Far smaller
 ones are straight rods, of which there is a fit already: to that this one would shrink, past what fits as well."""
@@ -24,7 +24,7 @@ STRAIGHT = 0.1
 """That below which a rod counts as straight: it rolls freely to anywhere, and the held rod of unknown roll contains it."""
 
 
-def swivelling(fit: Fit, fitted: Fitted, curvature: str) -> tuple[Fit, list[State]]:
+def swivelling(fit: Fit, fitted: Fitted, curvature: str) -> tuple[Fit, Iterator[State]]:
     """The fit with ends that roll freely and that kind of rest curvature, and where it may begin, from a finished fit of
     straight rods whose ends are held."""
     rod = replace(fit.unknowns.rod, swivels=True)
@@ -32,11 +32,8 @@ def swivelling(fit: Fit, fitted: Fitted, curvature: str) -> tuple[Fit, list[Stat
     free, state = replace(fit, comparison=replace(fit.comparison, unknowns=unknowns)), fitted.state
     values = replace(state.values, scatter=_without_roll(fit, state))
     scales = _of_curved(expected(state.scales, unknowns), rod.length)
-    found = []
-    for size in BEGUN:
-        field = np.tile([size / rod.length, 0.0], (len(unknowns.knots), 1))
-        found.append(free.posed(free.from_marks(replace(values, curvature=field), scales)))
-    return free, found
+    fields = (np.tile([size / rod.length, 0.0], (len(unknowns.knots), 1)) for size in BEGUN)
+    return free, (free.posed(free.from_marks(replace(values, curvature=field), scales)) for field in fields)
 
 
 def _of_curved(scales: Scales, length: float) -> Scales:

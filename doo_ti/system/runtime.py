@@ -10,7 +10,7 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
-from functools import partial, wraps
+from functools import cache, partial, wraps
 from io import StringIO
 from pathlib import Path
 from threading import RLock, get_ident
@@ -262,13 +262,18 @@ def _started(architecture: str, threads: int | None, pinned: bool) -> str:
 
 
 def _spare_quotations() -> None:
-    """Have Taichi leave out the piece of source it quotes for every expression of a kernel of ours, should it be wrong.
+    """Have Taichi leave out the piece of source it quotes for every expression of a kernel of ours, should it be wrong, and
+    look the source of a function up once, not wherever it is called.
 
-    Laying them out takes half of the time until a kernel runs, in every process, and ours compile. With DOO_TI_DEBUG set an
-    error in a kernel is quoted again.
+    Both take most of the time until a kernel runs, in every process, and ours compile. With DOO_TI_DEBUG set an error in a
+    kernel is quoted again.
     """
+    from taichi.lang import kernel_impl
     from taichi.lang.ast import ast_transformer_utils
 
+    for name in ("getsourcelines", "getsourcefile"):
+        if hasattr(kernel_impl, name):
+            setattr(kernel_impl, name, cache(getattr(kernel_impl, name)))
     context = getattr(ast_transformer_utils, "ASTTransformerContext", None)
     if hasattr(context, "get_pos_info"):
         quoted = context.get_pos_info
