@@ -70,7 +70,8 @@ class Chain:
         self.rod_layout, self.edge_layout = rod, edge or edge_layout(isotropic)
         self.moves_start = False
         self.touches = False
-        self.largest = number.lanes().largest
+        self.width, lanes = number.width, number.lanes()
+        self.largest, self.lane, self.with_lane, self.constant = lanes.largest, lanes.lane, lanes.with_lane, lanes.constant
         self.twist_angle = twist_angle_function(number)
         # What makes AᵀA regular: a share of its trace, and where that is zero a number whose cube, the
         # determinant, is none that rounds to zero.

@@ -202,9 +202,9 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
         return plus(column.move, scaled(rod.head.drift_step, rod.loose))
 
     @ti.func
-    def pushed(self, tables, rod, row, p):
+    def pushed(self, tables, rod, index, p):
         """By how much the forces of obstacles change with column ``p``, with the sign of a gradient."""
-        zero = 0.0 * rod.total
+        zero, row = 0.0 * rod.total, tables.rods[index, of.RESULT_ROW]
         after = variable(self.stored_move(tables, row, rod.edges, p))
         every, first, last = variable(repeated(zero, 3)), variable(repeated(zero, 3)), variable(repeated(zero, 3))
         for back in range(rod.edges):

@@ -20,7 +20,9 @@ class EndMoments(ParameterGradient):
     @ti.func
     def end_places(self, rod, end):
         """The number of the end's edge, that of its pair's joint, and the length after the end's edge."""
-        remaining = ti.select(end == LAST, 0.0 * rod.total, rod.total - self.edge(rod.head, 0).length)
+        remaining = 0.0 * rod.total
+        if end == FIRST:
+            remaining = rod.total - self.edge(rod.head, 0).length
         return end * (rod.edges - 1), end * (rod.edges - 2), remaining
 
     @ti.func

@@ -14,7 +14,6 @@ from doo_ti.physics.quaternion import first_director, second_director, tangent
 from doo_ti.physics.tuples import applied, dot, minus, plus, record, scaled, transposed, variable
 from doo_ti.physics.view import Layout, read
 from doo_ti.relaxation import chain
-from doo_ti.relaxation import tables as of
 
 # A column changes B by BEND = (11, 22, 12), β by TWIST, ω̄ along the rod by row MODE of the table of modes (NO_MODE: not at
 # all), gravity by PULL, which is multiplied by μ where TIMES_WEIGHT is one, all lengths by the factor 1 + STRETCH, the far
@@ -32,7 +31,7 @@ KEPT = Layout(kept=8, beyond=3)
 
 @ti.data_oriented
 class ParameterGradient(chain.Chain):
-    """The chain with its derivatives by parameters, one rod at a time, in f64.
+    """The chain with its derivatives by parameters, in f64.
 
     Its functions take a record ``column`` (:meth:`column`) of what changes along one direction:
 
@@ -40,7 +39,7 @@ class ParameterGradient(chain.Chain):
     bend, twist              of B = (11, 22, 12) and of β, in the unit of the rod's energies
     mode, modes              row of the table of changes of ω̄, or NO_MODE, and that table
     pull, whole              of gravity, and of the force 2 μ L up that holds the rod's weight
-    stretch                  of the logarithm of all lengths
+    stretches, stretch       whether lengths change, and of the logarithm of all lengths
     shift, move              of the far point as seen from vertex 0, and of vertex 0
     local                    whether only the last two edges and closure are changed
     turned                   whether edges that clamps hold turn
@@ -64,31 +63,31 @@ class ParameterGradient(chain.Chain):
         return self.bent(edge.outer.kept), self.stiffness(edge, self.edge(rod.head, e + 1), rod.stiffness)
 
     @ti.func
-    def column(self, tables, rod, index, p, multiplier):
-        """The record of direction ``p`` for row ``index`` of the rods."""
-        unit = rod.head.energy_unit
-        factor = 1.0 / unit
+    def column(self, tables, rod, p, known):
+        """The record of direction ``p`` for rods of which the multiplier, the weight and what clamps hold are ``known``."""
+        one = 0.0 * rod.total + 1.0
+        unit = one / rod.head.energy_unit
+        factor = unit
         if tables.directions[p, TIMES_WEIGHT] == 1.0:
-            factor = tables.material[tables.rods[index, of.MATERIAL_ROW], of.WEIGHT] / unit
+            factor = known.weight * unit
         stretch = tables.directions[p, STRETCH]
         change = stretch * stretch
         for k in ti.static(range(BEND, TWIST + 1)):
             change += tables.directions[p, k] * tables.directions[p, k]
-        bend = read(tables.directions, p, BEND)
-        s = tables.rods[index, of.CLAMP_ROW]
-        last = self.edge(rod.head, rod.edges - 1)
-        holds_start = (1.0 - tables.clamp[s, of.SPIN_START], 1.0 - tables.clamp[s, of.TILT_START])
-        holds_end = (1.0 - tables.clamp[s, of.SPIN_END], 1.0 - tables.clamp[s, of.TILT_END])
-        start = self.held_turn(self.edge(rod.head, 0), read(tables.directions, p, TURN_START), holds_start)
-        end = self.held_turn(last, read(tables.directions, p, TURN_END), holds_end)
+        start, end = read(tables.directions, p, TURN_START), read(tables.directions, p, TURN_END)
         pull, mode = read(tables.directions, p, PULL), ti.cast(tables.directions[p, MODE], ti.i32)
         along = change + dot(pull, pull) + dot(start, start)
+        turned = dot(start, start) + dot(end, end) > 0.0
+        first, last = self.edge(rod.head, 0), self.edge(rod.head, rod.edges - 1)
+        turn_start = self.held_turn(first, scaled(start, one), (known.holds[0], known.holds[2]))
+        turn_end = self.held_turn(last, scaled(end, one), (known.holds[1], known.holds[3]))
         return record(
-            local=(along == 0.0) & (mode == NO_MODE), bends=change > 0.0, bend=(bend[0] / unit, bend[1] / unit, bend[2] / unit),
-            twist=tables.directions[p, TWIST] / unit, mode=mode, modes=tables.modes, pull=scaled(pull, factor), stretch=stretch,
+            local=(along == 0.0) & (mode == NO_MODE), bends=change > 0.0, bend=scaled(read(tables.directions, p, BEND), unit),
+            twist=tables.directions[p, TWIST] * unit, mode=mode, modes=tables.modes, pull=scaled(pull, factor),
+            stretches=stretch != 0.0, stretch=stretch * one,
             whole=scaled(plus(scaled(pull, factor), scaled(rod.gravity, stretch)), 2.0 * rod.total),
-            shift=read(tables.directions, p, SHIFT), move=read(tables.directions, p, MOVE),
-            turned=dot(start, start) + dot(end, end) > 0.0, turn_start=start, turn_end=end, multiplier=multiplier)
+            shift=scaled(read(tables.directions, p, SHIFT), one), move=scaled(read(tables.directions, p, MOVE), one),
+            turned=turned, turn_start=turn_start, turn_end=turn_end, multiplier=known.multiplier)
 
     @ti.func
     def held_turn(self, edge, w, holds):

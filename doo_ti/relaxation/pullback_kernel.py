@@ -36,9 +36,10 @@ class Adjoint(SensitivityColumns):
     """
 
     @ti.func
-    def differentiate(self, tables, rod, index, row, multiplier):
+    def differentiate(self, tables, rod, index, known):
         """The gradients of a rod at rest, as :meth:`.SensitivityColumns.differentiate` has its columns."""
-        tables.sound[row] = self.is_minimum(rod, multiplier)
+        row = tables.rods[index, of.RESULT_ROW]
+        tables.sound[row] = ti.cast(self.is_minimum(rod, known.multiplier), ti.i32)
         unit = rod.head.energy_unit
         total = variable(repeated(0.0 * rod.total, 3))
         for v in range(rod.edges + 1):
@@ -47,7 +48,7 @@ class Adjoint(SensitivityColumns):
         for joint in range(rod.edges - 1):
             self.put_curvature(tables, rod, row, joint, unit)
         for p in range(tables.columns):
-            column = self.column(tables, rod, index, p, multiplier)
+            column = self.column(tables, rod, p, known)
             if ti.static(self.touches):
                 self.hold_start(rod, column)
             closure = self.assemble_column(rod, column)
@@ -164,7 +165,7 @@ COTANGENTS = {
 @cache
 def pullback_kernel(number: Number, stride: int, block: int):
     """As :func:`.newton_kernel`."""
-    sweep = AdjointSweep(stride)
+    sweep = AdjointSweep(Number(1, 64), stride)
     return loop_kernel("pull_back", number, AT_REST | COTANGENTS, sweep.work, block), sweep.items
 
 

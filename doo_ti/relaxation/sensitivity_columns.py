@@ -1,4 +1,5 @@
-"""The columns of the derivatives of rods at rest, one rod at a time: what :mod:`doo_ti.relaxation.sensitivity_kernel` computes.
+"""The columns of the derivatives of rods at rest, a pack of rods at a time: what
+:mod:`doo_ti.relaxation.sensitivity_kernel` computes.
 
 Everything about H is Newton's own. H is assembled and eliminated without shift; then for every column b = −∂g/∂θ runs through
 the factors, S dλ = Σ W_Aᵀ D⁻¹ W_b, and back-substitution gives dω.
@@ -7,15 +8,15 @@ the factors, S dλ = Σ W_Aᵀ D⁻¹ W_b, and back-substitution gives dω.
 import taichi as ti
 
 from doo_ti.physics.quaternion import first_director, second_director, tangent
-from doo_ti.physics.tuples import minus, plus, products, record, repeated, scaled, variable
-from doo_ti.physics.view import read, write
+from doo_ti.physics.tuples import minus, plus, products, record, repeated, scaled, traced, variable
+from doo_ti.physics.view import read
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.end_moments import EndMoments
 from doo_ti.relaxation.newton_policy import INERTIA_OF_A_MINIMUM, LARGE_TRACE, TRACE
 from doo_ti.relaxation.parameter_gradient import NO_MODE
 
 # The loads of a rod: force and moment at its start, force and moment at its end.
-START_FORCE, START_MOMENT, END_FORCE, END_MOMENT, LOADS = 0, 3, 6, 9, 12
+START_FORCE, START_MOMENT, END_FORCE, END_MOMENT, LOADS = 0, 1, 2, 3, 4
 
 
 @ti.data_oriented
@@ -31,56 +32,69 @@ class SensitivityColumns(EndMoments):
         """Every rod of this thread, and all columns for it."""
         tables = self.completed(given, thread)
         head = self.head(tables.scratch, thread, tables.rest_length.shape[1])
-        index = thread
-        while index < tables.rods.shape[0]:
-            row = tables.rods[index, of.RESULT_ROW]
-            self.loading.load(tables, head, 0, index, 0.0)
+        index, last = thread * self.width, tables.rods.shape[0] - 1
+        while index <= last:
+            none = self.constant(0.0)
+            known = record(multiplier=repeated(none, 3), holds=repeated(none, 4), weight=none)
+            for slot in range(self.width):  # the last rod also fills the lanes that have none
+                self.load_lane(tables, head, slot, ti.min(index + slot, last), known)
             rod = self.rods(tables, head, 0.0)
             if ti.static(self.touches):
                 self.load_contacts(tables, rod, index)
-            unit = head.energy_unit
-            self.load_forces(tables, rod, row, unit)
-            force = read(tables.results, row, of.FORCE)
-            multiplier = (0.0 - force[0] / unit, 0.0 - force[1] / unit, 0.0 - force[2] / unit)
-            self.differentiate(tables, rod, index, row, multiplier)
-            index += tables.threads
+            self.differentiate(tables, rod, index, known)
+            index += tables.threads * self.width
 
     @ti.func
-    def differentiate(self, tables, rod, index, row, multiplier):
-        """The moments and all columns of a rod at rest under ``multiplier``, in row ``index`` of the rods and ``row`` of the
-        results."""
-        unit = rod.head.energy_unit
+    def load_lane(self, tables, head, slot, index, known):
+        """Row ``index`` of the rods into lane ``slot``; into the record ``known`` the multiplier λ of its equilibrium, which of
+        (spin_start, spin_end, tilt_start, tilt_end) clamps hold, as ones, and its weight."""
+        self.loading.load(tables, head, slot, index, 0.0)
+        lane, row = head.lane(slot), tables.rods[index, of.RESULT_ROW]
+        unit = lane.energy_unit
+        for e in range(tables.rest_length.shape[1]):
+            force = variable(repeated(0.0 * unit, 3))
+            if tables.beyond.shape[1] == tables.rest_length.shape[1]:
+                force = scaled(read(tables.beyond, row, e, 0), 1.0 / unit)
+            self.edge(lane, e).outer.beyond = force
+        end = scaled(read(tables.results, row, of.FORCE), 0.0 - 1.0 / unit)
+        known.multiplier = self.with_lanes(known.multiplier, slot, end)
+        free = read(tables.clamp, tables.rods[index, of.CLAMP_ROW], of.SPIN_START, count=4)
+        known.holds = self.with_lanes(known.holds, slot, minus(repeated(1.0, 4), free))
+        weight = tables.material[tables.rods[index, of.MATERIAL_ROW], of.WEIGHT]
+        known.weight = self.with_lane(known.weight, slot, weight)
+
+    @traced
+    def with_lanes(self, values, slot, new):
+        """Several values with lane ``slot`` replaced by the numbers ``new``."""
+        return tuple(self.with_lane(value, slot, number) for value, number in zip(values, new, strict=True))
+
+    @ti.func
+    def differentiate(self, tables, rod, index, known):
+        """The moments and all columns of the rods at rest whose rows of the rods begin with ``index``."""
+        sound = 0.0 * rod.total + 1.0
         if tables.columns == 0:
             self.bend_pairs(rod)
-            tables.sound[row] = 1
         else:
-            tables.sound[row] = self.is_minimum(rod, multiplier)
+            sound = self.is_minimum(rod, known.multiplier)
+        for slot in ti.static(range(self.width)):
+            if index + slot < tables.rods.shape[0]:
+                tables.sound[tables.rods[index + slot, of.RESULT_ROW]] = ti.cast(self.lane(sound, slot), ti.i32)
         for end in range(2):
-            write(tables.moments, row, 3 * end, values=scaled(self.end_moment(rod, end, multiplier), unit))
+            moment = scaled(self.end_moment(rod, end, known.multiplier), rod.head.energy_unit)
+            self.store(tables, tables.moments, index, end, 0, moment)
         schur = self.schur_complement(rod)
         for p in range(tables.columns):
-            column = self.column(tables, rod, index, p, multiplier)
+            column = self.column(tables, rod, p, known)
             if ti.static(self.touches):
                 self.hold_start(rod, column)
             closure = self.assemble_column(rod, column)
             change = self.solve_column(rod, column, schur, closure)
-            self.store_column(tables, rod, row, p, column)
-            self.store_loads(tables, rod, row, p, column, change)
-
-    @ti.func
-    def load_forces(self, tables, rod, row, unit):
-        """The forces of obstacles and of point loads beyond every edge, those of row ``row`` of their table if it has any."""
-        for e in range(rod.edges):
-            edge = self.edge(rod.head, e)
-            for k in ti.static(range(3)):
-                force = 0.0 * unit
-                if tables.beyond.shape[1] == rod.edges:
-                    force = tables.beyond[row, e, k] / unit
-                edge.outer.beyond[k] = force
+            self.store_column(tables, rod, index, p, column)
+            self.store_loads(tables, rod, index, p, column, change)
 
     @ti.func
     def is_minimum(self, rod, multiplier):
-        """Eliminate H and leave its factors in scratch; returns one where they certify a minimum, else zero.
+        """Eliminate H and leave its factors in scratch; returns one where they certify a minimum, zero elsewhere.
 
         A neutral motion shows when H is lowered a trace. Raised by one instead, H keeps the rod from moving along it.
         """
@@ -92,7 +106,7 @@ class SensitivityColumns(EndMoments):
             self.bend_pairs(rod)
             inertia = self.eliminate(rod, shift, (none, none), multiplier, repeated(none, 3)).inertia
             shift = ti.select(inertia == INERTIA_OF_A_MINIMUM, none, trace)
-        return ti.cast(inertia == INERTIA_OF_A_MINIMUM, ti.i32)
+        return ti.select(inertia == INERTIA_OF_A_MINIMUM, none + 1.0, none)
 
     @ti.func
     def first_changed(self, rod, column):
@@ -140,7 +154,7 @@ class SensitivityColumns(EndMoments):
             if column.turned and (e == 0 or e >= rod.edges - 2):
                 self.turn_neighbours(rod, e, column, change)
                 self.turn_end(rod, seen, e, column, change)
-            if column.stretch != 0.0:
+            if column.stretches:
                 change.closure = plus(change.closure, scaled(seen.t, column.stretch * seen.length))
             edge.rotation = plus(change.pair, change.own)
             change.pair = change.after
@@ -167,46 +181,47 @@ class SensitivityColumns(EndMoments):
         return plus(x, scaled(moved, edge.length))
 
     @ti.func
-    def store_column(self, tables, rod, row, p, column):
-        """dω from the place of the step, and dx, into row ``row`` of the results."""
+    def store_column(self, tables, rod, index, p, column):
+        """dω from the place of the step, and dx, into the results."""
         stretch = column.stretch
         x = variable(self.started(rod, column))
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)
-            for k in ti.static(range(3)):
-                tables.vertices[row, e, k, p] = x[k]
-                tables.rotations[row, e, k, p] = edge.rotation[k]
+            self.store(tables, tables.vertices, index, e, p, x)
+            self.store(tables, tables.rotations, index, e, p, edge.rotation)
             x = self.moved_end(edge, x, stretch)
-        for k in ti.static(range(3)):
-            tables.vertices[row, rod.edges, k, p] = x[k]
+        self.store(tables, tables.vertices, index, rod.edges, p, x)
 
     @ti.func
-    def store_loads(self, tables, rod, row, p, column, change):
-        """The change of the loads into row ``row`` of the results, where closure's multiplier changes by ``change``.
+    def store(self, tables, array: ti.template(), index, place, p, v):
+        """A vector of each rod from row ``index`` on into column ``p`` at ``place`` of its row."""
+        for slot in ti.static(range(self.width)):
+            if index + slot < tables.rods.shape[0]:
+                row = tables.rods[index + slot, of.RESULT_ROW]
+                for k in ti.static(range(3)):
+                    array[row, place, k, p] = self.lane(v[k], slot)
+
+    @ti.func
+    def store_loads(self, tables, rod, index, p, column, change):
+        """The change of the loads into the results, where closure's multiplier changes by ``change``.
 
         Both forces together carry the weight 2 μ L, less what obstacles carry; one of them alone where the other end is free.
         """
         unit = rod.head.energy_unit
-        pushed = self.pushed(tables, rod, row, p)
+        pushed = self.pushed(tables, rod, index, p)
         end = minus(scaled(column.whole, rod.released), change)
         start = scaled(minus(plus(column.whole, pushed.all), end), 1.0 - rod.loose)
-        self.put_load(tables, row, p, START_FORCE, start, unit)
-        self.put_load(tables, row, p, END_FORCE, end, unit)
+        self.store(tables, tables.loads, index, START_FORCE, p, scaled(start, unit))
+        self.store(tables, tables.loads, index, END_FORCE, p, scaled(end, unit))
         for at in range(2):
             change_there = plus(change, self.own_part(at, pushed.first, pushed.last))
             moment = self.moment_change(rod, at, column, change_there)
-            self.put_load(tables, row, p, START_MOMENT + at * (END_MOMENT - START_MOMENT), moment, unit)
-
-    @ti.func
-    def put_load(self, tables, row, p, place, v, unit):
-        """A force or a moment, in the rod's unit of energy, into column ``p`` of the loads."""
-        for k in ti.static(range(3)):
-            tables.loads[row, place + k, p] = v[k] * unit
+            self.store(tables, tables.loads, index, START_MOMENT + at * (END_MOMENT - START_MOMENT), p, scaled(moment, unit))
 
     # --- where rods touch obstacles: :class:`doo_ti.relaxation.contact_sensitivity.ContactSensitivity` ---
 
     @ti.func
-    def pushed(self, tables, rod, row, p):
+    def pushed(self, tables, rod, index, p):
         """By how much the forces of obstacles change with column ``p``, which is in the results, with the sign of a gradient:
         on ``all`` vertices, and on those after the start of the ``first`` edge and of the ``last``."""
         none = repeated(0.0 * rod.total, 3)

@@ -8,9 +8,9 @@ import numpy as np
 import taichi as ti
 
 from doo_ti.physics.number import Number
-from doo_ti.physics.tuples import against, forward, negated, plus, record, repeated, scaled, symmetric_gram, variable
+from doo_ti.physics.tuples import against, chosen, forward, negated, plus, record, repeated, scaled, symmetric_gram, variable
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.batch import laid_out, layout_of_gpu
+from doo_ti.relaxation.batch import laid_out, layout_for, layout_of_gpu
 from doo_ti.relaxation.chain_layout import edge_layout
 from doo_ti.relaxation.contact_sensitivity import ContactSensitivity
 from doo_ti.relaxation.contact_table import ContactTable
@@ -31,8 +31,8 @@ MOST_THREADS_ON_A_GPU = 4096
 class SensitivitySweep(SensitivityColumns, Elimination):
     """The columns of rods that touch nothing."""
 
-    def __init__(self, stride: int):
-        super().__init__(Number(1, 64), False, stride, edge_layout(False, KEPT))
+    def __init__(self, number: Number, stride: int):
+        super().__init__(number, False, stride, edge_layout(False, KEPT))
         self.loading = Loading(self, in_millimetres=True)
 
     @ti.func
@@ -70,12 +70,12 @@ class SensitivitySweep(SensitivityColumns, Elimination):
     def started(self, rod, column):
         """What vertex 0 moves by."""
         x = variable(column.move)
-        if rod.released > 0.5:  # held at the far end, which then stays where it is
-            x = repeated(0.0 * rod.total, 3)
+        if self.largest(rod.released) > 0.5:  # held at the far end, which then stays where it is
+            far = variable(repeated(0.0 * rod.total, 3))
             for e in range(rod.edges):
                 edge = self.edge(rod.head, e)
-                x = self.moved_end(edge, x, column.stretch)
-            x = negated(x)
+                far = self.moved_end(edge, far, column.stretch)
+            x = chosen(rod.released > 0.5, negated(far), x)
         return x
 
 
@@ -89,26 +89,27 @@ def run_sensitivity(solution: Solution, usable: np.ndarray, directions: np.ndarr
     Loads are forces and moments of the clamps on the rod in the world: force at the start, moment there, the same at the end.
     """
     count, edges, columns = last - first, solution.tables.edges, len(directions)
-    outputs = (of.room(count, edges + 1, 3, columns), of.room(count, edges, 3, columns), of.room(count, LOADS, columns),
-               np.empty((count, 6)))
+    outputs = (of.room(count, edges + 1, 3, columns), of.room(count, edges, 3, columns), of.room(count, LOADS, 3, columns),
+               of.room(count, 2, 3, 1))
     # Kernels take no arrays without entries.
     written = outputs if columns else (*(np.empty((1,) * array.ndim) for array in outputs[:3]), outputs[3])
     kernels = sensitivity_kernel, contact_sensitivity_kernel if columns else None
-    lost = ~run_at_rest(solution, usable, kernels, directions, modes, written, first, last)
+    lost = ~run_at_rest(solution, usable, kernels, directions, modes, written, first, last, packed=True)
     for array in outputs:
         array[lost] = np.nan
     vertices, rotations, loads, moments = outputs
-    return vertices, rotations, loads.reshape(count, 4, 3, columns), moments.reshape(count, 2, 3), ~lost
+    return vertices, rotations, loads, moments[..., 0], ~lost
 
 
 def run_at_rest(solution: Solution, usable: np.ndarray, kernels: tuple, directions: np.ndarray, modes: np.ndarray,
-                arrays: tuple, first: int, last: int) -> np.ndarray:
+                arrays: tuple, first: int, last: int, packed: bool = False) -> np.ndarray:
     """Launch kernels over the rods from ``first`` to ``last`` of a solution that are ``usable``; ``directions`` and ``modes``
     as :func:`run_sensitivity` has them.
 
     kernels  made as :func:`sensitivity_kernel` and :func:`contact_sensitivity_kernel` are: for rods that touch nothing and for
              those at obstacles; None: the first takes them all
     arrays   further ones of the kernels, in their order
+    packed   whether the first kernel takes packs of rods
 
     Returns which rods (R,) are at a minimum and have results.
     """
@@ -125,7 +126,8 @@ def run_at_rest(solution: Solution, usable: np.ndarray, kernels: tuple, directio
     touching = np.zeros(count, dtype=bool) if kernels[1] is None else _touching(table, first, last)
     for rods, contact in ((~touching, None), (touching, table.contact)):
         rows = np.flatnonzero(usable[first:last] & rods)
-        _launch(table, first, last, rows, contact, kernels[contact is not None], state, (sound, *arrays))
+        _launch(table, first, last, rows, contact, kernels[contact is not None], state, (sound, *arrays),
+                packed and contact is None)
     return sound != 0
 
 
@@ -139,7 +141,7 @@ def _touching(table: Tables, first: int, last: int) -> np.ndarray:
 
 @runtime.exclusive
 def _launch(table: Tables, first: int, last: int, rows: np.ndarray, contact: ContactTable | None, kernel_for: Callable,
-            state: tuple, arrays: tuple) -> None:
+            state: tuple, arrays: tuple, packed: bool) -> None:
     """One launch over the rods ``rows``, counted from ``first``, which touch obstacles where ``contact`` is their table;
     ``state``: what the kernels are given of all rods, from their frames to the number of columns."""
     rods = table.continued(np.ones(table.count, dtype=bool), first + rows)
@@ -153,7 +155,7 @@ def _launch(table: Tables, first: int, last: int, rows: np.ndarray, contact: Con
         loads = np.zeros((1, 1, 3)) if table.external is None else point_loads(table)[first:last]
         outer = (obstacles, contact.kinds, contact.grids, radius, contact.memory[first:last], loads)
     if runtime.start() == "cpu":
-        layout = Number(1, 64), min(len(rods), runtime.thread_count()), 1, 1
+        layout = layout_for(len(rods), 64) if packed else (Number(1, 64), min(len(rods), runtime.thread_count()), 1, 1)
     else:
         layout = layout_of_gpu(len(rods), 64, MOST_THREADS_ON_A_GPU)
     kernel, threads, scratch, _ = laid_out(layout, lambda *layout: kernel_for(*layout, *kinds), given)
@@ -200,8 +202,8 @@ AT_REST = {
 }
 COLUMNS = {
     "vertices": TABLE4, "rotations": TABLE4,  # [row, vertex or edge, 3, column] out
-    "loads": TABLE3,  # [row, LOADS, column] out
-    "moments": TABLE2,  # [row, 6] out: at the start and at the end
+    "loads": TABLE4,  # [row, LOADS, 3, column] out
+    "moments": TABLE4,  # [row, end, 3, 0] out: at the start and at the end
 }
 CONTACTS_AT_REST = {name: OBSTACLES[name] for name in ("obstacles", "kinds", "grids", "radius", "memory")} | {
     "point_loads": TABLE3}  # [row, vertex, 3], or a single one of zero
@@ -210,7 +212,7 @@ CONTACTS_AT_REST = {name: OBSTACLES[name] for name in ("obstacles", "kinds", "gr
 @cache
 def sensitivity_kernel(number: Number, stride: int, block: int):
     """As :func:`.newton_kernel`."""
-    sweep = SensitivitySweep(stride)
+    sweep = SensitivitySweep(number, stride)
     return loop_kernel("solve", number, AT_REST | COLUMNS, sweep.work, block), sweep.items
 
 
