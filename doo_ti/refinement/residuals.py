@@ -219,11 +219,11 @@ class Comparison:
                 ("marks", "frames"), self.values(solution, values), kinds, weights, counts, strict=False):
             z = self._with_gap(z, name)
             keep = np.where(used[:, None], weight, 0.0)[..., None]
-            z = keep * z
+            z = np.where(keep > 0, keep * z, 0.0)
             r = np.where(used[:, None], now, 0.0)
             if self.unknowns.clamps:
                 r = r - (z[..., :POSE] @ values.scatter[..., None])[..., 0]
-            found.append(Residuals(name, r, keep * j, z, np.where(used, count, 0.0)))
+            found.append(Residuals(name, r, np.where(keep > 0, keep * j, 0.0), z, np.where(used, count, 0.0)))
         return tuple(found), used
 
     def gap_weight(self, scales: Scales) -> np.ndarray:
