@@ -17,6 +17,7 @@ from doo_ti.learning.run_folder import read_plan
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.metric import distance
+from doo_ti.rod.physical_units import relative_stiffness, stiffness
 from doo_ti.rod.types import Material, Status
 from doo_ti.system.errors import InterruptedRunError
 from doo_ti.system.terminal import can_record
@@ -25,9 +26,10 @@ MOST_MOMENTS = 60
 """Iterations, or sub-steps, evenly chosen, that are recorded."""
 
 
-def draw(folder: Path, experiment: Experiment, overview: Overview, identity: str, remark: str = "") -> list[str]:
-    """Write landscape.png and, where rerun is installed, run.rrd into ``folder``; their title ends with ``remark``. Returns the
-    names of those that were written."""
+def draw(folder: Path, experiment: Experiment, overview: Overview, identity: str, remark: str = "",
+         linear_density: float | None = None) -> list[str]:
+    """Write landscape.png and, where rerun is installed, run.rrd into ``folder``; their title ends with ``remark``, and EI is
+    shown where the ``linear_density`` in g/m is known. Returns the names of those that were written."""
     from doo_ti.report import landscape_picture
 
     observations, grid, sums, best = experiment.observations, experiment.grid, overview.sums, overview.best
@@ -38,7 +40,10 @@ def draw(folder: Path, experiment: Experiment, overview: Overview, identity: str
     written = []
     if grid.varying:
         written.append("landscape.png")
-        landscape_picture(folder / written[-1], plane, title=title)
+        weights = np.unique([axis.values for axis in grid.axes if axis.name == "weight"] or [1.0])
+        known = linear_density is not None and len(weights) == 1
+        landscape_picture(folder / written[-1], plane, title=title, newton_per_bend=(
+            stiffness(relative_stiffness(1.0, weights[0]), linear_density) if known else None))
     if not can_record():
         return written
     from doo_ti.record import record_sweep

@@ -101,7 +101,7 @@ def _swept(run: Path, experiment: Experiment, workers: ThisProcess | Workers, co
                        "relaxation_s": seconds},
             "provenance": provenance(experiment, identity, command),
         }
-        summary["shown"] = draw(run, experiment, overview, identity)
+        summary["shown"] = draw(run, experiment, overview, identity, linear_density=linear_density)
         summary["timing"]["total_s"] = time.monotonic() - began
         write_text(run / SUMMARY, json.dumps(summary, indent=2) + "\n")
         return summary

@@ -49,13 +49,15 @@ class LandscapePanel:
     marks: tuple = ()
 
 
-def landscape_picture(path_or_buffer, plane: LandscapePlane, *, title: str, region: np.ndarray | None = None) -> None:
+def landscape_picture(path_or_buffer, plane: LandscapePlane, *, title: str, region: np.ndarray | None = None,
+                      newton_per_bend: float | None = None) -> None:
     """Write the landscape as a 1600 × 1200 PNG: a line over one free axis, else a map; cells without a value are grey, cells
     that do not compete hatched.
 
-    region  (n, 2) outline of a confidence region in the units of the two axes drawn; not drawn over one axis
+    region           (n, 2) outline of a confidence region in the units of the two axes drawn; not drawn over one axis
+    newton_per_bend  EI in N m² of a rod with a bend stiffness of 1 mm³, for a second axis; None where its weight is not known
     """
-    save_figure(draw_landscape(plane, title, region), path_or_buffer)
+    save_figure(draw_landscape(plane, title, region, newton_per_bend), path_or_buffer)
 
 
 def landscape_image(plane: LandscapePlane, *, title: str, region: np.ndarray | None = None) -> np.ndarray:
@@ -84,8 +86,8 @@ def cells_image(rows: list[list[LandscapePanel]], index: tuple, *, marks: str = 
     return image, np.stack(boxes, axis=1)
 
 
-def draw_landscape(plane: LandscapePlane, title: str, region: np.ndarray | None = None):
-    """The figure of one landscape, its legend below."""
+def draw_landscape(plane: LandscapePlane, title: str, region: np.ndarray | None = None, newton_per_bend: float | None = None):
+    """The figure of one landscape, its legend below; other arguments as :func:`landscape_picture` has them."""
     figure = new_figure()
     axes = figure.add_subplot()
     _draw(figure, axes, plane, None, 1.0)
@@ -94,9 +96,20 @@ def draw_landscape(plane: LandscapePlane, title: str, region: np.ndarray | None 
         draw_region(axes, region)
     if plane.minimum is not None:
         label_minimum(axes, plane)
+    if newton_per_bend is not None and plane.axes[0][0] in ("bend", "bend_1"):
+        _draw_stiffness_axis(axes, plane, newton_per_bend)
     axes.set_title("\n".join([literal(title), *_remarks(plane)]), fontsize=14, pad=12)
     _put_legend(figure, [plane], 1 if plane.hidden else 2, with_region=region is not None)
     return figure
+
+
+def _draw_stiffness_axis(axes, plane: LandscapePlane, newton_per_bend: float) -> None:
+    """EI above the picture, over the bend stiffness below."""
+    above = axes.secondary_xaxis("top", functions=(lambda bend: bend * newton_per_bend, lambda EI: EI / newton_per_bend))
+    low, high = axes.get_xlim()
+    plain_ticks(above.xaxis, plane.axes[0][2], low, high)
+    above.tick_params(labelsize=11)
+    above.set_xlabel("EI [N m²]", fontsize=13)
 
 
 def draw_panels(rows: list[list[LandscapePanel]], title: str, marks: str, relative: bool, dpi: int = PICTURE_DPI):

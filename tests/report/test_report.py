@@ -172,3 +172,15 @@ def test_colors_are_the_picture_s_and_never_a_colour_for_nan():
 def test_quantities_are_written_for_people(value, text):
     assert quantity(value) == text
     assert quantity(value, "mm") == f"{text} mm"
+
+
+def test_stiffness_stands_above_where_the_weight_is_known():
+    from doo_ti.report.landscapes import draw_landscape
+
+    plane = LandscapePlane.of([("bend", [1e5, 1e6, 1e7], True, "mm³")], [3.0, 1.0, 2.0], (1,))
+    axes = draw_landscape(plane, "made up", newton_per_bend=2.45e-10).axes[0]
+    (above,) = axes.child_axes
+    assert above.get_xlabel() == "EI [N m²]"
+    axes.figure.canvas.draw()
+    assert np.allclose(np.array(axes.get_xlim()) * 2.45e-10, above.get_xlim())
+    assert not draw_landscape(plane, "made up").axes[0].child_axes
