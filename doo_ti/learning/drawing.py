@@ -37,19 +37,18 @@ def draw(folder: Path, experiment: Experiment, overview: Overview, identity: str
     terms = f"{observations.count} observations" if static else f"{experiment.pairs.count} pairs"
     title = f"{observations.name}: {overview.objective} error over {terms}{remark}"
     plane = plane_of(overview)
+    theta = {name: float(value[0]) for name, value in grid.cell_values(np.array([best])).items()}
     written = []
     if grid.varying:
         written.append("landscape.png")
-        weights = np.unique([axis.values for axis in grid.axes if axis.name == "weight"] or [1.0])
-        known = linear_density is not None and len(weights) == 1
+        known = linear_density is not None and all(axis.name != "weight" for axis in grid.varying)
         landscape_picture(folder / written[-1], plane, title=title, newton_per_bend=(
-            stiffness(relative_stiffness(1.0, weights[0]), linear_density) if known else None))
+            stiffness(relative_stiffness(1.0, theta["weight"]), linear_density) if known else None))
     if not can_record():
         return written
     from doo_ti.record import record_sweep
     from doo_ti.report.grid_view import Observed
 
-    theta = {name: float(value[0]) for name, value in grid.cell_values(np.array([best])).items()}
     record_sweep(
         folder / "run.rrd", run_id=identity[:32], name=title,
         observed=Observed.of(observations if static else observations.take(experiment.pairs.to_index)),

@@ -165,7 +165,7 @@ class Belief:
 
     def learn(self, residual: np.ndarray, visible: np.ndarray, columns: np.ndarray, transform: np.ndarray) -> np.ndarray:
         """Take in a moment: residuals (B, V, 3) and columns (B, V, 3, C) of the marks, of which some are ``visible`` (B, V).
-        Returns (B, C) the change, which the columns times that give of the vertices."""
+        Returns (B, C) the change of what the columns are derivatives by."""
         keep, noise = 1.0 - 1.0 / self._options.memory, self._options.noise_mm**2
         count = 3 * visible.sum(axis=1)
         number = np.maximum(count, 1)

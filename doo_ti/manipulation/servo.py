@@ -165,10 +165,11 @@ class Servo:
             PARAMETERS + ("modes",) * self._belief.uneven, self._belief.modes if self._belief.uneven else None)
         derivatives[~usable] = 0.0
         model = np.where(usable[:, None, None], model, self._last.vertices)
-        change = self._learn(seen - model, derivatives, visible & usable[:, None])
+        visible = visible & usable[:, None]
+        change = self._learn(seen - model, derivatives, visible)
         columns = derivatives.reshape(len(usable), -1, derivatives.shape[-1])
         expected = model + (columns @ change[..., None]).reshape(model.shape)
-        self._keep_apart(seen - expected, visible & usable[:, None])
+        self._keep_apart(seen - expected, visible)
         by_moves = columns[..., OF_GRIPPERS] * (self._options.moves / self._options.scale)
         self._move(expected, by_moves, self._steps(expected, by_moves), usable)
         self._placed = self.clamps
@@ -205,7 +206,7 @@ class Servo:
         return self._belief.learn(residual, visible, columns, transform)
 
     def _keep_apart(self, left: np.ndarray, visible: np.ndarray) -> None:
-        """Take what is ``left`` (B, V, 3) of the ``visible`` marks' distance from the model into the offset."""
+        """Update the offset with how far the ``visible`` marks are ``left`` (B, V, 3) from the model after it has learned."""
         some = visible.any(axis=1)[:, None, None]
         self._offset = np.where(some, (1 - GAIN) * self._offset + GAIN * between_marks(left, visible), self._offset)
 
@@ -213,8 +214,8 @@ class Servo:
         """The steps from shapes (B, V, 3) to their targets; derivatives (B, 3V, 12) by the grippers' coordinates in mm."""
         count = len(columns)
         weight = np.repeat(self._targets.shares, 3, axis=1)
-        error = (self._targets.places - expected - self._offset).reshape(count, -1, 1)
         across = np.swapaxes(columns, 1, 2) * weight[:, None]
+        error = (self._targets.places - expected - self._offset).reshape(count, -1, 1)
         return DampedSteps(across @ columns, (across @ error)[..., 0])
 
     def _move(self, expected: np.ndarray, columns: np.ndarray, steps: DampedSteps, usable: np.ndarray) -> None:

@@ -262,11 +262,11 @@ def _started(architecture: str, threads: int | None, pinned: bool) -> str:
 
 
 def _spare_quotations() -> None:
-    """Have Taichi leave out the piece of source it quotes for every expression of a kernel of ours, should it be wrong, and
-    look the source of a function up once, not wherever it is called.
+    """Have Taichi read the source of each function once, not at every call of it, and leave out the piece of source that it
+    quotes for every expression of a kernel of ours, should it be wrong.
 
-    Both take most of the time until a kernel runs, in every process, and ours compile. With DOO_TI_DEBUG set an error in a
-    kernel is quoted again.
+    Without that half of the time until a kernel runs, in every process, goes to laying out quotations, and ours compile. With
+    DOO_TI_DEBUG set an error in a kernel is quoted again.
     """
     from taichi.lang import kernel_impl
     from taichi.lang.ast import ast_transformer_utils

@@ -65,7 +65,9 @@ def test_it_is_the_adjoint_of_sensitivity(rng, kind):
     assert pulled.usable.sum() > 0.8 * count
     off = (np.abs(flat(pulled, PARAMETERS) - expected) / (size + 1e-300))[pulled.usable]
     print(f"{kind}: largest {off.max():.1e}")
-    assert off.max() < 1e-8  # of a pendulum, whose matrix is all but singular; of the others 1e-11
+    # Held by both frames a rod hardly moves with B: that column is a small difference, and rounding is up to 1e-8 of it.
+    bound = np.where(np.flatnonzero(pulled.usable) == PAIRS.index((Clamp.FRAME, Clamp.FRAME)), 1e-8, 1e-9)
+    assert (off.max(axis=1) < bound).all()
 
 
 def test_rods_relaxed_again_change_so(rng):
