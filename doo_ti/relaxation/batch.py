@@ -117,11 +117,8 @@ def _launch_kernel(table: Tables, isotropic: bool, any_ends: bool, rods, policy:
     kind = None if external is None else type(external)
     outer = () if external is None else (external.numbers(), external.field())
     if contact is None:
-        # Decided by the rods of the call, not of this launch: the few rods that a large call leaves to f64 need no second
-        # kernel. An external energy has no serial kernel, because it takes long to compile.
-        serial = layout[3] == 1 and table.count <= layout[0].width and external is None
         given = SimpleNamespace(rest_length=table.rest_length)
-        launch = laid_out(layout, lambda *layout: newton.newton_kernel(*layout, isotropic, serial, kind, any_ends), given)
+        launch = laid_out(layout, lambda *layout: newton.newton_kernel(*layout, isotropic, kind, any_ends), given)
     else:
         outer += contact.arguments(contact.forces, options.gap_tolerance)
         given = SimpleNamespace(rest_length=table.rest_length, kinds=contact.kinds)

@@ -118,22 +118,22 @@ OBSTACLES = {
 
 
 @cache
-def newton_kernel(number: Number, stride: int, block: int, isotropic: bool, serial: bool, external: type | None = None,
+def newton_kernel(number: Number, stride: int, block: int, isotropic: bool, external: type | None = None,
                   any_ends: bool = False):
     """(The compiled-on-first-use kernel for one kind of number, of material and of external energy, and a function of its
     arrays, :meth:`.Chain.items`.)
 
     stride: distance between the numbers of a thread in scratch, 1 on a CPU, at least the number of threads on a GPU.
-    block, serial: see :func:`.loop_kernel`; to wake another thread takes as long as to relax a few rods.
+    block: see :func:`.loop_kernel`.
     external: the class of the external energy, whose numbers and field the kernel then takes as two more arrays.
     any_ends: not all rods under the external energy have vertex 0 held and the far end free, which is faster.
     """
     if external is None:
         sweep = Elimination(number, isotropic, stride)
-        return loop_kernel("newton", number, NEWTON, NewtonLoop(sweep).work, block, serial), sweep.items
+        return loop_kernel("newton", number, NEWTON, NewtonLoop(sweep).work, block), sweep.items
     sweep = LoadedElimination(number, isotropic, stride, external, any_ends)
     loop = NewtonLoop(sweep, sweep.functions, external.has_coarse)
-    return loop_kernel("newton_under_load", number, NEWTON | OUTER, loop.work, block, serial), sweep.items
+    return loop_kernel("newton_under_load", number, NEWTON | OUTER, loop.work, block), sweep.items
 
 
 @cache

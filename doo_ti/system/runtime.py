@@ -10,13 +10,13 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
-from functools import cache, partial, wraps
+from functools import partial, wraps
 from io import StringIO
 from pathlib import Path
 from threading import RLock, get_ident
 from typing import Any, ParamSpec, TypeVar
 
-from doo_ti.system import running_program
+from doo_ti.system import kernel_source, running_program
 from doo_ti.system.errors import InputError
 from doo_ti.system.kernel_cache import kernel_folder
 from doo_ti.system.running_program import TAICHI_NAMES
@@ -80,8 +80,8 @@ def start(architecture: str | None = None, threads: int | None = None, pinned: b
                 wanted = architecture or os.environ.get("DOO_TI_ARCHITECTURE")
                 _architecture, _of_user = running_program.architecture_of_user(wanted and check_architecture(wanted)), True
                 running_program.require_ready()
-            if not _begun and not os.environ.get("DOO_TI_DEBUG"):
-                _spare_quotations()
+            if not _begun:
+                kernel_source.read_once(lambda: _holder is None)
             _begun, _program = True, running_program.running()
         if _of_user and _holder == get_ident() and _settings_of_user is None:
             _settings_of_user = running_program.put(*running_program.with_usual(_settings(_architecture)))
@@ -259,25 +259,6 @@ def _started(architecture: str, threads: int | None, pinned: bool) -> str:
     if architecture == "cpu" and pinned and os.environ.get("DOO_TI_PINNED") != "0":
         pin(sorted(_tasks() - others))
     return architecture
-
-
-def _spare_quotations() -> None:
-    """Have Taichi read the source of each function once, not at every call of it, and leave out the piece of source that it
-    quotes for every expression of a kernel of ours, should it be wrong.
-
-    Without that half of the time until a kernel runs, in every process, goes to laying out quotations, and ours compile. With
-    DOO_TI_DEBUG set an error in a kernel is quoted again.
-    """
-    from taichi.lang import kernel_impl
-    from taichi.lang.ast import ast_transformer_utils
-
-    for name in ("getsourcelines", "getsourcefile"):
-        if hasattr(kernel_impl, name):
-            setattr(kernel_impl, name, cache(getattr(kernel_impl, name)))
-    context = getattr(ast_transformer_utils, "ASTTransformerContext", None)
-    if hasattr(context, "get_pos_info"):
-        quoted = context.get_pos_info
-        context.get_pos_info = lambda self, node: quoted(self, node) if _holder is None else ""
 
 
 def _tasks() -> set[int]:
