@@ -82,7 +82,7 @@ class Stills:
         for k in range(modes):
             shapes[k, :, 0] = shapes[modes + k, :, 1] = along[:, k]
         curved = {"modes": shapes} if modes else {}
-        found = sensitivity(solution, ("bend", "twist", *curved), **curved).vertices
+        found = sensitivity(solution, ("bend", "twist", *curved), **curved, rotations=False, loads=False).vertices
         result = np.zeros((self.count, len(unknowns.names), edges + 1, 3))
         result[:, 0] = theta.bend * (found[..., 0] + theta.twist_ratio * found[..., 1])
         if "twist_ratio" in unknowns.fitted:

@@ -12,7 +12,7 @@ from doo_ti.manipulation.targets import ServoOptions, Targets
 from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.relaxation.sensitivity import gripper_jacobian
+from doo_ti.relaxation.sensitivity import GRIPPERS, sensitivity
 from doo_ti.rod.frames import (
     bishop_frames,
     matrix_from_quaternion,
@@ -103,7 +103,7 @@ def fit(rods: Configuration, clamps: Clamps, model: Model, targets: Targets, opt
             break
         own, here, asked = model.take(rows), clamps.take(rows), targets.take(rows)
         solution = own.relaxed(rods.take(rows), here)
-        columns = gripper_jacobian(solution).vertices
+        columns = sensitivity(solution, GRIPPERS, rotations=False, loads=False).vertices
         columns = np.nan_to_num(columns.reshape(len(rows), -1, 12)) * (options.moves / options.scale)
         across = np.swapaxes(columns, 1, 2) * np.repeat(asked.shares, 3, axis=1)[:, None]
         error = np.nan_to_num(asked.places - solution.configuration.vertices).reshape(len(rows), -1)

@@ -38,7 +38,7 @@ class Rested:
         rod has any. No equilibrium may be missing."""
         whole = None
         for rods, rows, solution in self._parts:
-            found = sensitivity(solution, parameters, modes)
+            found = sensitivity(solution, parameters, modes, rotations=False, loads=False)
             usable = found.usable & np.isfinite(found.vertices[:, -1]).all(axis=(1, 2))  # none of taut rods
             own = solution.configuration.vertices, found.vertices, usable
             if len(rows) == self._count:

@@ -165,7 +165,7 @@ def _moved(configurations: Observations, clamps, grid: Grid, parameters, surroun
             cell, row = np.divmod(np.arange((last - first) * count), count)
             solution = relax(starts, grid.materials(slice(first, last)), clamps, Newton(), up=configurations.up,
                              configuration_index=row, material_index=cell, **surroundings.take(row).arguments)
-            found = sensitivity(solution, parameters)
+            found = sensitivity(solution, parameters, rotations=False, loads=False)
             values = _values(grid, slice(first, last), parameters)[cell]
             scaled = found.vertices * values[:, None, None] * configurations.valid[row][:, :, None, None]
             scaled[~found.usable] = np.nan

@@ -254,7 +254,8 @@ class Comparison:
         unknowns = self.unknowns
         (elementary, chain), (modes, mesh) = unknowns.chain(values), unknowns.modes(values)
         names = (*elementary, "modes", "length", *OF_POSES) if shared else OF_POSES
-        found = sensitivity(solution, names, modes if shared else None, rows.start, rows.stop)
+        found = sensitivity(solution, names, modes if shared else None, rows.start, rows.stop,
+                            rotations=self.directors is not None, loads=False)
         lengths, shape = unknowns.lengths(values), found.configuration
         moved, turned = (slopes[:, rows] for slopes in unknowns.rod.clamp_slopes(lengths, unknowns.pose(values)))
         by_clamps = np.concatenate([moved[1] - moved[0], *turned], axis=1)

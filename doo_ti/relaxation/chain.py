@@ -213,6 +213,11 @@ class Chain:
         else:
             return self.gradient_of(bent, s) + pair.general_hessian(x, y, inverse, turn, m, s)
 
+    @ti.func
+    def keep_pair(self, rod, joint, derivatives):
+        """Keep these of a pair, as they are computed to be eliminated, where they are needed again."""
+        pass
+
     # --- free rotations and weight ---
 
     @ti.func

@@ -88,7 +88,9 @@ class Elimination(Chain):
             h_next, g_next = variable(repeated(zero, 6)), variable(repeated(zero, 3))
             if e < rod.edges - 1:
                 stiffness = self.stiffness(edge, self.edge(rod.head, e + 1), rod.stiffness)
-                left, right, h_left, h_right, across = self.derivatives(self.bent(edge.bent), stiffness)
+                derivatives = self.derivatives(self.bent(edge.bent), stiffness)
+                self.keep_pair(rod, e, derivatives)
+                left, right, h_left, h_right, across = derivatives
                 g, h = plus(g, left), plus(h, h_left)
                 h_next, g_next, u = h_right, right, across
             h = self.second_derivatives(rod, h, g)

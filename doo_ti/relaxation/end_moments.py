@@ -48,10 +48,9 @@ class EndMoments(ParameterGradient):
     def end_moment(self, rod, end, multiplier):
         """The moment at an end, in the world."""
         e, joint, remaining = self.end_places(rod, end)
-        bent, s = self.kept_pair(rod, joint)
-        left, right = self.gradient_of(bent, s)
+        pair = self.edge(rod.head, joint).outer.pair
         edge = self.seen(rod, self.edge(rod.head, e), remaining)
-        return self.in_world(edge, self.body_moment(rod, edge, self.own_part(end, left, right), multiplier))
+        return self.in_world(edge, self.body_moment(rod, edge, self.own_part(end, pair.left, pair.right), multiplier))
 
     @ti.func
     def moment_change(self, rod, end, column, change):
@@ -62,11 +61,10 @@ class EndMoments(ParameterGradient):
         moment changes by H w + (G2 w1 − G1 w2, ½ G0 w2, −½ G0 w1), seen from the edge's axes as they were.
         """
         e, joint, remaining = self.end_places(rod, end)
-        bent, s = self.kept_pair(rod, joint)
-        left, right, h_left, h_right, across = self.derivatives(bent, s)
+        pair = self.edge(rod.head, joint).outer.pair
         w0, w1 = self.edge(rod.head, joint).rotation, self.edge(rod.head, joint + 1).rotation
-        of_left = plus(applied(full(h_left), w0), applied(across, w1))
-        of_right = plus(applied(full(h_right), w1), applied(transposed(across), w0))
+        of_left = plus(applied(full(pair.h_left), w0), applied(pair.across, w1))
+        of_right = plus(applied(full(pair.h_right), w1), applied(transposed(pair.across), w0))
         found = self.own_part(end, of_left, of_right)
         if column.bends or column.mode != NO_MODE:
             explicit_left, explicit_right = self.pair_change(rod, joint, column)
@@ -77,6 +75,6 @@ class EndMoments(ParameterGradient):
         l1, l2 = self.linear_change(rod, edge, column)
         c1, c2 = linear_gradient(change, edge.length, edge.m1, edge.m2)
         found = plus(found, (0.0 * l1, l1 + c1 + straighten * w[1], l2 + c2 + straighten * w[2]))
-        g = self.body_moment(rod, edge, self.own_part(end, left, right), column.multiplier)
+        g = self.body_moment(rod, edge, self.own_part(end, pair.left, pair.right), column.multiplier)
         turned = (g[2] * w[1] - g[1] * w[2], 0.5 * g[0] * w[2], 0.0 - 0.5 * g[0] * w[1])
         return self.in_world(edge, plus(found, turned))

@@ -136,7 +136,9 @@ class LoadedElimination(LooseStart):
             if e > 0:
                 previous = self.edge(rod.head, e - 1)
                 stiffness = self.stiffness(previous, edge, rod.stiffness)
-                left, right, h_left, h_right, across = self.derivatives(self.bent(previous.bent), stiffness)
+                derivatives = self.derivatives(self.bent(previous.bent), stiffness)
+                self.keep_pair(rod, e - 1, derivatives)
+                left, right, h_left, h_right, across = derivatives
                 g, h = plus(g, right), plus(h, h_right)
                 h_before, g_before, u = h_left, left, across
             rows = closure_rows(length, m1, m2)

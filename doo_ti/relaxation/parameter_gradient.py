@@ -25,8 +25,9 @@ NO_MODE = -1
 
 # Of an edge after what chain has of it: curvature and twist at the vertex where it ends, kept because eliminating writes over
 # the place where chain has them; and the sum of the forces of obstacles and of point loads on all vertices after its first,
-# with the sign of a gradient.
-KEPT = Layout(kept=8, beyond=3)
+# with the sign of a gradient; and the derivatives of the pair there, in the first and the last pair.
+PAIR = Layout(left=3, right=3, h_left=6, h_right=6, across=9)
+KEPT = Layout(kept=8, beyond=3, pair=PAIR)
 
 
 @ti.data_oriented
@@ -61,6 +62,13 @@ class ParameterGradient(chain.Chain):
         """Curvature and twist, and the stiffness, at the vertex where edge ``e`` ends."""
         edge = self.edge(rod.head, e)
         return self.bent(edge.outer.kept), self.stiffness(edge, self.edge(rod.head, e + 1), rod.stiffness)
+
+    @ti.func
+    def keep_pair(self, rod, joint, derivatives):
+        """Of the first pair and the last, whose edges clamps hold."""
+        if joint == 0 or joint == rod.edges - 2:
+            kept = self.edge(rod.head, joint).outer.pair
+            kept.left, kept.right, kept.h_left, kept.h_right, kept.across = derivatives
 
     @ti.func
     def column(self, tables, rod, p, known):
@@ -146,16 +154,15 @@ class ParameterGradient(chain.Chain):
         An edge's own potentials and its tilt leave its spin in balance, where the clamp leaves that free.
         """
         if e < rod.edges - 1 and (e == 0 or e == rod.edges - 2):
-            bent, s = self.kept_pair(rod, e)
-            left, right, h_left, h_right, across = self.derivatives(bent, s)
+            kept = self.edge(rod.head, e).outer.pair
             if e == 0:
-                w = column.turn_start
-                change.after = plus(change.after, applied(transposed(across), w))
-                change.own = (change.own[0] + h_left[1] * w[1] + h_left[2] * w[2], change.own[1], change.own[2])
+                w, h = column.turn_start, kept.h_left
+                change.after = plus(change.after, applied(transposed(kept.across), w))
+                change.own = (change.own[0] + h[1] * w[1] + h[2] * w[2], change.own[1], change.own[2])
             if e == rod.edges - 2:
-                w = column.turn_end
-                change.pair = plus(change.pair, applied(across, w))
-                change.after = (change.after[0] + h_right[1] * w[1] + h_right[2] * w[2], change.after[1], change.after[2])
+                w, h = column.turn_end, kept.h_right
+                change.pair = plus(change.pair, applied(kept.across, w))
+                change.after = (change.after[0] + h[1] * w[1] + h[2] * w[2], change.after[1], change.after[2])
 
     @ti.func
     def turn_end(self, rod, edge, e, column, change):

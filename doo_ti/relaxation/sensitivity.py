@@ -85,7 +85,7 @@ class Sensitivity:
 @typed
 @runtime.exclusive
 def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist", "weight"), modes: np.ndarray | None = None,
-                first: int = 0, last: int | None = None) -> Sensitivity:
+                first: int = 0, last: int | None = None, *, rotations: bool = True, loads: bool = True) -> Sensitivity:
     """dΓ*/dΘ of every rod of ``solution``, which also holds its materials, clamps and the direction of gravity.
 
     solution    of :func:`doo_ti.relaxation.relax.relax` in f64: an equilibrium reached to a residual r is off by about r, and
@@ -93,6 +93,7 @@ def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist"
     parameters  from PARAMETERS, in the order of the columns
     modes       (M, E−1, 2) where "modes" is among the parameters
     first, last of the rods of ``solution``: derivatives of all of them at once may be more than memory holds
+    rotations, loads  whether those are computed; without, they have no columns, and all takes a third less time
 
     Rods that have not converged, are not certified stable, are infeasible, or touch themselves come out as NaN. A round rod
     with both spins free keeps its first spin; along other motions that cost nothing (a weightless bow about its chord, a rod
@@ -111,7 +112,8 @@ def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist"
     require_whole("sensitivity", "last", last, first, table.count)
     names, directions, along = parameter_directions(parameters, table.edges, table.up, modes)
     runtime.start()
-    vertices, rotations, loads, _, sound = run_sensitivity(solution, at_minima(solution), directions, along, first, last)
+    vertices, turns, forces, _, sound = run_sensitivity(solution, at_minima(solution), directions, along, first, last,
+                                                        rotations, loads)
     start = table.configuration_index[first:last]
     hanging = table.released[start]
     if hanging.any() and "end_shift" in parameters:
@@ -120,10 +122,10 @@ def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist"
     taut = taut_rods(table)[first:last]
     if taut.any():
         columns = [k for k, name in enumerate(names) if name.partition("[")[0] in OF_CLAMPS]
-        for array in (vertices, rotations):
+        for array in (vertices, turns)[: 1 + rotations]:
             array[np.ix_(taut, range(array.shape[1]), range(3), columns)] = np.nan
-        loads[taut] = np.nan
-    return Sensitivity(names, vertices, rotations, EndLoads.of(loads, table, first, last), sound,
+        forces[taut] = np.nan
+    return Sensitivity(names, vertices, turns, EndLoads.of(forces, table, first, last), sound,
                        solution.configuration.take(slice(first, last)))
 
 

@@ -71,11 +71,9 @@ class SensitivityColumns(EndMoments):
     @ti.func
     def differentiate(self, tables, rod, index, known):
         """The moments and all columns of the rods at rest whose rows of the rods begin with ``index``."""
-        sound = 0.0 * rod.total + 1.0
-        if tables.columns == 0:
-            self.bend_pairs(rod)
-        else:
-            sound = self.is_minimum(rod, known.multiplier)
+        sound = self.is_minimum(rod, known.multiplier)
+        if tables.columns == 0:  # moments are those of any rod
+            sound = 0.0 * sound + 1.0
         for slot in ti.static(range(self.width)):
             if index + slot < tables.rods.shape[0]:
                 tables.sound[tables.rods[index + slot, of.RESULT_ROW]] = ti.cast(self.lane(sound, slot), ti.i32)
@@ -90,7 +88,8 @@ class SensitivityColumns(EndMoments):
             closure = self.assemble_column(rod, column)
             change = self.solve_column(rod, column, schur, closure)
             self.store_column(tables, rod, index, p, column)
-            self.store_loads(tables, rod, index, p, column, change)
+            if tables.loads.shape[2] == 3:
+                self.store_loads(tables, rod, index, p, column, change)
 
     @ti.func
     def is_minimum(self, rod, multiplier):
@@ -188,7 +187,8 @@ class SensitivityColumns(EndMoments):
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)
             self.store(tables, tables.vertices, index, e, p, x)
-            self.store(tables, tables.rotations, index, e, p, edge.rotation)
+            if tables.rotations.shape[2] == 3:
+                self.store(tables, tables.rotations, index, e, p, edge.rotation)
             x = self.moved_end(edge, x, stretch)
         self.store(tables, tables.vertices, index, rod.edges, p, x)
 

@@ -79,26 +79,27 @@ class SensitivitySweep(SensitivityColumns, Elimination):
         return x
 
 
-def run_sensitivity(solution: Solution, usable: np.ndarray, directions: np.ndarray, modes: np.ndarray, first: int, last: int):
+def run_sensitivity(solution: Solution, usable: np.ndarray, directions: np.ndarray, modes: np.ndarray, first: int, last: int,
+                    rotations: bool = True, loads: bool = True):
     """dx (R, V, 3, P), dω (R, E, 3, P), the change of the loads (R, 4, 3, P), the moments at both ends (R, 2, 3) and which rods
     (R,) have them, of the R rods from ``first`` to ``last`` of a solution that are ``usable``; NaN in others.
 
     directions  (P, DIRECTION_COLUMNS); with P = 0 only the moments are computed, and no rod needs to be at a minimum
     modes       (M, E−1, 2) changes of ω̄ at the joints that ``directions`` name by their row
+    rotations, loads  whether those are computed; without, they have no columns
 
     Loads are forces and moments of the clamps on the rod in the world: force at the start, moment there, the same at the end.
     """
     count, edges, columns = last - first, solution.tables.edges, len(directions)
-    outputs = (of.room(count, edges + 1, 3, columns), of.room(count, edges, 3, columns), of.room(count, LOADS, 3, columns),
-               of.room(count, 2, 3, 1))
+    outputs = (of.room(count, edges + 1, 3, columns), of.room(count, edges, 3, columns * rotations),
+               of.room(count, LOADS, 3, columns * loads), of.room(count, 2, 3, 1))
     # Kernels take no arrays without entries.
-    written = outputs if columns else (*(np.empty((1,) * array.ndim) for array in outputs[:3]), outputs[3])
+    written = tuple(array if array.shape[3] else np.empty((1,) * array.ndim) for array in outputs)
     kernels = sensitivity_kernel, contact_sensitivity_kernel if columns else None
     lost = ~run_at_rest(solution, usable, kernels, directions, modes, written, first, last, packed=True)
     for array in outputs:
         array[lost] = np.nan
-    vertices, rotations, loads, moments = outputs
-    return vertices, rotations, loads, moments[..., 0], ~lost
+    return *outputs[:3], outputs[3][..., 0], ~lost
 
 
 def run_at_rest(solution: Solution, usable: np.ndarray, kernels: tuple, directions: np.ndarray, modes: np.ndarray,
@@ -201,7 +202,7 @@ AT_REST = {
     "sound": INDEX1,  # [row] out: one where there are results
 }
 COLUMNS = {
-    "vertices": TABLE4, "rotations": TABLE4,  # [row, vertex or edge, 3, column] out
+    "vertices": TABLE4, "rotations": TABLE4,  # [row, vertex or edge, 3, column] out; a single number of what is not wanted
     "loads": TABLE4,  # [row, LOADS, 3, column] out
     "moments": TABLE4,  # [row, end, 3, 0] out: at the start and at the end
 }
