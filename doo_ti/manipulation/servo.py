@@ -118,13 +118,14 @@ class Servo:
         self.clamps = clamps
         model = relax(rod, self._belief.material, clamps, Newton.careful(), up=self._up, **around.arguments)
         self._last, self._sound = finite_rods(model.configuration, rod), model.converged & model.stable
+        self._shapes = self._last.vertices
         self._rested, self._placed = Rested(count), clamps
         self._offset = np.zeros((count, rod.edges + 1, 3))
         self._length = np.full(count, options.step_mm)
         self.status = np.full(count, int(ServoStatus.MOVING))
         self.snaps = np.zeros(count, dtype=np.int64)
         self._aims, self._aiming, self._aimed = clamps, np.zeros(count, dtype=bool), np.zeros(count, dtype=np.int64)
-        self.distance = self._targets.distance(self._last.vertices)
+        self.distance = self._targets.distance(self._shapes)
 
     def __repr__(self) -> str:
         counts = [f"{number} {ServoStatus(kind).name.lower()}"
@@ -139,7 +140,7 @@ class Servo:
     @property
     def vertices(self) -> np.ndarray:
         """(B, V, 3) mm, where the rods are estimated to be after the last step."""
-        vertices = self._last.vertices + self._offset
+        vertices = self._shapes + self._offset
         return vertices[:, 1:-1] if self._padded else vertices
 
     @typed
@@ -160,24 +161,25 @@ class Servo:
             self._rested = Rested(len(visible))
         missing = self._rested.missing
         if len(missing):
-            self._rested.put(missing, self._relaxed(missing), np.arange(len(missing)))
+            rests = self._relaxed(missing)
+            self._rested.put(missing, rests, np.arange(len(missing)), rests.configuration.vertices)
         model, derivatives, usable = self._rested.derivatives(
             PARAMETERS + ("modes",) * self._belief.uneven, self._belief.modes if self._belief.uneven else None)
         derivatives[~usable] = 0.0
-        model = np.where(usable[:, None, None], model, self._last.vertices)
+        model = np.where(usable[:, None, None], model, self._shapes)
         visible = visible & usable[:, None]
         change = self._learn(seen - model, derivatives, visible)
         columns = derivatives.reshape(len(usable), -1, derivatives.shape[-1])
         expected = model + (columns @ change[..., None]).reshape(model.shape)
         self._keep_apart(seen - expected, visible)
-        by_moves = columns[..., OF_GRIPPERS] * (self._options.moves / self._options.scale)
-        self._move(expected, by_moves, self._steps(expected, by_moves), usable)
+        by_grippers = columns[..., OF_GRIPPERS]
+        self._move(expected, by_grippers, self._steps(expected, by_grippers), usable)
         self._placed = self.clamps
         return self.clamps
 
     def _follow_snaps(self, seen: np.ndarray, visible: np.ndarray) -> None:
         """Draw the models to the marks that are far from them, where that explains the marks better."""
-        apart = np.where(visible[..., None], seen - self._last.vertices - self._offset, 0.0)
+        apart = np.where(visible[..., None], seen - self._shapes - self._offset, 0.0)
         error, lost = _size(apart, visible), ~self._sound
         # The first moment is compared with nothing: what is not known of the rod has not been learned.
         limit = np.maximum(SNAPPED * self._belief.expected, SNAPPED_SHARE * self._last.rest_length.sum())
@@ -195,8 +197,14 @@ class Servo:
             self._offset[rods] = 0.0
             self._belief.forget(rods)
             self.snaps[rods] += 1
-            self._last = put_rods(self._last, rods, drawn.configuration.take(np.flatnonzero(better)))
+            self._put(rods, drawn.configuration.take(np.flatnonzero(better)))
             self._rested.forget(rods)
+
+    def _put(self, rods: np.ndarray, models: Configuration, shapes: np.ndarray | None = None) -> None:
+        """Take ``models`` with the vertices ``shapes`` for where the ``rods`` are."""
+        shapes = models.vertices if shapes is None else shapes
+        self._last, self._shapes = put_rods(self._last, rods, models), self._shapes.copy()
+        self._shapes[rods] = shapes
 
     def _learn(self, residual: np.ndarray, columns: np.ndarray, visible: np.ndarray) -> np.ndarray:
         """(B, C) the change of what the columns (B, V, 3, C) are derivatives by, learned from the ``residual`` (B, V, 3) of the
@@ -211,12 +219,12 @@ class Servo:
         self._offset = np.where(some, (1 - GAIN) * self._offset + GAIN * between_marks(left, visible), self._offset)
 
     def _steps(self, expected: np.ndarray, columns: np.ndarray) -> DampedSteps:
-        """The steps from shapes (B, V, 3) to their targets; derivatives (B, 3V, 12) by the grippers' coordinates in mm."""
-        count = len(columns)
-        weight = np.repeat(self._targets.shares, 3, axis=1)
-        across = np.swapaxes(columns, 1, 2) * weight[:, None]
-        error = (self._targets.places - expected - self._offset).reshape(count, -1, 1)
-        return DampedSteps(across @ columns, (across @ error)[..., 0])
+        """The steps, in mm, from shapes (B, V, 3) to their targets; derivatives (B, 3V, 12) by the grippers' coordinates."""
+        weight = np.sqrt(np.repeat(self._targets.shares, 3, axis=1))[..., None]
+        weighed = columns * (weight * (self._options.moves / self._options.scale))
+        error = weight * (self._targets.places - expected - self._offset).reshape(weight.shape)
+        across = np.swapaxes(weighed, 1, 2)
+        return DampedSteps(across @ weighed, (across @ error)[..., 0])
 
     def _move(self, expected: np.ndarray, columns: np.ndarray, steps: DampedSteps, usable: np.ndarray) -> None:
         """Move the grippers, and the models with them: as far as these follow."""
@@ -244,18 +252,21 @@ class Servo:
             # Drawn in, a gripper may leave its box again.
             self.clamps = put_rows(self.clamps, waiting, boxed(drawn_in(there, tight, stiff[waiting], moves), origin, boxes))
             model = self._relaxed(waiting)
-            linear = (columns[waiting] @ step[..., None]).reshape(len(waiting), -1, 3)
+            by_step = columns if len(waiting) == len(usable) else columns[waiting]
+            linear = (by_step @ (step * moves / self._options.scale)[..., None]).reshape(len(waiting), -1, 3)
             shapes = model.configuration.vertices
             off = _size(shapes - expected[waiting] - linear)
-            distance = self._targets.take(waiting).distance(shapes + self._offset[waiting])
+            targets = self._targets if len(waiting) == len(usable) else self._targets.take(waiting)
+            distance = targets.distance(shapes + self._offset[waiting])
             size = np.linalg.norm(step, axis=1)
             nearer = self._aiming[waiting] | (distance <= WORSE * here[waiting] + ROUNDING)
             nearer &= slack(self.clamps.take(waiting), length, stiff[waiting]) >= least[waiting] - EXACT * length
             follows = (off <= NONLINEAR * _size(linear) + NONLINEAR_MM) & nearer
             good = model.converged & model.stable & (follows | (size == 0))
             done = waiting[good]
-            self._last = put_rods(self._last, done, model.configuration.take(np.flatnonzero(good)))
-            self._rested.put(done, model, np.flatnonzero(good))
+            rows = np.flatnonzero(good)
+            self._put(done, model.configuration.take(rows), shapes[rows])
+            self._rested.put(done, model, rows, shapes[rows])
             self.distance[done], gain[done] = distance[good], (here[waiting] - distance)[good]
             if attempt == 0:
                 self._length[done] = np.minimum(2 * np.maximum(size[good], 1.0), self._options.step_mm)

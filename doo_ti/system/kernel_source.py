@@ -43,23 +43,26 @@ class _Trees:
     """Parsed functions. A tree that is being traced is not given out again, as a function may be called in its own argument."""
 
     def __init__(self, transform: Callable):
-        self._transform, self._idle, self._source = transform, defaultdict(list), {}
+        self._transform, self._idle, self._busy = transform, defaultdict(list), {}
 
     def parse(self, source: str) -> ast.Module:
-        idle = self._idle[source]
-        tree = idle.pop() if idle else ast.parse(source)
-        self._source[id(tree)] = source
+        if self._idle[source]:
+            tree, nodes = self._idle[source].pop()
+        else:
+            tree = ast.parse(source)
+            nodes = list(ast.walk(tree))
+        self._busy[id(tree)] = source, nodes
         return tree
 
     def transform(self, tree: ast.Module, context):
         """What Taichi does with a tree, which then is without what it has noted in it; that of a kernel is not used again."""
         found = self._transform(tree, context)
-        source = self._source.pop(id(tree), None)
+        source, nodes = self._busy.pop(id(tree), (None, ()))
         if source is not None and not context.is_kernel:
-            for node in ast.walk(tree):
-                for note in ("ptr", "caller"):
-                    node.__dict__.pop(note, None)
-            self._idle[source].append(tree)
+            for node in nodes:
+                node.__dict__.pop("ptr", None)
+                node.__dict__.pop("caller", None)
+            self._idle[source].append((tree, nodes))
         return found
 
 
