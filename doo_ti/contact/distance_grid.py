@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.contact.obstacles import GRID, Distances, Obstacle, Placed, require_rotation
+from doo_ti.contact.obstacles import GRID, Distances, Obstacle, Placed
+from doo_ti.contact.orientation import require_rotation
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, real_array
 from doo_ti.system.short_repr import short_repr

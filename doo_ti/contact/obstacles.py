@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.contact.orientation import axes_about, require_direction, require_rotation
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, real_array
 
@@ -141,11 +142,11 @@ class Plane(Obstacle):
         def __init__(self, point: ArrayLike, normal: ArrayLike, friction: ArrayLike = 0.0) -> None: ...
 
     def _check(self) -> None:
-        _require_direction("Plane", "normal", self.normal)
+        require_direction("Plane", "normal", self.normal)
 
     @cached_property
     def placed(self) -> Placed:
-        return self.point, _axes_about(self.normal), np.zeros((1, 3)), np.full(1, UNBOUNDED)
+        return self.point, axes_about(self.normal), np.zeros((1, 3)), np.full(1, UNBOUNDED)
 
     @staticmethod
     def local_distance(local: np.ndarray, sizes: np.ndarray) -> Distances:
@@ -190,7 +191,7 @@ class _Rod(Obstacle):
     points: ClassVar[tuple[str, ...]] = ("start", "end")
 
     def _check(self) -> None:
-        _require_direction(type(self).__name__, "end", self.end - self.start, "at the start")
+        require_direction(type(self).__name__, "end", self.end - self.start, "at the start")
 
     @cached_property
     def placed(self) -> Placed:
@@ -198,7 +199,7 @@ class _Rod(Obstacle):
         half = 0.5 * np.linalg.norm(axis, axis=-1)
         radius, half = np.broadcast_arrays(self.radius, half)
         depth = radius if self.kind == CAPSULE else np.minimum(radius, half)
-        return 0.5 * (self.start + self.end), _axes_about(axis), np.stack([radius, half, 0 * radius], -1), depth
+        return 0.5 * (self.start + self.end), axes_about(axis), np.stack([radius, half, 0 * radius], -1), depth
 
 
 @typed
@@ -260,14 +261,14 @@ class Ring(Obstacle):
                      friction: ArrayLike = 0.0) -> None: ...
 
     def _check(self) -> None:
-        _require_direction("Ring", "axis", self.axis)
+        require_direction("Ring", "axis", self.axis)
         if (self.thickness >= self.radius).any():
             raise InputError("Ring", "thickness", f"{self.thickness.max():g} mm closes the hole", "give less than the radius")
 
     @cached_property
     def placed(self) -> Placed:
         radius, thickness = np.broadcast_arrays(self.radius, self.thickness)
-        return self.centre, _axes_about(self.axis), np.stack([radius, thickness, 0 * radius], -1), thickness
+        return self.centre, axes_about(self.axis), np.stack([radius, thickness, 0 * radius], -1), thickness
 
     @staticmethod
     def local_distance(local: np.ndarray, sizes: np.ndarray) -> Distances:
@@ -311,30 +312,6 @@ class Box(Obstacle):
         face = np.arange(3) == beyond.argmax(axis=-1)[..., None]
         normal = np.where((away > 0)[..., None], outside / np.maximum(away, 1e-300)[..., None], face) * sign
         return np.where(away > 0, away, beyond.max(axis=-1)), normal
-
-
-def _require_direction(name: str, field: str, value: np.ndarray, what: str = "of length zero") -> None:
-    """Raise InputError unless every row has a length."""
-    if not (np.linalg.norm(value, axis=-1) > 0).all():
-        raise InputError(name, field, what, "give three numbers that are not all zero")
-
-
-def require_rotation(name: str, rotation: np.ndarray) -> None:
-    """Raise InputError unless every matrix is a rotation."""
-    off = np.abs(np.swapaxes(rotation, -1, -2) @ rotation - np.eye(3)).max(initial=0.0)
-    if not off <= 1e-6:
-        raise InputError(name, "rotation", f"off a rotation by {off:.2g}", "give a 3×3 rotation matrix")
-    if not (np.linalg.det(rotation) > 0).all():
-        raise InputError(name, "rotation", "a reflection", "give a 3×3 rotation matrix, whose determinant is 1")
-
-
-def _axes_about(direction: np.ndarray) -> np.ndarray:
-    """(rows, 3, 3) three axes as columns, the third along ``direction`` (rows, 3)."""
-    third = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
-    helper = np.where(np.abs(third[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
-    first = np.cross(helper, third)
-    first /= np.linalg.norm(first, axis=-1, keepdims=True)
-    return np.stack([first, np.cross(third, first), third], axis=-1)
 
 
 def _radial(local: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

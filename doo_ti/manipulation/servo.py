@@ -19,7 +19,6 @@ Axes: B rods, V vertices, P unknowns.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
@@ -44,7 +43,7 @@ from doo_ti.manipulation.poses import (
 )
 from doo_ti.manipulation.rested import Rested
 from doo_ti.manipulation.resynchronise import between_marks, resynchronised
-from doo_ti.manipulation.targets import ServoOptions, ServoStatus, Targets
+from doo_ti.manipulation.targets import ServoOptions, ServoStatus, Targets, require_matching
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.relaxation.sensitivity import GRIPPERS
@@ -100,7 +99,7 @@ class Servo:
                  options: ServoOptions | None = None, *, up: ArrayLike = (0.0, 0.0, 1.0), obstacles: Sequence[Obstacle] = (),
                  radius: ArrayLike | None = None):
         count = rod.count
-        _check(rod, material, clamps, targets)
+        require_matching(rod, material, clamps, targets)
         around = Surroundings.checked("Servo", obstacles, radius, count)
         if around.rub:
             raise InputError("Servo", "obstacles", "with friction, which depends on the way", "give obstacles without friction")
@@ -323,21 +322,6 @@ class Servo:
     def _models(self, rods: np.ndarray) -> Model:
         every = Model(self._belief.material, self._belief.clip, self._up, self._around)
         return every if len(rods) == len(self.status) else every.take(rods)
-
-
-def _check(rod: Configuration, material: Material, clamps: Clamps, targets: Targets) -> None:
-    """Raise InputError where they do not belong together."""
-    count = rod.count
-    if clamps.count != count or material.count not in (1, count) or targets.count not in (1, count):
-        raise InputError("Servo", "clamps, material, targets", f"{clamps.count}, {material.count} and {targets.count} rows for "
-                         f"{count} rods", "give a row for each rod; one material or target serves all")
-    if targets.vertices.shape[1] != rod.edges + 1:
-        raise InputError("Servo", "targets", f"{targets.vertices.shape[1]} vertices for rods of {rod.edges + 1}",
-                         "give a place, or NaN, for each vertex")
-    if rod.rest_length.ndim != 1:
-        raise InputError("Servo", "rod", "rods with edges of different lengths", "give (E,) rest lengths, the same for all")
-    if not replace(material, rest_curvature=None).is_isotropic:
-        raise InputError("Servo", "material", "not round, or not the same all along the rod", "give Material(bend, twist)")
 
 
 def _padded(vertices: np.ndarray) -> np.ndarray:

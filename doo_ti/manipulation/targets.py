@@ -1,6 +1,6 @@
 """What a manipulation is to reach, and which options it has. Axes: B rods, V vertices."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property
 from typing import Annotated
@@ -8,7 +8,8 @@ from typing import Annotated
 import numpy as np
 
 from doo_ti.relaxation.sensitivity import GRIPPERS
-from doo_ti.rod.material import Rows
+from doo_ti.rod.material import Material, Rows
+from doo_ti.rod.types import Clamps, Configuration
 from doo_ti.system.arguments import owning, typed
 from doo_ti.system.errors import InputError
 
@@ -153,3 +154,18 @@ class ServoOptions:
     def scale(self) -> np.ndarray:
         """(12,) mm per unit of each coordinate."""
         return np.repeat([1.0, self.lever_mm, 1.0, self.lever_mm], 3)
+
+
+def require_matching(rod: Configuration, material: Material, clamps: Clamps, targets: Targets) -> None:
+    """Raise InputError where they do not belong together."""
+    count = rod.count
+    if clamps.count != count or material.count not in (1, count) or targets.count not in (1, count):
+        raise InputError("Servo", "clamps, material, targets", f"{clamps.count}, {material.count} and {targets.count} rows for "
+                         f"{count} rods", "give a row for each rod; one material or target serves all")
+    if targets.vertices.shape[1] != rod.edges + 1:
+        raise InputError("Servo", "targets", f"{targets.vertices.shape[1]} vertices for rods of {rod.edges + 1}",
+                         "give a place, or NaN, for each vertex")
+    if rod.rest_length.ndim != 1:
+        raise InputError("Servo", "rod", "rods with edges of different lengths", "give (E,) rest lengths, the same for all")
+    if not replace(material, rest_curvature=None).is_isotropic:
+        raise InputError("Servo", "material", "not round, or not the same all along the rod", "give Material(bend, twist)")

@@ -8,10 +8,10 @@ chain.
 import taichi as ti
 from taichi.lang.impl import subscript
 
-from doo_ti.physics import pair
 from doo_ti.physics.algebra import absolute, solve_symmetric
 from doo_ti.physics.angle import twist_angle_function
 from doo_ti.physics.closure import closing_rotation, linear_gradient, normal_matrix
+from doo_ti.physics.pair import curvature
 from doo_ti.physics.quaternion import first_director, second_director, tangent, turned_in_body, turned_in_world
 from doo_ti.physics.tuples import (
     chosen,
@@ -30,6 +30,7 @@ from doo_ti.physics.tuples import (
 from doo_ti.physics.view import Layout, Scratch
 from doo_ti.relaxation.chain_layout import ROD, edge_layout
 from doo_ti.relaxation.newton_policy import UP
+from doo_ti.relaxation.pair_energy import PairEnergy
 
 STAND_INS = {"start": "frames", "numbers": "material", "field": "material", "kinds": "rods", "grids": "material"}
 """What stands in for an array that a kernel does not take: Taichi's functions must be given one, and nothing reads it."""
@@ -38,7 +39,7 @@ EASILY_TWISTED = 1e-2
 
 
 @ti.data_oriented
-class Chain:
+class Chain(PairEnergy):
     """The sweeps that all rods share, for one kind of number and of material.
 
     Its functions take a record ``rod`` (:meth:`rods`) of the rods in one pack:
@@ -167,56 +168,6 @@ class Chain:
             return (shift * rod.shift_shares[0], shift * rod.shift_shares[1])
         else:
             return (shift * edge.shift_shares[0], shift * edge.shift_shares[1])
-
-    @ti.func
-    def stiffness(self, left, right, material):
-        """Stiffness tuple of :mod:`doo_ti.physics.pair` for the vertex between two neighbouring edges."""
-        inverse = right.inverse_length
-        if ti.static(self.isotropic):
-            return (material[0] * inverse, material[1] * inverse)
-        else:
-            return (left.bend, right.bend, inverse, right.twist * inverse) + self.rest(right)
-
-    @ti.func
-    def rest(self, edge):
-        """What stiffness ends with, of the vertex where an edge begins: u̅, the same for both frames."""
-        return (edge.rest,)
-
-    @ti.func
-    def bent(self, b):
-        """(X, Y, 1/s, m, e^{im}) of the numbers ``bent`` of an edge: see :mod:`doo_ti.physics.pair`."""
-        return ((b[0], b[1]), (b[2], b[3]), b[4], b[5], (b[6], b[7]))
-
-    # --- the energy of a pair of edges ---
-
-    @ti.func
-    def energy_of(self, bent, s):
-        if ti.static(self.isotropic):
-            return pair.isotropic_energy(bent[0], bent[3], s)
-        else:
-            return pair.general_energy(bent[0], bent[1], bent[3], s)
-
-    @ti.func
-    def gradient_of(self, bent, s):
-        x, y, inverse, m, turn = bent
-        if ti.static(self.isotropic):
-            return pair.isotropic_gradient(x, y, inverse, m, s)
-        else:
-            return pair.general_gradient(x, y, inverse, turn, m, s)
-
-    @ti.func
-    def derivatives(self, bent, s):
-        """(g_left, g_right, H_left, H_right, H_across) of a pair."""
-        x, y, inverse, m, turn = bent
-        if ti.static(self.isotropic):
-            return self.gradient_of(bent, s) + pair.isotropic_hessian(x, y, inverse, turn, m, s)
-        else:
-            return self.gradient_of(bent, s) + pair.general_hessian(x, y, inverse, turn, m, s)
-
-    @ti.func
-    def keep_pair(self, rod, joint, derivatives):
-        """Keep these of a pair, as they are computed to be eliminated, where they are needed again."""
-        pass
 
     # --- free rotations and weight ---
 
@@ -361,7 +312,7 @@ class Chain:
         """Curvature and twist between the frame before and the frame q of edge ``e``, kept for the elimination, and the
         stiffness there."""
         previous = self.edge(rod.head, e - 1)
-        px, py, inverse, turn, r = pair.curvature(before, q)
+        px, py, inverse, turn, r = curvature(before, q)
         m = self.twist_angle(r)
         previous.bent = px + py + (inverse, m) + turn
         return (px, py, inverse, m, turn), self.stiffness(previous, self.edge(rod.head, e), rod.stiffness)

@@ -75,9 +75,8 @@ class Elimination(Chain):
         searching = self.largest(search[0] + search[1]) > 0.0
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)
-            q = edge.frame
+            q, length = edge.frame, edge.length
             t, m1, m2 = tangent(q), first_director(q), second_director(q)
-            length = edge.length
             remaining = remaining - length
             c = plus(self.edge_pull(rod, edge, self.hanging_weight(rod, length, remaining)), multiplier)
             l1, l2 = linear_gradient(c, length, m1, m2)

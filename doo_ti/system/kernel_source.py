@@ -82,6 +82,10 @@ def _lines_of(otherwise: Callable) -> Callable:
 @cache
 def _last_lines(file: str) -> dict[int, int]:
     """The last line of each function of a file, by its first, that of a decorator where it has any."""
-    tree = ast.parse("".join(linecache.getlines(file)))
-    functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
-    return {min([one.lineno, *(mark.lineno for mark in one.decorator_list)]): one.end_lineno for one in functions}
+    last, blocks = {}, [ast.parse("".join(linecache.getlines(file)))]
+    while blocks:
+        block = blocks.pop()
+        blocks += [node for node in block.body if hasattr(node, "body")]
+        if isinstance(block, ast.FunctionDef):
+            last[min([block.lineno, *(mark.lineno for mark in block.decorator_list)])] = block.end_lineno
+    return last
