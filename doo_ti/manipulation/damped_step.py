@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from doo_ti.manipulation.targets import ServoOptions, Targets
+
 LEAST_DAMPING = 1e-4
 """mm² by which the square of the rod's displacement must grow with a gripper's move of 1 mm: moves that change less are damped.
 Ten times as much leaves small rotations undone, a tenth follows the noise of the marks."""
@@ -25,6 +27,15 @@ class DampedSteps:
         self._values = np.maximum(values, 0.0)
         # Products of single matrices, so that the rounding of a rod does not depend on how many others there are.
         self._along = (np.swapaxes(self._vectors, 1, 2) @ gradient[..., None])[..., 0]
+
+    @classmethod
+    def towards(cls, targets: Targets, shapes: np.ndarray, columns: np.ndarray, options: ServoOptions) -> "DampedSteps":
+        """Steps of the grippers, in mm, that bring ``shapes`` (B, V, 3) to their targets; ``columns`` (B, 3V, 12) are the
+        derivatives of the shapes by the grippers' coordinates."""
+        weight = np.sqrt(np.repeat(targets.shares, 3, axis=1))[..., None]
+        weighed = columns * (weight * (options.moves / options.scale))
+        across = np.swapaxes(weighed, 1, 2)
+        return cls(across @ weighed, (across @ (weight * (targets.places - shapes).reshape(weight.shape)))[..., 0])
 
     def within(self, length: np.ndarray) -> np.ndarray:
         """(B, K) the steps of at most ``length`` (B,), zero where that is."""

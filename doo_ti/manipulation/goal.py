@@ -104,10 +104,10 @@ def fit(rods: Configuration, clamps: Clamps, model: Model, targets: Targets, opt
         own, here, asked = model.take(rows), clamps.take(rows), targets.take(rows)
         solution = own.relaxed(rods.take(rows), here)
         columns = sensitivity(solution, GRIPPERS, rotations=False, loads=False).vertices
-        columns = np.nan_to_num(columns.reshape(len(rows), -1, 12)) * (options.moves / options.scale)
-        across = np.swapaxes(columns, 1, 2) * np.repeat(asked.shares, 3, axis=1)[:, None]
-        error = np.nan_to_num(asked.places - solution.configuration.vertices).reshape(len(rows), -1)
-        step = DampedSteps(across @ columns, (across @ error[..., None])[..., 0]).within(length[rows])
+        columns = np.nan_to_num(columns.reshape(len(rows), -1, 12))
+        vertices = solution.configuration.vertices
+        shapes = np.where(np.isfinite(vertices), vertices, asked.places)
+        step = DampedSteps.towards(asked, shapes, columns, options).within(length[rows])
         there = moved(here, step / options.scale)
         tried = own.relaxed(rods.take(rows), there)
         nearer = _distance(tried, asked)

@@ -172,7 +172,8 @@ class Servo:
         expected = model + (columns @ change[..., None]).reshape(model.shape)
         self._keep_apart(seen - expected, visible)
         by_grippers = columns[..., OF_GRIPPERS]
-        self._move(expected, by_grippers, self._steps(expected, by_grippers), usable)
+        steps = DampedSteps.towards(self._targets, expected + self._offset, by_grippers, self._options)
+        self._move(expected, by_grippers, steps, usable)
         self._placed = self.clamps
         return self.clamps
 
@@ -217,14 +218,6 @@ class Servo:
         some = visible.any(axis=1)[:, None, None]
         self._offset = np.where(some, (1 - GAIN) * self._offset + GAIN * between_marks(left, visible), self._offset)
 
-    def _steps(self, expected: np.ndarray, columns: np.ndarray) -> DampedSteps:
-        """The steps, in mm, from shapes (B, V, 3) to their targets; derivatives (B, 3V, 12) by the grippers' coordinates."""
-        weight = np.sqrt(np.repeat(self._targets.shares, 3, axis=1))[..., None]
-        weighed = columns * (weight * (self._options.moves / self._options.scale))
-        error = weight * (self._targets.places - expected - self._offset).reshape(weight.shape)
-        across = np.swapaxes(weighed, 1, 2)
-        return DampedSteps(across @ weighed, (across @ error)[..., 0])
-
     def _move(self, expected: np.ndarray, columns: np.ndarray, steps: DampedSteps, usable: np.ndarray) -> None:
         """Move the grippers, and the models with them: as far as these follow."""
         start = self.clamps
@@ -251,11 +244,11 @@ class Servo:
             # Drawn in, a gripper may leave its box again.
             self.clamps = put_rows(self.clamps, waiting, boxed(drawn_in(there, tight, stiff[waiting], moves), origin, boxes))
             model = self._relaxed(waiting)
-            by_step = columns if len(waiting) == len(usable) else columns[waiting]
+            every = len(waiting) == len(usable)
+            by_step, targets = (columns, self._targets) if every else (columns[waiting], self._targets.take(waiting))
             linear = (by_step @ (step * moves / self._options.scale)[..., None]).reshape(len(waiting), -1, 3)
             shapes = model.configuration.vertices
             off = _size(shapes - expected[waiting] - linear)
-            targets = self._targets if len(waiting) == len(usable) else self._targets.take(waiting)
             distance = targets.distance(shapes + self._offset[waiting])
             size = np.linalg.norm(step, axis=1)
             nearer = self._aiming[waiting] | (distance <= WORSE * here[waiting] + ROUNDING)

@@ -93,10 +93,11 @@ class Scratch:
 
 
 def _unrelated(place):
-    """The same ``place``, which is not negative, of which the compiler does not see that it follows from a loop's counter.
+    """``place``, which is not negative, unchanged, but computed so that the compiler no longer sees a multiple of a loop's
+    counter in it.
 
-    Otherwise LLVM seeks the cheapest way to count along for each place of a loop (loop strength reduction), in a time that
-    grows with a power of their number: to load a kernel of contact, in every process, took four times as long.
+    Where it does, LLVM optimises how the places of a loop are counted (loop strength reduction). The time for that grows faster
+    than their number: a kernel of groups took four times as long to load, in every process.
     """
     return expr_init(place ^ (place >> 31))
 

@@ -56,5 +56,5 @@ class PairEnergy:
 
     @ti.func
     def keep_pair(self, rod, joint, derivatives):
-        """Keep these of a pair, as they are computed to be eliminated, where they are needed again."""
+        """Called with the :meth:`derivatives` of each pair during elimination; here it keeps nothing."""
         pass

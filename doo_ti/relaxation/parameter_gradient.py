@@ -65,10 +65,19 @@ class ParameterGradient(chain.Chain):
 
     @ti.func
     def keep_pair(self, rod, joint, derivatives):
-        """Of the first pair and the last, whose edges clamps hold."""
+        """Keep the derivatives of the first pair and of the last, whose edges clamps hold."""
         if joint == 0 or joint == rod.edges - 2:
             kept = self.edge(rod.head, joint).outer.pair
             kept.left, kept.right, kept.h_left, kept.h_right, kept.across = derivatives
+
+    @ti.func
+    def keep_gradients(self, rod):
+        """Keep only the gradients of these pairs, which needs no elimination."""
+        for end in range(2):
+            joint = end * (rod.edges - 2)
+            bent, s = self.kept_pair(rod, joint)
+            kept = self.edge(rod.head, joint).outer.pair
+            kept.left, kept.right = self.gradient_of(bent, s)
 
     @ti.func
     def column(self, tables, rod, p, known):

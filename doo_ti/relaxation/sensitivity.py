@@ -93,7 +93,7 @@ def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist"
     parameters  from PARAMETERS, in the order of the columns
     modes       (M, E−1, 2) where "modes" is among the parameters
     first, last of the rods of ``solution``: derivatives of all of them at once may be more than memory holds
-    rotations, loads  whether those are computed; without, they have no columns, and all takes a third less time
+    rotations, loads  whether those are computed; where not, they have no columns, and the call takes a third less time
 
     Rods that have not converged, are not certified stable, are infeasible, or touch themselves come out as NaN. A round rod
     with both spins free keeps its first spin; along other motions that cost nothing (a weightless bow about its chord, a rod

@@ -71,9 +71,12 @@ class SensitivityColumns(EndMoments):
     @ti.func
     def differentiate(self, tables, rod, index, known):
         """The moments and all columns of the rods at rest whose rows of the rods begin with ``index``."""
-        sound = self.is_minimum(rod, known.multiplier)
-        if tables.columns == 0:  # moments are those of any rod
-            sound = 0.0 * sound + 1.0
+        sound = 0.0 * rod.total + 1.0
+        if tables.columns == 0:
+            self.bend_pairs(rod)
+            self.keep_gradients(rod)
+        else:
+            sound = self.is_minimum(rod, known.multiplier)
         for slot in ti.static(range(self.width)):
             if index + slot < tables.rods.shape[0]:
                 tables.sound[tables.rods[index + slot, of.RESULT_ROW]] = ti.cast(self.lane(sound, slot), ti.i32)

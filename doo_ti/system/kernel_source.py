@@ -1,8 +1,9 @@
 """The source of kernels, read once for all calls of a function.
 
-To trace a kernel, in every process, Taichi looks up, lays out and parses the source of a function again at each of its calls,
-and quotes a piece of it for every expression, should that be wrong. Ours are hundreds of functions with thousands of calls:
-half of the time until a kernel runs. With DOO_TI_DEBUG set Taichi does so itself, and an error in a kernel is quoted.
+Before a kernel runs, in every process, Taichi translates its functions. At each call of a function it searches, formats and
+parses the source again, and for every expression it prepares a quotation for a possible error message. Our kernels have
+hundreds of functions and thousands of calls, so this takes half of the time until a kernel runs. With DOO_TI_DEBUG set Taichi
+works as usual, and an error in a kernel is quoted.
 """
 
 import ast
@@ -13,10 +14,15 @@ import textwrap
 from collections import defaultdict
 from collections.abc import Callable
 from functools import cache
+from pathlib import Path
 from types import SimpleNamespace
 
 PARTS = ("getsourcefile", "getsourcelines", "textwrap", "ast", "transform_tree")
 """What is replaced in Taichi's module; left as they are in a version that has others."""
+
+
+OURS = str(Path(__file__).resolve().parents[1]) + os.sep
+"""Files whose functions are found by their line: those of others may change while the process runs."""
 
 
 def read_once(quotes: Callable[[], bool]) -> None:
@@ -67,14 +73,13 @@ class _Trees:
 
 
 def _lines_of(otherwise: Callable) -> Callable:
-    """The lines of a function's source and the number of the first: :func:`inspect.getsourcelines`, without a search."""
+    """What :func:`inspect.getsourcelines` returns, without its search: the lines of a function and the number of the first."""
     @cache
     def lines(function) -> tuple[list[str], int]:
-        code = getattr(inspect.unwrap(function), "__code__", None)
-        last = code and _last_lines(code.co_filename).get(code.co_firstlineno)
-        if not last:
-            return otherwise(function)
-        return linecache.getlines(code.co_filename)[code.co_firstlineno - 1 : last], code.co_firstlineno
+        code = inspect.unwrap(function).__code__
+        file, first = code.co_filename, code.co_firstlineno
+        last = _last_lines(file).get(first) if file.startswith(OURS) else None
+        return otherwise(function) if last is None else (linecache.getlines(file)[first - 1 : last], first)
 
     return lines
 
