@@ -19,15 +19,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize
 
 from doo_ti.refinement.priors import NAMES, Scales, covariance
+from doo_ti.refinement.quasi_newton import minimised
 from doo_ti.refinement.residuals import GAP_MODES, Moments, Residuals
 from doo_ti.refinement.unknowns import Unknowns
 
 STEPS = 60
-ENOUGH = 1e-7
-"""Relative change of F at which the search ends: of F, about 1e4, a thousandth of the rise that bounds an interval."""
+ENOUGH = 1e-3
+"""Change of F at which the search ends: a thousandth of the rise that bounds an interval."""
 WARMING = 4
 """Steps of expectation and maximisation before the search, which fails from sizes that are far off."""
 SETTLED = 0.2
@@ -171,7 +171,7 @@ class Evidence:
         if not scales.learned.any():
             return scales
         counts = self._counts(scales)
-        for _ in range(WARMING):
+        for _ in range(WARMING if scales.hessian is None else 0):  # else the last search has left them near
             # Expectation and maximisation: each squared size becomes the posterior mean of the squares it is the size of.
             share = self.posterior(scales, known=True).gradient / (2 * counts)
             if np.abs(share).max() < SETTLED:
@@ -183,12 +183,12 @@ class Evidence:
             found = self.posterior(scales.at(free), known=True)
             return found.value, found.gradient
 
-        begin = np.clip(scales.free, *np.transpose(scales.bounds))
-        bounds = [(max(low, now - FARTHEST), min(high, now + FARTHEST)) for (low, high), now in zip(
-            scales.bounds, begin, strict=True)]
-        found = minimize(objective, begin, jac=True, method="L-BFGS-B", bounds=bounds,
-                         options={"maxiter": steps, "ftol": ENOUGH, "gtol": 1e-3})
-        return scales.at(found.x)
+        low, high = np.transpose(scales.bounds)
+        begin = np.clip(scales.free, low, high)
+        hessian = np.diag(np.where(np.isfinite(counts), 4 * counts, 1.0)) if scales.hessian is None else scales.hessian
+        free, hessian = minimised(objective, begin, (np.maximum(low, begin - FARTHEST), np.minimum(high, begin + FARTHEST)),
+                                  hessian, steps, ENOUGH)
+        return replace(scales.at(free), hessian=hessian)
 
     def _counts(self, scales: Scales) -> np.ndarray:
         """(H,) how many squares each learned size is the mean of; the range is not one, and is not changed here."""

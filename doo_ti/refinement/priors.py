@@ -45,12 +45,15 @@ class Scales:
     typical  medians of the priors
     factor   standard deviations of the logarithms under the priors
     learned  bool: which of them are learned; the others are fixed
+    hessian  (H, H) of F (:mod:`doo_ti.refinement.evidence`) by the logarithms of the H learned sizes, as the last search for
+             them left it: where the next one begins. None before the first
     """
 
     value: np.ndarray
     typical: np.ndarray
     factor: np.ndarray
     learned: np.ndarray
+    hessian: np.ndarray | None = None
 
     def __getitem__(self, name: str) -> float:
         return float(self.value[NAMES.index(name)])
@@ -79,7 +82,7 @@ class Scales:
     def learning(self, names: set[str]) -> "Scales":
         """The same, but ``names`` are learned too if they still have their typical values."""
         new = np.array([name in names for name in NAMES]) & (self.value == self.typical)
-        return replace(self, learned=self.learned | new)
+        return replace(self, learned=self.learned | new, hessian=None if new.any() else self.hessian)
 
     def prior(self) -> tuple[float, np.ndarray]:
         """−2 ln of the priors of the learned sizes, without its constant, and its gradient (H,) by their logarithms."""
