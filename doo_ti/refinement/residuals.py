@@ -133,8 +133,8 @@ class _Quantity:
 
     def at_places(self) -> np.ndarray:
         """(rods, X, 3, columns) the derivatives at the places."""
-        changes = np.nan_to_num(self.changes)
-        count, weights = len(changes), self.weights[0]
+        changes, weights = np.where(np.isnan(self.changes), 0.0, self.changes), self.weights[0]
+        count = len(changes)
         return (weights @ changes.reshape(count, changes.shape[1], -1)).reshape(count, len(weights), 3, -1)
 
     def sliding(self, mesh: Mesh) -> np.ndarray:
@@ -290,7 +290,7 @@ class Comparison:
         ends = [end for end, name in enumerate(("clip_start", "clip_end")) if name in unknowns.names]
         parts = [of_theta @ chain, by_lengths[..., ends], of_knots]
         if unknowns.turns:
-            parts.append(poses[..., GEOMETRY:] @ unknowns.constant_slopes()[rows, None])
+            parts.append(poses[..., GEOMETRY:] @ unknowns.constant_slopes[rows, None])
         if len(unknowns.columns("spacing")):
             parts.append(by_lengths[..., 2:] * unknowns.lengths(values).spacing + sliding[..., GEOMETRY:])
         if len(unknowns.outer_ends):

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.ndimage import generate_binary_structure, minimum_filter
 
 from doo_ti.refinement.fit import ROUGH, Fit, Fitted
 from doo_ti.refinement.priors import Scales
@@ -180,8 +179,12 @@ def lowest_cells(grid: Grid, mean_distance: np.ndarray, count: int) -> np.ndarra
     """Up to ``count`` local minima of a landscape (G,) over the cells of ``grid``, the lowest first: cells with no lower
     neighbour along any axis. Cells that are NaN count as infinitely high."""
     height = np.nan_to_num(np.asarray(mean_distance, dtype=np.float64), nan=np.inf).reshape(grid.shape)
-    neighbours = generate_binary_structure(height.ndim, 1)
-    cells = np.flatnonzero(np.isfinite(height) & (height <= minimum_filter(height, footprint=neighbours, mode="nearest")))
+    lowest = np.isfinite(height)
+    for axis in range(height.ndim):
+        cells, lowest_along = np.moveaxis(height, axis, 0), np.moveaxis(lowest, axis, 0)
+        lowest_along[1:] &= cells[1:] <= cells[:-1]
+        lowest_along[:-1] &= cells[:-1] <= cells[1:]
+    cells = np.flatnonzero(lowest)
     return cells[np.argsort(height.ravel()[cells], kind="stable")][:count]
 
 

@@ -224,8 +224,9 @@ class Unknowns:
 
     def pose(self, values: Values) -> np.ndarray:
         """(D, POSE) the error of each clamp's pose in each observation."""
-        return values.scatter + np.einsum("dij,j->di", self.constant_slopes(), values.constant)
+        return values.scatter + np.einsum("dij,j->di", self.constant_slopes, values.constant)
 
+    @cached_property
     def constant_slopes(self) -> np.ndarray:
         """(D, POSE, TURNS) derivative of :meth:`pose` by the constant errors."""
         clamps, count = self.rod.held, self.rod.observations.count
