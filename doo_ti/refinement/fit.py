@@ -36,7 +36,7 @@ TURNED = 0.5  # factor of a step that leads back by more than this share of the 
 LEAST_SHARE = 2e-3  # share of a step: if no longer step helps, the fit stops
 FINE, OF_INTERVALS, ROUGH = (0.03, 0.01), (0.1, 0.1), (0.1, 0.5)  # a fit is done when a whole step would move Θ by fewer
 # standard errors and the last one lowered −2 ln of the posterior by less; ROUGH while several fits compete
-SCALE_STEPS = 6  # of the search for the sizes, in each step
+SCALE_STEPS = 10  # of the search for the sizes, in each step
 EXACT, IMPROBABLE = 1e-12, 1e9  # mean square of residuals that is rounding; −ln of the density of a rod that does not count
 ODD = 9.0
 """Times the others' mean square, three times their size: a rod with such residuals is a misfit."""

@@ -23,7 +23,8 @@ def minimised(function: Callable[[np.ndarray], tuple[float, np.ndarray]], x: np.
         step = _newton_step(x, gradient, bounds, hessian)
         if -gradient @ step < enough:
             break
-        share, lower = min(1.0, LONGEST / np.abs(step).max()), False
+        step = step * min(1.0, LONGEST / np.abs(step).max())
+        share, lower = 1.0, False
         while not lower and share > SHORTEST:
             trial = np.clip(x + share * step, *bounds)
             its_value, its_gradient = function(trial)

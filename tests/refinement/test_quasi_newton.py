@@ -35,3 +35,9 @@ def test_a_variable_at_its_bound_stays_where_the_function_falls_beyond():
     x, _ = minimised(lambda x: (x @ x, 2 * x), np.array([1.0, 1.0]), (np.array([1.0, -1.0]), np.full(2, 2.0)), np.eye(2), 20,
                      1e-9)
     np.testing.assert_allclose(x, [1.0, 0.0], atol=1e-4)
+
+
+def test_a_hessian_that_is_far_too_flat_only_costs_steps():
+    x, _ = minimised(lambda x: (x @ x, 2 * x), np.array([0.3, -0.6]), (np.full(2, -9.0), np.full(2, 9.0)), np.diag([1e-9, 2.0]),
+                     30, 1e-9)
+    np.testing.assert_allclose(x, 0.0, atol=1e-4)
