@@ -27,8 +27,8 @@ from doo_ti.refinement.unknowns import Unknowns
 
 STEPS = 60
 ENOUGH = 1e-5
-"""Change of F at which the search ends. Where F is flat at first it falls by no more in a step; the rise that bounds an interval
-is about four."""
+"""Change of F at which the search ends. Where F is flat at first, it falls by little more in a step; the rise that bounds an
+interval is about four."""
 WARMING = 4
 """Steps of expectation and maximisation before the search, which fails from sizes that are far off."""
 SETTLED = 0.2
