@@ -25,6 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from doo_ti.manipulation.dense_kernels import inverses, normal_equations
 from doo_ti.manipulation.targets import ServoOptions
 from doo_ti.rod.types import Configuration, Material
 
@@ -161,7 +162,10 @@ class Belief:
             whole[:, joints, JOINTS] = elastic / soft[:, None]
             whole[:, joints, BEND] = elastic * self.compliance[:, None]  # it gains less with B
             whole[:, CLIP + 16 :, CURVATURE:] = np.eye(2 * CURVES)
-        return whole[..., self.learned] * self._spread[self.learned]
+        if len(self.learned) < len(self._spread):
+            whole = whole[..., self.learned]
+        whole *= self._spread[self.learned]
+        return whole
 
     def learn(self, residual: np.ndarray, visible: np.ndarray, columns: np.ndarray, transform: np.ndarray) -> np.ndarray:
         """Take in a moment: residuals (B, V, 3) and columns (B, V, 3, C) of the marks, of which some are ``visible`` (B, V).
@@ -173,10 +177,11 @@ class Belief:
         missing = np.maximum(self._variance - noise, 0.0) * PERSISTENT * number / 3
         variance = noise + missing + LINEAR**2 * square / number
         before = self.unknowns[:, self.learned] / self._spread[self.learned]
-        self.expected = np.sqrt(self._variance + np.sum(normal * self._covariance, axis=(1, 2)) / number)
-        self._information = keep * self._information + normal / variance[:, None, None]
+        self.expected = np.sqrt(self._variance + np.einsum("bpq,bpq->b", normal, self._covariance) / number)
+        self._information *= keep
+        self._information += normal / variance[:, None, None]
         self._vector = keep * self._vector + (right + (normal @ before[..., None])[..., 0]) / variance[:, None]
-        self._covariance = np.linalg.inv(np.eye(len(self.learned)) + self._information)
+        self._covariance = inverses(np.eye(len(self.learned)) + self._information)
         after = np.clip((self._covariance @ self._vector[..., None])[..., 0], self._least, self._most)
         step = after - before
         left = square - 2 * np.sum(step * right, axis=1) + np.sum(step * (normal @ step[..., None])[..., 0], axis=1)
@@ -211,24 +216,19 @@ class Belief:
 def _moments(residual: np.ndarray, visible: np.ndarray, columns: np.ndarray, transform: np.ndarray
              ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """JᵀJ (B, P, P), Jᵀr (B, P) and |r|² (B,) of the visible marks, J = columns · transform."""
-    rods, unknowns = len(visible), transform.shape[2]
-    normal, right, square = np.zeros((rods, unknowns, unknowns)), np.zeros((rods, unknowns)), np.zeros(rods)
-    count = visible.sum(axis=1)
-    for number in np.unique(count[count > 0]):  # together, so that rounding does not depend on what other rods are there
-        some = np.flatnonzero(count == number)
-        seen = some[:, None], np.nonzero(visible[some])[1].reshape(-1, number)
-        own, apart = (array[seen].reshape(len(some), 3 * number, -1) for array in (columns, residual))
-        jacobian = own @ transform[some]
-        across = np.swapaxes(jacobian, 1, 2)
-        normal[some], right[some], square[some] = across @ jacobian, (across @ apart)[..., 0], np.sum(apart**2, axis=(1, 2))
-    return normal, right, square
+    apart = np.where(visible[..., None], residual, 0.0)
+    normal, right = normal_equations(columns, 0, columns.shape[-1], visible.astype(np.float64), apart)
+    across = np.swapaxes(transform, 1, 2)
+    return across @ (normal @ transform), (across @ right[..., None])[..., 0], np.einsum("bvk,bvk->b", apart, apart)
 
 
 def elastic_curvature(rods: Configuration, material: Material) -> np.ndarray:
     """(B, 4) curvature from rest at the first and at the last joint, in the material frames of the joints, 1/mm; zero in rods
     that are not finite."""
-    ends, frames = rods.curvature_binormal[:, [0, -1]], rods.frames
-    middle = 0.5 * (frames[:, [0, -2]] + frames[:, [1, -1]])
-    bent = np.stack([np.sum(ends * middle[..., 2], axis=-1), -np.sum(ends * middle[..., 1], axis=-1)], axis=-1)
-    rest = 0.0 if material.rest_curvature is None else material.rest_curvature[:, [0, -1]]
-    return np.nan_to_num(bent - rest).reshape(len(bent), 4)
+    bent = []
+    for pair in (slice(0, 2), slice(-2, None)):
+        own = Configuration(rods.start, rods.quaternions[:, pair], rods.rest_length[..., pair])
+        bend, middle = own.curvature_binormal[:, 0], own.frames.mean(axis=1)
+        bent += [np.sum(bend * middle[..., 2], axis=-1), -np.sum(bend * middle[..., 1], axis=-1)]
+    rest = 0.0 if material.rest_curvature is None else material.rest_curvature[:, [0, -1]].reshape(-1, 4)
+    return np.nan_to_num(np.stack(bent, axis=-1) - rest)

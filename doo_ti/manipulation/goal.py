@@ -104,10 +104,10 @@ def fit(rods: Configuration, clamps: Clamps, model: Model, targets: Targets, opt
         own, here, asked = model.take(rows), clamps.take(rows), targets.take(rows)
         solution = own.relaxed(rods.take(rows), here)
         columns = sensitivity(solution, GRIPPERS, rotations=False, loads=False).vertices
-        columns = np.nan_to_num(columns.reshape(len(rows), -1, 12))
+        columns = np.nan_to_num(columns)
         vertices = solution.configuration.vertices
         shapes = np.where(np.isfinite(vertices), vertices, asked.places)
-        step = DampedSteps.towards(asked, shapes, columns, options).within(length[rows])
+        step = DampedSteps.towards(asked, shapes, columns, 0, options).within(length[rows])
         there = moved(here, step / options.scale)
         tried = own.relaxed(rods.take(rows), there)
         nearer = _distance(tried, asked)

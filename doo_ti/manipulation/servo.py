@@ -171,9 +171,8 @@ class Servo:
         columns = derivatives.reshape(len(usable), -1, derivatives.shape[-1])
         expected = model + (columns @ change[..., None]).reshape(model.shape)
         self._keep_apart(seen - expected, visible)
-        by_grippers = columns[..., OF_GRIPPERS]
-        steps = DampedSteps.towards(self._targets, expected + self._offset, by_grippers, self._options)
-        self._move(expected, by_grippers, steps, usable)
+        steps = DampedSteps.towards(self._targets, expected + self._offset, derivatives, OF_GRIPPERS.start, self._options)
+        self._move(expected, columns, steps, usable)
         self._placed = self.clamps
         return self.clamps
 
@@ -246,7 +245,9 @@ class Servo:
             model = self._relaxed(waiting)
             every = len(waiting) == len(usable)
             by_step, targets = (columns, self._targets) if every else (columns[waiting], self._targets.take(waiting))
-            linear = (by_step @ (step * moves / self._options.scale)[..., None]).reshape(len(waiting), -1, 3)
+            change = np.zeros((len(waiting), by_step.shape[2]))
+            change[:, OF_GRIPPERS] = step * moves / self._options.scale
+            linear = (by_step @ change[..., None]).reshape(len(waiting), -1, 3)
             shapes = model.configuration.vertices
             off = _size(shapes - expected[waiting] - linear)
             distance = targets.distance(shapes + self._offset[waiting])
