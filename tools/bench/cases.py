@@ -1,4 +1,4 @@
-"""Cases beside those of ``doo-ti bench``: single rods, the paper's scheme, derivatives by both grippers, motion, Eq. 1."""
+"""Cases beside those of ``doo-ti bench``: single rods, the paper's scheme, derivatives, motion, a servo, Eq. 1."""
 
 from dataclasses import replace
 from functools import cache
@@ -11,6 +11,9 @@ from doo_ti.bench.workload import Rods
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.dynamics.simulate import simulate
+from doo_ti.manipulation.poses import held
+from doo_ti.manipulation.servo import Servo
+from doo_ti.manipulation.targets import ServoStatus, Targets
 from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.pullback import pullback
 from doo_ti.relaxation.relax import relax
@@ -18,8 +21,10 @@ from doo_ti.relaxation.sensitivity import GRIPPERS, gripper_jacobian
 from doo_ti.rod.metric import distance
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution
+from tools.studies.trials.servo import Tasks, tasks
 
 DERIVED = 4096
+STEERED, STEPS, MARKS = 1024, 6, 11
 
 
 def cases(rods: Specimens) -> list[Case]:
@@ -35,6 +40,7 @@ def cases(rods: Specimens) -> list[Case]:
         Case("motion f32", "rod-steps/s", lambda: moved(rods.count, "f32", Dynamics())),
         Case("motion f32 damped", "rod-steps/s", lambda: moved(rods.count, "f32", Dynamics(bend_damping=0.02, drag=0.1))),
         Case("motion f64 damped", "rod-steps/s", lambda: moved(rods.count, "f64", Dynamics(bend_damping=0.02, drag=0.1))),
+        Case("servo", "rod-steps/s", steered),
         Case("metric", "rods/s", lambda: compared(rods.relaxed.configuration, rods.sutures[0])),
     ]
 
@@ -81,6 +87,26 @@ def pulled_back(solution: Solution) -> Outcome:
     parameters = (*GRIPPERS, "bend", "twist", "weight", "rest_curvature_per_joint")
     usable = pullback(solution, np.ones_like(solution.configuration.vertices), parameters).usable
     return Outcome(float(usable.sum()), float(usable.mean()))
+
+
+@cache
+def _watched() -> tuple[Tasks, list[np.ndarray]]:
+    """Tasks, and what is seen in the first steps of a servo, which does the same each time."""
+    own, random = tasks(STEERED, seed=3), np.random.default_rng(0)
+    servo, plant, rods, seen = Servo(own.rods, own.nominal, own.clamps, Targets(own.goal)), own.simulation(), own.real, []
+    for _ in range(STEPS):
+        seen.append(own.marks(rods, MARKS, random))
+        rods = plant.step(held(servo.step(seen[-1]), own.clip)).configuration
+    return own, seen
+
+
+def steered() -> Outcome:
+    """Steps of :class:`doo_ti.manipulation.servo.Servo`, its beginning included."""
+    own, every = _watched()
+    servo = Servo(own.rods, own.nominal, own.clamps, Targets(own.goal))
+    for seen in every:
+        servo.step(seen)
+    return Outcome(float(STEERED * STEPS), float((servo.status != ServoStatus.LOST).mean()))
 
 
 def compared(configuration: Configuration, observations: Observations) -> Outcome:
