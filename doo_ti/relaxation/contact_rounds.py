@@ -6,15 +6,12 @@ from doo_ti.physics.algebra import absolute, largest_of
 from doo_ti.physics.tuples import add, choose, chosen, dot, minus, plus, record, repeated, scaled, variable
 from doo_ti.relaxation.contact_energy import ContactEnergy
 from doo_ti.relaxation.contact_layout import (
-    APPROACH,
     EARLY_STIFFER,
     FINE,
-    FOLLOWED,
-    MOST_EARLY,
+    MOST_TRIES,
     PRESSED_IN,
     ROUGH,
     ROUGHER,
-    SLOW,
     STIFFER,
     STIFFEST,
 )
@@ -55,14 +52,14 @@ class ContactRounds(ContactEnergy):
                 if self.is_close(rod, contact):
                     gap = ti.max(value - radius, zero) + slack
                     normal = contact.normal
-                    share = (0.0 - APPROACH) * dot(normal, move) / ti.max(gap, 1e-6 * radius)
+                    share = 0.0 - dot(normal, move) / ti.max(gap, 1e-6 * radius)
                     most = ti.select(self.close_lanes(rod, value), ti.max(most, share), most)
                 if self.is_curved(rod, o) and self.is_edge_close(rod, index, o):
                     s = contact.place_between
                     between = plus(before, scaled(minus(move, before), s))
                     gap = ti.max(contact.value_between - radius, zero) + slack
                     away = contact.normal_between
-                    share = (0.0 - APPROACH) * dot(away, between) / ti.max(gap, 1e-6 * radius)
+                    share = 0.0 - dot(away, between) / ti.max(gap, 1e-6 * radius)
                     most = ti.select(contact.acts > 0.0, ti.max(most, share), most)
         return ti.max(dot(move, move) * self.nearness(rod, index, at), most * most)
 
@@ -113,16 +110,13 @@ class ContactRounds(ContactEnergy):
         if ti.static(self.updates_in_steps):
             stiffness, change = rod.contacts.stiffness, self.gap_change(rod)
             updated = rod.contacts.update_stiffness > 0.0
-            # The rod has not followed its forces, and might never if they changed again at once.
-            lagging = updated & (lane.residual * rod.total > ROUGHER) & (change > FOLLOWED * rod.contacts.change)
-            choose(rod.contacts, updated, change=change)
             within = updated & (change <= rod.contacts.tolerance)
             if ti.static(self.bits == 32):  # in f64 another step makes forces far more exact
                 done = (within & rests,)
             last = within & ~done[0]
             choose(rod.contacts, last, phase=zero + FINE)
             choose(lane, updated, best=zero + 1e30, idle_trips=zero, aimless=zero)
-            updates = ready & ~self.is_fine(rod) & ~done[0] & ~lagging & (rod.contacts.early < MOST_EARLY)
+            updates = ready & ~self.is_fine(rod) & ~done[0] & (rod.contacts.early < MOST_TRIES)
             rod.contacts.update_stiffness = ti.select(updates, stiffness, zero)
             choose(rod.contacts, updates, early=rod.contacts.early + 1.0)
             stiffer = ti.max(stiffness, EARLY_STIFFER * rod.contacts.first_stiffness)
@@ -152,12 +146,10 @@ class ContactRounds(ContactEnergy):
         if ti.static(self.itself):
             self.update_pairs(rod, due, found)
         change = ti.select(due, found.change / stiffness, zero)
-        slow = due & (change > SLOW * rod.contacts.change) & (change > rod.contacts.tolerance)
-        slow = slow & (stiffness < STIFFEST * rod.contacts.first_stiffness)
+        slow = due & (change > rod.contacts.tolerance) & (stiffness < STIFFEST * rod.contacts.first_stiffness)
         choose(rod.contacts, due, largest=found.largest)
         choose(rod.contacts, slow, stiffness=STIFFER * stiffness)
         self.tighten(rod, due)
-        choose(rod.contacts, due, change=change)
         return largest_of(change, ti.select(due, found.rubbed / stiffness, zero))
 
     @ti.func

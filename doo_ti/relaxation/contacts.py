@@ -13,16 +13,14 @@ from doo_ti.relaxation.contact_layout import (
     CLOSE,
     CONTACT,
     HELD,
-    INERT,
     LOOP_LOADS,
-    MOST_EASED,
+    MOST_TRIES,
     PRESSED_IN,
     REMEMBERED,
     REMEMBERED_IN_MOTION,
     ROUGH,
     SOFT,
-    THICKER,
-    VISCOUS,
+    STIFFER,
 )
 from doo_ti.relaxation.contact_rounds import ContactRounds
 
@@ -50,7 +48,7 @@ class Contacts(ContactRounds):
         # The clamps wait until the rod has come to rest without viscosity.
         further = ti.max(2.0 * rod.contacts.way, least)
         choose(rod.contacts, done, way=ti.select(eased, zero, ti.min(further, one - made)))
-        thinner = rod.contacts.viscosity / THICKER
+        thinner = rod.contacts.viscosity / STIFFER
         enough = thinner >= 0.5 * rod.contacts.first_viscosity  # rounding apart, the first one
         choose(rod.contacts, done, viscosity=ti.select(enough, thinner, zero), multiplier=multiplier)
         choose(rod.contacts, done & ~midway, eased=zero)
@@ -65,7 +63,7 @@ class Contacts(ContactRounds):
     def begin_rounds(self, rod, where):
         """Begin with the rounds of a step, from the forces that there are, in the lanes ``where``."""
         zero = 0.0 * rod.total
-        choose(rod.contacts, where, phase=zero + ROUGH, change=zero + 1e30, stiffness=rod.contacts.first_stiffness)
+        choose(rod.contacts, where, phase=zero + ROUGH, stiffness=rod.contacts.first_stiffness)
         self.tighten(rod, where)
         choose(rod.contacts, where, retried=zero, update_stiffness=zero, early=zero)
 
@@ -98,11 +96,11 @@ class Contacts(ContactRounds):
         again = failed & (rod.contacts.retried < 0.5) & (bowed | ~blocked) & (viscosity <= 0.0)
         quasi_static = least < 0.9
         shorter = failed & ~again & (rod.contacts.way > 1.5 * least) & quasi_static & ((viscosity <= 0.0) | blocked)
-        eased = failed & ~again & ~blocked & ~shorter & quasi_static & (rod.contacts.eased < MOST_EASED)
+        eased = failed & ~again & ~blocked & ~shorter & quasi_static & (rod.contacts.eased < MOST_TRIES)
         once = again | shorter | eased
         if self.some(once, zero):
             choose(rod.contacts, shorter, way=0.5 * rod.contacts.way)
-            choose(rod.contacts, eased, viscosity=ti.max(THICKER * viscosity, rod.contacts.first_viscosity),
+            choose(rod.contacts, eased, viscosity=ti.max(STIFFER * viscosity, rod.contacts.first_viscosity),
                    eased=1.0 + rod.contacts.eased)
             for v in range(rod.edges + 1):
                 at = self.vertex(rod, v)
@@ -110,7 +108,7 @@ class Contacts(ContactRounds):
                     choose(self.contact(at, o), once, remembered=repeated(zero, REMEMBERED_IN_MOTION))
             if ti.static(self.itself):
                 self.forget_pairs(rod, once)
-            choose(rod.contacts, once, phase=zero + ROUGH, update_stiffness=zero, early=zero, change=zero + 1e30,
+            choose(rod.contacts, once, phase=zero + ROUGH, update_stiffness=zero, early=zero,
                    stiffness=rod.contacts.first_stiffness, retried=zero + 1.0)
         return once
 
@@ -134,7 +132,7 @@ class Contacts(ContactRounds):
         for v in range(one.edges + 1):
             self.vertex(one, v).previous = scaled(read(tables.places, row, v, 0), 1.0 / unit)
         # The first step of a motion knows no forces. All others continue as if no launch had ended before them.
-        stiffness = exact(own.stiffness) + INERT * inertia
+        stiffness = exact(own.stiffness) + inertia
         own.stiffness, own.first_stiffness, own.phase, own.way = stiffness, stiffness, ROUGH, 1.0
         own.work, own.largest, own.viscosity, own.eased, own.way_made = 0.0, 0.0, 0.0, 0.0, 0.0
         if tables.rod_memory[row, 0] > 0.0:
@@ -162,9 +160,9 @@ class Contacts(ContactRounds):
         for o in range(count):
             thinnest = ti.min(thinnest, tables.obstacles[own, o, DEPTH] / unit)
         stiffness = ti.max(force / (SOFT * radius), whole / (PRESSED_IN * (radius + thinnest)))
-        viscosity = VISCOUS * whole / (scale.total * vertices * unit * unit)
+        viscosity = whole / (scale.total * vertices * unit * unit)
         tolerance = ti.max(tables.tolerance * radius, 10.0 * self.rounding * scale.total)
-        base.given = (radius, stiffness, tolerance, 1e30, ROUGH, CLOSE * radius + 0.5 * scale.longest, stiffness, 0.0, 0.0)
+        base.given = (radius, stiffness, tolerance, ROUGH, CLOSE * radius + 0.5 * scale.longest, stiffness, 0.0, 0.0)
         base.first_viscosity, base.update_stiffness, base.early, base.expecting = viscosity, 0.0, 0.0, 0.0
         for o in range(count):
             at = self.obstacle(one, o)

@@ -7,14 +7,11 @@ SHAPE_TOLERANCE_32 = 1e-4
 
 # The policy's fixed numbers (shifts are over the largest diagonal entry of H).
 SHIFT_WRONG_INERTIA = 0.01
-SHIFT_REJECTED, SHIFT_REJECTED_IN_CONTACT, GROWTH_IN_CONTACT = 1e-5, 1e-3, 10.0
+SHIFT_REJECTED, GROWTH = 1e-5, 4.0  # where a step is rejected
 MOST_SHIFT = 1e3  # times what is stiff at an edge: no shift is larger there
 DECAY, NEGLIGIBLE = 1 / 16, 1e-5  # each accepted step multiplies the shift by DECAY, below NEGLIGIBLE it is zero;
 DECAY_TROUBLED, NEGLIGIBLE_TROUBLED = 1 / 4, 1e-6  # the same once a step was refused or the inertia was wrong
 CUT = 0.1  # a step of which a smaller share may be taken does not make the shift smaller
-# Of rods that may touch something: a step of which a smaller share was taken does not make the shift smaller; and the part of
-# it that is tried after it was refused.
-SHORTENED, PART = 0.8, 0.3
 STILL, BY_ROUNDING = 1e-10, 1e3  # rad: a smaller step is rounding, and by how much the residual then may exceed its tolerance
 FAR_FROM_REST = 1e-3  # residual, above which frames spin before they tilt
 # Eigenvalues that are smaller, over H's largest diagonal entry, are neutral motions. Contact needs the larger number, and so do
@@ -28,7 +25,7 @@ CLOSING_DISTANCE = 0.3  # edge lengths: above it a step only projects
 ESCAPE_ROTATION = 0.1  # rad
 ESCAPE_ROUNDS = 3.0  # inverse iterations before the first step off a saddle
 COARSE_ROTATION = 0.2  # rad: while steps are larger, an external energy gives its coarse curvature, if it has one
-PATIENCE, PATIENCE_IN_CONTACT = 25, 100  # trips without progress; sliding ropes may gain less energy than rounding hides
+PATIENCE = 25  # trips without progress
 PATIENCE_32 = 16  # the same in f32, after which f64 takes over
 NOTABLE = 1e-8  # of the energy's magnitude, which locked-in twist may dominate
 PATIENCE_AT_SADDLE = 8  # trips without noteworthy progress where the inertia is wrong

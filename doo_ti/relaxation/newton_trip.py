@@ -5,7 +5,7 @@ import taichi as ti
 from doo_ti.physics.algebra import absolute
 from doo_ti.physics.tuples import chosen, dot, plus, record, scaled, variable
 from doo_ti.relaxation import newton_policy as fixed
-from doo_ti.relaxation.contact_layout import EARLY_ROTATION
+from doo_ti.relaxation.contact_layout import EARLY_ROTATION, PART, SHORTENED
 from doo_ti.relaxation.elimination import Elimination
 from doo_ti.rod.types import Status
 
@@ -53,15 +53,12 @@ class NewtonTrip:
         # distinguish them from soft saddles and leaves them to f64.
         self.among_obstacles = self.touches and not sweep.contacts.itself
         self.expects = self.touches and sweep.contacts.expects
-        patience = fixed.PATIENCE_IN_CONTACT if self.touches else fixed.PATIENCE
-        self.patience = fixed.PATIENCE_32 if single else patience
+        self.patience = fixed.PATIENCE_32 if single else fixed.PATIENCE
         self.trace = 0.0 if single else fixed.LARGE_TRACE if self.among_obstacles else fixed.TRACE
         self.trace_at_rest = 0.0 if single else fixed.LARGE_TRACE
         self.by_decrement = not single
         self.converged, self.limit = int(Status.CONVERGED), int(Status.ITERATION_LIMIT)
         self.stalled, self.not_finite, self.infeasible = map(int, (Status.STALLED, Status.NOT_FINITE, Status.INFEASIBLE))
-        self.growth, self.first_shift = (  # of the shift, where a step is rejected
-            (fixed.GROWTH_IN_CONTACT, fixed.SHIFT_REJECTED_IN_CONTACT) if self.touches else (4.0, fixed.SHIFT_REJECTED))
 
     @ti.func
     def trip(self, tables, head, lane):
@@ -81,7 +78,7 @@ class NewtonTrip:
         rod.spins_first = lane.spins_first
         decay = ti.select(lane.troubled > 0.5, self.constant(fixed.DECAY_TROUBLED), self.constant(fixed.DECAY))
         # A smaller shift makes a step larger, which is of no use where it could not be taken whole.
-        shortened = ti.static(fixed.SHORTENED if self.touches else fixed.CUT)
+        shortened = ti.static(SHORTENED if self.touches else fixed.CUT)
         decay = ti.select(lane.step_scale < shortened, self.constant(1.0), decay)
         least = ti.select(lane.troubled > 0.5, self.constant(fixed.NEGLIGIBLE_TROUBLED), self.constant(fixed.NEGLIGIBLE))
         negligible = least * lane.scale
@@ -173,7 +170,7 @@ class NewtonTrip:
         if ti.static(self.among_obstacles):
             # Then the same step under weaker contacts: along curved obstacles a large κ leaves room for short steps only.
             stiffer = stiffer & ~self.sweep.contacts.soften(rod, stiffer)
-        lane.shift = ti.select(stiffer, ti.max(self.growth * lane.shift, self.first_shift * lane.scale), lane.shift)
+        lane.shift = ti.select(stiffer, ti.max(fixed.GROWTH * lane.shift, fixed.SHIFT_REJECTED * lane.scale), lane.shift)
         lane.rejects = ti.select(judged.downhill, zero, lane.rejects + ti.select(judged.uphill, one, zero))
         lane.escaping = ti.select(judged.downhill, zero, lane.escaping)
         lane.trips = lane.trips + lane.active
@@ -268,7 +265,7 @@ class NewtonTrip:
                 # With the contacts that the refused step has met, the step is another one.
                 part = part & ~self.sweep.contacts.expected(rod)
                 self.sweep.contacts.note_refused(rod, judged.uphill)
-            cap = ti.select(part, fixed.PART * cap, cap)
+            cap = ti.select(part, PART * cap, cap)
         lane.heading = ti.select(searching, ti.select(slope > 0.0, 0.0 - one, one), lane.heading)
         leap = lane.heading * fixed.ESCAPE_ROTATION / ((1.0 + lane.rejects) * (1.0 + lane.rejects) * (lane.longest + 1e-30))
         lane.step_scale = ti.select(lane.trying > 0.5, ti.select(lane.escaping > 0.5, leap, cap), zero)

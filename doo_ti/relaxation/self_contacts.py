@@ -5,7 +5,7 @@ import taichi as ti
 from doo_ti.physics.algebra import largest_of
 from doo_ti.physics.tuples import choose, dot, minus, plus, scaled
 from doo_ti.physics.view import exact
-from doo_ti.relaxation.contact_layout import APPROACH, PRESSED_IN
+from doo_ti.relaxation.contact_layout import PRESSED_IN
 from doo_ti.relaxation.contacts import NONE
 from doo_ti.relaxation.pair_distance import pair_weights
 from doo_ti.relaxation.pair_layout import CARRIED, REACH, REMEMBERED
@@ -59,7 +59,7 @@ class SelfContacts(SelfContactEnergy):
                         plus(scaled(self.move(rod, j), weights[2]), scaled(self.move(rod, j + 1), weights[3])))
                     normal = at.normal
                     gap = ti.max(clearance - 2.0 * radius, zero) + PRESSED_IN * radius
-                    share = (0.0 - APPROACH) * dot(normal, change) / ti.max(gap, 1e-6 * radius)
+                    share = 0.0 - dot(normal, change) / ti.max(gap, 1e-6 * radius)
                     most = ti.select(near & (share > 0.0), largest_of(most, share * share), most)
         return most
 
