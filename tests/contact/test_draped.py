@@ -6,7 +6,7 @@ import pytest
 
 from doo_ti import Box, Capsule, Clamp, Clamps, Configuration, Material, Newton, Plane, Solution, Sphere, Status, relax
 
-LENGTH, EDGES, RADIUS, COUNT = 200.0, 40, 1.0, 60
+LENGTH, EDGES, RADIUS, COUNT = 200.0, 40, 1.0, 120
 HELD = [(Clamp.FRAME, Clamp.FREE), (Clamp.POSITION, Clamp.FREE), (Clamp.FREE, Clamp.FRAME), (Clamp.FREE, Clamp.POSITION)]
 THINGS = {"peg": Capsule((40, -200, 15), (40, 200, 15), 8.0), "box": Box((0, 0, -5), (60, 60, 15)),
           "sphere": Sphere((60, 10, 0), 20.0)}
