@@ -2,6 +2,9 @@
 
 from enum import IntEnum
 
+HELD = 0.999
+"""A contact is said to stick while its friction is below that share of the coefficient times its force."""
+
 
 class Touch(IntEnum):
     """What a vertex, with the edge that ends there, does at an instant of a motion: touch nothing, stick or slip."""

@@ -4,13 +4,14 @@ from doo_ti.contact.distance import COLUMNS
 from doo_ti.physics.tuples import picked
 from doo_ti.physics.view import Layout
 
-# Of a rod: its radius, κ, the tolerance of its gaps, and its phase; how close to an obstacle a vertex is where more than its φ
-# counts; κ as it was at first; the work that friction has done; one where a step is tried for the second time; of a motion how
-# much of the clamps' way to the next instant is made, and how much at once, the multiplier of closure at the last instant, and
-# the largest force; and of steps that viscosity eases, the viscosity now and at first, and how many there were.
+# Of a rod: its radius, κ, the tolerance of its gaps, by how much the last round changed a gap, and its phase; how close to an
+# obstacle a vertex is where more than its φ counts; κ as it was at first; the work that friction has done; one where a step is
+# tried for the second time; of a motion how much of the clamps' way to the next instant is made, and how much at once, the
+# multiplier of closure at the last instant, and the largest force; and of steps that viscosity eases, the viscosity now and at
+# first, and how many there were.
 ROD = Layout(
-    radius=1, stiffness=1, tolerance=1, phase=1, reach=1, first_stiffness=1, work=1, retried=1, way_made=1, way=1,
-    multiplier=3, largest=1, viscosity=1, first_viscosity=1, eased=1, given=("radius", 8))
+    radius=1, stiffness=1, tolerance=1, change=1, phase=1, reach=1, first_stiffness=1, work=1, retried=1, way_made=1, way=1,
+    multiplier=3, largest=1, viscosity=1, first_viscosity=1, eased=1, given=("radius", 9))
 # Sums, which are kept here because a loop over obstacles has no room for them in registers: the energy of all contacts, its
 # magnitude, and the part of it that only makes gaps close, which is no energy of the rod; the square of the largest share of
 # its way to the middle of an obstacle that a vertex has made in this step; the least φ, the least gap where no clamp holds the
@@ -73,26 +74,23 @@ SOFT = 0.1
 PRESSED_IN = 0.3
 """Of a radius: the most by which κ gives way under the largest force, so that forces end where contact does, and what is added
 to a gap where a step may close it. Of the way to the middle of an obstacle: the most under the weight of the whole rod."""
-EARLY_ROTATION, EARLY_STIFFER = 3e-2, 10.0
-"""A step in which every edge turns by less than that, rad, updates forces; κ is from then on at least so many times the
-first."""
+EARLY_ROTATION = 3e-2
+"""A step in which every edge turns by less than that, rad, updates forces."""
 MOST_TRIES = 12.0
 """At most so many steps of a rod update forces, and so many are eased by viscosity between two instants of a motion."""
-STIFFER, STIFFEST = 5.0, 1e6
-"""κ grows by the factor STIFFER where a round changes gaps by more than their tolerance, and where a refused step is deep
-inside an obstacle, up to STIFFEST times the first κ; it shrinks by that factor where one is refused elsewhere. A force that is
-larger than STIFFEST times the first κ and the radius means that the rod cannot get out of an obstacle. Viscosity that eases a
-step grows by STIFFER where a step with it fails, else shrinks by that."""
+STIFFER, SLOW, STIFFEST = 10.0, 0.3, 1e6
+"""κ grows by the factor STIFFER when steps begin to update forces, where a round leaves more than the share SLOW of the change
+of the round before, and where a refused step is deep inside an obstacle, up to STIFFEST times the first κ; it shrinks by that
+factor where one is refused elsewhere. A force that is larger than STIFFEST times the first κ and the radius means that the rod
+cannot get out of an obstacle. Viscosity that eases a step grows by STIFFER where a step with it fails, else shrinks by that."""
 CLOSE = 4.0
 """Radii: what is further from an obstacle than that, and half an edge, is not close."""
 ROUGHER = 3e-3
 """The residual to reach until the forces of contacts have settled."""
 
-SHORTENED, PART = 0.8, 0.3
-"""A step of which a smaller share than SHORTENED was taken does not make the shift smaller; and the part of it that is tried
-after it was refused."""
-HELD = 0.999
-"""A contact sticks while its friction is below that share of the coefficient times its force."""
+SHORTENED, PART, SHIFT_GROWTH = 0.8, 0.3, 10.0
+"""A step of which a smaller share than SHORTENED was taken does not make the shift smaller; the part of it that is tried after
+it was refused; and by how much the shift then grows."""
 
 
 @picked

@@ -6,12 +6,12 @@ from doo_ti.physics.algebra import absolute, largest_of
 from doo_ti.physics.tuples import add, choose, chosen, dot, minus, plus, record, repeated, scaled, variable
 from doo_ti.relaxation.contact_energy import ContactEnergy
 from doo_ti.relaxation.contact_layout import (
-    EARLY_STIFFER,
     FINE,
     MOST_TRIES,
     PRESSED_IN,
     ROUGH,
     ROUGHER,
+    SLOW,
     STIFFER,
     STIFFEST,
 )
@@ -110,6 +110,7 @@ class ContactRounds(ContactEnergy):
         if ti.static(self.updates_in_steps):
             stiffness, change = rod.contacts.stiffness, self.gap_change(rod)
             updated = rod.contacts.update_stiffness > 0.0
+            choose(rod.contacts, updated, change=change)
             within = updated & (change <= rod.contacts.tolerance)
             if ti.static(self.bits == 32):  # in f64 another step makes forces far more exact
                 done = (within & rests,)
@@ -119,7 +120,7 @@ class ContactRounds(ContactEnergy):
             updates = ready & ~self.is_fine(rod) & ~done[0] & (rod.contacts.early < MOST_TRIES)
             rod.contacts.update_stiffness = ti.select(updates, stiffness, zero)
             choose(rod.contacts, updates, early=rod.contacts.early + 1.0)
-            stiffer = ti.max(stiffness, EARLY_STIFFER * rod.contacts.first_stiffness)
+            stiffer = ti.max(stiffness, STIFFER * rod.contacts.first_stiffness)
             choose(rod.contacts, updates, stiffness=stiffer)
             early = (updates | last,)
         return early[0], done[0]
@@ -146,10 +147,12 @@ class ContactRounds(ContactEnergy):
         if ti.static(self.itself):
             self.update_pairs(rod, due, found)
         change = ti.select(due, found.change / stiffness, zero)
-        slow = due & (change > rod.contacts.tolerance) & (stiffness < STIFFEST * rod.contacts.first_stiffness)
+        slow = due & (change > SLOW * rod.contacts.change) & (change > rod.contacts.tolerance)
+        slow = slow & (stiffness < STIFFEST * rod.contacts.first_stiffness)
         choose(rod.contacts, due, largest=found.largest)
         choose(rod.contacts, slow, stiffness=STIFFER * stiffness)
         self.tighten(rod, due)
+        choose(rod.contacts, due, change=change)
         return largest_of(change, ti.select(due, found.rubbed / stiffness, zero))
 
     @ti.func

@@ -3,7 +3,7 @@
 import taichi as ti
 
 from doo_ti.contact.obstacles import DEPTH, OBSTACLE_COLUMNS, SIZES
-from doo_ti.contact.touch import Touch
+from doo_ti.contact.touch import HELD, Touch
 from doo_ti.physics.tuples import choose, dot, repeated, scaled
 from doo_ti.physics.view import exact, read
 from doo_ti.relaxation import tables as of
@@ -12,7 +12,6 @@ from doo_ti.relaxation.contact_layout import (
     CARRIED_ON,
     CLOSE,
     CONTACT,
-    HELD,
     LOOP_LOADS,
     MOST_TRIES,
     PRESSED_IN,
@@ -63,7 +62,7 @@ class Contacts(ContactRounds):
     def begin_rounds(self, rod, where):
         """Begin with the rounds of a step, from the forces that there are, in the lanes ``where``."""
         zero = 0.0 * rod.total
-        choose(rod.contacts, where, phase=zero + ROUGH, stiffness=rod.contacts.first_stiffness)
+        choose(rod.contacts, where, phase=zero + ROUGH, change=zero + 1e30, stiffness=rod.contacts.first_stiffness)
         self.tighten(rod, where)
         choose(rod.contacts, where, retried=zero, update_stiffness=zero, early=zero)
 
@@ -108,7 +107,7 @@ class Contacts(ContactRounds):
                     choose(self.contact(at, o), once, remembered=repeated(zero, REMEMBERED_IN_MOTION))
             if ti.static(self.itself):
                 self.forget_pairs(rod, once)
-            choose(rod.contacts, once, phase=zero + ROUGH, update_stiffness=zero, early=zero,
+            choose(rod.contacts, once, phase=zero + ROUGH, update_stiffness=zero, early=zero, change=zero + 1e30,
                    stiffness=rod.contacts.first_stiffness, retried=zero + 1.0)
         return once
 
@@ -162,7 +161,7 @@ class Contacts(ContactRounds):
         stiffness = ti.max(force / (SOFT * radius), whole / (PRESSED_IN * (radius + thinnest)))
         viscosity = whole / (scale.total * vertices * unit * unit)
         tolerance = ti.max(tables.tolerance * radius, 10.0 * self.rounding * scale.total)
-        base.given = (radius, stiffness, tolerance, ROUGH, CLOSE * radius + 0.5 * scale.longest, stiffness, 0.0, 0.0)
+        base.given = (radius, stiffness, tolerance, 1e30, ROUGH, CLOSE * radius + 0.5 * scale.longest, stiffness, 0.0, 0.0)
         base.first_viscosity, base.update_stiffness, base.early, base.expecting = viscosity, 0.0, 0.0, 0.0
         for o in range(count):
             at = self.obstacle(one, o)

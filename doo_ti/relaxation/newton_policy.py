@@ -7,7 +7,7 @@ SHAPE_TOLERANCE_32 = 1e-4
 
 # The policy's fixed numbers (shifts are over the largest diagonal entry of H).
 SHIFT_WRONG_INERTIA = 0.01
-SHIFT_REJECTED, GROWTH = 1e-5, 4.0  # where a step is rejected
+SHIFT_REJECTED, GROWTH = 1e-5, 4.0  # where a step is rejected; of rods that may touch something by SHIFT_GROWTH
 MOST_SHIFT = 1e3  # times what is stiff at an edge: no shift is larger there
 DECAY, NEGLIGIBLE = 1 / 16, 1e-5  # each accepted step multiplies the shift by DECAY, below NEGLIGIBLE it is zero;
 DECAY_TROUBLED, NEGLIGIBLE_TROUBLED = 1 / 4, 1e-6  # the same once a step was refused or the inertia was wrong

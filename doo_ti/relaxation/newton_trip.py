@@ -5,7 +5,7 @@ import taichi as ti
 from doo_ti.physics.algebra import absolute
 from doo_ti.physics.tuples import chosen, dot, plus, record, scaled, variable
 from doo_ti.relaxation import newton_policy as fixed
-from doo_ti.relaxation.contact_layout import EARLY_ROTATION, PART, SHORTENED
+from doo_ti.relaxation.contact_layout import EARLY_ROTATION, PART, SHIFT_GROWTH, SHORTENED
 from doo_ti.relaxation.elimination import Elimination
 from doo_ti.rod.types import Status
 
@@ -58,6 +58,7 @@ class NewtonTrip:
         self.trace_at_rest = 0.0 if single else fixed.LARGE_TRACE
         self.by_decrement = not single
         self.converged, self.limit = int(Status.CONVERGED), int(Status.ITERATION_LIMIT)
+        self.growth = SHIFT_GROWTH if self.touches else fixed.GROWTH
         self.stalled, self.not_finite, self.infeasible = map(int, (Status.STALLED, Status.NOT_FINITE, Status.INFEASIBLE))
 
     @ti.func
@@ -170,7 +171,7 @@ class NewtonTrip:
         if ti.static(self.among_obstacles):
             # Then the same step under weaker contacts: along curved obstacles a large κ leaves room for short steps only.
             stiffer = stiffer & ~self.sweep.contacts.soften(rod, stiffer)
-        lane.shift = ti.select(stiffer, ti.max(fixed.GROWTH * lane.shift, fixed.SHIFT_REJECTED * lane.scale), lane.shift)
+        lane.shift = ti.select(stiffer, ti.max(self.growth * lane.shift, fixed.SHIFT_REJECTED * lane.scale), lane.shift)
         lane.rejects = ti.select(judged.downhill, zero, lane.rejects + ti.select(judged.uphill, one, zero))
         lane.escaping = ti.select(judged.downhill, zero, lane.escaping)
         lane.trips = lane.trips + lane.active

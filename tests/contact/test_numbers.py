@@ -14,8 +14,8 @@ pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[2]
 NUMBERS = [name for name, value in vars(contact_layout).items() if isinstance(value, float) and name not in ("ROUGH", "FINE")]
-BOUNDED = {"SHORTENED", "HELD"}
-"""Shares below one: doubled, half of what they are short of it."""
+BOUNDED = {"SHORTENED"}
+"""Shares near one: doubled, half of what they are short of it."""
 RODS = """
 import importlib, json, sys
 module, name, value = sys.argv[1:]
