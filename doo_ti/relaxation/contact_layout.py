@@ -72,17 +72,19 @@ With 20 there, too, loops are pressed so far into each other that a knot slips o
 SOFT = 0.1
 """Of a radius: at first κ gives way by that under such a force."""
 PRESSED_IN = 0.3
-"""Of a radius: the most by which κ gives way under the largest force, so that forces end where contact does, and what is added
-to a gap where a step may close it. Of the way to the middle of an obstacle: the most under the weight of the whole rod."""
+"""Of a radius: the most by which κ gives way under the largest force at the end of a round, so that forces end where contact
+does, and what a step may press in beyond a closed gap. Of the way to the middle of an obstacle: the most by which κ first gives
+way under the weight of the whole rod."""
 EARLY_ROTATION = 3e-2
-"""A step in which every edge turns by less than that, rad, updates forces."""
+"""A step in which every edge turns by less than that, rad, and which takes less than that share of gaps, updates forces."""
 MOST_TRIES = 12.0
 """At most so many steps of a rod update forces, and so many are eased by viscosity between two instants of a motion."""
 STIFFER, SLOW, STIFFEST = 10.0, 0.3, 1e6
-"""κ grows by the factor STIFFER when steps begin to update forces, where a round leaves more than the share SLOW of the change
-of the round before, and where a refused step is deep inside an obstacle, up to STIFFEST times the first κ; it shrinks by that
-factor where one is refused elsewhere. A force that is larger than STIFFEST times the first κ and the radius means that the rod
-cannot get out of an obstacle. Viscosity that eases a step grows by STIFFER where a step with it fails, else shrinks by that."""
+"""κ is at least STIFFER times the first one from the first step on that updates forces. It grows by that factor where a round
+leaves more than the share SLOW of the change of the round before, and where a refused step is deep inside an obstacle, up to
+STIFFEST times the first κ; it shrinks by it where a step is refused a second time elsewhere. A force that is larger than
+STIFFEST times the first κ and the radius means that the rod cannot get out of an obstacle. Viscosity that eases a step grows by
+STIFFER where a step with it fails, else shrinks by that."""
 CLOSE = 4.0
 """Radii: what is further from an obstacle than that, and half an edge, is not close."""
 ROUGHER = 3e-3

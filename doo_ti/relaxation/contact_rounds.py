@@ -25,7 +25,7 @@ class ContactRounds(ContactEnergy):
 
     @ti.func
     def restore(self, rod, lost):
-        """Restore them in the lanes that reject the step."""
+        """Put vertices back to where they were before the step, in the lanes that are ``lost``. Forces that it updated stay."""
         for v in range(rod.edges + 1):
             at = self.vertex(rod, v)
             standing = at.standing
@@ -38,8 +38,9 @@ class ContactRounds(ContactEnergy):
 
     @ti.func
     def approach(self, rod, index, before, move):
-        """By how much a step is too large for one that may be taken whole: the square of its share of a vertex's way to the
-        middle of an obstacle, or of the gap there and on the edge that ends there, whose start makes the step ``before``."""
+        """The square of the largest share that a ``move`` takes of a vertex's way to the middle of an obstacle, or of the gap,
+        PRESSED_IN added, there and on the edge that ends there, whose start moves by ``before``. Only so much of a step is
+        taken that this share is at most max_rotation (:meth:`.NewtonTrip.plan`)."""
         zero = 0.0 * move[0]
         at = self.vertex(rod, index)
         radius = rod.contacts.radius
@@ -130,7 +131,6 @@ class ContactRounds(ContactEnergy):
         """End a round in the lanes that are ``due`` with new forces. Returns the largest change of a gap that they mean."""
         zero = 0.0 * rod.total
         stiffness = rod.contacts.stiffness
-        # Friction settles no sooner with a larger κ.
         found = record(change=zero, largest=zero, rubbed=zero)
         for v in range(rod.edges + 1):
             at = self.vertex(rod, v)
@@ -147,6 +147,7 @@ class ContactRounds(ContactEnergy):
         if ti.static(self.itself):
             self.update_pairs(rod, due, found)
         change = ti.select(due, found.change / stiffness, zero)
+        # Friction, which settles no sooner with a larger κ, does not count.
         slow = due & (change > SLOW * rod.contacts.change) & (change > rod.contacts.tolerance)
         slow = slow & (stiffness < STIFFEST * rod.contacts.first_stiffness)
         choose(rod.contacts, due, largest=found.largest)
@@ -200,7 +201,7 @@ class ContactRounds(ContactEnergy):
 
     @ti.func
     def update_edge(self, rod, index, o, contact, due, found):
-        """That of the edge to vertex ``index``; none ends at vertex 0."""
+        """The new force of the contact of the edge to vertex ``index``; none ends at vertex 0."""
         zero = 0.0 * rod.total
         old = contact.force_between
         # Where the edge does not bridge the obstacle its nearest point is not known.
@@ -239,8 +240,9 @@ class ContactRounds(ContactEnergy):
 
     @ti.func
     def update_between(self, rod, index, o, due, gap, force):
-        """Whether the rounds that follow have the nearest point of an edge: as long as it is nearer than the ends. Returns its
-        force, which otherwise goes to the nearer end, and what it should have been where they did not have it so far."""
+        """Decide whether the nearest point of an edge is a contact in the next round: as long as it is nearer than both ends.
+        Where it no longer is one its force goes to the nearer end. Returns its force, and κ times its depth where it has just
+        become one."""
         zero = 0.0 * gap
         contact = self.contact(self.vertex(rod, index), o)
         active = contact.active

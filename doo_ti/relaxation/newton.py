@@ -45,8 +45,9 @@ class Newton:
     max_iterations  factorisations allowed per rod
     first_shift     shift δ of the first factorisation over the largest diagonal entry of H. Zero follows the path of
                     descent more closely and takes more iterations (``careful``).
-    max_rotation    largest turn of any edge in one step, rad
-    max_escapes     how often a rod may leave a saddle it has converged to
+    max_rotation    largest turn of any edge in one step, rad; in contact also the largest share of a gap, and of the way to the
+                    middle of an obstacle, that a step may take
+    max_escapes     how often a rod may leave a saddle it has converged to; then it has converged there, not stable
     gap_tolerance   of a rod's radius: how far the gap at a contact may be off; in f32 at least 2e-6 of the length. A smaller
                     value makes the forces of single contacts more exact, above all those of stiff rods with short edges.
                     None: 1e-5, and 2e-4 for rods that may touch themselves or each other

@@ -7,7 +7,8 @@ SHAPE_TOLERANCE_32 = 1e-4
 
 # The policy's fixed numbers (shifts are over the largest diagonal entry of H).
 SHIFT_WRONG_INERTIA = 0.01
-SHIFT_REJECTED, GROWTH = 1e-5, 4.0  # where a step is rejected; of rods that may touch something by SHIFT_GROWTH
+SHIFT_REJECTED, GROWTH = 1e-5, 4.0  # the least one after a refused step, and by how much it grows there (in contact by
+# SHIFT_GROWTH) and where the inertia is wrong
 MOST_SHIFT = 1e3  # times what is stiff at an edge: no shift is larger there
 DECAY, NEGLIGIBLE = 1 / 16, 1e-5  # each accepted step multiplies the shift by DECAY, below NEGLIGIBLE it is zero;
 DECAY_TROUBLED, NEGLIGIBLE_TROUBLED = 1 / 4, 1e-6  # the same once a step was refused or the inertia was wrong
@@ -17,9 +18,8 @@ FAR_FROM_REST = 1e-3  # residual, above which frames spin before they tilt
 # Eigenvalues that are smaller, over H's largest diagonal entry, are neutral motions. Contact needs the larger number, and so do
 # all rods once they are at rest; before, what is added to the diagonal makes steps less exact.
 TRACE, LARGE_TRACE = 1e-12, 1e-9
-# The Newton decrement of a rod at rest, in f64: at most the energy of its softest part, bent over all its length by so many
-# tolerances, rad; that of a motion that is softer by the factor NEUTRAL than bending it so; and what rounding makes of the
-# magnitude of the energy.
+# The Newton decrement of a rod at rest, in f64: |ωᵀHω| ≤ ((TURN_LEFT tol)² + NEUTRAL ω²) B/L + DECREMENT_ROUNDING |E|, ω the
+# size of the step, B the least bending stiffness along the rod and |E| the sum of the energy's absolute terms.
 TURN_LEFT, NEUTRAL, DECREMENT_ROUNDING = 300.0, 1e-5, 1e-18
 CLOSING_DISTANCE = 0.3  # edge lengths: above it a step only projects
 ESCAPE_ROTATION = 0.1  # rad

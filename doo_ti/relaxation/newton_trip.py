@@ -20,7 +20,8 @@ class NewtonTrip:
     energy, magnitude, miss, multiplier  of the accepted frames, magnitude being the sum of the energy's absolute terms, the
                                          scale of its rounding; ``residual`` their largest moment
     begun, arrived, along                the smallest t·target of an edge at the start, in the accepted frames, in all of them
-    change, longest                      δλ, and how large the step is for one that may be taken whole, rad
+    change, longest                      δλ, and the largest turn of an edge in the step, rad, or if that is more the largest
+                                         share of a gap or of the way to the middle of an obstacle (ContactRounds.approach)
     shift, scale                         added to the diagonal of H, and H's largest diagonal entry
     step_scale                           share of the step that is taken
     fresh, trying, closing, escaping     flags: the rod has just been loaded; the step is judged by its energy; it only closes;
@@ -138,7 +139,6 @@ class NewtonTrip:
             # No step may carry a vertex past the middle of an obstacle. The Lagrangian says nothing across a change of forces.
             passable = rod.contacts.crossing < 1.0
             downhill = (downhill | (moved & (rod.contacts.update_stiffness > 0.0) & finite)) & passable
-            finite = finite & (passable | ~moved)
         taken = ti.select(((lane.trying < 0.5) & finite) | downhill, self.constant(1.0), self.constant(0.0))
         stands = taken > 0.5
         return record(
@@ -148,7 +148,12 @@ class NewtonTrip:
 
     @ti.func
     def keep(self, rod, lane, found, miss, lowest, multiplier, judged, next_shift):
-        """Update the lane after its step: from the new frames where it is accepted, with a larger shift where it led uphill."""
+        """Update the lane after its step: from the new frames where it is accepted, else from the old ones.
+
+        A step is refused where it led uphill. In contact the next one is then, the first time, the same with the contacts that
+        it has met, or a part of it (:meth:`plan`); from the second time on one under a smaller κ, or if that cannot shrink, as
+        without contact, with a larger shift. A rod deep inside an obstacle gets a larger κ each time.
+        """
         zero, one = self.constant(0.0), self.constant(1.0)
         lane.energy = ti.select(judged.stands, found.energy, lane.energy)
         if ti.static(self.touches):
@@ -165,11 +170,11 @@ class NewtonTrip:
         lane.shift = ti.select(judged.stands, next_shift, lane.shift)
         stiffer = judged.uphill & (lane.escaping < 0.5)
         if ti.static(self.touches):
-            # First a part of the same step: where contacts begin and end, the energy is not quadratic.
+            # Not the first time: where contacts begin and end, the energy is not quadratic.
             stiffer = stiffer & (lane.rejects > 0.5)
             self.sweep.contacts.stiffen(rod, judged.uphill)
         if ti.static(self.among_obstacles):
-            # Then the same step under weaker contacts: along curved obstacles a large κ leaves room for short steps only.
+            # Along curved obstacles a large κ leaves room for short steps only.
             stiffer = stiffer & ~self.sweep.contacts.soften(rod, stiffer)
         lane.shift = ti.select(stiffer, ti.max(self.growth * lane.shift, fixed.SHIFT_REJECTED * lane.scale), lane.shift)
         lane.rejects = ti.select(judged.downhill, zero, lane.rejects + ti.select(judged.uphill, one, zero))
@@ -254,7 +259,7 @@ class NewtonTrip:
         lane.trying = ti.select(held, zero, one)
         lane.troubled = ti.select(judged.uphill | (place.wrong & (lane.closing < 0.5)), one, lane.troubled)
         floor = ti.select(lane.escaping > 0.5, fixed.NEGLIGIBLE_TROUBLED * lane.scale, fixed.SHIFT_WRONG_INERTIA * lane.scale)
-        lane.shift = ti.select(place.wrong & (lane.closing < 0.5), ti.max(4.0 * lane.shift, floor), lane.shift)
+        lane.shift = ti.select(place.wrong & (lane.closing < 0.5), ti.max(fixed.GROWTH * lane.shift, floor), lane.shift)
         lane.shift = ti.select(place.certify, zero, lane.shift)
         if ti.static(self.has_coarse):
             far = (lane.longest > fixed.COARSE_ROTATION) & ~place.small & (lane.escaping < 0.5)

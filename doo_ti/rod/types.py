@@ -36,7 +36,8 @@ __all__ = ["LARGEST", "Clamp", "Clamps", "Configuration", "Material", "Rows", "S
 class Status(IntEnum):
     """How a relaxation ended, one per rod.
 
-    CONVERGED        residual and closure are within tolerance
+    CONVERGED        at rest: residual, closure, decrement and, in contact, gaps are within tolerance. Whether it is a minimum
+                     says :attr:`Solution.stable`
     ITERATION_LIMIT  more iterations would be needed
     STALLED          neither energy nor residual decreases any more
     NOT_FINITE       a number overflowed or is undefined
