@@ -15,6 +15,7 @@ import numpy as np
 
 from doo_ti.commands import options as given
 from doo_ti.commands.results import observed
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.arrays import read_npz
 from doo_ti.io.csv_table import decoded
 from doo_ti.io.observation_files import load_observations
@@ -46,6 +47,8 @@ OF_FILES = ("unit", "columns")
 OF_OBSERVATIONS = (*OF_FILES, "rest_length")
 """Options that only files of observations have a use for."""
 RECORDINGS = ".npz (positions_mm, rate_hz), .csv of OptiTrack or Vicon, a table"
+COARSE = 2.0
+"""Length of an edge, over the radii of the thinnest obstacle and of the rod, from which on it is too long."""
 FORMATS = ".npz, .csv, .parquet; or curves as .csv of OptiTrack or Vicon, .xml (MuJoCo), .usd, .txt"
 
 
@@ -170,10 +173,11 @@ def with_ends_in_reach(observations: Observations, start: Clamp | None, end: Cla
     return observations.take(np.flatnonzero(within))
 
 
-def warn(observations: Observations) -> None:
-    """Print a warning where the rod is implausible. To be called once everything is checked, so that wrong input is reported
-    in one line."""
-    for doubt in (unit_doubt(observations), order_doubt(observations), length_doubt(observations)):
+def warn(observations: Observations, surroundings: Surroundings | None = None) -> None:
+    """Print a warning where the rod is implausible, or too coarse for what is around it. To be called once everything is
+    checked, so that wrong input is reported in one line."""
+    for doubt in (unit_doubt(observations), order_doubt(observations), length_doubt(observations),
+                  mesh_doubt(observations, surroundings)):
         if doubt is not None:
             terminal.warn(f"{in_line(observations.source)}: {doubt}")
 
@@ -187,7 +191,7 @@ def up_text(other: dict | None) -> str | None:
 
 def rod_line(observations: Observations) -> str:
     """What was loaded, as a line of text."""
-    seen = observations.valid.all(axis=1)
+    seen = observations.valid[:, [0, -1]].all(axis=1)
     ends = np.linalg.norm(observations.vertices[:, -1] - observations.vertices[:, 0], axis=-1)[seen]
     missing = int((~observations.valid).sum())
     span = "" if not len(ends) else f", its ends {_span(ends)} mm apart"
@@ -204,6 +208,21 @@ def unit_doubt(observations: Observations) -> str | None:
         return None
     remedy = "check the unit of the file" if likely is None else f"if the file is in {likely}, give --unit {likely}"
     return f"a rod {length:.4g} mm long; {remedy}"
+
+
+def mesh_doubt(observations: Observations, surroundings: Surroundings | None) -> str | None:
+    """Why the rod's edges may be too long to lie on the ``surroundings``, or None: twice as long as the thinnest obstacle's
+    radius and the rod's together, or more."""
+    if not surroundings:
+        return None
+    longest = observations.rest_length.max()
+    bodies = [getattr(body, "obstacle", body) for body in surroundings.bodies]
+    radius = min((body.placed[3].min() for body in bodies), default=np.inf) + np.min(surroundings.radius)
+    if longest <= COARSE * radius:
+        return None
+    edges = int(np.ceil(observations.rest_length.sum() / radius))
+    return (f"edges of {longest:.3g} mm are too long to lie on an obstacle of {radius - np.min(surroundings.radius):.3g} mm "
+            f"radius: the rod may slip off it; make them shorter: doo-ti convert IN OUT --edges {edges}")
 
 
 def order_doubt(observations: Observations) -> str | None:

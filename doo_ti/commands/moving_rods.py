@@ -245,7 +245,7 @@ def check_reach(path: ClampPath, clamps: Clamps, length: float) -> None:
 def warn_of(held: HeldRods) -> None:
     """Print a warning where a rod is implausible, and where its path begins farther from its clamps than :data:`FAR_OFF` of it:
     displacements, perhaps, or the path of another rod. To be called once everything is checked."""
-    loading.warn(held.observations)
+    loading.warn(held.observations, held.surroundings)
     first = held.path.at(0, held.clamps)
     for name in ("start_position", "end_position"):
         off = np.linalg.norm(getattr(first, name) - getattr(held.clamps, name), axis=-1)

@@ -122,7 +122,7 @@ def grid(options: Namespace, base: Grid | None = None) -> Grid:
     if base is not None:
         return base.with_axes(tuple(axes), bend_12)
     if not any(axis.name in ("bend", "bend_1", "bend_2") for axis in axes):
-        raise InputError(SOURCE, "--bend", "missing", "give --bend, or --bend-1 and --bend-2")
+        raise InputError(SOURCE, "--EI", "missing", "give --EI and --linear-density, or --bend, or --bend-1 and --bend-2")
     return Grid(tuple(axes), bend_12, SOURCE)
 
 

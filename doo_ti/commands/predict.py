@@ -217,8 +217,9 @@ def _lines(task: _Task, prediction, result: dict) -> list[str]:
     if task.stepping is None:
         lines.append(f"  jumps       {int(prediction.jumps.sum())}, {rods}")
     lines += shortened([
-        f"    {task.names[rod]}: between {prediction.time[max(moment - 1, 0)]:g} and {prediction.time[moment]:g} s, far clamp "
-        f"turned by {result['end_rotation_deg'][moment, rod]:.1f}°" for moment, rod in jumps], MOST_LISTED, "    and {} more")
+        f"    {task.names[rod]}: between {prediction.time[max(moment - 1, 0)]:g} and {prediction.time[moment]:g} s; "
+        f"the far clamp is then turned about the rod by {result['end_rotation_deg'][moment, rod]:.1f}°"
+        for moment, rod in jumps], MOST_LISTED, "    and {} more")
     if len(lost):
         lines.append(f"  lost        {len(lost)} of {count} rods cannot follow the motion to its end")
     return lines + shortened([

@@ -51,7 +51,7 @@ def run(options: Namespace, words: list[str]) -> int:
     clamps = observation_clamps(observations, *given.clamps(options))
     check_experiment(observations, clamps, grid.axes[-1].values[-1], frame_weight)
     given.refuse_overwriting(out, options.observations)
-    loading.warn(observations)
+    loading.warn(observations, surroundings)
 
     from doo_ti.relaxation.relax import relax as relax_rods
     from doo_ti.rod.metric import distance

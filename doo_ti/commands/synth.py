@@ -13,6 +13,7 @@ from doo_ti.io.motion_recording import read_recording
 from doo_ti.io.observation_files import read_curves
 from doo_ti.io.scene import Scene, Synthesis, load_scene
 from doo_ti.io.toml_file import scene_file
+from doo_ti.rod.start import on_equal_edges
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line, progress
 
@@ -28,6 +29,8 @@ def declare(add) -> None:
                         "with --complete those of one mark or none are not counted)")
     parser.add_argument("--marks", metavar="FROM:TO[:STEP]", help="only these marks of each, numbered from 0, or from the end "
                         "where negative: 2:-2 leaves out two at either end (default: all)")
+    parser.add_argument("--edges", metavar="N", help="the curves through the marks on N equal edges: a finer mesh for relax, "
+                        "predict, simulate, steer, for instance past thin obstacles")
     parser.add_argument("--complete", action="store_true", help="leave out observations with a missing mark")
     parser.add_argument("--motion", action="store_true", help="write a recording as one motion, positions_mm and rate_hz, with "
                         "the frames that --select names")
@@ -50,7 +53,10 @@ def run_convert(options: Namespace, words: list[str]) -> int:
     """Observations from one format to another; keys that observations do not have are dropped."""
     out = given.output_file(options.out, option="OUT")
     given.refuse_overwriting(out, options.observations, "OUT")
+    edges = given.whole("--edges", options.edges, 2)
     if options.motion:
+        if edges is not None:
+            raise InputError(given.SOURCE, "--edges", "given with --motion", "leave one out")
         return _convert_motion(options, out)
     if options.rate is not None:
         raise InputError(given.SOURCE, "--rate", "given without --motion", "give both")
@@ -67,7 +73,8 @@ def run_convert(options: Namespace, words: list[str]) -> int:
     if Path(options.observations).suffix == ".xml":
         facts = read_curves(Path(options.observations), loading.columns(options)).facts
         print(f"the model states {facts}" if facts else "the model states no stiffness")
-    save(out, observations.take(rows))
+    observations = observations.take(rows)
+    save(out, observations if edges is None else on_equal_edges(observations, edges))
     return 0
 
 

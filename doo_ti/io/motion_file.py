@@ -220,8 +220,8 @@ def path_of_marks(positions: np.ndarray, time: np.ndarray | None = None, source:
 
 
 @typed
-def load_path(path: Path, unit: str | None = None, named: Mapping[str, str] | None = None, axes: tuple[str, str] = ("x", "x"),
-              turn: np.ndarray | None = None) -> ClampPath:
+def load_path(path: str | Path, unit: str | None = None, named: Mapping[str, str] | None = None,
+              axes: tuple[str, str] = ("x", "x"), turn: np.ndarray | None = None) -> ClampPath:
     """The clamps' path from a motion file.
 
     unit   "mm", "cm" or "m": the unit of all lengths, whatever the file states

@@ -49,7 +49,7 @@ class LearnedMaterial:
     """Θ of B rods as far as it has been learned; intervals contain 95 %.
 
     material        B rows
-    bend, twist, ratio  (B,) mm³, mm³ and β/B
+    bend, twist, ratio  (B,) mm³, mm³ and β/B; :attr:`EI` and :attr:`GJ` in N m² where the weight per length is known
     bend_interval, twist_interval, ratio_interval  (B, 2)
     misfit          (B,) mm, root mean square of what the model leaves of a coordinate of the marks
     """
@@ -62,6 +62,29 @@ class LearnedMaterial:
     twist_interval: np.ndarray
     ratio_interval: np.ndarray
     misfit: np.ndarray
+
+
+    @property
+    def EI(self) -> np.ndarray | None:  # noqa: N802
+        """(B,) N m², or None where the material states no weight per length."""
+        return self._in_physical_units(self.bend)
+
+    @property
+    def EI_interval(self) -> np.ndarray | None:  # noqa: N802
+        """(B, 2) N m²."""
+        return self._in_physical_units(self.bend_interval)
+
+    @property
+    def GJ(self) -> np.ndarray | None:  # noqa: N802
+        """(B,) N m²."""
+        return self._in_physical_units(self.twist)
+
+    def _in_physical_units(self, values: np.ndarray) -> np.ndarray | None:
+        per_length, weight = self.material.weight_per_length, self.material.weight
+        if per_length is None:
+            return None
+        scale = 1e-9 * per_length / (2.0 * weight)
+        return (values.T * scale).T
 
 
 class Belief:

@@ -47,6 +47,7 @@ from doo_ti.manipulation.targets import ServoOptions, ServoStatus, Targets, requ
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.relaxation.sensitivity import GRIPPERS
+from doo_ti.rod.physical_units import doubt_marks
 from doo_ti.rod.straight import with_end_edges
 from doo_ti.rod.types import Clamps, Configuration, Material, Solution, unit_up
 from doo_ti.system.arguments import typed
@@ -74,8 +75,8 @@ SNAPPED, SNAPPED_SHARE = 5.0, 0.02
 AIMS, NEARER = 3, 0.5
 """How often a rod that comes no nearer is given a goal to go to, and the share of its distance that the goal must be within."""
 LITTLE = 0.02
-"""Of the distance to the target, what a step must gain at least, or the rod is as near as it comes; and of the longest step, by
-how much it must bring grippers nearer to the poses that they go to."""
+"""Of the distance to the target or, if that is less, of the longest step, what a step must gain at least, or the rod is as near
+as it comes; and of the longest step, by how much it must bring grippers nearer to the poses that they go to."""
 
 
 class Servo:
@@ -88,8 +89,9 @@ class Servo:
     options    ServoOptions
     obstacles, radius  as in :func:`doo_ti.relaxation.relax.relax`, at rest and without friction
 
-    Attributes: ``clamps``, the grippers' poses after the last step; ``status`` (B,) ServoStatus; ``distance`` (B,) mm, weighted
-    root mean square from the target as it is estimated; ``snaps`` (B,) how often a model was drawn to the marks again.
+    Attributes: ``clamps``, the grippers' poses after the last step; ``material``, what has been learned of Θ; ``status`` (B,)
+    ServoStatus; ``distance`` (B,) mm, weighted root mean square from the target as it is estimated; ``snaps`` (B,) how often a
+    model was drawn to the marks again.
 
     Raises InputError where numbers of rods or vertices do not match and for materials that are not round and uniform.
     """
@@ -150,9 +152,11 @@ class Servo:
 
         A rod of which nothing is seen moves as its model says. Raises InputError for another shape and infinite places.
         """
-        wanted = (len(self.status), self._offset.shape[1] - 2 * self._padded, 3)
+        wanted = (len(self.status), int(self._offset.shape[1]) - 2 * int(self._padded), 3)
         if seen.shape != wanted or np.isinf(seen).any():
             raise InputError("Servo.step", "seen", f"shape {seen.shape}, or infinite", f"give {wanted} mm, or NaN")
+        if not np.isfinite(self._belief.expected).any():  # the first moment
+            doubt_marks("Servo.step", "seen", seen, float(self._last.rest_length.max()))
         seen = _padded(seen) if self._padded else seen
         visible = np.isfinite(seen).all(axis=-1)
         self._follow_snaps(seen, visible)
@@ -280,7 +284,7 @@ class Servo:
 
     def _judge(self, gain: np.ndarray, refused: np.ndarray) -> None:
         """Set the statuses after a step that has brought the models nearer by ``gain`` (B,) mm, or was ``refused`` (B,)."""
-        stuck = gain < LITTLE * self.distance
+        stuck = gain < LITTLE * np.minimum(self.distance, self._options.step_mm)
         status = np.where(stuck, np.where(refused, ServoStatus.BLOCKED, ServoStatus.NEAREST), ServoStatus.MOVING)
         status = np.where(self.distance <= self._options.reached_mm, ServoStatus.REACHED, status)
         self.status = np.where(self._sound, status, ServoStatus.LOST)

@@ -30,6 +30,8 @@ WIDE_FACTOR = 4.0
 UNITS = {"weight": "", "twist_ratio": "", "clip_start": "mm", "clip_end": "mm", "up[0]": "rad", "up[1]": "rad"}
 FARTHEST = np.log(1000.0)
 """A parameter that can be moved by this much is not bounded on that side."""
+LEAST = 1e-5
+"""An interval that ends nearer than that is none."""
 LARGEST_FIRST_TRIAL = 2.5  # change of a logarithm
 STEPS = 20  # of each fit with the parameter held
 TRIALS = 6
@@ -291,7 +293,7 @@ def _reach(fit: Fit, fitted: Fitted, direction: np.ndarray, wanted: float, error
             break
         place = _next(np.array(places), np.array(roots), wanted)
     reach = _crossing(np.array(places), np.array(roots), wanted, wanted * error)
-    return reach if reach < FARTHEST else None
+    return reach if LEAST < reach < FARTHEST else None  # a fit that has stopped bounds nothing
 
 
 def _held(fit: Fit, state: State, direction: np.ndarray, amount: float) -> tuple[Fitted, float]:

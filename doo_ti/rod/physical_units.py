@@ -53,6 +53,8 @@ LEAST_NEWTON, MOST_NEWTON = 1e-6, 1e3
 """N/m: the finest suture weighs 1e-5, a steel bar 40 mm thick 100."""
 LEAST_RISE_MM, MOST_RISE_MM = 0.1, 1e5
 """(EI/w)^(1/3), the length over which its weight bends a rod: 10 mm of a hair, 6 m of that bar."""
+NEAR = 0.02
+"""Distance of neighbouring marks over the rod between them, below which they are hardly in mm."""
 LEAST_IN_DEGREES = 10.0
 """Of an angle's number, from which on a whole one is more likely in degrees."""
 _OURS = str(Path(__file__).parents[1]), "<string>"
@@ -73,6 +75,15 @@ def doubt_length(source: str, field: str, length: ArrayLike) -> None:
         if unit != "":
             remedy = "give mm" if unit is None else f"give mm; {value:g} {unit} are {value * UNITS_IN_MM[unit]:g}"
             return _warn(source, field, f"a rod {value:.4g} mm long", remedy)
+
+
+def doubt_marks(source: str, field: str, marks: np.ndarray, edge: float) -> None:
+    """Warn of ``marks`` (R, V, 3) in mm, NaN where not seen, of rods with edges of length ``edge``, that are all far nearer to
+    each other than along the rod: in another unit."""
+    apart = np.linalg.norm(np.diff(marks, axis=1), axis=-1) / edge
+    if np.isfinite(apart).any() and np.nanmax(apart) < NEAR:
+        _warn(source, field, f"marks are {np.nanmax(apart) * edge:.3g} mm apart at most on a rod with edges of {edge:.3g} mm",
+              "give mm")
 
 
 def doubt_angle(source: str, field: str, angle: ArrayLike | None) -> None:

@@ -19,7 +19,7 @@ from doo_ti.rod.frames import (
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.types import Clamp, Clamps, Configuration
 from doo_ti.system.arguments import typed
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import MOST_EDGES, InputError, require_whole
 
 MOST_LENGTHS = 2.0
 """Largest distance of a mark from the first, over the rod's length: a label is never that wrong."""
@@ -246,6 +246,24 @@ def fill_missing(observations: Observations) -> np.ndarray:
     low = np.take_along_axis(observations.vertices, before[..., None], axis=1)
     high = np.take_along_axis(observations.vertices, after[..., None], axis=1)
     return np.where(valid[..., None], observations.vertices, low + share * (high - low))
+
+
+def on_equal_edges(observations: Observations, edges: int) -> Observations:
+    """The observed curves as marks of ``edges`` equal edges: on cubic splines through the marks that were seen, over the arc
+    lengths that the observations state. Measured frames of inner edges and label uncertainties are left out.
+
+    Raises InputError for fewer than two edges.
+    """
+    from scipy.interpolate import CubicSpline
+
+    require_whole("observations", "edges", edges, 2, MOST_EDGES)
+    place = np.concatenate([[0.0], np.cumsum(observations.rest_length)])
+    vertices = CubicSpline(place, fill_missing(observations), axis=1)(np.linspace(0.0, place[-1], edges + 1))
+    frames = observations.frames
+    start, end = (own if own is not None or frames is None else frames[:, edge] for own, edge in (
+        (observations.start_frame, 0), (observations.end_frame, -1)))
+    return replace(observations, vertices=vertices, valid=None, rest_length=np.full(edges, place[-1] / edges),
+                   start_frame=start, end_frame=end, frames=None, sigma=None)
 
 
 def _check_clamp(observations: Observations, end: str, kind: Clamp, has_frame: bool) -> None:

@@ -152,6 +152,31 @@ def test_targets_out_of_reach_are_approached_and_said():
     assert (np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1) > 280.0).all()
 
 
+def test_small_steps_on_a_long_way_are_no_end_of_it():
+    """A rod that is far from its target for the length of its steps is on its way."""
+    material = d.Material.from_physical(0.002, 0.002, weight_per_length=0.6)
+    rod, clamps = d.hanging(1000.0, 40, start=(0, 0, 0), end=(600, 0, 0), clamp=d.Clamp.FRAME)
+    shape = d.relax(rod, material, clamps).configuration.vertices
+    servo = d.Servo(rod, material, clamps, d.Targets(shape + [300.0, 0, 0]), d.ServoOptions(step_mm=5.0))
+    simulation = d.Simulation(rod, material, clamps)
+    for _ in range(6):
+        simulation.step(servo.step(simulation.state.configuration.vertices))
+        assert servo.status[0] == d.ServoStatus.MOVING
+    assert servo.distance[0] < 285.0
+    learned = servo.material
+    assert learned.EI_interval[0, 0] < 0.002 < learned.EI_interval[0, 1] and learned.EI[0] == pytest.approx(0.002, rel=0.1)
+    assert learned.GJ.shape == (1,)
+
+
+def test_marks_in_metres_are_warned_of_once():
+    own = some("own mesh")
+    servo = d.Servo(own.rods, own.nominal, own.clamps, d.Targets(own.goal))
+    with pytest.warns(UserWarning, match="give mm"):
+        servo.step(own.rods.vertices / 1000)
+    servo.step(own.rods.vertices / 1000)
+    assert servo.material.EI is None
+
+
 def test_shapes_are_found_again_from_marks():
     """From where the rods were before a long move of their grippers: drawn to a few marks, then let go."""
     own = tasks(20, 4)
