@@ -114,7 +114,7 @@ def test_rods_that_one_end_holds(observed, capsys):
 
 
 @pytest.mark.parametrize("more, message", [
-    ([], "--bend: missing"),
+    ([], "--EI: missing"),
     (["--bend", "1e4:1e5:3"], "refine the run of a sweep"),
     (["--bend", "1e4", "--parameters", "bent"], "'bent' is unknown"),
     (["--bend", "1e4,2e4"], "give bend_1 and bend_2"),
