@@ -156,10 +156,10 @@ class GroupContacts(Ties, SelfContacts):
         return given + noise
 
     @ti.func
-    def end_round(self, rod, lane, calm, rests):
+    def end_round(self, rod, lane, calm, rests, moved):
         """As of one rod; but where ties still miss that the next step closes, it is taken first."""
         missing = ~self.draws(rod) & (self.miss(rod) > TIE_TOLERANCE)
-        return SelfContacts.end_round(self, rod, lane, calm & ~missing, rests & ~missing) | (rests & missing)
+        return SelfContacts.end_round(self, rod, lane, calm & ~missing, rests & ~missing, moved) | (rests & missing)
 
     @ti.func
     def update_forces(self, rod, due):

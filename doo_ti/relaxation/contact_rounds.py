@@ -84,12 +84,16 @@ class ContactRounds(ContactEnergy):
         return rod.contacts.phase < ti.static(0.5 * (ROUGH + FINE))
 
     @ti.func
-    def end_round(self, rod, lane, calm, rests):
+    def end_round(self, rod, lane, calm, rests, moved):
         """End a round where a lane's rod ``rests`` under the forces of its contacts or, while these still change, is ``calm``
-        to a rougher tolerance; returns the lanes in which another round follows."""
+        to a rougher tolerance, or where a step has ``moved`` it deeper than its radius into itself: strands that have come to
+        each other's middle do not find out again. Returns the lanes in which another round follows."""
         zero = 0.0 * rod.total
         fine = self.is_fine(rod)
-        due = (rests | (calm & ~fine)) & (lane.active > 0.5)
+        due = rests | (calm & ~fine)
+        if ti.static(self.itself):
+            due = due | (moved & ~fine & (rod.contacts.closest < 0.0 - rod.contacts.radius))
+        due = due & (lane.active > 0.5)
         again = variable((due,))
         if self.some(due, zero):
             close = self.update_forces(rod, due) <= rod.contacts.tolerance

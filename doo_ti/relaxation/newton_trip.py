@@ -306,7 +306,7 @@ class NewtonTrip:
             early, done = self.sweep.contacts.plan_update(rod, lane, ready, place.at_minimum & exact)
             calm = place.calm & ~place.leaving & ~early & ~done
             ended, at_rest, stuck = ended & ~early, at_rest & ~early, stuck & ~early
-            goes_on = self.sweep.contacts.end_round(rod, lane, calm, (ended | at_rest) & ~done)
+            goes_on = self.sweep.contacts.end_round(rod, lane, calm, (ended | at_rest) & ~done, judged.downhill)
             ended, at_rest, stuck = ended & ~goes_on, at_rest & ~goes_on, stuck & ~goes_on
             blocked = self.sweep.contacts.blocked(rod, fresh, lane.miss)
             lane.status = ti.select(blocked, self.constant(self.infeasible), lane.status)

@@ -16,9 +16,10 @@ from tests.contact.topology import determinant, link
 from tests.oracle.chain_form import chain_derivatives, chain_energy, rod_of
 from tests.oracle.equilibrium import clamped_start, free_variables
 from tests.oracle.external import vertex_jacobian
+from tools.studies.knots_and_coils import WEIGHT, tied
 
 RADIUS, STIFFNESS = 1.0, 1e5
-PATIENT = Newton(max_iterations=1000)
+PATIENT = Newton(max_iterations=1500)
 EVEN = 2e-3
 
 
@@ -231,3 +232,12 @@ def test_a_knot_is_one_however_few_its_edges(loop, tail, edges):
         rod_along(np.eye(3), [1.0, -1.0, 2.0])
     with pytest.raises(InputError, match="friction"):
         Itself(friction=-0.1)
+
+
+@pytest.mark.thorough
+@pytest.mark.filterwarnings("ignore:overhand_knot")
+def test_strands_of_a_very_loose_knot_stay_out_of_each_other():
+    """The forces that they meet with are many times those to expect of a rod of that length: a soft contact lets them come to
+    each other's middle, from where they would not come out."""
+    found, _, _, loop = tied(0.02, 200, WEIGHT)
+    assert found.contact.gap[0] > -1e-3 and loop == pytest.approx(2500.0, rel=0.1)
