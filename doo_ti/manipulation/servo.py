@@ -117,6 +117,10 @@ class Servo:
         material = material.take(rows) if material.count < count else material
         self._belief = Belief(material, rod.rest_length, options, CENTRE if self._padded else 0.0)
         self.clamps = clamps
+        apart = np.linalg.norm(clamps.end_position - clamps.start_position, axis=1)
+        if (apart > rod.rest_length.sum()).any():
+            raise InputError("Servo", "clamps", f"{apart.max():.4g} mm apart, and the rod {rod.rest_length.sum():.4g} mm long",
+                             "bring them within its reach")
         model = relax(rod, self._belief.material, clamps, Newton.careful(), up=self._up, **around.arguments)
         self._last, self._sound = finite_rods(model.configuration, rod), model.converged & model.stable
         self._shapes = self._last.vertices

@@ -96,7 +96,7 @@ def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray,
         _draw_energies(figure.add_subplot(grid[-1, :]), time, first, names[rows[0]])
     last = (positions.shape[1] - 1) / rate
     title = f"{name}: {len(frames)} of {positions.shape[1]} frames from 0 to {last:.3g} s, seen {view}"
-    figure.suptitle(literal(title) + ("" if touched is None else f"\nblue: {touched.legend}, at the end"), fontsize=10)
+    figure.suptitle(literal(title) + ("" if touched is None else f"\nblue, at the end: {touched.legend}"), fontsize=8)
     save_figure(figure, path)
 
 

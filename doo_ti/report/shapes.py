@@ -83,8 +83,8 @@ def motions_picture(path_or_buffer, rods: MovingRods, *, title: str) -> None:
     figure.colorbar(_time_scale(time), ax=list(panels.ravel()), pad=0.01, aspect=40).set_label("time [s]", fontsize=10)
     more = f" ({len(rods.names) - shown} more are not drawn)" if len(rods.names) > shown else ""
     red = "\nred: before a jump (dashed) and after it" if jumps.any() else ""
-    blue = "" if rods.touched is None else f"\nblue: {rods.touched.legend}, at the end"
-    figure.suptitle(f"{literal(title)}{more}{red}{blue}", fontsize=12)
+    blue = "" if rods.touched is None else f"\nblue, at the end:\n{rods.touched.legend}"
+    figure.suptitle(f"{literal(title)}{more}{red}{blue}", fontsize=10)
     save_figure(figure, path_or_buffer)
 
 

@@ -230,7 +230,8 @@ class Observations:
             seen = self.valid[:, 1:] & self.valid[:, :-1]
             if not seen.any(axis=0).all():
                 edge = np.flatnonzero(~seen.any(axis=0))[0]
-                raise self._error("rest_length", f"missing, and no rod shows edge {edge}", "give rest_length_mm (E,)")
+                raise self._error("rest_length", f"missing, and no observation shows marks {edge} and {edge + 1}, from 0, "
+                                  "beside each other", "number marks without gaps, or give rest_length_mm (E,)")
             return _chords(self.vertices)
         array = real_array(self.source, KEYS["rest_length"], self.rest_length, "store real numbers")
         if array.ndim == 1 and len(array) != size["E"]:
