@@ -40,6 +40,8 @@ MOST_OFF = 1.5
 """Stated length of the rod over that of arcs through its marks, or the inverse, above which one of both is wrong."""
 DOUBTFUL = 1.05
 """The same, above which a warning is printed: arcs are off by up to 2 % on rods of ten marks or more."""
+COARSE = 2.0
+"""Length of an edge, over the radii of the thinnest obstacle and of the rod, above which it is too long."""
 MOST_UNEVEN = 20.0
 """Longest edge over the median one, above which the marks may be of several rods."""
 OF_FILES = ("unit", "columns")
@@ -47,8 +49,6 @@ OF_FILES = ("unit", "columns")
 OF_OBSERVATIONS = (*OF_FILES, "rest_length")
 """Options that only files of observations have a use for."""
 RECORDINGS = ".npz (positions_mm, rate_hz), .csv of OptiTrack or Vicon, a table"
-COARSE = 2.0
-"""Length of an edge, over the radii of the thinnest obstacle and of the rod, from which on it is too long."""
 FORMATS = ".npz, .csv, .parquet; or curves as .csv of OptiTrack or Vicon, .xml (MuJoCo), .usd, .txt"
 
 
@@ -211,17 +211,18 @@ def unit_doubt(observations: Observations) -> str | None:
 
 
 def mesh_doubt(observations: Observations, surroundings: Surroundings | None) -> str | None:
-    """Why the rod's edges may be too long to lie on the ``surroundings``, or None: twice as long as the thinnest obstacle's
-    radius and the rod's together, or more."""
+    """Why the rod's edges may be too long to lie on what is around it, or None: one is longer than COARSE times the radii of
+    the thinnest obstacle and of the rod together."""
     if not surroundings:
         return None
     longest = observations.rest_length.max()
     bodies = [getattr(body, "obstacle", body) for body in surroundings.bodies]
-    radius = min((body.placed[3].min() for body in bodies), default=np.inf) + np.min(surroundings.radius)
+    thinnest = min((body.placed[3].min() for body in bodies), default=np.inf)
+    radius = thinnest + np.min(surroundings.radius)
     if longest <= COARSE * radius:
         return None
     edges = int(np.ceil(observations.rest_length.sum() / radius))
-    return (f"edges of {longest:.3g} mm are too long to lie on an obstacle of {radius - np.min(surroundings.radius):.3g} mm "
+    return (f"edges of {longest:.3g} mm are too long to lie on an obstacle of {thinnest:.3g} mm "
             f"radius: the rod may slip off it; make them shorter: doo-ti convert IN OUT --edges {edges}")
 
 

@@ -90,7 +90,7 @@ def load_theta(path: str | Path) -> MotionTheta:
             raise ValueError("no object")
     except (ValueError, RecursionError) as error:
         raise InputError(path, "file", f"not JSON ({str(error).splitlines()[0]})",
-                         "name a file that doo-ti identify has written; of refine give the numbers: --EI, --GJ") from None
+                         "name a file that doo-ti identify has written; copy EI and GJ of refine to --EI and --GJ") from None
     numbers = {name: float(_numbers(path, content, key, (), name == "bend" or name == "twist_ratio"))
                for name, key in FILE_KEYS.items()}
     if not numbers["marker_share"] < 1:

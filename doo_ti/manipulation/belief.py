@@ -63,7 +63,6 @@ class LearnedMaterial:
     ratio_interval: np.ndarray
     misfit: np.ndarray
 
-
     @property
     def EI(self) -> np.ndarray | None:  # noqa: N802
         """(B,) N m², or None where the material states no weight per length."""
@@ -80,11 +79,8 @@ class LearnedMaterial:
         return self._in_physical_units(self.twist)
 
     def _in_physical_units(self, values: np.ndarray) -> np.ndarray | None:
-        per_length, weight = self.material.weight_per_length, self.material.weight
-        if per_length is None:
-            return None
-        scale = 1e-9 * per_length / (2.0 * weight)
-        return (values.T * scale).T
+        newton = self.material.newton
+        return None if newton is None else (values.T * newton * 1e-6).T
 
 
 class Belief:

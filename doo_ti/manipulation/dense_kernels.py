@@ -165,7 +165,7 @@ class DampedLeastSquares(RodByRod):
 
     @picked
     def needed(self, size):
-        """Numbers in scratch: JᵀJ and its factors, Jᵀe, a, u, (JᵀJ + λ)⁻¹ a, and (JᵀJ + λ)⁻¹ r."""
+        """Numbers in scratch: JᵀJ and its factors, Jᵀe, a, u, (JᵀJ + λ)⁻¹ a, and (JᵀJ + λ)⁻¹ u."""
         return size * (size + 1) + 5 * size
 
     @picked
@@ -211,17 +211,17 @@ class DampedLeastSquares(RodByRod):
             closed = self.dot(own, size, 1, 3)
             share = held.active / ti.select(closed > 0.0, closed, 0.0 * closed + 1.0)
             force = share * (self.dot(own, size, 1, 2) - held.place * self.dot(own, size, 1, 1))
-            step, rest, along = self.vector(own, size, 2), self.vector(own, size, 4), self.vector(own, size, 3)
+            step, solved, along = self.vector(own, size, 2), self.vector(own, size, 4), self.vector(own, size, 3)
             for k in range(size):
                 step[k] = step[k] - force * along[k]
-                rest[k] = step[k]
+                solved[k] = step[k]
             self.solved(own, size, 4, 4)
             force = share * self.dot(own, size, 1, 4)
             squared, slope = 0.0 * longest, 0.0 * longest
             for k in range(size):
-                own_part = step[k] - held.active * held.place * self.vector(own, size, 1)[k]
-                squared = squared + own_part * own_part
-                slope = slope + own_part * (rest[k] - force * along[k])
+                across_limit = step[k] - held.active * held.place * self.vector(own, size, 1)[k]
+                squared = squared + across_limit * across_limit
+                slope = slope + across_limit * (solved[k] - force * along[k])
             length = largest_of(ti.sqrt(squared), 0.0 * squared + 1e-30)
             longer = ti.select(length > (1.0 + CLOSE) * longest, 0.0 * length + 1.0, 0.0 * length)
             slope = ti.select(longer > 0.5, slope / (length * length), 0.0 * slope + 1.0)

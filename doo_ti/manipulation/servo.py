@@ -109,7 +109,7 @@ class Servo:
         self._around, self._up = around, unit_up(up, "Servo")
         rows = np.zeros(count, dtype=np.int64)
         self._edge = float(rod.rest_length[0])
-        self._padded = options.compliance > 0 and rod.rest_length[0] > 0
+        self._padded = options.compliance > 0 and self._edge > 0
         rod = with_end_edges(rod) if self._padded else rod
         targets = targets.take(rows) if targets.count < count else targets
         weight = None if targets.weight is None else np.pad(targets.weight, ((0, 0), (1, 1)))
@@ -117,10 +117,6 @@ class Servo:
         material = material.take(rows) if material.count < count else material
         self._belief = Belief(material, rod.rest_length, options, CENTRE if self._padded else 0.0)
         self.clamps = clamps
-        apart = np.linalg.norm(clamps.end_position - clamps.start_position, axis=1)
-        if (apart > rod.rest_length.sum()).any():
-            raise InputError("Servo", "clamps", f"{apart.max():.4g} mm apart, and the rod {rod.rest_length.sum():.4g} mm long",
-                             "bring them within its reach")
         model = relax(rod, self._belief.material, clamps, Newton.careful(), up=self._up, **around.arguments)
         self._last, self._sound = finite_rods(model.configuration, rod), model.converged & model.stable
         self._shapes = self._last.vertices
@@ -156,7 +152,7 @@ class Servo:
 
         A rod of which nothing is seen moves as its model says. Raises InputError for another shape and infinite places.
         """
-        wanted = (len(self.status), int(self._offset.shape[1]) - 2 * int(self._padded), 3)
+        wanted = (len(self.status), self._offset.shape[1] - 2 * self._padded, 3)
         if seen.shape != wanted or np.isinf(seen).any():
             raise InputError("Servo.step", "seen", f"shape {seen.shape}, or infinite", f"give {wanted} mm, or NaN")
         if not np.isfinite(self._belief.expected).any():  # the first moment

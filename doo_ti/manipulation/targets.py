@@ -167,5 +167,9 @@ def require_matching(rod: Configuration, material: Material, clamps: Clamps, tar
                          "give a place, or NaN, for each vertex")
     if rod.rest_length.ndim != 1:
         raise InputError("Servo", "rod", "rods with edges of different lengths", "give (E,) rest lengths, the same for all")
+    apart, length = np.linalg.norm(clamps.end_position - clamps.start_position, axis=1).max(initial=0.0), rod.rest_length.sum()
+    if apart > length:
+        raise InputError("Servo", "clamps", f"{apart:.4g} mm apart, and the rod {length:.4g} mm long",
+                         "bring them within its reach")
     if not replace(material, rest_curvature=None).is_isotropic:
         raise InputError("Servo", "material", "not round, or not the same all along the rod", "give Material(bend, twist)")

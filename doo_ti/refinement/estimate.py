@@ -31,7 +31,7 @@ UNITS = {"weight": "", "twist_ratio": "", "clip_start": "mm", "clip_end": "mm", 
 FARTHEST = np.log(1000.0)
 """A parameter that can be moved by this much is not bounded on that side."""
 LEAST = 1e-5
-"""An interval that ends nearer than that is none."""
+"""An end of an interval that is nearer than this to the estimate is open: a fit that has stopped reaches nothing."""
 LARGEST_FIRST_TRIAL = 2.5  # change of a logarithm
 STEPS = 20  # of each fit with the parameter held
 TRIALS = 6
@@ -293,7 +293,7 @@ def _reach(fit: Fit, fitted: Fitted, direction: np.ndarray, wanted: float, error
             break
         place = _next(np.array(places), np.array(roots), wanted)
     reach = _crossing(np.array(places), np.array(roots), wanted, wanted * error)
-    return reach if LEAST < reach < FARTHEST else None  # a fit that has stopped bounds nothing
+    return reach if LEAST < reach < FARTHEST else None
 
 
 def _held(fit: Fit, state: State, direction: np.ndarray, amount: float) -> tuple[Fitted, float]:

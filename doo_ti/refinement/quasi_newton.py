@@ -1,6 +1,7 @@
 """Minimum of a smooth function of a few bounded variables from its gradient: BFGS with Powell's damping and projected steps
-(Nocedal and Wright, *Numerical Optimization*, 2006, §6.1 and procedure 18.2). Unlike SciPy's it begins with a known Hessian,
-and returns the one it has learned: the next of many similar searches then takes one or two evaluations."""
+(Nocedal and Wright, *Numerical Optimization*, 2006, §6.1 and procedure 18.2). Unlike SciPy's L-BFGS-B
+it begins with a known Hessian, and returns the one it has learned: the next of many similar searches then takes one or two
+evaluations."""
 
 from collections.abc import Callable
 
@@ -9,8 +10,11 @@ import numpy as np
 LONGEST = 1.5
 """Largest change of a variable in one step."""
 SHORTENED, SHORTEST = 0.3, 1e-3
+"""Factor by which a step that does not lower the function enough is shortened, and the smallest share that is tried."""
 ARMIJO = 1e-4
+"""Least decrease over that which the gradient promises."""
 DAMPED = 0.2
+"""Least curvature along a step over that of the present Hessian."""
 
 
 def minimised(function: Callable[[np.ndarray], tuple[float, np.ndarray]], x: np.ndarray, bounds: tuple[np.ndarray, np.ndarray],
