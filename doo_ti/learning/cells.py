@@ -17,10 +17,8 @@ from doo_ti.relaxation.relax import relax
 from doo_ti.rod.metric import distance
 from doo_ti.rod.types import Configuration, Material, Solution, Status, sticky
 
-FEW_RODS = 64
-"""Enough for the kernels of large batches: fewer rods have kernels with fewer of them in a value."""
-RESULTS = ("energy", "residual", "iterations", "status", "stable", "precision")
-"""Arrays of a solution that become columns."""
+FEW_RODS = 64  # enough for the kernels of large batches: fewer rods have kernels with fewer of them in a value
+RESULTS = ("energy", "residual", "iterations", "status", "stable", "precision")  # arrays of a solution that become columns
 
 
 def relaxed(experiment: Experiment, materials: Material) -> Solution:

@@ -22,8 +22,7 @@ from doo_ti.rod.types import Material, Status
 from doo_ti.system.errors import InterruptedRunError
 from doo_ti.system.terminal import can_record
 
-MOST_MOMENTS = 60
-"""Iterations, or sub-steps, evenly chosen, that are recorded."""
+MOST_MOMENTS = 60  # iterations, or sub-steps, evenly chosen, that are recorded
 
 
 def draw(folder: Path, experiment: Experiment, overview: Overview, identity: str, remark: str = "",
@@ -106,18 +105,12 @@ def _iterations(experiment: Experiment, material: Material) -> Iterator[tuple]:
 
 @dataclass(frozen=True)
 class Unfinished:
-    """The stored cells of a sweep that is running or was interrupted.
+    """The stored cells of a sweep that is running or was interrupted."""
 
-    experiment  observations, grid and options
-    identity    identity of the sweep
-    overview    results of the stored cells
-    age         seconds since the last of them were stored
-    """
-
-    experiment: Experiment
-    identity: str
-    overview: Overview
-    age: float
+    experiment: Experiment  # observations, grid and options
+    identity: str  # identity of the sweep
+    overview: Overview  # results of the stored cells
+    age: float  # seconds since the last of them were stored
 
     @property
     def done(self) -> str:

@@ -26,24 +26,18 @@ from doo_ti.rod.types import LARGEST, Clamp, Clamps, Configuration
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, require_number, require_whole
 
-NEAR = 1.05
-"""Cells, and hypotheses, whose distance is at most this many times the smallest count as equally good."""
-UNSOUND = 1e9
-"""mm added to the distance of a rod that is no certified minimum: it is chosen only where all are none."""
+NEAR = 1.05  # cells, and hypotheses, whose distance is at most this many times the smallest count as equally good
+UNSOUND = 1e9  # mm added to the distance of a rod that is no certified minimum: it is chosen only where all are none
 ROUNDS = 50
 
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """The rods to start, those of an observation in succession.
+    """The rods to start, those of an observation in succession."""
 
-    observation  (H,) the observation that each is about
-    turns        (H,) whole turns, added to the angle in (−π, π] between the frames
-    spin         (H,) rad, the angle between the frames that fixes an unknown roll, or None: such ends turn freely
-    """
-
-    observation: np.ndarray
-    turns: np.ndarray
+    observation: np.ndarray  # (H,) the observation that each is about
+    turns: np.ndarray  # (H,) whole turns, added to the angle in (−π, π] between the frames
+    # (H,) rad, the angle between the frames that fixes an unknown roll, or None: such ends turn freely
     spin: np.ndarray | None = None
 
     @property
@@ -164,8 +158,7 @@ def _far(distance: np.ndarray, sound: np.ndarray) -> np.ndarray:
 
 
 SOLVERS = {"newton": Newton, "descent": Descent}
-LEAST_SUB_STEP = 1e-5
-"""rad: smaller sub-steps change no result and take too long."""
+LEAST_SUB_STEP = 1e-5  # rad: smaller sub-steps change no result and take too long
 
 
 @typed
@@ -244,9 +237,6 @@ class SweepOptions:
 class Experiment:
     """All that a sweep's cells depend on.
 
-    pairs       the terms of Eq. 3, None under Eq. 2; by default those of the labels
-    hypotheses  the rods of each observation; by default all that its labels allow
-
     Raises InputError for pairs under Eq. 2, for Eq. 3 without pairs or labels, for half turns of unknown direction, for
     ``spins`` where no roll is unknown, for two unknown rolls of a rod that is not round, and for rods inside obstacles.
     """
@@ -254,8 +244,8 @@ class Experiment:
     observations: Observations
     grid: Grid
     options: SweepOptions = SweepOptions()
-    pairs: Pairs | None = None
-    hypotheses: Hypotheses | None = None
+    pairs: Pairs | None = None  # the terms of Eq. 3, None under Eq. 2; by default those of the labels
+    hypotheses: Hypotheses | None = None  # the rods of each observation; by default all that its labels allow
 
     def __post_init__(self) -> None:
         dynamic = self.options.objective == "dynamic"

@@ -27,23 +27,17 @@ if TYPE_CHECKING:
 RODS_AT_ONCE = 16_000
 REMARK = ("Rods are coloured by their distance, teal the smallest of all cells, yellow the largest; red: not a certified "
           "minimum. Timeline `cell` follows the grid, `falling_error` runs from the worst cell to the best.")
-COLORS = ((214, 57, 57), (52, 158, 79), (48, 105, 205))
-"""Of the regimes: red, green and blue as in the paper."""
+COLORS = ((214, 57, 57), (52, 158, 79), (48, 105, 205))  # of the regimes: red, green and blue as in the paper
 OBSERVED = (120, 120, 120)
 
 
 @dataclass(frozen=True)
 class Cells:
-    """The cells that are recorded.
+    """The cells that are recorded."""
 
-    grid   those of a sweep's grid, a grid themselves
-    index  (C,) of each per axis of the sweep's grid
-    cell   (C,) number of each in the sweep's grid
-    """
-
-    grid: Grid
-    index: tuple[np.ndarray, ...]
-    cell: np.ndarray
+    grid: Grid  # those of a sweep's grid, a grid themselves
+    index: tuple[np.ndarray, ...]  # (C,) of each per axis of the sweep's grid
+    cell: np.ndarray  # (C,) number of each in the sweep's grid
 
 
 def cells_to_record(landscapes: list[Landscape], most: int | None) -> Cells:
@@ -146,22 +140,14 @@ def _cell_texts(study: "Study") -> list[str]:
 
 @dataclass(frozen=True)
 class Regime:
-    """The ribbons of one regime, under the cell in its middle.
+    """The ribbons of one regime, under the cell in its middle."""
 
-    number    1 to 3, as `REGIMES` counts them
-    mean      mm, the mean distance there
-    theta     Θ of the cell, as text
-    ribbons   D of them
-    distance  (D,) Eq. 1, mm
-    sound     (D,) bool: certified minima
-    """
-
-    number: int
-    mean: float
-    theta: str
-    ribbons: Configuration
-    distance: np.ndarray
-    sound: np.ndarray
+    number: int  # 1 to 3, as `REGIMES` counts them
+    mean: float  # mm, the mean distance there
+    theta: str  # Θ of the cell, as text
+    ribbons: Configuration  # D of them
+    distance: np.ndarray  # (D,) Eq. 1, mm
+    sound: np.ndarray  # (D,) bool: certified minima
 
     @property
     def label(self) -> str:

@@ -21,25 +21,20 @@ from doo_ti.system.terminal import progress
 
 OWN_SCALE = ", each on a colour scale of its own"
 MARKS = "minimum over all observations; in the panel of all, those of each end distance"
-COLUMNS = 4
-"""Panels of one run side by side."""
+COLUMNS = 4  # panels of one run side by side
 
 
 @dataclass(frozen=True)
 class Study:
-    """Finished sweeps over one grid, and what to draw of them.
-
-    panels       a panel per run
-    by_distance  for each run a panel for each end distance, then one of all; None where not wanted
-    cells        those that are recorded
-    observation  the observation whose ribbon is drawn for each regime; None: the one where the ribbons differ most
-    """
+    """Finished sweeps over one grid, and what to draw of them."""
 
     landscapes: list[Landscape]
     experiments: list[Experiment]
-    panels: list[LandscapePanel]
+    panels: list[LandscapePanel]  # a panel per run
+    # for each run a panel for each end distance, then one of all; None where not wanted
     by_distance: list[list[LandscapePanel]] | None
-    cells: Cells
+    cells: Cells  # those that are recorded
+    # the observation whose ribbon is drawn for each regime; None: the one where the ribbons differ most
     observation: int | None
 
     @property

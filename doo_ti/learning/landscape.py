@@ -102,25 +102,18 @@ def counts_by_name(counts: np.ndarray) -> dict[str, int]:
 
 
 LABELS = ("end_distance_mm", "end_rotation_deg")
-RODS_AT_ONCE = 1 << 16
-"""Rods that are summed up together."""
+RODS_AT_ONCE = 1 << 16  # rods that are summed up together
 
 
 @dataclass(frozen=True)
 class Summed:
     """Results from the sums over the rods of each cell. The classes below have ``sums`` (:class:`CellSums`) and
-    ``rods_of(cell)``, which gives columns by name, (n,) each: status, stable, and under Eq. 3 jumps.
+    ``rods_of(cell)``, which gives columns by name, (n,) each: status, stable, and under Eq. 3 jumps."""
 
-    run        the run's folder
-    name       the rod's material
-    grid       the cells
-    objective  "static", Eq. 2, or "dynamic", Eq. 3
-    """
-
-    run: Path
-    name: str
-    grid: Grid
-    objective: str
+    run: Path  # the run's folder
+    name: str  # the rod's material
+    grid: Grid  # the cells
+    objective: str  # "static", Eq. 2, or "dynamic", Eq. 3
 
     @cached_property
     def compared(self) -> np.ndarray:

@@ -32,8 +32,7 @@ from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
 from doo_ti.system.short_repr import short_repr
 
-STILL = 1e-9
-"""mm and rad: clamps that move by less count as fixed."""
+STILL = 1e-9  # mm and rad: clamps that move by less count as fixed
 REPORTED = ("energy", "residual", "iterations", "status", "stable", "end_force")
 """Fields of :class:`doo_ti.rod.types.Solution` that are kept of every moment."""
 

@@ -25,13 +25,10 @@ from doo_ti.rod.physical_units import relative_stiffness
 from doo_ti.system.errors import InputError
 
 PROBABILITY = 0.95
-WIDE_FACTOR = 4.0
-"""An interval whose ends differ by more than this factor is called wide."""
+WIDE_FACTOR = 4.0  # an interval whose ends differ by more than this factor is called wide
 UNITS = {"weight": "", "twist_ratio": "", "clip_start": "mm", "clip_end": "mm", "up[0]": "rad", "up[1]": "rad"}
-FARTHEST = np.log(1000.0)
-"""A parameter that can be moved by this much is not bounded on that side."""
-LEAST = 1e-5
-"""An end of an interval that is nearer than this to the estimate is open: a fit that has stopped reaches nothing."""
+FARTHEST = np.log(1000.0)  # a parameter that can be moved by this much is not bounded on that side
+LEAST = 1e-5  # an end of an interval that is nearer than this to the estimate is open: a fit that has stopped reaches nothing
 LARGEST_FIRST_TRIAL = 2.5  # change of a logarithm
 STEPS = 20  # of each fit with the parameter held
 TRIALS = 6
@@ -40,18 +37,14 @@ CLOSE = 0.1  # relative error of the root of F's rise that is small enough to in
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter with its 95 % interval; an end is None where it is open.
-
-    unit   "mm³", "mm", "rad" of tilt, or "" for the weight and for ratios
-    error  standard deviation by the covariance, relative where the parameter is positive
-    """
+    """One parameter with its 95 % interval; an end is None where it is open."""
 
     name: str
     value: float
     low: float | None
     high: float | None
-    error: float
-    unit: str
+    error: float  # standard deviation by the covariance, relative where the parameter is positive
+    unit: str  # "mm³", "mm", "rad" of tilt, or "" for the weight and for ratios
 
     @property
     def determined(self) -> bool:
@@ -61,28 +54,17 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Θ, the other unknowns, and how well they are known.
+    """Θ, the other unknowns, and how well they are known."""
 
-    theta            with the rest curvature at the joints between the marks' edges
-    parameters       of Θ, the ratio of twist to bend, and the clips
-    over_weight      bend and twist over twice the weight: EI/w and GJ/w of the continuum in mm³
-    values           of all unknowns
-    scales           noise, curvature and the clamps' errors
-    names            of Θ's unknowns
-    covariance       (T, T) of these
-    degrees          degrees of freedom of the intervals: observations less parameters of Θ
-    rivals           Θ of other optima that the observations hardly tell from this one; the intervals contain them
-    """
-
-    theta: Theta
-    parameters: tuple[Parameter, ...]
-    over_weight: tuple[Parameter, ...]
-    values: Values
-    scales: Scales
-    names: tuple[str, ...]
-    covariance: np.ndarray
-    degrees: float
-    rivals: tuple[Theta, ...]
+    theta: Theta  # with the rest curvature at the joints between the marks' edges
+    parameters: tuple[Parameter, ...]  # of Θ, the ratio of twist to bend, and the clips
+    over_weight: tuple[Parameter, ...]  # bend and twist over twice the weight: EI/w and GJ/w of the continuum in mm³
+    values: Values  # of all unknowns
+    scales: Scales  # noise, curvature and the clamps' errors
+    names: tuple[str, ...]  # of Θ's unknowns
+    covariance: np.ndarray  # (T, T) of these
+    degrees: float  # degrees of freedom of the intervals: observations less parameters of Θ
+    rivals: tuple[Theta, ...]  # Θ of other optima that the observations hardly tell from this one; the intervals contain them
 
     @property
     def correlation(self) -> np.ndarray:
@@ -239,14 +221,11 @@ def _moved(name: str, value: float, step, bend: np.ndarray | None = None):
 
 @dataclass(frozen=True)
 class Interval:
-    """The 95 % interval of a combination of unknowns around its fitted value: ``low`` ≤ 0 ≤ ``high``, None where open.
-
-    error  standard deviation by the covariance
-    """
+    """The 95 % interval of a combination of unknowns around its fitted value: ``low`` ≤ 0 ≤ ``high``, None where open."""
 
     low: float | None
     high: float | None
-    error: float
+    error: float  # standard deviation by the covariance
 
     def widened(self, other: "Interval", shift: float) -> "Interval":
         """So that it contains ``other``, around a value that is larger by ``shift``."""

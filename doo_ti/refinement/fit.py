@@ -38,48 +38,34 @@ FINE, OF_INTERVALS, ROUGH = (0.03, 0.01), (0.1, 0.1), (0.1, 0.5)  # a fit is don
 # standard errors and the last one lowered −2 ln of the posterior by less; ROUGH while several fits compete
 SCALE_STEPS = 10  # of the search for the sizes, in each step
 EXACT, IMPROBABLE = 1e-12, 1e9  # mean square of residuals that is rounding; −ln of the density of a rod that does not count
-ODD = 9.0
-"""Times the others' mean square, three times their size: a rod with such residuals is a misfit."""
+ODD = 9.0  # times the others' mean square, three times their size: a rod with such residuals is a misfit
 REFITTED = 0.5  # a misfit relaxed again is better if its squares are below this share of those before
 
 
 @dataclass(frozen=True)
 class State:
-    """Rods at one set of values.
+    """Rods at one set of values."""
 
-    values      of the unknowns
-    scales      sizes
-    solution    the rods, on the mesh
-    residuals   of each kind, (D, N), with the clamps' errors but without the gap
-    used        (D,) bool: converged, stable, and no misfit
-    """
-
-    values: Values
-    scales: Scales
-    solution: Solution
-    residuals: tuple[np.ndarray, ...]
-    used: np.ndarray
+    values: Values  # of the unknowns
+    scales: Scales  # sizes
+    solution: Solution  # the rods, on the mesh
+    residuals: tuple[np.ndarray, ...]  # of each kind, (D, N), with the clamps' errors but without the gap
+    used: np.ndarray  # (D,) bool: converged, stable, and no misfit
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """Where a fit ended, and the linear model there.
-
-    posterior   at the sizes of ``state``
-    linear      the residuals of each kind around ``state``
-    rest        (D,) −2 ln of the density of each row less that part of it that the line search computes: among rows that stand
-                for one observation it decides with it which is the most probable
-    converged   False where the allowed steps did not suffice
-    steps       number of steps tried
-    """
+    """Where a fit ended, and the linear model there."""
 
     state: State
     evidence: Evidence
-    posterior: Posterior
-    linear: tuple[Residuals, ...]
+    posterior: Posterior  # at the sizes of ``state``
+    linear: tuple[Residuals, ...]  # the residuals of each kind around ``state``
+    # (D,) −2 ln of the density of each row less that part of it that the line search computes: among rows that stand for one
+    # observation it decides with it which is the most probable
     rest: np.ndarray
-    converged: bool
-    steps: int
+    converged: bool  # False where the allowed steps did not suffice
+    steps: int  # number of steps tried
 
     @property
     def counted(self) -> np.ndarray:
@@ -98,20 +84,13 @@ class Fitted:
 
 @dataclass(frozen=True)
 class Fit:
-    """What stays the same while the unknowns of one model are fitted.
+    """What stays the same while the unknowns of one model are fitted."""
 
-    comparison  the compared quantities and the unknowns
-    origin      the values that the wide prior of Θ is centred on
-    solver      of the relaxations
-    rods        (D,) bool: rods that count, however large their residuals become; None: all except misfits
-    tolerance   FINE, OF_INTERVALS or ROUGH
-    """
-
-    comparison: Comparison
-    origin: Values
-    solver: Newton
-    rods: np.ndarray | None = None
-    tolerance: tuple[float, float] = FINE
+    comparison: Comparison  # the compared quantities and the unknowns
+    origin: Values  # the values that the wide prior of Θ is centred on
+    solver: Newton  # of the relaxations
+    rods: np.ndarray | None = None  # (D,) bool: rods that count, however large their residuals become; None: all except misfits
+    tolerance: tuple[float, float] = FINE  # FINE, OF_INTERVALS or ROUGH
 
     @property
     def unknowns(self) -> Unknowns:

@@ -20,18 +20,12 @@ from doo_ti.system.errors import InputError
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Errors of observations under the Θ of the others.
+    """Errors of observations under the Θ of the others."""
 
-    fold         (D,) the fold that each observation was left out with
-    refinements  one for each fold, of all observations but the fold's
-    distance     (D,) Eq. 1 in mm, each rod relaxed from its observation; NaN for rods that failed
-    sound        (D,) bool: converged and stable
-    """
-
-    fold: np.ndarray
-    refinements: tuple[Refinement, ...]
-    distance: np.ndarray
-    sound: np.ndarray
+    fold: np.ndarray  # (D,) the fold that each observation was left out with
+    refinements: tuple[Refinement, ...]  # one for each fold, of all observations but the fold's
+    distance: np.ndarray  # (D,) Eq. 1 in mm, each rod relaxed from its observation; NaN for rods that failed
+    sound: np.ndarray  # (D,) bool: converged and stable
 
     @property
     def mean_distance(self) -> float:

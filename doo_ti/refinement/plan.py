@@ -38,39 +38,29 @@ from doo_ti.system.terminal import progress
 
 CHUNK_RODS = 4096
 MOST_RODS = 1_000_000
-MOST_CELLS = 24
-"""Cells in which the information about all unknowns is computed."""
+MOST_CELLS = 24  # cells in which the information about all unknowns is computed
 
 
 @dataclass(frozen=True)
 class Plan:
-    """How informative each configuration is.
+    """How informative each configuration is."""
 
-    parameters   names of Θ's parameters: bend, or bend_1 and bend_2, then twist and weight
-    strength     (D, P) mm by which a mark moves, root mean square over the rod, when the parameter grows by a factor e:
-                 the median over the grid. NaN where no cell gives an equilibrium
-    total        (D,) mm, the same over all parameters that the grid varies, together: root of the sum of squares
-    order        (K,) rows of the configurations, the one to measure first at the front
-    volume       (K,) volume of the confidence region after measuring so many of them, relative to the prior's (geometric
-                 mean over the grid)
-    sensed       (D,) cells in which the rod has a certified equilibrium; the other cells do not count
-    cells        G
-    information  (C, D, U, U) of one measurement about all unknowns, the logarithms of the Q parameters in ``asked`` first; zero
-                 where the rod has no certified equilibrium
-    prior        (U, U) information about them before any measurement
-    asked        indices of the parameters that the grid varies
-    """
-
-    parameters: tuple[str, ...]
+    parameters: tuple[str, ...]  # names of Θ's parameters: bend, or bend_1 and bend_2, then twist and weight
+    # (D, P) mm by which a mark moves, root mean square over the rod, when the parameter grows by a factor e: the median over
+    # the grid. NaN where no cell gives an equilibrium
     strength: np.ndarray
-    total: np.ndarray
-    order: np.ndarray
+    total: np.ndarray  # (D,) mm, the same over all parameters that the grid varies, together: root of the sum of squares
+    order: np.ndarray  # (K,) rows of the configurations, the one to measure first at the front
+    # (K,) volume of the confidence region after measuring so many of them, relative to the prior's (geometric mean over the
+    # grid)
     volume: np.ndarray
-    sensed: np.ndarray
-    cells: int
+    sensed: np.ndarray  # (D,) cells in which the rod has a certified equilibrium; the other cells do not count
+    cells: int  # G
+    # (C, D, U, U) of one measurement about all unknowns, the logarithms of the Q parameters in ``asked`` first; zero where the
+    # rod has no certified equilibrium
     information: np.ndarray
-    prior: np.ndarray
-    asked: tuple[int, ...]
+    prior: np.ndarray  # (U, U) information about them before any measurement
+    asked: tuple[int, ...]  # indices of the parameters that the grid varies
 
     @property
     def least(self) -> int:

@@ -19,17 +19,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.refinement.adequacy import Adequacy, Score, adequacy, scores
+from doo_ti.refinement.adequacy import Adequacy, Mislabelled, Score, adequacy, mislabelled, scores
 from doo_ti.refinement.estimate import Estimate, estimated, within_reach
 from doo_ti.refinement.fit import FINE
 from doo_ti.refinement.held_rod import HeldRod
-from doo_ti.refinement.mislabelled import Mislabelled, mislabelled
 from doo_ti.refinement.priors import Scales, typical_scales
 from doo_ti.refinement.residuals import mark_distance
 from doo_ti.refinement.rolls import most_probable
-from doo_ti.refinement.search import Optimum, once, searched
+from doo_ti.refinement.search import Optimum, once, searched, turns_chosen_again
 from doo_ti.refinement.theta import Theta
-from doo_ti.refinement.turns import turns_chosen_again
 from doo_ti.refinement.unknowns import Unknowns, Values
 from doo_ti.relaxation.contact_table import require_clear
 from doo_ti.relaxation.newton import Newton
@@ -45,11 +43,9 @@ FEWEST_EDGES, MOST_EDGES = 24, 400
 PER_LAYER, MOST_FOR_LAYERS = 2.0, 64
 """Edges of the first mesh in the length over which a rod bends beside a clamp, and how many at most for their sake: the first Θ
 may be far too soft."""
-ASYMPTOTIC = 1.0
-"""Times the noise: a larger correction of the mesh is not reliable, and the mesh is made twice as fine."""
+ASYMPTOTIC = 1.0  # times the noise: a larger correction of the mesh is not reliable, and the mesh is made twice as fine
 CORRECTIONS = 2
-MARGIN = 10.0
-"""−2 ln of the evidence by which the correction of the mesh may change which optimum is the best."""
+MARGIN = 10.0  # −2 ln of the evidence by which the correction of the mesh may change which optimum is the best
 
 
 @typed

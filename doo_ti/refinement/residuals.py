@@ -26,10 +26,8 @@ from doo_ti.relaxation.sensitivity import sensitivity
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.types import Clamp, Solution
 
-RODS_AT_ONCE = 128
-"""Derivatives of as many rods are held in memory at a time."""
-SOFT = 30.0
-"""Times the median: rods whose derivatives are larger are about to snap."""
+RODS_AT_ONCE = 128  # derivatives of as many rods are held in memory at a time
+SOFT = 30.0  # times the median: rods whose derivatives are larger are about to snap
 GAP_MODES = 4
 OF_POSES = ("end_shift", "start_turn", "end_turn")
 """Of :func:`doo_ti.relaxation.sensitivity.sensitivity`, three columns each: what a pose moves, beside the whole rod."""
@@ -37,41 +35,28 @@ OF_POSES = ("end_shift", "start_turn", "end_turn")
 
 @dataclass(frozen=True)
 class Residuals:
-    """Residuals of one kind, all with the noise of ``scale``, a name of :mod:`doo_ti.refinement.priors`.
-
-    values   (D, N) with z_d = 0; zero where nothing was seen
-    shared   (D, N, P) J
-    effects  (D, N, Q) Z
-    count    (D,) number of independent residuals
-    """
+    """Residuals of one kind, all with the noise of ``scale``, a name of :mod:`doo_ti.refinement.priors`."""
 
     scale: str
-    values: np.ndarray
-    shared: np.ndarray
-    effects: np.ndarray
-    count: np.ndarray
+    values: np.ndarray  # (D, N) with z_d = 0; zero where nothing was seen
+    shared: np.ndarray  # (D, N, P) J
+    effects: np.ndarray  # (D, N, Q) Z
+    count: np.ndarray  # (D,) number of independent residuals
 
 
 @dataclass(frozen=True)
 class Moments:
     """Products of the residuals of one kind: all that the evidence needs of them. Sums are over the observations, each with its
-    share.
-
-    squares  Σ r²
-    shared   (P, P) Σ JᵀJ, and (D, P) Jᵀr
-    mixed    (D, Q, P) ZᵀJ
-    effects  (D, Q, Q) ZᵀZ, and (D, Q) Zᵀr
-    count    number of independent residuals
-    """
+    share."""
 
     scale: str
-    squares: float
-    shared: np.ndarray
-    shared_slope: np.ndarray
-    mixed: np.ndarray
-    effects: np.ndarray
-    effects_slope: np.ndarray
-    count: float
+    squares: float  # Σ r²
+    shared: np.ndarray  # (P, P) Σ JᵀJ
+    shared_slope: np.ndarray  # (D, P) Jᵀr
+    mixed: np.ndarray  # (D, Q, P) ZᵀJ
+    effects: np.ndarray  # (D, Q, Q) ZᵀZ
+    effects_slope: np.ndarray  # (D, Q) Zᵀr
+    count: float  # number of independent residuals
 
     @classmethod
     def of(cls, residuals: Residuals, share: np.ndarray | float = 1.0) -> "Moments":
@@ -114,21 +99,14 @@ def mark_distance(marks: np.ndarray, observations: Observations, directors: np.n
 
 @dataclass(frozen=True)
 class _Quantity:
-    """A vector interpolated between the mesh's vertices or edges, at X places of the rod.
+    """A vector interpolated between the mesh's vertices or edges, at X places of the rod."""
 
-    place    (X,) arc lengths, mm
-    slope    (X, M − 1) their derivatives by the logarithms of the marks' spacings
-    weights  (X, ·) of the interpolation, and their derivatives by u (:meth:`Mesh.at`)
-    present  (rods, ·, 3) the vectors on the mesh
-    changes  (rods, ·, 3, columns) their derivatives, from :func:`doo_ti.relaxation.sensitivity.sensitivity`
-    carried  (rods, 3, GEOMETRY + Q) displacement of the start, which carries the whole rod along; zero for directions
-    """
-
-    place: np.ndarray
-    slope: np.ndarray
-    weights: tuple[np.ndarray, np.ndarray]
-    present: np.ndarray
-    changes: np.ndarray
+    place: np.ndarray  # (X,) arc lengths, mm
+    slope: np.ndarray  # (X, M − 1) their derivatives by the logarithms of the marks' spacings
+    weights: tuple[np.ndarray, np.ndarray]  # (X, ·) of the interpolation, and their derivatives by u (:meth:`Mesh.at`)
+    present: np.ndarray  # (rods, ·, 3) the vectors on the mesh
+    changes: np.ndarray  # (rods, ·, 3, columns) their derivatives, from :func:`doo_ti.relaxation.sensitivity.sensitivity`
+    # (rods, 3, GEOMETRY + Q) displacement of the start, which carries the whole rod along; zero for directions
     carried: np.ndarray
 
     def at_places(self) -> np.ndarray:
@@ -146,17 +124,12 @@ class _Quantity:
 
 @dataclass(frozen=True)
 class Comparison:
-    """The compared quantities.
+    """The compared quantities."""
 
-    unknowns    of the fit
-    weight      (D, M) of marks: zero for those that are left out
-    directors   (D, M − 1) one where m1 of an edge is compared; None where frames are not
-    correction  (D, M, 3) change of the marks' places by a finer mesh, mm: :func:`doo_ti.refinement.refine.mesh_correction`
-    """
-
-    unknowns: Unknowns
-    weight: np.ndarray
-    directors: np.ndarray | None
+    unknowns: Unknowns  # of the fit
+    weight: np.ndarray  # (D, M) of marks: zero for those that are left out
+    directors: np.ndarray | None  # (D, M − 1) one where m1 of an edge is compared; None where frames are not
+    # (D, M, 3) change of the marks' places by a finer mesh, mm: :func:`doo_ti.refinement.refine.mesh_correction`
     correction: np.ndarray | float = 0.0
 
     @classmethod

@@ -42,50 +42,35 @@ CLIP_MEAN, CLIP_SPREAD = 0.75, 0.75
 RATIO_FACTOR = 0.4
 """Prior of twist over bend stiffness where nothing says how far the rod is twisted: standard deviation of its logarithm about
 that of a common rod."""
-OUTER_SPREAD = 0.1
-"""Prior of by how much an outer mark beside a reported frame is off, in spacings of the outer marks."""
-TURNS = 12
-"""Numbers of the constant errors of clamps."""
+OUTER_SPREAD = 0.1  # prior of by how much an outer mark beside a reported frame is off, in spacings of the outer marks
+TURNS = 12  # numbers of the constant errors of clamps
 
 
 @dataclass(frozen=True)
 class Values:
-    """Values of all unknowns, in their own units.
+    """Values of all unknowns, in their own units."""
 
-    theta      Θ without its rest curvature
-    clip       (2,) mm
-    curvature  (K, 2) 1/mm at the knots, (1, 2) of the whole rod, or (0, 2)
-    constant   (TURNS,) rad, constant errors of the reported frames: of start and end in their axes, and in the world's
-    scatter    (D, POSE) additional errors of the clamps in each observation
-    spacing    (M − 1,) logarithms of the spacings of the marks over the stated ones
-    outer      (2, 6) mm, constant errors of the outer marks
-    """
-
-    theta: Theta
-    clip: np.ndarray
-    curvature: np.ndarray
+    theta: Theta  # Θ without its rest curvature
+    clip: np.ndarray  # (2,) mm
+    curvature: np.ndarray  # (K, 2) 1/mm at the knots, (1, 2) of the whole rod, or (0, 2)
+    # (TURNS,) rad, constant errors of the reported frames: of start and end in their axes, and in the world's
     constant: np.ndarray
-    scatter: np.ndarray
-    spacing: np.ndarray
-    outer: np.ndarray
+    scatter: np.ndarray  # (D, POSE) additional errors of the clamps in each observation
+    spacing: np.ndarray  # (M − 1,) logarithms of the spacings of the marks over the stated ones
+    outer: np.ndarray  # (2, 6) mm, constant errors of the outer marks
 
 
 @dataclass(frozen=True)
 class Unknowns:
     """Which unknowns a fit has.
 
-    rod         the observed rod
-    parameters  of Θ, from PARAMETERS
-    clips       whether the clips' lengths are unknown
-    curvature   "field", "uniform" or "none"
-
     Raises InputError for parameters that are unknown, repeated or contradict each other.
     """
 
-    rod: HeldRod
-    parameters: tuple[str, ...]
-    clips: bool = True
-    curvature: str = "field"
+    rod: HeldRod  # the observed rod
+    parameters: tuple[str, ...]  # of Θ, from PARAMETERS
+    clips: bool = True  # whether the clips' lengths are unknown
+    curvature: str = "field"  # "field", "uniform" or "none"
 
     def __post_init__(self) -> None:
         names = self.parameters

@@ -26,8 +26,7 @@ from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, require_whole
 
 MOST_OBSERVATIONS = 10_000_000
-RODS_AT_ONCE = 1 << 15
-"""Rods of one launch, which bounds the memory for their frames."""
+RODS_AT_ONCE = 1 << 15  # rods of one launch, which bounds the memory for their frames
 
 
 @dataclass(frozen=True)
@@ -148,8 +147,7 @@ def without_twist(observations: Observations) -> tuple[Configuration, Clamps]:
 
 # --- groups and offsets τ -------------------------------------------------------------------------------------------------
 
-MOST_DEG = 36_000.0
-"""Largest |τ|."""
+MOST_DEG = 36_000.0  # largest |τ|
 FIELDS = {"start_frame": "start_frame", "end_frame": "end_frame", "total_twist_deg": "total_twist"}
 KNOWN = {"offset_deg": ((), ("offset_deg",)), "total_twist_deg": ((), ("total_twist_deg",)),
          "start_frame": ((3, 3), frame_columns("start_frame")), "end_frame": ((3, 3), frame_columns("end_frame"))}

@@ -83,7 +83,7 @@ def test_the_best_sizes_leave_no_slope(linear_model):
     evidence, _, scales = linear_model
     best = evidence.best(scales)
     assert evidence.posterior(best).value < evidence.posterior(scales).value
-    inside = [low + 1e-6 < now < high - 1e-6 for now, (low, high) in zip(best.free, best.bounds, strict=True)]
+    inside = [low + 1e-6 < now < high - 1e-6 for now, (low, high) in zip(best.free, np.transpose(best.bounds), strict=True)]
     assert np.abs(evidence.posterior(evidence.best(best)).gradient[inside]).max() < 0.5
 
 

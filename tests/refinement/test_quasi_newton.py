@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize, rosen, rosen_der
 
-from doo_ti.refinement.quasi_newton import minimised
+from doo_ti.refinement.evidence import minimised
 
 FREE = (np.full(3, -np.inf), np.full(3, np.inf))
 

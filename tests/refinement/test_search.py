@@ -11,7 +11,7 @@ from doo_ti.refinement.fit import Fit, State
 from doo_ti.refinement.priors import Scales, typical_scales
 from doo_ti.refinement.refine import RefinementOptions, _finished, _optima, first_edges, refine
 from doo_ti.refinement.residuals import Comparison
-from doo_ti.refinement.turns import turns_chosen_again, twisted
+from doo_ti.refinement.search import turns_chosen_again, twisted
 from doo_ti.refinement.unknowns import Unknowns
 from tests.io.rods import joint_twist
 from tests.refinement.rods_between_clips import TRUTH, held, suture
