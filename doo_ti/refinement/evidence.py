@@ -93,7 +93,7 @@ class Evidence:
         hessian = precision + sum(w * kind.shared for w, kind in zip(weights, self.moments, strict=True)) - (
             counted.T @ mixed.reshape(counted.shape))
         if self.unknowns.rod.copies > 1 and not known:
-            hessian = _less(hessian, self._not_known(slope))
+            hessian = _less(hessian, self.not_known(slope))
         slope = share @ slope + precision @ self.offset
         step, covariance_x, log_hessian = self._solved(hessian, slope, precision)
         effects = -(inner @ (slope_z + mixed @ step)[..., None])[..., 0]
@@ -126,7 +126,7 @@ class Evidence:
         learned = np.array([gradient[name] for name, free in zip(NAMES, scales.learned, strict=True) if free])
         return Posterior(step, covariance_x, effects, value + extra, learned + own)
 
-    def _not_known(self, slope: np.ndarray) -> np.ndarray:
+    def not_known(self, slope: np.ndarray) -> np.ndarray:
         """(P, P) the information that is missing because several rows may be the rod: the covariance of their slopes (D, P)
         (Louis, *Finding the observed information matrix when using the EM algorithm*, 1982)."""
         by_observation = self.unknowns.rod.by_observation

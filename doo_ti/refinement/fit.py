@@ -230,7 +230,7 @@ class Fit:
     def _linear(self, state: State, held) -> Fitted:
         """The linear model around ``state``, its sizes fitted."""
         linear, used = self.comparison.linear(state.solution, state.values, state.used, self.rods is None)
-        share, entropy, rest = self._shares(replace(state, used=used), linear)
+        share, entropy, rest = self.shares(replace(state, used=used), linear)
         evidence = Evidence.of(self.unknowns, linear, self.unknowns.offset(state.values, self.origin), share, entropy)
         if held is not None:
             evidence = evidence.holding(*held)
@@ -238,7 +238,7 @@ class Fit:
         state = replace(state, scales=scales, used=used)
         return Fitted(state, evidence, evidence.posterior(scales), linear, rest, False, 0)
 
-    def _shares(self, state: State, linear: tuple[Residuals, ...]) -> tuple[np.ndarray, float, np.ndarray]:
+    def shares(self, state: State, linear: tuple[Residuals, ...]) -> tuple[np.ndarray, float, np.ndarray]:
         """(D,) the probability of each row among those that stand for the same observation, given the present unknowns; what
         −2 ln of the evidence rises by because it is not known; and (D,) ``rest`` of :class:`Fitted`."""
         rod = self.unknowns.rod

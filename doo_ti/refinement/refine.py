@@ -166,9 +166,9 @@ def refine(observations: Observations, clamps: Clamps, theta: Theta | Sequence[T
     left.
     """
     thetas = (theta,) if isinstance(theta, Theta) else tuple(theta)
-    best, *others = within_reach(_optima(observations, clamps, thetas, options), MARGIN)
-    finished = _corrected if options.edges is None else _finished
-    best, *others = (finished(one, options) for one in (best, *others))
+    best, *others = within_reach(optima(observations, clamps, thetas, options), MARGIN)
+    to_its_end = _corrected if options.edges is None else finished
+    best, *others = (to_its_end(one, options) for one in (best, *others))
     best, *rivals = once(within_reach([best, *others]))
     return _refinement(best, rivals, options)
 
@@ -179,7 +179,7 @@ def unknowns_of(rod: HeldRod, options: RefinementOptions) -> Unknowns:
     return Unknowns(rod, tuple(options.parameters), options.clip is None, curvature)
 
 
-def _optima(observations: Observations, clamps: Clamps, thetas: tuple[Theta, ...], options: RefinementOptions) -> list[Optimum]:
+def optima(observations: Observations, clamps: Clamps, thetas: tuple[Theta, ...], options: RefinementOptions) -> list[Optimum]:
     """The optima of the fit on its first mesh, the best first."""
     check(observations, clamps, options)
     edges = options.edges or first_edges(observations, thetas[0])
@@ -269,7 +269,7 @@ def _refinement(best: Optimum, rivals: list[Optimum], options: RefinementOptions
         mesh_error=None if np.ndim(correction) == 0 else _root_mean_square(correction[state.used]))
 
 
-def _finished(found: Optimum, options: RefinementOptions) -> Optimum:
+def finished(found: Optimum, options: RefinementOptions) -> Optimum:
     """The optimum to the tolerance FINE, from where the search has left it."""
     fit = replace(found.fit, tolerance=FINE)
     return Optimum(fit, fit.run(found.fitted.state, options.iterations).after(found.fitted))

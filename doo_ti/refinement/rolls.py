@@ -65,7 +65,7 @@ class _Start:
 
 
 @dataclass(frozen=True)
-class _LinearModel:
+class LinearModel:
     """−2 ln of the density of observation d as 2 sᵀv + vᵀBv, v = (x, κ in the frame of the straight rod, θ)."""
 
     information: np.ndarray  # (D, P + 1, P + 1) B
@@ -95,9 +95,9 @@ class _LinearModel:
         angle, information = roll[rows, None] + twist[rows, None] * self.share, self.information[rows]
         slope = self.slope[rows] + information[:, :, -1] * twist[rows, None]
         information, slope = information[:, :-1, :-1].copy(), slope[:, :-1].copy()
-        slope[:, first:] = _turned(slope[:, first:], angle)
-        information[:, :, first:] = _turned(information[:, :, first:], angle[:, None])
-        information[:, first:] = np.swapaxes(_turned(np.swapaxes(information[:, first:], 1, 2), angle[:, None]), 1, 2)
+        slope[:, first:] = turned(slope[:, first:], angle)
+        information[:, :, first:] = turned(information[:, :, first:], angle[:, None])
+        information[:, first:] = np.swapaxes(turned(np.swapaxes(information[:, first:], 1, 2), angle[:, None]), 1, 2)
         return -np.linalg.solve(information.sum(axis=0) + self.precision, slope.sum(axis=0) + self.precision @ self.offset)
 
     def _each(self, shared: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -107,7 +107,7 @@ class _LinearModel:
         columns = np.zeros((count + 1, 1 + 3 * many))  # x; κ turned by each twist, and a quarter more; the twists themselves
         columns[:first, 0] = shared[:first]
         angle = TWISTS[:, None] * self.share
-        columns[first:count, 1 : 1 + 2 * many] = _turned(shared[first:], -np.concatenate([angle, angle + np.pi / 2])).T
+        columns[first:count, 1 : 1 + 2 * many] = turned(shared[first:], -np.concatenate([angle, angle + np.pi / 2])).T
         columns[count, 1 + 2 * many :] = TWISTS
         product = columns.T @ self.information @ columns
         slope = self.slope @ columns
@@ -127,7 +127,7 @@ class _LinearModel:
         return ROLLS[best % len(ROLLS)], TWISTS[best // len(ROLLS)], value.min(axis=1)
 
 
-def _turned(rows: np.ndarray, angle: np.ndarray) -> np.ndarray:
+def turned(rows: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """(…, 2 K) ``rows`` R, R the rotations by ``angle`` (…, K) of each pair of columns."""
     pairs, c, s = rows.reshape(*rows.shape[:-1], -1, 2), np.cos(angle), np.sin(angle)
     both = np.stack([c * pairs[..., 0] + s * pairs[..., 1], c * pairs[..., 1] - s * pairs[..., 0]], axis=-1)
@@ -147,7 +147,7 @@ def rolled(fit: Fit, fitted: Fitted, curvature: str) -> tuple[Fit, State]:
                key=lambda one: one.value)
     all_rolls = at_all_rolls(straight)
     scatter = np.repeat(state.values.scatter, COPIES, axis=0)
-    begun = replace(values, scatter=_in_turned_frames(scatter, all_rolls.unknowns.rod.rolled),
+    begun = replace(values, scatter=in_turned_frames(scatter, all_rolls.unknowns.rod.rolled),
                     curvature=best.curvature.reshape(-1, 2) / unknowns.rod.length)
     return all_rolls, all_rolls.posed(all_rolls.from_marks(begun, scales.given(any_roll=WINDOW)))
 
@@ -158,20 +158,20 @@ def at_all_rolls(fit: Fit) -> Fit:
     return _of_rows(fit, np.repeat(np.arange(count), COPIES), np.tile(NODES, count), COPIES)
 
 
-def _of_rows(fit: Fit, rows: np.ndarray, turned: np.ndarray, copies: int = 1) -> Fit:
-    """The fit whose rows are those ``rows`` of ``fit``, each at the roll ``turned``."""
+def _of_rows(fit: Fit, rows: np.ndarray, roll: np.ndarray, copies: int = 1) -> Fit:
+    """The fit whose rows are those ``rows`` of ``fit``, each at its ``roll``."""
     comparison, rod = fit.comparison, fit.unknowns.rod
     correction = comparison.correction
-    unknowns = replace(fit.unknowns, rod=rod.take(rows, turned, copies))
+    unknowns = replace(fit.unknowns, rod=rod.take(rows, roll, copies))
     return replace(fit, rods=None if fit.rods is None else fit.rods[rows], comparison=replace(
         comparison, unknowns=unknowns, weight=comparison.weight[rows],
         directors=None if comparison.directors is None else comparison.directors[rows],
         correction=correction if np.ndim(correction) == 0 else correction[rows]))
 
 
-def _in_turned_frames(scatter: np.ndarray, turned: np.ndarray) -> np.ndarray:
-    """``scatter`` (R, POSE) of the same clamps, not rolled, in frames that are rolled by ``turned`` (R,)."""
-    found, c, s = scatter.copy(), np.cos(turned), np.sin(turned)
+def in_turned_frames(scatter: np.ndarray, roll: np.ndarray) -> np.ndarray:
+    """``scatter`` (R, POSE) of the same clamps, not rolled, in frames that are rolled by ``roll`` (R,)."""
+    found, c, s = scatter.copy(), np.cos(roll), np.sin(roll)
     found[:, 0] = 0.0
     for y in range(1, POSE, 3):
         found[:, y], found[:, y + 1] = c * scatter[:, y] + s * scatter[:, y + 1], c * scatter[:, y + 1] - s * scatter[:, y]
@@ -202,7 +202,7 @@ def expected(scales: Scales, unknowns: Unknowns) -> Scales:
     return scales.given(curvature=SIZE / length, range=RANGE * length, gap=min(scales["gap"], GAP * length))
 
 
-def _linear_model(fit: Fit, state: State, scales: Scales) -> _LinearModel:
+def _linear_model(fit: Fit, state: State, scales: Scales) -> LinearModel:
     """The linear model around straight rods, of the observations whose rods are sound."""
     unknowns, sound = fit.unknowns, state.solution.converged & state.solution.stable
     linear, sound = fit.comparison.linear(state.solution, state.values, sound, leave_out_soft=False)
@@ -213,7 +213,7 @@ def _linear_model(fit: Fit, state: State, scales: Scales) -> _LinearModel:
     information, slope, _, _ = integrated(unknowns, twisted, scales)
     precision, _ = unknowns.precision(scales)
     counts = state.used[sound] if (state.used & sound).any() else np.ones(int(sound.sum()), dtype=bool)
-    return _LinearModel(information[sound], slope[sound], precision[np.ix_(order, order)],
+    return LinearModel(information[sound], slope[sound], precision[np.ix_(order, order)],
                         unknowns.offset(state.values, fit.origin)[order], state.values.scatter[sound, TWIST], counts,
                         unknowns.knots / unknowns.rod.length)
 
