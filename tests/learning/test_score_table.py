@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from doo_ti.learning.cross_validation import cross_validate, partition
-from doo_ti.learning.score_table import LISTED, caption, comma_separated, entries, file_stem, markdown, notes, text
+from doo_ti.learning.score_table import LISTED, comma_separated, entries, file_stem, markdown, notes, text
 from doo_ti.rod.grid import Axis, Grid
 from tests.learning.landscapes import static
 
@@ -43,6 +43,7 @@ def test_text_has_aligned_columns_and_folds_where_they_do_not_fit(scores):
 
 def test_markdown_sets_the_best_bold(scores):
     page = markdown(scores)
+    assert file_stem(scores.partition.by) == "by_material_and_end_distance"
     assert page.startswith("**Table II: leave-one-out error by material and end distance; static (Eq. 2);")
     table = [line for line in page.splitlines() if line.startswith("|")][:6]
     cells = np.array([[cell.strip() for cell in line.strip("|").split("|")[1:]] for line in table[2:]])
@@ -101,14 +102,3 @@ def test_an_anisotropic_grid_names_both_bends_and_borders():
     choices = text(cross_validate(partition(runs, ("material",))[0]), 200).split("\n\n")[-1].splitlines()
     assert re.split(r"  +", choices[0])[1:6] == ["bend_1 [mm³]", "bend_2 [mm³]", "bend_12 [mm³]", "twist [mm³]", "weight"]
     assert re.split(r"  +", choices[1]) == ["a", "2e+05", "2e+04", "5", "3e+05", "1", "1.000", "4 of 4", "4 of 4", "bend_1"]
-
-
-@pytest.mark.parametrize(("by", "stem", "words"), [
-    (("material",), "by_material", "Table I: leave-one-out error by material"),
-    (("material", "end-distance"), "by_material_and_end_distance", "Table II: leave-one-out error by material and end"),
-    (("objective", "end-distance"), "by_objective_and_end_distance", "Table III: leave-one-out"),
-    (("end-distance",), "by_end_distance", "Leave-one-out error by end distance"),
-])
-def test_names(scores, by, stem, words):
-    assert file_stem(by) == stem
-    assert caption(replace(scores, partition=replace(scores.partition, by=by))).startswith(words)

@@ -69,7 +69,7 @@ def test_commands_take_the_table_and_the_run_of_a_sweep_keeps_it(rope, tmp_path,
 def test_rods_inside_obstacles_are_refused():
     seen = suture(1)
     deep = Surroundings([Plane((0, 0, 200), (0, 0, 1))], 2.0)
-    with pytest.raises(InputError, match="rod 0 is .* mm inside a Plane"):
+    with pytest.raises(InputError, match=r"rod \d is .* mm inside a Plane"):
         refine(seen, observation_clamps(seen), TRUTH, RefinementOptions(surroundings=deep))
 
 

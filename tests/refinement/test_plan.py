@@ -77,25 +77,6 @@ def test_the_order_is_greedy_and_the_region_shrinks(configurations):
     np.testing.assert_array_equal(alone.strength[0], found.strength[4])
 
 
-@pytest.mark.slow
-def test_the_best_ten_are_more_informative_than_ten_at_random(laboratory):
-    observations = load_observations(laboratory / "lab_a" / "nylon.npz")
-    found = plan(observations, grid(), sigma=0.12)
-    random = np.random.default_rng(5)
-    rivals = [random.choice(60, 10, replace=False) for _ in range(200)]
-
-    def region(rows):
-        """Volume, everything else integrated out, geometric mean over the cells."""
-        known = found.prior + found.information[:, rows].sum(axis=1)
-        return np.exp(0.5 * np.mean(np.linalg.slogdet(known[:, 2:, 2:])[1] - np.linalg.slogdet(known)[1]))
-
-    region = [region(rows) for rows in (found.order, *rivals)]
-    smaller = np.mean(region[0] < np.array(region[1:]))
-    share = region[0] / np.median(region[1:])
-    print(f"region of the best ten over that of ten at random (median): {share:.2f}; smaller than {smaller:.0%}")
-    assert smaller > 0.95
-
-
 @pytest.mark.thorough
 def test_the_least_informative_of_the_lab_are_those_that_move_least(shipped_data):
     """``Plan.total`` by relaxations under a bend and a twist that are a little larger and smaller."""

@@ -1,4 +1,5 @@
-"""Rods of which nobody measured the rolls: every observation is relaxed at several, and which is right is integrated out."""
+"""Rods of which nobody measured the rolls: held, every observation is relaxed at several, and which is right is integrated out;
+or they roll freely."""
 
 import json
 from dataclasses import replace
@@ -8,14 +9,16 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 
-from doo_ti import Newton
+from doo_ti import Clamp, Clamps, Newton, Observations, RefinementOptions, Theta, observation_clamps, refine, relax
 from doo_ti.cli import main
 from doo_ti.refinement import rolls
 from doo_ti.refinement.evidence import Evidence, densities, integrated
 from doo_ti.refinement.fit import Fit, Fitted
 from doo_ti.refinement.held_rod import POSE
 from doo_ti.refinement.rolls import COPIES, NODES, WINDOW, at_all_rolls, most_probable
+from doo_ti.rod.start import start_configuration
 from tests.refinement.rods_between_clips import TRUTH, assert_gradient, held, model, suture
+from tools.studies.marks_study.specimens import clamps, drawn
 
 MARKS = Path(__file__).resolve().parents[3] / "shared" / "data" / "marks"
 
@@ -140,3 +143,34 @@ def test_marks_of_others_give_the_same_from_any_start(name, tmp_path, capsys):
     first, second = np.array(found)
     np.testing.assert_allclose(first, second, rtol=0.01)
     assert 0.98 * first[1] < truth["EI"] < 1.02 * first[2]
+
+
+# --- rods that roll freely ------------------------------------------------------------------------------------------------
+
+LENGTH, BEND, CURVATURE, NOISE = 100.0, 4e5, 0.015, 0.1
+CURVED = Theta(BEND * np.eye(2), 0.8 * BEND, 1.0, [CURVATURE, 0.0])
+
+
+def marks(rng, poses: int = 10, edges: int = 100, every: int = 5) -> np.ndarray:
+    """(D, M, 3) mm: rods between ends that are held in place and direction, relaxed from cubic curves."""
+    first, span, last = clamps(drawn("cable", 0), poses)
+    held = Clamps(Clamp.TANGENT, Clamp.TANGENT, np.zeros((poses, 3)), LENGTH * span, first, last)
+    s = np.linspace(0, 1, edges + 1)
+    cubic = np.stack([s**3 - 2 * s**2 + s, 3 * s**2 - 2 * s**3, s**3 - s**2])
+    curves = LENGTH * np.einsum("ks,kdx->dsx", cubic, np.stack([first[..., 0], span, last[..., 0]]))
+    begun = start_configuration(Observations(curves, rest_length=np.full(edges, LENGTH / edges)), held, np.zeros(poses))
+    rods = relax(begun, CURVED.material, held)
+    sound = rods.converged & rods.stable
+    seen = rods.configuration.vertices[sound, ::every]
+    return seen + NOISE * rng.normal(size=seen.shape)
+
+
+@pytest.mark.thorough
+def test_curved_rods_that_roll_freely_are_not_taken_for_soft_straight_ones(rng):
+    """A radius of 67 mm: held at unknown rolls, or straight, such a rod seems to have two thirds of its stiffness."""
+    seen = Observations(marks(rng), rest_length=np.full(20, LENGTH / 20))
+    found = refine(seen, observation_clamps(seen), Theta(1.5 * BEND * np.eye(2), 1.2 * BEND), RefinementOptions())
+    bend = found.estimate.parameter("bend")
+    assert found.swivels and found.converged
+    assert bend.low < BEND < bend.high < 2 * bend.low
+    assert np.sqrt((found.theta.rest_curvature**2).sum(axis=1).mean()) == pytest.approx(CURVATURE, rel=0.25)
