@@ -121,23 +121,22 @@ def _advice(fit: Fit, fitted: Fitted) -> tuple[Advice, ...]:
 
 def _extensions(unknowns: Unknowns):
     """(option, meaning, unknowns) of each extension."""
+    names, rod = unknowns.parameters, unknowns.rod
 
-    def with_parameters(*names):
-        return f"parameters={','.join(name.replace('_', '-') for name in names)}", replace(unknowns, parameters=names)
+    def learning(meaning: str, *parameters: str):
+        return f"parameters={','.join(parameters).replace('_', '-')}", meaning, replace(unknowns, parameters=parameters)
 
-    names = unknowns.parameters
-    if "up" not in names and unknowns.rod.loads is None:
-        option, extended = with_parameters(*names, "up")
-        yield option, "the direction of gravity", extended
+    if "up" not in names and rod.loads is None:
+        yield learning("the direction of gravity", *names, "up")
     if "bend" in names and _held_by_frames(unknowns):
-        option, extended = with_parameters("bend_1", "bend_2", "bend_12", *(name for name in names if name != "bend"))
-        yield option, "a section that is not round", extended
-    if not unknowns.clips and unknowns.rod.clamped.any():
+        others = (name for name in names if name != "bend")
+        yield learning("a section that is not round", "bend_1", "bend_2", "bend_12", *others)
+    if not unknowns.clips and rod.clamped.any():
         yield "clip=unknown", "clips of another length", replace(unknowns, clips=True)
     if unknowns.curvature != "field":
         yield "rest_curvature=field", "rest curvature that varies along the rod", replace(unknowns, curvature="field")
-    if unknowns.rod.exact:
-        yield "clamps=loose", "clamps that are off what was reported", replace(unknowns, rod=replace(unknowns.rod, exact=False))
+    if rod.exact:
+        yield "clamps=loose", "clamps that are off what was reported", replace(unknowns, rod=replace(rod, exact=False))
 
 
 def _held_by_frames(unknowns: Unknowns) -> bool:
@@ -173,11 +172,15 @@ class Score:
 
 def scores(fit: Fit, fitted: Fitted) -> tuple[Score, ...]:
     """The scores of all other models, each fitted from the end of ``fitted``."""
-    own = fitted.evidence.left_out(fitted.linear, fitted.state.scales)
-    found = []
+    state, found = fitted.state, []
+    own = fitted.evidence.left_out(fitted.linear, state.scales)
     for name, unknowns in _variants(fit.unknowns).items():
-        _, other = fitted_variant(fit, fitted, unknowns)
-        both = fitted.state.used & other.state.used
+        same_field = unknowns.curvature == fit.unknowns.curvature
+        values = replace(state.values, curvature=state.values.curvature if same_field else np.zeros((len(unknowns.knots), 2)))
+        variant = Fit(replace(fit.comparison, unknowns=unknowns), fit.origin, fit.solver, fit.rods)
+        begun = variant.at(values, state.scales.learning(unknowns.scale_names), state.solution)
+        other = variant.run(begun, STEPS)
+        both = state.used & other.state.used
         change = (other.evidence.left_out(other.linear, other.state.scales) - own)[both]
         error = np.std(change, ddof=1) * np.sqrt(len(change)) if len(change) > 1 else np.inf
         found.append(Score(name, float(change.sum()), float(error), int(both.sum())))
@@ -193,14 +196,6 @@ def _variants(unknowns: Unknowns) -> dict[str, Unknowns]:
     return {name: model for name, model in found.items() if model != unknowns}
 
 
-def fitted_variant(fit: Fit, fitted: Fitted, unknowns: Unknowns, steps: int = STEPS) -> tuple[Fit, Fitted]:
-    """The fit of the model ``unknowns`` to what ``fit`` compares, from the values and sizes at the end of ``fitted``."""
-    before = fitted.state.values
-    same_field = unknowns.curvature == fit.unknowns.curvature
-    values = replace(before, curvature=before.curvature if same_field else np.zeros((len(unknowns.knots), 2)))
-    own = Fit(replace(fit.comparison, unknowns=unknowns), fit.origin, fit.solver, fit.rods)
-    scales = fitted.state.scales.learning(unknowns.scale_names)
-    return own, own.run(own.at(values, scales, fitted.state.solution), steps)
 
 
 # --- misfits whose marks are wrong ----------------------------------------------------------------------------------------
@@ -244,13 +239,10 @@ def _best_order(fit: Fit, fitted: Fitted, row: int, usual: float) -> Mislabelled
     without_one = np.array([len(orders[order]) == 1 for order in within], dtype=bool)
 
     def begun(rows: np.ndarray):
-        own = seen.take(rows)
-        held = replace(rod, observations=own, rolled=None, clamps=observation_clamps(own, *kinds),
-                       surroundings=rod.surroundings.take(np.full(len(rows), row)),
-                       loads=None if rod.loads is None else rod.loads[np.full(len(rows), row)])
-        unknowns = replace(fit.unknowns, rod=held)
-        correction = fit.comparison.correction
-        correction = correction if np.ndim(correction) == 0 else correction[np.full(len(rows), row)]
+        own, same = seen.take(rows), np.full(len(rows), row)
+        held = replace(rod.take(same, rolled=None), observations=own, clamps=observation_clamps(own, *kinds))
+        unknowns, correction = replace(fit.unknowns, rod=held), fit.comparison.correction
+        correction = correction if np.ndim(correction) == 0 else correction[same]
         comparison = replace(Comparison.of(unknowns, fit.comparison.directors is not None), correction=correction)
         among = replace(fit, comparison=comparison)
         values = replace(state.values, scatter=np.zeros((len(rows), POSE)))

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import fdtri  # scipy.stats takes as long to import as the whole package
 
-from doo_ti.refinement.fit import OF_INTERVALS, Fit, Fitted, State
+from doo_ti.refinement.fit import OF_INTERVALS, Fit, Fitted
 from doo_ti.refinement.priors import Scales
 from doo_ti.refinement.search import Optimum
 from doo_ti.refinement.theta import Theta
@@ -68,7 +68,6 @@ class Estimate:
 
     @property
     def correlation(self) -> np.ndarray:
-        """(T, T)."""
         error = np.sqrt(np.diag(self.covariance))
         return self.covariance / np.outer(error, error)
 
@@ -111,13 +110,11 @@ class Estimate:
         """Length of each half of the parameter's interval over that by the covariance."""
         reach = np.sqrt(fdtri(1, self.degrees, PROBABILITY)) * parameter.error
 
-        def half(end, sign):
+        def half(end: float | None) -> float:
             if end is None:
                 return FARTHEST / reach
-            if parameter.name in LOGARITHMIC:
-                return sign * np.log(end / parameter.value) / reach
-            return sign * (end - parameter.value) / reach
-        return half(parameter.low, -1.0), half(parameter.high, 1.0)
+            return abs(np.log(end / parameter.value) if parameter.name in LOGARITHMIC else end - parameter.value) / reach
+        return half(parameter.low), half(parameter.high)
 
 
 def degrees_of(one: Optimum) -> float:
@@ -152,7 +149,7 @@ def estimated(best: Optimum, rivals: Sequence[Optimum] = (), profiled: bool = Tr
         parameters=tuple(_parameter(name, _value(name, theta, values), one, theta.bend)
                          for name, one in found.items() if "/" not in name),
         over_weight=tuple(_parameter(name, float(relative_stiffness(_value(name, theta, values), theta.weight)),
-                                     found[name + suffix])
+                                     found[name + suffix], theta.bend)
                           for name in ("bend", "bend_1", "bend_2", "twist") if name + suffix in found),
         values=values, scales=scales, names=unknowns.names[:count], covariance=fitted.posterior.covariance[:count, :count],
         degrees=degrees, rivals=tuple(one.fit.unknowns.theta_at(one.fitted.state.values) for one in rivals))
@@ -201,12 +198,12 @@ def _value(name: str, theta: Theta, values: Values) -> float:
     return float(known.get(name, 0.0))
 
 
-def _parameter(name: str, value: float, found: "Interval", bend: np.ndarray | None = None) -> Parameter:
+def _parameter(name: str, value: float, found: "Interval", bend: np.ndarray) -> Parameter:
     ends = [None if step is None else float(_moved(name, value, step, bend)) for step in (found.low, found.high)]
     return Parameter(name, value, *ends, found.error, UNITS.get(name, "mm³"))
 
 
-def _moved(name: str, value: float, step, bend: np.ndarray | None = None):
+def _moved(name: str, value: float, step, bend: np.ndarray):
     """The parameter after its unknown has changed by ``step``; ``bend`` is B, for B₁₂."""
     if name == "bend_12":
         root = np.sqrt(bend[0, 0] * bend[1, 1])
@@ -257,8 +254,9 @@ def _reach(fit: Fit, fitted: Fitted, direction: np.ndarray, wanted: float, error
     place = min(wanted * error, LARGEST_FIRST_TRIAL)
     for _ in range(TRIALS):
         near = int(np.argmin(np.abs(np.array(places) - place)))
-        found, reached = _held(fit, states[near], direction, place - places[near])
-        reached += places[near]
+        begun = fit.unknowns.offset(states[near].values, fit.origin)
+        found = fit.run(states[near], STEPS, held=(direction, place - places[near]))
+        reached = places[near] + float(direction @ (fit.unknowns.offset(found.state.values, fit.origin) - begun))
         root = float(np.sqrt(max(found.posterior.value - least, 0.0)))
         places.append(reached)
         roots.append(root)
@@ -273,14 +271,6 @@ def _reach(fit: Fit, fitted: Fitted, direction: np.ndarray, wanted: float, error
         place = _next(np.array(places), np.array(roots), wanted)
     reach = _crossing(np.array(places), np.array(roots), wanted, wanted * error)
     return reach if LEAST < reach < FARTHEST else None
-
-
-def _held(fit: Fit, state: State, direction: np.ndarray, amount: float) -> tuple[Fitted, float]:
-    """The best fit ``amount`` further along ``direction`` than ``state``, and how far it got."""
-    origin = fit.unknowns.offset(state.values, fit.origin)
-    found = fit.run(state, STEPS, held=(direction, amount))
-    moved = fit.unknowns.offset(found.state.values, fit.origin) - origin
-    return found, float(direction @ moved)
 
 
 def _next(places: np.ndarray, roots: np.ndarray, wanted: float) -> float:

@@ -249,7 +249,8 @@ def _inverse(hessian: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, fl
 def effect_scales(unknowns: Unknowns) -> tuple[str, ...]:
     """(Q,) the scale of each effect of an observation: poses first, then the gap's amplitudes. A number of a pose that is not
     unknown has no derivatives; its scale does not matter."""
-    return tuple(name or "turn_scatter" for name in unknowns.rod.pose_scales if unknowns.clamps) + ("gap",) * (3 * GAP_MODES)
+    poses = () if unknowns.rod.exact else unknowns.rod.pose_scales
+    return tuple(name or "turn_scatter" for name in poses) + ("gap",) * (3 * GAP_MODES)
 
 
 def _effects(unknowns: Unknowns, moments: Sequence[Moments], scales: Scales):

@@ -133,7 +133,7 @@ class Fit:
 
         Gauss–Newton, each observation with steps of its own. Where no frame was reported, marks alone say how a rod is held:
         the line through the outer two of them is only a first guess."""
-        if not self.unknowns.clamps:
+        if self.unknowns.rod.exact:
             return state
         rows = np.ones(len(state.used), dtype=bool) if rows is None else rows
         share, before = np.ones(len(rows)), self._of_rods(state, state.scales)
@@ -261,7 +261,7 @@ class Fit:
         """The state after a step that lowers −2 ln of the posterior and loses no rod, its share of the whole step, and by how
         much it lowers it; share 0 where no step does. A step ``moving`` a held combination of unknowns may raise it."""
         state, found, unknowns = fitted.state, fitted.posterior, self.unknowns
-        effects = found.effects[:, :POSE] if unknowns.clamps else 0 * state.values.scatter
+        effects = 0 * state.values.scatter if unknowns.rod.exact else found.effects[:, :POSE]
         effects = np.where(state.used[:, None], effects, state.values.scatter)
         largest = np.abs(effects - state.values.scatter)[:, :6].max()
         share = min(share, LARGEST_ROLL / max(largest, 1e-300))
@@ -298,7 +298,7 @@ class Fit:
             total += (rows**2).sum(axis=1)
             if name == "marks":
                 total -= ((rows @ gap) ** 2).sum(axis=1)
-        if self.unknowns.clamps:
+        if not self.unknowns.rod.exact:
             sizes = np.array([scales[name] if name else np.inf for name in self.unknowns.rod.pose_scales])
             total += ((state.values.scatter / sizes) ** 2).sum(axis=1)
         return total

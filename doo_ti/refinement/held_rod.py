@@ -46,11 +46,6 @@ class HeldRod:
     rolled: np.ndarray | None = None
     copies: int = 1  # rows that stand for one observation, one after the other, at different rolls
 
-    @cached_property
-    def mark_place(self) -> np.ndarray:
-        """(M,) arc length of the marks as the observations state it, mm."""
-        return Lengths(np.zeros(2), self.observations.rest_length).mark_place
-
     @property
     def length(self) -> float:
         """L as the observations state it, mm."""

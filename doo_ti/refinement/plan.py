@@ -12,6 +12,7 @@ Axes: G grid cells, C cells of those, D configurations, P parameters, Q of them 
 """
 
 from dataclasses import dataclass, replace
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from doo_ti.refinement.held_rod import HeldRod
 from doo_ti.refinement.priors import typical_scales
 from doo_ti.refinement.refine import FEWEST_EDGES, MOST_EDGES
 from doo_ti.refinement.residuals import Comparison
-from doo_ti.refinement.theta import Theta
+from doo_ti.refinement.search import theta_of_cell
 from doo_ti.refinement.unknowns import Unknowns
 from doo_ti.relaxation.contact_table import require_clear
 from doo_ti.relaxation.newton import Newton
@@ -110,9 +111,10 @@ def plan(
     moved = _moved(configurations, clamps, grid, parameters, surroundings)
     marks = configurations.valid.sum(axis=1)[:, None]
     squares = np.einsum("gdpp->gdp", moved) / marks
-    with np.errstate(invalid="ignore"):
-        strength = np.sqrt(_median(squares))
-        total = np.sqrt(_median(squares[..., asked].sum(axis=-1)))
+    with catch_warnings():
+        simplefilter("ignore", RuntimeWarning)  # where no cell gives an equilibrium
+        strength = np.sqrt(np.nanmedian(squares, axis=0))
+        total = np.sqrt(np.nanmedian(squares[..., asked].sum(axis=-1), axis=0))
     sensed = np.isfinite(moved).all(axis=(2, 3))
     names = tuple(parameters[k] for k in asked)
     seen = replace(configurations, sigma=np.array(sigma))
@@ -170,14 +172,6 @@ def _values(grid: Grid, cells: slice, parameters) -> np.ndarray:
     return np.stack([values["bend_1" if name == "bend" else name] for name in parameters], axis=-1)
 
 
-def _median(values: np.ndarray) -> np.ndarray:
-    """Over the grid, of the cells that are not NaN; NaN where all are."""
-    found = np.full(values.shape[1:], np.nan)
-    some = np.isfinite(values).any(axis=0)
-    found[some] = np.nanmedian(values[:, some], axis=0)
-    return found
-
-
 def _information(seen: Observations, clamps, grid: Grid, names: tuple[str, ...], surroundings: Surroundings
                  ) -> tuple[np.ndarray, np.ndarray]:
     """(C, D, U, U) of each configuration about the unknowns of ``refine``, and their prior (U, U), that of ``names`` as wide as
@@ -191,7 +185,7 @@ def _information(seen: Observations, clamps, grid: Grid, names: tuple[str, ...],
     with progress() as bar:
         task = bar.add_task("information", total=len(cells), unit="cells")
         for cell in cells:
-            theta = Theta.of(grid.materials(np.array([cell])), up=seen.up)
+            theta = theta_of_cell(grid, cell, seen.up)
             values = unknowns.begun(theta, unknowns.clip_prior)
             solution = rod.relaxed(unknowns.material(values), unknowns.lengths(values), unknowns.pose(values), Newton(),
                                    theta.up)

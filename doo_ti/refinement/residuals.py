@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from doo_ti.refinement.held_rod import POSE
-from doo_ti.refinement.mesh import GEOMETRY, Mesh
+from doo_ti.refinement.mesh import GEOMETRY, Lengths, Mesh
 from doo_ti.refinement.priors import Scales
 from doo_ti.refinement.unknowns import Unknowns, Values
 from doo_ti.relaxation.sensitivity import sensitivity
@@ -70,19 +70,6 @@ class Moments:
             residuals.scale, float(share @ (residuals.values**2).sum(axis=1)), shared.T @ shared, (transposed @ values)[..., 0],
             effects @ residuals.shared, effects @ residuals.effects,
             (effects @ values)[..., 0], float(share @ residuals.count))
-
-
-def smooth_modes(place: np.ndarray, held: tuple[bool, bool], count: int) -> np.ndarray:
-    """(M, G) smooth displacements of marks at arc lengths ``place`` (M,), zero at a held end; the k-th is scaled by 1/k²."""
-    share = (place - place[0]) / (place[-1] - place[0])
-    k = np.arange(1, count + 1)
-    if all(held):
-        modes = np.sin(np.pi * np.outer(share, k))
-    elif held[0]:
-        modes = np.sin(np.pi * np.outer(share, k - 0.5))
-    else:
-        modes = np.cos(np.pi * np.outer(share, k - 0.5))
-    return modes / k**2
 
 
 def mark_distance(marks: np.ndarray, observations: Observations, directors: np.ndarray | None = None,
@@ -190,11 +177,12 @@ class Comparison:
         found = []
         for name, now, (j, z), weight, count in zip(
                 ("marks", "frames"), self.values(solution, values), kinds, weights, counts, strict=False):
-            z = self._with_gap(z, name)
+            gap = self.gap_modes if name == "marks" else 0.0  # which leaves directors unchanged
+            z = np.concatenate([z, np.broadcast_to(gap, (*z.shape[:2], 3 * GAP_MODES))], axis=-1)
             keep = np.where(used[:, None], weight, 0.0)[..., None]
             z = np.where(keep > 0, keep * z, 0.0)
             r = np.where(used[:, None], now, 0.0)
-            if self.unknowns.clamps:
+            if not self.unknowns.rod.exact:
                 r = r - (z[..., :POSE] @ values.scatter[..., None])[..., 0]
             found.append(Residuals(name, r, np.where(keep > 0, keep * j, 0.0), z, np.where(used, count, 0.0)))
         return tuple(found), used
@@ -209,17 +197,14 @@ class Comparison:
 
     @property
     def gap_modes(self) -> np.ndarray:
-        """(3 M, 3 G) smooth displacements of the marks with unit amplitudes."""
-        rod = self.unknowns.rod
-        held = tuple(bool(np.max(kind) >= Clamp.POSITION) for kind in (rod.clamps.start, rod.clamps.end))
-        return np.einsum("mg,ab->magb", smooth_modes(rod.mark_place, held, GAP_MODES), np.eye(3)).reshape(-1, 3 * GAP_MODES)
-
-    def _with_gap(self, effects: np.ndarray, kind: str) -> np.ndarray:
-        """The effects followed by the smooth displacements of the marks; these leave directors unchanged."""
-        modes = self.gap_modes
-        shape = (*effects.shape[:2], modes.shape[1])
-        gap = np.broadcast_to(modes, shape) if kind == "marks" else np.zeros(shape)
-        return np.concatenate([effects, gap], axis=-1)
+        """(3 M, 3 G) smooth displacements of the marks, zero at a held end; the k-th is scaled by 1/k²."""
+        rod, k = self.unknowns.rod, np.arange(1, GAP_MODES + 1)
+        start, end = (bool(np.max(kind) >= Clamp.POSITION) for kind in (rod.clamps.start, rod.clamps.end))
+        place = Lengths(np.zeros(2), rod.observations.rest_length).mark_place
+        share = (place - place[0]) / (place[-1] - place[0])
+        waves = np.pi * np.outer(share, k if start and end else k - 0.5)
+        modes = (np.sin(waves) if start else np.cos(waves)) / k**2
+        return np.einsum("mg,ab->magb", modes, np.eye(3)).reshape(-1, 3 * GAP_MODES)
 
     def _derivatives(self, solution: Solution, values: Values, rows: slice, shared: bool):
         """(J, Z) of each kind, Z without the gap, and usable (R,) bool, of the R rods ``rows``; J without columns if not
@@ -242,7 +227,7 @@ class Comparison:
         for one in quantities:
             at = one.at_places()
             poses = at[..., -by_clamps.shape[1] :] @ by_clamps[:, None] + one.carried[:, None]
-            effects = poses[..., GEOMETRY:] * unknowns.loose if unknowns.clamps else poses[..., :0]
+            effects = poses[..., :0] if unknowns.rod.exact else poses[..., GEOMETRY:] * unknowns.loose
             by_unknowns = self._shared(at, poses, one.sliding(mesh), chain, values, mesh, rows) if shared else at[..., :0]
             kinds.append([part.reshape(len(at), 3 * at.shape[1], part.shape[-1]) for part in (by_unknowns, effects)])
         return kinds, found.usable

@@ -117,11 +117,6 @@ class Unknowns:
         return np.concatenate([frames, np.broadcast_to(np.eye(3), frames.shape)], axis=-1)
 
     @property
-    def clamps(self) -> bool:
-        """Whether the clamps of an observation may be off their poses."""
-        return not self.rod.exact
-
-    @property
     def turns(self) -> bool:
         """Whether reported frames may have constant errors."""
         return "turn_scatter" in self.rod.pose_scales
