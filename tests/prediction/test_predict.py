@@ -153,7 +153,7 @@ def test_numbers_that_do_not_match_are_named():
     rods, clamps = bows(MATERIAL)
     one, held = rods.take([0]), clamps.take([0])
     for path, loads, words in ((ClampPath(np.arange(2.0), end_position=np.zeros((2, 3, 3))), None, "one motion for all"),
-                               (line(clamps, np.zeros(3)), PointLoads(np.zeros((3, EDGES + 1, 3))), "loads")):
+                               (line(clamps, np.zeros(3), np.zeros(3)), PointLoads(np.zeros((3, EDGES + 1, 3))), "loads")):
         with pytest.raises(InputError, match=words):
             predict(rods, MATERIAL, clamps, path, loads=loads)
     for given, loads, words in (((rods, MATERIAL, held), None, "configuration: 2 rows"),
