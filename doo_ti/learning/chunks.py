@@ -166,7 +166,6 @@ class Terms:
 
     @property
     def objective(self) -> str:
-        """"static" or "dynamic"."""
         return "dynamic" if self.dynamic else "static"
 
     @property

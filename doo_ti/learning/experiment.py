@@ -42,7 +42,6 @@ class Hypotheses:
 
     @property
     def count(self) -> int:
-        """H, the number of hypotheses."""
         return len(self.observation)
 
     @property
@@ -58,7 +57,6 @@ class Hypotheses:
         return observation, first[:, None] + np.where(rank < count[:, None], rank, 0)
 
     def take(self, index) -> "Hypotheses":
-        """The hypotheses named by ``index``, in that order."""
         return Hypotheses(self.observation[index], self.turns[index], None if self.spin is None else self.spin[index])
 
     def as_dict(self) -> dict:
@@ -200,17 +198,14 @@ class SweepOptions:
             raise InputError("sweep", "sub_step", f"{self.sub_step!r}", f"give radians from {LEAST_SUB_STEP:g} to pi")
         require_whole("sweep", "spins", self.spins, 0)
         require_number("sweep", "seed", self.seed)
-        if self.surroundings:
-            self._check_surroundings()
+        around = self.surroundings
+        if around and isinstance(self.solver, Descent):
+            raise InputError("sweep", "solver", "Descent cannot use obstacles", "give Newton()")
+        if around and (np.size(around.radius) != 1 or any(obstacle.count > 1 for obstacle in around.obstacles)):
+            raise InputError("sweep", "obstacles", "other ones, or another radius, for each rod", "give the same to all rods")
         for name, allowed in (("precision", PRECISIONS), ("objective", ("static", "dynamic"))):
             if getattr(self, name) not in allowed:
                 raise InputError("sweep", name, f"{getattr(self, name)!r}", f"give one of {', '.join(allowed)}")
-
-    def _check_surroundings(self) -> None:
-        if isinstance(self.solver, Descent):
-            raise InputError("sweep", "solver", "Descent cannot use obstacles", "give Newton()")
-        if np.size(self.surroundings.radius) != 1 or any(obstacle.count > 1 for obstacle in self.surroundings.obstacles):
-            raise InputError("sweep", "obstacles", "other ones, or another radius, for each rod", "give the same to all rods")
 
     def as_dict(self) -> dict:
         """The options that cells depend on, as JSON holds them; :meth:`from_dict` reads them back."""

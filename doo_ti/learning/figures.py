@@ -69,7 +69,6 @@ class Study:
 
     @property
     def names(self) -> list[str]:
-        """The names of the runs."""
         return [panel.title for panel in self.panels]
 
     @property

@@ -117,17 +117,17 @@ class Summed:
 
     @cached_property
     def compared(self) -> np.ndarray:
-        """(N,) bool, as in :class:`CellSums`."""
+        """(N,) bool: terms whose rod is sound in some cell."""
         return self.sums.compared
 
     @cached_property
     def unsound(self) -> np.ndarray:
-        """(G,) as in :class:`CellSums`."""
+        """(G,) rods of the compared terms that are not sound."""
         return self.sums.unsound
 
     @cached_property
     def mean_distance(self) -> np.ndarray:
-        """(G,) Eq. 2 or 3 in mm, as in :class:`CellSums`."""
+        """(G,) f(Θ) of Eq. 2 or 3 in mm, NaN in cells that do not compete."""
         return self.sums.mean_distance
 
     @property

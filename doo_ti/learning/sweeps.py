@@ -82,7 +82,7 @@ def _swept(run: Path, experiment: Experiment, workers: ThisProcess | Workers, co
             return done
         paths = [chunk_path(run, part, *chunk) for chunk in chunks if chunk not in set(left)]
         check_identity(paths, identity)
-        for path in paths:  # chunks stored before are read whole: the summary takes their digests
+        for path in paths:  # chunks stored before are read whole, which verifies their checksums
             read_rows(path)
         loading, seconds = _relax_chunks(run, part, experiment, left, workers, identity)
         resolution = None

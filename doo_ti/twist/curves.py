@@ -31,27 +31,19 @@ RODS_AT_ONCE = 1 << 15  # rods of one launch, which bounds the memory for their 
 
 @dataclass(frozen=True)
 class TwistCurves:
-    """Σ d of Eq. 4 for K groups of N observations, at any angles.
-
-    free, clamps  (N) shapes without twist, and their clamps
-    first         (K + 1,) rows at which groups begin, and N
-    offset        (N,) τ, rad
-    solver, precision  as :func:`doo_ti.relaxation.relax.relax` takes them
-    surroundings  what the rods touch, with one row for all observations or one for each
-    advance       called with the number of rods done
-    """
+    """Σ d of Eq. 4 for K groups of N observations, at any angles."""
 
     observations: Observations
     material: Material
-    free: Configuration
-    clamps: Clamps
-    group: np.ndarray
-    first: np.ndarray
-    offset: np.ndarray
+    free: Configuration  # (N) shapes without twist
+    clamps: Clamps  # (N) of these
+    group: np.ndarray  # (N,) of each observation
+    first: np.ndarray  # (K + 1,) rows at which groups begin, and N
+    offset: np.ndarray  # (N,) τ, rad
     solver: Newton
     precision: str
-    surroundings: Surroundings
-    advance: Callable[[int], None]
+    surroundings: Surroundings  # what the rods touch, with one row for all observations or one for each
+    advance: Callable[[int], None]  # called with the number of rods done
 
     @classmethod
     def of(cls, observations: Observations, material: Material, group, offset, solver: Newton, precision: str,
