@@ -307,3 +307,12 @@ def _overview(run: Path, grid: Grid, name: str, terms: Terms, files: Iterable[tu
         return {name: np.concatenate([columns[name][own] for columns, own in found]) for name in names}
 
     return Overview(run, name, grid, terms.objective, sums, rods_of)
+
+
+def plane_of(landscape: Summed):
+    """The landscape as :class:`doo_ti.report.plane.LandscapePlane`, which pictures and recordings take."""
+    from doo_ti.report.plane import LandscapePlane
+
+    shape = landscape.grid.shape
+    return LandscapePlane.of(landscape.grid.picture_axes, landscape.mean_distance.reshape(shape),
+                             np.unravel_index(landscape.best, shape), landscape.unsound.reshape(shape))
