@@ -249,7 +249,7 @@ def _best_order(fit: Fit, fitted: Fitted, row: int, usual: float) -> Mislabelled
         return among, among.from_marks(values, state.scales)
 
     def squares(one: Fit, now: State) -> np.ndarray:
-        return np.where(now.solution.converged & now.solution.stable, one.mean_squares(now.residuals), np.inf)
+        return np.where(now.sound, one.mean_squares(now.residuals), np.inf)
 
     for kind in (within[~without_one], within[without_one]):
         if len(kind):

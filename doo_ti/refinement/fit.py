@@ -50,7 +50,12 @@ class State:
     scales: Scales  # sizes
     solution: Solution  # the rods, on the mesh
     residuals: tuple[np.ndarray, ...]  # of each kind, (D, N), with the clamps' errors but without the gap
-    used: np.ndarray  # (D,) bool: converged, stable, and no misfit
+    used: np.ndarray  # (D,) bool: sound, and no misfit
+
+    @property
+    def sound(self) -> np.ndarray:
+        """(D,) bool: converged and stable."""
+        return self.solution.converged & self.solution.stable
 
 
 @dataclass(frozen=True)
@@ -106,8 +111,7 @@ class Fit:
             # A clamp without the outer mark is at a guess, and so is the turn nearest to the marks until it is posed.
             state = self.posed(state, guessed)
             for other in (self.posed(self.from_marks(values, scales, turn), guessed) for turn in (-1, 0, 1)):
-                sound = other.solution.converged & other.solution.stable
-                nearer = sound & guessed & (self._of_rods(other, scales) < self._of_rods(state, scales))
+                nearer = other.sound & guessed & (self._of_rods(other, scales) < self._of_rods(state, scales))
                 state = self.merged(state, other, nearer)
         if not state.used.any():
             raise InputError(self.unknowns.rod.observations.source, "vertices_mm",
@@ -141,15 +145,15 @@ class Fit:
         step, usable = np.zeros_like(state.values.scatter), np.zeros_like(rows)
         for _ in range(steps):
             if moved.any():  # the others' linear model is as before
-                sound = moved & latest.solution.converged & latest.solution.stable
-                linear, sound = self.comparison.linear(latest.solution, latest.values, sound, False, shared=False)
+                linear, sound = self.comparison.linear(latest.solution, latest.values, moved & latest.sound,
+                                                       leave_out_soft=False, shared=False)
                 wanted = best_effects(self.unknowns, linear, state.scales)[:, :POSE]
-                step[moved] = np.where(sound[:, None], self._turned(wanted - latest.values.scatter), 0.0)[moved]
+                step[moved] = np.where(sound[:, None], _not_too_far(wanted - latest.values.scatter), 0.0)[moved]
                 usable = np.where(moved, sound, usable)
             latest = self.at(replace(begin.values, scatter=begin.values.scatter + share[:, None] * step), state.scales,
                              begin.solution)
             after = self._of_rods(latest, state.scales)
-            moved = usable & latest.solution.converged & latest.solution.stable & (after < before)
+            moved = usable & latest.sound & (after < before)
             share = np.where(moved, np.minimum(1.0, share / SHORTENED), share * SHORTENED)
             begin = self._mixed(begin, latest, moved) if moved.any() else begin
             gained = np.where(moved, before - after, 0.0)
@@ -178,11 +182,6 @@ class Fit:
         """``other`` in the observations ``rows``, ``state`` elsewhere."""
         mixed = self._mixed(state, other, rows)
         return self.at(mixed.values, mixed.scales, mixed.solution)
-
-    @staticmethod
-    def _turned(step: np.ndarray) -> np.ndarray:
-        """A change of poses (D, POSE), shortened where it turns a clamp too far for one step."""
-        return step * np.minimum(1.0, LARGEST_ROLL / np.maximum(np.abs(step[:, :6]).max(axis=1), 1e-300))[:, None]
 
     def run(self, state: State, steps: int, held: tuple[np.ndarray, float] | None = None) -> Fitted:
         """The best values that are reached from ``state``; with ``held`` = (v, a), those whose v·x is larger by a than that of
@@ -271,7 +270,7 @@ class Fit:
             trial = self.at(values, state.scales, state.solution)
             if unknowns.rod.direction_unknown:
                 trial = self.posed(trial, state.used, FOLLOWED)
-            kept = state.used & trial.solution.converged & trial.solution.stable
+            kept = state.used & trial.sound
             gained = before - self._objective(trial, kept, fitted.rest)
             if unknowns.rod.by_observation(kept).any(axis=1)[counted].all() and (moving or gained >= 0):
                 return trial, share, gained
@@ -317,9 +316,8 @@ class Fit:
         quaternions[misfits] = anew.configuration.quaternions
         moved = replace(state.solution, configuration=replace(state.solution.configuration, quaternions=quaternions))
         trial = self.posed(self.at(values, state.scales, moved), lost)
-        sound, before = (one.solution.converged & one.solution.stable for one in (trial, state))
-        halved = self._least(trial, sound) < REFITTED * self._least(state, before)
-        nearer = np.repeat(halved, unknowns.rod.copies) & lost & sound
+        halved = self._least(trial, trial.sound) < REFITTED * self._least(state, state.sound)
+        nearer = np.repeat(halved, unknowns.rod.copies) & lost & trial.sound
         if not nearer.any():
             return state, False
         return self.merged(state, trial, nearer), True
@@ -327,3 +325,8 @@ class Fit:
     def _least(self, state: State, rods: np.ndarray) -> np.ndarray:
         """(D,) the least mean square of the marks' residuals among those of the ``rods`` that stand for each observation."""
         return self.unknowns.rod.by_observation(np.where(rods, self.mean_squares(state.residuals), np.inf)).min(axis=1)
+
+
+def _not_too_far(step: np.ndarray) -> np.ndarray:
+    """A change of poses (D, POSE), shortened where it turns a clamp too far for one step."""
+    return step * np.minimum(1.0, LARGEST_ROLL / np.maximum(np.abs(step[:, :6]).max(axis=1), 1e-300))[:, None]

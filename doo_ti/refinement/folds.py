@@ -86,7 +86,7 @@ def _predicted(found: Refinement, observations: Observations, clamps: Clamps, op
     rod = fit.unknowns.rod
     values = replace(found.estimate.values, scatter=np.zeros((rod.observations.count, POSE)))
     state = fit.posed(fit.from_marks(values, found.estimate.scales))
-    sound, lengths = state.solution.converged & state.solution.stable, unknowns.lengths(values)
+    sound, lengths = state.sound, unknowns.lengths(values)
     frames = rod.directors(state.solution, lengths) if options.frame_weight > 0 else None
     distance = mark_distance(rod.marks(state.solution, lengths), rod.observations, frames, options.frame_weight)
     least = rod.by_observation(np.where(sound, fit.mean_squares(state.residuals), np.inf)).argmin(axis=1)

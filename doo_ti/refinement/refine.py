@@ -253,7 +253,7 @@ def _scales(unknowns: Unknowns, options: RefinementOptions) -> Scales:
 def _refinement(best: Optimum, rivals: list[Optimum], options: RefinementOptions) -> Refinement:
     fit, fitted = most_probable(best.fit, best.fitted)
     state, rod, correction = fitted.state, fit.unknowns.rod, fit.comparison.correction
-    sound = state.solution.converged & state.solution.stable
+    sound = state.sound
     lengths = fit.unknowns.lengths(state.values)
     marks = rod.marks(state.solution, lengths) + correction
     marks = np.where(sound[:, None, None], marks, np.nan)

@@ -204,8 +204,8 @@ def expected(scales: Scales, unknowns: Unknowns) -> Scales:
 
 def _linear_model(fit: Fit, state: State, scales: Scales) -> LinearModel:
     """The linear model around straight rods, of the observations whose rods are sound."""
-    unknowns, sound = fit.unknowns, state.solution.converged & state.solution.stable
-    linear, sound = fit.comparison.linear(state.solution, state.values, sound, leave_out_soft=False)
+    unknowns = fit.unknowns
+    linear, sound = fit.comparison.linear(state.solution, state.values, state.sound, leave_out_soft=False)
     own = unknowns.columns("curvature")
     order = np.concatenate([np.setdiff1d(np.arange(len(unknowns.names)), own), own])
     twisted = tuple(replace(kind, shared=np.concatenate([kind.shared[..., order], kind.effects[..., [TWIST]]], axis=-1),

@@ -251,8 +251,7 @@ def _best_of(fit: Fit, states: Sequence[State]) -> State:
 def _densities(fit: Fit, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of each observation B and s, and c + q, of :func:`doo_ti.refinement.evidence.integrated`; that is infinite where the rod
     is not sound."""
-    sound = state.solution.converged & state.solution.stable
-    linear, usable = fit.comparison.linear(state.solution, state.values, sound, leave_out_soft=False)
+    linear, usable = fit.comparison.linear(state.solution, state.values, state.sound, leave_out_soft=False)
     own, slope, squares, constant = integrated(fit.unknowns, linear, state.scales)
     return own, slope, np.where(usable, squares + constant, np.inf)
 
