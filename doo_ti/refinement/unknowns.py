@@ -94,13 +94,12 @@ class Unknowns:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """(P,)"""
-        parts = [(name,) if name != "up" else ("up[0]", "up[1]") for name in self.parameters]
+        of_theta = [part for name in self.parameters for part in (("up[0]", "up[1]") if name == "up" else (name,))]
         ends = [name for name, held in zip(("clip_start", "clip_end"), self.rod.clamped, strict=True) if held and self.clips]
-        knots = [f"curvature[{k}]" for k in range(2 * len(self.knots))]
-        spacing = len(self.rod.observations.rest_length) if self.rod.observations.spacing_error > 0 else 0
-        return tuple(name for part in parts for name in part) + tuple(ends) + tuple(knots) + tuple(
-            f"clamps[{k}]" for k in range(TURNS if self.turns else 0)) + tuple(f"spacing[{k}]" for k in range(spacing)) + tuple(
-            f"outer[{k}]" for k in range(6 * len(self.outer_ends)))
+        seen = self.rod.observations
+        numbered = {"curvature": 2 * len(self.knots), "clamps": TURNS * self.turns,
+                    "spacing": seen.edges if seen.spacing_error > 0 else 0, "outer": 6 * len(self.outer_ends)}
+        return (*of_theta, *ends, *(f"{part}[{k}]" for part, count in numbered.items() for k in range(count)))
 
     @cached_property
     def outer_ends(self) -> np.ndarray:
@@ -170,13 +169,11 @@ class Unknowns:
 
     def moved(self, values: Values, step: np.ndarray, scatter: np.ndarray) -> Values:
         """``values`` with the unknowns changed by ``step`` (P,) and the clamps' scatter by ``scatter`` (D, POSE)."""
-        of = {name: amount for name, amount in zip(self.names, step, strict=True)}
-        theta = values.theta
-        root = np.sqrt(np.diag(theta.bend))
+        of = dict(zip(self.names, step, strict=True))
+        theta, up, both = values.theta, values.theta.up, of.get("bend", 0.0)
         correlation = np.tanh(np.arctanh(theta.correlation) + of.get("bend_12", 0.0))
-        both = of.get("bend", 0.0)
-        root = root * np.exp(0.5 * np.array([of.get(name, 0.0) + both for name in ("bend_1", "bend_2")]))
-        up = theta.up
+        logarithms = np.array([of.get(name, 0.0) + both for name in ("bend_1", "bend_2")])
+        root = np.sqrt(np.diag(theta.bend)) * np.exp(0.5 * logarithms)
         if "up[0]" in of:
             up = rotation_matrix(np.array([of["up[0]"], of["up[1]"]]) @ tilt_axes(up)) @ up
         theta = Theta(np.diag(root**2) + correlation * root.prod() * (1 - np.eye(2)),
