@@ -20,7 +20,7 @@ from doo_ti.refinement.fit import OF_INTERVALS, Fit, Fitted
 from doo_ti.refinement.priors import Scales
 from doo_ti.refinement.search import Optimum
 from doo_ti.refinement.theta import Theta
-from doo_ti.refinement.unknowns import LOGARITHMIC, Values
+from doo_ti.refinement.unknowns import LOGARITHMIC, Unknowns, Values
 from doo_ti.rod.physical_units import relative_stiffness
 from doo_ti.system.errors import InputError
 
@@ -144,12 +144,14 @@ def estimated(best: Optimum, rivals: Sequence[Optimum] = (), profiled: bool = Tr
         shifts = _shifts(best, rival)
         found = {name: one.widened(others[name], shifts[name]) if name in others else one for name, one in found.items()}
     suffix = "/weight" if "weight" in unknowns.names else ""
+    known = theta.entries | {"twist_ratio": theta.twist / theta.bend[0, 0], "clip_start": values.clip[0],
+                             "clip_end": values.clip[1], "up[0]": 0.0, "up[1]": 0.0}
     return Estimate(
         theta=theta,
-        parameters=tuple(_parameter(name, _value(name, theta, values), one, theta.bend)
+        parameters=tuple(_parameter(name, float(known[name]), one, theta.bend)
                          for name, one in found.items() if "/" not in name),
-        over_weight=tuple(_parameter(name, float(relative_stiffness(_value(name, theta, values), theta.weight)),
-                                     found[name + suffix], theta.bend)
+        over_weight=tuple(_parameter(name, float(relative_stiffness(float(known[name]), theta.weight)), found[name + suffix],
+                                     theta.bend)
                           for name in ("bend", "bend_1", "bend_2", "twist") if name + suffix in found),
         values=values, scales=scales, names=unknowns.names[:count], covariance=fitted.posterior.covariance[:count, :count],
         degrees=degrees, rivals=tuple(one.fit.unknowns.theta_at(one.fitted.state.values) for one in rivals))
@@ -159,7 +161,7 @@ def _intervals(one: Optimum, degrees: float, behind: float, profiled: bool) -> d
     """The intervals around an optimum whose F is ``behind`` above the least."""
     unknowns, found = one.fit.unknowns, {}
     wanted = float(np.sqrt(max(fdtri(1, degrees, PROBABILITY) - behind, 0.0)))
-    for name, direction in _directions(unknowns.names, unknowns.theta_count).items():
+    for name, direction in _directions(unknowns).items():
         assumed = name.startswith("twist") and unknowns.rod.twist_unknown  # to be that of a common rod
         by_profile = profiled and wanted > 0 and not assumed and not name.startswith(("up", "clip"))
         # A clip's end is a length, not a logarithm.
@@ -171,17 +173,16 @@ def _intervals(one: Optimum, degrees: float, behind: float, profiled: bool) -> d
 
 def _shifts(best: Optimum, rival: Optimum) -> dict[str, float]:
     """By how much each combination of unknowns is larger in ``rival``."""
-    values = [{name: float(direction @ one.fit.unknowns.offset(one.fitted.state.values, one.fit.origin))
-               for name, direction in _directions(one.fit.unknowns.names, one.fit.unknowns.theta_count).items()}
-              for one in (best, rival)]
-    return {name: values[1][name] - value for name, value in values[0].items() if name in values[1]}
+    before, after = ({name: float(direction @ one.fit.unknowns.offset(one.fitted.state.values, one.fit.origin))
+                      for name, direction in _directions(one.fit.unknowns).items()} for one in (best, rival))
+    return {name: after[name] - value for name, value in before.items() if name in after}
 
 
-def _directions(names: tuple[str, ...], count: int) -> dict[str, np.ndarray]:
+def _directions(unknowns: Unknowns) -> dict[str, np.ndarray]:
     """Combinations of unknowns that get an interval: each of Θ's, the ratio of twist to bend, stiffness over weight where the
     weight is learned too, and the clips."""
-    identity = dict(zip(names, np.eye(len(names)), strict=True))
-    of_theta = {name: identity[name] for name in names[:count]}
+    identity = dict(zip(unknowns.names, np.eye(len(unknowns.names)), strict=True))
+    of_theta = {name: identity[name] for name in unknowns.names[: unknowns.theta_count]}
     found = dict(of_theta)
     for bend in ("bend", "bend_1"):
         if bend in of_theta and "twist" in of_theta:
@@ -189,13 +190,7 @@ def _directions(names: tuple[str, ...], count: int) -> dict[str, np.ndarray]:
     if "weight" in of_theta:
         found |= {f"{name}/weight": of_theta[name] - of_theta["weight"]
                   for name in ("bend", "bend_1", "bend_2", "twist") if name in of_theta}
-    return found | {name: identity[name] for name in names if name.startswith("clip")}
-
-
-def _value(name: str, theta: Theta, values: Values) -> float:
-    known = theta.entries | {"twist_ratio": theta.twist / theta.bend[0, 0], "clip_start": values.clip[0],
-                             "clip_end": values.clip[1]}
-    return float(known.get(name, 0.0))
+    return found | {name: identity[name] for name in unknowns.names if name.startswith("clip")}
 
 
 def _parameter(name: str, value: float, found: "Interval", bend: np.ndarray) -> Parameter:
