@@ -75,8 +75,7 @@ def _predicted(found: Refinement, observations: Observations, clamps: Clamps, op
     """(D,) Eq. 1 in mm of observations that ``found`` was not fitted to, each rod relaxed from its observation, and (D,) bool
     whether it is converged and stable. What is not known of its clamps is fitted to each observation."""
     edges = 2 * found.mesh_edges if found.mesh_error is not None else found.mesh_edges
-    rod = HeldRod(observations, clamps, edges, options.surroundings, options.clamps == "exact", found.swivels,
-                  options.loads)
+    rod = HeldRod(observations, clamps, edges, options.surroundings, options.clamps == "exact", found.swivels, options.loads)
     unknowns = unknowns_of(rod, options)
     if not len(found.estimate.values.curvature):
         unknowns = replace(unknowns, curvature="none")

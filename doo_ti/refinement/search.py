@@ -85,8 +85,7 @@ def searched(unknowns: Unknowns, thetas: Sequence[Theta], clip: np.ndarray, scal
     """The optima that are reached from each of ``thetas`` and ``clip`` (2,), the clips' lengths, to the tolerance ROUGH. Raises
     InputError where no rod is converged and stable at any Θ."""
     rod, steps = unknowns.rod, options.iterations
-    straight_first = rod.rolled_together and unknowns.curvature != "none" and all(
-        one.rest_curvature is None for one in thetas)
+    straight_first = rod.rolled_together and unknowns.curvature != "none" and all(one.rest_curvature is None for one in thetas)
     model = replace(unknowns, curvature="none") if straight_first else unknowns
     found = _from_thetas(Comparison.of(model, options.frame_weight > 0), thetas, clip, scales, options)
     fit = found[0].fit

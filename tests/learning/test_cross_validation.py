@@ -53,8 +53,7 @@ def assert_as_by_loops(found, parts):
         np.testing.assert_allclose(found.mean[row, column], mean, rtol=1e-14)
         error = statistics.stdev(errors) / len(errors)**0.5 if len(errors) > 1 else np.nan
         np.testing.assert_allclose(found.standard_error[row, column], error, rtol=1e-12, atol=1e-300)
-        np.testing.assert_array_equal([-1 if cell is None else cell for cell in cells],
-                                      chosen_cells(training, tested.ends))
+        np.testing.assert_array_equal([-1 if cell is None else cell for cell in cells], chosen_cells(training, tested.ends))
 
 
 @pytest.mark.sampled(4)
