@@ -222,7 +222,7 @@ class Unfinished:
     """The stored cells of a sweep that is running or was interrupted."""
 
     experiment: Experiment  # observations, grid and options
-    identity: str  # identity of the sweep
+    identity: str  # of the sweep
     overview: Overview  # results of the stored cells
     age: float  # seconds since the last of them were stored
 
