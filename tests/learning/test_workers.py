@@ -133,14 +133,6 @@ def _slowly(first: int, last: int) -> int:
 
 
 @pytest.mark.thorough
-def test_chunks_come_in_order_whoever_does_them():
-    chunks = [(k, k + k % 3) for k in range(3)] + [(k, k + k % 3) for k in range(4, 9)]
-    for count in (None, 1, 3):
-        with started_workers(count, None) as own:
-            assert list(own.results(_slowly, chunks)) == [(chunk, chunk[1] - chunk[0]) for chunk in chunks]
-
-
-@pytest.mark.thorough
 def test_work_finished_before_a_failure_is_returned_and_the_rest_is_not_begun():
     asked = []
 
