@@ -90,7 +90,7 @@ def _show(options: Namespace, recording: Path, picture: Path | None) -> int:
 
 def _draw_unfinished(run: Path, folder: Path) -> None:
     """Write the pictures of a sweep so far into ``folder``, and print how far it has come."""
-    from doo_ti.learning.drawing import read_unfinished
+    from doo_ti.learning.sweeps import read_unfinished
 
     with busy("reading cells"):
         found = read_unfinished(run)

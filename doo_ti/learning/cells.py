@@ -13,14 +13,13 @@ from doo_ti.learning.chunks import chunk_path, read_columns, read_rows, write_ro
 from doo_ti.learning.experiment import Experiment, nearest, resolved, scores, started
 from doo_ti.motion.journey import Journey
 from doo_ti.motion.path import motion_between
+from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.metric import distance
 from doo_ti.rod.types import Configuration, Material, Solution, Status, sticky
 
-FEW_RODS = 64
-"""Enough for the kernels of large batches: fewer rods have kernels with fewer of them in a value."""
-RESULTS = ("energy", "residual", "iterations", "status", "stable", "precision")
-"""Arrays of a solution that become columns."""
+FEW_RODS = 64  # enough for the kernels of large batches: fewer rods have kernels with fewer of them in a value
+RESULTS = ("energy", "residual", "iterations", "status", "stable", "precision")  # arrays of a solution that become columns
 
 
 def relaxed(experiment: Experiment, materials: Material) -> Solution:
@@ -59,6 +58,20 @@ def sub_steps(experiment: Experiment, material: Material) -> Iterator[tuple[Conf
     yield there, begin.energy[rows], begin.residual[rows], begin.status[rows]
     for solution in journey(experiment, material).follow(there):
         yield solution.configuration, solution.energy, solution.residual, solution.status
+
+
+def iterations(experiment: Experiment, material: Material, most: int) -> Iterator[tuple]:
+    """As :func:`sub_steps` the rods of Eq. 2 at their starts, then after 1, 2, … iterations of Newton, ``most`` of them. A
+    relaxation stopped after k iterations equals the first k of the whole one."""
+    starts, clamps = started(experiment.observations, experiment.clamps, experiment.hypotheses)
+    nothing = np.full(starts.count, np.nan)
+    yield starts, nothing, nothing, None
+    for count in range(1, most + 1):
+        solution = relax(starts, material, clamps, Newton(max_iterations=count), up=experiment.observations.up,
+                         **experiment.options.surroundings.arguments)
+        yield solution.configuration, solution.energy, solution.residual, solution.status
+        if (solution.iterations < count).all():
+            return
 
 
 def journey(experiment: Experiment, materials: Material) -> Journey:

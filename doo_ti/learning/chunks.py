@@ -30,8 +30,7 @@ SOURCES = ("contact", "motion", "physics", "relaxation", "rod", "system/runtime.
            "learning/experiment.py", "learning/pairs.py")
 """Files and folders of the package that cells depend on."""
 SUMMARY = "summary.json"
-DENSITY = "linear_density_g_per_m"
-"""Key of the summary: the rod's linear density, where it was given."""
+DENSITY = "linear_density_g_per_m"  # key of the summary: the rod's linear density, where it was given
 
 
 @cache
@@ -73,14 +72,12 @@ def sweep_identity(summary: dict) -> str | None:
     return identity if isinstance(identity, str) else None
 
 
-IDENTITY, MAKER = "doo_ti_sweep", "doo_ti_maker"
-"""Keys of a file's metadata."""
+IDENTITY, MAKER = "doo_ti_sweep", "doo_ti_maker"  # keys of a file's metadata
 REMEDY = "delete it and run the sweep again"
 PARAMETERS = ("bend_1", "bend_2", "twist", "weight")
 RODS = ("distance_mm", "status", "stable")
 RODS_OF_PAIRS = (*RODS, "jumps", "pair_weight")
-MOST_OBSERVATIONS = 1 << 31
-"""More than the column ``observation`` can number."""
+MOST_OBSERVATIONS = 1 << 31  # more than the column ``observation`` can number
 
 # Of a column: the kinds of its dtype as NumPy abbreviates them, and whether each value is possible.
 _POSSIBLE = {
@@ -162,18 +159,13 @@ def check_identity(paths: list[Path], identity: str | None) -> None:
 
 @dataclass(frozen=True)
 class Terms:
-    """The terms of the objective that occur in some files, in the order of the observations that they start from, then end at.
+    """The terms of the objective that occur in some files, by the observations that they start from, then end at."""
 
-    key      (N,) one number for each
-    dynamic  whether they are pairs
-    """
-
-    key: np.ndarray
-    dynamic: bool
+    key: np.ndarray  # (N,) one number for each
+    dynamic: bool  # whether they are pairs
 
     @property
     def objective(self) -> str:
-        """"static" or "dynamic"."""
         return "dynamic" if self.dynamic else "static"
 
     @property

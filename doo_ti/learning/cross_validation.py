@@ -13,22 +13,16 @@ import numpy as np
 from doo_ti.learning.landscape import Landscape
 from doo_ti.system.errors import InputError
 
-FACTORS = ("material", "objective", "end-distance")
-"""What runs can be partitioned by, in the order in which a table lists it."""
+FACTORS = ("material", "objective", "end-distance")  # what runs can be partitioned by, in the order in which a table lists it
 
 
 @dataclass(frozen=True)
 class Part:
-    """Some terms of a landscape: one row and one column of a table.
+    """Some terms of a landscape: one row and one column of a table."""
 
-    label      its name in the table, such as ``nylon 30 mm``
-    landscape  the run that it is a part of
-    terms      (N,) indices of the run's terms
-    """
-
-    label: str
-    landscape: Landscape
-    terms: np.ndarray
+    label: str  # its name in the table, such as ``nylon 30 mm``
+    landscape: Landscape  # the run that it is a part of
+    terms: np.ndarray  # (N,) indices of the run's terms
 
     @property
     def ends(self) -> np.ndarray:
@@ -52,18 +46,12 @@ class Part:
 
 @dataclass(frozen=True)
 class Partition:
-    """The rows and columns of one table.
+    """The rows and columns of one table."""
 
-    by          the factors in which the parts differ
-    within      the value of the other factors, the same in all parts, such as ``static``
-    parts       two or more, over one grid
-    unlabelled  terms that are in no part because their end distance is unknown
-    """
-
-    by: tuple[str, ...]
-    within: str
-    parts: tuple[Part, ...]
-    unlabelled: int = 0
+    by: tuple[str, ...]  # the factors in which the parts differ
+    within: str  # the value of the other factors, the same in all parts, such as ``static``
+    parts: tuple[Part, ...]  # two or more, over one grid
+    unlabelled: int = 0  # terms that are in no part because their end distance is unknown
 
 
 def check_comparable(landscapes: list[Landscape]) -> None:
@@ -194,36 +182,24 @@ def _same_observations(dynamic: Landscape, static: Landscape) -> bool:
     return np.array_equal(static.end_distance[place], dynamic.end_distance, equal_nan=True)
 
 
-BLOCK_BYTES = 64 << 20
-"""Memory for the sums of one block of tested terms."""
+BLOCK_BYTES = 64 << 20  # memory for the sums of one block of tested terms
 _PARTS_PER_MM = 2.0**32
 _UNUSABLE = 1e300
 
 
 @dataclass(frozen=True)
 class Scores:
-    """One table: each row a training set, each column a test set, both the parts of a partition.
+    """One table: each row a training set, each column a test set, both the parts of a partition."""
 
-    partition       the P parts
-    best            (P,) cell that the whole training set chooses; −1 where none has all its errors
-    training        (P,) mean distance there, mm
-    mean            (P, P) mean distance of the tested terms (Eq. 1), mm; NaN where none has a score
-    standard_error  (P, P) of that mean, mm; NaN below two terms
-    count           (P, P) tested terms that have a score
-    left_out        (P, P) those that have none: no distance at their cell, or no training terms are left without them
-    uncertified     (P, P) scored rods that are no certified minima
-    jumped          (P, P) scored rods that jumped to another branch (Eq. 3)
-    """
-
-    partition: Partition
-    best: np.ndarray
-    training: np.ndarray
-    mean: np.ndarray
-    standard_error: np.ndarray
-    count: np.ndarray
-    left_out: np.ndarray
-    uncertified: np.ndarray
-    jumped: np.ndarray
+    partition: Partition  # the P parts
+    best: np.ndarray  # (P,) cell that the whole training set chooses; −1 where none has all its errors
+    training: np.ndarray  # (P,) mean distance there, mm
+    mean: np.ndarray  # (P, P) mean distance of the tested terms (Eq. 1), mm; NaN where none has a score
+    standard_error: np.ndarray  # (P, P) of that mean, mm; NaN below two terms
+    count: np.ndarray  # (P, P) tested terms that have a score
+    left_out: np.ndarray  # (P, P) those that have none: no distance at their cell, or no training terms are left without them
+    uncertified: np.ndarray  # (P, P) scored rods that are no certified minima
+    jumped: np.ndarray  # (P, P) scored rods that jumped to another branch (Eq. 3)
 
     @property
     def is_best(self) -> np.ndarray:

@@ -26,29 +26,22 @@ from doo_ti.rod.types import LARGEST, Clamp, Clamps, Configuration
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, require_number, require_whole
 
-NEAR = 1.05
-"""Cells, and hypotheses, whose distance is at most this many times the smallest count as equally good."""
-UNSOUND = 1e9
-"""mm added to the distance of a rod that is no certified minimum: it is chosen only where all are none."""
+NEAR = 1.05  # cells, and hypotheses, whose distance is at most this many times the smallest count as equally good
+UNSOUND = 1e9  # mm added to the distance of a rod that is no certified minimum: it is chosen only where all are none
 ROUNDS = 50
 
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """The rods to start, those of an observation in succession.
+    """The rods to start, those of an observation in succession."""
 
-    observation  (H,) the observation that each is about
-    turns        (H,) whole turns, added to the angle in (−π, π] between the frames
-    spin         (H,) rad, the angle between the frames that fixes an unknown roll, or None: such ends turn freely
-    """
-
-    observation: np.ndarray
-    turns: np.ndarray
+    observation: np.ndarray  # (H,) the observation that each is about
+    turns: np.ndarray  # (H,) whole turns, added to the angle in (−π, π] between the frames
+    # (H,) rad, the angle between the frames that fixes an unknown roll, or None: such ends turn freely
     spin: np.ndarray | None = None
 
     @property
     def count(self) -> int:
-        """H, the number of hypotheses."""
         return len(self.observation)
 
     @property
@@ -64,7 +57,6 @@ class Hypotheses:
         return observation, first[:, None] + np.where(rank < count[:, None], rank, 0)
 
     def take(self, index) -> "Hypotheses":
-        """The hypotheses named by ``index``, in that order."""
         return Hypotheses(self.observation[index], self.turns[index], None if self.spin is None else self.spin[index])
 
     def as_dict(self) -> dict:
@@ -164,8 +156,7 @@ def _far(distance: np.ndarray, sound: np.ndarray) -> np.ndarray:
 
 
 SOLVERS = {"newton": Newton, "descent": Descent}
-LEAST_SUB_STEP = 1e-5
-"""rad: smaller sub-steps change no result and take too long."""
+LEAST_SUB_STEP = 1e-5  # rad: smaller sub-steps change no result and take too long
 
 
 @typed
@@ -207,17 +198,14 @@ class SweepOptions:
             raise InputError("sweep", "sub_step", f"{self.sub_step!r}", f"give radians from {LEAST_SUB_STEP:g} to pi")
         require_whole("sweep", "spins", self.spins, 0)
         require_number("sweep", "seed", self.seed)
-        if self.surroundings:
-            self._check_surroundings()
+        around = self.surroundings
+        if around and isinstance(self.solver, Descent):
+            raise InputError("sweep", "solver", "Descent cannot use obstacles", "give Newton()")
+        if around and (np.size(around.radius) != 1 or any(obstacle.count > 1 for obstacle in around.obstacles)):
+            raise InputError("sweep", "obstacles", "other ones, or another radius, for each rod", "give the same to all rods")
         for name, allowed in (("precision", PRECISIONS), ("objective", ("static", "dynamic"))):
             if getattr(self, name) not in allowed:
                 raise InputError("sweep", name, f"{getattr(self, name)!r}", f"give one of {', '.join(allowed)}")
-
-    def _check_surroundings(self) -> None:
-        if isinstance(self.solver, Descent):
-            raise InputError("sweep", "solver", "Descent cannot use obstacles", "give Newton()")
-        if np.size(self.surroundings.radius) != 1 or any(obstacle.count > 1 for obstacle in self.surroundings.obstacles):
-            raise InputError("sweep", "obstacles", "other ones, or another radius, for each rod", "give the same to all rods")
 
     def as_dict(self) -> dict:
         """The options that cells depend on, as JSON holds them; :meth:`from_dict` reads them back."""
@@ -244,9 +232,6 @@ class SweepOptions:
 class Experiment:
     """All that a sweep's cells depend on.
 
-    pairs       the terms of Eq. 3, None under Eq. 2; by default those of the labels
-    hypotheses  the rods of each observation; by default all that its labels allow
-
     Raises InputError for pairs under Eq. 2, for Eq. 3 without pairs or labels, for half turns of unknown direction, for
     ``spins`` where no roll is unknown, for two unknown rolls of a rod that is not round, and for rods inside obstacles.
     """
@@ -254,8 +239,8 @@ class Experiment:
     observations: Observations
     grid: Grid
     options: SweepOptions = SweepOptions()
-    pairs: Pairs | None = None
-    hypotheses: Hypotheses | None = None
+    pairs: Pairs | None = None  # the terms of Eq. 3, None under Eq. 2; by default those of the labels
+    hypotheses: Hypotheses | None = None  # the rods of each observation; by default all that its labels allow
 
     def __post_init__(self) -> None:
         dynamic = self.options.objective == "dynamic"

@@ -102,39 +102,32 @@ def counts_by_name(counts: np.ndarray) -> dict[str, int]:
 
 
 LABELS = ("end_distance_mm", "end_rotation_deg")
-RODS_AT_ONCE = 1 << 16
-"""Rods that are summed up together."""
+RODS_AT_ONCE = 1 << 16  # rods that are summed up together
 
 
 @dataclass(frozen=True)
 class Summed:
     """Results from the sums over the rods of each cell. The classes below have ``sums`` (:class:`CellSums`) and
-    ``rods_of(cell)``, which gives columns by name, (n,) each: status, stable, and under Eq. 3 jumps.
+    ``rods_of(cell)``, which gives columns by name, (n,) each: status, stable, and under Eq. 3 jumps."""
 
-    run        the run's folder
-    name       the rod's material
-    grid       the cells
-    objective  "static", Eq. 2, or "dynamic", Eq. 3
-    """
-
-    run: Path
-    name: str
-    grid: Grid
-    objective: str
+    run: Path  # the run's folder
+    name: str  # the rod's material
+    grid: Grid  # the cells
+    objective: str  # "static", Eq. 2, or "dynamic", Eq. 3
 
     @cached_property
     def compared(self) -> np.ndarray:
-        """(N,) bool, as in :class:`CellSums`."""
+        """(N,) bool: terms whose rod is sound in some cell."""
         return self.sums.compared
 
     @cached_property
     def unsound(self) -> np.ndarray:
-        """(G,) as in :class:`CellSums`."""
+        """(G,) rods of the compared terms that are not sound."""
         return self.sums.unsound
 
     @cached_property
     def mean_distance(self) -> np.ndarray:
-        """(G,) Eq. 2 or 3 in mm, as in :class:`CellSums`."""
+        """(G,) f(Θ) of Eq. 2 or 3 in mm, NaN in cells that do not compete."""
         return self.sums.mean_distance
 
     @property
@@ -314,3 +307,12 @@ def _overview(run: Path, grid: Grid, name: str, terms: Terms, files: Iterable[tu
         return {name: np.concatenate([columns[name][own] for columns, own in found]) for name in names}
 
     return Overview(run, name, grid, terms.objective, sums, rods_of)
+
+
+def plane_of(landscape: Summed):
+    """The landscape as :class:`doo_ti.report.plane.LandscapePlane`, which pictures and recordings take."""
+    from doo_ti.report.plane import LandscapePlane
+
+    shape = landscape.grid.shape
+    return LandscapePlane.of(landscape.grid.picture_axes, landscape.mean_distance.reshape(shape),
+                             np.unravel_index(landscape.best, shape), landscape.unsound.reshape(shape))

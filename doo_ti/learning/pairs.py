@@ -16,14 +16,11 @@ from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import write_whole
 
-APART_DEG = 120.0
-"""Difference of the end rotations of the paper's pairs (footnote 7)."""
-SAME = 1e-6
-"""Labels closer than this, in mm or degrees, are the same."""
+APART_DEG = 120.0  # difference of the end rotations of the paper's pairs (footnote 7)
+SAME = 1e-6  # labels closer than this, in mm or degrees, are the same
 HALF_TURN = np.radians(1.0)
 """rad: two frames that differ by half a turn, to within this, do not determine the direction of the turn."""
-MOST_TURNS = 100
-"""Of the far clamp, from one observation of a pair to the other."""
+MOST_TURNS = 100  # of the far clamp, from one observation of a pair to the other
 COLUMNS = ("from", "to", "weight", "rotation_deg")
 
 

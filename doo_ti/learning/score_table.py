@@ -15,8 +15,7 @@ NUMBERS = {("material",): "Table I", ("material", "end-distance"): "Table II", (
 """The paper's number of each partition."""
 EQUATIONS = {"static": "static (Eq. 2)", "dynamic": "dynamic (Eq. 3)"}
 
-LISTED = 12
-"""Most entries that a note lists."""
+LISTED = 12  # most entries that a note lists
 
 
 def file_stem(by: tuple[str, ...]) -> str:

@@ -14,32 +14,35 @@ import shlex
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from doo_ti.learning.cells import load_kernels, relax_hypotheses, resolve
+from doo_ti.learning.cells import iterations, load_kernels, relax_hypotheses, resolve, settled, sub_steps
 from doo_ti.learning.chunks import DENSITY, SUMMARY, check_identity, chunk_path, read_rows, write_chunk
-from doo_ti.learning.drawing import draw
 from doo_ti.learning.experiment import Experiment, Hypotheses, SweepOptions
-from doo_ti.learning.landscape import gather_overview
+from doo_ti.learning.landscape import Overview, gather_overview, gather_part, plane_of
 from doo_ti.learning.pairs import Pairs
-from doo_ti.learning.run_folder import claim, finished, identity_of, provenance
+from doo_ti.learning.run_folder import claim, finished, identity_of, provenance, read_plan
 from doo_ti.learning.up_axes import other_up
 from doo_ti.learning.workers import ThisProcess, Workers, started_workers
 from doo_ti.rod.grid import Grid
+from doo_ti.rod.metric import distance
 from doo_ti.rod.observations import Observations
+from doo_ti.rod.physical_units import relative_stiffness, stiffness
 from doo_ti.rod.start import check_experiment
+from doo_ti.rod.types import Status
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, InterruptedRunError
 from doo_ti.system.files import write_text
-from doo_ti.system.terminal import progress
+from doo_ti.system.terminal import can_record, progress
 
 CHUNK_BYTES = 32 << 20
 """Memory for the frames of a chunk's rods, the larger part of what a sweep holds: 31 000 rods of 33 edges."""
 MOST_RODS = 1_000_000_000
+MOST_MOMENTS = 60  # iterations, or sub-steps, evenly chosen, that are recorded
 
 
 @typed
@@ -82,7 +85,7 @@ def _swept(run: Path, experiment: Experiment, workers: ThisProcess | Workers, co
             return done
         paths = [chunk_path(run, part, *chunk) for chunk in chunks if chunk not in set(left)]
         check_identity(paths, identity)
-        for path in paths:  # chunks stored before are read whole: the summary takes their digests
+        for path in paths:  # chunks stored before are read whole, which verifies their checksums
             read_rows(path)
         loading, seconds = _relax_chunks(run, part, experiment, left, workers, identity)
         resolution = None
@@ -152,3 +155,99 @@ def _relax_chunks(
             rate = done * rods / (time.monotonic() - began)
             bar.update(task, advance=last - first, rate=f"{rate:,.0f} rods/s")
     return began - begin, time.monotonic() - began
+
+
+# --- picture and recording ------------------------------------------------------------------------------------------------
+
+
+def draw(folder: Path, experiment: Experiment, overview: Overview, identity: str, remark: str = "",
+         linear_density: float | None = None) -> list[str]:
+    """Write landscape.png and, where rerun is installed, run.rrd into ``folder``; their title ends with ``remark``, and EI is
+    shown where the ``linear_density`` in g/m is known. Returns the names of those that were written."""
+    from doo_ti.report import landscape_picture
+
+    observations, grid, sums, best = experiment.observations, experiment.grid, overview.sums, overview.best
+    static = experiment.pairs is None
+    terms = f"{observations.count} observations" if static else f"{experiment.pairs.count} pairs"
+    title = f"{observations.name}: {overview.objective} error over {terms}{remark}"
+    plane = plane_of(overview)
+    theta = {name: float(value[0]) for name, value in grid.cell_values(np.array([best])).items()}
+    written = []
+    if grid.varying:
+        written.append("landscape.png")
+        known = linear_density is not None and all(axis.name != "weight" for axis in grid.varying)
+        landscape_picture(folder / written[-1], plane, title=title, newton_per_bend=(
+            stiffness(relative_stiffness(1.0, theta["weight"]), linear_density) if known else None))
+    if not can_record():
+        return written
+    from doo_ti.record import record_sweep
+    from doo_ti.report.grid_view import Observed
+
+    record_sweep(
+        folder / "run.rrd", run_id=identity[:32], name=title,
+        observed=Observed.of(observations if static else observations.take(experiment.pairs.to_index)),
+        trajectory=trajectory(experiment, best), plane=plane, intervals=overview.intervals,
+        properties={"bend_1_mm3": theta["bend_1"], "bend_2_mm3": theta["bend_2"], "twist_mm3": theta["twist"],
+                    "weight": theta["weight"], "mean_distance_mm": float(overview.mean_distance[best]),
+                    "rods": int(sums.count.sum()), "cells_competing": overview.competition["cells_competing"],
+                    "rods_converged": int(sums.status[Status.CONVERGED]), "rods_stable": sums.stable,
+                    "recorded_iterations": "those of Newton" if static else "sub-steps of the motion"},
+    )
+    return [*written, "run.rrd"]
+
+
+def trajectory(experiment: Experiment, cell: int):
+    """A :class:`doo_ti.record.SweepTrajectory`: the relaxation of a cell's rods, iteration by iteration under Eq. 2,
+    sub-step by sub-step under Eq. 3, each observation under the hypothesis that is nearest in that cell."""
+    from doo_ti.record import SweepTrajectory
+
+    experiment = settled(experiment, cell)
+    material = experiment.grid.materials(slice(cell, cell + 1))
+    if experiment.pairs is None:
+        index, moments = None, list(iterations(experiment, material, MOST_MOMENTS))
+    else:
+        index, moments = experiment.pairs.to_index[experiment.rods[1]], list(sub_steps(experiment, material))
+    kept = np.unique(np.linspace(0, len(moments) - 1, min(len(moments), MOST_MOMENTS + 1)).round().astype(int))
+    configurations, energy, residual, status = zip(*(moments[k] for k in kept), strict=True)
+    error = distance(configurations[-1], experiment.observations, index, experiment.options.frame_weight)
+    vertices = np.stack([configuration.vertices for configuration in configurations])
+    return SweepTrajectory(vertices, np.stack(energy), np.stack(residual), status[-1], error)
+
+
+# --- sweeps that are not finished -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Unfinished:
+    """The stored cells of a sweep that is running or was interrupted."""
+
+    experiment: Experiment  # observations, grid and options
+    identity: str  # of the sweep
+    overview: Overview  # results of the stored cells
+    age: float  # seconds since the last of them were stored
+
+    @property
+    def done(self) -> str:
+        """``1,300 of 5,200 cells (25 %)``."""
+        cells, stored = self.experiment.grid.size, int((self.overview.sums.count > 0).sum())
+        return f"{stored:,} of {cells:,} cells ({100 * stored // cells} %)"
+
+    def draw(self, folder: Path) -> None:
+        """Write landscape.png and run.rrd of the stored cells into ``folder``."""
+        draw(folder, self.experiment, self.overview, self.identity, f", so far {self.done}")
+
+
+def read_unfinished(run: Path) -> Unfinished:
+    """The stored cells of a sweep; its folder is only read. Raises InputError where ``run`` is no sweep's folder,
+    InterruptedRunError where no cell is stored yet."""
+    experiment, identity = read_plan(run)
+    part = "hypotheses" if experiment.hypotheses.are_several else "cells"
+    written = [path.stat().st_mtime for path in (run / part).glob("*.parquet")]
+    if not written:
+        raise InterruptedRunError(f"view: {run}: none of {experiment.grid.size:,} cells is stored yet; try again later")
+    overview = gather_part(run, experiment.grid, experiment.observations.name, identity, part)
+    unfinished = Unfinished(experiment, identity, overview, max(0.0, time.time() - max(written)))
+    if not overview.has_best:
+        raise InterruptedRunError(f"view: {run}: {unfinished.done} are stored, but in none of them did all rods converge to "
+                                  "certified minima; look again later, or look at status and stable in cells/")
+    return unfinished

@@ -31,17 +31,13 @@ from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import start_configuration, turn_hypotheses
 from doo_ti.rod.types import Clamp, Clamps, Material
 
-MOST = 24
-"""Observations that are relaxed, evenly among all."""
+MOST = 24  # observations that are relaxed, evenly among all
 CLEAR = 1.25
 """In units of ln, of a single observation. Chosen among rods of independent solvers and of a motion capture: of 50 sets, and
 of random draws of 2 to 24 of their observations, none under its right axis came to more than 85 % of exp(CLEAR/√D)."""
-FAR = 0.8
-"""Cosine: axes closer to the given direction are not other ones."""
-LEAST = 1e-4
-"""Of the rod's length: misfits below it are alike."""
-STIFFNESS = np.geomspace(3e-4, 3.0, 8)
-"""B/(2 μ L³) of the coarse grid: from limp rods to those that hardly sag."""
+FAR = 0.8  # cosine: axes closer to the given direction are not other ones
+LEAST = 1e-4  # of the rod's length: misfits below it are alike
+STIFFNESS = np.geomspace(3e-4, 3.0, 8)  # B/(2 μ L³) of the coarse grid: from limp rods to those that hardly sag
 AROUND = np.geomspace(0.4, 2.5, 5)
 TWIST_RATIOS = np.array([0.4, 0.9, 2.0])
 RATIOS_AROUND = np.array([0.67, 1.0, 1.5])
@@ -50,24 +46,15 @@ NO_WEIGHT_RATIOS = np.geomspace(0.2, 4.0, 7)
 
 @dataclass(frozen=True)
 class OtherUp:
-    """An axis that fits far better than the direction that was given.
+    """An axis that fits far better than the direction that was given."""
 
-    up               the axis, three numbers
-    option           the option that sets it
-    also             names of other axes that fit far better, too, and that the first does not rule out
-    misfit_mm        typical distance of a mark with the axis upwards,
-    given_misfit_mm  with the given direction upwards,
-    without_gravity_mm  and of rods without weight
-    observations     number of observations that were relaxed
-    """
-
-    up: tuple[float, ...]
-    option: str
-    also: tuple[str, ...]
-    misfit_mm: float
-    given_misfit_mm: float
-    without_gravity_mm: float
-    observations: int
+    up: tuple[float, ...]  # the axis, three numbers
+    option: str  # the option that sets it
+    also: tuple[str, ...]  # names of other axes that fit far better, too, and that the first does not rule out
+    misfit_mm: float  # typical distance of a mark with the axis upwards
+    given_misfit_mm: float  # the same with the given direction upwards
+    without_gravity_mm: float  # and of rods without weight
+    observations: int  # number of observations that were relaxed
 
     @property
     def text(self) -> str:
@@ -121,15 +108,12 @@ def _misfit(squares: np.ndarray, floor: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Trial:
-    """The rods to relax: D observations, with H hypotheses of all.
-
-    counts  (D, V) bool: marks that are compared: not those that the clamps were taken from
-    """
+    """The rods to relax: D observations, with H hypotheses of all."""
 
     observations: Observations
     clamps: Clamps
     surroundings: Surroundings
-    counts: np.ndarray
+    counts: np.ndarray  # (D, V) bool: marks that are compared: not those that the clamps were taken from
 
     @classmethod
     def of(cls, observations: Observations, clamps: Clamps, surroundings: Surroundings) -> "_Trial":

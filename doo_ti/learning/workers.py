@@ -19,27 +19,19 @@ from doo_ti.system import runtime
 from doo_ti.system.errors import InputError
 from doo_ti.system.interruption import kept_from_children
 
-ANSWER_SECONDS = 10
-"""Longest wait for a scheduler's answer."""
-CHECK_SECONDS = 1.0
-"""Interval at which the connection to the scheduler is checked."""
+ANSWER_SECONDS = 10  # longest wait for a scheduler's answer
+CHECK_SECONDS = 1.0  # interval at which the connection to the scheduler is checked
 SCHEDULER_ENDED = "the connection to the scheduler is lost"
 
 
 @dataclass(frozen=True)
 class Workers:
-    """Other processes that relax chunks.
+    """Other processes that relax chunks."""
 
-    executor  takes the chunks
-    ahead     number of chunks submitted before the first result is waited for
-    through   function and first arguments that call the work there, if any
-    connected whether the processes can still be reached
-    """
-
-    executor: Executor
-    ahead: int
-    through: tuple = ()
-    connected: Callable[[], bool] = lambda: True
+    executor: Executor  # takes the chunks
+    ahead: int  # number of chunks submitted before the first result is waited for
+    through: tuple = ()  # function and first arguments that call the work there, if any
+    connected: Callable[[], bool] = lambda: True  # whether the processes can still be reached
 
     def results(self, work, chunks):
         """(chunk, ``work(*chunk)``) of each chunk in order; where one fails, results of later chunks come before the error."""

@@ -26,10 +26,8 @@ from doo_ti.rod.types import Clamps, Configuration, Material, Status, sticky
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
 
-MOST_TURN = np.radians(170.0)
-"""Of the far frame between two moments: its sense is taken from the shorter way."""
-EVEN = 1e-3
-"""Of an interval: by how much the intervals between moments may differ."""
+MOST_TURN = np.radians(170.0)  # of the far frame between two moments: its sense is taken from the shorter way
+EVEN = 1e-3  # of an interval: by how much the intervals between moments may differ
 
 
 @typed

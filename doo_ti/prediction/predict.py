@@ -32,8 +32,7 @@ from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
 from doo_ti.system.short_repr import short_repr
 
-STILL = 1e-9
-"""mm and rad: clamps that move by less count as fixed."""
+STILL = 1e-9  # mm and rad: clamps that move by less count as fixed
 REPORTED = ("energy", "residual", "iterations", "status", "stable", "end_force")
 """Fields of :class:`doo_ti.rod.types.Solution` that are kept of every moment."""
 
@@ -129,22 +128,46 @@ def predict(
         raise InputError("predict", "obstacles", "with friction, which depends on the way",
                          "give predict_moving with quasi-static steps, or obstacles without friction")
     time = path.states(between)
-    travel, rods, (solution, held, jumps) = begun(configuration, material, clamps, path, sub_step, up, solver or Newton(),
-                                                  precision, surroundings, loads)
-    motions = len(clamps.start_position)
-    film = _Film(solution, jumps, held)
+    go, rods, (solution, held, jumps) = begun(configuration, material, clamps, path, sub_step, up, solver or Newton(),
+                                              precision, surroundings, loads)
+    motions, here = clamps.count, solution.configuration
+    moments = [(solution, jumps, np.zeros(len(rods)))]
     for moment in range(path.moments - 1):
-        motion = motion_between(film.clamps, path.at(moment + 1, clamps), path.rotation(moment, motions))
+        motion = motion_between(held, path.at(moment + 1, clamps), path.rotation(moment, motions))
         for part in range(between):
-            film.keep(*travel.go(film.configuration, _part(motion, part / between, (part + 1) / between)))
+            leg = _part(motion, part / between, (part + 1) / between)
+            solution, jumps = go(here, leg)
+            here, held = _finite(solution.configuration, here), leg.at(1.0)
+            moments.append((solution, jumps, moments[-1][2] + np.tile(rotation_about_rod(leg), len(rods) // motions)))
             advance(len(rods))
-    return film.developed(time, configuration.rest_length, rods, np.arange(len(rods)) % motions)
+    solutions, jumps, rotation = zip(*moments, strict=True)
+    return Prediction(time=time, rest_length=configuration.rest_length.copy(), jumps=np.stack(jumps),
+                      end_rotation=np.stack(rotation), material=rods, motion=np.arange(len(rods)) % motions,
+                      **_reported(solutions))
+
+
+def _finite(shape: Configuration, before: Configuration) -> Configuration:
+    """``shape``, but rods that are not finite as they were ``before``."""
+    lost = ~np.isfinite(shape.quaternions).all(axis=(1, 2))
+    return Configuration(np.where(lost[:, None], before.start, shape.start),
+                         np.where(lost[:, None, None], before.quaternions, shape.quaternions), shape.rest_length)
+
+
+def _reported(solutions: Sequence[Solution]) -> dict[str, np.ndarray]:
+    """Fields of :class:`Prediction` that are those of the solutions at its moments."""
+    found = {name: np.stack([getattr(solution, name) for solution in solutions]) for name in REPORTED}
+    found["status"] = np.array(list(accumulate(found["status"], sticky)))
+    if solutions[0].contact_force is not None:
+        found["contact_force"] = np.stack([solution.contact_force for solution in solutions])
+    for name in ("start", "quaternions"):
+        found[name] = np.stack([getattr(solution.configuration, name) for solution in solutions])
+    return found
 
 
 def begun(configuration: Configuration, material: Material, clamps: Clamps, path: ClampPath, sub_step: float, up,
           solver: Newton, precision: str, surroundings: Surroundings, loads: PointLoads | None = None):
-    """The beginning of :func:`predict`: (the travel, the rods' (R,) rows of ``material``, (the R rods at rest at the path's
-    first moment, their N clamps there, (R,) jumps on the way))."""
+    """The beginning of :func:`predict`: a function that carries rods along a motion and gives the rods and their jumps, the
+    rods' (R,) rows of ``material``, and (the R rods at rest at the path's first moment, their N clamps there, (R,) jumps)."""
     motions = clamps.count
     if not motions:
         raise InputError(path.source, "motion", "no clamps to move", "give those of one rod or more")
@@ -155,13 +178,19 @@ def begun(configuration: Configuration, material: Material, clamps: Clamps, path
     if configuration.count == motions:
         configuration = configuration.take(rods % motions)
     check_rows("predict", loads, len(rods), configuration.edges + 1)
-    travel = _Travel(material, configuration.rest_length, sub_step, up, solver, precision, surroundings, loads)
-    solution = travel.rest(configuration, clamps)
+
+    def go(there: Configuration, motion: Motion) -> tuple[Solution, np.ndarray]:
+        way = Journey(motion, material, sub_step, configuration.rest_length, up, solver, precision, surroundings, loads)
+        return way.end(there)
+
+    solution = relax(configuration, material, clamps.take(rods % motions), solver, up=up, precision=precision,
+                     configuration_index=rods, material_index=rods // motions, external=loads, **surroundings.arguments)
     jumps = np.zeros(len(rods), dtype=np.int32)
     approach = motion_between(clamps, path.at(0, clamps))
-    if _moves(approach):
-        solution, jumps, _ = travel.go(solution.configuration, approach)
-    return travel, rods // motions, (solution, approach.at(1.0), jumps)
+    parts = (approach.start_shift, approach.end_shift, approach.start_turn, approach.end_turn)
+    if any((np.linalg.norm(part, axis=-1) > STILL).any() for part in parts if part is not None):
+        solution, jumps = go(solution.configuration, approach)
+    return go, rods // motions, (solution, approach.at(1.0), jumps)
 
 
 @typed
@@ -202,68 +231,6 @@ def predict_step(
                       surroundings=surroundings, loads=loads)
     solution, jumps = journey.end(configuration.take(rows), watch)
     return solution, jumps if watch else None
-
-
-@dataclass(frozen=True)
-class _Travel:
-    """Everything that is constant while rods are carried."""
-
-    material: Material
-    rest_length: np.ndarray
-    sub_step: float
-    up: np.ndarray
-    solver: Newton
-    precision: str
-    surroundings: Surroundings
-    loads: PointLoads | None
-
-    def rest(self, configuration: Configuration, clamps: Clamps) -> Solution:
-        """R rods relaxed under N clamps."""
-        rods, motions = np.arange(configuration.count), len(clamps.start_position)
-        return relax(configuration, self.material, clamps.take(rods % motions), self.solver, up=self.up,
-                     precision=self.precision, configuration_index=rods, material_index=rods // motions,
-                     external=self.loads, **self.surroundings.arguments)
-
-    def go(self, configuration: Configuration, motion: Motion) -> tuple[Solution, np.ndarray, Motion]:
-        """The rods after ``motion``, their numbers of jumps, and the motion itself."""
-        journey = Journey(motion, self.material, self.sub_step, self.rest_length, self.up, self.solver, self.precision,
-                          self.surroundings, self.loads)
-        return *journey.end(configuration), motion
-
-
-class _Film:
-    """The moments so far, and the present rods and clamps."""
-
-    def __init__(self, solution: Solution, jumps: np.ndarray, clamps: Clamps):
-        self.clamps, self.configuration = clamps, solution.configuration
-        self._moments = [(solution, jumps, np.zeros(solution.configuration.count))]
-
-    def keep(self, solution: Solution, jumps: np.ndarray, motion: Motion) -> None:
-        """Another moment, at the end of ``motion``."""
-        here, rotation = solution.configuration, self._moments[-1][2]
-        turned = np.tile(rotation_about_rod(motion), here.count // len(motion.clamps.start_position))
-        # A rod that is not finite continues from its last configuration.
-        lost = ~np.isfinite(here.quaternions).all(axis=(1, 2))
-        frames = np.where(lost[:, None, None], self.configuration.quaternions, here.quaternions)
-        start = np.where(lost[:, None], self.configuration.start, here.start)
-        self.clamps, self.configuration = motion.at(1.0), Configuration(start, frames, here.rest_length)
-        self._moments.append((solution, jumps, rotation + turned))
-
-    def developed(self, time, rest_length, material, motion) -> Prediction:
-        solutions, jumps, rotation = zip(*self._moments, strict=True)
-        reported = {name: np.stack([getattr(solution, name) for solution in solutions]) for name in REPORTED}
-        reported["status"] = np.array(list(accumulate(reported["status"], sticky)))
-        if solutions[0].contact_force is not None:
-            reported["contact_force"] = np.stack([solution.contact_force for solution in solutions])
-        shapes = [solution.configuration for solution in solutions]
-        return Prediction(time=time, start=np.stack([shape.start for shape in shapes]), rest_length=rest_length.copy(),
-                          quaternions=np.stack([shape.quaternions for shape in shapes]), jumps=np.stack(jumps),
-                          end_rotation=np.stack(rotation), material=material, motion=motion, **reported)
-
-
-def _moves(motion: Motion) -> bool:
-    parts = (motion.start_shift, motion.end_shift, motion.start_turn, motion.end_turn)
-    return any((np.linalg.norm(part, axis=-1) > STILL).any() for part in parts if part is not None)
 
 
 def _part(motion: Motion, first: float, last: float) -> Motion:

@@ -10,25 +10,35 @@ logarithms of the predicted probability densities of the observations:
     straight        no rest curvature
     curved          with a field of rest curvature
     ribbon          different bend stiffness about m1 and m2, for ends whose whole frames are held
+
+Misfits, rods that the model does not explain, are tried with their marks in reverse order, with two of them swapped, and
+without one of them: relaxed at the Θ of the others, and posed as they are. Where one of these fits as the others do, the misfit
+is named for it; it stays left out.
 """
 
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
 from doo_ti.refinement.evidence import Evidence
-from doo_ti.refinement.fit import Fit, Fitted
+from doo_ti.refinement.fit import EXACT, ODD, Fit, Fitted, State
+from doo_ti.refinement.held_rod import POSE
+from doo_ti.refinement.residuals import Comparison
 from doo_ti.refinement.unknowns import LOGARITHMIC, Unknowns
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.start import observation_clamps, reachable
+from doo_ti.rod.types import Clamp
 
-NOTABLE = 0.5
-"""Times the noise: smaller gaps are not reported."""
-EXCESS = 1.5
-"""Times the stated σ: if residuals are larger, σ is too small or the model is wrong."""
-WORTH = 6.0
-"""−2 ln of the evidence: an extension that lowers it by more is worth trying."""
+NOTABLE = 0.5  # times the noise: smaller gaps are not reported
+EXCESS = 1.5  # times the stated σ: if residuals are larger, σ is too small or the model is wrong
+WORTH = 6.0  # −2 ln of the evidence: an extension that lowers it by more is worth trying
 STEPS = 10
-ERRORS = 2.0
-"""Standard errors by which a parameter moves without an observation that it is said to rest on."""
+ERRORS = 2.0  # standard errors by which a parameter moves without an observation that it is said to rest on
+MOST_MISFITS = 8  # misfits that are tried, the first of them
+POSED_ORDERS = 12
+"""Orders of each misfit with all its marks that are posed, and as many without one: those nearest to their marks before."""
+FEWEST = 5  # marks, without one of which a rod may be tried
 
 
 @dataclass(frozen=True)
@@ -43,38 +53,24 @@ class Advice:
 
 @dataclass(frozen=True)
 class Influence:
-    """An observation without which a parameter would move by more than ERRORS standard errors.
+    """An observation without which a parameter would move by more than ERRORS standard errors."""
 
-    observation  its row
-    parameter    the name of the parameter, a positive one
-    factor       of the parameter without that observation
-    """
-
-    observation: int
-    parameter: str
-    factor: float
+    observation: int  # its row
+    parameter: str  # the name of the parameter, a positive one
+    factor: float  # of the parameter without that observation
 
 
 @dataclass(frozen=True)
 class Adequacy:
-    """What the residuals say about the model.
+    """What the residuals say about the model."""
 
-    noise          σ in mm: learned, or the mean of the stated ones
-    stated         whether it was stated
-    excess         root mean square residual over σ; near one where σ and the model are right
-    gap            mm: root mean square of smooth displacements that the model does not explain
-    correlation    of the residuals of neighbouring marks
-    advice         extensions worth trying, the best first
-    influences     observations that a parameter rests on, the most influential first
-    """
-
-    noise: float
-    stated: bool
-    excess: float
-    gap: float
-    correlation: float
-    advice: tuple[Advice, ...]
-    influences: tuple[Influence, ...]
+    noise: float  # σ in mm: learned, or the mean of the stated ones
+    stated: bool  # whether it was stated
+    excess: float  # root mean square residual over σ; near one where σ and the model are right
+    gap: float  # mm: root mean square of smooth displacements that the model does not explain
+    correlation: float  # of the residuals of neighbouring marks
+    advice: tuple[Advice, ...]  # extensions worth trying, the best first
+    influences: tuple[Influence, ...]  # observations that a parameter rests on, the most influential first
 
     @property
     def reaches_noise(self) -> bool:
@@ -125,23 +121,22 @@ def _advice(fit: Fit, fitted: Fitted) -> tuple[Advice, ...]:
 
 def _extensions(unknowns: Unknowns):
     """(option, meaning, unknowns) of each extension."""
+    names, rod = unknowns.parameters, unknowns.rod
 
-    def with_parameters(*names):
-        return f"parameters={','.join(name.replace('_', '-') for name in names)}", replace(unknowns, parameters=names)
+    def learning(meaning: str, *parameters: str):
+        return f"parameters={','.join(parameters).replace('_', '-')}", meaning, replace(unknowns, parameters=parameters)
 
-    names = unknowns.parameters
-    if "up" not in names and unknowns.rod.loads is None:
-        option, extended = with_parameters(*names, "up")
-        yield option, "the direction of gravity", extended
+    if "up" not in names and rod.loads is None:
+        yield learning("the direction of gravity", *names, "up")
     if "bend" in names and _held_by_frames(unknowns):
-        option, extended = with_parameters("bend_1", "bend_2", "bend_12", *(name for name in names if name != "bend"))
-        yield option, "a section that is not round", extended
-    if not unknowns.clips and unknowns.rod.clamped.any():
+        others = (name for name in names if name != "bend")
+        yield learning("a section that is not round", "bend_1", "bend_2", "bend_12", *others)
+    if not unknowns.clips and rod.clamped.any():
         yield "clip=unknown", "clips of another length", replace(unknowns, clips=True)
     if unknowns.curvature != "field":
         yield "rest_curvature=field", "rest curvature that varies along the rod", replace(unknowns, curvature="field")
-    if unknowns.rod.exact:
-        yield "clamps=loose", "clamps that are off what was reported", replace(unknowns, rod=replace(unknowns.rod, exact=False))
+    if rod.exact:
+        yield "clamps=loose", "clamps that are off what was reported", replace(unknowns, rod=replace(rod, exact=False))
 
 
 def _held_by_frames(unknowns: Unknowns) -> bool:
@@ -167,27 +162,25 @@ def _evidence(fit: Fit, fitted: Fitted, unknowns: Unknowns) -> float:
 
 @dataclass(frozen=True)
 class Score:
-    """The score of a model minus that of the fitted one, over the rods that count in both.
+    """The score of a model minus that of the fitted one, over the rods that count in both."""
 
-    model       its name
-    difference  ln of the odds that it predicts better than the fitted model; negative: worse
-    error       standard error of the difference
-    rods        number of rods that count in both
-    """
-
-    model: str
-    difference: float
-    error: float
-    rods: int
+    model: str  # its name
+    difference: float  # ln of the odds that it predicts better than the fitted model; negative: worse
+    error: float  # standard error of the difference
+    rods: int  # number of rods that count in both
 
 
 def scores(fit: Fit, fitted: Fitted) -> tuple[Score, ...]:
     """The scores of all other models, each fitted from the end of ``fitted``."""
-    own = fitted.evidence.left_out(fitted.linear, fitted.state.scales)
-    found = []
+    state, found = fitted.state, []
+    own = fitted.evidence.left_out(fitted.linear, state.scales)
     for name, unknowns in _variants(fit.unknowns).items():
-        _, other = fitted_variant(fit, fitted, unknowns)
-        both = fitted.state.used & other.state.used
+        same_field = unknowns.curvature == fit.unknowns.curvature
+        values = replace(state.values, curvature=state.values.curvature if same_field else np.zeros((len(unknowns.knots), 2)))
+        variant = Fit(replace(fit.comparison, unknowns=unknowns), fit.origin, fit.solver, fit.rods)
+        begun = variant.at(values, state.scales.learning(unknowns.scale_names), state.solution)
+        other = variant.run(begun, STEPS)
+        both = state.used & other.state.used
         change = (other.evidence.left_out(other.linear, other.state.scales) - own)[both]
         error = np.std(change, ddof=1) * np.sqrt(len(change)) if len(change) > 1 else np.inf
         found.append(Score(name, float(change.sum()), float(error), int(both.sum())))
@@ -203,11 +196,81 @@ def _variants(unknowns: Unknowns) -> dict[str, Unknowns]:
     return {name: model for name, model in found.items() if model != unknowns}
 
 
-def fitted_variant(fit: Fit, fitted: Fitted, unknowns: Unknowns, steps: int = STEPS) -> tuple[Fit, Fitted]:
-    """The fit of the model ``unknowns`` to what ``fit`` compares, from the values and sizes at the end of ``fitted``."""
-    before = fitted.state.values
-    same_field = unknowns.curvature == fit.unknowns.curvature
-    values = replace(before, curvature=before.curvature if same_field else np.zeros((len(unknowns.knots), 2)))
-    own = Fit(replace(fit.comparison, unknowns=unknowns), fit.origin, fit.solver, fit.rods)
-    scales = fitted.state.scales.learning(unknowns.scale_names)
-    return own, own.run(own.at(values, scales, fitted.state.solution), steps)
+
+
+# --- misfits whose marks are wrong ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Mislabelled:
+    """An observation that fits as the others do once its marks are put right."""
+
+    observation: int  # its row
+    marks: tuple[int, ...]  # none: all in reverse order; two: swapped; one: it is somewhere else
+
+    @property
+    def text(self) -> str:
+        """What is wrong, in words."""
+        if not self.marks:
+            return "its marks are in reverse order"
+        if len(self.marks) == 1:
+            return f"mark {self.marks[0]}, counted from 0, is not where the others say"
+        return f"marks {self.marks[0]} and {self.marks[1]}, counted from 0, are swapped"
+
+
+def mislabelled(fit: Fit, fitted: Fitted) -> tuple[Mislabelled, ...]:
+    """Those among the first MOST_MISFITS misfits of a finished fit."""
+    state = fitted.state
+    misfits = np.flatnonzero(~state.used & (fit.comparison.count > 0))[:MOST_MISFITS]
+    if fit.rods is not None or not state.used.any() or not len(misfits):
+        return ()
+    usual = ODD * max(np.median(fit.mean_squares(state.residuals)[state.used]), EXACT)
+    best = (_best_order(fit, fitted, int(row), usual) for row in misfits)
+    return tuple(one for one in best if one is not None)
+
+
+def _best_order(fit: Fit, fitted: Fitted, row: int, usual: float) -> Mislabelled | None:
+    """Of the orders of the marks of observation ``row`` that with the least mean square, below ``usual``: one with all marks
+    where there is any."""
+    state, rod = fitted.state, fit.unknowns.rod
+    orders, seen = _orders(rod.observations, row)
+    kinds = [Clamp(int(np.max(kind))) for kind in (rod.clamps.start, rod.clamps.end)]
+    within = np.flatnonzero(reachable(seen, observation_clamps(seen, *kinds), rod.exact))
+    without_one = np.array([len(orders[order]) == 1 for order in within], dtype=bool)
+
+    def begun(rows: np.ndarray):
+        own, same = seen.take(rows), np.full(len(rows), row)
+        held = replace(rod.take(same, rolled=None), observations=own, clamps=observation_clamps(own, *kinds))
+        unknowns, correction = replace(fit.unknowns, rod=held), fit.comparison.correction
+        correction = correction if np.ndim(correction) == 0 else correction[same]
+        comparison = replace(Comparison.of(unknowns, fit.comparison.directors is not None), correction=correction)
+        among = replace(fit, comparison=comparison)
+        values = replace(state.values, scatter=np.zeros((len(rows), POSE)))
+        return among, among.from_marks(values, state.scales)
+
+    def squares(one: Fit, now: State) -> np.ndarray:
+        return np.where(now.sound, one.mean_squares(now.residuals), np.inf)
+
+    for kind in (within[~without_one], within[without_one]):
+        if len(kind):
+            nearest = kind[np.argsort(squares(*begun(kind)), kind="stable")[:POSED_ORDERS]]
+            among, now = begun(nearest)
+            apart = squares(among, among.posed(now))
+            if apart.min() <= usual:
+                return Mislabelled(row, orders[nearest[apart.argmin()]])
+    return None
+
+
+def _orders(seen: Observations, row: int) -> tuple[list[tuple[int, ...]], Observations]:
+    """The marks that each order changes, as :class:`Mislabelled` has them, and the observations so changed."""
+    there = np.flatnonzero(seen.valid[row]).tolist()
+    orders = [(), *combinations(there, 2), *(((mark,) for mark in there) if len(there) > FEWEST else ())]
+    vertices = np.repeat(seen.vertices[row : row + 1], len(orders), axis=0)
+    vertices[0] = vertices[0, ::-1]
+    for number, marks in enumerate(orders):  # of one rod's marks
+        if len(marks) == 2:
+            vertices[number, list(marks)] = vertices[number, list(marks[::-1])]
+        elif marks:
+            vertices[number, marks] = np.nan
+    changed = seen.take(np.full(len(orders), row))
+    return orders, replace(changed, vertices=vertices, valid=np.isfinite(vertices).all(axis=-1))

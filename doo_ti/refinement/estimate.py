@@ -16,22 +16,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import fdtri  # scipy.stats takes as long to import as the whole package
 
-from doo_ti.refinement.fit import OF_INTERVALS, Fit, Fitted, State
+from doo_ti.refinement.fit import OF_INTERVALS, Fit, Fitted
 from doo_ti.refinement.priors import Scales
 from doo_ti.refinement.search import Optimum
 from doo_ti.refinement.theta import Theta
-from doo_ti.refinement.unknowns import LOGARITHMIC, Values
+from doo_ti.refinement.unknowns import LOGARITHMIC, Unknowns, Values
 from doo_ti.rod.physical_units import relative_stiffness
 from doo_ti.system.errors import InputError
 
 PROBABILITY = 0.95
-WIDE_FACTOR = 4.0
-"""An interval whose ends differ by more than this factor is called wide."""
+WIDE_FACTOR = 4.0  # an interval whose ends differ by more than this factor is called wide
 UNITS = {"weight": "", "twist_ratio": "", "clip_start": "mm", "clip_end": "mm", "up[0]": "rad", "up[1]": "rad"}
-FARTHEST = np.log(1000.0)
-"""A parameter that can be moved by this much is not bounded on that side."""
-LEAST = 1e-5
-"""An end of an interval that is nearer than this to the estimate is open: a fit that has stopped reaches nothing."""
+FARTHEST = np.log(1000.0)  # a parameter that can be moved by this much is not bounded on that side
+LEAST = 1e-5  # an end of an interval that is nearer than this to the estimate is open: a fit that has stopped reaches nothing
 LARGEST_FIRST_TRIAL = 2.5  # change of a logarithm
 STEPS = 20  # of each fit with the parameter held
 TRIALS = 6
@@ -40,18 +37,14 @@ CLOSE = 0.1  # relative error of the root of F's rise that is small enough to in
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter with its 95 % interval; an end is None where it is open.
-
-    unit   "mm³", "mm", "rad" of tilt, or "" for the weight and for ratios
-    error  standard deviation by the covariance, relative where the parameter is positive
-    """
+    """One parameter with its 95 % interval; an end is None where it is open."""
 
     name: str
     value: float
     low: float | None
     high: float | None
-    error: float
-    unit: str
+    error: float  # standard deviation by the covariance, relative where the parameter is positive
+    unit: str  # "mm³", "mm", "rad" of tilt, or "" for the weight and for ratios
 
     @property
     def determined(self) -> bool:
@@ -61,32 +54,20 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Θ, the other unknowns, and how well they are known.
+    """Θ, the other unknowns, and how well they are known."""
 
-    theta            with the rest curvature at the joints between the marks' edges
-    parameters       of Θ, the ratio of twist to bend, and the clips
-    over_weight      bend and twist over twice the weight: EI/w and GJ/w of the continuum in mm³
-    values           of all unknowns
-    scales           noise, curvature and the clamps' errors
-    names            of Θ's unknowns
-    covariance       (T, T) of these
-    degrees          degrees of freedom of the intervals: observations less parameters of Θ
-    rivals           Θ of other optima that the observations hardly tell from this one; the intervals contain them
-    """
-
-    theta: Theta
-    parameters: tuple[Parameter, ...]
-    over_weight: tuple[Parameter, ...]
-    values: Values
-    scales: Scales
-    names: tuple[str, ...]
-    covariance: np.ndarray
-    degrees: float
-    rivals: tuple[Theta, ...]
+    theta: Theta  # with the rest curvature at the joints between the marks' edges
+    parameters: tuple[Parameter, ...]  # of Θ, the ratio of twist to bend, and the clips
+    over_weight: tuple[Parameter, ...]  # bend and twist over twice the weight: EI/w and GJ/w of the continuum in mm³
+    values: Values  # of all unknowns
+    scales: Scales  # noise, curvature and the clamps' errors
+    names: tuple[str, ...]  # of Θ's unknowns
+    covariance: np.ndarray  # (T, T) of these
+    degrees: float  # degrees of freedom of the intervals: observations less parameters of Θ
+    rivals: tuple[Theta, ...]  # Θ of other optima that the observations hardly tell from this one; the intervals contain them
 
     @property
     def correlation(self) -> np.ndarray:
-        """(T, T)."""
         error = np.sqrt(np.diag(self.covariance))
         return self.covariance / np.outer(error, error)
 
@@ -129,13 +110,11 @@ class Estimate:
         """Length of each half of the parameter's interval over that by the covariance."""
         reach = np.sqrt(fdtri(1, self.degrees, PROBABILITY)) * parameter.error
 
-        def half(end, sign):
+        def half(end: float | None) -> float:
             if end is None:
                 return FARTHEST / reach
-            if parameter.name in LOGARITHMIC:
-                return sign * np.log(end / parameter.value) / reach
-            return sign * (end - parameter.value) / reach
-        return half(parameter.low, -1.0), half(parameter.high, 1.0)
+            return abs(np.log(end / parameter.value) if parameter.name in LOGARITHMIC else end - parameter.value) / reach
+        return half(parameter.low), half(parameter.high)
 
 
 def degrees_of(one: Optimum) -> float:
@@ -165,12 +144,14 @@ def estimated(best: Optimum, rivals: Sequence[Optimum] = (), profiled: bool = Tr
         shifts = _shifts(best, rival)
         found = {name: one.widened(others[name], shifts[name]) if name in others else one for name, one in found.items()}
     suffix = "/weight" if "weight" in unknowns.names else ""
+    known = theta.entries | {"twist_ratio": theta.twist / theta.bend[0, 0], "clip_start": values.clip[0],
+                             "clip_end": values.clip[1], "up[0]": 0.0, "up[1]": 0.0}
     return Estimate(
         theta=theta,
-        parameters=tuple(_parameter(name, _value(name, theta, values), one, theta.bend)
+        parameters=tuple(_parameter(name, float(known[name]), one, theta.bend)
                          for name, one in found.items() if "/" not in name),
-        over_weight=tuple(_parameter(name, float(relative_stiffness(_value(name, theta, values), theta.weight)),
-                                     found[name + suffix])
+        over_weight=tuple(_parameter(name, float(relative_stiffness(float(known[name]), theta.weight)), found[name + suffix],
+                                     theta.bend)
                           for name in ("bend", "bend_1", "bend_2", "twist") if name + suffix in found),
         values=values, scales=scales, names=unknowns.names[:count], covariance=fitted.posterior.covariance[:count, :count],
         degrees=degrees, rivals=tuple(one.fit.unknowns.theta_at(one.fitted.state.values) for one in rivals))
@@ -180,7 +161,7 @@ def _intervals(one: Optimum, degrees: float, behind: float, profiled: bool) -> d
     """The intervals around an optimum whose F is ``behind`` above the least."""
     unknowns, found = one.fit.unknowns, {}
     wanted = float(np.sqrt(max(fdtri(1, degrees, PROBABILITY) - behind, 0.0)))
-    for name, direction in _directions(unknowns.names, unknowns.theta_count).items():
+    for name, direction in _directions(unknowns).items():
         assumed = name.startswith("twist") and unknowns.rod.twist_unknown  # to be that of a common rod
         by_profile = profiled and wanted > 0 and not assumed and not name.startswith(("up", "clip"))
         # A clip's end is a length, not a logarithm.
@@ -192,17 +173,16 @@ def _intervals(one: Optimum, degrees: float, behind: float, profiled: bool) -> d
 
 def _shifts(best: Optimum, rival: Optimum) -> dict[str, float]:
     """By how much each combination of unknowns is larger in ``rival``."""
-    values = [{name: float(direction @ one.fit.unknowns.offset(one.fitted.state.values, one.fit.origin))
-               for name, direction in _directions(one.fit.unknowns.names, one.fit.unknowns.theta_count).items()}
-              for one in (best, rival)]
-    return {name: values[1][name] - value for name, value in values[0].items() if name in values[1]}
+    before, after = ({name: float(direction @ one.fit.unknowns.offset(one.fitted.state.values, one.fit.origin))
+                      for name, direction in _directions(one.fit.unknowns).items()} for one in (best, rival))
+    return {name: after[name] - value for name, value in before.items() if name in after}
 
 
-def _directions(names: tuple[str, ...], count: int) -> dict[str, np.ndarray]:
+def _directions(unknowns: Unknowns) -> dict[str, np.ndarray]:
     """Combinations of unknowns that get an interval: each of Θ's, the ratio of twist to bend, stiffness over weight where the
     weight is learned too, and the clips."""
-    identity = dict(zip(names, np.eye(len(names)), strict=True))
-    of_theta = {name: identity[name] for name in names[:count]}
+    identity = dict(zip(unknowns.names, np.eye(len(unknowns.names)), strict=True))
+    of_theta = {name: identity[name] for name in unknowns.names[: unknowns.theta_count]}
     found = dict(of_theta)
     for bend in ("bend", "bend_1"):
         if bend in of_theta and "twist" in of_theta:
@@ -210,21 +190,15 @@ def _directions(names: tuple[str, ...], count: int) -> dict[str, np.ndarray]:
     if "weight" in of_theta:
         found |= {f"{name}/weight": of_theta[name] - of_theta["weight"]
                   for name in ("bend", "bend_1", "bend_2", "twist") if name in of_theta}
-    return found | {name: identity[name] for name in names if name.startswith("clip")}
+    return found | {name: identity[name] for name in unknowns.names if name.startswith("clip")}
 
 
-def _value(name: str, theta: Theta, values: Values) -> float:
-    known = theta.entries | {"twist_ratio": theta.twist / theta.bend[0, 0], "clip_start": values.clip[0],
-                             "clip_end": values.clip[1]}
-    return float(known.get(name, 0.0))
-
-
-def _parameter(name: str, value: float, found: "Interval", bend: np.ndarray | None = None) -> Parameter:
+def _parameter(name: str, value: float, found: "Interval", bend: np.ndarray) -> Parameter:
     ends = [None if step is None else float(_moved(name, value, step, bend)) for step in (found.low, found.high)]
     return Parameter(name, value, *ends, found.error, UNITS.get(name, "mm³"))
 
 
-def _moved(name: str, value: float, step, bend: np.ndarray | None = None):
+def _moved(name: str, value: float, step, bend: np.ndarray):
     """The parameter after its unknown has changed by ``step``; ``bend`` is B, for B₁₂."""
     if name == "bend_12":
         root = np.sqrt(bend[0, 0] * bend[1, 1])
@@ -239,14 +213,11 @@ def _moved(name: str, value: float, step, bend: np.ndarray | None = None):
 
 @dataclass(frozen=True)
 class Interval:
-    """The 95 % interval of a combination of unknowns around its fitted value: ``low`` ≤ 0 ≤ ``high``, None where open.
-
-    error  standard deviation by the covariance
-    """
+    """The 95 % interval of a combination of unknowns around its fitted value: ``low`` ≤ 0 ≤ ``high``, None where open."""
 
     low: float | None
     high: float | None
-    error: float
+    error: float  # standard deviation by the covariance
 
     def widened(self, other: "Interval", shift: float) -> "Interval":
         """So that it contains ``other``, around a value that is larger by ``shift``."""
@@ -278,8 +249,9 @@ def _reach(fit: Fit, fitted: Fitted, direction: np.ndarray, wanted: float, error
     place = min(wanted * error, LARGEST_FIRST_TRIAL)
     for _ in range(TRIALS):
         near = int(np.argmin(np.abs(np.array(places) - place)))
-        found, reached = _held(fit, states[near], direction, place - places[near])
-        reached += places[near]
+        begun = fit.unknowns.offset(states[near].values, fit.origin)
+        found = fit.run(states[near], STEPS, held=(direction, place - places[near]))
+        reached = places[near] + float(direction @ (fit.unknowns.offset(found.state.values, fit.origin) - begun))
         root = float(np.sqrt(max(found.posterior.value - least, 0.0)))
         places.append(reached)
         roots.append(root)
@@ -294,14 +266,6 @@ def _reach(fit: Fit, fitted: Fitted, direction: np.ndarray, wanted: float, error
         place = _next(np.array(places), np.array(roots), wanted)
     reach = _crossing(np.array(places), np.array(roots), wanted, wanted * error)
     return reach if LEAST < reach < FARTHEST else None
-
-
-def _held(fit: Fit, state: State, direction: np.ndarray, amount: float) -> tuple[Fitted, float]:
-    """The best fit ``amount`` further along ``direction`` than ``state``, and how far it got."""
-    origin = fit.unknowns.offset(state.values, fit.origin)
-    found = fit.run(state, STEPS, held=(direction, amount))
-    moved = fit.unknowns.offset(found.state.values, fit.origin) - origin
-    return found, float(direction @ moved)
 
 
 def _next(places: np.ndarray, roots: np.ndarray, wanted: float) -> float:

@@ -12,16 +12,19 @@ and −2 ln of the evidence, without its constant, is
 with r' the residuals at the most probable x̂ and ẑ. It is Laplace's approximation of the evidence of the nonlinear model
 (MacKay, *Bayesian Interpolation*, 1992).
 
+The sizes are found by BFGS with Powell's damping and projected steps (Nocedal and Wright, *Numerical Optimization*, 2006, §6.1
+and procedure 18.2). Unlike SciPy's L-BFGS-B it begins with a known Hessian, and returns the one it has learned: the next of
+many similar searches then takes one or two evaluations.
+
 Axes: D observations, P unknowns, Q effects of an observation, H learned sizes.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from doo_ti.refinement.priors import NAMES, Scales, covariance
-from doo_ti.refinement.quasi_newton import minimised
 from doo_ti.refinement.residuals import GAP_MODES, Moments, Residuals
 from doo_ti.refinement.unknowns import Unknowns
 
@@ -29,54 +32,42 @@ STEPS = 60
 ENOUGH = 1e-5
 """Change of F at which the search ends. Where F is flat at first, it falls by little more in a step; the rise that bounds an
 interval is about four."""
-WARMING = 4
-"""Steps of expectation and maximisation before the search, which fails from sizes that are far off."""
+WARMING = 4  # steps of expectation and maximisation before the search, which fails from sizes that are far off
 SETTLED = 0.2
 MISSING = 0.8
 """Largest share of the information about an unknown that may be missing because rolls are not known: far from the optimum the
 second derivative may have any sign."""
-FARTHEST = 2.0
-"""Largest change of the logarithm of a size in one search."""
+FARTHEST = 2.0  # largest change of the logarithm of a size in one search
+LONGEST = 1.5  # largest change of a variable in one step
+SHORTENED, SHORTEST = 0.3, 1e-3
+"""Factor by which a step that does not lower the function enough is shortened, and the smallest share that is tried."""
+ARMIJO = 1e-4  # least decrease over that which the gradient promises
+DAMPED = 0.2  # least curvature along a step over that of the present Hessian
 
 
 @dataclass(frozen=True)
 class Posterior:
-    """The posterior of the linear model at one set of sizes.
+    """The posterior of the linear model at one set of sizes."""
 
-    step        (P,) x̂
-    covariance  (P, P) of x
-    effects     (D, Q) ẑ
-    value       F
-    gradient    (H,) of F by the logarithms of the sizes that are learned, priors included
-    """
-
-    step: np.ndarray
-    covariance: np.ndarray
-    effects: np.ndarray
-    value: float
-    gradient: np.ndarray
+    step: np.ndarray  # (P,) x̂
+    covariance: np.ndarray  # (P, P) of x
+    effects: np.ndarray  # (D, Q) ẑ
+    value: float  # F
+    gradient: np.ndarray  # (H,) of F by the logarithms of the sizes that are learned, priors included
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """F of one linear model.
+    """F of one linear model."""
 
-    unknowns  whose prior is A
-    moments   of the residuals, kind by kind
-    offset    (P,) present values less the prior's mean: −x̄
-    share     (D,) weight of each observation, one unless several stand for the same rod (:mod:`doo_ti.refinement.rolls`)
-    constant  added to F
-    basis     (P, P') directions that are free, x = basis y + along; None: all
-    along     (P,) the given part of the step, along a held direction
-    """
-
-    unknowns: Unknowns
-    moments: tuple[Moments, ...]
-    offset: np.ndarray
+    unknowns: Unknowns  # whose prior is A
+    moments: tuple[Moments, ...]  # of the residuals, kind by kind
+    offset: np.ndarray  # (P,) present values less the prior's mean: −x̄
+    # (D,) weight of each observation, one unless several stand for the same rod (:mod:`doo_ti.refinement.rolls`)
     share: np.ndarray
-    constant: float = 0.0
-    basis: np.ndarray | None = None
-    along: np.ndarray | None = None
+    constant: float = 0.0  # added to F
+    basis: np.ndarray | None = None  # (P, P') directions that are free, x = basis y + along; None: all
+    along: np.ndarray | None = None  # (P,) the given part of the step, along a held direction
 
     @classmethod
     def of(cls, unknowns: Unknowns, linear: Sequence[Residuals], offset: np.ndarray, share: np.ndarray | None = None,
@@ -102,7 +93,7 @@ class Evidence:
         hessian = precision + sum(w * kind.shared for w, kind in zip(weights, self.moments, strict=True)) - (
             counted.T @ mixed.reshape(counted.shape))
         if self.unknowns.rod.copies > 1 and not known:
-            hessian = _less(hessian, self._not_known(slope))
+            hessian = _less(hessian, self.not_known(slope))
         slope = share @ slope + precision @ self.offset
         step, covariance_x, log_hessian = self._solved(hessian, slope, precision)
         effects = -(inner @ (slope_z + mixed @ step)[..., None])[..., 0]
@@ -113,7 +104,8 @@ class Evidence:
         value = self.constant + log_hessian - log_prior - float(share @ np.linalg.slogdet(inner)[1])
         # Σ w · spread over all kinds: each unknown and effect counts one, less what the priors know of it.
         rods, each = float(share.sum()), effects.shape[1]
-        rest = self._free + rods * each - float((covariance_x * precision).sum() + (share @ (spread_z / variance)).sum())
+        free = len(self.offset) if self.basis is None else self.basis.shape[1]
+        rest = free + rods * each - float((covariance_x * precision).sum() + (share @ (spread_z / variance)).sum())
         for w, kind in [*zip(weights, self.moments, strict=True)][::-1]:
             squares = self._squares(kind, step, effects)
             spread = rest / w if kind is self.moments[0] else float(
@@ -134,17 +126,12 @@ class Evidence:
         learned = np.array([gradient[name] for name, free in zip(NAMES, scales.learned, strict=True) if free])
         return Posterior(step, covariance_x, effects, value + extra, learned + own)
 
-    def _not_known(self, slope: np.ndarray) -> np.ndarray:
+    def not_known(self, slope: np.ndarray) -> np.ndarray:
         """(P, P) the information that is missing because several rows may be the rod: the covariance of their slopes (D, P)
         (Louis, *Finding the observed information matrix when using the EM algorithm*, 1982)."""
         by_observation = self.unknowns.rod.by_observation
         mean = by_observation(self.share[:, None] * slope).sum(axis=1)
         return (self.share[:, None] * slope).T @ slope - mean.T @ mean
-
-    @property
-    def _free(self) -> int:
-        """Number of free directions of x."""
-        return len(self.offset) if self.basis is None else self.basis.shape[1]
 
     def left_out(self, linear: tuple[Residuals, ...], scales: Scales) -> np.ndarray:
         """(D,) ln of the probability density of each observation, given all others, at these sizes: half of the decrease of F
@@ -173,18 +160,18 @@ class Evidence:
             return scales
         counts = self._counts(scales)
         for _ in range(WARMING if scales.hessian is None else 0):  # else the last search has left them near
-            # Expectation and maximisation: each squared size becomes the posterior mean of the squares it is the size of.
+            # Each squared size becomes the posterior mean of the squares it is the size of.
             share = self.posterior(scales, known=True).gradient / (2 * counts)
             if np.abs(share).max() < SETTLED:
                 break
             change = 0.5 * np.log(np.clip(1 - share, 0.1, 3.0))
-            scales = scales.at(np.clip(scales.free + change, *np.transpose(scales.bounds)))
+            scales = scales.at(np.clip(scales.free + change, *scales.bounds))
 
         def objective(free):
             found = self.posterior(scales.at(free), known=True)
             return found.value, found.gradient
 
-        low, high = np.transpose(scales.bounds)
+        low, high = scales.bounds
         begin = np.clip(scales.free, low, high)
         hessian = np.diag(np.where(np.isfinite(counts), 4 * counts, 1.0)) if scales.hessian is None else scales.hessian
         free, hessian = minimised(objective, begin, (np.maximum(low, begin - FARTHEST), np.minimum(high, begin + FARTHEST)),
@@ -262,7 +249,8 @@ def _inverse(hessian: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, fl
 def effect_scales(unknowns: Unknowns) -> tuple[str, ...]:
     """(Q,) the scale of each effect of an observation: poses first, then the gap's amplitudes. A number of a pose that is not
     unknown has no derivatives; its scale does not matter."""
-    return tuple(name or "turn_scatter" for name in unknowns.rod.pose_scales if unknowns.clamps) + ("gap",) * (3 * GAP_MODES)
+    poses = () if unknowns.rod.exact else unknowns.rod.pose_scales
+    return tuple(name or "turn_scatter" for name in poses) + ("gap",) * (3 * GAP_MODES)
 
 
 def _effects(unknowns: Unknowns, moments: Sequence[Moments], scales: Scales):
@@ -301,3 +289,45 @@ def integrated(unknowns: Unknowns, linear: tuple[Residuals, ...], scales: Scales
     squares = sum(w * (k.values**2).sum(axis=1) for w, k in pairs) - (slope_z * (inner @ slope_z)).sum(axis=(1, 2))
     noise = sum(k.count * np.log(2 * np.pi * scales[k.scale] ** 2) for k in linear)
     return own, slope, squares, noise - np.linalg.slogdet(inner)[1] + np.log(variance).sum()
+
+
+# --- the search for the sizes ---------------------------------------------------------------------------------------------
+
+
+def minimised(function: Callable[[np.ndarray], tuple[float, np.ndarray]], x: np.ndarray, bounds: tuple[np.ndarray, np.ndarray],
+              hessian: np.ndarray, steps: int, enough: float) -> tuple[np.ndarray, np.ndarray]:
+    """``x`` (N,) where ``function``, which returns its value and gradient, is least within ``bounds``, and its Hessian there.
+
+    Ends after ``steps``, or where the next step promises, or the last one gained, less than ``enough``."""
+    value, gradient = function(x)
+    for _ in range(steps):
+        free = np.where(gradient > 0, x > bounds[0], x < bounds[1])  # not held by its bound
+        step = np.zeros_like(x)
+        step[free] = -np.linalg.solve(hessian[np.ix_(free, free)], gradient[free])
+        if -gradient @ step < enough:
+            break
+        step = step * min(1.0, LONGEST / np.abs(step).max())
+        share, lower = 1.0, False
+        while not lower and share > SHORTEST:
+            trial = np.clip(x + share * step, *bounds)
+            its_value, its_gradient = function(trial)
+            lower = its_value <= value + ARMIJO * gradient @ (trial - x)
+            share *= SHORTENED
+        if not lower:
+            break
+        hessian = _updated(hessian, trial - x, its_gradient - gradient)
+        gained, x, value, gradient = value - its_value, trial, its_value, its_gradient
+        if gained < enough:
+            break
+    return x, hessian
+
+
+def _updated(hessian: np.ndarray, step: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """The Hessian with ``change`` of the gradient along ``step``, damped so that it stays positive definite."""
+    along = hessian @ step
+    curvature, present = step @ change, step @ along
+    if curvature < DAMPED * present:
+        share = (1 - DAMPED) * present / (present - curvature)
+        change = share * change + (1 - share) * along
+        curvature = step @ change
+    return hessian - np.outer(along, along) / present + np.outer(change, change) / curvature

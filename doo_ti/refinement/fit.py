@@ -38,48 +38,39 @@ FINE, OF_INTERVALS, ROUGH = (0.03, 0.01), (0.1, 0.1), (0.1, 0.5)  # a fit is don
 # standard errors and the last one lowered −2 ln of the posterior by less; ROUGH while several fits compete
 SCALE_STEPS = 10  # of the search for the sizes, in each step
 EXACT, IMPROBABLE = 1e-12, 1e9  # mean square of residuals that is rounding; −ln of the density of a rod that does not count
-ODD = 9.0
-"""Times the others' mean square, three times their size: a rod with such residuals is a misfit."""
+ODD = 9.0  # times the others' mean square, three times their size: a rod with such residuals is a misfit
 REFITTED = 0.5  # a misfit relaxed again is better if its squares are below this share of those before
 
 
 @dataclass(frozen=True)
 class State:
-    """Rods at one set of values.
+    """Rods at one set of values."""
 
-    values      of the unknowns
-    scales      sizes
-    solution    the rods, on the mesh
-    residuals   of each kind, (D, N), with the clamps' errors but without the gap
-    used        (D,) bool: converged, stable, and no misfit
-    """
+    values: Values  # of the unknowns
+    scales: Scales  # sizes
+    solution: Solution  # the rods, on the mesh
+    residuals: tuple[np.ndarray, ...]  # of each kind, (D, N), with the clamps' errors but without the gap
+    used: np.ndarray  # (D,) bool: sound, and no misfit
 
-    values: Values
-    scales: Scales
-    solution: Solution
-    residuals: tuple[np.ndarray, ...]
-    used: np.ndarray
+    @property
+    def sound(self) -> np.ndarray:
+        """(D,) bool: converged and stable."""
+        return self.solution.converged & self.solution.stable
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """Where a fit ended, and the linear model there.
-
-    posterior   at the sizes of ``state``
-    linear      the residuals of each kind around ``state``
-    rest        (D,) −2 ln of the density of each row less that part of it that the line search computes: among rows that stand
-                for one observation it decides with it which is the most probable
-    converged   False where the allowed steps did not suffice
-    steps       number of steps tried
-    """
+    """Where a fit ended, and the linear model there."""
 
     state: State
     evidence: Evidence
-    posterior: Posterior
-    linear: tuple[Residuals, ...]
+    posterior: Posterior  # at the sizes of ``state``
+    linear: tuple[Residuals, ...]  # the residuals of each kind around ``state``
+    # (D,) −2 ln of the density of each row less that part of it that the line search computes: among rows that stand for one
+    # observation it decides with it which is the most probable
     rest: np.ndarray
-    converged: bool
-    steps: int
+    converged: bool  # False where the allowed steps did not suffice
+    steps: int  # number of steps tried
 
     @property
     def counted(self) -> np.ndarray:
@@ -98,20 +89,13 @@ class Fitted:
 
 @dataclass(frozen=True)
 class Fit:
-    """What stays the same while the unknowns of one model are fitted.
+    """What stays the same while the unknowns of one model are fitted."""
 
-    comparison  the compared quantities and the unknowns
-    origin      the values that the wide prior of Θ is centred on
-    solver      of the relaxations
-    rods        (D,) bool: rods that count, however large their residuals become; None: all except misfits
-    tolerance   FINE, OF_INTERVALS or ROUGH
-    """
-
-    comparison: Comparison
-    origin: Values
-    solver: Newton
-    rods: np.ndarray | None = None
-    tolerance: tuple[float, float] = FINE
+    comparison: Comparison  # the compared quantities and the unknowns
+    origin: Values  # the values that the wide prior of Θ is centred on
+    solver: Newton  # of the relaxations
+    rods: np.ndarray | None = None  # (D,) bool: rods that count, however large their residuals become; None: all except misfits
+    tolerance: tuple[float, float] = FINE  # FINE, OF_INTERVALS or ROUGH
 
     @property
     def unknowns(self) -> Unknowns:
@@ -127,8 +111,7 @@ class Fit:
             # A clamp without the outer mark is at a guess, and so is the turn nearest to the marks until it is posed.
             state = self.posed(state, guessed)
             for other in (self.posed(self.from_marks(values, scales, turn), guessed) for turn in (-1, 0, 1)):
-                sound = other.solution.converged & other.solution.stable
-                nearer = sound & guessed & (self._of_rods(other, scales) < self._of_rods(state, scales))
+                nearer = other.sound & guessed & (self._of_rods(other, scales) < self._of_rods(state, scales))
                 state = self.merged(state, other, nearer)
         if not state.used.any():
             raise InputError(self.unknowns.rod.observations.source, "vertices_mm",
@@ -154,7 +137,7 @@ class Fit:
 
         Gauss–Newton, each observation with steps of its own. Where no frame was reported, marks alone say how a rod is held:
         the line through the outer two of them is only a first guess."""
-        if not self.unknowns.clamps:
+        if self.unknowns.rod.exact:
             return state
         rows = np.ones(len(state.used), dtype=bool) if rows is None else rows
         share, before = np.ones(len(rows)), self._of_rods(state, state.scales)
@@ -162,15 +145,15 @@ class Fit:
         step, usable = np.zeros_like(state.values.scatter), np.zeros_like(rows)
         for _ in range(steps):
             if moved.any():  # the others' linear model is as before
-                sound = moved & latest.solution.converged & latest.solution.stable
-                linear, sound = self.comparison.linear(latest.solution, latest.values, sound, False, shared=False)
+                linear, sound = self.comparison.linear(latest.solution, latest.values, moved & latest.sound,
+                                                       leave_out_soft=False, shared=False)
                 wanted = best_effects(self.unknowns, linear, state.scales)[:, :POSE]
-                step[moved] = np.where(sound[:, None], self._turned(wanted - latest.values.scatter), 0.0)[moved]
+                step[moved] = np.where(sound[:, None], _not_too_far(wanted - latest.values.scatter), 0.0)[moved]
                 usable = np.where(moved, sound, usable)
             latest = self.at(replace(begin.values, scatter=begin.values.scatter + share[:, None] * step), state.scales,
                              begin.solution)
             after = self._of_rods(latest, state.scales)
-            moved = usable & latest.solution.converged & latest.solution.stable & (after < before)
+            moved = usable & latest.sound & (after < before)
             share = np.where(moved, np.minimum(1.0, share / SHORTENED), share * SHORTENED)
             begin = self._mixed(begin, latest, moved) if moved.any() else begin
             gained = np.where(moved, before - after, 0.0)
@@ -199,11 +182,6 @@ class Fit:
         """``other`` in the observations ``rows``, ``state`` elsewhere."""
         mixed = self._mixed(state, other, rows)
         return self.at(mixed.values, mixed.scales, mixed.solution)
-
-    @staticmethod
-    def _turned(step: np.ndarray) -> np.ndarray:
-        """A change of poses (D, POSE), shortened where it turns a clamp too far for one step."""
-        return step * np.minimum(1.0, LARGEST_ROLL / np.maximum(np.abs(step[:, :6]).max(axis=1), 1e-300))[:, None]
 
     def run(self, state: State, steps: int, held: tuple[np.ndarray, float] | None = None) -> Fitted:
         """The best values that are reached from ``state``; with ``held`` = (v, a), those whose v·x is larger by a than that of
@@ -251,7 +229,7 @@ class Fit:
     def _linear(self, state: State, held) -> Fitted:
         """The linear model around ``state``, its sizes fitted."""
         linear, used = self.comparison.linear(state.solution, state.values, state.used, self.rods is None)
-        share, entropy, rest = self._shares(replace(state, used=used), linear)
+        share, entropy, rest = self.shares(replace(state, used=used), linear)
         evidence = Evidence.of(self.unknowns, linear, self.unknowns.offset(state.values, self.origin), share, entropy)
         if held is not None:
             evidence = evidence.holding(*held)
@@ -259,7 +237,7 @@ class Fit:
         state = replace(state, scales=scales, used=used)
         return Fitted(state, evidence, evidence.posterior(scales), linear, rest, False, 0)
 
-    def _shares(self, state: State, linear: tuple[Residuals, ...]) -> tuple[np.ndarray, float, np.ndarray]:
+    def shares(self, state: State, linear: tuple[Residuals, ...]) -> tuple[np.ndarray, float, np.ndarray]:
         """(D,) the probability of each row among those that stand for the same observation, given the present unknowns; what
         −2 ln of the evidence rises by because it is not known; and (D,) ``rest`` of :class:`Fitted`."""
         rod = self.unknowns.rod
@@ -282,7 +260,7 @@ class Fit:
         """The state after a step that lowers −2 ln of the posterior and loses no rod, its share of the whole step, and by how
         much it lowers it; share 0 where no step does. A step ``moving`` a held combination of unknowns may raise it."""
         state, found, unknowns = fitted.state, fitted.posterior, self.unknowns
-        effects = found.effects[:, :POSE] if unknowns.clamps else 0 * state.values.scatter
+        effects = 0 * state.values.scatter if unknowns.rod.exact else found.effects[:, :POSE]
         effects = np.where(state.used[:, None], effects, state.values.scatter)
         largest = np.abs(effects - state.values.scatter)[:, :6].max()
         share = min(share, LARGEST_ROLL / max(largest, 1e-300))
@@ -292,7 +270,7 @@ class Fit:
             trial = self.at(values, state.scales, state.solution)
             if unknowns.rod.direction_unknown:
                 trial = self.posed(trial, state.used, FOLLOWED)
-            kept = state.used & trial.solution.converged & trial.solution.stable
+            kept = state.used & trial.sound
             gained = before - self._objective(trial, kept, fitted.rest)
             if unknowns.rod.by_observation(kept).any(axis=1)[counted].all() and (moving or gained >= 0):
                 return trial, share, gained
@@ -319,7 +297,7 @@ class Fit:
             total += (rows**2).sum(axis=1)
             if name == "marks":
                 total -= ((rows @ gap) ** 2).sum(axis=1)
-        if self.unknowns.clamps:
+        if not self.unknowns.rod.exact:
             sizes = np.array([scales[name] if name else np.inf for name in self.unknowns.rod.pose_scales])
             total += ((state.values.scatter / sizes) ** 2).sum(axis=1)
         return total
@@ -338,9 +316,8 @@ class Fit:
         quaternions[misfits] = anew.configuration.quaternions
         moved = replace(state.solution, configuration=replace(state.solution.configuration, quaternions=quaternions))
         trial = self.posed(self.at(values, state.scales, moved), lost)
-        sound, before = (one.solution.converged & one.solution.stable for one in (trial, state))
-        halved = self._least(trial, sound) < REFITTED * self._least(state, before)
-        nearer = np.repeat(halved, unknowns.rod.copies) & lost & sound
+        halved = self._least(trial, trial.sound) < REFITTED * self._least(state, state.sound)
+        nearer = np.repeat(halved, unknowns.rod.copies) & lost & trial.sound
         if not nearer.any():
             return state, False
         return self.merged(state, trial, nearer), True
@@ -348,3 +325,8 @@ class Fit:
     def _least(self, state: State, rods: np.ndarray) -> np.ndarray:
         """(D,) the least mean square of the marks' residuals among those of the ``rods`` that stand for each observation."""
         return self.unknowns.rod.by_observation(np.where(rods, self.mean_squares(state.residuals), np.inf)).min(axis=1)
+
+
+def _not_too_far(step: np.ndarray) -> np.ndarray:
+    """A change of poses (D, POSE), shortened where it turns a clamp too far for one step."""
+    return step * np.minimum(1.0, LARGEST_ROLL / np.maximum(np.abs(step[:, :6]).max(axis=1), 1e-300))[:, None]

@@ -20,18 +20,12 @@ from doo_ti.system.errors import InputError
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Errors of observations under the Θ of the others.
+    """Errors of observations under the Θ of the others."""
 
-    fold         (D,) the fold that each observation was left out with
-    refinements  one for each fold, of all observations but the fold's
-    distance     (D,) Eq. 1 in mm, each rod relaxed from its observation; NaN for rods that failed
-    sound        (D,) bool: converged and stable
-    """
-
-    fold: np.ndarray
-    refinements: tuple[Refinement, ...]
-    distance: np.ndarray
-    sound: np.ndarray
+    fold: np.ndarray  # (D,) the fold that each observation was left out with
+    refinements: tuple[Refinement, ...]  # one for each fold, of all observations but the fold's
+    distance: np.ndarray  # (D,) Eq. 1 in mm, each rod relaxed from its observation; NaN for rods that failed
+    sound: np.ndarray  # (D,) bool: converged and stable
 
     @property
     def mean_distance(self) -> float:
@@ -81,8 +75,7 @@ def _predicted(found: Refinement, observations: Observations, clamps: Clamps, op
     """(D,) Eq. 1 in mm of observations that ``found`` was not fitted to, each rod relaxed from its observation, and (D,) bool
     whether it is converged and stable. What is not known of its clamps is fitted to each observation."""
     edges = 2 * found.mesh_edges if found.mesh_error is not None else found.mesh_edges
-    rod = HeldRod(observations, clamps, edges, options.surroundings, options.clamps == "exact", found.swivels,
-                  options.loads)
+    rod = HeldRod(observations, clamps, edges, options.surroundings, options.clamps == "exact", found.swivels, options.loads)
     unknowns = unknowns_of(rod, options)
     if not len(found.estimate.values.curvature):
         unknowns = replace(unknowns, curvature="none")
@@ -92,7 +85,7 @@ def _predicted(found: Refinement, observations: Observations, clamps: Clamps, op
     rod = fit.unknowns.rod
     values = replace(found.estimate.values, scatter=np.zeros((rod.observations.count, POSE)))
     state = fit.posed(fit.from_marks(values, found.estimate.scales))
-    sound, lengths = state.solution.converged & state.solution.stable, unknowns.lengths(values)
+    sound, lengths = state.sound, unknowns.lengths(values)
     frames = rod.directors(state.solution, lengths) if options.frame_weight > 0 else None
     distance = mark_distance(rod.marks(state.solution, lengths), rod.observations, frames, options.frame_weight)
     least = rod.by_observation(np.where(sound, fit.mean_squares(state.residuals), np.inf)).argmin(axis=1)

@@ -23,45 +23,28 @@ from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import choose_hypothesis, fill_missing, held_spins, span_excess, start_configuration, turn_hypotheses
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution
 
-POSE = 12
-"""Numbers of two poses: rotations of the start and end clamps, displacements of the start and the end; rad and mm."""
-SHORTENED = (1.0, 0.5, 0.25, 0.0)
-"""Shares of the expected length of a clip with which a fit may begin."""
-TWIST = 3
-"""Of these that which turns the end about its tangent."""
-INWARDS = (1.0, -1.0)
-"""Of the start's tangent and of the end's: into the rod."""
+POSE = 12  # numbers of two poses: rotations of the start and end clamps, displacements of the start and the end; rad and mm
+SHORTENED = (1.0, 0.5, 0.25, 0.0)  # shares of the expected length of a clip with which a fit may begin
+TWIST = 3  # of these that which turns the end about its tangent
+INWARDS = (1.0, -1.0)  # of the start's tangent and of the end's: into the rod
 
 
 @dataclass(frozen=True)
 class HeldRod:
-    """D observations of one rod, and the mesh that models them.
+    """D observations of one rod, and the mesh that models them."""
 
-    observations  the marks
-    clamps        of the ends, at the outer marks, as reported
-    edges         N of the mesh
-    surroundings  what the rods touch, with one row for all observations or one for each
-    exact         whether the clamps are exactly where they were reported, and where the outer marks say
-    swivels       whether ends of unknown roll may roll freely, as a rod between fingers does; else they are held at that roll
-    loads         (D, M) weights of bodies that hang at the marks, as :class:`.PointLoads` has them, or None
-    rolled        (D,) rad, by which both ends are rolled further than the parallel frames that stand for unknown rolls
-    copies        rows that stand for one observation, one after the other, at different rolls
-    """
-
-    observations: Observations
-    clamps: Clamps
-    edges: int
-    surroundings: Surroundings = Surroundings()
-    exact: bool = False
+    observations: Observations  # the marks
+    clamps: Clamps  # of the ends, at the outer marks, as reported
+    edges: int  # N of the mesh
+    surroundings: Surroundings = Surroundings()  # what the rods touch, with one row for all observations or one for each
+    exact: bool = False  # whether the clamps are exactly where they were reported, and where the outer marks say
+    # whether ends of unknown roll may roll freely, as a rod between fingers does; else they are held at that roll
     swivels: bool = False
+    # (D, M) weights of bodies that hang at the marks, as :class:`.PointLoads` has them, or None
     loads: np.ndarray | None = None
+    # (D,) rad, by which both ends are rolled further than the parallel frames that stand for unknown rolls
     rolled: np.ndarray | None = None
-    copies: int = 1
-
-    @cached_property
-    def mark_place(self) -> np.ndarray:
-        """(M,) arc length of the marks as the observations state it, mm."""
-        return Lengths(np.zeros(2), self.observations.rest_length).mark_place
+    copies: int = 1  # rows that stand for one observation, one after the other, at different rolls
 
     @property
     def length(self) -> float:

@@ -16,20 +16,15 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-GEOMETRY = 3
-"""Columns of derivatives by both clip lengths and by L."""
+GEOMETRY = 3  # columns of derivatives by both clip lengths and by L
 
 
 @dataclass(frozen=True)
 class Lengths:
-    """Where marks and clips are along the rod.
+    """Where marks and clips are along the rod."""
 
-    clip     (2,) mm from the outer marks inwards to where the clips end
-    spacing  (M − 1,) mm of rod between neighbouring marks
-    """
-
-    clip: np.ndarray
-    spacing: np.ndarray
+    clip: np.ndarray  # (2,) mm from the outer marks inwards to where the clips end
+    spacing: np.ndarray  # (M − 1,) mm of rod between neighbouring marks
 
     @cached_property
     def mark_place(self) -> np.ndarray:
@@ -44,18 +39,12 @@ class Lengths:
 
 @dataclass(frozen=True)
 class Mesh:
-    """The mesh for given lengths.
+    """The mesh for given lengths."""
 
-    edge         h, mm
-    place        (N + 1,) arc length of its vertices from the first mark, mm
-    edge_slope   (GEOMETRY,) derivative of ``edge``
-    first_slope  (GEOMETRY,) derivative of ``place[0]``
-    """
-
-    edge: float
-    place: np.ndarray
-    edge_slope: np.ndarray
-    first_slope: np.ndarray
+    edge: float  # h, mm
+    place: np.ndarray  # (N + 1,) arc length of its vertices from the first mark, mm
+    edge_slope: np.ndarray  # (GEOMETRY,) derivative of ``edge``
+    first_slope: np.ndarray  # (GEOMETRY,) derivative of ``place[0]``
 
     @property
     def joints(self) -> np.ndarray:

@@ -12,6 +12,7 @@ Axes: G grid cells, C cells of those, D configurations, P parameters, Q of them 
 """
 
 from dataclasses import dataclass, replace
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from doo_ti.refinement.held_rod import HeldRod
 from doo_ti.refinement.priors import typical_scales
 from doo_ti.refinement.refine import FEWEST_EDGES, MOST_EDGES
 from doo_ti.refinement.residuals import Comparison
-from doo_ti.refinement.theta import Theta
+from doo_ti.refinement.search import theta_of_cell
 from doo_ti.refinement.unknowns import Unknowns
 from doo_ti.relaxation.contact_table import require_clear
 from doo_ti.relaxation.newton import Newton
@@ -38,39 +39,29 @@ from doo_ti.system.terminal import progress
 
 CHUNK_RODS = 4096
 MOST_RODS = 1_000_000
-MOST_CELLS = 24
-"""Cells in which the information about all unknowns is computed."""
+MOST_CELLS = 24  # cells in which the information about all unknowns is computed
 
 
 @dataclass(frozen=True)
 class Plan:
-    """How informative each configuration is.
+    """How informative each configuration is."""
 
-    parameters   names of Θ's parameters: bend, or bend_1 and bend_2, then twist and weight
-    strength     (D, P) mm by which a mark moves, root mean square over the rod, when the parameter grows by a factor e:
-                 the median over the grid. NaN where no cell gives an equilibrium
-    total        (D,) mm, the same over all parameters that the grid varies, together: root of the sum of squares
-    order        (K,) rows of the configurations, the one to measure first at the front
-    volume       (K,) volume of the confidence region after measuring so many of them, relative to the prior's (geometric
-                 mean over the grid)
-    sensed       (D,) cells in which the rod has a certified equilibrium; the other cells do not count
-    cells        G
-    information  (C, D, U, U) of one measurement about all unknowns, the logarithms of the Q parameters in ``asked`` first; zero
-                 where the rod has no certified equilibrium
-    prior        (U, U) information about them before any measurement
-    asked        indices of the parameters that the grid varies
-    """
-
-    parameters: tuple[str, ...]
+    parameters: tuple[str, ...]  # names of Θ's parameters: bend, or bend_1 and bend_2, then twist and weight
+    # (D, P) mm by which a mark moves, root mean square over the rod, when the parameter grows by a factor e: the median over
+    # the grid. NaN where no cell gives an equilibrium
     strength: np.ndarray
-    total: np.ndarray
-    order: np.ndarray
+    total: np.ndarray  # (D,) mm, the same over all parameters that the grid varies, together: root of the sum of squares
+    order: np.ndarray  # (K,) rows of the configurations, the one to measure first at the front
+    # (K,) volume of the confidence region after measuring so many of them, relative to the prior's (geometric mean over the
+    # grid)
     volume: np.ndarray
-    sensed: np.ndarray
-    cells: int
+    sensed: np.ndarray  # (D,) cells in which the rod has a certified equilibrium; the other cells do not count
+    cells: int  # G
+    # (C, D, U, U) of one measurement about all unknowns, the logarithms of the Q parameters in ``asked`` first; zero where the
+    # rod has no certified equilibrium
     information: np.ndarray
-    prior: np.ndarray
-    asked: tuple[int, ...]
+    prior: np.ndarray  # (U, U) information about them before any measurement
+    asked: tuple[int, ...]  # indices of the parameters that the grid varies
 
     @property
     def least(self) -> int:
@@ -120,9 +111,10 @@ def plan(
     moved = _moved(configurations, clamps, grid, parameters, surroundings)
     marks = configurations.valid.sum(axis=1)[:, None]
     squares = np.einsum("gdpp->gdp", moved) / marks
-    with np.errstate(invalid="ignore"):
-        strength = np.sqrt(_median(squares))
-        total = np.sqrt(_median(squares[..., asked].sum(axis=-1)))
+    with catch_warnings():
+        simplefilter("ignore", RuntimeWarning)  # where no cell gives an equilibrium
+        strength = np.sqrt(np.nanmedian(squares, axis=0))
+        total = np.sqrt(np.nanmedian(squares[..., asked].sum(axis=-1), axis=0))
     sensed = np.isfinite(moved).all(axis=(2, 3))
     names = tuple(parameters[k] for k in asked)
     seen = replace(configurations, sigma=np.array(sigma))
@@ -180,14 +172,6 @@ def _values(grid: Grid, cells: slice, parameters) -> np.ndarray:
     return np.stack([values["bend_1" if name == "bend" else name] for name in parameters], axis=-1)
 
 
-def _median(values: np.ndarray) -> np.ndarray:
-    """Over the grid, of the cells that are not NaN; NaN where all are."""
-    found = np.full(values.shape[1:], np.nan)
-    some = np.isfinite(values).any(axis=0)
-    found[some] = np.nanmedian(values[:, some], axis=0)
-    return found
-
-
 def _information(seen: Observations, clamps, grid: Grid, names: tuple[str, ...], surroundings: Surroundings
                  ) -> tuple[np.ndarray, np.ndarray]:
     """(C, D, U, U) of each configuration about the unknowns of ``refine``, and their prior (U, U), that of ``names`` as wide as
@@ -201,7 +185,7 @@ def _information(seen: Observations, clamps, grid: Grid, names: tuple[str, ...],
     with progress() as bar:
         task = bar.add_task("information", total=len(cells), unit="cells")
         for cell in cells:
-            theta = Theta.of(grid.materials(np.array([cell])), up=seen.up)
+            theta = theta_of_cell(grid, cell, seen.up)
             values = unknowns.begun(theta, unknowns.clip_prior)
             solution = rod.relaxed(unknowns.material(values), unknowns.lengths(values), unknowns.pose(values), Newton(),
                                    theta.up)

@@ -33,26 +33,19 @@ ANY_TURN, ANY_ROLL, ANY_TWIST, ANY_SHIFT = 0.5, 3.0, 3.0, 0.1
 BOUND, BOUND_OF_RANGE = 9.0, 2.5
 """Largest |ln| of a size over its typical value; for the range: from about a hundredth of the rod's length to all of it."""
 MOST_KNOTS = 16
-JITTER = 1e-6
-"""Share of the variance that is added on the diagonal, which keeps the covariance of a smooth field invertible."""
+JITTER = 1e-6  # share of the variance that is added on the diagonal, which keeps the covariance of a smooth field invertible
 
 
 @dataclass(frozen=True)
 class Scales:
-    """The sizes of one fit. All arrays follow NAMES.
+    """The sizes of one fit. All arrays follow NAMES."""
 
-    value    present values
-    typical  medians of the priors
-    factor   standard deviations of the logarithms under the priors
-    learned  bool: which of them are learned; the others are fixed
-    hessian  (H, H) of F (:mod:`doo_ti.refinement.evidence`) by the logarithms of the H learned sizes, as the last search for
-             them left it: where the next one begins. None before the first
-    """
-
-    value: np.ndarray
-    typical: np.ndarray
-    factor: np.ndarray
-    learned: np.ndarray
+    value: np.ndarray  # present values
+    typical: np.ndarray  # medians of the priors
+    factor: np.ndarray  # standard deviations of the logarithms under the priors
+    learned: np.ndarray  # bool: which of them are learned; the others are fixed
+    # (H, H) of F (:mod:`doo_ti.refinement.evidence`) by the logarithms of the H learned sizes, as the last search for them left
+    # it: where the next one begins. None before the first
     hessian: np.ndarray | None = None
 
     def __getitem__(self, name: str) -> float:
@@ -64,10 +57,10 @@ class Scales:
         return np.log(self.value[self.learned])
 
     @property
-    def bounds(self) -> list[tuple[float, float]]:
-        middle = np.log(self.typical)
-        reach = np.where(np.array(NAMES) == "range", BOUND_OF_RANGE, BOUND)
-        return list(zip((middle - reach)[self.learned], (middle + reach)[self.learned], strict=True))
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """(H,) least and largest logarithms of the learned sizes."""
+        middle, reach = np.log(self.typical), np.where(np.array(NAMES) == "range", BOUND_OF_RANGE, BOUND)
+        return (middle - reach)[self.learned], (middle + reach)[self.learned]
 
     def at(self, free: np.ndarray) -> "Scales":
         """These sizes with logarithms ``free`` (H,) of the learned ones."""

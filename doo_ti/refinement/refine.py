@@ -19,17 +19,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.refinement.adequacy import Adequacy, Score, adequacy, scores
+from doo_ti.refinement.adequacy import Adequacy, Mislabelled, Score, adequacy, mislabelled, scores
 from doo_ti.refinement.estimate import Estimate, estimated, within_reach
 from doo_ti.refinement.fit import FINE
 from doo_ti.refinement.held_rod import HeldRod
-from doo_ti.refinement.mislabelled import Mislabelled, mislabelled
 from doo_ti.refinement.priors import Scales, typical_scales
 from doo_ti.refinement.residuals import mark_distance
 from doo_ti.refinement.rolls import most_probable
-from doo_ti.refinement.search import Optimum, once, searched
+from doo_ti.refinement.search import Optimum, once, searched, turns_chosen_again
 from doo_ti.refinement.theta import Theta
-from doo_ti.refinement.turns import turns_chosen_again
 from doo_ti.refinement.unknowns import Unknowns, Values
 from doo_ti.relaxation.contact_table import require_clear
 from doo_ti.relaxation.newton import Newton
@@ -45,11 +43,9 @@ FEWEST_EDGES, MOST_EDGES = 24, 400
 PER_LAYER, MOST_FOR_LAYERS = 2.0, 64
 """Edges of the first mesh in the length over which a rod bends beside a clamp, and how many at most for their sake: the first Θ
 may be far too soft."""
-ASYMPTOTIC = 1.0
-"""Times the noise: a larger correction of the mesh is not reliable, and the mesh is made twice as fine."""
+ASYMPTOTIC = 1.0  # times the noise: a larger correction of the mesh is not reliable, and the mesh is made twice as fine
 CORRECTIONS = 2
-MARGIN = 10.0
-"""−2 ln of the evidence by which the correction of the mesh may change which optimum is the best."""
+MARGIN = 10.0  # −2 ln of the evidence by which the correction of the mesh may change which optimum is the best
 
 
 @typed
@@ -170,9 +166,9 @@ def refine(observations: Observations, clamps: Clamps, theta: Theta | Sequence[T
     left.
     """
     thetas = (theta,) if isinstance(theta, Theta) else tuple(theta)
-    best, *others = within_reach(_optima(observations, clamps, thetas, options), MARGIN)
-    finished = _corrected if options.edges is None else _finished
-    best, *others = (finished(one, options) for one in (best, *others))
+    best, *others = within_reach(optima(observations, clamps, thetas, options), MARGIN)
+    to_its_end = _corrected if options.edges is None else finished
+    best, *others = (to_its_end(one, options) for one in (best, *others))
     best, *rivals = once(within_reach([best, *others]))
     return _refinement(best, rivals, options)
 
@@ -183,7 +179,7 @@ def unknowns_of(rod: HeldRod, options: RefinementOptions) -> Unknowns:
     return Unknowns(rod, tuple(options.parameters), options.clip is None, curvature)
 
 
-def _optima(observations: Observations, clamps: Clamps, thetas: tuple[Theta, ...], options: RefinementOptions) -> list[Optimum]:
+def optima(observations: Observations, clamps: Clamps, thetas: tuple[Theta, ...], options: RefinementOptions) -> list[Optimum]:
     """The optima of the fit on its first mesh, the best first."""
     check(observations, clamps, options)
     edges = options.edges or first_edges(observations, thetas[0])
@@ -257,7 +253,7 @@ def _scales(unknowns: Unknowns, options: RefinementOptions) -> Scales:
 def _refinement(best: Optimum, rivals: list[Optimum], options: RefinementOptions) -> Refinement:
     fit, fitted = most_probable(best.fit, best.fitted)
     state, rod, correction = fitted.state, fit.unknowns.rod, fit.comparison.correction
-    sound = state.solution.converged & state.solution.stable
+    sound = state.sound
     lengths = fit.unknowns.lengths(state.values)
     marks = rod.marks(state.solution, lengths) + correction
     marks = np.where(sound[:, None, None], marks, np.nan)
@@ -273,7 +269,7 @@ def _refinement(best: Optimum, rivals: list[Optimum], options: RefinementOptions
         mesh_error=None if np.ndim(correction) == 0 else _root_mean_square(correction[state.used]))
 
 
-def _finished(found: Optimum, options: RefinementOptions) -> Optimum:
+def finished(found: Optimum, options: RefinementOptions) -> Optimum:
     """The optimum to the tolerance FINE, from where the search has left it."""
     fit = replace(found.fit, tolerance=FINE)
     return Optimum(fit, fit.run(found.fitted.state, options.iterations).after(found.fitted))

@@ -19,17 +19,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from doo_ti.refinement.held_rod import POSE
-from doo_ti.refinement.mesh import GEOMETRY, Mesh
+from doo_ti.refinement.mesh import GEOMETRY, Lengths, Mesh
 from doo_ti.refinement.priors import Scales
 from doo_ti.refinement.unknowns import Unknowns, Values
 from doo_ti.relaxation.sensitivity import sensitivity
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.types import Clamp, Solution
 
-RODS_AT_ONCE = 128
-"""Derivatives of as many rods are held in memory at a time."""
-SOFT = 30.0
-"""Times the median: rods whose derivatives are larger are about to snap."""
+RODS_AT_ONCE = 128  # derivatives of as many rods are held in memory at a time
+SOFT = 30.0  # times the median: rods whose derivatives are larger are about to snap
 GAP_MODES = 4
 OF_POSES = ("end_shift", "start_turn", "end_turn")
 """Of :func:`doo_ti.relaxation.sensitivity.sensitivity`, three columns each: what a pose moves, beside the whole rod."""
@@ -37,41 +35,28 @@ OF_POSES = ("end_shift", "start_turn", "end_turn")
 
 @dataclass(frozen=True)
 class Residuals:
-    """Residuals of one kind, all with the noise of ``scale``, a name of :mod:`doo_ti.refinement.priors`.
-
-    values   (D, N) with z_d = 0; zero where nothing was seen
-    shared   (D, N, P) J
-    effects  (D, N, Q) Z
-    count    (D,) number of independent residuals
-    """
+    """Residuals of one kind, all with the noise of ``scale``, a name of :mod:`doo_ti.refinement.priors`."""
 
     scale: str
-    values: np.ndarray
-    shared: np.ndarray
-    effects: np.ndarray
-    count: np.ndarray
+    values: np.ndarray  # (D, N) with z_d = 0; zero where nothing was seen
+    shared: np.ndarray  # (D, N, P) J
+    effects: np.ndarray  # (D, N, Q) Z
+    count: np.ndarray  # (D,) number of independent residuals
 
 
 @dataclass(frozen=True)
 class Moments:
     """Products of the residuals of one kind: all that the evidence needs of them. Sums are over the observations, each with its
-    share.
-
-    squares  Σ r²
-    shared   (P, P) Σ JᵀJ, and (D, P) Jᵀr
-    mixed    (D, Q, P) ZᵀJ
-    effects  (D, Q, Q) ZᵀZ, and (D, Q) Zᵀr
-    count    number of independent residuals
-    """
+    share."""
 
     scale: str
-    squares: float
-    shared: np.ndarray
-    shared_slope: np.ndarray
-    mixed: np.ndarray
-    effects: np.ndarray
-    effects_slope: np.ndarray
-    count: float
+    squares: float  # Σ r²
+    shared: np.ndarray  # (P, P) Σ JᵀJ
+    shared_slope: np.ndarray  # (D, P) Jᵀr
+    mixed: np.ndarray  # (D, Q, P) ZᵀJ
+    effects: np.ndarray  # (D, Q, Q) ZᵀZ
+    effects_slope: np.ndarray  # (D, Q) Zᵀr
+    count: float  # number of independent residuals
 
     @classmethod
     def of(cls, residuals: Residuals, share: np.ndarray | float = 1.0) -> "Moments":
@@ -85,19 +70,6 @@ class Moments:
             residuals.scale, float(share @ (residuals.values**2).sum(axis=1)), shared.T @ shared, (transposed @ values)[..., 0],
             effects @ residuals.shared, effects @ residuals.effects,
             (effects @ values)[..., 0], float(share @ residuals.count))
-
-
-def smooth_modes(place: np.ndarray, held: tuple[bool, bool], count: int) -> np.ndarray:
-    """(M, G) smooth displacements of marks at arc lengths ``place`` (M,), zero at a held end; the k-th is scaled by 1/k²."""
-    share = (place - place[0]) / (place[-1] - place[0])
-    k = np.arange(1, count + 1)
-    if all(held):
-        modes = np.sin(np.pi * np.outer(share, k))
-    elif held[0]:
-        modes = np.sin(np.pi * np.outer(share, k - 0.5))
-    else:
-        modes = np.cos(np.pi * np.outer(share, k - 0.5))
-    return modes / k**2
 
 
 def mark_distance(marks: np.ndarray, observations: Observations, directors: np.ndarray | None = None,
@@ -114,21 +86,14 @@ def mark_distance(marks: np.ndarray, observations: Observations, directors: np.n
 
 @dataclass(frozen=True)
 class _Quantity:
-    """A vector interpolated between the mesh's vertices or edges, at X places of the rod.
+    """A vector interpolated between the mesh's vertices or edges, at X places of the rod."""
 
-    place    (X,) arc lengths, mm
-    slope    (X, M − 1) their derivatives by the logarithms of the marks' spacings
-    weights  (X, ·) of the interpolation, and their derivatives by u (:meth:`Mesh.at`)
-    present  (rods, ·, 3) the vectors on the mesh
-    changes  (rods, ·, 3, columns) their derivatives, from :func:`doo_ti.relaxation.sensitivity.sensitivity`
-    carried  (rods, 3, GEOMETRY + Q) displacement of the start, which carries the whole rod along; zero for directions
-    """
-
-    place: np.ndarray
-    slope: np.ndarray
-    weights: tuple[np.ndarray, np.ndarray]
-    present: np.ndarray
-    changes: np.ndarray
+    place: np.ndarray  # (X,) arc lengths, mm
+    slope: np.ndarray  # (X, M − 1) their derivatives by the logarithms of the marks' spacings
+    weights: tuple[np.ndarray, np.ndarray]  # (X, ·) of the interpolation, and their derivatives by u (:meth:`Mesh.at`)
+    present: np.ndarray  # (rods, ·, 3) the vectors on the mesh
+    changes: np.ndarray  # (rods, ·, 3, columns) their derivatives, from :func:`doo_ti.relaxation.sensitivity.sensitivity`
+    # (rods, 3, GEOMETRY + Q) displacement of the start, which carries the whole rod along; zero for directions
     carried: np.ndarray
 
     def at_places(self) -> np.ndarray:
@@ -146,17 +111,12 @@ class _Quantity:
 
 @dataclass(frozen=True)
 class Comparison:
-    """The compared quantities.
+    """The compared quantities."""
 
-    unknowns    of the fit
-    weight      (D, M) of marks: zero for those that are left out
-    directors   (D, M − 1) one where m1 of an edge is compared; None where frames are not
-    correction  (D, M, 3) change of the marks' places by a finer mesh, mm: :func:`doo_ti.refinement.refine.mesh_correction`
-    """
-
-    unknowns: Unknowns
-    weight: np.ndarray
-    directors: np.ndarray | None
+    unknowns: Unknowns  # of the fit
+    weight: np.ndarray  # (D, M) of marks: zero for those that are left out
+    directors: np.ndarray | None  # (D, M − 1) one where m1 of an edge is compared; None where frames are not
+    # (D, M, 3) change of the marks' places by a finer mesh, mm: :func:`doo_ti.refinement.refine.mesh_correction`
     correction: np.ndarray | float = 0.0
 
     @classmethod
@@ -217,11 +177,12 @@ class Comparison:
         found = []
         for name, now, (j, z), weight, count in zip(
                 ("marks", "frames"), self.values(solution, values), kinds, weights, counts, strict=False):
-            z = self._with_gap(z, name)
+            gap = self.gap_modes if name == "marks" else 0.0  # which leaves directors unchanged
+            z = np.concatenate([z, np.broadcast_to(gap, (*z.shape[:2], 3 * GAP_MODES))], axis=-1)
             keep = np.where(used[:, None], weight, 0.0)[..., None]
             z = np.where(keep > 0, keep * z, 0.0)
             r = np.where(used[:, None], now, 0.0)
-            if self.unknowns.clamps:
+            if not self.unknowns.rod.exact:
                 r = r - (z[..., :POSE] @ values.scatter[..., None])[..., 0]
             found.append(Residuals(name, r, np.where(keep > 0, keep * j, 0.0), z, np.where(used, count, 0.0)))
         return tuple(found), used
@@ -236,17 +197,14 @@ class Comparison:
 
     @property
     def gap_modes(self) -> np.ndarray:
-        """(3 M, 3 G) smooth displacements of the marks with unit amplitudes."""
-        rod = self.unknowns.rod
-        held = tuple(bool(np.max(kind) >= Clamp.POSITION) for kind in (rod.clamps.start, rod.clamps.end))
-        return np.einsum("mg,ab->magb", smooth_modes(rod.mark_place, held, GAP_MODES), np.eye(3)).reshape(-1, 3 * GAP_MODES)
-
-    def _with_gap(self, effects: np.ndarray, kind: str) -> np.ndarray:
-        """The effects followed by the smooth displacements of the marks; these leave directors unchanged."""
-        modes = self.gap_modes
-        shape = (*effects.shape[:2], modes.shape[1])
-        gap = np.broadcast_to(modes, shape) if kind == "marks" else np.zeros(shape)
-        return np.concatenate([effects, gap], axis=-1)
+        """(3 M, 3 G) smooth displacements of the marks, zero at a held end; the k-th is scaled by 1/k²."""
+        rod, k = self.unknowns.rod, np.arange(1, GAP_MODES + 1)
+        start, end = (bool(np.max(kind) >= Clamp.POSITION) for kind in (rod.clamps.start, rod.clamps.end))
+        place = Lengths(np.zeros(2), rod.observations.rest_length).mark_place
+        share = (place - place[0]) / (place[-1] - place[0])
+        waves = np.pi * np.outer(share, k if start and end else k - 0.5)
+        modes = (np.sin(waves) if start else np.cos(waves)) / k**2
+        return np.einsum("mg,ab->magb", modes, np.eye(3)).reshape(-1, 3 * GAP_MODES)
 
     def _derivatives(self, solution: Solution, values: Values, rows: slice, shared: bool):
         """(J, Z) of each kind, Z without the gap, and usable (R,) bool, of the R rods ``rows``; J without columns if not
@@ -269,7 +227,7 @@ class Comparison:
         for one in quantities:
             at = one.at_places()
             poses = at[..., -by_clamps.shape[1] :] @ by_clamps[:, None] + one.carried[:, None]
-            effects = poses[..., GEOMETRY:] * unknowns.loose if unknowns.clamps else poses[..., :0]
+            effects = poses[..., :0] if unknowns.rod.exact else poses[..., GEOMETRY:] * unknowns.loose
             by_unknowns = self._shared(at, poses, one.sliding(mesh), chain, values, mesh, rows) if shared else at[..., :0]
             kinds.append([part.reshape(len(at), 3 * at.shape[1], part.shape[-1]) for part in (by_unknowns, effects)])
         return kinds, found.usable

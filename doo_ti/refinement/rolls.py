@@ -19,9 +19,14 @@ J the derivatives by all other shared unknowns x, K those by the rest curvature,
 clamps integrated out. Given φ and θ the best x and κ solve a linear system; given these, φ_d and θ_d are the best of a grid in
 each observation. Taken in turns from random rolls, both soon settle.
 
+A curved rod that rolls freely in what holds it turns to where it has the least energy: its rest curvature then lies as it is
+bent, in all observations alike, and makes it look like a softer straight rod. A fit with rolls that are unknown but held takes
+each of them for a coincidence, so such rods have a fit of their own, without the roll (:func:`swivelling`).
+
 Axes: D observations, R rows, P shared unknowns, of which 2 K are those of the curvature at K knots.
 """
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,24 +34,24 @@ import numpy as np
 from doo_ti.refinement.evidence import Evidence, integrated
 from doo_ti.refinement.fit import Fit, Fitted, State
 from doo_ti.refinement.held_rod import POSE, TWIST
-from doo_ti.refinement.priors import ANY_TWIST, Scales
+from doo_ti.refinement.priors import ANY_TWIST, NAMES, Scales
 from doo_ti.refinement.unknowns import Unknowns
 
 ROLLS = np.linspace(-np.pi, np.pi, 48, endpoint=False)
 TWISTS = np.radians(np.arange(-210.0, 211.0, 30.0))
-BEGUN = 32
-"""Sets of random rolls from which the linear model is solved."""
-SIZE, RANGE = 1.0, 0.3
-"""Expected while that is done: the curvature times the rod's length, and its range over that length."""
-GAP = 3e-4
-"""Largest gap then, over the rod's length."""
-ROUNDS = 40
-"""Most turns of that solution."""
-COPIES = 6
-"""Rolls of each observation that are relaxed, evenly spaced."""
+BEGUN = 32  # sets of random rolls from which the linear model is solved
+SIZE, RANGE = 1.0, 0.3  # expected of curved rods: the curvature times the rod's length, and its range over that length
+GAP = 3e-4  # largest gap then, over the rod's length
+ROUNDS = 40  # most turns of that solution
+COPIES = 6  # rolls of each observation that are relaxed, evenly spaced
 NODES = np.linspace(0.0, 2 * np.pi, COPIES, endpoint=False)
-WINDOW = 0.5
-"""rad, standard deviation of a roll about each of them: together they are uniform to 5 %."""
+WINDOW = 0.5  # rad, standard deviation of a roll about each of them: together they are uniform to 5 %
+CURVED = (1.0, 0.3, 2.0)  # curvatures times the rod's length with which a rod that rolls freely begins, the likeliest first
+FACTOR = 0.7
+"""Standard deviation of the logarithm of such a rod's curvature, about SIZE. Far smaller ones are straight rods, of which there
+is a fit already: to that this one would shrink, past what fits as well."""
+STRAIGHT = 0.1
+"""That below which a rod counts as straight: it rolls freely to anywhere, and the held rod of unknown roll contains it."""
 
 
 @dataclass(frozen=True)
@@ -60,24 +65,16 @@ class _Start:
 
 
 @dataclass(frozen=True)
-class _LinearModel:
-    """−2 ln of the density of observation d as 2 sᵀv + vᵀBv, v = (x, κ in the frame of the straight rod, θ).
+class LinearModel:
+    """−2 ln of the density of observation d as 2 sᵀv + vᵀBv, v = (x, κ in the frame of the straight rod, θ)."""
 
-    information  (D, P + 1, P + 1) B
-    slope        (D, P + 1) s
-    precision    (P, P) of the prior of (x, κ), whose mean is −``offset`` (P,)
-    twist        (D,) of the straight fit, rad
-    counts       (D,) bool: the observations that x and κ are fitted to
-    share        (K,) place of the knots over the rod's length
-    """
-
-    information: np.ndarray
-    slope: np.ndarray
-    precision: np.ndarray
+    information: np.ndarray  # (D, P + 1, P + 1) B
+    slope: np.ndarray  # (D, P + 1) s
+    precision: np.ndarray  # (P, P) of the prior of (x, κ), whose mean is −``offset`` (P,)
     offset: np.ndarray
-    twist: np.ndarray
-    counts: np.ndarray
-    share: np.ndarray
+    twist: np.ndarray  # (D,) of the straight fit, rad
+    counts: np.ndarray  # (D,) bool: the observations that x and κ are fitted to
+    share: np.ndarray  # (K,) place of the knots over the rod's length
 
     def start(self, roll: np.ndarray) -> _Start:
         """The solution that is reached from these rolls (D,)."""
@@ -98,9 +95,9 @@ class _LinearModel:
         angle, information = roll[rows, None] + twist[rows, None] * self.share, self.information[rows]
         slope = self.slope[rows] + information[:, :, -1] * twist[rows, None]
         information, slope = information[:, :-1, :-1].copy(), slope[:, :-1].copy()
-        slope[:, first:] = _turned(slope[:, first:], angle)
-        information[:, :, first:] = _turned(information[:, :, first:], angle[:, None])
-        information[:, first:] = np.swapaxes(_turned(np.swapaxes(information[:, first:], 1, 2), angle[:, None]), 1, 2)
+        slope[:, first:] = turned(slope[:, first:], angle)
+        information[:, :, first:] = turned(information[:, :, first:], angle[:, None])
+        information[:, first:] = np.swapaxes(turned(np.swapaxes(information[:, first:], 1, 2), angle[:, None]), 1, 2)
         return -np.linalg.solve(information.sum(axis=0) + self.precision, slope.sum(axis=0) + self.precision @ self.offset)
 
     def _each(self, shared: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -110,7 +107,7 @@ class _LinearModel:
         columns = np.zeros((count + 1, 1 + 3 * many))  # x; κ turned by each twist, and a quarter more; the twists themselves
         columns[:first, 0] = shared[:first]
         angle = TWISTS[:, None] * self.share
-        columns[first:count, 1 : 1 + 2 * many] = _turned(shared[first:], -np.concatenate([angle, angle + np.pi / 2])).T
+        columns[first:count, 1 : 1 + 2 * many] = turned(shared[first:], -np.concatenate([angle, angle + np.pi / 2])).T
         columns[count, 1 + 2 * many :] = TWISTS
         product = columns.T @ self.information @ columns
         slope = self.slope @ columns
@@ -130,7 +127,7 @@ class _LinearModel:
         return ROLLS[best % len(ROLLS)], TWISTS[best // len(ROLLS)], value.min(axis=1)
 
 
-def _turned(rows: np.ndarray, angle: np.ndarray) -> np.ndarray:
+def turned(rows: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """(…, 2 K) ``rows`` R, R the rotations by ``angle`` (…, K) of each pair of columns."""
     pairs, c, s = rows.reshape(*rows.shape[:-1], -1, 2), np.cos(angle), np.sin(angle)
     both = np.stack([c * pairs[..., 0] + s * pairs[..., 1], c * pairs[..., 1] - s * pairs[..., 0]], axis=-1)
@@ -144,13 +141,13 @@ def rolled(fit: Fit, fitted: Fitted, curvature: str) -> tuple[Fit, State]:
     unknowns, state = straight.unknowns, fitted.state
     values = replace(state.values, curvature=np.zeros((len(unknowns.knots), 2)))
     scales = expected(state.scales, unknowns)
-    model, sound = _linear_model(straight, replace(state, values=values), scales)
+    model = _linear_model(straight, replace(state, values=values), scales)
     random = np.random.default_rng(0)
     best = min((model.start(roll) for roll in random.uniform(-np.pi, np.pi, (BEGUN, len(model.slope)))),
                key=lambda one: one.value)
     all_rolls = at_all_rolls(straight)
     scatter = np.repeat(state.values.scatter, COPIES, axis=0)
-    begun = replace(values, scatter=_in_turned_frames(scatter, all_rolls.unknowns.rod.rolled),
+    begun = replace(values, scatter=in_turned_frames(scatter, all_rolls.unknowns.rod.rolled),
                     curvature=best.curvature.reshape(-1, 2) / unknowns.rod.length)
     return all_rolls, all_rolls.posed(all_rolls.from_marks(begun, scales.given(any_roll=WINDOW)))
 
@@ -161,20 +158,20 @@ def at_all_rolls(fit: Fit) -> Fit:
     return _of_rows(fit, np.repeat(np.arange(count), COPIES), np.tile(NODES, count), COPIES)
 
 
-def _of_rows(fit: Fit, rows: np.ndarray, turned: np.ndarray, copies: int = 1) -> Fit:
-    """The fit whose rows are those ``rows`` of ``fit``, each at the roll ``turned``."""
+def _of_rows(fit: Fit, rows: np.ndarray, roll: np.ndarray, copies: int = 1) -> Fit:
+    """The fit whose rows are those ``rows`` of ``fit``, each at its ``roll``."""
     comparison, rod = fit.comparison, fit.unknowns.rod
     correction = comparison.correction
-    unknowns = replace(fit.unknowns, rod=rod.take(rows, turned, copies))
+    unknowns = replace(fit.unknowns, rod=rod.take(rows, roll, copies))
     return replace(fit, rods=None if fit.rods is None else fit.rods[rows], comparison=replace(
         comparison, unknowns=unknowns, weight=comparison.weight[rows],
         directors=None if comparison.directors is None else comparison.directors[rows],
         correction=correction if np.ndim(correction) == 0 else correction[rows]))
 
 
-def _in_turned_frames(scatter: np.ndarray, turned: np.ndarray) -> np.ndarray:
-    """``scatter`` (R, POSE) of the same clamps, not rolled, in frames that are rolled by ``turned`` (R,)."""
-    found, c, s = scatter.copy(), np.cos(turned), np.sin(turned)
+def in_turned_frames(scatter: np.ndarray, roll: np.ndarray) -> np.ndarray:
+    """``scatter`` (R, POSE) of the same clamps, not rolled, in frames that are rolled by ``roll`` (R,)."""
+    found, c, s = scatter.copy(), np.cos(roll), np.sin(roll)
     found[:, 0] = 0.0
     for y in range(1, POSE, 3):
         found[:, y], found[:, y + 1] = c * scatter[:, y] + s * scatter[:, y + 1], c * scatter[:, y + 1] - s * scatter[:, y]
@@ -205,10 +202,10 @@ def expected(scales: Scales, unknowns: Unknowns) -> Scales:
     return scales.given(curvature=SIZE / length, range=RANGE * length, gap=min(scales["gap"], GAP * length))
 
 
-def _linear_model(fit: Fit, state: State, scales: Scales) -> tuple[_LinearModel, np.ndarray]:
-    """The linear model around straight rods, and (D,) bool the observations that it has."""
-    unknowns, sound = fit.unknowns, state.solution.converged & state.solution.stable
-    linear, sound = fit.comparison.linear(state.solution, state.values, sound, leave_out_soft=False)
+def _linear_model(fit: Fit, state: State, scales: Scales) -> LinearModel:
+    """The linear model around straight rods, of the observations whose rods are sound."""
+    unknowns = fit.unknowns
+    linear, sound = fit.comparison.linear(state.solution, state.values, state.sound, leave_out_soft=False)
     own = unknowns.columns("curvature")
     order = np.concatenate([np.setdiff1d(np.arange(len(unknowns.names)), own), own])
     twisted = tuple(replace(kind, shared=np.concatenate([kind.shared[..., order], kind.effects[..., [TWIST]]], axis=-1),
@@ -216,6 +213,41 @@ def _linear_model(fit: Fit, state: State, scales: Scales) -> tuple[_LinearModel,
     information, slope, _, _ = integrated(unknowns, twisted, scales)
     precision, _ = unknowns.precision(scales)
     counts = state.used[sound] if (state.used & sound).any() else np.ones(int(sound.sum()), dtype=bool)
-    return _LinearModel(information[sound], slope[sound], precision[np.ix_(order, order)],
+    return LinearModel(information[sound], slope[sound], precision[np.ix_(order, order)],
                         unknowns.offset(state.values, fit.origin)[order], state.values.scatter[sound, TWIST], counts,
-                        unknowns.knots / unknowns.rod.length), sound
+                        unknowns.knots / unknowns.rod.length)
+
+
+# --- rods that roll freely ------------------------------------------------------------------------------------------------
+
+
+def swivelling(fit: Fit, fitted: Fitted, curvature: str) -> tuple[Fit, Iterator[State]]:
+    """The fit with ends that roll freely and that kind of rest curvature, and where it may begin, from a finished fit of
+    straight rods whose ends are held."""
+    rod = replace(fit.unknowns.rod, swivels=True)
+    unknowns = replace(fit.unknowns, rod=rod, curvature=curvature)
+    free, state = replace(fit, comparison=replace(fit.comparison, unknowns=unknowns)), fitted.state
+    values = replace(state.values, scatter=_without_roll(fit, state))
+    scales, own = expected(state.scales, unknowns), np.array(NAMES) == "curvature"
+    scales = replace(scales, typical=np.where(own, SIZE / rod.length, scales.typical),
+                     factor=np.where(own, FACTOR, scales.factor))
+    fields = (np.tile([size / rod.length, 0.0], (len(unknowns.knots), 1)) for size in CURVED)
+    return free, (free.posed(free.from_marks(replace(values, curvature=field), scales)) for field in fields)
+
+
+def bent(fit: Fit, fits: Iterable[Fitted]) -> list[Fitted]:
+    """Those of ``fits`` that are not straight."""
+    least = STRAIGHT / fit.unknowns.rod.length
+    return [one for one in fits if np.sqrt((one.state.values.curvature**2).sum(axis=1).mean()) >= least]
+
+
+def _without_roll(fit: Fit, state: State) -> np.ndarray:
+    """(D, POSE) the errors of the clamps, which point as before but are not rolled."""
+    scatter = state.values.scatter.copy()
+    for end, (_, frame, _, now) in enumerate(fit.unknowns.rod.ends(fit.unknowns.pose(state.values))):
+        tangent = np.einsum("dji,dj->di", frame, now[..., 0])
+        axis = np.cross([1.0, 0.0, 0.0], tangent)
+        sine = np.linalg.norm(axis, axis=1, keepdims=True)
+        angle = np.arctan2(sine, tangent[:, :1])
+        scatter[:, 3 * end : 3 * end + 3] = axis * angle / np.maximum(sine, 1e-300)
+    return scatter

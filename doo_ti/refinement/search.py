@@ -3,22 +3,28 @@
 A posterior may have several: of the whole turns of rods between frames, of the rolls of rods that are curved at rest, of
 straight and of curved rods. Which is the best says the evidence; those that it hardly tells apart count in the intervals
 (:mod:`doo_ti.refinement.estimate`).
+
+Frames that hold a rod at both ends, where nobody measured the total twist, leave it open up to whole turns. F takes, of
+several, the rod nearest to the marks: under a twist stiffness that is too low a wrong turn changes the shape little, is taken,
+and confirms the stiffness. So a fit begins with several twist stiffnesses, each with the turns that are nearest then, and once
+with as little twist as the frames leave in all rods, which marks that are far apart may not tell from a turn more; the
+posterior decides. At its end each observation's turns are chosen once more, under what was learned.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from doo_ti.refinement.fit import ROUGH, Fit, Fitted
+from doo_ti.refinement.evidence import integrated
+from doo_ti.refinement.fit import POSED, ROUGH, Fit, Fitted, State
 from doo_ti.refinement.priors import Scales
 from doo_ti.refinement.residuals import Comparison
-from doo_ti.refinement.rolls import rolled
-from doo_ti.refinement.swivels import bent, swivelling
-from doo_ti.refinement.theta import Theta
-from doo_ti.refinement.turns import AGAIN, turns_chosen_again, twisted
-from doo_ti.refinement.unknowns import Unknowns
+from doo_ti.refinement.rolls import bent, rolled, swivelling
+from doo_ti.refinement.theta import Theta, common_rod
+from doo_ti.refinement.unknowns import Unknowns, Values
 from doo_ti.rod.grid import Grid
 from doo_ti.rod.types import Clamp, Clamps
 from doo_ti.system.errors import InputError
@@ -26,19 +32,17 @@ from doo_ti.system.errors import InputError
 if TYPE_CHECKING:
     from doo_ti.refinement.refine import RefinementOptions
 
-TRIED_FIRST = 4
-"""Steps from each of several starts; only the best of them are continued."""
-NEAR = 30.0
-"""Of these, −2 ln of the evidence above the best up to which others are continued too."""
-HOPELESS = 100.0
-"""Rods that roll freely are not tried from other starts where the first ends so far behind rods that are held."""
-SAME = 0.3
-"""Standard errors: fits whose Θ differ by less are one optimum."""
-COMPARED = 5
-"""Steps of each of two fits before they are compared, without the rods that count in one alone."""
+TRIED_FIRST = 4  # steps from each of several starts; only the best of them are continued
+NEAR = 30.0  # of these, −2 ln of the evidence above the best up to which others are continued too
+HOPELESS = 100.0  # rods that roll freely are not tried from other starts where the first ends so far behind rods that are held
+SAME = 0.3  # standard errors: fits whose Θ differ by less are one optimum
+COMPARED = 5  # steps of each of two fits before they are compared, without the rods that count in one alone
 FIRST_TURN = 0.3
 """rad, the initial rest curvature times the rod's length where the rolls at both ends are free: a straight rod has no preferred
 side, and with a much smaller curvature the side changes with every small change of the unknowns."""
+RATIOS = (0.25, 0.5, 1.0, 2.0, 4.0)  # twist over bend stiffness with which a fit begins
+TURNS = (-1, 0, 1)  # whole turns of an observation that are compared, each with the most probable clamps
+AGAIN = 3  # how often each observation is chosen once more, as long as that changes any
 
 
 @dataclass(frozen=True)
@@ -81,8 +85,7 @@ def searched(unknowns: Unknowns, thetas: Sequence[Theta], clip: np.ndarray, scal
     """The optima that are reached from each of ``thetas`` and ``clip`` (2,), the clips' lengths, to the tolerance ROUGH. Raises
     InputError where no rod is converged and stable at any Θ."""
     rod, steps = unknowns.rod, options.iterations
-    straight_first = rod.rolled_together and unknowns.curvature != "none" and all(
-        one.rest_curvature is None for one in thetas)
+    straight_first = rod.rolled_together and unknowns.curvature != "none" and all(one.rest_curvature is None for one in thetas)
     model = replace(unknowns, curvature="none") if straight_first else unknowns
     found = _from_thetas(Comparison.of(model, options.frame_weight > 0), thetas, clip, scales, options)
     fit = found[0].fit
@@ -191,3 +194,69 @@ def lowest_cells(grid: Grid, mean_distance: np.ndarray, count: int) -> np.ndarra
 def theta_of_cell(grid: Grid, cell: int, up) -> Theta:
     """Θ of a grid's cell."""
     return Theta.of(grid.materials(np.array([cell])), up=up)
+
+
+# --- whole turns ----------------------------------------------------------------------------------------------------------
+
+
+def twisted(fit: Fit, values: Values, scales: Scales) -> Iterator[State]:
+    """Rods relaxed from their observations at ``values``, with each of several twist stiffnesses, and with the least twist."""
+    theta = values.theta
+    least = fit.posed(fit.from_marks(replace(values, theta=common_rod(theta), scatter=0 * values.scatter), scales, turn=0))
+    if least.used.any():
+        yield least
+    for ratio in RATIOS:
+        twisted = replace(theta, twist=ratio * float(np.diag(theta.bend).mean()))
+        with suppress(InputError):  # no rod is stable at that twist stiffness
+            yield fit.begin(replace(values, theta=twisted, scatter=0 * values.scatter), scales)
+
+
+def turns_chosen_again(fit: Fit, fitted: Fitted, steps: int) -> list[Fitted]:
+    """``fitted``, continued as long as that makes it better. Each time every observation takes the turns that are most probable
+    under what was learned: of several, or of those that were measured and those that misfits took instead. All that were
+    reached, the best first."""
+    turns, reached = TURNS if fit.unknowns.rod.turns_unknown else (None,), [fitted]
+    for _ in range(AGAIN):
+        state = reached[-1].state
+        values = replace(state.values, scatter=0 * state.values.scatter)
+        begun = _best_of(fit, [state, *(fit.posed(fit.from_marks(values, state.scales, turn)) for turn in turns)])
+        if np.array_equal(begun.values.scatter, state.values.scatter):
+            break
+        reached.append(fit.run(begun, steps).after(reached[-1]))
+        if reached[-1].rank >= reached[-2].rank:
+            break
+    return sorted(reached, key=lambda one: one.rank)
+
+
+def _best_of(fit: Fit, states: Sequence[State]) -> State:
+    """Of each observation that which is most probable given the others, at the same sizes. What is shared is free to follow to
+    first order: it may have adapted to a wrong shape of that observation."""
+    best, *others = states
+    precision, _ = fit.unknowns.precision(best.scales)
+    of_best = own, slope, present = _densities(fit, best)
+    used = best.used & np.isfinite(present)
+    own, slope = (np.where(used.reshape(-1, *(1,) * (part.ndim - 1)), part, 0.0) for part in (own, slope))
+    rest = (precision + own.sum(axis=0) - own,
+            slope.sum(axis=0) + precision @ fit.unknowns.offset(best.values, fit.origin) - slope)
+    least = _given(rest, *of_best)
+    for other in others:
+        value = _given(rest, *_densities(fit, other))
+        better = value < least - POSED
+        if better.any():
+            best, least = fit.merged(best, other, better), np.where(better, value, least)
+    return best
+
+
+def _densities(fit: Fit, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of each observation B and s, and c + q, of :func:`doo_ti.refinement.evidence.integrated`; that is infinite where the rod
+    is not sound."""
+    linear, usable = fit.comparison.linear(state.solution, state.values, state.sound, leave_out_soft=False)
+    own, slope, squares, constant = integrated(fit.unknowns, linear, state.scales)
+    return own, slope, np.where(usable, squares + constant, np.inf)
+
+
+def _given(rest: tuple[np.ndarray, np.ndarray], own: np.ndarray, slope: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """(D,) −2 ln of the density of each observation given the ``rest``, B (D, P, P) and s (D, P) of all others."""
+    hessian, slope = rest[0] + own, rest[1] + slope
+    return value - np.einsum("dp,dp->d", slope, np.linalg.solve(hessian, slope[..., None])[..., 0]) + np.linalg.slogdet(
+        hessian)[1]

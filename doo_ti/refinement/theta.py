@@ -11,8 +11,7 @@ from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, require_whole
 from doo_ti.system.short_repr import short_repr
 
-RATIO = 0.8
-"""Twist over bend stiffness of a common rod."""
+RATIO = 0.8  # twist over bend stiffness of a common rod
 
 
 @typed

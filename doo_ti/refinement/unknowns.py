@@ -42,50 +42,35 @@ CLIP_MEAN, CLIP_SPREAD = 0.75, 0.75
 RATIO_FACTOR = 0.4
 """Prior of twist over bend stiffness where nothing says how far the rod is twisted: standard deviation of its logarithm about
 that of a common rod."""
-OUTER_SPREAD = 0.1
-"""Prior of by how much an outer mark beside a reported frame is off, in spacings of the outer marks."""
-TURNS = 12
-"""Numbers of the constant errors of clamps."""
+OUTER_SPREAD = 0.1  # prior of by how much an outer mark beside a reported frame is off, in spacings of the outer marks
+TURNS = 12  # numbers of the constant errors of clamps
 
 
 @dataclass(frozen=True)
 class Values:
-    """Values of all unknowns, in their own units.
+    """Values of all unknowns, in their own units."""
 
-    theta      Θ without its rest curvature
-    clip       (2,) mm
-    curvature  (K, 2) 1/mm at the knots, (1, 2) of the whole rod, or (0, 2)
-    constant   (TURNS,) rad, constant errors of the reported frames: of start and end in their axes, and in the world's
-    scatter    (D, POSE) additional errors of the clamps in each observation
-    spacing    (M − 1,) logarithms of the spacings of the marks over the stated ones
-    outer      (2, 6) mm, constant errors of the outer marks
-    """
-
-    theta: Theta
-    clip: np.ndarray
-    curvature: np.ndarray
+    theta: Theta  # Θ without its rest curvature
+    clip: np.ndarray  # (2,) mm
+    curvature: np.ndarray  # (K, 2) 1/mm at the knots, (1, 2) of the whole rod, or (0, 2)
+    # (TURNS,) rad, constant errors of the reported frames: of start and end in their axes, and in the world's
     constant: np.ndarray
-    scatter: np.ndarray
-    spacing: np.ndarray
-    outer: np.ndarray
+    scatter: np.ndarray  # (D, POSE) additional errors of the clamps in each observation
+    spacing: np.ndarray  # (M − 1,) logarithms of the spacings of the marks over the stated ones
+    outer: np.ndarray  # (2, 6) mm, constant errors of the outer marks
 
 
 @dataclass(frozen=True)
 class Unknowns:
     """Which unknowns a fit has.
 
-    rod         the observed rod
-    parameters  of Θ, from PARAMETERS
-    clips       whether the clips' lengths are unknown
-    curvature   "field", "uniform" or "none"
-
     Raises InputError for parameters that are unknown, repeated or contradict each other.
     """
 
-    rod: HeldRod
-    parameters: tuple[str, ...]
-    clips: bool = True
-    curvature: str = "field"
+    rod: HeldRod  # the observed rod
+    parameters: tuple[str, ...]  # of Θ, from PARAMETERS
+    clips: bool = True  # whether the clips' lengths are unknown
+    curvature: str = "field"  # "field", "uniform" or "none"
 
     def __post_init__(self) -> None:
         names = self.parameters
@@ -109,13 +94,12 @@ class Unknowns:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """(P,)"""
-        parts = [(name,) if name != "up" else ("up[0]", "up[1]") for name in self.parameters]
+        of_theta = [part for name in self.parameters for part in (("up[0]", "up[1]") if name == "up" else (name,))]
         ends = [name for name, held in zip(("clip_start", "clip_end"), self.rod.clamped, strict=True) if held and self.clips]
-        knots = [f"curvature[{k}]" for k in range(2 * len(self.knots))]
-        spacing = len(self.rod.observations.rest_length) if self.rod.observations.spacing_error > 0 else 0
-        return tuple(name for part in parts for name in part) + tuple(ends) + tuple(knots) + tuple(
-            f"clamps[{k}]" for k in range(TURNS if self.turns else 0)) + tuple(f"spacing[{k}]" for k in range(spacing)) + tuple(
-            f"outer[{k}]" for k in range(6 * len(self.outer_ends)))
+        seen = self.rod.observations
+        numbered = {"curvature": 2 * len(self.knots), "clamps": TURNS * self.turns,
+                    "spacing": seen.edges if seen.spacing_error > 0 else 0, "outer": 6 * len(self.outer_ends)}
+        return (*of_theta, *ends, *(f"{part}[{k}]" for part, count in numbered.items() for k in range(count)))
 
     @cached_property
     def outer_ends(self) -> np.ndarray:
@@ -130,11 +114,6 @@ class Unknowns:
         seen = self.rod.observations
         frames = np.stack([(seen.start_frame, seen.end_frame)[end] for end in self.outer_ends], axis=1)
         return np.concatenate([frames, np.broadcast_to(np.eye(3), frames.shape)], axis=-1)
-
-    @property
-    def clamps(self) -> bool:
-        """Whether the clamps of an observation may be off their poses."""
-        return not self.rod.exact
 
     @property
     def turns(self) -> bool:
@@ -190,13 +169,11 @@ class Unknowns:
 
     def moved(self, values: Values, step: np.ndarray, scatter: np.ndarray) -> Values:
         """``values`` with the unknowns changed by ``step`` (P,) and the clamps' scatter by ``scatter`` (D, POSE)."""
-        of = {name: amount for name, amount in zip(self.names, step, strict=True)}
-        theta = values.theta
-        root = np.sqrt(np.diag(theta.bend))
+        of = dict(zip(self.names, step, strict=True))
+        theta, up, both = values.theta, values.theta.up, of.get("bend", 0.0)
         correlation = np.tanh(np.arctanh(theta.correlation) + of.get("bend_12", 0.0))
-        both = of.get("bend", 0.0)
-        root = root * np.exp(0.5 * np.array([of.get(name, 0.0) + both for name in ("bend_1", "bend_2")]))
-        up = theta.up
+        logarithms = np.array([of.get(name, 0.0) + both for name in ("bend_1", "bend_2")])
+        root = np.sqrt(np.diag(theta.bend)) * np.exp(0.5 * logarithms)
         if "up[0]" in of:
             up = rotation_matrix(np.array([of["up[0]"], of["up[1]"]]) @ tilt_axes(up)) @ up
         theta = Theta(np.diag(root**2) + correlation * root.prod() * (1 - np.eye(2)),

@@ -26,33 +26,24 @@ from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, require_whole
 
 MOST_OBSERVATIONS = 10_000_000
-RODS_AT_ONCE = 1 << 15
-"""Rods of one launch, which bounds the memory for their frames."""
+RODS_AT_ONCE = 1 << 15  # rods of one launch, which bounds the memory for their frames
 
 
 @dataclass(frozen=True)
 class TwistCurves:
-    """Σ d of Eq. 4 for K groups of N observations, at any angles.
-
-    free, clamps  (N) shapes without twist, and their clamps
-    first         (K + 1,) rows at which groups begin, and N
-    offset        (N,) τ, rad
-    solver, precision  as :func:`doo_ti.relaxation.relax.relax` takes them
-    surroundings  what the rods touch, with one row for all observations or one for each
-    advance       called with the number of rods done
-    """
+    """Σ d of Eq. 4 for K groups of N observations, at any angles."""
 
     observations: Observations
     material: Material
-    free: Configuration
-    clamps: Clamps
-    group: np.ndarray
-    first: np.ndarray
-    offset: np.ndarray
+    free: Configuration  # (N) shapes without twist
+    clamps: Clamps  # (N) of these
+    group: np.ndarray  # (N,) of each observation
+    first: np.ndarray  # (K + 1,) rows at which groups begin, and N
+    offset: np.ndarray  # (N,) τ, rad
     solver: Newton
     precision: str
-    surroundings: Surroundings
-    advance: Callable[[int], None]
+    surroundings: Surroundings  # what the rods touch, with one row for all observations or one for each
+    advance: Callable[[int], None]  # called with the number of rods done
 
     @classmethod
     def of(cls, observations: Observations, material: Material, group, offset, solver: Newton, precision: str,
@@ -148,8 +139,7 @@ def without_twist(observations: Observations) -> tuple[Configuration, Clamps]:
 
 # --- groups and offsets τ -------------------------------------------------------------------------------------------------
 
-MOST_DEG = 36_000.0
-"""Largest |τ|."""
+MOST_DEG = 36_000.0  # largest |τ|
 FIELDS = {"start_frame": "start_frame", "end_frame": "end_frame", "total_twist_deg": "total_twist"}
 KNOWN = {"offset_deg": ((), ("offset_deg",)), "total_twist_deg": ((), ("total_twist_deg",)),
          "start_frame": ((3, 3), frame_columns("start_frame")), "end_frame": ((3, 3), frame_columns("end_frame"))}

@@ -126,8 +126,7 @@ class TwistEstimate:
 @typed
 def estimate_twist(
     observations: Observations, material: Material, group: ArrayLike | None = None, offset: ArrayLike | None = None,
-    options: TwistOptions = TwistOptions(),
-    advance: Callable[[int], None] = lambda rods: None,
+    options: TwistOptions = TwistOptions(), advance: Callable[[int], None] = lambda rods: None,
 ) -> TwistEstimate:
     """Estimate the twist of K groups of observations by Eq. 4, all at once.
 
@@ -152,7 +151,9 @@ def estimate_twist(
     phi, least = np.take_along_axis(phi, order, axis=1), np.take_along_axis(least, order, axis=1)
     limit = least[:, 0] * (1 + options.rise / np.diff(curves.first) ** 0.25)
     low, high = _interval(np.hstack([np.broadcast_to(angles, value.shape), phi]), np.hstack([value, least]), limit)
-    verdict = _verdict(phi[:, 0], least[:, 0], low, high, angles, options)
+    rival, border = np.fmax(phi[:, 0] - low, high - phi[:, 0]) > options.apart, np.abs(phi[:, 0]) > angles[-1] - 1e-6
+    verdict = np.where(border, TwistVerdict.AT_BORDER, np.where(rival, TwistVerdict.AMBIGUOUS, TwistVerdict.CLEAR))
+    verdict = np.where(np.isfinite(least[:, 0]), verdict, TwistVerdict.UNDETERMINED).astype(np.int8)
     least = np.where(np.isfinite(least), least, np.nan)
     return TwistEstimate(phi[:, 0], least[:, 0], verdict, low, high, phi, least, angles, objective, unsound, curves.group,
                          curves.offset)
@@ -212,11 +213,3 @@ def _first_within(angle: np.ndarray, value: np.ndarray, limit: np.ndarray) -> np
     known = np.isfinite(angle[rows, before])
     reach = np.where(known, share * (np.where(known, angle[rows, before], 0.0) - angle[rows, place]), 0.0)
     return np.where(within.any(axis=1), angle[rows, place] + reach, np.nan)
-
-
-def _verdict(phi, least, low, high, angles, options: TwistOptions) -> np.ndarray:
-    """(K,) from the minima and the ends of their intervals."""
-    rival = np.fmax(phi - low, high - phi) > options.apart
-    border = np.abs(phi) > angles[-1] - 1e-6
-    verdict = np.where(border, TwistVerdict.AT_BORDER, np.where(rival, TwistVerdict.AMBIGUOUS, TwistVerdict.CLEAR))
-    return np.where(np.isfinite(least), verdict, TwistVerdict.UNDETERMINED).astype(np.int8)

@@ -139,12 +139,12 @@ def test_pairs_that_are_not_those_of_the_cells(lab, tmp_path, capsys):
 
 @pytest.mark.thorough
 def test_a_failure_on_the_way_keeps_finished_files(one_run, tmp_path, capsys, monkeypatch):
-    from doo_ti.learning import figure_rods
+    from doo_ti.learning import figures
 
     def fail(*args):
         raise RuntimeError("the disk is full")
 
-    monkeypatch.setattr(figure_rods, "relax_cells", fail)
+    monkeypatch.setattr(figures, "relax_cells", fail)
     assert main(["figures", str(one_run / "silk"), "--out", str(tmp_path / "out")]) == 1
     assert "the disk is full" in capsys.readouterr().err.splitlines()[-1]
     assert names(tmp_path / "out") == ["landscapes.png"]

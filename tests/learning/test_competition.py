@@ -7,8 +7,8 @@ import pytest
 
 from doo_ti import InputError, Status
 from doo_ti.learning.cross_validation import cross_validate, partition
-from doo_ti.learning.drawing import plane_of
 from doo_ti.learning.experiment import Hypotheses, resolved
+from doo_ti.learning.landscape import plane_of
 from tests.learning.landscapes import static
 
 
@@ -26,9 +26,7 @@ def test_a_cell_with_a_rod_that_stalled_does_not_win():
     assert landscape.competition == {"cells_competing": 4, "cells_not_competing": 1, "terms_left_out": 0}
     interval, = landscape.intervals
     assert interval.best == landscape.grid.axes[0].values[1] and not interval.high_is_open
-
-
-def test_a_saddle_does_not_win():
+    # Nor does one with a saddle.
     landscape = fooled()
     landscape.status[:] = Status.CONVERGED
     stable = np.ones((5, 4), dtype=bool)
@@ -47,14 +45,9 @@ def test_a_term_that_is_sound_in_no_cell_is_left_out():
         landscape.best
 
 
-def test_a_training_set_does_not_choose_it():
+def test_a_training_set_does_not_choose_it_nor_does_an_entry_win_a_column_by_rods_that_stalled():
     scores = cross_validate(partition([fooled(), static("silk", fooled().distance)], ("material",))[0])
-    assert scores.best.tolist() == [1, 3]
-
-
-def test_an_entry_does_not_win_a_column_by_rods_that_stalled():
-    scores = cross_validate(partition([fooled(), static("silk", fooled().distance)], ("material",))[0])
-    assert (scores.mean[1] < scores.mean[0]).all()
+    assert scores.best.tolist() == [1, 3] and (scores.mean[1] < scores.mean[0]).all()
     assert replace(scores, uncertified=np.array([[0, 0], [1, 0]])).is_best.tolist() == [[True, False], [False, True]]
 
 

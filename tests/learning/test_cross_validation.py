@@ -1,17 +1,19 @@
-"""Leave-one-out against loops over fractions, and against landscapes whose answer is known."""
+"""Leave-one-out against loops over fractions, and against landscapes whose answer is known; the rows and columns of tables."""
 
 import statistics
 from dataclasses import replace
 from fractions import Fraction
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from doo_ti.learning import cross_validation
-from doo_ti.learning.cross_validation import Part, Partition, chosen_cells, cross_validate
+from doo_ti.learning.cross_validation import Part, Partition, chosen_cells, cross_validate, partition, usual_factors
 from doo_ti.rod.types import Status
-from tests.learning.landscapes import dynamic, static
+from doo_ti.system.errors import InputError
+from tests.learning.landscapes import dynamic, grid_of, static
 
 PAIRS = list(product(range(5), repeat=2))
 PAIRS = [(x, y) for x, y in PAIRS if x != y][::2]
@@ -51,10 +53,10 @@ def assert_as_by_loops(found, parts):
         np.testing.assert_allclose(found.mean[row, column], mean, rtol=1e-14)
         error = statistics.stdev(errors) / len(errors)**0.5 if len(errors) > 1 else np.nan
         np.testing.assert_allclose(found.standard_error[row, column], error, rtol=1e-12, atol=1e-300)
-        np.testing.assert_array_equal([-1 if cell is None else cell for cell in cells],
-                                      chosen_cells(training, tested.ends))
+        np.testing.assert_array_equal([-1 if cell is None else cell for cell in cells], chosen_cells(training, tested.ends))
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("case", range(20))
 def test_loops_choose_the_same_cells_ties_and_gaps_included(rng, case):
     """Distances in eighths tie often; one in twelve is missing, one term everywhere, another but in one cell."""
@@ -72,8 +74,8 @@ def test_loops_choose_the_same_cells_ties_and_gaps_included(rng, case):
 
 
 def test_loops_choose_the_same_cells_of_real_numbers_and_few_cells_at_a_time(rng, monkeypatch):
-    monkeypatch.setattr(cross_validation, "BLOCK_BYTES", 3 * 8 * 200)
-    landscapes = [static("a", rng.uniform(0, 9, (200, 7))), dynamic("a", rng.uniform(0, 9, (200, len(PAIRS))), PAIRS)]
+    monkeypatch.setattr(cross_validation, "BLOCK_BYTES", 3 * 8 * 80)
+    landscapes = [static("a", rng.uniform(0, 9, (80, 7))), dynamic("a", rng.uniform(0, 9, (80, len(PAIRS))), PAIRS)]
     assert_as_by_loops(scores(*landscapes), list(map(whole, landscapes)))
 
 
@@ -154,3 +156,83 @@ def test_own_parameters_predict_best(rng):
     assert found.is_best.tolist() == np.eye(3, dtype=bool).tolist()
     np.testing.assert_allclose(found.best, [8, 20, 32], atol=2)
     assert (np.diag(found.mean) >= found.training).all(), "leaving out cannot help"
+
+
+# --- rows and columns ------------------------------------------------------------------------------------------------------
+
+LABELS = np.tile([54.0, 30.0, 78.0], 4)
+MOVES = [(0, 3), (3, 0), (1, 4), (4, 7), (2, 5), (5, 8)]
+
+
+def lab(name: str, labels=LABELS):
+    return static(name, np.ones((3, len(labels))), labels)
+
+
+def moved(name: str, labels=LABELS):
+    return dynamic(name, np.ones((3, len(MOVES))), MOVES, end_distance=labels)
+
+
+def rows(found) -> dict[str, list[int]]:
+    return {part.label: part.terms.tolist() for part in found.parts}
+
+
+def test_by_material():
+    found, = partition([lab("silk"), lab("nylon")], ("material",))
+    assert (found.by, found.within, found.unlabelled) == (("material",), "static", 0)
+    assert rows(found) == {"silk": list(range(12)), "nylon": list(range(12))}
+
+
+def test_by_material_and_end_distance_in_whatever_order_it_is_asked_for():
+    labels = np.where(np.arange(12) == 4, np.nan, LABELS)
+    found, = partition([lab("silk", labels), lab("nylon")], ("end-distance", "material"), (78.0, 30.0))
+    assert found.by == ("material", "end-distance")
+    assert rows(found) == {"silk 30 mm": [1, 7, 10], "silk 78 mm": [2, 5, 8, 11],
+                           "nylon 30 mm": [1, 4, 7, 10], "nylon 78 mm": [2, 5, 8, 11]}
+    assert found.unlabelled == 1
+
+
+def test_by_objective_the_static_one_keeps_what_occurs_in_pairs():
+    """Table III, of each material that was swept under both objectives, static before dynamic."""
+    runs = [moved("silk"), lab("nylon"), lab("silk"), moved("nylon"), lab("vicryl")]
+    silk, nylon = partition(runs, ("objective", "end-distance"), (30.0, 54.0))
+    assert (silk.within, nylon.within) == ("silk", "nylon")
+    assert rows(silk) == rows(nylon) == {"static 30 mm": [1, 4, 7], "static 54 mm": [0, 3], "dynamic 30 mm": [2, 3],
+                                         "dynamic 54 mm": [0, 1]}
+    tables = partition(runs, ("material",))
+    assert [(found.within, list(rows(found))) for found in tables] == [
+        ("static", ["silk", "nylon", "vicryl"]), ("dynamic", ["silk", "nylon"])]
+    assert rows(tables[0])["silk"] == list(range(12)), "restricted beside pairs only"
+
+
+@pytest.mark.parametrize(("runs", "factors"), [
+    ([lab("a")], [("end-distance",)]),
+    ([lab("a", np.full(12, np.nan))], []),
+    ([lab("a", np.arange(12.0))], []),
+    ([lab("a"), lab("b")], [("material",), ("material", "end-distance")]),
+    ([lab("a", np.full(12, 30.0)), lab("b", np.full(12, 30.0))], [("material",)]),
+    ([lab("a"), moved("a")], [("objective", "end-distance")]),
+    ([lab("a"), moved("b")], [("end-distance",)]),
+    ([lab("a"), lab("b"), moved("a")], [("material",), ("material", "end-distance"), ("objective", "end-distance")]),
+])
+def test_tables_without_being_asked(runs, factors):
+    assert usual_factors(runs) == factors
+    for by in factors:
+        assert all(len(found.parts) > 1 for found in partition(runs, by))
+
+
+@pytest.mark.parametrize(("runs", "by", "distances", "words"), [
+    ([lab("a"), replace(lab("b"), grid=grid_of(4))], ("material",), (), "b_static: grid: another grid than that of a_static"),
+    ([lab("a"), replace(lab("a"), run=Path("again"))], ("material",), (), "again: material: static a"),
+    ([lab("a"), moved("a", LABELS[::-1])], ("objective",), (), "a_dynamic: observation: other observations of a"),
+    ([lab("a", LABELS[:6]), moved("a")], ("objective",), (), "a_dynamic: observation: other observations of a"),
+    ([lab("a"), lab("b")], ("colour",), (), "by: 'colour' is no partition; give some of material, objective, end-distance"),
+    ([lab("a"), lab("b")], (), (), "by: '' is no partition"),
+    ([lab("a"), lab("b")], ("material", "material"), (), "names a factor twice"),
+    ([lab("a"), lab("b")], ("objective",), (), "by: objective makes no table of two parts"),
+    ([lab("a"), lab("b")], ("end-distance",), (30.0, 31.0), "no observation at 31 mm; choose from 30, 54, 78"),
+    ([lab("a", np.nan * LABELS)], ("end-distance",), (), "a_static: end_distance_mm: no observation has"),
+])
+def test_runs_that_cannot_be_compared_are_reported(runs, by, distances, words):
+    with pytest.raises(InputError) as problem:
+        partition(runs, by, distances)
+    assert words in str(problem.value)

@@ -8,7 +8,7 @@ import pyarrow
 import pyarrow.parquet
 import pytest
 
-from doo_ti import Axis, Grid, InputError, Status, sweep
+from doo_ti import Axis, Grid, InputError, Status, SweepOptions, sweep
 from doo_ti.learning import chunks
 from doo_ti.learning.landscape import gather_landscape, gather_overview
 from tests.learning.lab import DYNAMIC, GRID, small_lab
@@ -91,22 +91,13 @@ def test_cells_are_found_by_their_values():
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("options", [None, DYNAMIC])
-def test_a_finished_sweep_reads_no_rods(tmp_path, monkeypatch, capsys, options):
-    from doo_ti.commands.results import run_lines
-
-    chosen = {} if options is None else {"options": options}
-    summary = sweep(tmp_path / "run", small_lab(), GRID, **chosen)
-    print("\n".join(run_lines(summary)))
-    monkeypatch.setattr(chunks, "read_rows", lambda *arguments: pytest.fail("rods were read"))
-    assert sweep(tmp_path / "run", small_lab(), GRID, **chosen) == summary
-    assert f"12 cells x {summary['rods']['count'] // 12} " in capsys.readouterr().out
-
-
-@pytest.mark.thorough
-def test_a_file_that_the_sweep_did_not_write_is_not_overlooked(tmp_path):
-    sweep(tmp_path / "run", small_lab(), GRID)
+@pytest.mark.parametrize("options", [SweepOptions(), DYNAMIC])
+def test_a_finished_sweep_reads_no_rods_and_overlooks_no_file(tmp_path, monkeypatch, options):
+    summary = sweep(tmp_path / "run", small_lab(), GRID, options=options)
+    with monkeypatch.context() as patched:
+        patched.setattr(chunks, "read_rows", lambda *arguments: pytest.fail("rods were read"))
+        assert sweep(tmp_path / "run", small_lab(), GRID, options=options) == summary
     chunk = min((tmp_path / "run" / "cells").glob("*.parquet"))
     shutil.copy(chunk, chunk.with_name("copy.parquet"))
     with pytest.raises(InputError, match="once"):
-        sweep(tmp_path / "run", small_lab(), GRID)
+        sweep(tmp_path / "run", small_lab(), GRID, options=options)

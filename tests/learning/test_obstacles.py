@@ -1,17 +1,14 @@
 """Sweeps over rods that lie on a table: with the table they find the true stiffness, without it they do not."""
 
-import json
-
 import numpy as np
 import pytest
 
 from doo_ti import Axis, Descent, DistanceGrid, Grid, InputError, Observations, Pairs, Surroundings, hanging, relax, sweep
-from doo_ti.cli import main
 from doo_ti.contact.obstacles import Plane, Ring, Sphere
-from doo_ti.io.observation_files import save_observations
 from doo_ti.learning.experiment import Experiment, SweepOptions
 from doo_ti.learning.run_folder import claim, identity_of, read_experiment, read_plan
 from doo_ti.rod.types import Clamp, Material
+from tests.learning.lab import small_lab
 
 TRUE, RADIUS, HEIGHT = 2e5, 2.0, 25.0
 TABLE = Surroundings([Plane((0, 0, 0), (0, 0, 1))], RADIUS)
@@ -62,26 +59,28 @@ def test_eq_3_over_a_table(tmp_path, lying):
     assert found["best"]["bend_1"] == TRUE and found["best"]["mean_distance_mm"] < 0.1
 
 
-def test_the_identity_of_a_sweep_depends_on_its_obstacles(lying):
-    def identity(*obstacles, radius=RADIUS):
-        surroundings = Surroundings(obstacles, radius) if obstacles else Surroundings()
-        return identity_of(Experiment(lying, GRID, SweepOptions(surroundings=surroundings)))
-    table, low = Plane((0, 0, 0), (0, 0, 1)), Plane((0, 0, -1), (0, 0, 1))
-    found = [identity(), identity(table), identity(low), identity(table, low), identity(table, radius=1.5)]
-    assert len(set(found)) == 5 and identity(Plane((0, 0, 0), (0, 0, 1))) == found[1]
+def experiment(*obstacles, radius=RADIUS, **options) -> Experiment:
+    surroundings = Surroundings(obstacles, radius) if obstacles else Surroundings()
+    return Experiment(small_lab(), GRID, SweepOptions(surroundings=surroundings, **options))
 
 
-def test_obstacles_of_all_kinds_are_read_back_from_the_folder_of_a_run(tmp_path, lying):
+def test_the_identity_of_a_sweep_depends_on_its_obstacles():
+    table, low = Plane((0, 0, -900), (0, 0, 1)), Plane((0, 0, -901), (0, 0, 1))
+    found = [identity_of(one) for one in (
+        experiment(), experiment(table), experiment(low), experiment(table, low), experiment(table, radius=1.5))]
+    assert len(set(found)) == 5 and identity_of(experiment(Plane((0, 0, -900), (0, 0, 1)))) == found[1]
+
+
+def test_obstacles_of_all_kinds_are_read_back_from_the_folder_of_a_run(tmp_path):
     values = np.full((4, 4, 4), 9.0)
     values[1:3, 1:3, 1:3] = -1.0
-    around = Surroundings([Plane((0, 0, 0), (0, 0, 1), 0.3), Sphere((0, 0, -90), 5), Ring((0, 90, 0), (0, 0, 1), 9, 1),
-                           DistanceGrid(values, 5.0, (0, 0, -200))], RADIUS)
-    experiment = Experiment(lying, GRID, SweepOptions(surroundings=around))
-    claim(tmp_path / "run", identity_of(experiment), experiment)
+    around = [Plane((0, 0, -900), (0, 0, 1), 0.3), Sphere((0, 0, -900), 5), Ring((0, 900, 0), (0, 0, 1), 9, 1),
+              DistanceGrid(values, 5.0, (0, 0, -900))]
+    one = experiment(*around)
+    claim(tmp_path / "run", identity_of(one), one)
     again, identity = read_plan(tmp_path / "run")
-    assert identity == identity_of(experiment)
-    assert again.options.as_dict()["obstacles"] == experiment.options.as_dict()["obstacles"]
-    assert [type(one) for one in again.options.surroundings.obstacles] == [type(one) for one in around.obstacles]
+    assert identity == identity_of(one) and again.options.as_dict()["obstacles"] == one.options.as_dict()["obstacles"]
+    assert list(map(type, again.options.surroundings.obstacles)) == list(map(type, around))
     for damage in ("obstacles.npz", "cells/plan.json"):
         path = tmp_path / "run" / damage
         path.write_bytes(path.read_bytes().replace(b"plane", b"space") if damage.endswith("json") else b"PK")
@@ -90,28 +89,14 @@ def test_obstacles_of_all_kinds_are_read_back_from_the_folder_of_a_run(tmp_path,
         assert "\n" not in str(error.value)
 
 
-def test_rods_inside_obstacles_and_what_a_sweep_cannot_use_are_refused(lying):
-    def experiment(*obstacles, radius=RADIUS, **options):
-        return Experiment(lying, GRID, SweepOptions(surroundings=Surroundings(obstacles, radius), **options))
-    with pytest.raises(InputError, match=r"obstacles: the clamp of rod \d is 7 mm inside a Plane"):
-        experiment(Plane((0, 0, 30), (0, 0, 1)))
-    with pytest.raises(InputError, match=r"obstacles: the centreline of rod . is [\d.]+ mm inside a Plane"):
-        experiment(Plane((0, 0, 10), (0, 0, 1)))
-    with pytest.raises(InputError, match="solver: Descent cannot use obstacles"):
-        experiment(Plane((0, 0, 0), (0, 0, 1)), solver=Descent())
-    with pytest.raises(InputError, match="obstacles: other ones, or another radius, for each rod"):
-        experiment(Plane((0, 0, 0), (0, 0, 1)), radius=np.array([1.0, 2.0, 1.0, 1.0]))
-
-
-@pytest.mark.slow
-def test_the_command_takes_obstacles_and_so_does_refine(tmp_path, capsys, lying):
-    save_observations(tmp_path / "rope.npz", lying)
-    (tmp_path / "table.toml").write_text('[[obstacles]]\nkind = "plane"\npoint = [0, 0, 0]\nnormal = [0, 0, 1]\n')
-    words = ["sweep", str(tmp_path / "rope.npz"), "--out", str(tmp_path / "run"), "--bend", "1e5:4e5:3:log", "--twist", "2e5",
-             "--precision", "f64", "--obstacles", str(tmp_path / "table.toml")]
-    assert main(words) == 2
-    assert "--radius: missing beside --obstacles" in capsys.readouterr().err and not (tmp_path / "run").exists()
-    assert main([*words, "--radius", "2", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["best"]["bend_1"] == pytest.approx(TRUE)
-    assert main(["refine", str(tmp_path / "run"), "--out", str(tmp_path / "refined.json")]) == 0
-    assert (tmp_path / "refined.json").is_file()
+def test_rods_inside_obstacles_and_what_a_sweep_cannot_use_are_refused():
+    far = Plane((0, 0, -900), (0, 0, 1))
+    with pytest.raises(InputError, match=r"obstacles: the clamp of rod \d is .* mm inside a Plane"):
+        experiment(Plane((0, 0, 900), (0, 0, 1)))
+    middle = small_lab().vertices[:, 16]
+    with pytest.raises(InputError, match=r"obstacles: the centreline of rod . is [\d.]+ mm inside a Sphere"):
+        experiment(Sphere(middle[0], 3.0))
+    with pytest.raises(InputError, match="solver: Descent"):
+        experiment(far, solver=Descent())
+    with pytest.raises(InputError, match="obstacles: .* for each rod"):
+        experiment(far, radius=np.linspace(1.0, 2.0, 6))

@@ -24,10 +24,12 @@ def folder(tmp_path_factory):
     return folder
 
 
-def printed(folder, name: str, monkeypatch, capsys) -> str:
+def printed(folder, word: str, monkeypatch, capsys) -> str:
+    """What the example prints whose heading has that word."""
+    example, = (text for heading, text in EXAMPLES.items() if word in heading)
     monkeypatch.chdir(folder)
     capsys.readouterr()
-    exec(EXAMPLES[name], {})
+    exec(example, {})
     return capsys.readouterr().out
 
 
@@ -41,8 +43,7 @@ def test_the_example_finds_the_best_cell(folder, monkeypatch, capsys):
 
 @pytest.mark.thorough
 def test_the_maker_of_each_file_is_printed(folder, monkeypatch, capsys):
-    name, = (heading for heading in EXAMPLES if "who made it" in heading)
-    out = printed(folder, name, monkeypatch, capsys)
+    out = printed(folder, "who made it", monkeypatch, capsys)
     summary = json.loads((folder / "runs" / "silk" / "summary.json").read_text())
     assert f"72 {summary['provenance']['sweep_sha256'][:8]} {maker()['doo_ti']}" in out
 

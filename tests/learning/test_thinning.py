@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.learning.figure_rods import thinned
+from doo_ti.learning.figures import thinned
 
 
 @pytest.mark.parametrize("shape", [(25, 25, 1), (50, 50, 1), (7, 1, 1), (12, 9, 30, 2), (1, 1, 1)])

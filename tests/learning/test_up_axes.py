@@ -17,14 +17,12 @@ SHARED = (
         "02_cable", "05_cable", "08_cable", "12_suture", "14_suture", "16_suture", "19_suture")))
 
 
-def hanging(rng, up: np.ndarray, stiffness: float, count: int = 10, planar: bool = False) -> Observations:
+def hanging(rng, up: np.ndarray, stiffness: float, count: int = 10) -> Observations:
     """Marks of a metre of cable of B/(2 μ L³) = ``stiffness`` between grippers at different places and tilts, off by 0.5 mm."""
     edges, length = 20, 1000.0
     start, side = np.zeros((count, 3)), np.array([1.0, 0.0, 0.0])
     end = np.array([500.0, 0.0, 0.0]) + rng.uniform(-200, 200, (count, 3))
     tangents = side + 0.8 * rng.normal(size=(2, count, 3))
-    if planar:
-        end[:, 1] = tangents[..., 1] = 0.0
     frames = [bishop_frames(t[:, None] / np.linalg.norm(t, axis=-1)[:, None, None], np.cross(t, [0.3, 0.9, 0.2]))[:, 0]
               for t in tangents]
     clamps = Clamps(Clamp.TANGENT, Clamp.TANGENT, start, end, *frames)
@@ -42,6 +40,7 @@ def judged(observations: Observations, up: np.ndarray):
     return other_up(observations, observation_clamps(observations), up)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("right, given", [("y", "z"), ("-x", "y"), ("z", "-z")])
 def test_a_wrong_axis_is_found_out_and_the_right_one_is_named(rng, right, given):
     seen = hanging(rng, AXES[right], 5e-3)
@@ -51,24 +50,20 @@ def test_a_wrong_axis_is_found_out_and_the_right_one_is_named(rng, right, given)
     assert judged(seen, AXES[right]) is None
 
 
+@pytest.mark.thorough
 def test_a_tilt_of_the_right_axis_is_no_other_axis(rng):
-    seen = hanging(rng, AXES["z"], 5e-3)
-    assert judged(seen, np.array([0.1, -0.15, 0.98])) is None
+    assert judged(hanging(rng, AXES["z"], 5e-3), np.array([0.1, -0.15, 0.98])) is None
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("given", ["x", "y", "z", "-z"])
 def test_rods_that_hardly_feel_their_weight_name_no_axis(rng, given):
     assert judged(hanging(rng, AXES["z"], 30.0), AXES[given]) is None
 
 
+@pytest.mark.thorough
 def test_one_observation_is_not_enough(rng):
-    seen = hanging(rng, AXES["z"], 0.3).take([0])
-    assert judged(seen, AXES["z"]) is None
-
-
-def test_the_same_observations_give_the_same_answer(rng):
-    seen = hanging(rng, AXES["y"], 5e-3)
-    assert judged(seen, AXES["z"]) == judged(seen, AXES["z"])
+    assert judged(hanging(rng, AXES["z"], 0.3).take([0]), AXES["z"]) is None
 
 
 @pytest.mark.thorough

@@ -13,6 +13,7 @@ SHIFTS = np.linspace(0, 1, 5)[:, None] * [-6.0, 3.0, 2.0]
 LOSSES = Dynamics(bend_damping=0.01, drag=1.0)
 
 
+@pytest.mark.thorough
 def test_a_slow_motion_is_that_of_statics():
     rods, clamps = bows(MATERIAL)
     path = replace(line(clamps, *SHIFTS), end_rotation=np.radians(40.0) * np.arange(5)[:, None])

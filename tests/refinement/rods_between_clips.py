@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from doo_ti import Observations, Theta, observation_clamps
 from doo_ti.io.scene import Synthesis
@@ -34,3 +35,11 @@ def model(rod: HeldRod, parameters=("bend", "twist"), with_frames: bool = False,
     names = unknowns.scale_names | {"marks", "gap"} | ({"frames"} if with_frames else set())
     scales = typical_scales(rod.length, 3.0, names, {})
     return Comparison.of(unknowns, with_frames), replace(scales, value=scales.value * np.linspace(0.7, 1.4, len(scales.value)))
+
+
+def assert_gradient(posterior, scales: Scales) -> None:
+    """The gradient of ``posterior(scales)`` by the logarithms of the sizes is that of its value, by differences."""
+    for k, slope in enumerate(posterior(scales).gradient):
+        step = 1e-5 * np.eye(len(scales.free))[k]
+        above, below = (posterior(scales.at(scales.free + sign * step)).value for sign in (1, -1))
+        assert slope == pytest.approx((above - below) / 2e-5, rel=1e-5, abs=1e-3)

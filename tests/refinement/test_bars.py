@@ -1,14 +1,13 @@
-"""Refinement against what it has to reach: rods of its own mesh, rods of an independent solver, the lab, a real cable."""
+"""Refinement against what it has to reach: rods of an independent solver, the lab, a real cable."""
 
 import json
 import subprocess
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from doo_ti import RefinementOptions, Theta, load_observations, observation_clamps, refine, relax
+from doo_ti import RefinementOptions, Theta, load_observations, observation_clamps
 from doo_ti.refinement.folds import folds_of, refine_held_out
 from tests.relaxation.lab import SUTURES, lab
 
@@ -28,18 +27,6 @@ def fitted(observations, folder, *known) -> dict[str, dict]:
 def holds(parameter: dict, truth: float) -> bool:
     low, high = parameter["low"], parameter["high"]
     return (low is None or low <= truth) and (high is None or truth <= high)
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("name", SUTURES)
-def test_rods_of_the_model_s_own_mesh_give_their_theta_back(laboratory, name):
-    """Without noise, straight, clips known: to 0.1 %."""
-    rods = lab(laboratory, name)
-    clean = relax(rods.start, rods.material(), rods.clamps).configuration.vertices
-    options = RefinementOptions(clip=1.5, curvature="none", clamps="exact", edges=33, intervals="covariance")
-    begin = Theta(1.4 * rods.bend, 0.8 * rods.twist)
-    found = refine(replace(rods.observations, vertices=clean), rods.clamps, begin, options).theta
-    assert (found.bend[0, 0], found.twist) == pytest.approx((rods.bend[0, 0], rods.twist), rel=1e-3)
 
 
 @pytest.mark.slow

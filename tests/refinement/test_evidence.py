@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize, rosen, rosen_der
 from scipy.stats import multivariate_normal
 
 from doo_ti import Newton
-from doo_ti.refinement.evidence import Evidence, effect_scales
+from doo_ti.refinement.evidence import Evidence, effect_scales, minimised
 from doo_ti.refinement.fit import Fit
-from tests.refinement.rods_between_clips import TRUTH, held, model, suture
+from tests.refinement.rods_between_clips import TRUTH, assert_gradient, held, model, suture
 
 
 @pytest.fixture(scope="module")
@@ -72,28 +73,28 @@ def test_it_is_the_density_of_the_residuals(linear_model):
 
 def test_its_gradient(linear_model):
     evidence, _, scales = linear_model
-    gradient = evidence.posterior(scales).gradient
-    for k in range(len(scales.free)):
-        step = 1e-5 * np.eye(len(scales.free))[k]
-        above, below = (evidence.posterior(scales.at(scales.free + sign * step)).value for sign in (1, -1))
-        assert gradient[k] == pytest.approx((above - below) / 2e-5, rel=1e-5, abs=1e-3)
+    assert_gradient(evidence.posterior, scales)
 
 
 def test_the_best_sizes_leave_no_slope(linear_model):
     evidence, _, scales = linear_model
     best = evidence.best(scales)
     assert evidence.posterior(best).value < evidence.posterior(scales).value
-    inside = [low + 1e-6 < now < high - 1e-6 for now, (low, high) in zip(best.free, best.bounds, strict=True)]
+    inside = [low + 1e-6 < now < high - 1e-6 for now, (low, high) in zip(best.free, np.transpose(best.bounds), strict=True)]
     assert np.abs(evidence.posterior(evidence.best(best)).gradient[inside]).max() < 0.5
+
+
+def without(linear, d: int):
+    """The residuals of all observations but ``d``."""
+    return tuple(replace(kind, **{name: np.delete(getattr(kind, name), d, axis=0)
+                                  for name in ("values", "shared", "effects", "count")}) for kind in linear)
 
 
 def test_steps_without_each_observation(linear_model):
     evidence, linear, scales = linear_model
     found = evidence.without_each(linear, scales)
     for d in range(len(found)):
-        others = tuple(replace(kind, **{name: np.delete(getattr(kind, name), d, axis=0)
-                                        for name in ("values", "shared", "effects", "count")}) for kind in linear)
-        alone = Evidence.of(evidence.unknowns, others, evidence.offset).posterior(scales)
+        alone = Evidence.of(evidence.unknowns, without(linear, d), evidence.offset).posterior(scales)
         np.testing.assert_allclose(found[d], alone.step, rtol=1e-6, atol=1e-9)
 
 
@@ -116,7 +117,36 @@ def test_left_out_is_the_decrease_of_the_evidence(linear_model):
     seen, mean, spread = dense(evidence, linear, scales)
     every = multivariate_normal(mean, spread, allow_singular=True).logpdf(seen)
     for d in range(len(own)):
-        others = tuple(replace(kind, **{name: np.delete(getattr(kind, name), d, axis=0)
-                                        for name in ("values", "shared", "effects", "count")}) for kind in linear)
-        rest = dense(evidence, others, scales)
+        rest = dense(evidence, without(linear, d), scales)
         assert own[d] == pytest.approx(every - multivariate_normal(*rest[1:], allow_singular=True).logpdf(rest[0]), rel=1e-5)
+
+
+# --- the search for the sizes ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("bounds", [(np.full(3, -np.inf), np.full(3, np.inf)), (np.full(3, -2.0), np.array([0.8, 2.0, 2.0]))])
+def test_the_minimum_is_that_of_scipy(bounds):
+    x, hessian = minimised(lambda x: (rosen(x), rosen_der(x)), np.array([-0.5, 0.5, 0.5]), bounds, np.eye(3), 200, 1e-12)
+    expected = minimize(rosen, [-0.5, 0.5, 0.5], jac=rosen_der, method="L-BFGS-B", bounds=list(zip(*bounds, strict=True)),
+                        options={"ftol": 1e-14, "gtol": 1e-10})
+    np.testing.assert_allclose(x, expected.x, atol=1e-4)
+    np.linalg.cholesky(hessian)
+
+
+def test_a_right_hessian_needs_one_step():
+    matrix, calls = np.array([[3.0, 1.0], [1.0, 2.0]]), []
+
+    def function(x):
+        calls.append(x)
+        return 0.5 * x @ matrix @ x, matrix @ x
+
+    x, hessian = minimised(function, np.array([0.4, -0.7]), (np.full(2, -9.0), np.full(2, 9.0)), matrix, 20, 1e-6)
+    np.testing.assert_allclose(x, 0.0, atol=1e-12)
+    np.testing.assert_allclose(hessian, matrix, atol=1e-12)
+    assert len(calls) == 2
+
+
+def test_a_variable_at_its_bound_stays_where_the_function_falls_beyond():
+    x, _ = minimised(lambda x: (x @ x, 2 * x), np.array([1.0, 1.0]), (np.array([1.0, -1.0]), np.full(2, 2.0)), np.eye(2), 20,
+                     1e-9)
+    np.testing.assert_allclose(x, [1.0, 0.0], atol=1e-4)

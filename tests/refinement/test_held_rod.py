@@ -41,8 +41,7 @@ def test_marks_are_interpolated_to_the_third_order():
     for power in range(4):
         np.testing.assert_allclose(weights @ mesh.place**power, np.linspace(8.0, 90.0, 17) ** power, rtol=1e-10)
     np.testing.assert_allclose(slopes @ mesh.place, mesh.edge, rtol=1e-10)
-    inside = mesh.at(np.array([0.0, 1.0]))[0]
-    np.testing.assert_allclose(inside @ mesh.place, [0.0, 1.0], atol=1e-12)
+    np.testing.assert_allclose(mesh.at(np.array([0.0, 1.0]))[0] @ mesh.place, [0.0, 1.0], atol=1e-12)
 
 
 def test_turns_and_their_jacobian(rng):

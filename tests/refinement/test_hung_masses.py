@@ -84,8 +84,10 @@ def test_a_body_that_is_not_said_is_taken_for_softness(marks, capsys):
 @pytest.mark.parametrize(("words", "field"), [
     (["--mass", "10:10"], "--mass"), (["--mass", "99:10", "--linear-density", "40"], "--mass"),
     (["--mass", "3:-1", "--linear-density", "40"], "--mass"), (["--mass", "none.npz", "--linear-density", "40"], "none.npz")])
-def test_what_is_wrong_is_said_in_a_line(marks, words, field, capsys):
-    material = ["--bend", "1e6", "--twist", "1e6"]
-    assert main(["refine", str(marks / "marks.npz"), *material, *words]) == 2
+def test_what_is_wrong_is_said_in_a_line(tmp_path, words, field, capsys):
+    angle = np.linspace(0, 1, MARKS)
+    arc = np.stack([np.sin(angle), 0 * angle, np.cos(angle)], axis=1)
+    np.savez(tmp_path / "marks.npz", vertices_mm=1e3 * LENGTH * arc[None])
+    assert main(["refine", str(tmp_path / "marks.npz"), "--bend", "1e6", "--twist", "1e6", *words]) == 2
     error = capsys.readouterr().err.strip().splitlines()
     assert len(error) == 1 and field in error[0]

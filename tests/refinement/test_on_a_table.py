@@ -10,15 +10,11 @@ from doo_ti import Axis, Clamp, Grid, InputError, Plane, RefinementOptions, Surr
 from doo_ti.cli import main
 from doo_ti.refinement.plan import plan
 from doo_ti.rod.start import observation_clamps
+from tests.refinement.rods_between_clips import TRUTH, suture
 from tools.studies.table_study import GUESS, TABLE, specimen
 
 SIMPLE = RefinementOptions(curvature="none", clamps="exact")
-TABLE_FILE = """
-[[obstacles]]
-kind = "plane"
-point = [0, 0, 0]
-normal = [0, 0, 1]
-"""
+TABLE_FILE = '[[obstacles]]\nkind = "plane"\npoint = [0, 0, 0]\nnormal = [0, 0, 1]\n'
 
 
 @pytest.fixture(scope="module")
@@ -45,51 +41,39 @@ def test_without_the_table_they_do_not(rope):
 
 
 @pytest.mark.thorough
-def test_the_command_takes_the_table(rope, tmp_path, capsys):
+def test_commands_take_the_table_and_the_run_of_a_sweep_keeps_it(rope, tmp_path, capsys):
     observations, truth = rope
+    path, run = str(tmp_path / "rope.npz"), str(tmp_path / "run")
     save_observations(tmp_path / "rope.npz", observations)
     (tmp_path / "table.toml").write_text(TABLE_FILE)
-    words = ["refine", str(tmp_path / "rope.npz"), "--bend", "3e5", "--twist", "3e5", "--rest-curvature", "none", "--clamps",
-             "exact", "--no-models", "--json"]
-    assert main([*words, "--obstacles", str(tmp_path / "table.toml"), "--radius", "2"]) == 0
-    (found,) = json.loads(capsys.readouterr().out)
-    bend = next(one for one in found["parameters"] if one["name"] == "bend")
-    assert bend["low"] < truth["bend"] < bend["high"]
-    assert found["obstacles"]["kinds"] == ["plane"] and found["obstacles"]["radius_mm"] == 2.0
-    for more, message in ((["--radius", "2"], "--radius: given without --obstacles"),
-                          (["--obstacles", str(tmp_path / "table.toml")], "--radius: missing beside --obstacles"),
-                          (["--obstacles", str(tmp_path / "table.toml"), "--radius", "40"], "inside a Plane")):
-        assert main([*words, *more]) == 2
+    obstacles, radius = ["--obstacles", str(tmp_path / "table.toml")], ["--radius", "2"]
+    model = ["--rest-curvature", "none", "--clamps", "exact", "--no-models"]
+    assert main(["sweep", path, "--bend", "5e4:2e5:3", "--twist", "5e4", *obstacles, *radius, "--out", run, "--precision",
+                 "f64"]) == 0
+    of_file, of_run = ["refine", path, "--bend", "3e5", "--twist", "3e5", *model], ["refine", run, "--starts", "1", *model]
+    for words in ([*of_file, *obstacles, *radius], of_run):
+        capsys.readouterr()
+        assert main([*words, "--json"]) == 0
+        (found,) = json.loads(capsys.readouterr().out)
+        bend = next(one for one in found["parameters"] if one["name"] == "bend")
+        assert bend["low"] < truth["bend"] < bend["high"]
+        assert found["obstacles"]["kinds"] == ["plane"] and found["obstacles"]["radius_mm"] == 2.0
+    for words, field in (([*of_file, *radius], "--radius: "), ([*of_file, *obstacles], "--radius: "),
+                         ([*of_file, *obstacles, "--radius", "40"], "inside a Plane"),
+                         ([*of_run, *obstacles], "--obstacles: ")):
+        assert main(words) == 2
         error = capsys.readouterr().err
-        assert message in error and error.count("\n") == 1
+        assert field in error and error.count("\n") == 1
+
+
+def test_rods_inside_obstacles_are_refused():
+    seen = suture(1)
+    deep = Surroundings([Plane((0, 0, 200), (0, 0, 1))], 2.0)
+    with pytest.raises(InputError, match=r"rod \d is .* mm inside a Plane"):
+        refine(seen, observation_clamps(seen), TRUTH, RefinementOptions(surroundings=deep))
 
 
 @pytest.mark.thorough
-def test_a_run_with_a_table_is_refined_with_it(rope, tmp_path, capsys):
-    observations, truth = rope
-    save_observations(tmp_path / "rope.npz", observations)
-    (tmp_path / "table.toml").write_text(TABLE_FILE)
-    around = ["--obstacles", str(tmp_path / "table.toml"), "--radius", "2"]
-    run = str(tmp_path / "run")
-    assert main(["sweep", str(tmp_path / "rope.npz"), "--bend", "5e4:2e5:3", "--twist", "5e4", *around, "--out", run,
-                 "--precision", "f64"]) == 0
-    capsys.readouterr()
-    words = ["refine", run, "--starts", "1", "--rest-curvature", "none", "--clamps", "exact", "--no-models"]
-    assert main([*words, "--json"]) == 0
-    (found,) = json.loads(capsys.readouterr().out)
-    bend = next(one for one in found["parameters"] if one["name"] == "bend")
-    assert bend["low"] < truth["bend"] < bend["high"] and found["obstacles"]["radius_mm"] == 2.0
-    assert main([*words, *around]) == 2
-    assert "--obstacles: given, but" in capsys.readouterr().err
-
-
-def test_rods_inside_obstacles_are_refused(rope):
-    observations, _ = rope
-    deep = Surroundings([Plane((0, 0, 10), (0, 0, 1))], 2.0)
-    with pytest.raises(InputError, match="rod 3 is .* mm inside a Plane"):
-        refine(observations, observation_clamps(observations), GUESS, RefinementOptions(surroundings=deep))
-
-
 def test_a_plan_with_the_table_is_another(rope):
     observations, truth = rope
     observations = observations.take(np.arange(3))

@@ -26,7 +26,7 @@ def seen() -> Observations:
 
 @pytest.fixture(scope="module")
 def found(seen):
-    return refine(seen, observation_clamps(seen), BEGIN)
+    return refine(seen, observation_clamps(seen), BEGIN, RefinementOptions(models=True))
 
 
 def own_mesh(rng, count: int = 12, edges: int = 14, bend: float = 3e4, **theta) -> tuple[Observations, Theta]:
@@ -52,17 +52,6 @@ def test_noise_free_straight_rods_between_known_clips_give_their_theta_back(rng)
     assert out.theta.twist == pytest.approx(truth.twist, rel=1e-4)
 
 
-def test_clips_that_end_at_the_outer_marks(rng):
-    """Of length zero, though they hold half an edge: the evidence is for clips of unknown length."""
-    observations, truth = own_mesh(rng, count=6)
-    options = RefinementOptions(clip=0.0, curvature="none", clamps="exact", edges=14, intervals="covariance")
-    out = refine(observations, observation_clamps(observations), Theta(truth.bend, truth.twist), options)
-    assert out.converged and np.isfinite(out.mean_distance)
-    assert "clip=unknown" in {one.option for one in out.adequacy.advice}
-    with pytest.raises(InputError, match="clip"):
-        refine(observations, observation_clamps(observations), Theta(truth.bend, truth.twist), replace(options, clip=-1.0))
-
-
 @pytest.mark.thorough
 def test_marks_in_a_wrong_order_are_named(rng):
     """The reverse order of evenly spaced marks on a straight rod is right as well."""
@@ -78,6 +67,7 @@ def test_marks_in_a_wrong_order_are_named(rng):
     assert "5 and 9" in out.mislabelled[0].text
 
 
+@pytest.mark.thorough
 def test_uniform_curvature_and_up_come_back(rng):
     up = np.array([0.05, -0.08, 1.0]) / np.sqrt(1.0089)
     observations, truth = own_mesh(rng, rest_curvature=np.array([4e-3, -2e-3]), up=up)
@@ -112,13 +102,8 @@ def test_intervals_hold_the_truth_of_a_curved_rod_between_clips(found):
     assert found.mesh_error < NOISE
     outline = found.estimate.region("bend", "twist")
     assert outline[:, 0].min() < found.theta.bend[0, 0] < outline[:, 0].max()
-
-
-@pytest.mark.thorough
-def test_straight_rods_fit_worse(seen):
-    out = refine(seen, observation_clamps(seen), BEGIN, replace(QUICK, models=True))
-    scores = {score.model: score for score in out.scores}
-    assert scores["straight"].difference < -5 * scores["straight"].error
+    straight, = (score for score in found.scores if score.model == "straight")
+    assert straight.difference < -5 * straight.error
 
 
 @pytest.mark.thorough
@@ -136,10 +121,6 @@ def test_stated_errors_of_frames_are_taken(seen):
     tight, learned = (refine(seen, clamps, BEGIN, replace(QUICK, frame_error=error)) for error in ((0.05, 1e-3), None))
     assert tight.estimate.scales["turn_scatter"] == 1e-3 and learned.estimate.scales["turn_scatter"] != 1e-3
     assert holds(tight.estimate.parameter("bend"), BEND)
-    for wrong, options in ((InputError, replace(QUICK, frame_error=(0.0, 1.0))),
-                           (InputError, replace(QUICK, frame_error=(1.0, 1.0), clamps="exact"))):
-        with pytest.raises(wrong, match="frame_error"):
-            refine(seen, clamps, BEGIN, options)
 
 
 @pytest.mark.thorough
@@ -154,7 +135,7 @@ def test_whole_turns_that_nobody_measured_are_found(factor):
 
 
 def test_what_a_model_lacks_is_named(seen):
-    poor = replace(QUICK, curvature="none", clip=1.0, clamps="exact")
+    poor = replace(QUICK, curvature="none", clip=0.0, clamps="exact")
     out = refine(seen, observation_clamps(seen), BEGIN, poor)
     assert not out.adequacy.reaches_noise and out.adequacy.gap > NOISE
     options = " ".join(one.option for one in out.adequacy.advice)
@@ -164,13 +145,9 @@ def test_what_a_model_lacks_is_named(seen):
 @pytest.mark.thorough
 def test_parameters_that_say_nothing_change_nothing_else(seen, found):
     """Gravity's direction and a full B of a round rod, which the data determine well enough to leave alone."""
-    widths = {}
-    for parameters in (("bend", "twist"), ("bend", "twist", "up")):
-        out = refine(seen, observation_clamps(seen), BEGIN, replace(QUICK, parameters=parameters))
-        widths[parameters] = {p.name: p.error for p in out.estimate.parameters}
-    plain, more = widths.values()
-    assert more["clip_start"] == pytest.approx(plain["clip_start"], rel=0.1)
-    assert more["twist_ratio"] == pytest.approx(plain["twist_ratio"], rel=0.1)
+    out = refine(seen, observation_clamps(seen), BEGIN, replace(QUICK, parameters=("bend", "twist", "up")))
+    for name in ("clip_start", "twist_ratio"):
+        assert out.estimate.parameter(name).error == pytest.approx(found.estimate.parameter(name).error, rel=0.1)
 
 
 @pytest.mark.thorough
@@ -180,11 +157,10 @@ def test_a_parameter_the_rods_do_not_feel_changes_no_interval(rng):
     observations = replace(rods, vertices=rods.vertices + 0.02 * rng.normal(size=rods.vertices.shape), start_frame=None,
                            end_frame=None)
     clamps = observation_clamps(observations)
-    with_twist, without = (refine(observations, clamps, truth, RefinementOptions(names, curvature="none"))
+    with_twist, without = (refine(observations, clamps, truth, RefinementOptions(names, curvature="none")).estimate
                            for names in (("bend", "twist"), ("bend",)))
-    assert with_twist.estimate.left_open and "twist" in with_twist.estimate.left_open
-    own, alone = (out.estimate.parameter("bend") for out in (with_twist, without))
-    assert own.error == pytest.approx(alone.error, rel=0.1)
+    assert "twist" in with_twist.left_open
+    assert with_twist.parameter("bend").error == pytest.approx(without.parameter("bend").error, rel=0.1)
 
 
 @pytest.mark.thorough
@@ -224,14 +200,6 @@ def test_rods_without_an_equilibrium_do_not_count(seen):
     assert out.status[2] == Status.INFEASIBLE and np.isnan(out.distance[2]) and np.isfinite(out.mean_distance)
     with pytest.raises(InputError, match="no rod is converged"):
         refine(seen, replace(clamps, end_position=apart + [500.0, 0.0, 0.0]), BEGIN, QUICK)
-
-
-@pytest.mark.thorough
-def test_the_same_input_gives_the_same_output(seen):
-    few = seen.take(np.arange(6))
-    first, second = (refine(few, observation_clamps(few), BEGIN, QUICK) for _ in range(2))
-    np.testing.assert_array_equal(first.theta.bend, second.theta.bend)
-    np.testing.assert_array_equal(first.estimate.covariance, second.estimate.covariance)
 
 
 @pytest.mark.thorough
@@ -303,17 +271,19 @@ def test_wrong_options_are_refused(seen):
     clamps = observation_clamps(seen)
     for change, word in ((dict(frame_weight=5.0), "frame"), (dict(clip=60.0), "clip"), (dict(curvature="bent"), "curvature"),
                          (dict(parameters=("bent",)), "'bent' is unknown"), (dict(parameters=("bend", "bend_1")), "bend_1"),
-                         (dict(edges=2), "edges"), (dict(intervals="none"), "intervals")):
+                         (dict(edges=2), "edges"), (dict(intervals="none"), "intervals"),
+                         (dict(frame_error=(0.0, 1.0)), "frame_error"),
+                         (dict(frame_error=(1.0, 1.0), clamps="exact"), "frame_error"), (dict(clip=-1.0), "clip")):
         with pytest.raises(InputError, match=word):
             refine(seen, clamps, BEGIN, replace(QUICK, **change))
 
 
+@pytest.mark.thorough
 def test_clips_have_intervals_in_mm_however_wide():
     """The end of a clip is a length: that it may be off by more than the logarithm of a factor of a thousand says nothing."""
     angle = np.linspace(0.0, 1.0, 9)[:, None] * np.array([0.5, 0.8, 1.1])
     arcs = np.stack([np.sin(angle), 0 * angle, 1 - np.cos(angle)], axis=-1).swapaxes(0, 1)
-    marks = 600.0 / angle[-1, :, None, None] * arcs
-    observations = Observations(marks)
+    observations = Observations(600.0 / angle[-1, :, None, None] * arcs)
     out = refine(observations, observation_clamps(observations), Theta(1e7 * np.eye(2), 1e7),
                  replace(QUICK, parameters=("bend",), curvature="none", iterations=2))
     clip = out.estimate.parameter("clip_start")

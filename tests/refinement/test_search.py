@@ -5,16 +5,29 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Observations, Theta, observation_clamps
+from doo_ti import Newton, Observations, Theta, observation_clamps
 from doo_ti.refinement.estimate import Interval
 from doo_ti.refinement.fit import Fit, State
 from doo_ti.refinement.priors import Scales, typical_scales
-from doo_ti.refinement.refine import RefinementOptions, _finished, _optima, first_edges, refine
+from doo_ti.refinement.refine import RefinementOptions, finished, first_edges, optima, refine
 from doo_ti.refinement.residuals import Comparison
-from doo_ti.refinement.turns import turns_chosen_again, twisted
-from doo_ti.refinement.unknowns import Unknowns
+from doo_ti.refinement.search import turns_chosen_again, twisted
+from doo_ti.refinement.unknowns import Unknowns, Values
 from tests.io.rods import joint_twist
 from tests.refinement.rods_between_clips import TRUTH, held, suture
+
+
+def fit_of(seen: Observations) -> tuple[Fit, Values, Scales]:
+    """The fit of bend and twist, and where it begins."""
+    unknowns = Unknowns(held(seen), ("bend", "twist"))
+    spacing = float(seen.rest_length[0])
+    scales = typical_scales(unknowns.rod.length, spacing, unknowns.scale_names | {"marks", "gap"}, {})
+    values = unknowns.begun(TRUTH, unknowns.clip_prior)
+    return Fit(Comparison.of(unknowns, False), values, Newton()), values, scales
+
+
+def _twist(state: State) -> np.ndarray:
+    return joint_twist(state.solution.configuration.quaternions).sum(axis=1)
 
 
 @pytest.mark.thorough
@@ -22,8 +35,8 @@ def test_a_converged_fit_is_at_rest_in_every_observation():
     """While the clamps of a single observation still move, the evidence is not that of the optimum."""
     seen = replace(suture(), start_frame=None, end_frame=None, total_twist=None)
     options = RefinementOptions(curvature="field")
-    for found in _optima(seen, observation_clamps(seen), (TRUTH,), options):
-        one = _finished(found, options)
+    for found in optima(seen, observation_clamps(seen), (TRUTH,), options):
+        one = finished(found, options)
         assert found.fitted.converged and one.fitted.converged
         further = one.fit.run(one.fitted.state, 12)
         assert further.posterior.value == pytest.approx(one.fitted.posterior.value, abs=0.5)
@@ -32,10 +45,7 @@ def test_a_converged_fit_is_at_rest_in_every_observation():
 @pytest.mark.thorough
 def test_turns_that_were_measured_are_returned_to():
     seen = suture()
-    unknowns = Unknowns(held(seen), ("bend", "twist"))
-    scales: Scales = typical_scales(unknowns.rod.length, 3.0, unknowns.scale_names | {"marks", "gap"}, {})
-    values = unknowns.begun(TRUTH, unknowns.clip_prior)
-    fit = Fit(Comparison.of(unknowns, False), values, RefinementOptions().solver)
+    fit, values, scales = fit_of(seen)
     begun = fit.from_marks(values, scales)
     measured = _twist(begun)
     wrong = fit.merged(begun, fit.from_marks(values, scales, turn=1), np.arange(seen.count) == 4)
@@ -47,10 +57,7 @@ def test_turns_that_were_measured_are_returned_to():
 def test_fits_begin_with_the_least_twist_too():
     """Between marks far apart a soft rod with a turn more looks the same, and would confirm its softness."""
     seen = replace(suture(), total_twist=None)
-    unknowns = Unknowns(held(seen), ("bend", "twist"))
-    scales = typical_scales(unknowns.rod.length, 3.0, unknowns.scale_names | {"marks", "gap"}, {})
-    values = unknowns.begun(TRUTH, unknowns.clip_prior)
-    least = next(iter(twisted(Fit(Comparison.of(unknowns, False), values, RefinementOptions().solver), values, scales)))
+    least = next(iter(twisted(*fit_of(seen))))
     assert np.abs(_twist(least)).max() < np.pi + 0.5
 
 
@@ -66,16 +73,9 @@ def test_twists_do_not_follow_the_guessed_place_of_a_missing_outer_mark():
     vertices, rest = turned.vertices[:, ::6].copy(), turned.rest_length[:30].reshape(-1, 6).sum(axis=1)
     vertices[::2, -1] = vertices[1::3, 0] = np.nan
     seen = replace(turned, vertices=vertices, rest_length=rest, valid=np.isfinite(vertices).all(axis=-1), total_twist=None)
-    unknowns = Unknowns(held(seen), ("bend", "twist"))
-    scales = typical_scales(unknowns.rod.length, 18.0, unknowns.scale_names | {"marks", "gap"}, {})
-    values = unknowns.begun(TRUTH, np.full(2, 1.5))
-    begun = Fit(Comparison.of(unknowns, False), values, RefinementOptions().solver).begin(values, scales)
+    fit, values, scales = fit_of(seen)
+    begun = fit.begin(replace(values, clip=np.full(2, 1.5)), scales)
     np.testing.assert_allclose(_twist(begun), turned.total_twist, atol=1.0)
-
-
-def _twist(state: State) -> np.ndarray:
-    return joint_twist(state.solution.configuration.quaternions).sum(axis=1)
-
 
 
 def test_intervals_contain_those_of_other_optima():

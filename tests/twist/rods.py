@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from doo_ti import Material, Observations, relax
-from doo_ti.prediction.predict import total_twist
+from doo_ti.rod.frames import total_twist
 from tests.references.rods import chain, clamps_at, stacked
 
 MATERIAL = Material(6e5, 4e5)

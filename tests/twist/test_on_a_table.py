@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti import InputError, Material, Plane, Surroundings, end_offsets, save_observations
+from doo_ti import Material, end_offsets, save_observations
 from doo_ti.cli import main
 from doo_ti.twist.estimation import TwistOptions, TwistVerdict, estimate_twist
 from tools.studies.table_study import TABLE, specimen
@@ -17,6 +17,7 @@ def rope():
     return observations, Material(truth["bend"], truth["twist"]), group, end_offsets(observations, group)
 
 
+@pytest.mark.thorough
 def test_with_the_table_the_twist_is_found_and_without_it_not(rope):
     found = estimate_twist(*rope, TwistOptions(surroundings=TABLE))
     without = estimate_twist(*rope)
@@ -25,12 +26,7 @@ def test_with_the_table_the_twist_is_found_and_without_it_not(rope):
     assert without.verdict == [TwistVerdict.AT_BORDER] and without.least[0] > 10 * found.least[0]
 
 
-def test_rods_inside_obstacles_are_refused(rope):
-    deep = Surroundings([Plane((0, 0, 10), (0, 0, 1))], 2.0)
-    with pytest.raises(InputError, match="inside a Plane"):
-        estimate_twist(*rope, TwistOptions(surroundings=deep))
-
-
+@pytest.mark.thorough
 def test_the_command_takes_the_table(rope, tmp_path, capsys):
     observations, material, _, _ = rope
     save_observations(tmp_path / "rope.npz", observations)

@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from doo_ti import Clamp, InputError, Material, Observations, consecutive_groups, distance, end_offsets, relax
-from doo_ti.prediction.predict import total_twist
-from doo_ti.rod.frames import angle_about
+from doo_ti import Clamp, InputError, Material, Observations, Plane, Surroundings, distance, relax
+from doo_ti.rod.frames import angle_about, total_twist
 from doo_ti.rod.start import held_spins, observation_clamps, start_configuration
+from doo_ti.twist.curves import consecutive_groups, end_offsets
 from doo_ti.twist.estimation import TwistOptions, TwistVerdict, estimate_twist
 from tests.references.rods import chain
 from tests.twist.rods import EDGES, MATERIAL, twisted_rods
@@ -19,6 +20,11 @@ def made():
     return twisted_rods()
 
 
+def about_tangent(angle) -> np.ndarray:
+    """(…, 3, 3) turns of a frame about its tangent."""
+    return Rotation.from_rotvec(np.multiply.outer(angle, [1.0, 0, 0])).as_matrix()
+
+
 def test_one_configuration_gives_its_total_twist(made):
     """φ is the total twist, whole turns included, whatever the file says of end frames and twist."""
     estimate = estimate_twist(made, MATERIAL)
@@ -27,21 +33,15 @@ def test_one_configuration_gives_its_total_twist(made):
     assert (estimate.verdict == TwistVerdict.CLEAR).all() and estimate.unsound.sum() == 0
     assert ((estimate.low <= estimate.phi) & (estimate.phi <= estimate.high)).all()
     np.testing.assert_allclose(estimate.total_twist, estimate.phi)
-    bare = estimate_twist(Observations(made.vertices, rest_length=made.rest_length, start_frame=made.start_frame), MATERIAL)
-    assert (np.abs(bare.phi - made.total_twist) < np.radians(1.0)).all()
-
-
-def test_shapes_alone_do_without_frames(made):
-    """Nothing but vertices, as perception gives them: a round rod's twist does not depend on its first frame."""
-    estimate = estimate_twist(Observations(made.vertices, rest_length=made.rest_length), MATERIAL)
-    assert (np.abs(estimate.phi - made.total_twist) < np.radians(1.5)).all()
+    # Nothing but vertices, as perception gives them: a round rod's twist does not depend on its first frame.
+    bare = estimate_twist(Observations(made.vertices, rest_length=made.rest_length), MATERIAL)
+    assert (np.abs(bare.phi - made.total_twist) < np.radians(1.5)).all()
 
 
 def test_a_hidden_turn_of_the_gripper_is_found(made):
     """End frames that are all turned by the same angle: that angle, negative, is φ, and φ + τ the twist of each."""
     hidden = np.radians(-75.0)
-    turn = np.array([[1, 0, 0], [0, np.cos(hidden), -np.sin(hidden)], [0, np.sin(hidden), np.cos(hidden)]])
-    known = replace(made, end_frame=made.end_frame @ turn, total_twist=made.total_twist + hidden)
+    known = replace(made, end_frame=made.end_frame @ about_tangent(hidden), total_twist=made.total_twist + hidden)
     group = np.zeros(made.count, dtype=int)
     offset = end_offsets(known, group)
     np.testing.assert_allclose(offset, made.total_twist + hidden, atol=1e-6)
@@ -84,8 +84,7 @@ def test_offsets_without_a_hint_follow_from_one_to_the_next(made):
     turns = np.radians([0.0, 100.0, 200.0, 300.0, 20.0])
     known = replace(made.take([0] * 5), total_twist=None)
     first = end_offsets(known, np.zeros(5, dtype=int))[0]
-    frames = np.array([frame @ _about(angle) for frame, angle in zip(known.end_frame, turns, strict=True)])
-    offset = end_offsets(replace(known, end_frame=frames), np.array([0, 0, 0, 0, 1]))
+    offset = end_offsets(replace(known, end_frame=known.end_frame @ about_tangent(turns)), np.array([0, 0, 0, 0, 1]))
     assert np.abs(first) <= np.pi
     np.testing.assert_allclose(np.diff(offset[:4]), np.radians(100.0), atol=1e-9)
     assert np.abs(offset[[0, 4]]).max() <= np.pi + 1e-9
@@ -93,20 +92,13 @@ def test_offsets_without_a_hint_follow_from_one_to_the_next(made):
         end_offsets(replace(known, end_frame=None), np.zeros(5, dtype=int))
 
 
-def test_a_group_does_not_depend_on_the_others(made):
-    together = estimate_twist(made, MATERIAL)
-    alone = estimate_twist(made.take([3]), MATERIAL)
-    for name in ("phi", "least", "objective", "minima", "verdict"):
-        np.testing.assert_array_equal(getattr(together, name)[3], getattr(alone, name)[0])
-
-
-def test_materials_may_differ_from_one_observation_to_the_next(made):
+def test_materials_may_differ_and_no_observation_depends_on_others(made):
     each = Material(np.array([6e5, 1e6, 6e5, 1e6, 6e5]), 4e5)
-    mixed = estimate_twist(made, each)
-    stiff = estimate_twist(made, Material(1e6, 4e5))
-    plain = estimate_twist(made, MATERIAL)
-    np.testing.assert_array_equal(mixed.phi[::2], plain.phi[::2])
-    np.testing.assert_array_equal(mixed.phi[1::2], stiff.phi[1::2])
+    mixed, plain, stiff = (estimate_twist(made, material) for material in (each, MATERIAL, Material(1e6, 4e5)))
+    for name in ("phi", "least", "objective", "minima", "verdict"):
+        np.testing.assert_array_equal(getattr(mixed, name)[::2], getattr(plain, name)[::2])
+        np.testing.assert_array_equal(getattr(mixed, name)[1::2], getattr(stiff, name)[1::2])
+    np.testing.assert_array_equal(estimate_twist(made.take([3]), MATERIAL).objective[0], plain.objective[3])
 
 
 def test_rods_that_cannot_be_are_undetermined(made):
@@ -137,10 +129,9 @@ def test_wrong_arguments_are_named(made):
         estimate_twist(replace(made, start_frame=None), Material.diagonal(1e6, 1e5, 1e5))
     with pytest.raises(InputError, match="step"):
         TwistOptions(step=0.0)
-
-
-def _about(angle: float) -> np.ndarray:
-    return np.array([[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]])
+    deep = TwistOptions(surroundings=Surroundings([Plane((0, 0, 900), (0, 0, 1))], 2.0))
+    with pytest.raises(InputError, match="inside a Plane"):
+        estimate_twist(made, MATERIAL, options=deep)
 
 
 def test_total_twist_is_the_angle_between_transported_directors(made):
