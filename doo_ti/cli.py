@@ -19,12 +19,12 @@ from doo_ti.commands import (
     cameras,
     group,
     identify,
-    learn,
     perceive,
     plan,
     predict,
     refine,
     relax,
+    runs,
     servo,
     simulate,
     steer,
@@ -32,7 +32,6 @@ from doo_ti.commands import (
     synth,
     track,
     twist,
-    view,
     warm,
 )
 from doo_ti.commands.help_text import hidden, nearest, overview
@@ -200,7 +199,7 @@ def _parser() -> _Parser:
                      description="Fit discrete elastic rods to observed shapes (Javdani et al., ICRA 2011).")
     parser.add_argument("--version", action="version", version=f"doo-ti {__version__}")
     add = parser.add_subparsers(dest="command", required=True, metavar="COMMAND").add_parser
-    for commands in (relax, sweep, learn, refine, predict, steer, servo, simulate, group, identify, twist, plan, view, synth,
-                     bench, cameras, perceive, track, warm):
+    for commands in (relax, sweep, runs, refine, predict, steer, servo, simulate, group, identify, twist, plan, synth, bench,
+                     cameras, perceive, track, warm):
         commands.declare(add)
     return parser

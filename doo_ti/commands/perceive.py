@@ -10,8 +10,8 @@ import numpy as np
 
 from doo_ti.commands import image_options, loading
 from doo_ti.commands import options as given
+from doo_ti.commands.image_options import GUESSED_BEND, RECORDED, PerceptionTask, perception_task
 from doo_ti.commands.results import RODS, counted, report, save_arrays, shortened
-from doo_ti.commands.seen_rods import GUESSED_BEND, RECORDED, PerceptionTask, perception_task
 from doo_ti.learning.landscape import status_counts
 from doo_ti.rod.types import Status
 from doo_ti.system.errors import InputError

@@ -13,7 +13,7 @@ import numpy as np
 from doo_ti.commands import image_options, loading
 from doo_ti.commands import options as given
 from doo_ti.commands.results import report
-from doo_ti.commands.steered import SteeredRod, add_steered, path_table, steered_rod, warn_not_reached
+from doo_ti.commands.steer import SteeredRod, add_steered, path_table, steered_rod, warn_not_reached
 from doo_ti.io.motion_file import ClampPath
 from doo_ti.rod.physical_units import relative_stiffness, stiffness
 from doo_ti.rod.types import Clamps, Material

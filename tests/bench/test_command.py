@@ -6,9 +6,9 @@ import re
 import numpy as np
 import pytest
 
-from doo_ti.bench import cases, clock, table
-from doo_ti.bench.table import percent
+from doo_ti.bench import cases, clock
 from doo_ti.cli import main
+from doo_ti.commands.bench import percent
 from tests.commands.test_bad_input import refused
 
 
@@ -43,10 +43,11 @@ def test_shares_are_rounded_down_and_those_above_all_are_shown():
 
 def test_for_machines_it_is_one_object_and_nothing_is_written(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(table, "completed", lambda begun, steps: {**begun, "per_second": np.float64(np.nan)})
+    monkeypatch.setattr(cases, "benchmark", lambda rods, rounds, threads: {
+        "rods": rods, "rounds": rounds, "threads": threads, "rate": np.float64(np.nan)})
     assert main(["bench", "--rods", "32", "--rounds", "2", "--threads", "1", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert (found["rods"], found["rounds"], found["per_second"]) == (32, 2, None)
+    assert found == {"rods": 32, "rounds": 2, "threads": 1, "rate": None}
     assert not list(tmp_path.iterdir())
 
 

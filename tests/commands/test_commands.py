@@ -217,7 +217,7 @@ def test_a_command_that_is_stopped_says_whether_it_starts_from_the_beginning(cap
     def fail(*args):
         raise failure
 
-    name, module = ("run_figures", "view") if command == "figures" else ("run", command)
+    name, module = (f"run_{command}", "runs") if command in ("figures", "learn") else ("run", command)
     monkeypatch.setattr(f"doo_ti.commands.{module}.{name}", fail)
     rig = ["--rig", "R", "--rest-length", "3:3"] if command == "perceive" else []
     assert main([command, "source", "--out", "F", *rig]) == 1

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from doo_ti.cli import main
-from doo_ti.commands import learn
+from doo_ti.commands import runs as finished
 from tests.commands.test_bad_input import refused
 from tests.commands.test_commands import write_run
 from tests.learning.landscapes import dynamic, grid_of, static
@@ -25,7 +25,7 @@ def runs(monkeypatch, capsys, rng) -> None:
 
     built = {name: static(name, bowl(cell, 18), LABELS) for name, cell in (("nylon", 2), ("silk", 4), ("vicryl", 7))}
     built["silk_moved"] = dynamic("silk", bowl(6, len(PAIRS)), PAIRS, end_distance=LABELS)
-    monkeypatch.setattr(learn, "read_landscape", lambda run: built[run.name])
+    monkeypatch.setattr(finished, "read_landscape", lambda run: built[run.name])
     capsys.readouterr()  # the seed
 
 
