@@ -63,7 +63,6 @@ class _Parser(argparse.ArgumentParser):
             return InputError("command line", names[error.field], problem, remedy)
         return InputError(error.source, error.field, problem, remedy)
 
-
     def format_help(self) -> str:
         """The help, of a command with many options with those that matter most, unless ``whole`` has been set."""
         optional = [action for action in self._actions if action.option_strings and not action.required]
@@ -87,10 +86,6 @@ class _Parser(argparse.ArgumentParser):
     def options(self) -> list[str]:
         """The names of this command's options."""
         return [name for action in self._actions for name in action.option_strings if action.help != argparse.SUPPRESS]
-
-    def accepted(self) -> set[str]:
-        """The names of this command's options, also of those that are not shown."""
-        return {name for action in self._actions for name in action.option_strings}
 
     def command(self, name: str) -> "_Parser":
         """The parser of a command of the program."""
@@ -151,7 +146,7 @@ def _run(argv: list[str]) -> int:
             raise
         command = parser.command(argv[0])
         names = [word.split("=")[0] for word in words if word.startswith("--")]
-        if wrong := next((name for name in names if name not in command.accepted()), None):
+        if wrong := next((name for name in names if name not in command._option_string_actions), None):
             raise _unexpected(command, wrong) from None
         raise
     if unknown:

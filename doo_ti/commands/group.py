@@ -44,8 +44,8 @@ def run(options: Namespace, words: list[str]) -> int:
     from doo_ti.groups.scene import load_group_scene
 
     out = given.output_file(options.out, ".npz")
-    picture, recording = (None if text is None else given.output_file(text, suffix, option) for text, suffix, option in (
-        (options.picture, ".png", "--picture"), (options.recording, ".rrd", "--recording")))
+    picture = given.output_file(options.picture, ".png", "--picture")
+    recording = given.output_file(options.recording, ".rrd", "--recording")
     up = given.world_up(options)
     scene = load_group_scene(options.scene)
     moments = []

@@ -173,7 +173,7 @@ def run_view(options: Namespace, words: list[str]) -> int:
         print(f"  written to  {out}")
         return 0
     given.require_recorder("view")
-    picture = None if options.screenshot is None else given.output_file(options.screenshot, ".png", "--screenshot")
+    picture = given.output_file(options.screenshot, ".png", "--screenshot")
     if not (options.web or picture) and sys.platform == "linux" and not (
             os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         instead = "--out FOLDER writes the pictures so far" if unfinished else "--screenshot FILE.png saves a picture"

@@ -120,7 +120,7 @@ def run(options: Namespace, words: list[str]) -> int:
 
 
 def _unit(options: Namespace, material: Material) -> Stiffness:
-    density = given.positive("--linear-density", options.linear_density, "g/m")
+    density = given.density(options)
     if density is None:
         if missing := next((name for name in ("EI", "GJ") if getattr(options, f"true_{name}") is not None), None):
             raise InputError(given.SOURCE, "--linear-density", f"missing beside --true-{missing}", "give the rod's in g/m")

@@ -146,14 +146,14 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
     spins = given.whole("--roll-hypotheses", options.spins, 0, MOST_ROLLS)
     pairs = _pairs(options, scene, observations, objective)
 
-    from doo_ti.learning.experiment import SweepOptions
+    from doo_ti.learning.experiment import SOLVERS, SweepOptions
 
     chosen = SweepOptions(
-        frame_weight=frame_weight, clamp_start=clamp_start, clamp_end=clamp_end, solver=given.solver(options.solver),
+        frame_weight=frame_weight, clamp_start=clamp_start, clamp_end=clamp_end, solver=SOLVERS[options.solver](),
         precision=options.precision or scene.precision, objective=objective,
         spins=scene.roll_hypotheses if spins is None else spins, seed=seed or 0, surroundings=given.surroundings(options),
         workers=workers, scheduler=options.scheduler)
-    density = given.positive("--linear-density", options.linear_density, "g/m")
+    density = given.density(options)
     return _Search(scene, observations, grid, chosen, pairs, run, density)
 
 

@@ -84,7 +84,7 @@ def _convert_motion(options: Namespace, out: Path) -> int:
         raise InputError(given.SOURCE, "OUT", f"suffix {out.suffix!r}", "name a .npz file: a motion has a third axis")
     source = Path(options.observations)
     found = read_recording(source, options.unit, loading.columns(options), given.positive("--rate", options.rate, "per second"))
-    up = given.world_up(options) if options.up is not None or found.up is None else found.up
+    up = given.world_up(options, found.up)
     positions = found.positions[_selected(options.select, len(found.positions))]
     save_arrays(out, {"positions_mm": positions, "rate_hz": np.float64(found.rate), "up": up})
     gaps = int((~np.isfinite(positions)).any(axis=-1).sum())
@@ -115,7 +115,7 @@ def run(options: Namespace, words: list[str]) -> int:
     alone = next((name for name, value in of_images.items() if value), None)
     if options.images is None and alone is not None:
         raise InputError(given.SOURCE, alone, "given without --images", "give --images FOLDER too, or leave it out")
-    out = None if options.out is None else given.output_file(options.out)
+    out = given.output_file(options.out)
     scene = load_scene(options.scene)
     if options.images is not None:
         _photograph(options, scene)
