@@ -1,7 +1,6 @@
 """Commands on good input: what they write, print and pass on."""
 
 import json
-import subprocess
 import sys
 import types
 from dataclasses import replace
@@ -16,7 +15,7 @@ from doo_ti import Clamp, Grid, InterruptedRunError, Observations, Status, load_
 from doo_ti.cli import main
 from doo_ti.learning.landscape import gather_overview
 from doo_ti.rod.frames import bishop_frames
-from tests.commands.test_bad_input import MATERIAL, npz_bytes
+from tests.commands.test_bad_input import MATERIAL, in_process, npz_bytes
 
 SCENE = """
 name = "silk"
@@ -197,32 +196,17 @@ def test_version(capsys):
     assert main(["--version"]) == 0 and capsys.readouterr().out.startswith("doo-ti ")
 
 
-@pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), InterruptedRunError("stopped at cell 7"),
-                                     KeyboardInterrupt(), MemoryError()])
-def test_failure_while_running_exits_with_one(capsys, tmp_path, swept, monkeypatch, failure):
-    npz_bytes(tmp_path)
-
-    def fail(*args, **options):
-        raise failure
-
-    monkeypatch.setattr(sys.modules["doo_ti.learning.sweeps"], "sweep", fail)
-    assert main(["sweep", str(tmp_path / "good.npz"), "--bend", "1e5", "--out", str(tmp_path / "run")]) == 1
-    out, err = capsys.readouterr()
-    assert out == "" and err.count("\n") == 1
-
-
-@pytest.mark.parametrize("command", ["refine", "perceive", "predict", "figures", "learn", "synth", "sweep"])
-@pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), KeyboardInterrupt(), RuntimeError("no\nmemory")])
-def test_a_command_that_is_stopped_says_whether_it_starts_from_the_beginning(capsys, monkeypatch, command, failure):
+@pytest.mark.parametrize("command, way", [
+    ("refine", "starts from the beginning"), ("sweep", "resumes with the unfinished cells")])
+@pytest.mark.parametrize("failure", [
+    OSError(28, "No space left on device"), KeyboardInterrupt(), RuntimeError("no\nmemory"), MemoryError()])
+def test_a_command_that_is_stopped_says_whether_it_starts_from_the_beginning(capsys, monkeypatch, command, way, failure):
     def fail(*args):
         raise failure
 
-    name, module = (f"run_{command}", "runs") if command in ("figures", "learn") else ("run", command)
-    monkeypatch.setattr(f"doo_ti.commands.{module}.{name}", fail)
-    rig = ["--rig", "R", "--rest-length", "3:3"] if command == "perceive" else []
-    assert main([command, "source", "--out", "F", *rig]) == 1
+    monkeypatch.setattr(f"doo_ti.commands.{command}.run", fail)
+    assert main([command, "source", "--out", "F"]) == 1
     out, err = capsys.readouterr()
-    way = "resumes with the unfinished cells" if command == "sweep" else "starts from the beginning"
     assert out == "" and err.count("\n") == 1 and f"; the same command {way}" in err
 
 
@@ -250,11 +234,8 @@ def test_relax_writes_every_key(capsys, tmp_path):
 @pytest.mark.thorough
 def test_machines_get_nothing_but_json(tmp_path):
     npz_bytes(tmp_path)
-    argv = [sys.executable, "-m", "doo_ti", "relax", str(tmp_path / "good.npz"), *MATERIAL, "--json", "--out",
-            str(tmp_path / "F.npz")]
-    root = Path(__file__).resolve().parents[2]
-    done = subprocess.run(argv, cwd=root, capture_output=True, text=True, encoding="utf-8", check=True)
-    assert json.loads(done.stdout)["observations"] == 3
+    done = in_process(["relax", str(tmp_path / "good.npz"), *MATERIAL, "--json", "--out", str(tmp_path / "F.npz")])
+    assert done.returncode == 0 and json.loads(done.stdout)["observations"] == 3
 
 
 def test_relax_picks_the_turn_that_was_seen(tmp_path):

@@ -56,6 +56,7 @@ def test_the_bend_stiffness_that_made_the_motion_is_identified(theta):
     assert json.loads(theta.read_text())["bend_mm3"] == pytest.approx(1e6, rel=0.05)
 
 
+@pytest.mark.thorough
 def test_still_frames_join_the_motion(recording, tmp_path, capsys):
     shape = np.load(recording / "made.npz")["positions_mm"][0, :1]
     np.savez(tmp_path / "still.npz", vertices_mm=np.repeat(shape, 3, axis=0), rest_length_mm=np.full(6, 50.0))
@@ -106,6 +107,7 @@ def test_captures_are_read_as_they_are(recording, theta, tmp_path, capsys):
     assert "--rate" in rate and "marks.csv" in rate
 
 
+@pytest.mark.thorough
 def test_gravity_of_a_capture_is_its_own(recording, tmp_path):
     """Motive's y axis points up: marks whose axes are turned give the same rod."""
     positions = np.load(recording / "recorded.npz")["positions_mm"][:1]

@@ -99,19 +99,16 @@ WRONG = {
     "a name of two lines": ([('"a\nb"', *row[1:]) for row in good_rows()], [], "marks.csv", "line break"),
     "too few views": ([row for row in good_rows() if row[1] == "cam0"], [], "'a' has 0 vertices with a position"),
     "sigma": (good_rows(), ["--sigma-px", "0"], "--sigma-px", "positive"),
-    "sigma of text": (good_rows(), ["--sigma-px", "half"], "--sigma-px", "'half'"),
-    "rest length": (good_rows(), ["--rest-length", "0"], "--rest-length", "positive"),
     "threshold": (good_rows(), ["--threshold", "-1"], "threshold", "positive"),
-    "up": (good_rows(), ["--up", "0,0"], "--up"),
-    "suffix": (good_rows(), ["--out", "F.txt"], "suffix"),
+    "the input itself": (good_rows(), ["--out", "marks.csv"], "--out", "the input itself"),
     "labels": (good_rows(), ["--labels", "none.csv"], "none.csv", "no such file"),
     "rig": (good_rows(), ["--rig", "none.yaml"], "none.yaml", "no such file"),
 }
 
 
-@pytest.mark.sampled(10)
 @pytest.mark.parametrize("case", WRONG)
-def test_wrong_input(capsys, tmp_path, case):
+def test_wrong_input(capsys, tmp_path, monkeypatch, case):
+    monkeypatch.chdir(tmp_path)
     rows, words, *expected = WRONG[case]
     argv = [*prepared(tmp_path, rows), "--out", str(tmp_path / "F.npz"), *words]
     refused(capsys, tmp_path, argv, *expected)
@@ -128,11 +125,6 @@ def test_images_of_another_size_than_the_rig_says(capsys, tmp_path):
     rows[3] = (*rows[3][:3], 1100, 700)
     argv = [*prepared(tmp_path, rows), "--out", str(tmp_path / "F.npz")]
     refused(capsys, tmp_path, argv, "u_px", "outside the images of cam0", "640 x 480")
-
-
-def test_the_input_is_not_overwritten(capsys, tmp_path):
-    argv = [*prepared(tmp_path, good_rows()), "--out", str(tmp_path / "marks.csv")]
-    refused(capsys, tmp_path, argv, "--out", "the input itself")
 
 
 def test_the_header_may_have_more_columns(tmp_path, rng):

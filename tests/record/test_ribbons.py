@@ -4,17 +4,7 @@ import numpy as np
 import pytest
 
 from doo_ti.report import Ribbons, ribbon_sides, ribbons_picture
-
-from .recordings import read
-
-rerun = pytest.importorskip("rerun")
-
-
-@pytest.fixture(autouse=True)
-def strict():
-    rerun.set_strict_mode(True)
-    yield
-    rerun.set_strict_mode(False)
+from tests.record.recordings import read
 
 
 def helices(count: int, marks: int = 20) -> tuple[np.ndarray, np.ndarray]:
