@@ -224,13 +224,11 @@ def test_outputs_that_may_not_be(capsys, tmp_path, monkeypatch):
 
 LAB, GRID = "[synthesis]\nbend = 1\ntwist = 1\n", "[grid]\nbend = 3\n"
 SCENES = {
-    "grid of zero cells": (f'{LAB}[grid]\nbend = "1:2:0"\n', "bend", "zero cells"),
     "absent file": ('[observations]\nfile = "absent.npz"\n[grid]\nbend = 3\n', "absent.npz", "no such file"),
     "TOML without end": (f"x={'[' * 20_000}", "not TOML"),
     "a name that leads elsewhere": (f'name = "../../x"\n{LAB}{GRID}', "name", "cannot name a folder"),
     "a name that is none": (f'name = "a\\u0000b"\n{LAB}{GRID}', "name", "cannot name a folder"),
     "turns without end": (f"{LAB}end_rotations_deg = [1e18]\n{GRID}", "synthesis.end_rotations_deg", "360000"),
-    "a weight of hundreds of digits": (f"frame_weight_mm = {'9' * 400}\n{LAB}{GRID}", "frame_weight_mm"),
     "marks of hundreds of digits": (f"{LAB}marks = {'9' * 400}\n{GRID}", "synthesis.marks", "99999"),
 }
 

@@ -125,26 +125,6 @@ def test_sweep_of_a_scene_and_what_overrides_it(capsys, tmp_path, swept):
     assert json.loads(capsys.readouterr().out)["gaps"] == [None]
 
 
-def test_learn_prints_the_best_cell_and_its_range(capsys, tmp_path):
-    grid = Grid.from_dict({"axes": [{"name": "bend", "values": [1e5, 1e6, 1e7], "log": True},
-                                    {"name": "twist_ratio", "values": [0.5, 1.0], "log": True}], "bend_12": 0})
-    distance = np.full((6, 4), 3.0)
-    distance[3], distance[1] = 1.0, 1.04
-    distance[5, 2] = distance[3:, 0] = np.nan
-    distance[:3, 0] = np.nan
-    write_run(tmp_path / "a", grid, distance)
-    write_run(tmp_path / "b", grid, distance[::-1], "nylon")
-    assert main(["learn", str(tmp_path / "a"), str(tmp_path / "b"), "--json"]) == 0
-    first, second = json.loads(capsys.readouterr().out)["runs"]
-    assert (first["material"], first["bend_1"], first["twist"], first["mean_distance_mm"]) == ("silk", 1e6, 1e6, 1.0)
-    assert (second["material"], second["bend_1"], second["twist"]) == ("nylon", 1e6, 5e5)
-    bend, ratio = first["intervals"]
-    assert (bend["low"], bend["high"], bend["low_is_open"], bend["high_is_open"]) == (1e5, np.sqrt(1e6 * 1e7), True, False)
-    assert (ratio["low"], ratio["high"]) == (np.sqrt(0.5), 1.0)
-    assert main(["learn", str(tmp_path / "a")]) == 0
-    assert "silk: 6 cells x 4 observations" in capsys.readouterr().out
-
-
 def test_view_opens_the_recording(tmp_path, monkeypatch):
     opened = []
 

@@ -4,7 +4,6 @@ import json
 import re
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from doo_ti.cli import main
@@ -73,10 +72,3 @@ def test_settled_hypotheses_are_reported(capsys, tmp_path):
 def test_what_makes_no_sense_is_refused(capsys, tmp_path, monkeypatch, words, expected):
     monkeypatch.chdir(tmp_path)
     refused(capsys, tmp_path, ["sweep", written(tmp_path), *GRID, "--out", str(tmp_path / "run"), *words], *expected)
-
-
-def test_pairs_that_nobody_named(capsys, tmp_path):
-    for change, key in (({"end_rotation": None}, "end_rotation_deg"), ({"end_rotation": np.zeros(6)}, "end_rotation_deg"),
-                        ({"end_distance": None}, "end_distance_mm")):
-        argv = ["sweep", written(tmp_path, **change), *GRID, "--objective", "dynamic", "--out", str(tmp_path / "run")]
-        refused(capsys, tmp_path, argv, "lab.npz", key, "pairs")

@@ -82,10 +82,9 @@ def test_logs_of_robots(folder):
     upright = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # z becomes y
     log = log_of(poses, upright, 1e-3)
     (folder / "log.csv").write_text(log)
-    log = log.replace("start/", "left/").replace("end/", "right/")
-    (folder / "german.csv").write_text(log.replace(",", ";").replace(".", ","))
+    (folder / "sides.csv").write_text(log.replace("start/", "left/").replace("end/", "right/"))
     options = ["--motion-axis", "z", "--motion-up", "0,1,0", "--motion-unit", "m"]
-    for name, more in (("log.csv", []), ("german.csv", ["--motion-columns", "start=left,end=right,time=stamp"])):
+    for name, more in (("log.csv", []), ("sides.csv", ["--motion-columns", "start=left,end=right,time=stamp"])):
         assert main([*words(folder, "one.npz", name), *options, *more]) == 0
         found = written(folder / "f.npz")
         np.testing.assert_allclose(found["vertices_mm"], expected["vertices_mm"], atol=1e-3)

@@ -73,14 +73,6 @@ def test_a_window_shows_it_and_its_files_go_afterwards(tmp_path, capsys, monkeyp
     assert not (tmp_path / folder).exists()
 
 
-@pytest.mark.thorough
-def test_a_sweep_resumes_unchanged_after_view(tmp_path, monkeypatch):
-    run = interrupted(tmp_path / "run", monkeypatch, 2)
-    assert main(["view", str(run), "--out", str(tmp_path / "seen")]) == 0
-    monkeypatch.setattr(sweeps, "CHUNK_BYTES", 18 * 32 * 33)
-    assert sweep(run, small_lab(), GRID)["timing"]["relaxed_rods"] == 36
-
-
 def test_what_cannot_be_shown(tmp_path, capsys, monkeypatch):
     run, nothing = interrupted(tmp_path / "run", monkeypatch, 1), interrupted(tmp_path / "nothing", monkeypatch, 0)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
