@@ -23,7 +23,6 @@ def declare(add) -> None:
 
 
 def run(options: Namespace, words: list[str]) -> int:
-    """Throughput and accuracy on this machine; with a folder also as JSON."""
     rods = given.whole("--rods", options.rods, 1, MOST_RODS) or RODS
     threads = given.whole("--threads", options.threads, 1, os.cpu_count() or 1)
     rounds = given.whole("--rounds", options.rounds, 1, MOST_ROUNDS) or ROUNDS

@@ -39,7 +39,6 @@ def declare(add) -> None:
 
 
 def run(options: Namespace, words: list[str]) -> int:
-    """Relax the group at every moment; writes places, forces and status."""
     from doo_ti.groups.follow import follow_group
     from doo_ti.groups.scene import load_group_scene
 

@@ -43,7 +43,6 @@ def declare(add) -> None:
 
 
 def run(options: Namespace, words: list[str]) -> int:
-    """Identify Θ; writes it and prints parameters with intervals and errors."""
     from doo_ti.dynamics.identify import IdentifyOptions, guesses, identify_from_guesses, require_clear_grippers
     from doo_ti.dynamics.recorded import RecordedMotion
 

@@ -317,10 +317,11 @@ def require_recorder(name: str) -> None:
         raise InputError(SOURCE, name, "rerun is not installed", INSTALL_RECORDER)
 
 
-def refuse_overwriting(out: Path, source: str, option: str = "--out") -> None:
-    """Raise InputError where the file to write is also the one to read."""
-    if os.path.exists(out) and os.path.exists(source) and out.samefile(source):
-        raise InputError(SOURCE, option, f"{out} is the input itself", "name another file")
+def refuse_overwriting(out: Path, *sources: str | None, option: str = "--out") -> None:
+    """Raise InputError where the file to write is also one to read."""
+    for source in filter(None, sources):
+        if os.path.exists(out) and os.path.exists(source) and out.samefile(source):
+            raise InputError(SOURCE, option, f"{out} is the input itself", "name another file")
 
 
 def output_folder(text: str | None, option: str = "--out") -> Path | None:

@@ -71,13 +71,11 @@ def declare(add) -> None:
 
 
 def run(options: Namespace, words: list[str]) -> int:
-    """Alg. 1 on every set of images; writes rods and runners-up, and prints the verdict of each set."""
     out = given.output_file(options.out, RODS)
     task = perception_task(options)
     sources = [options.rig, options.sets, options.truth, *(path for line in task.sets.paths for path in line)]
     for path in (out, *(given.output_file(out.with_suffix(suffix), suffix) for suffix in (".png", ".rrd"))):
-        for source in filter(None, sources):
-            given.refuse_overwriting(path, source)
+        given.refuse_overwriting(path, *sources)
     with progress() as bar:
         detected = _detected(task, bar)
         task, length_range = _begun(task, detected)

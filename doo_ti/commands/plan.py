@@ -41,7 +41,6 @@ def declare(add) -> None:
 
 
 def run(options: Namespace, words: list[str]) -> int:
-    """Rank configurations; the grid is the prior."""
     scene = load_scene(options.source) if Path(options.source).suffix == ".toml" else None
     grid = given.grid(options, scene.grid if scene else None)
     out = given.output_folder(options.out)

@@ -91,7 +91,6 @@ def declare(add) -> None:
 
 
 def run(options: Namespace, words: list[str]) -> int:
-    """Carry all rods along the motion; writes them at its moments and prints where they jumped."""
     out = given.output_file(options.out, RODS)
     picture = given.output_file(options.picture, ".png", "--picture")
     recording = given.output_file(options.recording, ".rrd", "--recording")

@@ -85,7 +85,6 @@ def declare(add) -> None:
 
 
 def run(options: Namespace, words: list[str]) -> int:
-    """Run the loop, write it, and print whether it reaches the target."""
     folder = given.output_folder(options.out)
     rig = image_options.rig(options)
     reached = given.length("--reached", options.reached) or REACHED
@@ -217,12 +216,8 @@ def _table(steps: list[Step], unit: Stiffness) -> str:
     for number, step in enumerate(steps, 1):
         learned = [repr(float(value)) for row in unit.of(step.learned) for value in row]
         writer.writerow([number, step.true_mm, step.estimated_mm, STATUSES[step.status], HOW[step.seen.frame.how],
-                         _vertices_seen(step), " ".join(step.seen.covered), *learned])
+                         int(np.isfinite(step.seen.seen).all(axis=1).sum()), " ".join(step.seen.covered), *learned])
     return text.getvalue()
-
-
-def _vertices_seen(step: Step) -> int:
-    return int(np.isfinite(step.seen.seen).all(axis=1).sum())
 
 
 def _summary(steps: list[Step], unit: Stiffness, true: Material, written: list[Path]) -> dict:

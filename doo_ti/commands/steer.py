@@ -38,7 +38,6 @@ def declare(add) -> None:
 
 
 def run(options: Namespace, words: list[str]) -> int:
-    """Plan the motion, write it, and print whether it reaches the target."""
     out = given.output_file(options.out, ".csv")
     reached, seconds = given.length("--reached", options.reached), given.positive("--seconds", options.seconds, "s")
     if seconds is not None and seconds > MOST_SECONDS:
@@ -116,8 +115,7 @@ def steered_rod(options: Namespace, written: Iterable[Path]) -> SteeredRod:
     grid = given.round_cell(options, "steered")
     observations = loading.load(options, options.start).take(np.zeros(1, dtype=np.int64))
     for out in written:
-        for source in (options.start, options.target):
-            given.refuse_overwriting(out, source)
+        given.refuse_overwriting(out, options.start, options.target)
     places = _target(options, observations)
     clamps = observation_clamps(observations, *given.clamps(options))
     for end, kind in (("start", clamps.start), ("end", clamps.end)):

@@ -69,8 +69,6 @@ class _Search:
 
 
 def run(options: Namespace, words: list[str]) -> int:
-    """Eq. 2 or 3 over a grid; writes a folder per source and prints the cell with the smallest error and
-    the flatness of the landscape around it."""
     searches = _searches(options)
     for search in searches:
         loading.warn(search.observations)

@@ -52,7 +52,7 @@ def declare(add) -> None:
 def run_convert(options: Namespace, words: list[str]) -> int:
     """Observations from one format to another; keys that observations do not have are dropped."""
     out = given.output_file(options.out, option="OUT")
-    given.refuse_overwriting(out, options.observations, "OUT")
+    given.refuse_overwriting(out, options.observations, option="OUT")
     edges = given.whole("--edges", options.edges, 2)
     if options.motion:
         if edges is not None:
@@ -108,7 +108,6 @@ def _selected(text: str | None, count: int, option: str = "--select") -> slice:
 
 
 def run(options: Namespace, words: list[str]) -> int:
-    """The observations of a scene to a file, and photographs of its rods to a folder."""
     if options.out is None and options.images is None:
         raise InputError(given.SOURCE, "--out", "missing", "give --out OBS, or --images FOLDER --rig RIG, or both")
     of_images = {"--rig": options.rig, "--diameter": options.diameter, "--seed": options.seed, "--render": options.render}

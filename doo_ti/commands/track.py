@@ -55,10 +55,8 @@ def declare(add) -> None:
 
 
 def run(options: Namespace, words: list[str]) -> int:
-    """Track the rod from frame to frame; writes it, and prints where it was lost and found again."""
     out = given.output_file(options.out, RODS)
-    for source in filter(None, (options.frames, options.motion, options.rest_length)):
-        given.refuse_overwriting(out, source)
+    given.refuse_overwriting(out, options.frames, options.motion, options.rest_length)
     task = tracking_task(options)
     found, problem = _tracked(task)
     result = _arrays(task, found)
