@@ -152,8 +152,9 @@ def _run(argv: list[str]) -> int:
     if unknown:
         raise _unexpected(options.parser, next((word for word in unknown if word.startswith("-")), unknown[0]))
     check_architecture()
+    options.words = ["doo-ti", *argv]
     try:
-        return options.run(options, ["doo-ti", *argv])
+        return options.run(options)
     except InputError as error:
         raise options.parser.in_options(error) from None
 

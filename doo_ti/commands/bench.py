@@ -22,7 +22,7 @@ def declare(add) -> None:
     parser.add_argument("--out", metavar="FOLDER", help="folder for bench.json (default: not written)")
 
 
-def run(options: Namespace, words: list[str]) -> int:
+def run(options: Namespace) -> int:
     rods = given.whole("--rods", options.rods, 1, MOST_RODS) or RODS
     threads = given.whole("--threads", options.threads, 1, os.cpu_count() or 1)
     rounds = given.whole("--rounds", options.rounds, 1, MOST_ROUNDS) or ROUNDS

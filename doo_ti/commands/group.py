@@ -38,7 +38,7 @@ def declare(add) -> None:
     parser.add_argument("--recording", metavar="F.rrd", help="also record the rods for the viewer (default: no)")
 
 
-def run(options: Namespace, words: list[str]) -> int:
+def run(options: Namespace) -> int:
     from doo_ti.groups.follow import follow_group
     from doo_ti.groups.scene import load_group_scene
 
@@ -104,7 +104,7 @@ def _draw(moments: "list[GroupSolution]", picture: Path | None, recording: Path 
     for path in wanted:
         path.parent.mkdir(parents=True, exist_ok=True)
     if picture is not None:
-        from doo_ti.report.groups import save_group
+        from doo_ti.report.contact import save_group
 
         save_group(picture, moments, **about)
     if recording is not None:

@@ -42,7 +42,7 @@ def declare(add) -> None:
     parser.add_argument("--picture", metavar="F.png", help="also draw predictions and errors over time (default: no)")
 
 
-def run(options: Namespace, words: list[str]) -> int:
+def run(options: Namespace) -> int:
     from doo_ti.dynamics.identify import IdentifyOptions, guesses, identify_from_guesses, require_clear_grippers
     from doo_ti.dynamics.recorded import RecordedMotion
 
@@ -175,8 +175,8 @@ def _lines(summary: dict, motion) -> list[str]:
 
 
 def _draw(picture: Path, found, rollouts) -> None:
+    from doo_ti.report.contact import Touched
     from doo_ti.report.motions import save_rollout
-    from doo_ti.report.touched import Touched
 
     picture.parent.mkdir(parents=True, exist_ok=True)
     motion, surroundings = rollouts.motion, rollouts.surroundings

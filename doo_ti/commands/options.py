@@ -41,7 +41,7 @@ class _HelpAll(Action):
 # --- declaring -----------------------------------------------------------------------------------------------------------
 
 
-def command(add, name: str, run: Callable[[Namespace, list[str]], int], meaning: str, *, json: bool = True) -> ArgumentParser:
+def command(add, name: str, run: Callable[[Namespace], int], meaning: str, *, json: bool = True) -> ArgumentParser:
     """The parser of a command, which ``run`` carries out; with ``--json`` unless it prints nothing for machines."""
     parser = add(name, allow_abbrev=False, help=meaning, description=f"{meaning[0].upper()}{meaning[1:]}.",
                  epilog=examples(name), formatter_class=RawDescriptionHelpFormatter)

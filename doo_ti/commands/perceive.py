@@ -70,7 +70,7 @@ def declare(add) -> None:
     given.add_old_name(parser, "--recorded", "recorded")
 
 
-def run(options: Namespace, words: list[str]) -> int:
+def run(options: Namespace) -> int:
     out = given.output_file(options.out, RODS)
     task = perception_task(options)
     sources = [options.rig, options.sets, options.truth, *(path for line in task.sets.paths for path in line)]

@@ -90,7 +90,7 @@ def declare(add) -> None:
     parser.add_argument("--recording", metavar="F.rrd", help="also record it for the viewer (default: no)")
 
 
-def run(options: Namespace, words: list[str]) -> int:
+def run(options: Namespace) -> int:
     out = given.output_file(options.out, RODS)
     picture = given.output_file(options.picture, ".png", "--picture")
     recording = given.output_file(options.recording, ".rrd", "--recording")
@@ -255,7 +255,7 @@ def _draw(task: _Task, prediction, arrays: dict[str, np.ndarray], picture: Path 
           lines: list[str]) -> None:
     """Write the picture and the recording that are asked for, of the file's ``arrays``; ``lines`` are the result as text."""
     from doo_ti.report import MovingRods, motions_picture
-    from doo_ti.report.touched import Touched
+    from doo_ti.report.contact import Touched
 
     marks = None if task.marks is None else task.marks[prediction.motion]
     touched = None if not task.surroundings else Touched(task.surroundings, *(

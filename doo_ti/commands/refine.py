@@ -98,7 +98,7 @@ class Task:
     loads: np.ndarray | None
 
 
-def run(options: Namespace, words: list[str]) -> int:
+def run(options: Namespace) -> int:
     """Θ of least χ² for each source, the best of several starts, and how well the observations determine it."""
     out = given.output_file(options.out, ".json")
     starts, folds = given.whole("--starts", options.starts, 1) or STARTS, given.whole("--folds", options.folds, 2)

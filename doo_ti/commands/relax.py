@@ -42,7 +42,7 @@ def declare(add) -> None:
     given.add_obstacles(parser, "without friction, which acts in simulate and predict")
 
 
-def run(options: Namespace, words: list[str]) -> int:
+def run(options: Namespace) -> int:
     """F on each observation (§III-D), to one npz; of several whole-turn hypotheses the one nearest to the observation."""
     grid = given.single_cell(options, "give one number, or use sweep")
     frame_weight, out = given.frame_weight(options), given.output_file(options.out, RODS)

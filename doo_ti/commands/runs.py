@@ -58,7 +58,7 @@ def declare(add) -> None:
 # --- learn ---------------------------------------------------------------------------------------------------------------
 
 
-def run_learn(options: Namespace, words: list[str]) -> int:
+def run_learn(options: Namespace) -> int:
     """The best Θ of each run with the ranges that fit nearly as well (§III-E), then leave-one-out tables of all runs."""
     out = given.output_folder(options.out)
     distances = given.numbers("--end-distances", options.end_distances)
@@ -115,7 +115,7 @@ def _write(out: Path, summary: dict, tables: dict[tuple[str, ...], list[Scores]]
 # --- figures -------------------------------------------------------------------------------------------------------------
 
 
-def run_figures(options: Namespace, words: list[str]) -> int:
+def run_figures(options: Namespace) -> int:
     """Pictures of the landscapes, a recording with one step per cell, and for ribbons one of each regime."""
     given.require_recorder("figures")
     out = given.output_folder(options.out)
@@ -156,7 +156,7 @@ def _report_figures(options: Namespace, study, files: list[dict]) -> None:
 # --- view ----------------------------------------------------------------------------------------------------------------
 
 
-def run_view(options: Namespace, words: list[str]) -> int:
+def run_view(options: Namespace) -> int:
     """Open the rerun viewer on a run, serve it, or save its picture; of an unfinished sweep with the cells stored so far."""
     path = Path(options.recording)
     if not os.path.exists(path) or (os.path.isfile(path) and path.suffix != ".rrd"):

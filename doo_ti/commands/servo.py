@@ -84,7 +84,7 @@ def declare(add) -> None:
     parser.add_argument("--no-recording", action="store_true", help=f"do not write {RECORDING}")
 
 
-def run(options: Namespace, words: list[str]) -> int:
+def run(options: Namespace) -> int:
     folder = given.output_folder(options.out)
     rig = image_options.rig(options)
     reached = given.length("--reached", options.reached) or REACHED

@@ -90,7 +90,7 @@ def declare(add) -> None:
     parser.add_argument("--animation", metavar="F.gif|F.webp", help="also write a short animation (default: no)")
 
 
-def run(options: Namespace, words: list[str]) -> int:
+def run(options: Namespace) -> int:
     out = given.output_file(options.out, RODS)
     changes = _stepping(options)
     picture = given.output_file(options.picture, ".png", "--picture")
@@ -310,7 +310,7 @@ def _step_lines(summary: dict) -> list[str]:
 def _draw(found: _Simulated, picture: Path | None, recording: Path | None, animation: Path | None) -> None:
     touched = None
     if found.contact and (picture or recording or animation):
-        from doo_ti.report.touched import Touched
+        from doo_ti.report.contact import Touched
 
         touched = Touched(found.surroundings, found.positions, found.contact["contact_force"], found.newtons)
     energies = {name: found.energies[name] for name in SPLIT} if found.energies else None

@@ -37,7 +37,7 @@ def declare(add) -> None:
     parser.add_argument("--seed", metavar="N", help="of the search's random numbers (default 0)")
 
 
-def run(options: Namespace, words: list[str]) -> int:
+def run(options: Namespace) -> int:
     out = given.output_file(options.out, ".csv")
     reached, seconds = given.length("--reached", options.reached), given.positive("--seconds", options.seconds, "s")
     if seconds is not None and seconds > MOST_SECONDS:

@@ -68,7 +68,7 @@ class _Search:
     density: float | None  # linear density in g/m
 
 
-def run(options: Namespace, words: list[str]) -> int:
+def run(options: Namespace) -> int:
     searches = _searches(options)
     for search in searches:
         loading.warn(search.observations)
@@ -78,8 +78,8 @@ def run(options: Namespace, words: list[str]) -> int:
     began, summaries, relaxed = time.monotonic(), [], []
     for search in searches:
         before = _stamps(search.run)
-        summary = sweep(search.run, search.observations, search.grid, options=search.options, pairs=search.pairs, command=words,
-                        linear_density=search.density)
+        summary = sweep(search.run, search.observations, search.grid, options=search.options, pairs=search.pairs,
+                        command=options.words, linear_density=search.density)
         summaries.append(summary)
         now = _stamps(search.run)
         finished_before = now[SUMMARY] == before.get(SUMMARY)

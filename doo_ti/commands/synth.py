@@ -49,7 +49,7 @@ def declare(add) -> None:
                         help="a property of the images, may be repeated: clutter=3, occluders=2, noise=5, jpeg_quality=none …")
 
 
-def run_convert(options: Namespace, words: list[str]) -> int:
+def run_convert(options: Namespace) -> int:
     """Observations from one format to another; keys that observations do not have are dropped."""
     out = given.output_file(options.out, option="OUT")
     given.refuse_overwriting(out, options.observations, option="OUT")
@@ -107,7 +107,7 @@ def _selected(text: str | None, count: int, option: str = "--select") -> slice:
     return slice(first, last, step)
 
 
-def run(options: Namespace, words: list[str]) -> int:
+def run(options: Namespace) -> int:
     if options.out is None and options.images is None:
         raise InputError(given.SOURCE, "--out", "missing", "give --out OBS, or --images FOLDER --rig RIG, or both")
     of_images = {"--rig": options.rig, "--diameter": options.diameter, "--seed": options.seed, "--render": options.render}

@@ -54,7 +54,7 @@ def declare(add) -> None:
     parser.add_argument("--no-recording", action="store_true", help="do not write F.rrd")
 
 
-def run(options: Namespace, words: list[str]) -> int:
+def run(options: Namespace) -> int:
     out = given.output_file(options.out, RODS)
     given.refuse_overwriting(out, options.frames, options.motion, options.rest_length)
     task = tracking_task(options)

@@ -42,7 +42,7 @@ def declare(add) -> None:
                         help="floating-point arithmetic (default f32, whose error is below that of labels)")
 
 
-def run(options: Namespace, words: list[str]) -> int:
+def run(options: Namespace) -> int:
     """Eq. 4 for each group of observations that share φ; writes φ and the whole curve, and prints ambiguous groups."""
     grid = given.single_cell(options)
     out = given.output_file(options.out, RODS)

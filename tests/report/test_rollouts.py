@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from doo_ti import Plane, Surroundings
+from doo_ti.report.contact import Touched
 from doo_ti.report.motions import _view, save_animation, save_rollout
-from doo_ti.report.touched import Touched
 
 
 @pytest.mark.parametrize(("height", "view"), [(2.0, "from above"), (60.0, "from the side")])
