@@ -153,6 +153,8 @@ OPTIONS = {
     "a value for a switch": (["--json=yes"], "--json", "yes"),
     "an option over two lines": (["--bend", "1e5\n2e5"], "--bend"),
     "a grid": (["--bend", "1e5:1e6:3"], "--bend", "3 cells"),
+    "nothing holds the rod": (["--clamp-start", "free", "--clamp-end", "free"], "clamps", "both ends are free"),
+    "a frame weight without frames": (["--frame-weight", "2"], "frames", "missing", "--frame-weight"),
 }
 
 
@@ -204,6 +206,8 @@ def test_outputs_that_cannot_be(capsys, tmp_path):
     for name, argv in commands.items():
         refused(capsys, tmp_path, [*argv, below], named[name], "good.npz", "is a file")
     refused(capsys, tmp_path, [*commands["sweep"], good], "--out", "good.npz")
+    for name in ("relax", "convert"):
+        refused(capsys, tmp_path, [*commands[name], good], named[name], "is the input itself")
     refused(capsys, tmp_path, [*commands["sweep"], ""], "--out", "is not a folder")
     for name in ("relax", "convert", "synth"):
         refused(capsys, tmp_path, [*commands[name], str(tmp_path / "folder.npz")], named[name], "is a folder")

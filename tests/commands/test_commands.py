@@ -155,23 +155,6 @@ def test_view_opens_the_recording(tmp_path, monkeypatch):
     assert main(["view", str(tmp_path / "good.npz")]) == 2
 
 
-def test_nothing_is_written_over_its_own_source(capsys, tmp_path):
-    before = npz_bytes(tmp_path)
-    good = str(tmp_path / "good.npz")
-    for argv in (["relax", good, *MATERIAL, "--out", good], ["convert", good, good]):
-        assert main(argv) == 2 and "is the input itself" in capsys.readouterr().err
-    assert (tmp_path / "good.npz").read_bytes() == before
-
-
-@pytest.mark.parametrize("words", [["--clamp-start", "free", "--clamp-end", "free"], ["--frame-weight", "2"]])
-def test_invalid_rods_are_reported_before_a_folder_is_made(capsys, tmp_path, words):
-    npz_bytes(tmp_path)
-    for command, out in (("relax", "F.npz"), ("sweep", "run")):
-        assert main([command, str(tmp_path / "good.npz"), *MATERIAL, *words, "--out", str(tmp_path / out)]) == 2
-        assert not (tmp_path / out).exists()
-    assert len(capsys.readouterr().err.splitlines()) == 2
-
-
 def test_version(capsys):
     assert main(["--version"]) == 0 and capsys.readouterr().out.startswith("doo-ti ")
 
