@@ -9,7 +9,7 @@ import pytest
 from doo_ti.bench import cases, clock
 from doo_ti.cli import main
 from doo_ti.commands.bench import percent
-from tests.commands.test_bad_input import refused
+from tests.commands.calls import refused
 
 
 @pytest.fixture(autouse=True)

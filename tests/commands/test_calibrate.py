@@ -9,7 +9,7 @@ import pytest
 from doo_ti.cli import main
 from doo_ti.vision.cameras.board import Board
 from doo_ti.vision.cameras.rig import load_rig
-from tests.commands.test_bad_input import in_process, refused
+from tests.commands.calls import in_process, refused
 from tests.conftest import SEED
 from tests.vision.boards import around, look, poses
 

@@ -15,7 +15,7 @@ from doo_ti import Clamp, Grid, InterruptedRunError, Observations, Status, load_
 from doo_ti.cli import main
 from doo_ti.learning.landscape import gather_overview
 from doo_ti.rod.frames import bishop_frames
-from tests.commands.test_bad_input import MATERIAL, in_process, npz_bytes
+from tests.commands.calls import MATERIAL, in_process, npz_bytes
 
 SCENE = """
 name = "silk"

@@ -7,7 +7,7 @@ import pytest
 
 from doo_ti import Observations, save_observations
 from doo_ti.cli import main
-from tests.commands.test_bad_input import refused, written
+from tests.commands.calls import refused, written
 
 PLANE = '[[obstacles]]\nkind = "plane"\npoint = [0, 0, 0]\nnormal = [0, 0, 1]\n'
 MATERIAL = ["--bend", "6e5", "--precision", "f64", "--clamp-end", "free"]

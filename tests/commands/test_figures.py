@@ -11,7 +11,7 @@ from doo_ti import Axis, Grid, SweepOptions, read_landscape, sweep
 from doo_ti.cli import main
 from doo_ti.io.scene import Synthesis
 from doo_ti.lab.synthesis import synthesise
-from tests.commands.test_bad_input import refused
+from tests.commands.calls import refused
 from tests.record.recordings import read
 
 BENDS = np.geomspace(1e5, 4e6, 4)

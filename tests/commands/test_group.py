@@ -7,7 +7,7 @@ import pytest
 
 from doo_ti import Status, follow_group
 from doo_ti.cli import main
-from tests.commands.test_bad_input import refused, written
+from tests.commands.calls import refused, written
 
 SCENE = """
 name = "two rods"

@@ -5,7 +5,7 @@ import pytest
 
 from doo_ti.cli import main
 from doo_ti.contact.itself import smallest_self_gap
-from tests.commands.test_bad_input import refused, written
+from tests.commands.calls import refused, written
 from tests.contact.topology import determinant
 
 SCENE = """

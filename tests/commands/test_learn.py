@@ -9,7 +9,7 @@ import pytest
 
 from doo_ti.cli import main
 from doo_ti.commands import runs as finished
-from tests.commands.test_bad_input import refused
+from tests.commands.calls import refused
 from tests.commands.test_commands import write_run
 from tests.learning.landscapes import dynamic, grid_of, static
 

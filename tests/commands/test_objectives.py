@@ -8,7 +8,7 @@ import pytest
 
 from doo_ti.cli import main
 from doo_ti.io.observation_files import save_observations
-from tests.commands.test_bad_input import refused
+from tests.commands.calls import refused
 from tests.learning.lab import small_lab
 
 GRID = ["--bend", "2e5:8e5:3", "--twist-ratio", "0.5:2:3"]

@@ -14,7 +14,7 @@ from doo_ti.io.observation_files import load_observations
 from doo_ti.vision.cameras.rig import Rig, load_rig, save_rig
 from doo_ti.vision.rendering.render import render_set
 from doo_ti.vision.rendering.tubes import smooth_curve
-from tests.commands.test_bad_input import refused, written
+from tests.commands.calls import refused, written
 from tests.vision.drawn_maps import curves, three_cameras
 
 EDGES = 14

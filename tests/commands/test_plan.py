@@ -6,7 +6,7 @@ import json
 import pytest
 
 from doo_ti.cli import main
-from tests.commands.test_bad_input import refused
+from tests.commands.calls import refused
 
 SCENE = """
 name = "cord"

@@ -12,7 +12,7 @@ from doo_ti.cli import main
 from doo_ti.commands.results import plain
 from doo_ti.dynamics.theta import MotionTheta, load_theta, save_form
 from doo_ti.rod.frames import quaternion_from_matrix
-from tests.commands.test_bad_input import refused, written
+from tests.commands.calls import refused, written
 from tests.references.rods import chain, clamps_at, stacked
 
 MATERIAL = ["--bend", "6e5", "--twist", "1e5"]

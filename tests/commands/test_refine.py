@@ -9,7 +9,7 @@ import pytest
 
 from doo_ti import Material, Observations, load_observations, relax, save_observations
 from doo_ti.cli import main
-from tests.commands.test_bad_input import refused
+from tests.commands.calls import refused
 from tests.references.rods import chain, clamps_at, stacked
 from tests.relaxation.rods import wandering
 

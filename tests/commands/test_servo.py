@@ -12,7 +12,7 @@ from doo_ti.manipulation.poses import moved
 from doo_ti.rod.physical_units import stiffness
 from doo_ti.system.terminal import has_recorder
 from doo_ti.vision.cameras.rig import Rig, save_rig
-from tests.commands.test_bad_input import refused
+from tests.commands.calls import refused
 from tests.vision.poses import looking
 
 BEND, DENSITY = 6e5, 10.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti.cli import main
-from tests.commands.test_bad_input import refused
+from tests.commands.calls import refused
 from tests.io.test_formats import motive, table
 
 SCENE = """

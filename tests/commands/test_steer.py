@@ -7,7 +7,7 @@ import pytest
 
 from doo_ti import Observations, save_observations
 from doo_ti.cli import main
-from tests.commands.test_bad_input import refused
+from tests.commands.calls import refused
 from tools.studies.trials.servo import BEND, tasks
 
 

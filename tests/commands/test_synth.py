@@ -13,7 +13,7 @@ from doo_ti.perception.virtual_lab import lab_rods
 from doo_ti.vision.cameras.rig import Rig, load_rig, save_rig
 from doo_ti.vision.detection.images import load_sets
 from doo_ti.vision.rendering.render import Photographs, RenderOptions
-from tests.commands.test_bad_input import refused
+from tests.commands.calls import refused
 
 SCENE = ('name = "silk"\n[synthesis]\nseed = 4\nbend = 1.5e5\ntwist = 5e4\nend_distances_mm = [42, 66]\n'
          'end_rotations_deg = [0, -30]\n[grid]\nbend = 1e5\n')

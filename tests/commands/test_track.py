@@ -8,7 +8,7 @@ import pytest
 
 from doo_ti.cli import main
 from doo_ti.vision.cameras.rig import save_rig
-from tests.commands.test_bad_input import refused
+from tests.commands.calls import refused
 from tests.perception.videos import EDGES, FRAMES, LENGTH, far_motion, images, rods
 from tests.vision.drawn_maps import three_cameras
 

@@ -8,7 +8,7 @@ import pytest
 from doo_ti import Material, Observations, relax, save_observations
 from doo_ti.cli import main
 from doo_ti.prediction.predict import total_twist
-from tests.commands.test_bad_input import refused, written
+from tests.commands.calls import refused, written
 from tests.references.rods import chain, clamps_at, stacked
 
 MATERIAL = ["--bend", "6e5", "--twist", "4e5"]
