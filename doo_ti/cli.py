@@ -19,12 +19,12 @@ from doo_ti.commands import (
     cameras,
     group,
     identify,
-    learn,
     perceive,
     plan,
     predict,
     refine,
     relax,
+    runs,
     servo,
     simulate,
     steer,
@@ -32,7 +32,6 @@ from doo_ti.commands import (
     synth,
     track,
     twist,
-    view,
     warm,
 )
 from doo_ti.commands.help_text import hidden, nearest, overview
@@ -64,7 +63,6 @@ class _Parser(argparse.ArgumentParser):
             return InputError("command line", names[error.field], problem, remedy)
         return InputError(error.source, error.field, problem, remedy)
 
-
     def format_help(self) -> str:
         """The help, of a command with many options with those that matter most, unless ``whole`` has been set."""
         optional = [action for action in self._actions if action.option_strings and not action.required]
@@ -88,10 +86,6 @@ class _Parser(argparse.ArgumentParser):
     def options(self) -> list[str]:
         """The names of this command's options."""
         return [name for action in self._actions for name in action.option_strings if action.help != argparse.SUPPRESS]
-
-    def accepted(self) -> set[str]:
-        """The names of this command's options, also of those that are not shown."""
-        return {name for action in self._actions for name in action.option_strings}
 
     def command(self, name: str) -> "_Parser":
         """The parser of a command of the program."""
@@ -152,14 +146,15 @@ def _run(argv: list[str]) -> int:
             raise
         command = parser.command(argv[0])
         names = [word.split("=")[0] for word in words if word.startswith("--")]
-        if wrong := next((name for name in names if name not in command.accepted()), None):
+        if wrong := next((name for name in names if name not in command._option_string_actions), None):
             raise _unexpected(command, wrong) from None
         raise
     if unknown:
         raise _unexpected(options.parser, next((word for word in unknown if word.startswith("-")), unknown[0]))
     check_architecture()
+    options.words = ["doo-ti", *argv]
     try:
-        return options.run(options, ["doo-ti", *argv])
+        return options.run(options)
     except InputError as error:
         raise options.parser.in_options(error) from None
 
@@ -200,7 +195,7 @@ def _parser() -> _Parser:
                      description="Fit discrete elastic rods to observed shapes (Javdani et al., ICRA 2011).")
     parser.add_argument("--version", action="version", version=f"doo-ti {__version__}")
     add = parser.add_subparsers(dest="command", required=True, metavar="COMMAND").add_parser
-    for commands in (relax, sweep, learn, refine, predict, steer, servo, simulate, group, identify, twist, plan, view, synth,
-                     bench, cameras, perceive, track, warm):
+    for commands in (relax, sweep, runs, refine, predict, steer, servo, simulate, group, identify, twist, plan, synth, bench,
+                     cameras, perceive, track, warm):
         commands.declare(add)
     return parser

@@ -1,4 +1,5 @@
-"""The cases that are timed: rods × material × precision, NumPy in to NumPy out, kernels compiled before.
+"""The cases that are timed: rods × material × precision, NumPy in to NumPy out, kernels compiled before; and what
+``doo-ti bench`` measures.
 
     measured = measure(case, clock.Reference(threads), rounds)
 
@@ -6,7 +7,7 @@ Of rods that are relaxed only those that converged count.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from statistics import median
 
@@ -19,6 +20,8 @@ from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.types import Material, Solution
+from doo_ti.system import runtime
+from doo_ti.system.terminal import progress
 
 COARSE, FINE = Newton(tolerance=1e-4), Newton(tolerance=1e-7)
 CLOSE = Newton(tolerance=1e-4, first_shift=0.0)
@@ -205,3 +208,42 @@ def measure(case: Case, reference: clock.Reference, rounds: int) -> Measurement:
                                            outcome.operations.items()} if outcome.amount else {},
         float(iterations.sum()) / outcome.trips if outcome.trips else None, tuple(np.bincount(iterations).tolist()),
     )
+
+
+COMPARED = 4096  # rods whose shape in f32 is compared with f64's
+SAME_MM = 0.02
+"""Two rods are in the same minimum where the mean distance between their vertices is no more than this."""
+
+
+def benchmark(count: int, rounds: int, threads: int | None) -> dict:
+    """What ``doo-ti bench`` measures, with its progress on standard error: the content of ``bench.json``."""
+    architecture, rods = runtime.start(threads=threads), Specimens(count)
+    reference, chosen, measured, peak = clock.Reference(runtime.thread_count()), cases(rods), {}, {}
+    with progress(keep=True) as bar:
+        task = bar.add_task("", total=len(chosen) + 2, unit="steps", rate="")
+        for case in chosen:
+            bar.update(task, description=case.name)
+            peak = clock.peak_gflops(peak)  # before each case, and once after them: the most counts
+            found = measured[case.name] = measure(case, reference, rounds)
+            bar.update(task, rate=f"{found.per_second:,.0f} {found.unit}", advance=1)
+        bar.update(task, description="peak")
+        peak = clock.peak_gflops(peak)
+        bar.update(task, rate=", ".join(f"{value:,.0f} GFlop/s" for value in peak.values()), advance=1)
+        bar.update(task, description="f32 against f64")
+        accuracy = f32_against_f64(rods)
+        bar.update(task, rate=f"{accuracy['median_mm']:.1e} mm", advance=1)
+    return {"machine": {**clock.machine(), "threads": runtime.thread_count(), "architecture": architecture},
+            "versions": clock.versions(), "rods": count, "rounds": rounds, "peak_gflops": peak,
+            "cases": {name: {**asdict(found), "share_of_peak": found.share_of(peak)} for name, found in measured.items()},
+            "f32_against_f64": accuracy}
+
+
+def f32_against_f64(rods: Specimens) -> dict[str, float]:
+    """Where f32 ends beside f64, on the first rods."""
+    some = rods.many.take(slice(COMPARED))
+    coarse, fine = rods.relaxed.configuration.take(slice(COMPARED)), some.relaxed(FINE, "f64").configuration
+    apart = np.linalg.norm(coarse.vertices - fine.vertices, axis=-1).mean(axis=1)
+    same = apart <= SAME_MM
+    median_mm, high = np.percentile(apart[same], [50, 99]) if same.any() else (np.nan, np.nan)
+    return {"rods": some.count, "same_minimum": float(same.mean()), "median_mm": float(median_mm),
+            "percentile_99_mm": float(high)}

@@ -1,5 +1,5 @@
 """The commands: ``declare`` of a module adds their options to the parser, ``run`` does the work and returns the exit code.
 
-``run`` takes the parsed options and the words of the command line: it checks all input, works, and prints the results. Heavy
-modules are imported where they are used, so that wrong input is reported at once.
+``run`` takes the parsed options, with the ``words`` of the command line: it checks all input, works, and prints the results.
+Heavy modules are imported where they are used, so that wrong input is reported at once.
 """

@@ -53,7 +53,7 @@ def declare(add) -> None:
 # --- calibrate -----------------------------------------------------------------------------------------------------------
 
 
-def run_calibrate(options: Namespace, words: list[str]) -> int:
+def run_calibrate(options: Namespace) -> int:
     """Corners in all images, then intrinsics and extrinsics; writes the rig and prints how well each image agrees."""
     board, out = parse_board(options.board), given.output_file(options.out, ".yaml")
     views = read_views(Path(options.views))
@@ -129,7 +129,7 @@ def _calibration_lines(views: Views, calibration: Calibration, summary: dict) ->
 # --- triangulate ---------------------------------------------------------------------------------------------------------
 
 
-def run_triangulate(options: Namespace, words: list[str]) -> int:
+def run_triangulate(options: Namespace) -> int:
     """Triangulate all marks; writes observations and names the labels that contradict the others."""
     chosen = TriangulationOptions(options.sigma_px, options.threshold)
     rest_length, up, out = given.length("--rest-length", options.rest_length), given.up(options), given.output_file(options.out)

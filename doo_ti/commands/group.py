@@ -38,14 +38,13 @@ def declare(add) -> None:
     parser.add_argument("--recording", metavar="F.rrd", help="also record the rods for the viewer (default: no)")
 
 
-def run(options: Namespace, words: list[str]) -> int:
-    """Relax the group at every moment; writes places, forces and status."""
+def run(options: Namespace) -> int:
     from doo_ti.groups.follow import follow_group
     from doo_ti.groups.scene import load_group_scene
 
     out = given.output_file(options.out, ".npz")
-    picture, recording = (None if text is None else given.output_file(text, suffix, option) for text, suffix, option in (
-        (options.picture, ".png", "--picture"), (options.recording, ".rrd", "--recording")))
+    picture = given.output_file(options.picture, ".png", "--picture")
+    recording = given.output_file(options.recording, ".rrd", "--recording")
     up = given.world_up(options)
     scene = load_group_scene(options.scene)
     moments = []
@@ -105,7 +104,7 @@ def _draw(moments: "list[GroupSolution]", picture: Path | None, recording: Path 
     for path in wanted:
         path.parent.mkdir(parents=True, exist_ok=True)
     if picture is not None:
-        from doo_ti.report.groups import save_group
+        from doo_ti.report.contact import save_group
 
         save_group(picture, moments, **about)
     if recording is not None:

@@ -42,13 +42,12 @@ def declare(add) -> None:
     parser.add_argument("--picture", metavar="F.png", help="also draw predictions and errors over time (default: no)")
 
 
-def run(options: Namespace, words: list[str]) -> int:
-    """Identify Θ; writes it and prints parameters with intervals and errors."""
+def run(options: Namespace) -> int:
     from doo_ti.dynamics.identify import IdentifyOptions, guesses, identify_from_guesses, require_clear_grippers
     from doo_ti.dynamics.recorded import RecordedMotion
 
     out = given.output_file(options.out, ".json")
-    picture = None if options.picture is None else given.output_file(options.picture, ".png", "--picture")
+    picture = given.output_file(options.picture, ".png", "--picture")
     fitted = tuple(filter(None, options.fit.split(",")))
     if unknown := next((name for name in fitted if name not in FITTED), None):
         raise InputError(given.SOURCE, "--fit", f"{unknown!r} is unknown", f"give some of {', '.join(FITTED)}")
@@ -62,7 +61,7 @@ def run(options: Namespace, words: list[str]) -> int:
     folds = given.whole("--folds", options.folds, 0)
     bend = given.positive("--bend", options.bend, "mm³")
     motion = RecordedMotion.together(loading.recordings(options, options.motions), options.motions)
-    up = given.world_up(options) if options.up is not None or motion.up is None else motion.up
+    up = given.world_up(options, motion.up)
     stills = _stills(options, motion, surroundings)
     require_clear_grippers(motion, guesses(motion, chosen, bend, up)[0], chosen)
     if folds == 1 or folds > motion.count:
@@ -176,8 +175,8 @@ def _lines(summary: dict, motion) -> list[str]:
 
 
 def _draw(picture: Path, found, rollouts) -> None:
+    from doo_ti.report.contact import Touched
     from doo_ti.report.motions import save_rollout
-    from doo_ti.report.touched import Touched
 
     picture.parent.mkdir(parents=True, exist_ok=True)
     motion, surroundings = rollouts.motion, rollouts.surroundings

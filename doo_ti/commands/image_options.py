@@ -1,16 +1,36 @@
-"""Options on cameras, their images, and how the rod looks in them, shared by commands."""
+"""Options on cameras, their images, and how the rod looks in them, shared by commands; and the inputs of ``doo-ti perceive``,
+checked before any image is read."""
 
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
+from doo_ti.commands import loading
 from doo_ti.commands import options as given
+from doo_ti.commands.loading import MOST_EDGES, read_rest_length
+from doo_ti.contact.surroundings import Surroundings
+from doo_ti.io.arrays import read_npz
+from doo_ti.io.observation_files import load_observations
 from doo_ti.io.toml_file import scene_file
 from doo_ti.rod.physical_units import UNITS_IN_MM
+from doo_ti.rod.types import Material
 from doo_ti.system.errors import InputError
+from doo_ti.system.files import read_content
 from doo_ti.system.terminal import in_line
 from doo_ti.vision.cameras.foreign import LENSES, POSES, RigReading
 from doo_ti.vision.cameras.rig import Rig, load_rig
+
+MOST_HYPOTHESES = 100_000
+RECORDED = 3
+"""Sets in a recording."""
+EDGES = 33
+"""Of a rod whose edges are not given."""
+GUESSED_BEND = 1e6
+"""mm³, of a rod in images whose stiffness is not given: E_vis takes the rod's energy relative to its stiffness, so that only
+its weight and twist against its bending depend on it."""
 
 
 def add_rig(parser: ArgumentParser) -> None:
@@ -104,3 +124,138 @@ def orientation_note(paths: Iterable[Path], turned: bool) -> str | None:
     count = orientation_tags(paths)
     did, other = ("applied", "ignore") if turned else ("ignored", "apply")
     return f"{count} images have tags, which are {did}; else --orientation {other}" if count else None
+
+
+# --- perceive ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Extent:
+    """How long a rod may be whose rest lengths are not given: mm, and mm of its edges, or None for EDGES of them."""
+
+    least: float = 0.0
+    most: float = np.inf
+    edge: float | None = None
+
+    def rest_length(self, thread: float) -> np.ndarray:
+        """(E,) mm of a rod along a thread of that length."""
+        length = float(np.clip(thread, self.least, self.most))
+        edges = EDGES if self.edge is None else int(np.clip(round(length / self.edge), 4, MOST_EDGES))
+        return np.full(edges, length / edges)
+
+
+@dataclass(frozen=True)
+class PerceptionTask:
+    """The inputs of a perception, checked as far as possible before images are read."""
+
+    sets: object  # ImageSets
+    rest_length: np.ndarray | None
+    extent: Extent
+    material: Material
+    search: object  # PerceptionOptions
+    sight: object  # Sight
+    up: np.ndarray
+    truth: np.ndarray | None
+    recorded: int
+    surroundings: Surroundings
+    guessed: bool  # the stiffness is not given
+
+
+def perception_task(options: Namespace) -> PerceptionTask:
+    """Raises InputError naming the option or file at fault."""
+    guessed = options.theta is None and all(getattr(options, name) is None for name in given.MATERIAL)
+    if guessed:
+        options.bend = repr(GUESSED_BEND)
+    grid, up = given.round_cell(options, "perceived"), given.world_up(options)
+    rest_length = None if options.rest_length is None else read_rest_length(options.rest_length)
+    nu = given.positive("--nu", options.nu)
+    hypotheses = given.whole("--hypotheses", options.hypotheses, 1, MOST_HYPOTHESES)
+    recorded = given.whole("--recorded-sets", options.recorded, 1)
+    surroundings = given.surroundings(options)
+
+    sets = _sets(options, rig(options))
+    if rest_length is not None and sets.direction is not None:
+        sets.rig.check_sight(sets.point + rest_length.min() * sets.direction, "the first edge")
+    truth = _truth(options, sets.names)
+
+    from doo_ti.perception.perceive import PerceptionOptions
+
+    chosen = {"nu": nu, "hypotheses": hypotheses, "evidence": options.evidence}
+    search = PerceptionOptions(**{name: value for name, value in chosen.items() if value is not None})
+    return PerceptionTask(sets, rest_length, _extent(options), grid.materials(), search,
+                          sight(options, sets, options.detector), up, truth,
+                          0 if options.no_recording else recorded or RECORDED, surroundings, guessed)
+
+
+def _sets(options: Namespace, rig):
+    """The sets of the file, or the one that the command line spells out."""
+    from doo_ti.vision.detection.images import ImageSets, load_sets
+
+    single = {"IMAGE": options.images, "--seed-point": options.seed_point, "--seed-direction": options.seed_direction,
+              "--seed-pixel": options.seed_pixel}
+    if options.sets is not None:
+        both = next((name for name, value in single.items() if value), None)
+        if both:
+            raise InputError(given.SOURCE, both, "given beside --sets", "give either")
+        return load_sets(options.sets, rig)
+    if not options.images:
+        raise InputError(given.SOURCE, "IMAGE", "missing", "give --sets, or images with a seed")
+    if bool(options.seed_point) == bool(options.seed_pixel):
+        both = "given beside --seed-pixel" if options.seed_pixel else "missing"
+        raise InputError(given.SOURCE, "--seed-point", both, "give --seed-point, or --seed-pixel: where the rod begins")
+    if len(options.images) != len(rig.cameras):
+        raise InputError(given.SOURCE, "IMAGE", f"{len(options.images)} images, but the rig has {len(rig.cameras)} cameras",
+                         f"give one of each, in this order: {', '.join(rig.names)}")
+    seed = {}
+    for name in ("--seed-point", "--seed-direction"):
+        if not single[name]:
+            seed[name] = None
+            continue
+        numbers = given.numbers(name, single[name])
+        if len(numbers) != 3:
+            raise InputError(given.SOURCE, name, f"{len(numbers)} numbers", "give X,Y,Z")
+        seed[name] = np.array([numbers])
+    paths = tuple(Path(image) for image in options.images)
+    return ImageSets((in_line(paths[0].stem),), (paths,), rig, seed["--seed-point"], seed["--seed-direction"], given.SOURCE,
+                     (_clicks(options, rig),))
+
+
+def _extent(options: Namespace) -> Extent:
+    """What ``--edge`` and ``--length`` say."""
+    edge, bounds = given.length("--edge", options.edge), (0.0, np.inf)
+    if options.rest_length is not None:
+        given.refuse(options, ("edge", "length"), "given beside --rest-length", "give the one or the other")
+    if options.length is not None:
+        low, colon, high = options.length.partition(":")
+        bounds = given.length("--length", low), given.length("--length", high if colon else low)
+        if bounds[0] > bounds[1]:
+            raise InputError(given.SOURCE, "--length", options.length, "give MM, or LOW:HIGH")
+    return Extent(*bounds, edge)
+
+
+def _clicks(options: Namespace, rig) -> dict[int, tuple[float, float]]:
+    """The pixels of ``--seed-pixel`` by the numbers of their cameras."""
+    pixels = by_camera("--seed-pixel", options.seed_pixel, rig.names, "U,V")
+    return {rig.names.index(camera): pixel for camera, pixel in pixels.items()}
+
+
+def _truth(options: Namespace, names: tuple[str, ...]) -> np.ndarray | None:
+    """(A, V, 3) mm: the rods of ``--truth`` by the sets' names, or in order where it has no names; None without one."""
+    path = options.truth
+    if path is None:
+        given.refuse(options, loading.OF_FILES, "given without --truth", "give both")
+        return None
+    vertices = load_observations(path, None, options.unit, loading.columns(options)).vertices
+    named = read_npz(Path(path), read_content(Path(path)), ("name", "names")) if Path(path).suffix == ".npz" else {}
+    known = next(iter(named.values()), None)
+    if known is None:
+        if len(vertices) != len(names):
+            raise InputError(path, "vertices_mm", f"{len(vertices)} rods for {len(names)} sets", "give one for each set")
+        return vertices
+    if known.shape != (len(vertices),):
+        raise InputError(path, "name", f"shape {known.shape} for {len(vertices)} rods", "give one name for each")
+    row = {str(name): index for index, name in enumerate(known)}
+    missing = next((name for name in names if name not in row), None)
+    if missing is not None:
+        raise InputError(path, "name", f"no rod is called {missing!r}", "name rods as the sets")
+    return vertices[[row[name] for name in names]]

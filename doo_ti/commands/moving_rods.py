@@ -107,8 +107,7 @@ def held_rods(options: Namespace, out: Path, kinds: tuple[Clamp | None, Clamp | 
         raise InputError(given.SOURCE, "--motion", "missing", "name a file of poses, or give a scene of motion")
     grid, surroundings = given.grid(options), rubbed(options, given.surroundings(options))
     observations = loading.load(options, options.source)
-    for source in (options.source, options.motion):
-        given.refuse_overwriting(out, source)
+    given.refuse_overwriting(out, options.source, options.motion)
     path = _path(options, observations.up)
     observations = _with_frames(observations, path, options.relative)
     if path.count not in (1, observations.count) and observations.count > 1:

@@ -21,7 +21,6 @@ from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import INSTALL_RECORDER, has_recorder
 
 SOURCE = "command line"
-SOLVERS = ("newton", "descent")
 MATERIAL = ("bend", "bend_1", "bend_2", "twist", "twist_ratio", "weight", "EI", "GJ")
 """The options that state Θ."""
 STIFFNESS_ONLY = "bend and twist stiffness are used; rest curvature, damping, drag and markers are ignored"
@@ -42,7 +41,7 @@ class _HelpAll(Action):
 # --- declaring -----------------------------------------------------------------------------------------------------------
 
 
-def command(add, name: str, run: Callable[[Namespace, list[str]], int], meaning: str, *, json: bool = True) -> ArgumentParser:
+def command(add, name: str, run: Callable[[Namespace], int], meaning: str, *, json: bool = True) -> ArgumentParser:
     """The parser of a command, which ``run`` carries out; with ``--json`` unless it prints nothing for machines."""
     parser = add(name, allow_abbrev=False, help=meaning, description=f"{meaning[0].upper()}{meaning[1:]}.",
                  epilog=examples(name), formatter_class=RawDescriptionHelpFormatter)
@@ -97,10 +96,11 @@ def add_frame_weight(parser: ArgumentParser, default: str) -> None:
 def add_relaxation(parser: ArgumentParser, precision: str | None) -> None:
     add_clamps(parser)
     add_frame_weight(parser, "0" if precision else "the scene's, else 0")
-    parser.add_argument("--solver", choices=SOLVERS, default="newton",
+    parser.add_argument("--solver", choices=("newton", "descent"), default="newton",
                         help="newton, or the paper's gradient descent (default newton)")
+    stated = precision or "the scene's, else mixed"
     parser.add_argument("--precision", choices=PRECISIONS, default=precision,
-                        help=f"floating-point arithmetic (default: {precision or 'the scene' + chr(39) + 's, else mixed'})")
+                        help=f"floating-point arithmetic (default: {stated})")
 
 
 def add_obstacles(parser: ArgumentParser, friction: str) -> None:
@@ -116,7 +116,13 @@ def add_obstacles(parser: ArgumentParser, friction: str) -> None:
 
 def grid(options: Namespace, base: Grid | None = None) -> Grid:
     """The axes given, on top of those of ``base`` (a scene's grid) where there is one."""
-    texts = {name: getattr(options, name) for name in UNITS if getattr(options, name) is not None} | _of_theta(options)
+    texts = {name: getattr(options, name) for name in UNITS if getattr(options, name) is not None}
+    if options.theta is not None:
+        refuse(options, MATERIAL, "given beside --theta", "give one of the two")
+        from doo_ti.dynamics.theta import load_theta
+
+        theta = load_theta(options.theta)
+        texts |= {"bend": repr(theta.bend), "twist": repr(theta.bend * theta.twist_ratio)}
     axes, bend_12 = parse_axes(texts, SOURCE, "--")
     axes += _physical_axes(options)
     if base is not None:
@@ -124,17 +130,6 @@ def grid(options: Namespace, base: Grid | None = None) -> Grid:
     if not any(axis.name in ("bend", "bend_1", "bend_2") for axis in axes):
         raise InputError(SOURCE, "--EI", "missing", "give --EI and --linear-density, or --bend, or --bend-1 and --bend-2")
     return Grid(tuple(axes), bend_12, SOURCE)
-
-
-def _of_theta(options: Namespace) -> dict[str, str]:
-    """The axes that ``--theta`` gives, as texts."""
-    if options.theta is None:
-        return {}
-    refuse(options, MATERIAL, "given beside --theta", "give one of the two")
-    from doo_ti.dynamics.theta import load_theta
-
-    theta = load_theta(options.theta)
-    return {"bend": repr(theta.bend), "twist": repr(theta.bend * theta.twist_ratio)}
 
 
 def _physical_axes(options: Namespace) -> list[Axis]:
@@ -146,20 +141,25 @@ def _physical_axes(options: Namespace) -> list[Axis]:
         if text is None:
             continue
         refuse(options, others, f"given beside --{physical}", "give one of the two")
-        density = positive("--linear-density", options.linear_density, "g/m")
-        if density is None:
+        per_length = density(options)
+        if per_length is None:
             raise InputError(SOURCE, "--linear-density", f"missing beside --{physical}", "give the rod's in g/m")
         axis = parse_axis(f"--{physical}", text, SOURCE)
-        axes.append(Axis(name, bend_or_twist(axis.values, weight_per_length(density)), axis.log))
+        axes.append(Axis(name, bend_or_twist(axis.values, weight_per_length(per_length)), axis.log))
     return axes
+
+
+def density(options: Namespace) -> float | None:
+    """The linear density in g/m, or None."""
+    return positive("--linear-density", options.linear_density, "g/m")
 
 
 def newtons(options: Namespace, weight) -> np.ndarray | None:
     """N in the unit of force of rods of ``weight`` (G,), by ``--linear-density``; None without it."""
-    density = positive("--linear-density", options.linear_density, "g/m")
-    if density is None or not np.all(np.asarray(weight) > 0):
+    per_length = density(options)
+    if per_length is None or not np.all(np.asarray(weight) > 0):
         return None
-    return force_in_newton(1.0, weight_per_length(density), weight)
+    return force_in_newton(1.0, weight_per_length(per_length), weight)
 
 
 def single_cell(options: Namespace, remedy: str = "give one number") -> Grid:
@@ -196,10 +196,10 @@ def up(options: Namespace) -> np.ndarray | None:
     return unit_up(numbers("--up", options.up), SOURCE)
 
 
-def world_up(options: Namespace) -> np.ndarray:
-    """(3,) unit vector against gravity, by default z."""
-    direction = up(options)
-    return np.array([0.0, 0.0, 1.0]) if direction is None else direction
+def world_up(options: Namespace, otherwise: np.ndarray | None = None) -> np.ndarray:
+    """(3,) unit vector against gravity; without ``--up`` the one of a file, ``otherwise``, else z."""
+    found = (direction for direction in (up(options), otherwise) if direction is not None)
+    return next(found, np.array([0.0, 0.0, 1.0]))
 
 
 def clamps(options: Namespace) -> tuple[Clamp | None, Clamp | None]:
@@ -235,13 +235,6 @@ def refuse(options: Namespace, names: Iterable[str], problem: str, remedy: str) 
     for name in names:
         if getattr(options, name, None) not in (None, False):
             raise InputError(SOURCE, f"--{name.replace('_', '-')}", problem, remedy)
-
-
-def solver(name: str):
-    """Newton() or Descent()."""
-    from doo_ti.relaxation.relax import Descent, Newton
-
-    return {"newton": Newton, "descent": Descent}[name]()
 
 
 def whole(option: str, text: str | None, minimum: int, most: int | None = None) -> int | None:
@@ -299,8 +292,10 @@ def rows(option: str, text: str | None, count: int) -> tuple[int, ...]:
     return found
 
 
-def output_file(text: str | Path, suffix: str | tuple[str, ...] | None = None, option: str = "--out") -> Path:
-    """The file to write, with this suffix, or one of them, or with that of a format of observations."""
+def output_file(text: str | Path | None, suffix: str | tuple[str, ...] | None = None, option: str = "--out") -> Path | None:
+    """The file to write, with this suffix, or one of them, or with that of a format of observations; None without text."""
+    if text is None:
+        return None
     path, wanted = Path(text), (suffix,) if isinstance(suffix, str) else suffix
     if wanted is None:
         checked_suffix(path)
@@ -322,10 +317,11 @@ def require_recorder(name: str) -> None:
         raise InputError(SOURCE, name, "rerun is not installed", INSTALL_RECORDER)
 
 
-def refuse_overwriting(out: Path, source: str, option: str = "--out") -> None:
-    """Raise InputError where the file to write is also the one to read."""
-    if os.path.exists(out) and os.path.exists(source) and out.samefile(source):
-        raise InputError(SOURCE, option, f"{out} is the input itself", "name another file")
+def refuse_overwriting(out: Path, *sources: str | None, option: str = "--out") -> None:
+    """Raise InputError where the file to write is also one to read."""
+    for source in filter(None, sources):
+        if os.path.exists(out) and os.path.exists(source) and out.samefile(source):
+            raise InputError(SOURCE, option, f"{out} is the input itself", "name another file")
 
 
 def output_folder(text: str | None, option: str = "--out") -> Path | None:

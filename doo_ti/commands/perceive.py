@@ -10,8 +10,8 @@ import numpy as np
 
 from doo_ti.commands import image_options, loading
 from doo_ti.commands import options as given
+from doo_ti.commands.image_options import GUESSED_BEND, RECORDED, PerceptionTask, perception_task
 from doo_ti.commands.results import RODS, counted, report, save_arrays, shortened
-from doo_ti.commands.seen_rods import GUESSED_BEND, RECORDED, PerceptionTask, perception_task
 from doo_ti.learning.landscape import status_counts
 from doo_ti.rod.types import Status
 from doo_ti.system.errors import InputError
@@ -70,14 +70,12 @@ def declare(add) -> None:
     given.add_old_name(parser, "--recorded", "recorded")
 
 
-def run(options: Namespace, words: list[str]) -> int:
-    """Alg. 1 on every set of images; writes rods and runners-up, and prints the verdict of each set."""
+def run(options: Namespace) -> int:
     out = given.output_file(options.out, RODS)
     task = perception_task(options)
     sources = [options.rig, options.sets, options.truth, *(path for line in task.sets.paths for path in line)]
     for path in (out, *(given.output_file(out.with_suffix(suffix), suffix) for suffix in (".png", ".rrd"))):
-        for source in filter(None, sources):
-            given.refuse_overwriting(path, source)
+        given.refuse_overwriting(path, *sources)
     with progress() as bar:
         detected = _detected(task, bar)
         task, length_range = _begun(task, detected)
@@ -218,8 +216,7 @@ def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found
                        _verdict_text(found, row))
 
     if len(there) and not options.no_picture:
-        from doo_ti.report import reprojections_picture
-        from doo_ti.report.reprojections import MOST_SETS
+        from doo_ti.report.shapes import MOST_SETS, reprojections_picture
 
         picture = out.with_suffix(".png")
         rods = [seen(row) for row in there[:MOST_SETS]]

@@ -40,8 +40,7 @@ def declare(add) -> None:
                         help="folder for plan.csv, plan.json and identifiability.png (default: not written)")
 
 
-def run(options: Namespace, words: list[str]) -> int:
-    """Rank configurations; the grid is the prior."""
+def run(options: Namespace) -> int:
     scene = load_scene(options.source) if Path(options.source).suffix == ".toml" else None
     grid = given.grid(options, scene.grid if scene else None)
     out = given.output_folder(options.out)

@@ -90,12 +90,10 @@ def declare(add) -> None:
     parser.add_argument("--recording", metavar="F.rrd", help="also record it for the viewer (default: no)")
 
 
-def run(options: Namespace, words: list[str]) -> int:
-    """Carry all rods along the motion; writes them at its moments and prints where they jumped."""
+def run(options: Namespace) -> int:
     out = given.output_file(options.out, RODS)
-    pictures = {suffix: None if text is None else given.output_file(text, suffix, option)
-                for suffix, text, option in (
-                    (".png", options.picture, "--picture"), (".rrd", options.recording, "--recording"))}
+    picture = given.output_file(options.picture, ".png", "--picture")
+    recording = given.output_file(options.recording, ".rrd", "--recording")
     between = given.whole("--steps-between", options.between, 1)
     sub_step = _sub_step(options)
     task = _scene(options, between) if Path(options.source).suffix == ".toml" else _observed(options, out, between)
@@ -109,13 +107,14 @@ def run(options: Namespace, words: list[str]) -> int:
         shown = bar.add_task(task.name, total=rods * intervals, unit="rods x moments")
         prediction = _predicted(task, sub_step, options.precision, lambda done: bar.advance(shown, done))
     result = _arrays(task, prediction)
-    for path in filter(None, pictures.values()):
+    for path in filter(None, (picture, recording)):
         path.parent.mkdir(parents=True, exist_ok=True)
     save_arrays(out, result, ("moment", "rod"))
-    if any(pictures.values()):
-        _draw(task, prediction, result, pictures, _lines(task, prediction, result))
+    lines = _lines(task, prediction, result)
+    if picture or recording:
+        _draw(task, prediction, result, picture, recording, lines)
     report(options, _summary(task, prediction, result, out),
-           lambda: [*_lines(task, prediction, result), *task.loaded, f"  written to {in_line(out)}"])
+           lambda: [*lines, *task.loaded, f"  written to {in_line(out)}"])
     return 0 if prediction.followed[-1].any() else 1
 
 
@@ -252,30 +251,26 @@ def _summary(task: _Task, prediction, result: dict, out: Path) -> dict:
         "total_twist_deg": result["total_twist_deg"][-1], "out": str(out), **_contact(task, prediction, result)}
 
 
-def _draw(task: _Task, prediction, arrays: dict[str, np.ndarray], pictures: dict[str, Path | None],
+def _draw(task: _Task, prediction, arrays: dict[str, np.ndarray], picture: Path | None, recording: Path | None,
           lines: list[str]) -> None:
-    """Write the picture and the recording that are asked for: path or None by suffix, ``.png`` and ``.rrd``.
-
-    arrays  those of the file
-    lines   the result as text
-    """
+    """Write the picture and the recording that are asked for, of the file's ``arrays``; ``lines`` are the result as text."""
     from doo_ti.report import MovingRods, motions_picture
-    from doo_ti.report.touched import Touched
+    from doo_ti.report.contact import Touched
 
     marks = None if task.marks is None else task.marks[prediction.motion]
     touched = None if not task.surroundings else Touched(task.surroundings, *(
         np.swapaxes(arrays[name], 0, 1) for name in ("vertices_mm", "contact_force")), task.newtons)
     rods = MovingRods(prediction.time, arrays["vertices_mm"], task.names, prediction.jumps, prediction.followed, task.up,
                       _gripper_lines(task, prediction, arrays["vertices_mm"]), marks, touched)
-    if pictures[".png"] is not None:
-        motions_picture(pictures[".png"], rods, title=task.name)
-    if pictures[".rrd"] is not None:
+    if picture is not None:
+        motions_picture(picture, rods, title=task.name)
+    if recording is not None:
         from doo_ti.record import record_motion
 
         force, unit = ("end_force_N", "N") if "end_force_N" in arrays else ("end_force", "mm")
         curves = {"Energy [mm²]": prediction.energy, "Total twist [°]": arrays["total_twist_deg"],
                   f"Force at the far clamp [{unit}]": np.linalg.norm(arrays[force], axis=-1)}
-        record_motion(pictures[".rrd"], run_id=hashlib.sha256(rods.vertices.tobytes()).hexdigest()[:32], name=task.name,
+        record_motion(recording, run_id=hashlib.sha256(rods.vertices.tobytes()).hexdigest()[:32], name=task.name,
                       rods=rods, curves=curves, text="\n\n".join(line.strip() for line in lines))
 
 

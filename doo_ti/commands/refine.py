@@ -98,9 +98,9 @@ class Task:
     loads: np.ndarray | None
 
 
-def run(options: Namespace, words: list[str]) -> int:
+def run(options: Namespace) -> int:
     """Θ of least χ² for each source, the best of several starts, and how well the observations determine it."""
-    out = None if options.out is None else given.output_file(options.out, ".json")
+    out = given.output_file(options.out, ".json")
     starts, folds = given.whole("--starts", options.starts, 1) or STARTS, given.whole("--folds", options.folds, 2)
     tasks = [_task(options, source, starts) for source in options.sources]
     groups = [read_groups(options.groups, task.observations) for task in tasks]
@@ -182,7 +182,7 @@ def _draw(landscape, found, path: Path) -> Path | None:
 
 def _task(options: Namespace, source: str, starts: int) -> Task:
     """The task of ``source``, a run's folder or a file of observations, checked."""
-    density = given.positive("--linear-density", options.linear_density, "g/m")
+    density = given.density(options)
     if os.path.isdir(source):
         observations, thetas, kinds, weight, around, landscape = _of_run(options, Path(source), starts)
         density = run_density(Path(source)) if density is None else density

@@ -42,7 +42,7 @@ def declare(add) -> None:
     given.add_obstacles(parser, "without friction, which acts in simulate and predict")
 
 
-def run(options: Namespace, words: list[str]) -> int:
+def run(options: Namespace) -> int:
     """F on each observation (§III-D), to one npz; of several whole-turn hypotheses the one nearest to the observation."""
     grid = given.single_cell(options, "give one number, or use sweep")
     frame_weight, out = given.frame_weight(options), given.output_file(options.out, RODS)
@@ -53,6 +53,7 @@ def run(options: Namespace, words: list[str]) -> int:
     given.refuse_overwriting(out, options.observations)
     loading.warn(observations, surroundings)
 
+    from doo_ti.learning.experiment import SOLVERS
     from doo_ti.relaxation.relax import relax as relax_rods
     from doo_ti.rod.metric import distance
 
@@ -60,7 +61,7 @@ def run(options: Namespace, words: list[str]) -> int:
     index, turns = turn_hypotheses(observations, clamps)
     observed, held = observations.take(index), clamps.take(index)
     # Without a solver relax allows more iterations among obstacles.
-    solver = None if surroundings else given.solver(options.solver)
+    solver = None if surroundings else SOLVERS[options.solver]()
     with busy(f"relaxing {observed.count} rods (kernels are compiled once on a machine)"):
         start = start_configuration(observed, held, turns)
         solution = relax_rods(start, material, held, solver, up=observations.up, precision=options.precision,

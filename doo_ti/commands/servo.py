@@ -13,7 +13,7 @@ import numpy as np
 from doo_ti.commands import image_options, loading
 from doo_ti.commands import options as given
 from doo_ti.commands.results import report
-from doo_ti.commands.steered import SteeredRod, add_steered, path_table, steered_rod, warn_not_reached
+from doo_ti.commands.steer import SteeredRod, add_steered, path_table, steered_rod, warn_not_reached
 from doo_ti.io.motion_file import ClampPath
 from doo_ti.rod.physical_units import relative_stiffness, stiffness
 from doo_ti.rod.types import Clamps, Material
@@ -84,8 +84,7 @@ def declare(add) -> None:
     parser.add_argument("--no-recording", action="store_true", help=f"do not write {RECORDING}")
 
 
-def run(options: Namespace, words: list[str]) -> int:
-    """Run the loop, write it, and print whether it reaches the target."""
+def run(options: Namespace) -> int:
     folder = given.output_folder(options.out)
     rig = image_options.rig(options)
     reached = given.length("--reached", options.reached) or REACHED
@@ -120,7 +119,7 @@ def run(options: Namespace, words: list[str]) -> int:
 
 
 def _unit(options: Namespace, material: Material) -> Stiffness:
-    density = given.positive("--linear-density", options.linear_density, "g/m")
+    density = given.density(options)
     if density is None:
         if missing := next((name for name in ("EI", "GJ") if getattr(options, f"true_{name}") is not None), None):
             raise InputError(given.SOURCE, "--linear-density", f"missing beside --true-{missing}", "give the rod's in g/m")
@@ -217,12 +216,8 @@ def _table(steps: list[Step], unit: Stiffness) -> str:
     for number, step in enumerate(steps, 1):
         learned = [repr(float(value)) for row in unit.of(step.learned) for value in row]
         writer.writerow([number, step.true_mm, step.estimated_mm, STATUSES[step.status], HOW[step.seen.frame.how],
-                         _vertices_seen(step), " ".join(step.seen.covered), *learned])
+                         int(np.isfinite(step.seen.seen).all(axis=1).sum()), " ".join(step.seen.covered), *learned])
     return text.getvalue()
-
-
-def _vertices_seen(step: Step) -> int:
-    return int(np.isfinite(step.seen.seen).all(axis=1).sum())
 
 
 def _summary(steps: list[Step], unit: Stiffness, true: Material, written: list[Path]) -> dict:

@@ -31,7 +31,6 @@ from doo_ti.system.terminal import busy, in_line, progress
 
 CLAMPS = ("clamp_start", "clamp_end")
 MOST_LISTED = 8
-SCHEMES = ("bdf2", "euler")
 ENERGY = "energy_{}"
 SPLIT = ("kinetic", "gravity", "bending", "twist", "dissipated", "work", "unaccounted", "sum")
 """Energies in pictures and recordings."""
@@ -70,7 +69,8 @@ def declare(add) -> None:
     parser.add_argument("--tolerance", metavar="MM", help="estimate the error of the time steps, and double them for each rod "
                         "until it is below this in all frames (default: fixed steps, no estimate)")
     parser.add_argument("--most-substeps", metavar="N", help="with --tolerance, at most (default 64)")
-    parser.add_argument("--scheme", choices=SCHEMES, help="of time steps: second order, or backward Euler (default bdf2)")
+    parser.add_argument("--scheme", choices=("bdf2", "euler"),
+                        help="of time steps: second order, or backward Euler (default bdf2)")
     parser.add_argument("--precision", choices=("f32", "f64", "mixed"), default="f64",
                         help="arithmetic; mixed: f32, and f64 for rods that it cannot finish (default f64)")
     parser.add_argument("--quasi-static", action="store_true", help="without inertia and drag: every step is an equilibrium "
@@ -90,15 +90,14 @@ def declare(add) -> None:
     parser.add_argument("--animation", metavar="F.gif|F.webp", help="also write a short animation (default: no)")
 
 
-def run(options: Namespace, words: list[str]) -> int:
-    """Simulate; writes positions and status at every frame and prints the errors."""
+def run(options: Namespace) -> int:
     out = given.output_file(options.out, RODS)
     changes = _stepping(options)
-    shown = {kind: _shown(kind, text) for kind, text in (
-        ("picture", options.picture), ("recording", options.recording), ("animation", options.animation)) if text is not None}
+    picture = given.output_file(options.picture, ".png", "--picture")
+    recording = given.output_file(options.recording, ".rrd", "--recording")
+    animation = given.output_file(options.animation, (".gif", ".webp"), "--animation")
     up = given.world_up(options)
-    from_scene = Path(options.source).suffix == ".toml"
-    if from_scene:
+    if Path(options.source).suffix == ".toml":
         found = _scene(options, changes, up)
     else:
         if options.start is not None:  # how observations and their motion were named before
@@ -108,7 +107,7 @@ def run(options: Namespace, words: list[str]) -> int:
                              "rods, and this file as --motion")
         found = _recorded(options, out, changes, up) if options.motion is None else _carried(
             options, *moved_rods(options, out, changes))
-    for path in shown.values():
+    for path in filter(None, (picture, recording, animation)):
         path.parent.mkdir(parents=True, exist_ok=True)
     arrays, summary = _results(found, out)
     whole = arrays
@@ -117,7 +116,7 @@ def run(options: Namespace, words: list[str]) -> int:
                    *found.contact, "end_force", "end_force_N", "contact_force_N"}
         arrays = {key: value[0] if key in per_rod else value for key, value in arrays.items()}
     save_arrays(out, arrays, ("frame",) if found.alone else ("rod", "frame"))
-    _draw(found, shown)
+    _draw(found, picture, recording, animation)
     report(options, summary, lambda: _lines(found, summary, whole))
     return 0 if (found.status[:, -1] == Status.CONVERGED).any() else 1
 
@@ -131,15 +130,6 @@ def _stepping(options: Namespace) -> dict:
              "precision": options.precision, "tolerance": given.length("--tolerance", options.tolerance), "most_substeps": most,
              "quasi_static": options.quasi_static or None}
     return {name: value for name, value in found.items() if value is not None}
-
-
-def _shown(kind: str, text: str) -> Path:
-    suffix = {"picture": ".png", "recording": ".rrd"}.get(kind)
-    if kind == "animation":
-        suffix = Path(text).suffix
-        if suffix not in (".gif", ".webp"):
-            raise InputError(given.SOURCE, "--animation", f"suffix {suffix!r}", "name a file that ends in .gif or .webp")
-    return given.output_file(text, suffix, f"--{kind}")
 
 
 def _recorded(options: Namespace, out: Path, changes: dict, up: np.ndarray) -> _Simulated:
@@ -317,26 +307,24 @@ def _step_lines(summary: dict) -> list[str]:
             f"{error.max():.3g} mm, above the tolerance in {summary['above_tolerance']} rods"]
 
 
-def _draw(found: _Simulated, shown: dict[str, Path]) -> None:
+def _draw(found: _Simulated, picture: Path | None, recording: Path | None, animation: Path | None) -> None:
     touched = None
-    if shown and found.contact:
-        from doo_ti.report.touched import Touched
+    if found.contact and (picture or recording or animation):
+        from doo_ti.report.contact import Touched
 
         touched = Touched(found.surroundings, found.positions, found.contact["contact_force"], found.newtons)
     energies = {name: found.energies[name] for name in SPLIT} if found.energies else None
-    if "picture" in shown:
+    rods = found.name, found.names, found.positions, found.recorded, found.rate, found.up
+    if picture is not None:
         from doo_ti.report.motions import save_rollout
 
-        save_rollout(shown["picture"], found.name, found.names, found.positions, found.recorded, found.rate, found.up,
-                     energies, touched)
-    if "animation" in shown:
+        save_rollout(picture, *rods, energies, touched)
+    if animation is not None:
         from doo_ti.report.motions import save_animation
 
         with busy("drawing the animation"):
-            save_animation(shown["animation"], found.name, found.names, found.positions, found.recorded, found.rate, found.up,
-                           touched)
-    if "recording" in shown:
+            save_animation(animation, *rods, touched)
+    if recording is not None:
         from doo_ti.record.motions import record_rollout
 
-        record_rollout(shown["recording"], found.name, found.names, found.positions, found.recorded, found.rate, found.up,
-                       energies, touched)
+        record_rollout(recording, *rods, energies, touched)

@@ -68,9 +68,7 @@ class _Search:
     density: float | None  # linear density in g/m
 
 
-def run(options: Namespace, words: list[str]) -> int:
-    """Eq. 2 or 3 over a grid; writes a folder per source and prints the cell with the smallest error and
-    the flatness of the landscape around it."""
+def run(options: Namespace) -> int:
     searches = _searches(options)
     for search in searches:
         loading.warn(search.observations)
@@ -80,8 +78,8 @@ def run(options: Namespace, words: list[str]) -> int:
     began, summaries, relaxed = time.monotonic(), [], []
     for search in searches:
         before = _stamps(search.run)
-        summary = sweep(search.run, search.observations, search.grid, options=search.options, pairs=search.pairs, command=words,
-                        linear_density=search.density)
+        summary = sweep(search.run, search.observations, search.grid, options=search.options, pairs=search.pairs,
+                        command=options.words, linear_density=search.density)
         summaries.append(summary)
         now = _stamps(search.run)
         finished_before = now[SUMMARY] == before.get(SUMMARY)
@@ -146,14 +144,14 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
     spins = given.whole("--roll-hypotheses", options.spins, 0, MOST_ROLLS)
     pairs = _pairs(options, scene, observations, objective)
 
-    from doo_ti.learning.experiment import SweepOptions
+    from doo_ti.learning.experiment import SOLVERS, SweepOptions
 
     chosen = SweepOptions(
-        frame_weight=frame_weight, clamp_start=clamp_start, clamp_end=clamp_end, solver=given.solver(options.solver),
+        frame_weight=frame_weight, clamp_start=clamp_start, clamp_end=clamp_end, solver=SOLVERS[options.solver](),
         precision=options.precision or scene.precision, objective=objective,
         spins=scene.roll_hypotheses if spins is None else spins, seed=seed or 0, surroundings=given.surroundings(options),
         workers=workers, scheduler=options.scheduler)
-    density = given.positive("--linear-density", options.linear_density, "g/m")
+    density = given.density(options)
     return _Search(scene, observations, grid, chosen, pairs, run, density)
 
 

@@ -49,10 +49,10 @@ def declare(add) -> None:
                         help="a property of the images, may be repeated: clutter=3, occluders=2, noise=5, jpeg_quality=none …")
 
 
-def run_convert(options: Namespace, words: list[str]) -> int:
+def run_convert(options: Namespace) -> int:
     """Observations from one format to another; keys that observations do not have are dropped."""
     out = given.output_file(options.out, option="OUT")
-    given.refuse_overwriting(out, options.observations, "OUT")
+    given.refuse_overwriting(out, options.observations, option="OUT")
     edges = given.whole("--edges", options.edges, 2)
     if options.motion:
         if edges is not None:
@@ -84,7 +84,7 @@ def _convert_motion(options: Namespace, out: Path) -> int:
         raise InputError(given.SOURCE, "OUT", f"suffix {out.suffix!r}", "name a .npz file: a motion has a third axis")
     source = Path(options.observations)
     found = read_recording(source, options.unit, loading.columns(options), given.positive("--rate", options.rate, "per second"))
-    up = given.world_up(options) if options.up is not None or found.up is None else found.up
+    up = given.world_up(options, found.up)
     positions = found.positions[_selected(options.select, len(found.positions))]
     save_arrays(out, {"positions_mm": positions, "rate_hz": np.float64(found.rate), "up": up})
     gaps = int((~np.isfinite(positions)).any(axis=-1).sum())
@@ -107,15 +107,14 @@ def _selected(text: str | None, count: int, option: str = "--select") -> slice:
     return slice(first, last, step)
 
 
-def run(options: Namespace, words: list[str]) -> int:
-    """The observations of a scene to a file, and photographs of its rods to a folder."""
+def run(options: Namespace) -> int:
     if options.out is None and options.images is None:
         raise InputError(given.SOURCE, "--out", "missing", "give --out OBS, or --images FOLDER --rig RIG, or both")
     of_images = {"--rig": options.rig, "--diameter": options.diameter, "--seed": options.seed, "--render": options.render}
     alone = next((name for name, value in of_images.items() if value), None)
     if options.images is None and alone is not None:
         raise InputError(given.SOURCE, alone, "given without --images", "give --images FOLDER too, or leave it out")
-    out = None if options.out is None else given.output_file(options.out)
+    out = given.output_file(options.out)
     scene = load_scene(options.scene)
     if options.images is not None:
         _photograph(options, scene)

@@ -4,15 +4,19 @@ import os
 from argparse import Namespace
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from doo_ti.commands import image_options
 from doo_ti.commands import options as given
+from doo_ti.commands.loading import read_rest_length
 from doo_ti.commands.perceive import LEAST_SIGMA_MM
 from doo_ti.commands.results import RODS, report, save_arrays
-from doo_ti.commands.seen_rods import TrackingTask, tracking_task
+from doo_ti.contact.surroundings import Surroundings
+from doo_ti.io.csv_table import read_csv
+from doo_ti.rod.types import Clamp, Clamps, Material
 from doo_ti.system.errors import InputError, InterruptedRunError
 from doo_ti.system.terminal import can_record, in_line, progress
 
@@ -21,6 +25,20 @@ AHEAD = 16
 MOST_LISTED = 30
 LEAST_SHOWN = 0.01
 """px: smaller errors are less than the noise of the smoothed images."""
+
+
+@dataclass(frozen=True)
+class TrackingTask:
+    """The inputs of tracking: T frames with a seed for each, and the T − 1 motions of the far clamp between them, if known."""
+
+    frames: object  # ImageSets
+    time: np.ndarray | None
+    rest_length: np.ndarray
+    material: Material
+    sight: object  # Sight
+    up: np.ndarray
+    far: list | None  # of Motion
+    surroundings: Surroundings
 
 
 def declare(add) -> None:
@@ -36,11 +54,9 @@ def declare(add) -> None:
     parser.add_argument("--no-recording", action="store_true", help="do not write F.rrd")
 
 
-def run(options: Namespace, words: list[str]) -> int:
-    """Track the rod from frame to frame; writes it, and prints where it was lost and found again."""
+def run(options: Namespace) -> int:
     out = given.output_file(options.out, RODS)
-    for source in filter(None, (options.frames, options.motion, options.rest_length)):
-        given.refuse_overwriting(out, source)
+    given.refuse_overwriting(out, options.frames, options.motion, options.rest_length)
     task = tracking_task(options)
     found, problem = _tracked(task)
     result = _arrays(task, found)
@@ -59,6 +75,54 @@ def run(options: Namespace, words: list[str]) -> int:
     summary = _summary(task, result, written)
     report(options, summary, lambda: _lines(summary))
     return 0 if np.isfinite(result["energy_vis"]).any() else 1
+
+
+def tracking_task(options: Namespace) -> TrackingTask:
+    """Raises InputError naming the option or file at fault."""
+    grid, up = given.round_cell(options, "tracked"), given.world_up(options)
+    rest_length = read_rest_length(options.rest_length)
+    surroundings = given.surroundings(options)
+    frames, time = load_frames(Path(options.frames), image_options.rig(options))
+    frames.rig.check_sight(frames.point + rest_length.min() * frames.direction, "the first edge")
+    far = None if options.motion is None else _far_motions(Path(options.motion), frames.count)
+    sight = image_options.sight(options, frames)
+    return TrackingTask(frames, time, rest_length, grid.materials(), sight, up, far, surroundings)
+
+
+def load_frames(path: Path, rig):
+    """(ImageSets of the frames in their order, (T,) s or None). Frames without a seed keep the one before.
+
+    Raises InputError naming line and column for whatever is missing or not a number, and for missing images.
+    """
+    from doo_ti.vision.detection.images import SEED, ImageSets, cameras_in, images_in
+
+    table = read_csv(path, ("frame", *SEED), form=f"frame, one per camera, {', '.join(SEED)}", short_lines=True)
+    cameras = cameras_in(table, rig, ("frame", "time_s", *SEED))
+    paths = images_in(table, cameras)
+    for camera, name in enumerate(cameras):
+        table.refuse(name, np.array([not os.path.isfile(images[camera]) for images in paths]), "is not a file",
+                     "name an image, relative to this file")
+    seeded = np.array([row == 0 or any(table.columns[key][row] for key in SEED) for row in range(table.count)])
+    seeds = np.stack([table.rows(seeded).numbers(key) for key in SEED], axis=-1)[np.cumsum(seeded) - 1]
+    time = table.numbers("time_s") if "time_s" in table.columns else None
+    if time is not None and not (np.diff(time) > 0).all():
+        raise InputError(path, "time_s", "does not rise", "give frames in their order")
+    return ImageSets(tuple(table.columns["frame"]), paths, rig.only(cameras) if cameras else rig, seeds[:, :3], seeds[:, 3:],
+                     str(path)), time
+
+
+def _far_motions(path: Path, frames: int) -> list:
+    """The far clamp's motion from each frame to the next, tangents only."""
+    from doo_ti.io.motion_file import load_path
+    from doo_ti.motion.path import motion_between
+
+    motion = load_path(path)
+    if motion.moments != frames or motion.count > 1:
+        raise InputError(path, "time_s", f"{motion.count} motions of {motion.moments} moments for {frames} frames",
+                         "give one motion, a moment for each frame")
+    origin, frame = np.zeros((1, 3)), np.eye(3)[None]
+    rests = Clamps(Clamp.TANGENT, Clamp.TANGENT, origin, origin, frame, frame)
+    return [motion_between(motion.at(moment, rests), motion.at(moment + 1, rests)) for moment in range(frames - 1)]
 
 
 def _tracked(task: TrackingTask) -> tuple[list, str | None]:

@@ -42,11 +42,11 @@ def declare(add) -> None:
                         help="floating-point arithmetic (default f32, whose error is below that of labels)")
 
 
-def run(options: Namespace, words: list[str]) -> int:
+def run(options: Namespace) -> int:
     """Eq. 4 for each group of observations that share φ; writes φ and the whole curve, and prints ambiguous groups."""
     grid = given.single_cell(options)
     out = given.output_file(options.out, RODS)
-    picture = None if options.picture is None else given.output_file(options.picture, ".png", "--picture")
+    picture = given.output_file(options.picture, ".png", "--picture")
     observations = loading.load(options, options.observations)
     given.refuse_overwriting(out, options.observations)
 

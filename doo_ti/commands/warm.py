@@ -140,8 +140,7 @@ class _Job:
         return True
 
 
-def run(options: Namespace, words: list[str]) -> int:
-    """Run the commands' steps, and print how long each command took."""
+def run(options: Namespace) -> int:
     if unknown := next((name for name in options.commands if name not in STEPS), None):
         raise InputError(given.SOURCE, "COMMAND", f"{unknown!r} has no kernels", f"give some of {', '.join(STEPS)}")
     names = [name for name in STEPS if not options.commands or name in options.commands]

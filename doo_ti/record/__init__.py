@@ -4,11 +4,10 @@ Only this package imports rerun; import it where it is used, not at a module's t
 Entities, timelines and counts: docs/recording.md.
 """
 
-from doo_ti.record.cells import CellsOfRun, Rods, record_cells
 from doo_ti.record.images import record_perception, record_servo, record_track
 from doo_ti.record.motions import record_group, record_motion, record_ribbons
 from doo_ti.record.stream import FAILED
-from doo_ti.record.sweep import SweepTrajectory, record_sweep
+from doo_ti.record.sweep import CellsOfRun, Rods, SweepTrajectory, record_cells, record_sweep
 from doo_ti.record.viewer import open_viewer, save_screenshot, serve_viewer
 
 __all__ = ["FAILED", "CellsOfRun", "Rods", "SweepTrajectory", "open_viewer", "record_cells", "record_group",

@@ -29,9 +29,8 @@ from doo_ti.record.stream import (
 )
 from doo_ti.report import MovingRods, Ribbons, distinct_colors
 from doo_ti.report.canvas import box, widest
+from doo_ti.report.contact import GroupMotion, Touched
 from doo_ti.report.grid_view import Observed, facing, grid_view
-from doo_ti.report.groups import GroupMotion
-from doo_ti.report.touched import Touched
 
 GRIPPER = (120, 120, 130)
 MOST_CURVES = 12
@@ -62,16 +61,21 @@ def record_motion(path, *, run_id: str, name: str, rods: MovingRods, curves: dic
             strips=drawn_strips(rods.vertices.reshape(moments * count, *rods.vertices.shape[2:])),
             colors=colors.reshape(-1, 3)).partition([count] * moments))
         for title, values in curves.items():
-            shown = values[:, :MOST_CURVES]
-            entity = f"curves/{entity_name(title)}"
-            stream.log(entity, rerun.SeriesLines(names=rods.names[:MOST_CURVES], widths=[2.0] * shown.shape[1],
-                                                 colors=own[:MOST_CURVES]), static=True)
-            stream.send_columns(entity, when, rerun.Scalars.columns(
-                scalars=np.ascontiguousarray(shown).ravel()).partition([shown.shape[1]] * moments))
+            _log_curves(stream, f"curves/{entity_name(title)}", when, values[:, :MOST_CURVES], rods.names[:MOST_CURVES],
+                        own[:MOST_CURVES], 2.0)
         for moment, rod in np.argwhere(rods.jumps > 0):
             stream.set_time("time", duration=float(rods.time[moment]))
             stream.log("log", rerun.TextLog(f"{rods.names[rod]} jumps to another branch", level=rerun.TextLogLevel.WARN))
         stream.log("summary", rerun.TextDocument(text, media_type="text/markdown"), static=True)
+
+
+def _log_curves(stream, entity: str, when: list[rerun.TimeColumn], values: np.ndarray, names: list[str], colors: np.ndarray,
+                width: float) -> None:
+    """``values`` (T, N) as N lines in a plot."""
+    moments, count = values.shape
+    stream.log(entity, rerun.SeriesLines(names=names, widths=[width] * count, colors=colors), static=True)
+    stream.send_columns(entity, when, rerun.Scalars.columns(
+        scalars=np.ascontiguousarray(values).ravel()).partition([count] * moments))
 
 
 def _log_held(stream, rods: MovingRods, when: list[rerun.TimeColumn]) -> None:
@@ -206,17 +210,11 @@ def record_rollout(path: Path, name: str, names: list[str], positions: np.ndarra
             log_obstacles(stream, "world/obstacles", when, touched, grid.offset)
             log_forces(stream, "world/forces", when, touched, grid.offset)
         if seen is not None:
-            error = np.abs(rods - seen).mean(axis=(2, 3)).T
-            stream.log("curves/error", rerun.SeriesLines(
-                names=names[:MOST_RODS], widths=[1.0] * count, colors=distinct_colors(count)), static=True)
-            stream.send_columns("curves/error", when, rerun.Scalars.columns(
-                scalars=np.ascontiguousarray(error).ravel()).partition([count] * frames))
+            _log_curves(stream, "curves/error", when, np.abs(rods - seen).mean(axis=(2, 3)).T, names[:MOST_RODS],
+                        distinct_colors(count), 1.0)
         if energies is not None:
             values = np.stack([value[0] for value in energies.values()], axis=-1)
-            stream.log("curves/energy", rerun.SeriesLines(names=list(energies), widths=[1.0] * len(energies),
-                                                          colors=distinct_colors(len(energies))), static=True)
-            stream.send_columns("curves/energy", when, rerun.Scalars.columns(scalars=values.ravel()).partition(
-                [len(energies)] * frames))
+            _log_curves(stream, "curves/energy", when, values, list(energies), distinct_colors(len(energies)), 1.0)
 
 
 TIE = (255, 255, 255)

@@ -20,8 +20,8 @@ from doo_ti.report.landscapes import (
     landscape_picture,
     landscapes_picture,
 )
-from doo_ti.report.reprojections import SeenRod, reprojections_picture
-from doo_ti.report.shapes import MovingRods, Ribbons, motions_picture, ribbon_sides, ribbons_picture
+from doo_ti.report.motions import MovingRods, motions_picture
+from doo_ti.report.shapes import Ribbons, SeenRod, reprojections_picture, ribbon_sides, ribbons_picture
 
 __all__ = [
     "SYMBOLS", "LandscapePanel", "MovingRods", "Ribbons", "SeenRod", "angle_curves_picture", "axis_label", "cells_image",

@@ -19,12 +19,14 @@ from doo_ti.report.canvas import (
     save_figure,
     values_text,
 )
-from doo_ti.report.landscape_axes import (
+from doo_ti.report.plane import (
     BORDER,
+    REGIMES,
     REGION,
     STAR,
     VALLEY,
-    cell_boxes,
+    LandscapePlane,
+    cell_edges,
     draw_line,
     draw_map,
     draw_marks,
@@ -33,7 +35,6 @@ from doo_ti.report.landscape_axes import (
     edged,
     label_minimum,
 )
-from doo_ti.report.plane import REGIMES, LandscapePlane
 
 
 @dataclass(frozen=True)
@@ -82,8 +83,20 @@ def cells_image(rows: list[list[LandscapePanel]], index: tuple, *, marks: str = 
     cells in each of the P panels. ``index`` holds (N,) indices per axis of the grid."""
     figure, drawn = draw_panels(rows, "", marks, relative, VIEWER_DPI)
     image = pixels(figure)
-    boxes = [cell_boxes(axes, panel.plane, panel.plane.places(index)) for axes, panel in drawn]
+    boxes = [_cell_boxes(axes, panel.plane, panel.plane.places(index)) for axes, panel in drawn]
     return image, np.stack(boxes, axis=1)
+
+
+def _cell_boxes(axes, plane: LandscapePlane, cells: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """(N, 4) left, top, width and height in pixels of the cells a and b (N,), once the figure is laid out. Over one free
+    axis a cell is as high as the axes."""
+    edges = [cell_edges(axis) for axis in plane.axes]
+    low = [edges[0][cells[0]], edges[1][cells[1]] if len(edges) > 1 else np.full(len(cells[0]), axes.get_ylim()[0])]
+    high = [edges[0][cells[0] + 1],
+            edges[1][cells[1] + 1] if len(edges) > 1 else np.full(len(cells[0]), axes.get_ylim()[1])]
+    low, high = (axes.transData.transform(np.stack(corner, axis=-1)) for corner in (low, high))
+    top = axes.figure.bbox.height - high[:, 1]
+    return np.stack([low[:, 0], top, *(high - low).T], axis=-1)
 
 
 def draw_landscape(plane: LandscapePlane, title: str, region: np.ndarray | None = None, newton_per_bend: float | None = None):

@@ -1,16 +1,17 @@
-"""Pictures of rods in motion: beside what was recorded, with errors over time, as animations; and of rods brought to a target
-(§VI).
+"""Pictures of rods in motion: beside what was recorded, with errors over time, as animations; of rods whose clamps move
+(§III-D), and of rods brought to a target (§VI).
 
 Axes: R rods, T frames or steps, V vertices.
 """
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from doo_ti.report.canvas import deviations, fit_titles, limits_around, literal, new_figure, save_figure
+from doo_ti.report.contact import Touched
 from doo_ti.report.grid_view import facing, upright_basis
-from doo_ti.report.touched import Touched
 from doo_ti.system.files import write_whole
 
 MOST_RODS = 6
@@ -220,3 +221,97 @@ def servo_picture(path_or_buffer, name: str, start: np.ndarray, end: np.ndarray,
     axes.grid(alpha=0.2, which="both")
     figure.suptitle(literal(f"{name}: {len(distance)} steps"), fontsize=11)
     save_figure(figure, path_or_buffer)
+
+
+MOST_DRAWN, COLUMNS = 12, 4
+MOMENTS = 9
+"""Of each rod, evenly chosen."""
+JUMP = "#ff2e63"
+
+
+@dataclass(frozen=True)
+class MovingRods:
+    """T moments of R rods whose clamps move.
+
+    time      (T,) s
+    vertices  (T, R, V, 3) mm, NaN where a rod has no configuration
+    names     R of them
+    jumps     (T, R) jumps to another branch since the moment before
+    sound     (T, R) bool: certified minima so far
+    up        (3,) direction against gravity
+    grippers  (T, R, lines, points, 3) mm: lines that show how the ends are held; None: not drawn
+    marks     (R, V, 3) mm: what was observed of the rods at the start, NaN where missing; None where nothing was
+    touched   obstacles around the rods, and the forces of contact; None without obstacles
+    """
+
+    time: np.ndarray
+    vertices: np.ndarray
+    names: list[str]
+    jumps: np.ndarray
+    sound: np.ndarray
+    up: np.ndarray = (0.0, 0.0, 1.0)
+    grippers: np.ndarray | None = None
+    marks: np.ndarray | None = None
+    touched: Touched | None = None
+
+    @property
+    def basis(self) -> np.ndarray:
+        """(3, 3) rows right, into the picture, and up."""
+        return upright_basis(self.vertices.reshape(-1, *self.vertices.shape[2:]), self.up)
+
+
+def motions_picture(path_or_buffer, rods: MovingRods, *, title: str) -> None:
+    """Write the motions as a PNG, at most the first ``MOST_DRAWN``, ``COLUMNS`` beside each other: each from the front and
+    below that from above. Early moments are dark; the shapes before a jump, dashed, and after it are thick and red."""
+    shown, time = min(len(rods.names), MOST_DRAWN), rods.time
+    vertices, jumps = rods.vertices[:, :shown], rods.jumps[:, :shown]
+    moments = np.unique(np.linspace(0, len(time) - 1, MOMENTS).round().astype(int))
+    views = [rods.basis[[0, 2]], rods.basis[:2]]
+    limits = [limits_around(vertices @ view.T, 0.55, 0.18) for view in views]
+    heights = [np.ptp(limit[1]) / np.ptp(limit[0]) for limit in limits]
+    columns, blocks = min(shown, COLUMNS), -(-shown // COLUMNS)
+    figure = new_figure((3.4 * columns + 0.8, blocks * (3.2 * sum(heights) + 0.8) + 0.8))
+    panels = figure.subplots(2 * blocks, columns, squeeze=False, height_ratios=blocks * heights)
+    for rod in range(columns * blocks):
+        block, column = divmod(rod, columns)
+        for row, (view, label) in enumerate(zip(views, ("from the front", "from above"), strict=True)):
+            axes = panels[2 * block + row, column]
+            if rod >= shown:
+                axes.set_axis_off()
+                continue
+            axes.set(xlim=limits[row][0], ylim=limits[row][1])
+            _draw_moments(axes, vertices[:, rod] @ view.T, time, moments, np.flatnonzero(jumps[:, rod]))
+            if rods.touched is not None:
+                rods.touched.draw(axes, rod, view, [len(time) - 1])
+            axes.set_aspect("equal")
+            axes.grid(alpha=0.2)
+            if column == 0:
+                axes.set_ylabel(f"{label} [mm]", fontsize=10)
+            if row == 0:
+                count = int(jumps[:, rod].sum())
+                axes.set_title(literal(rods.names[rod]) + f": {count} jump{'s' * (count != 1)}" * (count > 0), fontsize=10)
+    figure.supxlabel("[mm]", fontsize=10)
+    figure.colorbar(_time_scale(time), ax=list(panels.ravel()), pad=0.01, aspect=40).set_label("time [s]", fontsize=10)
+    more = f" ({len(rods.names) - shown} more are not drawn)" if len(rods.names) > shown else ""
+    red = "\nred: before a jump (dashed) and after it" if jumps.any() else ""
+    blue = "" if rods.touched is None else f"\nblue, at the end:\n{rods.touched.legend}"
+    figure.suptitle(f"{literal(title)}{more}{red}{blue}", fontsize=10)
+    save_figure(figure, path_or_buffer)
+
+
+def _draw_moments(axes, flat: np.ndarray, time: np.ndarray, moments: np.ndarray, jumps: np.ndarray) -> None:
+    """Shapes (T, V, 2) at some moments, and before and after jumps."""
+    scale = _time_scale(time)
+    for moment in moments:
+        axes.plot(*flat[moment].T, color=scale.to_rgba(time[moment]), linewidth=1.4)
+    for moment in jumps:
+        axes.plot(*flat[max(moment - 1, 0)].T, "--", color=JUMP, linewidth=1.8)
+        axes.plot(*flat[moment].T, color=JUMP, linewidth=1.8)
+
+
+def _time_scale(time: np.ndarray):
+    from matplotlib import colormaps
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    return ScalarMappable(Normalize(time[0], time[-1]), colormaps["viridis"])

@@ -1,17 +1,22 @@
-"""Pictures of rods in space: moments of a motion (§III-D), and ribbons as bands along their material frames (Fig. 5c)."""
+"""Pictures of rods in space: recovered from images, drawn over them (Fig. 6), and ribbons as bands along their material frames
+(Fig. 5c)."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.report.canvas import box, limits_around, literal, new_figure, save_figure
+from doo_ti.report.canvas import box, literal, new_figure, save_figure, widest
 from doo_ti.report.grid_view import upright_basis
-from doo_ti.report.touched import Touched
+from doo_ti.vision.cameras.rig import Rig
 
-MOST_RODS, COLUMNS = 12, 4
-SHOWN = 9
-"""Moments of each rod, evenly chosen."""
-JUMP = "#ff2e63"
+BEST, RUNNER_UP, TRUTH, DETECTED = "#2f7bff", "#ff2e4d", "#ffd400", "#00c08b"
+WIDTHS = {TRUTH: 2.8, RUNNER_UP: 1.8, BEST: 1.0}
+"""Points: curves drawn first are wider, so that they stay visible."""
+MOST_SETS = 12
+"""Rows of a picture."""
+MARGIN_PX = 40
+"""Margin of the images around the drawn curves."""
+PANEL_INCHES = 3.2
 VIEWS = {"from the front": (0.0, 0.0), "from the side and above": (50.0, 30.0)}
 """Views of ribbons: the angles in degrees by which the viewer moves around to the right and up."""
 COLUMN_INCHES = 3.6
@@ -19,91 +24,102 @@ LIGHT = np.array([-0.45, -0.65, 0.6]) / np.linalg.norm([0.45, 0.65, 0.6])
 
 
 @dataclass(frozen=True)
-class MovingRods:
-    """T moments of R rods whose clamps move.
+class SeenRod:
+    """One set of images and the rods that explain them.
 
-    time      (T,) s
-    vertices  (T, R, V, 3) mm, NaN where a rod has no configuration
-    names     R of them
-    jumps     (T, R) jumps to another branch since the moment before
-    sound     (T, R) bool: certified minima so far
-    up        (3,) direction against gravity
-    grippers  (T, R, lines, points, 3) mm: lines that show how the ends are held; None: not drawn
-    marks     (R, V, 3) mm: what was observed of the rods at the start, NaN where missing; None where nothing was
-    touched   obstacles around the rods, and the forces of contact; None without obstacles
+    name       of the set
+    images     C of (H, W) uint8
+    detected   C of (N, 2) px, points of the line that was found
+    best       (n, 3) mm, the rod that scores best
+    runner_up  (n', 3) mm, the next best that differs, or None
+    truth      (n'', 3) mm, the rod as it is, or None
+    verdict    how certain the best rod is, in words
     """
 
-    time: np.ndarray
-    vertices: np.ndarray
-    names: list[str]
-    jumps: np.ndarray
-    sound: np.ndarray
-    up: np.ndarray = (0.0, 0.0, 1.0)
-    grippers: np.ndarray | None = None
-    marks: np.ndarray | None = None
-    touched: Touched | None = None
+    name: str
+    images: list[np.ndarray]
+    detected: list[np.ndarray]
+    best: np.ndarray
+    runner_up: np.ndarray | None
+    truth: np.ndarray | None
+    verdict: str
 
     @property
-    def basis(self) -> np.ndarray:
-        """(3, 3) rows right, into the picture, and up."""
-        return upright_basis(self.vertices.reshape(-1, *self.vertices.shape[2:]), self.up)
+    def rods(self) -> list[tuple[str, np.ndarray, str]]:
+        """(name, curve, colour) of the rods that exist, in the order in which they are drawn."""
+        every = (("truth", self.truth, TRUTH), ("runner-up", self.runner_up, RUNNER_UP), ("best", self.best, BEST))
+        return [(name, curve, color) for name, curve, color in every if curve is not None and np.isfinite(curve).all()]
 
 
-def motions_picture(path_or_buffer, rods: MovingRods, *, title: str) -> None:
-    """Write the motions as a PNG, at most the first ``MOST_RODS``, ``COLUMNS`` beside each other: each from the front and
-    below that from above. Early moments are dark; the shapes before a jump, dashed, and after it are thick and red."""
-    shown, time = min(len(rods.names), MOST_RODS), rods.time
-    vertices, jumps = rods.vertices[:, :shown], rods.jumps[:, :shown]
-    moments = np.unique(np.linspace(0, len(time) - 1, SHOWN).round().astype(int))
-    views = [rods.basis[[0, 2]], rods.basis[:2]]
-    limits = [limits_around(vertices @ view.T, 0.55, 0.18) for view in views]
-    heights = [np.ptp(limit[1]) / np.ptp(limit[0]) for limit in limits]
-    columns, blocks = min(shown, COLUMNS), -(-shown // COLUMNS)
-    figure = new_figure((3.4 * columns + 0.8, blocks * (3.2 * sum(heights) + 0.8) + 0.8))
-    panels = figure.subplots(2 * blocks, columns, squeeze=False, height_ratios=blocks * heights)
-    for rod in range(columns * blocks):
-        block, column = divmod(rod, columns)
-        for row, (view, label) in enumerate(zip(views, ("from the front", "from above"), strict=True)):
-            axes = panels[2 * block + row, column]
-            if rod >= shown:
-                axes.set_axis_off()
-                continue
-            axes.set(xlim=limits[row][0], ylim=limits[row][1])
-            _draw_moments(axes, vertices[:, rod] @ view.T, time, moments, np.flatnonzero(jumps[:, rod]))
-            if rods.touched is not None:
-                rods.touched.draw(axes, rod, view, [len(time) - 1])
-            axes.set_aspect("equal")
-            axes.grid(alpha=0.2)
+def reprojections_picture(path_or_buffer, rig: Rig, sets: list[SeenRod], *, up, left_out: int = 0) -> None:
+    """Write sets as a PNG, a row each: every camera's image with the detected points and the rods' reprojections, and the rods
+    in space.
+
+    up        direction against gravity
+    left_out  number of sets that are not drawn, for the title
+    """
+    from matplotlib.lines import Line2D
+
+    columns = len(rig.cameras) + 1
+    figure = new_figure((PANEL_INCHES * columns, 0.82 * PANEL_INCHES * len(sets) + 0.9), dpi=130)
+    grid = figure.add_gridspec(len(sets), columns)
+    for row, seen in enumerate(sets):
+        for column, camera in enumerate(rig.cameras):
+            axes = figure.add_subplot(grid[row, column])
+            _draw_image(axes, camera, seen, column)
             if column == 0:
-                axes.set_ylabel(f"{label} [mm]", fontsize=10)
-            if row == 0:
-                count = int(jumps[:, rod].sum())
-                axes.set_title(literal(rods.names[rod]) + f": {count} jump{'s' * (count != 1)}" * (count > 0), fontsize=10)
-    figure.supxlabel("[mm]", fontsize=10)
-    figure.colorbar(_time_scale(time), ax=list(panels.ravel()), pad=0.01, aspect=40).set_label("time [s]", fontsize=10)
-    more = f" ({len(rods.names) - shown} more are not drawn)" if len(rods.names) > shown else ""
-    red = "\nred: before a jump (dashed) and after it" if jumps.any() else ""
-    blue = "" if rods.touched is None else f"\nblue, at the end:\n{rods.touched.legend}"
-    figure.suptitle(f"{literal(title)}{more}{red}{blue}", fontsize=10)
+                axes.set_title(f"{literal(seen.name)}: {seen.verdict}", fontsize=9, loc="left")
+                axes.set_ylabel("v [px]", fontsize=7)
+            if row == len(sets) - 1:
+                axes.set_xlabel("u [px]", fontsize=7)
+        _draw_space(figure.add_subplot(grid[row, -1], projection="3d"), seen, np.asarray(up, float))
+    keys = [Line2D([], [], color=color, linewidth=2, label=name) for name, color in
+            (("detected", DETECTED), ("best", BEST), ("runner-up", RUNNER_UP), ("truth", TRUTH))
+            if name in ("detected", "best") or any(name == drawn for seen in sets for drawn, _, _ in seen.rods)]
+    more = f"; {left_out} more sets are not drawn" if left_out else ""
+    figure.legend(handles=keys, loc="outside lower center", ncols=len(keys), frameon=False, fontsize=10)
+    figure.suptitle(f"Rods recovered from images (Alg. 1){more}", fontsize=12)
     save_figure(figure, path_or_buffer)
 
 
-def _draw_moments(axes, flat: np.ndarray, time: np.ndarray, moments: np.ndarray, jumps: np.ndarray) -> None:
-    """Shapes (T, V, 2) at some moments, and before and after jumps."""
-    scale = _time_scale(time)
-    for moment in moments:
-        axes.plot(*flat[moment].T, color=scale.to_rgba(time[moment]), linewidth=1.4)
-    for moment in jumps:
-        axes.plot(*flat[max(moment - 1, 0)].T, "--", color=JUMP, linewidth=1.8)
-        axes.plot(*flat[moment].T, color=JUMP, linewidth=1.8)
+def _draw_image(axes, camera, seen: SeenRod, column: int) -> None:
+    """One camera's image around the thread, with the detected points and the curves."""
+    image, detected = seen.images[column], seen.detected[column]
+    projected = [(camera.project(curve), color) for _, curve, color in seen.rods]
+    height, width = image.shape
+    axes.imshow(image, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
+    for pixels, color in projected:
+        axes.plot(*pixels.T, color=color, linewidth=WIDTHS[color], zorder=1 if color == TRUTH else 3)
+    axes.plot(*detected.T, ".", color=DETECTED, markersize=2.6, markeredgewidth=0, zorder=2)
+    axes.annotate(literal(camera.name), (0.02, 0.03), xycoords="axes fraction", fontsize=8, color="white")
+    around = np.concatenate([detected] + [pixels for pixels, _ in projected])
+    corner = np.array([width - 0.5, height - 0.5])
+    low, high = box(np.clip(around, -0.5, corner))
+    low, high = np.maximum(low - MARGIN_PX, -0.5), np.minimum(high + MARGIN_PX, corner)
+    axes.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]))
+    axes.tick_params(labelsize=6, length=2, pad=1)
+    axes.locator_params(nbins=5)
 
 
-def _time_scale(time: np.ndarray):
-    from matplotlib import colormaps
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
-    return ScalarMappable(Normalize(time[0], time[-1]), colormaps["viridis"])
+def _draw_space(axes, seen: SeenRod, up: np.ndarray) -> None:
+    """All rods in space, gravity downwards, seen from the side of the plane in which the best one mostly lies."""
+    frame = upright_basis(seen.best[None], up)
+    points = np.concatenate([curve for _, curve, _ in seen.rods]) @ frame.T
+    for _, curve, color in seen.rods:
+        axes.plot(*(curve @ frame.T).T, color=color, linewidth=WIDTHS[color])
+    axes.scatter(*(seen.best[0] @ frame.T), color="#202020", s=10)
+    low, high = box(points)
+    half = 0.5 * np.maximum(high - low, 0.2 * widest(low, high)) * 1.05
+    middle = 0.5 * (low + high)
+    axes.set(xlim=(middle[0] - half[0], middle[0] + half[0]), ylim=(middle[1] - half[1], middle[1] + half[1]),
+             zlim=(middle[2] - half[2], middle[2] + half[2]))
+    axes.set_box_aspect(half, zoom=0.85)
+    axes.view_init(elev=18, azim=-65)
+    for axis, label in ((axes.xaxis, "horizontal [mm]"), (axes.yaxis, "depth [mm]"), (axes.zaxis, "height [mm]")):
+        axis.set_label_text(label, fontsize=7)
+        axis.labelpad = -5
+    axes.tick_params(labelsize=6, pad=-2)
+    axes.locator_params(nbins=4)
 
 
 @dataclass(frozen=True)

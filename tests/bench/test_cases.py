@@ -41,11 +41,6 @@ def test_a_case_does_what_it_counts(specimens, reference, number):
     assert min(found.gflops.values()) > 0
 
 
-def test_names_are_different():
-    names = [case.name for case in cases(Specimens(1))]
-    assert len(set(names)) == len(names)
-
-
 @pytest.mark.thorough
 def test_only_rods_that_converged_count(specimens):
     solution = specimens.many.relaxed(timed.Newton(max_iterations=6), "f64")

@@ -1,9 +1,6 @@
 """doo-ti calibrate: images of a board to a rig file."""
 
 import json
-import subprocess
-import sys
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -12,28 +9,27 @@ import pytest
 from doo_ti.cli import main
 from doo_ti.vision.cameras.board import Board
 from doo_ti.vision.cameras.rig import load_rig
-from tests.commands.test_bad_input import refused
+from tests.commands.calls import in_process, refused
 from tests.conftest import SEED
 from tests.vision.boards import around, look, poses
 
 BOARD, RIG = Board(9, 6, 10.0), around()
 TEXT = "chessboard:9x6:10"
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
 def pictures(tmp_path_factory):
-    """A folder with images of six views by three cameras; cam2 misses view 4, and cam0's image of view 5 is blank."""
+    """A folder with images of four views by three cameras; cam2 misses view 2, and cam0's image of view 3 is blank."""
     folder = tmp_path_factory.mktemp("views")
     rng = np.random.default_rng(SEED)
     lines = ["view,cam0,cam1,cam2"]
-    for view, (turn, place) in enumerate(poses(BOARD, 6, rng)):
+    for view, (turn, place) in enumerate(poses(BOARD, 4, rng)):
         names = []
         for index, camera in enumerate(RIG.cameras):
             name = f"{view}_{camera.name}.png"
-            image = look(BOARD, camera, turn, place, rng) if (view, index) != (5, 0) else np.full((480, 640), 90, np.uint8)
+            image = look(BOARD, camera, turn, place, rng) if (view, index) != (3, 0) else np.full((480, 640), 90, np.uint8)
             cv2.imwrite(str(folder / name), image)
-            names.append("" if (view, index) == (4, 2) else name)
+            names.append("" if (view, index) == (2, 2) else name)
         lines.append(",".join([f"view{view}", *names]))
     (folder / "views.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     return folder
@@ -44,13 +40,16 @@ def test_a_rig_from_images(pictures, tmp_path, capsys):
     out = tmp_path / "new" / "rig.yaml"
     assert main(["calibrate", str(pictures / "views.csv"), "--board", TEXT, "--out", str(out)]) == 0
     printed = capsys.readouterr().out
-    assert "3 cameras" in printed and "6 views" in printed and "864 corners" in printed and "1 of 17 images" in printed
+    assert "3 cameras" in printed and "4 views" in printed and "540 corners" in printed and "1 of 11 images" in printed
     found = load_rig(out)
     assert found.names == RIG.names
     middle = BOARD.points.mean(axis=0)
     for camera, truth in zip(found.cameras, RIG.cameras):
         assert (camera.width, camera.height) == (640, 480)
         assert np.linalg.norm(camera.centre - truth.centre - middle) < 0.5
+    again = tmp_path / "again.yaml"
+    assert main(["calibrate", str(pictures / "views.csv"), "--board", TEXT, "--out", str(again)]) == 0
+    assert again.read_bytes() == out.read_bytes()
 
 
 def test_its_summary_for_machines(pictures, tmp_path, capsys):
@@ -58,29 +57,18 @@ def test_its_summary_for_machines(pictures, tmp_path, capsys):
             "--world", "camera", "--distortion", "2"]
     assert main(argv) == 0
     summary = json.loads(capsys.readouterr().out)
-    assert summary["rms_px"] < 0.3 and len(summary["images"]) == 17
-    assert summary["without_board"] == [{"view": "view5", "camera": "cam0", "corners": 0, "rms_px": None}]
+    assert summary["rms_px"] < 0.3 and len(summary["images"]) == 11
+    assert summary["without_board"] == [{"view": "view3", "camera": "cam0", "corners": 0, "rms_px": None}]
     assert summary["worst"]["rms_px"] == max(image["rms_px"] or 0 for image in summary["images"])
     cameras = summary["cameras"]
     assert cameras[0]["centre_mm"] == [0, 0, 0] and cameras[0]["centre_sigma_mm"] == [0, 0, 0]
     assert cameras[1]["distortion"][2:] == [0, 0, 0] and min(cameras[2]["centre_sigma_mm"]) > 0
 
 
-@pytest.mark.thorough
-def test_the_same_images_give_the_same_rig(pictures, tmp_path):
-    for name in ("first.yaml", "second.yaml"):
-        assert main(["calibrate", str(pictures / "views.csv"), "--board", TEXT, "--out", str(tmp_path / name)]) == 0
-    assert (tmp_path / "first.yaml").read_bytes() == (tmp_path / "second.yaml").read_bytes()
-
-
 TABLES = {
-    "no column view": ("name,cam0,cam1\na,x.png,y.png\n", "view: the column is missing"),
     "one camera": ("view,cam0\na,x.png\n", "a rig has two or more"),
     "a camera twice": ("view,cam0,cam0\na,x.png,x.png\n", "'cam0' is there twice"),
     "a view twice": ("view,cam0,cam1\na,,\na,,\n", "'a' in line 2"),
-    "a quote that is not closed": ('view,cam0,cam1\n"a,x.png,y.png\nb,x.png,y.png"\n', "a line break within a cell"),
-    "no views": ("view,cam0,cam1\n", "no rows"),
-    "a short row": ("view,cam0,cam1\na,x.png\n", "line 2: 2 cells under 3 columns"),
     "an image that is not there": ("view,cam0,cam1\na,x.png,\n", "cam0: no such file"),
 }
 
@@ -133,11 +121,6 @@ def test_a_broken_image_is_reported_in_one_line(pictures, tmp_path):
     (tmp_path / "half.png").write_bytes(whole[: len(whole) // 2])
     (tmp_path / "views.csv").write_text("view,cam0,cam1\none,half.png,half.png\n")
     argv = ["calibrate", str(tmp_path / "views.csv"), "--board", TEXT, "--out", str(tmp_path / "rig.yaml")]
-    done = subprocess.run([sys.executable, "-m", "doo_ti", *argv], cwd=ROOT, capture_output=True, text=True, encoding="utf-8")
+    done = in_process(argv)
     assert done.returncode == 2 and done.stdout == ""
     assert done.stderr.count("\n") == 1 and "half.png: file: cannot be read as an image" in done.stderr
-
-
-def test_a_list_that_is_not_there(capsys, tmp_path):
-    argv = ["calibrate", str(tmp_path / "none.csv"), "--board", TEXT, "--out", str(tmp_path / "rig.yaml")]
-    refused(capsys, tmp_path, argv, "none.csv", "no such file")

@@ -1,7 +1,6 @@
 """Commands on good input: what they write, print and pass on."""
 
 import json
-import subprocess
 import sys
 import types
 from dataclasses import replace
@@ -16,7 +15,7 @@ from doo_ti import Clamp, Grid, InterruptedRunError, Observations, Status, load_
 from doo_ti.cli import main
 from doo_ti.learning.landscape import gather_overview
 from doo_ti.rod.frames import bishop_frames
-from tests.commands.test_bad_input import MATERIAL, npz_bytes
+from tests.commands.calls import MATERIAL, in_process, npz_bytes
 
 SCENE = """
 name = "silk"
@@ -126,26 +125,6 @@ def test_sweep_of_a_scene_and_what_overrides_it(capsys, tmp_path, swept):
     assert json.loads(capsys.readouterr().out)["gaps"] == [None]
 
 
-def test_learn_prints_the_best_cell_and_its_range(capsys, tmp_path):
-    grid = Grid.from_dict({"axes": [{"name": "bend", "values": [1e5, 1e6, 1e7], "log": True},
-                                    {"name": "twist_ratio", "values": [0.5, 1.0], "log": True}], "bend_12": 0})
-    distance = np.full((6, 4), 3.0)
-    distance[3], distance[1] = 1.0, 1.04
-    distance[5, 2] = distance[3:, 0] = np.nan
-    distance[:3, 0] = np.nan
-    write_run(tmp_path / "a", grid, distance)
-    write_run(tmp_path / "b", grid, distance[::-1], "nylon")
-    assert main(["learn", str(tmp_path / "a"), str(tmp_path / "b"), "--json"]) == 0
-    first, second = json.loads(capsys.readouterr().out)["runs"]
-    assert (first["material"], first["bend_1"], first["twist"], first["mean_distance_mm"]) == ("silk", 1e6, 1e6, 1.0)
-    assert (second["material"], second["bend_1"], second["twist"]) == ("nylon", 1e6, 5e5)
-    bend, ratio = first["intervals"]
-    assert (bend["low"], bend["high"], bend["low_is_open"], bend["high_is_open"]) == (1e5, np.sqrt(1e6 * 1e7), True, False)
-    assert (ratio["low"], ratio["high"]) == (np.sqrt(0.5), 1.0)
-    assert main(["learn", str(tmp_path / "a")]) == 0
-    assert "silk: 6 cells x 4 observations" in capsys.readouterr().out
-
-
 def test_view_opens_the_recording(tmp_path, monkeypatch):
     opened = []
 
@@ -176,53 +155,21 @@ def test_view_opens_the_recording(tmp_path, monkeypatch):
     assert main(["view", str(tmp_path / "good.npz")]) == 2
 
 
-def test_nothing_is_written_over_its_own_source(capsys, tmp_path):
-    before = npz_bytes(tmp_path)
-    good = str(tmp_path / "good.npz")
-    for argv in (["relax", good, *MATERIAL, "--out", good], ["convert", good, good]):
-        assert main(argv) == 2 and "is the input itself" in capsys.readouterr().err
-    assert (tmp_path / "good.npz").read_bytes() == before
-
-
-@pytest.mark.parametrize("words", [["--clamp-start", "free", "--clamp-end", "free"], ["--frame-weight", "2"]])
-def test_invalid_rods_are_reported_before_a_folder_is_made(capsys, tmp_path, words):
-    npz_bytes(tmp_path)
-    for command, out in (("relax", "F.npz"), ("sweep", "run")):
-        assert main([command, str(tmp_path / "good.npz"), *MATERIAL, *words, "--out", str(tmp_path / out)]) == 2
-        assert not (tmp_path / out).exists()
-    assert len(capsys.readouterr().err.splitlines()) == 2
-
-
 def test_version(capsys):
     assert main(["--version"]) == 0 and capsys.readouterr().out.startswith("doo-ti ")
 
 
-@pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), InterruptedRunError("stopped at cell 7"),
-                                     KeyboardInterrupt(), MemoryError()])
-def test_failure_while_running_exits_with_one(capsys, tmp_path, swept, monkeypatch, failure):
-    npz_bytes(tmp_path)
-
-    def fail(*args, **options):
-        raise failure
-
-    monkeypatch.setattr(sys.modules["doo_ti.learning.sweeps"], "sweep", fail)
-    assert main(["sweep", str(tmp_path / "good.npz"), "--bend", "1e5", "--out", str(tmp_path / "run")]) == 1
-    out, err = capsys.readouterr()
-    assert out == "" and err.count("\n") == 1
-
-
-@pytest.mark.parametrize("command", ["refine", "perceive", "predict", "figures", "learn", "synth", "sweep"])
-@pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), KeyboardInterrupt(), RuntimeError("no\nmemory")])
-def test_a_command_that_is_stopped_says_whether_it_starts_from_the_beginning(capsys, monkeypatch, command, failure):
+@pytest.mark.parametrize("command, way", [
+    ("refine", "starts from the beginning"), ("sweep", "resumes with the unfinished cells")])
+@pytest.mark.parametrize("failure", [
+    OSError(28, "No space left on device"), KeyboardInterrupt(), RuntimeError("no\nmemory"), MemoryError()])
+def test_a_command_that_is_stopped_says_whether_it_starts_from_the_beginning(capsys, monkeypatch, command, way, failure):
     def fail(*args):
         raise failure
 
-    name, module = ("run_figures", "view") if command == "figures" else ("run", command)
-    monkeypatch.setattr(f"doo_ti.commands.{module}.{name}", fail)
-    rig = ["--rig", "R", "--rest-length", "3:3"] if command == "perceive" else []
-    assert main([command, "source", "--out", "F", *rig]) == 1
+    monkeypatch.setattr(f"doo_ti.commands.{command}.run", fail)
+    assert main([command, "source", "--out", "F"]) == 1
     out, err = capsys.readouterr()
-    way = "resumes with the unfinished cells" if command == "sweep" else "starts from the beginning"
     assert out == "" and err.count("\n") == 1 and f"; the same command {way}" in err
 
 
@@ -250,11 +197,8 @@ def test_relax_writes_every_key(capsys, tmp_path):
 @pytest.mark.thorough
 def test_machines_get_nothing_but_json(tmp_path):
     npz_bytes(tmp_path)
-    argv = [sys.executable, "-m", "doo_ti", "relax", str(tmp_path / "good.npz"), *MATERIAL, "--json", "--out",
-            str(tmp_path / "F.npz")]
-    root = Path(__file__).resolve().parents[2]
-    done = subprocess.run(argv, cwd=root, capture_output=True, text=True, encoding="utf-8", check=True)
-    assert json.loads(done.stdout)["observations"] == 3
+    done = in_process(["relax", str(tmp_path / "good.npz"), *MATERIAL, "--json", "--out", str(tmp_path / "F.npz")])
+    assert done.returncode == 0 and json.loads(done.stdout)["observations"] == 3
 
 
 def test_relax_picks_the_turn_that_was_seen(tmp_path):

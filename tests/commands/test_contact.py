@@ -7,6 +7,7 @@ import pytest
 
 from doo_ti import Observations, save_observations
 from doo_ti.cli import main
+from tests.commands.calls import refused, written
 
 PLANE = '[[obstacles]]\nkind = "plane"\npoint = [0, 0, 0]\nnormal = [0, 0, 1]\n'
 MATERIAL = ["--bend", "6e5", "--precision", "f64", "--clamp-end", "free"]
@@ -40,15 +41,12 @@ def folder(tmp_path_factory):
     save_observations(folder / "rods.npz", Observations(rods, rest_length=np.full(10, 10.0)))
     save_observations(folder / "low.npz", Observations(rods[:1], rest_length=np.full(10, 10.0)))
     (folder / "table.toml").write_text(PLANE)
+    (folder / "single.toml").write_text(PLANE.replace("[[obstacles]]", "[obstacles]"))
+    (folder / "grid.toml").write_text('[[obstacles]]\nkind = "grid"\nfile = "none.npz"\n')
     (folder / "rough.toml").write_text(PLANE + "friction = 0.3\n")
     np.savez(folder / "move.npz", start_position_mm=np.array([[0.0, 0, 10], [0, 0, 10], [-10, 0, 10]]), time_s=[0.0, 1.0, 3.0])
     (folder / "scene.toml").write_text(SCENE + PLANE + "friction = 0.4\n")
     return folder
-
-
-def written(path):
-    with np.load(path, allow_pickle=False) as file:
-        return dict(file)
 
 
 def test_relax_writes_forces_and_gaps_and_counts_infeasible_rods(folder, tmp_path, capsys):
@@ -104,44 +102,30 @@ def test_simulate_reads_obstacles_of_a_scene(folder, tmp_path, capsys):
     assert "contact_force" in written(tmp_path / "f.npz")
 
 
-SEEN = ["--rig", "rig.yaml", "--rest-length", "3:9", "--bend", "6e5", "--out", "f.npz"]
-OTHERS = {"sweep": ["rods.npz", "--bend", "1e5:1e6:3", "--out", "run"], "perceive": ["a.png", *SEEN],
-          "track": ["--frames", "frames.csv", *SEEN]}
-
-
-@pytest.mark.parametrize("command", OTHERS)
-def test_sweep_perceive_and_track_check_obstacles_first(folder, tmp_path, capsys, monkeypatch, command):
-    monkeypatch.chdir(folder)
-    (tmp_path / "grid.toml").write_text('[[obstacles]]\nkind = "grid"\nfile = "none.npz"\n')
-    for more, message in ((["table.toml"], "--radius: missing beside --obstacles"),
-                          ([str(tmp_path / "grid.toml"), "--radius", "2"], "none.npz: file: no such file")):
-        assert main([command, *OTHERS[command], "--obstacles", *more]) == 2
-        error = capsys.readouterr().err
-        assert message in error and error.count("\n") == 1 and not (folder / "run").exists()
-
-
 REFUSED = {
-    "no radius": (["--obstacles", "{table}"], "--radius: missing beside --obstacles"),
-    "a negative radius": (["--obstacles", "{table}", "--radius", "-1"], "--radius: '-1' is not a positive number"),
-    "a radius of zero": (["--obstacles", "{table}", "--radius", "0"], "--radius: '0' is not a positive number"),
+    "no radius": (["--obstacles", "table.toml"], "--radius: missing beside --obstacles"),
+    "a radius of zero": (["--obstacles", "table.toml", "--radius", "0"], "--radius: '0' is not a positive number"),
     "a radius alone": (["--radius", "1"], "--radius: given without --obstacles"),
     "no file": (["--obstacles", "none.toml", "--radius", "1"], "none.toml"),
-    "another solver": (["--obstacles", "{table}", "--radius", "1", "--solver", "descent"], "--solver: descent given beside"),
+    "another solver": (["--obstacles", "table.toml", "--radius", "1", "--solver", "descent"], "--solver: descent given beside"),
+    "a table that should be a list": (["--obstacles", "single.toml", "--radius", "1"],
+                                      "obstacles: one table, in single brackets; write [[obstacles]]"),
+    "a grid without its file": (["--obstacles", "grid.toml", "--radius", "2"], "none.npz: file: no such file"),
 }
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_wrong_options_are_refused_in_one_line(folder, tmp_path, capsys, case):
+def test_wrong_options_are_refused_in_one_line(folder, tmp_path, capsys, monkeypatch, case):
     words, message = REFUSED[case]
-    words = [word.format(table=folder / "table.toml") for word in words]
-    assert main(["relax", str(folder / "rods.npz"), *MATERIAL, *words, "--out", str(tmp_path / "f.npz")]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("doo-ti: ") and message in error and error.count("\n") == 1 and not any(tmp_path.iterdir())
+    monkeypatch.chdir(folder)
+    refused(capsys, folder, ["relax", "rods.npz", *MATERIAL, *words, "--out", str(tmp_path / "f.npz")], message)
 
 
-def test_an_unknown_kind_is_refused_in_one_line(folder, tmp_path, capsys):
-    (tmp_path / "cone.toml").write_text(PLANE.replace("plane", "cone"))
-    assert main(["relax", str(folder / "rods.npz"), *MATERIAL, "--obstacles", str(tmp_path / "cone.toml"), "--radius", "1",
-                 "--out", str(tmp_path / "f.npz")]) == 2
-    error = capsys.readouterr().err
-    assert "obstacles[0].kind: 'cone' is not allowed; give one of plane" in error and error.count("\n") == 1
+SEEN = ["--rig", "rig.yaml", "--rest-length", "3:9", "--bend", "6e5", "--out", "f.npz"]
+
+
+@pytest.mark.parametrize("words", [["sweep", "rods.npz", "--bend", "1e5:1e6:3", "--out", "run"], ["perceive", "a.png", *SEEN],
+                                   ["track", "--frames", "frames.csv", *SEEN]])
+def test_sweep_perceive_and_track_check_obstacles_first(folder, capsys, monkeypatch, words):
+    monkeypatch.chdir(folder)
+    refused(capsys, folder, [*words, "--obstacles", "table.toml"], "--radius: missing beside --obstacles")

@@ -11,7 +11,7 @@ from doo_ti import Axis, Grid, SweepOptions, read_landscape, sweep
 from doo_ti.cli import main
 from doo_ti.io.scene import Synthesis
 from doo_ti.lab.synthesis import synthesise
-from tests.commands.test_bad_input import refused
+from tests.commands.calls import refused
 from tests.record.recordings import read
 
 BENDS = np.geomspace(1e5, 4e6, 4)
@@ -53,7 +53,8 @@ def names(folder) -> list[str]:
 @pytest.mark.thorough
 def test_round_rods(lab, tmp_path, capsys):
     out = tmp_path / "new" / "out"
-    assert main(["figures", str(lab / "silk"), str(lab / "nylon"), "--by", "end-distance", "--out", str(out)]) == 0
+    assert main(["figures", str(lab / "silk"), str(lab / "nylon"), "--by", "end-distance", "--cells", "all", "--out",
+                 str(out)]) == 0
     assert names(out) == ["cells.rrd", "end_distances.png", "landscapes.png"]
     printed = capsys.readouterr().out
     assert printed.startswith("silk; nylon: 12 cells\n") and "recorded" not in printed and str(out / "cells.rrd") in printed
@@ -102,8 +103,6 @@ def test_a_large_grid_is_thinned_and_that_is_reported(one_run, tmp_path, capsys)
     rods = moving["/world/silk/rods"]["cell"]
     assert len(rods["cell"]) == 6 and landscape.best in rods["cell"]
     np.testing.assert_allclose(rods["distance_mm"], landscape.distance[rods["cell"]], rtol=1e-6)
-    assert main(["figures", str(one_run / "silk"), "--cells", "all", "--out", str(tmp_path / "all")]) == 0
-    assert "recorded" not in capsys.readouterr().out
 
 
 def refused_runs(folder, out, capsys, words: list[str], problem: str) -> None:

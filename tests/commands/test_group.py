@@ -7,7 +7,7 @@ import pytest
 
 from doo_ti import Status, follow_group
 from doo_ti.cli import main
-from tests.commands.test_bad_input import refused
+from tests.commands.calls import refused, written
 
 SCENE = """
 name = "two rods"
@@ -50,8 +50,7 @@ def test_places_forces_and_pictures_are_written(scene, tmp_path, capsys):
     summary = json.loads(capsys.readouterr().out)
     assert (summary["rods"], summary["edges"], summary["ties"], summary["moments"]) == (2, 12, 1, 3)
     assert summary["status"] == {"converged": 3} and summary["stable"] == 3
-    with np.load(tmp_path / "f.npz") as file:
-        found = dict(file)
+    found = written(tmp_path / "f.npz")
     assert found["positions_mm"].shape == found["contact_force"].shape == (3, 14, 3)
     assert found["rod"].tolist() == [0] * 9 + [1] * 5 and found["edge_rod"].tolist() == [0] * 8 + [1] * 4
     assert found["rod_names"].tolist() == ["trunk", "branch"] and not found["status"].any()
@@ -72,8 +71,7 @@ def test_what_does_not_converge_is_said_and_written(scene, tmp_path, capsys):
         "start_position_mm = [0, 0, 10]", "start_position_mm = [-10, 0, 0]"))
     assert main(["group", str(scene), "--out", str(tmp_path / "f.npz"), "--json"]) == 1
     summary = json.loads(capsys.readouterr().out)
-    with np.load(tmp_path / "f.npz") as file:
-        found = dict(file)
+    found = written(tmp_path / "f.npz")
     assert found["status"][-1] == Status.INFEASIBLE and np.isnan(found["positions_mm"][-1]).all()
     assert summary["status"]["infeasible"] >= 1 and 0.2 in summary["failed_s"]
 
@@ -97,8 +95,7 @@ def test_what_is_done_before_an_interruption_stays(scene, tmp_path, capsys, monk
     monkeypatch.setattr("doo_ti.groups.follow.follow_group", interrupted)
     assert main(["group", str(scene), "--out", str(tmp_path / "f.npz")]) == 1
     assert "interrupted: 1 of 3 moments are in" in capsys.readouterr().err
-    with np.load(tmp_path / "f.npz") as file:
-        found = dict(file)
+    found = written(tmp_path / "f.npz")
     assert found["time_s"].shape == found["status"].shape == (1,) and found["positions_mm"].shape == (1, 14, 3)
 
 

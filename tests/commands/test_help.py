@@ -66,7 +66,8 @@ def test_wrong_words_name_the_right_one(argv, meant, capsys):
 
 def defaults() -> dict[tuple[str, str], float]:
     """The numbers that commands take where an option is absent, by where the code has them."""
-    from doo_ti.commands import bench, moving_rods, plan, refine, seen_rods, servo, steer, synth, view
+    from doo_ti.commands import bench, moving_rods, plan, refine, runs, servo, steer, synth
+    from doo_ti.commands.image_options import RECORDED
     from doo_ti.dynamics.identify import IdentifyOptions
     from doo_ti.dynamics.parameters import Dynamics, Stepping
     from doo_ti.learning.experiment import SweepOptions
@@ -81,9 +82,9 @@ def defaults() -> dict[tuple[str, str], float]:
              ("predict", "--sub-step"): np.degrees(LARGEST_TURN), ("predict", "--steps-between"): 1,
              ("identify", "--modes"): IdentifyOptions.modes, ("identify", "--robust"): IdentifyOptions.delta,
              ("identify", "--substeps"): IdentifyOptions.substeps, ("perceive", "--nu"): PerceptionOptions.nu,
-             ("perceive", "--hypotheses"): PerceptionOptions.hypotheses, ("perceive", "--recorded-sets"): seen_rods.RECORDED,
+             ("perceive", "--hypotheses"): PerceptionOptions.hypotheses, ("perceive", "--recorded-sets"): RECORDED,
              ("refine", "--starts"): refine.STARTS, ("plan", "--picks"): plan.PICKS, ("synth", "--diameter"): synth.DIAMETER_MM,
-             ("figures", "--cells"): view.MOST_CELLS, ("bench", "--rods"): bench.RODS, ("bench", "--rounds"): bench.ROUNDS,
+             ("figures", "--cells"): runs.MOST_CELLS, ("bench", "--rods"): bench.RODS, ("bench", "--rounds"): bench.ROUNDS,
              ("sweep", "--roll-hypotheses"): SweepOptions.spins, ("relax", "--frame-weight"): SweepOptions.frame_weight}
     found |= {("steer", "--reached"): steer.REACHED, ("steer", "--seconds"): PlanOptions.seconds}
     found |= {("servo", "--reached"): servo.REACHED, ("servo", "--steps"): servo.STEPS, ("servo", "--diameter"): DIAMETER_MM,

@@ -5,7 +5,7 @@ import pytest
 
 from doo_ti.cli import main
 from doo_ti.contact.itself import smallest_self_gap
-from tests.commands.test_bad_input import refused
+from tests.commands.calls import refused, written
 from tests.contact.topology import determinant
 
 SCENE = """
@@ -42,8 +42,7 @@ def test_a_knot_is_pulled_tight(tmp_path, capsys):
     assert main(words) == 0
     assert "1 converged at the end" in capsys.readouterr().out
     assert (tmp_path / "k.png").stat().st_size > 5_000 and (tmp_path / "k.rrd").stat().st_size > 5_000
-    with np.load(tmp_path / "k.npz", allow_pickle=False) as file:
-        found = dict(file)
+    found = written(tmp_path / "k.npz")
     positions, force = found["positions_mm"][0], found["contact_force"][0]
     assert [determinant(x) for x in positions] == [3] * len(positions)
     assert np.abs(smallest_self_gap(positions, np.array([0.8]))).max() < 1e-3 * 0.8

@@ -10,7 +10,7 @@ from doo_ti import Observations, load_observations
 from doo_ti.cli import main
 from doo_ti.commands.loading import length_doubt
 from doo_ti.commands.results import hypotheses_lines
-from tests.commands.test_bad_input import refused
+from tests.commands.calls import refused
 from tests.io.test_formats import CABLE, MARKS, motive, table
 
 

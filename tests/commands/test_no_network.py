@@ -83,18 +83,14 @@ def test_the_guard_ends_what_opens_a_socket(tmp_path):
     assert done.stdout == "here\n" and done.returncode < 0
 
 
-@pytest.mark.thorough
-def test_no_command_opens_a_socket(tmp_path):
+@pytest.mark.parametrize("words", [
+    pytest.param([f"relax o.npz {MATERIAL} --out F.npz", "sweep o.npz --bend 2e5:8e5:3 --workers 2 --out run", "learn run"],
+                 marks=pytest.mark.thorough),
+    pytest.param(["convert o.npz o.csv", "sweep o.npz --bend 2e5:8e5:3 --out run", "figures run --out figures",
+                  f"refine o.npz {MATERIAL} --parameters bend", f"twist o.npz {MATERIAL} --out phi.npz"],
+                 marks=pytest.mark.slow)])
+def test_no_command_opens_a_socket(tmp_path, words):
     save_observations(tmp_path / "o.npz", small_lab())
-    words = [f"relax o.npz {MATERIAL} --out F.npz", "sweep o.npz --bend 2e5:8e5:3 --workers 2 --out run", "learn run"]
-    open_no_socket(words, tmp_path)
-
-
-@pytest.mark.slow
-def test_no_other_command_opens_a_socket(tmp_path):
-    save_observations(tmp_path / "o.npz", small_lab())
-    words = ["convert o.npz o.csv", "sweep o.npz --bend 2e5:8e5:3 --out run", "figures run --out figures",
-             f"refine o.npz {MATERIAL} --parameters bend", f"twist o.npz {MATERIAL} --out phi.npz"]
     open_no_socket(words, tmp_path)
 
 

@@ -1,6 +1,8 @@
 """doo-ti perceive: from images of rods to a file that doo-ti twist reads, with a picture and a recording beside it."""
 
 import json
+from contextlib import redirect_stdout
+from io import StringIO
 
 import cv2
 import numpy as np
@@ -12,7 +14,7 @@ from doo_ti.io.observation_files import load_observations
 from doo_ti.vision.cameras.rig import Rig, load_rig, save_rig
 from doo_ti.vision.rendering.render import render_set
 from doo_ti.vision.rendering.tubes import smooth_curve
-from tests.commands.test_bad_input import refused
+from tests.commands.calls import refused, written
 from tests.vision.drawn_maps import curves, three_cameras
 
 EDGES = 14
@@ -51,17 +53,21 @@ def of_images(folder, rod, *more: str) -> list[str]:
 
 @pytest.fixture(scope="module")
 def perceived(photographed, tmp_path_factory):
-    """The command on both sets: (folder of what it wrote, its arrays)."""
-    out = tmp_path_factory.mktemp("perceived") / "new"
+    """The command on both sets: (folder of what it wrote, its arrays, what it printed)."""
+    out, printed = tmp_path_factory.mktemp("perceived") / "new", StringIO()
     folder, _ = photographed
-    assert main(of_sets(folder, "--out", str(out / "f.npz"), "--truth", str(folder / "truth.npz"), "--recorded", "1")) == 0
-    return out, dict(np.load(out / "f.npz", allow_pickle=False))
+    with redirect_stdout(printed):
+        assert main(of_sets(folder, "--out", str(out / "f.npz"), "--truth", str(folder / "truth.npz"), "--recorded", "1")) == 0
+    return out, written(out / "f.npz"), printed.getvalue()
 
 
 def test_rods_are_found_and_written(photographed, perceived):
     _, rods = photographed
-    out, found = perceived
+    out, found, printed = perceived
     assert sorted(path.name for path in out.iterdir()) == ["f.npz", "f.png", "f.rrd"]
+    assert "2 sets of 3 images" in printed and "14 edges" in printed and "2 converged" in printed
+    line = next(line for line in printed.splitlines() if line.strip().startswith("second"))
+    assert all(part in line for part in ("E_vis", "px off", "σ", "error 0.0"))
     assert found["name"].tolist() == ["first", "second"] and found["status"].tolist() == [0, 0]
     off = np.linalg.norm(found["vertices_mm"] - rods, axis=-1)
     assert off.mean() < 0.1
@@ -103,7 +109,7 @@ def test_rods_begun_by_clicks_end_where_the_thread_ends(photographed, tmp_path, 
 
 @pytest.mark.thorough
 def test_other_commands_read_it(perceived, tmp_path, capsys):
-    out, found = perceived
+    out, found, _ = perceived
     observations = load_observations(out / "f.npz")
     np.testing.assert_array_equal(observations.vertices, found["vertices_mm"])
     assert observations.sigma.shape == (2, EDGES + 1)
@@ -127,10 +133,9 @@ def test_one_set_is_the_same_alone(photographed, perceived, tmp_path, capsys):
     argv = of_images(folder, rods[0], "--out", str(tmp_path / "one.npz"), "--no-picture", "--no-recording", "--json")
     assert main(argv) == 0
     printed = json.loads(capsys.readouterr().out)
-    assert [path.name for path in tmp_path.iterdir()] == ["one.npz"]
+    assert [path.name for path in tmp_path.iterdir()] == ["one.npz"] and printed["written"] == [str(tmp_path / "one.npz")]
     assert printed["sets"][0]["name"] == "first_cam0" and printed["status"] == {"converged": 1}
     assert printed["not_certified"] == 0
-    assert printed["written"] == [str(tmp_path / "one.npz")]
     # The seeds differ by rounding to 1e-6.
     np.testing.assert_allclose(np.load(tmp_path / "one.npz")["vertices_mm"][0], perceived[1]["vertices_mm"][0], atol=1e-4)
 
@@ -163,8 +168,7 @@ def test_a_click_and_no_length(photographed, tmp_path, capsys):
             "--edge", "3", "--no-picture", "--no-recording", "--json"]
     assert main([*argv, "--out", str(tmp_path / "f.npz")]) == 0
     printed = json.loads(capsys.readouterr().out)["sets"][0]
-    with np.load(tmp_path / "f.npz") as file:
-        found = dict(file)
+    found = written(tmp_path / "f.npz")
     assert np.linalg.norm(found["vertices_mm"][0][0] - rods[0][0]) < 1.2
     assert found["rest_length_mm"].sum() == pytest.approx(length, rel=0.05)
     assert np.allclose(found["rest_length_mm"], 3.0, rtol=0.05)
@@ -181,32 +185,14 @@ def test_a_click_and_no_length(photographed, tmp_path, capsys):
         refused(capsys, tmp_path, [*argv, *change, "--out", str(tmp_path / "new" / "f.npz")], *words)
 
 
-@pytest.mark.thorough
-def test_printed_text(photographed, tmp_path, capsys):
-    folder, _ = photographed
-    (tmp_path / "lengths.txt").write_text("3.0\n" * EDGES)
-    argv = of_sets(folder, "--out", str(tmp_path / "f.npz"), "--truth", str(folder / "truth.npz"), "--no-recording",
-                   "--no-picture")
-    argv[argv.index("--rest-length") + 1] = str(tmp_path / "lengths.txt")
-    assert main(argv) == 0
-    printed = capsys.readouterr().out
-    assert "2 sets of 3 images" in printed and "14 edges" in printed and "2 converged" in printed
-    line = next(line for line in printed.splitlines() if line.strip().startswith("second"))
-    for part in ("E_vis", "px off", "σ", "error 0.0"):
-        assert part in line
-
-
 @pytest.mark.parametrize("change, words", [
     (["--bend", "1e5:1e6:5"], ("--bend", "grid")), (["--bend", "1e5,2e5"], ("--bend", "round")),
-    (["--rest-length", "3:x"], ("--rest-length",)), (["--rest-length", "-3:14"], ("--rest-length",)),
-    (["--rest-length", "9e18:14"], ("--rest-length", "9e+18 mm")),
-    (["--rest-length", "3:1"], ("--rest-length",)), (["--rest-length", "missing.txt"], ("--rest-length", "missing.txt")),
-    (["--nu", "-1"], ("--nu",)), (["--hypotheses", "0"], ("--hypotheses",)),
+    (["--rest-length", "3:x"], ("--rest-length",)), (["--rest-length", "9e18:14"], ("--rest-length", "9e+18 mm")),
+    (["--rest-length", "missing.txt"], ("--rest-length", "missing.txt")), (["--hypotheses", "0"], ("--hypotheses",)),
     (["--hypotheses", "9223372036854775808"], ("--hypotheses", "above")), (["--width", "1,2"], ("--width",)),
-    (["--seed-point", "1,2,3"], ("--seed-point", "--sets")), (["--up", "0,0"], ("--up",)),
-    (["--colour", "1,2"], ("colour",)), (["--region", "cam7:0,0,50,50"], ("--region", "cam7")),
-    (["--region", "cam0:0,0,5,50"], ("region",)), (["--masks", "a.png"], ("--masks",)),
-    (["--image-size", "3"], ("--image-size",))])
+    (["--seed-point", "1,2,3"], ("--seed-point", "--sets")), (["--colour", "1,2"], ("colour",)),
+    (["--region", "cam7:0,0,50,50"], ("--region", "cam7")), (["--region", "cam0:0,0,5,50"], ("region",)),
+    (["--masks", "a.png"], ("--masks",)), (["--image-size", "3"], ("--image-size",))])
 def test_wrong_options_are_reported(photographed, tmp_path, capsys, change, words):
     argv = of_sets(photographed[0], "--out", str(tmp_path / "new" / "f.npz"))
     if change[0] in argv:
@@ -238,7 +224,7 @@ def test_no_input_is_overwritten(photographed, capsys):
     refused(capsys, folder, of_sets(folder, "--out", truth, "--truth", truth), "truth.npz")
 
 
-def test_wrong_scenes_are_reported(photographed, tmp_path, capsys):
+def test_wrong_rigs_seeds_and_truths_are_reported(photographed, tmp_path, capsys):
     folder, rods = photographed
     rig = load_rig(folder / "rig.yaml")
     out = ["--out", str(tmp_path / "new" / "f.npz")]
@@ -246,18 +232,11 @@ def test_wrong_scenes_are_reported(photographed, tmp_path, capsys):
     argv[argv.index("--seed-point") + 1] = ",".join(map(str, 2 * rig.cameras[0].centre))
     refused(capsys, tmp_path, argv, "behind cam0")
     save_rig(tmp_path / "one.yaml", Rig(rig.cameras[:1]))
-    argv = of_images(folder, rods[0], *out)
-    argv[argv.index("--rig") + 1] = str(tmp_path / "one.yaml")
-    alone = [*argv[:2], *argv[4:]]
-    at = alone.index("--seed-point")
-    refused(capsys, tmp_path, [*alone[:at], "--seed-pixel", "cam0:100,100", *alone[at + 4 :]], "one camera", "--seed-point")
-    np.savez(tmp_path / "truth.npz", vertices_mm=rods, name=np.array(["first", "third"]))
-    refused(capsys, tmp_path, of_sets(folder, *out, "--truth", str(tmp_path / "truth.npz")), "second")
-    np.savez(tmp_path / "truth.npz", vertices_mm=rods, name=np.array(["first", "second", "third"]))
-    refused(capsys, tmp_path, of_sets(folder, *out, "--truth", str(tmp_path / "truth.npz")), "shape (3,) for 2 rods")
-    np.savez(tmp_path / "unnamed.npz", vertices_mm=rods[:1])
-    refused(capsys, tmp_path, of_sets(folder, *out, "--truth", str(tmp_path / "unnamed.npz")), "1 rods for 2 sets")
-    np.savez(tmp_path / "lengths.npz", rest_length_mm=np.array([3.0, 9e18]))
-    argv = of_sets(folder, *out)
-    argv[argv.index("--rest-length") + 1] = str(tmp_path / "lengths.npz")
-    refused(capsys, tmp_path, argv, "rest_length_mm")
+    refused(capsys, tmp_path, ["perceive", str(folder / "first_cam0.png"), "--rig", str(tmp_path / "one.yaml"), "--seed-pixel",
+                               "cam0:100,100", *MATERIAL, *out], "one camera", "--seed-point")
+    truth = tmp_path / "truth.npz"
+    for keys, said in (({"vertices_mm": rods, "name": np.array(["first", "third"])}, "second"),
+                       ({"vertices_mm": rods, "name": np.array(["first", "second", "third"])}, "shape (3,) for 2 rods"),
+                       ({"vertices_mm": rods[:1]}, "1 rods for 2 sets")):
+        np.savez(truth, **keys)
+        refused(capsys, tmp_path, of_sets(folder, *out, "--truth", str(truth)), said)

@@ -12,7 +12,7 @@ from doo_ti.cli import main
 from doo_ti.commands.results import plain
 from doo_ti.dynamics.theta import MotionTheta, load_theta, save_form
 from doo_ti.rod.frames import quaternion_from_matrix
-from tests.commands.test_bad_input import refused
+from tests.commands.calls import refused, written
 from tests.references.rods import chain, clamps_at, stacked
 
 MATERIAL = ["--bend", "6e5", "--twist", "1e5"]
@@ -45,11 +45,6 @@ def folder(tmp_path):
 
 def words(folder, source: str, motion: str) -> list[str]:
     return ["predict", str(folder / source), "--motion", str(folder / motion), *MATERIAL, "--out", str(folder / "f.npz")]
-
-
-def written(path):
-    with np.load(path, allow_pickle=False) as file:
-        return dict(file)
 
 
 def test_840_degrees_are_reported_as_840_degrees(folder, capsys):
@@ -87,10 +82,9 @@ def test_logs_of_robots(folder):
     upright = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # z becomes y
     log = log_of(poses, upright, 1e-3)
     (folder / "log.csv").write_text(log)
-    log = log.replace("start/", "left/").replace("end/", "right/")
-    (folder / "german.csv").write_text(log.replace(",", ";").replace(".", ","))
+    (folder / "sides.csv").write_text(log.replace("start/", "left/").replace("end/", "right/"))
     options = ["--motion-axis", "z", "--motion-up", "0,1,0", "--motion-unit", "m"]
-    for name, more in (("log.csv", []), ("german.csv", ["--motion-columns", "start=left,end=right,time=stamp"])):
+    for name, more in (("log.csv", []), ("sides.csv", ["--motion-columns", "start=left,end=right,time=stamp"])):
         assert main([*words(folder, "one.npz", name), *options, *more]) == 0
         found = written(folder / "f.npz")
         np.testing.assert_allclose(found["vertices_mm"], expected["vertices_mm"], atol=1e-3)
@@ -166,7 +160,8 @@ def test_a_rod_that_is_lost_is_reported(folder, capsys):
 
 @pytest.mark.parametrize("more, printed", [
     ([], "--motion"), (["--motion", "none.npz"], "none.npz"), (["--motion", "turn.csv", "--between", "0"], "--steps-between"),
-    (["--motion", "turn.csv", "--sub-step", "90"], "--sub-step"), (["--motion", "turn.csv", "--sub-step", "x"], "--sub-step"),
+    (["--motion", "turn.csv", "--sub-step", "90"], "--sub-step"),
+    (["--motion", "turn.csv", "--sub-step", "1e-300"], "--sub-step"),
     (["--motion", "turn.csv", "--out", "f.txt"], "--out"),
     (["--motion", "turn.csv", "--steps-between", "100000000"], "--steps-between"),
     (["--motion", "turn.csv", "--recording", "f.png"], "ends in .rrd"), (["--motion", "turn.csv", "--bend", "-1"], "--bend"),
@@ -251,7 +246,7 @@ def test_rest_curvature_of_a_theta(folder, capsys):
 
 
 def test_the_friction_of_theta_is_named(folder, capsys):
-    theta = theta_file(folder, friction=0.3)
+    theta = theta_file(folder, friction=0.3, rest=np.zeros((2, 1)))
     command = ["predict", str(folder / "seen.npz"), "--motion", str(folder / "marks.npz"), "--theta", str(theta),
                "--out", str(folder / "f.npz")]
     assert main(command) == 0

@@ -12,7 +12,7 @@ from doo_ti.manipulation.poses import moved
 from doo_ti.rod.physical_units import stiffness
 from doo_ti.system.terminal import has_recorder
 from doo_ti.vision.cameras.rig import Rig, save_rig
-from tests.commands.test_bad_input import refused
+from tests.commands.calls import refused
 from tests.vision.poses import looking
 
 BEND, DENSITY = 6e5, 10.0
@@ -114,12 +114,9 @@ def test_a_target_out_of_reach_is_said(folder, places, capsys):
 
 
 @pytest.mark.parametrize("more, said", [
-    (["--true-EI", "0"], "--true-EI"), (["--true-GJ", "x"], "--true-GJ"), (["--steps", "0"], "--steps"),
-    (["--noise", "-1"], "--noise"), (["--noise", "1e9"], "noise"), (["--occlude", "left:0.5"], "--occlude"),
-    (["--occlude", "front:2"], "--occlude"), (["--diameter", "1e9"], "--diameter"), (["--reached", "0"], "--reached"),
-    (["--seed", "-1"], "--seed"), (["--clamp-end", "free"], "--clamp-end"), (["--rig", "absent.yaml"], "absent.yaml"),
-    (["--target", "absent.npz"], "absent.npz"), (["--bend", "1e5:1e6:3"], "--bend"),
-    (["--obstacles", "absent.toml", "--radius", "1"], "absent.toml"), (["--radius", "1"], "--radius")])
+    (["--true-EI", "0"], "--true-EI"), (["--steps", "0"], "--steps"), (["--noise", "1e9"], "noise"),
+    (["--occlude", "left:0.5"], "--occlude"), (["--occlude", "front:2"], "--occlude"), (["--diameter", "1e9"], "--diameter"),
+    (["--clamp-end", "free"], "--clamp-end"), (["--rig", "absent.yaml"], "absent.yaml"), (["--bend", "1e5:1e6:3"], "--bend")])
 def test_wrong_options_are_refused(folder, capsys, more, said):
     refused(capsys, folder, [*words(folder), *more], said)
 

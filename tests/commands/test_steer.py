@@ -7,7 +7,7 @@ import pytest
 
 from doo_ti import Observations, save_observations
 from doo_ti.cli import main
-from tests.commands.test_bad_input import refused
+from tests.commands.calls import refused
 from tools.studies.trials.servo import BEND, tasks
 
 
@@ -28,9 +28,9 @@ def folder(tmp_path, own):
     return tmp_path
 
 
-def words(folder, own, target: str = "target.npz", start: str = "start.npz") -> list[str]:
+def words(folder, own, target: str = "target.npz") -> list[str]:
     bend, ratio = BEND * own.factors[0, 0], own.factors[1, 0]
-    return ["steer", str(folder / start), "--target", str(folder / target), "--bend", repr(float(bend)), "--twist",
+    return ["steer", str(folder / "start.npz"), "--target", str(folder / target), "--bend", repr(float(bend)), "--twist",
             repr(float(bend * ratio)), "--out", str(folder / "path.csv")]
 
 
@@ -60,10 +60,8 @@ def test_a_target_out_of_reach_is_said(folder, own, capsys):
 @pytest.mark.parametrize("keys, said", [
     ({"vertices": np.zeros((1, 34, 3))}, "vertices_mm: missing"),
     ({"vertices_mm": np.zeros((1, 5, 3))}, "shape (1, 5, 3)"),
-    ({"vertices_mm": np.zeros((34, 3))}, "shape (34, 3)"),
     ({"vertices_mm": np.full((1, 34, 3), np.nan)}, "NaN everywhere"),
     ({"vertices_mm": np.full((1, 34, 3), np.inf)}, "not finite"),
-    ({"vertices_mm": np.full((1, 34, 3), "x")}, "not numeric"),
 ])
 def test_wrong_targets_are_refused(folder, own, capsys, keys, said):
     np.savez(folder / "wrong.npz", **keys)
@@ -71,14 +69,9 @@ def test_wrong_targets_are_refused(folder, own, capsys, keys, said):
 
 
 @pytest.mark.parametrize("more, said", [
-    (["--clamp-end", "free"], "--clamp-end"), (["--seconds", "0"], "--seconds"), (["--seed", "-1"], "--seed"),
-    (["--reached", "x"], "--reached"), (["--radius", "1"], "--radius"), (["--bend", "1e5:1e6:3"], "--bend"),
-    (["--obstacles", "absent.toml", "--radius", "1"], "absent.toml"), (["--out", "path.npz"], "--out")])
-def test_wrong_options_are_refused(folder, own, capsys, more, said):
+    (["--clamp-end", "free"], "--clamp-end"), (["--seconds", "1e9"], "--seconds"), (["--bend", "1e5:1e6:3"], "--bend"),
+    (["--out", "path.npz"], "--out"), (["--target", "absent.npz"], "absent.npz"),
+    (["--obstacles", "rubbing.toml", "--radius", "1"], "friction")])
+def test_wrong_options_are_refused(folder, own, capsys, monkeypatch, more, said):
+    monkeypatch.chdir(folder)
     refused(capsys, folder, [*words(folder, own), *more], said)
-
-
-def test_files_that_are_absent_or_rub_are_refused(folder, own, capsys):
-    refused(capsys, folder, words(folder, own, "absent.npz"), "absent.npz")
-    refused(capsys, folder, words(folder, own, start="absent.npz"), "absent.npz")
-    refused(capsys, folder, [*words(folder, own), "--obstacles", str(folder / "rubbing.toml"), "--radius", "1"], "friction")

@@ -166,7 +166,7 @@ def readers() -> dict[str, list]:
     """Whatever reads a file with that suffix."""
     from doo_ti.commands.loading import read_rest_length
     from doo_ti.commands.refine import read_groups
-    from doo_ti.commands.seen_rods import load_frames
+    from doo_ti.commands.track import load_frames
     from doo_ti.contact.distance_grid import DistanceGrid
     from doo_ti.contact.obstacle_file import load_obstacles
     from doo_ti.dynamics.scene import load_motion_scene

@@ -39,7 +39,7 @@ observations = Observations(rods.reshape(-1, vertices, 3), rest_length=np.full(v
 
 
 def group(path):
-    from doo_ti.report.groups import save_group
+    from doo_ti.report.contact import save_group
 
     save_group(path, pickle.loads(Path(sys.argv[2]).read_bytes()), name="group", names=names, rate=5.0)
 

@@ -4,27 +4,19 @@ import numpy as np
 import pytest
 
 from doo_ti import InputError, Observed
+from doo_ti.record import FAILED, CellsOfRun, Rods, record_cells
+from doo_ti.report import distance_colors
+from tests.conftest import SEED
+from tests.record import runs
+from tests.record.recordings import read
 
-from . import runs
-from .recordings import read
-
-rerun = pytest.importorskip("rerun")
 CELLS, PANELS = 7, 2
 LABELS = {"end_distance_mm": np.repeat([30.0, 50.0, 70.0], 2), "end_rotation_deg": np.tile([0.0, 120.0], 3)}
 PAIRED = np.array([1, 0, 3, 2, 5, 4, 1])
 
 
-@pytest.fixture(autouse=True)
-def strict():
-    rerun.set_strict_mode(True)
-    yield
-    rerun.set_strict_mode(False)
-
-
 def figure(rng, names=("silk", "a ribbon, dynamic")) -> dict:
     """What `record_cells` takes: of two runs, the second one with pairs, two of them ending on one observation."""
-    from doo_ti.record import CellsOfRun, Rods
-
     observed, several, pieces = runs.observations(rng), [], []
     for number, name in enumerate(names):
         which = np.arange(runs.OBSERVATIONS) if number == 0 else PAIRED
@@ -43,13 +35,17 @@ def joined(given: dict, run: int, name: str) -> np.ndarray:
     return np.concatenate([getattr(piece, name) for piece in given["rods"] if piece.run == run])
 
 
-def test_each_cell_is_a_step_with_its_rods_its_box_and_its_text(tmp_path, rng):
-    from doo_ti.record import record_cells
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """(the arguments of a recording, static data, moving data)."""
+    path, given = tmp_path_factory.mktemp("cells") / "cells.rrd", figure(np.random.default_rng(SEED))
+    record_cells(path, **given)
+    assert [entry.name for entry in path.parent.iterdir()] == ["cells.rrd"]
+    return given, *read(path)
 
-    given = figure(rng)
-    record_cells(tmp_path / "cells.rrd", **given)
-    assert [entry.name for entry in tmp_path.iterdir()] == ["cells.rrd"]
-    static, moving = read(tmp_path / "cells.rrd")
+
+def test_each_cell_is_a_step_with_its_rods_its_box_and_its_text(recorded):
+    given, static, moving = recorded
     assert set(moving) == {"/world/silk/rods", "/landscape/silk/cell", "/world/a_ribbon__dynamic/rods",
                            "/landscape/a_ribbon__dynamic/cell", "/summary"}
     for run, place in enumerate(("silk", "a_ribbon__dynamic")):
@@ -73,13 +69,8 @@ def test_each_cell_is_a_step_with_its_rods_its_box_and_its_text(tmp_path, rng):
     assert static["/world/a_ribbon__dynamic/rods"]["LineStrips3D:labels"][0][-1] == "observation 1: 30 mm 120°"
 
 
-def test_rods_are_coloured_on_one_scale_and_uncertified_ones_red(tmp_path, rng):
-    from doo_ti.record import FAILED, record_cells
-    from doo_ti.report import distance_colors
-
-    given = figure(rng)
-    record_cells(tmp_path / "cells.rrd", **given)
-    _, moving = read(tmp_path / "cells.rrd")
+def test_rods_are_coloured_on_one_scale_and_uncertified_ones_red(recorded):
+    given, _, moving = recorded
     colors = np.array(moving["/world/silk/rods"]["cell"]["LineStrips3D:colors"])
     red = int.from_bytes(bytes(FAILED))
     np.testing.assert_array_equal(colors >> 8 == red, ~joined(given, 0, "sound"))
@@ -89,8 +80,6 @@ def test_rods_are_coloured_on_one_scale_and_uncertified_ones_red(tmp_path, rng):
 
 
 def test_a_rod_that_is_nan_is_not_drawn(tmp_path, rng):
-    from doo_ti.record import record_cells
-
     given = figure(rng, names=("silk",))
     given["rods"][0].vertices[2, 4, 3] = np.nan
     given["rods"][0].distance[2, 4] = np.nan
@@ -103,8 +92,6 @@ def test_a_rod_that_is_nan_is_not_drawn(tmp_path, rng):
 
 
 def test_nothing_stays_of_a_recording_that_failed(tmp_path, rng):
-    from doo_ti.record import record_cells
-
     given = figure(rng)
 
     def failing():

@@ -6,23 +6,14 @@ import numpy as np
 import pytest
 
 from doo_ti import InputError, InterruptedRunError, LandscapePlane, Observed, Status
+from tests.conftest import SEED
+from tests.record import runs
+from tests.record.recordings import read
 
-from . import runs
-from .recordings import read
-
-rerun = pytest.importorskip("rerun")
 ROOT = {"/world", "/world/observations", "/world/observations/marks", "/world/headings", "/world/rods", "/summary",
         "/curves/energy/mean", "/curves/energy/median", "/curves/residual/median", "/curves/residual/largest"}
 LANDSCAPE = {"/landscape/picture", "/landscape/surface", "/landscape/surface/axes", "/landscape/surface/axes/labels",
              "/landscape/surface/minimum", "/landscape/cells"}
-
-
-@pytest.fixture(autouse=True)
-def strict():
-    """Without it rerun only warns of wrong data and drops it."""
-    rerun.set_strict_mode(True)
-    yield
-    rerun.set_strict_mode(False)
 
 
 def written(tmp_path, run) -> tuple[dict, dict]:
@@ -33,36 +24,43 @@ def written(tmp_path, run) -> tuple[dict, dict]:
     return read(tmp_path / "run.rrd")
 
 
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    """(the arguments of a recording, its file, static data, moving data)."""
+    folder, run = tmp_path_factory.mktemp("sweep"), runs.sweep(np.random.default_rng(SEED))
+    return run, folder / "run.rrd", *written(folder, run)
+
+
 @pytest.mark.thorough
-def test_sweep_holds_the_documented_entities(tmp_path, rng):
+def test_sweep_holds_the_documented_entities(swept):
     from rerun.chunk import RrdReader
 
-    static, moving = written(tmp_path, runs.sweep(rng))
+    _, path, static, moving = swept
     properties = {"/__properties", "/__properties/run"}
     assert set(static) | set(moving) == ROOT | LANDSCAPE | properties
     assert {entity: set(timelines) for entity, timelines in moving.items()} == {
         "/world/rods": {"iteration", "trial"}, "/landscape/cells": {"trial"},
         **{entity: {"iteration"} for entity in ROOT if entity.startswith("/curves")}}
-    reader = RrdReader(tmp_path / "run.rrd")
+    reader = RrdReader(path)
     (recording,), blueprints = reader.recordings(), reader.blueprints()
-    assert (recording.application_id, recording.recording_id) == ("doo_ti", "run-1")
-    assert len(blueprints) == 1
+    assert (recording.application_id, recording.recording_id, len(blueprints)) == ("doo_ti", "run-1", 1)
     assert static["/__properties"]["RecordingInfo:name"] == [["made up"]]
-    assert static["/__properties/run"]["seed"] == [[7]]
-    assert static["/__properties/run"]["shape"] == [["(5, 4)"]]
+    assert static["/__properties/run"]["seed"] == [[7]] and static["/__properties/run"]["shape"] == [["(5, 4)"]]
+    text = static["/summary"]["TextDocument:text"][0][0]
+    for part in ("| bend α | **10⁶ mm³** | 5.62×10⁵ … 1.78×10⁶ mm³ |", "mean distance (Eq. 1) **0.65 mm** over 6 of 6 rods",
+                 "Rods: 6 converged.", "a\\|b"):
+        assert part in text
 
 
 @pytest.mark.thorough
-def test_rods_are_instances_of_one_entity_and_lie_on_their_observations(tmp_path, rng):
-    run = runs.sweep(rng)
-    static, moving = written(tmp_path, run)
+def test_rods_are_instances_of_one_entity_and_lie_on_their_observations(swept):
+    run, _, static, moving = swept
     rods, still = moving["/world/rods"]["iteration"], static["/world/rods"]
     assert rods["iteration"] == list(range(runs.ITERATIONS))
     strips = np.array(rods["LineStrips3D:strips"])
     assert strips.shape == (runs.ITERATIONS, runs.OBSERVATIONS, runs.VERTICES, 3)
     offset = np.array(still["offset_mm"][0])
-    assert offset.shape == (runs.OBSERVATIONS, 3)
-    assert (offset[0] == 0).all()
+    assert offset.shape == (runs.OBSERVATIONS, 3) and (offset[0] == 0).all()
     np.testing.assert_allclose(strips - offset[:, None], run["trajectory"].vertices, atol=1e-4)
     observed = np.array(static["/world/observations"]["LineStrips3D:strips"][0])
     assert static["/world/observations"]["offset_mm"] == still["offset_mm"]
@@ -125,21 +123,18 @@ def test_curves_are_statistics_over_the_rods(tmp_path, rng):
 
 
 @pytest.mark.thorough
-def test_landscape_picture_surface_and_cells(tmp_path, rng):
-    run = runs.sweep(rng)
+def test_landscape_picture_surface_and_cells(swept):
+    run, _, static, moving = swept
     landscape = run["plane"].grid
-    static, moving = written(tmp_path, run)
     (picture,) = static["/landscape/picture"]["Image:format"][0]
     assert (picture["width"], picture["height"]) == (1600, 1200)
     assert len(static["/landscape/picture"]["Image:buffer"][0][0]) == 3 * 1600 * 1200
     evaluated, quads = runs.BENDS * runs.RATIOS - 1, (runs.BENDS - 1) * (runs.RATIOS - 1) - 1
     surface = static["/landscape/surface"]
     points = np.array(surface["Mesh3D:vertex_positions"][0])
-    assert points.shape == (evaluated, 3)
-    assert np.isfinite(points).all()
+    assert points.shape == (evaluated, 3) and np.isfinite(points).all()
     triangles = np.array(surface["Mesh3D:triangle_indices"][0])
-    assert triangles.shape == (2 * quads, 3)
-    assert triangles.max() == evaluated - 1
+    assert triangles.shape == (2 * quads, 3) and triangles.max() == evaluated - 1
     cells = moving["/landscape/cells"]["trial"]
     missing = int(np.flatnonzero(np.isnan(landscape.reshape(-1)))[0])
     assert cells["trial"] == [trial for trial in range(runs.BENDS * runs.RATIOS) if trial != missing]
@@ -152,22 +147,10 @@ def test_landscape_picture_surface_and_cells(tmp_path, rng):
     assert static["/landscape/surface/minimum"]["Points3D:labels"] == [["0.5 mm"]]
 
 
-@pytest.mark.thorough
-def test_summary_names_the_best_parameters_with_units_and_intervals(tmp_path, rng):
-    static, _ = written(tmp_path, runs.sweep(rng))
-    text = static["/summary"]["TextDocument:text"][0][0]
-    assert "| bend α | **10⁶ mm³** | 5.62×10⁵ … 1.78×10⁶ mm³ |" in text
-    assert "mean distance (Eq. 1) **0.65 mm** over 6 of 6 rods" in text
-    assert "Rods: 6 converged." in text
-    assert "a\\|b" in text
-
-
 def test_relaxation_has_no_landscape(tmp_path, rng):
     run = runs.relaxation(rng)
-    run |= {"observed": Observed(run["observed"].vertices), "properties": {}}
-    static, moving = written(tmp_path, run)
-    assert set(static) | set(moving) == ROOT | {"/__properties"}
-    assert set(moving["/world/rods"]) == {"iteration"}
+    static, moving = written(tmp_path, run | {"observed": Observed(run["observed"].vertices), "properties": {}})
+    assert set(static) | set(moving) == ROOT | {"/__properties"} and set(moving["/world/rods"]) == {"iteration"}
 
 
 def test_one_free_axis_gives_cells_on_a_line_and_no_surface(tmp_path, rng):
@@ -175,21 +158,15 @@ def test_one_free_axis_gives_cells_on_a_line_and_no_surface(tmp_path, rng):
     cells = runs.Grid((runs.Axis("bend", np.geomspace(1e5, 1e7, runs.BENDS)),))
     run |= {"plane": LandscapePlane.of(runs.axes(cells), run["plane"].grid[:, 1:2], (2, 0, 0)), "intervals": ()}
     static, moving = written(tmp_path, run)
-    assert "/landscape/surface" not in static
-    assert len(moving["/landscape/cells"]["trial"]["trial"]) == runs.BENDS
+    assert "/landscape/surface" not in static and len(moving["/landscape/cells"]["trial"]["trial"]) == runs.BENDS
 
 
 @pytest.mark.thorough
-def test_same_run_same_recording(tmp_path, rng):
-    from doo_ti.record import record_sweep
-
-    run = runs.sweep(rng)
-    record_sweep(tmp_path / "a.rrd", **run)
-    record_sweep(tmp_path / "b.rrd", **run)
-    (first, moving), (second, moving_again) = read(tmp_path / "a.rrd"), read(tmp_path / "b.rrd")
-    timed = "RecordingInfo:start_time"
+def test_same_run_same_recording(tmp_path, swept):
+    run, _, first, moving = swept
+    second, moving_again = written(tmp_path, run)
     for entity, columns in first.items():
-        for name in columns.keys() - {timed, "rerun.controls.RowId"}:
+        for name in columns.keys() - {"RecordingInfo:start_time", "rerun.controls.RowId"}:
             assert columns[name] == second[entity][name]
     assert moving.keys() == moving_again.keys()
 
@@ -224,8 +201,7 @@ def test_viewer_listens_on_this_machine_only_and_reports_nothing(tmp_path, monke
     (tmp_path / "run.rrd").touch()
     viewer.open_viewer(tmp_path)
     ((command, environment),) = calls
-    assert command[command.index("--bind") + 1] == "127.0.0.1"
-    assert command[-1] == str(tmp_path / "run.rrd")
+    assert command[command.index("--bind") + 1] == "127.0.0.1" and command[-1] == str(tmp_path / "run.rrd")
     assert environment["CI"] == "true" and environment["HTTPS_PROXY"].startswith("http://127.0.0.1:")
 
 

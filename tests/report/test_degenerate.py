@@ -7,12 +7,20 @@ import pytest
 from PIL import Image
 
 from doo_ti import LandscapePlane, Plane, Surroundings
-from doo_ti.report import LandscapePanel, MovingRods, Ribbons, SeenRod, landscapes_picture, motions_picture, ribbons_picture
+from doo_ti.report import (
+    LandscapePanel,
+    MovingRods,
+    Ribbons,
+    SeenRod,
+    landscapes_picture,
+    motions_picture,
+    reprojections_picture,
+    ribbons_picture,
+)
 from doo_ti.report.canvas import box, deviations, limits_around, widest
+from doo_ti.report.contact import Touched
 from doo_ti.report.grid_view import Observed, facing, grid_view
 from doo_ti.report.motions import save_animation, save_rollout
-from doo_ti.report.reprojections import reprojections_picture
-from doo_ti.report.touched import Touched
 from tests.vision.drawn_maps import three_cameras
 
 UP = np.array([0.0, 0.0, 1.0])

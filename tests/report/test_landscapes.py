@@ -12,7 +12,6 @@ from doo_ti.report import (
     landscape_colors,
     landscape_image,
     landscape_picture,
-    landscapes_picture,
 )
 from doo_ti.report.plane import LandscapePlane, regime
 from tests.record import runs
@@ -124,10 +123,3 @@ def test_every_panel_and_key_is_inside_the_picture(rng):
             assert 0 <= box.x0 < box.x1 <= width and 0 <= box.y0 < box.y1 <= height
         numbers = [re.findall(r"\d+", text.get_text()) for text in figure.legends[0].get_texts()]
         assert ["5", "20"] in numbers and ["41"] in numbers, "cells that do not compete, their rods, and cells not evaluated"
-
-
-@pytest.mark.thorough
-def test_pictures_of_several_are_png(tmp_path, rng):
-    panels = [LandscapePanel(name, plane(rng)) for name in ("one", "two")]
-    landscapes_picture(tmp_path / "several.png", [panels], title="made up")
-    assert (tmp_path / "several.png").read_bytes().startswith(b"\x89PNG")

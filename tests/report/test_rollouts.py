@@ -1,8 +1,10 @@
-"""From where rods in motion are shown."""
+"""From where rods in motion are shown, and the forces of contact on them."""
 
 import numpy as np
 import pytest
 
+from doo_ti import Plane, Surroundings
+from doo_ti.report.contact import Touched
 from doo_ti.report.motions import _view, save_animation, save_rollout
 
 
@@ -36,3 +38,17 @@ def test_motion_across_the_rods_is_seen():
         axes, _ = _view(shape + (swing * way)[None], np.array([0.0, 0, 1]))
         assert (abs(axes[0, 0]) < 0.9) == turned
         np.testing.assert_allclose(axes[1], [0, 0, 1])
+
+
+def test_arrows_of_forces_are_in_newton_where_the_weight_is_known():
+    positions = np.zeros((2, 1, 5, 3))
+    positions[..., 0] = 25.0 * np.arange(5)
+    force = np.zeros_like(positions)
+    force[..., 2] = 40.0
+    around = Surroundings([Plane((0, 0, 0), (0, 0, 1))], 1.0)
+    plain, known = Touched(around, positions, force), Touched(around, positions, force, np.array([1e-3, 5e-4]))
+    assert plain.legend.endswith("mm²/mm)") and known.legend.endswith(" N)")
+    length = [np.linalg.norm(known.arrows(row, 0)[1], axis=-1) / known.arrow_scale for row in (0, 1)]
+    np.testing.assert_allclose(length, np.array([[0.04], [0.02]]) * np.ones(5))
+    shown = float(known.legend.split("10 mm: ")[1].split()[0])
+    np.testing.assert_allclose(np.linalg.norm(known.arrows(0, 0)[1], axis=-1), 10 * 0.04 / shown)

@@ -11,7 +11,7 @@ from doo_ti.cli import main
 from doo_ti.system import runtime
 from doo_ti.system import terminal as terminal_module
 from doo_ti.system.terminal import busy, in_line, progress, visible
-from tests.commands.test_bad_input import MATERIAL, npz_bytes
+from tests.commands.calls import MATERIAL, npz_bytes
 
 NAME = "a\x1b[2J\x9b1m\u202e[red]b[/red]"
 SHOWN = r"a\x1b[2J\x9b1m\u202e[red]b[/red]"

@@ -1,0 +1,57 @@
+"""Calls of commands: small inputs, in a process of its own, and the check that wrong input is refused."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti.cli import main
+from tests.conftest import SEED
+from tests.io.rods import twisted_frames, wavy_vertices
+
+MATERIAL = ["--bend", "6e5", "--twist", "8e5", "--weight", "1"]
+
+
+def good_keys() -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(SEED)
+    vertices = wavy_vertices(rng)
+    twist = np.array([0.1, -2.0, 4.0])
+    frames = twisted_frames(vertices, twist, rng)
+    lengths = np.linalg.norm(np.diff(vertices, axis=1), axis=-1).max(axis=0)
+    return {"vertices_mm": vertices, "rest_length_mm": lengths, "start_frame": frames[:, 0], "end_frame": frames[:, -1],
+            "total_twist_deg": np.degrees(twist)}
+
+
+def npz_bytes(folder: Path) -> bytes:
+    np.savez(folder / "good.npz", **good_keys())
+    return (folder / "good.npz").read_bytes()
+
+
+def written(path: Path) -> dict[str, np.ndarray]:
+    """The arrays of an npz."""
+    with np.load(path, allow_pickle=False) as file:
+        return dict(file)
+
+
+def in_process(words: list[str]) -> subprocess.CompletedProcess:
+    """A command in a process of its own."""
+    return subprocess.run([sys.executable, "-m", "doo_ti", *words], cwd=Path(__file__).resolve().parents[2],
+                          capture_output=True, text=True, encoding="utf-8")
+
+
+def tree(folder: Path) -> dict[str, bytes | None]:
+    return {str(path): path.read_bytes() if path.is_file() else None for path in sorted(folder.rglob("*"))}
+
+
+def refused(capsys, folder: Path, argv: list[str], *words: str) -> None:
+    """Run the command and check that it is refused in one line that holds ``words``."""
+    before = tree(folder)
+    code = main(argv)
+    out, err = capsys.readouterr()
+    assert code == 2, err
+    assert err.count("\n") == 1 and err.endswith("\n") and out == ""
+    assert "Traceback" not in err and err.startswith("doo-ti: ") and "; " in err
+    for word in words:
+        assert word in err
+    assert tree(folder) == before
