@@ -82,7 +82,8 @@ def select_hypotheses(
     place = (np.repeat(np.arange(len(sets)), count), column)
     left = np.full((len(sets), width), np.inf)
     left[place] = np.where(np.isfinite(score), score, np.inf)
-    tips, directions = (_padded(values, place, left.shape) for values in (tip, direction))
+    tips, directions = np.zeros((2, *left.shape, 3))
+    tips[place], directions[place] = tip, direction
     kept = np.full((len(sets), most), -1)
     rows = np.arange(len(sets))
     cosine = np.cos(angle)
@@ -128,13 +129,6 @@ def rank_distinct(
         ranked[here[new], taken[here[new]]] = rows[new]
         taken[here[new]] += 1
     return ranked
-
-
-def _padded(values: np.ndarray, place, shape) -> np.ndarray:
-    """``values`` (N, 3) as a table (sets, width, 3)."""
-    table = np.zeros((*shape, 3))
-    table[place] = values
-    return table
 
 
 # --- the steps, recorded for pictures -------------------------------------------------------------------------------------

@@ -85,6 +85,7 @@ def _joined(first: ImagePath, others) -> Match:
     return Match(paths, np.array([arcs[:end], *there]), cost + float(np.mean([0.0, *(cost for _, _, cost in others)])))
 
 
+@runtime.exclusive
 def _paired(rig: Rig, problems) -> list[tuple[np.ndarray, float]]:
     """For each (path in camera 0, camera, path there) the (K, 2) places that belong together, in steps, and the mean cost."""
     if not problems:
@@ -94,19 +95,14 @@ def _paired(rig: Rig, problems) -> list[tuple[np.ndarray, float]]:
     first = np.cumsum([0, *sizes.prod(axis=1)]).astype(np.int64)
     flat = np.concatenate([one.ravel() for one in apart]).astype(np.float32)
     total, came = np.empty_like(flat), np.empty(len(flat), dtype=np.int8)
-    _accumulate(flat, first, sizes, total, came)
+    runtime.start()
+    _least_costs(flat, first, sizes, total, came)
     parts = [(slice(a, b), size) for a, b, size in zip(first[:-1], first[1:], sizes, strict=True)]
     return [_walked(total[part].reshape(size), came[part].reshape(size)) for part, size in parts]
 
 
 def _places(path: ImagePath) -> np.ndarray:
     return path.at(np.arange(0.0, len(path.points) - 1e-9, STEP_PX))
-
-
-@runtime.exclusive
-def _accumulate(apart: np.ndarray, first: np.ndarray, sizes: np.ndarray, total: np.ndarray, came: np.ndarray) -> None:
-    runtime.start()
-    _least_costs(apart, first, sizes, total, came)
 
 
 @runtime.kernel

@@ -16,7 +16,7 @@ Axes: A image sets, R rods, L lengths.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -179,9 +179,8 @@ def whole_threads(rig: Rig, detections: Sequence[Sequence[Detection]], point: np
         maps, looked = distance_maps([list(images)]), (material, up, options, POINTS)
         energy, _ = evidence(rig, maps, rods.solution.configuration, tracing.of_set, *looked)
         rows = np.repeat(np.argsort(energy, kind="stable")[:BEST], len(TIMES))
-        tried = rods.take(rows)
-        tried = tried.as_long(tried.length * np.tile(TIMES, len(rows) // len(TIMES)))
-        tracing = tracing.take(rows)
+        tracing, tried = tracing.take(rows), rods.take(rows)
+        tried = replace(tried, length=tried.length * np.tile(TIMES, len(rows) // len(TIMES)))
         tried = tracing.relaxed(tried, np.ones(len(rows), dtype=bool), ROUNDS)
         energy, found = evidence(rig, maps, tried.solution.configuration, tracing.of_set, *looked)
         energy, lengths = energy.reshape(-1, len(TIMES)), tried.length.reshape(-1, len(TIMES))

@@ -14,6 +14,7 @@ becomes a light line on dark, whatever its background.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
 from doo_ti.vision.detection.ridge import (
@@ -69,8 +70,6 @@ def appearance(image: np.ndarray, polarity: str | None, width_px: float | None, 
     polarity, width_px  given, or None: measured
     least_contrast      grey levels: lines that differ less from the background are ignored
     """
-    import cv2
-
     found, level = [], image
     for step in range(1, LEVELS + 1):
         if min(level.shape) < 16:
@@ -198,8 +197,6 @@ def looked(image: np.ndarray, path: np.ndarray, middle: int, line: Line, before:
 
 def window(image: np.ndarray, place: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
     """The pixels within ``reach`` of a place, blurred, and the corner (2,) at which they begin."""
-    import cv2
-
     x, y = (int(value) for value in np.clip(np.rint(place), 0, np.array(image.shape[1::-1]) - 1))
     left, top = max(x - reach, 0), max(y - reach, 0)
     return cv2.GaussianBlur(image[top : y + reach + 1, left : x + reach + 1], (0, 0), SMOOTHING_PX), np.array([left, top])
@@ -207,8 +204,6 @@ def window(image: np.ndarray, place: np.ndarray, reach: int) -> tuple[np.ndarray
 
 def _across(image: np.ndarray, path: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(N, n, 3) colours across a path (N, 2), its (N, 2) directions, and the (n,) offsets in px."""
-    import cv2
-
     span = int(max(1, width))
     smooth = cv2.blur(np.gradient(path, axis=0)[:, None], (1, 2 * span + 1), borderType=cv2.BORDER_REPLICATE)[:, 0]
     along = smooth / np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-9)
@@ -248,8 +243,6 @@ _STEPS = 64
 
 def lab(colours: np.ndarray) -> np.ndarray:
     """(..., 3) CIE Lab, L from 0 to 100, of (..., 3) B, G, R from 0 to 255."""
-    import cv2
-
     flat = np.ascontiguousarray(colours, dtype=np.float32).reshape(1, -1, 3) / 255
     return cv2.cvtColor(flat, cv2.COLOR_BGR2LAB).reshape(np.shape(colours))
 

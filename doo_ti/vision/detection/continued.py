@@ -9,6 +9,7 @@ needle is wider than its thread.
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -69,8 +70,6 @@ def _as_detection(points, direction, strength, look: Appearance, shape: tuple[in
 
 def _darkness(image: np.ndarray, look: Appearance, contrast: float) -> np.ndarray:
     """(H, W) float32: how much each pixel differs from the background around it towards the thread, 255 for its contrast."""
-    import cv2
-
     side = 2 * int(np.ceil(1.25 * max(TIMES) * look.width_px)) + 1
     kernel = cv2.getStructuringElement(cv2.MORPH_RECT, (side, side))
     kind = cv2.MORPH_BLACKHAT if look.polarity == "dark" else cv2.MORPH_TOPHAT
@@ -79,8 +78,6 @@ def _darkness(image: np.ndarray, look: Appearance, contrast: float) -> np.ndarra
 
 def _lines(dark: np.ndarray, width: float, own: np.ndarray, usual: float) -> Detection:
     """Lines about as wide as ``width`` in the closed darkness, away from points ``own`` (N, 2) of a line ``usual`` px wide."""
-    import cv2
-
     side = 2 * int(np.ceil(width / 2)) + 1
     closed = cv2.morphologyEx(dark, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
     ridges = Curvature(closed, SIGMA_PER_WIDTH * width).ridges("light", FAINTEST * BAR * 255)

@@ -16,6 +16,7 @@ whatever the thread's width 2a; branches to corners and bumps of the border have
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from doo_ti.system.arguments import typed
@@ -48,7 +49,7 @@ STEEPEST = 8000
 """Slope of the thread's edges in the whole numbers that Canny takes."""
 
 
-def canny_line(image: np.ndarray, look: Appearance, least_contrast: float, shortest_px: float) -> tuple[np.ndarray, ...]:
+def _canny_line(image: np.ndarray, look: Appearance, least_contrast: float, shortest_px: float) -> tuple[np.ndarray, ...]:
     """(N, 2) pixels of the centre line in an image (H, W) float32, their (N, 2) directions and (N,) strengths.
 
     "A Canny edge detector with a blurred, offset Gaussian kernel" (§IV-A): every edge pixel votes for the place half a thread's
@@ -59,8 +60,6 @@ def canny_line(image: np.ndarray, look: Appearance, least_contrast: float, short
     least_contrast  grey levels: fainter edges are ignored
     shortest_px     of a piece of line
     """
-    import cv2
-
     slope = gradient(image)
     whole = np.clip(np.rint(slope * (STEEPEST / look.slope)), -32767, 32767).astype(np.int16)
     floor = 0.25 * least_contrast / look.slope
@@ -69,8 +68,7 @@ def canny_line(image: np.ndarray, look: Appearance, least_contrast: float, short
     row, column = np.nonzero(edge)
     outward = slope[row, column] / np.maximum(np.linalg.norm(slope[row, column], axis=1, keepdims=True), 1e-30)
     meeting = _meeting(row, column, outward if look.polarity == "dark" else -outward, look.width_px / 2, image.shape)
-    curvature = Curvature(meeting, VOTE_BLUR_PX)
-    ridges = curvature.ridges("light", 1e-3)
+    ridges = Curvature(meeting, VOTE_BLUR_PX).ridges("light", 1e-3)
     ridges = ridges[(meeting[ridges.row, ridges.column] >= MEETING) & (np.abs(ridges.offset) <= REACH_PX)]
     ridges = ridges[pieces(ridges, 0.0, shortest_px) > 0]
     return np.stack([ridges.column, ridges.row], axis=1).astype(np.float64), ridges.tangent, look.slope * ridges.strength
@@ -78,8 +76,6 @@ def canny_line(image: np.ndarray, look: Appearance, least_contrast: float, short
 
 def _meeting(row: np.ndarray, column: np.ndarray, outward: np.ndarray, offset: float, shape: tuple[int, int]) -> np.ndarray:
     """(H, W) float32: blurred votes of edge pixels that coincide with votes from the other edge, 1 for two complete edges."""
-    import cv2
-
     x = np.rint(column - offset * outward[:, 0]).astype(np.int64)
     y = np.rint(row - offset * outward[:, 1]).astype(np.int64)
     inside = (x >= 0) & (x < shape[1]) & (y >= 0) & (y < shape[0])
@@ -112,7 +108,8 @@ def detect(image: np.ndarray, options: DetectionOptions = DetectionOptions()) ->
     if options.colour is not None:
         line, polarity = likeness(as_colour(part), likeness_table([lab(np.array(options.colour[::-1]))])), "light"
     else:
-        line, polarity = _grey(part), options.polarity
+        grey = part if part.ndim == 2 else cv2.cvtColor(as_colour(part), cv2.COLOR_BGR2GRAY)
+        line, polarity = grey.astype(np.float32), options.polarity
     look = appearance(line, polarity, options.width_px, options.least_contrast)
     points, direction, strength = np.empty((0, 2)), np.empty((0, 2)), np.empty(0)
     if look is not None:
@@ -124,30 +121,20 @@ def detect(image: np.ndarray, options: DetectionOptions = DetectionOptions()) ->
     return moved(found, corner)
 
 
-def _grey(image: np.ndarray) -> np.ndarray:
-    """(H, W) float32."""
-    import cv2
-
-    return (image if image.ndim == 2 else cv2.cvtColor(as_colour(image), cv2.COLOR_BGR2GRAY)).astype(np.float32)
-
-
 def _line(image: np.ndarray, look: Appearance, options: DetectionOptions) -> tuple[np.ndarray, ...]:
     """(N, 2) points, (N, 2) directions and (N,) strengths in an image (H, W) float32, halved for wide threads."""
-    import cv2
-
     halvings = max(0, int(np.ceil(np.log2(look.width_px / WIDEST_PX))))
     for _ in range(halvings):
         image = cv2.pyrDown(image)
     scale = 2.0**halvings
     look = replace(look, width_px=look.width_px / scale, slope=look.slope * scale)
-    find = {"ridge": _ridge_line, "canny": canny_line}[options.method]
-    found = find(image, look, options.least_contrast, options.shortest_px / scale)
-    return in_whole_pixels(scale, *found)
+    find = {"ridge": _ridge_line, "canny": _canny_line}[options.method]
+    return in_whole_pixels(scale, *find(image, look, options.least_contrast, options.shortest_px / scale))
 
 
 def _ridge_line(image: np.ndarray, look: Appearance, least_contrast: float, shortest_px: float) -> tuple[np.ndarray, ...]:
-    """(N, 2) points, (N, 2) directions and (N,) strengths: ridges at the thread's width, each moved to the middle between the
-    two edges, and what goes on from their ends."""
+    """As :func:`_canny_line`: ridges at the thread's width, each moved to the middle between the two edges, and what goes on
+    from their ends."""
     curvature = Curvature(image, max(SMALLEST_SIGMA, SIGMA_PER_WIDTH * look.width_px))
     certain = max(SURE * curvature.noise(), BAR * least_contrast)
     ridges = curvature.ridges(look.polarity, certain / 2)
@@ -215,8 +202,6 @@ def detect_mask(mask: np.ndarray, options: DetectionOptions = DetectionOptions()
 
 def _cleaned(inside: np.ndarray) -> np.ndarray:
     """(H, W) uint8: 1 within, without small holes and specks."""
-    import cv2
-
     for within in (0, 1):
         of_kind = (inside == within).astype(np.uint8)
         label, sizes = cv2.connectedComponentsWithStats(of_kind, connectivity=4 + 4 * within)[1:3]
@@ -228,8 +213,6 @@ def _cleaned(inside: np.ndarray) -> np.ndarray:
 
 def _roof(inside: np.ndarray) -> tuple[np.ndarray, float]:
     """(h, w) float32: px from the nearest pixel outside, halved where the thread is wide, and px of the mask to one of it."""
-    import cv2
-
     scale = 1.0
     while True:
         # The thread goes on beyond the image's border; distances to nothing would have no end.
@@ -257,19 +240,11 @@ class Sight:
     def detected(self, path: Path, camera: Camera) -> Detection:
         """The thread in the image that ``camera`` took. Raises InputError for files that are missing or do not fit."""
         options = replace(self.options, region=self.regions.get(camera.name, self.options.region))
-        mask = self._mask(path, camera)
-        if mask is not None:
-            return detect_mask(mask, options)
-        return detect(read_image(path, camera, colour=options.colour is not None), options)
-
-    def _mask(self, path: Path, camera: Camera):
-        if self.masks is None:
-            return read_mask(path, camera)
-        if isinstance(self.masks, dict):
-            found = self.masks[path]
-        else:
-            found = next(iter(sorted(self.masks.glob(f"{path.stem}.*"))), None)
-            if found is None:
-                raise InputError(self.masks, path.stem, "no mask of this name", "name masks as the images are")
-        mask = read_mask(found, camera)
-        return read_image(found, camera) if mask is None else mask
+        file = path if self.masks is None else self.masks[path] if isinstance(self.masks, dict) else next(
+            iter(sorted(self.masks.glob(f"{path.stem}.*"))), None)
+        if file is None:
+            raise InputError(self.masks, path.stem, "no mask of this name", "name masks as the images are")
+        mask = read_mask(file, camera)
+        if mask is None and self.masks is None:
+            return detect(read_image(path, camera, colour=options.colour is not None), options)
+        return detect_mask(read_image(file, camera) if mask is None else mask, options)

@@ -12,6 +12,7 @@
 Other threads that cross are not followed: an arc that is straighter through the crossing has more of the line.
 """
 
+import cv2
 import numpy as np
 
 from doo_ti.system.arguments import typed
@@ -79,8 +80,6 @@ def follow(image: np.ndarray, pixel: tuple[float, float], options: DetectionOpti
 
 def _lines(levels: list[np.ndarray], place: np.ndarray) -> list[tuple[float, Line]]:
     """(contrast, line) of the best line of each width near ``place``; appends halved images to ``levels``."""
-    import cv2
-
     found = []
     for level in range(OCTAVES):
         if level:
@@ -96,8 +95,6 @@ def _lines(levels: list[np.ndarray], place: np.ndarray) -> list[tuple[float, Lin
 
 def _line(image: np.ndarray, place: np.ndarray, width: float, reach: float) -> tuple[float, Line]:
     """The contrast in Lab and the line of this width that is most distinct within ``reach`` or half a width of ``place``."""
-    import cv2
-
     reach, sigma = max(reach, width / 2), width / 2
     pixels, corner = window(image, place, int(np.ceil(reach + (SEGMENT + 2) * width)) + 2)
     colours = lab(pixels)
@@ -179,8 +176,6 @@ class _Field:
 
     def sampled(self, points: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(a, n) strength across a line at (a, n, 2) points with unit tangents ``along``, and px to the crest of the line."""
-        import cv2
-
         margin = int(np.ceil(4 * self.sigma))
         low, high = points.min(axis=(0, 1)), points.max(axis=(0, 1))
         edge = np.array(self.image.shape[1::-1]) - 1

@@ -92,10 +92,10 @@ def chains_of(detection: Detection) -> list[np.ndarray]:
     pairs = np.concatenate([pairs, pairs[:, ::-1]])
     one, other = pairs.T
     step = points[other] - points[one]
-    length = np.linalg.norm(step, axis=1)
+    length, normal = np.linalg.norm(step, axis=1), np.stack([-direction[:, 1], direction[:, 0]], axis=1)
     forward = (step * direction[one]).sum(axis=1)
     turned = np.abs((direction[one] * direction[other]).sum(axis=1))
-    aside = np.maximum(np.abs(_cross(step, direction[one])), np.abs(_cross(step, direction[other])))
+    aside = np.maximum(*(np.abs((step * normal[end]).sum(axis=1)) for end in (one, other)))
     fits = (aside <= SLOPE * length) & (turned >= BEND) & (length > 0.3)
     one, other, forward, length, aside = (values[fits] for values in (one, other, forward, length, aside))
     way = (forward > 0).astype(int)
@@ -127,10 +127,6 @@ def outward(chain: np.ndarray, way: int) -> np.ndarray:
     back = points[::-1][min(np.searchsorted(arc, END_PX), len(points) - 1)]
     out = points[-1] - back
     return out / max(np.linalg.norm(out), 1e-12)
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 
 def chain_length(points: np.ndarray) -> float:

@@ -56,7 +56,9 @@ class ImagePath:
     @cached_property
     def tangents(self) -> np.ndarray:
         """(M, 2) unit vectors."""
-        ahead = np.gradient(_smoothed(self.points), axis=0)
+        padded = np.pad(self.points, ((2, 2), (0, 0)), mode="reflect", reflect_type="odd")
+        smoothed = np.stack([np.convolve(column, np.full(5, 1 / 5), mode="valid") for column in padded.T], axis=1)
+        ahead = np.gradient(smoothed, axis=0)
         return ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-12)
 
     @property
@@ -228,12 +230,6 @@ def _resampled(pieces: list[np.ndarray], cost: float, whole: float) -> ImagePath
             seen &= ~((place > arc[k - 1]) & (place < arc[k]))
     return ImagePath(np.stack([np.interp(place, arc, column) for column in points.T], axis=1), seen, cost,
                      min(1.0, sum(chain_length(piece) for piece in pieces) / whole))
-
-
-def _smoothed(points: np.ndarray, width: int = 5) -> np.ndarray:
-    """Points averaged over their neighbours."""
-    padded = np.pad(points, ((width // 2, width // 2), (0, 0)), mode="reflect", reflect_type="odd")
-    return np.stack([np.convolve(column, np.full(width, 1 / width), mode="valid") for column in padded.T], axis=1)
 
 
 def _angle(a: np.ndarray, b: np.ndarray) -> float:

@@ -14,6 +14,7 @@ middle between its edges does not.
 
 from dataclasses import dataclass, fields, replace
 
+import cv2
 import numpy as np
 
 REACH_PX = 0.75
@@ -61,8 +62,6 @@ class Curvature:
     """Second and first derivatives of an image (H, W) float32, smoothed by σ px."""
 
     def __init__(self, image: np.ndarray, sigma: float):
-        import cv2
-
         smooth, slope, bend = derivative_kernels(sigma)
         self.sigma = sigma
         self.xx, self.xy, self.yy, self.x, self.y = (
@@ -109,8 +108,6 @@ def derivative_kernels(sigma: float) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 def pieces(ridges: Ridges, strong: float, shortest_px: float) -> np.ndarray:
     """(N,) int: the connected piece of line that a point belongs to; 0 where that is too short, or has no ``strong`` point."""
-    import cv2
-
     if not len(ridges.row):
         return np.zeros(0, dtype=np.int32)
     row, column = ridges.row - ridges.row.min(), ridges.column - ridges.column.min()
@@ -151,8 +148,6 @@ class Edges:
 
 def gradient(image: np.ndarray) -> np.ndarray:
     """(H, W, 2) grey levels per px: the slope of an image (H, W) float32 smoothed by EDGE_SIGMA, along x and y."""
-    import cv2
-
     smooth, slope, _ = derivative_kernels(EDGE_SIGMA)
     return cv2.merge([cv2.sepFilter2D(image, cv2.CV_32F, across, down, borderType=cv2.BORDER_REPLICATE)
                       for across, down in ((slope, smooth), (smooth, slope))])
@@ -165,8 +160,6 @@ def edges_across(gradients: np.ndarray, point: np.ndarray, normal: np.ndarray, p
                places of samples to 1/32 px: near the slope's extremum that matters little, but differences of the brightness
                would jump.
     """
-    import cv2
-
     if not len(point):
         return Edges(*np.empty((4, 0)))
     middle = int(np.ceil(reach_px / STEP_PX))

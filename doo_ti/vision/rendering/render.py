@@ -15,6 +15,7 @@ from functools import partial
 from io import StringIO
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from doo_ti.rod.types import LARGEST
@@ -194,8 +195,6 @@ def _perpendicular(direction: np.ndarray, random: np.random.Generator) -> np.nda
 
 def _photograph(camera: Camera, scene: list[Tube], options: RenderOptions, random: np.random.Generator) -> np.ndarray:
     """(H, W) uint8: the scene through lens, sensor and compression."""
-    import cv2
-
     light = np.array(options.light) / np.linalg.norm(options.light)
     image = draw(camera, scene, _background(camera, options, random), light, options.shading)
     rest = options.blur_px**2 + PIXEL_BLUR_PX**2 - DRAWN_BLUR_PX**2
@@ -212,8 +211,6 @@ def _photograph(camera: Camera, scene: list[Tube], options: RenderOptions, rando
 
 def _background(camera: Camera, options: RenderOptions, random: np.random.Generator) -> np.ndarray:
     """(H, W) float32: an evenly or unevenly lit surface."""
-    import cv2
-
     coarse = random.standard_normal((2 + camera.height // BLOB_PX, 2 + camera.width // BLOB_PX), dtype=np.float32)
     patches = cv2.resize(coarse, (camera.width, camera.height), interpolation=cv2.INTER_CUBIC)
     ramp = np.linspace(-0.5, 0.5, camera.width, dtype=np.float32)
@@ -293,8 +290,6 @@ def _files(photographs: Photographs, index: int) -> list[str]:
 
 def _save_set(folder: Path, photographs: Photographs, index: int) -> None:
     """Write the images of one set, compressed once, as files."""
-    import cv2
-
     quality = photographs.options.jpeg_quality
     raw = replace(photographs, options=replace(photographs.options, jpeg_quality=None))
     how = [] if quality is None else [cv2.IMWRITE_JPEG_QUALITY, int(quality)]
