@@ -1,9 +1,5 @@
 """The thread's centre line in rendered images and in images made by another renderer."""
 
-import os
-import struct
-from concurrent.futures import ThreadPoolExecutor
-
 import cv2
 import numpy as np
 import pytest
@@ -111,39 +107,3 @@ def test_bad_options_are_refused(change):
         DetectionOptions(**change)
     with pytest.raises(InputError, match="image"):
         detect(np.zeros((10, 10, 3)))
-
-
-def test_bad_image_files_are_refused(tmp_path):
-    with pytest.raises(InputError, match="no such file"):
-        read_image(tmp_path / "none.png")
-    (tmp_path / "text.png").write_text("no image")
-    (tmp_path / "empty.png").write_bytes(b"")
-    for name in ("text.png", "empty.png"):
-        with pytest.raises(InputError, match=name):
-            read_image(tmp_path / name)
-    cv2.imwrite(str(tmp_path / "small.png"), np.zeros((20, 30), np.uint8))
-    with pytest.raises(InputError, match="30 x 20 px, but cam0"):
-        read_image(tmp_path / "small.png", small_rig().cameras[0])
-
-
-def test_libraries_say_nothing_of_damaged_images(tmp_path, capfd):
-    """Of such as begin and end well, too, and from several threads; afterwards the standard error is heard again."""
-    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((20, 30), np.uint8))
-    good = (tmp_path / "a.png").read_bytes()
-    at = good.index(b"IDAT")
-    (length,) = struct.unpack(">I", good[at - 4:at])
-    wrong_sum = good[:at + 4 + length] + b"wrng" + good[at + 8 + length:]
-    damaged = {"wrong_sum.png": wrong_sum, "wrong_depth.png": good[:24] + b"\x03" + good[25:], "cut.png": good[:-20]}
-    for name, content in damaged.items():
-        (tmp_path / name).write_bytes(content)
-
-    def read(name: str) -> bool:
-        try:
-            return read_image(tmp_path / name).shape == (20, 30)
-        except InputError:
-            return False
-
-    with ThreadPoolExecutor(4) as threads:
-        read_well = dict(zip(["a.png", *damaged], threads.map(read, ["a.png", *damaged] * 20)))
-    os.write(2, b"heard")
-    assert capfd.readouterr().err == "heard" and read_well["a.png"] and not read_well["cut.png"]

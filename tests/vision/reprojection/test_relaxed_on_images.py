@@ -1,7 +1,5 @@
 """F(Γ, E_vis, C): rods at minima of their energy and reprojection error, against the oracle's E_vis."""
 
-from itertools import product
-
 import numpy as np
 import pytest
 
@@ -14,12 +12,8 @@ from doo_ti.rod.frames import (
     smallest_rotation,
     tangent_from_quaternion,
 )
-from tests.oracle.chain_form import rod_of
-from tests.oracle.equilibrium import State, clamped_start
-from tests.oracle.external import minimum, newton_step, total_energy
-from tests.oracle.reprojection import Images, edge_error, rod_energy
-from tests.references.rods import clamps_at, jiggled
-from tests.relaxation.rods import assert_same, with_kinds
+from tests.oracle.reprojection import edge_error, rod_energy
+from tests.relaxation.rods import assert_same
 from tests.vision.drawn_maps import curves, drawn_maps, map_of, three_cameras
 
 EDGES, NU, POINTS = 14, 30.0, 4
@@ -83,44 +77,19 @@ def test_at_rest_no_turn_of_an_edge_lowers_the_oracle_s_energy(kind, scene, rng)
             assert min(slope) > 0 and abs(slope[0] - slope[1]) < 0.1 * max(slope)
 
 
-@pytest.mark.slow
-def test_any_ends_may_be_held(scene, rng):
-    """All sixteen pairs of clamps: both ends held, vertex 0 free to move; at rest by dense linear algebra, forces too."""
-    rig, rods, maps = scene
-    pairs = list(product(Clamp, Clamp))
-    edges, points = 8, 2
-    sets, start = starts(rng, rods, len(pairs), 0.02, edges)
-    clamps = with_kinds(clamps_at(start), pairs)
-    solution = relax(jiggled(start, rng, 0.02), Material(ALPHA, ALPHA), clamps, Newton.careful(tolerance=1e-11),
-                     external=Reprojection(maps, rig, NU, points), external_index=sets)
-    assert solution.converged.all() and solution.stable.all() and solution.closure.max() < 1e-12
-    for row, vertices in enumerate(solution.configuration.vertices):
-        rod = rod_of(start, Material(ALPHA, ALPHA), row)
-        seen = tuple(map_of(maps, sets[row], camera) for camera in range(len(rig.cameras)))
-        images = Images(rig.cameras, seen, NU, points, 40.0, vertices)
-        found = State(solution.configuration.start[row], solution.configuration.quaternions[row])
-        _, ends = clamped_start(start, clamps, row)
-        assert solution.energy[row] == pytest.approx(total_energy(rod, images, found), rel=1e-12)
-        here = minimum(rod, images, found, ends, max_iterations=0)
-        assert here.residual < 1e-9 and here.eigenvalues[0] > -1e-9 * here.eigenvalues[-1]  # a round rod may spin freely
-        step = newton_step(rod, images, found, ends, shift=1e-6 * ALPHA)
-        assert max(np.abs(step.rotation).max(), np.abs(step.translation).max()) < 1e-9
-        if ends.end != Clamp.FREE:
-            np.testing.assert_allclose(-solution.end_force[row], here.force, rtol=0, atol=1e-9 * np.abs(here.force).max())
-
-
 def test_the_images_recover_the_rod(scene, rng):
     """A strong ν: the shape that was drawn, to a fraction of a pixel (0.3 mm), from starts several pixels off."""
     rig, rods, maps = scene
     sets, start = starts(rng, rods, 50, 0.1)
     found = relax(start, Material(ALPHA, ALPHA), held(start), external=Reprojection(maps, rig, 300.0), external_index=sets)
     off = np.linalg.norm(found.configuration.vertices - rods[sets], axis=-1).max(axis=1)
-    before = np.linalg.norm(start.vertices - rods[sets], axis=-1).max(axis=1)
-    print(f"{np.median(before):.2f} mm off before, {np.median(off):.3f} after, {found.iterations.mean():.1f} iterations")
     assert found.converged.mean() >= 0.98 and np.median(off) < 0.1
+    again = score(found.configuration.vertices, maps, sets, rig, 300.0, Material(ALPHA, ALPHA), points=POINTS)
+    np.testing.assert_allclose(again.total, found.energy, rtol=1e-4)
 
 
-@pytest.mark.parametrize("nu", [10.0, 100.0, 1000.0])
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("nu", [1000.0, 10.0, 100.0])
 def test_grown_rods_converge(nu, scene, rng):
     """As Alg. 1 grows them: a new edge, 0.15 rad off, on a rod that is at rest."""
     rig, rods, maps = scene
@@ -133,7 +102,6 @@ def test_grown_rods_converge(nu, scene, rng):
     edge = quaternion_product(smallest_rotation(last, new), parent.quaternions[:, -1])
     grown = Configuration(parent.start, np.concatenate([parent.quaternions, edge[:, None]], axis=1), np.full(EDGES, 3.0))
     fine = relax(grown, material, held(grown), external=external, external_index=sets)
-    print(f"nu {nu}: {fine.converged.mean():.3f} converged, {fine.iterations.mean():.1f} iterations")
     assert fine.converged.mean() >= 0.99 and fine.stable[fine.converged].all()
     assert (fine.residual[fine.converged] <= TOLERANCES[64]).all()
 
@@ -162,14 +130,7 @@ def test_a_rod_does_not_depend_on_the_others(scene, rng):
         assert_same(together, rows, alone, slice(None))
 
 
-def test_energy_is_that_of_the_score(scene, rng):
-    rig, rods, maps = scene
-    sets, start = starts(rng, rods, 20, 0.05)
-    found = relax(start, Material(ALPHA, ALPHA), held(start), external=Reprojection(maps, rig, NU), external_index=sets)
-    again = score(found.configuration.vertices, maps, sets, rig, NU, Material(ALPHA, ALPHA), points=POINTS)
-    np.testing.assert_allclose(again.total, found.energy, rtol=1e-4)
-
-
+@pytest.mark.thorough
 def test_no_weight_on_the_images_leaves_the_rod_to_itself(scene, rng):
     rig, rods, maps = scene
     _, start = starts(rng, rods, 6, 0.05)
@@ -181,6 +142,5 @@ def test_no_weight_on_the_images_leaves_the_rod_to_itself(scene, rng):
 def test_wrong_input_is_refused(scene, rng):
     rig, rods, maps = scene
     sets, start = starts(rng, rods, 5, 0.05)
-    external = Reprojection(maps, rig, NU)
     with pytest.raises(InputError, match="external_index"):
-        relax(start, Material(ALPHA, ALPHA), held(start), external=external, external_index=sets + 1)
+        relax(start, Material(ALPHA, ALPHA), held(start), external=Reprojection(maps, rig, NU), external_index=sets + 1)
