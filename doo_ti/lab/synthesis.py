@@ -30,8 +30,7 @@ from doo_ti.system.errors import InterruptedRunError
 
 APPROACH_STEPS = 60
 STEP_MM = 1.0
-CLIP_STREAM = 1
-"""Key of the clip errors' own random generator: rest curvature and label noise of a seed do not depend on them."""
+CLIP_STREAM = 1  # key of the clip errors' own random generator: rest curvature and label noise of a seed do not depend on them
 
 
 @dataclass(frozen=True)

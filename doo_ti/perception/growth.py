@@ -14,8 +14,7 @@ import numpy as np
 
 from doo_ti.rod.types import Configuration
 
-LARGEST_ANGLE = np.pi / 2
-"""Sampled edges have e^i · e^{i+1} > 0."""
+LARGEST_ANGLE = np.pi / 2  # sampled edges have e^i · e^{i+1} > 0
 
 
 @dataclass(frozen=True)

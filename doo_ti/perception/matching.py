@@ -21,24 +21,15 @@ from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.detection.paths import ImagePath
 from doo_ti.vision.reprojection.triangulation import rays
 
-STEP_PX = 2.0
-"""Between places that are compared."""
-FARTHEST_PX = 12.0
-"""Distances saturate there."""
-SLIP = 0.15
-"""px: cost of a step along one path alone, over that of a step along both."""
-LEFT_OVER = 1.0
-"""Cost of each step that is left of a path where the other ends."""
-UNEXPLAINED = 4.0
-"""px: cost of a path that explains nothing of the detection."""
-ALONG = 0.02
-"""Weight of a distance along a path over that across it."""
-ROUNDS, FREE_ROUNDS = 6, 2
-"""Linearisations of the depth, and the first of them, which keep the places found by matching."""
-WINDOW_PX = 12
-"""How far a place moves along a path in one of them."""
-HELD = 1e4
-"""Information at a start whose depth is given, over the median along the curve."""
+STEP_PX = 2.0  # between places that are compared
+FARTHEST_PX = 12.0  # distances saturate there
+SLIP = 0.15  # px: cost of a step along one path alone, over that of a step along both
+LEFT_OVER = 1.0  # cost of each step that is left of a path where the other ends
+UNEXPLAINED = 4.0  # px: cost of a path that explains nothing of the detection
+ALONG = 0.02  # weight of a distance along a path over that across it
+ROUNDS, FREE_ROUNDS = 6, 2  # linearisations of the depth, and the first of them, which keep the places found by matching
+WINDOW_PX = 12  # how far a place moves along a path in one of them
+HELD = 1e4  # information at a start whose depth is given, over the median along the curve
 BOTH, FIRST_ALONE, SECOND_ALONE = 0, 1, 2
 
 

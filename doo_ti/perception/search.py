@@ -38,10 +38,8 @@ from doo_ti.vision.reprojection.distance_map import DistanceMaps
 from doo_ti.vision.reprojection.image_energy import Coverage, Reprojection, coverage
 from doo_ti.vision.reprojection.score import score
 
-FAILED = Status.NOT_FINITE, Status.INFEASIBLE
-"""Rods that have no shape; infeasible are those inside an obstacle."""
-LOST = 1e30
-"""1/mm: E_vis of a rod that failed while growing. Its start is kept if its set has no better hypothesis."""
+FAILED = Status.NOT_FINITE, Status.INFEASIBLE  # rods that have no shape; infeasible are those inside an obstacle
+LOST = 1e30  # 1/mm: E_vis of a rod that failed while growing. Its start is kept if its set has no better hypothesis
 CONVINCING, CLOSE_PX = 0.98, 0.5
 """A rod that grew is convincing if it explains this share of the detected line in every camera, and rod and line are this close
 to each other on average. No rods are traced in a set that has one: tracing takes longer than the whole search."""

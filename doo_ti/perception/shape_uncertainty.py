@@ -35,20 +35,13 @@ from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.detection.line import Detection, thinned
 from doo_ti.vision.reprojection.image_energy import NEAR_PX
 
-PLACES = (0.25, 0.75)
-"""Places along an edge where its image is evaluated."""
-LEAST_BENDING = 1e-4
-"""T of a rod that looks straight, times its length."""
-STEP_MM = 1e-3
-"""Step of the difference quotients of the projection."""
-ROUNDS, FREE = 6, 0.2
-"""Rounds in which N and γ are found, and the least share of sections that a rod does not follow."""
-SECTION_PX = 20.0
-"""L."""
-FEWEST = 10
-"""Points in a section that counts."""
-ALONG = 0.8
-"""Least cosine between the directions of a point and of the image there: other strands cross it."""
+PLACES = (0.25, 0.75)  # places along an edge where its image is evaluated
+LEAST_BENDING = 1e-4  # T of a rod that looks straight, times its length
+STEP_MM = 1e-3  # step of the difference quotients of the projection
+ROUNDS, FREE = 6, 0.2  # rounds in which N and γ are found, and the least share of sections that a rod does not follow
+SECTION_PX = 20.0  # L
+FEWEST = 10  # points in a section that counts
+ALONG = 0.8  # least cosine between the directions of a point and of the image there: other strands cross it
 
 
 def vertex_sigma(rig: Rig, vertices: np.ndarray, sigma_px: float, correlation_px: float,

@@ -27,21 +27,15 @@ from doo_ti.vision.detection.line import Detection
 from doo_ti.vision.detection.paths import Chains, paths_from
 from doo_ti.vision.reprojection.assigned_energy import AssignedPoints
 
-PATHS, MATCHES = 4, 3
-"""Paths of each image, and matches of each set, that are tried."""
+PATHS, MATCHES = 4, 3  # paths of each image, and matches of each set, that are tried
 SMOOTHNESS = (30.0, 1e3, 3e4)
 """Smoothness of the curves with which rods begin. Between cameras that are close together a rough curve folds along the line of
 sight, and a very smooth one is too flat; the energy decides between the rods."""
-NU_BACK = 0.03
-"""ν of E_back, 1/(mm px³)."""
-PLACES = 2
-"""Places along an edge that are assigned to the paths."""
-FREE_ROUNDS, FIXED_ROUNDS = 4, 2
-"""Relaxations of rods whose length is free, and of those whose length is given."""
-STEPS, NEAREST_PX = 3, 6.0
-"""Steps along a path to the point nearest to a place's image, and the longest of them."""
-AHEAD_MM = 1e-3
-"""Distance over which the image of a direction is taken."""
+NU_BACK = 0.03  # ν of E_back, 1/(mm px³)
+PLACES = 2  # places along an edge that are assigned to the paths
+FREE_ROUNDS, FIXED_ROUNDS = 4, 2  # relaxations of rods whose length is free, and of those whose length is given
+STEPS, NEAREST_PX = 3, 6.0  # steps along a path to the point nearest to a place's image, and the longest of them
+AHEAD_MM = 1e-3  # distance over which the image of a direction is taken
 SAME_LENGTH = 0.05
 """A rod and its paths end together if their lengths differ by less than this share. Between cameras that are close together the
 length of a thread is no more certain than that."""

@@ -24,15 +24,12 @@ from doo_ti.vision.cameras.rig import Rig
 FEWEST_VIEWS = 3
 WORLDS = ("first-board", "camera")
 COEFFICIENTS = (0, 2, 4, 5)
-VAGUE = 0.05
-"""A focal length whose standard deviation is a larger share of it is not determined."""
+VAGUE = 0.05  # A focal length whose standard deviation is a larger share of it is not determined
 TILT = "add views, the board tilted in several ways"
 POSE = 6
 MOST_STEPS = 100
-LITTLE = 1e-10
-"""Done when a step lowers the sum of squares by less than this share."""
-SINGULAR = 1e-13
-"""Smallest eigenvalue of the normal matrix, its diagonal scaled to ones, that still determines all unknowns."""
+LITTLE = 1e-10  # done when a step lowers the sum of squares by less than this share
+SINGULAR = 1e-13  # smallest eigenvalue of the normal matrix, its diagonal scaled to ones, that still determines all unknowns
 
 
 @dataclass(frozen=True)

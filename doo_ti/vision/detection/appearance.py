@@ -17,35 +17,17 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from doo_ti.vision.detection.ridge import (
-    POINTS_PER_PX,
-    REACH_PX,
-    Curvature,
-    Edges,
-    Ridges,
-    edges_across,
-    gradient,
-    pieces,
-)
+from doo_ti.vision.detection.ridge import POINTS_PER_PX, REACH_PX, Curvature, Edges, Ridges, edges_across, gradient, pieces
 
-LEVELS = 5
-"""Levels of the pyramid above the image itself: halves to 32nds, for threads up to some 150 px wide."""
-SIGMA = 1.2
-"""Smoothing, px of a level."""
-SURE = 7.0
-"""Times the noise: strength of lines that are certainly not noise."""
-BAR = 0.4
-"""Strength over contrast of a line at the level that fits it."""
-SHORTEST = 5.0
-"""px of a level: shorter pieces are regarded as noise."""
-SLENDER = 16.0
-"""px of a level: least length of a slender piece, a few px wide."""
-BLUR_PX = 4.0
-"""Largest standard deviation of the blur of a thread's edge; edges with more are shading of the background."""
-LEAST_BALANCE = 0.25
-"""Least ratio of the slopes of a thread's two edges; with less, the line is the border of something else."""
-SAMPLES = 400
-"""Largest number of points where the width is measured."""
+LEVELS = 5  # levels of the pyramid above the image itself: halves to 32nds, for threads up to some 150 px wide
+SIGMA = 1.2  # smoothing, px of a level
+SURE = 7.0  # times the noise: strength of lines that are certainly not noise
+BAR = 0.4  # strength over contrast of a line at the level that fits it
+SHORTEST = 5.0  # px of a level: shorter pieces are regarded as noise
+SLENDER = 16.0  # px of a level: least length of a slender piece, a few px wide
+BLUR_PX = 4.0  # largest standard deviation of the blur of a thread's edge; edges with more are shading of the background
+LEAST_BALANCE = 0.25  # least ratio of the slopes of a thread's two edges; with less, the line is the border of something else
+SAMPLES = 400  # largest number of points where the width is measured
 
 
 @dataclass(frozen=True)
@@ -124,17 +106,13 @@ def of_a_thread(edges: Edges, strength: np.ndarray) -> np.ndarray:
     return (edges.balance > LEAST_BALANCE) & (edges.slope * BLUR_PX * np.sqrt(2 * np.pi) >= strength / BAR)
 
 
-WITHIN = 0.5
-"""Share of the largest ratio of difference and scatter up to which a place is within the thread."""
-SURELY_WITHIN = 5.0
-"""Ratio from which on a place is within the thread in any case: its stripes may differ."""
-LEVEL = 3.0
-"""Lab: scatter without noise."""
+WITHIN = 0.5  # share of the largest ratio of difference and scatter up to which a place is within the thread
+SURELY_WITHIN = 5.0  # ratio from which on a place is within the thread in any case: its stripes may differ
+LEVEL = 3.0  # Lab: scatter without noise
 DEEPEST, TINGE = 0.6, 6.0
 """In a shadow the levels of an image are those of the background times a factor, of 0.6 or more (a third of the light), and
 differ from that by less than this in Lab."""
-REACH = 2.5
-"""Widths to either side that are looked at."""
+REACH = 2.5  # widths to either side that are looked at
 SMOOTHING_PX = 0.7
 
 
@@ -235,10 +213,8 @@ def _in_shadow(colours: np.ndarray) -> np.ndarray:
     return found
 
 
-TOLERANCE = 18.0
-"""τ: distances in Lab by which shading changes a colour."""
-_STEPS = 64
-"""Levels of each channel in the table of colours: within one, Lab differs by some 2."""
+TOLERANCE = 18.0  # τ: distances in Lab by which shading changes a colour
+_STEPS = 64  # levels of each channel in the table of colours: within one, Lab differs by some 2
 
 
 def lab(colours: np.ndarray) -> np.ndarray:

@@ -39,14 +39,10 @@ from doo_ti.vision.detection.line import Detection, in_whole_pixels, moved
 from doo_ti.vision.detection.options import DetectionOptions, check_image, cropped
 from doo_ti.vision.detection.ridge import REACH_PX, Curvature, edges_across, gradient, pieces
 
-CANNY_STRONG, CANNY_WEAK = 0.4, 0.15
-"""Canny's thresholds over the slope of the thread's edges."""
-VOTE_BLUR_PX = 1.0
-"""Standard deviation of a vote."""
-MEETING = 0.5
-"""Least share of votes on the centre line, of those of two complete edges with an edge pixel per px of length."""
-STEEPEST = 8000
-"""Slope of the thread's edges in the whole numbers that Canny takes."""
+CANNY_STRONG, CANNY_WEAK = 0.4, 0.15  # Canny's thresholds over the slope of the thread's edges
+VOTE_BLUR_PX = 1.0  # standard deviation of a vote
+MEETING = 0.5  # least share of votes on the centre line, of those of two complete edges with an edge pixel per px of length
+STEEPEST = 8000  # slope of the thread's edges in the whole numbers that Canny takes
 
 
 def _canny_line(image: np.ndarray, look: Appearance, least_contrast: float, shortest_px: float) -> tuple[np.ndarray, ...]:
@@ -67,33 +63,27 @@ def _canny_line(image: np.ndarray, look: Appearance, least_contrast: float, shor
     edge = cv2.Canny(np.ascontiguousarray(whole[..., 0]), np.ascontiguousarray(whole[..., 1]), weak, strong, L2gradient=True)
     row, column = np.nonzero(edge)
     outward = slope[row, column] / np.maximum(np.linalg.norm(slope[row, column], axis=1, keepdims=True), 1e-30)
-    meeting = _meeting(row, column, outward if look.polarity == "dark" else -outward, look.width_px / 2, image.shape)
+    outward = outward if look.polarity == "dark" else -outward
+    x = np.rint(column - look.width_px / 2 * outward[:, 0]).astype(np.int64)
+    y = np.rint(row - look.width_px / 2 * outward[:, 1]).astype(np.int64)
+    inside = (x >= 0) & (x < image.shape[1]) & (y >= 0) & (y < image.shape[0])
+    ballots = [np.bincount((y * image.shape[1] + x)[inside], weight, image.size).reshape(image.shape).astype(np.float32)
+               for weight in (None, outward[inside, 0], outward[inside, 1])]
+    votes, across, down = (cv2.GaussianBlur(ballot, (0, 0), VOTE_BLUR_PX, borderType=cv2.BORDER_CONSTANT) for ballot in ballots)
+    # Votes that coincide with votes from the other edge, 1 for two complete edges.
+    meeting = (votes - np.sqrt(across * across + down * down)) * np.float32(VOTE_BLUR_PX * np.sqrt(2 * np.pi) / 2)
     ridges = Curvature(meeting, VOTE_BLUR_PX).ridges("light", 1e-3)
     ridges = ridges[(meeting[ridges.row, ridges.column] >= MEETING) & (np.abs(ridges.offset) <= REACH_PX)]
     ridges = ridges[pieces(ridges, 0.0, shortest_px) > 0]
     return np.stack([ridges.column, ridges.row], axis=1).astype(np.float64), ridges.tangent, look.slope * ridges.strength
 
 
-def _meeting(row: np.ndarray, column: np.ndarray, outward: np.ndarray, offset: float, shape: tuple[int, int]) -> np.ndarray:
-    """(H, W) float32: blurred votes of edge pixels that coincide with votes from the other edge, 1 for two complete edges."""
-    x = np.rint(column - offset * outward[:, 0]).astype(np.int64)
-    y = np.rint(row - offset * outward[:, 1]).astype(np.int64)
-    inside = (x >= 0) & (x < shape[1]) & (y >= 0) & (y < shape[0])
-    place, length = (y * shape[1] + x)[inside], shape[0] * shape[1]
-    ballots = [np.bincount(place, weight, length).reshape(shape).astype(np.float32)
-               for weight in (None, outward[inside, 0], outward[inside, 1])]
-    votes, across, down = (cv2.GaussianBlur(ballot, (0, 0), VOTE_BLUR_PX, borderType=cv2.BORDER_CONSTANT) for ballot in ballots)
-    return (votes - np.sqrt(across * across + down * down)) * np.float32(VOTE_BLUR_PX * np.sqrt(2 * np.pi) / 2)
-
-
 SIGMA_PER_WIDTH, SMALLEST_SIGMA = 0.35, 0.8
 """Standard deviation of the ridges' smoothing, px: a bar gets a single ridge, and neighbouring strands stay apart."""
-WEAK, STRONG = 0.2, 0.5
-"""Shares of the typical strength: all of a piece of thread exceeds the first, some of it the second."""
+WEAK, STRONG = 0.2, 0.5  # shares of the typical strength: all of a piece of thread exceeds the first, some of it the second
 WIDTH_RATIO, FAINTEST = 1.5, 0.4
 """Largest ratio of widths, which differ with depth, and least ratio of mean strengths, of a piece and the most distinct one."""
-WIDEST_PX = 40.0
-"""Wider threads are sought in halved images."""
+WIDEST_PX = 40.0  # wider threads are sought in halved images
 
 
 @typed
@@ -163,13 +153,10 @@ def _alike(piece: np.ndarray, width: np.ndarray, strength: np.ndarray) -> np.nda
 
 
 SIGMA = 1.0
-CREST = 0.8
-"""Least second derivative over that of a full roof."""
+CREST = 0.8  # least second derivative over that of a full roof
 LABELS = 16
-WORKING_WIDTH = 16.0
-"""px: masks of wider threads are halved, so that their rough borders are smoothed."""
-LARGEST_HOLE = 20
-"""px of a hole or speck that is regarded as noise."""
+WORKING_WIDTH = 16.0  # px: masks of wider threads are halved, so that their rough borders are smoothed
+LARGEST_HOLE = 20  # px of a hole or speck that is regarded as noise
 
 
 @typed

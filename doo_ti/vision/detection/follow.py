@@ -22,30 +22,20 @@ from doo_ti.vision.detection.line import Detection, moved
 from doo_ti.vision.detection.options import DetectionOptions, check_image, cropped
 from doo_ti.vision.detection.ridge import Curvature
 
-REACH_PX = 4.0
-"""From the pixel to the thread's middle, or half a width, whichever is more."""
-FINEST, OCTAVES = 2.0, 6
-"""Widths tried, px: two to an octave, up to 180."""
+REACH_PX = 4.0  # from the pixel to the thread's middle, or half a width, whichever is more
+FINEST, OCTAVES = 2.0, 6  # widths tried, px: two to an octave, up to 180
 DIRECTIONS = 24
-SEGMENT = 1.5
-"""Half the length of the line at the start, in widths."""
+SEGMENT = 1.5  # half the length of the line at the start, in widths
 FINENESS = 1.75
 """Power of σ in the strength of the start's line: 2 would treat all widths alike, but a thread with its shadow is wider."""
-WORKING_WIDTH = 16.0
-"""px: wider threads are followed in halved images."""
+WORKING_WIDTH = 16.0  # px: wider threads are followed in halved images
 LEAST_TOLERANCE = 5.0
-AHEAD, SHARPEST, ARCS = 6.0, 0.35, 21
-"""Length of arcs in widths, their largest curvature times the width, and their number."""
-PRESENT = 0.35
-"""Least strength of the line over its median along the path so far."""
-FULL = 0.41 * 255
-"""Second derivative times σ², σ = 0.35 widths, on the middle of a clean line."""
-AGAIN = 2.0
-"""Widths along which the line must be there behind a gap."""
-STRAIGHT = 0.15
-"""Strength that an arc of the largest curvature must have more than a straight one."""
-SHORTEST = 4.0
-"""Widths of a thread."""
+AHEAD, SHARPEST, ARCS = 6.0, 0.35, 21  # length of arcs in widths, their largest curvature times the width, and their number
+PRESENT = 0.35  # least strength of the line over its median along the path so far
+FULL = 0.41 * 255  # second derivative times σ², σ = 0.35 widths, on the middle of a clean line
+AGAIN = 2.0  # widths along which the line must be there behind a gap
+STRAIGHT = 0.15  # strength that an arc of the largest curvature must have more than a straight one
+SHORTEST = 4.0  # widths of a thread
 
 
 @typed

@@ -30,12 +30,9 @@ from doo_ti.vision.cameras.rig import Rig
 PNG, JPEG, BMP = b"\x89PNG", b"\xff\xd8", b"BM"
 PNM = re.compile(rb"P[1-6]\s+(?:#[^\n]*\n\s*)*(\d{1,9})\s+(?:#[^\n]*\n\s*)*(\d{1,9})\s")
 KNOWN = "PNG, JPEG, TIFF, BMP, PGM or PPM"
-TIFF = {b"II*\0": "<", b"MM\0*": ">"}
-"""Beginnings of files, and the order of bytes."""
-_WIDTH, _HEIGHT, _ORIENTATION = 256, 257, 274
-"""Tags of TIFF, and of the Exif data of other files, which are in its form."""
-SEARCHED = 1 << 16
-"""Bytes of a file's beginning in which the orientation of one that is no TIFF is stated."""
+TIFF = {b"II*\0": "<", b"MM\0*": ">"}  # beginnings of files, and the order of bytes
+_WIDTH, _HEIGHT, _ORIENTATION = 256, 257, 274  # tags of TIFF, and of the Exif data of other files, which are in its form
+SEARCHED = 1 << 16  # bytes of a file's beginning in which the orientation of one that is no TIFF is stated
 UPRIGHT = 1
 
 
@@ -99,10 +96,8 @@ def _stated_orientation(content: bytes) -> int:
 
 
 SEED = ("seed_x", "seed_y", "seed_z", "dir_x", "dir_y", "dir_z")
-MOST_PIXELS = 100_000_000
-"""Of an image: while it is unpacked each takes up to eight bytes."""
-DEPTHS = (8, 10, 12, 14, 16)
-"""Bits of cameras' levels, which files keep in 16."""
+MOST_PIXELS = 100_000_000  # of an image: while it is unpacked each takes up to eight bytes
+DEPTHS = (8, 10, 12, 14, 16)  # bits of cameras' levels, which files keep in 16
 
 
 def read_image(path: str | os.PathLike[str], camera: Camera | None = None, colour: bool = False,
@@ -190,8 +185,7 @@ def _check_side(path: Path, *sides: int) -> None:
                          f"give images of at most {MOST_SIDE:,} px a side and {MOST_PIXELS / 1e6:,.0f} megapixels")
 
 
-_changing, _silent = Lock(), []
-"""One copy of the original standard error for each image that is being decoded."""
+_changing, _silent = Lock(), []  # one copy of the original standard error for each image that is being decoded
 
 
 @contextmanager
@@ -259,7 +253,6 @@ class ImageSets:
 
     @property
     def count(self) -> int:
-        """A."""
         return len(self.names)
 
 

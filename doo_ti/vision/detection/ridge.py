@@ -21,8 +21,7 @@ REACH_PX = 0.75
 """Pixels this near to a line give a point of it: with this the points are at most a pixel apart in any direction."""
 FIRST_REACH_PX, FIRST_REACH = 2.0, 0.5
 """Bounds of t before edges are found, px and over σ: t is too large away from the ridge, and uncertain on flat ridges."""
-POINTS_PER_PX = 2 * REACH_PX
-"""Mean number of points per px of a line."""
+POINTS_PER_PX = 2 * REACH_PX  # mean number of points per px of a line
 ROUNDNESS = 0.6
 """Largest curvature along the line, of the same sign, over that across: where it is larger, there is a speck or a crossing."""
 
@@ -123,11 +122,9 @@ def pieces(ridges: Ridges, strong: float, shortest_px: float) -> np.ndarray:
 # --- the two edges of a line --------------------------------------------------------------------------------------------
 
 STEP_PX = 0.25
-MOST_ROWS = 20_000
-"""Rows that OpenCV samples at once; it takes fewer than 32 768."""
+MOST_ROWS = 20_000  # rows that OpenCV samples at once; it takes fewer than 32 768
 
-EDGE_SIGMA = 1.0
-"""px by which an image is smoothed before edges are sought across a line."""
+EDGE_SIGMA = 1.0  # px by which an image is smoothed before edges are sought across a line
 
 
 @dataclass(frozen=True)

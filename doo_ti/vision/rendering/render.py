@@ -26,16 +26,12 @@ from doo_ti.vision.cameras.rig import Rig, save_rig
 from doo_ti.vision.detection.images import SEED
 from doo_ti.vision.rendering.tubes import DRAWN_BLUR_PX, Tube, draw, smooth_curve
 
-PIXEL_BLUR_PX = 12**-0.5
-"""Standard deviation of a pixel's square, over which the sensor integrates the light."""
-MOST_THINGS = 1000
-"""Largest number of objects of each kind beside the thread; the memory for an image grows with them."""
+PIXEL_BLUR_PX = 12**-0.5  # standard deviation of a pixel's square, over which the sensor integrates the light
+MOST_THINGS = 1000  # largest number of objects of each kind beside the thread; the memory for an image grows with them
 MOST_GREY = 1e4
 MOST_BLUR_PX = 100.0
-LEAST_MM, MOST_MM = 1e-3, 1e3
-"""Bounds of diameters, and of marks and the distance between them."""
-BLOB_PX = 120
-"""Size of the background's uneven patches."""
+LEAST_MM, MOST_MM = 1e-3, 1e3  # bounds of diameters, and of marks and the distance between them
+BLOB_PX = 120  # size of the background's uneven patches
 
 
 @dataclass(frozen=True)
