@@ -132,7 +132,6 @@ def rank_distinct(
 
 # --- the steps, recorded for pictures -------------------------------------------------------------------------------------
 
-
 @dataclass(frozen=True)
 class GrowthStep:
     """The hypotheses of one set after a step, the best first.

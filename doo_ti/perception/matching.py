@@ -155,7 +155,6 @@ def epipolar_distance(rig: Rig, a: int, b: int, one: np.ndarray, other: np.ndarr
 
 # --- depth ----------------------------------------------------------------------------------------------------------------
 
-
 def curve_of(rig: Rig, match: Match, start: np.ndarray, smooth: float, held: float = HELD) -> tuple[np.ndarray, np.ndarray]:
     """(K, 3) mm: the curve from ``start`` (3,) along the rays of the first camera, and (C, K) px where it is along the paths.
 

@@ -241,7 +241,6 @@ def evidence(rig: Rig, maps: DistanceMaps, rods: Configuration, of_set: np.ndarr
 
 # --- the last hypotheses ------------------------------------------------------------------------------------------------------
 
-
 @dataclass(frozen=True)
 class Finalists:
     """F rods on the fine mesh.

@@ -133,7 +133,7 @@ def test_an_edge_that_no_camera_sees_is_reported(scene):
     detected = [Detection(line, unit_vectors(np.gradient(line, axis=0)), np.ones(len(line)), 3.0, "dark", (480, 640), "ridge")
                 for line in seen]
     found = perceive(distance_maps([detected]), rig, rods[:1, 0], rods[:1, 1] - rods[:1, 0], np.full(EDGES, 3.0), MATERIAL,
-                     options=PerceptionOptions(hypotheses=15, unsupported=1.5))
+                     options=replace(OPTIONS, unsupported=1.5))
     assert np.flatnonzero(found.unsupported[0]).tolist() == [6, 7]
     assert np.linalg.norm(found.vertices[0] - rods[0], axis=-1).max() < 1.0
 

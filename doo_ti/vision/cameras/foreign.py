@@ -100,7 +100,6 @@ def read_yaml(path: Path):
 
 # --- OpenCV's stereo files -------------------------------------------------------------------------------------------------
 
-
 def stereo_cameras(path: Path, content: dict, reading: RigReading) -> list[Camera] | None:
     """Two cameras, the world being the first one's axes; None where the file has no matrix of a first camera.
 
@@ -149,7 +148,6 @@ def _stated_size(path: Path, content: dict, reading: RigReading) -> tuple[int, i
 
 
 # --- COLMAP ------------------------------------------------------------------------------------------------------------------
-
 
 def colmap_cameras(folder: Path) -> list[Camera]:
     """A camera for each of the images in the model of ``folder``, named as the image is without its suffix. Raises InputError
@@ -225,7 +223,6 @@ def _lens(path: Path, number: int, words: list[str]) -> tuple[int, int, np.ndarr
 
 
 # --- our own files -----------------------------------------------------------------------------------------------------------
-
 
 def own_cameras(path: Path, content, reading: RigReading) -> list[Camera]:
     """The cameras of a sequence ``cameras`` of maps name, width, height, K, dist, R, t."""

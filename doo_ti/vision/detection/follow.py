@@ -67,7 +67,6 @@ def follow(image: np.ndarray, pixel: tuple[float, float], options: DetectionOpti
 
 # --- the line at the pixel -------------------------------------------------------------------------------------------------
 
-
 def _lines(levels: list[np.ndarray], place: np.ndarray) -> list[tuple[float, Line]]:
     """(contrast, line) of the best line of each width near ``place``; appends halved images to ``levels``."""
     found = []
@@ -111,7 +110,6 @@ def _line(image: np.ndarray, place: np.ndarray, width: float, reach: float) -> t
 
 # --- the thread along it ---------------------------------------------------------------------------------------------------
 
-
 def _followed(levels: list[np.ndarray], line: Line, sound: bool) -> tuple[np.ndarray, np.ndarray, float, str] | None:
     """(N, 2) points, (N,) strengths, width and polarity of the thread that has this line; None where there is none, or none
     that is ``sound`` where it must be."""
@@ -154,7 +152,6 @@ def _both_ways(image: np.ndarray, line: Line, look: Look, length: float
 
 
 # --- from point to point -----------------------------------------------------------------------------------------------------
-
 
 class _Field:
     """Second and first derivatives of an image's likeness, in a window that moves along with those who ask."""

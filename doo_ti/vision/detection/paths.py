@@ -138,7 +138,6 @@ def paths_from(line: Chains, start: np.ndarray, direction: np.ndarray | None, mo
 
 # --- chains ---------------------------------------------------------------------------------------------------------------
 
-
 def _divided(chains: list[np.ndarray]) -> list[np.ndarray]:
     """The chains, divided where an end of another one meets their inside."""
     cuts = [set() for _ in chains]

@@ -55,7 +55,6 @@ def added(total, terms) -> tuple:
 
 # --- in the image plane -----------------------------------------------------------------------------------------------
 
-
 @picked
 def contracted(t, v) -> tuple:
     """Σ_i t_i… v_i: a derivative along v, of one order less."""
@@ -111,7 +110,6 @@ def convex(second):
 
 
 # --- from the image plane to points in space: X = y1/y3, Y = y2/y3, and w = (d1 − X d3, d2 − Y d3) ----------------------------
-
 
 @picked
 def by_point(e, rest, x, inverse) -> tuple:

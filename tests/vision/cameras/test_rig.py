@@ -42,7 +42,6 @@ def test_a_rig_survives_its_file(tmp_path):
     (lambda text: text.replace("name: cam1", 'name: "cam\\n1"'), "line break"),
     (lambda text: text.replace("   K:", "   Q:"), "K"),
     (lambda text: "{{{", "not a rig"),
-    (lambda text: "[" * 100_000, "not a rig"),
     (lambda text: "<?xml version='1.0'?><opencv_storage><cameras/></opencv_storage>", "cameras"),
     (lambda text: text.replace("         cols: 3\n", "", 1), "not a rig"),
     (lambda text: text.replace("cols: 3", "cols: 2147483647", 1), "not a rig"),
@@ -51,6 +50,7 @@ def test_a_rig_survives_its_file(tmp_path):
     (lambda text: text.replace("width: 640", "width: 100000"), "width"),
     (lambda text: text.replace("width: 640", "width: 100000000000"), "width"),
     (lambda text: text.replace("name: cam1", "name: cam1\n      width: !!python/object/apply:os.getcwd []"), "not a rig"),
+    (lambda text: "[" * 100_000, "not a rig"),
 ])
 def test_a_bad_file_is_refused(tmp_path, spoil, word):
     save_rig(tmp_path / "rig.yaml", around())

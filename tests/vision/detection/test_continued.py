@@ -23,6 +23,7 @@ def grey(*strokes) -> np.ndarray:
     return cv2.cvtColor(drawn(*strokes), cv2.COLOR_BGR2GRAY)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("light", [WHITE, (255, 255, 255), (150, 150, 150)])
 def test_a_glint_within_the_thread(light):
     """The thread is wider there, and as light in its middle as the paper."""
@@ -46,6 +47,7 @@ def test_what_crosses_or_lies_alone_is_not_the_thread():
     assert (cKDTree(curve).query(found.points)[0] <= 4.0).mean() > 0.97
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("apart", [4.0, 6.0])
 def test_strands_side_by_side_are_two_lines(apart):
     """Where they touch, nothing is put between them."""

@@ -104,10 +104,9 @@ def test_more_points_than_opencv_samples_at_once():
 @pytest.mark.parametrize("width", [3, 9, 40])
 def test_the_centre_line_of_a_mask(width, rough):
     """The mask is smoothed noise and threshold, so that its border is rough."""
-    x, y = np.meshgrid(np.arange(600), np.arange(400))
-    curve = wave()
-    distance = cKDTree(curve).query(np.stack([x, y], axis=-1).reshape(-1, 2))[0].reshape(x.shape)
-    noise = cv2.GaussianBlur(np.random.default_rng(1).normal(0, rough, x.shape), (0, 0), 1) / 25
+    curve, pixels = wave(), np.stack(np.meshgrid(np.arange(600), np.arange(400)), axis=-1)
+    distance = cKDTree(curve).query(pixels, distance_upper_bound=2.0 * width)[0]
+    noise = cv2.GaussianBlur(np.random.default_rng(1).normal(0, rough, SIZE), (0, 0), 1) / 25
     found = detect_mask(distance + noise < width / 2)
     assert min(shares(found.points, curve, 1.5 if width < 40 else 3)) > 0.97
     assert found.width_px == pytest.approx(width, abs=1.5) and found.width.shape == (found.count,)
@@ -137,7 +136,6 @@ def test_bad_input_is_refused(call, word):
 
 
 # --- photographs -----------------------------------------------------------------------------------------------------
-
 
 def cables(folder, kind: str):
     """(picture, mask, (N, 2) px of its middle, a pixel of it that no other cable hides) of each cable."""
