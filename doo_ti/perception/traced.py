@@ -114,8 +114,8 @@ class TracedShapes:
         places = (ends[:-1, None] + shares[:, None] * (np.arange(PLACES) + 0.5) / PLACES).ravel()
         flat = self.arcs.reshape(*self.arcs.shape[:2], -1)
         arcs = np.array([[np.interp(places * own, places, line) for line in rod] for rod, own in zip(flat, share, strict=True)])
-        return TracedShapes(np.take_along_axis(self.quaternions, nearest[..., None], axis=1), arcs.reshape(self.arcs.shape),
-                            length)
+        quaternions = np.take_along_axis(self.quaternions, nearest[..., None], axis=1)
+        return TracedShapes(quaternions, arcs.reshape(self.arcs.shape), length)
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from doo_ti.rod.frames import unit_vectors
 from doo_ti.vision.detection.images import load_sets, read_image
 from doo_ti.vision.rendering.tubes import smooth_curve
 from tests.vision.drawn_maps import curves, drawn_maps, three_cameras
+from tools.studies.angle_study import cameras
 
 EDGES, ALPHA, SETS = 14, 2e5, 3
 MATERIAL = Material(ALPHA, ALPHA)
@@ -221,24 +222,15 @@ def test_bending_is_the_second_derivative_of_a_straight_rod_s_energy(rng):
     np.testing.assert_allclose(bending_hessian(turns, lengths[None])[0], numeric, atol=1e-6)
 
 
-def near_cameras(degrees: float) -> Rig:
-    """Two of the cameras' kind whose lines of sight to the origin differ by that angle."""
-    first, angle = three_cameras().cameras[0], np.radians(degrees)
-    turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
-    middle = np.array([0.0, 0.0, first.translation[2]])
-    return Rig((first, replace(first, name="beside", rotation=turn @ first.rotation,
-                               translation=turn @ (first.translation - middle) + middle)))
-
-
 def test_sigma_grows_along_the_rod_and_with_the_noise(scene):
     rig, rods, _ = scene
     one, twice = vertex_sigma(rig, rods, 0.1, 5.0), vertex_sigma(rig, rods, 0.2, 5.0)
     assert (one[:, :2] == 0).all() and (one[:, 2:] > 0).all()
     assert (one[:, -1] > one[:, EDGES // 2]).all(), "nothing holds the far end"
     assert (twice[:, 2:] > 1.2 * one[:, 2:]).all() and (twice[:, 2:] < 2 * one[:, 2:]).all(), "stiffness smooths noise"
-    wide, close = (point_sigma(near_cameras(angle), rods[:, 0], 1.0) for angle in (60.0, 3.0))
+    wide, close = (point_sigma(cameras(angle, third=False), rods[:, 0], 1.0) for angle in (60.0, 3.0))
     assert (wide > 0).all() and (close > 5 * wide).all() and np.isinf(point_sigma(Rig(rig.cameras[:1]), rods[:, 0], 1.0)).all()
-    apart = [vertex_sigma(near_cameras(angle), rods, 0.1, 5.0)[:, 2:].mean() for angle in (40.0, 10.0, 2.0)]
+    apart = [vertex_sigma(cameras(angle, third=False), rods, 0.1, 5.0)[:, 2:].mean() for angle in (40.0, 10.0, 2.0)]
     assert apart[0] < apart[1] < apart[2] and apart[2] > 3 * apart[0], "depth is uncertain where cameras are close together"
 
 

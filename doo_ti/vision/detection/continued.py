@@ -7,8 +7,6 @@ and no other end is there: where strands cross, or lie side by side, there are m
 needle is wider than its thread.
 """
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 from scipy.spatial import cKDTree
@@ -28,15 +26,6 @@ SHORTEST, GLINT = 1.0, 3.0
 """Least length of such a line, in its widths, and of one with edges that were found: two strands that touch are shorter."""
 
 
-@dataclass(frozen=True)
-class _Part:
-    """A part of the thread: M points in order, their directions, and strengths."""
-
-    points: np.ndarray
-    direction: np.ndarray
-    strength: np.ndarray
-
-
 def continued(image: np.ndarray, look: Appearance, ridges: Ridges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(M, 2) points, (M, 2) directions and (M,) strengths of the thread in an image (H, W) float32: the ``ridges`` found at its
     usual width, and what goes on from their ends."""
@@ -54,8 +43,7 @@ def continued(image: np.ndarray, look: Appearance, ridges: Ridges) -> tuple[np.n
         added = _joined(line, own, width)
         if added:
             beside = _edges_of(found[0], own, added, width)
-            found = tuple(np.concatenate([array[~beside], *(getattr(part, name) for part in added)])
-                          for array, name in zip(found, ("points", "direction", "strength"), strict=True))
+            found = tuple(np.concatenate([array[~beside], *new]) for array, new in zip(found, zip(*added), strict=True))
             own = chains_of(_as_detection(*found, look, image.shape))
     return found
 
@@ -86,8 +74,8 @@ def _lines(dark: np.ndarray, width: float, own: np.ndarray, usual: float) -> Det
     return Detection(ridges.point, ridges.tangent, ridges.strength, width, "light", dark.shape, "ridge")
 
 
-def _joined(line: Detection, own: list[np.ndarray], width: float) -> list[_Part]:
-    """The parts of a ``line`` that go on from ends of the chains ``own``, or from those that do."""
+def _joined(line: Detection, own: list[np.ndarray], width: float) -> list[tuple[np.ndarray, ...]]:
+    """Points, directions and strengths of the parts of a ``line`` that go on from ends of the chains ``own``, or of those."""
     waiting, parts = [chain for chain in chains_of(line) if chain_length(chain) >= SHORTEST * width], []
     tree, known = cKDTree(line.points) if line.count else None, list(own)
     while True:
@@ -96,7 +84,7 @@ def _joined(line: Detection, own: list[np.ndarray], width: float) -> list[_Part]
             return parts
         chain = waiting.pop(ready)
         at = tree.query(chain)[1]
-        parts.append(_Part(chain, line.direction[at], line.strength[at]))
+        parts.append((chain, line.direction[at], line.strength[at]))
         known.append(chain)
 
 
@@ -105,7 +93,8 @@ def _goes_on(chain: np.ndarray, known: list[np.ndarray], width: float) -> bool:
     line = cKDTree(chain)
     inside = [line.query(other)[0].max() <= width for other in known]
     edges, others = ([other for other, here in zip(known, inside, strict=True) if bool(here) is kind] for kind in (True, False))
-    if edges and (chain_length(chain) < GLINT * width or any(_turns_back(edge) for edge in edges)):
+    loop = any(outward(edge, 0) @ outward(edge, 1) >= AGREEING for edge in edges)  # it ends the way it began, and is no edge
+    if edges and (chain_length(chain) < GLINT * width or loop):
         return False
     strand = any((cKDTree(other).query(chain)[0] <= 0.6 * width).mean() > BESIDE for other in others)
     if strand or sum(chain_length(other) for other in others) < chain_length(chain):
@@ -119,14 +108,9 @@ def _goes_on(chain: np.ndarray, known: list[np.ndarray], width: float) -> bool:
     return int(np.bincount(half[agreeing], minlength=2).max()) == 1
 
 
-def _turns_back(chain: np.ndarray) -> bool:
-    """Whether a chain ends the way it began: a narrow loop, not an edge."""
-    return outward(chain, 0) @ outward(chain, 1) >= AGREEING
-
-
-def _edges_of(points: np.ndarray, own: list[np.ndarray], parts: list[_Part], width: float) -> np.ndarray:
+def _edges_of(points: np.ndarray, own: list[np.ndarray], parts: list[tuple[np.ndarray, ...]], width: float) -> np.ndarray:
     """(N,) bool: points of chains that lie beside the ``parts`` as their edges do, from end to end."""
-    line = cKDTree(np.concatenate([part.points for part in parts]))
+    line = cKDTree(np.concatenate([part[0] for part in parts]))
     edges = [chain for chain in own if line.query(chain)[0].max() <= width]
     if not edges:
         return np.zeros(len(points), dtype=bool)

@@ -227,10 +227,13 @@ class Sight:
     def detected(self, path: Path, camera: Camera) -> Detection:
         """The thread in the image that ``camera`` took. Raises InputError for files that are missing or do not fit."""
         options = replace(self.options, region=self.regions.get(camera.name, self.options.region))
-        file = path if self.masks is None else self.masks[path] if isinstance(self.masks, dict) else next(
-            iter(sorted(self.masks.glob(f"{path.stem}.*"))), None)
-        if file is None:
-            raise InputError(self.masks, path.stem, "no mask of this name", "name masks as the images are")
+        file = path
+        if isinstance(self.masks, dict):
+            file = self.masks[path]
+        elif self.masks is not None:
+            file = next(iter(sorted(self.masks.glob(f"{path.stem}.*"))), None)
+            if file is None:
+                raise InputError(self.masks, path.stem, "no mask of this name", "name masks as the images are")
         mask = read_mask(file, camera)
         if mask is None and self.masks is None:
             return detect(read_image(path, camera, colour=options.colour is not None), options)

@@ -1,5 +1,5 @@
-"""Images from files as grey levels, and sets of images with where the rod sets out: SETS.csv (§IV-A). Before a file is unpacked
-its stated size, which may fill the memory, is checked, and how the camera was held.
+"""Images from files as grey levels, after a look at the size that a file states, which may fill the memory; and sets of images
+of one scene each with where the rod sets out: SETS.csv (§IV-A).
 
     name,cam0,cam1,cam2,seed_x,seed_y,seed_z,dir_x,dir_y,dir_z
     name,cam0,cam1,cam2,cam0_u,cam0_v
