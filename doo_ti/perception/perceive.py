@@ -45,15 +45,12 @@ from doo_ti.vision.reprojection.score import score
 CLEAR_PX, AMBIGUOUS_PX = 0.1, 0.02
 """Bounds of the gap: the first is larger than the mean error of detected lines; the second is smaller than the difference of
 the rod's energy, which depends on an inexact Θ, between rods that fit the images equally."""
-FITTING_PX = 1.0
-"""Bound of the distance to the detection; with more in any camera, much of the thread or something else was detected."""
-COVERED, CERTAIN_MM = 0.95, 1.0
-"""Bounds of the share of the detected line that a rod explains, in every camera, and of the uncertainty of its vertices."""
+FITTING_PX = 1.0  # bound of the distance to the detection; with more in any camera, something else was detected
+COVERED, CERTAIN_MM = 0.95, 1.0  # bounds of the share of the detected line that a rod explains, and of the vertices' sigma
 CERTAIN_LENGTH = 0.02
 """Bound of the uncertainty of a length that was found, as a share of it. A rod that is too long by that may be off the thread
 along the line of sight by some hundredths of its length."""
-LOST_PX = 3.0
-"""Bound of the largest distance where no two cameras fit: a rod that is farther off is not the thread in the images."""
+LOST_PX = 3.0  # bound of the largest distance where no two cameras fit: a rod farther off is not the thread in the images
 
 
 class PerceptionVerdict(IntEnum):

@@ -136,8 +136,7 @@ def _between_rays(rig: Rig, pixels: Sequence[np.ndarray]) -> np.ndarray:
 
 EDGES = 120
 BEST = 3  # rods of a set that are tried with other lengths
-TIMES = np.array([0.88, 0.94, 0.97, 1.0, 1.03, 1.06])
-"""Those lengths, over the ones with which the rods end where their paths end."""
+TIMES = np.array([0.88, 0.94, 0.97, 1.0, 1.03, 1.06])  # those lengths, over those with which rods end where their paths end
 POINTS = 2  # places along an edge where a map is sampled
 ROUNDS = 3
 AMBIGUOUS_PX = 0.02  # E_vis over ν and the length of all detected lines, in px, by which a length is no worse than the best

@@ -32,8 +32,7 @@ from doo_ti.vision.reprojection.score import score
 
 FEWEST_CAMERAS = 2  # that must see a rod which is tracked: one does not see depth
 ITERATIONS = 30  # largest number of Newton's iterations, in f32, from each initial shape
-BETTER = 1e-6
-"""Share of E_vis by which the rod of Algorithm 1 must be better than the tracked one; with less it is the same rod."""
+BETTER = 1e-6  # share of E_vis by which the rod of Algorithm 1 must be better than the tracked one, else it is the same rod
 
 
 class How(IntEnum):

@@ -18,12 +18,10 @@ from doo_ti.vision.detection.ridge import REACH_PX, Curvature, Ridges, edges_acr
 TIMES = (2.0, 4.0)  # widths of lines that are tried, over that of the thread
 SIGMA_PER_WIDTH = 0.35
 FAINTEST = 0.4  # least strength over that of a line as dark as the thread
-TOUCHING, ENDS_PX = 1.0, 3.0
-"""Between the end of the thread and that of a line that goes on from it: widths of that line, and px more …"""
+TOUCHING, ENDS_PX = 1.0, 3.0  # from the end of the thread to that of a line that goes on: widths of that line, and px more …
 AGREEING = 0.7  # … and the least cosine between their directions
 BESIDE = 0.7  # share of such a line along which another one that goes on runs: these are two strands
-SHORTEST, GLINT = 1.0, 3.0
-"""Least length of such a line, in its widths, and of one with edges that were found: two strands that touch are shorter."""
+SHORTEST, GLINT = 1.0, 3.0  # least widths of such a line, and of one whose edges were found: strands that touch are shorter
 
 
 def continued(image: np.ndarray, look: Appearance, ridges: Ridges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -78,8 +78,7 @@ def _canny_line(image: np.ndarray, look: Appearance, least_contrast: float, shor
     return np.stack([ridges.column, ridges.row], axis=1).astype(np.float64), ridges.tangent, look.slope * ridges.strength
 
 
-SIGMA_PER_WIDTH, SMALLEST_SIGMA = 0.35, 0.8
-"""Standard deviation of the ridges' smoothing, px: a bar gets a single ridge, and neighbouring strands stay apart."""
+SIGMA_PER_WIDTH, SMALLEST_SIGMA = 0.35, 0.8  # px of smoothing: a bar gets a single ridge, and neighbouring strands stay apart
 WEAK, STRONG = 0.2, 0.5  # shares of the typical strength: all of a piece of thread exceeds the first, some of it the second
 WIDTH_RATIO, FAINTEST = 1.5, 0.4
 """Largest ratio of widths, which differ with depth, and least ratio of mean strengths, of a piece and the most distinct one."""

@@ -26,8 +26,7 @@ REACH_PX = 4.0  # from the pixel to the thread's middle, or half a width, whiche
 FINEST, OCTAVES = 2.0, 6  # widths tried, px: two to an octave, up to 180
 DIRECTIONS = 24
 SEGMENT = 1.5  # half the length of the line at the start, in widths
-FINENESS = 1.75
-"""Power of σ in the strength of the start's line: 2 would treat all widths alike, but a thread with its shadow is wider."""
+FINENESS = 1.75  # power of σ in the strength of the start's line: 2 treats all widths alike, but threads have shadows
 WORKING_WIDTH = 16.0  # px: wider threads are followed in halved images
 LEAST_TOLERANCE = 5.0
 AHEAD, SHARPEST, ARCS = 6.0, 0.35, 21  # length of arcs in widths, their largest curvature times the width, and their number

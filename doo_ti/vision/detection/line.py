@@ -74,8 +74,7 @@ def in_whole_pixels(scale: float, points: np.ndarray, direction: np.ndarray, *va
 
 
 NEXT_PX = 2.6  # largest distance between points that follow each other
-SLOPE, BEND = 0.6, 0.77
-"""Of two points that follow each other: largest share of the step across the direction of either, least cosine between both."""
+SLOPE, BEND = 0.6, 0.77  # of these: largest share of the step across the direction of either, least cosine between both
 SHORTEST_PX = 4.0  # chains that are shorter are noise
 END_PX = 8.0  # length of the end of a chain whose direction counts
 

@@ -26,8 +26,7 @@ BESIDE_PX = 6.0  # an end this near to the inside of another chain divides it, s
 AGAINST = 0.5
 """Share of the detected line that a path against the given direction must have more: an image of a direction that points at the
 camera says little."""
-CROSSING_PX, NEIGHBOURS = 1.5, 12
-"""Chains cross where points are this near that are not neighbours: so many points apart along one chain."""
+CROSSING_PX, NEIGHBOURS = 1.5, 12  # chains cross where points are this near that are so many apart along one chain
 ALIKE_PX = 4.0  # mean distance below which two paths are the same
 MOST_JOINTS, MOST_TRIED = 4, 400  # ends that an end is joined to, and parts of paths that are looked at
 

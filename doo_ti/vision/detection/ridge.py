@@ -17,13 +17,11 @@ from dataclasses import dataclass, fields, replace
 import cv2
 import numpy as np
 
-REACH_PX = 0.75
-"""Pixels this near to a line give a point of it: with this the points are at most a pixel apart in any direction."""
+REACH_PX = 0.75  # pixels this near to a line give a point of it, so that points are at most a pixel apart in any direction
 FIRST_REACH_PX, FIRST_REACH = 2.0, 0.5
 """Bounds of t before edges are found, px and over σ: t is too large away from the ridge, and uncertain on flat ridges."""
 POINTS_PER_PX = 2 * REACH_PX  # mean number of points per px of a line
-ROUNDNESS = 0.6
-"""Largest curvature along the line, of the same sign, over that across: where it is larger, there is a speck or a crossing."""
+ROUNDNESS = 0.6  # largest curvature along the line, of the same sign, over that across; with more it is a speck or a crossing
 
 
 @dataclass(frozen=True)

@@ -95,9 +95,9 @@ class RenderOptions:
             raise InputError("rendering", "light", f"{self.light}", "give a direction of three numbers, not all zero")
 
 
+# Largest values of options; MOST_GREY for all others.
 MOST = {"occluders": MOST_THINGS, "clutter": MOST_THINGS, "specks": MOST_THINGS, "blur_px": MOST_BLUR_PX, "occluded_share": 1,
         "mark_spacing_mm": MOST_MM, "mark_length_mm": MOST_MM}
-"""Largest values of options; MOST_GREY for all others."""
 
 
 def render_set(rig: Rig, rod: np.ndarray, diameter_mm: float, options: RenderOptions = RenderOptions(),

@@ -1,16 +1,12 @@
 """E_proj of edges and E_vis of hypotheses on the device, against the dense oracle and finite differences."""
 
-from functools import cache
-
 import numpy as np
 import pytest
-import taichi as ti
 
 from doo_ti import DistanceMaps, InputError, Material, Reprojection, Rig, score
-from doo_ti.physics.view import Scratch
 from doo_ti.vision.reprojection.edge_integral import UNSEEN
 from tests.oracle.reprojection import edge_error, edge_gradient, edge_hessian, rod_energy
-from tests.vision.device import NUMBERS, every_number, row_kernel
+from tests.vision.device import NUMBERS, edge_kernel, every_number
 from tests.vision.drawn_maps import curves, drawn_maps, map_of, three_cameras
 
 POINTS, CAP, NU = 5, 30.0, 0.7
@@ -22,21 +18,6 @@ def scene():
     """(rig, four rods, their maps)."""
     rods = curves(np.random.default_rng(4), 4, 12)
     return three_cameras(), rods, drawn_maps(three_cameras(), rods)
-
-
-@cache
-def edge_kernel(number):
-    """(set, ν, start, end, coarse) to the energy and its moments: 1, 3, 3, 6, 9, 6 numbers."""
-    functions, memory = Reprojection.functions(number), Scratch(number, 1)
-
-    @ti.func
-    def function(scratch: ti.template(), numbers: ti.template(), values: ti.template()):
-        own = memory.view(scratch, 0, Reprojection.layout)
-        start, end = (scratch[2], scratch[3], scratch[4]), (scratch[5], scratch[6], scratch[7])
-        e, g, h, k, n, m = functions.evaluate(own, numbers, values, start, end, scratch[8])
-        return (e,) + g + h + k + n + m
-
-    return row_kernel(number, 9, 28, function)
 
 
 def edges_near(rng, rods, count=40, off=0.7):
@@ -51,7 +32,7 @@ def evaluated(number, scene, edges, coarse=0.0, nu=NU, points=POINTS):
     rig, _, maps = scene
     external = Reprojection(maps, rig, nu, points, CAP)
     rows = np.column_stack([edges[:, 0], np.full(len(edges), nu), edges[:, 1:], np.full(len(edges), coarse)])
-    found = edge_kernel(number)(rows, external.numbers(), external.field())
+    found = edge_kernel(number, Reprojection)(rows, external.numbers(), external.field())
     g, h, k, n, m = np.split(found[:, 1:], [3, 6, 12, 21], axis=1)
     k, n, m = k[:, SYMMETRIC], n.reshape(-1, 3, 3), m[:, SYMMETRIC]
     # From moments, over the start and the change along the edge, to start and end.
