@@ -125,6 +125,7 @@ def test_images_of_other_cameras_are_no_rod(scene):
     assert unseen.verdict.tolist() == [PerceptionVerdict.NOT_FOUND] * SETS
 
 
+@pytest.mark.thorough
 def test_an_edge_that_no_camera_sees_is_reported(scene):
     """A thread that is hidden along two edges, in all images."""
     rig, rods, _ = scene

@@ -53,7 +53,7 @@ def test_a_striped_thread_is_followed_at_its_middle_past_others():
     assert np.median(np.abs((along * found.direction).sum(axis=1))) > 0.99
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("colour", [RED, YELLOW, (40, 40, 40)])
 @pytest.mark.parametrize("aside", [5.0, 8.0])
 def test_the_shadow_beside_a_cable_is_no_part_of_it(colour, aside):
@@ -69,7 +69,8 @@ def test_the_shadow_beside_a_cable_is_no_part_of_it(colour, aside):
         assert min(shares(follow(image, tuple(beside(curve, shift)[900])).points, curve, 1.7)) > 0.97
 
 
-@pytest.mark.parametrize("width", [2, *(pytest.param(width, marks=pytest.mark.thorough) for width in (60, 150))])
+@pytest.mark.thorough
+@pytest.mark.parametrize("width", [2, 60, 150])
 def test_threads_of_any_width(width):
     scale = max(1.0, width / 20)
     curve, size = wave(scale=scale), (int(SIZE[0] * scale), int(SIZE[1] * scale))

@@ -97,6 +97,7 @@ def test_grown_rods_converge(nu, scene, rng):
     assert (fine.residual[fine.converged] <= TOLERANCES[64]).all()
 
 
+@pytest.mark.thorough
 def test_single_precision_ends_where_double_does(scene, rng):
     sets, start = starts(rng, scene[1], 60, 0.03)
     fine = relaxed(scene, sets, start, 100.0)
