@@ -30,8 +30,7 @@ from doo_ti.system.errors import InterruptedRunError
 
 APPROACH_STEPS = 60
 STEP_MM = 1.0
-CLIP_STREAM = 1
-"""Key of the clip errors' own random generator: rest curvature and label noise of a seed do not depend on them."""
+CLIP_STREAM = 1  # key of the clip errors' own random generator: rest curvature and label noise of a seed do not depend on them
 
 
 @dataclass(frozen=True)
@@ -69,24 +68,20 @@ class ClipErrors:
         """Whether there are errors at all."""
         return bool(self.tilt.any() or self.offset.any()) or self.vary
 
-    def held(self, ideal: Clamps, reach: tuple[float, float], rows: slice | None = None) -> Clamps:
+    def held(self, ideal: Clamps, reach: tuple[float, ...], rows: slice | None = None) -> Clamps:
         """The real clamps (R) of ideal ones (R).
 
         reach  mm from the rod's outer ends to the vertices that ``ideal`` names, along the rod
         rows   observations whose scatter is added, R of them; None: the constant errors alone
         """
-        tilt = self.tilt if rows is None else self.tilt + self.scatter[rows]
-        start = _real_clip(ideal.start_position, ideal.start_frame, reach[0], tilt[..., 0, :], self.offset[0])
-        end = _real_clip(ideal.end_position, ideal.end_frame, -reach[1], tilt[..., 1, :], self.offset[1])
-        return replace(ideal, start_position=start[0], start_frame=start[1], end_position=end[0], end_frame=end[1])
-
-
-def _real_clip(position: np.ndarray, frame: np.ndarray, reach: float, tilt: np.ndarray, offset: np.ndarray):
-    """(R, 3) positions ``reach`` along the rod from its outer end, and (R, 3, 3) frames, of one clip."""
-    vector = np.concatenate([np.zeros_like(tilt[..., :1]), tilt], axis=-1)
-    outer = position - reach * frame[..., 0] + frame[..., 1:] @ offset
-    turned = frame @ rotation_matrix(vector)
-    return outer + reach * turned[..., 0], turned
+        tilt, real = self.tilt if rows is None else self.tilt + self.scatter[rows], {}
+        for clip, end, inward in ((0, "start", reach[0]), (1, "end", -reach[1])):
+            position, frame = getattr(ideal, f"{end}_position"), getattr(ideal, f"{end}_frame")
+            turn = np.concatenate([np.zeros_like(tilt[..., clip, :1]), tilt[..., clip, :]], axis=-1)
+            outer = position - inward * frame[..., 0] + frame[..., 1:] @ self.offset[clip]
+            real[f"{end}_frame"] = frame @ rotation_matrix(turn)
+            real[f"{end}_position"] = outer + inward * real[f"{end}_frame"][..., 0]
+        return replace(ideal, **real)
 
 
 def synthesise(synthesis: Synthesis) -> Observations:
@@ -124,7 +119,9 @@ class _Rods:
 def _rods(synthesis: Synthesis, random: np.random.Generator) -> _Rods:
     """Every end distance at every end rotation."""
     material = specimen_material(synthesis, random)
-    errors = _clip_errors(synthesis)
+    count = len(synthesis.end_distances_mm) * len(synthesis.end_rotations_deg)
+    errors = ClipErrors.drawn(synthesis.seed, count, tilt=np.radians(synthesis.clip_tilt_deg),
+                              offset=synthesis.clip_offset_mm, scatter=np.radians(synthesis.clip_scatter_deg))
     shapes, ideal = _brought_to_distances(synthesis, material)
     clamps = ideal
     at = [f"{distance:g} mm" for distance in synthesis.end_distances_mm]
@@ -153,7 +150,9 @@ def _rods(synthesis: Synthesis, random: np.random.Generator) -> _Rods:
         vertices.append(_with_clips(synthesis, seen))
         frames.append(seen.frames)
         reported.append(ideal)
-    return _Rods(np.concatenate(vertices), np.concatenate(frames), _together(reported) if errors.any else None)
+    fields = ("start_position", "end_position", "start_frame", "end_frame")
+    together = {name: np.concatenate([getattr(clamps, name) for clamps in reported]) for name in fields}
+    return _Rods(np.concatenate(vertices), np.concatenate(frames), replace(ideal, **together) if errors.any else None)
 
 
 def specimen_material(synthesis: Synthesis, random: np.random.Generator) -> Material:
@@ -192,13 +191,6 @@ def yielded(material: Material, shapes: Configuration, limit: float) -> Material
     return Material(material.bend[0, 0], float(material.twist[0, 0]), float(material.weight[0]), curvature - kept * elastic)
 
 
-def _clip_errors(synthesis: Synthesis) -> ClipErrors:
-    count = len(synthesis.end_distances_mm) * len(synthesis.end_rotations_deg)
-    return ClipErrors.drawn(
-        synthesis.seed, count, tilt=np.radians(synthesis.clip_tilt_deg), offset=synthesis.clip_offset_mm,
-        scatter=np.radians(synthesis.clip_scatter_deg))
-
-
 def _moved(shapes: Configuration, material: Material, clamps: Clamps, goal: Clamps) -> Solution:
     """The rods after their clamps went from ``clamps`` to ``goal``."""
     motion = motion_between(clamps, goal)
@@ -206,27 +198,19 @@ def _moved(shapes: Configuration, material: Material, clamps: Clamps, goal: Clam
     return carry(shapes, material, (motion.at(k / steps) for k in range(1, steps + 1)))[0]
 
 
-def _together(clamps: list[Clamps]) -> Clamps:
-    """Clamps of one kind, one after the other."""
-    arrays = ("start_position", "end_position", "start_frame", "end_frame")
-    return replace(clamps[0], **{name: np.concatenate([getattr(part, name) for part in clamps]) for name in arrays})
-
-
 def _free_edges(synthesis: Synthesis) -> int:
     """Fine edges that are relaxed: of each clip only the innermost edge, which is clamped."""
     return round(synthesis.length_mm / synthesis.fine_edge_mm) - sum(_clip_edges(synthesis))
 
 
-def _clip_edges(synthesis: Synthesis) -> tuple[int, int]:
+def _clip_edges(synthesis: Synthesis) -> tuple[int, ...]:
     """Fine edges of the clips at start and end that are left out of the relaxed rod."""
-    start, end = (round(clip / synthesis.fine_edge_mm) - 1 for clip in synthesis.clips_mm)
-    return start, end
+    return tuple(round(clip / synthesis.fine_edge_mm) - 1 for clip in synthesis.clips_mm)
 
 
-def _reach(synthesis: Synthesis) -> tuple[float, float]:
+def _reach(synthesis: Synthesis) -> tuple[float, ...]:
     """mm from the outer ends of the rod to those of the relaxed one."""
-    start, end = (edges * synthesis.fine_edge_mm for edges in _clip_edges(synthesis))
-    return start, end
+    return tuple(edges * synthesis.fine_edge_mm for edges in _clip_edges(synthesis))
 
 
 def _brought_to_distances(synthesis: Synthesis, material: Material) -> tuple[Configuration, Clamps]:
@@ -243,26 +227,21 @@ def _brought_to_distances(synthesis: Synthesis, material: Material) -> tuple[Con
     clamps = Clamps(end_position=shape.vertices[:, -1], end_frame=first[None], **held)
     angle = 2 * np.arccos(np.clip(turn[0], -1, 1))
     rotation = angle * turn[1:] / max(np.linalg.norm(turn[1:]), 1e-300)
-    found = {}
-    steps = APPROACH_STEPS
+    found, steps = {}, APPROACH_STEPS
+    largest = float(np.max(np.abs(np.diff(np.sort(synthesis.end_distances_mm))), initial=STEP_MM))
     for distance in sorted(synthesis.end_distances_mm, reverse=True):
         goal = np.array([distance, 0.0, 0.0]) - far * last_tangent
         path = carried_clamps(clamps, goal[None], rotation[None], steps)
         solution, clamps = carry(shape, material, path)
         shape = _sound(solution, synthesis, [f"{distance:g} mm"])
         found[distance] = shape.quaternions[0]
-        rotation, steps = np.zeros(3), max(1, int(np.ceil(_gap(synthesis) / STEP_MM)))
+        rotation, steps = np.zeros(3), max(1, int(np.ceil(largest / STEP_MM)))
     count = len(found)
     positions = np.array([[d, 0.0, 0.0] for d in synthesis.end_distances_mm]) - far * last_tangent
     shapes = Configuration(np.tile(start, (count, 1)), np.stack([found[d] for d in synthesis.end_distances_mm]), lengths)
     last = np.tile(clamps.end_frame, (count, 1, 1))
     together = Clamps(Clamp.FRAME, Clamp.FRAME, shapes.start, positions, np.tile(first, (count, 1, 1)), last)
     return shapes, together
-
-
-def _gap(synthesis: Synthesis) -> float:
-    """The largest step between end distances, mm."""
-    return float(np.max(np.abs(np.diff(np.sort(synthesis.end_distances_mm))), initial=STEP_MM))
 
 
 def _frame_along(direction) -> np.ndarray:
@@ -297,7 +276,8 @@ def _labelled(synthesis: Synthesis, rods: _Rods, random: np.random.Generator) ->
     every = round(spacing / synthesis.fine_edge_mm)
     frames, start_frame, end_frame = rods.frames, rods.frames[:, 0], rods.frames[:, -1]
     marks = rods.vertices[:, ::every].copy()
-    held = _held_marks(synthesis, spacing)
+    # How many marks each clip holds, the outermost included; the tolerance is for clips of whole spacings.
+    held = [int(clip / spacing + 1e-6) + 1 for clip in synthesis.clips_mm]
     if rods.reported is not None:
         start_frame, end_frame = rods.reported.start_frame, rods.reported.end_frame
         _put_ideal_marks(marks, rods.reported, _reach(synthesis), held, spacing)
@@ -331,15 +311,7 @@ def _labelled(synthesis: Synthesis, rods: _Rods, random: np.random.Generator) ->
     )
 
 
-def _held_marks(synthesis: Synthesis, spacing: float) -> tuple[int, int]:
-    """How many marks each clip holds, the outermost included; the tolerance is for clips of whole spacings."""
-    start, end = (int(clip / spacing + 1e-6) + 1 for clip in synthesis.clips_mm)
-    return start, end
-
-
-def _put_ideal_marks(
-    marks: np.ndarray, ideal: Clamps, reach: tuple[float, float], held: tuple[int, int], spacing: float
-) -> None:
+def _put_ideal_marks(marks: np.ndarray, ideal: Clamps, reach: tuple[float, ...], held: list[int], spacing: float) -> None:
     """Overwrite in ``marks`` (R, V, 3) those inside clips with where ideal clips would hold them."""
     tangent = ideal.start_frame[:, None, :, 0]
     marks[:, : held[0]] = ideal.start_position[:, None] + (np.arange(held[0])[:, None] * spacing - reach[0]) * tangent

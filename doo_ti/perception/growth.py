@@ -14,8 +14,7 @@ import numpy as np
 
 from doo_ti.rod.types import Configuration
 
-LARGEST_ANGLE = np.pi / 2
-"""Sampled edges have e^i · e^{i+1} > 0."""
+LARGEST_ANGLE = np.pi / 2  # sampled edges have e^i · e^{i+1} > 0
 
 
 @dataclass(frozen=True)
@@ -82,7 +81,8 @@ def select_hypotheses(
     place = (np.repeat(np.arange(len(sets)), count), column)
     left = np.full((len(sets), width), np.inf)
     left[place] = np.where(np.isfinite(score), score, np.inf)
-    tips, directions = (_padded(values, place, left.shape) for values in (tip, direction))
+    tips, directions = np.zeros((2, *left.shape, 3))
+    tips[place], directions[place] = tip, direction
     kept = np.full((len(sets), most), -1)
     rows = np.arange(len(sets))
     cosine = np.cos(angle)
@@ -130,15 +130,7 @@ def rank_distinct(
     return ranked
 
 
-def _padded(values: np.ndarray, place, shape) -> np.ndarray:
-    """``values`` (N, 3) as a table (sets, width, 3)."""
-    table = np.zeros((*shape, 3))
-    table[place] = values
-    return table
-
-
 # --- the steps, recorded for pictures -------------------------------------------------------------------------------------
-
 
 @dataclass(frozen=True)
 class GrowthStep:

@@ -21,24 +21,15 @@ from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.detection.paths import ImagePath
 from doo_ti.vision.reprojection.triangulation import rays
 
-STEP_PX = 2.0
-"""Between places that are compared."""
-FARTHEST_PX = 12.0
-"""Distances saturate there."""
-SLIP = 0.15
-"""px: cost of a step along one path alone, over that of a step along both."""
-LEFT_OVER = 1.0
-"""Cost of each step that is left of a path where the other ends."""
-UNEXPLAINED = 4.0
-"""px: cost of a path that explains nothing of the detection."""
-ALONG = 0.02
-"""Weight of a distance along a path over that across it."""
-ROUNDS, FREE_ROUNDS = 6, 2
-"""Linearisations of the depth, and the first of them, which keep the places found by matching."""
-WINDOW_PX = 12
-"""How far a place moves along a path in one of them."""
-HELD = 1e4
-"""Information at a start whose depth is given, over the median along the curve."""
+STEP_PX = 2.0  # between places that are compared
+FARTHEST_PX = 12.0  # distances saturate there
+SLIP = 0.15  # px: cost of a step along one path alone, over that of a step along both
+LEFT_OVER = 1.0  # cost of each step that is left of a path where the other ends
+UNEXPLAINED = 4.0  # px: cost of a path that explains nothing of the detection
+ALONG = 0.02  # weight of a distance along a path over that across it
+ROUNDS, FREE_ROUNDS = 6, 2  # linearisations of the depth, and the first of them, which keep the places found by matching
+WINDOW_PX = 12  # how far a place moves along a path in one of them
+HELD = 1e4  # information at a start whose depth is given, over the median along the curve
 BOTH, FIRST_ALONE, SECOND_ALONE = 0, 1, 2
 
 
@@ -85,6 +76,7 @@ def _joined(first: ImagePath, others) -> Match:
     return Match(paths, np.array([arcs[:end], *there]), cost + float(np.mean([0.0, *(cost for _, _, cost in others)])))
 
 
+@runtime.exclusive
 def _paired(rig: Rig, problems) -> list[tuple[np.ndarray, float]]:
     """For each (path in camera 0, camera, path there) the (K, 2) places that belong together, in steps, and the mean cost."""
     if not problems:
@@ -94,19 +86,14 @@ def _paired(rig: Rig, problems) -> list[tuple[np.ndarray, float]]:
     first = np.cumsum([0, *sizes.prod(axis=1)]).astype(np.int64)
     flat = np.concatenate([one.ravel() for one in apart]).astype(np.float32)
     total, came = np.empty_like(flat), np.empty(len(flat), dtype=np.int8)
-    _accumulate(flat, first, sizes, total, came)
+    runtime.start()
+    _least_costs(flat, first, sizes, total, came)
     parts = [(slice(a, b), size) for a, b, size in zip(first[:-1], first[1:], sizes, strict=True)]
     return [_walked(total[part].reshape(size), came[part].reshape(size)) for part, size in parts]
 
 
 def _places(path: ImagePath) -> np.ndarray:
     return path.at(np.arange(0.0, len(path.points) - 1e-9, STEP_PX))
-
-
-@runtime.exclusive
-def _accumulate(apart: np.ndarray, first: np.ndarray, sizes: np.ndarray, total: np.ndarray, came: np.ndarray) -> None:
-    runtime.start()
-    _least_costs(apart, first, sizes, total, came)
 
 
 @runtime.kernel
@@ -167,7 +154,6 @@ def epipolar_distance(rig: Rig, a: int, b: int, one: np.ndarray, other: np.ndarr
 
 
 # --- depth ----------------------------------------------------------------------------------------------------------------
-
 
 def curve_of(rig: Rig, match: Match, start: np.ndarray, smooth: float, held: float = HELD) -> tuple[np.ndarray, np.ndarray]:
     """(K, 3) mm: the curve from ``start`` (3,) along the rays of the first camera, and (C, K) px where it is along the paths.

@@ -23,16 +23,15 @@ Axes: A image sets, C cameras, N hypotheses of all sets, E edges, V vertices, K 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.perception.finalists import finalists, left_over
 from doo_ti.perception.growth import rank_distinct
-from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search
+from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search, finalists, left_over
 from doo_ti.perception.traced import SAME_LENGTH
 from doo_ti.rod.types import LARGEST, Configuration, Material, Status, unit_up
 from doo_ti.system.arguments import typed
@@ -46,15 +45,12 @@ from doo_ti.vision.reprojection.score import score
 CLEAR_PX, AMBIGUOUS_PX = 0.1, 0.02
 """Bounds of the gap: the first is larger than the mean error of detected lines; the second is smaller than the difference of
 the rod's energy, which depends on an inexact Θ, between rods that fit the images equally."""
-FITTING_PX = 1.0
-"""Bound of the distance to the detection; with more in any camera, much of the thread or something else was detected."""
-COVERED, CERTAIN_MM = 0.95, 1.0
-"""Bounds of the share of the detected line that a rod explains, in every camera, and of the uncertainty of its vertices."""
+FITTING_PX = 1.0  # bound of the distance to the detection; with more in any camera, something else was detected
+COVERED, CERTAIN_MM = 0.95, 1.0  # bounds of the share of the detected line that a rod explains, and of the vertices' sigma
 CERTAIN_LENGTH = 0.02
 """Bound of the uncertainty of a length that was found, as a share of it. A rod that is too long by that may be off the thread
 along the line of sight by some hundredths of its length."""
-LOST_PX = 3.0
-"""Bound of the largest distance where no two cameras fit: a rod that is farther off is not the thread in the images."""
+LOST_PX = 3.0  # bound of the largest distance where no two cameras fit: a rod farther off is not the thread in the images
 
 
 class PerceptionVerdict(IntEnum):
@@ -176,8 +172,9 @@ def perceive(
 
     Raises InputError for shapes that do not match, fewer than two edges, more than one material, and seeds inside an obstacle.
     """
-    search = _checked(maps, rig, point, direction, rest_length, material, up, options)
-    search = replace(search, surroundings=check_seeds(surroundings, search.point))
+    point, direction = checked_seeds("perceive", point, direction, len(maps.window))
+    rest_length, up = checked_rod("perceive", rest_length, material, up)
+    search = Search(maps, rig, point, direction, rest_length, material, up, options, check_seeds(surroundings, point))
     kept = search.initial_hypotheses()
     for edges in range(2, len(search.rest_length) + 1):
         grown = search.nearly_relaxed(search.grown(kept))
@@ -186,12 +183,6 @@ def perceive(
         if on_step is not None:
             on_step(edges, kept, grown.take(np.setdiff1d(np.arange(len(grown.of_set)), rows)))
     return _result(search, kept)
-
-
-def _checked(maps, rig, point, direction, rest_length, material, up, options) -> Search:
-    point, direction = checked_seeds("perceive", point, direction, len(maps.window))
-    rest_length, up = checked_rod("perceive", rest_length, material, up)
-    return Search(maps, rig, point, direction, rest_length, material, up, options)
 
 
 def checked_seeds(function: str, point: ArrayLike, direction: ArrayLike, sets: int) -> tuple[np.ndarray, np.ndarray]:

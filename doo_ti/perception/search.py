@@ -1,4 +1,5 @@
-"""The steps of Algorithm 1: hypotheses grow by an edge, are relaxed under E_vis, and the best that differ are kept.
+"""The steps of Algorithm 1: hypotheses grow by an edge, are relaxed under E_vis, and the best that differ are kept. The last
+ones are relaxed until they converge, and rods traced along the detected lines join them.
 
     E_vis = E / B + ν Σ_c E_proj^c                                                                        (§IV-A)
     E_vis = E / B + ν Σ_c (E_proj^c + E_cover^c)                                 with evidence from both sides
@@ -7,9 +8,7 @@ with E_proj in px² (a projected edge's mean distance to the nearest detected pi
 away from the detected line, E_cover what the line is away from the rod's image, and the rod's energy E over the largest
 eigenvalue of B, in 1/mm: so ν is in 1/(mm px²), and its effect does not depend on the rod's stiffness.
 
-All image sets are searched at once; the stages that need no physics are in :mod:`doo_ti.perception.growth`.
-
-Axes: A image sets, C cameras, N hypotheses of all sets, M sampled directions, R rods, E edges, V vertices.
+Axes: A image sets, C cameras, N hypotheses of all sets, M sampled directions, R rods, F finalists of all sets, E edges.
 """
 
 from dataclasses import dataclass, field
@@ -19,6 +18,7 @@ import numpy as np
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.perception.growth import Hypotheses, sampled_directions, select_hypotheses, suppress_similar
 from doo_ti.perception.shape_uncertainty import line_scatter, vertex_sigma
+from doo_ti.perception.traced import SAME_LENGTH, whole_rods
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import (
@@ -38,10 +38,14 @@ from doo_ti.vision.reprojection.distance_map import DistanceMaps
 from doo_ti.vision.reprojection.image_energy import Coverage, Reprojection, coverage
 from doo_ti.vision.reprojection.score import score
 
-FAILED = Status.NOT_FINITE, Status.INFEASIBLE
-"""Rods that have no shape; infeasible are those inside an obstacle."""
-LOST = 1e30
-"""1/mm: E_vis of a rod that failed while growing. Its start is kept if its set has no better hypothesis."""
+FAILED = Status.NOT_FINITE, Status.INFEASIBLE  # rods that have no shape; infeasible are those inside an obstacle
+LOST = 1e30  # 1/mm: E_vis of a rod that failed while growing. Its start is kept if its set has no better hypothesis
+CONVINCING, CLOSE_PX = 0.98, 0.5
+"""A rod that grew is convincing if it explains this share of the detected line in every camera, and rod and line are this close
+to each other on average. No rods are traced in a set that has one: tracing takes longer than the whole search."""
+WIDE = np.radians(20.0)
+"""Least angle between two cameras for that. Between closer ones a rod of a wrong length, or one folded along the line of sight,
+explains the images as well."""
 
 
 @typed
@@ -233,3 +237,92 @@ def evidence(rig: Rig, maps: DistanceMaps, rods: Configuration, of_set: np.ndarr
     found = coverage(rig, rods.vertices, of_set, maps.detections, options.cap)
     energy = one_way.total / stiffness + options.nu * found.error.sum(axis=1)
     return np.where(np.isfinite(energy), energy, np.inf), found
+
+
+# --- the last hypotheses ------------------------------------------------------------------------------------------------------
+
+@dataclass(frozen=True)
+class Finalists:
+    """F rods on the fine mesh.
+
+    of_set         (F,) image set, in increasing order
+    configuration  the rods
+    energy_vis     (F,) 1/mm; infinite for rods that failed
+    status         (F,) how their relaxation ended
+    certified      (F,) bool: at a minimum of the energy that they were relaxed under
+    coverage       (F, C) share of the detected line that is explained; NaN where the detections are not known
+    line           (F, C) px of detected line
+    thread         (F,) mm: length of the thread that a traced rod follows; NaN of others
+    """
+
+    of_set: np.ndarray
+    configuration: Configuration
+    energy_vis: np.ndarray
+    status: np.ndarray
+    certified: np.ndarray
+    coverage: np.ndarray
+    line: np.ndarray
+    thread: np.ndarray
+
+
+def finalists(search: Search, grown: Hypotheses) -> Finalists:
+    """The rods that ``grown`` become when they are relaxed and, in sets where none of these is convincing, traced rods."""
+    hypotheses, solution = search.relaxed(grown)
+    of_set, energy, options = hypotheses.of_set, hypotheses.energy_vis, search.options
+    certified = (solution.status == Status.CONVERGED) & solution.stable
+    detections = search.maps.detections
+    if detections is None or options.evidence == "rod":
+        unknown = np.full((len(of_set), len(search.rig.cameras)), np.nan)
+        return Finalists(of_set, solution.configuration, energy, solution.status, certified, unknown, unknown, unknown[:, 0])
+    found = coverage(search.rig, solution.configuration.vertices, of_set, detections, options.cap)
+    own = Finalists(of_set, solution.configuration, energy + options.nu * found.error.sum(axis=1), solution.status, certified,
+                    found.share, found.line, np.full(len(of_set), np.nan))
+    convincing = certified & (found.share >= CONVINCING).all(axis=1) & (found.error <= CLOSE_PX * found.line).all(axis=1)
+    convincing &= _clearly_seen(search, solution.configuration, of_set)
+    doubtful = np.setdiff1d(np.arange(len(search.point)), of_set[convincing])
+    return own if not len(doubtful) else _with_traced(search, own, doubtful)
+
+
+def _clearly_seen(search: Search, rods: Configuration, of_set: np.ndarray) -> np.ndarray:
+    """(R,) bool: every camera sees all of the rod near the detection, and two of them from directions that differ by WIDE."""
+    found = score(rods.vertices, search.maps, of_set, search.rig, 1.0, points=search.piece_points, cap=search.options.cap)
+    image = np.linalg.norm(np.diff(search.rig.project(rods.vertices), axis=2), axis=-1).sum(axis=-1).T
+    sight = np.stack([rods.vertices.mean(axis=1) - camera.centre for camera in search.rig.cameras], axis=1)
+    sight /= np.linalg.norm(sight, axis=-1, keepdims=True)
+    angle = np.arccos(np.clip(np.einsum("rci,rdi->rcd", sight, sight).min(axis=(1, 2)), -1.0, 1.0))
+    return ((found.camera_error <= CLOSE_PX * image) & (found.unseen == 0)).all(axis=1) & (angle >= WIDE)
+
+
+def _with_traced(search: Search, grown: Finalists, sets: np.ndarray) -> Finalists:
+    """``grown``, and rods traced in the image sets ``sets``."""
+    fine = np.repeat(search.rest_length / search.options.pieces, search.options.pieces)
+    length, shares = float(fine.sum()), fine / fine.sum()
+    detections = [search.maps.detections[row] for row in sets]
+    tracing, whole = whole_rods(search.rig, detections, search.point[sets], search.direction[sets], shares, search.material,
+                                search.up)
+    if whole is None:
+        return grown
+    together = np.abs(whole.length / length - 1) < SAME_LENGTH
+    cut = whole.cut(shares, np.where(together, 1.0, length / whole.length), np.full(len(together), length))
+    solution = tracing.relaxed(cut, together).solution
+    of_set, rods = sets[tracing.of_set], solution.configuration
+    looked = search.material, search.up, search.options, search.piece_points
+    energy, found = evidence(search.rig, search.maps, rods, of_set, *looked)
+    if not together.all():  # a rod shorter than the thread, or longer, is as good as the whole thread that it is part of
+        part = np.flatnonzero(~together)
+        energy[part] = evidence(search.rig, search.maps, whole.solution.configuration.take(part), of_set[part], *looked)[0]
+    parts = grown, Finalists(of_set, Configuration(rods.start, rods.quaternions, fine), energy, solution.status,
+                             (solution.status == Status.CONVERGED) & solution.stable, found.share, found.line, whole.length)
+    order = np.argsort(np.concatenate([part.of_set for part in parts]), kind="stable")
+    joined = {name: np.concatenate([getattr(part, name) for part in parts])[order] for name in Finalists.__dataclass_fields__
+              if name != "configuration"}
+    return Finalists(configuration=Configuration.concatenate([part.configuration for part in parts]).take(order), **joined)
+
+
+def left_over(final: Finalists, best: np.ndarray, image_length: np.ndarray, length: float) -> np.ndarray:
+    """(A,) mm of thread that the rods ``best`` of ``length`` mm do not explain. Where the thread's length is not known: px of
+    line at the scale of the rod's image, (A, C) px long, in the camera where that is most."""
+    with np.errstate(invalid="ignore"):
+        unexplained = (1 - final.coverage[best]) * final.line[best] / np.maximum(image_length, 1e-9) * length
+        beyond = np.maximum(final.thread[best] - length, 0.0)
+    return np.where(np.isnan(beyond), unexplained.max(axis=1), beyond)

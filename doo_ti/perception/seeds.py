@@ -16,7 +16,7 @@ Axes: A image sets, R rods, L lengths.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,14 +31,11 @@ from doo_ti.vision.detection.paths import Chains, paths_from
 from doo_ti.vision.reprojection.distance_map import distance_maps
 from doo_ti.vision.reprojection.triangulation import rays
 
-CLICK_PX, END_PX = 30.0, 15.0
-"""A click is this near to the thread; an end this near to a click is meant."""
-EPIPOLAR_PX = 8.0
-"""An end this near to the epipolar line of a click may be its image."""
+CLICK_PX, END_PX = 30.0, 15.0  # A click is this near to the thread; an end this near to a click is meant
+EPIPOLAR_PX = 8.0  # an end this near to the epipolar line of a click may be its image
 MOST_PLACES = 12
 SMOOTH = 1e3
-FAR = 30.0
-"""Distances between cameras: how far away a thread is thought to begin whose rays do not meet in front of them."""
+FAR = 30.0  # distances between cameras: how far away a thread is thought to begin whose rays do not meet in front of them
 
 
 def seed_from_pixels(rig: Rig, detections: Sequence[Detection], clicks: Mapping[int, Sequence[float]], source: str
@@ -138,15 +135,11 @@ def _between_rays(rig: Rig, pixels: Sequence[np.ndarray]) -> np.ndarray:
 
 
 EDGES = 120
-BEST = 3
-"""Rods of a set that are tried with other lengths."""
-TIMES = np.array([0.88, 0.94, 0.97, 1.0, 1.03, 1.06])
-"""Those lengths, over the ones with which the rods end where their paths end."""
-POINTS = 2
-"""Places along an edge where a map is sampled."""
+BEST = 3  # rods of a set that are tried with other lengths
+TIMES = np.array([0.88, 0.94, 0.97, 1.0, 1.03, 1.06])  # those lengths, over those with which rods end where their paths end
+POINTS = 2  # places along an edge where a map is sampled
 ROUNDS = 3
-AMBIGUOUS_PX = 0.02
-"""E_vis over ν and the length of all detected lines, in px, by which a length is no worse than the best."""
+AMBIGUOUS_PX = 0.02  # E_vis over ν and the length of all detected lines, in px, by which a length is no worse than the best
 
 
 @dataclass(frozen=True)
@@ -179,9 +172,8 @@ def whole_threads(rig: Rig, detections: Sequence[Sequence[Detection]], point: np
         maps, looked = distance_maps([list(images)]), (material, up, options, POINTS)
         energy, _ = evidence(rig, maps, rods.solution.configuration, tracing.of_set, *looked)
         rows = np.repeat(np.argsort(energy, kind="stable")[:BEST], len(TIMES))
-        tried = rods.take(rows)
-        tried = tried.as_long(tried.length * np.tile(TIMES, len(rows) // len(TIMES)))
-        tracing = tracing.take(rows)
+        tracing, tried = tracing.take(rows), rods.take(rows)
+        tried = replace(tried, length=tried.length * np.tile(TIMES, len(rows) // len(TIMES)))
         tried = tracing.relaxed(tried, np.ones(len(rows), dtype=bool), ROUNDS)
         energy, found = evidence(rig, maps, tried.solution.configuration, tracing.of_set, *looked)
         energy, lengths = energy.reshape(-1, len(TIMES)), tried.length.reshape(-1, len(TIMES))

@@ -35,20 +35,13 @@ from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.detection.line import Detection, thinned
 from doo_ti.vision.reprojection.image_energy import NEAR_PX
 
-PLACES = (0.25, 0.75)
-"""Places along an edge where its image is evaluated."""
-LEAST_BENDING = 1e-4
-"""T of a rod that looks straight, times its length."""
-STEP_MM = 1e-3
-"""Step of the difference quotients of the projection."""
-ROUNDS, FREE = 6, 0.2
-"""Rounds in which N and γ are found, and the least share of sections that a rod does not follow."""
-SECTION_PX = 20.0
-"""L."""
-FEWEST = 10
-"""Points in a section that counts."""
-ALONG = 0.8
-"""Least cosine between the directions of a point and of the image there: other strands cross it."""
+PLACES = (0.25, 0.75)  # places along an edge where its image is evaluated
+LEAST_BENDING = 1e-4  # T of a rod that looks straight, times its length
+STEP_MM = 1e-3  # step of the difference quotients of the projection
+ROUNDS, FREE = 6, 0.2  # rounds in which N and γ are found, and the least share of sections that a rod does not follow
+SECTION_PX = 20.0  # L
+FEWEST = 10  # points in a section that counts
+ALONG = 0.8  # least cosine between the directions of a point and of the image there: other strands cross it
 
 
 def vertex_sigma(rig: Rig, vertices: np.ndarray, sigma_px: float, correlation_px: float,
@@ -144,31 +137,26 @@ def bending_hessian(turns: np.ndarray, length: np.ndarray) -> np.ndarray:
 def line_scatter(rig: Rig, vertices: np.ndarray, detections: Sequence[Sequence[Detection]]) -> np.ndarray:
     """(A,) px³: Q of rods ``vertices`` (A, V, 3) mm, one of each set of ``detections``, over all cameras."""
     seen = rig.project(vertices)
-    squares = [np.concatenate([_sections(*_across(seen[c, row], found)) ** 2 for c, found in enumerate(images)])
+    squares = [np.concatenate([_section_means(seen[c, row], found) ** 2 for c, found in enumerate(images)])
                for row, images in enumerate(detections)]
     return SECTION_PX * np.array([found.mean() if len(found) else 0.0 for found in squares])
 
 
-def _across(image: np.ndarray, detection: Detection) -> tuple[np.ndarray, np.ndarray]:
-    """((N,) px along the ``image`` (V, 2) of a rod, (N,) px across it) of detected points that are near."""
+def _section_means(image: np.ndarray, detection: Detection) -> np.ndarray:
+    """(K,) px across the ``image`` (V, 2) of a rod: the mean of the detected points that are near, in each section of it."""
     points, direction = thinned(detection)
     step = np.diff(image, axis=0)
     sound = np.isfinite(step).all(axis=1) & (np.linalg.norm(step, axis=1) > 0)
     begin, step = image[:-1][sound], step[sound]
     if not len(points) or not len(step):
-        return np.empty(0), np.empty(0)
+        return np.empty(0)
     length = np.linalg.norm(step, axis=1)
     way, first = step / length[:, None], np.cumsum(length) - length
     nearest = cKDTree(begin + 0.5 * step).query(points)[1]
     off = points - begin[nearest]
-    along, across = (off * way[nearest]).sum(axis=1), way[nearest, 0] * off[:, 1] - way[nearest, 1] * off[:, 0]
-    near = (np.abs(across) <= NEAR_PX) & (np.abs((way[nearest] * direction).sum(axis=1)) >= ALONG)
+    along, aside = (off * way[nearest]).sum(axis=1), way[nearest, 0] * off[:, 1] - way[nearest, 1] * off[:, 0]
+    near = (np.abs(aside) <= NEAR_PX) & (np.abs((way[nearest] * direction).sum(axis=1)) >= ALONG)
     near &= (along >= -NEAR_PX) & (along <= length[nearest] + NEAR_PX)
-    return (first[nearest] + along)[near], across[near]
-
-
-def _sections(along: np.ndarray, across: np.ndarray) -> np.ndarray:
-    """(K,) px: mean of ``across`` in each section."""
-    section = np.maximum(along // SECTION_PX, 0).astype(np.int64)
+    section = np.maximum((first[nearest] + along)[near] // SECTION_PX, 0).astype(np.int64)
     count = np.bincount(section)
-    return np.bincount(section, weights=across)[count >= FEWEST] / count[count >= FEWEST]
+    return np.bincount(section, weights=aside[near])[count >= FEWEST] / count[count >= FEWEST]

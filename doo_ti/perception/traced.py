@@ -27,56 +27,18 @@ from doo_ti.vision.detection.line import Detection
 from doo_ti.vision.detection.paths import Chains, paths_from
 from doo_ti.vision.reprojection.assigned_energy import AssignedPoints
 
-PATHS, MATCHES = 4, 3
-"""Paths of each image, and matches of each set, that are tried."""
+PATHS, MATCHES = 4, 3  # paths of each image, and matches of each set, that are tried
 SMOOTHNESS = (30.0, 1e3, 3e4)
 """Smoothness of the curves with which rods begin. Between cameras that are close together a rough curve folds along the line of
 sight, and a very smooth one is too flat; the energy decides between the rods."""
-NU_BACK = 0.03
-"""ν of E_back, 1/(mm px³)."""
-PLACES = 2
-"""Places along an edge that are assigned to the paths."""
-FREE_ROUNDS, FIXED_ROUNDS = 4, 2
-"""Relaxations of rods whose length is free, and of those whose length is given."""
-STEPS, NEAREST_PX = 3, 6.0
-"""Steps along a path to the point nearest to a place's image, and the longest of them."""
-AHEAD_MM = 1e-3
-"""Distance over which the image of a direction is taken."""
+NU_BACK = 0.03  # ν of E_back, 1/(mm px³)
+PLACES = 2  # places along an edge that are assigned to the paths
+FREE_ROUNDS, FIXED_ROUNDS = 4, 2  # relaxations of rods whose length is free, and of those whose length is given
+STEPS, NEAREST_PX = 3, 6.0  # steps along a path to the point nearest to a place's image, and the longest of them
+AHEAD_MM = 1e-3  # distance over which the image of a direction is taken
 SAME_LENGTH = 0.05
 """A rod and its paths end together if their lengths differ by less than this share. Between cameras that are close together the
 length of a thread is no more certain than that."""
-
-
-@dataclass(frozen=True)
-class TracedRods:
-    """R relaxed rods.
-
-    of_set    (R,) image set, in increasing order
-    solution  the rods, as long as they are known to be
-    energy    (R,) E/B + ν E_back of these, 1/mm
-    thread    (R,) mm: the length with which they end where their paths end …
-    whole     … and the rods of that length
-    together  (R,) bool: the known length is that one
-    """
-
-    of_set: np.ndarray
-    solution: Solution
-    energy: np.ndarray
-    thread: np.ndarray
-    whole: Configuration
-    together: np.ndarray
-
-
-def traced(rig: Rig, detections: Sequence[Sequence[Detection]], point: np.ndarray, direction: np.ndarray | None,
-           shares: np.ndarray, material: Material, up: np.ndarray, length: float) -> TracedRods | None:
-    """Rods of ``length`` mm along paths from the seeds on; None where no set has any. Other arguments: :func:`whole_rods`."""
-    tracing, rods = whole_rods(rig, detections, point, direction, shares, material, up)
-    if rods is None:
-        return None
-    thread, whole, together = rods.length, rods.solution.configuration, np.abs(rods.length / length - 1) < SAME_LENGTH
-    cut = rods.cut(shares, np.where(together, 1.0, length / rods.length), np.full(len(thread), length))
-    solution = tracing.relaxed(cut, together).solution
-    return TracedRods(tracing.of_set, solution, solution.energy / tracing.stiffness, thread, whole, together)
 
 
 def whole_rods(rig: Rig, detections: Sequence[Sequence[Detection]], point: np.ndarray, direction: np.ndarray | None,
@@ -143,15 +105,17 @@ class TracedShapes:
     def take(self, rows: np.ndarray) -> "TracedShapes":
         return TracedShapes(self.quaternions[rows], self.arcs[rows], self.length[rows])
 
-    def as_long(self, length: np.ndarray) -> "TracedShapes":
-        """The same with other lengths (R,)."""
-        return TracedShapes(self.quaternions, self.arcs, length)
-
     def cut(self, shares: np.ndarray, share: np.ndarray, length: np.ndarray) -> "TracedShapes":
-        """The first ``share`` (R,) of each rod, as a rod of ``length`` (R,) mm; beyond its end it goes straight on."""
+        """The first ``share`` (R,) of each rod, as a rod of ``length`` (R,) mm, with the frames that were nearest; beyond its
+        end it goes straight on."""
         ends = np.concatenate([[0.0], np.cumsum(shares)])
+        middles = 0.5 * (ends[1:] + ends[:-1])
+        nearest = np.clip(np.searchsorted(ends, middles * share[:, None]) - 1, 0, len(middles) - 1)
         places = (ends[:-1, None] + shares[:, None] * (np.arange(PLACES) + 0.5) / PLACES).ravel()
-        return TracedShapes(_cut_frames(self.quaternions, ends, share), _cut(self.arcs, places, share), length)
+        flat = self.arcs.reshape(*self.arcs.shape[:2], -1)
+        arcs = np.array([[np.interp(places * own, places, line) for line in rod] for rod, own in zip(flat, share, strict=True)])
+        quaternions = np.take_along_axis(self.quaternions, nearest[..., None], axis=1)
+        return TracedShapes(quaternions, arcs.reshape(self.arcs.shape), length)
 
 
 @dataclass(frozen=True)
@@ -176,7 +140,7 @@ class Tracing:
 
     @property
     def stiffness(self) -> float:
-        """B: of the energy in E/B."""
+        """The largest eigenvalue of B, of the energy in E/B."""
         return float(np.linalg.eigvalsh(self.material.bend).max())
 
     def take(self, rows: np.ndarray) -> "Tracing":
@@ -208,62 +172,43 @@ class Tracing:
         clamps = Clamps(Clamp.POSITION if self.direction is None else Clamp.TANGENT, Clamp.FREE, self.point, self.point, first,
                         first)
         solution = relax(start, self.material, clamps, Newton(), up=self.up, precision="mixed",
-                         external=_assigned(self.rig, self.matches, rods.arcs, NU_BACK * self.stiffness),
-                         external_index=np.arange(len(rods.length)))
+                         external=self._assigned(rods.arcs), external_index=np.arange(len(rods.length)))
         return replace(rods, quaternions=solution.configuration.quaternions, solution=solution)
 
+    def _assigned(self, arcs: np.ndarray) -> AssignedPoints:
+        """E_back of places at ``arcs`` (R, C, N, K) along the paths. A place explains the line half-way to its neighbours."""
+        points, tangents = np.zeros((2, *arcs.shape, 2))
+        weight = np.zeros(arcs.shape)
+        for r, match in enumerate(self.matches):  # a handful of hypotheses of each set
+            for c, path in enumerate(match.paths):
+                here = arcs[r, c]
+                points[r, c], tangents[r, c] = path.at(here), path.tangent_at(here)
+                explained = np.maximum(np.gradient(here.ravel()), 0.0).reshape(here.shape)
+                weight[r, c] = explained * path.is_seen(here)
+        return AssignedPoints(self.rig, points, tangents, weight, NU_BACK * self.stiffness)
+
     def _reassigned(self, rods: TracedShapes, together: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return _reassigned(self.rig, self.matches, rods.arcs, rods.solution.configuration.vertices, together)
+        """Places along the paths nearest to the images of the rods' places, in order, and (R,) the share of their paths that
+        rods cover, above one where they go on beyond.
 
-
-def _cut(arcs: np.ndarray, places: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """(R, C, N, K) places of rods that have a ``share`` (R,) of the length they had; beyond it, the last one."""
-    flat = arcs.reshape(*arcs.shape[:2], -1)
-    return np.array([[np.interp(places * own, places, line) for line in rod] for rod, own in zip(flat, share, strict=True)]
-                    ).reshape(arcs.shape)
-
-
-def _cut_frames(quaternions: np.ndarray, ends: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """(R, N, 4) frames of the same rods: those that were nearest; beyond, the last one."""
-    middles = 0.5 * (ends[1:] + ends[:-1])
-    nearest = np.clip(np.searchsorted(ends, middles * share[:, None]) - 1, 0, len(middles) - 1)
-    return np.take_along_axis(quaternions, nearest[..., None], axis=1)
-
-
-def _assigned(rig: Rig, matches, arcs: np.ndarray, nu: float) -> AssignedPoints:
-    """E_back of places at ``arcs`` (R, C, N, K) along the paths. A place explains the line half-way to its neighbours."""
-    points, tangents = np.zeros((2, *arcs.shape, 2))
-    weight = np.zeros(arcs.shape)
-    for r, match in enumerate(matches):  # a handful of hypotheses of each set
-        for c, path in enumerate(match.paths):
-            here = arcs[r, c]
-            points[r, c], tangents[r, c] = path.at(here), path.tangent_at(here)
-            explained = np.maximum(np.gradient(here.ravel()), 0.0).reshape(here.shape)
-            weight[r, c] = explained * path.is_seen(here)
-    return AssignedPoints(rig, points, tangents, weight, nu)
-
-
-def _reassigned(rig: Rig, matches, arcs: np.ndarray, vertices: np.ndarray, pull: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Places along the paths nearest to the images of the rods' places, in order, and (R,) the share of their paths that rods
-    cover, above one where they go on beyond.
-
-    pull  (R,) bool: rods as long as their paths: where a path goes on a little, places are spread over all of it
-    """
-    share = (np.arange(PLACES) + 0.5) / PLACES
-    places = vertices[:, :-1, None] + share[:, None] * np.diff(vertices, axis=1)[:, :, None]
-    seen, ends = rig.project(places.reshape(len(arcs), -1, 3)), rig.project(vertices[:, -1])
-    found, reach = np.empty_like(arcs), np.ones(arcs.shape[:2])
-    for r, match in enumerate(matches):
-        for c, path in enumerate(match.paths):
-            at, image = arcs[r, c].ravel(), np.nan_to_num(seen[c, r])
-            for _ in range(STEPS):
-                ahead = ((image - path.at(at)) * path.tangent_at(at)).sum(axis=1)
-                at = np.clip(at + np.clip(ahead, -NEAREST_PX, NEAREST_PX), 0.0, path.length)
-            at = np.maximum.accumulate(at)
-            over = float((np.nan_to_num(ends[c, r]) - path.points[-1]) @ path.tangents[-1])
-            covered = at[-1] + 0.5 * (at[-1] - at[-2]) if at[-1] < path.length - 2 else path.length + over
-            reach[r, c] = covered / max(path.length, 1.0)
-            if pull[r] and 1 - 2 * SAME_LENGTH < reach[r, c] < 1:
-                at = at / reach[r, c]
-            found[r, c] = np.clip(at, 0.0, path.length).reshape(found[r, c].shape)
-    return found, reach.mean(axis=1)
+        together  (R,) bool: rods as long as their paths: where a path goes on a little, places are spread over all of it
+        """
+        arcs, vertices = rods.arcs, rods.solution.configuration.vertices
+        share = (np.arange(PLACES) + 0.5) / PLACES
+        places = vertices[:, :-1, None] + share[:, None] * np.diff(vertices, axis=1)[:, :, None]
+        seen, ends = self.rig.project(places.reshape(len(arcs), -1, 3)), self.rig.project(vertices[:, -1])
+        found, reach = np.empty_like(arcs), np.ones(arcs.shape[:2])
+        for r, match in enumerate(self.matches):
+            for c, path in enumerate(match.paths):
+                at, image = arcs[r, c].ravel(), np.nan_to_num(seen[c, r])
+                for _ in range(STEPS):
+                    ahead = ((image - path.at(at)) * path.tangent_at(at)).sum(axis=1)
+                    at = np.clip(at + np.clip(ahead, -NEAREST_PX, NEAREST_PX), 0.0, path.length)
+                at = np.maximum.accumulate(at)
+                over = float((np.nan_to_num(ends[c, r]) - path.points[-1]) @ path.tangents[-1])
+                covered = at[-1] + 0.5 * (at[-1] - at[-2]) if at[-1] < path.length - 2 else path.length + over
+                reach[r, c] = covered / max(path.length, 1.0)
+                if together[r] and 1 - 2 * SAME_LENGTH < reach[r, c] < 1:
+                    at = at / reach[r, c]
+                found[r, c] = np.clip(at, 0.0, path.length).reshape(found[r, c].shape)
+        return found, reach.mean(axis=1)

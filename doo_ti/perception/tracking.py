@@ -30,12 +30,9 @@ from doo_ti.vision.detection.line import Detection
 from doo_ti.vision.reprojection.distance_map import distance_maps
 from doo_ti.vision.reprojection.score import score
 
-FEWEST_CAMERAS = 2
-"""That must see a rod which is tracked: one does not see depth."""
-ITERATIONS = 30
-"""Largest number of Newton's iterations, in f32, from each initial shape."""
-BETTER = 1e-6
-"""Share of E_vis by which the rod of Algorithm 1 must be better than the tracked one; with less it is the same rod."""
+FEWEST_CAMERAS = 2  # that must see a rod which is tracked: one does not see depth
+ITERATIONS = 30  # largest number of Newton's iterations, in f32, from each initial shape
+BETTER = 1e-6  # share of E_vis by which the rod of Algorithm 1 must be better than the tracked one, else it is the same rod
 
 
 class How(IntEnum):
@@ -177,7 +174,9 @@ class Tracker:
         rod, how = None if self._last is None else self._tracked(search, far), How.TRACKED
         if rod is None or self._doubtful(rod):
             self._usual = np.inf
-            seeded = self._seeded(search)
+            found = perceive(search.maps, search.rig, search.point, search.direction, self._rest_length, self._material,
+                             up=self._up, options=self._search, surroundings=self._surroundings)
+            seeded = _Rod(found.configuration, found.energy_vis[0], found.camera_error[0], found.status[0], found.stable[0])
             if rod is None or self._better(seeded, rod):
                 rod, how = seeded, How.SEEDED
         if not (rod.converged and self._seen(rod)):
@@ -213,20 +212,13 @@ class Tracker:
         frames, vertices = last.frames, last.vertices
         here = Clamps(Clamp.TANGENT, Clamp.TANGENT, vertices[:, 0], vertices[:, -1], frames[:, 0], frames[:, -1])
         goal = replace(replace(far, clamps=here).at(1.0), start_position=search.point, start_frame=search.first)
-        solution, _ = predict_step(last, self._material, here, goal, up=self._up, watch=False,
-                                   **self._surroundings.arguments)
+        solution, _ = predict_step(last, self._material, here, goal, up=self._up, watch=False, **self._surroundings.arguments)
         return solution.configuration.quaternions[0]
 
     def _whole(self, rod: _Rod) -> Configuration:
         """The rod with uncut edges, in the directions of their middle pieces."""
         fine, pieces = rod.configuration, self._search.pieces
         return Configuration(fine.start, fine.quaternions[:, pieces // 2 :: pieces], self._rest_length)
-
-    def _seeded(self, search: Search) -> _Rod:
-        """The rod that Algorithm 1 finds."""
-        found = perceive(search.maps, search.rig, search.point, search.direction, self._rest_length, self._material,
-                         up=self._up, options=self._search, surroundings=self._surroundings)
-        return _Rod(found.configuration, found.energy_vis[0], found.camera_error[0], found.status[0], found.stable[0])
 
     def _seen(self, rod: _Rod) -> bool:
         """Whether the rod is on the detected line."""

@@ -58,7 +58,6 @@ class LabRods:
         return first / np.linalg.norm(first, axis=-1, keepdims=True)
 
     def take(self, rows) -> "LabRods":
-        """The rods of these rows."""
         rows = np.asarray(rows)
         return LabRods(tuple(np.array(self.names)[rows].tolist()), self.curve[rows], self.vertices[rows], self.rest_length)
 
@@ -86,8 +85,7 @@ def save_truth(path: Path, rods: LabRods, diameter_mm: float) -> None:
         thread_diameter_mm=diameter_mm))
 
 
-DIAMETER_MM = 2.0
-"""Of the thread, unless given."""
+DIAMETER_MM = 2.0  # of the thread, unless given
 TRACKED_NOISE = 0.003
 """Of the rod's length, standard deviation of a coordinate that a servo should assume. Rods are tracked to a fifth of that by
 three cameras and to a half by two, root mean square, but their errors are common to neighbouring vertices and to moments."""

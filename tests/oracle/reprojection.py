@@ -106,46 +106,6 @@ def edge_hessian(camera, distances: Map, start, end, points: int, cap: float, st
     return np.stack(columns, axis=1)
 
 
-@dataclass(frozen=True)
-class Images:
-    """ν Σ_c E_proj^c of a rod, as :mod:`tests.oracle.external` takes springs; curvature is that at ``vertices`` (V, 3).
-
-    cameras, maps  C of each
-    """
-
-    cameras: tuple
-    maps: tuple[Map, ...]
-    nu: float
-    points: int
-    cap: float
-    vertices: np.ndarray
-
-    def energy(self, vertices: np.ndarray):
-        """mm²; complex vertices pass."""
-        return sum(edge_error(*seen, start, end, self.points, self.cap)
-                   for seen in self._seen() for start, end in zip(vertices[:-1], vertices[1:])) * self.nu
-
-    def vertex_gradient(self, vertices: np.ndarray) -> np.ndarray:
-        """(V, 3)."""
-        result = np.zeros(vertices.shape)
-        for seen in self._seen():
-            for e, (start, end) in enumerate(zip(vertices[:-1], vertices[1:])):
-                result[e : e + 2] += self.nu * edge_gradient(*seen, start, end, self.points, self.cap).reshape(2, 3)
-        return result
-
-    def vertex_curvature(self) -> np.ndarray:
-        """(V, 3, V, 3)."""
-        result = np.zeros(self.vertices.shape * 2)
-        for seen in self._seen():
-            for e, (start, end) in enumerate(zip(self.vertices[:-1], self.vertices[1:])):
-                second = edge_hessian(*seen, start, end, self.points, self.cap)
-                result[e : e + 2, :, e : e + 2] += self.nu * second.reshape(2, 3, 2, 3)
-        return result
-
-    def _seen(self):
-        return zip(self.cameras, self.maps)
-
-
 def rod_energy(vertices: np.ndarray, alpha: float, mu: float, up: np.ndarray) -> float:
     """Bend and gravity of a rod without twist, §III-C at the vertices."""
     edges = np.diff(vertices, axis=0)

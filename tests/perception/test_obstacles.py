@@ -51,10 +51,10 @@ def test_a_tracked_rod_stays_on_the_table():
 
 
 def test_seeds_inside_obstacles_are_refused():
-    rod = lying(0.2, 0.3)[None]
-    maps, seed = drawn_maps(three_cameras(), rod), rod[:, 0] - [0, 0, 5.7]
-    with pytest.raises(InputError, match="point: a rod that begins there is 0.2 mm inside a Plane"):
-        perceive(maps, three_cameras(), seed, rod[:, 1] - rod[:, 0], REST_LENGTH, MATERIAL, surroundings=TABLE)
+    rod = np.linspace([-25.0, -5.0, -4.0], [30.0, -5.0, -4.0], EDGES + 1)[None]
+    maps, way = drawn_maps(three_cameras(), rod), rod[:, 1] - rod[:, 0]
     each = Surroundings([Plane([[0, 0, -10], [0, 0, -9]], [[0, 0, 1], [0, 0, 1]])], RADIUS)
-    with pytest.raises(InputError, match="obstacles: other ones, or another radius, for each rod"):
-        perceive(maps, three_cameras(), rod[:, 0], rod[:, 1] - rod[:, 0], REST_LENGTH, MATERIAL, surroundings=each)
+    for lower, table, words in ((5.7, TABLE, "point: a rod that begins there is 0.2 mm inside a Plane"),
+                                (0.0, each, "obstacles: other ones, or another radius, for each rod")):
+        with pytest.raises(InputError, match=words):
+            perceive(maps, three_cameras(), rod[:, 0] - [0, 0, lower], way, REST_LENGTH, MATERIAL, surroundings=table)

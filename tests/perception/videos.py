@@ -46,12 +46,18 @@ def rods() -> np.ndarray:
     return np.array(shapes)
 
 
-def photographed(vertices: np.ndarray) -> list[list[np.ndarray]]:
-    """T lists of C images of rods (T, V, 3)."""
-    return [render_set(three_cameras(), smooth_curve(rod, 8), DIAMETER, seed=(4, frame)) for frame, rod in enumerate(vertices)]
+def photographed(vertices: np.ndarray, first: int = 0) -> list[list[np.ndarray]]:
+    """T lists of C images of rods (T, V, 3), the first of which is that of frame ``first``."""
+    return [render_set(three_cameras(), smooth_curve(rod, 8), DIAMETER, seed=(4, frame))
+            for frame, rod in enumerate(vertices, first)]
 
 
 @cache
+def image(frame: int) -> list[np.ndarray]:
+    """C images."""
+    return photographed(rods()[frame : frame + 1], frame)[0]
+
+
 def images() -> list[list[np.ndarray]]:
     """T lists of C images."""
-    return photographed(rods())
+    return [image(frame) for frame in range(FRAMES)]

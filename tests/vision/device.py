@@ -1,10 +1,13 @@
 """Taichi functions of numbers per rod run over rows of a table, a lane per row."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 import taichi as ti
 
 from doo_ti.physics.number import Number
+from doo_ti.physics.view import Scratch
 from doo_ti.system import runtime
 
 NUMBERS = [Number(1, 64), Number(8, 64), Number(1, 32), Number(16, 32)]
@@ -48,3 +51,20 @@ def row_kernel(number: Number, inputs: int, outputs: int, function):
         return result[: len(rows)]
 
     return run
+
+
+@cache
+def edge_kernel(number: Number, external: type):
+    """As :func:`row_kernel`: the own numbers of an external energy's edge, its start and end, and whether coarse, to the energy
+    and its moments, 1, 3, 3, 6, 9 and 6 numbers."""
+    functions, memory, size = external.functions(number), Scratch(number, 1), external.layout.size
+
+    @ti.func
+    def function(scratch: ti.template(), numbers: ti.template(), values: ti.template()):
+        own = memory.view(scratch, 0, external.layout)
+        start = (scratch[size], scratch[size + 1], scratch[size + 2])
+        end = (scratch[size + 3], scratch[size + 4], scratch[size + 5])
+        e, g, h, k, n, m = functions.evaluate(own, numbers, values, start, end, scratch[size + 6])
+        return (e,) + g + h + k + n + m
+
+    return row_kernel(number, size + 7, 28, function)

@@ -126,13 +126,10 @@ def parse_board(text: str, source: str = "board") -> Board:
 
 # --- where the corners lie in an image ---------------------------------------------------------------------------------
 
-REACH = 0.4
-"""Half the window around a corner, in squares."""
-EDGE_PX = 1.5
-"""Reach of the blur of an edge: places this near to a marker are left out."""
+REACH = 0.4  # half the window around a corner, in squares
+EDGE_PX = 1.5  # reach of the blur of an edge: places this near to a marker are left out
 ROUNDS = 8
-MOST_MOVE = 0.2
-"""A corner that refinement moves further than this, in squares, is rejected."""
+MOST_MOVE = 0.2  # A corner that refinement moves further than this, in squares, is rejected
 FEWEST = 6
 NOTHING = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
 

@@ -24,15 +24,12 @@ from doo_ti.vision.cameras.rig import Rig
 FEWEST_VIEWS = 3
 WORLDS = ("first-board", "camera")
 COEFFICIENTS = (0, 2, 4, 5)
-VAGUE = 0.05
-"""A focal length whose standard deviation is a larger share of it is not determined."""
+VAGUE = 0.05  # A focal length whose standard deviation is a larger share of it is not determined
 TILT = "add views, the board tilted in several ways"
 POSE = 6
 MOST_STEPS = 100
-LITTLE = 1e-10
-"""Done when a step lowers the sum of squares by less than this share."""
-SINGULAR = 1e-13
-"""Smallest eigenvalue of the normal matrix, its diagonal scaled to ones, that still determines all unknowns."""
+LITTLE = 1e-10  # done when a step lowers the sum of squares by less than this share
+SINGULAR = 1e-13  # smallest eigenvalue of the normal matrix, its diagonal scaled to ones, that still determines all unknowns
 
 
 @dataclass(frozen=True)
@@ -140,7 +137,11 @@ def calibrate(points: np.ndarray, sightings: list[Sighting], sizes: dict[str, tu
     _check(sightings, names, options, source)
     cameras, poses = _lenses(points, sightings, sizes, options, source)
     bundle = _placed(points, sightings, cameras, poses, views, source)
-    bundle = _in_world(bundle, options.world)
+    if options.world == "first-board":
+        turn, shift = bundle.rotations[0], bundle.translations[0]
+        cameras = tuple(replace(one, rotation=one.rotation @ turn, translation=one.rotation @ shift + one.translation)
+                        for one in bundle.cameras)
+        bundle = Bundle(cameras, turn.T @ bundle.rotations, (bundle.translations - shift) @ turn)
     lenses, of_cameras, of_views = places(len(names), views)
     free = np.ones(of_views[-1, -1] + 1, dtype=bool)
     free[lenses[:, 4 + options.distortion:]] = False
@@ -213,8 +214,11 @@ def _placed(points, sightings, cameras, poses, views: int, source: str) -> Bundl
             others = ", ".join(camera.name for camera in known.values())
             raise InputError(source, lost[0], f"not connected: shares no view of the board with {others}",
                              "add views that both see")
-        boards = {view: _board_pose(known[near], *poses[view, near]) for view in common}
-        candidates = [_camera_pose(cameras[far], *poses[view, far], *boards[view]) for view in common]
+        boards, candidates = {view: _board_pose(known[near], *poses[view, near]) for view in common}, []
+        for view in common:
+            (seen_turn, seen_shift), (turn, shift) = poses[view, far], boards[view]
+            rotation = seen_turn @ turn.T
+            candidates.append(replace(cameras[far], rotation=rotation, translation=seen_shift - rotation @ shift))
         known[far] = min(candidates, key=lambda camera: np.median([
             _rms(camera, points, by_camera[far][view], *boards[view]) for view in common]))
     rotations, translations = np.full((views, 3, 3), np.nan), np.full((views, 3), np.nan)
@@ -231,27 +235,11 @@ def _board_pose(camera: Camera, rotation: np.ndarray, translation: np.ndarray) -
     return camera.rotation.T @ rotation, camera.rotation.T @ (translation - camera.translation)
 
 
-def _camera_pose(camera: Camera, seen_rotation, seen_translation, rotation, translation) -> Camera:
-    """``camera`` where it sees a board of the world at a pose in front of it."""
-    turn = seen_rotation @ rotation.T
-    return replace(camera, rotation=turn, translation=seen_translation - turn @ translation)
-
-
 def _rms(camera: Camera, points: np.ndarray, sighting: Sighting, rotation: np.ndarray, translation: np.ndarray) -> float:
     """px; infinite where the board is not in front of the camera."""
     residual = camera.project(points[sighting.found] @ rotation.T + translation) - sighting.pixels
     mean = np.mean(np.sum(residual**2, axis=-1))
     return float(np.sqrt(mean)) if np.isfinite(mean) else np.inf
-
-
-def _in_world(bundle: Bundle, world: str) -> Bundle:
-    """The bundle in the axes of the first board; those of the first camera it has already."""
-    if world == "camera":
-        return bundle
-    turn, shift = bundle.rotations[0], bundle.translations[0]
-    cameras = tuple(replace(camera, rotation=camera.rotation @ turn, translation=camera.rotation @ shift + camera.translation)
-                    for camera in bundle.cameras)
-    return Bundle(cameras, turn.T @ bundle.rotations, (bundle.translations - shift) @ turn)
 
 
 def _calibration(bundle: Bundle, covariance: np.ndarray, points, sightings, free, source: str) -> Calibration:

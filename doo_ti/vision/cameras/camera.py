@@ -28,21 +28,14 @@ from doo_ti.rod.frames import FRAME_TOLERANCE, handedness, orthonormality_error
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, real_array
 
-COEFFICIENTS = 5
-"""Coefficients of distortion: k1, k2, p1, p2, k3."""
-RATIONAL = 8
-"""Coefficients with those of the rational model: k4, k5, k6 as well."""
-FITTED, LENS = 4 + COEFFICIENTS, 4 + RATIONAL
-"""Numbers of a lens: those that calibration fits, and all."""
-MOST_SIDE = 20_000
-"""Pixels along a side of an image."""
-LEAST_FOCAL_PX, MOST_PX = 1.0, 1e6
-"""Least focal length, and largest focal length and offset of the principal point."""
+COEFFICIENTS = 5  # coefficients of distortion: k1, k2, p1, p2, k3
+RATIONAL = 8  # coefficients with those of the rational model: k4, k5, k6 as well
+FITTED, LENS = 4 + COEFFICIENTS, 4 + RATIONAL  # numbers of a lens: those that calibration fits, and all
+MOST_SIDE = 20_000  # pixels along a side of an image
+LEAST_FOCAL_PX, MOST_PX = 1.0, 1e6  # least focal length, and largest focal length and offset of the principal point
 MOST_DISTORTION = 1e6
-MOST_MM = 1e6
-"""From the world's origin to a camera."""
-KEYS = {"matrix": "K", "distortion": "dist", "rotation": "R", "translation": "t"}
-"""How files name a camera's arrays."""
+MOST_MM = 1e6  # from the world's origin to a camera
+KEYS = {"matrix": "K", "distortion": "dist", "rotation": "R", "translation": "t"}  # how files name a camera's arrays
 
 
 def _unchanged(value):
@@ -228,8 +221,7 @@ class Camera:
         return ((pixel > -0.5) & (pixel < [self.width - 0.5, self.height - 0.5])).all(axis=-1)
 
 
-WIDEST_TANGENT = 10.0
-"""r of the farthest ray that cameras see: 84° off the axis."""
+WIDEST_TANGENT = 10.0  # r of the farthest ray that cameras see: 84° off the axis
 MOST_ERROR_PX = 1.0
 SAMPLES, ROUNDS = 400, 10
 

@@ -18,8 +18,7 @@ from doo_ti.system.errors import InputError
 from doo_ti.system.files import read_content
 from doo_ti.vision.cameras.camera import KEYS, Camera, rational_of_fisheye
 
-_TO_OPENGL = np.diag([1.0, -1.0, -1.0])
-"""OpenGL's cameras have y up and z backwards."""
+_TO_OPENGL = np.diag([1.0, -1.0, -1.0])  # OpenGL's cameras have y up and z backwards
 POSES = {
     "opencv": lambda turn, shift: (turn, shift),
     "opengl": lambda turn, shift: (_TO_OPENGL @ turn, _TO_OPENGL @ shift),
@@ -76,10 +75,8 @@ def others(reading: RigReading) -> list[tuple[RigReading, str, str]]:
     return metres + poses + both
 
 
-MOST_FILE_BYTES = 1 << 20
-"""Of a rig: some thousand cameras."""
-MOST_IMAGES_BYTES = 1 << 26
-"""Of COLMAP's images.txt, which lists all points seen."""
+MOST_FILE_BYTES = 1 << 20  # of a rig: some thousand cameras
+MOST_IMAGES_BYTES = 1 << 26  # of COLMAP's images.txt, which lists all points seen
 MATRIX = ("K{}", "M{}", "cameraMatrix{}", "camera_matrix_{}", "camera_matrix{}", "CM{}", "intrinsics{}")
 LENS = ("D{}", "distCoeffs{}", "dist_coeffs_{}", "dist_coeffs{}", "distortion{}", "dist{}", "distCoeff{}")
 SIZE = (("image_width", "image_height"), ("width", "height"), ("imageWidth", "imageHeight"))
@@ -102,7 +99,6 @@ def read_yaml(path: Path):
 
 
 # --- OpenCV's stereo files -------------------------------------------------------------------------------------------------
-
 
 def stereo_cameras(path: Path, content: dict, reading: RigReading) -> list[Camera] | None:
     """Two cameras, the world being the first one's axes; None where the file has no matrix of a first camera.
@@ -152,7 +148,6 @@ def _stated_size(path: Path, content: dict, reading: RigReading) -> tuple[int, i
 
 
 # --- COLMAP ------------------------------------------------------------------------------------------------------------------
-
 
 def colmap_cameras(folder: Path) -> list[Camera]:
     """A camera for each of the images in the model of ``folder``, named as the image is without its suffix. Raises InputError
@@ -228,7 +223,6 @@ def _lens(path: Path, number: int, words: list[str]) -> tuple[int, int, np.ndarr
 
 
 # --- our own files -----------------------------------------------------------------------------------------------------------
-
 
 def own_cameras(path: Path, content, reading: RigReading) -> list[Camera]:
     """The cameras of a sequence ``cameras`` of maps name, width, height, K, dist, R, t."""

@@ -7,8 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-WORST_DAMPING = 1e12
-"""With more damping steps are too short to lower a sum of squares."""
+WORST_DAMPING = 1e12  # with more damping steps are too short to lower a sum of squares
 
 
 def least_squares(start, linearised: Callable, moved: Callable, chosen: Callable, settled: Callable, damping: float,

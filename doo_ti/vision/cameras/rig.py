@@ -16,8 +16,7 @@ from doo_ti.system.files import write_text
 from doo_ti.vision.cameras.camera import Camera
 from doo_ti.vision.cameras.foreign import RigReading, colmap_cameras, others, own_cameras, read_yaml, stereo_cameras
 
-NEAREST_MM = 1.0
-"""Distance of cameras below which lengths are hardly in mm."""
+NEAREST_MM = 1.0  # distance of cameras below which lengths are hardly in mm
 OTHER_COLUMNS = ("name", "frame", "time_s", "view", "seed_x", "seed_y", "seed_z", "dir_x", "dir_y", "dir_z")
 """Of tables that have a column of images for each camera, named as it is."""
 

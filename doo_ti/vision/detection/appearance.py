@@ -14,37 +14,20 @@ becomes a light line on dark, whatever its background.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
-from doo_ti.vision.detection.ridge import (
-    POINTS_PER_PX,
-    REACH_PX,
-    Curvature,
-    Edges,
-    Ridges,
-    edges_across,
-    gradient,
-    pieces,
-)
+from doo_ti.vision.detection.ridge import POINTS_PER_PX, REACH_PX, Curvature, Edges, Ridges, edges_across, gradient, pieces
 
-LEVELS = 5
-"""Levels of the pyramid above the image itself: halves to 32nds, for threads up to some 150 px wide."""
-SIGMA = 1.2
-"""Smoothing, px of a level."""
-SURE = 7.0
-"""Times the noise: strength of lines that are certainly not noise."""
-BAR = 0.4
-"""Strength over contrast of a line at the level that fits it."""
-SHORTEST = 5.0
-"""px of a level: shorter pieces are regarded as noise."""
-SLENDER = 16.0
-"""px of a level: least length of a slender piece, a few px wide."""
-BLUR_PX = 4.0
-"""Largest standard deviation of the blur of a thread's edge; edges with more are shading of the background."""
-LEAST_BALANCE = 0.25
-"""Least ratio of the slopes of a thread's two edges; with less, the line is the border of something else."""
-SAMPLES = 400
-"""Largest number of points where the width is measured."""
+LEVELS = 5  # levels of the pyramid above the image itself: halves to 32nds, for threads up to some 150 px wide
+SIGMA = 1.2  # smoothing, px of a level
+SURE = 7.0  # times the noise: strength of lines that are certainly not noise
+BAR = 0.4  # strength over contrast of a line at the level that fits it
+SHORTEST = 5.0  # px of a level: shorter pieces are regarded as noise
+SLENDER = 16.0  # px of a level: least length of a slender piece, a few px wide
+BLUR_PX = 4.0  # largest standard deviation of the blur of a thread's edge; edges with more are shading of the background
+LEAST_BALANCE = 0.25  # least ratio of the slopes of a thread's two edges; with less, the line is the border of something else
+SAMPLES = 400  # largest number of points where the width is measured
 
 
 @dataclass(frozen=True)
@@ -69,8 +52,6 @@ def appearance(image: np.ndarray, polarity: str | None, width_px: float | None, 
     polarity, width_px  given, or None: measured
     least_contrast      grey levels: lines that differ less from the background are ignored
     """
-    import cv2
-
     found, level = [], image
     for step in range(1, LEVELS + 1):
         if min(level.shape) < 16:
@@ -125,17 +106,13 @@ def of_a_thread(edges: Edges, strength: np.ndarray) -> np.ndarray:
     return (edges.balance > LEAST_BALANCE) & (edges.slope * BLUR_PX * np.sqrt(2 * np.pi) >= strength / BAR)
 
 
-WITHIN = 0.5
-"""Share of the largest ratio of difference and scatter up to which a place is within the thread."""
-SURELY_WITHIN = 5.0
-"""Ratio from which on a place is within the thread in any case: its stripes may differ."""
-LEVEL = 3.0
-"""Lab: scatter without noise."""
+WITHIN = 0.5  # share of the largest ratio of difference and scatter up to which a place is within the thread
+SURELY_WITHIN = 5.0  # ratio from which on a place is within the thread in any case: its stripes may differ
+LEVEL = 3.0  # Lab: scatter without noise
 DEEPEST, TINGE = 0.6, 6.0
 """In a shadow the levels of an image are those of the background times a factor, of 0.6 or more (a third of the light), and
 differ from that by less than this in Lab."""
-REACH = 2.5
-"""Widths to either side that are looked at."""
+REACH = 2.5  # widths to either side that are looked at
 SMOOTHING_PX = 0.7
 
 
@@ -198,8 +175,6 @@ def looked(image: np.ndarray, path: np.ndarray, middle: int, line: Line, before:
 
 def window(image: np.ndarray, place: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
     """The pixels within ``reach`` of a place, blurred, and the corner (2,) at which they begin."""
-    import cv2
-
     x, y = (int(value) for value in np.clip(np.rint(place), 0, np.array(image.shape[1::-1]) - 1))
     left, top = max(x - reach, 0), max(y - reach, 0)
     return cv2.GaussianBlur(image[top : y + reach + 1, left : x + reach + 1], (0, 0), SMOOTHING_PX), np.array([left, top])
@@ -207,8 +182,6 @@ def window(image: np.ndarray, place: np.ndarray, reach: int) -> tuple[np.ndarray
 
 def _across(image: np.ndarray, path: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(N, n, 3) colours across a path (N, 2), its (N, 2) directions, and the (n,) offsets in px."""
-    import cv2
-
     span = int(max(1, width))
     smooth = cv2.blur(np.gradient(path, axis=0)[:, None], (1, 2 * span + 1), borderType=cv2.BORDER_REPLICATE)[:, 0]
     along = smooth / np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-9)
@@ -240,16 +213,12 @@ def _in_shadow(colours: np.ndarray) -> np.ndarray:
     return found
 
 
-TOLERANCE = 18.0
-"""τ: distances in Lab by which shading changes a colour."""
-_STEPS = 64
-"""Levels of each channel in the table of colours: within one, Lab differs by some 2."""
+TOLERANCE = 18.0  # τ: distances in Lab by which shading changes a colour
+_STEPS = 64  # levels of each channel in the table of colours: within one, Lab differs by some 2
 
 
 def lab(colours: np.ndarray) -> np.ndarray:
     """(..., 3) CIE Lab, L from 0 to 100, of (..., 3) B, G, R from 0 to 255."""
-    import cv2
-
     flat = np.ascontiguousarray(colours, dtype=np.float32).reshape(1, -1, 3) / 255
     return cv2.cvtColor(flat, cv2.COLOR_BGR2LAB).reshape(np.shape(colours))
 

@@ -7,8 +7,7 @@ and no other end is there: where strands cross, or lie side by side, there are m
 needle is wider than its thread.
 """
 
-from dataclasses import dataclass
-
+import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -16,28 +15,13 @@ from doo_ti.vision.detection.appearance import BAR, Appearance
 from doo_ti.vision.detection.line import Detection, chain_length, chains_of, outward
 from doo_ti.vision.detection.ridge import REACH_PX, Curvature, Ridges, edges_across, gradient
 
-TIMES = (2.0, 4.0)
-"""Widths of lines that are tried, over that of the thread."""
+TIMES = (2.0, 4.0)  # widths of lines that are tried, over that of the thread
 SIGMA_PER_WIDTH = 0.35
-FAINTEST = 0.4
-"""Least strength over that of a line as dark as the thread."""
-TOUCHING, ENDS_PX = 1.0, 3.0
-"""Between the end of the thread and that of a line that goes on from it: widths of that line, and px more …"""
-AGREEING = 0.7
-"""… and the least cosine between their directions."""
-BESIDE = 0.7
-"""Share of such a line along which another one that goes on runs: these are two strands."""
-SHORTEST, GLINT = 1.0, 3.0
-"""Least length of such a line, in its widths, and of one with edges that were found: two strands that touch are shorter."""
-
-
-@dataclass(frozen=True)
-class _Part:
-    """A part of the thread: M points in order, their directions, and strengths."""
-
-    points: np.ndarray
-    direction: np.ndarray
-    strength: np.ndarray
+FAINTEST = 0.4  # least strength over that of a line as dark as the thread
+TOUCHING, ENDS_PX = 1.0, 3.0  # from the end of the thread to that of a line that goes on: widths of that line, and px more …
+AGREEING = 0.7  # … and the least cosine between their directions
+BESIDE = 0.7  # share of such a line along which another one that goes on runs: these are two strands
+SHORTEST, GLINT = 1.0, 3.0  # least widths of such a line, and of one whose edges were found: strands that touch are shorter
 
 
 def continued(image: np.ndarray, look: Appearance, ridges: Ridges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -57,8 +41,7 @@ def continued(image: np.ndarray, look: Appearance, ridges: Ridges) -> tuple[np.n
         added = _joined(line, own, width)
         if added:
             beside = _edges_of(found[0], own, added, width)
-            found = tuple(np.concatenate([array[~beside], *(getattr(part, name) for part in added)])
-                          for array, name in zip(found, ("points", "direction", "strength"), strict=True))
+            found = tuple(np.concatenate([array[~beside], *new]) for array, new in zip(found, zip(*added), strict=True))
             own = chains_of(_as_detection(*found, look, image.shape))
     return found
 
@@ -69,8 +52,6 @@ def _as_detection(points, direction, strength, look: Appearance, shape: tuple[in
 
 def _darkness(image: np.ndarray, look: Appearance, contrast: float) -> np.ndarray:
     """(H, W) float32: how much each pixel differs from the background around it towards the thread, 255 for its contrast."""
-    import cv2
-
     side = 2 * int(np.ceil(1.25 * max(TIMES) * look.width_px)) + 1
     kernel = cv2.getStructuringElement(cv2.MORPH_RECT, (side, side))
     kind = cv2.MORPH_BLACKHAT if look.polarity == "dark" else cv2.MORPH_TOPHAT
@@ -79,8 +60,6 @@ def _darkness(image: np.ndarray, look: Appearance, contrast: float) -> np.ndarra
 
 def _lines(dark: np.ndarray, width: float, own: np.ndarray, usual: float) -> Detection:
     """Lines about as wide as ``width`` in the closed darkness, away from points ``own`` (N, 2) of a line ``usual`` px wide."""
-    import cv2
-
     side = 2 * int(np.ceil(width / 2)) + 1
     closed = cv2.morphologyEx(dark, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
     ridges = Curvature(closed, SIGMA_PER_WIDTH * width).ridges("light", FAINTEST * BAR * 255)
@@ -93,8 +72,8 @@ def _lines(dark: np.ndarray, width: float, own: np.ndarray, usual: float) -> Det
     return Detection(ridges.point, ridges.tangent, ridges.strength, width, "light", dark.shape, "ridge")
 
 
-def _joined(line: Detection, own: list[np.ndarray], width: float) -> list[_Part]:
-    """The parts of a ``line`` that go on from ends of the chains ``own``, or from those that do."""
+def _joined(line: Detection, own: list[np.ndarray], width: float) -> list[tuple[np.ndarray, ...]]:
+    """Points, directions and strengths of the parts of a ``line`` that go on from ends of the chains ``own``, or of those."""
     waiting, parts = [chain for chain in chains_of(line) if chain_length(chain) >= SHORTEST * width], []
     tree, known = cKDTree(line.points) if line.count else None, list(own)
     while True:
@@ -103,7 +82,7 @@ def _joined(line: Detection, own: list[np.ndarray], width: float) -> list[_Part]
             return parts
         chain = waiting.pop(ready)
         at = tree.query(chain)[1]
-        parts.append(_Part(chain, line.direction[at], line.strength[at]))
+        parts.append((chain, line.direction[at], line.strength[at]))
         known.append(chain)
 
 
@@ -112,7 +91,8 @@ def _goes_on(chain: np.ndarray, known: list[np.ndarray], width: float) -> bool:
     line = cKDTree(chain)
     inside = [line.query(other)[0].max() <= width for other in known]
     edges, others = ([other for other, here in zip(known, inside, strict=True) if bool(here) is kind] for kind in (True, False))
-    if edges and (chain_length(chain) < GLINT * width or any(_turns_back(edge) for edge in edges)):
+    loop = any(outward(edge, 0) @ outward(edge, 1) >= AGREEING for edge in edges)  # it ends the way it began, and is no edge
+    if edges and (chain_length(chain) < GLINT * width or loop):
         return False
     strand = any((cKDTree(other).query(chain)[0] <= 0.6 * width).mean() > BESIDE for other in others)
     if strand or sum(chain_length(other) for other in others) < chain_length(chain):
@@ -126,14 +106,9 @@ def _goes_on(chain: np.ndarray, known: list[np.ndarray], width: float) -> bool:
     return int(np.bincount(half[agreeing], minlength=2).max()) == 1
 
 
-def _turns_back(chain: np.ndarray) -> bool:
-    """Whether a chain ends the way it began: a narrow loop, not an edge."""
-    return outward(chain, 0) @ outward(chain, 1) >= AGREEING
-
-
-def _edges_of(points: np.ndarray, own: list[np.ndarray], parts: list[_Part], width: float) -> np.ndarray:
+def _edges_of(points: np.ndarray, own: list[np.ndarray], parts: list[tuple[np.ndarray, ...]], width: float) -> np.ndarray:
     """(N,) bool: points of chains that lie beside the ``parts`` as their edges do, from end to end."""
-    line = cKDTree(np.concatenate([part.points for part in parts]))
+    line = cKDTree(np.concatenate([part[0] for part in parts]))
     edges = [chain for chain in own if line.query(chain)[0].max() <= width]
     if not edges:
         return np.zeros(len(points), dtype=bool)

@@ -16,6 +16,7 @@ whatever the thread's width 2a; branches to corners and bumps of the border have
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from doo_ti.system.arguments import typed
@@ -38,17 +39,13 @@ from doo_ti.vision.detection.line import Detection, in_whole_pixels, moved
 from doo_ti.vision.detection.options import DetectionOptions, check_image, cropped
 from doo_ti.vision.detection.ridge import REACH_PX, Curvature, edges_across, gradient, pieces
 
-CANNY_STRONG, CANNY_WEAK = 0.4, 0.15
-"""Canny's thresholds over the slope of the thread's edges."""
-VOTE_BLUR_PX = 1.0
-"""Standard deviation of a vote."""
-MEETING = 0.5
-"""Least share of votes on the centre line, of those of two complete edges with an edge pixel per px of length."""
-STEEPEST = 8000
-"""Slope of the thread's edges in the whole numbers that Canny takes."""
+CANNY_STRONG, CANNY_WEAK = 0.4, 0.15  # Canny's thresholds over the slope of the thread's edges
+VOTE_BLUR_PX = 1.0  # standard deviation of a vote
+MEETING = 0.5  # least share of votes on the centre line, of those of two complete edges with an edge pixel per px of length
+STEEPEST = 8000  # slope of the thread's edges in the whole numbers that Canny takes
 
 
-def canny_line(image: np.ndarray, look: Appearance, least_contrast: float, shortest_px: float) -> tuple[np.ndarray, ...]:
+def _canny_line(image: np.ndarray, look: Appearance, least_contrast: float, shortest_px: float) -> tuple[np.ndarray, ...]:
     """(N, 2) pixels of the centre line in an image (H, W) float32, their (N, 2) directions and (N,) strengths.
 
     "A Canny edge detector with a blurred, offset Gaussian kernel" (§IV-A): every edge pixel votes for the place half a thread's
@@ -59,8 +56,6 @@ def canny_line(image: np.ndarray, look: Appearance, least_contrast: float, short
     least_contrast  grey levels: fainter edges are ignored
     shortest_px     of a piece of line
     """
-    import cv2
-
     slope = gradient(image)
     whole = np.clip(np.rint(slope * (STEEPEST / look.slope)), -32767, 32767).astype(np.int16)
     floor = 0.25 * least_contrast / look.slope
@@ -68,36 +63,26 @@ def canny_line(image: np.ndarray, look: Appearance, least_contrast: float, short
     edge = cv2.Canny(np.ascontiguousarray(whole[..., 0]), np.ascontiguousarray(whole[..., 1]), weak, strong, L2gradient=True)
     row, column = np.nonzero(edge)
     outward = slope[row, column] / np.maximum(np.linalg.norm(slope[row, column], axis=1, keepdims=True), 1e-30)
-    meeting = _meeting(row, column, outward if look.polarity == "dark" else -outward, look.width_px / 2, image.shape)
-    curvature = Curvature(meeting, VOTE_BLUR_PX)
-    ridges = curvature.ridges("light", 1e-3)
+    outward = outward if look.polarity == "dark" else -outward
+    x = np.rint(column - look.width_px / 2 * outward[:, 0]).astype(np.int64)
+    y = np.rint(row - look.width_px / 2 * outward[:, 1]).astype(np.int64)
+    inside = (x >= 0) & (x < image.shape[1]) & (y >= 0) & (y < image.shape[0])
+    ballots = [np.bincount((y * image.shape[1] + x)[inside], weight, image.size).reshape(image.shape).astype(np.float32)
+               for weight in (None, outward[inside, 0], outward[inside, 1])]
+    votes, across, down = (cv2.GaussianBlur(ballot, (0, 0), VOTE_BLUR_PX, borderType=cv2.BORDER_CONSTANT) for ballot in ballots)
+    # Votes that coincide with votes from the other edge, 1 for two complete edges.
+    meeting = (votes - np.sqrt(across * across + down * down)) * np.float32(VOTE_BLUR_PX * np.sqrt(2 * np.pi) / 2)
+    ridges = Curvature(meeting, VOTE_BLUR_PX).ridges("light", 1e-3)
     ridges = ridges[(meeting[ridges.row, ridges.column] >= MEETING) & (np.abs(ridges.offset) <= REACH_PX)]
     ridges = ridges[pieces(ridges, 0.0, shortest_px) > 0]
     return np.stack([ridges.column, ridges.row], axis=1).astype(np.float64), ridges.tangent, look.slope * ridges.strength
 
 
-def _meeting(row: np.ndarray, column: np.ndarray, outward: np.ndarray, offset: float, shape: tuple[int, int]) -> np.ndarray:
-    """(H, W) float32: blurred votes of edge pixels that coincide with votes from the other edge, 1 for two complete edges."""
-    import cv2
-
-    x = np.rint(column - offset * outward[:, 0]).astype(np.int64)
-    y = np.rint(row - offset * outward[:, 1]).astype(np.int64)
-    inside = (x >= 0) & (x < shape[1]) & (y >= 0) & (y < shape[0])
-    place, length = (y * shape[1] + x)[inside], shape[0] * shape[1]
-    ballots = [np.bincount(place, weight, length).reshape(shape).astype(np.float32)
-               for weight in (None, outward[inside, 0], outward[inside, 1])]
-    votes, across, down = (cv2.GaussianBlur(ballot, (0, 0), VOTE_BLUR_PX, borderType=cv2.BORDER_CONSTANT) for ballot in ballots)
-    return (votes - np.sqrt(across * across + down * down)) * np.float32(VOTE_BLUR_PX * np.sqrt(2 * np.pi) / 2)
-
-
-SIGMA_PER_WIDTH, SMALLEST_SIGMA = 0.35, 0.8
-"""Standard deviation of the ridges' smoothing, px: a bar gets a single ridge, and neighbouring strands stay apart."""
-WEAK, STRONG = 0.2, 0.5
-"""Shares of the typical strength: all of a piece of thread exceeds the first, some of it the second."""
+SIGMA_PER_WIDTH, SMALLEST_SIGMA = 0.35, 0.8  # px of smoothing: a bar gets a single ridge, and neighbouring strands stay apart
+WEAK, STRONG = 0.2, 0.5  # shares of the typical strength: all of a piece of thread exceeds the first, some of it the second
 WIDTH_RATIO, FAINTEST = 1.5, 0.4
 """Largest ratio of widths, which differ with depth, and least ratio of mean strengths, of a piece and the most distinct one."""
-WIDEST_PX = 40.0
-"""Wider threads are sought in halved images."""
+WIDEST_PX = 40.0  # wider threads are sought in halved images
 
 
 @typed
@@ -112,7 +97,8 @@ def detect(image: np.ndarray, options: DetectionOptions = DetectionOptions()) ->
     if options.colour is not None:
         line, polarity = likeness(as_colour(part), likeness_table([lab(np.array(options.colour[::-1]))])), "light"
     else:
-        line, polarity = _grey(part), options.polarity
+        grey = part if part.ndim == 2 else cv2.cvtColor(as_colour(part), cv2.COLOR_BGR2GRAY)
+        line, polarity = grey.astype(np.float32), options.polarity
     look = appearance(line, polarity, options.width_px, options.least_contrast)
     points, direction, strength = np.empty((0, 2)), np.empty((0, 2)), np.empty(0)
     if look is not None:
@@ -124,30 +110,20 @@ def detect(image: np.ndarray, options: DetectionOptions = DetectionOptions()) ->
     return moved(found, corner)
 
 
-def _grey(image: np.ndarray) -> np.ndarray:
-    """(H, W) float32."""
-    import cv2
-
-    return (image if image.ndim == 2 else cv2.cvtColor(as_colour(image), cv2.COLOR_BGR2GRAY)).astype(np.float32)
-
-
 def _line(image: np.ndarray, look: Appearance, options: DetectionOptions) -> tuple[np.ndarray, ...]:
     """(N, 2) points, (N, 2) directions and (N,) strengths in an image (H, W) float32, halved for wide threads."""
-    import cv2
-
     halvings = max(0, int(np.ceil(np.log2(look.width_px / WIDEST_PX))))
     for _ in range(halvings):
         image = cv2.pyrDown(image)
     scale = 2.0**halvings
     look = replace(look, width_px=look.width_px / scale, slope=look.slope * scale)
-    find = {"ridge": _ridge_line, "canny": canny_line}[options.method]
-    found = find(image, look, options.least_contrast, options.shortest_px / scale)
-    return in_whole_pixels(scale, *found)
+    find = {"ridge": _ridge_line, "canny": _canny_line}[options.method]
+    return in_whole_pixels(scale, *find(image, look, options.least_contrast, options.shortest_px / scale))
 
 
 def _ridge_line(image: np.ndarray, look: Appearance, least_contrast: float, shortest_px: float) -> tuple[np.ndarray, ...]:
-    """(N, 2) points, (N, 2) directions and (N,) strengths: ridges at the thread's width, each moved to the middle between the
-    two edges, and what goes on from their ends."""
+    """As :func:`_canny_line`: ridges at the thread's width, each moved to the middle between the two edges, and what goes on
+    from their ends."""
     curvature = Curvature(image, max(SMALLEST_SIGMA, SIGMA_PER_WIDTH * look.width_px))
     certain = max(SURE * curvature.noise(), BAR * least_contrast)
     ridges = curvature.ridges(look.polarity, certain / 2)
@@ -176,13 +152,10 @@ def _alike(piece: np.ndarray, width: np.ndarray, strength: np.ndarray) -> np.nda
 
 
 SIGMA = 1.0
-CREST = 0.8
-"""Least second derivative over that of a full roof."""
+CREST = 0.8  # least second derivative over that of a full roof
 LABELS = 16
-WORKING_WIDTH = 16.0
-"""px: masks of wider threads are halved, so that their rough borders are smoothed."""
-LARGEST_HOLE = 20
-"""px of a hole or speck that is regarded as noise."""
+WORKING_WIDTH = 16.0  # px: masks of wider threads are halved, so that their rough borders are smoothed
+LARGEST_HOLE = 20  # px of a hole or speck that is regarded as noise
 
 
 @typed
@@ -215,8 +188,6 @@ def detect_mask(mask: np.ndarray, options: DetectionOptions = DetectionOptions()
 
 def _cleaned(inside: np.ndarray) -> np.ndarray:
     """(H, W) uint8: 1 within, without small holes and specks."""
-    import cv2
-
     for within in (0, 1):
         of_kind = (inside == within).astype(np.uint8)
         label, sizes = cv2.connectedComponentsWithStats(of_kind, connectivity=4 + 4 * within)[1:3]
@@ -228,8 +199,6 @@ def _cleaned(inside: np.ndarray) -> np.ndarray:
 
 def _roof(inside: np.ndarray) -> tuple[np.ndarray, float]:
     """(h, w) float32: px from the nearest pixel outside, halved where the thread is wide, and px of the mask to one of it."""
-    import cv2
-
     scale = 1.0
     while True:
         # The thread goes on beyond the image's border; distances to nothing would have no end.
@@ -257,19 +226,14 @@ class Sight:
     def detected(self, path: Path, camera: Camera) -> Detection:
         """The thread in the image that ``camera`` took. Raises InputError for files that are missing or do not fit."""
         options = replace(self.options, region=self.regions.get(camera.name, self.options.region))
-        mask = self._mask(path, camera)
-        if mask is not None:
-            return detect_mask(mask, options)
-        return detect(read_image(path, camera, colour=options.colour is not None), options)
-
-    def _mask(self, path: Path, camera: Camera):
-        if self.masks is None:
-            return read_mask(path, camera)
+        file = path
         if isinstance(self.masks, dict):
-            found = self.masks[path]
-        else:
-            found = next(iter(sorted(self.masks.glob(f"{path.stem}.*"))), None)
-            if found is None:
+            file = self.masks[path]
+        elif self.masks is not None:
+            file = next(iter(sorted(self.masks.glob(f"{path.stem}.*"))), None)
+            if file is None:
                 raise InputError(self.masks, path.stem, "no mask of this name", "name masks as the images are")
-        mask = read_mask(found, camera)
-        return read_image(found, camera) if mask is None else mask
+        mask = read_mask(file, camera)
+        if mask is None and self.masks is None:
+            return detect(read_image(path, camera, colour=options.colour is not None), options)
+        return detect_mask(read_image(file, camera) if mask is None else mask, options)

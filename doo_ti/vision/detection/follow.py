@@ -12,6 +12,7 @@
 Other threads that cross are not followed: an arc that is straighter through the crossing has more of the line.
 """
 
+import cv2
 import numpy as np
 
 from doo_ti.system.arguments import typed
@@ -21,30 +22,19 @@ from doo_ti.vision.detection.line import Detection, moved
 from doo_ti.vision.detection.options import DetectionOptions, check_image, cropped
 from doo_ti.vision.detection.ridge import Curvature
 
-REACH_PX = 4.0
-"""From the pixel to the thread's middle, or half a width, whichever is more."""
-FINEST, OCTAVES = 2.0, 6
-"""Widths tried, px: two to an octave, up to 180."""
+REACH_PX = 4.0  # from the pixel to the thread's middle, or half a width, whichever is more
+FINEST, OCTAVES = 2.0, 6  # widths tried, px: two to an octave, up to 180
 DIRECTIONS = 24
-SEGMENT = 1.5
-"""Half the length of the line at the start, in widths."""
-FINENESS = 1.75
-"""Power of σ in the strength of the start's line: 2 would treat all widths alike, but a thread with its shadow is wider."""
-WORKING_WIDTH = 16.0
-"""px: wider threads are followed in halved images."""
+SEGMENT = 1.5  # half the length of the line at the start, in widths
+FINENESS = 1.75  # power of σ in the strength of the start's line: 2 treats all widths alike, but threads have shadows
+WORKING_WIDTH = 16.0  # px: wider threads are followed in halved images
 LEAST_TOLERANCE = 5.0
-AHEAD, SHARPEST, ARCS = 6.0, 0.35, 21
-"""Length of arcs in widths, their largest curvature times the width, and their number."""
-PRESENT = 0.35
-"""Least strength of the line over its median along the path so far."""
-FULL = 0.41 * 255
-"""Second derivative times σ², σ = 0.35 widths, on the middle of a clean line."""
-AGAIN = 2.0
-"""Widths along which the line must be there behind a gap."""
-STRAIGHT = 0.15
-"""Strength that an arc of the largest curvature must have more than a straight one."""
-SHORTEST = 4.0
-"""Widths of a thread."""
+AHEAD, SHARPEST, ARCS = 6.0, 0.35, 21  # length of arcs in widths, their largest curvature times the width, and their number
+PRESENT = 0.35  # least strength of the line over its median along the path so far
+FULL = 0.41 * 255  # second derivative times σ², σ = 0.35 widths, on the middle of a clean line
+AGAIN = 2.0  # widths along which the line must be there behind a gap
+STRAIGHT = 0.15  # strength that an arc of the largest curvature must have more than a straight one
+SHORTEST = 4.0  # widths of a thread
 
 
 @typed
@@ -76,11 +66,8 @@ def follow(image: np.ndarray, pixel: tuple[float, float], options: DetectionOpti
 
 # --- the line at the pixel -------------------------------------------------------------------------------------------------
 
-
 def _lines(levels: list[np.ndarray], place: np.ndarray) -> list[tuple[float, Line]]:
     """(contrast, line) of the best line of each width near ``place``; appends halved images to ``levels``."""
-    import cv2
-
     found = []
     for level in range(OCTAVES):
         if level:
@@ -96,8 +83,6 @@ def _lines(levels: list[np.ndarray], place: np.ndarray) -> list[tuple[float, Lin
 
 def _line(image: np.ndarray, place: np.ndarray, width: float, reach: float) -> tuple[float, Line]:
     """The contrast in Lab and the line of this width that is most distinct within ``reach`` or half a width of ``place``."""
-    import cv2
-
     reach, sigma = max(reach, width / 2), width / 2
     pixels, corner = window(image, place, int(np.ceil(reach + (SEGMENT + 2) * width)) + 2)
     colours = lab(pixels)
@@ -123,7 +108,6 @@ def _line(image: np.ndarray, place: np.ndarray, width: float, reach: float) -> t
 
 
 # --- the thread along it ---------------------------------------------------------------------------------------------------
-
 
 def _followed(levels: list[np.ndarray], line: Line, sound: bool) -> tuple[np.ndarray, np.ndarray, float, str] | None:
     """(N, 2) points, (N,) strengths, width and polarity of the thread that has this line; None where there is none, or none
@@ -168,7 +152,6 @@ def _both_ways(image: np.ndarray, line: Line, look: Look, length: float
 
 # --- from point to point -----------------------------------------------------------------------------------------------------
 
-
 class _Field:
     """Second and first derivatives of an image's likeness, in a window that moves along with those who ask."""
 
@@ -179,8 +162,6 @@ class _Field:
 
     def sampled(self, points: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(a, n) strength across a line at (a, n, 2) points with unit tangents ``along``, and px to the crest of the line."""
-        import cv2
-
         margin = int(np.ceil(4 * self.sigma))
         low, high = points.min(axis=(0, 1)), points.max(axis=(0, 1))
         edge = np.array(self.image.shape[1::-1]) - 1

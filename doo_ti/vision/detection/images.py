@@ -1,5 +1,5 @@
-"""Images from files as grey levels, after a look at what a file states before it is unpacked, its size, which may fill the
-memory, and how the camera was held; and sets of images of one scene each with where the rod sets out: SETS.csv (§IV-A).
+"""Images from files as grey levels, after a look at the size that a file states, which may fill the memory; and sets of images
+of one scene each with where the rod sets out: SETS.csv (§IV-A).
 
     name,cam0,cam1,cam2,seed_x,seed_y,seed_z,dir_x,dir_y,dir_z
     name,cam0,cam1,cam2,cam0_u,cam0_v
@@ -30,15 +30,9 @@ from doo_ti.vision.cameras.rig import Rig
 PNG, JPEG, BMP = b"\x89PNG", b"\xff\xd8", b"BM"
 PNM = re.compile(rb"P[1-6]\s+(?:#[^\n]*\n\s*)*(\d{1,9})\s+(?:#[^\n]*\n\s*)*(\d{1,9})\s")
 KNOWN = "PNG, JPEG, TIFF, BMP, PGM or PPM"
-TIFF = {b"II*\0": "<", b"MM\0*": ">"}
-"""Beginnings of files, and the order of bytes."""
-_NO_FRAME = (0xC4, 0xC8, 0xCC)
-_WIDTH, _HEIGHT, _ORIENTATION = 256, 257, 274
-"""Tags of TIFF, and of the Exif data of other files, which are in its form."""
-_EXIF = b"Exif\0\0", b"eXIf"
-"""What Exif data follow in JPEG and PNG."""
-SEARCHED = 1 << 16
-"""Bytes of a file's beginning in which the orientation of one that is no TIFF is stated."""
+TIFF = {b"II*\0": "<", b"MM\0*": ">"}  # beginnings of files, and the order of bytes
+_WIDTH, _HEIGHT, _ORIENTATION = 256, 257, 274  # tags of TIFF, and of the Exif data of other files, which are in its form
+SEARCHED = 1 << 16  # bytes of a file's beginning in which the orientation of one that is no TIFF is stated
 UPRIGHT = 1
 
 
@@ -55,7 +49,8 @@ def stated_size(content: bytes) -> tuple[int, ...]:
         if stated := PNM.match(content[:1000]):
             return tuple(map(int, stated.groups()))
         if content[:4] in TIFF:
-            return _of_tiff(content, TIFF[content[:4]])
+            tags = _tags(content, TIFF[content[:4]])
+            return tuple(tags[tag] for tag in (_WIDTH, _HEIGHT) if tag in tags)
     except struct.error:  # it ends before
         pass
     return ()
@@ -67,15 +62,10 @@ def _of_jpeg(content: bytes) -> tuple[int, ...]:
         mark, length = struct.unpack(">HH", content[place : place + 4])
         if mark >> 8 != 0xFF:
             return ()
-        if 0xFFC0 <= mark <= 0xFFCF and mark & 0xFF not in _NO_FRAME:
+        if 0xFFC0 <= mark <= 0xFFCF and mark not in (0xFFC4, 0xFFC8, 0xFFCC):
             return struct.unpack(">HH", content[place + 5 : place + 9])
         place += 2 + length
     return ()
-
-
-def _of_tiff(content: bytes, order: str) -> tuple[int, ...]:
-    found = _tags(content, order)
-    return tuple(found[tag] for tag in (_WIDTH, _HEIGHT) if tag in found)
 
 
 def _tags(content: bytes, order: str) -> dict[int, int]:
@@ -90,15 +80,10 @@ def _tags(content: bytes, order: str) -> dict[int, int]:
     return found
 
 
-def may_be_transparent(content: bytes) -> bool:
-    """Whether an image file states an alpha channel or transparent colours: of the formats that are read, PNG alone."""
-    return content.startswith(PNG) and (content[25:26] in (b"\x04", b"\x06") or b"tRNS" in content[: content.find(b"IDAT")])
-
-
-def stated_orientation(content: bytes) -> int:
+def _stated_orientation(content: bytes) -> int:
     """The orientation tag of an image file: 1 to 8, as Exif numbers them; 1, upright, where there is none."""
-    beginning = content[:SEARCHED]
-    places = [place + len(mark) for mark in _EXIF if (place := beginning.find(mark)) >= 0]
+    beginning, marks = content[:SEARCHED], (b"Exif\0\0", b"eXIf")  # of JPEG and of PNG
+    places = [place + len(mark) for mark in marks if (place := beginning.find(mark)) >= 0]
     try:
         for place in [0, *places]:
             order = TIFF.get(content[place : place + 4])
@@ -111,12 +96,8 @@ def stated_orientation(content: bytes) -> int:
 
 
 SEED = ("seed_x", "seed_y", "seed_z", "dir_x", "dir_y", "dir_z")
-_changing, _silent = Lock(), []
-"""One copy of the original standard error for each image that is being decoded."""
-MOST_PIXELS = 100_000_000
-"""Of an image: while it is unpacked each takes up to eight bytes."""
-DEPTHS = (8, 10, 12, 14, 16)
-"""Bits of cameras' levels, which files keep in 16."""
+MOST_PIXELS = 100_000_000  # of an image: while it is unpacked each takes up to eight bytes
+DEPTHS = (8, 10, 12, 14, 16)  # bits of cameras' levels, which files keep in 16
 
 
 def read_image(path: str | os.PathLike[str], camera: Camera | None = None, colour: bool = False,
@@ -142,7 +123,10 @@ def read_mask(path: str | os.PathLike[str], camera: Camera | None = None) -> np.
     import cv2
 
     path = Path(path)
-    if not may_be_transparent(read_content(path, remedy="name a readable image")):
+    content = read_content(path, remedy="name a readable image")
+    if not content.startswith(PNG):  # of the formats that are read it alone may be transparent
+        return None
+    if content[25:26] not in (b"\x04", b"\x06") and b"tRNS" not in content[: content.find(b"IDAT")]:
         return None  # without unpacking it
     image = _decoded(path, camera, cv2.IMREAD_UNCHANGED)
     alpha = image[..., 3] if image.ndim == 3 and image.shape[2] == 4 else None
@@ -151,14 +135,13 @@ def read_mask(path: str | os.PathLike[str], camera: Camera | None = None) -> np.
 
 def orientation_tags(paths: Iterable[Path]) -> int:
     """How many of these image files, which were read before, have tags that say to turn them."""
-    return sum(stated_orientation(_beginning(path)) != UPRIGHT for path in paths)
-
-
-def _beginning(path: Path) -> bytes:
-    """As much of a file as may state its orientation: images are large."""
-    with path.open("rb") as file:
-        content = file.read(SEARCHED)
-        return content + file.read() if content[:4] in TIFF else content
+    count = 0
+    for path in paths:
+        with path.open("rb") as file:
+            content = file.read(SEARCHED)  # images are large; a TIFF may state its tags at its end
+            content += file.read() if content[:4] in TIFF else b""
+        count += _stated_orientation(content) != UPRIGHT
+    return count
 
 
 def _decoded(path: Path, camera: Camera | None, flags: int) -> np.ndarray:
@@ -200,6 +183,9 @@ def _check_side(path: Path, *sides: int) -> None:
     if max(sides, default=0) > MOST_SIDE or np.prod(sides, dtype=float) > MOST_PIXELS:
         raise InputError(path, "size", f"{' x '.join(map(str, sides))} px",
                          f"give images of at most {MOST_SIDE:,} px a side and {MOST_PIXELS / 1e6:,.0f} megapixels")
+
+
+_changing, _silent = Lock(), []  # one copy of the original standard error for each image that is being decoded
 
 
 @contextmanager
@@ -267,7 +253,6 @@ class ImageSets:
 
     @property
     def count(self) -> int:
-        """A."""
         return len(self.names)
 
 

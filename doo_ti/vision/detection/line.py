@@ -73,14 +73,10 @@ def in_whole_pixels(scale: float, points: np.ndarray, direction: np.ndarray, *va
     return points, *(np.repeat(array, len(between), axis=0) for array in (direction, *values))
 
 
-NEXT_PX = 2.6
-"""Largest distance between points that follow each other."""
-SLOPE, BEND = 0.6, 0.77
-"""Of two points that follow each other: largest share of the step across the direction of either, least cosine between both."""
-SHORTEST_PX = 4.0
-"""Chains that are shorter are noise."""
-END_PX = 8.0
-"""Length of the end of a chain whose direction counts."""
+NEXT_PX = 2.6  # largest distance between points that follow each other
+SLOPE, BEND = 0.6, 0.77  # of these: largest share of the step across the direction of either, least cosine between both
+SHORTEST_PX = 4.0  # chains that are shorter are noise
+END_PX = 8.0  # length of the end of a chain whose direction counts
 
 
 def chains_of(detection: Detection) -> list[np.ndarray]:
@@ -92,10 +88,10 @@ def chains_of(detection: Detection) -> list[np.ndarray]:
     pairs = np.concatenate([pairs, pairs[:, ::-1]])
     one, other = pairs.T
     step = points[other] - points[one]
-    length = np.linalg.norm(step, axis=1)
+    length, normal = np.linalg.norm(step, axis=1), np.stack([-direction[:, 1], direction[:, 0]], axis=1)
     forward = (step * direction[one]).sum(axis=1)
     turned = np.abs((direction[one] * direction[other]).sum(axis=1))
-    aside = np.maximum(np.abs(_cross(step, direction[one])), np.abs(_cross(step, direction[other])))
+    aside = np.maximum(*(np.abs((step * normal[end]).sum(axis=1)) for end in (one, other)))
     fits = (aside <= SLOPE * length) & (turned >= BEND) & (length > 0.3)
     one, other, forward, length, aside = (values[fits] for values in (one, other, forward, length, aside))
     way = (forward > 0).astype(int)
@@ -127,10 +123,6 @@ def outward(chain: np.ndarray, way: int) -> np.ndarray:
     back = points[::-1][min(np.searchsorted(arc, END_PX), len(points) - 1)]
     out = points[-1] - back
     return out / max(np.linalg.norm(out), 1e-12)
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 
 def chain_length(points: np.ndarray) -> float:

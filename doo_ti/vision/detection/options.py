@@ -11,8 +11,7 @@ from doo_ti.system.short_repr import short_repr
 
 METHODS = ("ridge", "canny")
 POLARITIES = ("dark", "light")
-MOST_WIDTH_PX = 1000.0
-"""Largest width of a thread: samples are taken across it."""
+MOST_WIDTH_PX = 1000.0  # largest width of a thread: samples are taken across it
 
 
 @typed

@@ -16,26 +16,19 @@ from scipy.spatial import cKDTree
 
 from doo_ti.vision.detection.line import NEXT_PX, SHORTEST_PX, Detection, chain_length, chains_of, outward
 
-WIDEST_GAP = 0.3
-"""Of the image's height: the longest gap that a path crosses."""
-FORWARD = 0.64
-"""Least cosine between the direction of an end and the way to the next."""
-TURNING = 2.0
-"""Cost in lengths of a gap for each rad that the thread would turn in it."""
+WIDEST_GAP = 0.3  # of the image's height: the longest gap that a path crosses
+FORWARD = 0.64  # least cosine between the direction of an end and the way to the next
+TURNING = 2.0  # cost in lengths of a gap for each rad that the thread would turn in it
 CORNER_PX = 8.0
 """Ends this near to each other are joined whatever their directions: a thread that comes towards the camera and goes back has a
 corner in the image."""
-BESIDE_PX = 6.0
-"""An end this near to the inside of another chain divides it, so that a path may change over."""
+BESIDE_PX = 6.0  # an end this near to the inside of another chain divides it, so that a path may change over
 AGAINST = 0.5
 """Share of the detected line that a path against the given direction must have more: an image of a direction that points at the
 camera says little."""
-CROSSING_PX, NEIGHBOURS = 1.5, 12
-"""Chains cross where points are this near that are not neighbours: so many points apart along one chain."""
-ALIKE_PX = 4.0
-"""Mean distance below which two paths are the same."""
-MOST_JOINTS, MOST_TRIED = 4, 400
-"""Ends that an end is joined to, and parts of paths that are looked at."""
+CROSSING_PX, NEIGHBOURS = 1.5, 12  # chains cross where points are this near that are so many apart along one chain
+ALIKE_PX = 4.0  # mean distance below which two paths are the same
+MOST_JOINTS, MOST_TRIED = 4, 400  # ends that an end is joined to, and parts of paths that are looked at
 
 
 @dataclass(frozen=True)
@@ -56,7 +49,9 @@ class ImagePath:
     @cached_property
     def tangents(self) -> np.ndarray:
         """(M, 2) unit vectors."""
-        ahead = np.gradient(_smoothed(self.points), axis=0)
+        padded = np.pad(self.points, ((2, 2), (0, 0)), mode="reflect", reflect_type="odd")
+        smoothed = np.stack([np.convolve(column, np.full(5, 1 / 5), mode="valid") for column in padded.T], axis=1)
+        ahead = np.gradient(smoothed, axis=0)
         return ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-12)
 
     @property
@@ -100,7 +95,6 @@ class Chains:
 
     @classmethod
     def of(cls, detection: Detection) -> "Chains":
-        """Those of a detection."""
         chains = _divided(chains_of(detection))
         return cls(chains, _joints(chains, WIDEST_GAP * detection.shape[0]) if chains else {})
 
@@ -125,7 +119,10 @@ def paths_from(line: Chains, start: np.ndarray, direction: np.ndarray | None, mo
     found, whole = [], sum(chain_length(points) for points in chains)
     for way in (0, 1):
         rest = chains[first][at:] if way else chains[first][: at + 1][::-1]
-        turn = 0.0 if direction is None or len(rest) < 2 else _angle(-outward(rest, 0), direction)
+        turn = 0.0
+        if direction is not None and len(rest) > 1:
+            cosine = -outward(rest, 0) @ direction / max(np.linalg.norm(outward(rest, 0)) * np.linalg.norm(direction), 1e-12)
+            turn = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
         found += _searched(chains, joints, first, rest, way, AGAINST * (turn / np.pi) ** 2 * whole)
     found.sort(key=lambda one: -one[0])
     kept: list[ImagePath] = []
@@ -139,7 +136,6 @@ def paths_from(line: Chains, start: np.ndarray, direction: np.ndarray | None, mo
 
 
 # --- chains ---------------------------------------------------------------------------------------------------------------
-
 
 def _divided(chains: list[np.ndarray]) -> list[np.ndarray]:
     """The chains, divided where an end of another one meets their inside."""
@@ -228,14 +224,3 @@ def _resampled(pieces: list[np.ndarray], cost: float, whole: float) -> ImagePath
             seen &= ~((place > arc[k - 1]) & (place < arc[k]))
     return ImagePath(np.stack([np.interp(place, arc, column) for column in points.T], axis=1), seen, cost,
                      min(1.0, sum(chain_length(piece) for piece in pieces) / whole))
-
-
-def _smoothed(points: np.ndarray, width: int = 5) -> np.ndarray:
-    """Points averaged over their neighbours."""
-    padded = np.pad(points, ((width // 2, width // 2), (0, 0)), mode="reflect", reflect_type="odd")
-    return np.stack([np.convolve(column, np.full(width, 1 / width), mode="valid") for column in padded.T], axis=1)
-
-
-def _angle(a: np.ndarray, b: np.ndarray) -> float:
-    """rad between two directions."""
-    return float(np.arccos(np.clip(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-12), -1.0, 1.0)))

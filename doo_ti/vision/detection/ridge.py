@@ -14,16 +14,14 @@ middle between its edges does not.
 
 from dataclasses import dataclass, fields, replace
 
+import cv2
 import numpy as np
 
-REACH_PX = 0.75
-"""Pixels this near to a line give a point of it: with this the points are at most a pixel apart in any direction."""
+REACH_PX = 0.75  # pixels this near to a line give a point of it, so that points are at most a pixel apart in any direction
 FIRST_REACH_PX, FIRST_REACH = 2.0, 0.5
 """Bounds of t before edges are found, px and over σ: t is too large away from the ridge, and uncertain on flat ridges."""
-POINTS_PER_PX = 2 * REACH_PX
-"""Mean number of points per px of a line."""
-ROUNDNESS = 0.6
-"""Largest curvature along the line, of the same sign, over that across: where it is larger, there is a speck or a crossing."""
+POINTS_PER_PX = 2 * REACH_PX  # mean number of points per px of a line
+ROUNDNESS = 0.6  # largest curvature along the line, of the same sign, over that across; with more it is a speck or a crossing
 
 
 @dataclass(frozen=True)
@@ -61,8 +59,6 @@ class Curvature:
     """Second and first derivatives of an image (H, W) float32, smoothed by σ px."""
 
     def __init__(self, image: np.ndarray, sigma: float):
-        import cv2
-
         smooth, slope, bend = derivative_kernels(sigma)
         self.sigma = sigma
         self.xx, self.xy, self.yy, self.x, self.y = (
@@ -109,8 +105,6 @@ def derivative_kernels(sigma: float) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 def pieces(ridges: Ridges, strong: float, shortest_px: float) -> np.ndarray:
     """(N,) int: the connected piece of line that a point belongs to; 0 where that is too short, or has no ``strong`` point."""
-    import cv2
-
     if not len(ridges.row):
         return np.zeros(0, dtype=np.int32)
     row, column = ridges.row - ridges.row.min(), ridges.column - ridges.column.min()
@@ -126,11 +120,9 @@ def pieces(ridges: Ridges, strong: float, shortest_px: float) -> np.ndarray:
 # --- the two edges of a line --------------------------------------------------------------------------------------------
 
 STEP_PX = 0.25
-MOST_ROWS = 20_000
-"""Rows that OpenCV samples at once; it takes fewer than 32 768."""
+MOST_ROWS = 20_000  # rows that OpenCV samples at once; it takes fewer than 32 768
 
-EDGE_SIGMA = 1.0
-"""px by which an image is smoothed before edges are sought across a line."""
+EDGE_SIGMA = 1.0  # px by which an image is smoothed before edges are sought across a line
 
 
 @dataclass(frozen=True)
@@ -151,8 +143,6 @@ class Edges:
 
 def gradient(image: np.ndarray) -> np.ndarray:
     """(H, W, 2) grey levels per px: the slope of an image (H, W) float32 smoothed by EDGE_SIGMA, along x and y."""
-    import cv2
-
     smooth, slope, _ = derivative_kernels(EDGE_SIGMA)
     return cv2.merge([cv2.sepFilter2D(image, cv2.CV_32F, across, down, borderType=cv2.BORDER_REPLICATE)
                       for across, down in ((slope, smooth), (smooth, slope))])
@@ -165,8 +155,6 @@ def edges_across(gradients: np.ndarray, point: np.ndarray, normal: np.ndarray, p
                places of samples to 1/32 px: near the slope's extremum that matters little, but differences of the brightness
                would jump.
     """
-    import cv2
-
     if not len(point):
         return Edges(*np.empty((4, 0)))
     middle = int(np.ceil(reach_px / STEP_PX))

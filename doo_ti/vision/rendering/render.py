@@ -15,6 +15,7 @@ from functools import partial
 from io import StringIO
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from doo_ti.rod.types import LARGEST
@@ -25,16 +26,12 @@ from doo_ti.vision.cameras.rig import Rig, save_rig
 from doo_ti.vision.detection.images import SEED
 from doo_ti.vision.rendering.tubes import DRAWN_BLUR_PX, Tube, draw, smooth_curve
 
-PIXEL_BLUR_PX = 12**-0.5
-"""Standard deviation of a pixel's square, over which the sensor integrates the light."""
-MOST_THINGS = 1000
-"""Largest number of objects of each kind beside the thread; the memory for an image grows with them."""
+PIXEL_BLUR_PX = 12**-0.5  # standard deviation of a pixel's square, over which the sensor integrates the light
+MOST_THINGS = 1000  # largest number of objects of each kind beside the thread; the memory for an image grows with them
 MOST_GREY = 1e4
 MOST_BLUR_PX = 100.0
-LEAST_MM, MOST_MM = 1e-3, 1e3
-"""Bounds of diameters, and of marks and the distance between them."""
-BLOB_PX = 120
-"""Size of the background's uneven patches."""
+LEAST_MM, MOST_MM = 1e-3, 1e3  # bounds of diameters, and of marks and the distance between them
+BLOB_PX = 120  # size of the background's uneven patches
 
 
 @dataclass(frozen=True)
@@ -98,9 +95,9 @@ class RenderOptions:
             raise InputError("rendering", "light", f"{self.light}", "give a direction of three numbers, not all zero")
 
 
+# Largest values of options; MOST_GREY for all others.
 MOST = {"occluders": MOST_THINGS, "clutter": MOST_THINGS, "specks": MOST_THINGS, "blur_px": MOST_BLUR_PX, "occluded_share": 1,
         "mark_spacing_mm": MOST_MM, "mark_length_mm": MOST_MM}
-"""Largest values of options; MOST_GREY for all others."""
 
 
 def render_set(rig: Rig, rod: np.ndarray, diameter_mm: float, options: RenderOptions = RenderOptions(),
@@ -194,8 +191,6 @@ def _perpendicular(direction: np.ndarray, random: np.random.Generator) -> np.nda
 
 def _photograph(camera: Camera, scene: list[Tube], options: RenderOptions, random: np.random.Generator) -> np.ndarray:
     """(H, W) uint8: the scene through lens, sensor and compression."""
-    import cv2
-
     light = np.array(options.light) / np.linalg.norm(options.light)
     image = draw(camera, scene, _background(camera, options, random), light, options.shading)
     rest = options.blur_px**2 + PIXEL_BLUR_PX**2 - DRAWN_BLUR_PX**2
@@ -212,8 +207,6 @@ def _photograph(camera: Camera, scene: list[Tube], options: RenderOptions, rando
 
 def _background(camera: Camera, options: RenderOptions, random: np.random.Generator) -> np.ndarray:
     """(H, W) float32: an evenly or unevenly lit surface."""
-    import cv2
-
     coarse = random.standard_normal((2 + camera.height // BLOB_PX, 2 + camera.width // BLOB_PX), dtype=np.float32)
     patches = cv2.resize(coarse, (camera.width, camera.height), interpolation=cv2.INTER_CUBIC)
     ramp = np.linspace(-0.5, 0.5, camera.width, dtype=np.float32)
@@ -293,8 +286,6 @@ def _files(photographs: Photographs, index: int) -> list[str]:
 
 def _save_set(folder: Path, photographs: Photographs, index: int) -> None:
     """Write the images of one set, compressed once, as files."""
-    import cv2
-
     quality = photographs.options.jpeg_quality
     raw = replace(photographs, options=replace(photographs.options, jpeg_quality=None))
     how = [] if quality is None else [cv2.IMWRITE_JPEG_QUALITY, int(quality)]

@@ -13,10 +13,8 @@ import numpy as np
 from doo_ti.rod.frames import unit_vectors
 from doo_ti.vision.cameras.camera import Camera
 
-DRAWN_BLUR_PX = 6**-0.5
-"""Standard deviation of the hat function over which a pixel integrates."""
-ACROSS = 4
-"""Number of places across the covered part of a pixel where shading is evaluated."""
+DRAWN_BLUR_PX = 6**-0.5  # standard deviation of the hat function over which a pixel integrates
+ACROSS = 4  # number of places across the covered part of a pixel where shading is evaluated
 
 
 @dataclass(frozen=True)
@@ -44,7 +42,10 @@ def draw(camera: Camera, tubes: list[Tube], background: np.ndarray, light: np.nd
     image = np.array(background, dtype=np.float32)
     if not tubes:
         return image
-    segments = _join([_segments(camera, tube, light) for tube in tubes])
+    parts = [_segments(camera, tube, light) for tube in tubes]
+    segments = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    tube = np.repeat(np.arange(len(parts)), [len(part["depth"]) for part in parts])
+    segments["number"] = np.arange(len(tube)) + 2 * tube  # between tubes it leaves a gap, as between strands
     strands = _strands(*_covered(segments, *image.shape), segments)
     pixel, cover, grey, depth = _shaded(*strands, segments, shading)
     order = np.lexsort((depth, pixel))
@@ -88,13 +89,6 @@ def _segments(camera: Camera, tube: Tube, light: np.ndarray) -> dict[str, np.nda
     }
     seen = np.isfinite(centre[:-1] + centre[1:] + (left + right)[:-1] + (left + right)[1:]).all(axis=1)
     return {name: value[seen] for name, value in found.items()}
-
-
-def _join(parts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """One table of all segments; between tubes the numbering leaves a gap, as between strands."""
-    joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    tube = np.repeat(np.arange(len(parts)), [len(part["depth"]) for part in parts])
-    return joined | {"number": np.arange(len(tube)) + 2 * tube}
 
 
 def _covered(segments: dict[str, np.ndarray], height: int, width: int) -> tuple[np.ndarray, ...]:

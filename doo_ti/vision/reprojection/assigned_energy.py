@@ -40,8 +40,7 @@ from doo_ti.vision.reprojection.sampling import CAMERA_COLUMNS, Projection, bent
 
 NU, EDGES, PLACES, SOFT, COLUMNS = range(CAMERA_COLUMNS, CAMERA_COLUMNS + 5)
 """Columns of a row and camera after the camera's: ν, edges, places of an edge, 1/h²."""
-POINT = 6
-"""Numbers of a place in the field: q, √(w n nᵀ + w a t tᵀ) as a symmetric matrix (11, 12, 22), and w."""
+POINT = 6  # numbers of a place in the field: q, √(w n nᵀ + w a t tᵀ) as a symmetric matrix (11, 12, 22), and w
 
 
 @typed
@@ -85,12 +84,10 @@ class AssignedPoints(External):
 
     @property
     def count(self) -> int:
-        """R."""
         return len(self.weight)
 
     @property
     def vertices(self) -> int:
-        """E + 1."""
         return self.weight.shape[2] + 1
 
     def numbers(self) -> np.ndarray:
@@ -111,7 +108,6 @@ class AssignedPoints(External):
 
     @staticmethod
     def functions(number: Number) -> ExternalFunctions:
-        """On the device."""
         energy = AssignedEnergy(number)
         return ExternalFunctions(energy.load, energy.evaluate)
 

@@ -20,16 +20,11 @@ from doo_ti.system.errors import InputError
 from doo_ti.system.short_repr import short_repr
 from doo_ti.vision.detection.line import Detection
 
-HALF_LENGTH_PX = 0.5
-"""Half the length of a piece, and half the largest spacing of points along the line."""
-SMALLEST_MARGIN_PX = 2
-"""With this a window is at least three pixels wide, the least that sampling needs."""
-AROUND = 3
-"""px: pieces of pixels this near to a pixel's piece are compared too, since neighbours may miss the nearest one."""
-NEAR_PX = 25.0
-"""Distance up to which they are compared; farther out the error without it is up to 0.07 px, near the centre of a circle."""
-PIXELS_AT_ONCE = 1 << 24
-"""Approximate number of pixels that are searched at a time, which bounds the memory."""
+HALF_LENGTH_PX = 0.5  # half the length of a piece, and half the largest spacing of points along the line
+SMALLEST_MARGIN_PX = 2  # with this a window is at least three pixels wide, the least that sampling needs
+AROUND = 3  # px: pieces of pixels this near to a pixel's piece are compared too, since neighbours may miss the nearest one
+NEAR_PX = 25.0  # distance up to which they are compared; beyond, distances near a circle's centre are up to 0.07 px off
+PIXELS_AT_ONCE = 1 << 24  # approximate number of pixels that are searched at a time, which bounds the memory
 
 
 @typed

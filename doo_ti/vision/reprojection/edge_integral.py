@@ -38,10 +38,8 @@ COLUMNS = POINTS + 3
 CREASE = 13 / 32
 """px: the spline's value of |x| at x = 0, on average over places between pixels. It is subtracted; otherwise a perfect image
 would cost in proportion to its length, and rods would gain by making their images shorter."""
-UNSEEN = 1e5
-"""px²: constant cost of an edge behind a camera."""
-SLOWEST = 1e-6
-"""px: least length of an edge's image, for edges that point at the camera."""
+UNSEEN = 1e5  # px²: constant cost of an edge behind a camera
+SLOWEST = 1e-6  # px: least length of an edge's image, for edges that point at the camera
 
 
 # Here most numbers are used once: they are evaluated where they get a name.
@@ -56,7 +54,6 @@ def added(total, terms) -> tuple:
 
 
 # --- in the image plane -----------------------------------------------------------------------------------------------
-
 
 @picked
 def contracted(t, v) -> tuple:
@@ -113,7 +110,6 @@ def convex(second):
 
 
 # --- from the image plane to points in space: X = y1/y3, Y = y2/y3, and w = (d1 − X d3, d2 − Y d3) ----------------------------
-
 
 @picked
 def by_point(e, rest, x, inverse) -> tuple:
@@ -288,8 +284,7 @@ class EdgeIntegral:
         form = scaled(plus(scaled(f.curvature, m.value), scaled(
             plus(twice_symmetric(f.slope, m.slope), scaled(m.curvature, f.value)), fine)), inverse)
         gradient_y = by_point(e, inverse * f.value * m.value, x, inverse)
-        curvature_yy = twice_by_point(
-            form, scaled(i, fine), scaled(e, fine) + (fine * f.value * m.value,), x, inverse)
+        curvature_yy = twice_by_point(form, scaled(i, fine), scaled(e, fine) + (fine * f.value * m.value,), x, inverse)
         g = inverse * f.value
         gradient_d = (g * m.along[0], g * m.along[1], 0.0 - g * (x0 * m.along[0] + x1 * m.along[1]))
         swing = scaled(m.swing, m.slower)

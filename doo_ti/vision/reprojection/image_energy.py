@@ -46,8 +46,7 @@ from doo_ti.vision.reprojection.edge_integral import (
 from doo_ti.vision.reprojection.sampling import SMALLEST, camera_table
 from doo_ti.vision.reprojection.triangulation import rays
 
-NU = COLUMNS
-"""The column of ν, after those of the edge integral."""
+NU = COLUMNS  # the column of ν, after those of the edge integral
 
 
 @typed
@@ -79,7 +78,20 @@ class Reprojection(External):
     has_coarse: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        _check_maps(self.maps, self.rig)
+        window, values, cameras = np.asarray(self.maps.window), self.maps.values, len(self.rig.cameras)
+        if np.ndim(values) != 1 or np.asarray(values).dtype.kind != "f":
+            raise InputError("maps", "values", f"shape {np.shape(values)}", "give all maps' distances as one vector")
+        if window.ndim != 3 or window.shape[1:] != (cameras, 5):
+            raise InputError("maps", "window", f"shape {window.shape}",
+                             f"give (A, {cameras}, 5), a map for each camera of the rig")
+        if window.dtype.kind not in "iu":
+            raise InputError("maps", "window", f"dtype {window.dtype}", "give whole numbers")
+        if ((window[..., 3:] < SMALLEST) | (window[..., 3:] > MOST_NUMBERS // SMALLEST)).any():
+            raise InputError("maps", "window", f"{window[..., 3:].min()} to {window[..., 3:].max()} px across",
+                             f"give windows of {SMALLEST} px or more that lie within the values")
+        ends = window[..., 0] + window[..., 3] * window[..., 4]
+        if (window[..., 0] < 0).any() or (ends > np.size(values)).any() or np.size(values) > MOST_NUMBERS:
+            raise InputError("maps", "values", f"{np.size(values)} distances", f"give the {ends.max()} that the windows need")
         for name in ("nu", "cap", "reach"):
             value = getattr(self, name)
             number = isinstance(value, int | float | np.number) and np.isfinite(value)
@@ -90,7 +102,6 @@ class Reprojection(External):
 
     @property
     def count(self) -> int:
-        """A."""
         return len(self.maps.window)
 
     def numbers(self) -> np.ndarray:
@@ -108,7 +119,6 @@ class Reprojection(External):
 
     @staticmethod
     def functions(number: Number) -> ExternalFunctions:
-        """On the device."""
         energy = ImageEnergy(number)
         return ExternalFunctions(energy.load, energy.evaluate)
 
@@ -138,25 +148,7 @@ class ImageEnergy:
         return weighted(total, nu)
 
 
-def _check_maps(maps: DistanceMaps, rig: Rig) -> None:
-    """Raise InputError unless every window can be sampled and lies within the values."""
-    window, cameras = np.asarray(maps.window), len(rig.cameras)
-    if np.ndim(maps.values) != 1 or np.asarray(maps.values).dtype.kind != "f":
-        raise InputError("maps", "values", f"shape {np.shape(maps.values)}", "give all maps' distances as one vector")
-    if window.ndim != 3 or window.shape[1:] != (cameras, 5):
-        raise InputError("maps", "window", f"shape {window.shape}", f"give (A, {cameras}, 5), a map for each camera of the rig")
-    if window.dtype.kind not in "iu":
-        raise InputError("maps", "window", f"dtype {window.dtype}", "give whole numbers")
-    if ((window[..., 3:] < SMALLEST) | (window[..., 3:] > MOST_NUMBERS // SMALLEST)).any():
-        raise InputError("maps", "window", f"{window[..., 3:].min()} to {window[..., 3:].max()} px across",
-                         f"give windows of {SMALLEST} px or more that lie within the values")
-    ends = window[..., 0] + window[..., 3] * window[..., 4]
-    if (window[..., 0] < 0).any() or (ends > np.size(maps.values)).any() or np.size(maps.values) > MOST_NUMBERS:
-        raise InputError("maps", "values", f"{np.size(maps.values)} distances", f"give the {ends.max()} that the windows need")
-
-
-NEAR_PX = 3.0
-"""A detected point this near to the rod's image is explained."""
+NEAR_PX = 3.0  # A detected point this near to the rod's image is explained
 
 
 @dataclass(frozen=True)

@@ -33,8 +33,7 @@ from doo_ti.vision.reprojection.triangulation import Points
 COLUMNS = ("observation", "camera", "mark", "u_px", "v_px")
 LABELS = {"end_distance_mm": "end_distance", "end_rotation_deg": "end_rotation", "total_twist_deg": "total_twist"}
 FEWEST_MARKS = 3
-MOST_UNLABELLED = 100
-"""Marks of all observations and cameras for each that is labelled."""
+MOST_UNLABELLED = 100  # marks of all observations and cameras for each that is labelled
 
 
 @dataclass(frozen=True)

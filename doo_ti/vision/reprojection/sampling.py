@@ -13,18 +13,7 @@ from functools import partial
 import numpy as np
 import taichi as ti
 
-from doo_ti.physics.tuples import (
-    applied,
-    dot,
-    full,
-    plus,
-    put_lane,
-    record,
-    repeated,
-    times_transposed,
-    traced,
-    transposed,
-)
+from doo_ti.physics.tuples import applied, dot, full, plus, put_lane, record, repeated, times_transposed, traced, transposed
 from doo_ti.physics.tuples import row as row_of
 from doo_ti.vision.cameras import camera
 from doo_ti.vision.cameras.rig import Rig
@@ -32,16 +21,13 @@ from doo_ti.vision.cameras.rig import Rig
 # Columns of a camera: the lens, the square X² + Y² up to which it maps outwards, R by rows and t in mm.
 WIDEST = camera.LENS
 ROTATION, TRANSLATION, CAMERA_COLUMNS = WIDEST + 1, WIDEST + 10, WIDEST + 13
-NEAREST = 1.0
-"""mm: points at less depth are not seen."""
-WIDEST_OF_ALL = 100.0
-"""Bound of X² + Y² for any lens: 84° off the axis."""
+NEAREST = 1.0  # mm: points at less depth are not seen
+WIDEST_OF_ALL = 100.0  # bound of X² + Y² for any lens: 84° off the axis
 
 
 def camera_table(rig: Rig) -> np.ndarray:
     """(C, CAMERA_COLUMNS) float64, in the columns above."""
-    return np.array([[*entry.lens, _widest(entry.lens), *entry.rotation.ravel(), *entry.translation]
-                     for entry in rig.cameras])
+    return np.array([[*entry.lens, _widest(entry.lens), *entry.rotation.ravel(), *entry.translation] for entry in rig.cameras])
 
 
 def _widest(lens: np.ndarray) -> float:
@@ -60,13 +46,9 @@ def _evaluated(value):
     return value
 
 
-def _of_the_lens(function):
-    """A function of a lens and (X, Y) for kernels."""
-    return traced(partial(function, kept=_evaluated))
-
-
 bent, bent_slope, bent_curvature, bent_third = (
-    _of_the_lens(function) for function in (camera.bent, camera.bent_slope, camera.bent_curvature, camera.bent_third))
+    traced(partial(function, kept=_evaluated))
+    for function in (camera.bent, camera.bent_slope, camera.bent_curvature, camera.bent_third))
 
 
 @ti.data_oriented
@@ -90,8 +72,7 @@ class Projection:
     @ti.func
     def rotation(self, numbers: ti.template(), c):
         """R of camera c."""
-        return (self.three(numbers, c, ROTATION) + self.three(numbers, c, ROTATION + 3)
-                + self.three(numbers, c, ROTATION + 6))
+        return (self.three(numbers, c, ROTATION) + self.three(numbers, c, ROTATION + 3) + self.three(numbers, c, ROTATION + 6))
 
     @ti.func
     def lens(self, numbers: ti.template(), c):
@@ -150,8 +131,7 @@ class Projection:
 
 # Columns of a window: where its distances start in the values, and the pixels it covers.
 OFFSET, LEFT, TOP, WIDTH, HEIGHT, WINDOW_COLUMNS = 0, 1, 2, 3, 4, 5
-SMALLEST = 3
-"""Pixels across a window that can be sampled."""
+SMALLEST = 3  # pixels across a window that can be sampled
 
 
 @traced

@@ -16,12 +16,10 @@ from doo_ti.vision.cameras.camera import Camera
 from doo_ti.vision.cameras.least_squares import least_squares
 from doo_ti.vision.cameras.rig import Rig
 
-SMALLEST_ANGLE = np.radians(0.5)
-"""Rays closer to parallel than this have no point nearest to them."""
+SMALLEST_ANGLE = np.radians(0.5)  # rays closer to parallel than this have no point nearest to them
 MOST_STEPS = 30
 FINE_MM = 1e-9
-AMBIGUITY = 9.0
-"""χ² by which leaving out one label must be better than leaving out another: three standard deviations."""
+AMBIGUITY = 9.0  # χ² by which leaving out one label must be better than leaving out another: three standard deviations
 
 
 class MarkStatus(IntEnum):
@@ -35,8 +33,7 @@ class MarkStatus(IntEnum):
     DEGENERATE = 4
 
 
-MOST = 1e9
-"""Of options: squares of much larger numbers overflow."""
+MOST = 1e9  # of options: squares of much larger numbers overflow
 
 
 @dataclass(frozen=True)

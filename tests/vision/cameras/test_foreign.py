@@ -8,7 +8,7 @@ from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras.camera import Camera, rational_of_fisheye
 from doo_ti.vision.cameras.foreign import POSES, RigReading
 from doo_ti.vision.cameras.rig import Rig, load_rig, save_rig
-from tests.vision.cameras.test_rig import rig
+from tests.vision.boards import around
 
 MATRIX = np.array([[610.0, 0, 633], [0, 612, 471], [0, 0, 1]])
 SIZE = 1280, 960
@@ -32,9 +32,9 @@ def stereo(path, names=("K", "D", "R", "T"), size=True, coefficients=(-0.2, 0.05
     storage.release()
 
 
-@pytest.mark.parametrize("names", [("K", "D", "R", "T"), ("M", "D", "R", "T"), ("cameraMatrix", "distCoeffs", "R", "T")])
-@pytest.mark.parametrize("coefficients", [
-    (-0.2, 0.05, 1e-3, -5e-4, 0.01), (-0.1, 0.02, 1e-3, 0, 0.01, 0.05, -0.01, 0.002), (0.1, 0.1, 0.1, 0.1)])
+@pytest.mark.parametrize("names, coefficients", [
+    (("K", "D", "R", "T"), (-0.2, 0.05, 1e-3, -5e-4, 0.01)), (("cameraMatrix", "distCoeffs", "R", "T"), (0.1, 0.1, 0.1, 0.1)),
+    (("M", "D", "R", "T"), (-0.1, 0.02, 1e-3, 0, 0.01, 0.05, -0.01, 0.002))])
 def test_opencv_s_stereo_files(tmp_path, names, coefficients):
     stereo(tmp_path / "stereo.yml", names, coefficients=coefficients)
     found = load_rig(tmp_path / "stereo.yml")
@@ -150,14 +150,14 @@ MEANT = {
 @pytest.mark.parametrize("poses", POSES)
 def test_other_poses_and_units_are_read_and_recognised(tmp_path, poses, unit):
     cameras = []
-    for camera in rig().cameras:
+    for camera in around().cameras:
         turn, shift = MEANT[poses](camera)
         cameras.append(Camera(camera.name, camera.width, camera.height, camera.matrix, camera.distortion, turn,
                               shift / (1000 if unit == "m" else 1)))
     save_rig(tmp_path / "rig.yaml", Rig(tuple(cameras)))
     seen = np.array([[20.0, 10, 0], [25, 12, 3], [-20, 8, -4], [2, -15, 9]])
     found = load_rig(tmp_path / "rig.yaml", RigReading(unit, poses))
-    np.testing.assert_allclose(found.project(seen), rig().project(seen), atol=1e-8)
+    np.testing.assert_allclose(found.project(seen), around().project(seen), atol=1e-8)
     found.check_sight(seen, "the seed")
     doubtful = load_rig(tmp_path / "rig.yaml")
     if (poses, unit) == ("opencv", "mm"):

@@ -23,6 +23,7 @@ def grey(*strokes) -> np.ndarray:
     return cv2.cvtColor(drawn(*strokes), cv2.COLOR_BGR2GRAY)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("light", [WHITE, (255, 255, 255), (150, 150, 150)])
 def test_a_glint_within_the_thread(light):
     """The thread is wider there, and as light in its middle as the paper."""
@@ -39,6 +40,7 @@ def test_a_needle_is_wider_than_its_thread():
     assert recall > 0.97 and precision > 0.98
 
 
+@pytest.mark.thorough
 def test_what_crosses_or_lies_alone_is_not_the_thread():
     """A wider line that begins at no end of the thread."""
     curve, other = wave(), np.stack([np.linspace(300, 330, 200), np.linspace(20, 380, 200)], axis=1)
@@ -46,6 +48,7 @@ def test_what_crosses_or_lies_alone_is_not_the_thread():
     assert (cKDTree(curve).query(found.points)[0] <= 4.0).mean() > 0.97
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("apart", [4.0, 6.0])
 def test_strands_side_by_side_are_two_lines(apart):
     """Where they touch, nothing is put between them."""

@@ -1,9 +1,5 @@
 """The thread's centre line in rendered images and in images made by another renderer."""
 
-import os
-import struct
-from concurrent.futures import ThreadPoolExecutor
-
 import cv2
 import numpy as np
 import pytest
@@ -12,16 +8,13 @@ from doo_ti import DetectionOptions, InputError, detect, load_rig
 from doo_ti.vision.detection.images import read_image
 from doo_ti.vision.rendering.render import RenderOptions, render_set
 from doo_ti.vision.rendering.tubes import smooth_curve
-from tests.vision.scenes import against, bow, small_rig
+from tests.vision.scenes import against, bow, normals, small_rig
 
 PLAIN = RenderOptions(noise=2, shading=0, jpeg_quality=None)
 LINE = smooth_curve(bow(), 20)
 
 
-DEFAULT = DetectionOptions()
-
-
-def errors(options: RenderOptions, diameter: float, detection: DetectionOptions = DEFAULT):
+def errors(options: RenderOptions, diameter: float, detection: DetectionOptions = DetectionOptions()):
     """Errors, completeness and false points over the small rig's images, and the last detection."""
     found = [detect(image, detection) for image in render_set(small_rig(), bow(), diameter, options, 7)]
     parts = [against(one, camera.project(LINE)) for one, camera in zip(found, small_rig().cameras)]
@@ -29,11 +22,9 @@ def errors(options: RenderOptions, diameter: float, detection: DetectionOptions 
     return np.concatenate(error), min(complete), max(false), found[-1]
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("options, diameter, polarity", [
-    (PLAIN, 1.3, "dark"),
-    (PLAIN, 4.0, "dark"),
-    (RenderOptions(thread=180, background=50, shading=0), 1.3, "light"),
-])
+    (PLAIN, 1.3, "dark"), (RenderOptions(thread=180, background=50, shading=0), 1.3, "light"), (PLAIN, 4.0, "dark")])
 def test_the_centre_line_is_found(options, diameter, polarity):
     error, complete, false, found = errors(options, diameter)
     assert abs(error.mean()) < 0.03 and np.median(np.abs(error)) < 0.05 and np.quantile(np.abs(error), 0.95) < 0.15
@@ -46,9 +37,8 @@ def test_directions_are_tangents_and_points_are_dense():
     found = errors(PLAIN, 1.3)[-1]
     line = small_rig().cameras[-1].project(smooth_curve(bow(), 200))
     nearest = np.linalg.norm(found.points[:, None] - line, axis=-1).argmin(axis=1)
-    along = np.gradient(line, axis=0)
-    along /= np.linalg.norm(along, axis=1)[:, None]
-    assert np.median(np.abs((along[nearest] * found.direction).sum(axis=1))) > 0.999
+    across = (normals(line)[nearest] * found.direction).sum(axis=1)
+    assert np.median(np.abs(across)) < np.sqrt(1 - 0.999**2)
     place = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     assert np.diff(np.sort(place[nearest])).max() < 1.15
 
@@ -111,39 +101,3 @@ def test_bad_options_are_refused(change):
         DetectionOptions(**change)
     with pytest.raises(InputError, match="image"):
         detect(np.zeros((10, 10, 3)))
-
-
-def test_bad_image_files_are_refused(tmp_path):
-    with pytest.raises(InputError, match="no such file"):
-        read_image(tmp_path / "none.png")
-    (tmp_path / "text.png").write_text("no image")
-    (tmp_path / "empty.png").write_bytes(b"")
-    for name in ("text.png", "empty.png"):
-        with pytest.raises(InputError, match=name):
-            read_image(tmp_path / name)
-    cv2.imwrite(str(tmp_path / "small.png"), np.zeros((20, 30), np.uint8))
-    with pytest.raises(InputError, match="30 x 20 px, but cam0"):
-        read_image(tmp_path / "small.png", small_rig().cameras[0])
-
-
-def test_libraries_say_nothing_of_damaged_images(tmp_path, capfd):
-    """Of such as begin and end well, too, and from several threads; afterwards the standard error is heard again."""
-    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((20, 30), np.uint8))
-    good = (tmp_path / "a.png").read_bytes()
-    at = good.index(b"IDAT")
-    (length,) = struct.unpack(">I", good[at - 4:at])
-    wrong_sum = good[:at + 4 + length] + b"wrng" + good[at + 8 + length:]
-    damaged = {"wrong_sum.png": wrong_sum, "wrong_depth.png": good[:24] + b"\x03" + good[25:], "cut.png": good[:-20]}
-    for name, content in damaged.items():
-        (tmp_path / name).write_bytes(content)
-
-    def read(name: str) -> bool:
-        try:
-            return read_image(tmp_path / name).shape == (20, 30)
-        except InputError:
-            return False
-
-    with ThreadPoolExecutor(4) as threads:
-        read_well = dict(zip(["a.png", *damaged], threads.map(read, ["a.png", *damaged] * 20)))
-    os.write(2, b"heard")
-    assert capfd.readouterr().err == "heard" and read_well["a.png"] and not read_well["cut.png"]

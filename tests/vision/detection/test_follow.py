@@ -53,7 +53,7 @@ def test_a_striped_thread_is_followed_at_its_middle_past_others():
     assert np.median(np.abs((along * found.direction).sum(axis=1))) > 0.99
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("colour", [RED, YELLOW, (40, 40, 40)])
 @pytest.mark.parametrize("aside", [5.0, 8.0])
 def test_the_shadow_beside_a_cable_is_no_part_of_it(colour, aside):
@@ -69,7 +69,8 @@ def test_the_shadow_beside_a_cable_is_no_part_of_it(colour, aside):
         assert min(shares(follow(image, tuple(beside(curve, shift)[900])).points, curve, 1.7)) > 0.97
 
 
-@pytest.mark.parametrize("width", [2, *(pytest.param(width, marks=pytest.mark.thorough) for width in (60, 150))])
+@pytest.mark.thorough
+@pytest.mark.parametrize("width", [2, 60, 150])
 def test_threads_of_any_width(width):
     scale = max(1.0, width / 20)
     curve, size = wave(scale=scale), (int(SIZE[0] * scale), int(SIZE[1] * scale))
@@ -104,10 +105,9 @@ def test_more_points_than_opencv_samples_at_once():
 @pytest.mark.parametrize("width", [3, 9, 40])
 def test_the_centre_line_of_a_mask(width, rough):
     """The mask is smoothed noise and threshold, so that its border is rough."""
-    x, y = np.meshgrid(np.arange(600), np.arange(400))
-    curve = wave()
-    distance = cKDTree(curve).query(np.stack([x, y], axis=-1).reshape(-1, 2))[0].reshape(x.shape)
-    noise = cv2.GaussianBlur(np.random.default_rng(1).normal(0, rough, x.shape), (0, 0), 1) / 25
+    curve, pixels = wave(), np.stack(np.meshgrid(np.arange(600), np.arange(400)), axis=-1)
+    distance = cKDTree(curve).query(pixels, distance_upper_bound=2.0 * width)[0]
+    noise = cv2.GaussianBlur(np.random.default_rng(1).normal(0, rough, SIZE), (0, 0), 1) / 25
     found = detect_mask(distance + noise < width / 2)
     assert min(shares(found.points, curve, 1.5 if width < 40 else 3)) > 0.97
     assert found.width_px == pytest.approx(width, abs=1.5) and found.width.shape == (found.count,)
@@ -137,7 +137,6 @@ def test_bad_input_is_refused(call, word):
 
 
 # --- photographs -----------------------------------------------------------------------------------------------------
-
 
 def cables(folder, kind: str):
     """(picture, mask, (N, 2) px of its middle, a pixel of it that no other cable hides) of each cable."""

@@ -1,9 +1,12 @@
 """Rendered images against the projection they were made with."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import map_coordinates
 
 from doo_ti.system.errors import InputError
 from doo_ti.vision.rendering.render import RenderOptions, render_set
@@ -33,19 +36,12 @@ def test_a_line_lies_and_is_as_wide_as_the_projection_says(diameter):
         line = camera.project(curve)[20:-20:3]
         across = np.arange(-15, 15.01, 0.25)
         at = line[:, None] + across[:, None] * normals(camera.project(curve))[20:-20:3, None]
-        # Cubic interpolation without OpenCV's rounding of places.
-        spline = _bicubic(image, at)
+        spline = map_coordinates(image, [at[..., 1], at[..., 0]], order=3)  # without OpenCV's rounding of places
         mass = spline.sum(axis=1)
         centre = (spline * across).sum(axis=1) / mass
         assert np.abs(centre).max() < 0.02 and abs(centre.mean()) < 5e-3
         wanted = diameter * camera.matrix[0, 0] / camera.depth(curve)[20:-20:3]
         np.testing.assert_allclose(mass * 0.25 / 150, wanted, rtol=0.02)
-
-
-def _bicubic(image: np.ndarray, at: np.ndarray) -> np.ndarray:
-    from scipy.ndimage import map_coordinates
-
-    return map_coordinates(image, [at[..., 1], at[..., 0]], order=3)
 
 
 def test_the_nearer_strand_covers_the_farther():
@@ -84,7 +80,7 @@ def test_occluders_hide_about_the_share_that_was_asked_for():
     hidden = []
     for seed in range(6):
         plain = render_set(small_rig(), bow(), 1.3, EXACT, seed)
-        shut = render_set(small_rig(), bow(), 1.3, RenderOptions(**{**EXACT.__dict__, "occluders": 2, "occluder": 200}), seed)
+        shut = render_set(small_rig(), bow(), 1.3, replace(EXACT, occluders=2, occluder=200), seed)
         hidden += [1 - np.sum(200.0 - b) / np.sum(200.0 - a) for a, b in zip(plain, shut)]
     assert 0.1 < np.mean(hidden) < 0.35
 

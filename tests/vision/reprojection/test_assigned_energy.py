@@ -1,14 +1,14 @@
 """E_back on the device: energy, gradient and curvature of an edge against a formula and finite differences of it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-import taichi as ti
 
 from doo_ti.physics.number import Number
-from doo_ti.physics.view import Scratch
 from doo_ti.system.errors import InputError
 from doo_ti.vision.reprojection.assigned_energy import AssignedPoints
-from tests.vision.device import every_number, row_kernel
+from tests.vision.device import edge_kernel, every_number
 from tests.vision.drawn_maps import three_cameras
 
 ROWS, EDGES, PLACES, NU = 6, 4, 3, 2.5
@@ -41,17 +41,8 @@ def formula(external: AssignedPoints, row: int, edge: int, start: np.ndarray, en
 
 
 def on_device(number: Number, external: AssignedPoints, rows: np.ndarray, coarse: float = 0.0) -> np.ndarray:
-    functions, memory = AssignedPoints.functions(number), Scratch(number, 1)
-
-    @ti.func
-    def function(scratch: ti.template(), numbers: ti.template(), values: ti.template()):
-        start, end = (scratch[3], scratch[4], scratch[5]), (scratch[6], scratch[7], scratch[8])
-        own = memory.view(scratch, 0, AssignedPoints.layout)
-        energy, g, gs, k, ks, kss = functions.evaluate(own, numbers, values, start, end, scratch[9])
-        return (energy,) + g + gs + k + ks + kss
-
-    return row_kernel(number, 10, 28, function)(np.column_stack([rows, np.full(len(rows), coarse)]), external.numbers(),
-                                                external.field())
+    rows = np.column_stack([rows, np.full(len(rows), coarse)])
+    return edge_kernel(number, AssignedPoints)(rows, external.numbers(), external.field())
 
 
 def edges(rng) -> np.ndarray:
@@ -107,9 +98,7 @@ def test_coarse_curvature_is_positive_semidefinite(assigned, rng):
 
 
 def test_wrong_input_is_refused(assigned):
-    for change, word in (({"weight": assigned.weight[:, :2]}, "points, weight"), ({"nu": -1.0}, "nu"),
-                         ({"along": 2.0}, "along"),
-                         ({"weight": -assigned.weight}, "negative"), ({"tangent": assigned.points[..., :1]}, "tangent")):
+    for change, word in (({"weight": assigned.weight[:, :2]}, "points, weight"), ({"weight": -assigned.weight}, "negative"),
+                         ({"tangent": assigned.points[..., :1]}, "tangent"), ({"nu": -1.0}, "nu"), ({"along": 2.0}, "along")):
         with pytest.raises(InputError, match=word):
-            AssignedPoints(**({"rig": assigned.rig, "points": assigned.points, "tangent": assigned.tangent,
-                               "weight": assigned.weight, "nu": NU} | change))
+            replace(assigned, **change)

@@ -7,7 +7,6 @@ import pytest
 
 from doo_ti import Detection, InputError, detect
 from doo_ti.vision.rendering.render import RenderOptions, render_set
-from doo_ti.vision.rendering.tubes import smooth_curve
 from doo_ti.vision.reprojection.distance_map import NEAR_PX, distance_maps
 from tests.vision.scenes import bow, small_rig
 
@@ -62,19 +61,6 @@ def test_the_valley_does_not_ripple_along_the_line():
     exact = np.abs(np.hypot(x - 200.3, y - 170.6) - radius)
     off = np.abs(image_of(maps, 0, 0) - exact)
     assert off[exact < NEAR_PX - 1].max() < 0.01 and off.max() < 0.1
-
-
-def test_maps_of_rendered_threads_are_as_exact_as_the_detection():
-    rig = small_rig()
-    found = [detect(image) for image in render_set(rig, bow(), 1.3, RenderOptions(shading=0), 3)]
-    maps = distance_maps([found])
-    line = rig.cameras[0].project(smooth_curve(bow(), 4)[8:-8])
-    _, left, top, _, _ = maps.window[0, 0]
-    column, row = np.rint(line - (left, top)).astype(int).T
-    curve = rig.cameras[0].project(smooth_curve(bow(), 100))
-    pixel = np.stack([column + left, row + top], axis=1)
-    exact = np.linalg.norm(pixel[:, None] - curve, axis=-1).min(axis=1)
-    assert np.abs(image_of(maps, 0, 0)[row, column] - exact).max() < 0.15
 
 
 def test_windows_stay_within_the_image_and_do_not_depend_on_the_batch():

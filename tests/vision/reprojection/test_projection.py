@@ -57,16 +57,13 @@ def lens_kernel(number):
     return row_kernel(number, 2, 12, function)
 
 
-def numbers_of(rig: Rig) -> np.ndarray:
-    return camera_table(rig)[None]
-
-
+@pytest.mark.sampled(1)
 @every_number
 def test_pixels_and_their_speed(number, rng):
     rig = three_cameras()
     camera = rig.cameras[CAMERA]
     points, directions = rng.uniform(-60, 60, (37, 3)), rng.normal(size=(37, 3))
-    found = point_kernel(number)(np.concatenate([points, directions], axis=1), numbers_of(rig), np.zeros(1))
+    found = point_kernel(number)(np.concatenate([points, directions], axis=1), camera_table(rig)[None], np.zeros(1))
     exact = number.bits == 64
     np.testing.assert_allclose(found[:, :2], camera.project(points), atol=1e-9 if exact else 4e-4)
     np.testing.assert_allclose(found[:, :2], [project(camera, point) for point in points], atol=1e-9 if exact else 4e-4)
@@ -76,6 +73,7 @@ def test_pixels_and_their_speed(number, rng):
     np.testing.assert_allclose(found[:, 4:], directions, atol=1e-12 if exact else 1e-5)
 
 
+@pytest.mark.sampled(1)
 @every_number
 def test_derivatives_of_the_lens(number, rng):
     """Each order is the derivative of the one before, which the Jacobian's is of the projection itself."""
@@ -84,7 +82,7 @@ def test_derivatives_of_the_lens(number, rng):
     kernel = lens_kernel(number)
 
     def at(shift):
-        return kernel(places + shift, numbers_of(rig), np.zeros(1))
+        return kernel(places + shift, camera_table(rig)[None], np.zeros(1))
 
     step = 1e-5 if number.bits == 64 else 5e-3
     by_x, by_y = ((at(step * axis) - at(-step * axis)) / (2 * step) for axis in np.eye(2))
@@ -102,6 +100,7 @@ def test_derivatives_of_the_lens(number, rng):
         np.testing.assert_allclose(row, wanted[[0, 0, 1], [0, 1, 1]], atol=1e-9 if number.bits == 64 else 1e-5)
 
 
+@pytest.mark.sampled(1)
 @every_number
 def test_points_behind_or_beyond_the_lens_are_not_seen(number):
     rig = three_cameras()
@@ -109,7 +108,7 @@ def test_points_behind_or_beyond_the_lens_are_not_seen(number):
     # 1e-3 mm in front; behind; 87° off the axis; not a number.
     offsets = [[0, 0, 1e-3], [3, 2, -50], [100, 0, 5], [np.nan, 0, 100], [0, 0, np.nan], [0, 0, 100]]
     points = np.array([camera.centre + camera.rotation.T @ np.array(offset, dtype=float) for offset in offsets])
-    found = point_kernel(number)(np.concatenate([points, np.ones((6, 3))], axis=1), numbers_of(rig), np.zeros(1))
+    found = point_kernel(number)(np.concatenate([points, np.ones((6, 3))], axis=1), camera_table(rig)[None], np.zeros(1))
     assert found[:, 3].tolist() == [0, 0, 0, 0, 0, 1]
 
 
