@@ -203,6 +203,8 @@ def _roof(inside: np.ndarray) -> tuple[np.ndarray, float]:
     while True:
         # The thread goes on beyond the image's border; distances to nothing would have no end.
         roof = cv2.distanceTransform(np.pad(inside, 2, mode="edge"), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[2:-2, 2:-2]
+        # Squares of distances are whole numbers; their rounding differs with the number of OpenCV's threads.
+        roof = np.sqrt(np.rint(np.square(roof, dtype=np.float64))).astype(np.float32)
         roof = np.minimum(roof, max(inside.shape))
         if not inside.any() or 4 * np.median(roof[inside > 0]) <= WORKING_WIDTH or min(inside.shape) < 32:
             return np.ascontiguousarray(roof), scale

@@ -113,6 +113,17 @@ def test_the_centre_line_of_a_mask(width, rough):
     assert found.width_px == pytest.approx(width, abs=1.5) and found.width.shape == (found.count,)
 
 
+def test_a_mask_gives_the_same_points_on_any_number_of_threads():
+    mask, before = np.zeros(SIZE, np.uint8), cv2.getNumThreads()
+    cv2.polylines(mask, [np.rint(wave()).astype(int)], False, 1, 20)
+    try:
+        cv2.setNumThreads(1)
+        alone = detect_mask(mask)
+    finally:
+        cv2.setNumThreads(before)
+    np.testing.assert_array_equal(alone.points, detect_mask(mask).points)
+
+
 def test_labels_are_a_mask_and_nothing_is_none():
     labels = np.zeros(SIZE, np.uint8)
     for label, phase in enumerate((0, 2.2), 1):
