@@ -4,8 +4,7 @@ import numpy as np
 
 import doo_ti as d
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.manipulation.clearance import Clearance
-from doo_ti.manipulation.shapes import Shapes
+from doo_ti.manipulation.equilibria import Clearance, Shapes
 
 LENGTHS = np.full(20, 5.0)
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import doo_ti as d
+from doo_ti.manipulation.model import resynchronised
 from doo_ti.manipulation.poses import held
-from doo_ti.manipulation.resynchronise import resynchronised
 from doo_ti.rod.straight import with_end_edges
 from tools.studies.trials.servo import BEND, Plant, Tasks, tasks
 

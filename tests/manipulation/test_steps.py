@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from doo_ti.manipulation.damped_step import DampedSteps
+from doo_ti.manipulation.goal import DampedSteps
 from doo_ti.manipulation.poses import drawn_in, moved, slack, slack_gradient
 from doo_ti.rod.frames import rotation_matrix
 from doo_ti.rod.types import Clamp, Clamps

@@ -3,7 +3,7 @@
 import inspect
 
 from doo_ti.relaxation import chain, contacts, newton_trip
-from doo_ti.system.kernel_source import _lines_of
+from doo_ti.system.taichi_internals import _lines_of
 
 
 def _unused(function):
