@@ -4,14 +4,14 @@ import io
 import os
 import struct
 import zipfile
-import zlib
 
+import cv2
 import numpy as np
 import pyarrow
 import pyarrow.parquet
 import pytest
 
-from doo_ti import InputError, load_observations, load_obstacles, load_path, load_rig, save_observations
+from doo_ti import InputError, Observations, load_observations, load_obstacles, load_path, load_rig, save_observations
 from doo_ti.commands.refine import read_groups
 from doo_ti.dynamics.scene import load_motion_scene
 from doo_ti.io import arrays
@@ -22,16 +22,17 @@ from doo_ti.system.files import read_content
 from doo_ti.vision.cameras.board import read_views
 from doo_ti.vision.detection.images import load_sets, read_image, stated_size
 from doo_ti.vision.reprojection.marks import read_labels, read_marks
-from tests.learning.lab import small_lab
+from tests.io.test_formats import MARKS
 
+SEEN = Observations(MARKS)
 READERS = {
     ".npz": load_observations, ".csv": load_observations, ".parquet": load_observations, ".yaml": load_rig, ".png": read_image,
     "_sets.csv": lambda path: load_sets(path, None), "_views.csv": read_views,
     "_arrays.csv": lambda path: read_arrays(path, {"a": ((), ("a",))}),
-    "_pairs.csv": lambda path: load_pairs(path, small_lab()), "_labels.csv": lambda path: read_labels(path, ("a",)),
+    "_pairs.csv": lambda path: load_pairs(path, SEEN), "_labels.csv": lambda path: read_labels(path, ("a",)),
     "_marks.csv": lambda path: read_marks(path, None),
     ".toml": load_scene, "_motion.toml": load_motion_scene, "_obstacles.toml": load_obstacles, "_path.csv": load_path,
-    "_groups.npz": lambda path: read_groups(f"{path}:key", small_lab()),
+    "_groups.npz": lambda path: read_groups(f"{path}:key", SEEN),
 }
 
 
@@ -56,7 +57,7 @@ def test_a_file_beyond_its_bound_is_not_read(tmp_path):
 def test_an_npz_that_unpacks_to_more_than_the_bound(tmp_path, monkeypatch):
     """Zeros, a thousand times as many bytes as the file has."""
     monkeypatch.setattr(arrays, "MOST_UNPACKED_BYTES", 1 << 20)
-    save_observations(tmp_path / "bomb.npz", small_lab())
+    save_observations(tmp_path / "bomb.npz", SEEN)
     header = io.BytesIO()
     np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (1 << 18, 8)})
     with zipfile.ZipFile(tmp_path / "bomb.npz", "a", zipfile.ZIP_DEFLATED) as archive:
@@ -66,34 +67,23 @@ def test_an_npz_that_unpacks_to_more_than_the_bound(tmp_path, monkeypatch):
 
 
 def test_a_table_that_unpacks_to_more_than_the_bound(tmp_path, monkeypatch):
-    save_observations(tmp_path / "small.parquet", small_lab())
-    monkeypatch.setattr(arrays, "MOST_UNPACKED_BYTES", 10_000)
+    save_observations(tmp_path / "small.parquet", SEEN)
+    monkeypatch.setattr(arrays, "MOST_UNPACKED_BYTES", 1000)
     with pytest.raises(InputError, match="unpacks to"):
         load_observations(tmp_path / "small.parquet")
 
 
-def png(width: int, height: int) -> bytes:
-    """A grey image of zeros."""
-    def part(kind: bytes, content: bytes) -> bytes:
-        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
-
-    rows = zlib.compress(bytes((width + 1) * height), 9)
-    return b"\x89PNG\r\n\x1a\n" + part(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)) + part(
-        b"IDAT", rows) + part(b"IEND", b"")
-
-
 @pytest.mark.parametrize("size", [(100_000, 1), (1, 100_000)])
 def test_images_longer_than_any_camera_takes(tmp_path, size):
-    (tmp_path / "long.png").write_bytes(png(*size))
+    for name, shape in (("long.png", size), ("good.png", (20, 30))):
+        (tmp_path / name).write_bytes(cv2.imencode(".png", np.zeros(shape, dtype=np.uint8))[1].tobytes())
     with pytest.raises(InputError, match="size"):
         read_image(tmp_path / "long.png")
-    (tmp_path / "good.png").write_bytes(png(30, 20))
     assert read_image(tmp_path / "good.png").shape == (20, 30)
 
 
 @pytest.mark.parametrize("suffix", ["jpg", "tiff", "png", "bmp", "ppm"])
 def test_the_size_that_an_image_states_is_known_before_it_is_unpacked(tmp_path, suffix):
-    cv2 = pytest.importorskip("cv2")
     content = cv2.imencode(f".{suffix}", np.zeros((20, 30, 3), dtype=np.uint8))[1].tobytes()
     assert sorted(stated_size(content)) == [20, 30]
     for short in range(0, len(content), 7):
