@@ -119,6 +119,11 @@ def across(tangent: np.ndarray) -> np.ndarray:
     return perpendicular / np.linalg.norm(perpendicular, axis=-1, keepdims=True)
 
 
+def some_frames(tangent: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) frames with unit tangents (..., 3) and any m1 across them."""
+    return bishop_frames(tangent[..., None, :], across(tangent))[..., 0, :, :]
+
+
 def vertices_from_quaternions(start: np.ndarray, quaternions: np.ndarray, rest_length: np.ndarray) -> np.ndarray:
     """x_{i+1} = x_i + l_i t_i: (R, V, 3) vertices of the chain."""
     tangents = tangent_from_quaternion(quaternions)

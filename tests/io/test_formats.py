@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.io.motion_recording import read_recording
-from doo_ti.io.observation_files import load_observations, read_curves
+from doo_ti.io.observation_files import load_observations, read_curves, read_recording
 from doo_ti.system.errors import InputError
 
 MARKS = np.array([[[0.0, 10, 0], [30, 5, 1], [60, 5, 0], [90, 10, 2]], [[0.0, 10, 0], [25, 0, 1], [55, 0, 0], [80, 10, 2]]])

@@ -173,8 +173,7 @@ def readers() -> dict[str, list]:
     from doo_ti.dynamics.theta import load_theta
     from doo_ti.groups.scene import load_group_scene
     from doo_ti.io.motion_file import load_path
-    from doo_ti.io.motion_recording import read_recording
-    from doo_ti.io.observation_files import load_observations
+    from doo_ti.io.observation_files import load_observations, read_recording
     from doo_ti.io.scene import load_scene
     from doo_ti.learning.chunks import read_columns, read_table
     from doo_ti.learning.pairs import load_pairs
