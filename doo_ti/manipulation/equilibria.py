@@ -65,7 +65,7 @@ class Shapes:
 
     @property
     def rods(self) -> Configuration:
-        """(R) configurations."""
+        """The R rods of these shapes."""
         turns, edges = quaternion_of_turn(self.joints), len(self.rest_length)
         frames = np.empty((len(turns), edges, 4))
         frames[:, self.anchor] = self.frame
@@ -79,7 +79,7 @@ class Shapes:
         return Configuration(self.place - middle, rods.quaternions, self.rest_length)
 
     def take(self, rows: np.ndarray) -> "Shapes":
-        """Those named by ``rows``."""
+        """The shapes named by ``rows``."""
         return Shapes(self.place[rows], self.frame[rows], self.joints[rows], self.rest_length, self.anchor)
 
     def towards(self, other: "Shapes", share: np.ndarray) -> "Shapes":
@@ -157,7 +157,7 @@ class States:
     touching: np.ndarray
 
     def take(self, rows: np.ndarray) -> "States":
-        """Those named by ``rows``."""
+        """The states named by ``rows``."""
         return States(self.rods.take(rows), self.clamps.take(rows), self.touching[rows])
 
 
@@ -205,7 +205,7 @@ class Equilibria:
 
     @property
     def length(self) -> float:
-        """mm."""
+        """Length of the rod, mm."""
         return self.clearance.length
 
     @property

@@ -77,7 +77,7 @@ class Goal:
     distance: np.ndarray
 
     def take(self, rods: np.ndarray) -> "Goal":
-        """Those of the rods named by ``rods``."""
+        """The goals of the rods named by ``rods``."""
         return Goal(self.rods.take(rods), self.clamps.take(rods), self.distance[rods])
 
 
@@ -95,7 +95,7 @@ def all_goals(rods: Configuration, clamps: Clamps, model: Model, targets: Target
 
 
 def _fitted_guesses(rods: Configuration, clamps: Clamps, model: Model, targets: Targets, options: ServoOptions) -> Goal:
-    """(K·B) goals."""
+    """The goals (K·B) that all guesses lead to."""
     drawn, grippers = _guesses(rods, clamps, model, targets, options)
     rows = np.tile(np.arange(rods.count), GUESSES)
     return fit(drawn, grippers, model.take(rows), targets.take(rows), options)

@@ -76,7 +76,7 @@ class Grip:
         return cls(vertex, rods.vertices[:, vertex], rods.frames[:, vertex - 1] @ rotation_matrix(share * turn))
 
     def take(self, rows: Rows) -> "Grip":
-        """That of the rods named by ``rows``, in that order."""
+        """The gripper of the rods named by ``rows``, in that order."""
         return replace(self, position=self.position[rows], frame=self.frame[rows])
 
 
@@ -141,8 +141,7 @@ class Stretches:
     vertices: tuple[int, ...]
 
     @classmethod
-    def between(cls, function: str, rods: Configuration, grips: Sequence[Grip], obstacles: Sequence[Obstacle]
-                ) -> "Stretches":
+    def between(cls, function: str, rods: Configuration, grips: Sequence[Grip], obstacles: Sequence[Obstacle]) -> "Stretches":
         """Raises InputError, of ``function``, for grips that do not suit the rods, and for ``Itself`` beside grips."""
         held = (0, *(grip.vertex for grip in grips), rods.edges)
         for before, after in zip(held[:-1], held[1:], strict=True):

@@ -32,7 +32,7 @@ class Model:
         return relax(rods, self.material, held(clamps, self.clip), Newton.careful(), up=self.up, **self.surroundings.arguments)
 
     def take(self, rods: np.ndarray) -> "Model":
-        """Those of the rods named by ``rods``."""
+        """The models of the rods named by ``rods``."""
         return Model(self.material.take(rods), self.clip[rods], self.up, self.surroundings.take(rods))
 
 

@@ -41,7 +41,7 @@ class Tree:
         return np.stack(np.unravel_index(np.argsort(apart, axis=None, kind="stable"), apart.shape))
 
     def _apart(self, shapes: Shapes) -> np.ndarray:
-        """(M, N) mm."""
+        """(M, N) mm between M shapes and the nodes."""
         return shapes.take(np.s_[:, None]).apart(self._shapes, self._space.lever)
 
     def extend(self, nodes: np.ndarray, goals: Configuration) -> tuple[np.ndarray, np.ndarray]:
@@ -62,7 +62,7 @@ class Tree:
         return found[::-1]
 
     def cut(self, node: int) -> None:
-        """Without ``node`` and what it leads to."""
+        """Mark ``node`` and what it leads to as broken."""
         self.alive[node] = False
         for later in range(node + 1, len(self.parent)):
             self.alive[later] &= self.parent[later] < 0 or self.alive[self.parent[later]]

@@ -154,10 +154,14 @@ class Journey:
 
         A rod that does not converge in some sub-step keeps that status. Iterations are those of all sub-steps.
         """
-        groups = list(self._groups())
-        ends, jumps = zip(*(group._end(begin.take(rods), steps, watch) for rods, steps, group in groups), strict=True)
+        groups, ends, counts = list(self._groups()), [], []
+        for rods, steps, group in groups:
+            here = begin.take(rods)
+            jumps = JumpCount(here.quaternions, group._finely(steps), watch)
+            ends.append(_last(group._states(here, steps, jumps)))
+            counts.append(jumps.count)
         order = np.argsort(np.concatenate([rods for rods, _, _ in groups]))
-        return _together(ends, order), np.concatenate(jumps)[order]
+        return _together(ends, order), np.concatenate(counts)[order]
 
     def follow(self, begin: Configuration) -> Iterator[Solution]:
         """The R rods after each sub-step of the motions that take most; the others are shown at the nearest of their own
@@ -180,11 +184,6 @@ class Journey:
             part = replace(self, motion=self.motion.take(rows), surroundings=self.surroundings.take(rods),
                            loads=None if self.loads is None else self.loads.take(rods % self.loads.count))
             yield rods, int(steps), part
-
-    def _end(self, begin: Configuration, steps: int, watch: bool) -> tuple[Solution, np.ndarray]:
-        """As :meth:`end`, all motions in ``steps`` sub-steps."""
-        jumps = JumpCount(begin.quaternions, self._finely(steps), watch)
-        return _last(self._states(begin, steps, jumps)), jumps.count
 
     def _states(self, configuration: Configuration, steps: int, jumps: JumpCount | None = None) -> Iterator[Solution]:
         """The rods after each of ``steps`` sub-steps, and in ``precision`` at the end where sub-steps run in another one."""

@@ -49,11 +49,10 @@ class Motion:
     def at(self, share: float | np.ndarray) -> Clamps:
         """The clamps after ``share`` of the motion, 0 to 1, one number or (R,)."""
         here, share = self.clamps, np.asarray(share)[..., None]
-        return Clamps(
-            here.start, here.end, _shifted(here.start_position, self.start_shift, share),
-            _shifted(here.end_position, self.end_shift, share), _turned(here.start_frame, self.start_turn, None, share),
-            _turned(here.end_frame, self.end_turn, self.end_spin, share),
-        )
+        return Clamps(here.start, here.end, _shifted(here.start_position, self.start_shift, share),
+                      _shifted(here.end_position, self.end_shift, share),
+                      _turned(here.start_frame, self.start_turn, None, share),
+                      _turned(here.end_frame, self.end_turn, self.end_spin, share))
 
     def take(self, rows: np.ndarray) -> "Motion":
         """The motions named by ``rows``, in that order."""

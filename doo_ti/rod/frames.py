@@ -149,19 +149,18 @@ def bishop_frames(tangents: np.ndarray, first: np.ndarray) -> np.ndarray:
     return frames
 
 
-def edge_frames(edges: np.ndarray, first: np.ndarray | None = None) -> np.ndarray:
+def edge_frames(edges: np.ndarray, first: np.ndarray) -> np.ndarray:
     """(S, T, 3, 3) frames of an edge at T instants (S, T, 3), parallel-transported from each to the next, as a Bishop frame is
     along a rod: the edge does not turn about itself.
 
-    first  (S, 3) m1 of the first instant, made orthogonal; by default a coordinate axis across the edge.
+    first  (S, 3) m1 of the first instant, made orthogonal
 
     Raises InputError for an edge without length.
     """
     length = np.linalg.norm(edges, axis=-1, keepdims=True)
     if not (length > 0).all():
         raise InputError("edge_frames", "edges", "an edge without length", "give two distinct points of each gripper")
-    t = edges / length
-    return bishop_frames(t, across(t[:, 0]) if first is None else first)
+    return bishop_frames(edges / length, first)
 
 
 def angle_about(tangent: np.ndarray, source: np.ndarray, target: np.ndarray) -> np.ndarray:

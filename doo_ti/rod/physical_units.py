@@ -68,13 +68,13 @@ def likely_unit(length: float) -> str | None:
     return "" if likely == "mm" else likely
 
 
-def doubt_length(source: str, field: str, length: ArrayLike) -> None:
+def doubt_length(source: str, length: ArrayLike) -> None:
     """Warn of rods whose ``length`` in mm is implausible."""
     for value in np.unique(np.asarray(length, dtype=np.float64)):
         unit = likely_unit(value)
         if unit != "":
             remedy = "give mm" if unit is None else f"give mm; {value:g} {unit} are {value * UNITS_IN_MM[unit]:g}"
-            return _warn(source, field, f"a rod {value:.4g} mm long", remedy)
+            return _warn(source, "length", f"a rod {value:.4g} mm long", remedy)
 
 
 def doubt_marks(source: str, field: str, marks: np.ndarray, edge: float) -> None:

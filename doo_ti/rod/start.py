@@ -120,11 +120,9 @@ def check_feasible(observations: Observations, clamps: Clamps) -> None:
     if len(bad):
         worst = bad[np.argmax(excess[bad])]
         others = f" (and {len(bad) - 1} more observations)" if len(bad) > 1 else ""
-        raise InputError(
-            observations.source, "vertices_mm",
-            f"the clamps of observation {observations.labels[worst]} are {excess[worst]:.4g} mm further apart than the rod "
-            f"between them reaches{others}", _remedy(observations, clamps),
-        )
+        raise InputError(observations.source, "vertices_mm", f"the clamps of observation {observations.labels[worst]} are "
+                         f"{excess[worst]:.4g} mm further apart than the rod between them reaches{others}",
+                         _remedy(observations, clamps))
 
 
 def _remedy(observations: Observations, clamps: Clamps) -> str:

@@ -123,7 +123,7 @@ def _lengths(function: str, length: ArrayLike, edges: int) -> np.ndarray:
         problem = f"{values[wrong].flat[0]:g}" if wrong.any() else f"shape {values.shape}"
         raise InputError(function, "length", problem, "give a positive number of mm, or (R,) of them")
     require_whole(function, "edges", edges, 2, MOST_EDGES)
-    doubt_length(function, "length", values)
+    doubt_length(function, values)
     return np.atleast_1d(values)
 
 

@@ -245,15 +245,9 @@ def _started(architecture: str, threads: int | None, pinned: bool) -> str:
         options["offline_cache_file_path"] = os.sep
     others = _tasks()
     with redirect_stdout(StringIO()):  # it greets on standard output, which belongs to the commands' results
-        ti.init(
-            arch={"cpu": ti.cpu, "cuda": ti.cuda}[architecture],
-            offline_cache=folder is not None,
-            offline_cache_max_size_of_files=KERNELS_HELD,
-            enable_fallback=False,
-            log_level=ti.ERROR,
-            **_settings(architecture),
-            **options,
-        )
+        ti.init(arch={"cpu": ti.cpu, "cuda": ti.cuda}[architecture], offline_cache=folder is not None,
+                offline_cache_max_size_of_files=KERNELS_HELD, enable_fallback=False, log_level=ti.ERROR,
+                **_settings(architecture), **options)
         # What only the thread that started Taichi may do, and would be done with the first kernel.
         taichi_internals.running().materialize()
     if architecture == "cpu" and pinned and os.environ.get("DOO_TI_PINNED") != "0":
