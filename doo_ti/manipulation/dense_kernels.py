@@ -30,7 +30,7 @@ LEAST_LENGTH = 1e-12
 
 @ti.data_oriented
 class RodByRod:
-    """What each thread does with its share of the rods, a pack at a time. ``given`` is the record of the kernel's arguments, the
+    """What each thread does with its share of the rods, a pack at a time. ``given`` is the record of a kernel's arguments: the
     ``arrays``, which hold the numbers of one rod after those of the one before, and ``further`` whole numbers."""
 
     name: str

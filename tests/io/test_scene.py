@@ -1,4 +1,4 @@
-"""Scenes: the meaning of a TOML file, and errors in it."""
+"""Scenes: the meaning of a TOML file, and errors in it; those that come with the package, by name, from any folder."""
 
 from pathlib import Path
 
@@ -7,6 +7,7 @@ import pytest
 
 from doo_ti import Clamp, InputError
 from doo_ti.io.scene import Synthesis, load_scene
+from doo_ti.io.toml_file import scene_file
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 GOOD = {
@@ -112,3 +113,24 @@ def test_wrong_scenes_are_named(tmp_path, case):
     assert caught.value.remedy and "\n" not in str(caught.value)
     if case == "unknown synthesis key":
         assert "label_noise_mm" in caught.value.remedy
+
+
+@pytest.mark.parametrize(("name", "file"), [
+    ("vicryl", "vicryl.toml"), ("vicryl.toml", "vicryl.toml"), ("scenes/vicryl.toml", "vicryl.toml"),
+    ("whip", "motion/whip.toml"), ("groups/reef_knot", "groups/reef_knot.toml"),
+    ("scenes/motion/whip.toml", "motion/whip.toml"), ("rig.yaml", "rig.yaml")])
+def test_a_scene_is_found_in_any_folder(name, file, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert Path(scene_file(name)).read_bytes() == (SCENES / file).read_bytes()
+
+
+def test_a_file_of_that_name_comes_first(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "vicryl").touch()
+    assert scene_file("vicryl") == "vicryl"
+
+
+@pytest.mark.parametrize("name", ["", "no_such", "../scenes/vicryl.toml", "/vicryl.toml", "scenes", ".", "motion"])
+def test_other_names_stay_as_they_are(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert scene_file(name) == name

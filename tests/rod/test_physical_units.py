@@ -21,7 +21,6 @@ from doo_ti import (
     relax,
     straight_rod,
 )
-from doo_ti.cli import main
 from doo_ti.commands.options import add_material, grid
 from doo_ti.rod.grid import parse_axis
 from doo_ti.rod.physical_units import stiffness, weight_per_length
@@ -103,11 +102,6 @@ def test_rows_of_materials_keep_their_weight_per_length():
 def test_wrong_units_are_one_line(given, field):
     with pytest.raises(InputError, match=field):
         grid(options(**given))
-
-
-def test_the_command_takes_them(tmp_path, capsys):
-    assert main(["relax", str(tmp_path / "none.npz"), "--EI", "1e-6", "--out", str(tmp_path / "f.npz")]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
 
 
 ROPE, CLAMPS = hanging(500.0, 12, (0, 0, 0), (300, 0, 0), clamp=Clamp.FRAME)
