@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Clamp, InputError
+from doo_ti.cli import main
 from doo_ti.io.scene import Synthesis, load_scene
 from doo_ti.io.toml_file import scene_file
 
@@ -134,3 +135,8 @@ def test_a_file_of_that_name_comes_first(tmp_path, monkeypatch):
 def test_other_names_stay_as_they_are(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert scene_file(name) == name
+
+
+def test_a_command_takes_one_by_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["synth", "vicryl", "--out", "vicryl.npz"]) == 0 and (tmp_path / "vicryl.npz").is_file()
