@@ -35,7 +35,7 @@ from doo_ti.rod.frames import (
     some_frames,
     turned_about_tangent,
 )
-from doo_ti.rod.physical_units import UNITS_IN_MM, doubt_angle
+from doo_ti.rod.physical_units import doubt_angle, mm_in
 from doo_ti.rod.types import Clamps
 from doo_ti.system.arguments import owning, typed
 from doo_ti.system.errors import InputError, require_whole
@@ -228,10 +228,12 @@ def load_path(path: str | Path, unit: str | None = None, named: Mapping[str, str
 
     Raises InputError for files that cannot be read or do not describe a path.
     """
-    path = Path(path)
+    path, given = Path(path), None if unit is None else mm_in(unit, "load_path")
+    if not set(axes) <= TOOL_AXES.keys():
+        raise InputError("load_path", "axes", f"{axes!r}", f"give two of {', '.join(TOOL_AXES)}")
     arrays, stated = _read(path, named)
     for key in arrays.keys() & _LENGTHS:
-        arrays[key] = arrays[key] * (stated.get(key, 1.0) if unit is None else UNITS_IN_MM[unit])
+        arrays[key] = arrays[key] * (stated.get(key, 1.0) if given is None else given)
     if turn is not None:
         arrays |= {key: arrays[key] @ turn.T for key in arrays.keys() & _LENGTHS}
     arrays = checked_arrays(path, arrays)

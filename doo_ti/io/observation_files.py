@@ -27,7 +27,7 @@ from doo_ti.io.curves import Curves, is_motive, is_nexus, is_polyline, read_moti
 from doo_ti.io.mujoco_xml import read_mujoco
 from doo_ti.io.observation_tables import KEYS_IN_TABLES, LABELS, RENAMED, read_table, write_table
 from doo_ti.rod.observations import KEYS, LENGTHS, Observations
-from doo_ti.rod.physical_units import UNITS_IN_MM
+from doo_ti.rod.physical_units import mm_in
 from doo_ti.rod.types import unit_up
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, real_array
@@ -142,9 +142,7 @@ def load_observations(path: str | os.PathLike[str], up: ArrayLike | None = None,
 
 def _in_mm(values: dict, read_as: float, unit: str) -> dict:
     """``values`` with all lengths taken to be in ``unit``; they were read as ``read_as`` mm."""
-    if unit not in UNITS_IN_MM:
-        raise InputError("load_observations", "unit", f"{unit!r}", f"give one of {', '.join(UNITS_IN_MM)}")
-    factor = UNITS_IN_MM[unit] / read_as
+    factor = mm_in(unit, "load_observations") / read_as
     return {name: value * factor if name in LENGTHS and value.dtype.kind != "b" else value for name, value in values.items()}
 
 
@@ -226,14 +224,14 @@ def read_recording(path: str | Path, unit: str | None = None, columns: Mapping[s
 
     Raises InputError for files that cannot be read, and where neither the file nor ``rate`` states the rate.
     """
-    path = Path(path)
+    path, stated = Path(path), None if unit is None else mm_in(unit, "RecordedMotion.load")
     if path.suffix == ".npz":
         if columns is not None:
             raise InputError(path, "columns", "the file has no columns", "leave `columns` out")
-        return _of_arrays(path, rate, 1.0 if unit is None else UNITS_IN_MM[unit])
+        return _of_arrays(path, rate, 1.0 if stated is None else stated)
     curves = read_curves(path, columns)
     if curves is not None and curves.rate is not None:
-        factor = curves.unit if unit is None else UNITS_IN_MM[unit]
+        factor = curves.unit if stated is None else stated
         labels = np.arange(len(curves.points)) if curves.labels is None else curves.labels
         frames, points = _every_frame(path, labels, curves.points)
         return MotionRecording(factor * points, rate or curves.rate, up=np.array(curves.up), frames=frames)

@@ -10,7 +10,7 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.manipulation.poses import change_between, finite_rods, joined, moved, put_rods
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.rod.frames import matrix_from_quaternion, quaternion_of_turn, quaternion_product, rotation_vector
+from doo_ti.rod.frames import conjugate, matrix_from_quaternion, quaternion_of_turn, quaternion_product, rotation_vector
 from doo_ti.rod.types import Clamps, Configuration, Material
 
 BENDING, WAVES = 1.5, 3
@@ -48,7 +48,7 @@ class Shapes:
     def of(cls, rods: Configuration, anchor: int) -> "Shapes":
         """Those of ``rods``, which turn by less than half a turn from each edge to the next."""
         frames = rods.quaternions
-        joints = rotation_vector(quaternion_product(_inverse(frames[:, :-1]), frames[:, 1:]))
+        joints = rotation_vector(quaternion_product(conjugate(frames[:, :-1]), frames[:, 1:]))
         place = rods.vertices[:, anchor : anchor + 2].mean(axis=1)
         return cls(place, frames[:, anchor], joints, rods.rest_length, anchor)
 
@@ -72,7 +72,7 @@ class Shapes:
         for edge in range(self.anchor + 1, edges):
             frames[:, edge] = quaternion_product(frames[:, edge - 1], turns[:, edge - 1])
         for edge in range(self.anchor - 1, -1, -1):
-            frames[:, edge] = quaternion_product(frames[:, edge + 1], _inverse(turns[:, edge]))
+            frames[:, edge] = quaternion_product(frames[:, edge + 1], conjugate(turns[:, edge]))
         rods = Configuration(np.zeros((len(turns), 3)), frames / np.linalg.norm(frames, axis=-1, keepdims=True),
                              self.rest_length)
         middle = rods.vertices[:, self.anchor : self.anchor + 2].mean(axis=1)
@@ -85,7 +85,7 @@ class Shapes:
     def towards(self, other: "Shapes", share: np.ndarray) -> "Shapes":
         """After ``share`` (R,) of the way to the R others, all numbers uniformly, the anchor turning the shortest way."""
         share = share[:, None]
-        turn = rotation_vector(quaternion_product(_inverse(self.frame), other.frame))
+        turn = rotation_vector(quaternion_product(conjugate(self.frame), other.frame))
         return Shapes(self.place + share * (other.place - self.place),
                       quaternion_product(self.frame, quaternion_of_turn(share * turn)),
                       self.joints + share[..., None] * (other.joints - self.joints), self.rest_length, self.anchor)
@@ -96,10 +96,6 @@ class Shapes:
         shift = np.linalg.norm(self.place - other.place, axis=-1)
         turn = 2 * np.arccos(np.minimum(np.abs(np.sum(self.frame * other.frame, axis=-1)), 1.0))
         return shift + lever * (turn + np.linalg.norm(self.joints - other.joints, axis=-1).sum(axis=-1))
-
-
-def _inverse(quaternions: np.ndarray) -> np.ndarray:
-    return quaternions * [1.0, -1.0, -1.0, -1.0]
 
 
 @dataclass(frozen=True)

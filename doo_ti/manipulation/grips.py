@@ -24,6 +24,7 @@ from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import (
     FRAME_TOLERANCE,
+    conjugate,
     orthonormality_error,
     quaternion_from_matrix,
     quaternion_product,
@@ -71,7 +72,7 @@ class Grip:
             raise InputError("Grip.where", "vertex", f"{vertex}", f"give a vertex between the ends, 1 to {rods.edges - 1}")
         before, after = rods.quaternions[:, vertex - 1], rods.quaternions[:, vertex]
         lengths = np.broadcast_to(rods.rest_length, (rods.count, rods.edges))[:, vertex - 1 : vertex + 1]
-        turn = rotation_vector(quaternion_product(before * [1.0, -1.0, -1.0, -1.0], after))
+        turn = rotation_vector(quaternion_product(conjugate(before), after))
         share = lengths[:, :1] / lengths.sum(axis=1, keepdims=True)
         return cls(vertex, rods.vertices[:, vertex], rods.frames[:, vertex - 1] @ rotation_matrix(share * turn))
 

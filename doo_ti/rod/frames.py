@@ -84,6 +84,11 @@ def quaternion_product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
                      a0 * b2 + b0 * a2 + (a3 * b1 - a1 * b3), a0 * b3 + b0 * a3 + (a1 * b2 - a2 * b1)], axis=-1)
 
 
+def conjugate(quaternion: np.ndarray) -> np.ndarray:
+    """(..., 4) the inverse rotations of unit quaternions."""
+    return quaternion * np.array([1.0, -1.0, -1.0, -1.0])
+
+
 def quaternion_about(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """Rotation by ``angle`` (rad) about the unit ``axis`` (..., 3)."""
     half = 0.5 * np.asarray(angle)[..., None]
@@ -180,6 +185,11 @@ def rotation_vector(quaternion: np.ndarray) -> np.ndarray:
     q = np.where(quaternion[..., :1] < 0, -quaternion, quaternion)
     sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
     return 2 * np.arctan2(sine, q[..., :1]) * q[..., 1:] / np.maximum(sine, 1e-300)
+
+
+def turn_between(frame: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    """(..., 3) rad, the shortest rotation vector in the world from frames to goals (..., 3, 3)."""
+    return rotation_vector(quaternion_product(quaternion_from_matrix(goal), conjugate(quaternion_from_matrix(frame))))
 
 
 def rotation_matrix(turn: np.ndarray) -> np.ndarray:

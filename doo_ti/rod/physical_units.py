@@ -16,10 +16,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.system.errors import InputError
+
 UNITS_IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 """mm in one unit of length, by its name on the command line."""
 STANDARD_GRAVITY = 9.80665
 """m/s²."""
+
+
+def mm_in(unit: str, source: str) -> float:
+    """mm in one ``unit`` that a user names. Raises InputError, of ``source``, for one that is not known."""
+    if unit not in UNITS_IN_MM:
+        raise InputError(source, "unit", f"{unit!r}", f"give one of {', '.join(UNITS_IN_MM)}")
+    return UNITS_IN_MM[unit]
 
 
 def weight_per_length(linear_density: float) -> float:

@@ -200,5 +200,6 @@ def test_options_that_do_not_fit_the_file(tmp_path):
                           ("m.csv", {"x": "w"}), ("x.npz", ["a"])):
         with pytest.raises(InputError):
             load_observations(tmp_path / name, columns=columns)
-    with pytest.raises(InputError, match="inch"):
-        load_observations(tmp_path / "x.csv", unit="inch")
+    for load in (load_observations, read_recording):
+        with pytest.raises(InputError, match="inch"):
+            load(tmp_path / "x.csv", unit="inch")
