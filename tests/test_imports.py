@@ -158,6 +158,7 @@ def test_importing_costs_nothing_heavy(module):
     assert result.stdout.strip() == "[]"
 
 
+@pytest.mark.thorough
 def test_public_names_are_what_they_say():
     """As the first lines of the documentation import them: objects, not the modules of the same name, in any order."""
     script = ("import types\n"

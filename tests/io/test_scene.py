@@ -137,6 +137,7 @@ def test_other_names_stay_as_they_are(name, tmp_path, monkeypatch):
     assert scene_file(name) == name
 
 
+@pytest.mark.thorough
 def test_a_command_takes_one_by_name(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["synth", "vicryl", "--out", "vicryl.npz"]) == 0 and (tmp_path / "vicryl.npz").is_file()

@@ -136,19 +136,6 @@ def test_halving_the_steps_changes_nothing(kind):
     np.testing.assert_allclose(ends[1].energy, ends[0].energy, rtol=1e-9)
 
 
-def test_there_and_back():
-    """No snap on the way: the rod comes back to where it started."""
-    material = MATERIALS["round"]
-    at_rest, clamps = relaxed_bows(material)
-    goal = clamps.end_position + [-12.0, 6.0, 3.0]
-    there, last = carry(at_rest.configuration, material, carried_clamps(clamps, goal, turned(clamps, 90.0), 18))
-    assert vertex_distance(there.configuration, at_rest.configuration).min() > 1
-    back, _ = carry(there.configuration, material, carried_clamps(last, clamps.end_position, turned(last, -90.0), 18))
-    apart = vertex_distance(back.configuration, at_rest.configuration).max()
-    print(f"there and back: {apart:.1e} mm from the start")
-    assert apart < 1e-4
-
-
 def test_whole_turns_stay_in_the_rod():
     """A clamp that makes a whole turn ends with the frame it had, and with its turn in the rod."""
     material = Material(6e5, 1e5, 1.0)

@@ -28,6 +28,7 @@ def test_the_program_uses_every_name():
     used = set(re.findall(r"\w+", PROGRAM.read_text(encoding="utf-8").partition("\n\n\ndef ")[2]))
     assert not set(doo_ti.__all__) - used
     assert (Path(doo_ti.__file__).parent / "py.typed").exists()
+    assert not [name for name, thing in PUBLIC.items() if inspect.ismodule(thing)]
 
 
 def test_every_argument_has_a_type():
