@@ -67,8 +67,8 @@ def test_taking_hold_moves_little_and_loads_balance(rope):
     grips = [Grip.where(solution.configuration, vertex) for vertex in (9, 20)]
     held = relax_held(solution.configuration, material, clamps, grips)
     assert held.solution.converged.all() and held.solution.stable.all()
-    moved = np.linalg.norm(held.solution.configuration.vertices - solution.configuration.vertices, axis=2)
-    assert moved.max() < 0.05
+    apart = np.linalg.norm(held.solution.configuration.vertices - solution.configuration.vertices, axis=2)
+    assert apart.max() < 0.05
     np.testing.assert_allclose(held.solution.energy, solution.energy, rtol=1e-3)
     raised = [replace(grip, position=grip.position + [0, 0, 5.0]) for grip in grips]
     lifted = relax_held(held.solution.configuration, material, clamps, raised)
