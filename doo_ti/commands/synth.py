@@ -9,8 +9,7 @@ import numpy as np
 from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.results import observed, save, save_arrays
-from doo_ti.io.motion_recording import read_recording
-from doo_ti.io.observation_files import read_curves
+from doo_ti.io.observation_files import read_curves, read_recording
 from doo_ti.io.scene import Scene, Synthesis, load_scene
 from doo_ti.io.toml_file import scene_file
 from doo_ti.rod.start import on_equal_edges

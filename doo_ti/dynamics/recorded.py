@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti.dynamics.parameters import LEAST_RATE, MOST_RATE
-from doo_ti.io.motion_recording import read_recording
+from doo_ti.io.observation_files import read_recording
 from doo_ti.rod.types import Rows
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
@@ -105,10 +105,10 @@ class RecordedMotion:
     def load(cls, path: str | Path, fill_gaps: bool = False, unit: str | None = None,
              columns: Mapping[str, str] | Sequence[str] | None = None, rate: float | None = None,
              free_end: bool = False) -> "RecordedMotion":
-        """The recordings of a file (:mod:`doo_ti.io.motion_recording`): npz, motion capture, tables.
+        """The recordings of a file (:mod:`doo_ti.io.observation_files`): npz, motion capture, tables.
 
         fill_gaps             positions that are not finite are taken from lines between the frames around
-        unit, columns, rate   as of :func:`doo_ti.io.motion_recording.read_recording`
+        unit, columns, rate   as of :func:`doo_ti.io.observation_files.read_recording`
         free_end              no gripper holds the last edge
 
         Raises InputError for files that cannot be read, and as the class does.

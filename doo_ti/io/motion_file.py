@@ -26,18 +26,16 @@ from doo_ti.io.arrays import checked_arrays, read_npz
 from doo_ti.io.pose_table import frame_of_quaternion, read_poses
 from doo_ti.rod.frames import (
     FRAME_TOLERANCE,
-    across,
     angle_about,
-    bishop_frames,
     handedness,
     matrix_from_quaternion,
     orthonormality_error,
-    quaternion_about,
     quaternion_from_matrix,
-    quaternion_product,
     smallest_rotation,
+    some_frames,
+    turned_about_tangent,
 )
-from doo_ti.rod.physical_units import UNITS_IN_MM, doubt_angle
+from doo_ti.rod.physical_units import doubt_angle, mm_in
 from doo_ti.rod.types import Clamps
 from doo_ti.system.arguments import owning, typed
 from doo_ti.system.errors import InputError, require_whole
@@ -49,8 +47,7 @@ SHAPES = {"time_s": (), "start_position_mm": (3,), "end_position_mm": (3,), "sta
 """Of the keys, at a moment."""
 TOOL_AXES = {f"{sign}{name}": (axis, -1.0 if sign else 1.0) for sign in ("", "-") for axis, name in enumerate("xyz")}
 """Of a tool: which points along the rod, from its start to its end."""
-_POSES = {"start_position_mm": "start_position", "end_position_mm": "end_position", "start_frame": "start_frame",
-          "end_frame": "end_frame"}
+_POSES = ("start_position_mm", "end_position_mm", "start_frame", "end_frame")
 _LENGTHS = {"start_position_mm", "end_position_mm", "positions_mm"}
 HALF_TURN = np.radians(179.0)
 """A larger turn of a frame from one moment to the next could also be a turn the other way round."""
@@ -131,8 +128,7 @@ class ClampPath:
         end_frame = put(self.end_frame, clamps.end_frame)
         if self.end_frame is None and self.end_rotation is not None:
             angle = np.broadcast_to(self.end_rotation[moment] - self.end_rotation[0], len(end_frame))
-            turn = quaternion_about(end_frame[..., 0], angle)
-            end_frame = matrix_from_quaternion(quaternion_product(turn, quaternion_from_matrix(end_frame)))
+            end_frame = turned_about_tangent(end_frame, angle)
         return replace(clamps, start_position=put(self.start_position, clamps.start_position), end_frame=end_frame,
                        end_position=put(self.end_position, clamps.end_position),
                        start_frame=put(self.start_frame, clamps.start_frame))
@@ -215,8 +211,9 @@ def path_of_marks(positions: np.ndarray, time: np.ndarray | None = None, source:
         if not (np.linalg.norm(edge, axis=-1) > 0).all():
             raise InputError(source, "positions_mm", f"two marks of the {place} edge coincide", "correct the marks")
     timed, numbers = time is not None, np.arange(len(positions), dtype=np.float64)
-    return ClampPath(time if timed else numbers, positions[..., 0, :], positions[..., -1, :], _frames_along(first),
-                     _frames_along(last), tangents_only=True, timed=timed, source=source)
+    frames = (some_frames(edge / np.linalg.norm(edge, axis=-1, keepdims=True)) for edge in (first, last))
+    return ClampPath(time if timed else numbers, positions[..., 0, :], positions[..., -1, :], *frames, tangents_only=True,
+                     timed=timed, source=source)
 
 
 @typed
@@ -231,10 +228,12 @@ def load_path(path: str | Path, unit: str | None = None, named: Mapping[str, str
 
     Raises InputError for files that cannot be read or do not describe a path.
     """
-    path = Path(path)
+    path, given = Path(path), None if unit is None else mm_in(unit, "load_path")
+    if not set(axes) <= TOOL_AXES.keys():
+        raise InputError("load_path", "axes", f"{axes!r}", f"give two of {', '.join(TOOL_AXES)}")
     arrays, stated = _read(path, named)
     for key in arrays.keys() & _LENGTHS:
-        arrays[key] = arrays[key] * (stated.get(key, 1.0) if unit is None else UNITS_IN_MM[unit])
+        arrays[key] = arrays[key] * (stated.get(key, 1.0) if given is None else given)
     if turn is not None:
         arrays |= {key: arrays[key] @ turn.T for key in arrays.keys() & _LENGTHS}
     arrays = checked_arrays(path, arrays)
@@ -251,7 +250,7 @@ def load_path(path: str | Path, unit: str | None = None, named: Mapping[str, str
         raise InputError(path, "end_position_mm", "missing, so nothing moves",
                          f"give some of {', '.join([*_POSES, 'end_rotation_deg'])}")
     count = len(next(iter(arrays.values())))
-    poses = {name: arrays[key][:, None] for key, name in _POSES.items() if key in arrays}
+    poses = {key.removesuffix("_mm"): arrays[key][:, None] for key in _POSES if key in arrays}
     rotation = np.radians(arrays["end_rotation_deg"])[:, None] if "end_rotation_deg" in arrays else None
     return ClampPath(arrays.get("time_s", np.arange(count, dtype=np.float64)), end_rotation=rotation, timed="time_s" in arrays,
                      source=str(path), **poses)
@@ -301,9 +300,3 @@ def _of_positions(path: Path, arrays: dict[str, np.ndarray], rate: np.ndarray | 
     if time is None and rate is not None and rate.size == 1 and rate.item() > 0:
         time = np.arange(len(positions)) / rate.item()
     return path_of_marks(positions, time, str(path))
-
-
-def _frames_along(edge: np.ndarray) -> np.ndarray:
-    """(..., 3, 3) frames along edges, with some m1."""
-    tangent = edge / np.linalg.norm(edge, axis=-1, keepdims=True)
-    return bishop_frames(tangent[..., None, :], across(tangent))[..., 0, :, :]

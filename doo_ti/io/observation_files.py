@@ -6,12 +6,17 @@ as arrays or tables.
     .txt, .xyz           plain polylines
     .xml                 cables of MuJoCo models
     .usd, .usda, .usdc   curves of USD scenes
+
+Recordings of rods in motion, as ``identify`` and ``simulate`` take them, are in the same files, of which motion capture states
+its rate; their .npz has positions_mm (R, T, V, 3) or (T, V, 3), rate_hz, and optionally recording (R,) names and up (3,).
+
+Axes: D observations, R recordings, T frames, V markers.
 """
 
 import hashlib
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +27,8 @@ from doo_ti.io.curves import Curves, is_motive, is_nexus, is_polyline, read_moti
 from doo_ti.io.mujoco_xml import read_mujoco
 from doo_ti.io.observation_tables import KEYS_IN_TABLES, LABELS, RENAMED, read_table, write_table
 from doo_ti.rod.observations import KEYS, LENGTHS, Observations
-from doo_ti.rod.physical_units import UNITS_IN_MM
+from doo_ti.rod.physical_units import mm_in
+from doo_ti.rod.types import unit_up
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, real_array
 from doo_ti.system.files import MOST_BYTES, MOST_TEXT_BYTES, read_content, write_whole
@@ -35,6 +41,8 @@ OF_OTHERS = {".txt": read_polylines, ".xyz": read_polylines, ".xml": read_mujoco
              ".usd": read_usd, ".usda": read_usd, ".usdc": read_usd}
 MOST_CSV_BYTES = 1 << 28
 """Reading CSV takes about fifteen times as much memory."""
+MOST_LEFT_OUT = 10
+"""Frames of a recording in all for each that is there."""
 
 
 def checked_suffix(path: Path, known: tuple[str, ...] = OWN) -> None:
@@ -134,9 +142,7 @@ def load_observations(path: str | os.PathLike[str], up: ArrayLike | None = None,
 
 def _in_mm(values: dict, read_as: float, unit: str) -> dict:
     """``values`` with all lengths taken to be in ``unit``; they were read as ``read_as`` mm."""
-    if unit not in UNITS_IN_MM:
-        raise InputError("load_observations", "unit", f"{unit!r}", f"give one of {', '.join(UNITS_IN_MM)}")
-    factor = UNITS_IN_MM[unit] / read_as
+    factor = mm_in(unit, "load_observations") / read_as
     return {name: value * factor if name in LENGTHS and value.dtype.kind != "b" else value for name, value in values.items()}
 
 
@@ -189,3 +195,84 @@ def save_observations(path: str | os.PathLike[str], observations: Observations) 
         write_whole(path, lambda file: write_table(file, path.suffix, keys))
     else:
         write_whole(path, lambda file: np.savez_compressed(file, **keys))
+
+
+@dataclass(frozen=True)
+class MotionRecording:
+    """What a file of recordings holds.
+
+    positions  (R, T, V, 3), or (T, V, 3) of a single recording, mm; NaN where a marker was not seen
+    rate       frames per second
+    names      (R,), or None
+    up         (3,) unit vector against gravity, or None where the file states none
+    frames     (T,) what the file calls the frames, or None: 0, 1, …
+    """
+
+    positions: np.ndarray
+    rate: float
+    names: list | None = None
+    up: np.ndarray | None = None
+    frames: np.ndarray | None = None
+
+
+def read_recording(path: str | Path, unit: str | None = None, columns: Mapping[str, str] | Sequence[str] | None = None,
+                   rate: float | None = None) -> MotionRecording:
+    """The recordings in a file.
+
+    unit, columns  as of :func:`doo_ti.io.observation_files.load_observations`
+    rate           frames per second, instead of what the file states
+
+    Raises InputError for files that cannot be read, and where neither the file nor ``rate`` states the rate.
+    """
+    path, stated = Path(path), None if unit is None else mm_in(unit, "RecordedMotion.load")
+    if path.suffix == ".npz":
+        if columns is not None:
+            raise InputError(path, "columns", "the file has no columns", "leave `columns` out")
+        return _of_arrays(path, rate, 1.0 if stated is None else stated)
+    curves = read_curves(path, columns)
+    if curves is not None and curves.rate is not None:
+        factor = curves.unit if stated is None else stated
+        labels = np.arange(len(curves.points)) if curves.labels is None else curves.labels
+        frames, points = _every_frame(path, labels, curves.points)
+        return MotionRecording(factor * points, rate or curves.rate, up=np.array(curves.up), frames=frames)
+    if rate is None:
+        raise InputError(path, "rate", "the file states no frames per second", "give `rate`")
+    observations = load_observations(path, None, unit, columns)
+    frames, positions = _every_frame(path, observations.labels, observations.vertices)
+    return MotionRecording(positions, rate, up=observations.up, frames=frames)
+
+
+def _every_frame(path: Path, labels: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The numbers of all frames (T,) and their positions (T, V, 3), NaN in those that the file leaves out: frames are as far
+    apart as the numbers that it has allow, so that 2, 4, 8 lack 6."""
+    if labels.dtype.kind not in "iu" or len(labels) < 2:
+        return labels, positions
+    step = np.gcd.reduce(np.diff(labels))
+    place = (labels - labels[0]) // step
+    count = int(place[-1]) + 1
+    if count > MOST_LEFT_OUT * len(labels):
+        raise InputError(path, "observation", f"frames {labels[0]} to {labels[-1]}, of which {len(labels)} are there",
+                         "number the frames from one to the next")
+    whole = np.full((count, *positions.shape[1:]), np.nan)
+    whole[place] = positions
+    return labels[0] + step * np.arange(count), whole
+
+
+def _of_arrays(path: Path, rate: float | None, unit: float) -> MotionRecording:
+    """The recordings of an npz, its lengths in a ``unit`` of so many mm."""
+    found = read_npz(path, read_content(path), ("positions_mm", "rate_hz", "recording", "up"))
+    if rate is not None:
+        found["rate_hz"] = np.float64(rate)
+    for key in ("positions_mm", "rate_hz"):
+        if key not in found:
+            raise InputError(path, key, "missing", "give positions_mm (R, T, V, 3) or (T, V, 3) and rate_hz")
+        if found[key].dtype.kind not in "fiu":
+            raise InputError(path, key, f"dtype {found[key].dtype} is not numeric", "store real numbers")
+    positions, names = unit * found["positions_mm"].astype(np.float64), found.get("recording")
+    if found["rate_hz"].size != 1:
+        raise InputError(path, "rate_hz", f"shape {found['rate_hz'].shape}", "give one number: frames per second")
+    count = 1 if positions.ndim == 3 else len(positions) if positions.ndim else 0
+    if names is not None and names.shape != (count,):
+        raise InputError(path, "recording", f"shape {names.shape}", f"give ({count},) names")
+    up = unit_up(found["up"], str(path)) if "up" in found else None
+    return MotionRecording(positions, float(found["rate_hz"].reshape(())), None if names is None else names.tolist(), up)

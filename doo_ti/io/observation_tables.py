@@ -107,10 +107,6 @@ def read_table(path: Path, content: bytes, renamed: dict[str, str] | None = None
 
 def write_table(file: BinaryIO, suffix: str, keys: dict[str, np.ndarray]) -> None:
     """Write the keys of the npz format to ``file`` as CSV or Parquet, by ``suffix``."""
-    import pyarrow
-    import pyarrow.csv
-    import pyarrow.parquet
-
     count, marks = keys["vertices_mm"].shape[:2]
     labels = keys.get(LABELS, np.arange(count))
     if labels.dtype.kind not in "iu" or len(np.unique(labels)) < count:
@@ -127,11 +123,7 @@ def write_table(file: BinaryIO, suffix: str, keys: dict[str, np.ndarray]) -> Non
             value = np.concatenate([value, np.full_like(value[:, :1], np.nan)], axis=1)
         for place, name in enumerate(names):
             columns[name] = value[..., place].ravel()
-    table = pyarrow.table({
-        name: pyarrow.array(values, mask=np.isnan(values) if values.dtype.kind == "f" else None)
-        for name, values in columns.items()
-    })
-    (pyarrow.csv.write_csv if suffix == ".csv" else pyarrow.parquet.write_table)(table, file)
+    write_columns(file, columns, suffix)
 
 
 def _counted(labels: np.ndarray) -> np.ndarray:
@@ -184,26 +176,19 @@ def _parquet_columns(path: Path, content: bytes, renamed) -> tuple[dict[str, np.
     try:
         file = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(content))
         metadata, names = file.metadata, file.schema_arrow.names
-    except (pyarrow.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise _no_table(path, error) from None
-    twice = next((name for name, count in Counter(names).items() if count > 1), None)
-    if twice is not None:
-        raise InputError(path, twice, "the column is there twice", "keep one of them")
-    if metadata.num_rows == 0:
-        raise InputError(path, "file", "holds no rows", "write one row per vertex")
-    check_unpacked(path, content, max(8 * metadata.num_rows * metadata.num_columns, sum(
-        metadata.row_group(group).total_byte_size for group in range(metadata.num_row_groups))))
-    named = _named(path, names, renamed)
-    try:
+        twice = next((name for name, count in Counter(names).items() if count > 1), None)
+        if twice is not None:
+            raise InputError(path, twice, "the column is there twice", "keep one of them")
+        if metadata.num_rows == 0:
+            raise InputError(path, "file", "holds no rows", "write one row per vertex")
+        check_unpacked(path, content, max(8 * metadata.num_rows * metadata.num_columns, sum(
+            metadata.row_group(group).total_byte_size for group in range(metadata.num_row_groups))))
+        named = _named(path, names, renamed)
         table = file.read(list({column for column, _ in named.values()}))
     except (pyarrow.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise _no_table(path, error) from None
+        raise InputError(path, "file", f"is not a Parquet table ({first_line(error)})", "write one row per vertex") from None
     return ({name: factor * _parquet_numbers(path, column, table.column(column)) for name, (column, factor) in named.items()},
             lambda row: f"row {row + 1}", named[_POSITION[0]][1])
-
-
-def _no_table(path: Path, error: Exception) -> InputError:
-    return InputError(path, "file", f"is not a Parquet table ({first_line(error)})", "write one row per vertex")
 
 
 def _parquet_numbers(path: Path, name: str, column) -> np.ndarray:
@@ -251,8 +236,7 @@ def _of_owner(path, key: str, owner: str, values: np.ndarray, labels: np.ndarray
         return values
     if owner == "edge":
         return values[:, :-1]
-    first = np.take_along_axis(values, np.argmin(np.isnan(values), axis=1)[:, None], axis=1)
-    differs = np.argwhere((values != first) & ~np.isnan(values))
+    first, differs = _first_along(values, 1)
     if len(differs):
         d, v, _ = differs[0]
         raise InputError(path, key, f"observation {labels[d]} has another value at vertex {v} than before",
@@ -260,10 +244,15 @@ def _of_owner(path, key: str, owner: str, values: np.ndarray, labels: np.ndarray
     return first[:, 0]
 
 
+def _first_along(values: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
+    """The first value along an axis that is not NaN, and where others differ from it."""
+    first = np.take_along_axis(values, np.expand_dims(np.argmin(np.isnan(values), axis=axis), axis), axis=axis)
+    return first, np.argwhere((values != first) & ~np.isnan(values))
+
+
 def _agreed(path, key: str, values: np.ndarray, labels: np.ndarray) -> np.ndarray:
     """The value that all observations share; NaN where none has one."""
-    first = np.take_along_axis(values, np.argmin(np.isnan(values), axis=0)[None], axis=0)
-    differs = np.argwhere((values != first) & ~np.isnan(values))
+    first, differs = _first_along(values, 0)
     if len(differs):
         raise InputError(path, key, f"observation {labels[differs[0][0]]} has another value than those before",
                          "give the same value in all observations of a file")
@@ -299,14 +288,15 @@ def write_rod_table(file: BinaryIO, arrays: dict[str, np.ndarray], axes: tuple[s
     return left_out
 
 
-def write_columns(file: BinaryIO, columns: dict[str, np.ndarray]) -> None:
-    """Write columns of equal length as CSV; NaN is an empty cell."""
+def write_columns(file: BinaryIO, columns: dict[str, np.ndarray], suffix: str = ".csv") -> None:
+    """Write columns of equal length as CSV or Parquet, by ``suffix``; NaN is an empty cell."""
     import pyarrow
     import pyarrow.csv
+    import pyarrow.parquet
 
-    pyarrow.csv.write_csv(pyarrow.table({
-        name: pyarrow.array(values, mask=np.isnan(values) if values.dtype.kind == "f" else None)
-        for name, values in columns.items()}), file)
+    table = pyarrow.table({name: pyarrow.array(values, mask=np.isnan(values) if values.dtype.kind == "f" else None)
+                           for name, values in columns.items()})
+    (pyarrow.csv.write_csv if suffix == ".csv" else pyarrow.parquet.write_table)(table, file)
 
 
 def _per_vertex(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray | None:

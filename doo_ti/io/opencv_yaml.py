@@ -36,10 +36,9 @@ def read_opencv_yaml(text: str):
     body = "".join(lines[1:]) if lines and lines[0].startswith("%YAML") else text
     try:
         return yaml.load(body, Loader)
-    except (yaml.YAMLError, RecursionError, OverflowError) as error:
+    except (yaml.YAMLError, RecursionError, OverflowError, TypeError, ValueError, AttributeError) as error:
+        # The last three: a key that is a list, a date that is none.
         raise DamagedError((str(error) or type(error).__name__).splitlines()[0]) from None
-    except (TypeError, ValueError, AttributeError) as error:  # a key that is a list, a date that is none
-        raise DamagedError(str(error).splitlines()[0]) from None
 
 
 def _matrix(entries: dict) -> np.ndarray:

@@ -4,7 +4,7 @@ damped least squares.
 Symmetric matrices lie in scratch as their lower triangles, row by row. Axes: B rods, K unknowns of each.
 """
 
-from functools import cache
+from functools import cache, partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -30,8 +30,12 @@ LEAST_LENGTH = 1e-12
 
 @ti.data_oriented
 class RodByRod:
-    """What each thread does with its share of the rods, a pack at a time. ``given`` is the record of the kernel's arrays, which
-    hold the numbers of one rod after those of the one before."""
+    """What each thread does with its share of the rods, a pack at a time. ``given`` is the record of a kernel's arguments: the
+    ``arrays``, which hold the numbers of one rod after those of the one before, and ``further`` whole numbers."""
+
+    name: str
+    arrays: tuple[str, ...]
+    further: tuple[str, ...] = ()
 
     def __init__(self, number: Number, stride: int):
         self.width, self.scratch, lanes = number.width, Scratch(number, stride), number.lanes()
@@ -79,6 +83,9 @@ class NormalEquations(RodByRod):
     """JᵀWJ and JᵀWr of rows that come in threes, the coordinates of a vertex, with one weight. J are the first ``size`` of the
     columns from ``first`` on; there are ``wide`` of them."""
 
+    name, further = "normal_equations", ("vertices", "wide", "first")
+    arrays = ("columns", "weight", "residual", "normal", "right")
+
     @picked
     def needed(self, size):
         """Numbers in scratch: the matrix, the right-hand side, and three rows of J."""
@@ -125,6 +132,8 @@ class NormalEquations(RodByRod):
 class Inverses(RodByRod):
     """A⁻¹ by sweeping one pivot after the other (Goodnight, *A tutorial on the SWEEP operator*, 1979)."""
 
+    name, arrays = "invert", ("matrices", "inverses")
+
     @picked
     def needed(self, size):
         """Numbers in scratch."""
@@ -162,6 +171,8 @@ class DampedLeastSquares(RodByRod):
     Newton's method on 1/|u| − 1/length, which is nearly linear in λ and grows with it (Hebden, 1973): from below it never steps
     too far. Where the constraint holds, only the part of u across it, r = u − c a/|a|², becomes shorter as λ grows.
     """
+
+    name, arrays = "step", ("normal", "gradient", "length", "across", "room", "steps")
 
     @picked
     def needed(self, size):
@@ -277,38 +288,19 @@ class DampedLeastSquares(RodByRod):
         return total
 
 
-SIZES = {"count": ti.i32, "size": ti.i32, "threads": ti.i32, "scratch": SCRATCH}
-
-
 @cache
-def normal_kernel(number: Number, stride: int, block: int):
-    """As :func:`doo_ti.relaxation.newton.newton_kernel`."""
-    rods = NormalEquations(number, stride)
-    arguments = {name: TABLE1 for name in ("columns", "weight", "residual", "normal", "right")} | SIZES | {
-        "vertices": ti.i32, "wide": ti.i32, "first": ti.i32}
-    return loop_kernel("normal_equations", number, arguments, rods.work, block), lambda given: rods.needed(given.size)
-
-
-@cache
-def inverse_kernel(number: Number, stride: int, block: int):
-    """The same for inverses."""
-    rods = Inverses(number, stride)
-    arguments = {"matrices": TABLE1, "inverses": TABLE1, **SIZES}
-    return loop_kernel("invert", number, arguments, rods.work, block), lambda given: rods.needed(given.size)
-
-
-@cache
-def step_kernel(number: Number, stride: int, block: int):
-    """The same for damped least squares."""
-    rods = DampedLeastSquares(number, stride)
-    arguments = {name: TABLE1 for name in ("normal", "gradient", "length", "across", "room", "steps")} | SIZES
-    return loop_kernel("step", number, arguments, rods.work, block), lambda given: rods.needed(given.size)
+def dense_kernel(kind: type[RodByRod], number: Number, stride: int, block: int):
+    """The kernel of that ``kind``, as :func:`doo_ti.relaxation.newton.newton_kernel`."""
+    rods, whole = kind(number, stride), ti.i32
+    arguments = dict.fromkeys(kind.arrays, TABLE1) | {"count": whole, "size": whole, "threads": whole, "scratch": SCRATCH}
+    arguments |= dict.fromkeys(kind.further, whole)
+    return loop_kernel(kind.name, number, arguments, rods.work, block), lambda given: rods.needed(given.size)
 
 
 @runtime.exclusive
-def _run(factory, count: int, size: int, *arrays: np.ndarray, further: tuple[int, ...] = ()) -> None:
-    """Launch a kernel over ``count`` rods."""
-    kernel, threads, scratch, _ = laid_out(layout_for(count, 64), factory, SimpleNamespace(size=size))
+def _run(kind: type[RodByRod], count: int, size: int, *arrays: np.ndarray, further: tuple[int, ...] = ()) -> None:
+    """Launch the kernel of that ``kind`` over ``count`` rods."""
+    kernel, threads, scratch, _ = laid_out(layout_for(count, 64), partial(dense_kernel, kind), SimpleNamespace(size=size))
     kernel(*(array.reshape(-1) for array in arrays), count, size, threads, scratch, *further)
 
 
@@ -320,7 +312,7 @@ def normal_equations(columns: np.ndarray, first: int, size: int, weight: np.ndar
     normal, right = np.empty((count, size, size)), np.empty((count, size))
     if right.size:
         arrays = map(np.ascontiguousarray, (columns, weight, residual))
-        _run(normal_kernel, count, size, *arrays, normal, right, further=(vertices, wide, first))
+        _run(NormalEquations, count, size, *arrays, normal, right, further=(vertices, wide, first))
     return normal, right
 
 
@@ -329,7 +321,7 @@ def inverses(matrices: np.ndarray) -> np.ndarray:
     matrices = np.ascontiguousarray(matrices)
     found = np.empty_like(matrices)
     if matrices.size:
-        _run(inverse_kernel, *matrices.shape[:2], matrices, found)
+        _run(Inverses, *matrices.shape[:2], matrices, found)
     return found
 
 
@@ -339,5 +331,5 @@ def damped_steps(normal: np.ndarray, gradient: np.ndarray, length: np.ndarray, a
     (B, K), ``room`` (B,)."""
     steps = np.empty_like(gradient)
     if steps.size:
-        _run(step_kernel, *gradient.shape, *map(np.ascontiguousarray, (normal, gradient, length, across, room)), steps)
+        _run(DampedLeastSquares, *gradient.shape, *map(np.ascontiguousarray, (normal, gradient, length, across, room)), steps)
     return steps

@@ -1,25 +1,144 @@
 """The equilibria of a rod between grippers, and ways in them: shapes are interpolated, and each is let go where grippers hold
 its ends (projection to the manifold of certified equilibria: Berenson, Srinivasa, Ferguson and Kuffner, *Manipulation planning
-on constraint manifolds*, ICRA 2009). Axes: R rods or ways, S states of all ways."""
+on constraint manifolds*, ICRA 2009). Axes: R rods or ways, S states of all ways, E edges, V vertices."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.manipulation.clearance import Clearance
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.manipulation.poses import change_between, finite_rods, joined, moved, put_rods
-from doo_ti.manipulation.shapes import Shapes
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.rod.frames import matrix_from_quaternion
+from doo_ti.rod.frames import conjugate, matrix_from_quaternion, quaternion_of_turn, quaternion_product, rotation_vector
 from doo_ti.rod.types import Clamps, Configuration, Material
 
+BENDING, WAVES = 1.5, 3
+"""rad, standard deviation of what each cosine along the rod adds to each component of a random rod's rotations."""
+CLEAR = 2e-3
+"""Of the rod's length, to obstacles: as near as equilibria are told apart."""
+NEAR = 0.03
+"""Of the rod's length: gaps that are larger are measured at vertices only, as a lower bound."""
 STEP = 0.03
 """Of the rod's length, between two states of a way, turns times the lever."""
 ABRUPT = 4.0
 """Times as far as their interpolated shapes may two successive states be apart; further, and the rod has jumped."""
 SAME = 2e-3
 """Of the rod's length, between two shapes of one equilibrium: a tenth of what branches differ by, a thousand times rounding."""
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """R rods.
+
+    place        (R, 3) mm, the middle of the anchor
+    frame        (R, 4) its frame
+    joints       (R, E−1, 3) rad, rotation vectors from each edge to the next, in the axes of the edge
+    rest_length  (E,) mm
+    anchor       number of an edge
+    """
+
+    place: np.ndarray
+    frame: np.ndarray
+    joints: np.ndarray
+    rest_length: np.ndarray
+    anchor: int
+
+    @classmethod
+    def of(cls, rods: Configuration, anchor: int) -> "Shapes":
+        """Those of ``rods``, which turn by less than half a turn from each edge to the next."""
+        frames = rods.quaternions
+        joints = rotation_vector(quaternion_product(conjugate(frames[:, :-1]), frames[:, 1:]))
+        place = rods.vertices[:, anchor : anchor + 2].mean(axis=1)
+        return cls(place, frames[:, anchor], joints, rods.rest_length, anchor)
+
+    @classmethod
+    def at_random(cls, count: int, low: np.ndarray, high: np.ndarray, rest_length: np.ndarray, anchor: int,
+                  random: np.random.Generator) -> "Shapes":
+        """``count`` of them between the corners ``low`` and ``high`` (3,) mm, in all directions, bent and twisted by
+        cosines."""
+        joints = len(rest_length) - 1
+        waves = np.cos(np.pi * np.arange(WAVES)[:, None] * np.linspace(0.0, 1.0, joints)) / joints
+        frame = random.normal(size=(count, 4))
+        return cls(random.uniform(low, high, (count, 3)), frame / np.linalg.norm(frame, axis=1, keepdims=True),
+                   np.einsum("rkc,kj->rjc", BENDING * random.normal(size=(count, WAVES, 3)), waves), rest_length, anchor)
+
+    @property
+    def rods(self) -> Configuration:
+        """The R rods of these shapes."""
+        turns, edges = quaternion_of_turn(self.joints), len(self.rest_length)
+        frames = np.empty((len(turns), edges, 4))
+        frames[:, self.anchor] = self.frame
+        for edge in range(self.anchor + 1, edges):
+            frames[:, edge] = quaternion_product(frames[:, edge - 1], turns[:, edge - 1])
+        for edge in range(self.anchor - 1, -1, -1):
+            frames[:, edge] = quaternion_product(frames[:, edge + 1], conjugate(turns[:, edge]))
+        rods = Configuration(np.zeros((len(turns), 3)), frames / np.linalg.norm(frames, axis=-1, keepdims=True),
+                             self.rest_length)
+        middle = rods.vertices[:, self.anchor : self.anchor + 2].mean(axis=1)
+        return Configuration(self.place - middle, rods.quaternions, self.rest_length)
+
+    def take(self, rows: np.ndarray) -> "Shapes":
+        """The shapes named by ``rows``."""
+        return Shapes(self.place[rows], self.frame[rows], self.joints[rows], self.rest_length, self.anchor)
+
+    def towards(self, other: "Shapes", share: np.ndarray) -> "Shapes":
+        """After ``share`` (R,) of the way to the R others, all numbers uniformly, the anchor turning the shortest way."""
+        share = share[:, None]
+        turn = rotation_vector(quaternion_product(conjugate(self.frame), other.frame))
+        return Shapes(self.place + share * (other.place - self.place),
+                      quaternion_product(self.frame, quaternion_of_turn(share * turn)),
+                      self.joints + share[..., None] * (other.joints - self.joints), self.rest_length, self.anchor)
+
+    def apart(self, other: "Shapes", lever: float) -> np.ndarray:
+        """(R,) mm: shift and turn of the anchor and the turns of all joints on the way to the R others, added; a radian counts
+        as much as ``lever`` mm."""
+        shift = np.linalg.norm(self.place - other.place, axis=-1)
+        turn = 2 * np.arccos(np.minimum(np.abs(np.sum(self.frame * other.frame, axis=-1)), 1.0))
+        return shift + lever * (turn + np.linalg.norm(self.joints - other.joints, axis=-1).sum(axis=-1))
+
+
+@dataclass(frozen=True)
+class Clearance:
+    """What is around rods of one kind, ``surroundings`` of one row, and their ``length`` in mm and ``edges``."""
+
+    surroundings: Surroundings
+    length: float
+    edges: int
+
+    def around(self, count: int) -> Surroundings:
+        """The surroundings of ``count`` rods."""
+        return self.surroundings.take(np.zeros(count, dtype=np.int64))
+
+    def of(self, vertices: np.ndarray) -> np.ndarray:
+        """(R,) mm by which rods (R, V, 3) are further than CLEAR from all obstacles, at least; infinite without any."""
+        if not self.surroundings:
+            return np.full(len(vertices), np.inf)
+        margin = CLEAR * self.length
+        gap = self._gap(vertices, places=2) - 0.5 * self.length / self.edges - margin
+        near = np.flatnonzero(gap < NEAR * self.length)
+        if len(near):
+            gap[near] = self._gap(vertices[near]) - margin
+        return gap
+
+    def between(self, before: np.ndarray, after: np.ndarray, gap_before: np.ndarray, gap_after: np.ndarray) -> np.ndarray:
+        """(R,) bool: whether rods that move from ``before`` to ``after`` (R, V, 3), each vertex along a line, keep clear; gaps
+        (R,) of both.
+
+        A rod that moves by less than both gaps together touches nothing; else it is halved (conservative advancement).
+        """
+        clear = (gap_before > 0) & (gap_after > 0)
+        travel = np.linalg.norm(after - before, axis=-1).max(axis=1)
+        rows = np.flatnonzero(clear & (travel > gap_before + gap_after + 2 * CLEAR * self.length))
+        if len(rows):
+            middle = 0.5 * (before[rows] + after[rows])
+            gap = self.of(middle)
+            clear[rows] = (self.between(before[rows], middle, gap_before[rows], gap)
+                           & self.between(middle, after[rows], gap, gap_after[rows]))
+        return clear
+
+    def _gap(self, vertices: np.ndarray, **places: int) -> np.ndarray:
+        return np.nan_to_num(self.around(len(vertices)).smallest_gap(vertices, **places), nan=-np.inf)
 
 
 @dataclass(frozen=True)
@@ -34,7 +153,7 @@ class States:
     touching: np.ndarray
 
     def take(self, rows: np.ndarray) -> "States":
-        """Those named by ``rows``."""
+        """The states named by ``rows``."""
         return States(self.rods.take(rows), self.clamps.take(rows), self.touching[rows])
 
 
@@ -82,7 +201,7 @@ class Equilibria:
 
     @property
     def length(self) -> float:
-        """mm."""
+        """Length of the rod, mm."""
         return self.clearance.length
 
     @property

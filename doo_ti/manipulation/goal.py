@@ -4,14 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.contact.surroundings import Surroundings
-from doo_ti.manipulation.damped_step import DampedSteps
+from doo_ti.manipulation.dense_kernels import damped_steps, normal_equations
+from doo_ti.manipulation.model import Model, drawn_to
 from doo_ti.manipulation.poses import finite_rods, held, joined, moved, put_rods, put_rows, slack
-from doo_ti.manipulation.resynchronise import stiffness_of
 from doo_ti.manipulation.targets import ServoOptions, Targets
-from doo_ti.relaxation.external import Springs
-from doo_ti.relaxation.newton import Newton
-from doo_ti.relaxation.relax import relax
 from doo_ti.relaxation.sensitivity import GRIPPERS, sensitivity
 from doo_ti.rod.frames import (
     bishop_frames,
@@ -23,7 +19,7 @@ from doo_ti.rod.frames import (
     tangent_from_quaternion,
     total_twist,
 )
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Solution
 
 TWISTS = np.radians([0.0, 90.0, -90.0, 180.0, -180.0, 270.0, -270.0, 360.0, -360.0])
 """By which guesses are twisted more than the rod is. Marks do not show twist; the fit finds it within a quarter turn."""
@@ -38,21 +34,33 @@ SHRINK, GROW = 0.3, 2.0
 
 
 @dataclass(frozen=True)
-class Model:
-    """Models of B rods: what they are made of, how clips hold them (:func:`.poses.held`), and what surrounds them."""
+class DampedSteps:
+    """Steps u of damped least squares (Levenberg, Marquardt): min |e − J u|² + λ |u|², λ so large that |u| ≤ a given length.
 
-    material: Material
-    clip: np.ndarray
-    up: np.ndarray
-    surroundings: Surroundings
+    normal    (B, K, K) JᵀJ
+    gradient  (B, K) Jᵀe
+    """
 
-    def relaxed(self, rods: Configuration, clamps: Clamps) -> Solution:
-        """The rods at rest under the grippers' poses."""
-        return relax(rods, self.material, held(clamps, self.clip), Newton.careful(), up=self.up, **self.surroundings.arguments)
+    normal: np.ndarray
+    gradient: np.ndarray
 
-    def take(self, rods: np.ndarray) -> "Model":
-        """Those of the rods named by ``rods``."""
-        return Model(self.material.take(rods), self.clip[rods], self.up, self.surroundings.take(rods))
+    @classmethod
+    def towards(cls, targets: Targets, shapes: np.ndarray, columns: np.ndarray, first: int, options: ServoOptions
+                ) -> "DampedSteps":
+        """Steps of the grippers, in mm, that bring ``shapes`` (B, V, 3) to their targets; the twelve ``columns`` (B, V, 3, C)
+        from ``first`` on are the derivatives of the shapes by the grippers' coordinates."""
+        normal, gradient = normal_equations(columns, first, len(options.scale), targets.shares, targets.places - shapes)
+        unit = options.moves / options.scale
+        return cls(normal * np.outer(unit, unit), gradient * unit)
+
+    def within(self, length: np.ndarray) -> np.ndarray:
+        """(B, K) the steps of at most ``length`` (B,), zero where that is."""
+        return damped_steps(self.normal, self.gradient, length, np.zeros_like(self.gradient), np.zeros_like(length))
+
+    def below(self, length: np.ndarray, across: np.ndarray, room: np.ndarray) -> np.ndarray:
+        """(B, K) the steps of at most ``length`` (B,) whose product with ``across`` (B, K) is at most ``room`` (B,): where that
+        of :meth:`within` is more, the best of those that have just that (one active constraint)."""
+        return damped_steps(self.normal, self.gradient, length, across, room)
 
 
 @dataclass(frozen=True)
@@ -69,26 +77,28 @@ class Goal:
     distance: np.ndarray
 
     def take(self, rods: np.ndarray) -> "Goal":
-        """Those of the rods named by ``rods``."""
+        """The goals of the rods named by ``rods``."""
         return Goal(self.rods.take(rods), self.clamps.take(rods), self.distance[rods])
 
 
 def nearest_goal(rods: Configuration, clamps: Clamps, model: Model, targets: Targets, options: ServoOptions) -> Goal:
     """The rods' goals: of several guesses, each drawn to its target and fitted, those that come nearest."""
-    count = rods.count
-    drawn, grippers = _guesses(rods, clamps, model, targets, options)
-    rows = np.tile(np.arange(count), GUESSES)
-    fitted = fit(drawn, grippers, model.take(rows), targets.take(rows), options)
-    best = np.argmin(fitted.distance.reshape(GUESSES, count), axis=0) * count + np.arange(count)
-    return fitted.take(best)
+    fitted = _fitted_guesses(rods, clamps, model, targets, options)
+    best = np.argmin(fitted.distance.reshape(GUESSES, rods.count), axis=0)
+    return fitted.take(best * rods.count + np.arange(rods.count))
 
 
 def all_goals(rods: Configuration, clamps: Clamps, model: Model, targets: Targets, options: ServoOptions) -> Goal:
     """The goals of one rod that all guesses lead to, the nearest first."""
-    drawn, grippers = _guesses(rods, clamps, model, targets, options)
-    rows = np.zeros(GUESSES, dtype=np.int64)
-    fitted = fit(drawn, grippers, model.take(rows), targets.take(rows), options)
+    fitted = _fitted_guesses(rods, clamps, model, targets, options)
     return fitted.take(np.argsort(fitted.distance, kind="stable"))
+
+
+def _fitted_guesses(rods: Configuration, clamps: Clamps, model: Model, targets: Targets, options: ServoOptions) -> Goal:
+    """The goals (K·B) that all guesses lead to."""
+    drawn, grippers = _guesses(rods, clamps, model, targets, options)
+    rows = np.tile(np.arange(rods.count), GUESSES)
+    return fit(drawn, grippers, model.take(rows), targets.take(rows), options)
 
 
 def fit(rods: Configuration, clamps: Clamps, model: Model, targets: Targets, options: ServoOptions) -> Goal:
@@ -103,8 +113,7 @@ def fit(rods: Configuration, clamps: Clamps, model: Model, targets: Targets, opt
             break
         own, here, asked = model.take(rows), clamps.take(rows), targets.take(rows)
         solution = own.relaxed(rods.take(rows), here)
-        columns = sensitivity(solution, GRIPPERS, rotations=False, loads=False).vertices
-        columns = np.nan_to_num(columns)
+        columns = np.nan_to_num(sensitivity(solution, GRIPPERS, rotations=False, loads=False).vertices)
         vertices = solution.configuration.vertices
         shapes = np.where(np.isfinite(vertices), vertices, asked.places)
         step = DampedSteps.towards(asked, shapes, columns, 0, options).within(length[rows])
@@ -126,26 +135,18 @@ def _guesses(rods: Configuration, clamps: Clamps, model: Model, targets: Targets
              ) -> tuple[Configuration, Clamps]:
     """(K·B) rods: as they are, then drawn to their targets by springs, twist by twist; and grippers that hold them so. A
     gripper that is not free to shift and turn stays."""
-    count = rods.count
     starts, ends = ({f"{end}_shift", f"{end}_turn"} <= set(options.free) for end in ("start", "end"))
     loose = replace(held(clamps, model.clip), start=Clamp.FREE if starts else clamps.start,
                     end=Clamp.FREE if ends else clamps.end)
-    seen = targets.shares > 0
-    springs = Springs(targets.places, seen * stiffness_of(model.material, rods.rest_length, seen)[:, None])
-    drawn = relax(rods, model.material, loose, Newton.careful(), up=model.up, external=springs, external_index=np.arange(count))
-    shapes = finite_rods(drawn.configuration, rods)
-    first = clamps.start_frame
+    shapes = drawn_to(rods, model.material, loose, targets.places, targets.shares > 0, model.up)
+    first, tangents = clamps.start_frame, tangent_from_quaternion(shapes.quaternions)
     if starts:
-        along = tangent_from_quaternion(shapes.quaternions[:, 0])
-        first = matrix_from_quaternion(smallest_rotation(first[..., 0], along)) @ first
-    frames = quaternion_from_matrix(bishop_frames(tangent_from_quaternion(shapes.quaternions), first[..., 1]))
-    place = np.linspace(0.0, 1.0, rods.edges)
-    twist = total_twist(rods.quaternions)
-    every = []
-    for more in TWISTS:
-        own = np.broadcast_to([1.0, 0.0, 0.0], (count, rods.edges, 3))
-        every.append(quaternion_product(frames, quaternion_about(own, (twist + more)[:, None] * place)))
-    rows = np.tile(np.arange(count), len(TWISTS))
+        first = matrix_from_quaternion(smallest_rotation(first[..., 0], tangents[:, 0])) @ first
+    frames = quaternion_from_matrix(bishop_frames(tangents, first[..., 1]))
+    place, twist = np.linspace(0.0, 1.0, rods.edges), total_twist(rods.quaternions)
+    own = np.broadcast_to([1.0, 0.0, 0.0], (rods.count, rods.edges, 3))
+    every = [quaternion_product(frames, quaternion_about(own, (twist + more)[:, None] * place)) for more in TWISTS]
+    rows = np.tile(np.arange(rods.count), len(TWISTS))
     guessed = Configuration(shapes.start[rows], np.concatenate(every), rods.rest_length)
     grippers = clamps.take(rows)
     matrices, vertices = guessed.frames, guessed.vertices

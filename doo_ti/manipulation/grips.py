@@ -24,6 +24,7 @@ from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import (
     FRAME_TOLERANCE,
+    conjugate,
     orthonormality_error,
     quaternion_from_matrix,
     quaternion_product,
@@ -71,12 +72,12 @@ class Grip:
             raise InputError("Grip.where", "vertex", f"{vertex}", f"give a vertex between the ends, 1 to {rods.edges - 1}")
         before, after = rods.quaternions[:, vertex - 1], rods.quaternions[:, vertex]
         lengths = np.broadcast_to(rods.rest_length, (rods.count, rods.edges))[:, vertex - 1 : vertex + 1]
-        turn = rotation_vector(quaternion_product(before * [1.0, -1.0, -1.0, -1.0], after))
+        turn = rotation_vector(quaternion_product(conjugate(before), after))
         share = lengths[:, :1] / lengths.sum(axis=1, keepdims=True)
         return cls(vertex, rods.vertices[:, vertex], rods.frames[:, vertex - 1] @ rotation_matrix(share * turn))
 
     def take(self, rows: Rows) -> "Grip":
-        """That of the rods named by ``rows``, in that order."""
+        """The gripper of the rods named by ``rows``, in that order."""
         return replace(self, position=self.position[rows], frame=self.frame[rows])
 
 
@@ -141,8 +142,7 @@ class Stretches:
     vertices: tuple[int, ...]
 
     @classmethod
-    def between(cls, function: str, rods: Configuration, grips: Sequence[Grip], obstacles: Sequence[Obstacle]
-                ) -> "Stretches":
+    def between(cls, function: str, rods: Configuration, grips: Sequence[Grip], obstacles: Sequence[Obstacle]) -> "Stretches":
         """Raises InputError, of ``function``, for grips that do not suit the rods, and for ``Itself`` beside grips."""
         held = (0, *(grip.vertex for grip in grips), rods.edges)
         for before, after in zip(held[:-1], held[1:], strict=True):

@@ -22,13 +22,12 @@ from numpy.typing import ArrayLike
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.motion_file import ClampPath
-from doo_ti.manipulation.clearance import CLEAR, Clearance
-from doo_ti.manipulation.equilibria import Equilibria, States, joined_states
-from doo_ti.manipulation.goal import Model, all_goals
+from doo_ti.manipulation.equilibria import CLEAR, Clearance, Equilibria, States, joined_states
+from doo_ti.manipulation.goal import all_goals
+from doo_ti.manipulation.model import Model
 from doo_ti.manipulation.poses import ARRAYS, change_between
-from doo_ti.manipulation.search import Search
+from doo_ti.manipulation.search import Search, Tree
 from doo_ti.manipulation.targets import ServoOptions, Targets
-from doo_ti.manipulation.tree import Tree
 from doo_ti.prediction.predict import predict
 from doo_ti.rod.material import Material
 from doo_ti.rod.types import Clamp, Clamps, Configuration, unit_up

@@ -4,13 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from doo_ti.rod.frames import (
-    quaternion_from_matrix,
-    quaternion_product,
-    rotation_matrix,
-    rotation_vector,
-    unit_vectors,
-)
+from doo_ti.rod.frames import rotation_matrix, turn_between, unit_vectors
 from doo_ti.rod.types import Clamps, Configuration
 
 ARRAYS = ("start_position", "end_position", "start_frame", "end_frame")
@@ -25,11 +19,8 @@ def moved(clamps: Clamps, change: np.ndarray) -> Clamps:
 
 def change_between(clamps: Clamps, goal: Clamps) -> np.ndarray:
     """(B, 12) the change from ``clamps`` to ``goal``, frames turning the shortest way."""
-    def turn(frame, there):
-        return rotation_vector(quaternion_product(quaternion_from_matrix(there),
-                                                  quaternion_from_matrix(frame) * [1.0, -1.0, -1.0, -1.0]))
-    return np.concatenate([goal.start_position - clamps.start_position, turn(clamps.start_frame, goal.start_frame),
-                           goal.end_position - clamps.end_position, turn(clamps.end_frame, goal.end_frame)], axis=1)
+    return np.concatenate([goal.start_position - clamps.start_position, turn_between(clamps.start_frame, goal.start_frame),
+                           goal.end_position - clamps.end_position, turn_between(clamps.end_frame, goal.end_frame)], axis=1)
 
 
 def held(clamps: Clamps, clip: np.ndarray) -> Clamps:

@@ -27,8 +27,8 @@ from numpy.typing import ArrayLike
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.manipulation.belief import CENTRE, CLIP, Belief, LearnedMaterial, elastic_curvature
-from doo_ti.manipulation.damped_step import DampedSteps
-from doo_ti.manipulation.goal import Model, nearest_goal
+from doo_ti.manipulation.goal import DampedSteps, nearest_goal
+from doo_ti.manipulation.model import Model, Rested, between_marks, resynchronised
 from doo_ti.manipulation.poses import (
     boxed,
     change_between,
@@ -41,8 +41,6 @@ from doo_ti.manipulation.poses import (
     slack,
     slack_gradient,
 )
-from doo_ti.manipulation.rested import Rested
-from doo_ti.manipulation.resynchronise import between_marks, resynchronised
 from doo_ti.manipulation.targets import ServoOptions, ServoStatus, Targets, require_matching
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax

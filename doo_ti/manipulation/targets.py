@@ -42,7 +42,7 @@ class Targets:
 
     @property
     def count(self) -> int:
-        """B."""
+        """B, the number of rods."""
         return len(self.vertices)
 
     @cached_property
@@ -61,7 +61,7 @@ class Targets:
         return asked * (1.0 if self.weight is None else self.weight)
 
     def take(self, index: Rows) -> "Targets":
-        """Those of the rods named by ``index``."""
+        """The targets of the rods named by ``index``."""
         return Targets(self.vertices[index], None if self.weight is None else self.weight[index])
 
     def distance(self, vertices: np.ndarray) -> np.ndarray:
@@ -157,7 +157,7 @@ class ServoOptions:
 
 
 def require_matching(rod: Configuration, material: Material, clamps: Clamps, targets: Targets) -> None:
-    """Raise InputError where they do not belong together."""
+    """Raise InputError where the arguments of a servo do not belong together."""
     count = rod.count
     if clamps.count != count or material.count not in (1, count) or targets.count not in (1, count):
         raise InputError("Servo", "clamps, material, targets", f"{clamps.count}, {material.count} and {targets.count} rows for "

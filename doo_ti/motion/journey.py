@@ -1,17 +1,22 @@
-"""Rods carried by moving clamps: relaxed after each sub-step and kept to their branch (§III-D).
+"""Rods carried by moving clamps: relaxed after each sub-step, kept to their branch, and their jumps counted (§III-D).
 
 Each motion takes as many sub-steps as it needs itself, whatever other motions are computed beside it.
+
+A jump: a rod whose clamps move loses its equilibrium and snaps to another one. A rod that stays on its branch changes by nearly
+as much in one sub-step as in the next. Where it does not, the sub-step is repeated in eighths, and their result replaces it: a
+branch that still exists is then followed, not skipped. A continuous change spreads over the eighths, even in front of a fold,
+where the last eighth holds a third of it, two and a half times the one before. A jump lies within one eighth, and of two jumps
+in a sub-step each exceeds the eighths beside it.
 
 Axes: G materials, N motions, R = G·N rods, material by material, E edges.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.motion.jumps import PARTS, JumpCount
 from doo_ti.motion.path import Motion
 from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.newton import Newton
@@ -21,6 +26,95 @@ from doo_ti.rod.types import Configuration, Material, Solution, sticky
 
 FEWEST_STEPS = 2
 """Sub-steps of a motion: jumps are found by comparing a sub-step with the one before."""
+PARTS = 8
+OUT_OF_PROPORTION = 0.5
+"""A sub-step is repeated where the difference of two successive changes exceeds this share of the larger one: 0.1 on smooth
+motions, 1 at a jump."""
+UNDIVIDED = 0.5
+"""A part that holds more than this share of the change of all parts is a jump."""
+ABRUPT = 6.0
+"""A part that changes this many times as much as the parts beside it is a jump, too."""
+NOTABLE = 0.01
+"""rad, root mean square over the frames: smaller changes are no jumps."""
+EVERY = 4
+"""Every fourth edge is compared: that suffices for the change of a shape."""
+
+
+class JumpCount:
+    """Counts the jumps of R rods, sub-step by sub-step, and corrects sub-steps that skipped a branch.
+
+    frames  (R, E, 4) before the first sub-step
+    finely  function of rows (n,), their frames (n, E, 4), a sub-step, counted from zero, and a number of sub-steps: yields the
+            solution of the n rods after each part of these, with status and iterations since the first part
+    watch   False: nothing is counted or corrected
+    count   (R,) jumps so far
+    """
+
+    def __init__(self, frames: np.ndarray, finely: Callable[..., Iterator[Solution]], watch: bool = True):
+        self.watch = watch
+        self.count = np.zeros(len(frames), dtype=np.int32)
+        self._finely = finely
+        self._states, self._before = [frames], None
+        self._change = self._size = self._judged = None
+        self._step = 0
+
+    def see(self, solution: Solution) -> None:
+        """Take in the R rods after the next sub-step; where it is repeated in parts, their result is written into it."""
+        if not self.watch:
+            return
+        frames = solution.configuration.quaternions
+        change = _sample(frames) - _sample(self._states[-1])
+        size, judged = _size(change), np.zeros(len(frames), dtype=bool)
+        if self._change is not None:
+            larger = np.maximum(size, self._size)
+            judged = (_size(change - self._change) > OUT_OF_PROPORTION * larger) & (larger > NOTABLE)
+            earlier = judged & (size < self._size) & ~self._judged
+            judged &= (size >= self._size) | earlier
+            for rows, steps in ((np.flatnonzero(judged & ~earlier), 1), (np.flatnonzero(earlier), 2)):
+                if len(rows):
+                    self._repeat(rows, steps, solution)
+            rows = np.flatnonzero(judged)
+            change[rows] = _sample(frames[rows]) - _sample(self._states[-1][rows])
+            size[rows] = _size(change[rows])
+        self._states, self._before = [self._states[-1], frames], solution
+        self._change, self._size, self._judged = change, size, judged
+        self._step += 1
+
+    def _repeat(self, rows: np.ndarray, steps: int, solution: Solution) -> None:
+        """Repeat the last ``steps`` sub-steps of some rods in parts, and count the jumps in them."""
+        before = self._states[-steps][rows]
+        sizes = []
+        for part, here in enumerate(self._finely(rows, before, self._step + 1 - steps, steps), 1):
+            after = here.configuration.quaternions
+            sizes.append(_size(_sample(after) - _sample(before)))
+            before = after
+            if part == PARTS * steps:
+                _put(solution, rows, here)
+            elif part == PARTS * (steps - 1):
+                _put(self._before, rows, here)
+        size = np.nan_to_num(np.array(sizes))
+        around = np.pad(size, ((1, 1), (0, 0)))
+        beside = np.maximum(around[:-2], around[2:])
+        self.count[rows] += ((size > NOTABLE) & (size > np.minimum(UNDIVIDED * size.sum(axis=0), ABRUPT * beside))).sum(axis=0)
+
+
+def _put(solution: Solution, rows: np.ndarray, other: Solution) -> None:
+    """Write ``other`` into those ``rows`` of every array of a solution."""
+    for name, value in solution.per_rod.items():
+        if value.flags.writeable:  # zeros of rods out of reach of obstacles are not
+            value[rows] = getattr(other, name)
+    solution.configuration.start[rows] = other.configuration.start
+    solution.configuration.quaternions[rows] = other.configuration.quaternions
+
+
+def _sample(frames: np.ndarray) -> np.ndarray:
+    """Some of the frames between the clamped ones, whose signs are continuous from one state to the next; of two edges both."""
+    return frames[:, 1:-1:EVERY] if frames.shape[1] > 2 else frames
+
+
+def _size(change: np.ndarray) -> np.ndarray:
+    """(R,) rad, root mean square over the edges, of changes of quaternions."""
+    return 2 * np.sqrt(np.einsum("rek,rek->r", change, change) / change.shape[1])
 
 
 @dataclass(frozen=True)
@@ -60,10 +154,14 @@ class Journey:
 
         A rod that does not converge in some sub-step keeps that status. Iterations are those of all sub-steps.
         """
-        groups = list(self._groups())
-        ends, jumps = zip(*(group._end(begin.take(rods), steps, watch) for rods, steps, group in groups), strict=True)
+        groups, ends, counts = list(self._groups()), [], []
+        for rods, steps, group in groups:
+            here = begin.take(rods)
+            jumps = JumpCount(here.quaternions, group._finely(steps), watch)
+            ends.append(_last(group._states(here, steps, jumps)))
+            counts.append(jumps.count)
         order = np.argsort(np.concatenate([rods for rods, _, _ in groups]))
-        return _together(ends, order), np.concatenate(jumps)[order]
+        return _together(ends, order), np.concatenate(counts)[order]
 
     def follow(self, begin: Configuration) -> Iterator[Solution]:
         """The R rods after each sub-step of the motions that take most; the others are shown at the nearest of their own
@@ -86,11 +184,6 @@ class Journey:
             part = replace(self, motion=self.motion.take(rows), surroundings=self.surroundings.take(rods),
                            loads=None if self.loads is None else self.loads.take(rods % self.loads.count))
             yield rods, int(steps), part
-
-    def _end(self, begin: Configuration, steps: int, watch: bool) -> tuple[Solution, np.ndarray]:
-        """As :meth:`end`, all motions in ``steps`` sub-steps."""
-        jumps = JumpCount(begin.quaternions, self._finely(steps), watch)
-        return _last(self._states(begin, steps, jumps)), jumps.count
 
     def _states(self, configuration: Configuration, steps: int, jumps: JumpCount | None = None) -> Iterator[Solution]:
         """The rods after each of ``steps`` sub-steps, and in ``precision`` at the end where sub-steps run in another one."""

@@ -9,12 +9,14 @@ import numpy as np
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import (
+    conjugate,
     matrix_from_quaternion,
     quaternion_about,
     quaternion_from_matrix,
     quaternion_product,
     rotation_vector,
     smallest_rotation,
+    turn_between,
 )
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution, sticky
 from doo_ti.system.arguments import typed
@@ -49,11 +51,10 @@ class Motion:
     def at(self, share: float | np.ndarray) -> Clamps:
         """The clamps after ``share`` of the motion, 0 to 1, one number or (R,)."""
         here, share = self.clamps, np.asarray(share)[..., None]
-        return Clamps(
-            here.start, here.end, _shifted(here.start_position, self.start_shift, share),
-            _shifted(here.end_position, self.end_shift, share), _turned(here.start_frame, self.start_turn, None, share),
-            _turned(here.end_frame, self.end_turn, self.end_spin, share),
-        )
+        return Clamps(here.start, here.end, _shifted(here.start_position, self.start_shift, share),
+                      _shifted(here.end_position, self.end_shift, share),
+                      _turned(here.start_frame, self.start_turn, None, share),
+                      _turned(here.end_frame, self.end_turn, self.end_spin, share))
 
     def take(self, rows: np.ndarray) -> "Motion":
         """The motions named by ``rows``, in that order."""
@@ -151,9 +152,8 @@ def _size(vector: np.ndarray | None) -> np.ndarray:
 def _frame_turn(frame: np.ndarray, goal: np.ndarray, kind) -> np.ndarray:
     """(R, 3) the shortest rotation vector from frames to goals, between tangents where only these are held; else zero."""
     kind = np.broadcast_to(kind, len(frame))[:, None]
-    whole = quaternion_product(quaternion_from_matrix(goal), quaternion_from_matrix(frame) * [1, -1, -1, -1])
     swing = rotation_vector(smallest_rotation(frame[..., 0], goal[..., 0]))
-    return np.where(kind == Clamp.FRAME, rotation_vector(whole), np.where(kind == Clamp.TANGENT, swing, 0.0))
+    return np.where(kind == Clamp.FRAME, turn_between(frame, goal), np.where(kind == Clamp.TANGENT, swing, 0.0))
 
 
 def _swing_and_spin(frame: np.ndarray, goal: np.ndarray, kind, rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -161,7 +161,7 @@ def _swing_and_spin(frame: np.ndarray, goal: np.ndarray, kind, rotation: np.ndar
     kind = np.broadcast_to(kind, len(frame))
     swing = smallest_rotation(frame[..., 0], goal[..., 0])
     swung = quaternion_product(swing, quaternion_from_matrix(frame))
-    rest = quaternion_product(swung * [1, -1, -1, -1], quaternion_from_matrix(goal))
+    rest = quaternion_product(conjugate(swung), quaternion_from_matrix(goal))
     angle = 2 * np.arctan2(rest[..., 1], rest[..., 0])
     spin = np.where(kind == Clamp.FRAME, angle + 2 * np.pi * np.round((rotation - angle) / (2 * np.pi)), rotation)
     held = kind >= Clamp.TANGENT

@@ -84,6 +84,11 @@ def quaternion_product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
                      a0 * b2 + b0 * a2 + (a3 * b1 - a1 * b3), a0 * b3 + b0 * a3 + (a1 * b2 - a2 * b1)], axis=-1)
 
 
+def conjugate(quaternion: np.ndarray) -> np.ndarray:
+    """(..., 4) the inverse rotations of unit quaternions."""
+    return quaternion * np.array([1.0, -1.0, -1.0, -1.0])
+
+
 def quaternion_about(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """Rotation by ``angle`` (rad) about the unit ``axis`` (..., 3)."""
     half = 0.5 * np.asarray(angle)[..., None]
@@ -119,6 +124,11 @@ def across(tangent: np.ndarray) -> np.ndarray:
     return perpendicular / np.linalg.norm(perpendicular, axis=-1, keepdims=True)
 
 
+def some_frames(tangent: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) frames with unit tangents (..., 3) and any m1 across them."""
+    return bishop_frames(tangent[..., None, :], across(tangent))[..., 0, :, :]
+
+
 def vertices_from_quaternions(start: np.ndarray, quaternions: np.ndarray, rest_length: np.ndarray) -> np.ndarray:
     """x_{i+1} = x_i + l_i t_i: (R, V, 3) vertices of the chain."""
     tangents = tangent_from_quaternion(quaternions)
@@ -144,19 +154,18 @@ def bishop_frames(tangents: np.ndarray, first: np.ndarray) -> np.ndarray:
     return frames
 
 
-def edge_frames(edges: np.ndarray, first: np.ndarray | None = None) -> np.ndarray:
+def edge_frames(edges: np.ndarray, first: np.ndarray) -> np.ndarray:
     """(S, T, 3, 3) frames of an edge at T instants (S, T, 3), parallel-transported from each to the next, as a Bishop frame is
     along a rod: the edge does not turn about itself.
 
-    first  (S, 3) m1 of the first instant, made orthogonal; by default a coordinate axis across the edge.
+    first  (S, 3) m1 of the first instant, made orthogonal
 
     Raises InputError for an edge without length.
     """
     length = np.linalg.norm(edges, axis=-1, keepdims=True)
     if not (length > 0).all():
         raise InputError("edge_frames", "edges", "an edge without length", "give two distinct points of each gripper")
-    t = edges / length
-    return bishop_frames(t, across(t[:, 0]) if first is None else first)
+    return bishop_frames(edges / length, first)
 
 
 def angle_about(tangent: np.ndarray, source: np.ndarray, target: np.ndarray) -> np.ndarray:
@@ -176,6 +185,11 @@ def rotation_vector(quaternion: np.ndarray) -> np.ndarray:
     q = np.where(quaternion[..., :1] < 0, -quaternion, quaternion)
     sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
     return 2 * np.arctan2(sine, q[..., :1]) * q[..., 1:] / np.maximum(sine, 1e-300)
+
+
+def turn_between(frame: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    """(..., 3) rad, the shortest rotation vector in the world from frames to goals (..., 3, 3)."""
+    return rotation_vector(quaternion_product(quaternion_from_matrix(goal), conjugate(quaternion_from_matrix(frame))))
 
 
 def rotation_matrix(turn: np.ndarray) -> np.ndarray:

@@ -301,8 +301,7 @@ def _spaced(source: str, option: str, name: str, text: str, parts: list[str]) ->
         raise InputError(source, option, f"{text!r} does not run upwards over {count} different values",
                          "give LO < HI with N >= 2, or a single number")
     if log and low <= 0:
-        raise InputError(source, option, f"{text!r} starts at {low:g}, logarithmic spacing needs LO > 0",
-                         "give LO > 0")
+        raise InputError(source, option, f"{text!r} starts at {low:g}, logarithmic spacing needs LO > 0", "give LO > 0")
     return Axis(name, np.geomspace(low, high, count) if log else np.linspace(low, high, count), log)
 
 

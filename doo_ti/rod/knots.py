@@ -84,7 +84,7 @@ def overhand_knot(length: float, edges: int, *, radius: float, loop: float, fine
         if not 0 < value <= LARGEST:
             raise InputError("overhand_knot", name, f"{value!r}", "give a positive number")
     require_whole("overhand_knot", "edges", edges, 2, MOST_EDGES)
-    doubt_length("overhand_knot", "length", length)
+    doubt_length("overhand_knot", length)
     half, offset = max(BRAID * radius, WIDE_BRAID * np.sqrt(radius * loop)), APART * radius
     strand = np.linspace(-half, half, SAMPLES)
     angle = 0.5 * np.pi + 1.5 * np.pi * (strand / half + 1.0)

@@ -23,16 +23,16 @@ LARGEST = 1e30
 class Material:
     """Θ = (B, β, μ) of §III-C for R materials; scalars broadcast.
 
-    bend            B in mm³: a scalar α (isotropic, B = αI) or (R,) of them; or symmetric positive
-                    definite matrices (2, 2), (R, 2, 2) or, edge by edge, (R, E, 2, 2)
+    bend            B in mm³: a scalar α (isotropic, B = αI) or (R,) of them; or symmetric positive definite matrices (2, 2),
+                    (R, 2, 2) or, edge by edge, (R, E, 2, 2)
     twist           β in mm³: scalar, (R,), or per inner vertex (R, E−1)
     weight          μ: scalar or (R,); the weight per length of the rod is 2 μ
     rest_curvature  ω̄ in 1/mm, components (κb·m2, −κb·m1)/(l̄/2): None (straight at rest), (2,), (R, 2) or, per inner
                     vertex, (R, E−1, 2)
     weight_per_length  in N/m, scalar or (R,), where it is known: forces then come out in N and moments in N m
 
-    After construction the arrays have the shapes (R, 1 or E, 2, 2), (R, 1 or E−1), (R,) and
-    None or (R, 1 or E−1, 2), R being 1 where everything broadcasts.
+    After construction the arrays have the shapes (R, 1 or E, 2, 2), (R, 1 or E−1), (R,) and None or (R, 1 or E−1, 2), R being 1
+    where everything broadcasts.
 
     Raises InputError for a B that is not symmetric positive definite, a β that is not positive, a negative μ, or shapes that
     do not match.
@@ -66,9 +66,7 @@ class Material:
         rest = self.rest_curvature
         if rest is not None:
             rest = _finite("rest_curvature", rest)
-            rest = {1: rest[None, None] if rest.ndim == 1 else None, 2: rest[:, None] if rest.ndim == 2 else None}.get(
-                rest.ndim, rest
-            )
+            rest = rest[None, None] if rest.ndim == 1 else rest[:, None] if rest.ndim == 2 else rest
             if rest.ndim != 3 or rest.shape[-1] != 2 or not rest.size:
                 raise InputError("material", "rest_curvature", f"shape {rest.shape}", "give (2,), (R, 2) or (R, E-1, 2)")
         _check_bend(bend)

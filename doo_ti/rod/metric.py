@@ -33,28 +33,22 @@ def distance(configuration: Configuration, observations: Observations, index: Ar
     if index.ndim != 1:
         raise InputError(observations.source, "index", f"shape {index.shape}", "give a row for each rod, (R,)")
     if configuration.edges != observations.edges or len(index) != configuration.count:
-        raise InputError(
-            observations.source, "vertices_mm",
-            f"{observations.edges} edges in {len(index)} observations for {configuration.count} rods of "
-            f"{configuration.edges} edges", "compare rods with their own observations")
+        raise InputError(observations.source, "vertices_mm", f"{observations.edges} edges in {len(index)} observations for "
+                         f"{configuration.count} rods of {configuration.edges} edges", "compare rods with their observations")
     if index.dtype.kind not in "iu" or (index.size and not 0 <= index.min() <= index.max() < observations.count):
         raise InputError(observations.source, "index", "not rows of the observations",
                          f"give whole numbers below {observations.count}")
-    if not (isinstance(frame_weight, int | float | np.number) and 0 <= frame_weight < np.inf):
+    if not 0 <= frame_weight < np.inf:
         raise InputError("distance", "frame_weight", f"{frame_weight!r} is no length", "give zero or a positive number of mm")
     if frame_weight > 0 and observations.frames is None:
         raise InputError(observations.source, "frames", "missing, but a frame weight is given", "give `frame_weight` 0")
     runtime.start()
-    result = np.empty(configuration.count)
-    frames = observations.frames
+    result, frames = np.empty(configuration.count), observations.frames
     directors = np.zeros((1, 1, 3)) if frames is None else np.ascontiguousarray(frames[..., 1])
-    _compare(
-        np.ascontiguousarray(configuration.start, dtype=np.float64),
-        np.ascontiguousarray(configuration.quaternions, dtype=np.float64),
-        np.ascontiguousarray(np.atleast_2d(configuration.rest_length), dtype=np.float64),
-        np.nan_to_num(observations.vertices), directors, observations.valid.astype(np.int32),
-        np.ascontiguousarray(index, dtype=np.int32), float(frame_weight), result,
-    )
+    rods = (np.ascontiguousarray(array, dtype=np.float64) for array in (
+        configuration.start, configuration.quaternions, np.atleast_2d(configuration.rest_length)))
+    _compare(*rods, np.nan_to_num(observations.vertices), directors, observations.valid.astype(np.int32),
+             np.ascontiguousarray(index, dtype=np.int32), float(frame_weight), result)
     return result
 
 

@@ -130,8 +130,16 @@ class Observations:
 
     @property
     def arcs(self) -> np.ndarray:
-        """(E,) mm, lengths of arcs through the marks; the rest length of an edge that no observation shows."""
-        arcs = _arcs(self.vertices)
+        """(E,) mm, median lengths of arcs through the marks; the rest length of an edge that no observation shows.
+
+        A chord is shorter than its arc by a share (κh)²/24, that of two edges by four times as much; so a third of what two
+        chords exceed the chord of both by is added to them. Where a neighbour is missing the chord itself counts.
+        """
+        marks = self.vertices
+        chords = np.linalg.norm(np.diff(marks, axis=1), axis=-1)
+        both = chords[:, 1:] + chords[:, :-1]
+        share = (both - np.linalg.norm(marks[:, 2:] - marks[:, :-2], axis=-1)) / (3 * both)
+        arcs = _chords(marks) * (1 + _over_edges(share))
         return np.where(np.isnan(arcs), self.rest_length, arcs)
 
     def of_marks(self, kept: slice) -> "Observations":
@@ -292,18 +300,6 @@ def _median(values: np.ndarray) -> np.ndarray:
     seen, median = ~np.isnan(values).all(axis=0), np.full(values.shape[1], np.nan)
     median[seen] = np.nanmedian(values[:, seen], axis=0)
     return median
-
-
-def _arcs(vertices: np.ndarray) -> np.ndarray:
-    """(E,) median length of the rod between neighbouring marks, from their places (D, V, 3), NaN where unseen.
-
-    A chord is shorter than its arc by a share (κh)²/24, that of two edges by four times as much; so a third of what two chords
-    exceed the chord of both by is added to them. Where a neighbour is missing the chord itself counts.
-    """
-    chords = np.linalg.norm(np.diff(vertices, axis=1), axis=-1)
-    excess = chords[:, 1:] + chords[:, :-1] - np.linalg.norm(vertices[:, 2:] - vertices[:, :-2], axis=-1)
-    share = excess / (3 * (chords[:, 1:] + chords[:, :-1]))
-    return _chords(vertices) * (1 + _over_edges(share))
 
 
 def _over_edges(share: np.ndarray) -> np.ndarray:

@@ -16,10 +16,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.system.errors import InputError
+
 UNITS_IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 """mm in one unit of length, by its name on the command line."""
 STANDARD_GRAVITY = 9.80665
 """m/s²."""
+
+
+def mm_in(unit: str, source: str) -> float:
+    """mm in one ``unit`` that a user names. Raises InputError, of ``source``, for one that is not known."""
+    if unit not in UNITS_IN_MM:
+        raise InputError(source, "unit", f"{unit!r}", f"give one of {', '.join(UNITS_IN_MM)}")
+    return UNITS_IN_MM[unit]
 
 
 def weight_per_length(linear_density: float) -> float:
@@ -68,13 +77,13 @@ def likely_unit(length: float) -> str | None:
     return "" if likely == "mm" else likely
 
 
-def doubt_length(source: str, field: str, length: ArrayLike) -> None:
+def doubt_length(source: str, length: ArrayLike) -> None:
     """Warn of rods whose ``length`` in mm is implausible."""
     for value in np.unique(np.asarray(length, dtype=np.float64)):
         unit = likely_unit(value)
         if unit != "":
             remedy = "give mm" if unit is None else f"give mm; {value:g} {unit} are {value * UNITS_IN_MM[unit]:g}"
-            return _warn(source, field, f"a rod {value:.4g} mm long", remedy)
+            return _warn(source, "length", f"a rod {value:.4g} mm long", remedy)
 
 
 def doubt_marks(source: str, field: str, marks: np.ndarray, edge: float) -> None:

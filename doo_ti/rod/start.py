@@ -6,7 +6,6 @@ from typing import Annotated
 import numpy as np
 
 from doo_ti.rod.frames import (
-    across,
     angle_about,
     bishop_frames,
     matrix_from_quaternion,
@@ -14,6 +13,7 @@ from doo_ti.rod.frames import (
     quaternion_from_matrix,
     quaternion_product,
     smallest_rotation,
+    some_frames,
     turned_about_tangent,
 )
 from doo_ti.rod.observations import Observations
@@ -41,16 +41,18 @@ def observation_clamps(observations: Observations, start: Clamp | None = None, e
 
     Raises InputError for a FRAME clamp without a frame.
     """
-    kinds, positions, frames = [], [], []
-    for end_name, kind, given in (("start", start, observations.start_frame), ("end", end, observations.end_frame)):
-        kind = (Clamp.TANGENT if given is None else Clamp.FRAME) if kind is None else Clamp(kind)
-        if given is None and kind == Clamp.FRAME and observations.frames is not None:
-            given = observations.frames[:, 0 if end_name == "start" else -1]
-        _check_clamp(observations, end_name, kind, given is not None)
+    kinds, frames, vertices = [], [], fill_missing(observations)
+    for name, edge, kind, frame in (("start", 0, start, observations.start_frame), ("end", -1, end, observations.end_frame)):
+        kind = (Clamp.TANGENT if frame is None else Clamp.FRAME) if kind is None else Clamp(kind)
+        if kind == Clamp.FRAME and frame is None:
+            if observations.frames is None:
+                raise InputError(observations.source, f"{name}_frame", f"missing, but `clamp_{name}` frame needs it",
+                                 f"add {name}_frame (D, 3, 3), or clamp that end's tangent or position")
+            frame = observations.frames[:, edge]
         kinds.append(kind)
-        positions.append(_end_positions(observations, end_name))
-        frames.append(_end_frames(observations, end_name, given))
-    return Clamps(*kinds, *positions, *frames)
+        frames.append(some_frames(_directions(observations)[:, edge]) if frame is None else
+                      matrix_from_quaternion(quaternion_from_matrix(frame)))  # exactly orthonormal
+    return Clamps(*kinds, vertices[:, 0], vertices[:, -1], *frames)
 
 
 def check_experiment(observations: Observations, clamps: Clamps, weight: float, frame_weight: float,
@@ -118,11 +120,9 @@ def check_feasible(observations: Observations, clamps: Clamps) -> None:
     if len(bad):
         worst = bad[np.argmax(excess[bad])]
         others = f" (and {len(bad) - 1} more observations)" if len(bad) > 1 else ""
-        raise InputError(
-            observations.source, "vertices_mm",
-            f"the clamps of observation {observations.labels[worst]} are {excess[worst]:.4g} mm further apart than the rod "
-            f"between them reaches{others}", _remedy(observations, clamps),
-        )
+        raise InputError(observations.source, "vertices_mm", f"the clamps of observation {observations.labels[worst]} are "
+                         f"{excess[worst]:.4g} mm further apart than the rod between them reaches{others}",
+                         _remedy(observations, clamps))
 
 
 def _remedy(observations: Observations, clamps: Clamps) -> str:
@@ -264,24 +264,6 @@ def on_equal_edges(observations: Observations, edges: int) -> Observations:
         (observations.start_frame, 0), (observations.end_frame, -1)))
     return replace(observations, vertices=vertices, valid=None, rest_length=np.full(edges, place[-1] / edges),
                    start_frame=start, end_frame=end, frames=None, sigma=None)
-
-
-def _check_clamp(observations: Observations, end: str, kind: Clamp, has_frame: bool) -> None:
-    if kind == Clamp.FRAME and not has_frame:
-        raise InputError(observations.source, f"{end}_frame", f"missing, but `clamp_{end}` frame needs it",
-                         f"add {end}_frame (D, 3, 3), or clamp that end's tangent or position")
-
-
-def _end_positions(observations: Observations, end: str) -> np.ndarray:
-    return fill_missing(observations)[:, 0 if end == "start" else -1]
-
-
-def _end_frames(observations: Observations, end: str, given: np.ndarray | None) -> np.ndarray:
-    """(D, 3, 3): the given frames, exactly orthonormal; else the observed tangent with some m1 across it."""
-    if given is not None:
-        return matrix_from_quaternion(quaternion_from_matrix(given))
-    tangent = _directions(observations)[:, 0 if end == "start" else -1]
-    return bishop_frames(tangent[:, None], across(tangent))[:, 0]
 
 
 def _directions(observations: Observations) -> np.ndarray:

@@ -12,7 +12,7 @@ Axes: R rods, E edges. Lengths are in mm.
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.rod.frames import across, bishop_frames, quaternion_from_matrix, quaternion_product
+from doo_ti.rod.frames import across, bishop_frames, conjugate, quaternion_from_matrix, quaternion_product
 from doo_ti.rod.physical_units import doubt_length
 from doo_ti.rod.types import LARGEST, Clamp, Clamps, Configuration, unit_up
 from doo_ti.system.arguments import typed
@@ -99,7 +99,7 @@ def with_end_edges(rods: Configuration) -> Configuration:
 
 def _turned_on(before: np.ndarray, last: np.ndarray) -> np.ndarray:
     """(R, 4) the frames ``last``, turned on by half the rotation from ``before`` to them."""
-    turn = quaternion_product(last, before * np.array([1.0, -1.0, -1.0, -1.0]))
+    turn = quaternion_product(last, conjugate(before))
     turn = np.where(turn[:, :1] < 0, -turn, turn) + np.array([1.0, 0.0, 0.0, 0.0])
     return quaternion_product(turn / np.linalg.norm(turn, axis=-1, keepdims=True), last)
 
@@ -123,7 +123,7 @@ def _lengths(function: str, length: ArrayLike, edges: int) -> np.ndarray:
         problem = f"{values[wrong].flat[0]:g}" if wrong.any() else f"shape {values.shape}"
         raise InputError(function, "length", problem, "give a positive number of mm, or (R,) of them")
     require_whole(function, "edges", edges, 2, MOST_EDGES)
-    doubt_length(function, "length", values)
+    doubt_length(function, values)
     return np.atleast_1d(values)
 
 

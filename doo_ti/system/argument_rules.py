@@ -22,7 +22,8 @@ MOST_SHOWN = 40
 INDEX_BITS = 63
 
 _ARRAY = set(get_args(ArrayLike)) or {ArrayLike}  # a union before NumPy 2.5, a name for one since
-_WORDS = {bool: "True or False", int: "a whole number", float: "a number", str: "text", NoneType: "None"}
+_WORDS = {bool: "True or False", int: "a whole number", float: "a number", str: "text", NoneType: "None", Mapping: "a dict",
+          Callable: "a function"}
 
 
 class Mismatch(Exception):
@@ -185,17 +186,6 @@ class _Items(Rule):
         return items if same else tuple(found) if isinstance(items, tuple) else found
 
 
-class _Table(Rule):
-    known, wanted = (Mapping,), "a dict"
-
-
-class _Call(Rule):
-    wanted = "a function"
-
-    def take(self, value: Any) -> Any:
-        return value if callable(value) else self.adapted(value)
-
-
 class _Either(Rule):
     def __init__(self, rules: list[Rule]):
         self.rules = rules
@@ -239,13 +229,13 @@ def rule_of(annotation: Any) -> Rule | None:
     if annotation is bool:
         return _Flag()
     if origin is Callable or annotation is Callable:
-        return _Call()
+        return _Instance(Callable)
     return _of_several(origin, parts) if origin is not None else _of_class(annotation)
 
 
 def _of_several(origin: type, parts: tuple) -> Rule:
     if issubclass(origin, Mapping):
-        return _Table()
+        return _Instance(Mapping)
     if origin is tuple and not (len(parts) == 2 and parts[1] is Ellipsis):
         return _Items(origin, each=tuple(rule_of(part) for part in parts))
     return _Items(origin, rule_of(parts[0])) if issubclass(origin, Iterable) else _Instance(origin)
@@ -254,9 +244,9 @@ def _of_several(origin: type, parts: tuple) -> Rule:
 def _of_class(annotation: type) -> Rule:
     if getattr(annotation, "_is_protocol", False) and not getattr(annotation, "_is_runtime_protocol", False):
         return _Interface(annotation)
-    if annotation is type(None):
-        return _Instance(NoneType)
-    return _Table() if annotation is dict else _Items(annotation) if annotation in (list, tuple) else _Instance(annotation)
+    if annotation in (list, tuple):
+        return _Items(annotation)
+    return _Instance(Mapping if annotation is dict else annotation)
 
 
 def _shaped(rule: Rule | None, shapes: list[str], kind: type | None = None) -> Rule:

@@ -3,7 +3,7 @@
 Started on first use, on the calling thread, so that importing the package costs nothing and worker processes (spawned, never
 forked) start their own. The settings are measured ones: packs stay vectors in the generated code, and the loop over threads
 is not cut into blocks. Where a program calls ``ti.init`` itself, before or after, what it began is used
-(:mod:`doo_ti.system.running_program`).
+(:mod:`doo_ti.system.taichi_internals`).
 """
 
 import os
@@ -16,10 +16,10 @@ from pathlib import Path
 from threading import RLock, get_ident
 from typing import Any, ParamSpec, TypeVar
 
-from doo_ti.system import kernel_source, running_program
+from doo_ti.system import taichi_internals
 from doo_ti.system.errors import InputError
 from doo_ti.system.kernel_cache import kernel_folder
-from doo_ti.system.running_program import TAICHI_NAMES
+from doo_ti.system.taichi_internals import TAICHI_NAMES
 from doo_ti.system.terminal import compiling
 
 KERNELS = "TI_OFFLINE_CACHE_FILE_PATH"
@@ -37,7 +37,7 @@ _begun = False
 _forked = False
 _one_at_a_time = RLock()
 _holder: int | None = None
-_program: Any = None  # what running_program.running says of the program that _architecture is of
+_program: Any = None  # what taichi_internals.running says of the program that _architecture is of
 _of_user = False  # whether the user's own code began it
 _compiled_for = 0.0  # s, that first launches of kernels have taken
 _settings_of_user: tuple | None = None  # while ours are in force
@@ -49,7 +49,7 @@ def _after_fork() -> None:
     global _forked
     _forked = _begun
     if _begun:
-        running_program.leave_to_parent()
+        taichi_internals.leave_to_parent()
 
 
 if hasattr(os, "register_at_fork"):
@@ -71,20 +71,20 @@ def start(architecture: str | None = None, threads: int | None = None, pinned: b
     global _architecture, _begun, _program, _of_user, _settings_of_user
     _refuse_forked()
     with _one_at_a_time:
-        state = running_program.running()
+        state = taichi_internals.running()
         if _program is not state or state.prog is None:
             _forget_arrays()
             if state.prog is None:
                 _architecture, _of_user = _started(check_architecture(architecture), threads, pinned), False
             else:
                 wanted = architecture or os.environ.get("DOO_TI_ARCHITECTURE")
-                _architecture, _of_user = running_program.architecture_of_user(wanted and check_architecture(wanted)), True
-                running_program.require_ready()
+                _architecture, _of_user = taichi_internals.architecture_of_user(wanted and check_architecture(wanted)), True
+                taichi_internals.require_ready()
             if not _begun:
-                kernel_source.read_once(lambda: _holder is None)
-            _begun, _program = True, running_program.running()
+                taichi_internals.read_sources_once(lambda: _holder is None)
+            _begun, _program = True, taichi_internals.running()
         if _of_user and _holder == get_ident() and _settings_of_user is None:
-            _settings_of_user = running_program.put(*running_program.with_usual(_settings(_architecture)))
+            _settings_of_user = taichi_internals.put(*taichi_internals.with_usual(_settings(_architecture)))
     return _architecture
 
 
@@ -144,7 +144,7 @@ def exclusive(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _
             finally:
                 _holder = before
                 if before is None and _settings_of_user is not None:
-                    running_program.put(*_settings_of_user)
+                    taichi_internals.put(*_settings_of_user)
                     _settings_of_user = None
 
     return alone
@@ -245,17 +245,11 @@ def _started(architecture: str, threads: int | None, pinned: bool) -> str:
         options["offline_cache_file_path"] = os.sep
     others = _tasks()
     with redirect_stdout(StringIO()):  # it greets on standard output, which belongs to the commands' results
-        ti.init(
-            arch={"cpu": ti.cpu, "cuda": ti.cuda}[architecture],
-            offline_cache=folder is not None,
-            offline_cache_max_size_of_files=KERNELS_HELD,
-            enable_fallback=False,
-            log_level=ti.ERROR,
-            **_settings(architecture),
-            **options,
-        )
+        ti.init(arch={"cpu": ti.cpu, "cuda": ti.cuda}[architecture], offline_cache=folder is not None,
+                offline_cache_max_size_of_files=KERNELS_HELD, enable_fallback=False, log_level=ti.ERROR,
+                **_settings(architecture), **options)
         # What only the thread that started Taichi may do, and would be done with the first kernel.
-        running_program.running().materialize()
+        taichi_internals.running().materialize()
     if architecture == "cpu" and pinned and os.environ.get("DOO_TI_PINNED") != "0":
         pin(sorted(_tasks() - others))
     return architecture

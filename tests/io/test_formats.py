@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.io.motion_recording import read_recording
-from doo_ti.io.observation_files import load_observations, read_curves
+from doo_ti.io.observation_files import load_observations, read_curves, read_recording
 from doo_ti.system.errors import InputError
 
 MARKS = np.array([[[0.0, 10, 0], [30, 5, 1], [60, 5, 0], [90, 10, 2]], [[0.0, 10, 0], [25, 0, 1], [55, 0, 0], [80, 10, 2]]])
@@ -201,5 +200,6 @@ def test_options_that_do_not_fit_the_file(tmp_path):
                           ("m.csv", {"x": "w"}), ("x.npz", ["a"])):
         with pytest.raises(InputError):
             load_observations(tmp_path / name, columns=columns)
-    with pytest.raises(InputError, match="inch"):
-        load_observations(tmp_path / "x.csv", unit="inch")
+    for load in (load_observations, read_recording):
+        with pytest.raises(InputError, match="inch"):
+            load(tmp_path / "x.csv", unit="inch")

@@ -1,11 +1,13 @@
-"""Small files that would cost much, and damaged ones, of every format: each is read or refused in one line, in bounded memory.
+"""Small files that would cost much, damaged ones, pipes and devices, for every reader: each is read or refused in one line, in
+bounded memory.
 
-They are read in a process of their own, whose memory and processor time are limited, so that a reader that fails the test takes
+Some are read in a process of their own, whose memory and processor time are limited, so that a reader that fails the test takes
 neither those of this one.
 """
 
 import io
 import multiprocessing
+import os
 import struct
 import time
 import zipfile
@@ -18,7 +20,11 @@ import pyarrow
 import pyarrow.parquet
 import pytest
 
-from doo_ti import InputError, Observations
+from doo_ti import InputError, Observations, load_observations, save_observations
+from doo_ti.io import arrays
+from doo_ti.io.observation_files import read_recording
+from doo_ti.system.files import read_content
+from doo_ti.vision.detection.images import load_sets, read_image, stated_size
 from tests.io.test_formats import CABLE, MARKS, motive, nexus, table
 
 resource = pytest.importorskip("resource", reason="the memory of a process is limited on Unix only")
@@ -173,15 +179,12 @@ def readers() -> dict[str, list]:
     from doo_ti.dynamics.theta import load_theta
     from doo_ti.groups.scene import load_group_scene
     from doo_ti.io.motion_file import load_path
-    from doo_ti.io.motion_recording import read_recording
-    from doo_ti.io.observation_files import load_observations
     from doo_ti.io.scene import load_scene
     from doo_ti.learning.chunks import read_columns, read_table
     from doo_ti.learning.pairs import load_pairs
     from doo_ti.twist.curves import load_offsets
     from doo_ti.vision.cameras.board import read_views
     from doo_ti.vision.cameras.rig import load_rig
-    from doo_ti.vision.detection.images import load_sets, read_image
     from doo_ti.vision.reprojection.marks import read_labels, read_marks
 
     def read_motion_scene(path):
@@ -253,3 +256,69 @@ def test_files_are_read_or_refused_in_bounded_memory(tmp_path, rng, kind):
         wrong = "the process ended"
     child.join()
     assert not wrong and not child.exitcode
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes in folders")
+def test_pipes_and_devices_are_no_files(tmp_path):
+    pytest.importorskip("trimesh")
+    for suffix, reads in readers().items():
+        os.mkfifo(tmp_path / f"pipe{suffix}")
+        (tmp_path / f"zero{suffix}").symlink_to("/dev/zero")
+        for name, problem in (("pipe", "a device or a pipe"), ("zero", "a device or a pipe"), ("none", "")):
+            for read in reads:
+                with pytest.raises(InputError, match=f"{name}.*: .*{problem}"):
+                    read(tmp_path / f"{name}{suffix}")
+
+
+def test_a_file_beyond_its_bound_is_not_read(tmp_path):
+    with open(tmp_path / "large", "wb") as file:
+        file.truncate(1 << 40)
+    with pytest.raises(InputError, match="at most"):
+        read_content(tmp_path / "large")
+
+
+def test_an_npz_that_unpacks_to_more_than_the_bound(tmp_path, monkeypatch):
+    """Zeros, a thousand times as many bytes as the file has."""
+    monkeypatch.setattr(arrays, "MOST_UNPACKED_BYTES", 1 << 20)
+    save_observations(tmp_path / "bomb.npz", Observations(MARKS))
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (1 << 18, 8)})
+    with zipfile.ZipFile(tmp_path / "bomb.npz", "a", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("sigma_mm.npy", header.getvalue() + bytes(1 << 24))
+    with pytest.raises(InputError, match="unpacks to"):
+        load_observations(tmp_path / "bomb.npz")
+
+
+def test_a_table_that_unpacks_to_more_than_the_bound(tmp_path, monkeypatch):
+    save_observations(tmp_path / "small.parquet", Observations(MARKS))
+    monkeypatch.setattr(arrays, "MOST_UNPACKED_BYTES", 1000)
+    with pytest.raises(InputError, match="unpacks to"):
+        load_observations(tmp_path / "small.parquet")
+
+
+@pytest.mark.parametrize("size", [(100_000, 1), (1, 100_000)])
+def test_images_longer_than_any_camera_takes(tmp_path, size):
+    for name, shape in (("long.png", size), ("good.png", (20, 30))):
+        (tmp_path / name).write_bytes(cv2.imencode(".png", np.zeros(shape, dtype=np.uint8))[1].tobytes())
+    with pytest.raises(InputError, match="size"):
+        read_image(tmp_path / "long.png")
+    assert read_image(tmp_path / "good.png").shape == (20, 30)
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "tiff", "png", "bmp", "ppm"])
+def test_the_size_that_an_image_states_is_known_before_it_is_unpacked(tmp_path, suffix):
+    content = cv2.imencode(f".{suffix}", np.zeros((20, 30, 3), dtype=np.uint8))[1].tobytes()
+    assert sorted(stated_size(content)) == [20, 30]
+    for short in range(0, len(content), 7):
+        assert len(stated_size(content[:short])) in (0, 1, 2)
+    if suffix == "jpg":
+        at = content.index(b"\xff\xc0") + 5
+        (tmp_path / "huge.jpg").write_bytes(content[:at] + struct.pack(">HH", 60_000, 60_000) + content[at + 4 :])
+        with pytest.raises(InputError, match="60000 x 60000"):
+            read_image(tmp_path / "huge.jpg")
+
+
+def test_a_parquet_of_cells_is_no_table_of_observations(tmp_path):
+    pyarrow.parquet.write_table(pyarrow.table({"observation": [0]}), tmp_path / "o.parquet")
+    with pytest.raises(InputError, match="vertex"):
+        load_observations(tmp_path / "o.parquet")

@@ -86,17 +86,6 @@ def test_wrong_files_are_named(tmp_path, keys, word):
     assert "motion.npz" in str(raised.value)
 
 
-@pytest.mark.parametrize("text, word", [
-    ("time_s,end_x_mm\n0,1\n", "end_y_mm"), ("time_s,colour\n0,1\n", "colour"), ("end_rotation_deg\n0\nx\n", "number"),
-    ("end_rotation_deg\n", "no rows"), ("", "no rows"), ("time_s,end_rotation_deg\n0,1\n1\n", "line 3"),
-])
-def test_wrong_tables_are_named(tmp_path, text, word):
-    file = tmp_path / "motion.csv"
-    file.write_text(text, encoding="utf-8")
-    with pytest.raises(InputError, match=word):
-        load_path(file)
-
-
 def test_half_a_turn_is_determined_by_the_given_rotation():
     frames = np.stack([np.eye(3), np.diag([1.0, -1, -1])])[:, None]
     path = ClampPath(np.arange(2.0), end_frame=frames, end_rotation=np.array([[0.0], [-np.pi]]))

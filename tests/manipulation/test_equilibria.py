@@ -1,11 +1,12 @@
-"""Shapes that are interpolated, and what keeps clear between two of them."""
+"""Shapes that are interpolated, what keeps clear between two of them, and how taut grippers hold a rod."""
 
 import numpy as np
 
 import doo_ti as d
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.manipulation.clearance import Clearance
-from doo_ti.manipulation.shapes import Shapes
+from doo_ti.manipulation.equilibria import Clearance, Shapes
+from doo_ti.manipulation.poses import drawn_in, moved, slack, slack_gradient
+from doo_ti.rod.frames import rotation_matrix
 
 LENGTHS = np.full(20, 5.0)
 
@@ -40,3 +41,15 @@ def test_a_thin_obstacle_between_two_shapes_is_found():
     for shift, clear in ((9.0, True), (40.0, False)):
         after = rods + [0, shift, 0]
         assert (clearance.between(rods, after, clearance.of(rods), clearance.of(after)) == clear).all()
+
+
+def test_slack_and_its_gradient():
+    random = np.random.default_rng(3)
+    frames = rotation_matrix(random.normal(size=(2, 5, 3)))
+    clamps = d.Clamps(d.Clamp.FRAME, d.Clamp.FRAME, random.normal(size=(5, 3)), 100 + random.normal(size=(5, 3)), *frames)
+    stiff, change = np.full(5, 7.0), 1e-5 * random.normal(size=(5, 12))
+    there, back = (slack(moved(clamps, sign * change), 300.0, stiff) for sign in (1, -1))
+    assert np.allclose((there - back) / 2, np.sum(slack_gradient(clamps, stiff) * change, axis=1), atol=1e-11)
+    for free in (np.ones(12, dtype=bool), np.arange(12) >= 6):
+        looser = slack(drawn_in(clamps, np.full(5, 2.0), stiff, free), 300.0, stiff)
+        assert np.allclose(looser, slack(clamps, 300.0, stiff) + 2.0)

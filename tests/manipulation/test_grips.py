@@ -1,4 +1,5 @@
-"""Rods that grippers hold between their ends: the planar elastica, forces as derivatives of the energy, and re-grasping."""
+"""Rods that grippers hold between their ends: the planar elastica, forces as derivatives of the energy, and re-grasping; and
+rods that are stepped by their grippers."""
 
 from dataclasses import replace
 
@@ -7,7 +8,9 @@ import pytest
 from scipy.integrate import solve_bvp
 
 from doo_ti import Grip, InputError, Itself, Simulation, end_loads, hanging, relax, relax_held, straight_rod
+from doo_ti.manipulation.poses import moved
 from doo_ti.rod.types import Clamp, Clamps, Material, Status
+from tools.studies.trials.servo import tasks
 
 LENGTH, SPAN, RAISED = 400.0, 380.0, 40.0
 IN_PLANE = 1e5
@@ -64,8 +67,8 @@ def test_taking_hold_moves_little_and_loads_balance(rope):
     grips = [Grip.where(solution.configuration, vertex) for vertex in (9, 20)]
     held = relax_held(solution.configuration, material, clamps, grips)
     assert held.solution.converged.all() and held.solution.stable.all()
-    moved = np.linalg.norm(held.solution.configuration.vertices - solution.configuration.vertices, axis=2)
-    assert moved.max() < 0.05
+    apart = np.linalg.norm(held.solution.configuration.vertices - solution.configuration.vertices, axis=2)
+    assert apart.max() < 0.05
     np.testing.assert_allclose(held.solution.energy, solution.energy, rtol=1e-3)
     raised = [replace(grip, position=grip.position + [0, 0, 5.0]) for grip in grips]
     lifted = relax_held(held.solution.configuration, material, clamps, raised)
@@ -123,3 +126,26 @@ def test_grips_that_do_not_suit_are_refused(rope, vertices, obstacles, words):
         relax_held(solution.configuration, material, clamps, grips, obstacles=obstacles, radius=1.0 if obstacles else None)
     with pytest.raises(InputError, match="between the ends"):
         Grip.where(solution.configuration, 30)
+
+
+def test_a_rod_takes_its_own_sub_steps_whatever_the_others_need():
+    own = tasks(6, 9)
+    alone = own.take(np.array([2]))
+    change = np.random.default_rng(3).normal(size=(6, 12)) * np.repeat([8.0, 0.1, 8.0, 0.1], 3)
+    change[4] *= 6.0
+    together, one = (Simulation(part.rods, part.nominal, part.clamps) for part in (own, alone))
+    for _ in range(3):
+        state = together.step(moved(together.clamps, change))
+        mine = one.step(moved(one.clamps, change[[2]]))
+        assert np.array_equal(state.configuration.quaternions[2], mine.configuration.quaternions[0])
+        assert state.iterations[2] == mine.iterations[0] and state.energy[2] == mine.energy[0]
+
+
+def test_a_failure_on_the_way_stays_in_the_status():
+    rods, clamps = hanging(300.0, 20, np.zeros((1, 3)), [[150.0, 0, 0]])
+    simulation = Simulation(rods, Material(1e5, 1e5), clamps)
+    apart = moved(clamps, np.array([[0.0] * 6 + [400.0] + [0.0] * 5]))
+    assert simulation.step(apart).status[0] == Status.INFEASIBLE
+    assert simulation.step(clamps).status[0] == Status.INFEASIBLE  # still apart on most of the way back
+    assert simulation.step(clamps).converged.all()
+    assert simulation.reset().converged.all()

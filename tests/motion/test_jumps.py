@@ -96,17 +96,22 @@ def test_halving_the_sub_steps_changes_nothing_at_the_true_material(laboratory, 
     assert (apart < 0.05).all()
 
 
+def grid_of(name: str, count: int) -> Material:
+    """Materials from soft to stiff, ``count`` of them along both axes."""
+    values = np.geomspace(5e4, 1e7, count)
+    axes = (Axis("bend_1", values), Axis("bend_2", values), Axis("twist", 5e5)) if name == "ribbon" else (
+        Axis("bend", values), Axis("twist_ratio", np.geomspace(0.1, 6, count)))
+    return Grid(axes).materials()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["nylon", "vicryl", "silk", "ribbon"])
 def test_halving_the_sub_steps_over_a_grid(laboratory, name):
     """Of 72 pairs under 144 materials from soft to stiff less than one in a thousand ends elsewhere; among the sutures none."""
-    values = np.geomspace(5e4, 1e7, 12)
-    axes = (Axis("bend_1", values), Axis("bend_2", values), Axis("twist", 5e5)) if name == "ribbon" else (
-        Axis("bend", values), Axis("twist_ratio", np.geomspace(0.1, 6, 12)))
     ends, jumps = [], []
     for degrees in (10.0, 5.0):
         experiment, _ = lab_rods(laboratory, name, sub_step=np.radians(degrees))
-        solution, count, _ = carried(experiment, Grid(axes).materials())
+        solution, count, _ = carried(experiment, grid_of(name, 12))
         ends.append(solution.configuration)
         jumps.append(count)
     share = (vertex_distance(*ends) > 0.05).mean()
@@ -118,11 +123,8 @@ def test_halving_the_sub_steps_over_a_grid(laboratory, name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["silk", "ribbon"])
 def test_no_jump_is_missed_over_a_grid(laboratory, name):
-    values = np.geomspace(5e4, 1e7, 10)
-    axes = (Axis("bend_1", values), Axis("bend_2", values), Axis("twist", 5e5)) if name == "ribbon" else (
-        Axis("bend", values), Axis("twist_ratio", np.geomspace(0.1, 6, 10)))
     experiment, _ = lab_rods(laboratory, name)
-    apart, there, back = there_and_back(experiment, Grid(axes).materials())
+    apart, there, back = there_and_back(experiment, grid_of(name, 10))
     lost = apart > 0.05
     print(f"{name}: {lost.sum()} of {len(apart)} do not come back, {(there + back > 0).sum()} jump there or back")
     assert not (lost & (there + back == 0)).any()

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Configuration, InputError, Material, Observations, Status, distance, relax
+from doo_ti import Configuration, InputError, Observations, distance
 from tests.io.rods import twisted_frames, wavy_vertices
 from tests.oracle.metric import distance as defined
-from tests.references.rods import clamps_at
 from tests.relaxation.lab import RIBBON_WIDTH, lab
 from tests.relaxation.rods import wandering
 
@@ -90,13 +89,10 @@ def test_frames_in_single_precision(rng):
 
 
 def test_rods_that_came_to_nothing_have_no_distance(rng):
-    """NaN for them alone."""
+    """NaN for them alone, as relax returns frames that are NaN."""
     rods = wandering(rng, COUNT, EDGES)
-    clamps = clamps_at(rods)
-    far = np.where(np.arange(COUNT)[:, None] == 3, 1e3, clamps.end_position)
-    solution = relax(rods, Material(2e5, 1e5, 1.0), replace(clamps, end_position=far))
-    assert solution.status[3] == Status.INFEASIBLE
-    found = distance(solution.configuration, observed(rng), frame_weight=1.0)
+    rods.quaternions[3] = np.nan
+    found = distance(rods, observed(rng), frame_weight=1.0)
     assert np.isnan(found).tolist() == [k == 3 for k in range(COUNT)]
 
 
@@ -117,6 +113,5 @@ def test_what_cannot_be_compared_is_refused(rng, changed, field):
 def test_lab(laboratory, name):
     rod = lab(laboratory, name)
     weight = RIBBON_WIDTH if name == "ribbon" else 0.0
-    solution = relax(rod.start, rod.material(), rod.clamps)
-    found = distance(solution.configuration, rod.observations, frame_weight=weight)
-    np.testing.assert_allclose(found, beside(solution.configuration, rod.observations, range(60), weight), rtol=1e-12)
+    found = distance(rod.start, rod.observations, frame_weight=weight)
+    np.testing.assert_allclose(found, beside(rod.start, rod.observations, range(60), weight), rtol=1e-12)

@@ -1,11 +1,27 @@
-"""Physical units: stiffness in N m², forces in N, against a weighed cantilever and each other."""
+"""Physical units: stiffness in N m², forces in N, against a weighed cantilever and each other; and numbers in another unit than
+the one asked for: a warning at the caller's line that names argument, value and remedy."""
+
+import re
+import warnings
+from argparse import ArgumentParser
 
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Clamps, Configuration, InputError, Material, relax
-from doo_ti.cli import main
-from doo_ti.commands.options import grid
+from doo_ti import (
+    Clamp,
+    ClampPath,
+    InputError,
+    Material,
+    Observations,
+    end_clamps,
+    hanging,
+    overhand_knot,
+    predict_step,
+    relax,
+    straight_rod,
+)
+from doo_ti.commands.options import add_material, grid
 from doo_ti.rod.grid import parse_axis
 from doo_ti.rod.physical_units import stiffness, weight_per_length
 
@@ -13,18 +29,11 @@ EI, GJ, DENSITY = 2e-6, 1.5e-6, 1.2  # N m², g/m: a suture
 LENGTH, EDGES = 60.0, 40
 
 
-def straight():
-    """One straight rod along x, and clamps that hold its start."""
-    frame = np.eye(3)[None]
-    rod = Configuration(np.zeros((1, 3)), np.tile([1.0, 0, 0, 0], (1, EDGES, 1)), np.full(EDGES, LENGTH / EDGES))
-    return rod, Clamps(Clamp.FRAME, Clamp.FREE, rod.start, rod.vertices[:, -1], frame, frame)
-
-
 def test_a_cantilever_sags_as_beam_theory_says():
     weight = weight_per_length(DENSITY)
-    rod, clamps = straight()
+    rod = straight_rod(LENGTH, EDGES)
     stiff = 50 * EI  # sags little, where w L⁴/(8 EI) holds
-    solution = relax(rod, Material.from_physical(stiff, stiff, weight), clamps)
+    solution = relax(rod, Material.from_physical(stiff, stiff, weight), end_clamps(rod))
     free = LENGTH - LENGTH / EDGES / 2  # the held edge clamps at its middle
     expected = weight * (free / 1e3) ** 4 / (8 * stiff) * 1e3
     assert -solution.configuration.vertices[0, -1, 2] == pytest.approx(expected, rel=0.01)
@@ -32,9 +41,7 @@ def test_a_cantilever_sags_as_beam_theory_says():
 
 def test_a_held_end_carries_half_the_weight():
     weight = weight_per_length(DENSITY)
-    rod, clamps = straight()
-    end = rod.vertices[:, -1] - [3.0, 0, 0]
-    held = Clamps(Clamp.POSITION, Clamp.POSITION, rod.start, end, clamps.start_frame, clamps.end_frame)
+    rod, held = hanging(LENGTH, EDGES, (0, 0, 0), (LENGTH - 3.0, 0, 0))
     solution = relax(rod, Material.from_physical(EI, GJ, weight), held)
     force = solution.end_force_in_newton(weight)[0]
     assert solution.converged.all()
@@ -55,10 +62,6 @@ def test_a_rod_without_weight_has_no_relative_stiffness():
 
 def options(**given):
     """What the parser makes of a material's options."""
-    from argparse import ArgumentParser
-
-    from doo_ti.commands.options import add_material
-
     parser = ArgumentParser()
     add_material(parser, "")
     return parser.parse_args([part for name, value in given.items() for part in (f"--{name.replace('_', '-')}", value)])
@@ -101,6 +104,48 @@ def test_wrong_units_are_one_line(given, field):
         grid(options(**given))
 
 
-def test_the_command_takes_them(tmp_path, capsys):
-    assert main(["relax", str(tmp_path / "none.npz"), "--EI", "1e-6", "--out", str(tmp_path / "f.npz")]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
+ROPE, CLAMPS = hanging(500.0, 12, (0, 0, 0), (300, 0, 0), clamp=Clamp.FRAME)
+MATERIAL = Material(1e6, 1e6)
+DOUBTFUL = {
+    "a rope in metres": (lambda: hanging(1.0, 20, (0, 0, 0), (0.6, 0, 0)), "hanging: length: .* 1 mm .* 1000"),
+    "one of several ropes in metres": (lambda: hanging([500.0, 0.5], 20, (0, 0, 0), (0.6, 0, 0)), "length: .* 0.5 mm .* 500"),
+    "a rod in metres": (lambda: straight_rod(0.3, 20), "straight_rod: length: .* 0.3 mm .* 300"),
+    "a rod in micrometres": (lambda: straight_rod(3e5, 20), "straight_rod: length: .* 3e.05 mm"),
+    "a knot in metres": (lambda: overhand_knot(0.5, 150, radius=1e-3, loop=0.012), "overhand_knot: length"),
+    "kg/m of a heavy cable in mg/m": (lambda: Material.from_physical(1e-3, 1e-3, 5e4), "weight_per_length: 50000 N/m; .* kg/m"),
+    "N mm²": (lambda: Material.from_physical(2e6, 2e6, 0.5), "EI, weight_per_length: .* N m²"),
+    "a path in degrees": (lambda: ClampPath([0, 1], end_rotation=[[0], [90]]), "end_rotation: 90 rad .* 1.571"),
+    "a twist in degrees": (lambda: Observations(ROPE.vertices, total_twist=[180]), "total_twist: 180 rad .* 3.142"),
+    "a turn in degrees": (lambda: predict_step(ROPE, MATERIAL, CLAMPS, CLAMPS, rotation=90), "rotation: 90 rad .* 1.571")}
+
+
+@pytest.mark.sampled(len(DOUBTFUL) - 1)  # the last one relaxes
+@pytest.mark.parametrize("case", DOUBTFUL)
+def test_another_unit_is_doubted_at_the_callers_line(case):
+    call, words = DOUBTFUL[case]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        call()
+    doubts = [one for one in caught if one.category is UserWarning]
+    assert len(doubts) == 1 and re.search(words, str(doubts[0].message)) and doubts[0].filename == __file__
+
+
+def test_usual_numbers_raise_no_doubt():
+    straight_rod(10.0, 9)
+    straight_rod(20_000.0, 9)
+    ClampPath([0, 1], end_rotation=[[0], [20 * np.pi]])
+    ClampPath([0, 1], end_rotation=[[0], [6.0]])
+    Material.from_physical([1e-9, 2.5e4], 1.0, [2e-5, 97.0])
+
+
+@pytest.mark.parametrize(("call", "field", "value"), [
+    (lambda: Material.from_physical(-1e-3, 1e-3, 0.5), "EI", "-0.001 N m²"),
+    (lambda: Material.from_physical([1e-3, 1e-3], [1e-3, -2e-3], 0.5), "GJ", "-0.002 N m²"),
+    (lambda: Material.from_physical(1e-3, 1e-3, -0.5), "weight_per_length", "-0.5 N/m"),
+    (lambda: Material.diagonal(1e5, -1.0, 1e5), "bend_2", "-1 mm³"),
+    (lambda: Material(-5.0, 1e5), "bend", "-5 "),
+    (lambda: predict_step(ROPE, MATERIAL, CLAMPS, CLAMPS, sub_step=5), "sub_step", "5 rad")])
+def test_what_was_given_is_named(call, field, value):
+    with pytest.raises(InputError) as caught:
+        call()
+    assert caught.value.field == field and caught.value.problem.startswith(value)

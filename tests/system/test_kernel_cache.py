@@ -41,8 +41,9 @@ def run_kernel(folder: Path, temporary=None, **environment) -> None:
 
 
 @pytest.mark.thorough
-def test_a_process_without_a_home_ends_well(tmp_path):
-    run_kernel(tmp_path, HOME=None, XDG_CACHE_HOME=None)
+@pytest.mark.parametrize(("temporary", "home"), [(None, None), ("/proc/self", "/proc/self")])
+def test_a_process_without_a_home_or_writable_folders_succeeds(tmp_path, temporary, home):
+    run_kernel(tmp_path, temporary, HOME=home, XDG_CACHE_HOME=None)
 
 
 @pytest.mark.thorough
@@ -67,11 +68,6 @@ def test_kernels_are_not_taken_from_a_folder_that_is_another_ones(tmp_path):
     (tmp_path / f"doo_ti_kernels_{os.getuid()}").symlink_to(tmp_path / "elsewhere")
     run_kernel(tmp_path, tmp_path, HOME=None, XDG_CACHE_HOME="/proc/self")
     assert not list((tmp_path / "elsewhere").iterdir())
-
-
-@pytest.mark.thorough
-def test_a_process_without_writable_folders_succeeds(tmp_path):
-    run_kernel(tmp_path, "/proc/self", HOME="/proc/self", XDG_CACHE_HOME=None)
 
 
 @pytest.fixture(scope="module")

@@ -1,15 +1,21 @@
-"""How Taichi is started: which processors its threads may use."""
+"""How Taichi is started, by which threads and processes; its kernels, one launch at a time, and their source."""
 
+import inspect
 import json
 import os
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
+from doo_ti.relaxation import chain, contacts, newton_trip
 from doo_ti.system import runtime
+from doo_ti.system.taichi_internals import _lines_of
+from tests.first_use import CALLS
 
+ROOT = Path(__file__).resolve().parents[2]
 WHERE = """
 import json
 import os
@@ -20,31 +26,31 @@ tasks = sorted({int(task) for task in os.listdir("/proc/self/task")} - before)
 print(json.dumps([[sorted(os.sched_getaffinity(task)) for task in tasks][-THREADS:], sorted(os.sched_getaffinity(0))]))
 """
 PROCESSORS = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
-pytestmark = pytest.mark.skipif(len(PROCESSORS) < 2, reason="takes Linux and two processors")
+of_two = pytest.mark.skipif(len(PROCESSORS) < 2, reason="takes Linux and two processors")
+
+
+def ran(script: str, folder: Path = ROOT, **environment) -> subprocess.CompletedProcess:
+    return subprocess.run([sys.executable, "-W", "ignore", "-c", script], capture_output=True, text=True, cwd=folder,
+                          env={**os.environ, "PYTHONPATH": str(ROOT), **environment})
 
 
 def places(threads: int, **environment) -> list:
     """(processors each of Taichi's threads may use, those the caller may)."""
-    done = subprocess.run([sys.executable, "-c", WHERE.replace("THREADS", str(threads))], capture_output=True, text=True,
-                          env={**os.environ, **environment}, check=True)
-    return json.loads(done.stdout)
+    return json.loads(ran(WHERE.replace("THREADS", str(threads)), **environment).stdout)
 
 
+@of_two
 def test_as_many_threads_as_processors_have_one_each():
     threads, caller = places(len(PROCESSORS))
     assert sorted(threads) == [[processor] for processor in PROCESSORS] and caller == PROCESSORS
 
 
+@of_two
 @pytest.mark.thorough
-def test_fewer_threads_go_where_the_system_likes():
-    threads, _ = places(len(PROCESSORS) - 1)
-    assert threads == [PROCESSORS] * (len(PROCESSORS) - 1)
-
-
-@pytest.mark.thorough
-def test_an_environment_variable_leaves_it_to_the_system():
-    threads, _ = places(len(PROCESSORS), DOO_TI_PINNED="0")
-    assert threads == [PROCESSORS] * len(PROCESSORS)
+@pytest.mark.parametrize(("fewer", "environment"), [(1, {}), (0, {"DOO_TI_PINNED": "0"})])
+def test_other_threads_go_where_the_system_likes(fewer, environment):
+    threads, _ = places(len(PROCESSORS) - fewer, **environment)
+    assert threads == [PROCESSORS] * (len(PROCESSORS) - fewer)
 
 
 ENDED = """
@@ -60,46 +66,10 @@ print(len(os.sched_getaffinity(0)))
 """
 
 
+@of_two
 def test_a_thread_that_has_ended_is_passed_over():
-    done = subprocess.run([sys.executable, "-c", ENDED], capture_output=True, text=True)
+    done = ran(ENDED)
     assert done.stdout.strip() == "1", done.stderr
-
-
-OTHER_THREADS = """
-from threading import Event, Thread
-import numpy as np
-from doo_ti import Clamp, Clamps, Configuration, Material, relax
-from doo_ti.system import runtime
-
-rods = Configuration(np.zeros((1, 3)), np.tile([1.0, 0, 0, 0], (1, 9, 1)), np.full(9, 3.0))
-clamps = Clamps(Clamp.FRAME, Clamp.FREE, np.zeros((1, 3)), np.zeros((1, 3)), np.eye(3)[None], np.eye(3)[None])
-found = []
-
-done, started = Event(), Event()
-
-def start():
-    runtime.start()
-    started.set()
-    done.wait()  # an ended thread's identity may be given to the next
-
-def run(function):
-    thread = Thread(target=function)
-    thread.start()
-    thread.join()
-
-Thread(target=start).start()
-started.wait()
-for precision in ("f64", "f32", "mixed"):
-    run(lambda: found.append(relax(rods, Material(6e5, 8e5), clamps, precision=precision).converged.all()))
-done.set()
-print(found)
-"""
-
-
-@pytest.mark.thorough
-def test_any_thread_may_start_and_any_other_use_the_kernels():
-    done = subprocess.run([sys.executable, "-c", OTHER_THREADS], capture_output=True, text=True)
-    assert done.stdout.strip() in ("[True, True, True]", "[np.True_, np.True_, np.True_]"), done.stderr
 
 
 START = "from doo_ti.cli import main; import sys; sys.exit(main(['relax', 'absent.npz', '--bend', '1e5', '--out', 'F.npz']))"
@@ -109,43 +79,21 @@ START = "from doo_ti.cli import main; import sys; sys.exit(main(['relax', 'absen
 @pytest.mark.parametrize(("name", "value"), [("DOO_TI_ARCHITECTURE", "gpu"), ("DOO_TI_ARCHITECTURE", ""), ("TI_ARCH", "cuda"),
                                              ("TI_ARCH", "vulkan"), ("TI_ARCH", ""), ("TI_ARCH", "nothing")])
 def test_where_to_run_is_said_once(tmp_path, name, value):
-    done = subprocess.run([sys.executable, "-c", START], capture_output=True, text=True, env={**os.environ, name: value},
-                          cwd=tmp_path)
+    done = ran(START, tmp_path, **{name: value})
     assert done.returncode == 2 and done.stderr.count("\n") == 1 and f"environment: {name}" in done.stderr
 
 
 @pytest.mark.thorough
 def test_cuda_without_a_device_is_refused(tmp_path):
     script = "import taichi as ti; print(ti.lang.misc.is_arch_supported(ti.cuda))"
-    if "True" in subprocess.run([sys.executable, "-c", script], capture_output=True, text=True).stdout:
+    if "True" in ran(script).stdout:
         pytest.skip("there is a device")
     for start in (START, "from doo_ti.system import runtime; runtime.start('cuda')"):
-        done = subprocess.run([sys.executable, "-c", start], capture_output=True, text=True,
-                              env={**os.environ, "DOO_TI_ARCHITECTURE": "cuda"}, cwd=tmp_path)
+        done = ran(start, tmp_path, DOO_TI_ARCHITECTURE="cuda")
         assert "environment: DOO_TI_ARCHITECTURE" in done.stderr.splitlines()[-1]
         assert (done.returncode, done.stderr.count("\n")) == (2, 1) or start is not START
 
 
-FORKED = """
-import os
-import signal
-from doo_ti import InputError, Observations, distance, straight_rod
-from doo_ti.system import runtime
-
-rod = straight_rod(9.0, 3)
-seen = Observations(rod.vertices)
-runtime.start()
-child = os.fork()
-if child == 0:
-    signal.alarm(20)  # ends it where it waits
-    for use in (runtime.start, lambda: distance(rod, seen)):
-        try:
-            use()
-        except InputError as error:
-            print(error.field, flush=True)
-    os._exit(0)
-print(os.waitpid(child, 0)[1])
-"""
 FORKED_BEFORE = """
 import os
 from doo_ti.system import runtime
@@ -161,10 +109,9 @@ if child == 0:
 
 @pytest.mark.thorough
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="nothing forks here")
-@pytest.mark.parametrize(("script", "said"), [(FORKED, ["fork", "fork", "0"]), (FORKED_BEFORE, ["cpu", "cpu"])])
-def test_a_fork_says_that_it_cannot_use_its_parents_kernels(script, said):
-    done = subprocess.run([sys.executable, "-W", "ignore", "-c", script], capture_output=True, text=True)
-    assert done.stdout.split() == said, done.stderr
+def test_a_process_forked_before_the_first_use_has_kernels_of_its_own():
+    done = ran(FORKED_BEFORE)
+    assert done.stdout.split() == ["cpu", "cpu"], done.stderr
 
 
 def test_a_kernel_that_is_compiled_briefly_changes_no_setting():
@@ -193,3 +140,53 @@ def test_the_clock_of_limits_stands_still_while_kernels_compile():
     with runtime._compiling():
         time.sleep(0.05)
     assert time.monotonic() - runtime.working_time() - began >= 0.05
+
+
+def at_once(name: str, threads: int) -> None:
+    """Python threads that use the kernels for the first time at the same moment: Taichi compiles for one at a time."""
+    command = [sys.executable, "-m", "tests.first_use", name, str(threads)]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    assert done.stdout.split("\n")[-2:] == ["alike", ""], f"{done.stdout}{done.stderr}"
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", ["relax", "simulate"])
+def test_eight_threads_begin_at_once(name):
+    at_once(name, 8)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("threads", [2, 8])
+@pytest.mark.parametrize("name", CALLS)
+def test_any_function_may_be_the_first(name, threads):
+    at_once(name, threads)
+
+
+def test_no_kernel_is_launched_beside_another():
+    """A launch that does not hold the turn fails, whether or not another thread happens to launch then."""
+    launched = []
+    runtime.start()
+
+    @runtime.kernel
+    def nothing():
+        pass
+
+    with pytest.raises(RuntimeError, match="nothing"):
+        nothing()
+    runtime.exclusive(lambda: launched.append(nothing()))()
+    assert launched == [None]
+    with pytest.raises(RuntimeError):  # the turn is given back
+        nothing()
+
+
+def test_lines_of_kernels_functions_are_those_of_inspect():
+    def otherwise(function):
+        raise AssertionError(f"{function} is not found by its line")
+
+    lines, found = _lines_of(otherwise), 0
+    for kind in (chain.Chain, contacts.Contacts, newton_trip.NewtonTrip):
+        for function in vars(kind).values():
+            if hasattr(function, "_is_taichi_function"):
+                assert lines(function) == inspect.getsourcelines(function)
+                found += 1
+    assert found > 20

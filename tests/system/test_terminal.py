@@ -26,6 +26,14 @@ class Terminal(io.StringIO):
         return True
 
 
+def wide_terminal(monkeypatch) -> Terminal:
+    """In place of standard error."""
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setattr(sys, "stderr", terminal := Terminal())
+    return terminal
+
+
 def test_visible_text():
     assert visible(NAME) == SHOWN
     assert visible("Θ ± 5 mm³\n  φ = 3°\n") == "Θ ± 5 mm³\n  φ = 3°\n" and visible("a\rb\x00") == r"a\rb\x00"
@@ -33,9 +41,7 @@ def test_visible_text():
 
 @pytest.mark.parametrize("shown", ["bar", "busy"])
 def test_progress(monkeypatch, shown):
-    monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.setattr(sys, "stderr", terminal := Terminal())
+    terminal = wide_terminal(monkeypatch)
     if shown == "bar":
         with progress() as bar:
             bar.advance(bar.add_task(NAME, total=2, unit="cells"))
@@ -74,10 +80,7 @@ def test_a_kernel_s_first_launch_says_that_it_is_compiled(monkeypatch, shown):
         for k in values:
             values[k] *= 2.0
 
-    values = np.ones(3, dtype=np.float32)
-    monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.setattr(sys, "stderr", terminal := Terminal())
+    values, terminal = np.ones(3, dtype=np.float32), wide_terminal(monkeypatch)
     with progress() if shown == "bar" else busy("growth") as bar:
         if shown == "bar":
             bar.add_task("growth", total=2, unit="edges")

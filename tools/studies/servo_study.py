@@ -21,7 +21,7 @@ import numpy as np
 if not __package__:
     sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from doo_ti.manipulation.damped_step import DampedSteps  # noqa: E402
+from doo_ti.manipulation.goal import DampedSteps  # noqa: E402
 from doo_ti.manipulation.poses import held, moved  # noqa: E402
 from doo_ti.manipulation.servo import Servo  # noqa: E402
 from doo_ti.manipulation.targets import ServoOptions, Targets  # noqa: E402

@@ -1,4 +1,4 @@
-"""Tables: CSV and Parquet carry the same observations as npz, and wrong tables are refused with the reason."""
+"""Tables, CSV and Parquet: of observations, the same as npz, and wrong ones are refused with the reason; and of results."""
 
 import numpy as np
 import pyarrow
@@ -7,10 +7,15 @@ import pyarrow.parquet
 import pytest
 
 from doo_ti import InputError, Observations, load_observations, save_observations
+from doo_ti.io.observation_tables import write_rod_table
 from tests.io.rods import wavy_vertices
 from tests.io.test_observations import full_keys, same
 
 SUFFIXES = (".csv", ".parquet")
+
+
+def write(path, columns: dict) -> None:
+    (pyarrow.csv.write_csv if path.suffix == ".csv" else pyarrow.parquet.write_table)(pyarrow.table(columns), str(path))
 
 
 @pytest.mark.parametrize("suffix", (*SUFFIXES, ".npz"))
@@ -78,8 +83,7 @@ def test_wrong_tables_are_named(tmp_path, rng, case, suffix):
     columns = table(rng)
     edit(columns)
     path = tmp_path / f"bad{suffix}"
-    writer = pyarrow.csv.write_csv if suffix == ".csv" else pyarrow.parquet.write_table
-    writer(pyarrow.table(columns), str(path))
+    write(path, columns)
     with pytest.raises(InputError) as caught:
         load_observations(path)
     assert caught.value.source == str(path) and caught.value.field == (field or caught.value.field)
@@ -107,7 +111,7 @@ def test_marks_may_be_missing_in_any_usual_way(tmp_path, rng, case, suffix):
     whole = np.stack([np.reshape(columns[f"{axis}_mm"], (2, 4)) for axis in "xyz"], axis=-1)
     GAPS[case](columns)
     path = tmp_path / f"gaps{suffix}"
-    (pyarrow.csv.write_csv if suffix == ".csv" else pyarrow.parquet.write_table)(pyarrow.table(columns), str(path))
+    write(path, columns)
     found = load_observations(path)
     np.testing.assert_array_equal(found.valid, [[False, True, True, True], [True, True, True, False]])
     assert np.isnan(found.vertices[~found.valid]).all() and (found.vertices[found.valid] == whole[found.valid]).all()
@@ -120,7 +124,7 @@ def test_observations_keep_what_the_file_calls_them(tmp_path, rng, suffix):
     """In messages, and in files that are written from them."""
     columns = table(rng) | {"observation": [8] * 4 + [3] * 4}
     path = tmp_path / f"frames{suffix}"
-    (pyarrow.csv.write_csv if suffix == ".csv" else pyarrow.parquet.write_table)(pyarrow.table(columns), str(path))
+    write(path, columns)
     found = load_observations(path)
     assert found.labels.tolist() == [3, 8] and found.take([1]).labels.tolist() == [8]
     for other in (".npz", ".csv", ".parquet"):
@@ -140,3 +144,48 @@ def test_files_that_are_no_table(tmp_path, suffix):
         with pytest.raises(InputError) as caught:
             load_observations(path)
         assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+
+
+def written(path, arrays: dict, axes: tuple[str, ...]) -> tuple[dict, list[str]]:
+    with open(path, "wb") as file:
+        left_out = write_rod_table(file, arrays, axes)
+    table = pyarrow.csv.read_csv(path)
+    return {name: table.column(name).to_numpy(zero_copy_only=False) for name in table.column_names}, left_out
+
+
+def test_rods_of_one_axis_are_observations_again(tmp_path, rng):
+    """As many rods as edges: names, not shapes alone, tell what an array belongs to."""
+    rods, marks = 4, 5
+    turns = np.linalg.qr(rng.normal(size=(rods, marks - 1, 3, 3)))[0]
+    turns[..., 2] *= np.linalg.det(turns)[..., None]
+    arrays = {
+        "vertices_mm": rng.normal(size=(rods, marks, 3)), "rest_length_mm": rng.uniform(1, 2, 4), "frames": turns,
+        "valid": rng.random((rods, marks)) < 0.9, "up": np.array([0.0, 1.0, 0.0]), "energy": rng.normal(size=rods),
+        "camera_error_px": rng.random((rods, 3)), "unsupported": rng.random((rods, marks - 1)) < 0.5,
+        "runner_up_mm": rng.normal(size=(rods, 2, marks, 3)), "name": np.array([f"rod {k}" for k in range(rods)])}
+    columns, left_out = written(tmp_path / "x.csv", arrays, ("observation",))
+    assert left_out == ["runner_up_mm"] and len(columns["x_mm"]) == rods * marks
+    np.testing.assert_array_equal(columns["energy"], np.repeat(arrays["energy"], marks))
+    np.testing.assert_array_equal(columns["name"][::marks], arrays["name"])
+    np.testing.assert_array_equal(columns["camera_error_px_1"][::marks], arrays["camera_error_px"][:, 1])
+    np.testing.assert_array_equal(columns["unsupported"].reshape(rods, marks)[:, :-1], arrays["unsupported"])
+    observations = load_observations(tmp_path / "x.csv")
+    for name, key in (("vertices", "vertices_mm"), ("rest_length", "rest_length_mm"), ("up", "up"), ("valid", "valid"),
+                      ("frames", "frames")):
+        np.testing.assert_array_equal(getattr(observations, name), arrays[key])
+
+
+def test_rods_at_moments(tmp_path, rng):
+    """(T, R): times belong to moments, materials to rods."""
+    shape = (3, 3, 4)
+    arrays = {"time_s": np.array([0.0, 0.5, 2.0]), "vertices_mm": rng.normal(size=(*shape, 3)),
+              "energy": rng.normal(size=shape[:2]), "bend": np.array([1.0, 2, 3]), "end_force": rng.normal(size=(3, 3, 3))}
+    columns, left_out = written(tmp_path / "x.csv", arrays, ("moment", "rod"))
+    assert not left_out
+    grid = {name: values.reshape(shape) for name, values in columns.items()}
+    for moment, rod, vertex in np.ndindex(*shape):
+        at = moment, rod, vertex
+        assert (grid["moment"][at], grid["rod"][at], grid["vertex"][at]) == at
+        assert grid["time_s"][at] == arrays["time_s"][moment] and grid["bend"][at] == arrays["bend"][rod]
+        assert grid["energy"][at] == arrays["energy"][moment, rod] and grid["y_mm"][at] == arrays["vertices_mm"][at][1]
+        assert grid["end_force_z"][at] == arrays["end_force"][moment, rod, 2]

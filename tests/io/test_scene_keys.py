@@ -1,10 +1,12 @@
-"""Materials of scenes in physical units: the same as relative ones, in scenes of every kind."""
+"""Keys that scenes of several kinds share: materials in physical units, and quantities at some moments."""
 
 import numpy as np
 import pytest
 
 from doo_ti.dynamics.scene import load_motion_scene
 from doo_ti.groups.scene import load_group_scene
+from doo_ti.io.scene_keys import between_moments
+from doo_ti.io.toml_file import NotNegative, Table, Vector
 from doo_ti.rod.physical_units import STANDARD_GRAVITY
 from doo_ti.system.errors import InputError
 
@@ -64,3 +66,18 @@ def test_rods_of_a_group_share_one_unit(tmp_path):
 def test_what_does_not_fit_is_named(tmp_path, load, tables, said):
     with pytest.raises(InputError, match=said):
         loaded(tmp_path, load, *tables)
+
+
+class Moment(Table):
+    time_s: NotNegative
+    shift: Vector | None = None
+
+
+@pytest.mark.parametrize(("moments", "first"), [
+    ([], [0, 0, 0, 0, 0]), ([(0.0, 3.0)], [3, 3, 3, 3, 3]),
+    ([(0.0, 1.0), (1.0, 2.0), (1.5, None)], [1, None, 2, 2, 2])])  # what is left out stays as it was
+def test_quantities_between_moments(moments, first):
+    rows = [{"time_s": time} | ({} if shift is None else {"shift": [shift, 0.0, 0.0]}) for time, shift in moments]
+    found = between_moments("scene.toml", "moments", rows, Moment, {"shift": np.zeros(3)}, np.linspace(0.0, 2.0, 5))
+    for value, expected in zip(found["shift"][:, 0], first, strict=True):
+        assert 1.0 < value < 2.0 if expected is None else np.isclose(value, expected)

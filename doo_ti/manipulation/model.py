@@ -1,0 +1,113 @@
+"""Models of rods: at rest under their grippers, drawn to marks, and what is kept of them from one step of a servo to the next.
+Axes: B rods, V vertices, C columns of derivatives."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from doo_ti.contact.surroundings import Surroundings
+from doo_ti.manipulation.poses import finite_rods, held
+from doo_ti.relaxation.external import Springs
+from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.relax import relax
+from doo_ti.relaxation.sensitivity import sensitivity
+from doo_ti.rod.types import Clamps, Configuration, Material, Solution
+
+PULL = 30.0
+"""Stiffness of a spring over B/s³, s the rod's length between marks: it draws a mark to a thirtieth of what bending between its
+neighbours leaves. With 3 shapes of the old branch remain, with 300 noise bends the rod."""
+
+
+@dataclass(frozen=True)
+class Model:
+    """Models of B rods: what they are made of, how clips hold them (:func:`.poses.held`), and what surrounds them."""
+
+    material: Material
+    clip: np.ndarray
+    up: np.ndarray
+    surroundings: Surroundings
+
+    def relaxed(self, rods: Configuration, clamps: Clamps) -> Solution:
+        """The rods at rest under the grippers' poses."""
+        return relax(rods, self.material, held(clamps, self.clip), Newton.careful(), up=self.up, **self.surroundings.arguments)
+
+    def take(self, rods: np.ndarray) -> "Model":
+        """The models of the rods named by ``rods``."""
+        return Model(self.material.take(rods), self.clip[rods], self.up, self.surroundings.take(rods))
+
+
+class Rested:
+    """Equilibria of B rods. That of a rod is a row of one of several solutions, or is missing."""
+
+    def __init__(self, count: int):
+        self._count, self._parts = count, []
+
+    @property
+    def missing(self) -> np.ndarray:
+        """Numbers of the rods without an equilibrium."""
+        there = np.zeros(self._count, dtype=bool)
+        for rods, *_ in self._parts:
+            there[rods] = True
+        return np.flatnonzero(~there)
+
+    def forget(self, rods: np.ndarray) -> None:
+        """Drop the equilibria of these rods, whose models have changed."""
+        kept = [(part, ~np.isin(part[0], rods)) for part in self._parts]
+        self._parts = [(own[stay], rows[stay], solution, vertices[stay])
+                       for (own, rows, solution, vertices), stay in kept if stay.any()]
+
+    def put(self, rods: np.ndarray, solution: Solution, rows: np.ndarray, vertices: np.ndarray) -> None:
+        """Add the equilibria of these rods, which are missing: the ``rows`` of the solution, with the ``vertices`` (n, V, 3) of
+        these rows."""
+        if len(rods):
+            self._parts.append((rods, rows, solution, vertices))
+
+    def derivatives(self, parameters: tuple[str, ...], modes: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(B, V, 3) vertices of the models, (B, V, 3, C) their derivatives as :func:`.sensitivity` has them, and (B,) whether a
+        rod has any. No equilibrium may be missing."""
+        whole = None
+        for rods, rows, solution, vertices in self._parts:
+            found = sensitivity(solution, parameters, modes, rotations=False, loads=False)
+            usable = found.usable & np.isfinite(found.vertices[:, -1]).all(axis=(1, 2))  # none of taut rods
+            if len(rows) == self._count:
+                return vertices, found.vertices, usable
+            own = vertices, found.vertices[rows], usable[rows]
+            whole = whole or tuple(np.empty((self._count, *array.shape[1:]), dtype=array.dtype) for array in own)
+            for array, part in zip(whole, own, strict=True):
+                array[rods] = part
+        return whole
+
+
+def between_marks(values: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """(B, V, 3) ``values`` at vertices that are ``seen`` (B, V), linear between them, and constant beyond the outermost ones;
+    zero where none is seen."""
+    count = seen.shape[1]
+    number = np.arange(count)
+    before = np.maximum.accumulate(np.where(seen, number, -1), axis=1)
+    after = np.minimum.accumulate(np.where(seen, number, count)[:, ::-1], axis=1)[:, ::-1]
+    before, after = np.where(before < 0, after, before), np.where(after >= count, before, after)
+    rods = np.arange(len(seen))[:, None]
+    before, after = np.clip(before, 0, count - 1), np.clip(after, 0, count - 1)
+    share = ((number - before) / np.maximum(after - before, 1))[..., None]
+    known = np.where(seen[..., None], values, 0.0)
+    return (1 - share) * known[rods, before] + share * known[rods, after]
+
+
+def drawn_to(rods: Configuration, material: Material, clamps: Clamps, places: np.ndarray, visible: np.ndarray, up: np.ndarray,
+             **around) -> Configuration:
+    """The B rods drawn by springs to the ``places`` (B, V, 3) mm of the vertices that are ``visible`` (B, V)."""
+    spacing = rods.rest_length.sum() / np.maximum(visible.sum(axis=1) - 1, 1)
+    stiffness = PULL * material.bend[:, material.bend.shape[1] // 2, 0, 0] / spacing**3
+    springs = Springs(places, visible * stiffness[:, None])
+    drawn = relax(rods, material, clamps, Newton.careful(), up=up, external=springs, external_index=np.arange(rods.count),
+                  **around)
+    return finite_rods(drawn.configuration, rods)
+
+
+def resynchronised(rods: Configuration, material: Material, clamps: Clamps, seen: np.ndarray, up: np.ndarray, **around
+                   ) -> Solution:
+    """The B rods at rest on the branch that is nearest to the marks ``seen`` (B, V, 3) mm, NaN where not seen: drawn to them by
+    springs, then let go."""
+    visible = np.isfinite(seen).all(axis=-1)
+    drawn = drawn_to(rods, material, clamps, np.where(visible[..., None], seen, 0.0), visible, up, **around)
+    return relax(drawn, material, clamps, Newton.careful(), up=up, **around)
