@@ -22,27 +22,20 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from doo_ti.contact.itself import Itself, smallest_self_gap  # noqa: E402
-from doo_ti.contact.obstacles import Capsule, Plane  # noqa: E402
-from doo_ti.dynamics.grippers import Grippers  # noqa: E402
-from doo_ti.dynamics.parameters import Dynamics, Stepping  # noqa: E402
-from doo_ti.dynamics.simulate import simulate  # noqa: E402
-from doo_ti.relaxation.relax import relax  # noqa: E402
-from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about, quaternion_product  # noqa: E402
-from doo_ti.rod.material import Material  # noqa: E402
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Status  # noqa: E402
-from tests.contact.topology import solid_angles  # noqa: E402
+from doo_ti import Capsule, Dynamics, Grippers, Itself, Plane, Stepping, relax, simulate
+from doo_ti.contact.itself import smallest_self_gap
+from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about, quaternion_product
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
+from tests.contact.topology import solid_angles
 
 LENGTH, EDGES, RADIUS, FRAMES = 100.0, 33, 0.5, 40
 TABLE = Plane((0, 0, 0), (0, 0, 1), friction=0.2)
-PEGS = (((30, -18), 2.0), ((50, -25), 3.0), ((70, -18), 2.0))
-"""Places of upright pegs, mm, and their radii."""
+PEGS = (((30, -18), 2.0), ((50, -25), 3.0), ((70, -18), 2.0))  # places of upright pegs, mm, and their radii
 HEIGHT = 120.0
 """Of the pegs, mm: no rod gets over them. One that snaps over the top of a peg from one frame to the next could not be told
 from one that has passed through it."""
 AT_ONCE = 1000
-SLIP = 9
-"""Edges from an end: how far a loop may slide along the rod within a frame."""
+SLIP = 9  # edges from an end: how far a loop may slide along the rod within a frame
 
 
 def obstacles() -> list:

@@ -4,7 +4,7 @@ import numpy as np
 
 import doo_ti as d
 from doo_ti.manipulation.poses import moved
-from tools.studies.trials.servo import tasks
+from tools.studies.servo_tasks import tasks
 
 
 def test_a_rod_takes_its_own_sub_steps_whatever_the_others_need():

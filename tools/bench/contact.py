@@ -14,14 +14,12 @@ from pathlib import Path
 
 import numpy as np
 
-if not __package__:
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from doo_ti import Capsule, Clamp, Clamps, Configuration, Itself, Material, Plane, gripper_jacobian, relax  # noqa: E402
-from doo_ti.bench.cases import Case, Outcome  # noqa: E402
-from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about, quaternion_product  # noqa: E402
-from doo_ti.rod.types import Solution, Status  # noqa: E402
-from tools.bench.against_baseline import Benchmark, run  # noqa: E402
+from doo_ti import Capsule, Clamp, Clamps, Configuration, Itself, Material, Plane, Solution, Status, gripper_jacobian, relax
+from doo_ti.bench.cases import Case, Outcome
+from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about, quaternion_product
+from tools.bench.baseline import run
 
 BASELINE = Path(__file__).with_name("contact.json")
 SEED = 2011
@@ -138,9 +136,7 @@ def cases(rods: Specimens) -> list[Case]:
 
 
 def main(arguments: list[str]) -> int:
-    benchmark = Benchmark("contact.py", __doc__.splitlines()[0], BASELINE, "rods", 4096, 8,
-                          lambda count: cases(Specimens(count)))
-    return run(benchmark, arguments)
+    return run(arguments, __doc__.splitlines()[0], BASELINE, "rods", 4096, 8, lambda count: cases(Specimens(count)))
 
 
 if __name__ == "__main__":

@@ -17,10 +17,9 @@ from collections import defaultdict
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-if not __package__:
-    sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(ROOT))
 
-from doo_ti.bench.cases import OPERATIONS  # noqa: E402
+from doo_ti.bench.cases import OPERATIONS
 
 SPECIMENS = {"isotropic": "many", "general": "band", "springs": "pulled"}
 RELAX = "from doo_ti.bench.cases import COARSE, Specimens; Specimens(64).{}.relaxed(COARSE, 'f32')"

@@ -13,12 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.io.observation_files import save_observations
+from doo_ti import load_rig, save_observations
 from doo_ti.io.scene import Synthesis, load_scene
 from doo_ti.lab.synthesis import synthesise
 from doo_ti.perception.virtual_lab import lab_rods, save_truth
 from doo_ti.system.files import write_whole
-from doo_ti.vision.cameras.rig import load_rig
 from doo_ti.vision.rendering.render import Photographs, RenderOptions, save_photographs
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -26,8 +25,7 @@ RODS = ("nylon", "vicryl", "silk", "ribbon")
 SEEN = {"vicryl": ((66.0, 60.0), (78.0, 150.0)), "silk": ((42.0, 30.0), (78.0, 210.0))}
 """Rods in images: (end distance in mm, end rotation in degrees), none of which crosses or hides itself in a view."""
 DIAMETER_MM, SEED = 0.5, 2011
-LOOK = RenderOptions(unevenness=4.0, noise=1.0, shading=0.0, jpeg_quality=85)
-"""Little noise, so that the files are small."""
+LOOK = RenderOptions(unevenness=4.0, noise=1.0, shading=0.0, jpeg_quality=85)  # little noise, so that the files are small
 
 
 def recipe(name: str) -> Synthesis:

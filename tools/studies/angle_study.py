@@ -14,15 +14,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 
-if not __package__:
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from doo_ti.perception.perceive import PerceptionVerdict, perceive  # noqa: E402
-from doo_ti.rod.types import Material  # noqa: E402
-from doo_ti.vision.cameras.camera import Camera  # noqa: E402
-from doo_ti.vision.cameras.rig import Rig  # noqa: E402
-from doo_ti.vision.detection.line import Detection  # noqa: E402
-from doo_ti.vision.reprojection.distance_map import distance_maps  # noqa: E402
+from doo_ti import Camera, Detection, Material, PerceptionVerdict, Rig, distance_maps, perceive
 
 LENGTH_MM, EDGES, AWAY_MM, FOCAL_PX, WIDTH, HEIGHT = 100.0, 33, 200.0, 1000.0, 800, 600
 KNOTS, BEND = 6, 0.9

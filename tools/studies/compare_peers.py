@@ -16,25 +16,20 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[2]
-if not __package__:
-    sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(ROOT))
 
-from doo_ti.bench import clock  # noqa: E402
-from doo_ti.bench.workload import Rods  # noqa: E402
-from doo_ti.relaxation.newton import Newton  # noqa: E402
-from doo_ti.system.errors import InputError  # noqa: E402
-from doo_ti.system.files import write_text  # noqa: E402
-from tools.studies.peers import capsules, cosserat, flex, swinging  # noqa: E402
-from tools.studies.peers.problem import Problem, problem, strain  # noqa: E402
+from doo_ti import InputError, Newton
+from doo_ti.bench import clock
+from doo_ti.bench.workload import Rods
+from doo_ti.system.files import write_text
+from tools.studies.peers import capsules, cosserat, flex, swinging
+from tools.studies.peers.problem import Problem, problem, strain
 
 COUNT = 4096
 LEAST_RATIO = 3000.0
-STEPS = (2e-3, 5e-4)
-"""s, of MuJoCo."""
-RADII = (2e-3, 5e-4)
-"""m, of PyElastica's rods: they determine its steps."""
-NEWTON_STEPS = (2e-3, 1e-3)
-"""s, of Newton."""
+STEPS = (2e-3, 5e-4)  # s, of MuJoCo
+RADII = (2e-3, 5e-4)  # m, of PyElastica's rods: they determine its steps
+NEWTON_STEPS = (2e-3, 1e-3)  # s, of Newton
 ROUNDS = 3
 
 

@@ -1,59 +1,48 @@
 """Accuracy of rods recovered from images (§V-E, Fig. 6): the virtual lab's 180 sets, loops, and two cameras only.
 
     python tools/studies/perception_study.py [lab loops camera ...] [--sets N]
+
+Axes: A sets, C cameras, V vertices, n points of a curve.
 """
 
 import argparse
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-if not __package__:
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from doo_ti.commands.results import counted  # noqa: E402
-from doo_ti.io.scene import Synthesis, load_scene  # noqa: E402
-from doo_ti.learning.landscape import status_counts  # noqa: E402
-from doo_ti.perception.perceive import Perception, PerceptionVerdict, perceive  # noqa: E402
-from doo_ti.perception.search import PerceptionOptions, Search  # noqa: E402
-from doo_ti.perception.virtual_lab import LabRods, lab_rods  # noqa: E402
-from doo_ti.rod.types import Material  # noqa: E402
-from doo_ti.vision.cameras.rig import Rig, load_rig  # noqa: E402
-from doo_ti.vision.detection.line import Detection  # noqa: E402
-from doo_ti.vision.detection.options import DetectionOptions  # noqa: E402
-from doo_ti.vision.rendering.render import Photographs, RenderOptions  # noqa: E402
-from doo_ti.vision.rendering.tubes import smooth_curve  # noqa: E402
-from doo_ti.vision.reprojection.distance_map import DistanceMaps, distance_maps  # noqa: E402
-from tools.studies.trials.perception import (  # noqa: E402
-    Trial,
-    crossings,
-    detected,
-    filled,
-    judged,
-    sets_of,
-    taken,
-    truth_energy,
-    unseen,
-    usual_width,
-    with_energy,
-    without_camera,
-)
+from doo_ti import Detection, DetectionOptions, DistanceMaps, Hypotheses, Material, Rig, detect, distance_maps, load_rig
+from doo_ti.commands.results import counted
+from doo_ti.io.scene import Synthesis
+from doo_ti.learning.landscape import status_counts
+from doo_ti.perception.perceive import Perception, PerceptionVerdict, perceive
+from doo_ti.perception.search import PerceptionOptions, Search
+from doo_ti.perception.virtual_lab import LabRods, lab_rods
+from doo_ti.rod.frames import bishop_frames, quaternion_from_matrix
+from doo_ti.vision.rendering.render import Photographs, RenderOptions
+from doo_ti.vision.rendering.tubes import smooth_curve
+from doo_ti.vision.reprojection.image_energy import coverage
+from tools.studies.replication.specimens import SCENES, scene
 
-SCENES = Path(__file__).resolve().parents[2] / "scenes"
 THREADS = ("nylon", "vicryl", "silk")
 DIAMETER_MM, MARGIN_PX, SEED, MOST_NAMED = 0.5, 60, 2011, 6
 SHARES = (1.0, 1e-2, 1e-4)
 OPTIONS, UP = PerceptionOptions(), np.array([0.0, 0.0, 1.0])
+CORRECT_MM = 1.0  # a rod with a smaller mean error of its vertices counts as recovered correctly
+UNSEEN_PX = 2.0
+"""The thread is not detected where the next detected point is further away: an error of the line itself is far less."""
 HEAD = ("| row | sets | correct | search lost it | score prefers another | of the correct, vertex mm: mean, worst "
         "| curve mm: mean, worst | thread unseen | clear | likely | ambiguous | not found | status | s |")
 
 
 @dataclass(frozen=True)
 class Case:
-    """Sets of images of one thread, detected."""
+    """Sets of images of one thread, detected; the true curve (A, n, 3) mm and its images ``pixels`` (C, A, n, 2)."""
 
     rods: LabRods
     material: Material
@@ -62,6 +51,60 @@ class Case:
     maps: DistanceMaps
     pixels: np.ndarray
     curve: np.ndarray
+
+    def unseen(self) -> np.ndarray:
+        """(A, C, n) bool: where the true curve has no detected point near."""
+        offset, left, top, width, height = (self.maps.window[..., index, None] for index in range(5))
+        column, line = np.moveaxis(np.rint(np.swapaxes(self.pixels, 0, 1)).astype(np.int64), -1, 0)
+        column, line = np.clip(column - left, 0, width - 1), np.clip(line - top, 0, height - 1)
+        return self.maps.values[offset + line * width + column] > UNSEEN_PX
+
+    def filled(self) -> "Case":
+        """With the true curve put into the detections where nothing was seen, as in §V-E."""
+        missing, run = self.unseen(), np.gradient(self.pixels, axis=2)
+        run /= np.linalg.norm(run, axis=-1, keepdims=True)
+        detections = []
+        for row, views in enumerate(self.detections):
+            gaps = [(self.pixels[camera, row][gap], run[camera, row][gap]) for camera, gap in enumerate(missing[row])]
+            detections.append([replace(
+                found, points=np.concatenate([found.points, points]), direction=np.concatenate([found.direction, direction]),
+                strength=np.concatenate([found.strength, np.full(len(points), np.median(found.strength))]))
+                for found, (points, direction) in zip(views, gaps, strict=True)])
+        return replace(self, detections=detections, maps=distance_maps(detections, MARGIN_PX))
+
+    def without(self, camera: int, rows: np.ndarray) -> "Case":
+        """Some of the sets, without one of the cameras."""
+        kept = np.delete(np.arange(len(self.rig.cameras)), camera)
+        return Case(self.rods.take(rows), self.material, Rig(tuple(self.rig.cameras[one] for one in kept), self.rig.source),
+                    [self.detections[row] for row in rows], self.maps.take(rows, kept),
+                    self.pixels[kept][:, rows], self.curve[rows])
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Results of A sets.
+
+    vertex_error  (A,) mm: mean distance of the vertices to the true ones
+    curve_error   (A,) mm: the same to the true curve, whatever the place along it
+    truth_energy  (A,) 1/mm: E_vis of the rod relaxed from the true one
+    seconds       that it took to find them
+    """
+
+    found: Perception
+    vertex_error: np.ndarray
+    curve_error: np.ndarray
+    truth_energy: np.ndarray
+    seconds: float
+
+    @property
+    def correct(self) -> np.ndarray:
+        """(A,) bool."""
+        return self.vertex_error < CORRECT_MM
+
+    @property
+    def overlooked(self) -> np.ndarray:
+        """(A,) bool: not correct although the true rod has a smaller E_vis: the search pruned it."""
+        return ~self.correct & (self.truth_energy < self.found.energy_vis)
 
 
 def main() -> None:
@@ -83,99 +126,133 @@ def lab(sets: int) -> None:
     """§V-E: the paper's 180 sets, all options at their defaults."""
     began = time.perf_counter()
     for name in THREADS:
-        case, seconds = photographed(name, sets)
-        report(f"lab: {name}", case, case.rods.point, case.rods.direction, before=seconds)
+        case, seconds = photographed(scene(name).observations, sets)
+        report(f"lab: {name}", case, before=seconds)
     print(f"lab: {time.perf_counter() - began:.0f} s in all, rods made, photographed and recovered", flush=True)
 
 
 def loops(sets: int) -> None:
-    """Fig. 6: threads that cross themselves in every view, with the rod's energy and with little of it; and others."""
+    """Fig. 6: threads that cross themselves in every view, with the rod's energy and with little of it."""
     for name in THREADS:
-        case, _ = photographed(f"loops_{name}", None, crossing=True)
-        again = mapped(case, filled(case.detections, case.maps, case.pixels))
-        for seen, these in (("as detected", case), ("gaps filled", again)):
-            shares(f"loops: {name}, {seen}", these)
-    for name in THREADS:
-        shares(f"no loops: {name}", photographed(name, min(sets, 20))[0])
-
-
-def shares(what: str, case: Case) -> None:
-    for share in SHARES:
-        report(f"{what}, energy x {share:g}", case, case.rods.point, case.rods.direction, with_energy(OPTIONS, share))
+        case, _ = photographed(scene(f"loops_{name}").observations, crossing=True)
+        for seen, these in (("as detected", case), ("gaps filled", case.filled())):
+            for share in SHARES:
+                report(f"loops: {name}, {seen}, energy x {share:g}", these, with_energy(OPTIONS, share))
 
 
 def camera(sets: int) -> None:
     """Two cameras: each of the three is left out of a third of the sets, drawn at random."""
     for name in THREADS:
-        case, _ = photographed(name, sets)
+        case, _ = photographed(scene(name).observations, sets)
         lot = np.random.default_rng(SEED).permutation(len(case.rods.names))
         for index, left_out in enumerate(case.rig.names):
-            maps, rig = without_camera(case.maps, case.rig, index)
-            less = Case(case.rods, case.material, rig, case.detections, maps, np.delete(case.pixels, index, axis=0), case.curve)
-            rows = np.sort(lot[index :: len(case.rig.names)])
-            report(f"without {left_out}: {name}", of(less, rows), case.rods.point[rows], case.rods.direction[rows])
+            report(f"without {left_out}: {name}", case.without(index, np.sort(lot[index :: len(case.rig.names)])))
 
 
-def photographed(scene: str | Synthesis, sets: int | list[int] | None, look: RenderOptions = RenderOptions(),
+def in_threads(make, items) -> list:
+    with ThreadPoolExecutor(2) as executor:
+        return list(executor.map(make, items))
+
+
+def photographed(recipe: Synthesis, sets: int | list[int] | None = None, look: RenderOptions = RenderOptions(),
                  crossing: bool = False, detection: DetectionOptions = DetectionOptions()) -> tuple[Case, float]:
     """Images of a scene's rods, detected; and the seconds from images to distance maps.
 
-    scene     name of a shipped one, or a recipe
-    sets      how many rods, evenly chosen, or the rows of the rods
-    crossing  instead all rods that cross themselves in every image
+    sets      how many rods, evenly chosen, or the rows of the rods; None: all
+    crossing  instead all rods that cross themselves in every image; the width of their line is taken from all images, so that
+              views where strands touch do not mislead
     """
-    rig = load_rig(SCENES / "rig.yaml")
-    recipe = load_scene(SCENES / f"{scene}.toml").observations if isinstance(scene, str) else scene
-    rods = lab_rods(recipe)
+    rig, rods = load_rig(SCENES / "rig.yaml"), lab_rods(recipe)
     if crossing:
         rods = rods.take(np.flatnonzero((crossings(rig.project(rods.curve)) > 0).all(axis=0)))
     elif isinstance(sets, list):
         rods = rods.take(sets)
     elif sets is not None and sets < len(rods.names):
         rods = rods.take(np.linspace(0, len(rods.names) - 1, sets).round().astype(int))
-    images = taken(Photographs(rods.names, rods.curve, rods.point, rods.direction, DIAMETER_MM, rig, look, SEED))
+    photographs = Photographs(rods.names, rods.curve, rods.point, rods.direction, DIAMETER_MM, rig, look, SEED)
+    images = in_threads(photographs.images, range(len(rods.names)))
     began = time.perf_counter()
-    found = detected(images, detection)
+    found = in_threads(lambda views: [detect(image, detection) for image in views], images)
     if crossing:
-        found = detected(images, replace(detection, width_px=usual_width(found)))
-    curve = smooth_curve(rods.curve, 8)
-    maps = distance_maps(found, MARGIN_PX)
+        usual = replace(detection, width_px=float(np.nanmedian([one.width_px for views in found for one in views])))
+        found = in_threads(lambda views: [detect(image, usual) for image in views], images)
+    curve, maps = smooth_curve(rods.curve, 8), distance_maps(found, MARGIN_PX)
     return Case(rods, recipe.material(), rig, found, maps, rig.project(curve), curve), time.perf_counter() - began
 
 
-def mapped(case: Case, detections: list[list[Detection]]) -> Case:
-    maps = distance_maps(detections, MARGIN_PX)
-    return Case(case.rods, case.material, case.rig, detections, maps, case.pixels, case.curve)
+def with_energy(options: PerceptionOptions, share: float) -> PerceptionOptions:
+    """The same search with the rod's energy multiplied by ``share``, which must not be zero: ν is divided by it."""
+    return replace(options, nu=options.nu / share, growing_nu=options.growing_nu / share)
 
 
-def of(case: Case, rows: np.ndarray) -> Case:
-    """Some of the sets."""
-    return Case(case.rods.take(rows), case.material, case.rig, [case.detections[row] for row in rows],
-                sets_of(case.maps, rows), case.pixels[:, rows], case.curve[rows])
-
-
-def recovered(case: Case, point, direction, options: PerceptionOptions = OPTIONS) -> tuple[Perception, Trial, float]:
-    """The rods from seeds ``point``, ``direction`` (A, 3); beside the truth; and the seconds that it took to find them."""
-    began = time.perf_counter()
-    found = perceive(case.maps, case.rig, point, direction, case.rods.rest_length, case.material, options=options)
+def recovered(case: Case, options: PerceptionOptions = OPTIONS) -> Trial:
+    """The rods beside the truth."""
+    seeds, length, began = (case.rods.point, case.rods.direction), case.rods.rest_length, time.perf_counter()
+    found = perceive(case.maps, case.rig, *seeds, length, case.material, options=options)
     seconds = time.perf_counter() - began
-    search = Search(case.maps, case.rig, point, direction, case.rods.rest_length, case.material, UP, options)
-    return found, judged(found, case.rods.vertices, case.curve, truth_energy(search, case.rods.vertices)), seconds
+    search = Search(case.maps, case.rig, *seeds, length, case.material, UP, options)
+    off = np.linalg.norm(found.vertices - case.rods.vertices, axis=-1).mean(axis=1)
+    return Trial(found, off, distance_to_curve(found.vertices, case.curve).mean(axis=1),
+                 truth_energy(search, case.rods.vertices), seconds)
 
 
-def report(what: str, case: Case, point, direction, options: PerceptionOptions = OPTIONS, before: float = 0.0) -> None:
+def distance_to_curve(points: np.ndarray, curve: np.ndarray) -> np.ndarray:
+    """(A, V) mm from points (A, V, 3) to the polygons (A, n, 3), by way of their vertices: they are dense."""
+    square = (points**2).sum(axis=-1)[..., None] + (curve**2).sum(axis=-1)[:, None] - 2 * points @ np.swapaxes(curve, 1, 2)
+    nearest = square.argmin(axis=2)
+    row = np.arange(len(points))[:, None]
+    middle = curve[row, nearest]
+    distances = []
+    for neighbour in (curve[row, np.maximum(nearest - 1, 0)], curve[row, np.minimum(nearest + 1, curve.shape[1] - 1)]):
+        along = neighbour - middle
+        share = ((points - middle) * along).sum(axis=-1) / np.maximum((along**2).sum(axis=-1), 1e-300)
+        distances.append(np.linalg.norm(points - middle - np.clip(share, 0, 1)[..., None] * along, axis=-1))
+    return np.minimum(*distances)
+
+
+def truth_energy(search: Search, vertices: np.ndarray) -> np.ndarray:
+    """(A,) 1/mm: E_vis of the rod relaxed from the true edges (A, V, 3), clamped as in the search."""
+    tangents = np.diff(vertices, axis=1)
+    tangents /= np.linalg.norm(tangents, axis=-1, keepdims=True)
+    frames = quaternion_from_matrix(bishop_frames(tangents, search.first[:, 1]))
+    rods, solution = search.relaxed(Hypotheses(np.arange(len(frames)), frames, np.zeros(len(frames))))
+    detections = search.maps.detections
+    if detections is None or search.options.evidence == "rod":
+        return rods.energy_vis
+    cover = coverage(search.rig, solution.configuration.vertices, rods.of_set, detections, search.options.cap)
+    return rods.energy_vis + search.options.nu * cover.error.sum(axis=1)
+
+
+def crossings(pixels: np.ndarray) -> np.ndarray:
+    """(...) how often polygons (..., n, 2) in an image cross themselves."""
+    begin, along = pixels[..., :-1, :], np.diff(pixels, axis=-2)
+    between = begin[..., None, :, :] - begin[..., :, None, :]
+    first, second = along[..., :, None, :], along[..., None, :, :]
+    area = _cross(first, second)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        place, other = _cross(between, second) / area, _cross(between, first) / area
+    apart = np.subtract.outer(np.arange(along.shape[-2]), np.arange(along.shape[-2])) < -1
+    hit = (place >= 0) & (place < 1) & (other >= 0) & (other < 1) & apart
+    return hit.sum(axis=(-1, -2))
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
+def report(what: str, case: Case, options: PerceptionOptions = OPTIONS, before: float = 0.0) -> None:
     """One row of the table, and a line for each of the first sets that are not correct; ``before``: seconds to add."""
-    found, trial, seconds = recovered(case, point, direction, options)
-    good, missing = trial.correct, unseen(case.maps, case.pixels).mean(axis=(1, 2))
-    status = counted(status_counts(trial.status))
-    errors = [f"{error[good].mean():.3f}, {error[good].max():.3f}" if good.any() else "none"
-              for error in (trial.vertex_error, trial.curve_error)]
+    trial = recovered(case, options)
+    found, good, missing = trial.found, trial.correct, case.unseen().mean(axis=(1, 2))
+    status = counted(status_counts(found.status))
+    errors = " | ".join(f"{error[good].mean():.3f}, {error[good].max():.3f}" if good.any() else "none"
+                        for error in (trial.vertex_error, trial.curve_error))
     verdicts = " | ".join(f"{(good & these).sum()} of {these.sum()}"
                           for these in (found.verdict == kind for kind in PerceptionVerdict))
     print(f"| {what} | {len(good)} | {good.sum()} | {trial.overlooked.sum()} | {(~good & ~trial.overlooked).sum()} "
-          f"| {errors[0]} | {errors[1]} | {missing.mean():.3f} | {verdicts} | {status} | {before + seconds:.1f} |", flush=True)
+          f"| {errors} | {missing.mean():.3f} | {verdicts} | {status} | {before + trial.seconds:.1f} |", flush=True)
     for row in np.flatnonzero(~good)[:MOST_NAMED]:
-        print(f"    {case.rods.names[row]}: {trial.vertex_error[row]:.2f} mm off, E_vis {trial.energy_vis[row]:.3f} beside "
+        print(f"    {case.rods.names[row]}: {trial.vertex_error[row]:.2f} mm off, E_vis {found.energy_vis[row]:.3f} beside "
               f"{trial.truth_energy[row]:.3f} of the truth, camera error {np.round(found.camera_error[row], 1).tolist()} px, "
               f"unseen {missing[row]:.2f}", file=sys.stderr)
 

@@ -16,15 +16,14 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-if not __package__:
-    sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(ROOT))
 
-from doo_ti.bench import clock  # noqa: E402
-from doo_ti.system.errors import InputError, InterruptedRunError  # noqa: E402
-from doo_ti.system.files import write_text  # noqa: E402
-from tools.studies.replication.report import Outcome, Run, report  # noqa: E402
-from tools.studies.replication.settings import FULL, QUICK, TINY, Size  # noqa: E402
-from tools.studies.replication.study import ITEMS, Study  # noqa: E402
+from doo_ti import InputError, InterruptedRunError
+from doo_ti.bench import clock
+from doo_ti.system.files import write_text
+from tools.studies.replication.report import Outcome, Run, report
+from tools.studies.replication.settings import FULL, QUICK, TINY, Size
+from tools.studies.replication.study import ITEMS, Study
 
 SIZES = {size.name: size for size in (FULL, QUICK, TINY)}
 

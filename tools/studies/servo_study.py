@@ -18,24 +18,18 @@ from pathlib import Path
 
 import numpy as np
 
-if not __package__:
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from doo_ti.manipulation.damped_step import DampedSteps  # noqa: E402
-from doo_ti.manipulation.poses import held, moved  # noqa: E402
-from doo_ti.manipulation.servo import Servo  # noqa: E402
-from doo_ti.manipulation.targets import ServoOptions, Targets  # noqa: E402
-from doo_ti.perception.virtual_lab import TRACKED_NOISE  # noqa: E402
-from doo_ti.relaxation.newton import Newton  # noqa: E402
-from doo_ti.relaxation.relax import relax  # noqa: E402
-from doo_ti.relaxation.sensitivity import gripper_jacobian  # noqa: E402
-from tools.studies.trials.servo import BEND, LENGTH, Plant, Tasks, tasks  # noqa: E402
+from doo_ti import Newton, Servo, ServoOptions, Targets, gripper_jacobian, relax
+from doo_ti.manipulation.damped_step import DampedSteps
+from doo_ti.manipulation.poses import held, moved
+from doo_ti.perception.virtual_lab import TRACKED_NOISE
+from tools.studies.servo_tasks import BEND, LENGTH, Plant, Tasks, tasks
 
 PLANTS = {"own": Plant(), "far": Plant(), "finer": Plant(finer=3), "clips": Plant(clip_mm=0.7, clip_deg=2.0),
           "curved": Plant(curvature=6e-4), "all": Plant(3, 0.7, 2.0, 6e-4)}
 MARKS, NEAR = 11, 2.0
-SNAP = 0.25
-"""A rod has snapped where a step moves a vertex by more than so much of its length."""
+SNAP = 0.25  # a rod has snapped where a step moves a vertex by more than so much of its length
 
 
 class Broyden:

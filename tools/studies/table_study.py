@@ -13,20 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-if not __package__:
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from doo_ti.contact.obstacles import Plane  # noqa: E402
-from doo_ti.contact.surroundings import Surroundings  # noqa: E402
-from doo_ti.refinement.refine import RefinementOptions, refine  # noqa: E402
-from doo_ti.refinement.theta import Theta  # noqa: E402
-from doo_ti.relaxation.relax import relax  # noqa: E402
-from doo_ti.rod.frames import rotation_matrix  # noqa: E402
-from doo_ti.rod.observations import Observations  # noqa: E402
-from doo_ti.rod.start import observation_clamps  # noqa: E402
-from doo_ti.rod.straight import hanging  # noqa: E402
-from doo_ti.rod.types import Clamp, Material  # noqa: E402
-from doo_ti.system.terminal import progress  # noqa: E402
+from doo_ti import Observations, Plane, RefinementOptions, Surroundings, Theta, hanging, observation_clamps, refine, relax
+from doo_ti.rod.frames import rotation_matrix
+from doo_ti.rod.types import Clamp, Material
+from doo_ti.system.terminal import progress
 
 SEED = 2011
 LENGTH, EDGES, RADIUS, NOISE = 240.0, 120, 2.0, 0.1  # mm
@@ -34,8 +26,7 @@ CONFIGURATIONS, MARKS = 8, 25
 TABLE = Surroundings([Plane((0, 0, 0), (0, 0, 1))], RADIUS)
 GUESS = Theta(3e5 * np.eye(2), 3e5)
 NAMES = ("bend", "twist")
-OPEN = 1e3
-"""A median interval that is wider is called open."""
+OPEN = 1e3  # a median interval that is wider is called open
 
 
 def specimen(seed: int) -> tuple[Observations, dict[str, float]]:

@@ -4,17 +4,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.learning.pairs import Pairs
+from doo_ti import Pairs, Rig, load_rig
 from doo_ti.rod.frames import rotation_matrix
-from doo_ti.vision.cameras.rig import Rig, load_rig
 from doo_ti.vision.rendering.render import RenderOptions
 from doo_ti.vision.reprojection.triangulation import TriangulationOptions, triangulate
 from tools.studies.replication.specimens import SCENES, Specimen, specimen
 
 OUTLIERS, OUTLIER_MM = 0.03, 5.0
 TILT_DEG, FOCAL = 0.1, 0.003
-ANY_PX = 100.0
-"""Labels never contradict each other: a person triangulates all of them."""
+ANY_PX = 100.0  # labels never contradict each other: a person triangulates all of them
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from doo_ti import Landscape, predict
 from doo_ti.dynamics.scene import load_motion_scene
-from doo_ti.learning.landscape import Landscape
-from doo_ti.prediction.predict import predict
 from tools.studies.replication.landscapes import best_cells, values
 from tools.studies.replication.specimens import SCENES
 

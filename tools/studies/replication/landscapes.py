@@ -5,13 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
+from doo_ti import Landscape, Material, Pairs, distance
 from doo_ti.learning.cells import journey
 from doo_ti.learning.experiment import Experiment, started
-from doo_ti.learning.landscape import Landscape
-from doo_ti.learning.pairs import Pairs
 from doo_ti.learning.sweeps import chunk_rows
-from doo_ti.rod.metric import distance
-from doo_ti.rod.types import Material
 from tools.studies.replication.settings import Setting
 from tools.studies.replication.specimens import Specimen
 

@@ -4,10 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.learning.experiment import SweepOptions
-from doo_ti.perception.search import PerceptionOptions
-from doo_ti.relaxation.newton import Newton
-from doo_ti.vision.detection.options import DetectionOptions
+from doo_ti import DetectionOptions, Newton, PerceptionOptions, SweepOptions
 
 NU = PerceptionOptions().nu
 AS_THE_PAPER = PerceptionOptions(

@@ -3,16 +3,13 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from doo_ti import Grid, Observations
 from doo_ti.io.scene import Scene, Synthesis, load_scene
 from doo_ti.lab.synthesis import synthesise
-from doo_ti.rod.grid import Grid
-from doo_ti.rod.observations import Observations
 
 SCENES = Path(__file__).resolve().parents[3] / "scenes"
-SUTURES = ("nylon", "silk", "vicryl")
-"""In the order of the paper's tables."""
-APART = 100
-"""Between the seeds of a material's specimens: those of the scenes differ by less."""
+SUTURES = ("nylon", "silk", "vicryl")  # in the order of the paper's tables
+APART = 100  # between the seeds of a material's specimens: those of the scenes differ by less
 
 
 @dataclass(frozen=True)

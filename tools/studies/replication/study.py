@@ -6,12 +6,8 @@ from functools import cache
 
 import numpy as np
 
+from doo_ti import Descent, Material, Newton, observation_clamps, relax, start_configuration
 from doo_ti.io.scene import OBJECTIVES
-from doo_ti.relaxation.descent import Descent
-from doo_ti.relaxation.newton import Newton
-from doo_ti.relaxation.relax import relax
-from doo_ti.rod.start import observation_clamps, start_configuration
-from doo_ti.rod.types import Material
 from tools.studies.replication import harder, tables
 from tools.studies.replication.images import Seen, loops, perceived, recovery
 from tools.studies.replication.landscape_figures import figure_1, figure_3, figure_4, figure_5

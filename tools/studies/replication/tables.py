@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from doo_ti import Landscape
 from doo_ti.learning.cross_validation import Part, Scores, chosen_cells, cross_validate, partition
-from doo_ti.learning.landscape import Landscape
 from tools.studies.replication.settings import over_specimens
 
 DISTANCES = (30.0, 54.0, 78.0)
