@@ -9,8 +9,11 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
+from doo_ti import Solution
 from doo_ti.bench import clock
-from doo_ti.bench.cases import Case, Measurement, measure
+from doo_ti.bench.cases import Case, Measurement, Outcome, measure
 from doo_ti.system.runtime import start as start_runtime
 from doo_ti.system.runtime import thread_count
 
@@ -113,3 +116,10 @@ def table(measured: dict[str, Measurement], baseline: dict) -> str:
         lines.append(f"| {name} | {m.per_second:,.0f} {m.unit} | {100 * m.converged:.2f} % | {m.iterations:.1f} | "
                      f"{1e6 * m.ratio:.4g} | {share} |")
     return "\n".join(lines)
+
+
+def outcome(found: Solution) -> Outcome:
+    """Of one call; only rods that converged count."""
+    done = found.converged
+    return Outcome(float(done.sum()), float(done.mean()), float(found.stable.mean()),
+                   float(np.max(found.residual[done], initial=0.0)), found.iterations)

@@ -16,10 +16,11 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from doo_ti import Capsule, Clamp, Clamps, Configuration, Itself, Material, Plane, Solution, Status, gripper_jacobian, relax
+from doo_ti import Capsule, Clamp, Clamps, Configuration, Itself, Material, Plane, Solution, Status, relax
 from doo_ti.bench.cases import Case, Outcome
 from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about, quaternion_product
-from tools.bench.baseline import run
+from tools.bench.baseline import outcome, run
+from tools.bench.relaxation import derived
 
 BASELINE = Path(__file__).with_name("contact.json")
 SEED = 2011
@@ -87,7 +88,7 @@ class Specimens:
 
     def other_material(self, precision: str) -> Outcome:
         """Relax them so once."""
-        return _outcome(self.relaxed_again(precision))
+        return outcome(self.relaxed_again(precision))
 
     def resting(self, among: list) -> Solution:
         """Those moved on, at rest."""
@@ -104,21 +105,10 @@ class Specimens:
         """Without them."""
         return self.resting([])
 
-    def derived(self, which: str) -> Outcome:
-        """The derivatives of the rods at rest of that name."""
-        usable = gripper_jacobian(getattr(self, which)).usable
-        return Outcome(float(usable.sum()), float(usable.mean()))
-
     def relaxed(self, which: str, precision: str, among: list) -> Outcome:
         """Relax the rods of that name once ``among`` obstacles."""
         rods, material, clamps = getattr(self, which)
-        return _outcome(relax(rods, material, clamps, precision=precision, obstacles=among, radius=RADIUS))
-
-
-def _outcome(found: Solution) -> Outcome:
-    done = found.converged
-    return Outcome(float(done.sum()), float(done.mean()), float(found.stable.mean()),
-                   float(np.max(found.residual[done], initial=0.0)), found.iterations)
+        return outcome(relax(rods, material, clamps, precision=precision, obstacles=among, radius=RADIUS))
 
 
 def cases(rods: Specimens) -> list[Case]:
@@ -131,8 +121,8 @@ def cases(rods: Specimens) -> list[Case]:
               for precision in ("f32", "f64")),
             *(Case(f"other material, {precision}", "rods/s", partial(rods.other_material, precision))
               for precision in ("f32", "f64")),
-            Case("Jacobians, moved on", "rods/s", partial(rods.derived, "on_table")),
-            Case("Jacobians, alone", "rods/s", partial(rods.derived, "alone"))]
+            Case("Jacobians, moved on", "rods/s", lambda: derived(rods.on_table)),
+            Case("Jacobians, alone", "rods/s", lambda: derived(rods.alone))]
 
 
 def main(arguments: list[str]) -> int:

@@ -18,7 +18,7 @@ from doo_ti.bench.cases import Case, Outcome
 from doo_ti.rod.frames import bishop_frames, quaternion_from_matrix
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
 from tests.vision.poses import looking
-from tools.bench.baseline import run
+from tools.bench.baseline import outcome, run
 
 BASELINE = Path(__file__).with_name("scoring.json")
 SEED = 2011
@@ -92,9 +92,7 @@ class Specimens:
 
     def relaxed(self, start: Configuration, clamps: Clamps, solver: Newton, precision: str) -> Outcome:
         found = relax(start, MATERIAL, clamps, solver, precision=precision, external=self.external, external_index=self.sets)
-        done = found.converged
-        return Outcome(float(done.sum()), float(done.mean()), float(found.stable.mean()),
-                       float(np.max(found.residual[done], initial=0.0)), found.iterations)
+        return outcome(found)
 
 
 def _vertices(edges: np.ndarray) -> np.ndarray:

@@ -3,9 +3,9 @@
     pip install '.[peers]' && python tools/studies/compare_peers.py [--quick]
 
 At rest: rods between two ends held by position and tangent (peers/problem.py), each peer from the same start: MuJoCo,
-PyElastica and Newton. In motion: a rod swings (peers/swinging.py). Prints a table of each, and
-with ``--report FILE`` writes it. Peers that are not installed are listed as left out. Exit code 1 where MuJoCo is left out, and
-where at rest it is less than 3000 times slower, or closer to the reference.
+PyElastica and Newton. In motion: a rod swings (peers/swinging.py). Prints a table of each; docs/compared.md says what they
+mean. Peers that are not installed are listed as left out. Exit code 1 where MuJoCo is left out, and where at rest it is less
+than 3000 times slower, or closer to the reference.
 """
 
 import argparse
@@ -21,7 +21,6 @@ sys.path.insert(0, str(ROOT))
 from doo_ti import InputError, Newton
 from doo_ti.bench import clock
 from doo_ti.bench.workload import Rods
-from doo_ti.system.files import write_text
 from tools.studies.peers import capsules, cosserat, flex, swinging
 from tools.studies.peers.problem import Problem, problem, strain
 
@@ -104,29 +103,18 @@ def table(rows: list[Row]) -> list[str]:
 def main(words: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="one step of each, without motion")
-    parser.add_argument("--report", type=Path, help="file for the tables, Markdown")
     options = parser.parse_args(words)
     machine = clock.machine()
     rows, left_out = at_rest(options.quick)
     found = ratio(rows)
-    lines = ["# Other simulators on the same rods", "",
-             f"Written by `python tools/studies/compare_peers.py{' --quick' * options.quick}`, {machine['processor']}, "
-             f"{machine['cores']} cores. At rest:", "", *table(rows), "",
+    lines = [f"{machine['processor']}, {machine['cores']} cores. At rest:", "", *table(rows), "",
              f"MuJoCo at its fastest takes {found:,.0f} times as long as this package in f32. All its rows are farther from "
              "the f64 reference of the same mesh."
              if found else "No ratio to MuJoCo: it is left out, or closer to the reference.",
-             "", "MuJoCo, PyElastica and Newton have no static solver: their rods move, damped, until none is faster than 0.01 "
-             "mm/s (Newton, in f32: 0.03). Times here are those of a batch over its rods, without compiling. PyElastica's "
-             "steps are explicit: thicker rods allow longer ones, but shear and stretch more. Newton's rods are ten times as "
-             "long, since the inertia of an edge of 3 mm is too small for f32 (peers/capsules.py). The distance from the "
-             "continuum is the error of the 3 mm mesh.", "",
-             *(f"Left out: {one}." for one in left_out)]
+             "", *(f"Left out: {one}." for one in left_out)]
     if not options.quick:
         lines += ["", "In motion:", "", *swinging.table()]
-    text = "\n".join(lines).replace("\n\n\n", "\n\n") + "\n"
-    print(text)
-    if options.report:
-        write_text(options.report, text)
+    print("\n".join(lines))
     return int(found < LEAST_RATIO)
 
 

@@ -159,20 +159,15 @@ def candidates(folder: Path) -> None:
     steps = each.sum() / CANDIDATES
     print(f"\n{CANDIDATES} end motions of one rod, up to 10 mm and 10°, {each.min()} to {each.max()} sub-steps")
     for watch in (True, False):
-        wall, processor, main = [], [], []
+        seconds = []
         for _ in range(12):
-            began = time.perf_counter(), time.process_time(), time.thread_time()
+            began = time.perf_counter()
             solution, jumps = predict_step(rod, material, clamps, goal, watch=watch)
-            ended = time.perf_counter(), time.process_time(), time.thread_time()
-            for kept, now, then in zip((wall, processor, main), ended, began, strict=True):
-                kept.append(now - then)
-        rate = CANDIDATES * steps / np.array(wall[1:])
-        # Work outside this thread runs in two others.
-        alone = CANDIDATES * steps / min(own + 0.5 * (both - own) for own, both in zip(main, processor, strict=True))
+            seconds.append(time.perf_counter() - began)
+        rate = CANDIDATES * steps / np.array(seconds[1:])
+        found = f", {int(jumps.sum())} jumps" if watch else ""
         print(f"  jumps {'detected' if watch else 'not detected'}: median {np.median(rate):,.0f}, best {rate.max():,.0f} "
-              f"rods/s per sub-step; by its processor time {alone:,.0f} on two idle cores; "
-              f"{int(solution.converged.sum())} converged"
-              + (f", {int(jumps.sum())} jumps" if watch else ""))
+              f"rods/s per sub-step; {int(solution.converged.sum())} converged{found}")
 
 
 def _end_motions(clamps: Clamps) -> Clamps:

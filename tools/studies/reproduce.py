@@ -67,7 +67,7 @@ def main(words: list[str] | None = None) -> int:
         for outcome in measured(options.items or list(ITEMS), size):
             outcomes.append(outcome)  # kept at once: a run that is ended keeps the items that were done
             run = Run(outcomes, command, clock.machine(), options.note)
-            write_text(kept, json.dumps(asdict(run)) + "\n")
+            write_text(kept, json.dumps(asdict(run), default=bool) + "\n")
     outcomes, text = run.outcomes, report(run, size)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, text)

@@ -10,8 +10,7 @@ from doo_ti import Descent, Material, Newton, observation_clamps, relax, start_c
 from doo_ti.io.scene import OBJECTIVES
 from tools.studies.replication import harder, tables
 from tools.studies.replication.images import Seen, loops, perceived, recovery
-from tools.studies.replication.landscape_figures import figure_1, figure_3, figure_4, figure_5
-from tools.studies.replication.landscapes import landscape, learned
+from tools.studies.replication.landscapes import figure_1, figure_3, figure_4, figure_5, landscape, learned
 from tools.studies.replication.settings import PACKAGE, SETTINGS, Setting, Size
 from tools.studies.replication.specimens import SUTURES, scene, specimen
 from tools.studies.replication.twist import Errors, figure_7, percent, twist_errors
@@ -26,10 +25,6 @@ class Found:
 
     held: dict[str, Held] = field(default_factory=dict)
     lines: list[str] = field(default_factory=list)
-
-    def __post_init__(self):
-        plain = {setting: {key: [bool(one) for one in held] for key, held in of.items()} for setting, of in self.held.items()}
-        object.__setattr__(self, "held", plain)
 
 
 class Study:
