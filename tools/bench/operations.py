@@ -58,38 +58,28 @@ def basic_blocks(function: str) -> dict[str, str]:
 def natural_loops(blocks: dict[str, str]) -> dict[str, set[str]]:
     """The blocks of each loop by the block it begins with: those from which a jump back to that one can be reached."""
     following = {name: re.findall(r"label %([\w.$-]+)", code) for name, code in blocks.items()}
-    before = defaultdict(list)
+    before, loops = defaultdict(list), defaultdict(set)
     for name, others in following.items():
         for other in others:
             before[other].append(name)
-    above = dominators(list(blocks), before)
-    loops = defaultdict(set)
-    for name, others in following.items():
-        for head in others:
-            if head in above[name]:
-                body, waiting = {head}, [name]
-                while waiting:
-                    place = waiting.pop()
-                    if place not in body:
-                        body.add(place)
-                        waiting += before[place]
-                loops[head] |= body
+    entry = next(iter(blocks))
+    for head in before:
+        elsewhere = reached(entry, following, head)
+        for name in before[head]:
+            if name not in elsewhere:  # every way to it leads through the head
+                loops[head] |= {head} | reached(name, before, head)
     return dict(loops)
 
 
-def dominators(names: list[str], before: dict[str, list[str]]) -> dict[str, set[str]]:
-    """For each block those that every way to it leads through, itself among them."""
-    above = {name: set(names) for name in names}
-    above[names[0]] = {names[0]}
-    changed = True
-    while changed:
-        changed = False
-        for name in names[1:]:
-            ways = [above[other] for other in before[name]]
-            found = {name} | (set.intersection(*ways) if ways else set())
-            changed |= found != above[name]
-            above[name] = found
-    return above
+def reached(start: str, ways: dict[str, list[str]], barred: str) -> set[str]:
+    """The blocks that can be reached from one, itself among them, not by way of the barred one."""
+    found, waiting = set(), [start]
+    while waiting:
+        place = waiting.pop()
+        if place not in found and place != barred:
+            found.add(place)
+            waiting += ways.get(place, ())
+    return found
 
 
 def main(arguments: list[str]) -> int:

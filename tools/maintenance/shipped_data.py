@@ -52,12 +52,10 @@ def write_images(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     parts = []
     for name, places in SEEN.items():
-        made = recipe(name)
-        rods = lab_rods(made)
+        rods = lab_rods(recipe(name))
         parts.append(rods.take([rods.names.index(f"{name}_{distance:g}mm_{rotation:03g}deg") for distance, rotation in places]))
-    first = parts[0]
-    rods = replace(first, names=sum((part.names for part in parts), ()), curve=np.concatenate([part.curve for part in parts]),
-                   vertices=np.concatenate([part.vertices for part in parts]))
+    curve, vertices = (np.concatenate([getattr(part, name) for part in parts]) for name in ("curve", "vertices"))
+    rods = replace(parts[0], names=sum((part.names for part in parts), ()), curve=curve, vertices=vertices)
     save_truth(folder / "truth.npz", rods, DIAMETER_MM)
     save_photographs(folder, Photographs(rods.names, rods.curve, rods.point, rods.direction, DIAMETER_MM,
                                          load_rig(ROOT / "scenes" / "rig.yaml"), LOOK, SEED))

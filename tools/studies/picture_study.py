@@ -119,17 +119,14 @@ def main(words: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=2011)
     parser.add_argument("--rough", type=float, default=3.0, help="the true stiffness times this, or over this where "
                         "the seed is odd, is what the commands begin with")
-    parser.add_argument("--keep", type=Path, help="folder for the images and rods")
     options = parser.parse_args(words)
     print("| seed | EI/w | guessed | found | 95 % interval | inside | median mm | clear, likely | used | s |\n|" + "---|" * 10)
     rows = []
     for seed in range(options.seed, options.seed + options.specimens):
-        with tempfile.TemporaryDirectory() as own:
-            folder = Path(own) if options.keep is None else options.keep / str(seed)
-            folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory() as folder:
             begun, factor = time.monotonic(), options.rough ** (-1) ** seed
-            truth, shapes = photographed(folder, seed)
-            seen, fit, rods = learned(folder, 2 * truth * factor)
+            truth, shapes = photographed(Path(folder), seed)
+            seen, fit, rods = learned(Path(folder), 2 * truth * factor)
         value, low, high = fit["stiffness"]["EI_over_weight_mm3"]
         low, high = 0.0 if low is None else low, np.inf if high is None else high
         off = [cKDTree(shape).query(rod[OUTER:-OUTER])[0] for rod, shape in zip(rods, shapes, strict=True)]

@@ -35,14 +35,12 @@ SAME_BRANCH = 1.0  # mm: largest distance of vertices between two shapes on one 
 class ObservedSteps:
     """P predictions from one observation to another.
 
-    from_index   (P,) rows of the observations
     error        (P,) mm, Eq. 1 to the other observation, NaN where the rod could not follow
     own_error    (P,) mm, error of the model relaxed from the observation itself, which no prediction can avoid
     jumps        (P,) predicted jumps
     same_branch  (P,) bool: the prediction is the minimum next to the observation; else one of the two jumped and the other not
     """
 
-    from_index: np.ndarray
     error: np.ndarray
     own_error: np.ndarray
     jumps: np.ndarray
@@ -53,8 +51,7 @@ def predict_steps(observations: Observations, material: Material) -> ObservedSte
     """From each observation to that with the same end distance and the next larger end rotation; the far end is rotated."""
     order = np.lexsort((observations.end_rotation, observations.end_distance))
     along = np.diff(observations.end_distance[order]) == 0
-    from_index = order[:-1][along]
-    before, after = observations.take(from_index), observations.take(order[1:][along])
+    before, after = observations.take(order[:-1][along]), observations.take(order[1:][along])
     held, goal = observation_clamps(before), observation_clamps(after)
     turn = np.radians(after.end_rotation - before.end_rotation)
     poses = {name: np.stack([getattr(held, name), getattr(goal, name)])
@@ -64,7 +61,7 @@ def predict_steps(observations: Observations, material: Material) -> ObservedSte
     own = relax(start_configuration(after, goal), material, goal, up=observations.up)
     apart = np.linalg.norm(carried.vertices[-1] - own.configuration.vertices, axis=-1).max(axis=1)
     error = np.where(carried.followed[-1], distance(carried.at(-1), after), np.nan)
-    return ObservedSteps(from_index, error, distance(own.configuration, after), carried.jumps.sum(axis=0), apart <= SAME_BRANCH)
+    return ObservedSteps(error, distance(own.configuration, after), carried.jumps.sum(axis=0), apart <= SAME_BRANCH)
 
 
 def predict_marks(observations: Observations, material: Material, path: ClampPath) -> Prediction:
@@ -106,7 +103,6 @@ def lab_steps(folder: Path) -> None:
     print("| 30° steps | steps | mean mm | median mm | largest mm | own minimum's mean mm | predicted jumps "
           "| on another branch | lost |")
     print("|---" * 9 + "|")
-    named = []
     for name, theta in truth.items():
         observations = load_observations(folder / f"{name}.npz")
         steps = predict_steps(observations, Material(np.array(theta["bend"]), theta["twist"]))
@@ -114,12 +110,6 @@ def lab_steps(folder: Path) -> None:
         print(f"| {name} | {len(error)} | {np.nanmean(error):.3f} | {np.nanmedian(error):.3f} | {np.nanmax(error):.2f} "
               f"| {steps.own_error.mean():.3f} | {int(steps.jumps.sum())} | {int((~steps.same_branch).sum())} "
               f"| {int(np.isnan(error).sum())} |")
-        for row in np.flatnonzero((steps.jumps > 0) | ~steps.same_branch):
-            place = steps.from_index[row]
-            reasons = ["jumps"] * bool(steps.jumps[row]) + ["on another branch than observed"] * (not steps.same_branch[row])
-            named.append(f"  {name} {observations.end_distance[place]:g} mm, from {observations.end_rotation[place]:g}°: "
-                         f"{' and '.join(reasons)}, {error[row]:.2f} mm off")
-    print("\n".join(named))
 
 
 def cable(folder: Path, name: str, bend: float) -> None:

@@ -44,7 +44,8 @@ def measured(names: list[str], size: Size) -> Iterator[Outcome]:
 
 def main(words: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("items", nargs="*", metavar="ITEM", help=f"of {', '.join(ITEMS)} (default: all)")
+    parser.add_argument("items", nargs="*", metavar="ITEM", choices=[*ITEMS, []],
+                        help=f"of {', '.join(ITEMS)} (default: all)")
     parser.add_argument("--quick", action="store_true", help="fewer specimens and rods, 5 minutes")
     parser.add_argument("--rewrite", action="store_true", help="write the report of the last run again, with new words")
     parser.add_argument("--note", default="", help="a remark on the run, for the report")
@@ -52,9 +53,6 @@ def main(words: list[str] | None = None) -> int:
     parser.add_argument("--report", type=Path, help="file to write (default: REPLICATION.md, with --quick "
                         "runs/replication/REPLICATION.md)")
     options = parser.parse_args(words)
-    unknown = [name for name in options.items if name not in ITEMS]
-    if unknown:
-        parser.error(f"no item {unknown[0]!r}; choose from {', '.join(ITEMS)}")
     size = SIZES[options.size or ("quick" if options.quick else "full")]
     path = options.report or (ROOT if size is FULL else ROOT / "runs" / "replication") / "REPLICATION.md"
     words = [*(f'"{name}"' for name in options.items), *["--quick"] * options.quick]

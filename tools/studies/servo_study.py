@@ -48,7 +48,7 @@ class Broyden:
         marks = np.nan_to_num(seen).reshape(len(seen), -1)
         visible = np.isfinite(seen).reshape(len(seen), -1)
         if self._step is not None:
-            missed = np.where(visible, marks - self._before - self._predicted(self._step), 0.0)
+            missed = np.where(visible, marks - self._before - (self._jacobian @ self._step[..., None])[..., 0], 0.0)
             size = np.maximum(np.sum(self._step**2, axis=1), 1.0)[:, None, None]
             self._jacobian = self._jacobian + missed[..., None] * self._step[:, None] / size
         across = np.swapaxes(self._jacobian * visible[..., None], 1, 2) / np.maximum(visible.sum(axis=1), 1)[:, None, None]
@@ -58,9 +58,6 @@ class Broyden:
         self._before = marks
         self.clamps = moved(self.clamps, self._step / self._options.scale)
         return self.clamps
-
-    def _predicted(self, step: np.ndarray) -> np.ndarray:
-        return (self._jacobian @ step[..., None])[..., 0]
 
 
 def by_marks(own: Tasks, seed: int):
@@ -108,8 +105,7 @@ def row(name: str, count: int, seed: int, steps: int, cameras: bool = False) -> 
     inside = [np.mean((interval[:, 0] <= value) & (value <= interval[:, 1])) for interval, value in (
         (learned.bend_interval, true), (learned.ratio_interval, own.factors[1]))]
     width = np.median(np.log(learned.bend_interval[:, 1] / learned.bend_interval[:, 0])) / 2
-    first = own.vertices(own.real)
-    far = np.linalg.norm(first - own.goal, axis=-1).mean()
+    far = np.linalg.norm(own.vertices(own.real) - own.goal, axis=-1).mean()
     moments = distances[[steps // 3 - 1, 2 * steps // 3 - 1, -1]]
     within = [f"{share:.1f}" for share in 100 * np.mean(moments < NEAR, axis=1)]
     line = (f"| {name} | {12 if both else 6} | {far:.0f} | {np.nanmedian(distances[-1]):.2f} | {', '.join(within)} "

@@ -74,3 +74,9 @@ def over_specimens(values) -> tuple[float, float]:
     """Mean of (n,) values and its standard error, NaN for one."""
     values = np.asarray(values, dtype=float)
     return values.mean(), values.std(ddof=1) / np.sqrt(len(values)) if len(values) > 1 else np.nan
+
+
+def entry(values, digits: int = 2) -> str:
+    """``0.36 ± 0.02``: mean and standard error over specimens."""
+    mean, error = over_specimens(values)
+    return f"{mean:.{digits}f}" if np.isnan(error) else f"{mean:.{digits}f} ± {error:.{digits}f}"

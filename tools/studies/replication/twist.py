@@ -14,7 +14,7 @@ import numpy as np
 from doo_ti import Material, Observations, TwistEstimate, TwistVerdict, end_offsets, estimate_twist
 from doo_ti.rod.frames import turned_about_tangent
 from tools.studies.replication.images import Seen
-from tools.studies.replication.settings import over_specimens
+from tools.studies.replication.settings import entry
 from tools.studies.replication.specimens import Specimen
 
 SUCCESS = np.pi / 2  # rad, as in §V-F
@@ -118,7 +118,5 @@ def figure_7(specimens: list[Errors]) -> tuple[dict[str, list[bool]], list[str]]
     return held, [*lines, "", f"Ambiguous at D = 1: {percent([one.ambiguous for one in specimens])}."]
 
 
-def percent(values) -> str:
-    """``98.5 ± 0.3 %``: mean and standard error over specimens."""
-    mean, error = over_specimens(values)
-    return f"{100 * mean:.1f} %" if np.isnan(error) else f"{100 * mean:.1f} ± {100 * error:.1f} %"
+def percent(shares) -> str:
+    return f"{entry(100 * np.asarray(shares), 1)} %"
