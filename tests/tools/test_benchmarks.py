@@ -7,7 +7,7 @@ import pytest
 from doo_ti.bench.cases import OPERATIONS, Measurement
 from tools.bench import contact, relaxation, scoring
 from tools.bench.baseline import regressions, table
-from tools.bench.operations import TOLERANCE, counted
+from tools.bench.operations import counted
 
 OLD = {"cases": {"newton": {"ratio": 1.0, "converged": 1.0}}}
 
@@ -45,4 +45,4 @@ def test_a_baseline_of_its_own(bench, items, few, case, tmp_path, capsys, monkey
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", OPERATIONS)
 def test_the_package_counts_what_the_kernels_execute(kind):
-    assert counted(kind) == pytest.approx(OPERATIONS[kind], rel=TOLERANCE)
+    assert counted(kind) == pytest.approx(OPERATIONS[kind], rel=0.03)

@@ -1,7 +1,7 @@
-"""Operations of a trip through Newton's loop, counted in the compiled kernel: ``python tools/bench/operations.py [--check]``.
+"""Operations of a trip through Newton's loop, counted in the compiled kernel: ``python tools/bench/operations.py``.
 
 Prints a line per kind of rod: operations in the loops over edges, for each edge, and outside, for each trip. These
-figures are in :data:`doo_ti.bench.cases.OPERATIONS`; ``--check`` exits with 1 where they differ by more than 3 %.
+figures are in :data:`doo_ti.bench.cases.OPERATIONS`; a slow test of tests/tools compares them.
 
 The kernels are compiled in a separate process, in which LLVM writes the optimised code to a file. In it the additions,
 multiplications, divisions and roots on packs are counted by the loop that contains them. Parts that are skipped for held edges
@@ -24,7 +24,6 @@ from doo_ti.bench.cases import OPERATIONS
 SPECIMENS = {"isotropic": "many", "general": "band", "springs": "pulled"}
 RELAX = "from doo_ti.bench.cases import COARSE, Specimens; Specimens(64).{}.relaxed(COARSE, 'f32')"
 COUNTED = re.compile(r"= (?:fadd|fsub|fmul|fdiv) .*<16 x float>|@llvm\.sqrt\.v16f32\(")
-TOLERANCE = 0.03
 
 
 def counted(kind: str) -> tuple[int, int]:
@@ -82,14 +81,11 @@ def reached(start: str, ways: dict[str, list[str]], barred: str) -> set[str]:
     return found
 
 
-def main(arguments: list[str]) -> int:
-    behind = 0
+def main() -> None:
     for kind, known in OPERATIONS.items():
         found = counted(kind)
-        behind |= any(abs(now - then) > TOLERANCE * then for now, then in zip(found, known, strict=True))
         print(f"{kind}: {found[0]} for each edge and {found[1]} besides; the package has {known[0]} and {known[1]}")
-    return int(behind and "--check" in arguments)
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    main()

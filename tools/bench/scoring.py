@@ -72,7 +72,8 @@ class Specimens:
     def grown(self, edges: int) -> tuple[Configuration, Clamps]:
         """Rods of so many edges at rest on their images, the last of them turned by 0.15 rad, as Alg. 1 starts them."""
         start = self._bent(np.random.default_rng(SEED + edges), edges, 0.01)
-        held = _held(start)
+        first = start.frames[:, 0]
+        held = Clamps(Clamp.TANGENT, Clamp.FREE, start.start, start.start, first, first)
         rest = relax(start, MATERIAL, held, FINE, external=self.external, external_index=self.sets).configuration
         tangents = rest.frames[..., 0]
         tangents[:, -1] += 0.15 * np.random.default_rng(SEED).normal(size=(self.count, 3))
@@ -105,11 +106,6 @@ def _framed(start: np.ndarray, tangents: np.ndarray) -> Configuration:
     tangents = tangents / np.linalg.norm(tangents, axis=-1, keepdims=True)
     frames = bishop_frames(tangents, np.cross(tangents[:, 0], [0.3, 0.5, 0.8]))
     return Configuration(start, quaternion_from_matrix(frames), np.full(tangents.shape[1], LENGTH))
-
-
-def _held(rods: Configuration) -> Clamps:
-    first = rods.frames[:, 0]
-    return Clamps(Clamp.TANGENT, Clamp.FREE, rods.start, rods.start, first, first)
 
 
 def _detected(camera: Camera, points: np.ndarray) -> Detection:

@@ -34,13 +34,13 @@ OPTIONS = PerceptionOptions()
 CORRECT_MM = 1.0  # a rod with a smaller mean error of its vertices counts as recovered correctly
 UNSEEN_PX = 2.0
 """The thread is not detected where the next detected point is further away: an error of the line itself is far less."""
-HEAD = ("| row | sets | correct | of the correct, vertex mm: mean, worst | curve mm: mean, worst | thread unseen | clear "
-        "| likely | ambiguous | not found | status | s |")
+HEAD = ("| row | sets | correct | of the correct, vertex mm: mean, worst | thread unseen | clear | likely | ambiguous "
+        "| not found | status | s |")
 
 
 @dataclass(frozen=True)
 class Case:
-    """Sets of images of one thread, detected; the true curve (A, n, 3) mm and its images ``pixels`` (C, A, n, 2)."""
+    """Sets of images of one thread, detected, and the images (C, A, n, 2) of the true curve."""
 
     rods: LabRods
     material: Material
@@ -48,7 +48,6 @@ class Case:
     detections: list[list[Detection]]
     maps: DistanceMaps
     pixels: np.ndarray
-    curve: np.ndarray
 
     def unseen(self) -> np.ndarray:
         """(A, C, n) bool: where the true curve has no detected point near."""
@@ -75,27 +74,7 @@ class Case:
         kept = np.delete(np.arange(len(self.rig.cameras)), camera)
         return Case(self.rods.take(rows), self.material, Rig(tuple(self.rig.cameras[one] for one in kept), self.rig.source),
                     [self.detections[row] for row in rows], self.maps.take(rows, kept),
-                    self.pixels[kept][:, rows], self.curve[rows])
-
-
-@dataclass(frozen=True)
-class Trial:
-    """Results of A sets.
-
-    vertex_error  (A,) mm: mean distance of the vertices to the true ones
-    curve_error   (A,) mm: the same to the true curve, whatever the place along it
-    seconds       that it took to find them
-    """
-
-    found: Perception
-    vertex_error: np.ndarray
-    curve_error: np.ndarray
-    seconds: float
-
-    @property
-    def correct(self) -> np.ndarray:
-        """(A,) bool."""
-        return self.vertex_error < CORRECT_MM
+                    self.pixels[kept][:, rows])
 
 
 def main() -> None:
@@ -164,8 +143,8 @@ def photographed(recipe: Synthesis, sets: int | list[int] | None = None, look: R
     if crossing:
         usual = replace(detection, width_px=float(np.nanmedian([one.width_px for views in found for one in views])))
         found = in_threads(lambda views: [detect(image, usual) for image in views], images)
-    curve, maps = smooth_curve(rods.curve, 8), distance_maps(found, MARGIN_PX)
-    return Case(rods, recipe.material(), rig, found, maps, rig.project(curve), curve), time.perf_counter() - began
+    maps, pixels = distance_maps(found, MARGIN_PX), rig.project(smooth_curve(rods.curve, 8))
+    return Case(rods, recipe.material(), rig, found, maps, pixels), time.perf_counter() - began
 
 
 def with_energy(options: PerceptionOptions, share: float) -> PerceptionOptions:
@@ -173,27 +152,12 @@ def with_energy(options: PerceptionOptions, share: float) -> PerceptionOptions:
     return replace(options, nu=options.nu / share, growing_nu=options.growing_nu / share)
 
 
-def recovered(case: Case, options: PerceptionOptions = OPTIONS) -> Trial:
-    """The rods beside the truth."""
+def recovered(case: Case, options: PerceptionOptions = OPTIONS) -> tuple[Perception, np.ndarray, float]:
+    """The rods; (A,) mm, mean distance of their vertices to the true ones; and the seconds that it took to find them."""
     rods, began = case.rods, time.perf_counter()
     found = perceive(case.maps, case.rig, rods.point, rods.direction, rods.rest_length, case.material, options=options)
     seconds = time.perf_counter() - began
-    off = np.linalg.norm(found.vertices - rods.vertices, axis=-1).mean(axis=1)
-    return Trial(found, off, distance_to_curve(found.vertices, case.curve).mean(axis=1), seconds)
-
-
-def distance_to_curve(points: np.ndarray, curve: np.ndarray) -> np.ndarray:
-    """(A, V) mm from points (A, V, 3) to the polygons (A, n, 3), by way of their vertices: they are dense."""
-    square = (points**2).sum(axis=-1)[..., None] + (curve**2).sum(axis=-1)[:, None] - 2 * points @ np.swapaxes(curve, 1, 2)
-    nearest = square.argmin(axis=2)
-    row = np.arange(len(points))[:, None]
-    middle = curve[row, nearest]
-    distances = []
-    for neighbour in (curve[row, np.maximum(nearest - 1, 0)], curve[row, np.minimum(nearest + 1, curve.shape[1] - 1)]):
-        along = neighbour - middle
-        share = ((points - middle) * along).sum(axis=-1) / np.maximum((along**2).sum(axis=-1), 1e-300)
-        distances.append(np.linalg.norm(points - middle - np.clip(share, 0, 1)[..., None] * along, axis=-1))
-    return np.minimum(*distances)
+    return found, np.linalg.norm(found.vertices - rods.vertices, axis=-1).mean(axis=1), seconds
 
 
 def crossings(pixels: np.ndarray) -> np.ndarray:
@@ -215,17 +179,16 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def report(what: str, case: Case, options: PerceptionOptions = OPTIONS, before: float = 0.0) -> None:
     """One row of the table, and a line for each of the first sets that are not correct; ``before``: seconds to add."""
-    trial = recovered(case, options)
-    found, good, missing = trial.found, trial.correct, case.unseen().mean(axis=(1, 2))
+    found, off, seconds = recovered(case, options)
+    good, missing = off < CORRECT_MM, case.unseen().mean(axis=(1, 2))
     status = counted(status_counts(found.status))
-    errors = " | ".join(f"{error[good].mean():.3f}, {error[good].max():.3f}" if good.any() else "none"
-                        for error in (trial.vertex_error, trial.curve_error))
+    errors = f"{off[good].mean():.3f}, {off[good].max():.3f}" if good.any() else "none"
     verdicts = " | ".join(f"{(good & these).sum()} of {these.sum()}"
                           for these in (found.verdict == kind for kind in PerceptionVerdict))
     print(f"| {what} | {len(good)} | {good.sum()} | {errors} | {missing.mean():.3f} | {verdicts} | {status} "
-          f"| {before + trial.seconds:.1f} |", flush=True)
+          f"| {before + seconds:.1f} |", flush=True)
     for row in np.flatnonzero(~good)[:MOST_NAMED]:
-        print(f"    {case.rods.names[row]}: {trial.vertex_error[row]:.2f} mm off, E_vis {found.energy_vis[row]:.3f}, "
+        print(f"    {case.rods.names[row]}: {off[row]:.2f} mm off, E_vis {found.energy_vis[row]:.3f}, "
               f"camera error {np.round(found.camera_error[row], 1).tolist()} px, unseen {missing[row]:.2f}", file=sys.stderr)
 
 

@@ -30,7 +30,6 @@ from doo_ti.motion.path import LARGEST_TURN, motion_between
 from doo_ti.rod.types import Clamps, Configuration, Material
 from tools.studies.servo_tasks import BEND, LENGTH, TAUT, tasks
 
-KINDS = ("branch", "same", "poles")
 LEGS = 6
 MOVE = np.repeat([60.0, 0.7, 60.0, 0.7], 3)  # standard deviations of a leg's motion, mm and rad
 RADIUS, POLE = 1.5, 8.0
@@ -123,14 +122,14 @@ def row(kind: str, count: int, seed: int, seconds: float) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("kinds", nargs="*", choices=[*KINDS, []], help="default: all")
+    parser.add_argument("kinds", nargs="*", choices=[*DRAWN, []], help="default: all")
     parser.add_argument("--goals", type=int, default=100)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--seconds", type=float, default=10.0)
     options = parser.parse_args()
     print("| goals | said to be reached, % | reached, as judged, % | seconds: median, 95 %, most | of processors |")
     print("|---" * 5 + "|")
-    for kind in options.kinds or KINDS:
+    for kind in options.kinds or DRAWN:
         print(row(kind, options.goals, options.seed, options.seconds), flush=True)
 
 

@@ -12,7 +12,7 @@ import json
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -21,7 +21,7 @@ sys.path.insert(0, str(ROOT))
 from doo_ti import InputError, InterruptedRunError
 from doo_ti.bench import clock
 from doo_ti.system.files import write_text
-from tools.studies.replication.report import Outcome, Run, report
+from tools.studies.replication.report import Outcome, report
 from tools.studies.replication.settings import FULL, QUICK, TINY, Size
 from tools.studies.replication.study import ITEMS, Study
 
@@ -59,14 +59,14 @@ def main(words: list[str] | None = None) -> int:
     command = " ".join(["python tools/studies/reproduce.py", *words])
     kept = (path.parent if options.report else ROOT / "runs" / "replication") / f"results_{size.name}.json"
     if options.rewrite:
-        run = replace(Run.from_dict(json.loads(kept.read_text(encoding="utf-8"))), note=options.note)
+        run = json.loads(kept.read_text(encoding="utf-8"))
+        outcomes = [Outcome.from_dict(one) for one in run["outcomes"]]
     else:
-        outcomes = []
+        run, outcomes = {"command": command, "machine": clock.machine()}, []
         for outcome in measured(options.items or list(ITEMS), size):
             outcomes.append(outcome)  # kept at once: a run that is ended keeps the items that were done
-            run = Run(outcomes, command, clock.machine(), options.note)
-            write_text(kept, json.dumps(asdict(run), default=bool) + "\n")
-    outcomes, text = run.outcomes, report(run, size)
+            write_text(kept, json.dumps({**run, "outcomes": [asdict(one) for one in outcomes]}, default=bool) + "\n")
+    text = report(outcomes, run["command"], run["machine"], options.note, size)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, text)
     print(text)

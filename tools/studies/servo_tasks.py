@@ -95,8 +95,7 @@ class Tasks:
 
     def take(self, rows: np.ndarray) -> "Tasks":
         """Those named by ``rows``."""
-        rods = {name: getattr(self, name).take(rows) for name in (
-            "rods", "clamps", "nominal", "goal_clamps", "real", "true")}
+        rods = {name: getattr(self, name).take(rows) for name in ("rods", "clamps", "nominal", "goal_clamps", "real", "true")}
         return replace(self, goal=self.goal[rows], factors=self.factors[:, rows], clip=self.clip[rows], **rods)
 
 

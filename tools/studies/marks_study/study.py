@@ -208,12 +208,8 @@ def main(words: list[str] | None = None) -> int:
     seeds = range(options.seed, options.seed + options.specimens)
     jobs = [Job(group, family, seed) for seed in seeds for group in options.sets for family in options.families]
     jobs = [job for job in jobs if job.key not in there]
-    with contextlib.ExitStack() as stack:
-        results = map(done, jobs)
-        if options.jobs > 1:
-            pool = stack.enter_context(ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")))
-            results = pool.map(done, jobs)
-        for row in results:
+    with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
+        for row in pool.map(done, jobs):
             with file.open("a") as lines:
                 lines.write(json.dumps(row) + "\n")
             rows.append(row)

@@ -27,10 +27,6 @@ class Problem:
     same_mesh: np.ndarray
     continuum: np.ndarray
 
-    @property
-    def material(self) -> Material:
-        return Material(BEND, BEND)
-
     def apart(self, vertices: np.ndarray) -> tuple[float, float]:
         """mm: mean distance of vertices (R, V, 3) from both references."""
         return tuple(float(np.linalg.norm(vertices - each, axis=-1).mean()) for each in (self.same_mesh, self.continuum))

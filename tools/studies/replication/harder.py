@@ -1,6 +1,6 @@
 """Laboratories less close to the model: where do the trends of Table III and Fig. 7 appear?"""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -26,13 +26,10 @@ class Laboratory:
     """
 
     name: str
-    changes: dict
+    changes: dict = field(hash=False)
     outliers: bool = False
     calibrated: bool = True
     look: RenderOptions = RenderOptions()
-
-    def __hash__(self) -> int:
-        return hash((self.name, self.outliers, self.calibrated))
 
     @property
     def labelled(self) -> "Laboratory":

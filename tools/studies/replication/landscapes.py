@@ -1,6 +1,6 @@
 """Eqs. 2 and 3 of a specimen over its scene's grid, in memory; Figs. 1, 3, 4 and 5 with their criteria."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -109,18 +109,9 @@ def figure_4(vicryl: list[Landscape]) -> tuple[dict[str, list[bool]], list[str]]
     return held, [f"β/α of the best cell, by specimen: {'; '.join(texts)}."]
 
 
-@dataclass(frozen=True)
-class Minimum:
-    """A minimum of a landscape; ``depth``: how far its basin rises before it spills, over its value."""
-
-    cell: int
-    region: int
-    value: float
-    depth: float
-
-
-def minima(landscape: Landscape) -> list[Minimum]:
-    """All minima of a landscape over two axes, by flooding; cells that do not compete are walls."""
+def clear_minima(landscape: Landscape) -> list[int]:
+    """The regions of the minima of a landscape over two axes whose basin rises by DEEP of their value before it spills, by
+    flooding; cells that do not compete are walls."""
     grid = landscape.grid
     shape = tuple(len(axis) for axis in grid.axes if len(axis) > 1)
     error = np.where(np.isnan(landscape.mean_distance), np.inf, landscape.mean_distance)
@@ -137,9 +128,7 @@ def minima(landscape: Landscape) -> list[Minimum]:
         for bottom in basins[1:]:
             spilled[bottom] = error[cell] / error[bottom] - 1
             basin[basin == bottom] = basins[0]
-    deepest = int(error.argmin())
-    return [Minimum(cell, _region(landscape, cell), float(error[cell]), float(depth))
-            for cell, depth in {deepest: np.inf, **spilled}.items()]
+    return [_region(landscape, cell) for cell, depth in {int(error.argmin()): np.inf, **spilled}.items() if depth >= DEEP]
 
 
 def _region(landscape: Landscape, cell: int) -> int:
@@ -155,15 +144,14 @@ def figure_5(ribbons: list[tuple[Landscape, Landscape]]) -> tuple[dict[str, list
     """ribbons: for each specimen the static and the dynamic landscape."""
     held, lines = {"dynamic": [], "static": [], "axis": []}, []
     for number, pair in enumerate(ribbons):
-        clear = [{one.region for one in minima(each) if one.depth >= DEEP} for each in pair]
+        clear = [clear_minima(each) for each in pair]
         best = [values(each, each.best) for each in pair]
-        held["static"].append(not {2, 3} <= clear[0])
-        held["dynamic"].append({2, 3} <= clear[1])
+        held["static"].append(not {2, 3} <= set(clear[0]))
+        held["dynamic"].append({2, 3} <= set(clear[1]))
         held["axis"].append(all(theta["bend_1"] > theta["bend_2"] for theta in best))
         for name, theta, regions, each in zip(("Eq. 2", "Eq. 3"), best, clear, pair, strict=True):
-            deep = [one for one in minima(each) if one.depth >= DEEP]
             lines.append(f"- specimen {number}, {name}: best α1 {theta['bend_1']:.2g}, α2 {theta['bend_2']:.2g} mm³ (region "
-                         f"{_region(each, each.best)}), {each.mean_distance[each.best]:.2f} mm; {len(deep)} clear minima, in "
-                         f"regions {', '.join(map(str, sorted(regions)))}")
+                         f"{_region(each, each.best)}), {each.mean_distance[each.best]:.2f} mm; {len(regions)} clear minima, "
+                         f"in regions {', '.join(map(str, sorted(set(regions))))}")
     truth = "Truth: α1 6e6, α2 1.2e5, β 5e5 mm³. Region 0: β is between α1 and α2."
     return held, [truth, "", *lines]

@@ -177,8 +177,9 @@ class Study:
             gained = []
             for number in range(self.size.harder[0]):
                 rods = self.specimen(name, number)
-                both = self.landscape(name, number, PACKAGE, "static"), landscape(rods, PACKAGE, "dynamic", harder.forward(rods))
-                (_, static), (_, dynamic) = tables.scored(list(both), ("objective",)).mean
+                forward = landscape(rods, PACKAGE, "dynamic", harder.forward(rods))
+                both = [self.landscape(name, number, PACKAGE, "static"), forward]
+                (_, static), (_, dynamic) = tables.scored(both, ("objective",)).mean
                 gained.append(static - dynamic)
             yield f"- {name}: Θ of Eq. 3 gains {entry(gained, 3)} mm"
 
