@@ -60,21 +60,23 @@ class Case:
         """With the true curve put into the detections where nothing was seen, as in §V-E."""
         missing, run = self.unseen(), np.gradient(self.pixels, axis=2)
         run /= np.linalg.norm(run, axis=-1, keepdims=True)
-        detections = []
-        for row, views in enumerate(self.detections):
-            gaps = [(self.pixels[camera, row][gap], run[camera, row][gap]) for camera, gap in enumerate(missing[row])]
-            detections.append([replace(
-                found, points=np.concatenate([found.points, points]), direction=np.concatenate([found.direction, direction]),
-                strength=np.concatenate([found.strength, np.full(len(points), np.median(found.strength))]))
-                for found, (points, direction) in zip(views, gaps, strict=True)])
+        detections = [[with_points(*one) for one in zip(views, missing[row], self.pixels[:, row], run[:, row], strict=True)]
+                      for row, views in enumerate(self.detections)]
         return replace(self, detections=detections, maps=distance_maps(detections, MARGIN_PX))
 
     def without(self, camera: int, rows: np.ndarray) -> "Case":
         """Some of the sets, without one of the cameras."""
         kept = np.delete(np.arange(len(self.rig.cameras)), camera)
-        return Case(self.rods.take(rows), self.material, Rig(tuple(self.rig.cameras[one] for one in kept), self.rig.source),
-                    [self.detections[row] for row in rows], self.maps.take(rows, kept),
-                    self.pixels[kept][:, rows])
+        rig = Rig(tuple(self.rig.cameras[one] for one in kept), self.rig.source)
+        detections, pixels = [[self.detections[row][one] for one in kept] for row in rows], self.pixels[kept][:, rows]
+        return Case(self.rods.take(rows), self.material, rig, detections, self.maps.take(rows, kept), pixels)
+
+
+def with_points(found: Detection, missing: np.ndarray, curve: np.ndarray, direction: np.ndarray) -> Detection:
+    """``found``, and besides the ``missing`` points of a curve (n, 2)."""
+    strength = np.full(missing.sum(), np.median(found.strength))
+    return replace(found, points=np.concatenate([found.points, curve[missing]]), strength=np.append(found.strength, strength),
+                   direction=np.concatenate([found.direction, direction[missing]]))
 
 
 def main() -> None:
