@@ -20,16 +20,21 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from doo_ti import Newton, Servo, ServoOptions, Targets, gripper_jacobian, relax
+from doo_ti import Camera, Newton, Rig, Servo, ServoOptions, Targets, gripper_jacobian, relax
 from doo_ti.manipulation.damped_step import DampedSteps
 from doo_ti.manipulation.poses import held, moved
-from doo_ti.perception.virtual_lab import TRACKED_NOISE
+from doo_ti.perception.virtual_lab import TRACKED_NOISE, VirtualCameras
+from tests.vision.poses import looking
 from tools.studies.servo_tasks import BEND, LENGTH, Plant, Tasks, tasks
 
 PLANTS = {"own": Plant(), "far": Plant(), "finer": Plant(finer=3), "clips": Plant(clip_mm=0.7, clip_deg=2.0),
           "curved": Plant(curvature=6e-4), "all": Plant(3, 0.7, 2.0, 6e-4)}
 MARKS, NEAR = 11, 2.0
 SNAP = 0.25  # a rod has snapped where a step moves a vertex by more than so much of its length
+VIEWS = {"front": (0.0, 1.0, -0.3), "beside": (-0.8, 0.6, -0.3), "above": (0.3, 0.3, -1.0)}
+"""Directions in which three cameras look at the middle of the rods, from FAR mm away."""
+MIDDLE, FAR = (100.0, 0.0, -60.0), 900.0
+COVERED = {"front": 1 / 3}  # share of the moments at which something hides everything from a camera
 
 
 class Broyden:
@@ -67,8 +72,12 @@ def by_marks(own: Tasks, seed: int):
 
 
 def by_cameras(own: Tasks, seed: int):
-    """What is seen of true rods: what is tracked in images of them; nothing of those that have no equilibrium."""
-    watching = own.cameras(seed)
+    """What is seen of true rods: what three cameras track with the nominal material; nothing of rods without equilibrium."""
+    matrix = np.array([[900.0, 0.0, 319.5], [0.0, 900.0, 239.5], [0.0, 0.0, 1.0]])
+    rig = Rig(tuple(Camera(name, 640, 480, matrix, np.zeros(5), *looking(np.array(view) / np.linalg.norm(view), FAR, MIDDLE))
+                    for name, view in VIEWS.items()))
+    watching = [VirtualCameras(rig, own.rods.rest_length, own.nominal.take([row]), covered=COVERED, seed=seed + row)
+                for row in range(own.count)]
 
     def see(rods, clamps):
         seen = np.full_like(own.vertices(rods), np.nan)

@@ -8,11 +8,11 @@ import numpy as np
 
 from doo_ti import Descent, Landscape, Material, Newton, observation_clamps, relax, start_configuration
 from doo_ti.io.scene import OBJECTIVES
-from tools.studies.replication import harder, tables
+from tools.studies.replication import tables
 from tools.studies.replication.images import Seen, loops, perceived, recovery
 from tools.studies.replication.landscapes import figure_1, figure_3, figure_4, figure_5, landscape, learned
 from tools.studies.replication.settings import PACKAGE, SETTINGS, Setting, Size, entry
-from tools.studies.replication.specimens import SUTURES, scene, specimen
+from tools.studies.replication.specimens import LABORATORIES, SUTURES, Laboratory, calibrated, forward, made, scene, specimen
 from tools.studies.replication.twist import Errors, figure_7, percent, twist_errors
 
 SAME_MM, MOST = 0.02, 0.98
@@ -33,14 +33,14 @@ class Study:
     def __init__(self, size: Size, progress: Callable[[str], None] = lambda text: None):
         self.size, self.progress = size, progress
         self.specimen, self.made, self.landscape, self.seen, self.harder = map(
-            cache, (specimen, harder.made, self._landscape, self._seen, self._harder))
+            cache, (specimen, made, self._landscape, self._seen, self._harder))
 
     def _landscape(self, name: str, number: int, setting: Setting, objective: str) -> Landscape:
         self.progress(f"{setting.name}: {'Eq. 2' if objective == 'static' else 'Eq. 3'}, {name} {number}")
         return landscape(self.specimen(name, number), setting, objective)
 
-    def _harder(self, name: str, number: int, laboratory: harder.Laboratory, objective: str):
-        if laboratory == harder.LABORATORIES[0].labelled:
+    def _harder(self, name: str, number: int, laboratory: Laboratory, objective: str):
+        if laboratory == LABORATORIES[0].labelled:
             return self.landscape(name, number, PACKAGE, objective)
         return landscape(self.made(name, number, laboratory), PACKAGE, objective)
 
@@ -141,7 +141,7 @@ class Study:
         """Table III and Fig. 7 in laboratories less close to the model; Θ of Fig. 7 by end distance, as the paper takes it."""
         lines = ["| laboratory | Eq. 3 under Θ of Eq. 2, mm | gain of Θ of Eq. 3, mm | *dynamic* holds | Fig. 7, D = 1 | D = 6 "
                  "| ambiguous |", "|---" * 7 + "|"]
-        for laboratory in harder.LABORATORIES:
+        for laboratory in LABORATORIES:
             runs, errors = self._harder_table(laboratory), self._harder_twist(laboratory)
             gained, error, before = tables.gain(runs)
             lines.append(f"| {laboratory.name} | {before:.2f} | {gained:+.3f} ± {error:.3f} | {sum(runs.held['dynamic'])} of "
@@ -149,20 +149,20 @@ class Study:
                          f"| {percent([one.success(6) for one in errors])} | {percent([one.ambiguous for one in errors])} |")
         return Found({}, [*lines, "", *self._forward()])
 
-    def _harder_table(self, laboratory: harder.Laboratory) -> tables.TableRuns:
+    def _harder_table(self, laboratory: Laboratory) -> tables.TableRuns:
         pairs = []
         for number in range(self.size.harder[0]):
             self.progress(f"{laboratory.name}: vicryl {number}")
             pairs.append(tuple(self.harder("vicryl", number, laboratory.labelled, objective) for objective in OBJECTIVES))
         return tables.table_3(pairs)
 
-    def _harder_twist(self, laboratory: harder.Laboratory) -> list[Errors]:
+    def _harder_twist(self, laboratory: Laboratory) -> list[Errors]:
         found, (specimens, sets, trials) = [], self.size.harder
         for number in range(specimens):
             self.progress(f"{laboratory.name}: Fig. 7, specimens {number}")
             rods = {name: self.made(name, number, laboratory.labelled) for name in SUTURES}
             static = {name: self.harder(name, number, laboratory.labelled, "static") for name in SUTURES}
-            rig = None if laboratory.calibrated else harder.calibrated(number)
+            rig = None if laboratory.calibrated else calibrated(number)
             seen = {name: perceived(one, PACKAGE, learned(static[name], False), sets, laboratory.look, rig)
                     for name, one in rods.items()}
             theta = {name: learned(one, True) for name, one in static.items()}
@@ -177,8 +177,7 @@ class Study:
             gained = []
             for number in range(self.size.harder[0]):
                 rods = self.specimen(name, number)
-                forward = landscape(rods, PACKAGE, "dynamic", harder.forward(rods))
-                both = [self.landscape(name, number, PACKAGE, "static"), forward]
+                both = [self.landscape(name, number, PACKAGE, "static"), landscape(rods, PACKAGE, "dynamic", forward(rods))]
                 (_, static), (_, dynamic) = tables.scored(both, ("objective",)).mean
                 gained.append(static - dynamic)
             yield f"- {name}: Θ of Eq. 3 gains {entry(gained, 3)} mm"
