@@ -72,7 +72,10 @@ normal = [0, 0, 1]
 friction = 0.2
 """
 TIED = group_scene + TABLE
-SWING = motion_scene.replace("edges = 6", "edges = 6\nat_rest = true").replace("bend = 1e6", "bend = 1e6\ndrag_per_s = 0.1")
+SWING = motion_scene
+for _old, _new in (("= 0.2", "= 0.1"), ("40, 20]", "20, 10]"), ("edges = 6", "edges = 6\nat_rest = true"),
+                   ("bend = 1e6", "bend = 1e6\ndrag_per_s = 0.1")):
+    SWING = SWING.replace(_old, _new)
 
 
 def make(folder: Path, quick: bool = False) -> Path:
