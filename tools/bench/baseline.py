@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti import Solution
+from doo_ti import Solution, gripper_jacobian
 from doo_ti.bench import clock
 from doo_ti.bench.cases import Case, Measurement, Outcome, measure
 from doo_ti.system.runtime import start as start_runtime
@@ -123,3 +123,9 @@ def outcome(found: Solution) -> Outcome:
     done = found.converged
     return Outcome(float(done.sum()), float(done.mean()), float(found.stable.mean()),
                    float(np.max(found.residual[done], initial=0.0)), found.iterations)
+
+
+def derived(solution: Solution) -> Outcome:
+    """Derivatives of shapes, forces and moments by both grippers' poses, 12 columns."""
+    usable = gripper_jacobian(solution).usable
+    return Outcome(float(usable.sum()), float(usable.mean()))

@@ -19,8 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from doo_ti import Capsule, Clamp, Clamps, Configuration, Itself, Material, Plane, Solution, Status, relax
 from doo_ti.bench.cases import Case, Outcome
 from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about, quaternion_product
-from tools.bench.baseline import outcome, run
-from tools.bench.relaxation import derived
+from tools.bench.baseline import derived, outcome, run
 
 BASELINE = Path(__file__).with_name("contact.json")
 SEED = 2011
@@ -87,26 +86,23 @@ class Specimens:
         return relax(rest, Material(bend, bend, material.weight * weight), precision=precision)
 
     def other_material(self, precision: str) -> Outcome:
-        """Relax them so once."""
         return outcome(self.relaxed_again(precision))
 
     def resting(self, among: list) -> Solution:
-        """Those moved on, at rest."""
+        """The rods moved on, at rest among those obstacles."""
         rods, material, clamps = self.moved_on
         return relax(rods, material, clamps, obstacles=among, radius=RADIUS)
 
     @cached_property
     def on_table(self) -> Solution:
-        """Among the obstacles."""
         return self.resting(obstacles())
 
     @cached_property
     def alone(self) -> Solution:
-        """Without them."""
         return self.resting([])
 
     def relaxed(self, which: str, precision: str, among: list) -> Outcome:
-        """Relax the rods of that name once ``among`` obstacles."""
+        """Rods of that name, relaxed once ``among`` obstacles."""
         rods, material, clamps = getattr(self, which)
         return outcome(relax(rods, material, clamps, precision=precision, obstacles=among, radius=RADIUS))
 

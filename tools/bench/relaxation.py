@@ -14,7 +14,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from doo_ti import Descent, Observations, Servo, ServoStatus, Targets, distance, gripper_jacobian, pullback, relax
+from doo_ti import Descent, Observations, Servo, ServoStatus, Targets, distance, pullback, relax
 from doo_ti.bench.cases import COARSE, FINE, Case, Outcome, Specimens, relaxed
 from doo_ti.bench.cases import cases as command_cases
 from doo_ti.bench.workload import Rods
@@ -24,7 +24,7 @@ from doo_ti.dynamics.simulate import simulate
 from doo_ti.manipulation.poses import held
 from doo_ti.relaxation.sensitivity import GRIPPERS
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution
-from tools.bench.baseline import run
+from tools.bench.baseline import derived, run
 from tools.studies.servo_tasks import Tasks, tasks
 
 BASELINE = Path(__file__).with_name("baseline.json")
@@ -79,12 +79,6 @@ def stepped(rods: Rods) -> Outcome:
     """Gradient steps of the paper's scheme, whether they were enough or not."""
     iterations = rods.relaxed(Descent(max_iterations=1000), "f64").iterations
     return Outcome(float(iterations.sum()), iterations=iterations)
-
-
-def derived(solution: Solution) -> Outcome:
-    """Derivatives of shapes, forces and moments by both grippers' poses, 12 columns."""
-    usable = gripper_jacobian(solution).usable
-    return Outcome(float(usable.sum()), float(usable.mean()))
 
 
 def pulled_back(solution: Solution) -> Outcome:
