@@ -12,6 +12,7 @@ import pytest  # noqa: E402
 
 from doo_ti.physics.number import Number  # noqa: E402
 
+pytest.register_assert_rewrite("tests.commands.calls")
 SEED = 2011
 SHARED_KERNELS = {
     "contact": ("tests/contact/", "tests/groups/", "tests/commands/test_contact.py", "tests/commands/test_group.py",

@@ -16,37 +16,30 @@ of the rod, past the gripper, which has no body: these are counted apart, by whe
 import argparse
 import sys
 import time
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from doo_ti.contact.itself import Itself, smallest_self_gap  # noqa: E402
-from doo_ti.contact.obstacles import Capsule, Plane  # noqa: E402
-from doo_ti.dynamics.grippers import Grippers  # noqa: E402
-from doo_ti.dynamics.parameters import Dynamics, Stepping  # noqa: E402
-from doo_ti.dynamics.simulate import simulate  # noqa: E402
-from doo_ti.relaxation.relax import relax  # noqa: E402
-from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about, quaternion_product  # noqa: E402
-from doo_ti.rod.material import Material  # noqa: E402
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Status  # noqa: E402
-from tests.contact.topology import solid_angles  # noqa: E402
+from doo_ti import Capsule, Dynamics, Grippers, Itself, Plane, Stepping, relax, simulate
+from doo_ti.contact.itself import smallest_self_gap
+from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about, quaternion_product
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
+from tests.contact.topology import solid_angles
 
 LENGTH, EDGES, RADIUS, FRAMES = 100.0, 33, 0.5, 40
 TABLE = Plane((0, 0, 0), (0, 0, 1), friction=0.2)
-PEGS = (((30, -18), 2.0), ((50, -25), 3.0), ((70, -18), 2.0))
-"""Places of upright pegs, mm, and their radii."""
+PEGS = (((30, -18), 2.0), ((50, -25), 3.0), ((70, -18), 2.0))  # places of upright pegs, mm, and their radii
 HEIGHT = 120.0
 """Of the pegs, mm: no rod gets over them. One that snaps over the top of a peg from one frame to the next could not be told
 from one that has passed through it."""
 AT_ONCE = 1000
-SLIP = 9
-"""Edges from an end: how far a loop may slide along the rod within a frame."""
+SLIP = 9  # edges from an end: how far a loop may slide along the rod within a frame
 
 
 def obstacles() -> list:
-    """The table and the pegs."""
     return [TABLE, *(Capsule((x, y, -5.0), (x, y, HEIGHT), radius, friction=0.2) for (x, y), radius in PEGS)]
 
 
@@ -80,20 +73,20 @@ def drawn(rng, count: int, coiling: bool):
     return rest, material, Grippers(Clamp.FRAME, Clamp.FRAME, grippers[0][0], grippers[1][0], grippers[0][1], grippers[1][1])
 
 
-def smallest_gap(x: np.ndarray) -> np.ndarray:
-    """(R,) of rods (R, V, 3), mm."""
-    s = np.linspace(0.0, 1.0, 17)[:, None]
-    places = (x[:, :-1, None] * (1.0 - s) + x[:, 1:, None] * s).reshape(len(x), -1, 3)
+def smallest_gap(x: np.ndarray, places_an_edge: int = 17) -> np.ndarray:
+    """(R,) mm: of rods (R, V, 3) and the obstacles."""
+    s = np.linspace(0.0, 1.0, places_an_edge)[:, None]
+    places = (x[..., :-1, None, :] * (1.0 - s) + x[..., 1:, None, :] * s).reshape(len(x), -1, 3)
     return np.min([obstacle.distance(places)[0].min(axis=1) for obstacle in obstacles()], axis=0) - RADIUS
 
 
 def held_gap(grippers: Grippers) -> np.ndarray:
     """(R,) mm, the smallest of the edges that the grippers hold, in any frame."""
     edge = LENGTH / EDGES
-    x = np.concatenate([end[:, :, None] + sense * along * frames[:, :, None, :, 0] for end, frames, sense in (
-        (grippers.start_position, grippers.start_frame, 1.0), (grippers.end_position, grippers.end_frame, -1.0))
-        for along in (np.linspace(0.0, edge, 9)[:, None],)], axis=2)
-    return np.min([obstacle.distance(x.reshape(len(x), -1, 3))[0].min(axis=1) for obstacle in obstacles()], axis=0) - RADIUS
+    start, end = grippers.start_position, grippers.end_position
+    first, last = (np.stack([place, place + along * frames[..., 0]], axis=2) for place, along, frames in (
+        (start, edge, grippers.start_frame), (end, -edge, grippers.end_frame)))
+    return smallest_gap(np.concatenate([first, last], axis=1), 9)
 
 
 def pierced(before: np.ndarray, after: np.ndarray) -> np.ndarray:
@@ -150,41 +143,36 @@ def main() -> int:
     options = parser.parse_args()
     bodies = [*obstacles(), Itself(friction=0.2)] if options.itself else obstacles()
     rng = np.random.default_rng(options.seed)
-    total = dict(motions=0, converged=0, flagged=0, touching=0, coiled=0, slipped=0, inside=0, through=0, steps=0, impossible=0)
+    total = Counter(motions=0, converged=0, touching=0, coiled=0, slipped=0, inside=0, through=0, steps=0, impossible=0)
     least, trips, began = np.inf, 0, time.process_time()
+    stepping = Stepping(rate=10.0, quasi_static=True, precision=options.precision)
     while total["motions"] < options.motions:
         rest, material, grippers = drawn(rng, AT_ONCE, options.itself)
         possible = (rest.status != Status.INFEASIBLE) & (held_gap(grippers) > 0)
-        total["impossible"] += int((~possible).sum())
         chosen = np.flatnonzero(possible)[: options.motions - total["motions"]]
-        count, rows = len(chosen), chosen[rest.converged[chosen]]
-        stepping = Stepping(rate=10.0, quasi_static=True, precision=options.precision)
-        moved = simulate(rest.configuration.take(rows), material.take(rows), grippers.take(rows), Dynamics(), stepping,
-                         obstacles=bodies, radius=RADIUS)
-        x = np.concatenate([rest.configuration.take(rows).vertices[:, None], moved.positions], axis=1)
-        standing = moved.status == Status.CONVERGED
-        total["motions"] += count
-        total["converged"] += int(moved.converged.sum())
-        total["flagged"] += count - int(moved.converged.sum())
-        total["touching"] += int((np.abs(moved.contact_force) > 0).any(axis=(1, 2, 3)).sum())
-        total["steps"] += int(standing.sum())
+        rows = chosen[rest.converged[chosen]]
+        start = rest.configuration.take(rows)
+        moved = simulate(start, material.take(rows), grippers.take(rows), Dynamics(), stepping, obstacles=bodies, radius=RADIUS)
+        x = np.concatenate([start.vertices[:, None], moved.positions], axis=1)
+        standing, coiled = moved.status == Status.CONVERGED, np.zeros(len(rows), dtype=bool)
+        touching = (np.abs(moved.contact_force) > 0).any(axis=(1, 2, 3))
+        total.update(motions=len(chosen), converged=int(moved.converged.sum()), touching=int(touching.sum()),
+                     steps=int(standing.sum()), impossible=int((~possible).sum()))
         trips += int(moved.iterations.sum())
-        coiled = np.zeros(len(rows), dtype=bool)
         for frame in range(1, FRAMES + 1):
             now = standing[:, frame - 1]
-            gap = smallest_gap(x[now, frame])
+            before, after = x[now, frame - 1], x[now, frame]
+            gap = smallest_gap(after)
             if options.itself:
-                own = smallest_self_gap(x[now, frame], np.full(now.sum(), RADIUS))
+                own = smallest_self_gap(after, np.full(now.sum(), RADIUS))
                 coiled[now] |= own < 1e-2 * RADIUS
                 gap = np.minimum(gap, own)
-                through, slipped = passed(x[now, frame - 1], x[now, frame])
-                total["through"] += through
-                total["slipped"] += slipped
+                through, slipped = passed(before, after)
+                total.update(through=through, slipped=slipped)
             least = min(least, gap.min(initial=np.inf))
-            total["inside"] += int((gap < -1e-3 * RADIUS).sum())
-            total["through"] += int(pierced(x[now, frame - 1], x[now, frame]).sum())
+            total.update(inside=int((gap < -1e-3 * RADIUS).sum()), through=int(pierced(before, after).sum()))
         total["coiled"] += int(coiled.sum())
-        print(f"{total['motions']:6d} motions: {total}, smallest gap {least / RADIUS:.2e} radii, "
+        print(f"{total['motions']:6d} motions: {dict(total)}, smallest gap {least / RADIUS:.2e} radii, "
               f"{trips / max(total['steps'], 1):.1f} iterations a step, {time.process_time() - began:.0f} s of processor time",
               flush=True)
     print(f"seed {options.seed}; converged {total['converged'] / total['motions']:.2%}")

@@ -8,7 +8,6 @@ import pytest
 
 from doo_ti import cli
 
-pytest.register_assert_rewrite("tests.commands.calls")
 TESTS = str(Path(__file__).parents[1])
 opened: list[str] = []
 

@@ -8,7 +8,7 @@ import pytest
 from doo_ti import Observations, save_observations
 from doo_ti.cli import main
 from tests.commands.calls import refused
-from tools.studies.trials.servo import BEND, tasks
+from tools.studies.servo_tasks import BEND, tasks
 
 
 @pytest.fixture(scope="module")

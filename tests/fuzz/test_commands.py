@@ -1,9 +1,10 @@
 """Commands on damaged files and wrong options: they succeed, or refuse in one line and write nothing, whatever is wrong."""
 
-import os
 import re
 import shutil
+from contextlib import chdir
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -22,16 +23,12 @@ PROGRESS = re.compile(r"━|\d+/\d+ \w+ .*:")
 
 @pytest.fixture(scope="module")
 def quick_corpus(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("corpus")
-    corpus.make(folder, quick=True)
-    return folder
+    return corpus.make(tmp_path_factory.mktemp("corpus"), quick=True)
 
 
 @pytest.fixture(scope="module")
 def whole_corpus(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("corpus")
-    corpus.make(folder)
-    return folder
+    return corpus.make(tmp_path_factory.mktemp("corpus"))
 
 
 def files(folder: Path) -> dict[str, tuple]:
@@ -76,24 +73,19 @@ def one_case(data, names: set[str] | None, source: Path, folder: Path, capfd) ->
         assert files(folder) == before, "written though refused"
 
 
-def trial(data, names, source, tmp_path_factory, capfd) -> None:
-    folder, here = tmp_path_factory.mktemp("case"), Path.cwd()
-    os.chdir(folder)
-    try:
-        one_case(data, names, source, folder, capfd)
-    finally:
-        os.chdir(here)
-        shutil.rmtree(folder, ignore_errors=True)
+def trial(data, names, source, capfd) -> None:
+    with TemporaryDirectory() as folder, chdir(folder):
+        one_case(data, names, source, Path(folder), capfd)
 
 
 @settings(max_examples=60, **FREE)
 @given(data=st.data())
-def test_quick_commands_refuse_in_one_line(data, quick_corpus, tmp_path_factory, capfd):
-    trial(data, QUICK, quick_corpus, tmp_path_factory, capfd)
+def test_quick_commands_refuse_in_one_line(data, quick_corpus, capfd):
+    trial(data, QUICK, quick_corpus, capfd)
 
 
 @pytest.mark.slow
 @settings(max_examples=2000, **FREE)
 @given(data=st.data())
-def test_all_commands_refuse_in_one_line(data, whole_corpus, tmp_path_factory, capfd):
-    trial(data, None, whole_corpus, tmp_path_factory, capfd)
+def test_all_commands_refuse_in_one_line(data, whole_corpus, capfd):
+    trial(data, None, whole_corpus, capfd)

@@ -10,7 +10,7 @@ from scipy.integrate import solve_bvp
 from doo_ti import Grip, InputError, Itself, Simulation, end_loads, hanging, relax, relax_held, straight_rod
 from doo_ti.manipulation.poses import moved
 from doo_ti.rod.types import Clamp, Clamps, Material, Status
-from tools.studies.trials.servo import tasks
+from tools.studies.servo_tasks import tasks
 
 LENGTH, SPAN, RAISED = 400.0, 380.0, 40.0
 IN_PLANE = 1e5

@@ -9,7 +9,7 @@ import pytest
 import doo_ti as d
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.manipulation.poses import moved
-from tools.studies.trials.servo import Tasks, tasks
+from tools.studies.servo_tasks import Tasks, tasks
 
 
 @cache

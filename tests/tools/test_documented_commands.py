@@ -10,7 +10,7 @@ import pytest
 
 from doo_ti.commands.help_text import EXAMPLES
 from tools.maintenance import mutations
-from tools.studies import detection_study, reproduce
+from tools.studies import reproduce
 from tools.studies.replication.criteria import CRITERIA
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -66,13 +66,6 @@ def test_items_are_measured_and_reported(tmp_path, capsys):
         assert f"\n## {name}\n" in text
         assert text.count(f"\n| {name} | ") >= len(CRITERIA[name])
     assert "did not run" not in text and "1.40 / 0." in text
-
-
-@pytest.mark.thorough
-def test_detection_is_measured(capsys, monkeypatch):
-    monkeypatch.setattr(detection_study, "ROWS", detection_study.ROWS[:2])
-    assert detection_study.main(["--rods", "1"]) == 0
-    assert len(capsys.readouterr().out.strip().splitlines()) == 2 + len(detection_study.ROWS)
 
 
 @pytest.mark.parametrize("fault", mutations.FAULTS.values(), ids=mutations.FAULTS)

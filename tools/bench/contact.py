@@ -14,14 +14,12 @@ from pathlib import Path
 
 import numpy as np
 
-if not __package__:
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from doo_ti import Capsule, Clamp, Clamps, Configuration, Itself, Material, Plane, gripper_jacobian, relax  # noqa: E402
-from doo_ti.bench.cases import Case, Outcome  # noqa: E402
-from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about, quaternion_product  # noqa: E402
-from doo_ti.rod.types import Solution, Status  # noqa: E402
-from tools.bench.against_baseline import Benchmark, run  # noqa: E402
+from doo_ti import Capsule, Clamp, Clamps, Configuration, Itself, Material, Plane, Solution, Status, relax
+from doo_ti.bench.cases import Case, Outcome
+from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about, quaternion_product
+from tools.bench.baseline import derived, outcome, run
 
 BASELINE = Path(__file__).with_name("contact.json")
 SEED = 2011
@@ -88,39 +86,25 @@ class Specimens:
         return relax(rest, Material(bend, bend, material.weight * weight), precision=precision)
 
     def other_material(self, precision: str) -> Outcome:
-        """Relax them so once."""
-        return _outcome(self.relaxed_again(precision))
+        return outcome(self.relaxed_again(precision))
 
     def resting(self, among: list) -> Solution:
-        """Those moved on, at rest."""
+        """The rods moved on, at rest among those obstacles."""
         rods, material, clamps = self.moved_on
         return relax(rods, material, clamps, obstacles=among, radius=RADIUS)
 
     @cached_property
     def on_table(self) -> Solution:
-        """Among the obstacles."""
         return self.resting(obstacles())
 
     @cached_property
     def alone(self) -> Solution:
-        """Without them."""
         return self.resting([])
 
-    def derived(self, which: str) -> Outcome:
-        """The derivatives of the rods at rest of that name."""
-        usable = gripper_jacobian(getattr(self, which)).usable
-        return Outcome(float(usable.sum()), float(usable.mean()))
-
     def relaxed(self, which: str, precision: str, among: list) -> Outcome:
-        """Relax the rods of that name once ``among`` obstacles."""
+        """Rods of that name, relaxed once ``among`` obstacles."""
         rods, material, clamps = getattr(self, which)
-        return _outcome(relax(rods, material, clamps, precision=precision, obstacles=among, radius=RADIUS))
-
-
-def _outcome(found: Solution) -> Outcome:
-    done = found.converged
-    return Outcome(float(done.sum()), float(done.mean()), float(found.stable.mean()),
-                   float(np.max(found.residual[done], initial=0.0)), found.iterations)
+        return outcome(relax(rods, material, clamps, precision=precision, obstacles=among, radius=RADIUS))
 
 
 def cases(rods: Specimens) -> list[Case]:
@@ -133,14 +117,12 @@ def cases(rods: Specimens) -> list[Case]:
               for precision in ("f32", "f64")),
             *(Case(f"other material, {precision}", "rods/s", partial(rods.other_material, precision))
               for precision in ("f32", "f64")),
-            Case("Jacobians, moved on", "rods/s", partial(rods.derived, "on_table")),
-            Case("Jacobians, alone", "rods/s", partial(rods.derived, "alone"))]
+            Case("Jacobians, moved on", "rods/s", lambda: derived(rods.on_table)),
+            Case("Jacobians, alone", "rods/s", lambda: derived(rods.alone))]
 
 
 def main(arguments: list[str]) -> int:
-    benchmark = Benchmark("contact.py", __doc__.splitlines()[0], BASELINE, "rods", 4096, 8,
-                          lambda count: cases(Specimens(count)))
-    return run(benchmark, arguments)
+    return run(arguments, __doc__.splitlines()[0], BASELINE, "rods", 4096, 8, lambda count: cases(Specimens(count)))
 
 
 if __name__ == "__main__":

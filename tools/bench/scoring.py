@@ -11,19 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-if not __package__:
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from doo_ti import Clamp, Clamps, Configuration, Material, Newton, relax  # noqa: E402
-from doo_ti.bench.cases import Case, Outcome  # noqa: E402
-from doo_ti.rod.frames import bishop_frames, quaternion_from_matrix  # noqa: E402
-from doo_ti.vision.cameras.camera import Camera  # noqa: E402
-from doo_ti.vision.cameras.rig import Rig  # noqa: E402
-from doo_ti.vision.detection.line import Detection  # noqa: E402
-from doo_ti.vision.reprojection.distance_map import distance_maps  # noqa: E402
-from doo_ti.vision.reprojection.image_energy import Reprojection  # noqa: E402
-from doo_ti.vision.reprojection.score import score  # noqa: E402
-from tools.bench.against_baseline import Benchmark, run  # noqa: E402
+from doo_ti import Camera, Detection, Newton, Reprojection, Rig, distance_maps, relax, score
+from doo_ti.bench.cases import Case, Outcome
+from doo_ti.rod.frames import bishop_frames, quaternion_from_matrix
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
+from tests.vision.poses import looking
+from tools.bench.baseline import outcome, run
 
 BASELINE = Path(__file__).with_name("scoring.json")
 SEED = 2011
@@ -46,11 +41,8 @@ class Specimens:
         cameras = []
         for index, angle in enumerate((0.3, 2.4, 4.5)):
             forward = -np.array([np.cos(angle), np.sin(angle), 0.7]) / np.hypot(1.0, 0.7)
-            right = np.cross(forward, [0.0, 0.0, 1.0]) / np.hypot(forward[0], forward[1])
-            rotation = np.stack([right, np.cross(forward, right), forward])
             matrix = [[1700.0, 0, 635], [0, 1700.0, 483], [0, 0, 1]]
-            cameras.append(Camera(f"cam{index}", 1280, 960, matrix, [-0.08, 0.03, 5e-4, -4e-4, 0], rotation,
-                                  -300.0 * rotation @ -forward))
+            cameras.append(Camera(f"cam{index}", 1280, 960, matrix, [-0.08, 0.03, 5e-4, -4e-4, 0], *looking(forward, 300.0)))
         return Rig(tuple(cameras))
 
     @cached_property
@@ -80,7 +72,8 @@ class Specimens:
     def grown(self, edges: int) -> tuple[Configuration, Clamps]:
         """Rods of so many edges at rest on their images, the last of them turned by 0.15 rad, as Alg. 1 starts them."""
         start = self._bent(np.random.default_rng(SEED + edges), edges, 0.01)
-        held = _held(start)
+        first = start.frames[:, 0]
+        held = Clamps(Clamp.TANGENT, Clamp.FREE, start.start, start.start, first, first)
         rest = relax(start, MATERIAL, held, FINE, external=self.external, external_index=self.sets).configuration
         tangents = rest.frames[..., 0]
         tangents[:, -1] += 0.15 * np.random.default_rng(SEED).normal(size=(self.count, 3))
@@ -100,9 +93,7 @@ class Specimens:
 
     def relaxed(self, start: Configuration, clamps: Clamps, solver: Newton, precision: str) -> Outcome:
         found = relax(start, MATERIAL, clamps, solver, precision=precision, external=self.external, external_index=self.sets)
-        done = found.converged
-        return Outcome(float(done.sum()), float(done.mean()), float(found.stable.mean()),
-                       float(np.max(found.residual[done], initial=0.0)), found.iterations)
+        return outcome(found)
 
 
 def _vertices(edges: np.ndarray) -> np.ndarray:
@@ -115,11 +106,6 @@ def _framed(start: np.ndarray, tangents: np.ndarray) -> Configuration:
     tangents = tangents / np.linalg.norm(tangents, axis=-1, keepdims=True)
     frames = bishop_frames(tangents, np.cross(tangents[:, 0], [0.3, 0.5, 0.8]))
     return Configuration(start, quaternion_from_matrix(frames), np.full(tangents.shape[1], LENGTH))
-
-
-def _held(rods: Configuration) -> Clamps:
-    first = rods.frames[:, 0]
-    return Clamps(Clamp.TANGENT, Clamp.FREE, rods.start, rods.start, first, first)
 
 
 def _detected(camera: Camera, points: np.ndarray) -> Detection:
@@ -145,9 +131,8 @@ def cases(rods: Specimens, few: Specimens) -> list[Case]:
 
 
 def main(arguments: list[str]) -> int:
-    benchmark = Benchmark("scoring.py", __doc__.splitlines()[0], BASELINE, "hypotheses", 32_768, 8,
-                          lambda count: cases(Specimens(count), Specimens(count // 8)))
-    return run(benchmark, arguments)
+    return run(arguments, __doc__.splitlines()[0], BASELINE, "hypotheses", 32_768, 8,
+               lambda count: cases(Specimens(count), Specimens(count // 8)))
 
 
 if __name__ == "__main__":

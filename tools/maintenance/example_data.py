@@ -21,8 +21,7 @@ from doo_ti.system.files import write_text
 EI, GRAMS_PER_METRE = 1e-3, 50.0
 POSES, NOISE_MM, SEED = 10, 0.3, 18
 EDGE_MM, SPACING_MM, MARKS = 5.0, 40.0, 26
-WOBBLE = 0.3
-"""Of the grippers' directions, about those of the arc."""
+WOBBLE = 0.3  # of the grippers' directions, about those of the arc
 
 
 def main(folder: Path) -> None:

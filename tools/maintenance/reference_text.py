@@ -7,8 +7,7 @@ import re
 
 import griffe
 
-ROLE = re.compile(r":(?:class|func|meth|mod|data|attr):`~?([^`]+)`")
-"""Of Sphinx; its text is enough."""
+ROLE = re.compile(r":(?:class|func|meth|mod|data|attr):`~?([^`]+)`")  # of Sphinx; its text is enough
 
 
 class ReferenceText(griffe.Extension):

@@ -13,12 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.io.observation_files import save_observations
+from doo_ti import load_rig, save_observations
 from doo_ti.io.scene import Synthesis, load_scene
 from doo_ti.lab.synthesis import synthesise
 from doo_ti.perception.virtual_lab import lab_rods, save_truth
 from doo_ti.system.files import write_whole
-from doo_ti.vision.cameras.rig import load_rig
 from doo_ti.vision.rendering.render import Photographs, RenderOptions, save_photographs
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -26,8 +25,7 @@ RODS = ("nylon", "vicryl", "silk", "ribbon")
 SEEN = {"vicryl": ((66.0, 60.0), (78.0, 150.0)), "silk": ((42.0, 30.0), (78.0, 210.0))}
 """Rods in images: (end distance in mm, end rotation in degrees), none of which crosses or hides itself in a view."""
 DIAMETER_MM, SEED = 0.5, 2011
-LOOK = RenderOptions(unevenness=4.0, noise=1.0, shading=0.0, jpeg_quality=85)
-"""Little noise, so that the files are small."""
+LOOK = RenderOptions(unevenness=4.0, noise=1.0, shading=0.0, jpeg_quality=85)  # little noise, so that the files are small
 
 
 def recipe(name: str) -> Synthesis:
@@ -54,12 +52,10 @@ def write_images(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     parts = []
     for name, places in SEEN.items():
-        made = recipe(name)
-        rods = lab_rods(made)
+        rods = lab_rods(recipe(name))
         parts.append(rods.take([rods.names.index(f"{name}_{distance:g}mm_{rotation:03g}deg") for distance, rotation in places]))
-    first = parts[0]
-    rods = replace(first, names=sum((part.names for part in parts), ()), curve=np.concatenate([part.curve for part in parts]),
-                   vertices=np.concatenate([part.vertices for part in parts]))
+    curve, vertices = (np.concatenate([getattr(part, name) for part in parts]) for name in ("curve", "vertices"))
+    rods = replace(parts[0], names=sum((part.names for part in parts), ()), curve=curve, vertices=vertices)
     save_truth(folder / "truth.npz", rods, DIAMETER_MM)
     save_photographs(folder, Photographs(rods.names, rods.curve, rods.point, rods.direction, DIAMETER_MM,
                                          load_rig(ROOT / "scenes" / "rig.yaml"), LOOK, SEED))

@@ -14,15 +14,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 
-if not __package__:
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from doo_ti.perception.perceive import PerceptionVerdict, perceive  # noqa: E402
-from doo_ti.rod.types import Material  # noqa: E402
-from doo_ti.vision.cameras.camera import Camera  # noqa: E402
-from doo_ti.vision.cameras.rig import Rig  # noqa: E402
-from doo_ti.vision.detection.line import Detection  # noqa: E402
-from doo_ti.vision.reprojection.distance_map import distance_maps  # noqa: E402
+from doo_ti import Camera, Detection, Material, PerceptionVerdict, Rig, distance_maps, perceive
 
 LENGTH_MM, EDGES, AWAY_MM, FOCAL_PX, WIDTH, HEIGHT = 100.0, 33, 200.0, 1000.0, 800, 600
 KNOTS, BEND = 6, 0.9
@@ -40,15 +34,13 @@ def curve(rng: np.random.Generator) -> np.ndarray:
     return points - 0.5 * (points.min(axis=0) + points.max(axis=0))
 
 
-def camera(name: str, turn: np.ndarray) -> Camera:
-    matrix = np.array([[FOCAL_PX, 0, WIDTH / 2], [0, FOCAL_PX, HEIGHT / 2], [0, 0, 1.0]])
-    return Camera(name, WIDTH, HEIGHT, matrix, np.zeros(5), turn, np.array([0.0, 0.0, AWAY_MM]))
-
-
 def cameras(degrees: float, third: bool) -> Rig:
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    found = [camera("front", np.eye(3)), camera("side", np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]))]
-    return Rig((*found, camera("above", np.array([[1, 0, 0], [0, c, -s], [0, s, c]])))) if third else Rig(tuple(found))
+    turns = {"front": np.eye(3), "side": [[c, 0, s], [0, 1, 0], [-s, 0, c]], "above": [[1, 0, 0], [0, c, -s], [0, s, c]]}
+    matrix = np.array([[FOCAL_PX, 0, WIDTH / 2], [0, FOCAL_PX, HEIGHT / 2], [0, 0, 1.0]])
+    seen = [Camera(name, WIDTH, HEIGHT, matrix, np.zeros(5), np.array(turn), np.array([0.0, 0.0, AWAY_MM]))
+            for name, turn in turns.items()]
+    return Rig(tuple(seen if third else seen[:2]))
 
 
 def detection(view: Camera, points: np.ndarray, noise: float, rng: np.random.Generator) -> Detection:

@@ -16,17 +16,14 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[2]
-if not __package__:
-    sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(ROOT))
 
-from doo_ti.system.errors import InputError  # noqa: E402
-from doo_ti.system.files import write_whole  # noqa: E402
+from doo_ti import InputError
+from doo_ti.system.files import write_whole
 
-RATE_HZ = 100.0
-"""Of the published recordings; their files do not contain it."""
+RATE_HZ = 100.0  # of the published recordings; their files do not contain it
 CABLES = tuple(f"dlo{number}" for number in range(1, 6))
-STRETCH, APART, SLOWEST = 150, 50, 6
-"""Frames of a stretch of motion, frames from one to the next, and how many are kept."""
+STRETCH, APART, SLOWEST = 150, 50, 6  # frames of a stretch of motion, frames from one to the next, and how many are kept
 STILL = Path(__file__).with_name("still_frames.csv")
 """Recording and frame of 60 nearly still frames of dlo1 and dlo3: those that had changed least."""
 

@@ -10,25 +10,17 @@ from pathlib import Path
 
 import numpy as np
 
-if not __package__:
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from doo_ti.perception.virtual_lab import lab_rods  # noqa: E402
-from doo_ti.vision.cameras.rig import load_rig  # noqa: E402
-from doo_ti.vision.detection.options import DetectionOptions  # noqa: E402
-from doo_ti.vision.rendering.render import Photographs, RenderOptions  # noqa: E402
-from doo_ti.vision.rendering.tubes import smooth_curve  # noqa: E402
-from tools.studies.replication.specimens import SCENES, scene  # noqa: E402
-from tools.studies.trials.perception import detected, taken  # noqa: E402
+from doo_ti import DetectionOptions
+from doo_ti.vision.rendering.render import RenderOptions
+from tools.studies.perception_study import photographed
+from tools.studies.replication.specimens import scene
 
-SEED, COVERED_PX, FALSE_PX, DIAMETER_MM = 2011, 2.0, 3.0, 0.5
-NOISY, LIT = RenderOptions(noise=10.0), RenderOptions(thread=120.0, background=40.0, shading=120.0, light=(1.0, 0.0, 0.3))
-ROWS = (
-    ("default", "ridge", RenderOptions(), DIAMETER_MM), ("default", "canny", RenderOptions(), DIAMETER_MM),
-    ("noise of 10 grey levels", "ridge", NOISY, DIAMETER_MM), ("noise of 10 grey levels", "canny", NOISY, DIAMETER_MM),
-    ("a third as wide", "ridge", RenderOptions(), DIAMETER_MM / 3), ("lit from one side", "ridge", LIT, DIAMETER_MM),
-    ("lit from one side, three times as wide", "ridge", LIT, 3 * DIAMETER_MM),
-)
+COVERED_PX, FALSE_PX = 2.0, 3.0
+LIT = RenderOptions(thread=120.0, background=40.0, shading=120.0, light=(1.0, 0.0, 0.3))
+ROWS = (("default", "ridge", RenderOptions()), ("default", "canny", RenderOptions()),
+        ("noise of 10 grey levels", "ridge", RenderOptions(noise=10.0)), ("lit from one side", "ridge", LIT))
 
 
 def across(points: np.ndarray, curve: np.ndarray) -> np.ndarray:
@@ -39,16 +31,12 @@ def across(points: np.ndarray, curve: np.ndarray) -> np.ndarray:
     return np.sum((points - curve[nearest]) * normal[nearest], axis=1)
 
 
-def measured(rods: int, method: str, look: RenderOptions, diameter: float) -> tuple[float, ...]:
+def measured(rods: int, method: str, look: RenderOptions) -> tuple[float, ...]:
     """Bias, median, 95th percentile, covered, false."""
-    rig, made = load_rig(SCENES / "rig.yaml"), lab_rods(scene("vicryl").observations)
-    made = made.take(np.linspace(0, len(made.names) - 1, rods).round().astype(int))
-    images = taken(Photographs(made.names, made.curve, made.point, made.direction, diameter, rig, look, SEED))
-    pixels = rig.project(smooth_curve(made.curve, 8))
+    case, _ = photographed(scene("vicryl").observations, rods, look, detection=DetectionOptions(method=method))
     off, covered, false = [], [], []
-    for row, views in enumerate(detected(images, DetectionOptions(method=method))):
-        for camera, found in enumerate(views):
-            curve = pixels[camera, row]
+    for row, views in enumerate(case.detections):
+        for found, curve in zip(views, case.pixels[:, row], strict=True):
             apart = np.linalg.norm(found.points[:, None] - curve, axis=-1)
             own = apart.min(axis=1, initial=np.inf) <= FALSE_PX
             off.append(across(found.points[own], curve))
@@ -63,8 +51,8 @@ def main(words: list[str] | None = None) -> int:
     parser.add_argument("--rods", type=int, default=10)
     options = parser.parse_args(words)
     print("| images | method | bias | median | 95th percentile | covered | false |\n" + "|---" * 7 + "|")
-    for name, method, look, diameter in ROWS:
-        bias, median, high, covered, false = measured(options.rods, method, look, diameter)
+    for name, method, look in ROWS:
+        bias, median, high, covered, false = measured(options.rods, method, look)
         print(f"| {name} | {method} | {bias:.3f} | {median:.3f} | {high:.3f} | {covered:.1%} | {false:.1%} |", flush=True)
     return 0
 

@@ -1,16 +1,14 @@
 """Rods that touch themselves against theory: overhand knots and a plectoneme.
 
-    python tools/studies/knots_and_coils.py [knots | friction | plectoneme ...] [--edges 200]
+    python tools/studies/knots_and_coils.py [knots | plectoneme ...] [--edges 200]
 
 Overhand knots without friction (Audoly, Clauvelin and Neukirch 2007), in the limit of small ε = √(h/R): the tension is
-F h²/B = ε⁴/2, and the sum of all contact forces P h²/B = 0.492 ε³, by which friction multiplies. h is the rod's radius and R
-that of the loop, of a circle fitted to its lower two thirds. Between the knots and the limit are terms of relative size ε. With
-friction F h²/B = ε⁴/2 + μ 0.492 ε³ where the knot is pulled tighter: by quasi-static steps, until all of its strands slip.
+F h²/B = ε⁴/2, and the sum of all contact forces P h²/B = 0.492 ε³. h is the rod's radius and R that of the loop, of a circle
+fitted to its lower two thirds. Between the knots and the limit are terms of relative size ε.
 
 Strands touch along some 15 ε R, much of it single places far apart. A knot is first relaxed with edges that are fine in the
 braid, and then once more with edges that are fine wherever it touches. Without weight a knot may slide along its rod, and turn
-about the line through its ends, at no cost: a weight of a fiftieth of the tension, or little more, holds it; some with friction
-need a tenth.
+about the line through its ends, at no cost: a weight of a fiftieth of the tension, or little more, holds it.
 
 A plectoneme (Clauvelin, Audoly and Neukirch 2009): a rod is turned at one end; where it has coiled up, with the angle α of its
 strands to the axis of the coil, F h²/B = sin³α (cos α tan 2α − ½ sin α). Its link, by twist and writhe, is the turns it was
@@ -27,33 +25,20 @@ from scipy.interpolate import CubicSpline
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from doo_ti.contact.itself import Itself, smallest_self_gap  # noqa: E402
-from doo_ti.dynamics.grippers import Grippers  # noqa: E402
-from doo_ti.dynamics.parameters import Dynamics, Stepping  # noqa: E402
-from doo_ti.dynamics.simulate import simulate  # noqa: E402
-from doo_ti.relaxation.newton import Newton  # noqa: E402
-from doo_ti.relaxation.relax import relax  # noqa: E402
-from doo_ti.rod.frames import turned_about_tangent  # noqa: E402
-from doo_ti.rod.knots import overhand_knot, rod_along  # noqa: E402
-from doo_ti.rod.material import Material  # noqa: E402
-from doo_ti.rod.straight import end_clamps, straight_rod  # noqa: E402
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Solution  # noqa: E402
-from tests.contact.topology import determinant, link  # noqa: E402
+from doo_ti import Grippers, Itself, Newton, end_clamps, overhand_knot, relax, rod_along, simulate, straight_rod
+from doo_ti.contact.itself import smallest_self_gap
+from doo_ti.dynamics.parameters import Dynamics, Stepping
+from doo_ti.rod.frames import turned_about_tangent
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution
+from tests.contact.topology import determinant, link
 
 BEND, RADIUS = 1e5, 1.0
-KNOTS = (0.0125, 0.02, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.4)
-"""ε to begin with."""
-WEIGHT = 0.02
-"""Of the tension that the limit gives at that ε: the rod's weight, 2 μ L."""
-UP = (0.0, 1.0, 0.0)
-"""Away from the loop."""
+KNOTS = (0.0125, 0.02, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.4)  # ε to begin with
+WEIGHT = 0.02  # of the tension that the limit gives at that ε: the rod's weight, 2 μ L
+UP = (0.0, 1.0, 0.0)  # away from the loop
 FINEST, SHORTEST, TOUCHING, GROWTH, COARSEST = 0.16, 1.0, 7.6, 0.12, 0.08
 """Edges of the second mesh have the length FINEST ε R, but at least SHORTEST radii, up to TOUCHING ε R from the middle of the
 braid. Further away they grow by GROWTH times the distance from there, to COARSEST R."""
-PULLED = {0.0125: WEIGHT, 0.05: 0.1, 0.1: 0.1, 0.2: WEIGHT, 0.3: WEIGHT, 0.4: WEIGHT}
-"""ε of the knots that are pulled tighter, and their weights: lighter ones of ε 0.05 and 0.1 turn while their strands rub."""
-RUB, STEPS, DRAWN = 0.1, 12, 0.15
-"""The coefficient of friction, the number of steps, and the rod that both ends together are pulled by, over ε R."""
 
 
 def arc_length(vertices: np.ndarray) -> np.ndarray:
@@ -117,42 +102,12 @@ def knots(edges: int) -> None:
         began = time.process_time()
         found, _, _, loop = tied(begin, edges, WEIGHT)
         epsilon = np.sqrt(RADIUS / loop)
-        force, pressed = force_and_pressure(found.end_force, found.contact.force)
+        force = np.linalg.norm(found.end_force[0]) * RADIUS**2 / BEND
+        pressed = 0.5 * np.linalg.norm(found.contact.force[0], axis=-1).sum() * RADIUS**2 / BEND  # each acts on two strands
         gap = 1.0 + found.contact.gap[0] / (2.0 * RADIUS)
-        ratios = f"{force[0] / (0.5 * epsilon**4):.3f} | {pressed[0] / (0.492 * epsilon**3):.3f}"
+        ratios = f"{force / (0.5 * epsilon**4):.3f} | {pressed / (0.492 * epsilon**3):.3f}"
         taken = time.process_time() - began
         print(f"| {epsilon:.4f} | {found.configuration.edges} | {ratios} | {gap:.5f} | {taken:.0f} |", flush=True)
-
-
-def force_and_pressure(end_force: np.ndarray, contact_force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """F h²/B of tensions (N, 3), and P h²/B of contact forces (N, V, 3), of which each acts on two strands."""
-    pressed = 0.5 * np.linalg.norm(contact_force, axis=-1).sum(axis=-1)
-    return np.linalg.norm(end_force, axis=-1) * RADIUS**2 / BEND, pressed * RADIUS**2 / BEND
-
-
-def friction(edges: int) -> None:
-    """Print the table of knots that are pulled tighter while their strands rub."""
-    print(f"\n|  ε | edges | F h²/B over ε⁴/2 + {RUB:g} · 0.492 ε³, by step | P h²/B over 0.492 ε³, last | "
-          "smallest gap over the diameter | s |\n|---|---|---|---|---|---|")
-    for begin, weight in PULLED.items():
-        began = time.process_time()
-        knot, material, clamps, loop = tied(begin, edges, weight)
-        share = np.linspace(0.0, 1.0, STEPS + 1)
-        way = 0.5 * DRAWN * np.sqrt(RADIUS * loop) * share[None, :, None] * clamps.start_frame[:, None, :, 0]
-        ends = clamps.start_position[:, None] - way, clamps.end_position[:, None] + way
-        held = [np.repeat(frame[:, None], STEPS + 1, axis=1) for frame in (clamps.start_frame, clamps.end_frame)]
-        grippers = Grippers(Clamp.TANGENT, Clamp.TANGENT, *ends, *held)
-        moved = simulate(knot.configuration, material, grippers, Dynamics(density=1.0), Stepping(10.0, quasi_static=True),
-                         up=UP, obstacles=[Itself(friction=RUB)], radius=RADIUS)
-        if not moved.converged[0]:
-            raise SystemExit(f"the knot of ε {begin} has not converged with friction")
-        places = moved.positions[0]
-        epsilon = np.sqrt(RADIUS / np.array([fitted_radius(vertices, loop) for vertices in places]))
-        force, pressed = force_and_pressure(moved.end_force[0], moved.contact_force[0])
-        ratios = ", ".join(f"{ratio:.3f}" for ratio in force / (0.5 * epsilon**4 + RUB * 0.492 * epsilon**3))
-        gap = 1.0 + smallest_self_gap(places, np.full(len(places), RADIUS)).min() / (2.0 * RADIUS)
-        print(f"| {epsilon[-1]:.4f} | {knot.configuration.edges} | {ratios} | {pressed[-1] / (0.492 * epsilon[-1]**3):.3f} | "
-              f"{gap:.5f} | {time.process_time() - began:.0f} |", flush=True)
 
 
 def plectoneme(edges: int) -> None:
@@ -191,19 +146,15 @@ def plectoneme(edges: int) -> None:
         raise SystemExit("the plectoneme has not converged, or passed through itself")
 
 
-TABLES = {"knots": knots, "friction": friction, "plectoneme": plectoneme}
+TABLES = {"knots": knots, "plectoneme": plectoneme}
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("tables", nargs="*", metavar="TABLE", help=f"of {', '.join(TABLES)}; by default the two that take "
-                        "minutes, knots and plectoneme")
+    parser.add_argument("tables", nargs="*", choices=[*TABLES, []], help="default: both; each takes minutes")
     parser.add_argument("--edges", type=int, default=200)
     options = parser.parse_args()
-    unknown = [name for name in options.tables if name not in TABLES]
-    if unknown:
-        parser.error(f"{unknown[0]!r} is unknown: give {', '.join(TABLES)}")
-    for name in options.tables or ("knots", "plectoneme"):
+    for name in options.tables or TABLES:
         TABLES[name](options.edges)
     return 0
 

@@ -1,11 +1,10 @@
 """Stiffness from photographs: ``python tools/studies/picture_study.py [--specimens N] [--seed S] [--rough FACTOR]``.
 
 Draws cables of 300 mm that hang between two clips, ten poses each, clips at random places and in random directions, which
-nobody measures. Their shapes are Kirchhoff's rod by collocation (scipy), followed from the circular arc without weight;
-OpenCV draws them, two cameras take them, with blur, noise and an uneven background. Then the commands of docs/perception.md:
-``doo-ti perceive`` begun by a click in one camera, under a stiffness that is wrong by a factor, and ``doo-ti refine``. Prints a
-line for each specimen, and how many 95 % intervals of EI over weight contain the truth. Exit code 1 where fewer than nine
-tenths do.
+nobody measures. Their shapes are equilibria of the continuum rod of marks_study/rod.py; OpenCV draws them, two cameras take
+them, with blur, noise and an uneven background. Then the commands of docs/perception.md: ``doo-ti perceive`` begun by a click
+in one camera, under a stiffness that is wrong by a factor, and ``doo-ti refine``. Prints a line for each specimen, and how many
+95 % intervals of EI over weight contain the truth. Exit code 1 where fewer than nine tenths do.
 """
 
 import argparse
@@ -19,16 +18,16 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from scipy.integrate import solve_bvp
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-if not __package__:
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from doo_ti.cli import main as doo_ti  # noqa: E402
-from doo_ti.vision.cameras.camera import Camera  # noqa: E402
-from doo_ti.vision.cameras.rig import Rig, save_rig  # noqa: E402
+from doo_ti import Camera, Rig
+from doo_ti.cli import main as doo_ti
+from doo_ti.vision.cameras.rig import save_rig
+from tests.vision.poses import looking
+from tools.studies.marks_study.rod import equilibria
 
 LENGTH, POSES = 300.0, 10
 SIZE, FOCAL_PX, AWAY_MM = (1280, 960), 1500.0, 650.0
@@ -36,55 +35,7 @@ THICK_PX, BLUR_PX, NOISE = 4, 0.8, 3.0
 FINER = 4  # threads are drawn on finer pixels: OpenCV rounds the joints of a thick line to whole ones
 CLICK_PX = 3.0
 OUTER = 2  # vertices at either end that are left out
-STEPS = 6  # of the continuation
-
-
-# --- the true shapes ------------------------------------------------------------------------------------------------------
-
-
-def slopes(load: float, ratio: float):
-    """Of (r, the frame as a quaternion x, y, z, w, force n, moment m) along a rod of length 1, EI 1 and GJ ``ratio``."""
-    def along(s, y):
-        q = y[3:7] / np.linalg.norm(y[3:7], axis=0)
-        t = Rotation.from_quat(q.T).as_matrix()[:, :, 0].T
-        n, m = y[7:10], y[10:13]
-        twisting = (m * t).sum(axis=0) * t
-        spin = m - twisting + twisting / ratio
-        vector = 0.5 * (q[3] * spin + np.cross(spin, q[:3], axis=0))
-        return np.concatenate([t, vector, -0.5 * (spin * q[:3]).sum(axis=0)[None], 0 * n[:2], load + 0 * s[None],
-                               -np.cross(t, n, axis=0)])
-    return along
-
-
-def hanging(load: float, ratio: float, start: Rotation, span: np.ndarray, end: Rotation) -> np.ndarray | None:
-    """(6001, 3) places, in lengths of the rod, between the clips ``start`` and ``end``, whose first axes are tangents, ``span``
-    apart; None where the rod cannot be followed from the arc from ``start`` in the direction of ``span``."""
-    way = span / np.linalg.norm(span)
-    axis = np.cross(start.as_matrix()[:, 0], way)
-    half = np.arcsin(np.clip(np.linalg.norm(axis), 0, 1))
-    axis *= 2 * half / max(np.linalg.norm(axis), 1e-12)
-    s = np.linspace(0, 1, 41)
-    frames = Rotation.from_rotvec(s[:, None] * axis) * start
-    turn, arc = (end * frames[-1].inv()).as_rotvec(), way * np.sin(half) / max(half, 1e-12)
-    quaternions = frames.as_quat()
-    for k in range(1, len(s)):  # one sign along the rod
-        quaternions[k] *= np.sign(quaternions[k] @ quaternions[k - 1])
-    t = frames.as_matrix()[:, :, 0]
-    places = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (t[1:] + t[:-1]) * np.diff(s)[:, None], axis=0)])
-    state = np.concatenate([places, quaternions, np.zeros((len(s), 3)), np.tile(axis, (len(s), 1))], axis=1).T
-    first = quaternions[0]
-    for share in np.linspace(0, 1, STEPS + 1)[1:]:
-        goal, held = arc + share * (span - arc), Rotation.from_rotvec(share * turn) * frames[-1]
-
-        def ends(left, right, goal=goal, held=held):
-            off = (Rotation.from_quat(right[3:7] / np.linalg.norm(right[3:7])) * held.inv()).as_rotvec()
-            return np.concatenate([left[:7] - np.append(np.zeros(3), first), right[:3] - goal, off])
-
-        found = solve_bvp(slopes(share * load, ratio), ends, s, state, tol=1e-4 if share < 1 else 1e-6, max_nodes=2000)
-        if not found.success:
-            return None
-        s, state = found.x, found.y
-    return found.sol(np.linspace(0, 1, 6001))[:3].T
+DEGREE = 40  # of the polynomials along a true rod
 
 
 def pose(rng: np.random.Generator, load: float, ratio: float) -> np.ndarray:
@@ -96,12 +47,11 @@ def pose(rng: np.random.Generator, load: float, ratio: float) -> np.ndarray:
                  for dip in (0.5, -0.5)]
         rolls = [Rotation.from_euler("x", rng.uniform(-0.8, 0.8)) for _ in turns]
         start, end = (turn * roll for turn, roll in zip(turns, rolls, strict=True))
-        found = hanging(load, ratio, start, span, end)
-        if found is not None:
+        rods, stable = equilibria(DEGREE, ratio, np.array([[0, 0, load]]), start.as_matrix()[None], span[None],
+                                  end.as_matrix()[None], np.zeros((DEGREE + 1, 3)))
+        if stable[0]:
+            found = rods.points_at(np.linspace(0, 1, 6001))[0]
             return LENGTH * (found - 0.5 * (found.min(axis=0) + found.max(axis=0)))
-
-
-# --- the photographs ------------------------------------------------------------------------------------------------------
 
 
 def rig(rng: np.random.Generator) -> Rig:
@@ -111,10 +61,7 @@ def rig(rng: np.random.Generator) -> Rig:
     for name, azimuth in (("left", -0.5 * np.pi - 0.5 * apart), ("right", -0.5 * np.pi + 0.5 * apart)):
         tilt = rng.uniform(0.1, 0.5)
         ahead = -np.array([np.cos(azimuth) * np.cos(tilt), np.sin(azimuth) * np.cos(tilt), np.sin(tilt)])
-        right = np.cross(ahead, [0, 0, 1.0])
-        right /= np.linalg.norm(right)
-        cameras.append(Camera(name, *SIZE, matrix, np.array([-0.05, 0.02, 0, 0, 0]),
-                              np.stack([right, np.cross(ahead, right), ahead]), np.array([0, 0, AWAY_MM])))
+        cameras.append(Camera(name, *SIZE, matrix, np.array([-0.05, 0.02, 0, 0, 0]), *looking(ahead, AWAY_MM)))
     return Rig(tuple(cameras))
 
 
@@ -147,9 +94,6 @@ def photographed(folder: Path, seed: int) -> tuple[float, list[np.ndarray]]:
     return float(stiffness), rods
 
 
-# --- the commands ---------------------------------------------------------------------------------------------------------
-
-
 def answer(*words: str) -> dict:
     """What a command prints as JSON."""
     out = io.StringIO()
@@ -175,17 +119,14 @@ def main(words: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=2011)
     parser.add_argument("--rough", type=float, default=3.0, help="the true stiffness times this, or over this where "
                         "the seed is odd, is what the commands begin with")
-    parser.add_argument("--keep", type=Path, help="folder for the images and rods")
     options = parser.parse_args(words)
     print("| seed | EI/w | guessed | found | 95 % interval | inside | median mm | clear, likely | used | s |\n|" + "---|" * 10)
     rows = []
     for seed in range(options.seed, options.seed + options.specimens):
-        with tempfile.TemporaryDirectory() as own:
-            folder = Path(own) if options.keep is None else options.keep / str(seed)
-            folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory() as folder:
             begun, factor = time.monotonic(), options.rough ** (-1) ** seed
-            truth, shapes = photographed(folder, seed)
-            seen, fit, rods = learned(folder, 2 * truth * factor)
+            truth, shapes = photographed(Path(folder), seed)
+            seen, fit, rods = learned(Path(folder), 2 * truth * factor)
         value, low, high = fit["stiffness"]["EI_over_weight_mm3"]
         low, high = 0.0 if low is None else low, np.inf if high is None else high
         off = [cKDTree(shape).query(rod[OUTER:-OUTER])[0] for rod, shape in zip(rods, shapes, strict=True)]

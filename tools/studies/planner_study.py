@@ -21,32 +21,21 @@ from pathlib import Path
 
 import numpy as np
 
-if not __package__:
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from doo_ti.contact.obstacles import Capsule  # noqa: E402
-from doo_ti.contact.surroundings import Surroundings  # noqa: E402
-from doo_ti.manipulation.plan import ManipulationPath, PlanOptions, plan_manipulation  # noqa: E402
-from doo_ti.manipulation.poses import moved, put_rods, put_rows  # noqa: E402
-from doo_ti.manipulation.targets import Targets  # noqa: E402
-from doo_ti.motion.journey import Journey  # noqa: E402
-from doo_ti.motion.path import LARGEST_TURN, motion_between  # noqa: E402
-from doo_ti.prediction.predict import predict  # noqa: E402
-from doo_ti.relaxation.relax import relax  # noqa: E402
-from doo_ti.rod.types import Clamps, Configuration, Material  # noqa: E402
-from tools.studies.trials.servo import BEND, LENGTH, TAUT, tasks  # noqa: E402
+from doo_ti import Capsule, ManipulationPath, PlanOptions, Surroundings, Targets, plan_manipulation, predict, relax
+from doo_ti.manipulation.poses import moved, put_rods, put_rows
+from doo_ti.motion.journey import Journey
+from doo_ti.motion.path import LARGEST_TURN, motion_between
+from doo_ti.rod.types import Clamps, Configuration, Material
+from tools.studies.servo_tasks import BEND, LENGTH, TAUT, tasks
 
-KINDS = ("branch", "same", "poles")
 LEGS = 6
-MOVE = np.repeat([60.0, 0.7, 60.0, 0.7], 3)
-"""Standard deviations of a leg's motion, mm and rad."""
+MOVE = np.repeat([60.0, 0.7, 60.0, 0.7], 3)  # standard deviations of a leg's motion, mm and rad
 RADIUS, POLE = 1.5, 8.0
-DRAWN = {"branch": 12, "same": 12, "poles": 5}
-"""Rods that wander for each goal that is kept."""
-DIFFERENT = 0.02
-"""Of the rod's length, by which two equilibria differ at least."""
-DEEP = 2e-3
-"""Of the rod's radius, the tolerance of gaps with a margin for rods between moments."""
+DRAWN = {"branch": 12, "same": 12, "poles": 5}  # rods that wander for each goal that is kept
+DIFFERENT = 0.02  # of the rod's length, by which two equilibria differ at least
+DEEP = 2e-3  # of the rod's radius, the tolerance of gaps with a margin for rods between moments
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -133,14 +122,14 @@ def row(kind: str, count: int, seed: int, seconds: float) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("kinds", nargs="*", choices=[*KINDS, []], help="default: all")
+    parser.add_argument("kinds", nargs="*", choices=[*DRAWN, []], help="default: all")
     parser.add_argument("--goals", type=int, default=100)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--seconds", type=float, default=10.0)
     options = parser.parse_args()
     print("| goals | said to be reached, % | reached, as judged, % | seconds: median, 95 %, most | of processors |")
     print("|---" * 5 + "|")
-    for kind in options.kinds or KINDS:
+    for kind in options.kinds or DRAWN:
         print(row(kind, options.goals, options.seed, options.seconds), flush=True)
 
 

@@ -12,19 +12,18 @@ import json
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-if not __package__:
-    sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(ROOT))
 
-from doo_ti.bench import clock  # noqa: E402
-from doo_ti.system.errors import InputError, InterruptedRunError  # noqa: E402
-from doo_ti.system.files import write_text  # noqa: E402
-from tools.studies.replication.report import Outcome, Run, report  # noqa: E402
-from tools.studies.replication.settings import FULL, QUICK, TINY, Size  # noqa: E402
-from tools.studies.replication.study import ITEMS, Study  # noqa: E402
+from doo_ti import InputError, InterruptedRunError
+from doo_ti.bench import clock
+from doo_ti.system.files import write_text
+from tools.studies.replication.report import Outcome, report
+from tools.studies.replication.settings import FULL, QUICK, TINY, Size
+from tools.studies.replication.study import ITEMS, Study
 
 SIZES = {size.name: size for size in (FULL, QUICK, TINY)}
 
@@ -45,7 +44,8 @@ def measured(names: list[str], size: Size) -> Iterator[Outcome]:
 
 def main(words: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("items", nargs="*", metavar="ITEM", help=f"of {', '.join(ITEMS)} (default: all)")
+    parser.add_argument("items", nargs="*", metavar="ITEM", choices=[*ITEMS, []],
+                        help=f"of {', '.join(ITEMS)} (default: all)")
     parser.add_argument("--quick", action="store_true", help="fewer specimens and rods, 5 minutes")
     parser.add_argument("--rewrite", action="store_true", help="write the report of the last run again, with new words")
     parser.add_argument("--note", default="", help="a remark on the run, for the report")
@@ -53,23 +53,20 @@ def main(words: list[str] | None = None) -> int:
     parser.add_argument("--report", type=Path, help="file to write (default: REPLICATION.md, with --quick "
                         "runs/replication/REPLICATION.md)")
     options = parser.parse_args(words)
-    unknown = [name for name in options.items if name not in ITEMS]
-    if unknown:
-        parser.error(f"no item {unknown[0]!r}; choose from {', '.join(ITEMS)}")
     size = SIZES[options.size or ("quick" if options.quick else "full")]
     path = options.report or (ROOT if size is FULL else ROOT / "runs" / "replication") / "REPLICATION.md"
     words = [*(f'"{name}"' for name in options.items), *["--quick"] * options.quick]
     command = " ".join(["python tools/studies/reproduce.py", *words])
     kept = (path.parent if options.report else ROOT / "runs" / "replication") / f"results_{size.name}.json"
     if options.rewrite:
-        run = replace(Run.from_dict(json.loads(kept.read_text(encoding="utf-8"))), note=options.note)
+        run = json.loads(kept.read_text(encoding="utf-8"))
+        outcomes = [Outcome.from_dict(one) for one in run["outcomes"]]
     else:
-        outcomes = []
+        run, outcomes = {"command": command, "machine": clock.machine()}, []
         for outcome in measured(options.items or list(ITEMS), size):
             outcomes.append(outcome)  # kept at once: a run that is ended keeps the items that were done
-            run = Run(outcomes, command, clock.machine(), options.note)
-            write_text(kept, json.dumps(asdict(run)) + "\n")
-    outcomes, text = run.outcomes, report(run, size)
+            write_text(kept, json.dumps({**run, "outcomes": [asdict(one) for one in outcomes]}, default=bool) + "\n")
+    text = report(outcomes, run["command"], run["machine"], options.note, size)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, text)
     print(text)

@@ -18,24 +18,23 @@ from pathlib import Path
 
 import numpy as np
 
-if not __package__:
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from doo_ti.manipulation.goal import DampedSteps  # noqa: E402
-from doo_ti.manipulation.poses import held, moved  # noqa: E402
-from doo_ti.manipulation.servo import Servo  # noqa: E402
-from doo_ti.manipulation.targets import ServoOptions, Targets  # noqa: E402
-from doo_ti.perception.virtual_lab import TRACKED_NOISE  # noqa: E402
-from doo_ti.relaxation.newton import Newton  # noqa: E402
-from doo_ti.relaxation.relax import relax  # noqa: E402
-from doo_ti.relaxation.sensitivity import gripper_jacobian  # noqa: E402
-from tools.studies.trials.servo import BEND, LENGTH, Plant, Tasks, tasks  # noqa: E402
+from doo_ti import Camera, Newton, Rig, Servo, ServoOptions, Targets, gripper_jacobian, relax
+from doo_ti.manipulation.goal import DampedSteps
+from doo_ti.manipulation.poses import held, moved
+from doo_ti.perception.virtual_lab import TRACKED_NOISE, VirtualCameras
+from tests.vision.poses import looking
+from tools.studies.servo_tasks import BEND, LENGTH, Plant, Tasks, tasks
 
 PLANTS = {"own": Plant(), "far": Plant(), "finer": Plant(finer=3), "clips": Plant(clip_mm=0.7, clip_deg=2.0),
           "curved": Plant(curvature=6e-4), "all": Plant(3, 0.7, 2.0, 6e-4)}
 MARKS, NEAR = 11, 2.0
-SNAP = 0.25
-"""A rod has snapped where a step moves a vertex by more than so much of its length."""
+SNAP = 0.25  # a rod has snapped where a step moves a vertex by more than so much of its length
+VIEWS = {"front": (0.0, 1.0, -0.3), "beside": (-0.8, 0.6, -0.3), "above": (0.3, 0.3, -1.0)}
+"""Directions in which three cameras look at the middle of the rods, from FAR mm away."""
+MIDDLE, FAR = (100.0, 0.0, -60.0), 900.0
+COVERED = {"front": 1 / 3}  # share of the moments at which something hides everything from a camera
 
 
 class Broyden:
@@ -54,7 +53,7 @@ class Broyden:
         marks = np.nan_to_num(seen).reshape(len(seen), -1)
         visible = np.isfinite(seen).reshape(len(seen), -1)
         if self._step is not None:
-            missed = np.where(visible, marks - self._before - self._predicted(self._step), 0.0)
+            missed = np.where(visible, marks - self._before - (self._jacobian @ self._step[..., None])[..., 0], 0.0)
             size = np.maximum(np.sum(self._step**2, axis=1), 1.0)[:, None, None]
             self._jacobian = self._jacobian + missed[..., None] * self._step[:, None] / size
         across = np.swapaxes(self._jacobian * visible[..., None], 1, 2) / np.maximum(visible.sum(axis=1), 1)[:, None, None]
@@ -65,9 +64,6 @@ class Broyden:
         self.clamps = moved(self.clamps, self._step / self._options.scale)
         return self.clamps
 
-    def _predicted(self, step: np.ndarray) -> np.ndarray:
-        return (self._jacobian @ step[..., None])[..., 0]
-
 
 def by_marks(own: Tasks, seed: int):
     """What is seen of true rods: some marks, with noise."""
@@ -76,8 +72,12 @@ def by_marks(own: Tasks, seed: int):
 
 
 def by_cameras(own: Tasks, seed: int):
-    """What is seen of true rods: what is tracked in images of them; nothing of those that have no equilibrium."""
-    watching = own.cameras(seed)
+    """What is seen of true rods: what three cameras track with the nominal material; nothing of rods without equilibrium."""
+    matrix = np.array([[900.0, 0.0, 319.5], [0.0, 900.0, 239.5], [0.0, 0.0, 1.0]])
+    rig = Rig(tuple(Camera(name, 640, 480, matrix, np.zeros(5), *looking(np.array(view) / np.linalg.norm(view), FAR, MIDDLE))
+                    for name, view in VIEWS.items()))
+    watching = [VirtualCameras(rig, own.rods.rest_length, own.nominal.take([row]), covered=COVERED, seed=seed + row)
+                for row in range(own.count)]
 
     def see(rods, clamps):
         seen = np.full_like(own.vertices(rods), np.nan)
@@ -114,8 +114,7 @@ def row(name: str, count: int, seed: int, steps: int, cameras: bool = False) -> 
     inside = [np.mean((interval[:, 0] <= value) & (value <= interval[:, 1])) for interval, value in (
         (learned.bend_interval, true), (learned.ratio_interval, own.factors[1]))]
     width = np.median(np.log(learned.bend_interval[:, 1] / learned.bend_interval[:, 0])) / 2
-    first = own.vertices(own.real)
-    far = np.linalg.norm(first - own.goal, axis=-1).mean()
+    far = np.linalg.norm(own.vertices(own.real) - own.goal, axis=-1).mean()
     moments = distances[[steps // 3 - 1, 2 * steps // 3 - 1, -1]]
     within = [f"{share:.1f}" for share in 100 * np.mean(moments < NEAR, axis=1)]
     line = (f"| {name} | {12 if both else 6} | {far:.0f} | {np.nanmedian(distances[-1]):.2f} | {', '.join(within)} "

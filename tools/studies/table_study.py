@@ -13,29 +13,18 @@ from pathlib import Path
 
 import numpy as np
 
-if not __package__:
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from doo_ti.contact.obstacles import Plane  # noqa: E402
-from doo_ti.contact.surroundings import Surroundings  # noqa: E402
-from doo_ti.refinement.refine import RefinementOptions, refine  # noqa: E402
-from doo_ti.refinement.theta import Theta  # noqa: E402
-from doo_ti.relaxation.relax import relax  # noqa: E402
-from doo_ti.rod.frames import rotation_matrix  # noqa: E402
-from doo_ti.rod.observations import Observations  # noqa: E402
-from doo_ti.rod.start import observation_clamps  # noqa: E402
-from doo_ti.rod.straight import hanging  # noqa: E402
-from doo_ti.rod.types import Clamp, Material  # noqa: E402
-from doo_ti.system.terminal import progress  # noqa: E402
+from doo_ti import Observations, Plane, RefinementOptions, Surroundings, Theta, hanging, observation_clamps, refine, relax
+from doo_ti.rod.frames import rotation_matrix
+from doo_ti.rod.types import Clamp, Material
 
 SEED = 2011
 LENGTH, EDGES, RADIUS, NOISE = 240.0, 120, 2.0, 0.1  # mm
 CONFIGURATIONS, MARKS = 8, 25
 TABLE = Surroundings([Plane((0, 0, 0), (0, 0, 1))], RADIUS)
 GUESS = Theta(3e5 * np.eye(2), 3e5)
-NAMES = ("bend", "twist")
-OPEN = 1e3
-"""A median interval that is wider is called open."""
+OPEN = 1e3  # a median interval that is wider is called open
 
 
 def specimen(seed: int) -> tuple[Observations, dict[str, float]]:
@@ -62,48 +51,36 @@ def specimen(seed: int) -> tuple[Observations, dict[str, float]]:
                         end_frame=frames[:, -1], name=f"rope {seed}"), truth
 
 
-def fitted(observations: Observations, surroundings: Surroundings):
-    """The refinement of ``observations``, with the defaults of the command."""
-    return refine(observations, observation_clamps(observations), GUESS, RefinementOptions(surroundings=surroundings))
-
-
-def row(name: str, found: list, truths: list[dict[str, float]]) -> tuple[int, str]:
-    """How many intervals of the parameter ``name`` contain the truth, and its line of the table."""
-    parameters = [one.estimate.parameter(name) for one in found]
-    true = np.array([truth[name] for truth in truths])
-    low, high = (np.array([missing if end is None else end for end in ends]) for ends, missing in (
-        ([one.low for one in parameters], 0.0), ([one.high for one in parameters], np.inf)))
-    contained = int(((low < true) & (true < high)).sum())
-    ratio, width = np.median([one.value for one in parameters] / true), np.median(high / np.maximum(low, 1e-300))
-    wide = f"×{width:.3f}" if width < OPEN else "open"
-    return contained, f"{name} | {contained} of {len(true)} | {ratio:.4g} | {wide}"
-
-
 def main(words: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--specimens", type=int, default=40)
     parser.add_argument("--seed", type=int, default=SEED)
     options = parser.parse_args(words)
-    found, truths = {"with the table": [], "without it": []}, []
-    with progress() as bar:
-        task = bar.add_task("ropes", total=options.specimens, unit="ropes")
-        for seed in range(options.seed, options.seed + options.specimens):
-            observations, truth = specimen(seed)
-            truths.append(truth)
-            for name, around in zip(found, (TABLE, Surroundings()), strict=True):
-                found[name].append(fitted(observations, around))
-            bar.advance(task, 1)
+    around = {"with the table": TABLE, "without it": Surroundings()}
+    found, truths = {name: [] for name in around}, []
+    for seed in range(options.seed, options.seed + options.specimens):
+        observations, truth = specimen(seed)
+        truths.append(truth)
+        for name, surroundings in around.items():
+            found[name].append(refine(observations, observation_clamps(observations), GUESS,
+                                      RefinementOptions(surroundings=surroundings)))
+        print(observations.name, file=sys.stderr, flush=True)
     print(f"seeds {options.seed} to {options.seed + options.specimens - 1}\n")
     print("| fitted | parameter | intervals that contain the truth | median of estimate over truth | median of high over low |")
     print("|---|---|---|---|---|")
     contained = {}
     for name, own in found.items():
-        for parameter in NAMES:
-            contained[name, parameter], line = row(parameter, own, truths)
-            print(f"| {name} | {line} |")
+        for parameter in ("bend", "twist"):
+            fits, true = [one.estimate.parameter(parameter) for one in own], np.array([truth[parameter] for truth in truths])
+            low = np.array([0.0 if one.low is None else one.low for one in fits])
+            high = np.array([np.inf if one.high is None else one.high for one in fits])
+            contained[name, parameter] = ((low < true) & (true < high)).sum()
+            ratio, width = np.median([one.value for one in fits] / true), np.median(high / np.maximum(low, 1e-300))
+            print(f"| {name} | {parameter} | {contained[name, parameter]} of {len(true)} | {ratio:.4g} | "
+                  f"{f'×{width:.3f}' if width < OPEN else 'open'} |")
     distances = [np.median([one.mean_distance for one in own]) for own in found.values()]
     print(f"\nmedian distance of model and marks: {distances[0]:.2f} mm with the table, {distances[1]:.1f} mm without it")
-    return int(min(contained["with the table", parameter] for parameter in NAMES) < 0.9 * options.specimens)
+    return int(min(contained["with the table", parameter] for parameter in truths[0]) < 0.9 * options.specimens)
 
 
 if __name__ == "__main__":

@@ -18,13 +18,12 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-if not __package__:
-    sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(ROOT))
 
-from doo_ti.relaxation.newton import Newton  # noqa: E402
-from doo_ti.report.canvas import new_figure  # noqa: E402
-from doo_ti.system.files import write_text, write_whole  # noqa: E402
-from tests.references.rods import orders  # noqa: E402
+from doo_ti import Newton
+from doo_ti.report.canvas import new_figure
+from doo_ti.system.files import write_text, write_whole
+from tests.references.rods import orders
 
 NUMBER = re.compile(r"np\.float64\(([^)]*)\)")
 LONG = re.compile(r"\d+\.\d{4,}(?:e[-+]\d+)?")

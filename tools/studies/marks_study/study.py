@@ -7,7 +7,6 @@ README: ``sweep``, then ``refine RUN``. A line of JSON per fit goes to FOLDER/ro
     all          random nuisances, families in turn (default)
     none         no nuisance at all, small specimens, as those that follow
     only:NAME    this nuisance alone: spacing, clip, frames, chord, missing, mislabel, curvature, uneven, turns
-    without:NAME the specimens of ``all`` whose truth was outside, with this nuisance off
     leave        small specimens with random nuisances, each pose left out in turn
 """
 
@@ -15,6 +14,7 @@ import argparse
 import contextlib
 import io
 import json
+import math
 import sys
 import tempfile
 import time
@@ -23,11 +23,14 @@ from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
 
+import numpy as np
+
 from doo_ti.cli import main as doo_ti
-from tools.studies.marks_study.specimens import FAMILIES, Recipe, drawn, specimen
-from tools.studies.marks_study.table import outside, table
+from tools.studies.marks_study.specimens import FAMILIES, SOMETIMES, Recipe, drawn, specimen
 
 GRIDS = {"cable": "1e-5:1e-1:25", "suture": "1e-9:1e-5:17"}  # N m², of EI
+HEADER = ("| set | family | parameter | truth inside | not determined | open on a side | no answer | not converged "
+          "| median factor | median high/low | median s |\n|" + "---|" * 11)
 
 
 @dataclass(frozen=True)
@@ -45,9 +48,6 @@ def recipe_of(job: Job) -> Recipe:
     kind, _, name = job.group.partition(":")
     if kind == "all":
         return drawn(job.family, job.seed)
-    if kind == "without":
-        whole = drawn(job.family, job.seed).nuisances
-        return drawn(job.family, job.seed, tuple(n for n in whole if n != name))
     if kind == "leave":
         return drawn(job.family, job.seed, small=True)
     recipe = drawn(job.family, job.seed, (name,) if name else (), small=True)
@@ -126,6 +126,72 @@ def done(job: Job) -> dict:
     return row
 
 
+def deviation(found: list | None, truth: float) -> float | None:
+    """ln(estimate / truth) over the half of the interval towards the truth, times 1.96; None where there is no interval."""
+    if not found or found[0] is None:
+        return None
+    value, low, high = found
+    side = low if truth < value else high
+    return 0.0 if side is None else 1.96 * math.log(value / truth) / abs(math.log(value / side))
+
+
+def outside(row: dict) -> dict[str, float]:
+    """Parameter: how far, of those whose interval does not contain the truth."""
+    z = {name: deviation(row.get(name), row["truth"][name]) for name in ("EI", "GJ")}
+    return {name: value for name, value in z.items() if value is not None and abs(value) > 1.96}
+
+
+def line(rows: list[dict], label: str, family: str, name: str) -> str | None:
+    rows = [row for row in rows if row["truth"]["family"] == family and (name == "EI" or row["truth"]["frames_given"])]
+    if not rows:
+        return None
+    answered = [row for row in rows if row["code"] == 0]
+    z = [(row, deviation(row[name], row["truth"][name])) for row in answered]
+    some = [(row, one) for row, one in z if one is not None]
+    closed = [row for row, _ in some if None not in row[name]]
+    factor = [abs(math.log(row[name][0] / row["truth"][name])) for row in closed]
+    width = [row[name][2] / row[name][1] for row in closed]
+    inside = sum(abs(one) <= 1.96 for _, one in some)
+
+    def median(values):
+        return f"{np.median(values):.3f}" if values else "–"
+
+    cells = [label, family, name, f"{inside} of {len(some)}", len(z) - len(some), len(some) - len(closed),
+             len(rows) - len(answered), sum(not row["converged"] for row in answered),
+             median([math.exp(one) for one in factor]), median(width), median([row["seconds"] for row in answered])]
+    return f"| {' | '.join(map(str, cells))} |"
+
+
+def table(rows: list[dict]) -> str:
+    """Markdown: each set, and in ``all`` each nuisance on and off; below it what was outside, and what leaving out moved."""
+    rows = [row for row in rows if "truth" in row]
+    parts = {group: [row for row in rows if row["group"] == group] for group in sorted({row["group"] for row in rows})}
+    whole = parts.get("all", ())
+    for name in (*SOMETIMES, "frames_given", "spacings_stated"):
+        for on in (True, False):
+            parts[f"all, {name} {'on' if on else 'off'}"] = [
+                row for row in whole if on == row["truth"].get(name, name in row["truth"]["nuisances"])]
+    lines = [line(part, label, family, name) for label, part in parts.items() for family in ("cable", "suture")
+             for name in ("EI", "GJ")]
+    below = [f"{row['key']}: {', '.join(f'{name} z {z:+.2f}' for name, z in outside(row).items())}; "
+             f"{', '.join(row['truth']['nuisances'])}" for row in rows if outside(row)]
+    below += [text for row in rows for text in moved(row)]
+    return "\n".join([HEADER, *filter(None, lines), "", *below])
+
+
+def moved(row: dict) -> list[str]:
+    """Poses without which an estimate leaves its interval."""
+    lines = []
+    for part in row.get("left_out", ()):
+        for name in ("EI", "GJ"):
+            z = deviation(row.get(name), part[name][0]) if part.get(name) else None
+            if z is not None and abs(z) > 1.96:
+                mentioned = f"observation {part['pose']} " in row["text"]
+                lines.append(f"{row['key']} without pose {part['pose']}: {name} × {part[name][0] / row[name][0]:.3f}, "
+                             f"{abs(z) / 1.96:.2f} of the interval; {'' if mentioned else 'NOT '}mentioned")
+    return lines
+
+
 def main(words: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sets", nargs="*", metavar="SET", default=["all"])
@@ -141,23 +207,12 @@ def main(words: list[str] | None = None) -> int:
     there = {row["key"] for row in rows}
     seeds = range(options.seed, options.seed + options.specimens)
     jobs = [Job(group, family, seed) for seed in seeds for group in options.sets for family in options.families]
-    jobs = [job for job in jobs if job.key not in there and wanted(job, rows)]
-    with contextlib.ExitStack() as stack:
-        results = map(done, jobs)
-        if options.jobs > 1:
-            pool = stack.enter_context(ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")))
-            results = pool.map(done, jobs)
-        for row in results:
+    jobs = [job for job in jobs if job.key not in there]
+    with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
+        for row in pool.map(done, jobs):
             with file.open("a") as lines:
                 lines.write(json.dumps(row) + "\n")
             rows.append(row)
             print(row["key"], row.get("skipped") or f"code {row['code']}, {row['seconds']} s", file=sys.stderr, flush=True)
     print(table(rows))
     return 0
-
-
-def wanted(job: Job, rows: list[dict]) -> bool:
-    """A specimen without a nuisance is of interest only where it has it and was outside with it."""
-    kind, _, name = job.group.partition(":")
-    whole = {row["key"]: row for row in rows}.get(f"all {job.family} {job.seed}")
-    return kind != "without" or bool(whole and outside(whole) and name in drawn(job.family, job.seed).nuisances)

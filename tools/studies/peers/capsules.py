@@ -5,7 +5,7 @@ All rods are in one model. Lengths are ten times those of the problem: of real s
 Stretch and shear are softer than a solid section's, by as much as makes iterations converge: an edge changes by 1 % at most.
 """
 
-import resource
+import time
 
 import numpy as np
 
@@ -15,17 +15,12 @@ from tools.studies.peers.flex import DENSITY, RADIUS
 from tools.studies.peers.problem import BEND, EDGES, LENGTH, Problem
 
 SCALE = 10.0
-EDGE, THICK = SCALE * LENGTH * 1e-3 / EDGES, SCALE * RADIUS
-"""m: length and radius of an edge."""
-SOFTER = 0.03
-"""Of stretch and shear."""
-DAMPING = 0.02
-"""s: damping of bending over its stiffness."""
+EDGE, THICK = SCALE * LENGTH * 1e-3 / EDGES, SCALE * RADIUS  # m: length and radius of an edge
+SOFTER = 0.03  # of stretch and shear
+DAMPING = 0.02  # s: damping of bending over its stiffness
 ITERATIONS = 20
-STILL = 1e-4
-"""m/s: the fastest edge of a rod at rest. Rounding leaves 0.00005."""
-MOST_SECONDS = 5.0
-"""Simulated."""
+STILL = 1e-4  # m/s: the fastest edge of a rod at rest. Rounding leaves 0.00005
+MOST_SECONDS = 5.0  # simulated
 CHECKED, COMPILING = 20, 2
 
 
@@ -45,7 +40,7 @@ def settled(problem: Problem, step: float) -> tuple[np.ndarray, float, float]:
     builder.color()
     model = builder.finalize(device="cpu")
     solver = newton.solvers.SolverVBD(model, iterations=ITERATIONS)
-    states, control, time = [model.state(), model.state()], model.control(), 0.0
+    states, control, now = [model.state(), model.state()], model.control(), 0.0
 
     def stepped(count: int) -> None:
         for _ in range(count):
@@ -53,15 +48,14 @@ def settled(problem: Problem, step: float) -> tuple[np.ndarray, float, float]:
             states.reverse()
 
     stepped(COMPILING)
-    before = resource.getrusage(resource.RUSAGE_SELF)
-    while time < MOST_SECONDS:
+    began = time.process_time()
+    while now < MOST_SECONDS:
         stepped(CHECKED)
-        time += CHECKED * step
+        now += CHECKED * step
         speed = np.abs(states[0].body_qd.numpy()[:, :3]).max()
         if not speed >= STILL:
             break
-    after = resource.getrusage(resource.RUSAGE_SELF)
-    taken = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    taken = time.process_time() - began
     poses = states[0].body_q.numpy()
     return np.array([_vertices(poses[rows]) for rows in bodies]), taken / len(bodies), float(speed / np.sqrt(SCALE))
 

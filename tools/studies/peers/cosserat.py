@@ -4,7 +4,7 @@ Only EI over weight matters, so that the rod's thickness is free: steps of a thi
 stretches more.
 """
 
-import resource
+import time
 
 import numpy as np
 
@@ -12,16 +12,12 @@ from doo_ti.dynamics.parameters import GRAVITY
 from tools.studies.peers.flex import DENSITY, HELD, MOST_SECONDS, STILL
 from tools.studies.peers.problem import BEND, EDGES, LENGTH, Problem
 
-DAMPING = 50.0
-"""1/s, of all velocities: with 20 and with 100 the rods rest later."""
+DAMPING = 50.0  # 1/s, of all velocities: with 20 and with 100 the rods rest later
 STABLE = 0.5
 """The step, over the time in which a wave of stretch crosses an edge, or a wave of shear the radius; with 1 it diverges."""
-CHECKED = 200
-"""Steps between two looks at the speed."""
-LEAST_SECONDS = 0.05
-"""Simulated, before a rod may be said to rest."""
-COMPILING = 3
-"""Steps before the time is taken."""
+CHECKED = 200  # steps between two looks at the speed
+LEAST_SECONDS = 0.05  # simulated, before a rod may be said to rest
+COMPILING = 3  # steps before the time is taken
 
 
 def settled(problem: Problem, radius: float) -> tuple[np.ndarray, float, float]:
@@ -52,18 +48,17 @@ def settled(problem: Problem, radius: float) -> tuple[np.ndarray, float, float]:
         simulator.add_forcing_to(rod).using(elastica.GravityForces, acc_gravity=np.array([0.0, 0.0, -GRAVITY * 1e-3]))
         simulator.dampen(rod).using(elastica.AnalyticalLinearDamper, uniform_damping_constant=DAMPING, time_step=step)
         simulator.finalize()
-        time = np.float64(0.0)
+        now = np.float64(0.0)
         for _ in range(COMPILING):
-            time = stepper.step(simulator, time, step)
-        before = resource.getrusage(resource.RUSAGE_SELF)
-        while time < MOST_SECONDS:
+            now = stepper.step(simulator, now, step)
+        began = time.process_time()
+        while now < MOST_SECONDS:
             for _ in range(CHECKED):
-                time = stepper.step(simulator, time, step)
+                now = stepper.step(simulator, now, step)
             speed = np.abs(rod.velocity_collection).max()
-            if speed < STILL and time > LEAST_SECONDS or not np.isfinite(speed):
+            if speed < STILL and now > LEAST_SECONDS or not np.isfinite(speed):
                 break
-        after = resource.getrusage(resource.RUSAGE_SELF)
-        taken.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+        taken.append(time.process_time() - began)
         left.append(speed)
         shapes.append(1e3 * rod.position_collection.T)
     return np.array(shapes), float(np.mean(taken)), float(max(left))

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from doo_ti import Clamp, Clamps, Configuration, Material, relax
+from doo_ti.rod.frames import bishop_frames, quaternion_from_matrix
 
 LENGTH, EDGES, BEND, LIMP = 99.0, 33, 6e5, 1.5e5
 DISTANCES = (40.0, 50.0, 60.0, 70.0, 80.0, 88.0)
-FINER = 15
-"""Pieces of an edge in the mesh that stands for the continuous rod."""
+FINER = 15  # pieces of an edge in the mesh that stands for the continuous rod
 
 
 @dataclass(frozen=True)
@@ -26,10 +26,6 @@ class Problem:
     clamps: Clamps
     same_mesh: np.ndarray
     continuum: np.ndarray
-
-    @property
-    def material(self) -> Material:
-        return Material(BEND, BEND)
 
     def apart(self, vertices: np.ndarray) -> tuple[float, float]:
         """mm: mean distance of vertices (R, V, 3) from both references."""
@@ -79,7 +75,5 @@ def _frame(tangent: np.ndarray) -> np.ndarray:
 
 
 def _quaternions(tangents: np.ndarray) -> np.ndarray:
-    from doo_ti.rod.frames import bishop_frames, quaternion_from_matrix
-
     tangents = tangents / np.linalg.norm(tangents, axis=1, keepdims=True)
     return quaternion_from_matrix(bishop_frames(tangents, _frame(tangents[0])[:, 1]))

@@ -5,40 +5,27 @@ not how the two discretise the rod. MuJoCo's rod is a 1-D flex whose edges are h
 allows. Times are processor seconds per simulated second and rod: of one rod in MuJoCo, of a batch here.
 """
 
-import resource
+import time
 from collections.abc import Callable
 
 import numpy as np
 
 from doo_ti import Clamp, Clamps, Configuration, Dynamics, Grippers, Material, Stepping, simulate
-from doo_ti.dynamics.parameters import GRAVITY
+from tools.studies.peers import flex
 
 LENGTH, EDGES, BEND = 1000.0, 33, 1e8  # mm, -, mm³
-RADIUS, DENSITY = 0.005, 1000.0  # m, kg/m³: only EI over weight matters
-FRAMES = 50
-"""In the simulated second."""
+RADIUS = 0.005  # m: only EI over weight matters
+FRAMES = 50  # in the simulated second
 BATCH = 4096
-STEPS_HERE, STEPS_THERE = (1, 2, 4, 8, 64), (10, 20, 40, 80, 160, 1000)
-"""Steps between frames; the last are the references."""
-
-
-def flex(step: float) -> str:
-    """MuJoCo's model of the rod."""
-    weight = DENSITY * np.pi * RADIUS**2 * GRAVITY * 1e-3  # N/m
-    young = BEND * weight / 2e9 / (np.pi * RADIUS**4 / 4)
-    mass = DENSITY * np.pi * RADIUS**2 * LENGTH * 1e-3
-    return f"""<mujoco>
-<option timestep="{step}" integrator="discrete" gravity="0 0 {-GRAVITY * 1e-3}"><flag contact="disable"/></option>
-<worldbody><flexcomp name="rod" type="grid" count="{EDGES + 1} 1 1" spacing="{LENGTH * 1e-3 / EDGES} 1 1" dim="1"
-radius="{RADIUS}" mass="{mass}" dof="full"><edge equality="true" damping="0" solref="{2 * step} 1" solimp="0.99 0.9999 0.0001"/>
-<elasticity young="{young}" poisson="0" damping="0"/><pin id="0 1"/></flexcomp></worldbody></mujoco>"""
+STEPS_HERE, STEPS_THERE = (1, 2, 4, 8, 64), (10, 20, 40, 80, 160, 1000)  # steps between frames; the last are the references
 
 
 def there(steps: int) -> np.ndarray:
     """(FRAMES, 3) mm: the tip of MuJoCo's rod."""
     import mujoco
 
-    model = mujoco.MjModel.from_xml_string(flex(1.0 / (FRAMES * steps)))
+    text = flex.model(1.0 / (FRAMES * steps), LENGTH, EDGES, BEND, RADIUS, "0.99 0.9999 0.0001", 0, pinned='<pin id="0 1"/>')
+    model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
     tip = []
     for _ in range(FRAMES):
@@ -61,10 +48,9 @@ def seconds(run: Callable[[], np.ndarray], rounds: int = 3) -> float:
     """Processor seconds of a call, the least of some."""
     taken = []
     for _ in range(rounds):
-        before = resource.getrusage(resource.RUSAGE_SELF)
+        began = time.process_time()
         run()
-        after = resource.getrusage(resource.RUSAGE_SELF)
-        taken.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+        taken.append(time.process_time() - began)
     return min(taken)
 
 

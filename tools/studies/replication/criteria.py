@@ -13,10 +13,6 @@ class Verdict(StrEnum):
     PARTLY = "partly"
     REPRODUCED = "reproduced"
 
-    @property
-    def rank(self) -> int:
-        return list(Verdict).index(self)
-
 
 USUAL, SOME = 0.8, 0.2
 """A criterion is reproduced where it holds for at least the first share of the specimens, partly from the second on."""

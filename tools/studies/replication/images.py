@@ -4,18 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from doo_ti import Material, Rig, perceive
 from doo_ti.io.scene import Synthesis
-from doo_ti.perception.perceive import perceive
-from doo_ti.rod.types import Material
-from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.rendering.render import RenderOptions
-from tools.studies.perception_study import mapped, photographed
+from tools.studies.perception_study import CORRECT_MM, photographed, with_energy
 from tools.studies.replication.settings import Setting
 from tools.studies.replication.specimens import SUTURES, Specimen, scene
-from tools.studies.trials.perception import CORRECT_MM, filled, sets_of, with_energy
 
-PAPER_MM = {"nylon": 0.023, "silk": 0.028, "vicryl": 0.040}
-"""Mean distance of the vertices from hand-labelled ones (§V-E)."""
+PAPER_MM = {"nylon": 0.023, "silk": 0.028, "vicryl": 0.040}  # mean distance of the vertices from hand-labelled ones (§V-E)
 SMALL_ENERGY = 1e-4
 
 
@@ -44,7 +40,7 @@ def perceived(specimen: Specimen, setting: Setting, material: Material, sets: in
     rows = np.linspace(0, specimen.observations.count - 1, sets).round().astype(int)
     case, _ = photographed(specimen.recipe, rows.tolist(), look, detection=setting.detection)
     if setting.fill_gaps:
-        case = mapped(case, filled(case.detections, case.maps, case.pixels))
+        case = case.filled()
     marks = specimen.observations.vertices[rows]
     found = perceive(case.maps, assumed or case.rig, marks[:, 0], marks[:, 1] - marks[:, 0], case.rods.rest_length, material,
                      options=setting.perception)
@@ -77,13 +73,13 @@ def loops(theta: dict[str, Material], setting: Setting, most: int | None) -> tup
                        "|---" * 5 + "|"]
     for name, material in theta.items():
         recipe: Synthesis = scene(f"loops_{name}").observations
-        case, _ = photographed(recipe, None, crossing=True, detection=setting.detection)
+        case, _ = photographed(recipe, crossing=True, detection=setting.detection)
         if setting.fill_gaps:
-            case = mapped(case, filled(case.detections, case.maps, case.pixels))
+            case = case.filled()
         some = np.arange(len(case.rods.names))[:most]
         good = []
         for share in (1.0, SMALL_ENERGY):
-            found = perceive(sets_of(case.maps, some), case.rig, case.rods.point[some], case.rods.direction[some],
+            found = perceive(case.maps.take(some), case.rig, case.rods.point[some], case.rods.direction[some],
                              case.rods.rest_length, material, options=with_energy(setting.perception, share))
             off = np.linalg.norm(found.vertices - case.rods.vertices[some], axis=-1).mean(axis=1)
             good.append(off < CORRECT_MM)

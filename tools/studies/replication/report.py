@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from tools.studies.replication.criteria import CRITERIA, verdict
+from tools.studies.replication.criteria import CRITERIA, Verdict, verdict
 from tools.studies.replication.settings import SETTINGS, Size
 from tools.studies.replication.study import Found
 
@@ -18,6 +18,11 @@ class Outcome:
     seconds: float
     processor: float
 
+    @classmethod
+    def from_dict(cls, content: dict) -> "Outcome":
+        """What ``dataclasses.asdict`` made."""
+        return cls(**{**content, "found": content["found"] and Found(**content["found"])})
+
     @property
     def failures(self) -> list[str]:
         """What makes the run fail: an item that did not run, or a criterion that is worse than what the documents claim."""
@@ -27,36 +32,19 @@ class Outcome:
         for key, criterion in CRITERIA.get(self.name, {}).items():
             for setting, claimed in zip(SETTINGS, criterion.claimed, strict=True):
                 measured = verdict(self.found.held[setting.name][key])
-                if measured.rank < claimed.rank:
+                if list(Verdict).index(measured) < list(Verdict).index(claimed):
                     failed.append(f"{self.name}, {setting.name}: {criterion.text}: claimed {claimed}, found {measured}")
         return failed
 
 
-@dataclass(frozen=True)
-class Run:
-    """All items of a run, the command, the machine (:func:`doo_ti.bench.clock.machine`), and a remark."""
-
-    outcomes: list[Outcome]
-    command: str
-    machine: dict
-    note: str = ""
-
-    @classmethod
-    def from_dict(cls, content: dict) -> "Run":
-        """What ``dataclasses.asdict`` made."""
-        outcomes = [Outcome(**{**one, "found": one["found"] and Found(**one["found"])}) for one in content["outcomes"]]
-        return cls(outcomes, content["command"], content["machine"], content.get("note", ""))
-
-
-def report(run: Run, size: Size) -> str:
-    """The text of the file."""
-    outcomes, machine, command = run.outcomes, run.machine, run.command
+def report(outcomes: list[Outcome], command: str, machine: dict, note: str, size: Size) -> str:
+    """The text of the file; ``machine`` is that of :func:`doo_ti.bench.clock.machine`, ``note`` a remark on the run."""
     laboratory, reasons = _reasons()
     seconds, processor = (sum(getattr(outcome, name) for outcome in outcomes) for name in ("seconds", "processor"))
     lines = [
         "# Replication", "",
         f"Written by `{command}` ({size.name}, {seconds / 60:.0f} minutes, {processor / 60:.0f} of processor time, on "
-        f"{machine['processor']}, {machine['cores']} cores{'; ' * bool(run.note)}{run.note}). Do not edit: change the tool, "
+        f"{machine['processor']}, {machine['cores']} cores{'; ' * bool(note)}{note}). Do not edit: change the tool, "
         "and run it again.", "", laboratory, "",
         "## Verdicts", "",
         "A criterion is tested on each specimen: *reproduced* where it holds for at least 80 %, *partly* from 20 % on, else "

@@ -4,10 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.learning.experiment import SweepOptions
-from doo_ti.perception.search import PerceptionOptions
-from doo_ti.relaxation.newton import Newton
-from doo_ti.vision.detection.options import DetectionOptions
+from doo_ti import DetectionOptions, Newton, PerceptionOptions, SweepOptions
 
 NU = PerceptionOptions().nu
 AS_THE_PAPER = PerceptionOptions(
@@ -77,3 +74,9 @@ def over_specimens(values) -> tuple[float, float]:
     """Mean of (n,) values and its standard error, NaN for one."""
     values = np.asarray(values, dtype=float)
     return values.mean(), values.std(ddof=1) / np.sqrt(len(values)) if len(values) > 1 else np.nan
+
+
+def entry(values, digits: int = 2) -> str:
+    """``0.36 ± 0.02``: mean and standard error over specimens."""
+    mean, error = over_specimens(values)
+    return f"{mean:.{digits}f}" if np.isnan(error) else f"{mean:.{digits}f} ± {error:.{digits}f}"

@@ -6,18 +6,13 @@ from functools import cache
 
 import numpy as np
 
+from doo_ti import Descent, Landscape, Material, Newton, observation_clamps, relax, start_configuration
 from doo_ti.io.scene import OBJECTIVES
-from doo_ti.relaxation.descent import Descent
-from doo_ti.relaxation.newton import Newton
-from doo_ti.relaxation.relax import relax
-from doo_ti.rod.start import observation_clamps, start_configuration
-from doo_ti.rod.types import Material
-from tools.studies.replication import harder, tables
+from tools.studies.replication import tables
 from tools.studies.replication.images import Seen, loops, perceived, recovery
-from tools.studies.replication.landscape_figures import figure_1, figure_3, figure_4, figure_5
-from tools.studies.replication.landscapes import landscape, learned
-from tools.studies.replication.settings import PACKAGE, SETTINGS, Setting, Size
-from tools.studies.replication.specimens import SUTURES, scene, specimen
+from tools.studies.replication.landscapes import figure_1, figure_3, figure_4, figure_5, landscape, learned
+from tools.studies.replication.settings import PACKAGE, SETTINGS, Setting, Size, entry
+from tools.studies.replication.specimens import LABORATORIES, SUTURES, Laboratory, calibrated, forward, made, scene, specimen
 from tools.studies.replication.twist import Errors, figure_7, percent, twist_errors
 
 SAME_MM, MOST = 0.02, 0.98
@@ -31,30 +26,22 @@ class Found:
     held: dict[str, Held] = field(default_factory=dict)
     lines: list[str] = field(default_factory=list)
 
-    def __post_init__(self):
-        plain = {setting: {key: [bool(one) for one in held] for key, held in of.items()} for setting, of in self.held.items()}
-        object.__setattr__(self, "held", plain)
-
 
 class Study:
     """What is measured, at one size."""
 
     def __init__(self, size: Size, progress: Callable[[str], None] = lambda text: None):
         self.size, self.progress = size, progress
-        self.specimen, self.made, self.static, self.dynamic, self.seen, self.harder = map(
-            cache, (specimen, harder.made, self._static, self._dynamic, self._seen, self._harder))
+        self.specimen, self.made, self.landscape, self.seen, self.harder = map(
+            cache, (specimen, made, self._landscape, self._seen, self._harder))
 
-    def _static(self, name: str, number: int, setting: Setting):
-        self.progress(f"{setting.name}: Eq. 2, {name} {number}")
-        return landscape(self.specimen(name, number), setting, "static")
+    def _landscape(self, name: str, number: int, setting: Setting, objective: str) -> Landscape:
+        self.progress(f"{setting.name}: {'Eq. 2' if objective == 'static' else 'Eq. 3'}, {name} {number}")
+        return landscape(self.specimen(name, number), setting, objective)
 
-    def _dynamic(self, name: str, number: int, setting: Setting):
-        self.progress(f"{setting.name}: Eq. 3, {name} {number}")
-        return landscape(self.specimen(name, number), setting, "dynamic")
-
-    def _harder(self, name: str, number: int, laboratory: harder.Laboratory, objective: str):
-        if laboratory == harder.LABORATORIES[0].labelled:
-            return (self.static if objective == "static" else self.dynamic)(name, number, PACKAGE)
+    def _harder(self, name: str, number: int, laboratory: Laboratory, objective: str):
+        if laboratory == LABORATORIES[0].labelled:
+            return self.landscape(name, number, PACKAGE, objective)
         return landscape(self.made(name, number, laboratory), PACKAGE, objective)
 
     def _seen(self, name: str, number: int, setting: Setting) -> Seen:
@@ -63,10 +50,19 @@ class Study:
         return perceived(self.specimen(name, number), setting, theta, self.size.images[setting.name][1])
 
     def theta(self, name: str, number: int, setting: Setting, by_distance: bool) -> Material:
-        return learned(self.static(name, number, setting), by_distance)
+        return learned(self.landscape(name, number, setting, "static"), by_distance)
 
-    def all_static(self, setting: Setting) -> list[dict]:
-        return [{name: self.static(name, number, setting) for name in SUTURES} for number in range(self.size.specimens)]
+    def all_static(self, setting: Setting) -> list[dict[str, Landscape]]:
+        return [{name: self.landscape(name, number, setting, "static") for name in SUTURES}
+                for number in range(self.size.specimens)]
+
+    def both(self, name: str, count: int, setting: Setting) -> list[tuple[Landscape, Landscape]]:
+        """Those of Eq. 2 and of Eq. 3 of ``count`` specimens."""
+        return [tuple(self.landscape(name, number, setting, objective) for objective in OBJECTIVES) for number in range(count)]
+
+    def all_seen(self, setting: Setting) -> list[dict[str, Seen]]:
+        return [{name: self.seen(name, number, setting) for name in SUTURES}
+                for number in range(self.size.images[setting.name][0])]
 
     def scheme(self) -> Found:
         """Newton beside the paper's own scheme, at the learned Θ, from the same starts."""
@@ -97,9 +93,7 @@ class Study:
         return self.table(tables.PAPER_II, lambda setting: tables.table_2(self.all_static(setting)))
 
     def table_3(self) -> Found:
-        return self.table(tables.PAPER_III, lambda setting: tables.table_3(
-            [(self.static("vicryl", number, setting), self.dynamic("vicryl", number, setting))
-             for number in range(self.size.specimens)]))
+        return self.table(tables.PAPER_III, lambda setting: tables.table_3(self.both("vicryl", self.size.specimens, setting)))
 
     def figure_1(self) -> Found:
         held, lines = figure_1()
@@ -119,9 +113,7 @@ class Study:
         return self.by_setting(lambda setting: figure_4([one["vicryl"] for one in self.all_static(setting)]))
 
     def figure_5(self) -> Found:
-        return self.by_setting(lambda setting: figure_5(
-            [(self.static("ribbon", number, setting), self.dynamic("ribbon", number, setting))
-             for number in range(self.size.ribbons)]))
+        return self.by_setting(lambda setting: figure_5(self.both("ribbon", self.size.ribbons, setting)))
 
     def figure_6(self) -> Found:
         for name in SUTURES:
@@ -134,30 +126,22 @@ class Study:
         return self.by_setting(one)
 
     def perception(self) -> Found:
-        return self.by_setting(lambda setting: recovery(
-            [{name: self.seen(name, number, setting) for name in SUTURES} for number in self._with_images(setting)]))
-
-    def _with_images(self, setting: Setting) -> range:
-        """Numbers of the specimens whose images are perceived."""
-        return range(self.size.images[setting.name][0])
+        return self.by_setting(lambda setting: recovery(self.all_seen(setting)))
 
     def figure_7(self) -> Found:
-        def one(setting: Setting):
-            return figure_7([self._twist(number, setting) for number in self._with_images(setting)])
-        return self.by_setting(one)
+        return self.by_setting(lambda setting: figure_7(
+            [self._twist(number, seen, setting) for number, seen in enumerate(self.all_seen(setting))]))
 
-    def _twist(self, number: int, setting: Setting) -> Errors:
+    def _twist(self, number: int, seen: dict[str, Seen], setting: Setting) -> Errors:
         self.progress(f"{setting.name}: Eq. 4, specimens {number}")
-        return twist_errors({name: self.specimen(name, number) for name in SUTURES},
-                            {name: self.seen(name, number, setting) for name in SUTURES},
-                            {name: self.theta(name, number, setting, setting.by_distance) for name in SUTURES},
-                            self.size.trials, number)
+        theta = {name: self.theta(name, number, setting, setting.by_distance) for name in SUTURES}
+        return twist_errors({name: self.specimen(name, number) for name in SUTURES}, seen, theta, self.size.trials, number)
 
     def laboratories(self) -> Found:
         """Table III and Fig. 7 in laboratories less close to the model; Θ of Fig. 7 by end distance, as the paper takes it."""
         lines = ["| laboratory | Eq. 3 under Θ of Eq. 2, mm | gain of Θ of Eq. 3, mm | *dynamic* holds | Fig. 7, D = 1 | D = 6 "
                  "| ambiguous |", "|---" * 7 + "|"]
-        for laboratory in harder.LABORATORIES:
+        for laboratory in LABORATORIES:
             runs, errors = self._harder_table(laboratory), self._harder_twist(laboratory)
             gained, error, before = tables.gain(runs)
             lines.append(f"| {laboratory.name} | {before:.2f} | {gained:+.3f} ± {error:.3f} | {sum(runs.held['dynamic'])} of "
@@ -165,20 +149,20 @@ class Study:
                          f"| {percent([one.success(6) for one in errors])} | {percent([one.ambiguous for one in errors])} |")
         return Found({}, [*lines, "", *self._forward()])
 
-    def _harder_table(self, laboratory: harder.Laboratory) -> tables.TableRuns:
+    def _harder_table(self, laboratory: Laboratory) -> tables.TableRuns:
         pairs = []
         for number in range(self.size.harder[0]):
             self.progress(f"{laboratory.name}: vicryl {number}")
             pairs.append(tuple(self.harder("vicryl", number, laboratory.labelled, objective) for objective in OBJECTIVES))
         return tables.table_3(pairs)
 
-    def _harder_twist(self, laboratory: harder.Laboratory) -> list[Errors]:
+    def _harder_twist(self, laboratory: Laboratory) -> list[Errors]:
         found, (specimens, sets, trials) = [], self.size.harder
         for number in range(specimens):
             self.progress(f"{laboratory.name}: Fig. 7, specimens {number}")
             rods = {name: self.made(name, number, laboratory.labelled) for name in SUTURES}
             static = {name: self.harder(name, number, laboratory.labelled, "static") for name in SUTURES}
-            rig = None if laboratory.calibrated else harder.calibrated(number)
+            rig = None if laboratory.calibrated else calibrated(number)
             seen = {name: perceived(one, PACKAGE, learned(static[name], False), sets, laboratory.look, rig)
                     for name, one in rods.items()}
             theta = {name: learned(one, True) for name, one in static.items()}
@@ -193,10 +177,10 @@ class Study:
             gained = []
             for number in range(self.size.harder[0]):
                 rods = self.specimen(name, number)
-                both = self.static(name, number, PACKAGE), landscape(rods, PACKAGE, "dynamic", harder.forward(rods))
-                (_, static), (_, dynamic) = tables.scored(list(both), ("objective",)).mean
+                both = [self.landscape(name, number, PACKAGE, "static"), landscape(rods, PACKAGE, "dynamic", forward(rods))]
+                (_, static), (_, dynamic) = tables.scored(both, ("objective",)).mean
                 gained.append(static - dynamic)
-            yield f"- {name}: Θ of Eq. 3 gains {tables.entry(np.array(gained), 3)} mm"
+            yield f"- {name}: Θ of Eq. 3 gains {entry(gained, 3)} mm"
 
 
 ITEMS: dict[str, Callable[[Study], Found]] = {

@@ -1,12 +1,13 @@
 """Tables I to III (§V-B, §V-C) over several specimens, and their criteria."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from doo_ti import Landscape
 from doo_ti.learning.cross_validation import Part, Scores, chosen_cells, cross_validate, partition
-from doo_ti.learning.landscape import Landscape
-from tools.studies.replication.settings import over_specimens
+from tools.studies.replication.settings import entry, over_specimens
 
 DISTANCES = (30.0, 54.0, 78.0)
 LARGEST_MM, NEAR, STATIC_RATIO, COLUMNS_ON_DIAGONAL = 3.2, 0.07, 1.32, 6
@@ -32,8 +33,8 @@ class TableRuns:
     labels: tuple[str, ...]
 
     @classmethod
-    def of(cls, scores: list[Scores], held: list[dict[str, bool]]) -> "TableRuns":
-        labels = tuple(part.label for part in scores[0].partition.parts)
+    def of(cls, scores: list[Scores], holds: Callable[[Scores], dict[str, bool]]) -> "TableRuns":
+        held, labels = [holds(one) for one in scores], tuple(part.label for part in scores[0].partition.parts)
         return cls({name: [one[name] for one in held] for name in held[0]}, np.stack([one.mean for one in scores]), labels)
 
 
@@ -44,8 +45,7 @@ def scored(landscapes: list[Landscape], by: tuple[str, ...]) -> Scores:
 
 def table_1(specimens: list[dict[str, Landscape]]) -> TableRuns:
     """specimens: for each the static landscape of every material, nylon, silk, vicryl."""
-    scores = [scored(list(one.values()), ("material",)) for one in specimens]
-    return TableRuns.of(scores, [_table_1_holds(one) for one in scores])
+    return TableRuns.of([scored(list(one.values()), ("material",)) for one in specimens], _table_1_holds)
 
 
 def _table_1_holds(found: Scores) -> dict[str, bool]:
@@ -58,8 +58,7 @@ def _table_1_holds(found: Scores) -> dict[str, bool]:
 
 
 def table_2(specimens: list[dict[str, Landscape]]) -> TableRuns:
-    scores = [scored(list(one.values()), ("material", "end-distance")) for one in specimens]
-    return TableRuns.of(scores, [_table_2_holds(one) for one in scores])
+    return TableRuns.of([scored(list(one.values()), ("material", "end-distance")) for one in specimens], _table_2_holds)
 
 
 def _table_2_holds(found: Scores) -> dict[str, bool]:
@@ -78,11 +77,10 @@ def _trained_on_all(part: Part) -> float:
 
 def table_3(specimens: list[tuple[Landscape, Landscape]]) -> TableRuns:
     """specimens: for each the static and the dynamic landscape of one material."""
-    scores = [scored(list(one), ("objective", "end-distance")) for one in specimens]
-    return TableRuns.of(scores, [table_3_holds(one) for one in scores])
+    return TableRuns.of([scored(list(one), ("objective", "end-distance")) for one in specimens], _table_3_holds)
 
 
-def table_3_holds(found: Scores) -> dict[str, bool]:
+def _table_3_holds(found: Scores) -> dict[str, bool]:
     mean, error, count = found.mean, found.standard_error, len(found.partition.parts) // 2
     static, dynamic = mean[:count], mean[count:]
     better = dynamic[:, count:].diagonal() + error[count:, count:].diagonal() < static[:, count:].diagonal()
@@ -109,9 +107,3 @@ def beside(paper: tuple, runs: list[TableRuns]) -> list[str]:
                    for column in range(len(labels))]
         lines.append(f"| {label} | " + " | ".join(entries) + " |")
     return lines
-
-
-def entry(values, digits: int = 2) -> str:
-    """``0.36 ± 0.02``: mean and standard error over specimens."""
-    mean, error = over_specimens(values)
-    return f"{mean:.{digits}f}" if np.isnan(error) else f"{mean:.{digits}f} ± {error:.{digits}f}"

@@ -7,31 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from doo_ti import Clamp, Clamps, Configuration, Material, Newton, Simulation, hanging, relax
 from doo_ti.manipulation.poses import held, moved
-from doo_ti.manipulation.simulation import Simulation
-from doo_ti.perception.virtual_lab import VirtualCameras
-from doo_ti.relaxation.newton import Newton
-from doo_ti.relaxation.relax import relax
-from doo_ti.rod.material import Material
-from doo_ti.rod.straight import hanging
-from doo_ti.rod.types import Clamp, Clamps, Configuration
-from doo_ti.vision.cameras.camera import Camera
-from doo_ti.vision.cameras.rig import Rig
-from tests.vision.poses import looking
 
 LENGTH, EDGES, BEND = 330.0, 33, 6e5
-SPREAD = 0.4
-"""Standard deviation of ln of the factors on B and on β/B."""
-SPARE = 3
-"""Tasks that are drawn for each that is kept: those whose rods cannot be held, or are taut, are not."""
+SPREAD = 0.4  # standard deviation of ln of the factors on B and on β/B
+SPARE = 3  # tasks that are drawn for each that is kept: those whose rods cannot be held, or are taut, are not
 TAUT = 0.97
-NOISE = 0.3
-"""mm, of a mark's coordinate."""
-VIEWS = {"front": (0.0, 1.0, -0.3), "beside": (-0.8, 0.6, -0.3), "above": (0.3, 0.3, -1.0)}
-"""Directions in which three cameras look at the middle of the rods, from FAR mm away."""
-MIDDLE, FAR = (100.0, 0.0, -60.0), 900.0
-COVERED = {"front": 1 / 3}
-"""Share of the moments at which something hides everything from a camera."""
+NOISE = 0.3  # mm, of a mark's coordinate
 
 
 @dataclass(frozen=True)
@@ -95,19 +78,9 @@ class Tasks:
         seen[:, rows] = vertices[:, rows] + NOISE * random.normal(size=seen[:, rows].shape)
         return seen
 
-    def cameras(self, seed: int) -> list[VirtualCameras]:
-        """Three for each rod, which seek it with the nominal material."""
-        matrix = np.array([[900.0, 0.0, 319.5], [0.0, 900.0, 239.5], [0.0, 0.0, 1.0]])
-        forward = {name: np.array(view) / np.linalg.norm(view) for name, view in VIEWS.items()}
-        rig = Rig(tuple(Camera(name, 640, 480, matrix, np.zeros(5), *looking(view, FAR, MIDDLE))
-                        for name, view in forward.items()))
-        return [VirtualCameras(rig, self.rods.rest_length, self.nominal.take([row]), covered=COVERED, seed=seed + row)
-                for row in range(self.count)]
-
     def take(self, rows: np.ndarray) -> "Tasks":
         """Those named by ``rows``."""
-        rods = {name: getattr(self, name).take(rows) for name in (
-            "rods", "clamps", "nominal", "goal_clamps", "real", "true")}
+        rods = {name: getattr(self, name).take(rows) for name in ("rods", "clamps", "nominal", "goal_clamps", "real", "true")}
         return replace(self, goal=self.goal[rows], factors=self.factors[:, rows], clip=self.clip[rows], **rods)
 
 

@@ -1,1 +1,0 @@
-"""Trials of the studies on known rods: images to rods, motions, twist."""
