@@ -26,6 +26,17 @@ def test_every_tool_that_documents_name_exists():
             assert (ROOT / name).is_file(), f"{document.name} names {name}"
 
 
+def test_every_module_that_documents_name_exists_and_has_what_is_named_beside_it():
+    modules = {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8")
+               for room in ("doo_ti", "tests", "tools") for path in (ROOT / room).rglob("*.py")}
+    for document in DOCUMENTS:
+        for name, beside in re.findall(r"`([\w/]+\.py)`(?: `(\w+)`)?", document.read_text(encoding="utf-8")):
+            found = [text for path, text in modules.items() if path.endswith(f"/{name}") or path == name]
+            assert found or "NN" in name, f"{document.name} names {name}"
+            there = any(re.search(rf"\b{beside}\b", text) for text in found)
+            assert there or not beside, f"{document.name}: {beside} in {name}"
+
+
 def test_every_page_with_a_picture_has_a_command():
     for page in (ROOT / "docs").rglob("*.md"):
         text = page.read_text(encoding="utf-8")
