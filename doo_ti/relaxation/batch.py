@@ -115,19 +115,19 @@ def _launch_kernel(table: Tables, isotropic: bool, any_ends: bool, rods, policy:
     layout = layout_for(len(rods), bits, contact is not None and contact.itself)
     external = Nothing() if table.external is None and any_ends else table.external
     kind = None if external is None else type(external)
-    outer = () if external is None else (external.numbers(), external.field())
+    more = () if external is None else (external.numbers(), external.field())
     if contact is None:
         given = SimpleNamespace(rest_length=table.rest_length)
         launch = laid_out(layout, lambda *layout: newton.newton_kernel(*layout, isotropic, kind, any_ends), given)
     else:
-        outer += contact.arguments(contact.forces, options.gap_tolerance)
+        more += contact.arguments(contact.forces, options.gap_tolerance)
         given = SimpleNamespace(rest_length=table.rest_length, kinds=contact.kinds)
         launch = laid_out(layout, lambda *layout: newton.contact_kernel(
             *layout, isotropic, kind, contact.known, contact.itself), given)
     kernel, threads, scratch, queue = launch
     kernel(
         table.start.reshape(-1), table.rest_length, table.clamp, table.material, rods, policy, threads, scratch, queue,
-        frames.reshape(-1), results, *outer)
+        frames.reshape(-1), results, *more)
 
 
 def policy_row(up: np.ndarray, options: newton.Newton, bits: int, moving: bool = True) -> np.ndarray:
