@@ -2,7 +2,7 @@
 
     E = E_Θ + Σ_p ½ (y_p − target_p)·K_p (y_p − target_p),   y_p = Σ_i S_pi x_i
 
-The points y_p are vertices, or lie along edges; K_p is a number k or a symmetric matrix (a camera sees two directions only).
+The points y_p are vertices; K_p is a number k or a symmetric matrix (a camera sees two directions only).
 Unknowns are (dx_0, w_0, …, w_{E−1}): the translation of the first vertex in mm and the body rotations of all frames in rad,
 x_i = x_0 + Σ_{j<i} l_j t_j. What the clamps hold is left out of them, and a held far end adds Σ l_j t_j = d.
 """
@@ -22,10 +22,8 @@ LEAP = 0.05  # rad, the first try off a saddle
 
 @dataclass(frozen=True)
 class Springs:
-    """P springs on a rod of V vertices.
-
-    points (P, V): rows S_p, each of sum 1; stiffness (P, 3, 3): K_p, symmetric, weight/mm; target (P, 3), mm.
-    """
+    """P springs on a rod of V vertices: ``points`` (P, V), rows S_p, each of sum 1; ``stiffness`` (P, 3, 3) K_p, symmetric,
+    weight/mm; ``target`` (P, 3), mm."""
 
     points: np.ndarray
     stiffness: np.ndarray
@@ -34,24 +32,9 @@ class Springs:
     @classmethod
     def at_vertices(cls, stiffness, target) -> "Springs":
         """One spring on each of V vertices; stiffness (V,) or (V, 3, 3), zero where there is none; target (V, 3)."""
-        return cls(np.eye(len(target)), _matrices(stiffness), np.asarray(target, dtype=np.float64))
-
-    @classmethod
-    def along_edges(cls, stiffness, share, target) -> "Springs":
-        """Springs on (1−s) x_e + s x_{e+1}; stiffness (E, S) or (E, S, 3, 3), share s (E, S), target (E, S, 3)."""
-        share, target = np.asarray(share, dtype=np.float64), np.asarray(target, dtype=np.float64)
-        edges, samples = share.shape
-        points = np.zeros((edges, samples, edges + 1))
-        for e in range(edges):
-            points[e, :, e], points[e, :, e + 1] = 1.0 - share[e], share[e]
         stiffness = np.asarray(stiffness, dtype=np.float64)
-        flat = stiffness.reshape(edges * samples, *stiffness.shape[2:])
-        return cls(points.reshape(-1, edges + 1), _matrices(flat), target.reshape(-1, 3))
-
-    def __add__(self, other: "Springs") -> "Springs":
-        """Both sets on one rod."""
-        names = ("points", "stiffness", "target")
-        return Springs(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in names))
+        matrices = stiffness[:, None, None] * np.eye(3) if stiffness.ndim == 1 else stiffness
+        return cls(np.eye(len(target)), matrices, np.asarray(target, dtype=np.float64))
 
     def stretch(self, vertices: np.ndarray) -> np.ndarray:
         """(P, 3) y_p − target_p, mm."""
@@ -67,13 +50,8 @@ class Springs:
         return self.points.T @ np.einsum("pab,pb->pa", self.stiffness, self.stretch(vertices))
 
     def vertex_curvature(self) -> np.ndarray:
-        """(V, 3, V, 3) ∂²/∂x_i∂x_j: block-diagonal for springs at vertices, tridiagonal for those along edges."""
+        """(V, 3, V, 3) ∂²/∂x_i∂x_j."""
         return np.einsum("pi,pab,pj->iajb", self.points, self.stiffness, self.points)
-
-
-def _matrices(stiffness) -> np.ndarray:
-    stiffness = np.asarray(stiffness, dtype=np.float64)
-    return stiffness[:, None, None] * np.eye(3) if stiffness.ndim == 1 else stiffness
 
 
 @dataclass(frozen=True)
