@@ -168,7 +168,6 @@ ARGUMENTS = {
     "threads": ti.i32,
     "chosen": INDEX1,  # [rod] out: a try, or NONE
 }
-"""What the kernel is given, in this order."""
 
 
 @cache

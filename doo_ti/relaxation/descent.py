@@ -231,7 +231,6 @@ ARGUMENTS = {
     "material_axes": TABLE3,  # [rod, edge, 3] out: m1
     "results": TABLE2,  # [rod, RESULTS] out
 }
-"""What the kernel is given, in this order."""
 
 
 @cache

@@ -225,7 +225,6 @@ ARGUMENTS = {
     "edges": ti.i32, "threads": ti.i32, "scratch": SCRATCH,
     "flags": INDEX1,  # [place] out, APART, TOUCHING or TURNED
 }
-"""What the kernel is given, in this order."""
 
 
 @cache
