@@ -9,8 +9,8 @@ import numpy as np
 
 from doo_ti.dynamics.parameters import RATES, Dynamics, vertex_lengths
 from doo_ti.dynamics.trajectory import Detail
-from doo_ti.relaxation.time_layout import DRAG, DRAG_BY_SPEED, FORCE, INERTIA, LOAD, SPRING, SPRING_POINT
 from doo_ti.relaxation.time_steps import Memory, curvatures
+from doo_ti.relaxation.time_sweep import DRAG, DRAG_BY_SPEED, FORCE, INERTIA, LOAD, SPRING, SPRING_POINT
 from doo_ti.rod.frames import quaternion_of_turn, quaternion_product, rotation_vector, tangent_from_quaternion
 from doo_ti.rod.types import Material, Status
 

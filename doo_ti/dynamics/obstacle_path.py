@@ -11,7 +11,7 @@ from doo_ti.contact.obstacles import BOX, GRID, PLANE, Obstacle
 from doo_ti.contact.surroundings import SHALLOW, Surroundings
 from doo_ti.dynamics.grippers import cubic, turning
 from doo_ti.dynamics.parameters import Stepping
-from doo_ti.relaxation.obstacle_motion import POSE_COLUMNS, POSE_SHIFT
+from doo_ti.relaxation.time_loading import POSE_COLUMNS, POSE_SHIFT
 from doo_ti.rod.frames import quaternion_from_matrix
 from doo_ti.rod.types import Configuration
 from doo_ti.system.errors import InputError

@@ -19,13 +19,11 @@ from doo_ti.dynamics.parameters import RATES, Direction, Dynamics, MovingStart, 
 from doo_ti.dynamics.self_contact import kept_apart
 from doo_ti.dynamics.step_terms import add_loads, damping_shares, stiffened, vertex_numbers
 from doo_ti.dynamics.trajectory import Trajectory, joined
-from doo_ti.relaxation.checked_input import paired_rows
 from doo_ti.relaxation.external import Springs
-from doo_ti.relaxation.input_tables import tables, under
+from doo_ti.relaxation.input_tables import paired_rows, tables, under
 from doo_ti.relaxation.newton import MOST_IN_CONTACT, Newton
 from doo_ti.relaxation.point_loads import PointLoads, check_rows
 from doo_ti.relaxation.tables import Tables, whole_start
-from doo_ti.relaxation.time_layout import INERTIA, LOAD, PLACE_2, VELOCITY_1
 from doo_ti.relaxation.time_loop import (
     END_FORCE,
     FRICTION_WORK,
@@ -35,7 +33,8 @@ from doo_ti.relaxation.time_loop import (
     TRIPS,
 )
 from doo_ti.relaxation.time_slopes import NUMBERS, REMEMBERED
-from doo_ti.relaxation.time_steps import Memory, Slopes, make_steps, slope_memory
+from doo_ti.relaxation.time_steps import Memory, Slopes, Steps, make_steps, slope_memory
+from doo_ti.relaxation.time_sweep import INERTIA, LOAD, PLACE_2, VELOCITY_1
 from doo_ti.rod.frames import (
     quaternion_product,
     smallest_rotation,
@@ -158,7 +157,7 @@ class _Motion:
         still = self.surroundings.at(0)
         obstacles = still.obstacles if self.touching else still.bodies
         material = stiffened(self.material, self.dynamics, factor / self.step)
-        table = tables(self.start, material, self.first, self.up, *self.pairs, external, None, obstacles,
+        table = tables(self.start, material, self.first, self.up, self.pairs, external, None, obstacles,
                        self.surroundings.radius, in_motion=True)
         # Damping gives joints a rest shape of their own, which the kernel of isotropic rods does not know.
         undamped = (damping_shares(self.dynamics, material.count, factor / self.step) == 0).all(axis=1)
@@ -229,7 +228,7 @@ class _Motion:
             time = np.array([trial_step, 1.0, 0.0, 1.0, 0.0])
             poses = None if self.poses is None else np.ascontiguousarray(self.poses[:, [0, ahead]])
             newton = _newton(self.stepping, bool(self.surroundings))
-            make_steps(table, trial, path, numbers, shares, time, 1, newton, 64, slopes, poses)
+            make_steps(table, trial, Steps(path, time, 1, poses), numbers, shares, newton, 64, slopes)
             moved = trial.places[..., VELOCITY_1 : VELOCITY_1 + 3]
             a = np.where((trial.status == Status.CONVERGED)[:, None, None], (moved - v) / trial_step, 0.0)
             v = v + age * a
@@ -265,7 +264,7 @@ class _Motion:
             path = clamp_path(self.grippers, self.start, slice(first, last))
             newton = _newton(self.stepping, bool(self.surroundings))
             poses = None if self.poses is None else np.ascontiguousarray(self.poses[:, first : last + 1])
-            return make_steps(table, memory, path, numbers, shares, time, every, newton, bits, slopes, poses)
+            return make_steps(table, memory, Steps(path, time, every, poses), numbers, shares, newton, bits, slopes)
 
         account = None
         if self.stepping.detailed:

@@ -7,7 +7,7 @@ import numpy as np
 
 from doo_ti.dynamics.parameters import GRAVITY, Dynamics, vertex_lengths
 from doo_ti.relaxation.point_loads import PointLoads
-from doo_ti.relaxation.time_layout import (
+from doo_ti.relaxation.time_sweep import (
     DRAG,
     DRAG_BY_SPEED,
     FORCE,

@@ -19,11 +19,10 @@ from doo_ti.groups.layout import (
 from doo_ti.groups.ties import Ties
 from doo_ti.physics.algebra import absolute, largest_of
 from doo_ti.physics.tuples import add, choose, dot, extended, identity, minus, picked, plus, scaled, variable
-from doo_ti.physics.view import NUMBERS, exact, read, write
+from doo_ti.physics.view import NUMBERS, in_f64, read, write
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contact_layout import FINE, contact_items
+from doo_ti.relaxation.contact_layout import FINE, contact_items, pair_items
 from doo_ti.relaxation.loading import stiffness_scale
-from doo_ti.relaxation.pair_layout import pair_items
 from doo_ti.relaxation.self_contacts import SelfContacts
 
 
@@ -136,7 +135,7 @@ class GroupContacts(Ties, SelfContacts):
     def hang(self, rod):
         """Add the weight of all vertices and their springs to the energy, the gradient and the second derivatives."""
         for v in range(rod.edges + 1):
-            at, place = self.group_vertex(rod, v), self.place(rod, v)
+            at, place = self.group_vertex(rod, v), self.vertex(rod, v).place
             weight = scaled(rod.gravity, at.weight)
             height, stiffness = dot(weight, minus(place, rod.anchor)), at.spring
             stretch = minus(place, at.spring_point)
@@ -235,12 +234,12 @@ class GroupContacts(Ties, SelfContacts):
         SelfContacts.unload_forces(self, tables, slot, place, force_unit)
         self.unload_touch(tables, slot, place)
         one = self.of_lane(tables, slot)
-        unit = exact(self.group(one).unit)
+        unit = in_f64(self.group(one).unit)
         tables.works[place] = one.contacts.work * force_unit * unit
         for g in range(one.rods):
-            write(tables.places, place, g, 0, values=scaled(exact(self.member(one, g).begin), unit))
+            write(tables.places, place, g, 0, values=scaled(in_f64(self.member(one, g).begin), unit))
         for t in range(tables.ties.shape[0]):
             tie = self.tie(one, t)
             for k in ti.static(range(3)):
-                tables.tie_forces[place, t, k] = exact(tie.force.now[k]) * force_unit
-                tables.tie_forces[place, t, 3 + k] = exact(tie.moment.now[k]) * force_unit * unit
+                tables.tie_forces[place, t, k] = in_f64(tie.force.now[k]) * force_unit
+                tables.tie_forces[place, t, 3 + k] = in_f64(tie.moment.now[k]) * force_unit * unit

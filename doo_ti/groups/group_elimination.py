@@ -45,7 +45,7 @@ class GroupElimination(Border, Welds, DenseElimination, LoadedElimination):
     @ti.func
     def rest(self, edge):
         """u̅ of the left frame and of the right one, and m̅."""
-        own = edge.outer
+        own = edge.external
         return (plus(edge.rest, own.left), plus(edge.rest, own.right), own.twist)
 
     @ti.func
@@ -125,7 +125,7 @@ class GroupElimination(Border, Welds, DenseElimination, LoadedElimination):
     @ti.func
     def find_tips(self, rod):
         """Where all rods end."""
-        x = variable(plus(rod.anchor, self.drift(rod)))
+        x = variable(plus(rod.anchor, rod.head.drift))
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)
             following = rod.begins[e]

@@ -16,8 +16,7 @@ from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.batch import UNTOUCHED, laid_out, layout_for, policy_row
 from doo_ti.relaxation.contact_table import ContactTable
 from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, TABLE1, TABLE3, loop_kernel
-from doo_ti.relaxation.newton import NEWTON, OBSTACLES, OUTER, Newton
-from doo_ti.relaxation.newton_loop import NewtonLoop
+from doo_ti.relaxation.newton import EXTERNAL, NEWTON, OBSTACLES, Newton, NewtonLoop
 from doo_ti.relaxation.newton_policy import LARGE_TRACE
 from doo_ti.rod.types import Status
 from doo_ti.system import runtime
@@ -93,7 +92,7 @@ def group_kernel(number: Number, stride: int, block: int, obstacles: frozenset[i
     sweep = GroupElimination(number, stride, GroupContacts(number, obstacles, rub=True))
     loop = NewtonLoop(sweep, sweep.functions)
     loop.trace = LARGE_TRACE
-    given = NEWTON | OUTER | OBSTACLES | GROUPS
+    given = NEWTON | EXTERNAL | OBSTACLES | GROUPS
     return loop_kernel("newton_of_groups", number, given, loop.work, block, brief=True), sweep.items
 
 

@@ -10,12 +10,21 @@ from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupTables
 from doo_ti.groups.joint_rest import JOINT_ITEMS
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.checked_input import check_material, check_shapes, clamp_kinds, rest_lengths
+from doo_ti.relaxation.bows import projectable
 from doo_ti.relaxation.clamp_table import INFEASIBLE, STRAIGHT, clamp_table
+from doo_ti.relaxation.contact_layout import DEEPEST_STEP
 from doo_ti.relaxation.contact_table import contact_table, require_margin
-from doo_ti.relaxation.input_tables import bending_range, evened_materials, material_table, projectable, put_extremes
+from doo_ti.relaxation.input_tables import (
+    bending_range,
+    check_material,
+    check_shapes,
+    clamp_kinds,
+    evened_materials,
+    material_table,
+    put_extremes,
+    rest_lengths,
+)
 from doo_ti.relaxation.loading import REFERENCE_LENGTH
-from doo_ti.relaxation.pair_layout import DEEPEST_STEP
 from doo_ti.rod.frames import quaternion_product, vertices_from_quaternions
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
 from doo_ti.system.errors import InputError

@@ -17,7 +17,7 @@ from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupTables
 from doo_ti.groups.joint_rest import JOINT_ITEMS, TWIST
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.time_layout import DRAG, DRAG_BY_SPEED, INERTIA, LOAD
+from doo_ti.relaxation.time_sweep import DRAG, DRAG_BY_SPEED, INERTIA, LOAD
 from doo_ti.rod.types import Configuration
 from doo_ti.system.errors import InputError
 

@@ -6,7 +6,7 @@ that an edge has: it has no length, and instead of a rotation its unknowns are t
 
 from doo_ti.physics.tuples import picked
 from doo_ti.physics.view import Layout
-from doo_ti.relaxation.pair_layout import matrix_items
+from doo_ti.relaxation.contact_layout import matrix_items
 
 # Of a group: κ of its ties and ε of the border; by how much the energy would be higher if the forces of ties had not changed,
 # now and before the step; one where the next step changes them; their bound; and the unit of length.

@@ -66,8 +66,8 @@ class Ties:
         """How far a tie misses."""
         place, second = variable(self.tie(rod, k).target), rod.ties[k, 1]
         if second >= 0:
-            place = self.place(rod, second)
-        return minus(self.place(rod, rod.ties[k, 0]), place)
+            place = self.vertex(rod, second).place
+        return minus(self.vertex(rod, rod.ties[k, 0]).place, place)
 
     @ti.func
     def bind(self, rod):

@@ -68,36 +68,17 @@ def isotropic_hessian(x, y, inverse, turn, m, stiffness):
     hn = 0.5 * n
     xrr, xri, xii = x[0] * x[0], x[0] * x[1], x[1] * x[1]
     yrr, yri, yii = y[0] * y[0], y[0] * y[1], y[1] * y[1]
-    left = (
-        b2,
-        b2 * x[1],
-        0.0 - b2 * x[0],
-        h * xrr + t * xri + k * xii + hn,
-        (h - k) * xri - ht * (xrr - xii),
-        h * xii - t * xri + k * xrr + hn,
-    )
-    right = (
-        b2,
-        0.0 - b2 * y[1],
-        b2 * y[0],
-        h * yrr - t * yri + k * yii + hn,
-        (h - k) * yri + ht * (yrr - yii),
-        h * yii + t * yri + k * yrr + hn,
-    )
+    left = (b2, b2 * x[1], 0.0 - b2 * x[0],
+            h * xrr + t * xri + k * xii + hn, (h - k) * xri - ht * (xrr - xii), h * xii - t * xri + k * xrr + hn)
+    right = (b2, 0.0 - b2 * y[1], b2 * y[0],
+             h * yrr - t * yri + k * yii + hn, (h - k) * yri + ht * (yrr - yii), h * yii + t * yri + k * yrr + hn)
     p = hn * turn[0] + ht * turn[1]
     v = hn * turn[1] - ht * turn[0]
     rr, ri, ir, ii = x[0] * y[0], x[0] * y[1], x[1] * y[0], x[1] * y[1]
     across = (
-        0.0 - b2,
-        b2 * y[1],
-        0.0 - b2 * y[0],
-        0.0 - b2 * x[1],
-        ht * (ri - ir) + k * ii - h * rr - p,
-        v - h * ri - ht * (rr + ii) - k * ir,
-        b2 * x[0],
-        ht * (rr + ii) - h * ir - k * ri - v,
-        k * rr - h * ii - ht * (ir - ri) - p,
-    )
+        0.0 - b2, b2 * y[1], 0.0 - b2 * y[0],
+        0.0 - b2 * x[1], ht * (ri - ir) + k * ii - h * rr - p, v - h * ri - ht * (rr + ii) - k * ir,
+        b2 * x[0], ht * (rr + ii) - h * ir - k * ri - v, k * rr - h * ii - ht * (ir - ri) - p)
     return left, right, across
 
 
@@ -183,20 +164,10 @@ def first_variation(x, y, inverse, turn):
     xx = _times(x, x)
     yy = _times(y, y)
     c = (turn[0] * inverse, turn[1] * inverse)
-    of_x = (
-        (x[1], 0.0 - x[0]),
-        (0.0 - 0.5 - 0.5 * xx[0], 0.0 - 0.5 * xx[1]),
-        (0.0 - 0.5 * xx[1], 0.5 * xx[0] - 0.5),
-        (0.5 * c[0], 0.5 * c[1]),
-        (0.0 - 0.5 * c[1], 0.5 * c[0]),
-    )
-    of_y = (
-        (0.0 - 0.5 * c[0], 0.5 * c[1]),
-        (0.0 - 0.5 * c[1], 0.0 - 0.5 * c[0]),
-        (y[1], 0.0 - y[0]),
-        (0.5 + 0.5 * yy[0], 0.5 * yy[1]),
-        (0.5 * yy[1], 0.5 - 0.5 * yy[0]),
-    )
+    of_x = ((x[1], 0.0 - x[0]), (0.0 - 0.5 - 0.5 * xx[0], 0.0 - 0.5 * xx[1]), (0.0 - 0.5 * xx[1], 0.5 * xx[0] - 0.5),
+            (0.5 * c[0], 0.5 * c[1]), (0.0 - 0.5 * c[1], 0.5 * c[0]))
+    of_y = ((0.0 - 0.5 * c[0], 0.5 * c[1]), (0.0 - 0.5 * c[1], 0.0 - 0.5 * c[0]),
+            (y[1], 0.0 - y[0]), (0.5 + 0.5 * yy[0], 0.5 * yy[1]), (0.5 * yy[1], 0.5 - 0.5 * yy[0]))
     return of_x, of_y, xx, yy, c
 
 
@@ -219,16 +190,10 @@ def _combined(columns, weights, part: int):
 def gradient_of_moments(mu, nu, t, x, y, inverse, turn):
     """(g_left, g_right), linear in the moments μ and ν of the left and right frame and in M."""
     dx, dy, xx, yy, c = first_variation(x, y, inverse, turn)
-    left = (
-        _inner(mu, dx[0]) - t,
-        _inner(mu, dx[1]) + _inner(nu, dy[0]) - t * x[1],
-        _inner(mu, dx[2]) + _inner(nu, dy[1]) + t * x[0],
-    )
-    right = (
-        _inner(nu, dy[2]) + t,
-        _inner(mu, dx[3]) + _inner(nu, dy[3]) - t * y[1],
-        _inner(mu, dx[4]) + _inner(nu, dy[4]) + t * y[0],
-    )
+    left = (_inner(mu, dx[0]) - t, _inner(mu, dx[1]) + _inner(nu, dy[0]) - t * x[1],
+            _inner(mu, dx[2]) + _inner(nu, dy[1]) + t * x[0])
+    right = (_inner(nu, dy[2]) + t, _inner(mu, dx[3]) + _inner(nu, dy[3]) - t * y[1],
+             _inner(mu, dx[4]) + _inner(nu, dy[4]) + t * y[0])
     return left, right
 
 
@@ -298,3 +263,58 @@ def general_hessian(x, y, inverse, turn, m, stiffness):
         - 0.5 * (_inner(mu, cx) + _inner(nu, cy)) - h * c[1],
     )
     return left, right, across
+
+
+@ti.data_oriented
+class PairEnergy:
+    """The variant for the material of a chain's rods: ``isotropic``, or general. Its functions take views of edges in scratch
+    (:mod:`doo_ti.relaxation.chain`), and the stiffness as ``s``."""
+
+    isotropic: bool
+
+    @ti.func
+    def stiffness(self, left, right, material):
+        """The stiffness tuple of the vertex between two neighbouring edges."""
+        inverse = right.inverse_length
+        if ti.static(self.isotropic):
+            return (material[0] * inverse, material[1] * inverse)
+        else:
+            return (left.bend, right.bend, inverse, right.twist * inverse) + self.rest(right)
+
+    @ti.func
+    def rest(self, edge):
+        """What stiffness ends with, of the vertex where an edge begins: u̅, the same for both frames."""
+        return (edge.rest,)
+
+    @ti.func
+    def bent(self, b):
+        """(X, Y, 1/s, m, e^{im}) of the numbers ``bent`` of an edge."""
+        return ((b[0], b[1]), (b[2], b[3]), b[4], b[5], (b[6], b[7]))
+
+    @ti.func
+    def energy_of(self, bent, s):
+        if ti.static(self.isotropic):
+            return isotropic_energy(bent[0], bent[3], s)
+        else:
+            return general_energy(bent[0], bent[1], bent[3], s)
+
+    @ti.func
+    def gradient_of(self, bent, s):
+        x, y, inverse, m, turn = bent
+        if ti.static(self.isotropic):
+            return isotropic_gradient(x, y, inverse, m, s)
+        else:
+            return general_gradient(x, y, inverse, turn, m, s)
+
+    @ti.func
+    def derivatives(self, bent, s):
+        """(g_left, g_right, H_left, H_right, H_across) of a pair."""
+        x, y, inverse, m, turn = bent
+        if ti.static(self.isotropic):
+            return self.gradient_of(bent, s) + isotropic_hessian(x, y, inverse, turn, m, s)
+        else:
+            return self.gradient_of(bent, s) + general_hessian(x, y, inverse, turn, m, s)
+
+    @ti.func
+    def keep_pair(self, rod, joint, derivatives):
+        """Called with the :meth:`derivatives` of each pair during elimination; here it keeps nothing."""

@@ -165,6 +165,6 @@ def write(array, *place, values) -> None:
 
 
 @traced
-def exact(values):
+def in_f64(values):
     """A number, or several, in f64."""
     return tuple(ti.cast(value, ti.f64) for value in values) if isinstance(values, tuple) else ti.cast(values, ti.f64)

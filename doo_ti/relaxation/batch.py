@@ -78,13 +78,6 @@ def relax_touching(table: Tables, options: newton.Newton, frames, results, rows)
     return replace(table, contact=replace(table.contact, itself=False))
 
 
-def _untouched(count: int) -> np.ndarray:
-    """(R, RESULTS), UNTOUCHED everywhere."""
-    results = np.empty((count, of.RESULTS))
-    results[:] = UNTOUCHED
-    return results
-
-
 def pack_trips(bits: int) -> tuple[int, int]:
     """(trips through Newton's loop, all threads together, and rods in a pack) of the last launch in that precision."""
     number, queue = _last[bits]
@@ -115,19 +108,18 @@ def _launch_kernel(table: Tables, isotropic: bool, any_ends: bool, rods, policy:
     layout = layout_for(len(rods), bits, contact is not None and contact.itself)
     external = Nothing() if table.external is None and any_ends else table.external
     kind = None if external is None else type(external)
-    outer = () if external is None else (external.numbers(), external.field())
+    more = () if external is None else (external.numbers(), external.field())
     if contact is None:
         given = SimpleNamespace(rest_length=table.rest_length)
         launch = laid_out(layout, lambda *layout: newton.newton_kernel(*layout, isotropic, kind, any_ends), given)
     else:
-        outer += contact.arguments(contact.forces, options.gap_tolerance)
+        more += contact.arguments(contact.forces, options.gap_tolerance)
         given = SimpleNamespace(rest_length=table.rest_length, kinds=contact.kinds)
         launch = laid_out(layout, lambda *layout: newton.contact_kernel(
             *layout, isotropic, kind, contact.known, contact.itself), given)
     kernel, threads, scratch, queue = launch
-    kernel(
-        table.start.reshape(-1), table.rest_length, table.clamp, table.material, rods, policy, threads, scratch, queue,
-        frames.reshape(-1), results, *outer)
+    kernel(table.start.reshape(-1), table.rest_length, table.clamp, table.material, rods, policy, threads, scratch, queue,
+           frames.reshape(-1), results, *more)
 
 
 def policy_row(up: np.ndarray, options: newton.Newton, bits: int, moving: bool = True) -> np.ndarray:
@@ -152,14 +144,13 @@ def run_descent(table: Tables, options: descent.Descent, bits: int):
         layout_for(len(table.rods), bits), descent.descent_kernel, SimpleNamespace(vertices=vertices))
     positions = np.full((table.count, table.edges + 1, 3), np.nan)
     axes = np.full((table.count, table.edges, 3), np.nan)
-    results = _untouched(table.count)
-    kernel(
-        vertices, directors, table.rest_length, table.clamp, table.material, np.array(table.up, dtype=np.float64), table.rods,
-        options.tolerance, options.max_iterations, options.largest_move, threads, scratch, queue, positions, axes, results,
-    )
+    results = np.tile(UNTOUCHED, (table.count, 1))
+    up = np.array(table.up, dtype=np.float64)
+    kernel(vertices, directors, table.rest_length, table.clamp, table.material, up, table.rods, options.tolerance,
+           options.max_iterations, options.largest_move, threads, scratch, queue, positions, axes, results)
     frames = _chain_form(positions, axes)
     certificate = newton.Newton(tolerance=options.tolerance, max_iterations=1, first_shift=0.0, max_escapes=0)
-    certified = _untouched(table.count)
+    certified = np.tile(UNTOUCHED, (table.count, 1))
     continue_newton(table, certificate, 64, frames, certified, np.arange(table.count), np.isfinite(frames[:, 0, 0]))
     good = certified[:, of.STATUS] == Status.CONVERGED
     # A rod that converged by the criterion of descent but not by Newton's (its clamp is not reached, say) has stalled.

@@ -1,5 +1,5 @@
-"""Straight starts between clamps that need slack are bowed: free edges in one straight line have no first-order way to bring
-the far end closer (§III-B).
+"""Starts that cannot be projected onto closure: free edges in one straight line have no first-order way to bring the far end
+closer (§III-B). Rods that need slack are bowed, taut ones made the straight line that they can only be.
 
 Among obstacles they are bowed only as far as they pass through none on their way from the straight line. Their relaxation, in
 which they pass through none either, brings them the rest of the way.
@@ -7,15 +7,174 @@ which they pass through none either, brings them the rest of the way.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
+import taichi as ti
 
+from doo_ti.contact.distance import COLUMNS, Distance
 from doo_ti.contact.distance_grid import grid_table
-from doo_ti.contact.obstacles import GRID, Obstacle, obstacle_table
-from doo_ti.relaxation.bow_kernel import ASIDE, HALF_WAVES, NONE, SIGN, SLOPE, bow_kernel
-from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about, quaternion_product, tangent_from_quaternion
+from doo_ti.contact.obstacles import GRID, OBSTACLE_COLUMNS, PLANE, Obstacle, obstacle_table
+from doo_ti.physics.number import Number
+from doo_ti.physics.tuples import cross, dot, minus, plus, record, scaled, variable
+from doo_ti.physics.view import Scratch, read
+from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.clamp_table import STRAIGHT, TAUT, TAUT_SLACK
+from doo_ti.relaxation.kernel_factory import INDEX1, TABLE1, loop_kernel
+from doo_ti.relaxation.tables import outer_edges, whole_start
+from doo_ti.rod.frames import (
+    matrix_from_quaternion,
+    quaternion_about,
+    quaternion_product,
+    smallest_rotation,
+    tangent_from_quaternion,
+)
 from doo_ti.system import runtime
+
+# Columns of a try: the number of half waves; whether it lies aside; to which side; the largest slope, rad; and one where the
+# way from the straight line is followed.
+HALF_WAVES, ASIDE, SIGN, SLOPE, FOLLOWED, TRY_COLUMNS = 0, 1, 2, 3, 4, 5
+MIDWAY = 0.4
+"""Of a bow's slope: the shape through which its way from the straight line is followed."""
+PLACES = 8
+"""Of an edge, and of the way of a vertex, that are to be outside all obstacles."""
+FROM_THERE = 0.9
+"""A vertex may always come as near to an obstacle as that share of its distance at the start of its way."""
+NONE = -1
+
+
+@ti.data_oriented
+class BowSearch:
+    """The search, one rod at a time, among obstacles of some ``kinds``. Its functions take the record ``tables`` of the
+    kernel's arguments, and a rod's row ``r`` in them."""
+
+    def __init__(self, kinds: frozenset[int]):
+        number = Number(1, 32)
+        self.distance, self.scalar = Distance(number, kinds), number.scalar
+        self.memory = Scratch(number, 1)
+
+    @ti.func
+    def work(self, tables, thread):
+        """A thread's share of the rods."""
+        for k in range((tables.chosen.shape[0] - thread + tables.threads - 1) // tables.threads):
+            tables.chosen[thread + k * tables.threads] = self.search(tables, thread + k * tables.threads)
+
+    @ti.func
+    def value(self, tables, r, o, x):
+        """φ of obstacle ``o`` at ``x``."""
+        row = ti.min(r, tables.obstacles.shape[0] // (tables.kinds.shape[0] * OBSTACLE_COLUMNS) - 1)
+        own = self.memory.view(tables.obstacles, (row * tables.kinds.shape[0] + o) * OBSTACLE_COLUMNS, COLUMNS)
+        return self.distance.measure(own, tables.grids, tables.kinds[o], x).value
+
+    @ti.func
+    def nears(self, tables, r, o, start, end, both, least):
+        """Whether the straight line between two places, whose φ is ``both`` together, comes nearer to an obstacle than
+        ``least``."""
+        along, room, nearer = minus(end, start), both - 2.0 * least, False
+        # φ grows no faster than the place: a short line stays away.
+        if room < 0.0 or dot(along, along) > room * room:
+            for k in range(1, PLACES):
+                if not nearer:
+                    nearer = self.value(tables, r, o, plus(start, scaled(along, k / PLACES))) < least
+        return nearer
+
+    @ti.func
+    def passes(self, tables, r, o, start, end, length):
+        """Whether a vertex on its way comes so near to an obstacle that an edge of that ``length`` may pass through it."""
+        first, last = self.value(tables, r, o, start), self.value(tables, r, o, end)
+        least = ti.min(0.5 * length, FROM_THERE * first)
+        return last < least or self.nears(tables, r, o, start, end, first + last, least)
+
+    @ti.func
+    def bent(self, tables, r, e, half_waves, slope, across):
+        """An edge of a bow, whose edges turn in the plane of the line and of ``across``."""
+        angle = slope * ti.cos(ti.math.pi * half_waves * tables.place[r, e]) * tables.free[r, e]
+        t, length = read(tables.tangents, r, e, 0), tables.lengths[r, e]
+        flat = minus(across, scaled(t, dot(across, t)))
+        return plus(scaled(t, length * ti.cos(angle)), scaled(flat, length * ti.sin(angle)))
+
+    @ti.func
+    def fits(self, tables, r, number, slope, followed):
+        """Whether a try of that slope is outside all obstacles and, where it is ``followed``, passes through none."""
+        edges, fine = tables.lengths.shape[1], True
+        half_waves = tables.tries[number, HALF_WAVES]
+        t = read(tables.tangents, r, edges // 2, 0)
+        axis = variable(read(tables.axis, r, 0))
+        if tables.tries[number, ASIDE] > 0.5:
+            axis = cross(t, axis)
+        across = scaled(cross(axis, t), tables.tries[number, SIGN])
+        begin = read(tables.anchor, r, 0)
+        way = record(line=begin, midway=begin, end=begin, last=begin, last_midway=begin)
+        v = 0
+        while v <= edges and fine:
+            length = ti.cast(0.0, self.scalar)
+            if v > 0:
+                e = v - 1
+                length = tables.lengths[r, e]
+                way.last, way.last_midway = way.end, way.midway
+                way.end = plus(way.end, self.bent(tables, r, e, half_waves, slope, across))
+                if followed:
+                    way.line = plus(way.line, scaled(read(tables.tangents, r, e, 0), length))
+                    way.midway = plus(way.midway, self.bent(tables, r, e, half_waves, MIDWAY * slope, across))
+            o = 0
+            while o < tables.kinds.shape[0] and fine:
+                fine = self.is_outside(tables, r, o, way.last, way.end, length)
+                if fine and followed:
+                    fine = self.is_outside(tables, r, o, way.last_midway, way.midway, length)
+                    if fine and v > 0 and tables.kinds[o] != ti.static(PLANE):
+                        fine = not (self.passes(tables, r, o, way.line, way.midway, length)
+                                    or self.passes(tables, r, o, way.midway, way.end, length))
+                o += 1
+            v += 1
+        return fine
+
+    @ti.func
+    def is_outside(self, tables, r, o, last, x, length):
+        """Whether vertex ``x`` and the edge of that ``length`` from the ``last`` one are."""
+        value = self.value(tables, r, o, x)
+        outside = value >= 0.0
+        if outside and value < length and tables.kinds[o] != ti.static(PLANE):
+            outside = not self.nears(tables, r, o, last, x, value + self.value(tables, r, o, last), 0.0)
+        return outside
+
+    @ti.func
+    def search(self, tables, r):
+        """The first try that fits, or NONE."""
+        # Of no slope a try is the straight line, the way from which can be followed only if it is outside.
+        clear = self.fits(tables, r, 0, 0.0 * tables.slope[r], False)
+        found, number = NONE, 0
+        while found == NONE and number < tables.tries.shape[0]:
+            followed = tables.tries[number, FOLLOWED] > 0.5
+            slope = ti.min(tables.slope[r], tables.tries[number, SLOPE])
+            if clear or not followed:
+                if self.fits(tables, r, number, slope, followed):
+                    found = number
+            number += 1
+        return found
+
+
+SINGLE1, SINGLE2, SINGLE3 = (ti.types.ndarray(dtype=ti.f32, ndim=ndim) for ndim in (1, 2, 3))
+ARGUMENTS = {
+    "anchor": SINGLE2,  # [rod, 3] vertex 0, mm
+    "tangents": SINGLE3,  # [rod, edge, 3] of the straight lines
+    "axis": SINGLE2,  # [rod, 3] about which the edges of the first bow turn
+    "lengths": SINGLE2,  # [rod, edge] mm
+    "place": SINGLE2,  # [rod, edge] of the free edges along the rod, from 0 to 1
+    "free": SINGLE2,  # [rod, edge] one where it may tilt
+    "slope": SINGLE1,  # [rod] of a bow at its ends that closes it, rad
+    "tries": SINGLE2,  # [try, TRY_COLUMNS]
+    "obstacles": SINGLE1,  # [1 or rod · obstacle · column]
+    "kinds": INDEX1, "grids": TABLE1,
+    "threads": ti.i32,
+    "chosen": INDEX1,  # [rod] out: a try, or NONE
+}
+
+
+@cache
+def bow_kernel(kinds: frozenset[int], block: int):
+    """The kernel for obstacles of some kinds; ``block`` as of :func:`.loop_kernel`."""
+    return loop_kernel("choose_bows", Number(1, 32), ARGUMENTS, BowSearch(kinds).work, block)
+
 
 DOWN, SIDEWAYS, UPRIGHT = (False, 1.0), ((True, 1.0), (True, -1.0)), (False, -1.0)
 """Directions of a bow: whether it lies aside, perpendicular to the plane of the first, and to which side. An upright arch would
@@ -52,16 +211,7 @@ def slope_of_chord(share: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Straight:
-    """N straight rods that need slack.
-
-    whole    (N, E, 4) frames
-    lengths  (N, E) mm
-    anchor   (N, 3) vertex 0
-    axis     (N, 3) about which the edges of the first bow turn
-    slope    (N,) of the bows at their ends, rad
-    place    (N, E) of the free edges along the rod, from 0 to 1
-    free     (N, E) one where an edge may tilt
-    """
+    """N straight rods that need slack: their frames ``whole`` (N, E, 4), and what the kernel is given of them (ARGUMENTS)."""
 
     whole: np.ndarray
     lengths: np.ndarray
@@ -113,20 +263,82 @@ def bowed_among(rods: Straight, obstacles: Sequence[Obstacle], beside_others: bo
         *((1, *direction, SLIGHT, followed) for followed in (True, False) for direction in directions),
         *((number, *direction, STEEPEST, False) for number in NUMBERS for direction in directions
           if EDGES_OF_A_HALF_WAVE * number <= rods.whole.shape[1])])
-    chosen = np.full(len(rods.whole), NONE)
+    chosen = np.full(len(rods.whole), NONE, dtype=np.int32)
     if obstacles:
-        chosen = _chosen(rods, obstacles, tries)
+        kinds, grids = grid_table(obstacles)
+        single = (np.ascontiguousarray(value, dtype=np.float32) for value in (
+            rods.anchor, rods.tangents, rods.axis, rods.lengths, rods.place, rods.free, rods.slope, tries,
+            obstacle_table(obstacles).reshape(-1)))
+        kernel = bow_kernel(frozenset(np.minimum(kinds, GRID).tolist()), 1 if runtime.start() == "cpu" else 64)
+        kernel(*single, kinds, grids, min(len(chosen), MOST_THREADS), chosen)
     return rods.bowed(tries[np.where(chosen == NONE, 0, chosen)])
 
 
-def _chosen(rods: Straight, obstacles: Sequence[Obstacle], tries: np.ndarray) -> np.ndarray:
-    """(N,) the first of the ``tries`` (K, TRY_COLUMNS) that fits, or NONE."""
-    on_cpu = runtime.start() == "cpu"
-    kinds, grids = grid_table(obstacles)
-    chosen = np.empty(len(rods.whole), dtype=np.int32)
-    known = frozenset(np.minimum(kinds, GRID).tolist())
-    single = (np.ascontiguousarray(value, dtype=np.float32) for value in (
-        rods.anchor, rods.tangents, rods.axis, rods.lengths, rods.place, rods.free, rods.slope, tries,
-        obstacle_table(obstacles).reshape(-1)))
-    bow_kernel(known, 1 if on_cpu else 64)(*single, kinds, grids, min(len(chosen), MOST_THREADS), chosen)
-    return chosen
+def projectable(start: np.ndarray, lengths: np.ndarray, clamp: np.ndarray, found: np.ndarray, up: np.ndarray,
+                obstacles: Sequence[Obstacle], index: np.ndarray, beside_others: bool = False) -> np.ndarray:
+    """Starts that can be projected: those ``found`` (S,) STRAIGHT are bowed, those found TAUT made straight. ``index`` (R,) is
+    the start of each rod: obstacles may belong to single rods; ``beside_others``: they are rods of groups. Where starts are
+    changed ``clamp`` is, too, in place.
+    """
+    slack, taut = np.flatnonzero(found == STRAIGHT), np.flatnonzero(found == TAUT)
+    if len(slack):
+        start = _bowed(start, lengths, clamp, slack, up, obstacles, index, beside_others)
+    if len(taut):
+        start = _stretched(start, lengths, clamp, taut)
+    return start
+
+
+def _free_part(lengths: np.ndarray, clamp: np.ndarray):
+    """Of N rods with these lengths (N, E) and clamps (N, CLAMP_COLUMNS): which of the end edges may tilt (N, 2), as all inner
+    ones may, the line (N, 3) that the free edges have to bridge and its length (N,), and how far they reach (N,), mm."""
+    tangents = tangent_from_quaternion(clamp[:, of.ENDS:].reshape(-1, 2, 4))
+    tilting = clamp[:, of.TILT_START : of.TILT_END + 1]
+    held = lengths[:, outer_edges(lengths.shape[1])] * (1 - tilting)
+    line = clamp[:, of.TARGET : of.TARGET + 3] - (held[..., None] * tangents).sum(axis=1)
+    return tilting, line, np.linalg.norm(line, axis=1), clamp[:, of.TOTAL] - held.sum(axis=1)
+
+
+def _bowed(start, lengths, clamp, rows, up, obstacles: Sequence[Obstacle], index: np.ndarray, beside_others) -> np.ndarray:
+    """Starts of which the slack rods ``rows`` are bowed where their free edges are in one straight line."""
+    edges, own = start.shape[1], lengths[rows % len(lengths)]  # of all starts, or one for all
+    ends, _, span, reach = _free_part(own, clamp[rows])
+    tilting = np.ones((len(rows), edges))
+    tilting[:, outer_edges(edges)] = ends
+    whole = whole_start(start[rows], clamp[rows])
+    chord = np.linalg.norm(((own * tilting)[..., None] * tangent_from_quaternion(whole)).sum(axis=1), axis=-1)
+    straight = chord > reach * (1 - TAUT_SLACK)
+    if not straight.any():
+        return start
+    # Of rods that share a start but not their obstacles the first decides; starts without rods are left.
+    used, firsts = np.unique(index, return_index=True)
+    straight &= np.isin(rows, used)
+    rows, share = rows[straight], (span / reach)[straight]
+    anchor = clamp[rows, of.ANCHOR : of.ANCHOR + 3]
+    rods = straight_rods(whole[straight], own[straight], anchor, tilting[straight], share, up)
+    first = firsts[np.searchsorted(used, rows)]
+    frames = bowed_among(rods, [obstacle.take(first) for obstacle in obstacles], beside_others)
+    return _changed(start, clamp, rows, frames)
+
+
+def _stretched(start, lengths, clamp, rows) -> np.ndarray:
+    """Starts of which the rods ``rows``, as long as their span, are the one straight line they can be, with nothing left to
+    relax but the spins.
+
+    Their clamps are changed to say so; the turns of their frames are kept by parallel transport.
+    """
+    tilting, line, span, _ = _free_part(lengths[rows % len(lengths)], clamp[rows])
+    whole = whole_start(start[rows], clamp[rows])
+    turn = smallest_rotation(tangent_from_quaternion(whole), (line / span[:, None])[:, None])
+    straight = quaternion_product(turn, whole)
+    outer = outer_edges(start.shape[1])
+    straight[:, outer] = np.where((tilting == 0)[..., None], whole[:, outer], straight[:, outer])
+    clamp[rows[:, None], [of.CLOSED, of.TILT_START, of.TILT_END, of.TILT_INNER]] = 0.0
+    return _changed(start, clamp, rows, straight)
+
+
+def _changed(start, clamp, rows, quaternions) -> np.ndarray:
+    """``start`` with other frames in some rows, as given left as it is; ``clamp`` takes their ends in place."""
+    start = start.copy()
+    start[rows] = quaternions
+    clamp[rows, of.ENDS:] = quaternions[:, outer_edges(start.shape[1])].reshape(-1, 8)
+    return start

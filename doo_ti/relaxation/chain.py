@@ -1,18 +1,24 @@
 """A chain of frames in scratch memory: the step, closure and the energy (§III-B to §III-D).
 
-Scratch holds, for every pack of rods, what :mod:`doo_ti.relaxation.chain_layout` names; ``number`` says how many rods a value
-holds. :mod:`doo_ti.relaxation.elimination` and :mod:`doo_ti.relaxation.loaded_elimination` solve the Newton system of the
-chain.
+Its Newton system is solved by :mod:`doo_ti.relaxation.elimination` and :mod:`doo_ti.relaxation.loaded_elimination`.
 """
+
+from functools import cache
 
 import taichi as ti
 from taichi.lang.impl import subscript
 
 from doo_ti.physics.algebra import absolute, solve_symmetric
-from doo_ti.physics.angle import twist_angle_function
 from doo_ti.physics.closure import closing_rotation, linear_gradient, normal_matrix
-from doo_ti.physics.pair import curvature
-from doo_ti.physics.quaternion import first_director, second_director, tangent, turned_in_body, turned_in_world
+from doo_ti.physics.pair import PairEnergy, curvature
+from doo_ti.physics.quaternion import (
+    first_director,
+    second_director,
+    tangent,
+    turned_in_body,
+    turned_in_world,
+    twist_angle_function,
+)
 from doo_ti.physics.tuples import (
     chosen,
     dot,
@@ -28,9 +34,39 @@ from doo_ti.physics.tuples import (
     variable,
 )
 from doo_ti.physics.view import Layout, Scratch
-from doo_ti.relaxation.chain_layout import ROD, edge_layout
 from doo_ti.relaxation.newton_policy import UP
-from doo_ti.relaxation.pair_energy import PairEnergy
+
+# What scratch holds of a rod (see :class:`Chain`), and then of each of its edges.
+ROD = Layout(target=3, closed=1, free=5, released=1, total=1, longest=1, energy_unit=1, stiffness=2, gravity=3, anchor=3,
+             scale=1, length_unit=1, softest=1, shift_shares=2)
+LOOSE = Layout(loose=1, drift=3, drift_standing=3, drift_step=3, drift_border=9, drift_pivots=6)
+"""Of a rod whose vertex 0 may move: the flag, how far it has moved from the anchor, now and before the step, its step, and what
+the substitution needs of its elimination."""
+EDGE = Layout(frame=4, standing=4, length=1, inverse_length=1, rotation=3, neighbour=9, border=9, bent=("border", 8), pivots=6)
+"""frame, standing     now, and before the step, which is restored where the step is rejected
+inverse_length      1/l̄ of the vertex where the edge begins
+rotation            the right-hand side while eliminating, the step after back-substitution
+neighbour, border   the columns W_U, and those of W_A or W_Z
+bent                before eliminating, curvature and twist where the edge ends
+pivots              the factors of the diagonal block"""
+GENERAL = Layout(bend=3, twist=1, rest=2, shift_shares=2)
+"""β and ω̄ are those of the vertex where the edge begins; shares of a spin and of a tilt."""
+FORCE = Layout(force_border=9)
+"""Of the columns of the multiplier under an external energy."""
+
+
+@cache
+def edge_layout(isotropic: bool, external: Layout | None = None, force: bool = False) -> Layout:
+    """What scratch holds of an edge, with the numbers of an ``external`` energy and, with ``force``, λ's columns under it."""
+    own = EDGE + (Layout() if isotropic else GENERAL)
+    return own + (Layout() if external is None else Layout(external=external)) + (FORCE if force else Layout())
+
+
+@cache
+def rod_layout(external_start: Layout | None = None) -> Layout:
+    """What scratch holds of a rod, whose vertex 0 may move if there are numbers of an external energy there."""
+    return ROD if external_start is None else ROD + LOOSE + Layout(external=external_start)
+
 
 STAND_INS = {"start": "frames", "numbers": "material", "field": "material", "kinds": "rods", "grids": "material"}
 """What stands in for an array that a kernel does not take: Taichi's functions must be given one, and nothing reads it."""
@@ -62,25 +98,21 @@ class Chain(PairEnergy):
     contacts, kinds, obstacles  where the items of contacts begin, the kinds of the obstacles and how many these are
                             (:class:`.Contacts`)
 
-    edge, rod: what scratch holds of an edge and of a rod, by default what a rod without external energy needs.
+    edge, rod: the layouts of both, by default what a rod without external energy needs.
     """
 
     def __init__(self, number, isotropic: bool, stride: int, edge: Layout | None = None, rod: Layout = ROD):
         self.number, self.isotropic = number, isotropic
         self.memory = Scratch(number, stride)
         self.rod_layout, self.edge_layout = rod, edge or edge_layout(isotropic)
-        self.moves_start = False
-        self.touches = False
+        self.moves_start, self.touches = False, False
         self.width, lanes = number.width, number.lanes()
         self.largest, self.lane, self.with_lane, self.constant = lanes.largest, lanes.lane, lanes.with_lane, lanes.constant
         self.twist_angle = twist_angle_function(number)
-        # What makes AᵀA regular: a share of its trace, and where that is zero a number whose cube, the
-        # determinant, is none that rounds to zero.
-        # Without closure the edges of a straight rod are parallel; with it they never quite are, and λ has to be exact.
+        # What makes AᵀA regular: a share of its trace, and where that is zero a number whose cube, the determinant, is none
+        # that rounds to zero. Without closure the edges of a straight rod are parallel; with it they are not; λ must be exact.
         self.regular, self.regular_open, self.least = (1e-6, 0.0, 1e-12) if number.bits == 32 else (1e-16, 1e-13, 1e-30)
         self.tiny = 1e-30 if number.bits == 32 else 1e-100  # see :func:`.factor`
-
-    # --- access to scratch ---
 
     @picked
     def chain_items(self, edges):
@@ -119,21 +151,16 @@ class Chain(PairEnergy):
     @ti.func
     def rods(self, tables, head, coarse):
         """The record of the rods at ``head``, with the tables of an external energy if there is one."""
+        loose = 0.0 * head.closed
+        if ti.static(self.moves_start):
+            loose = head.loose
         return record(
-            head=head, edges=tables.rest_length.shape[1], loose=self.loose(head), contacts=tables.contacts,
+            head=head, edges=tables.rest_length.shape[1], loose=loose, contacts=tables.contacts,
             kinds=tables.kinds, grids=tables.grids, obstacles=tables.kinds.shape[0], target=head.target,
             length_unit=head.length_unit, closed=head.closed, spins_first=0.0 * head.closed, free=head.free,
             released=head.released, total=head.total, longest=head.longest, stiffness=head.stiffness, softest=head.softest,
             shift_shares=head.shift_shares, gravity=head.gravity, anchor=head.anchor, numbers=tables.numbers,
             field=tables.field, coarse=coarse)
-
-    @ti.func
-    def loose(self, head):
-        """One where vertex 0 is free to move (:class:`.LooseStart`)."""
-        loose = 0.0 * head.closed
-        if ti.static(self.moves_start):
-            loose = head.loose
-        return loose
 
     @ti.func
     def spinning_first(self, rod, far):
@@ -215,8 +242,7 @@ class Chain(PairEnergy):
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)
             # In a lane that does not step the rotation is undefined and may be NaN.
-            rotation = edge.rotation
-            w = chosen(stepping, scaled(rotation, scale), repeated(zero, 3))
+            w = chosen(stepping, scaled(edge.rotation, scale), repeated(zero, 3))
             standing = edge.frame
             edge.standing = standing
             q = turned_in_body(standing, w, rod.spins_first)
@@ -230,20 +256,16 @@ class Chain(PairEnergy):
             goal = plus(goal, scaled(before, ti.select(stepping, 1.0 - scale, zero)))
         if ti.static(self.moves_start):
             moving = self.step_start(rod, scale, moving, reached, goal)
-            reached = self.displaced(rod, reached)
+            reached = plus(reached, rod.head.drift)
         miss = scaled(minus(reached, goal), rod.closed)
-        normal = self._regular(rod, normal)
+        # Made regular where all free edges are parallel, or none may tilt.
+        share = self.regular + self.regular_open * (1.0 - rod.closed)
+        normal = on_diagonal(normal, share * (normal[0] + normal[3] + normal[5]) + self.least)
         x, minors = solve_symmetric(normal, miss)
         # x·miss is the sum of the squared rotations: keep their root mean square below 0.15 rad in one projection.
         size = ti.sqrt(ti.max(dot(x, miss), zero) / ti.cast(rod.edges, self.number.scalar)) + 1e-30
         shrink = moving * ti.min(0.0 * size + 1.0, 0.15 / size)
         return scaled(x, shrink), normal
-
-    @ti.func
-    def _regular(self, rod, n):
-        """AᵀA made regular where all free edges are parallel, or none may tilt."""
-        share = self.regular + self.regular_open * (1.0 - rod.closed)
-        return on_diagonal(n, share * (n[0] + n[3] + n[5]) + self.least)
 
     @ti.func
     def close(self, rod, x, normal):
@@ -301,16 +323,15 @@ class Chain(PairEnergy):
             before = q
         moment = minus(plus(moment, scaled(lever1, carry2)), scaled(lever2, carry1))
         if ti.static(self.moves_start):
-            reached = self.displaced(rod, reached)
-            potential = potential + self.lifted_start(rod)
+            reached = plus(reached, rod.head.drift)
+            potential = potential + 2.0 * rod.total * dot(rod.gravity, rod.head.drift)
         miss = scaled(minus(reached, rod.target), rod.closed)
         fit, minors = solve_symmetric(normal, moment)
         return energy + potential, energy + magnitude, miss, negated(scaled(fit, rod.closed)), (unclosed, closed)
 
     @ti.func
     def _bend(self, rod, e, before, q):
-        """Curvature and twist between the frame before and the frame q of edge ``e``, kept for the elimination, and the
-        stiffness there."""
+        """Curvature and twist between the frame before and q, of edge ``e``, kept for the elimination; the stiffness there."""
         previous = self.edge(rod.head, e - 1)
         px, py, inverse, turn, r = curvature(before, q)
         m = self.twist_angle(r)
@@ -322,9 +343,8 @@ class Chain(PairEnergy):
         """Restore the frames from before the step in the lanes that reject it."""
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)
-            standing = edge.standing
-            edge.frame = chosen(lost > 0.5, standing, edge.frame)
+            edge.frame = chosen(lost > 0.5, edge.standing, edge.frame)
         if ti.static(self.moves_start):
-            self.restore_start(rod, lost)
+            rod.head.drift = chosen(lost > 0.5, rod.head.drift_standing, rod.head.drift)
         if ti.static(self.touches):
             self.contacts.restore(rod, lost)

@@ -203,7 +203,6 @@ ARGUMENTS = {
     "threads": ti.i32,
     "clamp": TABLE2,  # [start, CLAMP_COLUMNS] out
 }
-"""What the kernel is given, in this order."""
 
 
 @cache

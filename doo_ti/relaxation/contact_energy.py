@@ -34,8 +34,8 @@ from doo_ti.physics.tuples import (
     traced,
     variable,
 )
-from doo_ti.relaxation.contact_friction import ContactFriction
 from doo_ti.relaxation.contact_layout import EVEN
+from doo_ti.relaxation.contact_places import ContactPlaces
 
 
 @traced
@@ -45,12 +45,11 @@ def outer_product(a, b) -> tuple:
 
 
 @ti.data_oriented
-class ContactEnergy(ContactFriction):
+class ContactEnergy(ContactPlaces):
     """The energy of the contacts of the rods in a pack, in a motion with friction if they ``rub``. ``expects``: steps that are
     refused are tried again with the contacts they have met."""
 
-    def __init__(self, number, kinds: frozenset[int], rub: bool = False, moves: bool = False,
-                 expects: bool = False):
+    def __init__(self, number, kinds: frozenset[int], rub: bool = False, moves: bool = False, expects: bool = False):
         super().__init__(number, kinds, moves)
         self.rub, self.updates_in_steps, self.expects = rub, not rub, expects
 
@@ -83,7 +82,7 @@ class ContactEnergy(ContactFriction):
             contact, previous = self.contact(at, o), self.contact(before, o)
             if self.is_edge_close(rod, index, o):
                 if some == 0:
-                    self.clear(rod, zero)
+                    rod.contacts.end = repeated(zero, 12)
                     some = 1
                 if self.is_close(rod, contact):
                     self.add_vertex(rod, o, contact)
@@ -102,7 +101,7 @@ class ContactEnergy(ContactFriction):
                 active = contact.active > 0.5
                 if self.some((contact.force > 0.0) | active, zero):
                     if some == 0:
-                        self.clear(rod, zero)
+                        rod.contacts.end = repeated(zero, 12)
                     if some < 2:
                         self.clear_between(rod, zero)
                     some = 2
@@ -129,23 +128,18 @@ class ContactEnergy(ContactFriction):
             value = contact.value
             if self.is_close(rod, contact):
                 if some == 0:
-                    self.clear(rod, zero)
+                    rod.contacts.end = repeated(zero, 12)
                     some = 1
                 self.add_vertex(rod, o, contact)
             if ti.static(self.rub):
                 if self.some(contact.force > 0.0, zero):
                     if some == 0:
-                        self.clear(rod, zero)
+                        rod.contacts.end = repeated(zero, 12)
                         some = 1
                     self.rub_vertex(rod, o, at, contact)
             at.room = ti.min(at.room, value + self.obstacle(rod, o).depth)
         self.note_forces(rod, at, some)
         return some
-
-    @ti.func
-    def clear(self, rod, zero):
-        """Begin the sums over the contacts of a vertex."""
-        rod.contacts.end = repeated(zero, 12)
 
     @ti.func
     def clear_between(self, rod, zero):
@@ -167,22 +161,20 @@ class ContactEnergy(ContactFriction):
         """Keep the forces on the ends of an edge, as :meth:`touched` found ``some``."""
         zero, own = 0.0 * rod.total, rod.contacts
         if some > 0 or at.lane(0).pushed > 0.5:
-            late, early = variable(repeated(zero, 3)), variable(repeated(zero, 3))
+            on_end, on_start = variable(repeated(zero, 3)), variable(repeated(zero, 3))
             if some > 0:
-                late = self.known(own.end_gradient, own.end_excess)
+                on_end = self.known(own.end_gradient, own.end_excess)
             if some > 1:
                 between = self.known(own.gradient_s, own.excess_s)
-                late, early = plus(late, between), minus(between, self.known(own.gradient, own.excess))
-            at.force_end = negated(late)
-            at.force_start = early
+                on_end, on_start = plus(on_end, between), minus(between, self.known(own.gradient, own.excess))
+            at.force_end, at.force_start = negated(on_end), on_start
             at.lane(0).pushed = ti.select(some > 0, 1.0, 0.0)
 
     @ti.func
     def take_vertex(self, rod, load):
         """Add the sums over the contacts of a vertex to the derivatives of an edge's energy."""
         own = rod.contacts
-        whole, bent = own.end_gradient, own.end_curvatures
-        known = self.known(whole, own.end_excess)
+        whole, bent, known = own.end_gradient, own.end_curvatures, self.known(own.end_gradient, own.end_excess)
         add(load, known=known, known_s=known, gradient=whole, gradient_s=whole, curvature=bent, curvature_ss=bent,
             curvature_s=full(bent))
 
@@ -200,10 +192,8 @@ class ContactEnergy(ContactFriction):
         there, and its room. ``some``: what was found so far."""
         zero, radius = 0.0 * start[0], rod.contacts.radius
         contact, previous = self.contact(self.vertex(rod, index), o), self.contact(self.vertex(rod, index - 1), o)
-        normal_start = previous.normal
-        normal_end = contact.normal
         value_start, value_end = previous.value, contact.value
-        slope_start, slope_end = dot(normal_start, edge) - EVEN * radius, dot(normal_end, edge) + EVEN * radius
+        slope_start, slope_end = dot(previous.normal, edge) - EVEN * radius, dot(contact.normal, edge) + EVEN * radius
         # φ along an edge lies above its tangents at both ends, which meet here.
         meet = (value_end - value_start - slope_end) / ti.min(slope_start - slope_end, zero - 1e-20)
         bridging = (slope_start < 0.0) & (slope_end > 0.0)
@@ -214,8 +204,7 @@ class ContactEnergy(ContactFriction):
         depth = self.obstacle(rod, o).depth
         near = close & bridging & (low < 2.0 * radius)
         active = close & (contact.active > 0.5)
-        contact.acts = zero
-        contact.sagging = zero
+        contact.acts, contact.sagging = zero, zero
         between = self.some(near | active, zero)
         if between:
             if some < 2:
@@ -225,8 +214,7 @@ class ContactEnergy(ContactFriction):
             contact.sagging = sagging
             # Where rounds find an edge inside an obstacle between its ends, its nearest point counts from then on.
             active = active | ((sagging > zero) & (seen.value < radius))
-            known = contact.active
-            contact.active = ti.select(active, zero + 1.0, known)
+            contact.active = ti.select(active, zero + 1.0, contact.active)
             self.add_between(rod, contact, edge, seen, active)
         return between, ti.select(close, low + depth, least - radius)
 
@@ -242,9 +230,8 @@ class ContactEnergy(ContactFriction):
     def add_vertex(self, rod, o, contact):
         """Add a contact of the vertex where the edge ends."""
         normal = contact.normal
-        value, zero = contact.value, 0.0 * rod.total
-        close = self.close_lanes(rod, value)
-        gap = value - rod.contacts.radius
+        zero, close = 0.0 * rod.total, self.close_lanes(rod, contact.value)
+        gap = contact.value - rod.contacts.radius
         self.update_now(rod, contact.of("force"), gap, close)
         pushed = self.push(rod, ti.select(close, contact.force, zero), gap)
         self.add_penalty(rod, pushed.energy, pushed.push * rod.total)

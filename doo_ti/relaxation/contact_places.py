@@ -1,8 +1,13 @@
-"""Where a chain is, seen from obstacles: distances of its vertices, and the nearest points of its edges (docs/contact.md)."""
+"""Where a chain is, seen from obstacles: distances of its vertices, nearest points of its edges, friction (docs/contact.md).
+
+Friction is an augmented Lagrangian of how far contacts have slid. At a contact of force λ whose friction was q in the round
+before, and which has moved by u since the instant before, it is z = q + κ u along the surface where |z| ≤ μ λ, else of that
+size along z. It is the derivative of |z|²/2κ, or of μ λ (|z| − μ λ/2)/κ.
+"""
 
 import taichi as ti
 
-from doo_ti.contact.distance import Distance
+from doo_ti.contact.distance import Distance, outer
 from doo_ti.contact.obstacles import PLANE
 from doo_ti.physics.algebra import absolute, largest_of
 from doo_ti.physics.tuples import (
@@ -90,20 +95,14 @@ class ContactPlaces:
         """Add to the energy of all contacts a part that only makes gaps close, and is no energy of the rod."""
         add(rod.contacts, energy=energy, magnitude=magnitude, penalty=energy)
 
-    @ti.func
-    def note_accepted(self, rod, where):
-        """Keep the sum of those parts in the lanes ``where`` a step was accepted."""
-        choose(rod.contacts, where, penalty_kept=rod.contacts.penalty)
-
     # --- what a rod is near to ---
 
     @ti.func
     def look(self, rod, index, place):
         """Measure how far vertex ``index``, at ``place``, is from all obstacles."""
         at = self.vertex(rod, index)
-        standing = at.place
-        at.standing = standing
-        at.place = place
+        standing = variable(at.place)
+        at.standing, at.place = standing, place
         away = minus(place, standing)
         rod.contacts.crossing = largest_of(rod.contacts.crossing, dot(away, away) * self.nearness(rod, index, at))
         longest = rod.contacts.lane(0).longest_edge
@@ -236,8 +235,7 @@ class ContactPlaces:
         searches = 0
         while searches < SEARCHES and self.largest(going) > 0.5:
             searches += 1
-            seen = self.distance.measure(self.obstacle(rod, o), rod.grids, rod.kinds[o],
-                                         plus(start, scaled(edge, s[0])))
+            seen = self.distance.measure(self.obstacle(rod, o), rod.grids, rod.kinds[o], plus(start, scaled(edge, s[0])))
             here = going > 0.5
             aside = s[0] - 0.5
             slope = dot(seen.normal, edge) + 2.0 * even * aside
@@ -270,8 +268,7 @@ class ContactPlaces:
     @ti.func
     def moved(self, rod, vertex):
         """How far a vertex has moved since the instant before."""
-        return minus(vertex.place,
-                     vertex.previous)
+        return minus(vertex.place, vertex.previous)
 
     @ti.func
     def slid(self, rod, vertex, o):
@@ -291,3 +288,45 @@ class ContactPlaces:
         s = contact.rubbed_place
         before, after = self.slid(rod, self.vertex(rod, index - 1), o), self.slid(rod, self.vertex(rod, index), o)
         return plus(scaled(before, 1.0 - s), scaled(after, s))
+
+    # --- friction ---
+
+    @ti.func
+    def rub_vertex(self, rod, o, at, contact):
+        """Add the friction of the vertex."""
+        limit = self.limit(rod, o, contact.force)
+        rubbed = self.rubbed(rod, limit, contact.friction, contact.rubbed_normal, self.slid(rod, at, o))
+        self.add_penalty(rod, rubbed.energy, dot(rubbed.pull, rubbed.pull) / rod.contacts.stiffness)
+        add(rod.contacts, end_gradient=rubbed.pull, end_curvatures=rubbed.stiffness)
+
+    @ti.func
+    def rub_between(self, rod, o, index, contact, counts):
+        """Add the friction at the nearest point of an edge in the lanes where it ``counts``."""
+        zero = 0.0 * rod.total
+        s, u = contact.rubbed_place, self.slid_between(rod, index, contact, o)
+        limit = self.limit(rod, o, contact.force_between)
+        rubbed = self.rubbed(rod, limit, contact.friction_between, contact.rubbed_normal_between, u)
+        pull, bent = chosen(counts, rubbed.pull, repeated(zero, 3)), chosen(counts, rubbed.stiffness, repeated(zero, 6))
+        self.add_penalty(rod, ti.select(counts, rubbed.energy, zero), dot(pull, pull) / rod.contacts.stiffness)
+        add(rod.contacts, gradient=pull, gradient_s=scaled(pull, s), curvatures=bent, curvatures_s=scaled(full(bent), s),
+            curvatures_ss=scaled(bent, s * s))
+
+    @ti.func
+    def limit(self, rod, o, force):
+        """μ λ, the largest friction of a contact with obstacle ``o``."""
+        return self.obstacle(rod, o).friction * force
+
+    @ti.func
+    def rubbed(self, rod, limit, friction, gradient, u):
+        """Friction of a contact that has moved by ``u``: its energy, its derivative and its stiffness."""
+        stiffness = rod.contacts.stiffness
+        normal = self.distance.unit(gradient)
+        whole = plus(friction, scaled(u, stiffness))
+        z = minus(whole, scaled(normal, dot(normal, whole)))
+        size = ti.sqrt(dot(z, z) + 1e-30)
+        slips = size > limit
+        share = ti.select(slips, limit / size, 0.0 * limit + 1.0)
+        energy = ti.select(slips, limit * (size - 0.5 * limit), 0.5 * size * size) / stiffness
+        across = scaled(plus(outer(normal), scaled(outer(z), ti.select(slips, 1.0 / (size * size), 0.0 * size))), 0.0 - 1.0)
+        flat = (1.0 + across[0], across[1], across[2], 1.0 + across[3], across[4], 1.0 + across[5])
+        return record(energy=energy, pull=scaled(z, share), stiffness=scaled(flat, stiffness * share))

@@ -28,11 +28,7 @@ class ContactRounds(ContactEnergy):
         """Put vertices back to where they were before the step, in the lanes that are ``lost``. Forces that it updated stay."""
         for v in range(rod.edges + 1):
             at = self.vertex(rod, v)
-            standing = at.standing
-            place = at.place
-            at.place = chosen(lost > 0.5, standing, place)
-            kept, room = at.room_standing, at.room
-            at.room = ti.select(lost > 0.5, kept, room)
+            choose(at, lost > 0.5, place=at.standing, room=at.room_standing)
         if ti.static(self.itself):
             self.restore_pairs(rod, lost)
 
@@ -111,7 +107,7 @@ class ContactRounds(ContactEnergy):
         step updated changed by no more than the tolerance, the rod is done if it ``rests`` under them, else the final rounds
         begin. Returns the lanes of both kinds in which the rod needs another trip, and those in which it is done."""
         zero = 0.0 * rod.total
-        early, done = variable((zero > 1.0,)), variable((zero > 1.0,))
+        updating, done = variable((zero > 1.0,)), variable((zero > 1.0,))
         if ti.static(self.updates_in_steps):
             stiffness, change = rod.contacts.stiffness, self.gap_change(rod)
             updated = rod.contacts.update_stiffness > 0.0
@@ -122,13 +118,13 @@ class ContactRounds(ContactEnergy):
             last = within & ~done[0]
             choose(rod.contacts, last, phase=zero + FINE)
             choose(lane, updated, best=zero + 1e30, idle_trips=zero, aimless=zero)
-            updates = ready & ~self.is_fine(rod) & ~done[0] & (rod.contacts.early < MOST_TRIES)
+            updates = ready & ~self.is_fine(rod) & ~done[0] & (rod.contacts.updates < MOST_TRIES)
             rod.contacts.update_stiffness = ti.select(updates, stiffness, zero)
-            choose(rod.contacts, updates, early=rod.contacts.early + 1.0)
+            choose(rod.contacts, updates, updates=rod.contacts.updates + 1.0)
             stiffer = ti.max(stiffness, STIFFER * rod.contacts.first_stiffness)
             choose(rod.contacts, updates, stiffness=stiffer)
-            early = (updates | last,)
-        return early[0], done[0]
+            updating = (updates | last,)
+        return updating[0], done[0]
 
     @ti.func
     def update_forces(self, rod, due):
@@ -161,11 +157,6 @@ class ContactRounds(ContactEnergy):
         return largest_of(change, ti.select(due, found.rubbed / stiffness, zero))
 
     @ti.func
-    def expected(self, rod):
-        """The lanes in which the derivatives have a contact that does not push (:meth:`.ContactEnergy.expect`)."""
-        return rod.contacts.expected > 0.5
-
-    @ti.func
     def jammed(self, rod):
         """The lanes in which forces have grown beyond all bounds: no place that the rod can get to is outside the obstacles."""
         return rod.contacts.largest > STIFFEST * rod.contacts.first_stiffness * rod.contacts.radius
@@ -189,17 +180,10 @@ class ContactRounds(ContactEnergy):
         choose(rod.contacts, deep, stiffness=STIFFER * stiffness)
 
     @ti.func
-    def note_refused(self, rod, where):
-        """Have the next trip expect contacts in the lanes ``where`` a step was refused, and no others."""
-        zero = 0.0 * rod.total
-        rod.contacts.expecting = ti.select(where, zero + 1.0, zero)
-
-    @ti.func
     def update_vertex(self, rod, contact, due, found):
         """The new force of the contact of a vertex."""
         old = contact.force
-        gap = contact.value - rod.contacts.radius
-        new = self.updated_force(rod, old, gap)
+        new = self.updated_force(rod, old, contact.value - rod.contacts.radius)
         self.note_change(found, old, new)
         contact.force = ti.select(due, new, old)
 
@@ -211,8 +195,8 @@ class ContactRounds(ContactEnergy):
         # Where the edge does not bridge the obstacle its nearest point is not known.
         known = ((contact.acts > 0.0) | (contact.sagging > 0.0)) & (index > 0)
         gap = ti.select(known, contact.value_between - rod.contacts.radius, zero + 1e6)
-        new, late = self.update_between(rod, index, o, due, gap, self.updated_force(rod, old, gap))
-        found.change = largest_of(found.change, late)
+        new, begun = self.update_between(rod, index, o, due, gap, self.updated_force(rod, old, gap))
+        found.change = largest_of(found.change, begun)
         self.note_change(found, old, new)
         contact.force_between = ti.select(due, new, old)
 
@@ -259,9 +243,9 @@ class ContactRounds(ContactEnergy):
             given = ti.select(lost, force, zero)
             add(contact, force=ti.select(later, given, zero))
             add(self.contact(self.vertex(rod, index - 1), o), force=ti.select(later, zero, given))
-        late = ti.select(sags & (active < 0.5), ti.max(rod.contacts.stiffness * (0.0 - gap), zero), zero)
+        begun = ti.select(sags & (active < 0.5), ti.max(rod.contacts.stiffness * (0.0 - gap), zero), zero)
         contact.active = ti.select(due, ti.select(sags, zero + 1.0, zero), active)
-        return ti.select(sags, force, zero), late
+        return ti.select(sags, force, zero), begun
 
     @ti.func
     def update_friction(self, rod, index, o, due):

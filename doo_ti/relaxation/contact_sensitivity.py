@@ -23,6 +23,7 @@ from doo_ti.physics.tuples import (
     forward,
     full,
     minus,
+    minus_combination,
     negated,
     picked,
     plus,
@@ -104,15 +105,15 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
         for e in range(rod.edges):
             vertex = ti.min(e + 1, tables.point_loads.shape[1] - 1)
             for k in ti.static(range(3)):
-                self.edge(rod.head, e).outer.load[k] = tables.point_loads[row, vertex, k] / rod.head.energy_unit
+                self.edge(rod.head, e).external.load[k] = tables.point_loads[row, vertex, k] / rod.head.energy_unit
 
     @ti.func
     def load(self, rod, edge, e, start, end, found):
         """With the point load on the edge's end; keeps the blocks of K of the edge."""
         load = LoadedElimination.load(self, rod, edge, e, start, end, found)
-        force = negated(edge.outer.load)
+        force = negated(edge.external.load)
         add(load, gradient=force, gradient_s=force, known=force, known_s=force)
-        own = edge.outer
+        own = edge.external
         own.curvature, own.curvature_s, own.curvature_ss = load.curvature, load.curvature_s, load.curvature_ss
         return load
 
@@ -134,7 +135,7 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
     @ti.func
     def pushes(self, edge, before, after):
         """K ξ of an edge whose ends move so: by the displacement of its start, and by that of its end beyond its start."""
-        k, mixed, kss = edge.outer.curvature, edge.outer.curvature_s, edge.outer.curvature_ss
+        k, mixed, kss = edge.external.curvature, edge.external.curvature_s, edge.external.curvature_ss
         along = minus(after, before)
         return (plus(applied(full(k), before), applied(mixed, along)),
                 plus(applied(transposed(mixed), before), applied(full(kss), along)))
@@ -145,7 +146,7 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
         moved = variable(column.move)
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)
-            edge.outer.moved = moved
+            edge.external.moved = moved
             moved = self.end_of_turned(edge, moved, self.held_turn_of(rod, e, column), column.stretch)
         return moved
 
@@ -160,7 +161,7 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
             e = rod.edges - 1 - back
             edge = self.edge(rod.head, e)
             q = edge.frame
-            before = edge.outer.moved
+            before = edge.external.moved
             pushed, own = self.pushes(edge, before, after)
             m1, m2 = first_director(q), second_director(q)
             r1, r2 = linear_gradient(plus(own, c), edge.length, m1, m2)
@@ -192,7 +193,7 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
         x = variable(start)
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)
-            right = self.less_displaced(edge, self.without_multiplier(edge, change), x)
+            right = minus_combination(self.without_multiplier(edge, change), edge.border, x)
             w = products(self.freedom(rod, e), self.solved_edge(edge, right, w))
             x = self.end_of_turned(edge, x, w, 0.0 * rod.total)
 

@@ -11,8 +11,7 @@ from doo_ti.contact.gap_tolerance import GAP_TOLERANCE, gap_tolerance
 from doo_ti.contact.obstacles import FRICTION, GRID, Obstacle, obstacle_table
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contact_layout import CARRIED_ON, REMEMBERED, REMEMBERED_IN_MOTION
-from doo_ti.relaxation.pair_layout import CARRIED
+from doo_ti.relaxation.contact_layout import CARRIED_ON, PAIR_CARRIED, REMEMBERED, REMEMBERED_IN_MOTION
 from doo_ti.rod.types import Clamp, Clamps, Configuration
 from doo_ti.system.errors import InputError
 
@@ -30,7 +29,7 @@ class ContactTable:
     surroundings  as they were given
     self_friction  (1 or R,) the rods' coefficients of friction on themselves
     itself     whether the kernel is the one for rods that touch themselves
-    pair_memory  (R, P, CARRIED) of their P pairs of edges, from launch to launch; one number where there is one launch
+    pair_memory  (R, P, PAIR_CARRIED) of their P pairs of edges, from launch to launch; one number where there is one launch
     rod_memory  (R, CARRIED_ON) other numbers of the rods, from launch to launch of a motion
     """
 
@@ -80,7 +79,7 @@ class ContactTable:
     def for_launches(self) -> "ContactTable":
         """The table of rods that touch themselves, for a motion in several launches."""
         edges = self.memory.shape[1] - 1
-        return replace(self, pair_memory=np.zeros((len(self.near), edges * (edges - 1) // 2, CARRIED)))
+        return replace(self, pair_memory=np.zeros((len(self.near), edges * (edges - 1) // 2, PAIR_CARRIED)))
 
     @property
     def smooth(self) -> "ContactTable":

@@ -5,7 +5,7 @@ import taichi as ti
 from doo_ti.contact.obstacles import DEPTH, OBSTACLE_COLUMNS, SIZES
 from doo_ti.contact.touch import HELD, Touch
 from doo_ti.physics.tuples import choose, dot, repeated, scaled
-from doo_ti.physics.view import exact, read
+from doo_ti.physics.view import in_f64, read
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_layout import (
     BENDING_LOADS,
@@ -54,7 +54,9 @@ class Contacts(ContactRounds):
         if ti.static(self.rub):
             choose(rod.contacts, done, work=rod.contacts.work + self.friction_work(rod))
         if ti.static(self.moves):
-            self.remember_poses(rod, done)
+            for o in range(rod.obstacles):
+                at = self.obstacle(rod, o)
+                choose(at, done, pose_before=at.pose)
         self.begin_rounds(rod, done)
         return midway
 
@@ -64,7 +66,7 @@ class Contacts(ContactRounds):
         zero = 0.0 * rod.total
         choose(rod.contacts, where, phase=zero + ROUGH, change=zero + 1e30, stiffness=rod.contacts.first_stiffness)
         self.tighten(rod, where)
-        choose(rod.contacts, where, retried=zero, update_stiffness=zero, early=zero)
+        choose(rod.contacts, where, retried=zero, update_stiffness=zero, updates=zero)
 
     @ti.func
     def friction_work(self, rod):
@@ -86,10 +88,10 @@ class Contacts(ContactRounds):
 
     @ti.func
     def retry(self, rod, failed, blocked, bowed, least):
-        """Prepare a step that has failed for another try, which knows no forces; returns the lanes
-        in which there is one. A second try, and a first one that would begin inside an obstacle (``blocked``), though not one
-        in which a straight rod was ``bowed``, makes half the way, down to ``least`` of that to the next instant. Where that
-        fails too there is no equilibrium near, and the rod goes to another one against viscosity."""
+        """Prepare a step that has failed for another try, which knows no forces; returns the lanes in which there is one. A
+        second try, and a first one that would begin inside an obstacle (``blocked``), though not one in which a straight rod
+        was ``bowed``, makes half the way, down to ``least`` of that to the next instant. Where that fails too there is no
+        equilibrium near, and the rod goes to another one against viscosity."""
         zero = 0.0 * rod.total
         viscosity = rod.contacts.viscosity
         again = failed & (rod.contacts.retried < 0.5) & (bowed | ~blocked) & (viscosity <= 0.0)
@@ -107,21 +109,9 @@ class Contacts(ContactRounds):
                     choose(self.contact(at, o), once, remembered=repeated(zero, REMEMBERED_IN_MOTION))
             if ti.static(self.itself):
                 self.forget_pairs(rod, once)
-            choose(rod.contacts, once, phase=zero + ROUGH, update_stiffness=zero, early=zero, change=zero + 1e30,
+            choose(rod.contacts, once, phase=zero + ROUGH, update_stiffness=zero, updates=zero, change=zero + 1e30,
                    stiffness=rod.contacts.first_stiffness, retried=zero + 1.0)
         return once
-
-    @ti.func
-    def remember(self, rod, index, place, done):
-        """Make ``place`` that of vertex ``index`` at the instant before, in the lanes that are ``done``."""
-        choose(self.vertex(rod, index), done, previous=place)
-
-    @ti.func
-    def remember_poses(self, rod, done):
-        """Make the pose of every obstacle that of the instant before, in the lanes that are ``done``."""
-        for o in range(rod.obstacles):
-            at = self.obstacle(rod, o)
-            choose(at, done, pose_before=at.pose)
 
     @ti.func
     def load_motion(self, tables, slot, row, unit, inertia):
@@ -131,7 +121,7 @@ class Contacts(ContactRounds):
         for v in range(one.edges + 1):
             self.vertex(one, v).previous = scaled(read(tables.places, row, v, 0), 1.0 / unit)
         # The first step of a motion knows no forces. All others continue as if no launch had ended before them.
-        stiffness = exact(own.stiffness) + inertia
+        stiffness = in_f64(own.stiffness) + inertia
         own.stiffness, own.first_stiffness, own.phase, own.way = stiffness, stiffness, ROUGH, 1.0
         own.work, own.largest, own.viscosity, own.eased, own.way_made = 0.0, 0.0, 0.0, 0.0, 0.0
         if tables.rod_memory[row, 0] > 0.0:
@@ -162,7 +152,7 @@ class Contacts(ContactRounds):
         viscosity = whole / (scale.total * vertices * unit * unit)
         tolerance = ti.max(tables.tolerance * radius, 10.0 * self.rounding * scale.total)
         base.given = (radius, stiffness, tolerance, 1e30, ROUGH, CLOSE * radius + 0.5 * scale.longest, stiffness, 0.0, 0.0)
-        base.first_viscosity, base.update_stiffness, base.early, base.expecting = viscosity, 0.0, 0.0, 0.0
+        base.first_viscosity, base.update_stiffness, base.updates, base.expecting = viscosity, 0.0, 0.0, 0.0
         for o in range(count):
             at = self.obstacle(one, o)
             for k in range(OBSTACLE_COLUMNS):
@@ -201,7 +191,7 @@ class Contacts(ContactRounds):
         one = self.of_lane(tables, slot)
         for v in range(one.edges + 1):
             for k in ti.static(range(3)):
-                force = exact(self.vertex(one, v).force_end[k])
+                force = in_f64(self.vertex(one, v).force_end[k])
                 if v < one.edges:
                     force += self.vertex(one, v + 1).force_start[k]
                 if ti.static(self.itself):

@@ -16,7 +16,7 @@ its unknown is the place ξ of the vertex behind it, where sums over vertices be
 import taichi as ti
 
 from doo_ti.physics.algebra import largest_of
-from doo_ti.physics.closure import closure_rows, linear_gradient, linear_hessian
+from doo_ti.physics.closure import closure_rows, linear_gradient, linear_hessian, shift_of_end
 from doo_ti.physics.quaternion import first_director, second_director, tangent
 from doo_ti.physics.tuples import (
     applied,
@@ -29,7 +29,6 @@ from doo_ti.physics.tuples import (
     on_diagonal,
     plus,
     products,
-    record,
     repeated,
     row,
     row_scaled,
@@ -79,8 +78,7 @@ class DenseElimination(DenseFactors):
     @ti.func
     def eliminate(self, rod, shift, search, multiplier, miss):
         """Assemble H + shift and factor it; as :meth:`.LoadedElimination.eliminate`."""
-        zero = 0.0 * rod.total
-        found = record(squared=zero, scale=zero, negative=zero, slope=zero, energy=zero, magnitude=zero)
+        found = self.nothing_found(rod)
         self.clear(rod)
         self.collect(rod, found)
         self.contacts.touch_itself(rod)
@@ -91,8 +89,7 @@ class DenseElimination(DenseFactors):
         self.factor_rows(rod, found)
         schur, right = self.solve_forward(rod)
         change, positive = self.bordered(rod, schur, plus(right, miss))
-        return record(moment=ti.sqrt(found.squared), scale=found.scale, change=change, inertia=found.negative + positive,
-                      slope=found.slope, energy=found.energy, magnitude=found.magnitude)
+        return self.result(found, change, positive)
 
     # --- the energies of places ---
 
@@ -119,12 +116,9 @@ class DenseElimination(DenseFactors):
             self.add_edge(rod, e, self.load(rod, edge, e, start, end, found))
             end = start
         if ti.static(self.pulls_start):
-            energy, gradient, curvature = self.functions.evaluate_start(
-                rod.head.outer, scaled(plus(rod.anchor, self.drift(rod)), rod.length_unit))
-            found.energy = found.energy + rod.loose * energy
-            found.magnitude = found.magnitude + rod.loose * energy
-            self.contacts.add_load(rod, 0, scaled(gradient, rod.length_unit))
-            self.contacts.add_diagonal(rod, 0, full(scaled(curvature, rod.length_unit * rod.length_unit)))
+            gradient, curvature = self.load_start(rod, found)
+            self.contacts.add_load(rod, 0, gradient)
+            self.contacts.add_diagonal(rod, 0, full(curvature))
         self.touch_begin(rod, 0)
 
     @ti.func
@@ -132,11 +126,11 @@ class DenseElimination(DenseFactors):
         """Add the derivatives of an edge's energy: a function of the start and of the edge, the end less the start."""
         self.contacts.add_load(rod, e, minus(load.gradient, load.gradient_s))
         self.contacts.add_load(rod, e + 1, load.gradient_s)
-        late, mixed = full(load.curvature_ss), load.curvature_s
-        self.contacts.add_diagonal(rod, e + 1, late)
-        self.contacts.add_block(rod, e + 1, e, minus(transposed(mixed), late))
-        early = minus(plus(load.curvature, load.curvature_ss), symmetric_sum(mixed))
-        self.contacts.add_diagonal(rod, e, full(early))
+        of_end, mixed = full(load.curvature_ss), load.curvature_s
+        self.contacts.add_diagonal(rod, e + 1, of_end)
+        self.contacts.add_block(rod, e + 1, e, minus(transposed(mixed), of_end))
+        of_start = minus(plus(load.curvature, load.curvature_ss), symmetric_sum(mixed))
+        self.contacts.add_diagonal(rod, e, full(of_start))
 
     @ti.func
     def touch_begin(self, rod, index):
@@ -282,7 +276,7 @@ class DenseElimination(DenseFactors):
             edge = self.edge(rod.head, e)
             w = variable(self.solution(rod, e + 1))
             q = edge.frame
-            change = scaled(minus(scaled(first_director(q), w[2]), scaled(second_director(q), w[1])), edge.length)
+            change = shift_of_end(edge.length, first_director(q), second_director(q), w)
             before, after = variable(x), variable(plus(x, change))
             if ti.static(self.breaks):
                 if self.begins(rod, e) > 0:

@@ -75,8 +75,7 @@ class DescentLoop:
     def __init__(self, number: Number, stride: int):
         self.sweep, self.memory = VertexEnergy(number), Scratch(number, stride)
         lanes = number.lanes()
-        self.largest, self.lane, self.with_lane, self.constant = (
-            lanes.largest, lanes.lane, lanes.with_lane, lanes.constant)
+        self.largest, self.lane, self.with_lane, self.constant = lanes.largest, lanes.lane, lanes.with_lane, lanes.constant
         self.width, self.scalar = number.width, number.scalar
         self.rounding = 2e-6 if number.bits == 32 else 1e-13
         self.converged, self.limit = int(Status.CONVERGED), int(Status.ITERATION_LIMIT)
@@ -159,8 +158,7 @@ class DescentLoop:
     @ti.func
     def trip(self, tables, origin, lane):
         """One step of every lane's rod, and its judgement."""
-        rod = record(origin=origin, edges=tables.directors.shape[1], held=lane.held, spin=lane.spin,
-                     gravity=lane.gravity)
+        rod = record(origin=origin, edges=tables.directors.shape[1], held=lane.held, spin=lane.spin, gravity=lane.gravity)
         self.sweep.move(rod, lane.step)
         self.sweep.minimise_twist(rod)
         found = self.sweep.evaluate(rod)
@@ -210,12 +208,12 @@ class DescentLoop:
         lane.fresh = zero
         lane.trips = lane.trips + lane.active
         ended = lane.residual <= ti.cast(tables.tolerance, self.scalar)
-        late = lane.trips >= ti.cast(tables.max_iterations, self.scalar)
+        out_of_trips = lane.trips >= ti.cast(tables.max_iterations, self.scalar)
         stuck = lane.still > PATIENCE
         lane.status = ti.select(stuck, self.constant(self.stalled), self.constant(self.limit))
         lane.status = ti.select(lost, self.constant(self.not_finite), lane.status)
         lane.status = ti.select(ended, self.constant(self.converged), lane.status)
-        lane.finished = ti.select((ended | late | stuck | lost) & (lane.active > 0.5), one, zero)
+        lane.finished = ti.select((ended | out_of_trips | stuck | lost) & (lane.active > 0.5), one, zero)
 
 
 ARGUMENTS = {
@@ -233,7 +231,6 @@ ARGUMENTS = {
     "material_axes": TABLE3,  # [rod, edge, 3] out: m1
     "results": TABLE2,  # [rod, RESULTS] out
 }
-"""What the kernel is given, in this order."""
 
 
 @cache

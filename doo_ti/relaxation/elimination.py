@@ -65,7 +65,7 @@ class Elimination(Chain):
         and ``energy`` and ``magnitude`` of an external energy, here none.
         """
         zero = 0.0 * rod.total
-        found = record(squared=zero, scale=zero, negative=zero, slope=zero)
+        found = self.nothing_found(rod)
         h, g = variable(repeated(zero, 6)), variable(repeated(zero, 3))  # H and gradient of the pair before
         ee = variable(repeated(zero, 6))  # W_Uᵀ D⁻¹ [W_U, W_A, W_r] of the edge before
         ea, er = variable(repeated(zero, 9)), variable(repeated(zero, 3))
@@ -114,8 +114,7 @@ class Elimination(Chain):
             ee, ea, er = symmetric_gram(f, wu), gram(f, wu, wa), against(f, wu, wr)
             h, g = h_next, g_next
         change, positive = self.bordered(rod, s, plus(z, miss))
-        return record(moment=ti.sqrt(found.squared), scale=found.scale, change=change, inertia=found.negative + positive,
-                      slope=found.slope, energy=zero, magnitude=zero)
+        return self.result(found, change, positive)
 
     @ti.func
     def edge_pull(self, rod, edge, weight):
@@ -160,6 +159,18 @@ class Elimination(Chain):
     # --- shared with the elimination under an external energy ---
 
     @ti.func
+    def nothing_found(self, rod):
+        """The record of what an elimination sums up, before it."""
+        zero = 0.0 * rod.total
+        return record(squared=zero, scale=zero, negative=zero, slope=zero, energy=zero, magnitude=zero)
+
+    @ti.func
+    def result(self, found, change, positive):
+        """What :meth:`eliminate` returns of what was ``found``, of δλ and of the positive eigenvalues of S."""
+        return record(moment=ti.sqrt(found.squared), scale=found.scale, change=change, inertia=found.negative + positive,
+                      slope=found.slope, energy=found.energy, magnitude=found.magnitude)
+
+    @ti.func
     def stirred(self, edge, e, right, gradient, search):
         """(right-hand side with the noise and the echo of ``search`` (noise, echo), slope along the echo).
 
@@ -168,35 +179,26 @@ class Elimination(Chain):
         """
         noise, echo = search
         # In a lane without an echo the step is undefined and may be NaN.
-        w = edge.rotation
-        k = chosen(echo > 0.0, scaled(w, echo), repeated(0.0 * echo, 3))
-        perturbed = (
-            right[0] + noise * ((5 * e + 2) % 7 - 2.5) + k[0],
-            right[1] + noise * ((3 * e + 1) % 7 - 2.5) + k[1],
-            right[2] + noise * ((4 * e + 3) % 7 - 2.5) + k[2],
-        )
+        k = chosen(echo > 0.0, scaled(edge.rotation, echo), repeated(0.0 * echo, 3))
+        perturbed = (right[0] + noise * ((5 * e + 2) % 7 - 2.5) + k[0], right[1] + noise * ((3 * e + 1) % 7 - 2.5) + k[1],
+                     right[2] + noise * ((4 * e + 3) % 7 - 2.5) + k[2])
         return perturbed, dot(gradient, k)
 
     @ti.func
     def store_eliminated(self, edge, f, right, neighbour, border):
         """Store for :meth:`solved_edge`: the factors of an edge, W_r, and the columns of W_U and of the border."""
         edge.pivots = (f[0], f[1], f[2], f[3], f[4], f[5])
-        edge.rotation = right
-        edge.neighbour = neighbour
-        edge.border = border
+        edge.rotation, edge.neighbour, edge.border = right, neighbour, border
 
     @ti.func
     def without_border(self, edge, columns, border):
         """W_r − W_border border of an edge, whose W_border has these ``columns``."""
-        right = edge.rotation
-        return minus_combination(right, columns, border)
+        return minus_combination(edge.rotation, columns, border)
 
     @ti.func
     def solved_edge(self, edge, right, w):
         """ω = L⁻ᵀ D⁻¹ (``right`` − W_U ω_neighbour) of an edge, into its place."""
-        f = edge.pivots
-        wu = edge.neighbour
-        rotation = backward(f, minus_combination(right, wu, w))
+        rotation = backward(edge.pivots, minus_combination(right, edge.neighbour, w))
         edge.rotation = rotation
         return rotation
 

@@ -1,4 +1,7 @@
-"""The input of ``relax`` as tables: materials row by row, and starts that can be projected onto closure (§III-B)."""
+"""The input of ``relax``, checked before any work, as tables (§III-B).
+
+Raises InputError that names the argument, its value and a remedy.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -7,25 +10,126 @@ import numpy as np
 
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.bows import bowed_among, straight_rods
-from doo_ti.relaxation.checked_input import (
-    check_material,
-    check_shapes,
-    clamp_kinds,
-    external_rows,
-    loads_along,
-    paired_rows,
-    rest_lengths,
-)
-from doo_ti.relaxation.clamp_table import INFEASIBLE, STRAIGHT, TAUT, TAUT_SLACK, clamp_table
+from doo_ti.relaxation.bows import projectable
+from doo_ti.relaxation.clamp_table import INFEASIBLE, clamp_table
 from doo_ti.relaxation.contact_table import contact_table
 from doo_ti.relaxation.external import External
 from doo_ti.relaxation.newton_policy import MOST_SHIFT
 from doo_ti.relaxation.point_loads import PointLoads
-from doo_ti.relaxation.tables import FREE, Tables, outer_edges, rod_rows, room, whole_start
-from doo_ti.rod.frames import quaternion_product, smallest_rotation, tangent_from_quaternion
+from doo_ti.relaxation.tables import FREE, Tables, rod_rows, room
 from doo_ti.rod.types import Clamps, Configuration, Material
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, real_array
+
+
+def check_shapes(configuration: Configuration, clamps: Clamps) -> None:
+    """Raise InputError unless starts and clamps are tables of the same rods, of two edges at least."""
+    if configuration.quaternions.dtype.kind != "f":
+        raise InputError("configuration", "quaternions", "not an array of floating-point numbers", "give an array (R, E, 4)")
+    if configuration.edges < 2:
+        raise InputError("configuration", "quaternions", f"{configuration.edges} edges", "give two or more")
+    if len(clamps.start_position) != configuration.count:
+        raise InputError("clamps", "start_position", f"{len(clamps.start_position)} rows for {configuration.count} starts",
+                         "give a row for each start")
+
+
+def rest_lengths(configuration: Configuration) -> np.ndarray:
+    """(1 or S, E) rest lengths. Raises InputError where they are not positive; those of the first and of the last edge may be
+    zero, where at least two others are between them."""
+    lengths = real_array("configuration", "rest_length", configuration.rest_length, "give positive lengths in mm")
+    # A copy: the result must not change when the caller's array does.
+    lengths = np.array(lengths, dtype=np.float64, order="C")
+    if lengths.ndim == 1:
+        lengths = lengths[None]
+    wrong = ~((lengths > 0) & (lengths < np.inf))
+    if not wrong.any():
+        return lengths
+    wrong[:, [0, -1]] &= lengths[:, [0, -1]] != 0
+    if wrong.any():
+        raise InputError("configuration", "rest_length", f"{lengths[wrong][0]:g}",
+                         "give positive lengths in mm; only the first and the last edge may have none")
+    if ((lengths > 0).sum(axis=1) < 2).any():
+        raise InputError("configuration", "rest_length", "fewer than two edges with a length", "give more edges")
+    return lengths
+
+
+def check_material(material: Material, edges: int, floating: bool) -> None:
+    """Raise InputError where ``material`` does not fit that many edges, or has weight while a rod has two free ends
+    (``floating``)."""
+    if floating and (material.weight > 0).any():
+        raise InputError("clamps", "start, end", "both ends are free and the rod has weight", "hold one end, or set weight 0")
+    for name, array, length in (("twist", material.twist, edges - 1), ("bend", material.bend, edges)):
+        if array.shape[1] not in (1, length):
+            raise InputError("material", name, f"{array.shape[1]} entries along the rod", f"give one or {length}")
+    rest = material.rest_curvature
+    if rest is not None and rest.shape[1] not in (1, edges - 1):
+        raise InputError("material", "rest_curvature", f"{rest.shape[1]} joints", f"give one or {edges - 1}")
+
+
+def clamp_kinds(clamps: Clamps, count: int) -> np.ndarray:
+    """(S, 2) Clamp numbers of both ends."""
+    kinds = np.empty((count, 2), dtype=np.int64)
+    kinds[:, 0], kinds[:, 1] = clamps.start, clamps.end
+    return kinds
+
+
+def paired_rows(configurations: int, materials: int, configuration_index, material_index, function: str = "relax"
+                ) -> tuple[np.ndarray, np.ndarray]:
+    """The two index vectors, (R,) each. Tables without one are paired one to one with the rods that the other makes, without
+    either with each other; a single row with every row. Raises InputError, naming ``function``."""
+    first = None if configuration_index is None else _row_numbers("configuration_index", configuration_index, function)
+    second = None if material_index is None else _row_numbers("material_index", material_index, function)
+    if first is None and second is None:
+        if configurations != materials and 1 not in (configurations, materials):
+            raise InputError(function, "material", f"{materials} rows for {configurations} rods", "give one, or one per rod")
+        count = min(configurations, materials) and max(configurations, materials)
+        return np.arange(count) % max(configurations, 1), np.arange(count) % max(materials, 1)
+    if first is None:
+        first = _one_each("configuration", configurations, second, function)
+    elif second is None:
+        second = _one_each("material", materials, first, function)
+    elif first.shape != second.shape:
+        if first.size != 1 and second.size != 1:
+            raise InputError(function, "material_index", f"shape {second.shape} beside {first.shape} of configuration_index",
+                             "give (R,) row numbers both")
+        first, second = np.broadcast_arrays(first, second)
+    for name, index, size in (("configuration_index", first, configurations), ("material_index", second, materials)):
+        if index.ndim != 1 or (index.size and (index.min() < 0 or index.max() >= size)):
+            raise InputError(function, name, f"not a vector of rows below {size}", "give (R,) row numbers")
+    return np.ascontiguousarray(first), np.ascontiguousarray(second)
+
+
+def _one_each(name: str, rows: int, other: np.ndarray, function: str) -> np.ndarray:
+    """Of the shape of the ``other`` index, row k of a table for rod k, or its single row."""
+    if rows not in (1, other.size):
+        raise InputError(function, name, f"{rows} rows for {other.size} rods", f"give one, one per rod, or {name}_index")
+    return (np.arange(other.size) % rows).reshape(other.shape)
+
+
+def external_rows(external: External | None, index, count: int, edges: int) -> np.ndarray:
+    """(R,) rows of the external energy; without ``index`` rods and rows are paired one to one, or all have the one row."""
+    if external is None:
+        if index is not None:
+            raise InputError("relax", "external_index", "given without an external energy", "give both, or neither")
+        return np.zeros(count, dtype=np.int64)
+    if external.vertices not in (None, edges + 1):
+        raise InputError("external", "points", f"{external.vertices} vertices", f"give {edges + 1}, as the rods have")
+    if index is None:
+        if external.count not in (1, count):
+            raise InputError("relax", "external", f"{external.count} rows for {count} rods", "give one, or one for each rod")
+        return np.arange(count) % external.count
+    rows = _row_numbers("external_index", index, "relax")
+    if rows.shape != (count,) or (rows.size and (rows.min() < 0 or rows.max() >= external.count)):
+        raise InputError("relax", "external_index", f"not {count} rows below {external.count}", "give (R,) row numbers")
+    return rows
+
+
+def _row_numbers(name: str, value, function: str) -> np.ndarray:
+    """``value`` as an int64 array. Raises InputError for anything but whole numbers."""
+    rows = real_array(function, name, value, "give (R,) row numbers")
+    if rows.size and rows.dtype.kind not in "iu":
+        raise InputError(function, name, f"dtype {rows.dtype}", "give whole row numbers")
+    return rows.astype(np.int64)
+
 
 UNEVEN = MOST_SHIFT
 """Of the largest stiffness of a rod to its smallest, above which it is relaxed with evener ones first (:func:`evened`): up to
@@ -35,11 +139,12 @@ RATIOS = (1e2, 1e4, 1e6, 1e8)
 
 
 def tables(
-    configuration: Configuration, material: Material, clamps: Clamps, up: np.ndarray,
-    configuration_index=None, material_index=None, external: External | None = None, external_index=None,
-    obstacles: Sequence[Obstacle] = (), radius=None, in_motion: bool = False,
+    configuration: Configuration, material: Material, clamps: Clamps, up: np.ndarray, pairs: tuple = (None, None),
+    external: External | None = None, external_index=None, obstacles: Sequence[Obstacle] = (), radius=None,
+    in_motion: bool = False,
 ) -> Tables:
-    """Check the input of F and lay it out for the kernels.
+    """Check the input of F and lay it out for the kernels; ``pairs``: the rows of configuration and of material of each rod, or
+    None (:func:`paired_rows`).
 
     Raises InputError where shapes do not match, an index is out of range, or both ends of a rod with weight are free that no
     external energy holds.
@@ -47,7 +152,7 @@ def tables(
     check_shapes(configuration, clamps)
     count, edges = configuration.count, configuration.edges
     lengths = rest_lengths(configuration)
-    index_c, index_m = paired_rows(count, material.count, configuration_index, material_index)
+    index_c, index_m = paired_rows(count, material.count, *pairs)
     rods = len(index_c)
     if max(count, rods) * edges * 4 > of.MOST_NUMBERS:
         raise InputError("relax", "configuration", f"{max(count, rods):,} rods of {edges} edges in one call",
@@ -56,7 +161,10 @@ def tables(
     kinds = clamp_kinds(clamps, count)
     floating = not kinds.any(axis=1).all()
     if isinstance(external, PointLoads):
-        external = loads_along(external, up, floating)
+        if floating and external.springs is None:
+            raise InputError("clamps", "start, end", "both ends are free under point loads",
+                             "hold one end, or give springs too")
+        external = external.hanging(up)
     check_material(material, edges, floating and external is None)
     clamp, found = clamp_table(configuration, lengths, kinds, clamps)
     if (external is not None or obstacles) and (kinds[:, 0] == FREE).any():
@@ -146,7 +254,7 @@ def put_extremes(table: np.ndarray, bend: tuple[np.ndarray, np.ndarray], twist: 
 
 
 def _along(chosen: np.ufunc, values: np.ndarray) -> np.ndarray:
-    """(R,) the one of ``values`` (R, 1 or joints) along each rod that is ``chosen``."""
+    """(R,) the one of ``values`` (R, 1 or joints) along each rod that is ``chosen``; single ones without a slow reduction."""
     return values[:, 0] if values.shape[1] == 1 else chosen.reduce(values, axis=1)
 
 
@@ -191,78 +299,3 @@ def evened_materials(material: np.ndarray, most: float) -> tuple[np.ndarray, np.
     rows[:, of.SOFTEST] = np.maximum(rows[:, of.SOFTEST], smallest / most)
     material[uneven] = rows
     return material, uneven
-
-
-def projectable(start: np.ndarray, lengths: np.ndarray, clamp: np.ndarray, found: np.ndarray, up: np.ndarray,
-                obstacles: Sequence[Obstacle], index: np.ndarray, beside_others: bool = False) -> np.ndarray:
-    """Starts that can be projected: those ``found`` (S,) STRAIGHT are bowed (:mod:`doo_ti.relaxation.bows`), those found TAUT
-    made straight. ``index`` (R,) is the start of each rod: obstacles may belong to single rods; ``beside_others``: they are
-    rods of groups. Where starts are changed ``clamp`` is, too, in place.
-    """
-    slack, taut = np.flatnonzero(found == STRAIGHT), np.flatnonzero(found == TAUT)
-    if len(slack):
-        start = _bowed(start, lengths, clamp, slack, up, obstacles, index, beside_others)
-    if len(taut):
-        start = _stretched(start, lengths, clamp, taut)
-    return start
-
-
-def _free_part(lengths: np.ndarray, clamp: np.ndarray):
-    """Of N rods with these lengths (N, E) and clamps (N, CLAMP_COLUMNS): which of the end edges may tilt (N, 2), as all inner
-    ones may, the line (N, 3) that the free edges have to bridge and its length (N,), and how far they reach (N,), mm."""
-    tangents = tangent_from_quaternion(clamp[:, of.ENDS:].reshape(-1, 2, 4))
-    tilting = clamp[:, of.TILT_START : of.TILT_END + 1]
-    held = lengths[:, outer_edges(lengths.shape[1])] * (1 - tilting)
-    line = clamp[:, of.TARGET : of.TARGET + 3] - (held[..., None] * tangents).sum(axis=1)
-    return tilting, line, np.linalg.norm(line, axis=1), clamp[:, of.TOTAL] - held.sum(axis=1)
-
-
-def _rows(lengths: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """(N, E) the lengths of some starts."""
-    return lengths[np.zeros_like(rows) if len(lengths) == 1 else rows]
-
-
-def _bowed(start, lengths, clamp, rows, up, obstacles: Sequence[Obstacle], index: np.ndarray, beside_others) -> np.ndarray:
-    """Starts of which the slack rods ``rows`` are bowed where their free edges are in one straight line."""
-    edges, own = start.shape[1], _rows(lengths, rows)
-    ends, _, span, reach = _free_part(own, clamp[rows])
-    tilting = np.ones((len(rows), edges))
-    tilting[:, outer_edges(edges)] = ends
-    whole = whole_start(start[rows], clamp[rows])
-    chord = np.linalg.norm(((own * tilting)[..., None] * tangent_from_quaternion(whole)).sum(axis=1), axis=-1)
-    straight = chord > reach * (1 - TAUT_SLACK)
-    if not straight.any():
-        return start
-    # Of rods that share a start but not their obstacles the first decides; starts without rods are left.
-    used, firsts = np.unique(index, return_index=True)
-    straight &= np.isin(rows, used)
-    rows, share = rows[straight], (span / reach)[straight]
-    anchor = clamp[rows, of.ANCHOR : of.ANCHOR + 3]
-    rods = straight_rods(whole[straight], own[straight], anchor, tilting[straight], share, up)
-    first = firsts[np.searchsorted(used, rows)]
-    frames = bowed_among(rods, [obstacle.take(first) for obstacle in obstacles], beside_others)
-    return _changed(start, clamp, rows, frames)
-
-
-def _stretched(start, lengths, clamp, rows) -> np.ndarray:
-    """Starts of which the rods ``rows``, as long as their span, are the one straight line they can be, with nothing left to
-    relax but the spins.
-
-    Their clamps are changed to say so; the turns of their frames are kept by parallel transport.
-    """
-    tilting, line, span, _ = _free_part(_rows(lengths, rows), clamp[rows])
-    whole = whole_start(start[rows], clamp[rows])
-    turn = smallest_rotation(tangent_from_quaternion(whole), (line / span[:, None])[:, None])
-    straight = quaternion_product(turn, whole)
-    outer = outer_edges(start.shape[1])
-    straight[:, outer] = np.where((tilting == 0)[..., None], whole[:, outer], straight[:, outer])
-    clamp[rows[:, None], [of.CLOSED, of.TILT_START, of.TILT_END, of.TILT_INNER]] = 0.0
-    return _changed(start, clamp, rows, straight)
-
-
-def _changed(start, clamp, rows, quaternions) -> np.ndarray:
-    """``start`` with other frames in some rows, as given left as it is; ``clamp`` takes their ends in place."""
-    start = start.copy()
-    start[rows] = quaternions
-    clamp[rows, of.ENDS:] = quaternions[:, outer_edges(start.shape[1])].reshape(-1, 8)
-    return start

@@ -45,7 +45,7 @@ from doo_ti.physics.tuples import (
     transposed,
     variable,
 )
-from doo_ti.relaxation.chain_layout import edge_layout, rod_layout
+from doo_ti.relaxation.chain import edge_layout, rod_layout
 from doo_ti.relaxation.contact_layout import CONTACTS
 from doo_ti.relaxation.contacts import Contacts
 from doo_ti.relaxation.elimination import held_pivot
@@ -96,7 +96,7 @@ class LoadedElimination(LooseStart):
         """The far end, found from the anchor on, where contacts begin."""
         x = variable(rod.anchor)
         if ti.static(self.moves_start):
-            x = plus(x, self.drift(rod))
+            x = plus(x, rod.head.drift)
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)
             x = plus(x, scaled(tangent(edge.frame), edge.length))
@@ -110,8 +110,7 @@ class LoadedElimination(LooseStart):
         """Assemble H + shift and eliminate it from the far end to the start, as :meth:`.Elimination.eliminate`. The force p,
         the sum of all known gradients further out, enters the geometric part of H and the residual; the force c, which
         elimination changes, enters the right-hand side."""
-        zero = 0.0 * rod.total
-        found = record(squared=zero, scale=zero, negative=zero, slope=zero, energy=zero, magnitude=zero)
+        zero, found = 0.0 * rod.total, self.nothing_found(rod)
         beyond, border = self.at_the_end(rod, multiplier)
         h, g = variable(repeated(zero, 6)), variable(repeated(zero, 3))  # H and gradient of the pair with the edge after
         end = self.tip(rod)
@@ -176,8 +175,7 @@ class LoadedElimination(LooseStart):
         if ti.static(self.moves_start):
             self.eliminate_start(rod, shift, beyond, border, found)
             change, positive = self.bordered(rod, border.schur, plus(border.right, miss))
-        return record(moment=ti.sqrt(found.squared), scale=found.scale, change=change, inertia=found.negative + positive,
-                      slope=found.slope, energy=found.energy, magnitude=found.magnitude)
+        return self.result(found, change, positive)
 
     @ti.func
     def at_the_end(self, rod, multiplier):
@@ -187,8 +185,7 @@ class LoadedElimination(LooseStart):
             force=repeated(zero, 3), c=repeated(zero, 3), f=repeated(zero, 3), cc=repeated(zero, 6), ff=repeated(zero, 6),
             z=repeated(zero, 9), length=zero)
         if ti.static(self.moves_start):
-            beyond.force = multiplier
-            beyond.c = multiplier
+            beyond.force, beyond.c = multiplier, multiplier
         return beyond, record(c=scaled(identity(zero), rod.closed), f=repeated(zero, 9), schur=repeated(zero, 6),
                               right=repeated(zero, 3))
 
@@ -203,7 +200,7 @@ class LoadedElimination(LooseStart):
         if ti.static(self.is_loaded):
             unit = rod.length_unit  # the energy is a function of places in mm
             value, gradient, gradient_s, curvature, curvature_s, curvature_ss = self.functions.evaluate(
-                edge.outer, rod.numbers, rod.field, scaled(start, unit), scaled(end, unit), rod.coarse)
+                edge.external, rod.numbers, rod.field, scaled(start, unit), scaled(end, unit), rod.coarse)
             found.energy = found.energy + value
             found.magnitude = found.magnitude + absolute(value)
             square = unit * unit
@@ -225,14 +222,10 @@ class LoadedElimination(LooseStart):
         turned = transposed(beyond.z)
         row1, row2 = applied(turned, a1), applied(turned, a2)
         o, c = beyond.ff, beyond.cc
-        return (
-            h[0] + shifts[0] + o[0],
-            h[1] + o[1] + row1[0],
-            h[2] + o[2] + row2[0],
-            h[3] + shifts[1] + o[3] + 2.0 * row1[1] + quadratic(c, a1, a1),
-            h[4] + o[4] + row1[2] + row2[1] + quadratic(c, a1, a2),
-            h[5] + shifts[1] + o[5] + 2.0 * row2[2] + quadratic(c, a2, a2),
-        )
+        return (h[0] + shifts[0] + o[0], h[1] + o[1] + row1[0], h[2] + o[2] + row2[0],
+                h[3] + shifts[1] + o[3] + 2.0 * row1[1] + quadratic(c, a1, a1),
+                h[4] + o[4] + row1[2] + row2[1] + quadratic(c, a1, a2),
+                h[5] + shifts[1] + o[5] + 2.0 * row2[2] + quadratic(c, a2, a2))
 
     @ti.func
     def coupled(self, beyond, load, a1, a2):
@@ -246,9 +239,7 @@ class LoadedElimination(LooseStart):
     def eliminate_border(self, edge, free, border, rows, f, wr, wz, wu):
         """The edge's part in closure: of each component of λ the columns c_λ and f_λ that the edge before is given, and the
         Schur complement."""
-        turned = times_transposed(border.c, rows)
-        a = column_scaled(plus(border.f, turned), free)
-        wa = forward_rows(f, a)
+        wa = forward_rows(f, column_scaled(plus(border.f, times_transposed(border.c, rows)), free))
         edge.force_border = wa
         border.c = minus(border.c, gram(f, wa, wz))
         border.f = negated(gram(f, wa, wu))
@@ -281,7 +272,7 @@ class LoadedElimination(LooseStart):
             edge = self.edge(rod.head, e)
             right = variable(self.without_multiplier(edge, found.change))
             decrement = decrement + squared(edge.pivots, right)
-            w = self.solved_edge(edge, self.less_displaced(edge, right, x), w)
+            w = self.solved_edge(edge, minus_combination(right, edge.border, x), w)
             q = edge.frame
             change = shift_of_end(edge.length, first_director(q), second_director(q), w)
             if ti.static(self.touches):
@@ -297,8 +288,3 @@ class LoadedElimination(LooseStart):
             return self.without_border(edge, edge.force_border, change)
         else:
             return edge.rotation
-
-    @ti.func
-    def less_displaced(self, edge, right, x):
-        """``right`` − W_Z ξ of an edge whose first vertex moves by ξ."""
-        return minus_combination(right, edge.border, x)

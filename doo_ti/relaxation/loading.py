@@ -4,7 +4,7 @@ import taichi as ti
 
 from doo_ti.physics.quaternion import normalised, tangent, transported
 from doo_ti.physics.tuples import dot, record, scaled
-from doo_ti.physics.view import exact, read, write
+from doo_ti.physics.view import in_f64, read, write
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.newton_policy import MOST_SHIFT
@@ -81,8 +81,8 @@ class Loading:
         rounding and tolerances do not depend on a rod's size.
         """
         lane = head.lane(slot)
-        s = tables.rods[rod, of.CLAMP_ROW]
-        g = tables.rods[rod, of.MATERIAL_ROW]
+        s, g = tables.rods[rod, of.CLAMP_ROW], tables.rods[rod, of.MATERIAL_ROW]
+        row_e = tables.rods[rod, of.EXTERNAL_ROW]
         divisor = stiffness_scale(tables.material, tables.clamp, g, s)
         unit = ti.cast(1.0, ti.f64)
         if ti.static(not self.in_millimetres):
@@ -101,8 +101,7 @@ class Loading:
                 edge.shift_shares = (self.shift_share(tables, g, e, 0), self.shift_share(tables, g, e, 1))
         if ti.static(self.loaded):
             for e in range(tables.rest_length.shape[1]):
-                self.functions.load(self.edge(lane, e).outer, tables.numbers, tables.rods[rod, of.EXTERNAL_ROW], e,
-                                    1.0 / divisor * unit)
+                self.functions.load(self.edge(lane, e).external, tables.numbers, row_e, e, 1.0 / divisor * unit)
         self.load_parameters(tables, lane, s, g, divisor, unit)
         if ti.static(self.touches):
             total = tables.clamp[s, of.TOTAL] / unit
@@ -115,7 +114,7 @@ class Loading:
             lane.loose = tables.clamp[s, of.LOOSE]
             lane.drift = scaled(read(tables.results, tables.rods[rod, of.RESULT_ROW], of.DRIFT), 1.0 / unit)
             if ti.static(self.loads_start):
-                self.functions.load_start(lane.outer, tables.numbers, tables.rods[rod, of.EXTERNAL_ROW], 1.0 / divisor * unit)
+                self.functions.load_start(lane.external, tables.numbers, row_e, 1.0 / divisor * unit)
 
     @ti.func
     def load_frames(self, tables, source: ti.template(), row, lane, s):
@@ -152,7 +151,7 @@ class Loading:
     @ti.func
     def force_unit(self, lane):
         """The lane's unit of force, energy per mm."""
-        return exact(lane.energy_unit) / exact(lane.length_unit)
+        return in_f64(lane.energy_unit) / in_f64(lane.length_unit)
 
     @ti.func
     def load_lengths(self, tables, lane, row, unit):
@@ -161,8 +160,7 @@ class Loading:
             edge, length = self.edge(lane, e), tables.rest_length[row, e] / unit
             edge.length = length
             if e > 0:
-                both = tables.rest_length[row, e - 1] / unit + length
-                edge.inverse_length = 1.0 / both
+                edge.inverse_length = 1.0 / (tables.rest_length[row, e - 1] / unit + length)
 
     @ti.func
     def shift_share(self, tables, g, e, tilt: ti.template()):
@@ -189,23 +187,17 @@ class Loading:
             lane.gravity[k] = tables.material[g, of.WEIGHT] * tables.up[k] / divisor * (unit * unit * unit)
         # A round rod with both spins free turns about itself at no cost: hold its first spin.
         spin_start = tables.clamp[s, of.SPIN_START] * (1.0 - tables.material[g, of.ROUND] * tables.clamp[s, of.SPIN_END])
-        free = (spin_start, tables.clamp[s, of.TILT_START], tables.clamp[s, of.SPIN_END], tables.clamp[s, of.TILT_END],
-                tables.clamp[s, of.TILT_INNER])
-        lane.free = free
-        lane.closed = tables.clamp[s, of.CLOSED]
-        lane.released = tables.clamp[s, of.RELEASED]
-        lane.total = tables.clamp[s, of.TOTAL] / unit
-        lane.longest = tables.clamp[s, of.LONGEST] / unit
-        lane.energy_unit = divisor / unit
-        lane.length_unit = unit
+        lane.free = (spin_start, tables.clamp[s, of.TILT_START], tables.clamp[s, of.SPIN_END], tables.clamp[s, of.TILT_END],
+                     tables.clamp[s, of.TILT_INNER])
+        lane.closed, lane.released = tables.clamp[s, of.CLOSED], tables.clamp[s, of.RELEASED]
+        lane.total, lane.longest = tables.clamp[s, of.TOTAL] / unit, tables.clamp[s, of.LONGEST] / unit
+        lane.energy_unit, lane.length_unit = divisor / unit, unit
         bend, twist = tables.material[g, of.STIFFNESS + of.BEND], tables.material[g, of.STIFFNESS + of.TWIST]
         lane.stiffness = (bend / divisor, twist / divisor)
         lane.softest = tables.material[g, of.SOFTEST] / divisor
         if ti.static(not self.isotropic):
             bend, twist = tables.material[g, of.SOFTEST], tables.material[g, of.SOFTEST]
         most = MOST_SHIFT / tables.material[g, of.STIFFEST]
-        shares = (ti.min(1.0, most * twist), ti.min(1.0, most * bend))
-        lane.shift_shares = shares
+        lane.shift_shares = (ti.min(1.0, most * twist), ti.min(1.0, most * bend))
         # A first guess of H's largest diagonal entry.
-        guess = 4.0 * tables.material[g, of.STIFFEST] / divisor / (tables.clamp[s, of.SHORTEST_PAIR] / unit)
-        lane.scale = guess
+        lane.scale = 4.0 * tables.material[g, of.STIFFEST] / divisor / (tables.clamp[s, of.SHORTEST_PAIR] / unit)

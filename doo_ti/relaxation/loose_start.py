@@ -11,7 +11,6 @@ from doo_ti.physics.tuples import (
     against,
     backward,
     chosen,
-    dot,
     forward,
     forward_rows,
     minus,
@@ -35,26 +34,11 @@ class LooseStart(Elimination):
     """The part of :class:`.LoadedElimination` for vertex 0. Lanes whose rods hold it are not changed."""
 
     @ti.func
-    def drift(self, rod):
-        """How far vertex 0 has moved from the anchor, in the rod's unit of length."""
-        return rod.head.drift
-
-    @ti.func
-    def displaced(self, rod, reached):
-        """The far end from the anchor, where ``reached`` is from vertex 0."""
-        return plus(reached, self.drift(rod))
-
-    @ti.func
-    def lifted_start(self, rod):
-        """Potential of the rod's weight, moved from the anchor by the drift."""
-        return 2.0 * rod.total * dot(rod.gravity, self.drift(rod))
-
-    @ti.func
     def step_start(self, rod, scale, moving, reached, goal):
         """Move vertex 0 by its share of the step, or to where the far end, ``reached`` from vertex 0, is at its ``goal``;
         returns where rotations are still to close the chain."""
         zero = 0.0 * scale
-        standing = self.drift(rod)
+        standing = rod.head.drift
         full = rod.head.drift_step
         stepping = (scale > 0.0) | (scale < 0.0)
         drift = variable(chosen(stepping, plus(standing, scaled(full, scale)), standing))
@@ -68,12 +52,6 @@ class LooseStart(Elimination):
         return ti.select(rod.loose > 0.5, zero, moving)
 
     @ti.func
-    def restore_start(self, rod, lost):
-        """Restore vertex 0 in the lanes that reject the step."""
-        standing = rod.head.drift_standing
-        rod.head.drift = chosen(lost > 0.5, standing, self.drift(rod))
-
-    @ti.func
     def eliminate_start(self, rod, shift, beyond, border, found):
         """Eliminate ξ of vertex 0 from the quadratic form that edge 0 leaves, ½ ξᵀC ξ + c·ξ."""
         loose = rod.loose
@@ -81,13 +59,9 @@ class LooseStart(Elimination):
         weight = scaled(rod.gravity, 2.0 * rod.total)
         force, c = variable(plus(beyond.force, weight)), variable(plus(beyond.c, weight))
         if ti.static(self.pulls_start):
-            energy, gradient, curvature = self.functions.evaluate_start(
-                rod.head.outer, scaled(plus(rod.anchor, self.drift(rod)), rod.length_unit))
-            found.energy = found.energy + loose * energy
-            found.magnitude = found.magnitude + loose * energy
-            slope = scaled(gradient, rod.length_unit)
+            slope, curvature = self.load_start(rod, found)
             force, c = plus(force, slope), plus(c, slope)
-            beyond.cc = plus(beyond.cc, scaled(curvature, rod.length_unit * rod.length_unit))
+            beyond.cc = plus(beyond.cc, curvature)
         if ti.static(self.touches):
             if self.contacts.touched_start(rod, 0) == 1:
                 slope = rod.contacts.end_gradient
@@ -98,16 +72,24 @@ class LooseStart(Elimination):
         moment = scaled(force, loose * rod.total)
         self.observe_moment(found, moment)
         d = on_diagonal(beyond.cc, self.shift_of_start(rod, shift))
-        held = (self.at_least_held(rod, d[0]), d[1], d[2], self.at_least_held(rod, d[3]), d[4], self.at_least_held(rod, d[5]))
-        f = factor_in_turn(held_pivot(held, free))
+        stiff = (self.at_least_held(rod, d[0]), d[1], d[2], self.at_least_held(rod, d[3]), d[4], self.at_least_held(rod, d[5]))
+        f = factor_in_turn(held_pivot(stiff, free))
         found.negative = found.negative + f[6]
         wr = forward(f, scaled(negated(c), loose))
         wa = forward_rows(f, scaled(border.c, loose))
         border.schur = plus(border.schur, symmetric_gram(f, wa))
         border.right = plus(border.right, against(f, wa, wr))
-        rod.head.drift_step = wr
-        rod.head.drift_border = wa
+        rod.head.drift_step, rod.head.drift_border = wr, wa
         rod.head.drift_pivots = (f[0], f[1], f[2], f[3], f[4], f[5])
+
+    @ti.func
+    def load_start(self, rod, found):
+        """The external energy at vertex 0: its value goes to ``found``; returns its first and second derivative."""
+        energy, gradient, curvature = self.functions.evaluate_start(
+            rod.head.external, scaled(plus(rod.anchor, rod.head.drift), rod.length_unit))
+        found.energy = found.energy + rod.loose * energy
+        found.magnitude = found.magnitude + rod.loose * energy
+        return scaled(gradient, rod.length_unit), scaled(curvature, rod.length_unit * rod.length_unit)
 
     @ti.func
     def shift_of_start(self, rod, shift):

@@ -3,7 +3,7 @@
 import taichi as ti
 
 from doo_ti.physics.algebra import absolute
-from doo_ti.physics.tuples import chosen, dot, plus, record, scaled, variable
+from doo_ti.physics.tuples import choose, chosen, dot, plus, record, scaled, variable
 from doo_ti.relaxation import newton_policy as fixed
 from doo_ti.relaxation.contact_layout import EARLY_ROTATION, PART, SHIFT_GROWTH, SHORTENED
 from doo_ti.relaxation.elimination import Elimination
@@ -92,10 +92,10 @@ class NewtonTrip:
         echo = ti.select(searching & (lane.rounds > 0.5), lane.scale / (lane.longest + 1e-30), zero)
         energy, magnitude, miss, fitted, lowest = self.sweep.close(rod, x, normal)
         multiplier = self.multiplier(lane, fitted)
-        rested = (lane.fresh < 0.5) & (lane.residual * rod.total <= self.tolerance(tables, rod))
+        was_at_rest = (lane.fresh < 0.5) & (lane.residual * rod.total <= self.tolerance(tables, rod))
         trace = self.constant(self.trace)
         if ti.static(self.trace_at_rest > self.trace):
-            trace = ti.select(rested, self.constant(self.trace_at_rest), trace)
+            trace = ti.select(was_at_rest, self.constant(self.trace_at_rest), trace)
         diagonal = ti.select(next_shift > 0.0, next_shift, trace * lane.scale)
         found = self.sweep.eliminate(rod, diagonal, (noise, echo), multiplier, miss)
         found.energy += energy
@@ -106,7 +106,7 @@ class NewtonTrip:
         longest, size, decrement = self.sweep.substitute(rod, found)
         lane.longest = longest
         self.keep(rod, lane, found, miss, lowest, multiplier, judged, next_shift)
-        place = self.judge_place(tables, rod, lane, found.inertia, (size, decrement, rested), judged)
+        place = self.judge_place(tables, rod, lane, found.inertia, (size, decrement, was_at_rest), judged)
         self.plan(tables, rod, lane, judged, place, searching, found.slope)
         self.end(tables, rod, lane, judged, place)
 
@@ -157,7 +157,7 @@ class NewtonTrip:
         zero, one = self.constant(0.0), self.constant(1.0)
         lane.energy = ti.select(judged.stands, found.energy, lane.energy)
         if ti.static(self.touches):
-            self.sweep.contacts.note_accepted(rod, judged.stands)
+            choose(rod.contacts, judged.stands, penalty_kept=rod.contacts.penalty)
         lane.magnitude = ti.select(judged.stands, found.magnitude, lane.magnitude)
         lane.miss = chosen(judged.stands, miss, lane.miss)
         lane.begun = ti.select(lane.fresh > 0.5, lowest[0], lane.begun)
@@ -192,42 +192,43 @@ class NewtonTrip:
 
     @ti.func
     def judge_place(self, tables, rod, lane, inertia, step, judged):
-        """Judge where the rod is: a record of flags. The elimination, at the new frames, says nothing about restored ones.
+        """Judge where the rod is: a record of flags. ``at_rest``: residual, closure and decrement are small; ``calm``: at rest,
+        at accepted frames, and not leaving a saddle. The elimination, at the new frames, says nothing about restored ones.
 
         step: of the next one its size and its Newton decrement, and whether the rod had come to rest before this one.
         """
-        size, decrement, rested = step
+        size, decrement, was_at_rest = step
         gap = ti.sqrt(dot(lane.miss, lane.miss))
         tolerance = self.tolerance(tables, rod)
-        at_rest = lane.residual * rod.total <= tolerance
+        balanced = lane.residual * rod.total <= tolerance
         if ti.static(self.touches):
             # Large forces on a limp rod: rounding limits the residual, and the next step bounds the error of the shape.
             still = (size <= self.still) & (lane.shift <= 0.0)
-            at_rest = at_rest | (still & (lane.residual * rod.total <= fixed.BY_ROUNDING * tolerance))
+            balanced = balanced | (still & (lane.residual * rod.total <= fixed.BY_ROUNDING * tolerance))
         if ti.static(self.by_decrement):
             # The residual is measured by the stiffest part of a rod: what the next step would gain bounds the error of others.
             turn = fixed.TURN_LEFT * tolerance
             enough = (turn * turn + fixed.NEUTRAL * size * size) * rod.softest / rod.total
             enough = enough + fixed.DECREMENT_ROUNDING * lane.magnitude
-            at_rest = at_rest & (absolute(decrement) <= enough)
-        small = at_rest & (gap <= self.closure_tolerance * rod.total) & ~judged.broken
+            balanced = balanced & (absolute(decrement) <= enough)
+        at_rest = balanced & (gap <= self.closure_tolerance * rod.total) & ~judged.broken
         if ti.static(self.touches):
             # The residual of a step that updates forces does not say how far gaps are open.
             contacts = self.sweep.contacts
             open_gaps = contacts.gap_change(rod) > rod.contacts.tolerance
-            small = small & ~((rod.contacts.update_stiffness > 0.0) & open_gaps)
+            at_rest = at_rest & ~((rod.contacts.update_stiffness > 0.0) & open_gaps)
         least, most = ti.static(fixed.INERTIA_OF_A_MINIMUM - 0.5, fixed.INERTIA_OF_A_MINIMUM + 0.5)
         wrong = ((inertia < least) | (inertia > most)) & judged.stands
         right = (inertia > least) & (inertia < most) & judged.stands
-        calm = small & (lane.escaping < 0.5) & judged.stands
+        calm = at_rest & (lane.escaping < 0.5) & judged.stands
         altered = (lane.shift > 0.0) | (lane.coarse > 0.5)
         if ti.static(self.expects):
-            altered = altered | self.sweep.contacts.expected(rod)
+            altered = altered | (rod.contacts.expected > 0.5)
         # Where rounding limits the residual, the size of the next step bounds the error of the shape.
         resolved = size <= self.shape_tolerance
         doubtful = self.constant(0.0) > 0.5
         if ti.static(self.trace_at_rest > self.trace):
-            doubtful = calm & ~altered & wrong & ~rested
+            doubtful = calm & ~altered & wrong & ~was_at_rest
             wrong = wrong & ~doubtful
         at_saddle = calm & ~altered & wrong
         # Beside a saddle a rod may make no progress though its residual is not yet small.
@@ -237,9 +238,9 @@ class NewtonTrip:
         # After a refused step a shifted one comes first: from the same frames the same step would be refused again.
         certify = calm & altered & (lane.rejects < 0.5)
         return record(
-            gap=gap, small=small, calm=calm, resolved=resolved, right=right, wrong=wrong, doubtful=doubtful,
+            gap=gap, at_rest=at_rest, calm=calm, resolved=resolved, right=right, wrong=wrong, doubtful=doubtful,
             at_minimum=calm & ~altered & right & resolved, at_saddle=at_saddle, leaving=leaving,
-            resting=at_saddle & (lane.escapes >= limit), certify=certify)
+            stays=at_saddle & (lane.escapes >= limit), certify=certify)
 
     @ti.func
     def plan(self, tables, rod, lane, judged, place, searching, slope):
@@ -255,22 +256,22 @@ class NewtonTrip:
         lane.rounds = ti.select((lane.escaping > 0.5) & place.right & ~place.leaving, lane.rounds + 1.0, lane.rounds)
         lane.rounds = ti.select(place.leaving, zero, lane.rounds)
         unready = (lane.escaping > 0.5) & (lane.rounds <= fixed.ESCAPE_ROUNDS)
-        held = place.certify | place.leaving | place.wrong | place.doubtful | unready | (lane.closing > 0.5) | judged.uphill
-        lane.trying = ti.select(held, zero, one)
+        waits = place.certify | place.leaving | place.wrong | place.doubtful | unready | (lane.closing > 0.5) | judged.uphill
+        lane.trying = ti.select(waits, zero, one)
         lane.troubled = ti.select(judged.uphill | (place.wrong & (lane.closing < 0.5)), one, lane.troubled)
         floor = ti.select(lane.escaping > 0.5, fixed.NEGLIGIBLE_TROUBLED * lane.scale, fixed.SHIFT_WRONG_INERTIA * lane.scale)
         lane.shift = ti.select(place.wrong & (lane.closing < 0.5), ti.max(fixed.GROWTH * lane.shift, floor), lane.shift)
         lane.shift = ti.select(place.certify, zero, lane.shift)
         if ti.static(self.has_coarse):
-            far = (lane.longest > fixed.COARSE_ROTATION) & ~place.small & (lane.escaping < 0.5)
+            far = (lane.longest > fixed.COARSE_ROTATION) & ~place.at_rest & (lane.escaping < 0.5)
             lane.coarse = ti.select(far, one, zero)
         cap = ti.min(one, ti.cast(tables.policy[fixed.ROTATION_LIMIT], self.scalar) / (lane.longest + 1e-30))
         if ti.static(self.touches):
             part = (lane.rejects > 0.5) & (lane.rejects < 1.5)
             if ti.static(self.expects):
                 # With the contacts that the refused step has met, the step is another one.
-                part = part & ~self.sweep.contacts.expected(rod)
-                self.sweep.contacts.note_refused(rod, judged.uphill)
+                part = part & ~(rod.contacts.expected > 0.5)
+                rod.contacts.expecting = ti.select(judged.uphill, one, zero)
             cap = ti.select(part, PART * cap, cap)
         lane.heading = ti.select(searching, ti.select(slope > 0.0, 0.0 - one, one), lane.heading)
         leap = lane.heading * fixed.ESCAPE_ROTATION / ((1.0 + lane.rejects) * (1.0 + lane.rejects) * (lane.longest + 1e-30))
@@ -289,28 +290,28 @@ class NewtonTrip:
         lane.returned = ti.select(judged.uphill, one, zero)
         fresh = lane.fresh > 0.5
         lane.fresh = zero
-        ended = place.at_minimum | place.resting
-        late = lane.trips >= ti.cast(tables.policy[fixed.ITERATION_LIMIT], self.scalar)
+        ended = place.at_minimum | place.stays
+        out_of_trips = lane.trips >= ti.cast(tables.policy[fixed.ITERATION_LIMIT], self.scalar)
         stuck = lane.idle_trips > self.patience
         lost = judged.broken | ~(lane.residual == lane.residual)
         if ti.static(self.touches):
             stuck = stuck | self.sweep.contacts.jammed(rod)
         lane.status = ti.select(stuck, self.constant(self.stalled), self.constant(self.limit))
         lane.status = ti.select(lost, self.constant(self.not_finite), lane.status)
-        # At rest, though a neutral motion leaves the certificate undecided: converged, not certified.
-        at_rest = place.small & place.resolved & (late | stuck)
+        # A neutral motion leaves the certificate undecided: converged, not certified.
+        undecided = place.at_rest & place.resolved & (out_of_trips | stuck)
         if ti.static(self.touches):
             ready = (lane.trying > 0.5) & (lane.escaping < 0.5) & (lane.longest < EARLY_ROTATION) & ~lost
             given = self.constant(0.0) + ti.cast(tables.policy[fixed.TOLERANCE], self.scalar)
-            exact = lane.residual * rod.total <= self.sweep.contacts.final_tolerance(rod, given)
-            early, done = self.sweep.contacts.plan_update(rod, lane, ready, place.at_minimum & exact)
-            calm = place.calm & ~place.leaving & ~early & ~done
-            ended, at_rest, stuck = ended & ~early, at_rest & ~early, stuck & ~early
-            goes_on = self.sweep.contacts.end_round(rod, lane, calm, (ended | at_rest) & ~done, judged.downhill)
-            ended, at_rest, stuck = ended & ~goes_on, at_rest & ~goes_on, stuck & ~goes_on
+            final = lane.residual * rod.total <= self.sweep.contacts.final_tolerance(rod, given)
+            updating, done = self.sweep.contacts.plan_update(rod, lane, ready, place.at_minimum & final)
+            calm = place.calm & ~place.leaving & ~updating & ~done
+            ended, undecided, stuck = ended & ~updating, undecided & ~updating, stuck & ~updating
+            goes_on = self.sweep.contacts.end_round(rod, lane, calm, (ended | undecided) & ~done, judged.downhill)
+            ended, undecided, stuck = ended & ~goes_on, undecided & ~goes_on, stuck & ~goes_on
             blocked = self.sweep.contacts.blocked(rod, fresh, lane.miss)
             lane.status = ti.select(blocked, self.constant(self.infeasible), lane.status)
-            ended, at_rest, lost = ended & ~blocked, at_rest & ~blocked, lost | blocked
-        lane.status = ti.select(ended | at_rest, self.constant(self.converged), lane.status)
+            ended, undecided, lost = ended & ~blocked, undecided & ~blocked, lost | blocked
+        lane.status = ti.select(ended | undecided, self.constant(self.converged), lane.status)
         lane.stable = ti.select(place.at_minimum, one, zero)
-        lane.finished = ti.select((ended | late | stuck | lost) & (lane.active > 0.5), one, zero)
+        lane.finished = ti.select((ended | out_of_trips | stuck | lost) & (lane.active > 0.5), one, zero)

@@ -3,36 +3,45 @@
 g is the gradient of the energy by the rotations of the frames, c closure, A its Jacobian. The derivatives are those at the
 frames and the multiplier λ of the equilibrium. Edges that a clamp holds may turn with it: then what their turn does to
 themselves and to their neighbours is part of the derivative.
+
+Where a clamp holds the frame of an end edge, what is left of g + Aλ on that edge is the moment of the clamp on the rod about
+the clamped vertex: the energy grows by it times the angle by which the clamp turns. What a clamp does not hold is in balance.
 """
 
 import taichi as ti
 
 from doo_ti.physics import pair
-from doo_ti.physics.closure import linear_gradient, shift_of_end
+from doo_ti.physics.closure import linear_gradient, linear_hessian, shift_of_end
 from doo_ti.physics.pair import moment, strain
 from doo_ti.physics.quaternion import first_director, second_director, tangent
-from doo_ti.physics.tuples import applied, dot, minus, plus, record, scaled, transposed, variable
+from doo_ti.physics.tuples import applied, dot, full, minus, plus, record, scaled, transposed, variable
 from doo_ti.physics.view import Layout, read
 from doo_ti.relaxation import chain
 
-# A column changes B by BEND = (11, 22, 12), β by TWIST, ω̄ along the rod by row MODE of the table of modes (NO_MODE: not at
-# all), gravity by PULL, which is multiplied by μ where TIMES_WEIGHT is one, all lengths by the factor 1 + STRETCH, the far
-# point, as seen from vertex 0, by SHIFT, the frames that the clamps hold by the rotations TURN_START and TURN_END, and vertex 0
-# by MOVE, all four in the world.
+# What changes along a direction, of the table of directions.
 BEND, TWIST, MODE, PULL, TIMES_WEIGHT, STRETCH = 0, 3, 4, 5, 8, 9
 SHIFT, TURN_START, TURN_END, MOVE, DIRECTION_COLUMNS = 10, 13, 16, 19, 22
+"""BEND, TWIST         B as (11, 22, 12), and β
+MODE                ω̄ along the rod, by that row of the table of modes (NO_MODE: not at all)
+PULL, TIMES_WEIGHT  gravity, multiplied by μ where TIMES_WEIGHT is one
+STRETCH             all lengths, by the factor 1 + STRETCH
+SHIFT, MOVE         the far point, as seen from vertex 0, and vertex 0, in the world
+TURN_START, TURN_END  the frames that the clamps hold, by these rotations in the world"""
 NO_MODE = -1
+FIRST, LAST = 0, 1
 
-# Of an edge after what chain has of it: curvature and twist at the vertex where it ends, kept because eliminating writes over
-# the place where chain has them; and the sum of the forces of obstacles and of point loads on all vertices after its first,
-# with the sign of a gradient; and the derivatives of the pair there, in the first and the last pair.
 PAIR = Layout(left=3, right=3, h_left=6, h_right=6, across=9)
 KEPT = Layout(kept=8, beyond=3, pair=PAIR)
+"""Of an edge, besides what chain has of it.
+
+kept    curvature and twist where it ends, since eliminating writes over the place where chain has them
+beyond  the sum of the forces of obstacles and of point loads on all vertices after its first, with the sign of a gradient
+pair    the derivatives of the pair there, of the first pair and of the last"""
 
 
 @ti.data_oriented
 class ParameterGradient(chain.Chain):
-    """The chain with its derivatives by parameters, in f64.
+    """The chain with its derivatives by parameters, and with the moments at its ends, in f64.
 
     Its functions take a record ``column`` (:meth:`column`) of what changes along one direction:
 
@@ -55,19 +64,19 @@ class ParameterGradient(chain.Chain):
             edge = self.edge(rod.head, e)
             x, y, inverse, turn, r = pair.curvature(edge.frame, self.edge(rod.head, e + 1).frame)
             bent = x + y + (inverse, self.twist_angle(r)) + turn
-            edge.bent, edge.outer.kept = bent, bent
+            edge.bent, edge.external.kept = bent, bent
 
     @ti.func
     def kept_pair(self, rod, e):
         """Curvature and twist, and the stiffness, at the vertex where edge ``e`` ends."""
         edge = self.edge(rod.head, e)
-        return self.bent(edge.outer.kept), self.stiffness(edge, self.edge(rod.head, e + 1), rod.stiffness)
+        return self.bent(edge.external.kept), self.stiffness(edge, self.edge(rod.head, e + 1), rod.stiffness)
 
     @ti.func
     def keep_pair(self, rod, joint, derivatives):
         """Keep the derivatives of the first pair and of the last, whose edges clamps hold."""
         if joint == 0 or joint == rod.edges - 2:
-            kept = self.edge(rod.head, joint).outer.pair
+            kept = self.edge(rod.head, joint).external.pair
             kept.left, kept.right, kept.h_left, kept.h_right, kept.across = derivatives
 
     @ti.func
@@ -76,7 +85,7 @@ class ParameterGradient(chain.Chain):
         for end in range(2):
             joint = end * (rod.edges - 2)
             bent, s = self.kept_pair(rod, joint)
-            kept = self.edge(rod.head, joint).outer.pair
+            kept = self.edge(rod.head, joint).external.pair
             kept.left, kept.right = self.gradient_of(bent, s)
 
     @ti.func
@@ -138,7 +147,7 @@ class ParameterGradient(chain.Chain):
         q = edge.frame
         length = edge.length
         return record(length=length, hang=self.hanging_weight(rod, length, remaining), t=tangent(q), m1=first_director(q),
-                      m2=second_director(q), beyond=edge.outer.beyond)
+                      m2=second_director(q), beyond=edge.external.beyond)
 
     @ti.func
     def pull_on(self, rod, edge, multiplier):
@@ -163,7 +172,7 @@ class ParameterGradient(chain.Chain):
         An edge's own potentials and its tilt leave its spin in balance, where the clamp leaves that free.
         """
         if e < rod.edges - 1 and (e == 0 or e == rod.edges - 2):
-            kept = self.edge(rod.head, e).outer.pair
+            kept = self.edge(rod.head, e).external.pair
             if e == 0:
                 w, h = column.turn_start, kept.h_left
                 change.after = plus(change.after, applied(transposed(kept.across), w))
@@ -181,3 +190,67 @@ class ParameterGradient(chain.Chain):
             if e == rod.edges - 1:
                 w = column.turn_end
             change.closure = plus(change.closure, shift_of_end(edge.length, edge.m1, edge.m2, w))
+
+    # --- the moments at the ends: ``end`` is FIRST or LAST ---
+
+    @ti.func
+    def end_places(self, rod, end):
+        """The number of the end's edge, that of its pair's joint, and the length after the end's edge."""
+        remaining = 0.0 * rod.total
+        if end == FIRST:
+            remaining = rod.total - self.edge(rod.head, 0).length
+        return end * (rod.edges - 1), end * (rod.edges - 2), remaining
+
+    @ti.func
+    def own_part(self, end, left, right):
+        """Of what a pair does to its two edges, the part of the end's own edge."""
+        part = variable(left)
+        if end == LAST:
+            part = right
+        return part
+
+    @ti.func
+    def in_world(self, edge, v):
+        """A vector in the edge's axes as one in the world."""
+        return plus(plus(scaled(edge.t, v[0]), scaled(edge.m1, v[1])), scaled(edge.m2, v[2]))
+
+    @ti.func
+    def body_moment(self, rod, edge, own, multiplier):
+        """g + Aλ of the end's ``edge`` in its own axes, ``own`` what its pair adds to g."""
+        l1, l2 = linear_gradient(self.pull_on(rod, edge, multiplier), edge.length, edge.m1, edge.m2)
+        return plus(own, (0.0 * l1, l1, l2))
+
+    @ti.func
+    def end_moment(self, rod, end, multiplier):
+        """The moment at an end, in the world."""
+        e, joint, remaining = self.end_places(rod, end)
+        pair = self.edge(rod.head, joint).external.pair
+        edge = self.seen(rod, self.edge(rod.head, e), remaining)
+        return self.in_world(edge, self.body_moment(rod, edge, self.own_part(end, pair.left, pair.right), multiplier))
+
+    @ti.func
+    def moment_change(self, rod, end, column, change):
+        """The derivative of an end's moment, in the world, by a column whose rotations lie in the place of the step and by
+        which λ, with the forces of obstacles beyond the edge, changes by ``change``.
+
+        H has the second derivatives by spins that are made before tilts: with the edge's own rotation w and G = g + Aλ the
+        moment changes by H w + (G2 w1 − G1 w2, ½ G0 w2, −½ G0 w1), seen from the edge's axes as they were.
+        """
+        e, joint, remaining = self.end_places(rod, end)
+        pair = self.edge(rod.head, joint).external.pair
+        w0, w1 = self.edge(rod.head, joint).rotation, self.edge(rod.head, joint + 1).rotation
+        of_left = plus(applied(full(pair.h_left), w0), applied(pair.across, w1))
+        of_right = plus(applied(full(pair.h_right), w1), applied(transposed(pair.across), w0))
+        found = self.own_part(end, of_left, of_right)
+        if column.bends or column.mode != NO_MODE:
+            explicit_left, explicit_right = self.pair_change(rod, joint, column)
+            found = plus(found, self.own_part(end, explicit_left, explicit_right))
+        edge = self.seen(rod, self.edge(rod.head, e), remaining)
+        w = self.own_part(end, w0, w1)
+        straighten = linear_hessian(self.pull_on(rod, edge, column.multiplier), edge.length, edge.t)
+        l1, l2 = self.linear_change(rod, edge, column)
+        c1, c2 = linear_gradient(change, edge.length, edge.m1, edge.m2)
+        found = plus(found, (0.0 * l1, l1 + c1 + straighten * w[1], l2 + c2 + straighten * w[2]))
+        g = self.body_moment(rod, edge, self.own_part(end, pair.left, pair.right), column.multiplier)
+        turned = (g[2] * w[1] - g[1] * w[2], 0.5 * g[0] * w[2], 0.0 - 0.5 * g[0] * w[1])
+        return self.in_world(edge, plus(found, turned))

@@ -4,16 +4,32 @@
     pulled = pullback(solution, 2 (x − x̂), ("bend", "rest_curvature_per_joint"))
     pulled["rest_curvature_per_joint"]      # (R, E−1, 2) ∂loss/∂ω̄
 
-One solve for each rod, whatever the number of parameters: what automatic differentiation needs for its reverse mode.
+One solve for each rod, whatever the number of parameters: what automatic differentiation needs for its reverse mode. The matrix
+K of the bordered system is symmetric, so that a scalar s with the derivatives b by the frames changes along θ by
+
+    ds/dθ = bᵀ dω/dθ = −pᵀ ∂g/∂θ − qᵀ ∂c/∂θ,    K (p, q) = (b, 0):
+
+one right-hand side more for the factors. As forces on the vertices have ∂g/∂θ = −b, p is how the rod turns, and dx how it
+moves, under the cotangent as a load.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
+import taichi as ti
 
+from doo_ti.physics import pair
+from doo_ti.physics.closure import linear_gradient
+from doo_ti.physics.number import Number
+from doo_ti.physics.quaternion import first_director, second_director
+from doo_ti.physics.tuples import dot, minus, negated, plus, record, repeated, scaled, variable
+from doo_ti.physics.view import read, write
+from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.contact_sensitivity import ContactSensitivity
 from doo_ti.relaxation.end_loads import alone
-from doo_ti.relaxation.pullback_kernel import run_pullback
+from doo_ti.relaxation.kernel_factory import TABLE2, TABLE3, loop_kernel
 from doo_ti.relaxation.sensitivity import (
     CURVATURES,
     OF_CLAMPS,
@@ -23,11 +39,164 @@ from doo_ti.relaxation.sensitivity import (
     parameter_directions,
     taut_rods,
 )
+from doo_ti.relaxation.sensitivity_columns import SensitivityColumns
+from doo_ti.relaxation.sensitivity_kernel import AT_REST, CONTACTS_AT_REST, SensitivitySweep, run_at_rest
 from doo_ti.rod.types import Solution
 from doo_ti.system import runtime
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, real_array
 from doo_ti.system.short_repr import short_repr
+
+
+@ti.data_oriented
+class Adjoint(SensitivityColumns):
+    """The adjoint solve in place of the columns. ``tables`` holds, besides: pulls and twists, the cotangents; displaced and
+    turned, dx and p; gradient, by each direction; curvature, by ω̄ of every joint.
+
+    A class that derives from this one and from one that solves columns where rods touch obstacles adds ``pushed_work``.
+    """
+
+    @ti.func
+    def differentiate(self, tables, rod, index, known):
+        """The gradients of a rod at rest, as :meth:`.SensitivityColumns.differentiate` has its columns."""
+        row = tables.rods[index, of.RESULT_ROW]
+        tables.sound[row] = ti.cast(self.is_minimum(rod, known.multiplier), ti.i32)
+        unit = rod.head.energy_unit
+        total = variable(repeated(0.0 * rod.total, 3))
+        for v in range(rod.edges + 1):
+            total = plus(total, read(tables.pulls, row, v, 0))
+        change = self.solve_adjoint(tables, rod, row, total)
+        for joint in range(rod.edges - 1):
+            self.put_curvature(tables, rod, row, joint, unit)
+        for p in range(tables.columns):
+            column = self.column(tables, rod, p, known)
+            if ti.static(self.touches):
+                self.hold_start(rod, column)
+            closure = self.assemble_column(rod, column)
+            along = self.followed(tables, rod, row, column, total)
+            tables.gradient[row, p] = along - dot(change, closure) - unit * self.worked(tables, rod, row, column)
+
+    @ti.func
+    def solve_adjoint(self, tables, rod, row, total):
+        """p and dx into their tables; returns q. ``total`` is the sum of the forces."""
+        none = repeated(0.0 * rod.total, 3)
+        # A rod that hangs from its far end moves against the sum.
+        beyond = variable(scaled(total, 1.0 - rod.released))
+        for e in range(rod.edges):
+            edge = self.edge(rod.head, e)
+            q = edge.frame
+            beyond = minus(beyond, read(tables.pulls, row, e, 0))
+            r1, r2 = linear_gradient(beyond, edge.length, first_director(q), second_director(q))
+            m = read(tables.twists, row, e, 0)
+            edge.rotation = negated((m[0], m[1] + r1, m[2] + r2))
+        column = record(local=rod.total < 0.0, move=none, stretch=0.0 * rod.total, turn_start=none, turn_end=none,
+                        whole=negated(total))
+        change = self.solve_column(rod, column, self.schur_complement(rod), none)
+        x = variable(self.started(rod, column))
+        factor = 1.0 / rod.head.energy_unit
+        for e in range(rod.edges):
+            edge = self.edge(rod.head, e)
+            write(tables.displaced, row, e, 0, values=scaled(x, factor))
+            write(tables.turned, row, e, 0, values=scaled(edge.rotation, factor))
+            x = self.moved_end(edge, x, column.stretch)
+        write(tables.displaced, row, rod.edges, 0, values=scaled(x, factor))
+        return change
+
+    @ti.func
+    def put_curvature(self, tables, rod, row, joint, unit):
+        """−pᵀ ∂g/∂ω̄ of a joint: ½ B δω of both frames, since its energy is that of ω − ω̄ l̄/2 over 2 l̄."""
+        bent, s = self.kept_pair(rod, joint)
+        x, y, inverse, m, turn = bent
+        before, after = read(tables.turned, row, joint, 0), read(tables.turned, row, joint + 1, 0)
+        change = pair.curvature_variation(x, y, inverse, turn, before, after)
+        none = repeated(0.0 * unit, 2)
+        left = pair.moment(s[0], pair.strain((change[0], change[1]), none), 0.25)
+        right = pair.moment(s[1], pair.strain((change[2], change[3]), none), 0.25)
+        # As the complex numbers i/2 B δω.
+        write(tables.curvature, row, joint, 0, values=(unit * (left[1] + right[1]), 0.0 - unit * (left[0] + right[0])))
+
+    @ti.func
+    def followed(self, tables, rod, row, column, total):
+        """What the cotangents make of the displacements and turns that the column itself prescribes."""
+        moved = variable(column.move)
+        found = dot(read(tables.pulls, row, 0, 0), moved)
+        for e in range(rod.edges):
+            w = self.held_turn_of(rod, e, column)
+            moved = self.end_of_turned(self.edge(rod.head, e), moved, w, column.stretch)
+            found += dot(read(tables.pulls, row, e + 1, 0), moved) + dot(read(tables.twists, row, e, 0), w)
+        return found - rod.released * dot(total, moved)
+
+    @ti.func
+    def worked(self, tables, rod, row, column):
+        """pᵀ ∂g/∂θ, ∂g/∂θ being in the place of the step: with what obstacles and the weight do to vertices."""
+        moved, x = variable(column.move), variable(read(tables.displaced, row, 0, 0))
+        found = rod.loose * dot(x, column.whole)
+        for e in range(rod.edges):
+            edge = self.edge(rod.head, e)
+            after, before = read(tables.displaced, row, e + 1, 0), variable(moved)
+            moved = self.end_of_turned(edge, moved, self.held_turn_of(rod, e, column), column.stretch)
+            work = dot(read(tables.turned, row, e, 0), edge.rotation)
+            if ti.static(self.touches):
+                work += self.pushed_work(edge, before, moved, x, after)
+            found += work
+            x = after
+        return found
+
+
+@ti.data_oriented
+class AdjointSweep(Adjoint, SensitivitySweep):
+    """Of rods that touch nothing."""
+
+
+@ti.data_oriented
+class ContactAdjoint(Adjoint, ContactSensitivity):
+    """Of rods that touch obstacles, or whose vertex 0 is free among them."""
+
+    @ti.func
+    def pushed_work(self, edge, before, after, start, end):
+        """Of obstacles that an edge touches, whose ends a column moves by ``before`` and ``after``: what the change of their
+        forces does along the displacements ``start`` and ``end``."""
+        whole, own = self.pushes(edge, before, after)
+        return dot(start, whole) + dot(minus(end, start), own)
+
+
+def run_pullback(solution: Solution, usable: np.ndarray, directions: np.ndarray, forces: np.ndarray, moments: np.ndarray):
+    """Of s = Σ forces · dx + Σ moments · dω, with ``forces`` (R, V, 3) and ``moments`` (R, E, 3) in the axes of the frames: the
+    gradients (R, P) by ``directions``, (R, E−1, 2) by ω̄ of every joint and (R, V, 3) by forces on the vertices, and which rods
+    (R,) have them, of those that are ``usable``; NaN in others."""
+    count, edges = solution.tables.count, solution.tables.edges
+    displaced, turned = of.room(count, edges + 1, 3), of.room(count, edges, 3)
+    gradient, curvature = np.empty((count, max(1, len(directions)))), of.room(count, edges - 1, 2)
+    arrays = forces, moments, displaced, turned, gradient, curvature
+    found = run_at_rest(solution, usable, (pullback_kernel, contact_pullback_kernel), directions, np.zeros((1, edges - 1, 2)),
+                        arrays, 0, count)
+    for array in (gradient, curvature, displaced):
+        array[~found] = np.nan
+    return gradient[:, : len(directions)], curvature, displaced, found
+
+
+COTANGENTS = {
+    "pulls": TABLE3, "twists": TABLE3,  # [row, vertex or edge, 3] the cotangents
+    "displaced": TABLE3, "turned": TABLE3,  # [row, vertex or edge, 3] out: dx and p
+    "gradient": TABLE2,  # [row, column] out
+    "curvature": TABLE3,  # [row, joint, 2] out
+}
+
+
+@cache
+def pullback_kernel(number: Number, stride: int, block: int):
+    """As :func:`.newton_kernel`."""
+    sweep = AdjointSweep(Number(1, 64), stride)
+    return loop_kernel("pull_back", number, AT_REST | COTANGENTS, sweep.work, block), sweep.items
+
+
+@cache
+def contact_pullback_kernel(number: Number, stride: int, block: int, known: frozenset[int]):
+    """The same for rods that touch obstacles of the kinds ``known``."""
+    sweep = ContactAdjoint(stride, known)
+    given = AT_REST | COTANGENTS | CONTACTS_AT_REST
+    return loop_kernel("pull_back_in_contact", number, given, sweep.work, block, brief=True), sweep.items
+
 
 FORCES = "forces"
 

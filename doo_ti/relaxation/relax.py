@@ -97,7 +97,7 @@ def relax(
             table = under(x0.tables, material, material_index)
         else:
             table = tables(x0.configuration if isinstance(x0, Solution) else x0, material, clamps,
-                           unit_up((0.0, 0.0, 1.0) if up is None else up, "relax"), configuration_index, material_index,
+                           unit_up((0.0, 0.0, 1.0) if up is None else up, "relax"), (configuration_index, material_index),
                            external, external_index, obstacles, radius)
             if isinstance(x0, Solution) and table.contact is not None and configuration_index is None:
                 table.contact.begin_with(None if x0.tables is None else x0.tables.contact, x0.converged)
@@ -116,7 +116,9 @@ def _solved(table: Tables, solver: Newton | Descent, precision: str, begin: Solu
     if isinstance(solver, Descent):
         if (table.rest_length == 0).any():
             raise InputError("relax", "solver", "Descent cannot use edges without length", "give Newton()")
-        frames, results, bits = _descent(table, solver, precision)
+        bits = 32 if precision.startswith("f32") else 64
+        frames, results = batch.run_descent(table, solver, bits)
+        bits = np.full(table.count, bits)
     else:
         frames, results, bits = _newton(table, solver, precision, begin)
         _relax_moved_out(table, solver, frames, results, bits)
@@ -128,12 +130,10 @@ def _check_options(solver, precision: str, external, obstacles, once_more: bool,
     """Raise InputError for an unknown solver or precision, or one that cannot be used with the other arguments."""
     if not isinstance(solver, Newton | Descent):
         raise InputError("relax", "solver", f"{solver!r}", "give Newton(), Newton.careful() or Descent()")
-    if isinstance(solver, Descent) and once_more:
-        raise InputError("relax", "solver", f"{solver!r} from a Solution", "give Newton() or Newton.careful()")
-    if isinstance(solver, Descent) and external is not None:
-        raise InputError("relax", "solver", "Descent cannot use an external energy", "give Newton() or Newton.careful()")
-    if isinstance(solver, Descent) and len(obstacles):
-        raise InputError("relax", "solver", "Descent cannot use obstacles", "give Newton() or Newton.careful()")
+    for given, what in ((once_more, f"{solver!r} from a Solution"), (len(obstacles), "Descent cannot use obstacles"),
+                        (external is not None, "Descent cannot use an external energy")):
+        if isinstance(solver, Descent) and given:
+            raise InputError("relax", "solver", what, "give Newton() or Newton.careful()")
     if precision not in (*PRECISIONS, F32_ONLY):
         raise InputError("relax", "precision", f"{precision!r}", f"give one of {', '.join((*PRECISIONS, F32_ONLY))}")
     if clamps is None and not once_more:
@@ -147,13 +147,6 @@ def _check_same_rods(solution: Solution, *given) -> None:
                          "give the clamps, or only material and material_index")
     if solution.tables is None:
         raise InputError("relax", "x0", "joins several calls", "give clamps, and its configuration as x0")
-
-
-def _descent(table: Tables, solver: Descent, precision: str):
-    """(frames, results, bits per rod)."""
-    bits = 32 if precision.startswith("f32") else 64
-    frames, results = batch.run_descent(table, solver, bits)
-    return frames, results, np.full(table.count, bits)
 
 
 def _newton(table: Tables, solver: Newton, precision: str, begin: Solution | None):
@@ -223,8 +216,7 @@ def _with_ratios(table: Tables, solver: Newton, bits: int, frames: np.ndarray, r
 
 def _relax_moved_out(table: Tables, solver: Newton, frames: np.ndarray, results: np.ndarray, bits: np.ndarray) -> None:
     """Relax the rods, in place, that began inside an obstacle from starts that are moved out of it, where there are any."""
-    rows = np.zeros(0, dtype=np.int64) if table.contact is None else move_out(table, frames, results)
-    if len(rows):
+    if table.contact is not None and len(rows := move_out(table, frames, results)):
         batch.continue_newton(table, solver, 64, frames, results, rows, np.ones(table.count, dtype=bool))
         bits[rows] = 64
 
@@ -302,14 +294,6 @@ def _solution(table: Tables, frames: np.ndarray, results: np.ndarray, bits: np.n
         cut = _cut_by_rings(table, configuration, status)
         status[cut], stable[cut] = Status.STALLED, False
     return Solution(
-        configuration=configuration,
-        energy=energy,
-        residual=results[:, of.RESIDUAL],
-        closure=results[:, of.CLOSURE],
-        iterations=results[:, of.ITERATIONS].astype(np.int32),
-        status=status,
-        stable=stable,
-        end_force=results[:, of.FORCE : of.ALONG],
-        precision=bits.astype(np.int8),
-        tables=table,
-    )
+        configuration=configuration, energy=energy, residual=results[:, of.RESIDUAL], closure=results[:, of.CLOSURE],
+        iterations=results[:, of.ITERATIONS].astype(np.int32), status=status, stable=stable,
+        end_force=results[:, of.FORCE : of.ALONG], precision=bits.astype(np.int8), tables=table)

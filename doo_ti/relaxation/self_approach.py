@@ -10,7 +10,7 @@ between them. A rod is divided into blocks of edges, on which two bounds show th
 Rods whose edges all point along the line through their ends after every step of the relaxation, and enough so at its start and
 its end, are not searched: on the straight way between two such shapes their places stay in the same order along that line.
 
-The way of rods for which they do not is followed edge by edge (:mod:`doo_ti.relaxation.closest_approach`).
+The way of rods for which they do not is followed edge by edge (:class:`.ClosestApproach`).
 
 A rod may also have passed through itself and come back. Where both its ends are held its linking number shows it: the twist of
 its frames after the straight way, each transported from its old tangent to the new one, differs from that of the result by
@@ -25,15 +25,14 @@ import taichi as ti
 
 from doo_ti.contact.itself import LEAST_ARC
 from doo_ti.physics.algebra import largest_of
-from doo_ti.physics.angle import passed_half_turn, turned_about_own_tangent
 from doo_ti.physics.number import Number
-from doo_ti.physics.quaternion import tangent
+from doo_ti.physics.quaternion import passed_half_turn, tangent, turned_about_own_tangent
 from doo_ti.physics.tuples import dot, itemwise, minus, picked, plus, record, repeated, scaled, variable
 from doo_ti.physics.view import Scratch
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.batch import laid_out, layout_for
-from doo_ti.relaxation.closest_approach import ENOUGH, WAY, ClosestApproach, least_distance
 from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, SCRATCH, TABLE1, loop_kernel
+from doo_ti.relaxation.pair_distance import ENOUGH, WAY, ClosestApproach, least_distance
 from doo_ti.relaxation.tables import Tables
 from doo_ti.system import runtime
 
@@ -97,9 +96,8 @@ class SelfApproach:
         """Whether the rod in a lane, whose vertex 0 is ``head``, touches itself on its way, edge by edge."""
         at = ti.min(row, tables.limits.shape[0] // LIMITS - 1) * LIMITS
         radius = tables.limits[at + RADIUS]
-        rod = record(head=head, edges=tables.edges, near=tables.limits[at + NEAR],
-                     enough=ENOUGH * radius, least_arc=LEAST_ARC * radius)
-        return self.ways.touches(rod)
+        return self.ways.touches(record(head=head, edges=tables.edges, near=tables.limits[at + NEAR],
+                                        enough=ENOUGH * radius, least_arc=LEAST_ARC * radius))
 
     # --- from tables into scratch ---
 
@@ -126,23 +124,19 @@ class SelfApproach:
         return length
 
     @ti.func
-    def store_vertex(self, vertex, old, new, arc):
-        """What scratch has of a vertex."""
-        vertex.before, vertex.after, vertex.arc = old, new, arc
-
-    @ti.func
     def load_frames(self, tables, starts, own, head):
         """The vertices of rods that are given by frames; returns by how many turns the link changes."""
         zero = self.constant(0.0)
         rod = record(old=repeated(zero, 3), new=repeated(zero, 3), arc=zero, turns=zero, last=repeated(zero, 2))
-        self.store_vertex(head, rod.old, rod.new, rod.arc)
+        head.before, head.after, head.arc = rod.old, rod.new, rod.arc
         for e in range(tables.edges):
             before = self.numbers(tables.before, starts, tables.edges * 4, e * 4, 4)
             after = self.numbers(tables.after, own, tables.edges * 4, e * 4, 4)
             length = self.length(tables, starts, e)
             rod.old, rod.new = plus(rod.old, scaled(tangent(before), length)), plus(rod.new, scaled(tangent(after), length))
             rod.arc = rod.arc + length
-            self.store_vertex(self.vertex(head, e + 1), rod.old, rod.new, rod.arc)
+            vertex = self.vertex(head, e + 1)
+            vertex.before, vertex.after, vertex.arc = rod.old, rod.new, rod.arc
             turned = turned_about_own_tangent(before, after)
             if e > 0:
                 rod.turns = rod.turns + passed_half_turn(rod.last, turned)
@@ -158,7 +152,8 @@ class SelfApproach:
             old, new = self.numbers(tables.before, own, size, v * 3, 3), self.numbers(tables.after, own, size, v * 3, 3)
             if v > 0:
                 arc = arc + self.length(tables, starts, v - 1)
-            self.store_vertex(self.vertex(head, v), minus(old, first), minus(new, first), arc)
+            vertex = self.vertex(head, v)
+            vertex.before, vertex.after, vertex.arc = minus(old, first), minus(new, first), arc
 
     # --- bounds ---
 
@@ -197,8 +192,7 @@ class SelfApproach:
             for j in range(i + 2, count):
                 room = ti.min(room, self.room_of_blocks(head, i * size, j * size, size, edges) - near)
         # A minimum ignores NaN: whether places are finite is checked at the end of the rod.
-        reach = self.vertex(head, edges).before
-        end = self.vertex(head, edges).after
+        reach, end = self.vertex(head, edges).before, self.vertex(head, edges).after
         return ti.select(dot(reach, reach) + dot(end, end) < 1e30, room, 0.0 * near - 1.0)
 
     @ti.func
@@ -231,7 +225,6 @@ ARGUMENTS = {
     "edges": ti.i32, "threads": ti.i32, "scratch": SCRATCH,
     "flags": INDEX1,  # [place] out, APART, TOUCHING or TURNED
 }
-"""What the kernel is given, in this order."""
 
 
 @cache

@@ -23,20 +23,20 @@ from doo_ti.physics.tuples import (
     variable,
 )
 from doo_ti.physics.view import NUMBERS
-from doo_ti.relaxation.contact_layout import contact_items
-from doo_ti.relaxation.contacts import Contacts
-from doo_ti.relaxation.pair_distance import pair_block, pair_distance, pair_slopes, pair_weights
-from doo_ti.relaxation.pair_layout import (
+from doo_ti.relaxation.contact_layout import (
     DEEPEST_STEP,
+    ITSELF,
+    ITSELF_VERTEX,
     LEAST_DISTANCE,
     PAIR,
     REACH,
-    ROD,
     ROUNDED,
-    VERTEX,
+    contact_items,
+    matrix_items,
     pair_items,
-    self_contact_items,
 )
+from doo_ti.relaxation.contacts import Contacts
+from doo_ti.relaxation.pair_distance import pair_block, pair_distance, pair_slopes, pair_weights
 
 
 @ti.data_oriented
@@ -51,16 +51,17 @@ class SelfContactEnergy(Contacts):
 
     @picked
     def items(self, tables):
-        return self_contact_items(tables.rest_length.shape[1], tables.kinds.shape[0])
+        edges = tables.rest_length.shape[1]
+        return contact_items(edges, tables.kinds.shape[0]) + pair_items(edges) + matrix_items(edges + 1)
 
     @picked
     def own(self, rod):
         """That of the rod's contact with itself."""
-        return rod.contacts.part(ROD, contact_items(rod.edges, rod.obstacles))
+        return rod.contacts.part(ITSELF, contact_items(rod.edges, rod.obstacles))
 
     @picked
     def own_vertex(self, rod, index):
-        return self.own(rod).part(VERTEX, len(ROD) + index * len(VERTEX))
+        return self.own(rod).part(ITSELF_VERTEX, len(ITSELF) + index * len(ITSELF_VERTEX))
 
     @picked
     def pair(self, rod, i, j):
@@ -69,7 +70,7 @@ class SelfContactEnergy(Contacts):
 
     @picked
     def numbered_pair(self, rod, number):
-        return self.own(rod).part(PAIR, len(ROD) + (rod.edges + 1) * len(VERTEX) + number * len(PAIR))
+        return self.own(rod).part(PAIR, len(ITSELF) + (rod.edges + 1) * len(ITSELF_VERTEX) + number * len(PAIR))
 
     @picked
     def matrix(self, rod):
@@ -101,16 +102,12 @@ class SelfContactEnergy(Contacts):
         add(self.block(rod, line, line, 2), three=row(values, 2))
 
     @ti.func
-    def place(self, rod, index):
-        return self.vertex(rod, index).place
-
-    @ti.func
     def measure_arc(self, rod):
         """Note how much of the rod lies before each vertex."""
         arc = 0.0 * rod.total
         before = variable(repeated(arc, 3))
         for v in range(rod.edges + 1):
-            place = self.place(rod, v)
+            place = self.vertex(rod, v).place
             if v > 0:
                 edge = minus(place, before)
                 arc = arc + ti.sqrt(dot(edge, edge))
@@ -128,12 +125,12 @@ class SelfContactEnergy(Contacts):
         self.measure_arc(rod)
         self.own(rod).pinched = zero
         for j in range(2, rod.edges):
-            start, end = self.place(rod, j), self.place(rod, j + 1)
+            start, end = self.vertex(rod, j).place, self.vertex(rod, j + 1).place
             arc = self.own_vertex(rod, j).arc - LEAST_ARC * radius
             for i in range(j - 1):
                 at = self.pair(rod, i, j)
                 self.note_crossing(rod, i, j, at)
-                first, last = self.place(rod, i), self.place(rod, i + 1)
+                first, last = self.vertex(rod, i).place, self.vertex(rod, i + 1).place
                 away = minus(plus(start, end), plus(first, last))
                 # No two places are nearer than the middles less half of both edges.
                 bound = 0.5 * ti.sqrt(dot(away, away)) - rod.longest
@@ -194,13 +191,8 @@ class SelfContactEnergy(Contacts):
         """A record of the weight of end ``k`` of four, of the two edges that are looked at, and of the mixed derivatives by it
         and by the places on both edges."""
         slopes = self.own(rod).of("slopes")
-        return record(weight=self.weight(rod, k), by_s=(slopes[3 * k], slopes[3 * k + 1], slopes[3 * k + 2]),
+        return record(weight=self.own(rod).of("weights")[k], by_s=(slopes[3 * k], slopes[3 * k + 1], slopes[3 * k + 2]),
                       by_t=(slopes[3 * k + 12], slopes[3 * k + 13], slopes[3 * k + 14]))
-
-    @ti.func
-    def weight(self, rod, k):
-        """That weight alone."""
-        return self.own(rod).of("weights")[k]
 
     @ti.func
     def vertex_of(self, i, j, k):
@@ -241,8 +233,7 @@ class SelfContactEnergy(Contacts):
         """Note that the step is refused where it brings two edges nearer than :data:`DEEPEST_STEP`, in the lanes where they are
         ``near``: the distance is a little too large there, so that they could pass through each other."""
         zero = 0.0 * value
-        before = at.distance_standing
-        nearer = near & (value < DEEPEST_STEP * rod.contacts.radius) & (value < before)
+        nearer = near & (value < DEEPEST_STEP * rod.contacts.radius) & (value < at.distance_standing)
         rod.contacts.crossing = largest_of(rod.contacts.crossing, ti.select(nearer, zero + 1.0, zero))
 
     @ti.func
@@ -258,16 +249,14 @@ class SelfContactEnergy(Contacts):
         """How far the places at which friction acts on two edges have moved along each other since the instant before."""
         s, t = at.rubbed_places[0], at.rubbed_places[1]
         first = plus(scaled(self.moved(rod, self.vertex(rod, i)), 1.0 - s), scaled(self.moved(rod, self.vertex(rod, i + 1)), s))
-        late = plus(scaled(self.moved(rod, self.vertex(rod, j)), 1.0 - t), scaled(self.moved(rod, self.vertex(rod, j + 1)), t))
-        return minus(late, first)
+        last = plus(scaled(self.moved(rod, self.vertex(rod, j)), 1.0 - t), scaled(self.moved(rod, self.vertex(rod, j + 1)), t))
+        return minus(last, first)
 
     @ti.func
     def rubbed_pair(self, rod, i, j, at):
         """Friction of two edges, as :meth:`.ContactEnergy.rubbed`."""
         limit = self.own(rod).coefficient * at.force
-        friction = at.friction
-        normal = at.rubbed_normal
-        return self.rubbed(rod, limit, friction, normal, self.moved_pair(rod, i, j, at))
+        return self.rubbed(rod, limit, at.friction, at.rubbed_normal, self.moved_pair(rod, i, j, at))
 
     @ti.func
     def rub_pair(self, rod, i, j, at):
@@ -280,10 +269,10 @@ class SelfContactEnergy(Contacts):
             bent = chosen(acting, rubbed.stiffness, repeated(zero, 6))
             square = ti.select(acting, dot(pull, pull), zero) / rod.contacts.stiffness
             self.add_penalty(rod, ti.select(acting, rubbed.energy, zero), square)
-            weights = pair_weights(at.rubbed_places[0], at.rubbed_places[1])
-            self.own(rod).weights = weights
+            self.own(rod).weights = pair_weights(at.rubbed_places[0], at.rubbed_places[1])
+            weights = self.own(rod).of("weights")
             for k in range(4):
-                weight = self.weight(rod, k)
+                weight = weights[k]
                 add(self.own_vertex(rod, self.vertex_of(i, j, k)), pull=scaled(pull, weight))
                 for m in range(k + 1):
-                    self.add_ends(rod, i, j, k, m, full(scaled(bent, weight * self.weight(rod, m))))
+                    self.add_ends(rod, i, j, k, m, full(scaled(bent, weight * weights[m])))

@@ -4,11 +4,10 @@ import taichi as ti
 
 from doo_ti.physics.algebra import largest_of
 from doo_ti.physics.tuples import choose, dot, minus, plus, scaled
-from doo_ti.physics.view import exact
-from doo_ti.relaxation.contact_layout import PRESSED_IN
+from doo_ti.physics.view import in_f64
+from doo_ti.relaxation.contact_layout import PAIR_CARRIED, PAIR_REMEMBERED, PRESSED_IN, REACH
 from doo_ti.relaxation.contacts import NONE
 from doo_ti.relaxation.pair_distance import pair_weights
-from doo_ti.relaxation.pair_layout import CARRIED, REACH, REMEMBERED
 from doo_ti.relaxation.self_contact_energy import SelfContactEnergy
 
 
@@ -36,8 +35,8 @@ class SelfContacts(SelfContactEnergy):
 
     @ti.func
     def approach_itself(self, rod):
-        """By how much the next step, the moves of all vertices, is too large for one that may be taken whole: the square of its
-        share of the distance or of the gap of two edges."""
+        """The square of the largest share that the next step, the moves of all vertices, takes of the distance or of the gap of
+        two edges."""
         zero, radius = 0.0 * rod.total, rod.contacts.radius
         most = zero
         for j in range(2, rod.edges):
@@ -47,26 +46,21 @@ class SelfContacts(SelfContactEnergy):
                 largest = zero
                 for a in ti.static(range(2)):
                     for b in ti.static(range(2)):
-                        change = minus(self.move(rod, j + b), self.move(rod, i + a))
+                        change = minus(self.own_vertex(rod, j + b).move, self.own_vertex(rod, i + a).move)
                         largest = largest_of(largest, dot(change, change))
                 clearance = self.pair_clearance(rod, i, j, distance)
                 near = clearance < REACH * radius
                 most = largest_of(most, largest / (distance * distance + 1e-20))
                 if self.some(near, zero):
                     weights = pair_weights(at.places[0], at.places[1])
-                    change = plus(
-                        plus(scaled(self.move(rod, i), weights[0]), scaled(self.move(rod, i + 1), weights[1])),
-                        plus(scaled(self.move(rod, j), weights[2]), scaled(self.move(rod, j + 1), weights[3])))
-                    normal = at.normal
+                    first, second = self.own_vertex(rod, i), self.own_vertex(rod, i + 1)
+                    third, fourth = self.own_vertex(rod, j), self.own_vertex(rod, j + 1)
+                    change = plus(plus(scaled(first.move, weights[0]), scaled(second.move, weights[1])),
+                                  plus(scaled(third.move, weights[2]), scaled(fourth.move, weights[3])))
                     gap = ti.max(clearance - 2.0 * radius, zero) + PRESSED_IN * radius
-                    share = 0.0 - dot(normal, change) / ti.max(gap, 1e-6 * radius)
+                    share = 0.0 - dot(at.normal, change) / ti.max(gap, 1e-6 * radius)
                     most = ti.select(near & (share > 0.0), largest_of(most, share * share), most)
         return most
-
-    @ti.func
-    def move(self, rod, index):
-        """The displacement of a vertex that the next step means."""
-        return self.own_vertex(rod, index).move
 
     # --- rounds ---
 
@@ -93,9 +87,8 @@ class SelfContacts(SelfContactEnergy):
         change = self.keep_friction(at.of("friction"), self.rubbed_pair(rod, i, j, at).pull, due)
         clearance = self.pair_clearance(rod, i, j, at.distance)
         due = due & (clearance < REACH * rod.contacts.radius)
-        normal = at.normal
         # Friction acts across a unit vector; the gradient of the distance is a little shorter.
-        unit = scaled(normal, 1.0 / ti.sqrt(dot(normal, normal) + 1e-30))
+        unit = scaled(at.normal, 1.0 / ti.sqrt(dot(at.normal, at.normal) + 1e-30))
         choose(at, due, rubbed_normal=unit, rubbed_places=at.places)
         return change
 
@@ -111,8 +104,7 @@ class SelfContacts(SelfContactEnergy):
                     at = self.pair(rod, i, j)
                     acting = at.force > 0.0
                     if self.some(acting, work):
-                        friction = at.friction
-                        work = work + ti.select(acting, dot(friction, self.moved_pair(rod, i, j, at)), 0.0 * work)
+                        work = work + ti.select(acting, dot(at.friction, self.moved_pair(rod, i, j, at)), 0.0 * work)
         return work
 
     @ti.func
@@ -129,7 +121,7 @@ class SelfContacts(SelfContactEnergy):
         self.own(one).coefficient = tables.self_friction[ti.min(row, tables.self_friction.shape[0] - 1)]
         for number in range(one.edges * (one.edges - 1) // 2):
             at = self.numbered_pair(one, number)
-            for k in ti.static(range(REMEMBERED)):
+            for k in ti.static(range(PAIR_REMEMBERED)):
                 at[k] = 0.0
             at.distance, at.distance_standing = 1e30, 1e30
 
@@ -138,7 +130,7 @@ class SelfContacts(SelfContactEnergy):
         """What the launch before has left of edges, into lane ``slot``."""
         one, pairs = self.of_lane(tables, slot), tables.pair_memory.shape[1]
         for number in range(ti.select(pairs > 1, pairs, 0)):
-            for k in ti.static(range(CARRIED)):
+            for k in ti.static(range(PAIR_CARRIED)):
                 self.numbered_pair(one, number)[k] = tables.pair_memory[row, number, k]
 
     @ti.func
@@ -146,7 +138,7 @@ class SelfContacts(SelfContactEnergy):
         """What the next launch needs of edges, from lane ``slot``."""
         one, pairs = self.of_lane(tables, slot), tables.pair_memory.shape[1]
         for number in range(ti.select(pairs > 1, pairs, 0)):
-            for k in ti.static(range(CARRIED)):
+            for k in ti.static(range(PAIR_CARRIED)):
                 tables.pair_memory[row, number, k] = self.numbered_pair(one, number)[k]
 
     @ti.func
@@ -163,4 +155,4 @@ class SelfContacts(SelfContactEnergy):
     @ti.func
     def pair_force(self, tables, slot, vertex, k: ti.template()):
         """Component ``k`` of the rod's own force on a vertex of lane ``slot``."""
-        return 0.0 - exact(self.own_vertex(self.of_lane(tables, slot), vertex).pull[k])
+        return 0.0 - in_f64(self.own_vertex(self.of_lane(tables, slot), vertex).pull[k])

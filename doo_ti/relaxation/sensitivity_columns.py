@@ -11,16 +11,15 @@ from doo_ti.physics.quaternion import first_director, second_director, tangent
 from doo_ti.physics.tuples import minus, plus, products, record, repeated, scaled, traced, variable
 from doo_ti.physics.view import read
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.end_moments import EndMoments
 from doo_ti.relaxation.newton_policy import INERTIA_OF_A_MINIMUM, LARGE_TRACE, TRACE
-from doo_ti.relaxation.parameter_gradient import NO_MODE
+from doo_ti.relaxation.parameter_gradient import NO_MODE, ParameterGradient
 
 # The loads of a rod: force and moment at its start, force and moment at its end.
 START_FORCE, START_MOMENT, END_FORCE, END_MOMENT, LOADS = 0, 1, 2, 3, 4
 
 
 @ti.data_oriented
-class SensitivityColumns(EndMoments):
+class SensitivityColumns(ParameterGradient):
     """The work of a thread. ``tables`` is the record of the kernel's arrays.
 
     A class that derives from this one and from an elimination adds ``schur_complement``, ``solve_column`` and ``started``, and,
@@ -55,7 +54,7 @@ class SensitivityColumns(EndMoments):
             force = variable(repeated(0.0 * unit, 3))
             if tables.beyond.shape[1] == tables.rest_length.shape[1]:
                 force = scaled(read(tables.beyond, row, e, 0), 1.0 / unit)
-            self.edge(lane, e).outer.beyond = force
+            self.edge(lane, e).external.beyond = force
         end = scaled(read(tables.results, row, of.FORCE), 0.0 - 1.0 / unit)
         known.multiplier = self.with_lanes(known.multiplier, slot, end)
         free = read(tables.clamp, tables.rods[index, of.CLAMP_ROW], of.SPIN_START, count=4)

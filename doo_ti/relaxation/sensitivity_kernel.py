@@ -11,7 +11,7 @@ from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import against, chosen, forward, negated, plus, record, repeated, scaled, symmetric_gram, variable
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.batch import laid_out, layout_for, layout_of_gpu
-from doo_ti.relaxation.chain_layout import edge_layout
+from doo_ti.relaxation.chain import edge_layout
 from doo_ti.relaxation.contact_sensitivity import ContactSensitivity
 from doo_ti.relaxation.contact_table import ContactTable
 from doo_ti.relaxation.elimination import Elimination
@@ -38,7 +38,7 @@ class SensitivitySweep(SensitivityColumns, Elimination):
     @ti.func
     def edge_pull(self, rod, edge, weight):
         """With the point loads, which are kept with the forces of obstacles."""
-        return plus(scaled(rod.gravity, weight), edge.outer.beyond)
+        return plus(scaled(rod.gravity, weight), edge.external.beyond)
 
     @ti.func
     def schur_complement(self, rod):
@@ -149,12 +149,12 @@ def _launch(table: Tables, first: int, last: int, rows: np.ndarray, contact: Con
     if not len(rods):
         return
     rods[:, of.RESULT_ROW] -= first
-    given, kinds, outer = SimpleNamespace(rest_length=table.rest_length), (), ()
+    given, kinds, more = SimpleNamespace(rest_length=table.rest_length), (), ()
     if contact is not None:
         given.kinds, kinds = contact.kinds, (contact.known,)
         obstacles, radius = (array if len(array) == 1 else array[first:last] for array in (contact.obstacles, contact.radius))
         loads = np.zeros((1, 1, 3)) if table.external is None else point_loads(table)[first:last]
-        outer = (obstacles, contact.kinds, contact.grids, radius, contact.memory[first:last], loads)
+        more = (obstacles, contact.kinds, contact.grids, radius, contact.memory[first:last], loads)
     if runtime.start() == "cpu":
         layout = layout_for(len(rods), 64) if packed else (Number(1, 64), min(len(rods), runtime.thread_count()), 1, 1)
     else:
@@ -162,7 +162,7 @@ def _launch(table: Tables, first: int, last: int, rows: np.ndarray, contact: Con
     kernel, threads, scratch, _ = laid_out(layout, lambda *layout: kernel_for(*layout, *kinds), given)
     kernel(
         table.start.reshape(-1), table.rest_length, table.clamp, table.material, np.array(table.up, dtype=np.float64), rods,
-        *state, threads, scratch, *arrays, *outer)
+        *state, threads, scratch, *arrays, *more)
 
 
 def _beyond(table: Tables, first: int, last: int) -> np.ndarray:

@@ -17,37 +17,44 @@ from doo_ti.rod.types import Clamp
 # As plain numbers, which NumPy compares ten times faster than members of an enumeration.
 FREE, POSITION, TANGENT, FRAME = (int(kind) for kind in Clamp)
 
-# Columns of a clamp: the far point from vertex 0, and flags that are one or zero (see doo_ti.relaxation.chain); then what the
-# rod between its clamps measures in mm: its length, its longest edge, its shortest two neighbours, and the largest moment arm
-# of gravity on an edge (a length times a length); the point the chain hangs from, vertex 0 or, where that is free, the far end;
-# one where nothing holds vertex 0 and an external energy moves it; and the first frame and the last as the clamps hold them.
-#
-#     start  far end  CLOSED  RELEASED  the chain hangs from
-#     held   held     1       0         vertex 0; closure brings the far end to its clamp
-#     held   free     0       0         vertex 0
-#     free   held     0       1         the far end
-#     free   free     0       0         vertex 0, where it is: only without weight or under an external energy
-#
-# Under an external energy or among obstacles a free start is LOOSE instead of RELEASED, and CLOSED where the far end is held.
+# Columns of a clamp.
 TARGET, CLOSED, SPIN_START, SPIN_END, TILT_START, TILT_END, TILT_INNER, RELEASED = 0, 3, 4, 5, 6, 7, 8, 9
 TOTAL, LONGEST, SHORTEST_PAIR, HANGING, ANCHOR, LOOSE, ENDS, CLAMP_COLUMNS = 10, 11, 12, 13, 14, 17, 18, 26
+"""TARGET          the far point from vertex 0, mm
+SPIN_, TILT_    one where that rotation of the first edge, of the last or of those between is unknown
+TOTAL, LONGEST, SHORTEST_PAIR  mm: the rod, its longest edge, its shortest two neighbours
+HANGING         mm²: the largest moment arm of gravity on an edge, times a length
+ANCHOR          the point the chain hangs from, mm
+ENDS            the first frame and the last as the clamps hold them
 
-# Columns of a material: weight μ, the largest eigenvalue of B, that or β where it is more, the smallest eigenvalue of B or β
-# where that is less, one where the rod looks the same from all sides, so that it may spin about itself at no cost; and its
-# stiffness, once or edge by edge: B as (11, 22, 12), and of the inner vertex where the edge begins β and ω̄.
+    start  far end  CLOSED  RELEASED  the chain hangs from
+    held   held     1       0         vertex 0; closure brings the far end to its clamp
+    held   free     0       0         vertex 0
+    free   held     0       1         the far end
+    free   free     0       0         vertex 0, where it is: only without weight or under an external energy
+
+Under an external energy or among obstacles, which move vertex 0, a free start is LOOSE instead of RELEASED, and CLOSED where
+the far end is held."""
+
+# Columns of a material: of the rod, and its stiffness, once or edge by edge.
 WEIGHT, LARGEST_BEND, STIFFEST, SOFTEST, ROUND, STIFFNESS = 0, 1, 2, 3, 4, 5
 BEND, TWIST, REST, STIFFNESS_COLUMNS = 0, 3, 4, 6
+"""LARGEST_BEND, STIFFEST, SOFTEST  the largest eigenvalue of B; that or β, if more; the smallest eigenvalue or β, if less
+ROUND                            one where the rod looks the same from all sides: it may spin about itself at no cost
+BEND                             B as (11, 22, 12)
+TWIST, REST                      β and ω̄ of the inner vertex where the edge begins"""
 
-# Columns of a rod: its row of the clamps, of the materials, of the results, of the starts, or FROM_RESULTS where it starts
-# from the frames in its row of the results, and of the external energy.
+# Columns of a rod: its rows of the other tables; START_ROW is FROM_RESULTS where it starts from the frames in RESULT_ROW.
 CLAMP_ROW, MATERIAL_ROW, RESULT_ROW, START_ROW, EXTERNAL_ROW, ROD_COLUMNS = 0, 1, 2, 3, 4, 5
 FROM_RESULTS = -1
 
-# Columns of a rod's results; the force −λ that holds its far end has three, and ALONG is the smallest cosine of an edge to the
-# line through the rod's ends, at the start and at the end of the relaxation, or on the way where it is negative there. Under an
-# external energy there are three more, how far vertex 0 has moved from the anchor, mm: in where a rod starts, and out.
+# Columns of a rod's results.
 ENERGY, RESIDUAL, CLOSURE, ITERATIONS, STATUS, STABLE, FORCE, ALONG, RESULTS = 0, 1, 2, 3, 4, 5, 6, 9, 10
 DRIFT, LOADED_RESULTS = RESULTS, RESULTS + 3
+"""FORCE  −λ, which holds the far end
+ALONG  the smallest cosine of an edge to the line through the rod's ends, at the start and at the end of the relaxation, or on
+       the way where it is negative there
+DRIFT  under an external energy, how far vertex 0 has moved from the anchor, mm: in where a rod starts, and out"""
 
 MOST_NUMBERS = 2**31 - 1
 """A table has no more entries: the kernels count them with 32 bits."""

@@ -46,11 +46,6 @@ class TimeImpact(TimeSweep):
         self.contacts.begin_rounds(rod, where)
 
     @ti.func
-    def end_euler(self, rod, done):
-        """Begin the next step as one like others in the lanes that are ``done``."""
-        choose(rod.head, done, euler=0.0 * rod.total)
-
-    @ti.func
     def leaves(self, rod, time):
         """The lanes in which an obstacle pushes a vertex, or a place between two, that leaves it at the end of the step."""
         zero = 0.0 * rod.total
@@ -61,8 +56,7 @@ class TimeImpact(TimeSweep):
             bent = scaled(self.bend_of_way(rod, v), time.rate - 1.0)
             for o in range(rod.obstacles):
                 contact = self.contacts.contact(at, o)
-                force = contact.force
-                between = contact.force_between
+                force, between = contact.force, contact.force_between
                 if self.contacts.some((force > 0.0) | (between > 0.0), zero):
                     way = variable(plus(self.contacts.slid(rod, at, o), bent))
                     away = dot(way, contact.normal)
@@ -92,7 +86,7 @@ class TimeImpact(TimeSweep):
         ``slow``, and after, ``fast``, and its ``mass``."""
         zero = 0.0 * rod.total
         found = record(energy=zero, slow=zero, fast=zero, mass=zero)
-        place = variable(plus(rod.anchor, self.drift(rod)))
+        place = variable(plus(rod.anchor, rod.head.drift))
         before = zero
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)

@@ -3,14 +3,13 @@
 import taichi as ti
 
 from doo_ti.physics.tuples import choose, chosen, plus, put_lane, repeated, scaled
-from doo_ti.physics.view import exact, read
+from doo_ti.physics.view import in_f64, read
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.clamp_table import INFEASIBLE, TAUT
 from doo_ti.relaxation.loading import LANES
-from doo_ti.relaxation.newton_loop import NewtonLoop
+from doo_ti.relaxation.newton import NewtonLoop
 from doo_ti.relaxation.newton_policy import TOLERANCE
-from doo_ti.relaxation.time_loading import MotionLoading
-from doo_ti.relaxation.time_reach import BOWED
+from doo_ti.relaxation.time_loading import BOWED, MotionLoading
 from doo_ti.relaxation.time_sweep import LEAST_WAY, RATE, STEP, WATCHED, TimeSweep
 from doo_ti.rod.physical_units import STANDARD_GRAVITY
 
@@ -70,7 +69,7 @@ class TimeLoop(NewtonLoop):
             self.sweep.watch(rod)
         self.sweep.remember(rod, time, done)
         if ti.static(self.touches):
-            self.sweep.end_euler(rod, done)
+            choose(rod.head, done, euler=zero)  # the next step is one like others
         steps_made = supply.places + (tables.queue.shape[0] - LANES) // 2
         for slot in range(self.width):
             if self.lane(lane.finished, slot) > 0.5:
@@ -141,7 +140,7 @@ class TimeLoop(NewtonLoop):
         frame = step // tables.every
         status = self.lane(lane.status, slot)
         own = head.lane(slot)
-        moment = exact(self.lane(lane.residual, slot) * own.total)
+        moment = in_f64(self.lane(lane.residual, slot) * own.total)
         tables.outcome[row, frame, TRIPS] += self.lane(lane.trips, slot)
         tables.outcome[row, frame, MOMENT] = ti.max(tables.outcome[row, frame, MOMENT], moment)
         self.note_link(tables, head, slot, row, frame)
@@ -161,8 +160,8 @@ class TimeLoop(NewtonLoop):
                 if ti.static(self.touches):
                     self.sweep.contacts.unload_forces(tables, slot, row * frames + frame, unit)
                     self.sweep.contacts.unload_touch(tables, slot, row * frames + frame)
-                    work = exact(tables.contacts.lane(slot).work)
-                    tables.outcome[row, frame, FRICTION_WORK] = work * exact(own.energy_unit)
+                    work = in_f64(tables.contacts.lane(slot).work)
+                    tables.outcome[row, frame, FRICTION_WORK] = work * in_f64(own.energy_unit)
             if step + 1 < tables.steps:
                 again = 1
             else:

@@ -3,7 +3,7 @@
 At a step's minimum z the gradient g(z, p) is zero, and so K dz/dp = −∂g/∂p. The last elimination of a step that has converged
 was made at its minimum without shift: its factors are those of K, and a parameter costs one right-hand side. ∂g/∂p is that of
 springs and joints by their stiffness and by where they pull, which depends on p through the instants before as well. Rotations
-that a clamp holds do not depend on p.
+that a clamp holds do not depend on p. The lanes of a pack make their steps together.
 """
 
 import taichi as ti
@@ -27,20 +27,30 @@ from doo_ti.physics.tuples import (
     symmetric_gram,
     variable,
 )
-from doo_ti.physics.view import Layout
+from doo_ti.physics.view import Layout, in_f64
+from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.loading import load_stiffness
+from doo_ti.relaxation.time_loop import TimeLoop
 from doo_ti.relaxation.time_sweep import TimeSweep
 
 # A block belongs to a vertex, to the edge that ends there and to the joint where that edge begins.
-# What all parameters share of it: x − x̂ and x − y, mm; the extrapolated speed and its direction; l m1 and l m2; X, Y, 1/s, m
-# and e^{im} of the joint, the strains of its left and right frame and of its twist, and
-# :meth:`.TimeSweep.extrapolated_curvature`.
 SHARED = Layout(lag=3, slip=3, speed=1, heading=3, seen=("lag", 10), lever_1=3, lever_2=3, curved=8, strain=5, ahead=5)
-# And what it has for each parameter. What that remembers: derivatives of place and velocity at the last two instants, as a
-# vertex in motion has them, and of X, Y and m. Derivatives of the inertia, drags and load of the vertex, of B, β and ω̄ l̄/2; and
-# W_r of the elimination. In the block of vertex 0, where no edge ends, the derivatives of the shares of damping and of the
-# weight are in the place of B.
+"""What all parameters share.
+
+lag, slip       x − x̂ and x − y, mm
+speed, heading  the extrapolated speed and its direction
+lever           l m1 and l m2
+curved, strain  of the joint X, Y, 1/s, m and e^{im}; the strains of its left and right frame and of its twist
+ahead           :meth:`.TimeSweep.extrapolated_curvature`"""
 OWN = Layout(place_1=3, place_2=3, velocity_1=3, velocity_2=3, curvature_1=5, curvature_2=5, of_numbers=4, bend=3,
              of_rod=("bend", 3), twist=1, rest=2, right=3)
+"""Derivatives by one parameter.
+
+place, velocity, curvature  what it remembers: at the last two instants, with X, Y and m
+of_numbers                  of the inertia, drags and load of the vertex
+bend, twist, rest           of B, β and ω̄ l̄/2
+of_rod                      in the block of vertex 0, where no edge ends: of the shares of damping and of the weight
+right                       W_r of the elimination"""
 CURVATURE_1, CURVATURE_2, REMEMBERED = map(OWN.at, ("curvature_1", "curvature_2", "of_numbers"))
 NUMBERS = OWN.at("bend") - OWN.at("of_numbers")
 
@@ -95,7 +105,7 @@ class TimeSlopes(TimeSweep):
     @ti.func
     def share(self, rod, blocks, time):
         """Fill the shared blocks; returns the Schur complement Σ W_λᵀ D⁻¹ W_λ."""
-        place = variable(plus(rod.anchor, self.drift(rod)))
+        place = variable(plus(rod.anchor, rod.head.drift))
         self.share_vertex(rod, self.shared(blocks, 0), rod.head.vertex, place, time)
         schur = variable(symmetric_gram(rod.head.drift_pivots, rod.head.drift_border))
         for e in range(rod.edges):
@@ -232,8 +242,8 @@ class TimeSlopes(TimeSweep):
         for e in range(rod.edges):
             edge, shared = self.edge(rod.head, e), self.shared(blocks, e + 1)
             own = self.block(blocks, rod.edges, parameter, e + 1)
-            held = minus_combination(own.right, edge.force_border, change)
-            moved = minus_combination(held, edge.border, x)
+            right = minus_combination(own.right, edge.force_border, change)
+            moved = minus_combination(right, edge.border, x)
             y = minus_combination(moved, edge.neighbour, w)
             turned = backward(edge.pivots, y)
             if e > 0:
@@ -249,3 +259,92 @@ class TimeSlopes(TimeSweep):
     def remember_place(self, rod, own, x, time):
         """As :meth:`remember_vertex`, of the derivative ``x`` of a place in the rod's unit of length."""
         self.remember_vertex(rod, own, x, time, rod.total > 0.0)
+
+
+@ti.data_oriented
+class TimeSlopeLoop(TimeLoop):
+    """The loop with derivatives by P parameters. ``tables`` holds, besides, blocks, the view of this thread's in scratch, and
+
+    material_slopes, number_slopes, share_slopes  (P · material, -), (P, numbers, V, NUMBERS) and (P, numbers, 2) derivatives of
+                                                  what a rod is given
+    slopes                                        (row, P, V, REMEMBERED) those that it remembers, in and out
+    position_slopes                               (rod · frame, P, V, 3) those of positions, out
+
+    A parameter costs the same for one lane as for all: lanes that have converged wait for the others of their pack.
+    """
+
+    differentiates = True
+
+    @ti.func
+    def exchanges(self, lane):
+        """Once all lanes with a rod have finished."""
+        return self.largest(lane.active * (1.0 - lane.finished)) < 0.5
+
+    @ti.func
+    def advance(self, tables, head, lane):
+        """A trip, in which lanes that wait keep their frames and repeat the elimination."""
+        zero, one = self.constant(0.0), self.constant(1.0)
+        waits = lane.finished > 0.5
+        lane.trying = ti.select(waits, zero, lane.trying)
+        lane.closing = ti.select(waits, zero, lane.closing)
+        lane.escaping = ti.select(waits, zero, lane.escaping)
+        lane.step_scale = ti.select(waits, zero, lane.step_scale)
+        waited = ti.select(waits, one, zero)
+        status, trips = lane.status + zero, lane.trips + zero
+        self.trip(tables, head, lane)
+        self.refuse(head, lane)
+        lane.finished = ti.max(lane.finished, waited)
+        lane.status = ti.select(waited > 0.5, status, lane.status)
+        lane.trips = ti.select(waited > 0.5, trips, lane.trips)
+
+    @ti.func
+    def differentiate(self, tables, rod, time, up, done):
+        """The derivatives of the steps that have converged, in the lanes where ``done`` is one."""
+        if self.largest(done) > 0.5:
+            self.sweep.differentiate(rod, tables.blocks, tables.number_slopes.shape[0], time, up)
+
+    @ti.func
+    def own_block(self, tables, slot, parameter, vertex):
+        """The view of the block of a vertex for a parameter, in a lane."""
+        return self.sweep.block(tables.blocks.lane(slot), tables.rest_length.shape[1], parameter, vertex)
+
+    @ti.func
+    def load_slopes(self, tables, head, slot, rod):
+        """The derivatives that rod ``rod`` remembers, and its parameters, into lane ``slot``."""
+        row, g, numbers = tables.rods[rod, of.RESULT_ROW], tables.rods[rod, of.MATERIAL_ROW], tables.rods[rod, of.EXTERNAL_ROW]
+        own = head.lane(slot)
+        unit, length_unit = in_f64(own.energy_unit), in_f64(own.length_unit)
+        lengths = ti.min(tables.rods[rod, of.CLAMP_ROW], tables.rest_length.shape[0] - 1)
+        for p in range(tables.number_slopes.shape[0]):
+            material = p * tables.material.shape[0] + g
+            for v in range(tables.rest_length.shape[1] + 1):
+                block = self.own_block(tables, slot, p, v)
+                for k in range(REMEMBERED):
+                    block[k] = tables.slopes[row, p, v, k]
+                for k in range(NUMBERS):
+                    block[REMEMBERED + k] = tables.number_slopes[p, numbers, v, k] / unit
+                if v > 0:
+                    load_stiffness(block, tables.material_slopes, material, tables.rest_length, lengths, v - 1,
+                                   1.0 / (unit * length_unit))
+            first = self.own_block(tables, slot, p, 0)
+            for k in ti.static(range(2)):
+                first.of_rod[k] = tables.share_slopes[p, numbers, k]
+            first.of_rod[2] = tables.material_slopes[material, of.WEIGHT]
+
+    @ti.func
+    def store_slopes(self, tables, slot, row):
+        """The derivatives that the lane's rod remembers into row ``row``."""
+        for p in range(tables.number_slopes.shape[0]):
+            for v in range(tables.rest_length.shape[1] + 1):
+                block = self.own_block(tables, slot, p, v)
+                for k in range(REMEMBERED):
+                    tables.slopes[row, p, v, k] = block[k]
+
+    @ti.func
+    def write_slopes(self, tables, slot, place):
+        """The derivatives of the lane's positions, for row ``place`` of the positions."""
+        for p in range(tables.number_slopes.shape[0]):
+            for v in range(tables.rest_length.shape[1] + 1):
+                block = self.own_block(tables, slot, p, v)
+                for k in ti.static(range(3)):
+                    tables.position_slopes[place, p, v, k] = block[k]

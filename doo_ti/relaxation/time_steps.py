@@ -2,21 +2,97 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
+import taichi as ti
 
-from doo_ti.relaxation import newton
+from doo_ti.physics.number import Number
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.batch import Launch, laid_out, layout_for, policy_row
+from doo_ti.relaxation.contacts import Contacts
+from doo_ti.relaxation.dense_elimination import DenseElimination
+from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, SCRATCH, TABLE1, TABLE2, TABLE3, TABLE4, loop_kernel
+from doo_ti.relaxation.newton import OBSTACLES, Newton
+from doo_ti.relaxation.self_contacts import SelfContacts
 from doo_ti.relaxation.tables import Tables, room
-from doo_ti.relaxation.time_kernel import time_contact_kernel, time_kernel, time_slope_kernel
-from doo_ti.relaxation.time_layout import PLACE_2
-from doo_ti.relaxation.time_loop import OUTCOMES, STATE
-from doo_ti.relaxation.time_slopes import CURVATURE_1, CURVATURE_2, REMEMBERED
+from doo_ti.relaxation.time_impact import TimeImpact
+from doo_ti.relaxation.time_loop import OUTCOMES, STATE, TimeLoop
+from doo_ti.relaxation.time_slopes import CURVATURE_1, CURVATURE_2, REMEMBERED, TimeSlopeLoop, TimeSlopes
+from doo_ti.relaxation.time_sweep import PLACE_2, TimeSweep
 from doo_ti.rod.frames import quaternion_product
 from doo_ti.rod.types import Status
 from doo_ti.system import runtime
+
+
+class DenseTimeSweep(DenseElimination, TimeImpact):
+    """The time step of rods that may touch themselves."""
+
+
+# What kernels are given, in this order.
+STEPS = {
+    "rest_length": TABLE2,  # [1 or configuration, edge] mm
+    "clamp": TABLE2,  # [configuration, CLAMP_COLUMNS]
+    "path": TABLE3,  # [configuration, step, PATH_COLUMNS]
+    "material": TABLE2,  # [material, STIFFNESS + 1 or edge · STIFFNESS_COLUMNS]
+    "numbers": TABLE3,  # [numbers, vertex, VERTEX_ITEMS − INERTIA]
+    "shares": TABLE2,  # [numbers, 2] of rest curvature and of rest twist that damping makes
+    "rods": INDEX2,  # [rod, ROD_COLUMNS]
+    "policy": TABLE1,  # [POLICY_COLUMNS] of :mod:`doo_ti.relaxation.newton_policy`
+    "time": TABLE1,  # [TIME_COLUMNS] of :mod:`doo_ti.relaxation.time_sweep`
+    "steps": ti.i32,
+    "every": ti.i32,
+    "threads": ti.i32,
+    "scratch": SCRATCH,
+    "queue": INDEX1,  # [NEXT, TRIPS, LANES + twice thread · lane] zero
+    "frames": TABLE1,  # [row · edge · 4] at the last instant, in and out
+    "frames_before": TABLE1,  # and at the one before
+    "places": TABLE3,  # [row, vertex, INERTIA] positions and velocities at both, in and out
+    "results": TABLE2,  # [row, LOADED_RESULTS], of which DRIFT is in and out
+    "positions": TABLE3,  # [row · frame, vertex, 3] out
+    "outcome": TABLE3,  # [row, frame, OUTCOMES] zero
+}
+MOTIONS = {  # among obstacles, whose forces (OBSTACLES) are those of [row · frame, vertex, 3]
+    "touches": INDEX2,  # [row · frame, vertex] out
+    "poses": TABLE4,  # [1 or row, 1 + step, obstacle, POSE_COLUMNS] of obstacles that move, else anything
+    "pair_memory": TABLE3,  # [row, pair of edges, PAIR_CARRIED] in and out, or one number
+    "rod_memory": TABLE2,  # [row, CARRIED_ON] in and out
+}
+SLOPES = {
+    "material_slopes": TABLE2,  # [parameter · material, -]
+    "number_slopes": TABLE4,  # [parameter, numbers, vertex, NUMBERS]
+    "share_slopes": TABLE3,  # [parameter, numbers, 2]
+    "slopes": TABLE4,  # [row, parameter, vertex, REMEMBERED] in and out
+    "position_slopes": TABLE4,  # [row · frame, parameter, vertex, 3] out
+}
+
+
+@cache
+def time_kernel(number: Number, stride: int, block: int, isotropic: bool):
+    """As :func:`.newton_kernel`, of steps; ``isotropic``: of round rods, straight at rest and undamped."""
+    sweep = TimeSweep(number, isotropic, stride)
+    return loop_kernel("make_steps", number, STEPS, TimeLoop(sweep).work, block), sweep.items
+
+
+@cache
+def time_contact_kernel(number: Number, stride: int, block: int, isotropic: bool, kinds: frozenset[int], rub: bool,
+                        itself: bool, moves: bool):
+    """The same for rods that may touch obstacles of some ``kinds``, or ``itself``, with friction if they ``rub``, and for
+    obstacles that move if ``moves``."""
+    if itself:
+        sweep = DenseTimeSweep(number, isotropic, stride, SelfContacts(number, kinds, rub, moves))
+    else:
+        sweep = TimeImpact(number, isotropic, stride, Contacts(number, kinds, rub, moves))
+    given = STEPS | OBSTACLES | MOTIONS
+    return loop_kernel("make_steps_in_contact", number, given, TimeLoop(sweep).work, block, brief=True), sweep.items
+
+
+@cache
+def time_slope_kernel(number: Number, stride: int, block: int):
+    """The same for steps with their derivatives, in f64 and for any rods."""
+    sweep = TimeSlopes(number, stride)
+    return loop_kernel("make_steps_with_slopes", number, STEPS | SLOPES, TimeSlopeLoop(sweep).work, block), sweep.items
 
 
 @dataclass
@@ -37,6 +113,23 @@ class Memory:
     drift: np.ndarray
     multiplier: np.ndarray
     status: np.ndarray
+
+
+@dataclass(frozen=True)
+class Steps:
+    """The steps of a launch.
+
+    path   (S, steps, PATH_COLUMNS) of the clamps
+    time   (TIME_COLUMNS,), see :mod:`doo_ti.relaxation.time_sweep`
+    every  steps between the frames that are returned
+    poses  (1 or R, 1 + steps, M, POSE_COLUMNS) of the obstacles, see :mod:`doo_ti.relaxation.time_loading`; None where none
+           moves
+    """
+
+    path: np.ndarray
+    time: np.ndarray
+    every: int
+    poses: np.ndarray | None = None
 
 
 @dataclass
@@ -85,16 +178,12 @@ def curvatures(frames: np.ndarray) -> np.ndarray:
 
 
 @runtime.exclusive
-def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndarray, shares: np.ndarray, time: np.ndarray,
-               every: int, options: newton.Newton, bits: int, slopes: Slopes | None = None, poses: np.ndarray | None = None):
-    """Carry the rods of ``table`` through the steps of ``path`` (S, steps, PATH_COLUMNS), from ``memory``, which is updated.
+def make_steps(table: Tables, memory: Memory, steps: Steps, numbers: np.ndarray, shares: np.ndarray, options: Newton, bits: int,
+               slopes: Slopes | None = None):
+    """Carry the rods of ``table`` through ``steps``, from ``memory``, which is updated.
 
     numbers  (N, V, VERTEX_ITEMS − INERTIA), shares (N, 2): rows as the rods' ``external_index`` says
-    time     (TIME_COLUMNS,), see :mod:`doo_ti.relaxation.time_sweep`
-    every    steps between the frames that are returned
     slopes   what to differentiate by, in f64
-    poses    (1 or R, 1 + steps, M, POSE_COLUMNS) of the obstacles, see :mod:`doo_ti.relaxation.obstacle_motion`; None where
-             none moves
 
     Returns positions (R, frames, V, 3) mm, NaN from where a rod failed, outcomes (R, frames, OUTCOMES), and the derivatives of
     positions (R, frames, P, V, 3) or None, the forces of contacts on vertices (R, frames, V, 3), energy per mm, or None, and
@@ -103,8 +192,8 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
     rods = np.ascontiguousarray(table.rods[memory.status[table.rods[:, of.RESULT_ROW]] == Status.CONVERGED])
     rods[:, of.START_ROW] = of.FROM_RESULTS
     rods[:, of.EXTERNAL_ROW] = table.external_index[rods[:, of.RESULT_ROW]]
-    steps = path.shape[1]
-    frames = steps // every
+    count = steps.path.shape[1]
+    frames = count // steps.every
     positions = room(table.count * frames, table.edges + 1, 3)
     positions[...] = np.nan
     outcome = np.zeros((table.count, frames, OUTCOMES))
@@ -119,12 +208,11 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
     if slopes is not None:
         position_slopes = room(table.count * frames, slopes.count, table.edges + 1, 3)
         position_slopes[...] = np.nan
-    moves = poses is not None
-    poses = poses if moves else np.zeros((1, 1, 1, 1))
+    poses = np.zeros((1, 1, 1, 1)) if steps.poses is None else steps.poses
     results = np.zeros((table.count, of.LOADED_RESULTS))
     results[:, of.FORCE : of.FORCE + 3], results[:, of.DRIFT:] = memory.multiplier, memory.drift
     for isotropic, part in table.by_material(rods):
-        kernel, threads, scratch, queue = _laid_out(table, isotropic, len(part), bits, slopes, moves)
+        kernel, threads, scratch, queue = _laid_out(table, isotropic, len(part), bits, slopes, steps.poses is not None)
         more = ()
         if contact is not None:
             more = (*contact.arguments(forces, options.gap_tolerance, in_motion=True), touches, poses, contact.pair_memory,
@@ -132,9 +220,9 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
         elif slopes is not None:
             material = slopes.material.reshape(-1, slopes.material.shape[-1])
             more = material, slopes.numbers, slopes.shares, slopes.memory, position_slopes
-        kernel(table.rest_length, table.clamp, path, table.material, numbers, shares, part,
-               policy_row(table.up, options, bits), time, steps, every, threads, scratch, queue, memory.frames.reshape(-1),
-               memory.frames_before.reshape(-1), memory.places, results, positions, outcome, *more)
+        kernel(table.rest_length, table.clamp, steps.path, table.material, numbers, shares, part,
+               policy_row(table.up, options, bits), steps.time, count, steps.every, threads, scratch, queue,
+               memory.frames.reshape(-1), memory.frames_before.reshape(-1), memory.places, results, positions, outcome, *more)
     if len(rods):
         memory.multiplier[:], memory.drift[:] = results[:, of.FORCE : of.FORCE + 3], results[:, of.DRIFT:]
         memory.status[:] = outcome[:, -1, STATE].astype(memory.status.dtype)

@@ -13,18 +13,43 @@ draws it towards y(ω): a rest curvature of its own for each step.
 import taichi as ti
 
 from doo_ti.physics import pair
-from doo_ti.physics.angle import passed_half_turn, turned_about_own_tangent
-from doo_ti.physics.quaternion import normalised, product, relative_rotation, tangent
+from doo_ti.physics.quaternion import (
+    normalised,
+    passed_half_turn,
+    product,
+    relative_rotation,
+    tangent,
+    turned_about_own_tangent,
+)
 from doo_ti.physics.tuples import choose, chosen, dot, minus, plus, record, repeated, scaled, variable
 from doo_ti.physics.view import Layout
 from doo_ti.relaxation.contacts import Contacts
 from doo_ti.relaxation.loaded_elimination import LoadedElimination
 from doo_ti.relaxation.point_loads import PointLoads
-from doo_ti.relaxation.time_layout import MOTION, ROD, VERTEX
 
-# What a launch is given after the policy of Newton: the step h in s, a and b above, and the least share of the clamps' way
-# from one instant to the next that a rod in contact makes at once where more fails; and one where changes of link are noted.
+VERTEX = Layout(place_1=3, place_2=3, velocity_1=3, velocity_2=3, inertia=1, drag=1, drag_by_speed=1, load=1, force=3, spring=1,
+                spring_point=3)
+"""place, velocity                at the last two instants, mm and mm/s
+inertia, drag, drag_by_speed   κ, d, and its growth with speed per mm/s, energy over mm²
+load, force                    the weight of a point mass there and a dead force, energy over mm
+spring, spring_point           its stiffness, energy over mm², and where it pulls to"""
+PLACE_2, VELOCITY_1, INERTIA, DRAG, DRAG_BY_SPEED, LOAD, FORCE, SPRING, SPRING_POINT = map(VERTEX.at, (
+    "place_2", "velocity_1", "inertia", "drag", "drag_by_speed", "load", "force", "spring", "spring_point"))
+VERTEX_ITEMS = len(VERTEX)
+MOTION = VERTEX + Layout(frame_1=4, frame_2=4, rest_left=2, rest_right=2, rest_twist=1)
+"""Of an edge, with the vertex where it ends: its frames at the last two instants; for the step being made, of the joint where
+it begins, the rest curvature of its left and its right frame and its rest twist."""
+ROD = Layout(bend_share=1, twist_share=1, inertia=1, relinked=1, reach=1, euler=1, still=1, vertex=VERTEX)
+"""bend_share, twist_share  of the rest curvature and twist, what damping makes
+inertia                  the sum of κ of all vertices
+relinked                 by how much the rod's link has changed
+reach                    how its clamps reach (:mod:`.clamp_table`)
+euler, still             one where the step is one of backward Euler though others are not; where no clamp or obstacle moves
+vertex                   vertex 0"""
+
 STEP, RATE, EXTRAPOLATION, LEAST_WAY, WATCHED, TIME_COLUMNS = 0, 1, 2, 3, 4, 5
+"""Of a launch: the step h in s, a and b above; the least share of the clamps' way from one instant to the next that a rod in
+contact makes at once where more fails; and one where changes of link are noted."""
 
 
 @ti.data_oriented
@@ -74,10 +99,10 @@ class TimeSweep(LoadedElimination):
         """Make the present shape the last instant, and the last instant the one before it, in the lanes that are ``done``.
         After a step of backward Euler among others the velocities and frames before it do not count any more: they are as if
         they had not changed in it."""
-        place = variable(plus(rod.anchor, self.drift(rod)))
+        place = variable(plus(rod.anchor, rod.head.drift))
         self.remember_vertex(rod, rod.head.vertex, place, time, done)
         if ti.static(self.touches):
-            self.contacts.remember(rod, 0, place, done)
+            choose(self.contacts.vertex(rod, 0), done, previous=place)
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)
             q = edge.frame
@@ -85,7 +110,7 @@ class TimeSweep(LoadedElimination):
             own = edge.motion
             self.remember_vertex(rod, own, place, time, done)
             if ti.static(self.touches):
-                self.contacts.remember(rod, e + 1, place, done)
+                choose(self.contacts.vertex(rod, e + 1), done, previous=place)
             choose(own, done, frame_2=chosen(time.share < 1.0, q, own.frame_1))
             choose(own, done, frame_1=q)
 
@@ -127,7 +152,7 @@ class TimeSweep(LoadedElimination):
     def prepare(self, rod, time, up, done):
         """Set the springs and rest curvatures of the next step. In the lanes that are ``done`` also set where its Newton
         iterations start: every frame turned once more as in the last step, and a free vertex 0 in free flight."""
-        free_flight = self.set_spring(rod, rod.head.outer, rod.head.vertex, time, up)
+        free_flight = self.set_spring(rod, rod.head.external, rod.head.vertex, time, up)
         drift = variable(minus(scaled(free_flight, 1.0 / rod.length_unit), rod.anchor))
         going = done & (rod.loose > 0.5)
         if ti.static(self.touches):
@@ -136,7 +161,7 @@ class TimeSweep(LoadedElimination):
         choose(rod.head, going, drift=drift)
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)
-            self.set_spring(rod, edge.outer, edge.motion, time, up)
+            self.set_spring(rod, edge.external, edge.motion, time, up)
             last = edge.motion.frame_1
             q = variable(last)
             if ti.static(not self.touches):
@@ -147,8 +172,8 @@ class TimeSweep(LoadedElimination):
                     self.set_rest(rod, self.edge(rod.head, e - 1), edge, time)
 
     @ti.func
-    def set_spring(self, rod, outer, vertex, time, up):
-        """Set point and stiffness of the spring of a step at a ``vertex``, and the force there, in ``outer``; returns x̂, mm."""
+    def set_spring(self, rod, external, vertex, time, up):
+        """Set the spring of a step at a ``vertex``, and the force there, in ``external``; returns x̂, mm."""
         y, ahead, fast = self.extrapolated(vertex, time)
         drag = time.share * (vertex.drag + vertex.drag_by_speed * ti.sqrt(dot(fast, fast)))
         inertia, stiffness = time.share * time.share * vertex.inertia, vertex.spring
@@ -159,8 +184,8 @@ class TimeSweep(LoadedElimination):
             viscosity = rod.contacts.viscosity
             k = k + viscosity
             pull = plus(pull, scaled(vertex.place_1, viscosity))
-        outer.point, outer.stiffness = scaled(pull, 1.0 / (k + 1e-30)), k
-        outer.force = minus(vertex.force, scaled(up, vertex.load))
+        external.point, external.stiffness = scaled(pull, 1.0 / (k + 1e-30)), k
+        external.force = minus(vertex.force, scaled(up, vertex.load))
         return ahead
 
     @ti.func

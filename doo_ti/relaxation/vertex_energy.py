@@ -4,7 +4,7 @@ import taichi as ti
 
 from doo_ti.physics import vertex_form
 from doo_ti.physics.algebra import absolute, larger
-from doo_ti.physics.angle import signed_angle_function
+from doo_ti.physics.quaternion import signed_angle_function
 from doo_ti.physics.tuples import cross, dot, minus, plus, record, repeated, scaled, variable
 from doo_ti.relaxation.vertex_chain import VertexChain, direction
 

@@ -43,29 +43,23 @@ class Rod:
         return self.weight * above[:, None] * self.up
 
 
-def rod_of(configuration: Configuration, material: Material, index=0, material_index=None, up=(0.0, 0.0, 1.0)) -> Rod:
-    """Row ``index`` of a configuration table with row ``material_index`` (by default the same, or the only one)."""
-    row = (index if material.count > 1 else 0) if material_index is None else material_index
+def rod_of(configuration: Configuration, material: Material, index=0, up=(0.0, 0.0, 1.0)) -> Rod:
+    """Row ``index`` of a configuration table with the same row of the materials, or the only one."""
+    row = index if material.count > 1 else 0
     edges, lengths = configuration.edges, configuration.rest_length
     rest = np.zeros((1, 2)) if material.rest_curvature is None else material.rest_curvature[row]
     return Rod(
-        rest_length=np.array(lengths if lengths.ndim == 1 else lengths[index]),
-        bend=np.broadcast_to(material.bend[row], (edges, 2, 2)),
-        twist=np.broadcast_to(material.twist[row], (edges - 1,)),
-        weight=float(material.weight[row]),
-        rest_curvature=np.broadcast_to(rest, (edges - 1, 2)),
-        up=np.asarray(up, dtype=np.float64) / np.linalg.norm(up),
-    )
+        np.array(lengths if lengths.ndim == 1 else lengths[index]), np.broadcast_to(material.bend[row], (edges, 2, 2)),
+        np.broadcast_to(material.twist[row], (edges - 1,)), float(material.weight[row]),
+        np.broadcast_to(rest, (edges - 1, 2)), np.asarray(up, dtype=np.float64) / np.linalg.norm(up))
 
 
 def chain_energy(rod: Rod, start, quaternions):
     """Bend, twist and gravity energy; start (3,) and quaternions (E, 4) as sequences of numbers of any kind."""
     bending = twisting = 0.0
     for i in range(1, rod.edges):
-        parts = pair_parts(
-            quaternions[i - 1], quaternions[i], rod.rest_length[i - 1], rod.rest_length[i],
-            rod.bend[i - 1], rod.bend[i], rod.twist[i - 1], rod.rest_curvature[i - 1],
-        )
+        parts = pair_parts(quaternions[i - 1], quaternions[i], rod.rest_length[i - 1], rod.rest_length[i], rod.bend[i - 1],
+                           rod.bend[i], rod.twist[i - 1], rod.rest_curvature[i - 1])
         bending, twisting = bending + parts[0], twisting + parts[1]
     gravity, vertex = 0.0, list(start)
     for i, length in enumerate(rod.vertex_length):
@@ -78,10 +72,8 @@ def chain_energy(rod: Rod, start, quaternions):
 def chain_derivatives(rod: Rod, quaternions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(3E,) gradient and (3E, 3E) Hessian of E in the body rotations of all edges, start held."""
     gradient, hessian = np.zeros(3 * rod.edges), np.zeros((3 * rod.edges, 3 * rod.edges))
-    pairs = pair_gradient_hessian(
-        quaternions[:-1], quaternions[1:], rod.rest_length[:-1], rod.rest_length[1:],
-        rod.bend[:-1], rod.bend[1:], rod.twist, rod.rest_curvature, rod.turned,
-    )
+    pairs = pair_gradient_hessian(quaternions[:-1], quaternions[1:], rod.rest_length[:-1], rod.rest_length[1:], rod.bend[:-1],
+                                  rod.bend[1:], rod.twist, rod.rest_curvature, rod.turned)
     for i in range(rod.edges - 1):
         block = slice(3 * i, 3 * i + 6)
         gradient[block] += pairs[0][i]

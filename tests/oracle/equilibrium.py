@@ -87,10 +87,8 @@ def closed(rod: Rod, ends: Ends, state: State, free: np.ndarray) -> State:
 def energy_of(rod: Rod, state: State) -> tuple[float, float]:
     """E(Γ), all pairs at once, and the sum of its terms' sizes, the scale of its rounding."""
     q, lengths = state.quaternions, rod.rest_length
-    terms = pair_parts(
-        list(q[:-1].T), list(q[1:].T), lengths[:-1], lengths[1:], rod.bend[:-1], rod.bend[1:], rod.twist,
-        rod.rest_curvature,
-    )
+    terms = pair_parts(list(q[:-1].T), list(q[1:].T), lengths[:-1], lengths[1:], rod.bend[:-1], rod.bend[1:], rod.twist,
+                       rod.rest_curvature)
     gravity = rod.weight * rod.vertex_length * (vertices_of(rod, state) @ rod.up)
     parts = [float(np.sum(part)) for part in (*terms, gravity)]
     return sum(parts), sum(abs(part) for part in parts)

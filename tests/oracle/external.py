@@ -2,7 +2,7 @@
 
     E = E_Θ + Σ_p ½ (y_p − target_p)·K_p (y_p − target_p),   y_p = Σ_i S_pi x_i
 
-The points y_p are vertices, or lie along edges; K_p is a number k or a symmetric matrix (a camera sees two directions only).
+The points y_p are vertices; K_p is a number k or a symmetric matrix (a camera sees two directions only).
 Unknowns are (dx_0, w_0, …, w_{E−1}): the translation of the first vertex in mm and the body rotations of all frames in rad,
 x_i = x_0 + Σ_{j<i} l_j t_j. What the clamps hold is left out of them, and a held far end adds Σ l_j t_j = d.
 """
@@ -17,15 +17,14 @@ from tests.oracle.equilibrium import Ends, State, clamped_start, closed, energy_
 
 NEUTRAL = 1e-11
 """Eigenvalues below this share of the largest are rounding: a motion at constant energy."""
-LEAP = 0.05  # rad, the first try off a saddle
+LEAP, LONGEST_STEP = 0.05, 0.2  # rad: the first try off a saddle, and the largest component of one step's rotations
+TOLERANCE = 1e-10  # 1/mm, on the residual
 
 
 @dataclass(frozen=True)
 class Springs:
-    """P springs on a rod of V vertices.
-
-    points (P, V): rows S_p, each of sum 1; stiffness (P, 3, 3): K_p, symmetric, weight/mm; target (P, 3), mm.
-    """
+    """P springs on a rod of V vertices: ``points`` (P, V), rows S_p, each of sum 1; ``stiffness`` (P, 3, 3) K_p, symmetric,
+    weight/mm; ``target`` (P, 3), mm."""
 
     points: np.ndarray
     stiffness: np.ndarray
@@ -34,24 +33,9 @@ class Springs:
     @classmethod
     def at_vertices(cls, stiffness, target) -> "Springs":
         """One spring on each of V vertices; stiffness (V,) or (V, 3, 3), zero where there is none; target (V, 3)."""
-        return cls(np.eye(len(target)), _matrices(stiffness), np.asarray(target, dtype=np.float64))
-
-    @classmethod
-    def along_edges(cls, stiffness, share, target) -> "Springs":
-        """Springs on (1−s) x_e + s x_{e+1}; stiffness (E, S) or (E, S, 3, 3), share s (E, S), target (E, S, 3)."""
-        share, target = np.asarray(share, dtype=np.float64), np.asarray(target, dtype=np.float64)
-        edges, samples = share.shape
-        points = np.zeros((edges, samples, edges + 1))
-        for e in range(edges):
-            points[e, :, e], points[e, :, e + 1] = 1.0 - share[e], share[e]
         stiffness = np.asarray(stiffness, dtype=np.float64)
-        flat = stiffness.reshape(edges * samples, *stiffness.shape[2:])
-        return cls(points.reshape(-1, edges + 1), _matrices(flat), target.reshape(-1, 3))
-
-    def __add__(self, other: "Springs") -> "Springs":
-        """Both sets on one rod."""
-        names = ("points", "stiffness", "target")
-        return Springs(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in names))
+        matrices = stiffness[:, None, None] * np.eye(3) if stiffness.ndim == 1 else stiffness
+        return cls(np.eye(len(target)), matrices, np.asarray(target, dtype=np.float64))
 
     def stretch(self, vertices: np.ndarray) -> np.ndarray:
         """(P, 3) y_p − target_p, mm."""
@@ -67,13 +51,8 @@ class Springs:
         return self.points.T @ np.einsum("pab,pb->pa", self.stiffness, self.stretch(vertices))
 
     def vertex_curvature(self) -> np.ndarray:
-        """(V, 3, V, 3) ∂²/∂x_i∂x_j: block-diagonal for springs at vertices, tridiagonal for those along edges."""
+        """(V, 3, V, 3) ∂²/∂x_i∂x_j."""
         return np.einsum("pi,pab,pj->iajb", self.points, self.stiffness, self.points)
-
-
-def _matrices(stiffness) -> np.ndarray:
-    stiffness = np.asarray(stiffness, dtype=np.float64)
-    return stiffness[:, None, None] * np.eye(3) if stiffness.ndim == 1 else stiffness
 
 
 @dataclass(frozen=True)
@@ -108,12 +87,6 @@ class Minimum:
     force: np.ndarray
     eigenvalues: np.ndarray
     converged: bool
-    iterations: int
-
-    @property
-    def stable(self) -> bool:
-        """A strict minimum: no neutral mode either, to rounding."""
-        return bool(self.smallest_eigenvalue > NEUTRAL * self.eigenvalues[-1])
 
     @property
     def smallest_eigenvalue(self) -> float:
@@ -199,16 +172,9 @@ def newton_step(rod: Rod, springs: Springs, state: State, ends: Ends, shift: flo
     return Step(unknowns[:3], unknowns[3:].reshape(-1, 3), force, residual, bool(lowest > 0))
 
 
-def minimum(
-    rod: Rod, springs: Springs | None, state: State, ends: Ends, *, tolerance=1e-10, max_iterations=500, longest_step=0.2,
-    leave_saddles=True
-) -> Minimum:
+def minimum(rod: Rod, springs: Springs | None, state: State, ends: Ends, max_iterations=500) -> Minimum:
     """Descend from ``state`` to a minimum, never uphill: Newton's step with the size of every eigenvalue, so that negative
-    ones lead downhill too; halved until the energy does not rise; along the softest mode off a saddle.
-
-    tolerance on the residual in 1/mm; longest_step: rad, the largest component of one step's rotations; leave_saddles: else
-    it stops at any equilibrium. Springs may be None.
-    """
+    ones lead downhill too; halved until the energy does not rise; along the softest mode off a saddle. Springs may be None."""
     springs = Springs.at_vertices(np.zeros(rod.edges + 1), np.zeros((rod.edges + 1, 3))) if springs is None else springs
     free = free_variables(rod, ends)
     scale = np.linalg.eigvalsh(rod.bend).max()
@@ -217,36 +183,34 @@ def minimum(
         at = _local(rod, springs, state, ends, free)
         eigenvalues, modes = np.linalg.eigh(at.basis.T @ at.hessian @ at.basis)
         floor = NEUTRAL * np.abs(eigenvalues).max()
-        at_rest = bool(np.abs(at.residual).max() <= tolerance * scale)
-        converged = at_rest and bool(eigenvalues[0] >= -floor or not leave_saddles)
+        at_rest = bool(np.abs(at.residual).max() <= TOLERANCE * scale)
+        converged = at_rest and bool(eigenvalues[0] >= -floor)
         if converged or iteration == max_iterations:
             break
         if at_rest:
             softest = at.basis @ modes[:, 0]
             leap = LEAP * softest / np.abs(softest).max()
-            following = _lower(rod, springs, ends, state, free, (leap, -leap), longest_step)
+            following = _lower(rod, springs, ends, state, free, (leap, -leap))
         else:
             rate = (at.basis @ modes).T @ at.residual
             weight = np.where(np.abs(eigenvalues) > floor, 1.0 / np.maximum(np.abs(eigenvalues), floor), 0.0)
             step = -at.basis @ (modes @ (weight * rate))
-            following = _lower(rod, springs, ends, state, free, (step,), longest_step)
+            following = _lower(rod, springs, ends, state, free, (step,))
         if following is None:
             break
         state = following
     return Minimum(
         state=state, vertices=vertices_of(rod, state), energy=float(total_energy(rod, springs, state)),
         residual=float(np.abs(at.residual).max() / scale), closure=float(np.linalg.norm(at.miss) / rod.rest_length.sum()),
-        force=at.force if len(at.force) else np.zeros(3), eigenvalues=eigenvalues, converged=converged,
-        iterations=iteration,
-    )
+        force=at.force if len(at.force) else np.zeros(3), eigenvalues=eigenvalues, converged=converged)
 
 
-def _lower(rod, springs, ends, state, free, directions, longest) -> State | None:
+def _lower(rod, springs, ends, state, free, directions) -> State | None:
     """The lowest state along any of the directions, each halved until the energy does not rise; None if there is none."""
     energy, size = _energy(rod, springs, state)
     found = []
     for direction in directions:
-        factor = min(1.0, longest / max(np.abs(direction[free >= 3]).max(initial=0.0), 1e-300))
+        factor = min(1.0, LONGEST_STEP / max(np.abs(direction[free >= 3]).max(initial=0.0), 1e-300))
         for _ in range(40):
             trial = closed(rod, ends, moved(state, free, factor * direction), free)
             reached = _energy(rod, springs, trial)[0]
@@ -264,7 +228,7 @@ def _energy(rod: Rod, springs: Springs, state: State) -> tuple[float, float]:
     return energy + pulled, size + pulled
 
 
-def relaxed(configuration, material, clamps, index=0, material_index=None, *, up=(0.0, 0.0, 1.0), **options) -> Minimum:
+def relaxed(configuration, material, clamps, index=0, up=(0.0, 0.0, 1.0)) -> Minimum:
     """:func:`minimum` of one row of the package's tables; no clamp kind or length is checked."""
-    rod = rod_of(configuration, material, index, material_index, up)
-    return minimum(rod, None, *clamped_start(configuration, clamps, index), **options)
+    rod = rod_of(configuration, material, index, up)
+    return minimum(rod, None, *clamped_start(configuration, clamps, index))

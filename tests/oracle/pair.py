@@ -80,8 +80,3 @@ def linear_gradient_hessian(force, quaternion, length, turned=body_rotated):
     tangent = directors(turned(parts, seeds(3, like=len(shape))))[0]
     energy = dot(c, tangent) * np.broadcast_to(length, shape)[..., None, None]
     return gradient_and_hessian(energy, shape, 3)
-
-
-def linear_hessian(force, quaternion, length):
-    """(..., 3, 3) Hessian of c·t·l in the body rotation of Q."""
-    return linear_gradient_hessian(force, quaternion, length)[1]

@@ -11,14 +11,15 @@ import taichi as ti
 from scipy.spatial.transform import Rotation
 
 from doo_ti.physics import closure, pair, quaternion, vertex_form
-from doo_ti.physics.angle import twist_angle_function
 from doo_ti.physics.number import Number
+from doo_ti.physics.quaternion import twist_angle_function
 from doo_ti.system import runtime
 from tests.oracle import algebra as oracle
 from tests.oracle.algebra import spun_and_tilted
 from tests.oracle.pair import linear_gradient_hessian, pair_energy, pair_gradient_hessian
 from tests.oracle.vertex_form import curvature_binormal, material_curvature
 from tests.physics.columns import ROWS, columns_kernel, every_number
+from tests.relaxation.rods import definite
 
 SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 STEP = 1e-100  # of the complex step
@@ -64,12 +65,6 @@ def joints(rng, where: str) -> tuple[np.ndarray, np.ndarray]:
     return signs[0] * first.as_quat(scalar_first=True), signs[1] * second.as_quat(scalar_first=True)
 
 
-def definite(rng, *shape) -> np.ndarray:
-    """(*shape, 2, 2) symmetric positive definite B with off-diagonals."""
-    root = 500 * rng.normal(size=(*shape, 2, 2))
-    return root @ np.swapaxes(root, -1, -2) + 1e4 * np.eye(2)
-
-
 def general_stiffness(bend, twist, rest, total) -> np.ndarray:
     """(ROWS, 10) columns of the general stiffness tuple."""
     entries = [bend[side][:, a, b] for side in (0, 1) for a, b in ((0, 0), (1, 1), (0, 1))]
@@ -94,9 +89,8 @@ def relative_error(value: np.ndarray, expected: np.ndarray) -> float:
 WHERE = ["lab", "1.5 to 3 rad", "twist next to ±π"]
 
 
-@pytest.mark.sampled(1)
-@every_number
 @pytest.mark.parametrize("kind", ["isotropic", "general"])
+@every_number
 def test_pair_on_packs_is_the_oracles(rng, kind, number):
     """To 1e-13 of the largest entry in f64; in f32 to its rounding, the frames being rounded too."""
     runtime.start()
@@ -118,22 +112,6 @@ def test_pair_on_packs_is_the_oracles(rng, kind, number):
                   relative_error(gradient, expected[0]), relative_error(hessian, expected[1])]
         print(f"{kind}, {where}, {number}: energy {errors[0]:.1e}, gradient {errors[1]:.1e}, Hessian {errors[2]:.1e}")
         assert max(errors) < (1e-13 if number.bits == 64 else 1e-5)
-
-
-@pytest.mark.thorough
-def test_packs_are_scalars_to_the_last_bit(rng):
-    """The value of a lane does not depend on other lanes."""
-    runtime.start()
-    for where in WHERE:
-        q0, q1 = joints(rng, where)
-        total = rng.uniform(2, 10, ROWS)
-        twist, rest = rng.uniform(1e4, 1e6, ROWS), 0.05 * rng.normal(size=(ROWS, 2))
-        stiffness = general_stiffness(definite(rng, 2, ROWS), twist, rest, total)
-        for isotropic, rows in ((True, np.hstack([q0, q1, stiffness[:, :2]])), (False, np.hstack([q0, q1, stiffness]))):
-            for bits in (32, 64):
-                alone = pair_kernel(Number(1, bits), isotropic)(rows)
-                for width in (8, 16):
-                    np.testing.assert_array_equal(pair_kernel(Number(width, bits), isotropic)(rows), alone)
 
 
 @every_number
@@ -255,7 +233,6 @@ def defined_energy(edges, frames, bend, rest, total):
     return energy
 
 
-@pytest.mark.sampled(3)
 @every_number
 def test_bend_force_is_the_slope_of_the_energy(rng, number):
     """Across an edge; along it the lengths are held and the two differ."""
@@ -281,7 +258,6 @@ def test_bend_force_is_the_slope_of_the_energy(rng, number):
     assert max(error, slope_error) < (1e-12 if number.bits == 64 else 1e-4)
 
 
-@pytest.mark.sampled(4)
 @every_number
 def test_spin_derivatives(rng, number):
     """Slope and curvature of one frame's bend energy in its angle, against complex steps of the definition."""

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import taichi as ti
 
-from doo_ti.physics import algebra, angle, tuples
+from doo_ti.physics import algebra, quaternion, tuples
 from doo_ti.physics.number import Number
 from doo_ti.system import runtime
 from tests.physics.columns import ROWS, columns_kernel, every_number
@@ -98,9 +98,9 @@ def numpy_conditions(a, b) -> list:
             np.where((a > 0) & ~((a < b) & (b > 0)), a, -3), np.where((a > b) | (b > 0), flags, 7)]
 
 
-@every_number
 @pytest.mark.parametrize(("functions", "expected"), [(arithmetic, numpy_arithmetic), (conditions, numpy_conditions)],
                          ids=["arithmetic", "conditions"])
+@every_number
 def test_operations_are_numpys_to_the_last_bit(rng, number, functions, expected):
     values = sampled(rng, number, 2)
     reference = np.stack(expected(*in_precision(number, values)), axis=1)
@@ -129,7 +129,6 @@ def with_nan(a, b):
     return (algebra.larger(a, b), ti.select(a != a, 0.0 * a + 1.0, 0.0), ti.select(~(a == a), 1.0, 0.0 * a))
 
 
-@pytest.mark.sampled(4)
 @every_number
 def test_nan_is_detected(number):
     """The kernels rely on ``a == a``, on ``larger`` passing NaN on, and NaN comparing false, by ``!=`` too."""
@@ -208,7 +207,8 @@ def test_the_largest_lane_is_that_of_numbers_and_literals_are_exact(rng, number)
 def test_angles(rng, number):
     """Arc tangent; m = 2 atan2(q1, q0) for q0 >= 0; the angle of a cosine and a sine, each rounded on its own: all around the
     circle and next to its ends."""
-    functions = (angle.arctangent_function(number), angle.twist_angle_function(number), angle.signed_angle_function(number))
+    functions = (quaternion.arctangent_function(number), quaternion.twist_angle_function(number),
+                 quaternion.signed_angle_function(number))
 
     @ti.func
     def every(a, b):

@@ -6,7 +6,7 @@ import taichi as ti
 
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import add, choose
-from doo_ti.physics.view import Layout, Scratch, exact
+from doo_ti.physics.view import Layout, Scratch, in_f64
 from doo_ti.system import runtime
 
 PAIR = Layout(first=2, second=2)
@@ -44,7 +44,7 @@ def test_numbers_are_read_and_written_by_name(number, stride):
             last = head.part(ROD, (EDGES - 1) * ROD.size).lane(width - 1)
             for k in range(ROD.size):
                 seen[k] = last[k]
-            place = exact(last.place)
+            place = in_f64(last.place)
             for k in ti.static(range(3)):
                 seen[ROD.size + k] = place[k]
 

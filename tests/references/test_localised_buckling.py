@@ -32,6 +32,7 @@ def buckled_rod(edges: int, largest: float, flatter: float = 0.0) -> tuple[Confi
     return chain(tangents, [0, 0, 1], length, spin=moment / BETA * (s - s[0])), envelope
 
 
+@pytest.mark.thorough
 def test_reference_turns_by_twist_and_twice_the_largest_angle():
     """Known for the infinite rod: its ends turn by ML/GJ + 2φ₀ about the axis (van der Heijden and Thompson 2000)."""
     largest = 1.0

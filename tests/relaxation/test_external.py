@@ -68,6 +68,7 @@ def test_precisions_agree_with_any_ends(rng):
         assert np.abs(other.configuration.vertices - exact.configuration.vertices).max() < bound
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("isotropic", [True, False], ids=["isotropic", "general"])
 def test_one_step_is_the_dense_one(rng, isotropic):
     """Second trip of the loop: the frames the first step leads to."""

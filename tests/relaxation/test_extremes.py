@@ -53,6 +53,7 @@ def test_straight_starts_that_must_shorten(direction, weight, precision):
             assert solution.energy[0] == pytest.approx(expected, rel=1e-8)
 
 
+@pytest.mark.sampled(3)
 @every_precision
 @pytest.mark.parametrize("turns", [1, 3, 10])
 @pytest.mark.parametrize("shape", ["straight", "bow"])
@@ -91,6 +92,7 @@ def test_few_edges(edges, kinds, precision):
     assert solution.energy[0] == pytest.approx(expected, rel=2e-4 if precision == "f32" else 1e-9)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("edges", [2, 3, 6, 12])
 def test_coarse_rods_that_swing_about_their_chord(rng, edges):
     """Bowed any way between two positions they swing down under their weight, a long way round for few edges."""
@@ -105,6 +107,7 @@ DECADES = np.geomspace(1e2, 1e8, 13)
 EVERY_PAIR = {"configuration_index": np.arange(12).repeat(13), "material_index": np.tile(np.arange(13), 12)}
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", [3, 2011])
 def test_limp_and_stiff_with_any_bend_matrix(seed):
     rng = np.random.default_rng(seed)

@@ -33,8 +33,9 @@ def relaxed(row: str, precision: str) -> Solution:
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 @every_row
-def test_nothing_is_nan_without_saying_so(row, precision):
-    solution = relaxed(row, precision)
+def test_every_status_is_right(row, precision):
+    """Nothing is NaN without saying so; converged means residual, closure and edge lengths."""
+    solution, clamps = relaxed(row, precision), hard(row).clamps
     assert np.isin(solution.status, list(Status)).all() and np.isin(solution.precision, (32, 64)).all()
     sound = ~np.isin(solution.status, NAMELESS)
     for values in (solution.energy, solution.residual, solution.closure):
@@ -43,12 +44,6 @@ def test_nothing_is_nan_without_saying_so(row, precision):
     assert (solution.iterations[sound] > 0).all()
     assert not solution.stable[~solution.converged].any()
     assert (solution.status != Status.INFEASIBLE).all()
-
-
-@pytest.mark.parametrize("precision", PRECISIONS)
-@every_row
-def test_converged_means_residual_closure_and_edge_lengths(row, precision):
-    solution, clamps = relaxed(row, precision), hard(row).clamps
     done = solution.converged
     coarse = solution.precision[done] == 32
     assert (solution.residual[done] <= np.where(coarse, TOLERANCES[32], TOLERANCES[64])).all()

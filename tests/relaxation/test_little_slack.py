@@ -29,6 +29,7 @@ def test_standing_rods_fall_and_are_certified():
     assert solution.iterations.mean() < 40
 
 
+@pytest.mark.thorough
 def test_a_released_start_falls_though_the_rod_may_touch_itself():
     rod = straight_rod(300.0, 30)
     clamps, material = end_clamps(rod, Clamp.FREE, Clamp.FRAME), Material(1e6, 0.8e6)
@@ -37,6 +38,7 @@ def test_a_released_start_falls_though_the_rod_may_touch_itself():
     np.testing.assert_allclose(itself.configuration.vertices, alone.configuration.vertices, atol=1e-4)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("length", [350.0, 600.0, 900.0])
 def test_a_start_below_a_table_is_moved_above_it(length):
     rope, clamps = hanging(length, 40, (0, 0, 0), (300, 0, 0))

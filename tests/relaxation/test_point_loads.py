@@ -44,7 +44,8 @@ def cantilever(force: float, edges: int, across=(0.0, 0.0, -1.0), weight: float 
                  external=PointLoads(forces, masses))
 
 
-@pytest.mark.parametrize("as_mass", [False, True])
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("as_mass", [True, False])
 def test_a_cantilever_under_a_tip_load_is_the_elastica(as_mass):
     """P L²/EI = 4: the tip is down by two thirds of the length (elliptic integrals, Bisshopp and Drucker 1945)."""
     load = 4.0
@@ -150,15 +151,7 @@ def test_forces_that_springs_would_have_are_those_of_springs(rng):
     np.testing.assert_allclose(other.configuration.vertices, places, atol=1e-6)
 
 
-def test_a_hanging_rod_carries_its_weight_and_the_mass():
-    rod = straight_rod(LENGTH, 20, direction=(0.0, 0.0, -1.0))
-    masses = np.zeros((1, 21))
-    masses[0, -1] = 1e4
-    solution = relax(rod, Material(BEND, BEND, 1.0), end_clamps(rod, Clamp.POSITION, Clamp.FREE),
-                     external=PointLoads(np.zeros((1, 21, 3)), masses))
-    np.testing.assert_allclose(end_loads(solution).start_force[0], [0.0, 0.0, 1e4 + 2.0 * LENGTH], atol=1e-6)
-
-
+@pytest.mark.thorough
 def test_obstacles_and_the_clamp_carry_all_loads():
     """A rod with a mass on it that lies on a table half-way, held at its start or at its end."""
     rod, material = straight_rod(LENGTH, 20, start=(0.0, 0.0, 20.0)), Material(BEND, BEND, 1.0)
@@ -195,19 +188,6 @@ def test_forces_at_the_ends_and_their_derivatives(rng):
         own, expected = own[..., 0].reshape(len(own), -1), (difference / 20.0).reshape(len(own), -1)
         size = np.abs(own).max(axis=1)
         assert (np.abs(own - expected).max(axis=1) < 1e-5 * size + 1e-6 * size.max()).all()
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("precision", ["f32", "mixed"])
-def test_precisions_agree(rng, precision):
-    start, clamps, material, springs = rods_under_springs(rng, 4, True)
-    loads = PointLoads(200.0 * rng.normal(size=springs.points.shape))
-    exact = relax(start, material, clamps, up=UP, external=loads)
-    other = relax(start, material, clamps, up=UP, external=loads, precision=precision)
-    same = exact.converged & other.converged & (np.abs(exact.energy - other.energy) < 1e-4 * np.abs(exact.energy))
-    assert same.sum() >= len(same) - 1
-    off = np.abs(other.configuration.vertices - exact.configuration.vertices)[same].max()
-    assert off < (1e-2 if precision == "f32" else 1e-4)
 
 
 def test_what_has_no_derivatives_is_refused(rng):

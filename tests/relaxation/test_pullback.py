@@ -96,6 +96,7 @@ def test_rods_relaxed_again_change_so(rng):
         assert np.abs(found - expected).max() < 1e-6 * np.abs(expected).max()
 
 
+@pytest.mark.thorough
 def test_contacts_stay_as_they_are():
     """Amid obstacles of all kinds, both ends held; and with a free first or last vertex on a slope and a ball."""
     rng, close = np.random.default_rng(5), Newton(max_iterations=1000, gap_tolerance=1e-8)
