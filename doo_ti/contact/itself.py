@@ -1,7 +1,7 @@
 """The rod as its own obstacle, and how near its parts are to each other (docs/contact.md). Axes: R rods, V vertices."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,8 +23,7 @@ class Itself(Obstacle):
     """The rod itself: no part of it passes through another one, or comes nearer to it than twice the radius."""
 
     friction: np.ndarray = 0.0
-    kind: ClassVar[int] = ITSELF
-    shapes: ClassVar[dict[str, tuple[int, ...]]] = {"friction": ()}
+    kind, shapes = ITSELF, {"friction": ()}
 
     if TYPE_CHECKING:
         def __init__(self, friction: ArrayLike = 0.0) -> None: ...

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.contact.gap_tolerance import GAP_TOLERANCE
 from doo_ti.contact.surroundings import Surroundings
+from doo_ti.contact.touch import GAP_TOLERANCE
 from doo_ti.dynamics.layout import Layout, lay_out
 from doo_ti.dynamics.parameters import Direction, MovingStart, Stepping
 from doo_ti.dynamics.recorded import RecordedMotion

@@ -21,11 +21,20 @@ from msgspec import Meta
 from doo_ti.contact.obstacle_file import obstacles_of
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.grippers import Grippers
-from doo_ti.dynamics.inertia_keys import InertiaKeys
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.io.motion_file import MOST_MOMENTS, ClampPath
-from doo_ti.io.scene_keys import ClampName, EndPaths, Moment, StatedMaterial, end_paths, instants, newtons, stated_material
-from doo_ti.io.toml_file import Finite, Positive, Table, Vector, checked, read_toml, unit_direction
+from doo_ti.io.scene_keys import (
+    ClampName,
+    EndPaths,
+    MaterialKeys,
+    Moment,
+    StatedMaterial,
+    end_paths,
+    instants,
+    newtons,
+    stated_material,
+)
+from doo_ti.io.toml_file import Finite, NotNegative, Positive, Table, Vector, checked, read_toml, unit_direction
 from doo_ti.rod.frames import quaternion_product, smallest_rotation
 from doo_ti.rod.knots import overhand_knot
 from doo_ti.rod.straight import end_clamps, with_end_edges
@@ -83,6 +92,24 @@ class MotionScene:
             raise InputError(self.source, "between", f"{between}", f"give 1 to {MOST_MOMENTS // (len(self.time) - 1)}")
         states = np.interp(np.arange(between * (len(self.time) - 1) + 1) / between, np.arange(len(self.time)), self.time)
         return Surroundings(obstacles_of(self.source, self.obstacles, states), self.radius)
+
+
+class InertiaKeys(MaterialKeys, kw_only=True):
+    """Keys of a material and of a rod's mass and losses."""
+
+    density: Positive | None = None
+    bend_damping_s: NotNegative = 0.0
+    twist_damping_s: NotNegative = 0.0
+    drag_per_s: NotNegative = 0.0
+    quadratic_drag_per_mm: NotNegative = 0.0
+
+    def dynamics(self, path: Path, key: str, weight: float) -> Dynamics:
+        """Those of rods with that ``weight``. Raises InputError, naming the table ``key``, for rods without mass."""
+        density = weight if self.density is None else self.density
+        if not density > 0:
+            raise InputError(path, f"{key}.density", "missing for a rod without weight",
+                             "give its mass per length over that of a rod of weight 1")
+        return Dynamics(density, self.bend_damping_s, self.twist_damping_s, self.drag_per_s, self.quadratic_drag_per_mm)
 
 
 class _File(Table):

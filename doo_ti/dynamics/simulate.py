@@ -10,14 +10,11 @@ from numpy.typing import ArrayLike
 from doo_ti.contact.moving import Moving
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.dynamics.adaptive import adapted
-from doo_ti.dynamics.clamp_path import clamp_path, refined_within_reach
-from doo_ti.dynamics.energies import Account, Losses
+from doo_ti.dynamics.adaptive import adapted, kept_apart
+from doo_ti.dynamics.energies import Account, Losses, add_loads, damping_shares, stiffened, vertex_numbers
 from doo_ti.dynamics.grippers import Grippers
-from doo_ti.dynamics.obstacle_path import obstacle_path
 from doo_ti.dynamics.parameters import RATES, Direction, Dynamics, MovingStart, Stepping
-from doo_ti.dynamics.self_contact import kept_apart
-from doo_ti.dynamics.step_terms import add_loads, damping_shares, stiffened, vertex_numbers
+from doo_ti.dynamics.paths import clamp_path, obstacle_path, refined_within_reach
 from doo_ti.dynamics.trajectory import Trajectory, joined
 from doo_ti.relaxation.checked_input import paired_rows
 from doo_ti.relaxation.external import Springs
@@ -26,22 +23,10 @@ from doo_ti.relaxation.newton import MOST_IN_CONTACT, Newton
 from doo_ti.relaxation.point_loads import PointLoads, check_rows
 from doo_ti.relaxation.tables import Tables, whole_start
 from doo_ti.relaxation.time_layout import INERTIA, LOAD, PLACE_2, VELOCITY_1
-from doo_ti.relaxation.time_loop import (
-    END_FORCE,
-    FRICTION_WORK,
-    MOMENT,
-    RELINKED,
-    STATE,
-    TRIPS,
-)
+from doo_ti.relaxation.time_loop import END_FORCE, FRICTION_WORK, MOMENT, RELINKED, STATE, TRIPS
 from doo_ti.relaxation.time_slopes import NUMBERS, REMEMBERED
 from doo_ti.relaxation.time_steps import Memory, Slopes, make_steps, slope_memory
-from doo_ti.rod.frames import (
-    quaternion_product,
-    smallest_rotation,
-    tangent_from_quaternion,
-    unit_vectors,
-)
+from doo_ti.rod.frames import quaternion_product, smallest_rotation, tangent_from_quaternion, unit_vectors
 from doo_ti.rod.types import Clamp, Configuration, Material, Status, unit_up
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError

@@ -10,12 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from doo_ti.dynamics.energies import Losses, joint_strains
+from doo_ti.dynamics.energies import Losses, damping_shares, joint_strains, stiffened, vertex_numbers
 from doo_ti.dynamics.parameters import GRAVITY, RATES, Dynamics
-from doo_ti.dynamics.step_terms import damping_shares, stiffened, vertex_numbers
 from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupTables
-from doo_ti.groups.joint_rest import JOINT_ITEMS, TWIST
+from doo_ti.groups.layout import JOINT_ITEMS, TWIST
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.time_layout import DRAG, DRAG_BY_SPEED, INERTIA, LOAD
 from doo_ti.rod.types import Configuration

@@ -15,10 +15,9 @@ from numpy.typing import ArrayLike
 
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings, obstacle_list
-from doo_ti.groups.apart import smallest_gap
 from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupState, GroupTables, run_groups
-from doo_ti.groups.group_tables import evened_group, group_tables
+from doo_ti.groups.group_tables import evened_group, group_tables, smallest_gap
 from doo_ti.groups.inertia import MovingGroups
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.input_tables import RATIOS

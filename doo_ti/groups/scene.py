@@ -17,8 +17,8 @@ from msgspec import UNSET, Meta, UnsetType
 
 from doo_ti.contact.obstacle_file import obstacles_of
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.dynamics.inertia_keys import InertiaKeys
 from doo_ti.dynamics.parameters import Dynamics
+from doo_ti.dynamics.scene import InertiaKeys
 from doo_ti.groups.group import Group, Tie
 from doo_ti.io.scene_keys import ClampName, StatedMaterial, end_paths, instants, newtons, stated_material
 from doo_ti.io.toml_file import NotNegative, Positive, Table, Vector, checked, read_toml, unit_direction

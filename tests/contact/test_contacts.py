@@ -3,19 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti import (
-    Capsule,
-    Clamp,
-    Clamps,
-    Configuration,
-    InputError,
-    Material,
-    Plane,
-    predict,
-    predict_step,
-    relax,
-    rod_along,
-)
+from doo_ti import Capsule, Clamp, Clamps, Configuration, InputError, Material, Plane, predict, predict_step, relax, rod_along
 from doo_ti.io.motion_file import ClampPath
 from doo_ti.rod.types import Solution, Status
 from tools.bench import contact as pegs

@@ -7,8 +7,8 @@ import pytest
 
 from doo_ti import Clamp, ClampPath, Grippers, InputError, Material, Moving, Touch, predict_moving, relax, simulate
 from doo_ti.cli import main
-from doo_ti.contact.gap_tolerance import GAP_TOLERANCE
 from doo_ti.contact.obstacles import Capsule, Cylinder, Plane
+from doo_ti.contact.touch import GAP_TOLERANCE
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.dynamics.scene import load_motion_scene
 from doo_ti.rod.frames import rotation_matrix
