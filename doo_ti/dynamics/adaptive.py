@@ -86,13 +86,12 @@ def _some(trajectory: Trajectory, rows) -> Trajectory:
 
 def put(into: Trajectory, rows: np.ndarray, other: Trajectory, of: np.ndarray | slice) -> None:
     """Write the rods ``of`` of another trajectory into those ``rows``."""
-    for name in ("positions", "status", "iterations", "residual", "end_force", "substeps"):
-        getattr(into, name)[rows] = getattr(other, name)[of]
-    for name in ("contact_force", "friction_work", "touch"):
+    for name in ("positions", "status", "iterations", "residual", "end_force", "substeps", "contact_force", "friction_work",
+                 "touch"):
         if getattr(other, name) is not None:
             getattr(into, name)[rows] = getattr(other, name)[of]
-    for name in (entry.name for entry in fields(Memory)):
-        getattr(into.memory, name)[rows] = getattr(other.memory, name)[of]
+    for entry in fields(Memory):
+        getattr(into.memory, entry.name)[rows] = getattr(other.memory, entry.name)[of]
     if into.detail is not None and other.detail is not None:
         for name in ("quaternions", "velocities"):
             getattr(into.detail, name)[rows] = getattr(other.detail, name)[of]

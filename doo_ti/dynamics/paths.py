@@ -23,7 +23,7 @@ from doo_ti.system.errors import InputError
 def clamp_path(grippers: Grippers, start: Configuration, steps: slice) -> np.ndarray:
     """(S, steps, PATH_COLUMNS) where the clamps are at the end of these steps."""
     after = slice(steps.start + 1, steps.stop + 1)
-    kinds = [np.broadcast_to(np.asarray(kind), (grippers.count,)) for kind in (grippers.start, grippers.end)]
+    kinds = grippers.kinds
     path = np.zeros((start.count, steps.stop - steps.start, PATH_COLUMNS))
     # A free vertex 0 is measured from where it starts.
     first = np.asarray(start.start, dtype=np.float64)[:, None]
@@ -36,14 +36,14 @@ def clamp_path(grippers: Grippers, start: Configuration, steps: slice) -> np.nda
     for column, kind, frames in ((PATH_ENDS, kinds[0], grippers.start_frame), (PATH_ENDS + 4, kinds[1], grippers.end_frame)):
         if (kind >= Clamp.TANGENT).any():
             path[..., column : column + 4] = _frames(frames[:, after], kind)
-    path[..., PATH_STILL] = _still(grippers, kinds, steps)
+    path[..., PATH_STILL] = _still(grippers, steps)
     return path
 
 
-def _still(grippers: Grippers, kinds: list[np.ndarray], steps: slice) -> np.ndarray:
+def _still(grippers: Grippers, steps: slice) -> np.ndarray:
     """(S, steps) whether what the grippers hold is where it was at the step's beginning."""
     still = np.ones((grippers.count, steps.stop - steps.start), dtype=bool)
-    for kind, position, frame in zip(kinds, (grippers.start_position, grippers.end_position),
+    for kind, position, frame in zip(grippers.kinds, (grippers.start_position, grippers.end_position),
                                      (grippers.start_frame, grippers.end_frame), strict=True):
         for least, poses in ((Clamp.POSITION, position), (Clamp.TANGENT, frame.reshape(*frame.shape[:2], 9))):
             moves = (poses[:, steps.start : steps.stop] != poses[:, steps.start + 1 : steps.stop + 1]).any(axis=-1)
@@ -58,7 +58,7 @@ def refined_within_reach(grippers: Grippers, parts: int, rest_length: np.ndarray
     if grippers.count == 1 and rest_length.ndim == 2:
         grippers = grippers.take(np.zeros(len(rest_length), dtype=np.int64))
     fine = grippers.refined(parts)
-    held = [np.broadcast_to(np.asarray(kind), (grippers.count,)) for kind in (grippers.start, grippers.end)]
+    held = grippers.kinds
     closed = (held[0] != Clamp.FREE) & (held[1] != Clamp.FREE)
     if parts == 1 or not closed.any():
         return fine

@@ -170,13 +170,20 @@ def load_motion_scene(path: str | Path) -> MotionScene:
                        dynamics, stepping)
 
 
-def _times(path: Path, file: _File) -> np.ndarray:
-    """(T,) s: the instants, or without a rate the moments."""
+def stated_instants(path: Path, file, most: int, called: str) -> np.ndarray | None:
+    """(T,) s the instants that rate_hz and duration_s of a file state; None where it has neither. Raises InputError where one
+    is missing."""
     if (file.rate_hz is None) != (file.duration_s is None):
         missing, other = ("rate_hz", "duration_s") if file.rate_hz is None else ("duration_s", "rate_hz")
         raise InputError(path, missing, f"missing beside {other}", "give both, or neither")
-    if file.rate_hz is not None:
-        return instants(path, file.rate_hz, file.duration_s, MOST_FRAMES, "frames")
+    return None if file.rate_hz is None else instants(path, file.rate_hz, file.duration_s, most, called)
+
+
+def _times(path: Path, file: _File) -> np.ndarray:
+    """(T,) s: the instants, or without a rate the moments."""
+    time = stated_instants(path, file, MOST_FRAMES, "frames")
+    if time is not None:
+        return time
     if len(file.moments) < 2:
         raise InputError(path, "moments", f"{len(file.moments)}", "give two or more, or rate_hz and duration_s")
     return np.array([checked(path, f"moments[{k}]", row, Moment).time_s for k, row in enumerate(file.moments)])
@@ -209,14 +216,19 @@ def _materials(path: Path, file: _File) -> tuple[tuple[str, ...], Material, Dyna
             for name, values in file.materials.items()}
     found = [stated_material(path, key, one) for key, one in keys.items()]
     for (key, one), own in zip(keys.items(), found, strict=True):
-        try:
-            Material(own.bend[None], own.twist, own.weight)
-        except InputError as error:
-            field = error.field if one.EI is None else {"bend": "EI", "twist": "GJ"}.get(error.field, error.field)
-            raise InputError(path, f"{key}.{field}", error.problem, error.remedy) from None
+        checked_material(path, key, one, own)
     material = Material(*(np.array([getattr(one, field) for one in found]) for field in ("bend", "twist", "weight")))
     return (tuple(map(in_line, file.materials)), material,
             None if file.rate_hz is None else _dynamics(path, keys, found), newtons(found))
+
+
+def checked_material(path: Path, key: str, keys: MaterialKeys, stated: StatedMaterial) -> Material:
+    """The material of the table ``key``. Raises InputError, naming its key, for one that no rod has."""
+    try:
+        return Material(stated.bend[None], stated.twist, stated.weight)
+    except InputError as error:
+        field = error.field if keys.EI is None else {"bend": "EI", "twist": "GJ"}.get(error.field, error.field)
+        raise InputError(path, f"{key}.{field}", error.problem, error.remedy) from None
 
 
 def _dynamics(path: Path, keys: dict[str, InertiaKeys], found: list[StatedMaterial]) -> Dynamics:

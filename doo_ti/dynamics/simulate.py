@@ -224,16 +224,14 @@ class _Motion:
                 lambda change: _memory(frames, x, v + age * change, a + change, self.step, status), da)
         return _memory(frames, x, v, a, self.step, status), remembered
 
-    def held(self) -> np.ndarray:
-        """(S, 2) whether a gripper holds the start, and the end."""
-        kinds = [np.broadcast_to(kind, (self.start.count,)) for kind in (self.grippers.start, self.grippers.end)]
-        return np.stack(kinds, axis=1) != Clamp.FREE
-
-    def losses(self, table: Tables, numbers: np.ndarray, factor: float) -> Losses:
-        """What the energies of the rods are computed from; ``numbers`` (R, V, -) are those of each rod."""
+    def account(self, table: Tables, numbers: np.ndarray, factor: float, memory: Memory) -> Account:
+        """The account of the rods' energies; ``numbers`` (R, V, -) are those of each rod."""
         length = table.rest_length if len(table.rest_length) == 1 else table.rest_length[table.configuration_index]
         length = np.broadcast_to(length, (table.count, table.edges))
-        return Losses.of(self.material, self.dynamics, table.material_index, length, numbers, factor / self.step, self.up)
+        losses = Losses.of(self.material, self.dynamics, table.material_index, length, numbers, factor / self.step, self.up)
+        kinds = np.broadcast_to(self.grippers.kinds, (2, self.start.count))
+        held = (kinds.T != Clamp.FREE)[table.configuration_index]
+        return Account(losses, self.stepping.scheme, self.step, held, memory, bool(self.surroundings))
 
     def run(self, memory: Memory, progress, directions: Sequence[Direction], remembered: np.ndarray) -> Trajectory:
         """All steps, in launches of bounded size."""
@@ -254,9 +252,7 @@ class _Motion:
 
         account = None
         if self.stepping.detailed:
-            losses = self.losses(table, numbers[table.external_index], factor)
-            account = Account(losses, self.stepping.scheme, self.step, self.held()[table.configuration_index], memory,
-                              bool(self.surroundings))
+            account = self.account(table, numbers[table.external_index], factor, memory)
             at_once = 1
         if self.touching and (account is not None or at_once < frames):
             table = replace(table, contact=table.contact.for_launches)
