@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from doo_ti.contact.itself import LEAST_ARC, PAIRS_AT_ONCE, Itself, edge_distance
+from doo_ti.contact.itself import LEAST_ARC, Itself, smallest_of_pairs
 from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupTables
 from doo_ti.groups.layout import JOINT_ITEMS
@@ -298,19 +298,12 @@ def edges_apart(group: Group, lengths: np.ndarray, begins: np.ndarray, radii: np
 def smallest_gap(vertices: np.ndarray, apart: np.ndarray, radius: np.ndarray) -> np.ndarray:
     """(N,) mm between the surfaces of edges of the groups (N, V, 3) that may touch, see :func:`edges_apart`, with the
     ``radius`` (1 or N, V) of the rod at each vertex; infinite where there are none."""
-    count = len(vertices)
-    gap = np.full(count, np.inf)
     late, early = np.tril_indices(vertices.shape[1] - 1, -1)
     used = apart.any(axis=0)
     late, early = late[used], early[used]
-    if not len(late):
-        return gap
-    counts, radius = (np.broadcast_to(values, (count, values.shape[1])) for values in (apart[:, used], radius))
-    rows = max(1, PAIRS_AT_ONCE // len(late))
-    for first in range(0, count, rows):
-        here = slice(first, first + rows)
-        x, edges = vertices[here], np.diff(vertices[here], axis=1)
-        distance = edge_distance(x[:, late] - x[:, early], edges[:, early], edges[:, late])
-        surfaces = distance - radius[here][:, late] - radius[here][:, early]
-        gap[here] = np.where(counts[here] > 0, surfaces, np.inf).min(axis=1)
-    return gap
+    touch, radius = (np.broadcast_to(values, (len(vertices), values.shape[1])) for values in (apart[:, used], radius))
+
+    def gaps(groups: slice, distance: np.ndarray) -> np.ndarray:
+        return np.where(touch[groups] > 0, distance - radius[groups, late] - radius[groups, early], np.inf)
+
+    return smallest_of_pairs(vertices, early, late, gaps)
