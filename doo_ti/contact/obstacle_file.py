@@ -1,4 +1,5 @@
-"""Obstacles in TOML files: for each a ``kind`` and the fields of its class (:mod:`doo_ti.contact.obstacles`), lengths in mm.
+"""Obstacles in files. In TOML each has a ``kind`` and the fields of its class (:mod:`doo_ti.contact.obstacles`), lengths in mm;
+in the folder of a run their numbers are in an npz, and in JSON what they are and a digest of them.
 
     [[obstacles]]
     kind = "plane"                     # plane, sphere, capsule, cylinder, ring, box, grid or itself
@@ -181,6 +182,8 @@ def _grid(source, key: str, table: _Grid) -> DistanceGrid:
         place, field = (path, error.field) if in_file else (source, f"{key}.{error.field}")
         raise InputError(place, field, error.problem, error.remedy) from None
 
+
+# --- in the folder of a run ---
 
 def described(surroundings: Surroundings) -> dict:
     """As JSON holds it: the kinds of the obstacles, the rods' radius, and the sha256 of all numbers."""

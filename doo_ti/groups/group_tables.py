@@ -1,4 +1,6 @@
-"""A group as one chain of edges and breaks: the tables that its kernel reads (docs/groups.md)."""
+"""A group as one chain of edges and breaks: the tables that its kernel reads, and which edges may touch (docs/groups.md). Axes:
+N groups, G rods, V vertices of all rods, E edges of their chain, breaks included.
+"""
 
 from dataclasses import replace
 
@@ -255,6 +257,8 @@ def _ties(group: Group, members: list[Member]) -> tuple[np.ndarray, np.ndarray]:
         targets[:, number, :3], targets[:, number, 3] = member.places[:, end], member.drawn[:, end]
     return ties, targets
 
+
+# --- which edges may touch, and how near they are ---
 
 def connected(count: int, pairs: np.ndarray) -> np.ndarray:
     """(count,) the least number that each is connected with by ``pairs`` (K, 2)."""
