@@ -183,6 +183,7 @@ def grid_table(obstacles: Sequence[Obstacle]) -> tuple[np.ndarray, np.ndarray]:
 
 # --- from a closed surface of triangles, by the library trimesh ---
 
+
 def sampled(mesh, spacing: float, margin: float | None) -> tuple[np.ndarray, float, np.ndarray]:
     """(values (X, Y, Z) mm, spacing, the first point (3,)) of the grid around a surface, as
     :meth:`.DistanceGrid.from_mesh` takes it. Raises InputError for what is no closed surface, and where trimesh is missing."""

@@ -185,6 +185,7 @@ def _grid(source, key: str, table: _Grid) -> DistanceGrid:
 
 # --- in the folder of a run ---
 
+
 def described(surroundings: Surroundings) -> dict:
     """As JSON holds it: the kinds of the obstacles, the rods' radius, and the sha256 of all numbers."""
     digest = hashlib.sha256()

@@ -247,6 +247,7 @@ def mean_error(positions: np.ndarray, recorded: np.ndarray) -> np.ndarray:
 
 # --- how a recording is laid out ---
 
+
 def _believable(held: np.ndarray, confused: np.ndarray, elapsed: np.ndarray) -> np.ndarray:
     """Gripper markers (R, T, 4, 3), or of one gripper, changed back where ``confused`` (R, T, 2) says they are swapped, and on
     lines between the frames around where they are lost."""

@@ -260,6 +260,7 @@ def _ties(group: Group, members: list[Member]) -> tuple[np.ndarray, np.ndarray]:
 
 # --- which edges may touch, and how near they are ---
 
+
 def connected(count: int, pairs: np.ndarray) -> np.ndarray:
     """(count,) the least number that each is connected with by ``pairs`` (K, 2)."""
     part = np.arange(count)
