@@ -32,6 +32,7 @@ def test_ropes_with_slack_come_to_rest_on_a_table(rng, kind):
     assert found.iterations.mean() < 80
 
 
+@pytest.mark.thorough
 def test_a_rod_does_not_fall_through_a_thin_peg():
     """It would sag far below a peg that crosses below its middle."""
     heights = np.array([6.0, 9.0, 12.0])
@@ -55,6 +56,7 @@ def test_no_edge_begins_across_the_corner_of_a_box(rng):
     assert found.converged.mean() > 0.97
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed, row", [(12, 24), (13, 87), (15, 117)])
 def test_an_edge_pushed_into_a_box_comes_out_again(seed, row):
     """On their way these rods are pushed into the thin box so far that their centreline is inside, between two of its faces:

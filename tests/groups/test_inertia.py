@@ -109,6 +109,7 @@ def test_clamps_change_the_momentum():
         before, last, old, v = last, now, v, speed
 
 
+@pytest.mark.thorough
 def test_energy_is_conserved_to_second_order():
     """The same ropes, one of which is let go at the second moment."""
     group = harness()
@@ -123,6 +124,7 @@ def test_energy_is_conserved_to_second_order():
     assert losses[1] < 0.5 * losses[0]
 
 
+@pytest.mark.thorough
 def test_rods_that_collide_keep_their_momentum():
     """A weightless rod that clamps have thrown hits another one, which nothing holds."""
     thrown, hit = straight_rod(60.0, 12, (0, 0, 0), (1, 0, 0)), straight_rod(60.0, 12, (30, 7, -20), (0, 0, 1))
