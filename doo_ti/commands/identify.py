@@ -91,7 +91,7 @@ def run(options: Namespace) -> int:
 
 def _stills(options: Namespace, motion, surroundings) -> list:
     """The observations at rest of the rod in ``motion``, with their noise, checked."""
-    from doo_ti.dynamics.layout import roll_reference
+    from doo_ti.dynamics.rollouts import roll_reference
     from doo_ti.dynamics.stills import Stills
     from doo_ti.io.observation_files import load_observations
 

@@ -89,7 +89,7 @@ def add_recordings(parser: ArgumentParser, default_up: str) -> None:
 
 def smoothing(options: Namespace) -> int | None:
     """The number of frames that ``--smoothing`` states."""
-    from doo_ti.dynamics.layout import require_smoothing
+    from doo_ti.dynamics.rollouts import require_smoothing
 
     frames = given.whole("--smoothing", options.smoothing, 1, 999)
     if frames is not None:

@@ -135,8 +135,8 @@ def _with_history(task: _Task, sub_step: float) -> _Task:
     between the returned states as its motion and that of the clamps need."""
     if not (task.surroundings.rub or task.surroundings.moves):
         return task
-    from doo_ti.dynamics.obstacle_path import needed_substeps
     from doo_ti.dynamics.parameters import LEAST_WAY, Stepping
+    from doo_ti.dynamics.paths import needed_substeps
     from doo_ti.motion.path import motion_between
 
     motions = len(task.clamps.start_position)

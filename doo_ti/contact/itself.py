@@ -1,7 +1,8 @@
 """The rod as its own obstacle, and how near its parts are to each other (docs/contact.md). Axes: R rods, V vertices."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,8 +24,7 @@ class Itself(Obstacle):
     """The rod itself: no part of it passes through another one, or comes nearer to it than twice the radius."""
 
     friction: np.ndarray = 0.0
-    kind: ClassVar[int] = ITSELF
-    shapes: ClassVar[dict[str, tuple[int, ...]]] = {"friction": ()}
+    kind, shapes = ITSELF, {"friction": ()}
 
     if TYPE_CHECKING:
         def __init__(self, friction: ArrayLike = 0.0) -> None: ...
@@ -36,19 +36,28 @@ def smallest_self_gap(vertices: np.ndarray, radius: np.ndarray) -> np.ndarray:
     edges, NaN for a rod without places."""
     radius = np.broadcast_to(np.asarray(radius, dtype=np.float64).reshape(-1), (len(vertices),))
     early, late = np.triu_indices(vertices.shape[1] - 1, 2)
-    gap = np.full(len(vertices), np.inf)
-    if not len(early):
-        return gap
-    rows = max(1, PAIRS_AT_ONCE // len(early))
-    for first in range(0, len(vertices), rows):
-        x, own = vertices[first : first + rows], radius[first : first + rows]
-        edges = np.diff(x, axis=1)
-        arc = np.concatenate([np.zeros((len(x), 1)), np.cumsum(np.linalg.norm(edges, axis=-1), axis=1)], axis=1)
-        between = arc[:, late] - arc[:, early + 1]
-        distance = edge_distance(x[:, late] - x[:, early], edges[:, early], edges[:, late])
-        distance = np.where(between > LEAST_ARC * own[:, None], distance, np.inf)
-        gap[first : first + rows] = distance.min(axis=1) - 2.0 * own
-    return np.where(np.isfinite(vertices).all(axis=(1, 2)), gap, np.nan)
+    lengths = np.linalg.norm(np.diff(vertices, axis=1), axis=-1)
+    arc = np.concatenate([np.zeros((len(vertices), 1)), np.cumsum(lengths, axis=1)], axis=1)
+
+    def gaps(rods: slice, distance: np.ndarray) -> np.ndarray:
+        between, own = arc[rods, late] - arc[rods, early + 1], radius[rods, None]
+        return np.where(between > LEAST_ARC * own, distance - 2.0 * own, np.inf)
+
+    return np.where(np.isfinite(vertices).all(axis=(1, 2)), smallest_of_pairs(vertices, early, late, gaps), np.nan)
+
+
+def smallest_of_pairs(vertices: np.ndarray, early: np.ndarray, late: np.ndarray,
+                      gaps: Callable[[slice, np.ndarray], np.ndarray]) -> np.ndarray:
+    """(R,) the smallest of the ``gaps`` that K pairs of edges of rods (R, V, 3) have, infinite without pairs. Some rods at a
+    time: ``gaps`` is given a slice of them and the distances (-, K) of their edges."""
+    smallest = np.full(len(vertices), np.inf)
+    if len(early):
+        rows = max(1, PAIRS_AT_ONCE // len(early))
+        for rods in (slice(first, first + rows) for first in range(0, len(vertices), rows)):
+            x, edges = vertices[rods], np.diff(vertices[rods], axis=1)
+            distance = edge_distance(x[:, late] - x[:, early], edges[:, early], edges[:, late])
+            smallest[rods] = gaps(rods, distance).min(axis=1)
+    return smallest
 
 
 def edge_distance(w: np.ndarray, p: np.ndarray, q: np.ndarray) -> np.ndarray:

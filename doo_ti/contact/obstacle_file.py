@@ -1,4 +1,5 @@
-"""Obstacles in TOML files: for each a ``kind`` and the fields of its class (:mod:`doo_ti.contact.obstacles`), lengths in mm.
+"""Obstacles in files. In TOML each has a ``kind`` and the fields of its class (:mod:`doo_ti.contact.obstacles`), lengths in mm;
+in the folder of a run their numbers are in an npz, and in JSON what they are and a digest of them.
 
     [[obstacles]]
     kind = "plane"                     # plane, sphere, capsule, cylinder, ring, box, grid or itself
@@ -33,6 +34,7 @@ In scenes of ``doo-ti simulate`` they may move, smoothly between moments; what i
     turns = 0.25                       # about that axis (0)
 """
 
+import hashlib
 from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Annotated, Literal
@@ -44,13 +46,14 @@ from doo_ti.contact.distance_grid import DistanceGrid
 from doo_ti.contact.itself import Itself
 from doo_ti.contact.moving import Moving
 from doo_ti.contact.obstacles import Box, Capsule, Cylinder, Obstacle, Plane, Ring, Sphere
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.arrays import read_npz
 from doo_ti.io.scene_keys import between_moments
 from doo_ti.io.toml_file import Finite, NotNegative, Positive, Rotation, Table, Vector, checked, read_toml, unit_direction
 from doo_ti.rod.frames import rotation_matrix
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
-from doo_ti.system.files import read_content
+from doo_ti.system.files import read_content, write_whole
 
 KINDS = {kind.__name__.lower(): kind for kind in (Plane, Sphere, Capsule, Cylinder, Ring, Box, Itself)} | {"grid": DistanceGrid}
 GRID_KEYS = ("values", "spacing", "origin")
@@ -178,3 +181,47 @@ def _grid(source, key: str, table: _Grid) -> DistanceGrid:
         in_file = table.file is not None and error.field in GRID_KEYS
         place, field = (path, error.field) if in_file else (source, f"{key}.{error.field}")
         raise InputError(place, field, error.problem, error.remedy) from None
+
+
+# --- in the folder of a run ---
+
+
+def described(surroundings: Surroundings) -> dict:
+    """As JSON holds it: the kinds of the obstacles, the rods' radius, and the sha256 of all numbers."""
+    digest = hashlib.sha256()
+    for name, value in _arrays(surroundings).items():
+        digest.update(name.encode() + str(value.shape).encode() + np.ascontiguousarray(value).tobytes())
+    names = {kind: name for name, kind in KINDS.items()}
+    return {"kinds": [names[type(obstacle)] for obstacle in surroundings.obstacles],
+            "radius_mm": float(surroundings.radius), "sha256": digest.hexdigest()}
+
+
+def save_surroundings(path: Path, surroundings: Surroundings) -> None:
+    """Write the numbers of the obstacles."""
+    write_whole(path, lambda file: np.savez(file, **_arrays(surroundings)))
+
+
+def load_surroundings(path: Path, description: dict) -> Surroundings:
+    """What :func:`described` gave ``description`` for, from what :func:`save_surroundings` wrote. Raises InputError where the
+    file holds something else, KeyError or TypeError for what is no description."""
+    kinds = [KINDS[name] for name in description["kinds"]]
+    keys = tuple(_key(number, field.name) for number, kind in enumerate(kinds) for field in fields(kind))
+    found = read_npz(path, read_content(path), keys)
+    try:
+        obstacles = [kind(**{field.name: found[_key(number, field.name)] for field in fields(kind)})
+                     for number, kind in enumerate(kinds)]
+        surroundings = Surroundings(obstacles, float(description["radius_mm"]))
+        if described(surroundings) == description:
+            return surroundings
+    except (KeyError, InputError):
+        pass
+    raise InputError(path, "file", "not what the sweep wrote", "run the sweep again, which writes it")
+
+
+def _key(number: int, field: str) -> str:
+    return f"obstacle_{number}_{field}"
+
+
+def _arrays(surroundings: Surroundings) -> dict[str, np.ndarray]:
+    return {_key(number, field.name): getattr(obstacle, field.name)
+            for number, obstacle in enumerate(surroundings.obstacles) for field in fields(obstacle)}

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.contact.orientation import axes_about, require_direction, require_rotation
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, real_array
 
@@ -37,7 +36,8 @@ class Obstacle:
 
     friction  Coulomb's coefficient between rod and obstacle, which acts in motions (:func:`doo_ti.dynamics.simulate.simulate`)
 
-    Of the fields, ``points`` are places and ``turning`` are directions or axes, which say where the obstacle is.
+    Of the fields, with their ``shapes`` without rows, ``positive`` are lengths, ``points`` are places and ``turning`` are
+    directions or axes.
     """
 
     kind: ClassVar[int]
@@ -133,10 +133,8 @@ class Plane(Obstacle):
     point: np.ndarray
     normal: np.ndarray
     friction: np.ndarray = 0.0
-    kind: ClassVar[int] = PLANE
-    shapes: ClassVar[dict[str, tuple[int, ...]]] = {"point": (3,), "normal": (3,), "friction": ()}
-    points: ClassVar[tuple[str, ...]] = ("point",)
-    turning: ClassVar[tuple[str, ...]] = ("normal",)
+    kind, points, turning = PLANE, ("point",), ("normal",)
+    shapes = {"point": (3,), "normal": (3,), "friction": ()}
 
     if TYPE_CHECKING:
         def __init__(self, point: ArrayLike, normal: ArrayLike, friction: ArrayLike = 0.0) -> None: ...
@@ -161,10 +159,8 @@ class Sphere(Obstacle):
     centre: np.ndarray
     radius: np.ndarray
     friction: np.ndarray = 0.0
-    kind: ClassVar[int] = CAPSULE
-    shapes: ClassVar[dict[str, tuple[int, ...]]] = {"centre": (3,), "radius": (), "friction": ()}
-    positive: ClassVar[tuple[str, ...]] = ("radius",)
-    points: ClassVar[tuple[str, ...]] = ("centre",)
+    kind, points, positive = CAPSULE, ("centre",), ("radius",)
+    shapes = {"centre": (3,), "radius": (), "friction": ()}
 
     if TYPE_CHECKING:
         def __init__(self, centre: ArrayLike, radius: ArrayLike, friction: ArrayLike = 0.0) -> None: ...
@@ -186,9 +182,8 @@ class _Rod(Obstacle):
     end: np.ndarray
     radius: np.ndarray
     friction: np.ndarray = 0.0
-    shapes: ClassVar[dict[str, tuple[int, ...]]] = {"start": (3,), "end": (3,), "radius": (), "friction": ()}
-    positive: ClassVar[tuple[str, ...]] = ("radius",)
-    points: ClassVar[tuple[str, ...]] = ("start", "end")
+    points, positive = ("start", "end"), ("radius",)
+    shapes = {"start": (3,), "end": (3,), "radius": (), "friction": ()}
 
     def _check(self) -> None:
         require_direction(type(self).__name__, "end", self.end - self.start, "at the start")
@@ -207,7 +202,7 @@ class _Rod(Obstacle):
 class Capsule(_Rod):
     """A cylinder with round ends: all within ``radius`` of the segment from ``start`` (3,) to ``end`` (3,)."""
 
-    kind: ClassVar[int] = CAPSULE
+    kind = CAPSULE
 
     if TYPE_CHECKING:
         def __init__(self, start: ArrayLike, end: ArrayLike, radius: ArrayLike, friction: ArrayLike = 0.0) -> None: ...
@@ -223,7 +218,7 @@ class Capsule(_Rod):
 class Cylinder(_Rod):
     """A cylinder with flat ends, whose axis goes from ``start`` (3,) to ``end`` (3,): a peg."""
 
-    kind: ClassVar[int] = CYLINDER
+    kind = CYLINDER
 
     if TYPE_CHECKING:
         def __init__(self, start: ArrayLike, end: ArrayLike, radius: ArrayLike, friction: ArrayLike = 0.0) -> None: ...
@@ -250,11 +245,8 @@ class Ring(Obstacle):
     radius: np.ndarray
     thickness: np.ndarray
     friction: np.ndarray = 0.0
-    kind: ClassVar[int] = RING
-    shapes: ClassVar[dict[str, tuple[int, ...]]] = {"centre": (3,), "axis": (3,), "radius": (), "thickness": (), "friction": ()}
-    positive: ClassVar[tuple[str, ...]] = ("radius", "thickness")
-    points: ClassVar[tuple[str, ...]] = ("centre",)
-    turning: ClassVar[tuple[str, ...]] = ("axis",)
+    kind, points, turning, positive = RING, ("centre",), ("axis",), ("radius", "thickness")
+    shapes = {"centre": (3,), "axis": (3,), "radius": (), "thickness": (), "friction": ()}
 
     if TYPE_CHECKING:
         def __init__(self, centre: ArrayLike, axis: ArrayLike, radius: ArrayLike, thickness: ArrayLike,
@@ -286,11 +278,8 @@ class Box(Obstacle):
     size: np.ndarray
     rotation: np.ndarray = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     friction: np.ndarray = 0.0
-    kind: ClassVar[int] = BOX
-    shapes: ClassVar[dict[str, tuple[int, ...]]] = {"centre": (3,), "size": (3,), "rotation": (3, 3), "friction": ()}
-    positive: ClassVar[tuple[str, ...]] = ("size",)
-    points: ClassVar[tuple[str, ...]] = ("centre",)
-    turning: ClassVar[tuple[str, ...]] = ("rotation",)
+    kind, points, turning, positive = BOX, ("centre",), ("rotation",), ("size",)
+    shapes = {"centre": (3,), "size": (3,), "rotation": (3, 3), "friction": ()}
 
     if TYPE_CHECKING:
         def __init__(self, centre: ArrayLike, size: ArrayLike, rotation: ArrayLike = np.eye(3),
@@ -312,6 +301,30 @@ class Box(Obstacle):
         face = np.arange(3) == beyond.argmax(axis=-1)[..., None]
         normal = np.where((away > 0)[..., None], outside / np.maximum(away, 1e-300)[..., None], face) * sign
         return np.where(away > 0, away, beyond.max(axis=-1)), normal
+
+
+def require_direction(name: str, field: str, value: np.ndarray, what: str = "of length zero") -> None:
+    """Raise InputError unless every row has a length."""
+    if not (np.linalg.norm(value, axis=-1) > 0).all():
+        raise InputError(name, field, what, "give three numbers that are not all zero")
+
+
+def require_rotation(name: str, rotation: np.ndarray) -> None:
+    """Raise InputError unless every matrix is a rotation."""
+    off = np.abs(np.swapaxes(rotation, -1, -2) @ rotation - np.eye(3)).max(initial=0.0)
+    if not off <= 1e-6:
+        raise InputError(name, "rotation", f"off a rotation by {off:.2g}", "give a 3×3 rotation matrix")
+    if not (np.linalg.det(rotation) > 0).all():
+        raise InputError(name, "rotation", "a reflection", "give a 3×3 rotation matrix, whose determinant is 1")
+
+
+def axes_about(direction: np.ndarray) -> np.ndarray:
+    """(rows, 3, 3) three axes as columns, the third along ``direction`` (rows, 3)."""
+    third = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
+    helper = np.where(np.abs(third[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
+    first = np.cross(helper, third)
+    first /= np.linalg.norm(first, axis=-1, keepdims=True)
+    return np.stack([first, np.cross(third, first), third], axis=-1)
 
 
 def _radial(local: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,9 +1,32 @@
-"""Whether contacts stick or slip."""
+"""When a rod touches: how far the gap at a contact may be off, and whether it sticks or slips (docs/contact.md)."""
 
 from enum import IntEnum
 
+from doo_ti.system.errors import InputError, require_number
+
+GAP_TOLERANCE = 2e-4
+"""Of a rod's radius, unless another is given: a gap may be off by that, or a force by that times the stiffness κ."""
+GAP_TOLERANCE_OF_OBSTACLES = 1e-5
+"""The same in ``relax`` of rods that may touch obstacles only, whose forces settle with the steps and so at little cost."""
+GAP_TOLERANCE_IN_MOTION = 4e-5
+"""The same of rods in motion that may touch obstacles only: a gap that closes lifts the rod, which costs energy."""
+LEAST, MOST = 1e-10, 0.1
+"""What may be given; smaller ones are below rounding."""
 HELD = 0.999
 """A contact is said to stick while its friction is below that share of the coefficient times its force."""
+
+
+def gap_tolerance(given: float | None, itself: bool, in_motion: bool) -> float:
+    """``given``, or the usual one of rods that may touch themselves or each other, or obstacles alone, in a motion or not."""
+    usual = GAP_TOLERANCE if itself else GAP_TOLERANCE_IN_MOTION if in_motion else GAP_TOLERANCE_OF_OBSTACLES
+    return usual if given is None else given
+
+
+def require_gap_tolerance(source: str, value: float) -> None:
+    """Raise InputError, naming ``source``, unless ``value`` may be given."""
+    require_number(source, "gap_tolerance", value)
+    if not LEAST <= value <= MOST:
+        raise InputError(source, "gap_tolerance", f"{value:g} of the radius is not allowed", f"give {LEAST:g} to {MOST:g}")
 
 
 class Touch(IntEnum):

@@ -1,4 +1,5 @@
-"""Time steps as many as a rod's motion needs: doubled until two simulations of it agree (docs/dynamics.md).
+"""Motions that are simulated again: with as many time steps as a rod needs, doubled until two simulations agree
+(docs/dynamics.md), and with contact of the rod with itself where it comes near to itself (docs/contact.md).
 
 Every rod is judged by itself, over its whole motion, and moves alone as among others: its steps do not depend on the rods that
 are simulated beside it. Axes: R rods, F frames.
@@ -11,6 +12,7 @@ import numpy as np
 
 from doo_ti.dynamics.parameters import Stepping
 from doo_ti.dynamics.trajectory import Detail, Trajectory
+from doo_ti.relaxation.self_approach import approach_in_motion
 from doo_ti.relaxation.time_steps import Memory
 
 MOST_GAIN, LEAST_GAIN = {"bdf2": 2.0, "euler": 1.5}, 1.25
@@ -84,13 +86,12 @@ def _some(trajectory: Trajectory, rows) -> Trajectory:
 
 def put(into: Trajectory, rows: np.ndarray, other: Trajectory, of: np.ndarray | slice) -> None:
     """Write the rods ``of`` of another trajectory into those ``rows``."""
-    for name in ("positions", "status", "iterations", "residual", "end_force", "substeps"):
-        getattr(into, name)[rows] = getattr(other, name)[of]
-    for name in ("contact_force", "friction_work", "touch"):
+    for name in ("positions", "status", "iterations", "residual", "end_force", "substeps", "contact_force", "friction_work",
+                 "touch"):
         if getattr(other, name) is not None:
             getattr(into, name)[rows] = getattr(other, name)[of]
-    for name in (entry.name for entry in fields(Memory)):
-        getattr(into.memory, name)[rows] = getattr(other.memory, name)[of]
+    for entry in fields(Memory):
+        getattr(into.memory, entry.name)[rows] = getattr(other.memory, entry.name)[of]
     if into.detail is not None and other.detail is not None:
         for name in ("quaternions", "velocities"):
             getattr(into.detail, name)[rows] = getattr(other.detail, name)[of]
@@ -109,3 +110,30 @@ def _detail(run: Callable[..., Trajectory], fixed: Stepping, found: Trajectory) 
     energies = {name: np.concatenate([part.energies[name] for part in parts])[back] for name in parts[0].energies}
     return Detail(*(np.concatenate([getattr(part, name) for part in parts])[back] for name in ("quaternions", "velocities")),
                   energies)
+
+
+def kept_apart(moved: Callable[..., Trajectory], stepping: Stepping, rows: np.ndarray, start: np.ndarray, radius: np.ndarray,
+               progress: Callable[[int], None] | None) -> Trajectory:
+    """The motion of the rods ``rows``, which are their own obstacles: of all of them as if they were not, and of those that
+    may have touched themselves from one frame to the next, or passed through themselves, once more, in f64.
+
+    moved   (stepping, rows, progress, touching): a motion without or with contact of the rods with themselves, and which rods
+            have passed through themselves, as the link of their frames says
+    start   (R, V, 3) mm, their places at first
+    radius  (1 or R,) mm
+    """
+    radius = np.asarray(radius, dtype=np.float64).reshape(-1)
+    found, near = moved(stepping, rows, progress)
+    lengths = np.linalg.norm(np.diff(start, axis=1), axis=-1)
+    places = np.concatenate([start[:, None], found.positions], axis=1)
+    own = np.arange(len(rows))
+    near = near | approach_in_motion(places[:, 0], places[:, 0], own, lengths, radius)
+    for frame in range(found.positions.shape[1]):
+        near |= approach_in_motion(places[:, frame], places[:, frame + 1], own, lengths, radius)
+    if found.contact_force is None:
+        found = replace(found, contact_force=np.zeros_like(found.positions),
+                        touch=np.zeros(found.positions.shape[:3], dtype=np.int8))
+    again = np.flatnonzero(near)
+    if len(again):
+        put(found, again, moved(replace(stepping, precision="f64"), rows[again], None, True)[0], slice(None))
+    return found

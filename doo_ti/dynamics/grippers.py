@@ -6,12 +6,7 @@ from typing import Annotated
 
 import numpy as np
 
-from doo_ti.rod.frames import (
-    FRAME_TOLERANCE,
-    matrix_from_quaternion,
-    orthonormality_error,
-    quaternion_from_matrix,
-)
+from doo_ti.rod.frames import FRAME_TOLERANCE, matrix_from_quaternion, orthonormality_error, quaternion_from_matrix
 from doo_ti.rod.types import Clamp, Clamps, Rows, require_kinds
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, real_array, require_whole
@@ -65,6 +60,11 @@ class Grippers:
         return len(self.start_position)
 
     @property
+    def kinds(self) -> np.ndarray:
+        """(2, S) Clamp of the starts and of the ends."""
+        return np.stack([np.broadcast_to(np.asarray(kind), (self.count,)) for kind in (self.start, self.end)])
+
+    @property
     def instants(self) -> int:
         """T, the number of instants."""
         return self.start_position.shape[1]
@@ -81,8 +81,8 @@ class Grippers:
 
     def take(self, rows: Rows) -> "Grippers":
         """The grippers of the rods named by ``rows``."""
-        kinds = [kind if np.ndim(kind) == 0 else np.asarray(kind)[rows] for kind in (self.start, self.end)]
-        return Grippers(*kinds, *(getattr(self, name)[rows] for name in _PATHS))
+        held = [kind if np.ndim(kind) == 0 else np.asarray(kind)[rows] for kind in (self.start, self.end)]
+        return Grippers(*held, *(getattr(self, name)[rows] for name in _PATHS))
 
     @typed
     def at(self, instant: int) -> Clamps:

@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.dynamics.layout import require_smoothing, roll_reference
 from doo_ti.dynamics.parameters import Stepping
 from doo_ti.dynamics.recorded import RecordedMotion
-from doo_ti.dynamics.rollouts import Nearby, Rollouts
+from doo_ti.dynamics.rollouts import Nearby, Rollouts, require_smoothing, roll_reference
 from doo_ti.dynamics.stills import Stills
 from doo_ti.dynamics.theta import MotionTheta, Unknowns
 from doo_ti.rod.observations import Observations

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.contact.gap_tolerance import require_gap_tolerance
+from doo_ti.contact.touch import require_gap_tolerance
 from doo_ti.rod.physical_units import STANDARD_GRAVITY
 from doo_ti.rod.types import Configuration, Material
 from doo_ti.system.arguments import typed

@@ -1,4 +1,5 @@
-"""Recordings as they are predicted under any Θ of one rod: each from its first two frames on, open loop (docs/dynamics.md).
+"""Recordings as they are predicted under any Θ of one rod: laid out for a simulation, which begins where each recording does,
+with its grippers at every step, and rolled out open loop (docs/dynamics.md).
 
 Axes: R recordings, G values of Θ, T frames, V markers, P directions.
 """
@@ -8,20 +9,106 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.contact.gap_tolerance import GAP_TOLERANCE
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.dynamics.layout import Layout, lay_out
+from doo_ti.contact.touch import GAP_TOLERANCE
+from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Direction, MovingStart, Stepping
-from doo_ti.dynamics.recorded import RecordedMotion
+from doo_ti.dynamics.recorded import LOST, SWAPPED, RecordedMotion
 from doo_ti.dynamics.simulate import simulate
 from doo_ti.dynamics.theta import MotionTheta, simulated
 from doo_ti.dynamics.trajectory import Trajectory
-from doo_ti.rod.types import Clamp
+from doo_ti.relaxation.external import Springs
+from doo_ti.relaxation.relax import relax
+from doo_ti.rod.frames import bishop_frames, edge_frames, quaternion_from_matrix, tangent_from_quaternion
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
+from doo_ti.system.errors import InputError, require_whole
 
+LARGEST_REACH = 0.999
+"""Share of the rod's length between grippers, at most: beyond, the far gripper is moved back."""
+FIT_STIFFNESS = 0.01
+"""Of a rod that is fitted to markers, over that of the springs to them and the cube of an edge: it hardly resists."""
 SMOOTHED = 0.09
 """s, over which recordings among obstacles are smoothed."""
 NUMBERS_AT_ONCE = 16_000_000
 """Numbers of positions that a simulation returns."""
+
+
+def require_smoothing(source: str, field: str, frames: int) -> None:
+    """Raise InputError unless parabolas can be fitted through so many frames, the middle one among them."""
+    require_whole(source, field, frames, 1)
+    if frames % 2 == 0:
+        raise InputError(source, field, f"{frames}", "give an odd number of frames")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A recorded motion as a simulation begins it: from frames 0 and 1 or, smoothed, from the first few.
+
+    start         R rods at frame 1
+    velocity      (R, V, 3) mm/s there
+    grippers      at every step from frame 1 on, missing frames included
+    steps         (R, T − 1) the step of each frame from 1 on
+    rate          steps per second
+    smoothing     frames that parabolas were fitted through
+    """
+
+    start: Configuration
+    velocity: np.ndarray
+    grippers: Grippers
+    steps: np.ndarray
+    rate: float
+    smoothing: int
+
+    @property
+    def velocity_age(self) -> float:
+        """s before frame 1 for which the velocity holds: a difference of two frames is that of the middle between them."""
+        return 0.5 / self.rate if self.smoothing == 1 else 0.0
+
+    @property
+    def held(self) -> np.ndarray:
+        """(R, 2 · steps, 3) mm, or twice as many: where the grippers hold the ends of the first and the last edge."""
+        grippers, lengths = self.grippers, self.start.rest_length
+        places = [grippers.start_position, grippers.start_position + lengths[0] * grippers.start_frame[..., 0]]
+        if grippers.end != Clamp.FREE:
+            places += [grippers.end_position, grippers.end_position - lengths[-1] * grippers.end_frame[..., 0]]
+        return np.concatenate(places, axis=1)
+
+
+def roll_reference(motion: RecordedMotion) -> np.ndarray:
+    """(3,) the coordinate axis most across the first edges where the recordings begin."""
+    first = motion.positions[:, 1, 1] - motion.positions[:, 1, 0]
+    direction = first / np.linalg.norm(first, axis=-1, keepdims=True)
+    return np.eye(3)[int(np.argmin((direction**2).mean(axis=0)))]
+
+
+def lay_out(motion: RecordedMotion, rest_length: np.ndarray, reference: np.ndarray, end: Clamp = Clamp.TANGENT,
+            smoothing: int = 1) -> Layout:
+    """Lay out the recordings of ``motion`` for :func:`doo_ti.dynamics.simulate.simulate`.
+
+    rest_length  (E,) mm
+    reference    (3,) direction towards which m1 of the first edge points at frame 1
+    end          what the far gripper holds, if there is one
+    smoothing    odd number of frames through which parabolas are fitted for the start and the grippers; 1: as recorded
+    """
+    end = Clamp.FREE if motion.free_end else end
+    believed = _believable(motion.positions[:, :, motion.gripped], motion.confused, motion.elapsed)
+    expanded, steps = _with_missing(believed[:, 1:], motion.elapsed[:, 1:])
+    if smoothing > 1:
+        expanded = _smoothed(expanded, smoothing)
+    if not motion.free_end:
+        expanded = _within_reach(expanded, rest_length)
+    first = edge_frames(expanded[:, :, 1] - expanded[:, :, 0], np.broadcast_to(reference, (motion.count, 3)))
+    whole = motion.positions.copy()
+    whole[:, :, motion.gripped] = believed
+    x, velocity = _first_state(whole, motion.elapsed, motion.rate, smoothing)
+    x[:, motion.gripped] = expanded[:, 0]
+    # Without twist at the start.
+    frames = bishop_frames(_fitted_tangents(x, rest_length, first[:, 0], motion.free_end), first[:, 0, :, 1])
+    # A free end does not read its frames.
+    last = first if motion.free_end else edge_frames(expanded[:, :, 3] - expanded[:, :, 2], frames[:, -1, :, 1])
+    grippers = Grippers(Clamp.FRAME, end, expanded[:, :, 0], expanded[:, :, -1], first, last)
+    start = Configuration(x[:, 0].copy(), quaternion_from_matrix(frames), rest_length)
+    return Layout(start, velocity, grippers, steps, motion.rate, smoothing)
 
 
 @dataclass(frozen=True)
@@ -156,3 +243,96 @@ class Rollouts:
 def mean_error(positions: np.ndarray, recorded: np.ndarray) -> np.ndarray:
     """(R, T) mm: mean of |difference| over all markers and coordinates (L1), positions (R, T, V, 3)."""
     return np.abs(positions - recorded).mean(axis=(-1, -2))
+
+
+# --- how a recording is laid out ---
+
+
+def _believable(held: np.ndarray, confused: np.ndarray, elapsed: np.ndarray) -> np.ndarray:
+    """Gripper markers (R, T, 4, 3), or of one gripper, changed back where ``confused`` (R, T, 2) says they are swapped, and on
+    lines between the frames around where they are lost."""
+    result, instants = held.copy(), np.cumsum(elapsed, axis=1)
+    for end in range(held.shape[2] // 2):
+        pair = slice(2 * end, 2 * end + 2)
+        swapped = confused[:, :, end] == SWAPPED
+        result[swapped, pair] = held[swapped, pair][:, ::-1]
+        for r in np.flatnonzero((confused[:, :, end] == LOST).any(axis=1)):
+            good = confused[r, :, end] != LOST
+            for marker, axis in np.ndindex(2, 3):
+                column = result[r, :, 2 * end + marker, axis]
+                result[r, :, 2 * end + marker, axis] = np.interp(instants[r], instants[r, good], column[good])
+    return result
+
+
+def _within_reach(held: np.ndarray, rest_length: np.ndarray) -> np.ndarray:
+    """Gripper markers (R, T, 4, 3) with the far gripper moved towards the near one where the rod would not reach it."""
+    first, last = held[:, :, 1] - held[:, :, 0], held[:, :, 3] - held[:, :, 2]
+    first = first * (rest_length[0] / np.linalg.norm(first, axis=-1, keepdims=True))
+    last = last * (rest_length[-1] / np.linalg.norm(last, axis=-1, keepdims=True))
+    line = held[:, :, 3] - last - held[:, :, 0] - first
+    span = np.linalg.norm(line, axis=-1, keepdims=True)
+    excess = np.maximum(span - LARGEST_REACH * rest_length[1:-1].sum(), 0.0) / span
+    result = held.copy()
+    result[:, :, 2:] -= (excess * line)[:, :, None]
+    return result
+
+
+def _first_state(positions: np.ndarray, elapsed: np.ndarray, rate: float, smoothing: int) -> tuple[np.ndarray, np.ndarray]:
+    """(R, V, 3) places and velocities at frame 1: the difference of two frames or, smoothed, of parabolas through the first."""
+    if smoothing == 1:
+        return positions[:, 1].copy(), (positions[:, 1] - positions[:, 0]) * rate / elapsed[:, 1, None, None]
+    instants = np.cumsum(elapsed[:, :smoothing], axis=1)
+    since = (instants - instants[:, 1:2])[..., None] ** np.arange(3.0)
+    fitted = np.linalg.pinv(since) @ positions[:, :smoothing].reshape(*since.shape[:2], -1)
+    place, slope = (fitted[:, k].reshape(-1, *positions.shape[2:]) for k in range(2))
+    return place, slope * rate
+
+
+def _smoothed(path: np.ndarray, frames: int) -> np.ndarray:
+    """The parabolas through so many ``frames`` around each one of ``path`` (R, steps, 4, 3), or as many as there are."""
+    from scipy.signal import savgol_filter
+
+    width = min(frames, path.shape[1] - 1 + path.shape[1] % 2)
+    return savgol_filter(path, width, 2, axis=1) if width > 2 else path
+
+
+def _fitted_tangents(markers: np.ndarray, rest_length: np.ndarray, first: np.ndarray, free_end: bool) -> np.ndarray:
+    """(R, E, 3) tangents of rods whose edges have their lengths, whose ends are where the grippers are, and which are otherwise
+    as near as possible to ``markers`` (R, V, 3); ``first`` (R, 3, 3) is the frame of the first edge.
+
+    A rod that did not end in its gripper would be thrown there within the first time step. Where there is none: as the markers
+    show it.
+    """
+    edges = np.diff(markers, axis=1)
+    tangents = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
+    seen = Configuration(markers[:, 0], quaternion_from_matrix(bishop_frames(tangents, first[..., 1])), rest_length)
+    end = Clamp.FREE if free_end else Clamp.TANGENT
+    clamps = Clamps(Clamp.TANGENT, end, markers[:, 0], markers[:, -1], first, seen.frames[:, -1])
+    stiff = FIT_STIFFNESS * rest_length.mean() ** 3
+    springs = Springs(markers, np.ones(markers.shape[:2]))
+    found = relax(seen, Material(stiff, stiff, 0.0), clamps, up=(0.0, 0.0, 1.0), precision="f64", external=springs,
+                  external_index=np.arange(len(markers)))
+    return np.where(found.converged[:, None, None], tangent_from_quaternion(found.configuration.quaternions), tangents)
+
+
+def _with_missing(held: np.ndarray, elapsed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """((R, steps, 4, 3) gripper markers at every step, (R, T) step of each frame) from (R, T, 4, 3), the last position held
+    where a recording is shorter: cubics through frames that are missing, with the velocities on either side."""
+    count, frames = held.shape[:2]
+    since = elapsed.copy()
+    since[:, 0] = 0
+    steps = np.cumsum(since, axis=1)
+    total = int(steps[:, -1].max()) + 1
+    result = np.repeat(held[:, -1:], total, axis=1)
+    for r in range(count):
+        result[r, steps[r]] = held[r]
+    for r, t in np.argwhere(since > 1):
+        n = int(since[r, t])
+        here, there = held[r, t - 1], held[r, t]
+        before = (here - held[r, t - 2]) / max(1, since[r, t - 1]) if t > 1 else (there - here) / n
+        after = (held[r, t + 1] - there) / since[r, t + 1] if t + 1 < frames else (there - here) / n
+        u = (np.arange(1, n) / n)[:, None, None]
+        result[r, steps[r, t - 1] + 1 : steps[r, t]] = (
+            (1 + 2 * u) * (1 - u) ** 2 * here + u**2 * (3 - 2 * u) * there
+            + n * (u * (1 - u) ** 2 * before + u**2 * (u - 1) * after))
+    return result, steps

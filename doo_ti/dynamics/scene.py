@@ -21,11 +21,20 @@ from msgspec import Meta
 from doo_ti.contact.obstacle_file import obstacles_of
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.grippers import Grippers
-from doo_ti.dynamics.inertia_keys import InertiaKeys
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.io.motion_file import MOST_MOMENTS, ClampPath
-from doo_ti.io.scene_keys import ClampName, EndPaths, Moment, StatedMaterial, end_paths, instants, newtons, stated_material
-from doo_ti.io.toml_file import Finite, Positive, Table, Vector, checked, read_toml, unit_direction
+from doo_ti.io.scene_keys import (
+    ClampName,
+    EndPaths,
+    MaterialKeys,
+    Moment,
+    StatedMaterial,
+    end_paths,
+    instants,
+    newtons,
+    stated_material,
+)
+from doo_ti.io.toml_file import Finite, NotNegative, Positive, Table, Vector, checked, read_toml, unit_direction
 from doo_ti.rod.frames import quaternion_product, smallest_rotation
 from doo_ti.rod.knots import overhand_knot
 from doo_ti.rod.straight import end_clamps, with_end_edges
@@ -83,6 +92,24 @@ class MotionScene:
             raise InputError(self.source, "between", f"{between}", f"give 1 to {MOST_MOMENTS // (len(self.time) - 1)}")
         states = np.interp(np.arange(between * (len(self.time) - 1) + 1) / between, np.arange(len(self.time)), self.time)
         return Surroundings(obstacles_of(self.source, self.obstacles, states), self.radius)
+
+
+class InertiaKeys(MaterialKeys, kw_only=True):
+    """Keys of a material and of a rod's mass and losses."""
+
+    density: Positive | None = None
+    bend_damping_s: NotNegative = 0.0
+    twist_damping_s: NotNegative = 0.0
+    drag_per_s: NotNegative = 0.0
+    quadratic_drag_per_mm: NotNegative = 0.0
+
+    def dynamics(self, path: Path, key: str, weight: float) -> Dynamics:
+        """Those of rods with that ``weight``. Raises InputError, naming the table ``key``, for rods without mass."""
+        density = weight if self.density is None else self.density
+        if not density > 0:
+            raise InputError(path, f"{key}.density", "missing for a rod without weight",
+                             "give its mass per length over that of a rod of weight 1")
+        return Dynamics(density, self.bend_damping_s, self.twist_damping_s, self.drag_per_s, self.quadratic_drag_per_mm)
 
 
 class _File(Table):
@@ -143,13 +170,20 @@ def load_motion_scene(path: str | Path) -> MotionScene:
                        dynamics, stepping)
 
 
-def _times(path: Path, file: _File) -> np.ndarray:
-    """(T,) s: the instants, or without a rate the moments."""
+def stated_instants(path: Path, file, most: int, called: str) -> np.ndarray | None:
+    """(T,) s the instants that rate_hz and duration_s of a file state; None where it has neither. Raises InputError where one
+    is missing."""
     if (file.rate_hz is None) != (file.duration_s is None):
         missing, other = ("rate_hz", "duration_s") if file.rate_hz is None else ("duration_s", "rate_hz")
         raise InputError(path, missing, f"missing beside {other}", "give both, or neither")
-    if file.rate_hz is not None:
-        return instants(path, file.rate_hz, file.duration_s, MOST_FRAMES, "frames")
+    return None if file.rate_hz is None else instants(path, file.rate_hz, file.duration_s, most, called)
+
+
+def _times(path: Path, file: _File) -> np.ndarray:
+    """(T,) s: the instants, or without a rate the moments."""
+    time = stated_instants(path, file, MOST_FRAMES, "frames")
+    if time is not None:
+        return time
     if len(file.moments) < 2:
         raise InputError(path, "moments", f"{len(file.moments)}", "give two or more, or rate_hz and duration_s")
     return np.array([checked(path, f"moments[{k}]", row, Moment).time_s for k, row in enumerate(file.moments)])
@@ -182,14 +216,19 @@ def _materials(path: Path, file: _File) -> tuple[tuple[str, ...], Material, Dyna
             for name, values in file.materials.items()}
     found = [stated_material(path, key, one) for key, one in keys.items()]
     for (key, one), own in zip(keys.items(), found, strict=True):
-        try:
-            Material(own.bend[None], own.twist, own.weight)
-        except InputError as error:
-            field = error.field if one.EI is None else {"bend": "EI", "twist": "GJ"}.get(error.field, error.field)
-            raise InputError(path, f"{key}.{field}", error.problem, error.remedy) from None
+        checked_material(path, key, one, own)
     material = Material(*(np.array([getattr(one, field) for one in found]) for field in ("bend", "twist", "weight")))
     return (tuple(map(in_line, file.materials)), material,
             None if file.rate_hz is None else _dynamics(path, keys, found), newtons(found))
+
+
+def checked_material(path: Path, key: str, keys: MaterialKeys, stated: StatedMaterial) -> Material:
+    """The material of the table ``key``. Raises InputError, naming its key, for one that no rod has."""
+    try:
+        return Material(stated.bend[None], stated.twist, stated.weight)
+    except InputError as error:
+        field = error.field if keys.EI is None else {"bend": "EI", "twist": "GJ"}.get(error.field, error.field)
+        raise InputError(path, f"{key}.{field}", error.problem, error.remedy) from None
 
 
 def _dynamics(path: Path, keys: dict[str, InertiaKeys], found: list[StatedMaterial]) -> Dynamics:

@@ -10,37 +10,22 @@ from numpy.typing import ArrayLike
 from doo_ti.contact.moving import Moving
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.dynamics.adaptive import adapted
-from doo_ti.dynamics.clamp_path import clamp_path, refined_within_reach
-from doo_ti.dynamics.energies import Account, Losses
+from doo_ti.dynamics.adaptive import adapted, kept_apart
+from doo_ti.dynamics.energies import Account, Losses, add_loads, damping_shares, stiffened, vertex_numbers
 from doo_ti.dynamics.grippers import Grippers
-from doo_ti.dynamics.obstacle_path import obstacle_path
 from doo_ti.dynamics.parameters import RATES, Direction, Dynamics, MovingStart, Stepping
-from doo_ti.dynamics.self_contact import kept_apart
-from doo_ti.dynamics.step_terms import add_loads, damping_shares, stiffened, vertex_numbers
+from doo_ti.dynamics.paths import clamp_path, obstacle_path, refined_within_reach
 from doo_ti.dynamics.trajectory import Trajectory, joined
 from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.input_tables import paired_rows, tables, under
 from doo_ti.relaxation.newton import MOST_IN_CONTACT, Newton
 from doo_ti.relaxation.point_loads import PointLoads, check_rows
 from doo_ti.relaxation.tables import Tables, whole_start
-from doo_ti.relaxation.time_loop import (
-    END_FORCE,
-    FRICTION_WORK,
-    MOMENT,
-    RELINKED,
-    STATE,
-    TRIPS,
-)
+from doo_ti.relaxation.time_loop import END_FORCE, FRICTION_WORK, MOMENT, RELINKED, STATE, TRIPS
 from doo_ti.relaxation.time_slopes import NUMBERS, REMEMBERED
 from doo_ti.relaxation.time_steps import Memory, Slopes, Steps, make_steps, slope_memory
 from doo_ti.relaxation.time_sweep import INERTIA, LOAD, PLACE_2, VELOCITY_1
-from doo_ti.rod.frames import (
-    quaternion_product,
-    smallest_rotation,
-    tangent_from_quaternion,
-    unit_vectors,
-)
+from doo_ti.rod.frames import quaternion_product, smallest_rotation, tangent_from_quaternion, unit_vectors
 from doo_ti.rod.types import Clamp, Configuration, Material, Status, unit_up
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
@@ -150,21 +135,21 @@ class _Motion:
         self.watched = surroundings.itself is not None and not touching
         self.relinked = np.zeros(0, dtype=bool)
 
-    def table(self, factor: float) -> Tables:
-        """The tables of the rods for time derivatives of that factor a."""
+    def table(self, rate: float) -> Tables:
+        """The tables of the rods, at the ``rate`` a/h of a step."""
         vertices = self.start.edges + 1
         external = Springs(np.zeros((1, vertices, 3)), np.zeros((1, vertices)))
         still = self.surroundings.at(0)
         obstacles = still.obstacles if self.touching else still.bodies
-        material = stiffened(self.material, self.dynamics, factor / self.step)
+        material = stiffened(self.material, self.dynamics, rate)
         table = tables(self.start, material, self.first, self.up, self.pairs, external, None, obstacles,
                        self.surroundings.radius, in_motion=True)
         # Damping gives joints a rest shape of their own, which the kernel of isotropic rods does not know.
-        undamped = (damping_shares(self.dynamics, material.count, factor / self.step) == 0).all(axis=1)
+        undamped = (damping_shares(self.dynamics, material.count, rate) == 0).all(axis=1)
         table = replace(table, isotropic=table.isotropic & undamped)
         return replace(table, contact=table.contact.touching(np.arange(table.count))) if self.touching else table
 
-    def numbers(self, table: Tables, factor: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def numbers(self, table: Tables, rate: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(numbers (N, V, -), shares (N, 2), (R,) row of each rod), see :func:`.make_steps`."""
         lengths = table.rest_length
         of_rod = self.loads is not None and self.loads.count != 1 or len(lengths) > 1
@@ -172,7 +157,6 @@ class _Motion:
         of_material = table.material_index if of_rod else np.arange(rows)
         if len(lengths) > 1:
             lengths = lengths[table.configuration_index]
-        rate = factor / self.step
         numbers = vertex_numbers("simulate", self.material, self.dynamics, lengths, of_material, rate)
         if self.loads is not None:
             add_loads(numbers, self.loads, rate)
@@ -181,25 +165,25 @@ class _Motion:
         index = np.arange(table.count) if of_rod else table.material_index
         return numbers, damping_shares(self.dynamics, self.material.count, rate)[of_material], index
 
-    def slopes(self, table: Tables, factor: float, directions: Sequence[Direction], memory: np.ndarray) -> Slopes | None:
+    def slopes(self, table: Tables, rate: float, directions: Sequence[Direction], memory: np.ndarray) -> Slopes | None:
         """How what the kernel is given changes along ``directions``; ``memory`` is how what the rods remember does."""
         if not directions:
             return None
         changes = []
         for direction in directions:
-            given = [self._under(table, *other, factor) for other in (direction.before, direction.after)]
+            given = [self._under(table, *other, rate) for other in (direction.before, direction.after)]
             changes.append([(after - before) / direction.distance for before, after in zip(*given, strict=True)])
         return Slopes(*(np.stack(change) for change in zip(*changes, strict=True)), memory)
 
-    def _under(self, table: Tables, material: Material, dynamics: Dynamics, factor: float):
+    def _under(self, table: Tables, material: Material, dynamics: Dynamics, rate: float):
         """Of another material and other dynamics, what the kernel is given: its tables of materials, of numbers, of shares."""
         if material.count != self.material.count or dynamics.count != self.dynamics.count:
             raise InputError("simulate", "directions", f"{material.count} and {dynamics.count} rows",
                              f"give as many as of material, {self.material.count}, and of dynamics, {self.dynamics.count}")
         other = copy(self)
         other.material, other.dynamics = material, dynamics
-        numbers, shares, _ = other.numbers(table, factor)
-        return under(table, stiffened(material, dynamics, factor / self.step)).material, numbers[..., :NUMBERS], shares
+        numbers, shares, _ = other.numbers(table, rate)
+        return under(table, stiffened(material, dynamics, rate)).material, numbers[..., :NUMBERS], shares
 
     def begin(self, start: MovingStart, directions: Sequence[Direction]) -> tuple[Memory, np.ndarray]:
         """The memory of rods that start so, and its derivatives.
@@ -208,9 +192,9 @@ class _Motion:
         velocity contradicts the clamps, it is changed at once, by an acceleration that grows without limit as the step shrinks.
         """
         ahead = min(max(1, round(2.0 * start.velocity_age / self.step)), self.grippers.instants - 1)
-        trial_motion = copy(self)
-        trial_motion.step = trial_step = ahead * self.step
-        table = trial_motion.table(1.0)
+        trial_step = ahead * self.step
+        rate = 1.0 / trial_step
+        table = self.table(rate)
         index = table.configuration_index
         frames = whole_start(table.start, table.clamp)[index]
         x = self.start.vertices[index]
@@ -221,10 +205,10 @@ class _Motion:
         status = np.where(feasible, int(Status.CONVERGED), int(Status.INFEASIBLE)).astype(np.int8)
         if start.smooth and not self.stepping.quasi_static:
             trial = _memory(frames, x, v, a, trial_step, status.copy())
-            numbers, shares, rows = trial_motion.numbers(table, 1.0)
+            numbers, shares, rows = self.numbers(table, rate)
             table.external_index[:] = rows
             path = clamp_path(self.grippers, self.start, slice(ahead - 1, ahead))
-            slopes = trial_motion.slopes(table, 1.0, directions, remembered)
+            slopes = self.slopes(table, rate, directions, remembered)
             time = np.array([trial_step, 1.0, 0.0, 1.0, 0.0])
             poses = None if self.poses is None else np.ascontiguousarray(self.poses[:, [0, ahead]])
             newton = _newton(self.stepping, bool(self.surroundings))
@@ -238,23 +222,22 @@ class _Motion:
                 lambda change: _memory(frames, x, v + age * change, a + change, self.step, status), da)
         return _memory(frames, x, v, a, self.step, status), remembered
 
-    def held(self) -> np.ndarray:
-        """(S, 2) whether a gripper holds the start, and the end."""
-        kinds = [np.broadcast_to(kind, (self.start.count,)) for kind in (self.grippers.start, self.grippers.end)]
-        return np.stack(kinds, axis=1) != Clamp.FREE
-
-    def losses(self, table: Tables, numbers: np.ndarray, factor: float) -> Losses:
-        """What the energies of the rods are computed from; ``numbers`` (R, V, -) are those of each rod."""
+    def account(self, table: Tables, numbers: np.ndarray, rate: float, memory: Memory) -> Account:
+        """The account of the rods' energies; ``numbers`` (R, V, -) are those of each rod."""
         length = table.rest_length if len(table.rest_length) == 1 else table.rest_length[table.configuration_index]
         length = np.broadcast_to(length, (table.count, table.edges))
-        return Losses.of(self.material, self.dynamics, table.material_index, length, numbers, factor / self.step, self.up)
+        losses = Losses.of(self.material, self.dynamics, table.material_index, length, numbers, rate, self.up)
+        kinds = np.broadcast_to(self.grippers.kinds, (2, self.start.count))
+        held = (kinds.T != Clamp.FREE)[table.configuration_index]
+        return Account(losses, self.stepping.scheme, self.step, held, memory, bool(self.surroundings))
 
     def run(self, memory: Memory, progress, directions: Sequence[Direction], remembered: np.ndarray) -> Trajectory:
         """All steps, in launches of bounded size."""
         factor, bits = RATES[self.stepping.scheme], 32 if self.stepping.precision == "f32" else 64
-        table = self.table(factor)
-        slopes = self.slopes(table, factor, directions, remembered)
-        numbers, shares, table.external_index[:] = self.numbers(table, factor)
+        rate = factor / self.step
+        table = self.table(rate)
+        slopes = self.slopes(table, rate, directions, remembered)
+        numbers, shares, table.external_index[:] = self.numbers(table, rate)
         time = np.array([self.step, factor, (factor - 1.0) / factor, self.stepping.least_way, self.watched])
         frames = (self.grippers.instants - 1) // self.substeps
         numbers_a_frame = 3 * table.count * (table.edges + 1) * (1 if slopes is None else 1 + slopes.count)
@@ -268,9 +251,7 @@ class _Motion:
 
         account = None
         if self.stepping.detailed:
-            losses = self.losses(table, numbers[table.external_index], factor)
-            account = Account(losses, self.stepping.scheme, self.step, self.held()[table.configuration_index], memory,
-                              bool(self.surroundings))
+            account = self.account(table, numbers[table.external_index], rate, memory)
             at_once = 1
         if self.touching and (account is not None or at_once < frames):
             table = replace(table, contact=table.contact.for_launches)

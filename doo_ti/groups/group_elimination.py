@@ -7,30 +7,17 @@ import taichi as ti
 
 from doo_ti.groups.border import Border
 from doo_ti.groups.group_contacts import GroupContacts
-from doo_ti.groups.joint_rest import JointRest
-from doo_ti.groups.welds import Welds
+from doo_ti.groups.layout import JointRest
 from doo_ti.physics.closure import closure_rows, linear_gradient, linear_hessian
 from doo_ti.physics.quaternion import first_director, second_director, tangent, turned_in_body
-from doo_ti.physics.tuples import (
-    chosen,
-    extended,
-    minus,
-    negated,
-    on_diagonal,
-    plus,
-    products,
-    repeated,
-    scaled,
-    variable,
-)
+from doo_ti.physics.tuples import chosen, extended, minus, negated, on_diagonal, plus, products, repeated, scaled, variable
 from doo_ti.relaxation.chain import Chain
-from doo_ti.relaxation.dense_elimination import DenseElimination
 from doo_ti.relaxation.elimination import held_pivot
-from doo_ti.relaxation.loaded_elimination import LoadedElimination
+from doo_ti.relaxation.newton import DenseLoadedElimination
 
 
 @ti.data_oriented
-class GroupElimination(Border, Welds, DenseElimination, LoadedElimination):
+class GroupElimination(Border, DenseLoadedElimination):
     """The chain of a group. No rod is closed: ties hold their far ends."""
 
     breaks = True
@@ -144,7 +131,7 @@ class GroupElimination(Border, Welds, DenseElimination, LoadedElimination):
 
     @ti.func
     def assemble(self, rod, shift, search, multiplier, found):
-        DenseElimination.assemble(self, rod, shift, search, multiplier, found)
+        DenseLoadedElimination.assemble(self, rod, shift, search, multiplier, found)
         self.add_welds(rod)
         self.add_border(rod, search, found)
 
@@ -178,5 +165,5 @@ class GroupElimination(Border, Welds, DenseElimination, LoadedElimination):
 
     @ti.func
     def substitute(self, rod, found):
-        longest, size, decrement = DenseElimination.substitute(self, rod, found)
+        longest, size, decrement = DenseLoadedElimination.substitute(self, rod, found)
         return longest, size, decrement + self.keep_forces(rod)

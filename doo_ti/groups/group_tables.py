@@ -1,14 +1,15 @@
-"""A group as one chain of edges and breaks: the tables that its kernel reads (docs/groups.md)."""
+"""A group as one chain of edges and breaks: the tables that its kernel reads, and which edges may touch (docs/groups.md). Axes:
+N groups, G rods, V vertices of all rods, E edges of their chain, breaks included.
+"""
 
 from dataclasses import replace
 
 import numpy as np
 
-from doo_ti.contact.itself import Itself
-from doo_ti.groups.apart import connected, edges_apart, smallest_gap
+from doo_ti.contact.itself import LEAST_ARC, Itself, smallest_of_pairs
 from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupTables
-from doo_ti.groups.joint_rest import JOINT_ITEMS
+from doo_ti.groups.layout import JOINT_ITEMS
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.bows import projectable
 from doo_ti.relaxation.clamp_table import INFEASIBLE, STRAIGHT, clamp_table
@@ -264,3 +265,59 @@ def _ties(group: Group, members: list[Member]) -> tuple[np.ndarray, np.ndarray]:
     for number, (end, member) in enumerate(((1 - late, member) for late in (0, 1) for member in members), start=len(own)):
         targets[:, number, :3], targets[:, number, 3] = member.places[:, end], member.drawn[:, end]
     return ties, targets
+
+
+# --- which edges may touch, and how near they are ---
+
+
+def connected(count: int, pairs: np.ndarray) -> np.ndarray:
+    """(count,) the least number that each is connected with by ``pairs`` (K, 2)."""
+    part = np.arange(count)
+    for first, second in pairs:
+        least, other = sorted((part[first], part[second]))
+        part[part == other] = least
+    return part
+
+
+def edges_apart(group: Group, lengths: np.ndarray, begins: np.ndarray, radii: np.ndarray, touch: bool) -> np.ndarray:
+    """(1 or N, pairs) int32: one where two edges may touch. Edges of one rod may with :data:`LEAST_ARC` radii of it between
+    them, those of two unless both are within as much, of the mean of their ``radii`` (1 or N, G), of points that are tied to
+    each other."""
+    edges = lengths.shape[1]
+    late, early = np.tril_indices(edges, -1)
+    rows = max(len(lengths), len(radii)) if touch else 1
+    if not touch:
+        return np.zeros((rows, len(late)), dtype=np.int32)
+    least = LEAST_ARC * np.broadcast_to(radii, (rows, len(group.rods)))
+    arc = np.broadcast_to(np.pad(np.cumsum(lengths, axis=1), ((0, 0), (1, 0))), (rows, edges + 1))
+    rod_of = np.repeat(np.arange(len(group.rods)), np.diff(group.first_vertices))  # of vertices
+    of_edge = np.where(begins > 0, -1, rod_of[:-1])
+    apart = np.where(of_edge[late] == of_edge[early], arc[:, late] - arc[:, early + 1] > least[:, of_edge[late]], True)
+    apart &= (of_edge[late] >= 0) & (of_edge[early] >= 0)
+    place = connected(edges + 1, group.tied)
+    for first in np.unique(place[group.tied]):
+        tied = np.flatnonzero(place == first)
+        away = np.full((len(tied), rows, edges), np.inf)  # along the tied rod
+        for number, vertex in enumerate(tied):
+            own = of_edge == rod_of[vertex]
+            away[number][:, own] = np.maximum(arc[:, :-1] - arc[:, [vertex]], arc[:, [vertex]] - arc[:, 1:])[:, own]
+        for a in range(len(tied)):
+            for b in range(len(tied)):
+                if a != b:
+                    mean = 0.5 * (least[:, rod_of[tied[[a]]]] + least[:, rod_of[tied[[b]]]])
+                    apart &= ~((away[a][:, late] <= mean) & (away[b][:, early] <= mean))
+    return np.ascontiguousarray(apart, dtype=np.int32)
+
+
+def smallest_gap(vertices: np.ndarray, apart: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """(N,) mm between the surfaces of edges of the groups (N, V, 3) that may touch, see :func:`edges_apart`, with the
+    ``radius`` (1 or N, V) of the rod at each vertex; infinite where there are none."""
+    late, early = np.tril_indices(vertices.shape[1] - 1, -1)
+    used = apart.any(axis=0)
+    late, early = late[used], early[used]
+    touch, radius = (np.broadcast_to(values, (len(vertices), values.shape[1])) for values in (apart[:, used], radius))
+
+    def gaps(groups: slice, distance: np.ndarray) -> np.ndarray:
+        return np.where(touch[groups] > 0, distance - radius[groups, late] - radius[groups, early], np.inf)
+
+    return smallest_of_pairs(vertices, early, late, gaps)

@@ -1,12 +1,19 @@
-"""Where the numbers of a group lie in scratch, behind those of a rod that may touch itself (docs/groups.md).
+"""Where the numbers of a group lie in scratch, behind those of a rod that may touch itself (docs/groups.md), and those that a
+time step gives to its joints.
 
 The rods of a group are one chain, one after the other. Between two of them one edge more, a break, takes the place in the chain
 that an edge has: it has no length, and instead of a rotation its unknowns are the place where the next rod begins.
 """
 
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
 from doo_ti.physics.tuples import picked
 from doo_ti.physics.view import Layout
 from doo_ti.relaxation.contact_layout import matrix_items
+from doo_ti.relaxation.external import ExternalFunctions, Nothing
 
 # Of a group: κ of its ties and ε of the border; by how much the energy would be higher if the forces of ties had not changed,
 # now and before the step; one where the next step changes them; their bound; and the unit of length.
@@ -25,6 +32,9 @@ FORCE = Layout(now=3, standing=3, step=3)
 # moment, by how much it misses, and its second derivatives by the later edge, by the earlier one, and by both. Then by what κ
 # and 1/ε are multiplied.
 TIE = Layout(target=3, force=FORCE, active=1, rest=4, moment=FORCE, turned=3, of_late=6, of_early=6, mixed=9, scale=1)
+# Of a joint for a time step: u̅ of the left frame and of the right one, and m̅ (:mod:`doo_ti.physics.pair`).
+JOINT = Layout(left=2, right=2, twist=1)
+TWIST, JOINT_ITEMS = JOINT.at("twist"), len(JOINT)
 STIFFNESS_OF_TIES, MOST_TIE_STIFFNESS, STIFFER_TIES = 1e4, 1e7, 10.0
 """κ of ties at first and at most, over B/L³ of the softer rod or what its weight makes of that, and its growth."""
 GIVE, NO_BORDER = 1e-8, 1e8
@@ -41,3 +51,29 @@ def group_items(edges, rods, ties, borders):
     """Numbers of a group in scratch, with those of its Newton system."""
     return (len(GROUP) + edges * len(EDGE) + (edges + 1) * len(VERTEX) + rods * len(MEMBER) + ties * len(TIE)
             + matrix_items(edges + 1 + borders))
+
+
+@dataclass(frozen=True)
+class JointRest(Nothing):
+    """Rest curvature and twist, besides the material's, that damping draws the joints where edges begin towards
+    (docs/dynamics.md). They are read in the place that an external energy has, and have no energy by themselves.
+
+    rest  (1 or N, E, JOINT_ITEMS)
+    """
+
+    rest: np.ndarray
+    layout: ClassVar[Layout] = JOINT
+
+    def numbers(self) -> np.ndarray:
+        return self.rest
+
+    @staticmethod
+    def functions(number) -> ExternalFunctions:
+        import taichi as ti
+
+        @ti.func
+        def load(own, numbers: ti.template(), row, edge, scale):
+            for k in ti.static(range(JOINT_ITEMS)):
+                own[k] = numbers[row, edge, k]
+
+        return Nothing.functions(number)._replace(load=load)

@@ -15,11 +15,9 @@ from numpy.typing import ArrayLike
 
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings, obstacle_list
-from doo_ti.groups.apart import smallest_gap
 from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupState, GroupTables, run_groups
-from doo_ti.groups.group_tables import evened_group, group_tables
-from doo_ti.groups.inertia import MovingGroups
+from doo_ti.groups.group_tables import evened_group, group_tables, smallest_gap
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.input_tables import RATIOS
 from doo_ti.relaxation.newton import MOST_IN_CONTACT, Newton
@@ -88,6 +86,25 @@ class GroupSolution:
                 f"stable)")
 
 
+class AtRest:
+    """What the groups of a relaxation have besides their energy at rest: nothing. :class:`.MovingGroups` have inertia."""
+
+    moves = False
+    """Whether this is a time step."""
+
+    def stiffened(self, group: Group) -> Group:
+        """The groups as they are relaxed."""
+        return group
+
+    def into(self, table: GroupTables) -> GroupTables:
+        """The tables of such groups with what a time step adds."""
+        return table
+
+    def reached(self, solution: GroupSolution, table: GroupTables) -> GroupSolution:
+        """The solution without what a time step adds."""
+        return solution
+
+
 @typed
 def relax_group(group: Group, solver: Newton | None = None, *, up: ArrayLike | None = None,
                 obstacles: Sequence[Obstacle] = (), radius: ArrayLike | None = None, contact: bool = True,
@@ -116,18 +133,16 @@ def relax_group(group: Group, solver: Newton | None = None, *, up: ArrayLike | N
 
 @runtime.exclusive
 def relaxed(group: Group, solver: Newton | None, up: ArrayLike | None, obstacles: Sequence[Obstacle], radius: ArrayLike | None,
-            contact: bool, before: GroupSolution | None, motion: MovingGroups | None = None) -> GroupSolution:
-    """:func:`relax_group`, or the first moment or a time step of groups in ``motion``, which then remembers where it led to."""
+            contact: bool, before: GroupSolution | None, motion: AtRest = AtRest()) -> GroupSolution:
+    """:func:`relax_group`, or the first moment or a time step of groups in ``motion``."""
     if not isinstance(group, Group):
         raise InputError("relax_group", "group", f"a {type(group).__name__}", "give a Group")
     if not isinstance(solver, Newton | None):
         raise InputError("relax_group", "solver", f"{solver!r}", "give Newton() or Newton.careful()")
     with np.errstate(all="ignore"):  # a group that is not finite has a status; NumPy need not warn
         up = unit_up((0.0, 0.0, 1.0) if up is None else up, "relax_group")
-        stiff = group if motion is None else motion.stiffened(group)
-        table = group_tables(stiff, up, obstacle_list("relax_group", obstacles), radius, contact,
-                             motion is not None and motion.moves)
-        table = table if motion is None else motion.into(table)
+        table = motion.into(group_tables(motion.stiffened(group), up, obstacle_list("relax_group", obstacles), radius, contact,
+                                         motion.moves))
         tie_forces = np.zeros((group.count, len(table.ties), 6)) if before is None else _forces(group, before)
         state = GroupState.at_start(table, tie_forces)
         if before is None:  # friction acts on the way from there
@@ -136,8 +151,7 @@ def relaxed(group: Group, solver: Newton | None, up: ArrayLike | None, obstacles
             previous = _previous(group, before)
         solver = Newton(max_iterations=MOST_IN_CONTACT) if solver is None else solver
         _through_ratios(table, solver, state, previous, RATIOS if before is None else ())
-        solution = _solution(group, table, state)
-        return solution if motion is None else _moved(solution, table, motion)
+        return motion.reached(_solution(group, table, state), table)
 
 
 def _through_ratios(table: GroupTables, solver: Newton, state: GroupState, previous: np.ndarray,
@@ -156,16 +170,7 @@ def _through_ratios(table: GroupTables, solver: Newton, state: GroupState, previ
         table = replace(table, start=np.where(rows[:, None, None], state.frames, table.start))
 
 
-def _moved(solution: GroupSolution, table: GroupTables, motion: MovingGroups) -> GroupSolution:
-    """The solution of a time step with the energies of the rods, without what the step adds."""
-    motion.remember(solution.rods)
-    elastic, kinetic = motion.energies()
-    gravity = (_weights(table) * (motion.places[0] @ table.up)).sum(axis=1)
-    lost = np.isnan(solution.kinetic)
-    return replace(solution, energy=np.where(lost, np.nan, elastic + gravity), kinetic=np.where(lost, np.nan, kinetic))
-
-
-def _weights(table: GroupTables) -> np.ndarray:
+def weights_at_vertices(table: GroupTables) -> np.ndarray:
     """(N, V) energy per mm by which the weight pulls at each vertex."""
     return table.material[:, of.WEIGHT, None] * table.burden[..., 0]
 
@@ -214,7 +219,7 @@ def _solution(group: Group, table: GroupTables, state: GroupState) -> GroupSolut
         rods.append(Configuration(places[:, number].copy(), own, np.array(rod.rest_length, dtype=np.float64)))
     vertices = np.concatenate([rod.vertices for rod in rods], axis=1)
     contact_force = np.where(lost[:, None, None], np.nan, state.forces)
-    weight = _weights(table)
+    weight = weights_at_vertices(table)
     height = (clamp[:, of.ANCHOR : of.ANCHOR + 3] * up).sum(axis=1)
     ties, far = table.ties, len(group.ties)
     starts = far + len(rods)

@@ -17,10 +17,10 @@ from msgspec import UNSET, Meta, UnsetType
 
 from doo_ti.contact.obstacle_file import obstacles_of
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.dynamics.inertia_keys import InertiaKeys
 from doo_ti.dynamics.parameters import Dynamics
+from doo_ti.dynamics.scene import InertiaKeys, checked_material, stated_instants
 from doo_ti.groups.group import Group, Tie
-from doo_ti.io.scene_keys import ClampName, StatedMaterial, end_paths, instants, newtons, stated_material
+from doo_ti.io.scene_keys import ClampName, end_paths, newtons, stated_material
 from doo_ti.io.toml_file import NotNegative, Positive, Table, Vector, checked, read_toml, unit_direction
 from doo_ti.rod.knots import rod_along
 from doo_ti.rod.straight import with_end_edges
@@ -114,7 +114,8 @@ def load_group_scene(path: str | Path) -> GroupScene:
         raise InputError(path, "rods", "missing: this is a scene of another command",
                          "give it to doo-ti simulate, predict or sweep")
     file = checked(path, "", values, _File)
-    time = _times(path, file)
+    time = stated_instants(path, file, MOST_MOMENTS, "moments")
+    time = np.zeros(1) if time is None else time
     found, newton = _materials(path, file.materials, file.dynamic)
     if file.dynamic and len(time) == 1:
         raise InputError(path, "rate_hz", "missing beside dynamic", "give it and duration_s")
@@ -160,16 +161,6 @@ def _known(path: Path, key: str, name: str, names) -> str:
     return name
 
 
-def _times(path: Path, file: _File) -> np.ndarray:
-    """(T,) the times of the moments, s."""
-    if (file.rate_hz is None) != (file.duration_s is None):
-        missing, other = ("rate_hz", "duration_s") if file.rate_hz is None else ("duration_s", "rate_hz")
-        raise InputError(path, missing, f"missing beside {other}", "give both, or neither")
-    if file.rate_hz is None:
-        return np.zeros(1)
-    return instants(path, file.rate_hz, file.duration_s, MOST_MOMENTS, "moments")
-
-
 def _materials(path: Path, tables: dict, moves: bool) -> tuple[dict[str, tuple[Material, Dynamics | None]], float | None]:
     """The materials by their names, and N in their common unit of force, or None."""
     keys = {name: checked(path, f"materials.{name}", table, InertiaKeys) for name, table in tables.items()}
@@ -180,20 +171,13 @@ def _materials(path: Path, tables: dict, moves: bool) -> tuple[dict[str, tuple[M
                          "state all by bend, or all by EI and linear_density")
     stated = {name: stated_material(path, f"materials.{name}", one, first.linear_density if first.EI is not None else None)
               for name, one in keys.items()}
-    found = {name: (_material(path, f"materials.{name}", one),
+    found = {name: (checked_material(path, f"materials.{name}", keys[name], one),
                     keys[name].dynamics(path, f"materials.{name}", one.weight) if moves else None)
              for name, one in stated.items()}
     units = newtons(list(stated.values()))
     if units is not None and np.ptp(units) > SAME_UNIT * units[0]:
         raise InputError(path, "materials", "weights and linear densities that are not proportional", "correct them")
     return found, None if units is None else float(units[0])
-
-
-def _material(path: Path, key: str, stated: StatedMaterial) -> Material:
-    try:
-        return Material(stated.bend[None], stated.twist, stated.weight)
-    except InputError as error:
-        raise InputError(path, f"{key}.{error.field}", error.problem, error.remedy) from None
 
 
 def _start(path: Path, key: str, rod: _Rod) -> Configuration:

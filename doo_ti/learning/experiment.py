@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from doo_ti.contact.obstacle_arrays import described
+from doo_ti.contact.obstacle_file import described
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.learning.pairs import Pairs, check_ways, pairs_from_labels
 from doo_ti.relaxation.contact_table import require_clear

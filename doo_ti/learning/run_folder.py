@@ -23,7 +23,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from doo_ti import __version__
-from doo_ti.contact.obstacle_arrays import load_surroundings, save_surroundings
+from doo_ti.contact.obstacle_file import load_surroundings, save_surroundings
 from doo_ti.io.observation_files import load_observations, save_observations
 from doo_ti.learning.chunks import maker, maker_text, read_summary, read_table, sweep_identity
 from doo_ti.learning.experiment import Experiment, Hypotheses, SweepOptions

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 from doo_ti.contact.moving import Moving
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings, obstacle_list
-from doo_ti.dynamics.clamp_path import refined_within_reach
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Dynamics, Stepping
+from doo_ti.dynamics.paths import refined_within_reach
 from doo_ti.dynamics.simulate import simulate
 from doo_ti.io.motion_file import ClampPath
 from doo_ti.motion.path import LARGEST_TURN, motion_between

@@ -11,7 +11,7 @@ blocks are kept while H is eliminated.
 
 import taichi as ti
 
-from doo_ti.contact.gap_tolerance import GAP_TOLERANCE
+from doo_ti.contact.touch import GAP_TOLERANCE
 from doo_ti.physics.closure import linear_gradient
 from doo_ti.physics.number import Number
 from doo_ti.physics.quaternion import first_director, second_director

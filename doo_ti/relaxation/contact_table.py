@@ -7,9 +7,9 @@ import numpy as np
 
 from doo_ti.contact.contacts import Contacts
 from doo_ti.contact.distance_grid import DistanceGrid, grid_table
-from doo_ti.contact.gap_tolerance import GAP_TOLERANCE, gap_tolerance
 from doo_ti.contact.obstacles import FRICTION, GRID, Obstacle, obstacle_table
 from doo_ti.contact.surroundings import Surroundings
+from doo_ti.contact.touch import GAP_TOLERANCE, gap_tolerance
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_layout import CARRIED_ON, PAIR_CARRIED, REMEMBERED, REMEMBERED_IN_MOTION
 from doo_ti.rod.types import Clamp, Clamps, Configuration

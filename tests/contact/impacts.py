@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from doo_ti import Box, Capsule, Clamp, Configuration, Cylinder, Dynamics, Grippers, Material, Plane, Sphere, Stepping, simulate
-from doo_ti.rod.frames import across, bishop_frames, quaternion_from_matrix
+from doo_ti.rod.frames import across, bishop_frames, quaternion_from_matrix, unit_vectors
 from tests.references.rods import clamps_at
 
 EDGES, FRAMES = 15, 100
@@ -21,19 +21,15 @@ def along(tangents: np.ndarray, length: np.ndarray) -> Configuration:
     return Configuration(np.zeros((len(length), 3)), frames, np.repeat(length[:, None] / EDGES, EDGES, axis=1))
 
 
-def unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-
-
 def falling(rng, scene: str, length: np.ndarray, radius: np.ndarray):
     """Free rods and what they fall on."""
     count = len(length)
-    t = unit(rng.normal(size=(count, 3)) * [1.0, 1.0, scene != "flat"])
+    t = unit_vectors(rng.normal(size=(count, 3)) * [1.0, 1.0, scene != "flat"])
     bent = 0.1 * np.cumsum(rng.normal(size=(count, EDGES, 3)), axis=1) * rng.uniform(0, 1, (count, 1, 1)) * (scene != "flat")
-    rods = along(unit(t[:, None] + bent), length)
+    rods = along(unit_vectors(t[:, None] + bent), length)
     x = rods.vertices
     zero, fall = np.zeros(count), rng.uniform(0.05, 0.5, count) * length + radius
-    normal = unit(np.stack([rng.uniform(-0.5, 0.5, count) * (scene == "slope"), zero, zero + 1.0], axis=-1))
+    normal = unit_vectors(np.stack([rng.uniform(-0.5, 0.5, count) * (scene == "slope"), zero, zero + 1.0], axis=-1))
     below = np.einsum("rvi,ri->rv", x, normal).min(axis=1) - fall
     obstacles = [Plane(normal * below[:, None], normal)]
     if scene == "ball":

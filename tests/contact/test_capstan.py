@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Configuration, Cylinder, Dynamics, Grippers, Material, Ring, Springs, Stepping, simulate
-from doo_ti.rod.frames import across, bishop_frames, quaternion_from_matrix
+from doo_ti import Clamp, Cylinder, Dynamics, Grippers, Material, Ring, Springs, Stepping, simulate
+from doo_ti.rod.frames import across, unit_vectors
+from tests.references.rods import chain
 
 ROPE, DRUM, STRAIGHT = 0.2, 20.0, 30.0
 DRAWN, STEPS = 4.0, 40
@@ -32,9 +33,8 @@ def tensions(obstacle, angle: float, pitch: float, edges: int = 60) -> tuple[flo
     """(of the end that is drawn, of the end that follows), at the end of the motion."""
     x = wound(angle, edges, pitch)
     step = np.diff(x, axis=0)
-    tangents = step / np.linalg.norm(step, axis=1, keepdims=True)
-    rod = Configuration(x[:1], quaternion_from_matrix(bishop_frames(tangents[None], across(tangents[None, 0]))),
-                        np.linalg.norm(step, axis=1))
+    tangents = unit_vectors(step)
+    rod = chain(tangents, across(tangents[:1])[0], np.linalg.norm(step, axis=1), x[0])
     # A soft spring from far away holds the end that follows, with a force that hardly changes.
     points, stiffness = np.zeros((1, edges + 1, 3)), np.zeros((1, edges + 1))
     points[0, 0], stiffness[0, 0] = x[0] - FAR * tangents[0], HELD / FAR

@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 from doo_ti import Box, Capsule, Clamp, Clamps, Configuration, Material, Newton, Plane, Solution, Sphere, Status, relax
+from doo_ti.rod.straight import straight_rod
+from tests.references.rods import clamps_at
 
 LENGTH, EDGES, RADIUS, COUNT = 200.0, 40, 1.0, 120
 HELD = [(Clamp.FRAME, Clamp.FREE), (Clamp.POSITION, Clamp.FREE), (Clamp.FREE, Clamp.FRAME), (Clamp.FREE, Clamp.POSITION)]
@@ -18,13 +20,10 @@ def released(kinds: tuple[Clamp, Clamp]) -> tuple[Configuration, Material, Clamp
     direction = random.normal(size=(COUNT, 3))
     direction[:, 2] = 0.3 * np.abs(direction[:, 2])
     height = random.uniform(20, 150, COUNT)
-    each = [Configuration.straight(np.array([0.0, 0.0, z]), along, LENGTH, EDGES)
-            for z, along in zip(height, direction, strict=True)]
-    rods = Configuration(np.concatenate([one.start for one in each]), np.concatenate([one.quaternions for one in each]),
-                         each[0].rest_length)
-    x, frames = rods.vertices, rods.frames
+    rods = Configuration.concatenate([straight_rod(LENGTH, EDGES, (0.0, 0.0, z), along)
+                                      for z, along in zip(height, direction, strict=True)])
     material = Material(10 ** random.uniform(3, 6, COUNT), 10 ** random.uniform(3, 6, COUNT))
-    return rods, material, Clamps(*kinds, x[:, 0], x[:, -1], frames[:, 0], frames[:, -1])
+    return rods, material, clamps_at(rods, *kinds)
 
 
 def come_to_rest(kinds: tuple[Clamp, Clamp], obstacles: list, share: float) -> Solution:
@@ -38,6 +37,7 @@ def come_to_rest(kinds: tuple[Clamp, Clamp], obstacles: list, share: float) -> S
     return found
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("kinds", HELD, ids=lambda kinds: f"{kinds[0].name} {kinds[1].name}")
 @pytest.mark.parametrize("slope, share", [(0.0, 0.98), (0.1, 0.95)])
 def test_ropes_come_to_rest(kinds, slope, share):
@@ -45,6 +45,7 @@ def test_ropes_come_to_rest(kinds, slope, share):
     assert found.contact.touching[found.converged].any(axis=1).mean() > 0.7
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("kinds", HELD[:3], ids=lambda kinds: f"{kinds[0].name} {kinds[1].name}")
 @pytest.mark.parametrize("thing", THINGS)
 def test_ropes_come_to_rest_over_things(kinds, thing):

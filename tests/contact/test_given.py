@@ -8,7 +8,6 @@ import pytest
 from doo_ti import (
     Capsule,
     Clamp,
-    Clamps,
     Dynamics,
     Grippers,
     Group,
@@ -31,12 +30,12 @@ from doo_ti import (
 )
 from doo_ti.contact.obstacles import Box
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.dynamics.identify import IdentifyOptions
-from doo_ti.dynamics.obstacle_path import obstacle_path
+from doo_ti.dynamics.paths import obstacle_path
 from doo_ti.io.motion_file import ClampPath
 from doo_ti.relaxation.time_loading import POSE_COLUMNS
 from doo_ti.rod.frames import matrix_from_quaternion, quaternion_of_turn
 from doo_ti.system.errors import InputError
+from tests.contact.clutter import gaps
 
 FLOOR = Plane((0, 0, -10), (0, 0, 1))
 MATERIAL = Material(1e5, 1e5)
@@ -45,9 +44,7 @@ MATERIAL = Material(1e5, 1e5)
 def simulated(count: int = 4, **around):
     """Rods whose grippers stay where they are."""
     rods, clamps = hanging(100.0, 12, start=np.zeros((count, 3)), end=(70, 0, 0))
-    ends = (np.repeat(part[:, None], 3, axis=1) for part in (
-        clamps.start_position, clamps.end_position, rods.frames[:, 0], rods.frames[:, -1]))
-    return simulate(rods, MATERIAL, Grippers(Clamp.POSITION, Clamp.POSITION, *ends), Dynamics(), Stepping(100.0), **around)
+    return simulate(rods, MATERIAL, Grippers.resting(clamps, 3), Dynamics(), Stepping(100.0), **around)
 
 
 @pytest.mark.parametrize("rows", [3, 6])
@@ -117,6 +114,7 @@ def test_relaxing_again_leaves_the_first_solution_as_it_was():
     np.testing.assert_array_equal(heavy.configuration.vertices, again.configuration.vertices)
 
 
+@pytest.mark.thorough
 def test_f64_restarts_from_the_start():
     """A rod that f32 could not finish begins in f64 where it was given, though vertex 0 is free."""
     rod = straight_rod(100.0, 20, (0, 0, 30), (1, 0, 0))
@@ -132,7 +130,7 @@ def test_f64_restarts_from_the_start():
 def test_obstacles_of_single_rods_are_as_shared_ones():
     """In which way a straight start is bowed does not depend on how the obstacle is given."""
     rod = straight_rod(100.0, 20)
-    held = Clamps(Clamp.POSITION, Clamp.POSITION, rod.start, np.array([[70.0, 0, 0]]), rod.frames[:, 0], rod.frames[:, -1])
+    held = replace(end_clamps(rod, Clamp.POSITION, Clamp.POSITION), end_position=np.array([[70.0, 0, 0]]))
     for side in (-12.0, 12.0):
         centre = np.array([35.0, 0.0, side])
         alone = relax(rod, MATERIAL, held, obstacles=[Sphere(centre, 8.0)], radius=1.0)
@@ -163,9 +161,7 @@ def test_no_rod_that_has_converged_is_inside_a_ring(rng, edges):
     held.end_position[:, 0] -= rng.uniform(1, 15, count)
     ring, radius = Ring((27, 0, 0), (0, 0, 1), 3.0, 0.6), 0.3
     found = relax(rod, Material(10 ** rng.uniform(2.5, 4.5, count), 1e4), held, obstacles=[ring], radius=radius)
-    x, share = found.configuration.vertices, np.linspace(0.0, 1.0, 60)[:, None]
-    places = (x[:, :-1, None] + share * np.diff(x, axis=1)[:, :, None]).reshape(count, -1, 3)
-    gap = ring.distance(places)[0].min(axis=1) - radius
+    gap = gaps([ring], found.configuration.vertices, radius, along=60)
     assert (gap[found.converged] > -0.05 * radius).all() and not found.stable[~found.converged].any()
     assert found.converged.mean() > (0.7 if edges == 10 else 0.95)
 
@@ -180,14 +176,6 @@ def test_moving_planes_of_single_rods_count_where_these_are():
     shared = Moving(Plane((0, 0, -60.0), (0, 0, 1)), np.zeros((3, 3)), tilt)
     with pytest.raises(InputError, match="a Plane moves by 4"):
         obstacle_path(Surroundings([shared], 1.0), Stepping(100.0), 3, rods)
-
-
-@pytest.mark.parametrize("wrong, problem", [
-    ({"iterations": 0}, "iterations: 0"), ({"horizons": ()}, "horizons"), ({"fitted": ("mass",)}, "'mass' is unknown"),
-    ({"delta": -1.0}, "delta: -1"), ({"modes": -1}, "modes: -1")])
-def test_options_of_identify(wrong, problem):
-    with pytest.raises(InputError, match=problem):
-        IdentifyOptions(**wrong)
 
 
 @pytest.mark.parametrize("wire", [0.5, 0.275, 0.05])

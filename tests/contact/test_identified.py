@@ -33,14 +33,19 @@ def swings(rng, size: float, axes: int) -> np.ndarray:
     return ramp * sizes * np.sin(rates * times + phases)
 
 
-def recorded(rng, end: Clamp = Clamp.FRAME) -> RecordedMotion:
-    """Arcs whose ends, or whose first end alone, are held just above the table and carried about."""
+def arcs(rng) -> tuple[Configuration, np.ndarray]:
+    """Rods just above the table, and the frames (COUNT, EDGES, 3, 3) of their edges."""
     bent = rng.uniform(0.9, 1.5, (COUNT, 1)) * rng.choice([-1.0, 1.0], (COUNT, 1)) * np.linspace(-1.0, 1.0, EDGES)
     bent[:, [0, -1]] = bent[:, [1, -2]]
     tangents = np.stack([np.cos(bent), np.sin(bent), 0.0 * bent], axis=-1)
     up = np.broadcast_to(TRUE.reference, (COUNT, 3))
     frames = bishop_frames(tangents, up)
-    start = Configuration(HEIGHT * up, quaternion_from_matrix(frames), TRUE.rest_length)
+    return Configuration(HEIGHT * up, quaternion_from_matrix(frames), TRUE.rest_length), frames
+
+
+def recorded(rng, end: Clamp = Clamp.FRAME) -> RecordedMotion:
+    """Arcs whose ends, or whose first end alone, are held just above the table and carried about."""
+    start, frames = arcs(rng)
     together, ways = np.pad(swings(rng, 100.0, 2), ((0, 0), (0, 0), (0, 1))), []
     for vertex in (0, -1):
         apart = np.pad(swings(rng, 15.0, 2), ((0, 0), (0, 0), (0, 1)))
@@ -124,7 +129,7 @@ def test_differences_of_rollouts_are_those_of_any_step(motion):
     rollouts, p = OPTIONS.rollouts(motion.until(60), TRUE), fitted.vector(TRUE)
     slopes = []
     for step in (5e-3, 5e-2):
-        nearby = [along(fitted, p, entry, step) for entry in range(len(p))]
+        nearby = [Nearby(fitted.theta(p - away), fitted.theta(p + away), 2 * step) for away in step * np.eye(len(p))]
         positions, found, status = rollouts.differentiated(TRUE, nearby)
         assert (status == 0).all() and positions.shape == found[:, 0].shape
         slopes.append(found)
@@ -132,12 +137,6 @@ def test_differences_of_rollouts_are_those_of_any_step(motion):
     off = np.sqrt(square[0] / square[1])
     print("slopes differ by", off)
     assert (off < 0.1).all()
-
-
-def along(fitted: Unknowns, p: np.ndarray, entry: int, step: float) -> Nearby:
-    """The direction of one entry of p, over twice the step."""
-    away = step * np.eye(len(p))[entry]
-    return Nearby(fitted.theta(p - away), fitted.theta(p + away), 2 * step)
 
 
 @pytest.mark.slow
@@ -156,13 +155,18 @@ def test_still_frames_lie_on_the_table(motion):
         assert np.abs(slopes[:, k] - difference).max() < 0.02 * np.abs(difference).max() + 1e-3, unknowns.names[k]
 
 
-def test_what_cannot_be_is_one_line(motion):
-    with pytest.raises(InputError, match="friction without obstacles"):
-        IdentifyOptions(fitted=("friction",))
-    with pytest.raises(InputError, match="obstacles that rest"):
-        IdentifyOptions(surroundings=Surroundings([Moving(TABLE, np.zeros((4, 3)))], RADIUS))
-    with pytest.raises(InputError, match="odd number"):
-        IdentifyOptions(smoothing=4)
+@pytest.mark.parametrize("wrong, problem", [
+    ({"iterations": 0}, "iterations: 0"), ({"horizons": ()}, "horizons"), ({"fitted": ("mass",)}, "'mass' is unknown"),
+    ({"delta": -1.0}, "delta: -1"), ({"modes": -1}, "modes: -1"), ({"fitted": ("friction",)}, "friction without obstacles"),
+    ({"surroundings": Surroundings([Moving(TABLE, np.zeros((4, 3)))], RADIUS)}, "obstacles that rest"),
+    ({"smoothing": 4}, "odd number")])
+def test_options_that_cannot_be(wrong, problem):
+    with pytest.raises(InputError, match=problem):
+        IdentifyOptions(**wrong)
+
+
+def test_what_cannot_be_identified_is_one_line(rng):
+    motion = RecordedMotion.of(np.repeat(arcs(rng)[0].vertices[:, None], 20, axis=1), RATE)
     with pytest.raises(InputError, match="no friction"):
         identify(motion, replace(GUESS, friction=None), OPTIONS)
     high = replace(OPTIONS, surroundings=Surroundings([Plane((0, 0, 8.5), (0, 0, 1))], RADIUS))

@@ -1,17 +1,16 @@
 """Rods that meet obstacles come to rest there: they do not bounce, and no step raises their energy."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Configuration, Dynamics, Grippers, Material, Plane, Stepping, simulate
-from tests.contact.impacts import SCENES, moved
-from tests.references.rods import clamps_at
+from doo_ti import Box, Clamp, Cylinder, Dynamics, Grippers, Material, Plane, Stepping, end_clamps, simulate, straight_rod
+from doo_ti.rod.frames import unit_vectors
+from tests.contact.clutter import gaps
+from tests.contact.impacts import SCENES, along, moved
 
 LENGTH, EDGES, RADIUS = 300.0, 20, 3.0
-
-
-def straight(direction, start=(0.0, 0.0, 0.0)) -> Configuration:
-    return Configuration.straight(np.array(start), np.array(direction), LENGTH, EDGES)
 
 
 @pytest.mark.sampled(1)
@@ -19,8 +18,8 @@ def straight(direction, start=(0.0, 0.0, 0.0)) -> Configuration:
 @pytest.mark.parametrize("bend", [1e3, 1e6])
 def test_a_rod_that_falls_flat_stays_down(scheme, bend):
     fall, rate = 60.0, 200.0
-    rod = straight([1.0, 0.0, 0.0], [0.0, 0.0, fall + RADIUS])
-    grippers = Grippers.resting(clamps_at(rod, Clamp.FREE, Clamp.FREE), 61)
+    rod = straight_rod(LENGTH, EDGES, (0.0, 0.0, fall + RADIUS))
+    grippers = Grippers.resting(end_clamps(rod, Clamp.FREE, Clamp.FREE), 61)
     found = simulate(rod, Material(bend, bend), grippers, Dynamics(), Stepping(rate, scheme=scheme),
                      obstacles=[Plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))], radius=RADIUS)
     height = found.positions[0, ..., 2] - RADIUS
@@ -33,11 +32,10 @@ def test_a_rod_that_falls_flat_stays_down(scheme, bend):
 @pytest.mark.parametrize("speed", [0.0, 20.0])
 def test_a_rod_that_swings_into_a_wall_stays_there(scheme, speed):
     """Whether its gripper rests or moves along the wall."""
-    rod, rate, instants = straight([np.sin(1.0), 0.0, -np.cos(1.0)]), 100.0, 101
-    still = Grippers.resting(clamps_at(rod, Clamp.POSITION, Clamp.FREE), instants)
+    rod, rate, instants = straight_rod(LENGTH, EDGES, direction=(np.sin(1.0), 0.0, -np.cos(1.0))), 100.0, 101
+    still = Grippers.resting(end_clamps(rod, Clamp.POSITION, Clamp.FREE), instants)
     way = speed * np.arange(instants)[None, :, None] / rate * [0.0, 1.0, 0.0]
-    grippers = Grippers(still.start, still.end, still.start_position + way, still.end_position, still.start_frame,
-                        still.end_frame)
+    grippers = replace(still, start_position=still.start_position + way)
     found = simulate(rod, Material(1e4, 1e4), grippers, Dynamics(), Stepping(rate, scheme=scheme),
                      obstacles=[Plane((-RADIUS, 0.0, 0.0), (1.0, 0.0, 0.0))], radius=RADIUS)
     tip = found.positions[0, :, -1, 0]
@@ -50,30 +48,20 @@ def largest_rise(found) -> np.ndarray:
     return np.nanmax(np.diff(energy, axis=1), axis=1) / (np.nanmax(energy, axis=1) - np.nanmin(energy, axis=1))
 
 
-def no_step_raises_the_energy(rng, count: int, scenes, most: float, **options):
+@pytest.mark.parametrize("count, most", [pytest.param(24, 2e-6, marks=pytest.mark.thorough),
+                                         pytest.param(170, 1e-6, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("scheme", ["bdf2", "euler"])
+@pytest.mark.parametrize("friction, damping, rate", [
+    (0.0, 0.0, 100.0), (0.0, 0.02, 100.0), (0.3, 0.0, 100.0), pytest.param(0.0, 0.0, 400.0, marks=pytest.mark.slow)])
+def test_no_step_raises_the_energy(rng, count, most, scheme, friction, damping, rate):
     rises, failed = [], 0
-    for scene in scenes:
-        found = moved(rng, scene, count, detailed=True, **options)
+    for scene in SCENES:
+        found = moved(rng, scene, count, friction, damping, rate, scheme=scheme, detailed=True)
         rises.append(largest_rise(found))
         failed += np.sum(~found.converged)
     rises = np.concatenate(rises)
-    print(f"{options}: {len(rises)} rods, {failed} stop; the energy rises by {rises.max():.1e} of its range at most")
+    print(f"{len(rises)} rods, {failed} stop; the energy rises by {rises.max():.1e} of its range at most")
     assert rises.max() < most and failed <= 0.02 * len(rises)
-
-
-@pytest.mark.parametrize("scheme", ["bdf2", "euler"])
-@pytest.mark.parametrize("friction, damping", [(0.0, 0.0), (0.0, 0.02), (0.3, 0.0)])
-@pytest.mark.thorough
-def test_no_step_raises_the_energy_of_some_rods(rng, scheme, friction, damping):
-    no_step_raises_the_energy(rng, 24, SCENES, 2e-6, scheme=scheme, friction=friction, damping=damping)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("scheme", ["bdf2", "euler"])
-@pytest.mark.parametrize("friction, damping, rate", [
-    (0.0, 0.0, 100.0), (0.0, 0.0, 400.0), (0.0, 0.02, 100.0), (0.3, 0.0, 100.0)])
-def test_no_step_raises_the_energy_of_a_thousand_rods(rng, scheme, friction, damping, rate):
-    no_step_raises_the_energy(rng, 170, SCENES, 1e-6, scheme=scheme, friction=friction, damping=damping, rate=rate)
 
 
 @pytest.mark.thorough
@@ -93,3 +81,35 @@ def test_energies_balance_across_impacts(rng):
     """What an impact takes is unaccounted, never gained."""
     energies = moved(rng, "table", 20, damping=0.02, detailed=True, rate=400.0).detail.energies
     assert (energies["unaccounted"] > -1e-3 * np.ptp(energies["sum"], axis=1)[:, None]).all()
+
+
+# --- edges that lie flat on a face or across a rim: the point of an edge that touches is unique there ---
+
+ROPES, DOWN = 20, 30
+
+
+def fallen(rng, obstacle, radius: float):
+    """Ropes of 15 edges, from limp to stiff, that fall across an obstacle whose top is at z = 0."""
+    length = rng.uniform(100.0, 400.0, ROPES)
+    heading = unit_vectors(rng.normal(size=(ROPES, 3)) * [1.0, 1.0, 0.2])
+    rods = along(np.repeat(heading[:, None], 15, axis=1), length)
+    x = rods.vertices
+    lift = 5.0 + radius - x[..., 2].min(axis=1)
+    start = np.stack([-x[..., 0].mean(axis=1), -x[..., 1].mean(axis=1), lift], axis=-1)
+    rods = type(rods)(start, rods.quaternions, rods.rest_length)
+    bend = 10.0 ** rng.uniform(-4.0, 1.0, ROPES) * length**3
+    grippers = Grippers.resting(end_clamps(rods, Clamp.FREE, Clamp.FREE), DOWN + 1)
+    return simulate(rods, Material(bend, bend), grippers, Dynamics(), Stepping(100.0), obstacles=[obstacle], radius=radius)
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("obstacle", [
+    Box((0.0, 0.0, -20.0), (50.0, 30.0, 40.0)), Box((0.0, 0.0, -20.0), (30.0, 900.0, 40.0)),
+    Cylinder((0.0, 0.0, -60.0), (0.0, 0.0, 0.0), 25.0)], ids=["box", "bar", "drum"])
+@pytest.mark.parametrize("radius", [1.0, 6.0])
+def test_ropes_fall_across_rims(rng, obstacle, radius):
+    """Nearly all motions converge, though edges of up to 27 mm slide over rims, come to lie flat on faces, and leave them; none
+    enters the obstacle. Before the nearest point was unique 8 to 13 of 20 did."""
+    found = fallen(rng, obstacle, radius)
+    assert found.converged.sum() >= ROPES - 1
+    assert gaps([obstacle], found.positions[found.status == 0], radius).min() > -1e-4 * radius

@@ -7,18 +7,19 @@ import pytest
 
 from doo_ti import Clamp, ClampPath, Grippers, InputError, Material, Moving, Touch, predict_moving, relax, simulate
 from doo_ti.cli import main
-from doo_ti.contact.gap_tolerance import GAP_TOLERANCE
 from doo_ti.contact.obstacles import Capsule, Cylinder, Plane
+from doo_ti.contact.touch import GAP_TOLERANCE
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.dynamics.scene import load_motion_scene
 from doo_ti.rod.frames import rotation_matrix
-from doo_ti.rod.straight import hanging, straight_rod
+from doo_ti.rod.straight import end_clamps, hanging, straight_rod
 
 RADIUS, INSTANTS = 2.0, 21
 TIME = np.linspace(0.0, 1.0, INSTANTS)
 QUASI_STATIC, DYNAMICS = Stepping(20.0, 3, "euler", quasi_static=True), Dynamics(density=1.0)
 PEG = Cylinder((0, -50, -45), (0, 50, -45), 10.0, friction=0.3)
-STILL = np.broadcast_to(np.eye(3), (1, INSTANTS, 3, 3))
+WAY = np.stack([12 * np.sin(2 * TIME) * TIME, 4 * TIME**2, 35 * TIME], axis=-1)
+UNTURNED = np.broadcast_to(np.eye(3), (INSTANTS, 3, 3))
 
 
 def a_rope(weight: float, clamp: Clamp = Clamp.POSITION):
@@ -37,14 +38,12 @@ def held(clamps, rotation: np.ndarray, shift: np.ndarray) -> Grippers:
 
 def test_a_peg_that_moves_is_a_rope_that_moves_the_other_way():
     rope, material, clamps = a_rope(1.0)
-    way = np.stack([12 * np.sin(2 * TIME) * TIME, 4 * TIME**2, 35 * TIME], axis=-1)
-    same = np.broadcast_to(np.eye(3), (INSTANTS, 3, 3))
-    drawn = simulate(rope, material, held(clamps, same, -way), DYNAMICS, QUASI_STATIC, obstacles=[PEG], radius=RADIUS)
-    pushed = simulate(rope, material, held(clamps, same, 0 * way), DYNAMICS, QUASI_STATIC, obstacles=[Moving(PEG, way)],
+    drawn = simulate(rope, material, held(clamps, UNTURNED, -WAY), DYNAMICS, QUASI_STATIC, obstacles=[PEG], radius=RADIUS)
+    pushed = simulate(rope, material, Grippers.resting(clamps, INSTANTS), DYNAMICS, QUASI_STATIC, obstacles=[Moving(PEG, WAY)],
                       radius=RADIUS)
     assert drawn.converged.all() and pushed.converged.all()
     assert np.ptp(drawn.touch) == Touch.SLIPS
-    np.testing.assert_allclose(drawn.positions + way[1:, None], pushed.positions, atol=1e-9)
+    np.testing.assert_allclose(drawn.positions + WAY[1:, None], pushed.positions, atol=1e-9)
     np.testing.assert_allclose(pushed.contact_force, drawn.contact_force, atol=1e-6 * np.abs(drawn.contact_force).max())
     np.testing.assert_allclose(pushed.friction_work, drawn.friction_work, rtol=1e-6)
 
@@ -58,7 +57,7 @@ def test_a_peg_that_turns_is_a_rope_that_turns_the_other_way():
     back = np.swapaxes(rotation, 1, 2)
     drawn = simulate(rope, material, held(clamps, back, -(back @ way[..., None])[..., 0]), DYNAMICS, at_once,
                      obstacles=[PEG], radius=RADIUS)
-    pushed = simulate(rope, material, held(clamps, STILL[0], 0 * way), DYNAMICS, at_once,
+    pushed = simulate(rope, material, Grippers.resting(clamps, INSTANTS), DYNAMICS, at_once,
                       obstacles=[Moving(PEG, way, rotation, pivot=(0, 0, 0))], radius=RADIUS)
     assert drawn.converged.all() and pushed.converged.all() and (drawn.touch > 0).any()
     seen = (rotation[1:, None] @ drawn.positions[0][..., None])[..., 0] + way[1:, None]
@@ -72,8 +71,7 @@ def test_a_peg_that_turns_is_a_rope_that_turns_the_other_way():
 def test_one_launch_is_as_many(stepping):
     """Every step in a launch of its own, as ``detailed`` makes them: the same bits, though a rope that slips has a larger κ."""
     rope, material, clamps = a_rope(1.0)
-    way = 0.5 * np.stack([12 * np.sin(2 * TIME) * TIME, 4 * TIME**2, 35 * TIME], axis=-1)
-    grippers = held(clamps, STILL[0], -way)
+    grippers = held(clamps, UNTURNED, -0.5 * WAY)
     once, often = (simulate(rope, material, grippers, DYNAMICS, replace(stepping, detailed=detailed), obstacles=[PEG],
                             radius=RADIUS) for detailed in (False, True))
     assert once.converged.all() and once.friction_work[0, -1] > 0.0
@@ -87,9 +85,8 @@ def test_a_belt_drags_a_rod_along():
     instants, rate, speed, friction, gravity = 31, 100.0, 400.0, 0.2, 9806.65
     time = np.arange(instants) / rate
     way = np.stack([0 * time, speed * time, 0 * time], axis=-1)
-    resting = np.broadcast_to(np.eye(3), (1, instants, 3, 3))
-    grippers = Grippers(Clamp.FREE, Clamp.FREE, np.zeros((1, instants, 3)), np.zeros((1, instants, 3)), resting, resting)
-    found = simulate(rod, Material(1e5, 1e5), grippers, DYNAMICS, Stepping(rate, 4, "euler"),
+    free = Grippers.resting(end_clamps(rod, Clamp.FREE, Clamp.FREE), instants)
+    found = simulate(rod, Material(1e5, 1e5), free, DYNAMICS, Stepping(rate, 4, "euler"),
                      obstacles=[Moving(Plane((0, 0, 0), (0, 0, 1), friction), way)], radius=RADIUS)
     assert found.converged.all()
     along = found.positions[0, :, :, 1].mean(axis=1)
@@ -104,7 +101,7 @@ def test_obstacles_of_their_own():
     rope, material, clamps = a_rope(1.0)
     way = np.stack([np.stack([a * TIME, 0 * TIME, 35 * TIME], axis=-1) for a in (0.0, 8.0, -5.0)])
     rows = np.zeros(3, dtype=np.int64)
-    grippers = held(clamps, STILL[0], 0 * way[0])
+    grippers = Grippers.resting(clamps, INSTANTS)
     together = simulate(rope.take(rows), material, grippers.take(rows), DYNAMICS, QUASI_STATIC, obstacles=[Moving(PEG, way)],
                         radius=RADIUS)
     alone = simulate(rope, material, grippers, DYNAMICS, QUASI_STATIC, obstacles=[Moving(PEG, way[1])], radius=RADIUS)
@@ -116,7 +113,7 @@ def test_wrong_motions_are_one_line():
     rope, material, clamps = a_rope(1.0)
     fast = np.zeros((INSTANTS, 3))
     fast[:, 2] = 300.0 * TIME
-    grippers = held(clamps, STILL[0], np.zeros((INSTANTS, 3)))
+    grippers = Grippers.resting(clamps, INSTANTS)
 
     def moved(obstacle, stepping=Stepping(20.0, 3, "euler")):
         return simulate(rope, material, grippers, DYNAMICS, stepping, obstacles=[obstacle], radius=RADIUS)
@@ -138,11 +135,10 @@ def test_wrong_motions_are_one_line():
 def test_predictions_have_obstacles_that_move():
     """Those of the states that are returned; the same as in a simulation."""
     rope, material, clamps = a_rope(1.0)
-    way = np.stack([12 * np.sin(2 * TIME) * TIME, 4 * TIME**2, 35 * TIME], axis=-1)
     path = ClampPath(np.array([0.0, 1.0]), np.repeat(clamps.start_position[None], 2, axis=0))
     found = predict_moving(rope, material, clamps, path, DYNAMICS, replace(QUASI_STATIC, rate=1.0), between=INSTANTS - 1,
-                           obstacles=[Moving(PEG, way)], radius=RADIUS)
-    pushed = simulate(rope, material, held(clamps, STILL[0], 0 * way), DYNAMICS, QUASI_STATIC, obstacles=[Moving(PEG, way)],
+                           obstacles=[Moving(PEG, WAY)], radius=RADIUS)
+    pushed = simulate(rope, material, Grippers.resting(clamps, INSTANTS), DYNAMICS, QUASI_STATIC, obstacles=[Moving(PEG, WAY)],
                       radius=RADIUS)
     assert found.followed.all() and len(found.time) == INSTANTS
     np.testing.assert_allclose(found.vertices[1:, 0], pushed.positions[0], atol=1e-9)

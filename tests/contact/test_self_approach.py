@@ -48,17 +48,6 @@ def test_rods_that_touch_on_their_way_are_found_and_no_others(rng, edges, radius
     np.testing.assert_array_equal(still[certain], smallest_self_gap(after, own)[certain] < 0.0)
 
 
-def test_a_rod_is_found_alone_as_among_others(rng):
-    start, frames = bent(rng, 33), bent(rng, 33)
-    lengths, radius = 3.0 * rng.uniform(0.7, 1.3, (COUNT, 33)), rng.uniform(0.5, 2.0, COUNT)
-    rows = np.arange(COUNT)
-    touching, turned = approach_in_relaxation(start, rows, frames, lengths, radius, rows)
-    for row in rows:
-        own = slice(row, row + 1)
-        alone, whole = approach_in_relaxation(start[own], rows[:1], frames[own], lengths[own], radius[own], rows[:1])
-        assert (len(alone), len(whole)) == ((touching == row).sum(), (turned == row).sum())
-
-
 def test_rods_that_are_not_finite_are_found_after_relaxations_and_not_in_motions():
     lengths, radius, rows = np.full((1, 10), 3.0), np.array([1.0]), np.arange(2)
     frames = np.tile([1.0, 0.0, 0.0, 0.0], (2, 10, 1))

@@ -19,6 +19,7 @@ from doo_ti import (
     overhand_knot,
     pullback,
     relax,
+    straight_rod,
 )
 from doo_ti.relaxation.sensitivity import sensitivity, tilt_axes
 from doo_ti.rod.frames import rotation_matrix
@@ -90,7 +91,7 @@ def test_rods_relaxed_again_move_so():
 def test_rods_seen_from_the_other_end_move_alike():
     """A rod held at one end on a slope and a ball: whether the free end is its first one or its last changes nothing."""
     close = Newton(max_iterations=1000, gap_tolerance=1e-8)
-    one = Configuration.straight(np.array([0.0, 0.0, 12.0]), np.array([1.0, 0.2, -0.1]), 100.0, 24)
+    one = straight_rod(100.0, 24, (0.0, 0.0, 12.0), (1.0, 0.2, -0.1))
     among = dict(obstacles=[Plane((0, 0, 0), (0.05, 0.02, 1)), Sphere((60, 3, -8), 12.0)], radius=2.0)
     material, common = Material(4e4, 3e4, 1.0), ("bend", "weight", "up", "gravity", "length")
     own = relax(one, material, with_kinds(clamps_at(one), [(Clamp.FRAME, Clamp.FREE)]), close, **among)
@@ -126,9 +127,10 @@ def test_loads_balance_weight_and_contact():
     assert np.abs(moment)[rows].max() < 1e-6 * np.abs(loads.start_moment)[rows].max()
 
 
+@pytest.mark.thorough
 def test_point_loads_stiffen_rods_in_contact():
     """Forces and masses, on a slope and a ball, the free end last or first: by central differences of fourth order."""
-    one = Configuration.straight(np.array([0.0, 0.0, 12.0]), np.array([1.0, 0.2, -0.1]), 100.0, 24)
+    one = straight_rod(100.0, 24, (0.0, 0.0, 12.0), (1.0, 0.2, -0.1))
     rng = np.random.default_rng(5)
     among = dict(obstacles=[Plane((0, 0, 0), (0.05, 0.02, 1)), Sphere((60, 3, -8), 12.0)], radius=2.0)
     close = Newton(tolerance=1e-10, max_iterations=1000, gap_tolerance=1e-8)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Configuration, Material, Newton, Plane, relax
+from doo_ti import Clamp, Material, Newton, Plane, relax, straight_rod
 from doo_ti.relaxation.contact_layout import BENDING_LOADS, SOFT
 from tests.oracle.algebra import spun_and_tilted
 from tests.oracle.chain_form import rod_of
@@ -26,9 +26,8 @@ def stepped():
     """(starts, clamps, materials, solutions after one step without shift) of heavy rods that are a little inside a plane."""
     rng = np.random.default_rng(3)
     count = EACH * len(STARTS)
-    one = Configuration.straight(np.array([0.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]), LENGTH, EDGES)
     height = (RADIUS + 2.0 + 6.0 * rng.uniform(size=(count, 1))) * NORMAL
-    rods = Configuration(height, np.repeat(one.quaternions, count, 0), one.rest_length)
+    rods = replace(straight_rod(LENGTH, EDGES).take(np.zeros(count, dtype=int)), start=height)
     clamps = with_kinds(clamps_at(rods), [(start, Clamp.FREE) for start in STARTS for _ in range(EACH)])
     material = Material(STIFFNESS, STIFFNESS, WEIGHT)
     contact = dict(obstacles=[Plane((0, 0, 0), NORMAL)], radius=RADIUS)

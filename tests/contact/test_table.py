@@ -4,7 +4,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
 
-from doo_ti import Clamp, Clamps, Configuration, Material, Plane, relax
+from doo_ti import Material, Plane, end_clamps, relax, straight_rod
 
 BEND, LENGTH, RADIUS, HEIGHT = 4e4, 200.0, 1.0, 25.0
 WEIGHT = 2.0  # per mm, of a material of weight 1
@@ -31,10 +31,9 @@ def elastica() -> tuple[float, float, object]:
 
 def on_table(edges: int):
     """The rod of so many edges, and its contact forces."""
-    start = Configuration.straight(np.array([0.0, 0.0, HEIGHT]), np.array([1.0, 0.0, 0.0]), LENGTH, edges)
-    frames = start.frames
-    clamps = Clamps(Clamp.FRAME, Clamp.FREE, start.vertices[:, 0], start.vertices[:, -1], frames[:, 0], frames[:, -1])
-    solution = relax(start, Material(BEND, BEND), clamps, obstacles=[Plane((0, 0, 0), (0, 0, 1))], radius=RADIUS)
+    start = straight_rod(LENGTH, edges, (0.0, 0.0, HEIGHT))
+    table = Plane((0, 0, 0), (0, 0, 1))
+    solution = relax(start, Material(BEND, BEND), end_clamps(start), obstacles=[table], radius=RADIUS)
     assert solution.converged.all() and solution.stable.all()
     return solution.configuration.vertices[0], solution.tables.contact.forces[0]
 

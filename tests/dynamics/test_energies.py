@@ -106,7 +106,8 @@ def test_a_detailed_motion_is_the_same_motion(rng):
 
 
 @pytest.mark.parametrize("scene, frames, share", [
-    ("rope_over_peg", 40, 5e-3), pytest.param("overhand_knot", 8, 0.05, marks=pytest.mark.slow)])
+    pytest.param("rope_over_peg", 40, 5e-3, marks=pytest.mark.thorough),
+    pytest.param("overhand_knot", 8, 0.05, marks=pytest.mark.slow)])
 def test_energies_balance_where_rods_slide_over_obstacles_and_themselves(scene, frames, share):
     """The work of friction, which the kernels sum up, is what stored energy and the grippers' work leave for contact."""
     told = load_motion_scene(SCENES / f"{scene}.toml")

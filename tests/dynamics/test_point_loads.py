@@ -5,8 +5,6 @@ import pytest
 
 from doo_ti import (
     Clamp,
-    Clamps,
-    Configuration,
     Dynamics,
     Grippers,
     InputError,
@@ -36,8 +34,8 @@ def at_tip(force=(0.0, 0.0, 0.0), mass: float = 0.0) -> PointLoads:
 def test_a_heavy_mass_on_a_light_rod_is_a_pendulum():
     """Let go at 3° from the vertical: one period of 2π √(L/g), 0.02 % more at this amplitude."""
     angle = np.radians(3.0)
-    rod = Configuration.straight(np.zeros(3), np.array([np.sin(angle), 0.0, -np.cos(angle)]), LENGTH, EDGES)
-    hung = Clamps(Clamp.POSITION, Clamp.FREE, rod.start, rod.start, rod.frames[:, 0], rod.frames[:, -1])
+    rod = straight_rod(LENGTH, EDGES, direction=(np.sin(angle), 0.0, -np.cos(angle)))
+    hung = end_clamps(rod, Clamp.POSITION, Clamp.FREE)
     period = 2 * np.pi * np.sqrt(LENGTH / GRAVITY) * (1 + angle**2 / 16)
     steps = 400
     trajectory = simulate(rod, Material(1e9, 1e9, 1.0), Grippers.resting(hung, steps + 1), Dynamics(), Stepping(steps / period),

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from doo_ti.dynamics.layout import LARGEST_REACH, lay_out
 from doo_ti.dynamics.recorded import FINE, GRIPPED, LOST, SWAPPED, RecordedMotion, elapsed_steps
+from doo_ti.dynamics.rollouts import LARGEST_REACH, lay_out
 from doo_ti.system.errors import InputError
 from tests.dynamics.recordings import RATE, carried
 

@@ -1,10 +1,13 @@
 """What a step resolves: forces that act on the rod, whatever its inertia and its stiffness; else it says that it does not."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Configuration, Dynamics, Material, Status, Stepping, simulate
+from doo_ti import Clamp, Configuration, Dynamics, Grippers, Material, Status, Stepping, relax, simulate
 from tests.dynamics.motions import GRAVITY, planar, resting
+from tests.relaxation.test_stiffness_ratios import KINDS, LENGTH, RATIOS, SHAPE, SOFT, material, poses, resolved
 
 ASIDE = np.radians(60.0)
 """Of a rod that is let go, from hanging straight down."""
@@ -12,8 +15,7 @@ ASIDE = np.radians(60.0)
 
 def aside(length: float, edges: int, count: int = 1) -> Configuration:
     """Straight rods that are let go."""
-    rod = planar(np.full(edges, ASIDE - np.pi / 2), length / edges)
-    return Configuration(np.repeat(rod.start, count, axis=0), np.repeat(rod.quaternions, count, axis=0), rod.rest_length)
+    return planar(np.full(edges, ASIDE - np.pi / 2), length / edges).take(np.zeros(count, dtype=int))
 
 
 def turned(positions: np.ndarray) -> np.ndarray:
@@ -75,3 +77,32 @@ def test_f32_is_near_f64_or_stalls(rate):
     np.testing.assert_array_equal(mixed.positions[~good], exact.positions[~good])
     for k in (0, 6):
         np.testing.assert_array_equal(moved("f32", bends[k : k + 1]).positions[0], single.positions[k])
+
+
+@pytest.mark.parametrize("pose", range(6))
+@pytest.mark.thorough
+def test_a_motion_comes_to_rest_where_the_scaled_solve_does(pose):
+    """Rods whose stiffness differs by up to 1e9: there a dense Newton's method, in which every unknown is scaled by its own
+    stiffness, has nothing left to do; or they say that they failed."""
+    rod, held = poses()
+    clamps = held[pose]
+    begun = relax(rod, Material(SOFT, SOFT), clamps).configuration
+    cases = [(kind, ratio) for kind in KINDS for ratio in RATIOS[::3]]
+    materials = [material(*case) for case in cases]
+    edges = rod.edges
+    bend = np.concatenate([np.broadcast_to(one.bend, (1, edges, 2, 2)) for one in materials])
+    twist = np.concatenate([np.broadcast_to(one.twist, (1, edges - 1)) for one in materials])
+    still = Grippers.resting(clamps, 61)
+    motion = simulate(begun, Material(bend, twist), still, Dynamics(drag=20.0), Stepping(10.0))
+    failed = ~motion.converged
+    assert np.isnan(motion.positions[failed, -1]).all(), "a rod that failed has no place"
+    off = []
+    for row in np.flatnonzero(~failed):
+        ended = Configuration(motion.positions[row : row + 1, -1, 0], motion.memory.frames[row : row + 1], begun.rest_length)
+        apart = resolved(SimpleNamespace(configuration=ended), materials[row], clamps) - ended.vertices[0]
+        off.append(np.linalg.norm(apart, axis=-1).max() / LENGTH)
+    print(f"pose {pose}: {failed.sum()} of {len(cases)} failed and say so, the others are off by {max(off):.1e} of the length")
+    assert max(off) < SHAPE
+    ratios = np.array([ratio for _, ratio in cases])
+    assert not failed[ratios <= 1e3].any()
+    assert failed.mean() < 0.5

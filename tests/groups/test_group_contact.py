@@ -51,9 +51,9 @@ def test_rods_lie_as_high_as_they_are_thick():
     """Heavy rods that begin with their ends in the board, from which these are moved out."""
     radii = np.array([[1.0, 4.0, 2.0], [1.5, 1.0, 0.5]])
     board, material = Plane((0, 0, 0), (0, 0, 1)), Material(STIFFNESS, STIFFNESS)
-    rods = [Configuration(np.stack([0.0 * own, 20.0 * number + 0.0 * own, own + 1.0], axis=-1),
-                          np.repeat(straight_rod(120.0, 24, direction=(1.0, 0.0, -0.01)).quaternions, 2, axis=0),
-                          np.full(24, 5.0)) for number, own in enumerate(radii.T)]
+    rods = [replace(straight_rod(120.0, 24, direction=(1.0, 0.0, -0.01)).take([0, 0]),
+                    start=np.stack([0.0 * own, 20.0 * number + 0.0 * own, own + 1.0], axis=-1))
+            for number, own in enumerate(radii.T)]
     clamps = [end_clamps(rod, Clamp.FRAME, Clamp.FREE) for rod in rods]
     solution = relax_group(Group(rods, material, clamps), radius=radii, obstacles=[board])
     assert solution.converged.all() and solution.stable.all() and np.abs(solution.gap).max() < 1e-3
@@ -141,9 +141,7 @@ def rubbing(coefficient: float, shifts, angles=(90.0,)) -> list:
     count, angle = len(angles), np.radians(angles)
     rails = [straight_rod(25.0, 10, (x, -12.0, 0.0), (0.0, 1.0, 0.0)) for x in (20.0, 80.0)]
     along = np.stack([np.sin(angle), np.cos(angle), 0.0 * angle], axis=-1)
-    top = [straight_rod(100.0, 25, (0.0, 0.2, 2.0 * RADIUS), way) for way in along]
-    top = type(top[0])(np.concatenate([rod.start for rod in top]), np.concatenate([rod.quaternions for rod in top]),
-                       top[0].rest_length)
+    top = Configuration.concatenate([straight_rod(100.0, 25, (0.0, 0.2, 2.0 * RADIUS), way) for way in along])
     rods = [*(rail.take(np.zeros(count, dtype=int)) for rail in rails), top]
     clamps = [end_clamps(rod, Clamp.FRAME, Clamp.FREE) for rod in rods]
     stiff = Material(1e6, 1e6, 0.0)

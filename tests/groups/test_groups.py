@@ -87,15 +87,6 @@ def test_three_rods_tied_in_one_point():
 
 
 @pytest.mark.thorough
-def test_a_relaxed_group_is_at_rest():
-    solution = relax_group(a_y())
-    again = relax_group(solution.group, before=solution)
-    assert again.iterations[0] < solution.iterations[0]
-    for before, after in zip(solution.rods, again.rods, strict=True):
-        assert np.abs(before.vertices - after.vertices).max() < 1e-6
-
-
-@pytest.mark.thorough
 def test_a_moment_without_a_place_is_passed_over():
     """The group goes on from the moment before."""
     starts, clamps = two_hanging()
