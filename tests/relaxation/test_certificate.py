@@ -67,14 +67,14 @@ def test_planar_rods_at_0_degrees_rest_on_saddles_and_leave_them(precision):
 
 def test_certificate_is_the_sign_of_the_smallest_eigenvalue(rng):
     """At every equilibrium that random rods end on, against dense eigenvalues."""
-    rods = wandering(rng, 24, 8, 3.0, wander=0.4, twist=0.4)
+    rods = wandering(rng, 12, 8, 3.0, wander=0.4, twist=0.4)
     clamps = clamps_at(rods)
-    material = Material(definite(rng, 24), rng.uniform(2e4, 2e5, 24), 5.0)
+    material = Material(definite(rng, 12), rng.uniform(2e4, 2e5, 12), 5.0)
     start = jiggled(rods, rng, 0.3)
     for solver in (Newton(max_escapes=0), Newton()):
         solution = relax(start, material, clamps, solver)
         assert solution.converged.all()
-        for row in range(24):
+        for row in range(12):
             here = dense(start, material, clamps, solution, row)
             assert here.residual < 1e-8
             assert solution.stable[row] == (here.smallest_eigenvalue > 0), (row, here.eigenvalues[:3])

@@ -46,6 +46,7 @@ def test_a_start_below_a_table_is_moved_above_it(length):
     assert solution.converged.all() and solution.stable.all() and solution.contact.gap.min() > -1e-3
 
 
+@pytest.mark.thorough
 def test_marks_that_noise_has_put_into_a_table(rng):
     marks = np.column_stack([np.linspace(0, 200, 31), 20 * np.sin(np.linspace(0, 5, 31)), rng.normal(0, 0.6, 31)])
     marks[[0, -1], 2] = 0.5
