@@ -95,6 +95,7 @@ def test_candidate_motions_end_on_the_table(solution):
         predict_step(lying, Material(6e5, 6e5), clamps, goal, obstacles=[TABLE])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("clamp, status", [(Clamp.FRAME, Status.INFEASIBLE), (Clamp.POSITION, Status.CONVERGED)])
 def test_a_clamp_that_holds_the_middle_of_an_edge_in_a_peg_is_infeasible(clamp, status):
     """Both its vertices are outside. A clamp of the point alone lets the edge turn away."""

@@ -102,6 +102,7 @@ def test_a_moving_capsule_of_which_one_end_has_rows():
     np.testing.assert_allclose(Moving(body, np.zeros((2, 3))).pivot, [[0, 0, 2], [0, 1, 2]])
 
 
+@pytest.mark.thorough
 def test_relaxing_again_leaves_the_first_solution_as_it_was():
     rods, clamps = hanging(100.0, 20, start=np.zeros((3, 3)), end=(50, 0, 0))
     first = relax(rods, MATERIAL, clamps, obstacles=[Plane((0, 0, -36), (0, 0, 1))], radius=1.0)

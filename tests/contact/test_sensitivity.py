@@ -88,6 +88,7 @@ def test_rods_relaxed_again_move_so():
     print(f"{considered.sum()} rods; largest median error of a column {max(worst):.1e}")
 
 
+@pytest.mark.thorough
 def test_rods_seen_from_the_other_end_move_alike():
     """A rod held at one end on a slope and a ball: whether the free end is its first one or its last changes nothing."""
     close = Newton(max_iterations=1000, gap_tolerance=1e-8)

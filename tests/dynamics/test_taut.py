@@ -110,6 +110,7 @@ def test_out_of_taut_among_obstacles(height):
         assert motion.positions[..., 2].min() > height + 2.0 - 1e-3
 
 
+@pytest.mark.thorough
 def test_derivatives_out_of_taut_are_those_of_the_motion():
     grippers = along(Clamp.FRAME, Clamp.FRAME, ways(0.0, 0.0, 30.0))
     dynamics = Dynamics(bend_damping=0.02)

@@ -71,6 +71,7 @@ def test_it_is_the_adjoint_of_sensitivity(rng, kind):
     assert (off.max(axis=1) < bound).all()
 
 
+@pytest.mark.thorough
 def test_rods_relaxed_again_change_so(rng):
     """Central differences of the scalar, of rods under forces and masses, by those forces too."""
     rods = wandering(rng, 6, 12)
