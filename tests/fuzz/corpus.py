@@ -15,23 +15,13 @@ views.csv boards/                          images of a calibration board
 perceived.npz                              what perceive wrote
 """
 
-from contextlib import chdir
+import os
 from pathlib import Path
 
-import cv2
 import numpy as np
 
-from doo_ti import Camera, Rig
-from doo_ti.cli import main
-from doo_ti.vision.cameras.board import Board
-from doo_ti.vision.cameras.rig import save_rig
-from tests.commands.test_group import SCENE as group_scene
-from tests.commands.test_simulate import SCENE as motion_scene
-from tests.vision.boards import around, look, poses
-from tests.vision.poses import looking
-
 SEED = 2011
-BOARD = "chessboard:4x3:16"
+BOARD = "chessboard:4x3:8"
 MATERIAL = ("--bend", "4e5", "--twist", "4e5", "--weight", "1")
 RODS = """[synthesis]
 bend = 4e5
@@ -65,29 +55,82 @@ time_s = 2.0
 end_position_mm = [20.0, 1.0, 0]
 end_direction = [1, 0.2, 0]
 """
+TIED = """radius_mm = 1.0
+rate_hz = 10
+duration_s = 0.1
+[materials.rope]
+bend = 1e5
+[rods.trunk]
+edges = 6
+length_mm = 60.0
+radius_mm = 1.5
+start = "frame"
+[[rods.trunk.moments]]
+time_s = 0.1
+start_position_mm = [0, 0, 5]
+[rods.branch]
+edges = 4
+points_mm = [[40, 0, 0], [40, 20, 5], [40, 40, 0]]
+[[ties]]
+first = ["trunk", 4]
+second = ["branch", 0]
+weld = true
+[[obstacles]]
+kind = "plane"
+point = [0, 0, -30]
+normal = [0, 0, 1]
+"""
 TABLE = """[[obstacles]]
 kind = "plane"
 point = [0, 0, -60]
 normal = [0, 0, 1]
 friction = 0.2
 """
-TIED = group_scene + TABLE
-SWING = motion_scene
-for _old, _new in (("= 0.2", "= 0.1"), ("40, 20]", "20, 10]"), ("edges = 6", "edges = 6\nat_rest = true"),
-                   ("bend = 1e6", "bend = 1e6\ndrag_per_s = 0.1")):
-    SWING = SWING.replace(_old, _new)
+SWING = """rate_hz = 50
+duration_s = 0.1
+[rod]
+length_mm = 300.0
+edges = 6
+at_rest = true
+[materials.rope]
+bend = 1e6
+bend_damping_s = 0.02
+drag_per_s = 0.1
+[clamps]
+end = "frame"
+[[moments]]
+time_s = 0.0
+end_position_mm = [250, 0, 0]
+[[moments]]
+time_s = 0.1
+end_position_mm = [250, 20, 10]
+"""
 
 
-def make(folder: Path, quick: bool = False) -> Path:
-    """Fill ``folder``, and return it; ``quick``: only with scenes, observations and motions. Raises
+def make(folder: Path, quick: bool = False) -> None:
+    """Fill ``folder``, the working directory meanwhile; ``quick``: only with scenes, observations and motions. Raises
     RuntimeError where the package refuses its own files."""
-    with chdir(folder):
-        for part in (_scenes, _observations, _motions, *([] if quick else [_moving, _images, _marks, _boards, _runs])):
-            part()
-    return folder
+    before = Path.cwd()
+    folder.mkdir(parents=True, exist_ok=True)
+    os.chdir(folder)
+    try:
+        _scenes()
+        _observations()
+        _motions()
+        if quick:
+            return
+        _moving()
+        _images()
+        _marks()
+        _boards()
+        _runs()
+    finally:
+        os.chdir(before)
 
 
 def _command(*words: str) -> None:
+    from doo_ti.cli import main
+
     if main(words) != 0:
         raise RuntimeError(f"the corpus: doo-ti {' '.join(words)} failed")
 
@@ -107,8 +150,8 @@ def _observations() -> None:
     for name in ("rods.csv", "rods.parquet"):
         _command("convert", "rods.npz", name)
     keys = dict(np.load("rods.npz"))
+    count = len(keys["vertices_mm"])
     vertices = keys["vertices_mm"]
-    count = len(vertices)
     np.savez("labs.npz", vertices_mm=vertices, valid=np.ones(vertices.shape[:2], bool), sigma_mm=np.array(0.12),
              up=np.array([0.0, 0.0, 1.0]))
     np.savez("groups.npz", group=np.arange(count) // 2)
@@ -130,6 +173,10 @@ def _motions() -> None:
 
 def _rig():
     """Three small cameras that look at the rods from about 70 mm."""
+    from doo_ti.vision.cameras.camera import Camera
+    from doo_ti.vision.cameras.rig import Rig
+    from tests.vision.poses import looking
+
     middle, cameras = np.load("rods.npz")["vertices_mm"].mean(axis=(0, 1)), []
     for index, angle in enumerate((0.3, 2.1, 4.2)):
         back = np.array([np.cos(angle), np.sin(angle), 0.5 + 0.1 * index])
@@ -152,6 +199,8 @@ def _moving() -> None:
 
 
 def _images() -> None:
+    from doo_ti.vision.cameras.rig import save_rig
+
     save_rig(Path("rig.yaml"), _rig())
     _command("synth", "scene.toml", "--images", "images", "--rig", "rig.yaml", "--diameter", "0.6")
     header, *lines = (Path("images") / "sets.csv").read_text().splitlines()
@@ -178,12 +227,23 @@ def _marks() -> None:
 
 
 def _boards() -> None:
-    """Four views of a chessboard by two cameras."""
-    board, chance, lines = Board(4, 3, 16.0), np.random.default_rng(SEED), ["view,cam0,cam1"]
+    """Four views of a chessboard by two of the cameras, drawn eight times as fine and shrunk."""
+    import cv2
+
+    rig, squares, fine = _rig(), np.indices((5, 4)).reshape(2, -1).T, 8
+    chance, middle = np.random.default_rng(SEED), np.load("rods.npz")["vertices_mm"].mean(axis=(0, 1))
+    lines = ["view,cam0,cam1"]
     Path("boards").mkdir(exist_ok=True)
-    for view, (turn, place) in enumerate(poses(board, 4, chance)):
-        for camera in around(320, 240, 2).cameras:
-            cv2.imwrite(f"boards/{view}_{camera.name}.png", look(board, camera, turn, place, chance))
+    for view in range(4):
+        turn = cv2.Rodrigues(np.array([0, 0, 0.8]) + chance.uniform(-0.35, 0.35, 3) * (view > 0))[0]
+        for camera in rig.cameras[:2]:
+            image = np.full((camera.height * fine, camera.width * fine), 235, np.uint8)
+            for column, row in squares[squares.sum(axis=1) % 2 == 0]:
+                corners = np.array([[column, row], [column + 1, row], [column + 1, row + 1], [column, row + 1]]) - [2.5, 2.0]
+                places = np.column_stack([8.0 * corners, np.zeros(4)]) @ turn.T + middle
+                cv2.fillPoly(image, [np.round(camera.project(places) * fine).astype(np.int32)], 25)
+            small = cv2.resize(cv2.GaussianBlur(image, (0, 0), 4), (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+            cv2.imwrite(f"boards/{view}_{camera.name}.png", small)
         lines.append(f"view{view},boards/{view}_cam0.png,boards/{view}_cam1.png")
     Path("views.csv").write_text("\n".join(lines) + "\n")
 

@@ -1,10 +1,9 @@
 """Commands on damaged files and wrong options: they succeed, or refuse in one line and write nothing, whatever is wrong."""
 
+import os
 import re
 import shutil
-from contextlib import chdir
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -23,12 +22,16 @@ PROGRESS = re.compile(r"━|\d+/\d+ \w+ .*:")
 
 @pytest.fixture(scope="module")
 def quick_corpus(tmp_path_factory) -> Path:
-    return corpus.make(tmp_path_factory.mktemp("corpus"), quick=True)
+    folder = tmp_path_factory.mktemp("corpus")
+    corpus.make(folder, quick=True)
+    return folder
 
 
 @pytest.fixture(scope="module")
 def whole_corpus(tmp_path_factory) -> Path:
-    return corpus.make(tmp_path_factory.mktemp("corpus"))
+    folder = tmp_path_factory.mktemp("corpus")
+    corpus.make(folder)
+    return folder
 
 
 def files(folder: Path) -> dict[str, tuple]:
@@ -73,19 +76,24 @@ def one_case(data, names: set[str] | None, source: Path, folder: Path, capfd) ->
         assert files(folder) == before, "written though refused"
 
 
-def trial(data, names, source, capfd) -> None:
-    with TemporaryDirectory() as folder, chdir(folder):
-        one_case(data, names, source, Path(folder), capfd)
+def trial(data, names, source, tmp_path_factory, capfd) -> None:
+    folder, here = tmp_path_factory.mktemp("case"), Path.cwd()
+    os.chdir(folder)
+    try:
+        one_case(data, names, source, folder, capfd)
+    finally:
+        os.chdir(here)
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 @settings(max_examples=60, **FREE)
 @given(data=st.data())
-def test_quick_commands_refuse_in_one_line(data, quick_corpus, capfd):
-    trial(data, QUICK, quick_corpus, capfd)
+def test_quick_commands_refuse_in_one_line(data, quick_corpus, tmp_path_factory, capfd):
+    trial(data, QUICK, quick_corpus, tmp_path_factory, capfd)
 
 
 @pytest.mark.slow
 @settings(max_examples=2000, **FREE)
 @given(data=st.data())
-def test_all_commands_refuse_in_one_line(data, whole_corpus, capfd):
-    trial(data, None, whole_corpus, capfd)
+def test_all_commands_refuse_in_one_line(data, whole_corpus, tmp_path_factory, capfd):
+    trial(data, None, whole_corpus, tmp_path_factory, capfd)
