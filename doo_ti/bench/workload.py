@@ -17,7 +17,7 @@ from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import observation_clamps, start_configuration
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution
+from doo_ti.rod.types import POSES, Clamp, Clamps, Configuration, Material, Solution
 
 RIBBON_TWIST = 5e5  # mm³, β of the lab's ribbon
 LAB = {
@@ -97,8 +97,7 @@ def in_turn(tables: list[tuple[Configuration, Clamps]]) -> tuple[Configuration, 
     lengths = [np.broadcast_to(rods.rest_length, (rods.count, rods.edges)) for rods in starts]
     alike = all((length == lengths[0][0]).all() for length in lengths)
     rest_length = lengths[0][0] if alike else _interleaved(lengths)
-    fields = ("start_position", "end_position", "start_frame", "end_frame")
-    held = (_interleaved([getattr(table, name) for table in clamps]) for name in fields)
+    held = (_interleaved([getattr(table, name) for table in clamps]) for name in POSES)
     quaternions = _interleaved([rods.quaternions for rods in starts])
     configuration = Configuration(_interleaved([rods.start for rods in starts]), quaternions, rest_length)
     return configuration, Clamps(clamps[0].start, clamps[0].end, *held)

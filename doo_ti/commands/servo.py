@@ -200,11 +200,11 @@ def _check_seen(vertices: np.ndarray, rig: Rig) -> None:
 
 def _path(begin: Clamps, steps: list[Step]) -> ClampPath:
     """The grippers' poses, a second for each step."""
-    from doo_ti.manipulation.poses import ARRAYS
+    from doo_ti.rod.types import POSES
 
     held = [begin, *(step.clamps for step in steps)]
     return ClampPath(np.arange(len(held), dtype=float), **{
-        name: np.stack([getattr(clamps, name) for clamps in held]) for name in ARRAYS})
+        name: np.stack([getattr(clamps, name) for clamps in held]) for name in POSES})
 
 
 def _table(steps: list[Step], unit: Stiffness) -> str:

@@ -13,7 +13,7 @@ from doo_ti.dynamics.trajectory import Detail
 from doo_ti.relaxation.point_loads import PointLoads
 from doo_ti.relaxation.time_steps import Memory, curvatures
 from doo_ti.relaxation.time_sweep import DRAG, DRAG_BY_SPEED, FORCE, INERTIA, LOAD, SPRING, SPRING_POINT, VERTEX_ITEMS
-from doo_ti.rod.frames import quaternion_of_turn, quaternion_product, rotation_vector, tangent_from_quaternion
+from doo_ti.rod.frames import conjugate, quaternion_of_turn, quaternion_product, rotation_vector, tangent_from_quaternion
 from doo_ti.rod.types import Material, Status
 from doo_ti.system.errors import InputError
 
@@ -168,7 +168,7 @@ class Account:
         frames, places = self._before
         ends = [0, -1]
         moves = memory.places[:, ends, :3] - places[:, ends]
-        turns = rotation_vector(quaternion_product(memory.frames[:, ends], frames[:, ends] * [1.0, -1.0, -1.0, -1.0]))
+        turns = rotation_vector(quaternion_product(memory.frames[:, ends], conjugate(frames[:, ends])))
         work = sum((0.5 * (a + b) * way).sum(axis=(1, 2)) for a, b, way in zip(before, forces, (moves, turns), strict=True))
         mean = 0.5 * (self._contact + contact)
         taken = -(mean * (memory.places[..., :3] - places)).sum(axis=(1, 2))

@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 
 from doo_ti.rod.frames import FRAME_TOLERANCE, matrix_from_quaternion, orthonormality_error, quaternion_from_matrix
-from doo_ti.rod.types import Clamp, Clamps, Rows, require_kinds
+from doo_ti.rod.types import POSES, Clamp, Clamps, Rows, require_kinds
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, real_array, require_whole
 from doo_ti.system.short_repr import short_repr
@@ -36,7 +36,7 @@ class Grippers:
         require_kinds("Grippers", self.start, self.end)
         if self.instants < 2:
             raise InputError("Grippers", "start_position", f"{self.instants} instants", "give two or more")
-        for name in _PATHS:
+        for name in POSES:
             value = real_array("Grippers", name, getattr(self, name), "give real numbers").astype(np.float64)
             self._check(name, value)
             object.__setattr__(self, name, value)
@@ -77,22 +77,22 @@ class Grippers:
         def still(array):
             array = np.asarray(array, dtype=np.float64)
             return np.broadcast_to(array[:, None], (len(array), instants, *array.shape[1:]))
-        return cls(clamps.start, clamps.end, *(still(getattr(clamps, name)) for name in _PATHS))
+        return cls(clamps.start, clamps.end, *(still(getattr(clamps, name)) for name in POSES))
 
     def take(self, rows: Rows) -> "Grippers":
         """The grippers of the rods named by ``rows``."""
         held = [kind if np.ndim(kind) == 0 else np.asarray(kind)[rows] for kind in (self.start, self.end)]
-        return Grippers(*held, *(getattr(self, name)[rows] for name in _PATHS))
+        return Grippers(*held, *(getattr(self, name)[rows] for name in POSES))
 
     @typed
     def at(self, instant: int) -> Clamps:
         """The clamps at one instant."""
-        return Clamps(self.start, self.end, *(np.ascontiguousarray(getattr(self, name)[:, instant]) for name in _PATHS))
+        return Clamps(self.start, self.end, *(np.ascontiguousarray(getattr(self, name)[:, instant]) for name in POSES))
 
     @typed
     def until(self, instant: int) -> "Grippers":
         """The motion up to ``instant``, which is the last."""
-        return Grippers(self.start, self.end, *(getattr(self, name)[:, : instant + 1] for name in _PATHS))
+        return Grippers(self.start, self.end, *(getattr(self, name)[:, : instant + 1] for name in POSES))
 
     @typed
     def refined(self, parts: int) -> "Grippers":
@@ -102,9 +102,6 @@ class Grippers:
         share = np.arange(parts) / parts
         return Grippers(self.start, self.end, cubic(self.start_position, share), cubic(self.end_position, share),
                         turning(self.start_frame, share), turning(self.end_frame, share))
-
-
-_PATHS = ("start_position", "end_position", "start_frame", "end_frame")
 
 
 def cubic(points: np.ndarray, share: np.ndarray) -> np.ndarray:

@@ -26,7 +26,7 @@ from doo_ti.relaxation.input_tables import (
     rest_lengths,
 )
 from doo_ti.relaxation.loading import REFERENCE_LENGTH
-from doo_ti.rod.frames import quaternion_product, vertices_from_quaternions
+from doo_ti.rod.frames import conjugate, quaternion_product, vertices_from_quaternions
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
 from doo_ti.system.errors import InputError
 
@@ -261,7 +261,7 @@ def _ties(group: Group, members: list[Member]) -> tuple[np.ndarray, np.ndarray]:
     frames = _joined([rod.quaternions / np.linalg.norm(rod.quaternions, axis=-1, keepdims=True) for rod in group.rods], 1.0)
     for number, (late, early) in group.welded.items():
         ties[number, 2:] = late, early
-        targets[:, number, 4:8] = quaternion_product(frames[:, late] * [1.0, -1.0, -1.0, -1.0], frames[:, early])
+        targets[:, number, 4:8] = quaternion_product(conjugate(frames[:, late]), frames[:, early])
     for number, (end, member) in enumerate(((1 - late, member) for late in (0, 1) for member in members), start=len(own)):
         targets[:, number, :3], targets[:, number, 3] = member.places[:, end], member.drawn[:, end]
     return ties, targets

@@ -74,14 +74,18 @@ class ClipErrors:
         reach  mm from the rod's outer ends to the vertices that ``ideal`` names, along the rod
         rows   observations whose scatter is added, R of them; None: the constant errors alone
         """
-        tilt, real = self.tilt if rows is None else self.tilt + self.scatter[rows], {}
-        for clip, end, inward in ((0, "start", reach[0]), (1, "end", -reach[1])):
-            position, frame = getattr(ideal, f"{end}_position"), getattr(ideal, f"{end}_frame")
-            turn = np.concatenate([np.zeros_like(tilt[..., clip, :1]), tilt[..., clip, :]], axis=-1)
-            outer = position - inward * frame[..., 0] + frame[..., 1:] @ self.offset[clip]
-            real[f"{end}_frame"] = frame @ rotation_matrix(turn)
-            real[f"{end}_position"] = outer + inward * real[f"{end}_frame"][..., 0]
-        return replace(ideal, **real)
+        tilt = self.tilt if rows is None else self.tilt + self.scatter[rows]
+        start = _real_clip(ideal.start_position, ideal.start_frame, reach[0], tilt[..., 0, :], self.offset[0])
+        end = _real_clip(ideal.end_position, ideal.end_frame, -reach[1], tilt[..., 1, :], self.offset[1])
+        return replace(ideal, start_position=start[0], start_frame=start[1], end_position=end[0], end_frame=end[1])
+
+
+def _real_clip(position: np.ndarray, frame: np.ndarray, reach: float, tilt: np.ndarray, offset: np.ndarray):
+    """(R, 3) positions ``reach`` along the rod from its outer end, and (R, 3, 3) frames, of one clip."""
+    vector = np.concatenate([np.zeros_like(tilt[..., :1]), tilt], axis=-1)
+    outer = position - reach * frame[..., 0] + frame[..., 1:] @ offset
+    turned = frame @ rotation_matrix(vector)
+    return outer + reach * turned[..., 0], turned
 
 
 def synthesise(synthesis: Synthesis) -> Observations:
@@ -150,9 +154,7 @@ def _rods(synthesis: Synthesis, random: np.random.Generator) -> _Rods:
         vertices.append(_with_clips(synthesis, seen))
         frames.append(seen.frames)
         reported.append(ideal)
-    fields = ("start_position", "end_position", "start_frame", "end_frame")
-    together = {name: np.concatenate([getattr(clamps, name) for clamps in reported]) for name in fields}
-    return _Rods(np.concatenate(vertices), np.concatenate(frames), replace(ideal, **together) if errors.any else None)
+    return _Rods(np.concatenate(vertices), np.concatenate(frames), Clamps.concatenate(reported) if errors.any else None)
 
 
 def specimen_material(synthesis: Synthesis, random: np.random.Generator) -> Material:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.manipulation.poses import change_between, finite_rods, joined, moved, put_rods
+from doo_ti.manipulation.poses import change_between, finite_rods, moved, put_rods
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import conjugate, matrix_from_quaternion, quaternion_of_turn, quaternion_product, rotation_vector
@@ -159,7 +159,7 @@ class States:
 
 def joined_states(parts: list[States]) -> States:
     """The states of several, one after the other."""
-    return States(Configuration.concatenate([part.rods for part in parts]), joined([part.clamps for part in parts]),
+    return States(Configuration.concatenate([part.rods for part in parts]), Clamps.concatenate([part.clamps for part in parts]),
                   np.concatenate([part.touching for part in parts]))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from doo_ti.manipulation.dense_kernels import damped_steps, normal_equations
 from doo_ti.manipulation.model import Model, drawn_to
-from doo_ti.manipulation.poses import finite_rods, held, joined, moved, put_rods, put_rows, slack
+from doo_ti.manipulation.poses import finite_rods, held, moved, put_rods, put_rows, slack
 from doo_ti.manipulation.targets import ServoOptions, Targets
 from doo_ti.relaxation.sensitivity import GRIPPERS, sensitivity
 from doo_ti.rod.frames import (
@@ -154,7 +154,7 @@ def _guesses(rods: Configuration, clamps: Clamps, model: Model, targets: Targets
         grippers = replace(grippers, start_position=vertices[:, 0].copy(), start_frame=matrices[:, 0].copy())
     if ends:
         grippers = replace(grippers, end_position=vertices[:, -1].copy(), end_frame=matrices[:, -1].copy())
-    return Configuration.concatenate([rods, guessed]), joined([clamps, grippers])
+    return Configuration.concatenate([rods, guessed]), Clamps.concatenate([clamps, grippers])
 
 
 def _distance(solution: Solution, targets: Targets) -> np.ndarray:

@@ -25,12 +25,12 @@ from doo_ti.io.motion_file import ClampPath
 from doo_ti.manipulation.equilibria import CLEAR, Clearance, Equilibria, States, joined_states
 from doo_ti.manipulation.goal import all_goals
 from doo_ti.manipulation.model import Model
-from doo_ti.manipulation.poses import ARRAYS, change_between
+from doo_ti.manipulation.poses import change_between
 from doo_ti.manipulation.search import Search, Tree
 from doo_ti.manipulation.targets import ServoOptions, Targets
 from doo_ti.prediction.predict import predict
 from doo_ti.rod.material import Material
-from doo_ti.rod.types import Clamp, Clamps, Configuration, unit_up
+from doo_ti.rod.types import POSES, Clamp, Clamps, Configuration, unit_up
 from doo_ti.system.arguments import owning, typed
 from doo_ti.system.errors import InputError, require_whole
 from doo_ti.system.runtime import working_time
@@ -188,7 +188,7 @@ class _Planner:
         change = change_between(clamps.take(np.arange(clamps.count - 1)), clamps.take(np.arange(1, clamps.count)))
         size = np.linalg.norm(change * np.repeat([1.0, self._space.lever] * 2, 3), axis=1)
         time = np.append(0.0, np.cumsum(np.maximum(size, LEAST))) / SECOND
-        arrays = {name: getattr(clamps, name)[:, None] for name in ARRAYS}
+        arrays = {name: getattr(clamps, name)[:, None] for name in POSES}
         shapes = states.rods.vertices
         reached, turns = 0, 1 + np.flatnonzero(np.diff(states.touching[1:]))
         for first, last in pairwise([0, *turns, clamps.count - 1]):

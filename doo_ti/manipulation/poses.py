@@ -5,9 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from doo_ti.rod.frames import rotation_matrix, turn_between, unit_vectors
-from doo_ti.rod.types import Clamps, Configuration
-
-ARRAYS = ("start_position", "end_position", "start_frame", "end_frame")
+from doo_ti.rod.types import POSES, Clamps, Configuration
 
 
 def moved(clamps: Clamps, change: np.ndarray) -> Clamps:
@@ -71,14 +69,9 @@ def _way(clamps: Clamps, stiff: np.ndarray) -> np.ndarray:
     return clamps.end_position - clamps.start_position - stiff[:, None] * tangents
 
 
-def joined(parts: list[Clamps]) -> Clamps:
-    """The clamps of several, of the same kinds, one after the other."""
-    return Clamps(parts[0].start, parts[0].end, *(np.concatenate([getattr(part, name) for part in parts]) for name in ARRAYS))
-
-
 def put_rows(clamps: Clamps, rods: np.ndarray, other: Clamps) -> Clamps:
     """``clamps`` with ``other`` in the rows ``rods``."""
-    parts = {name: getattr(clamps, name).copy() for name in ARRAYS}
+    parts = {name: getattr(clamps, name).copy() for name in POSES}
     for name, values in parts.items():
         values[rods] = getattr(other, name)
     return replace(clamps, **parts)

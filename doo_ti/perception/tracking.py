@@ -21,7 +21,7 @@ from doo_ti.motion.path import Motion
 from doo_ti.perception.perceive import check_seeds, checked_rod, checked_seeds, perceive
 from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search
 from doo_ti.prediction.predict import predict_step
-from doo_ti.rod.frames import quaternion_product, smallest_rotation, tangent_from_quaternion
+from doo_ti.rod.frames import conjugate, quaternion_product, smallest_rotation, tangent_from_quaternion
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
@@ -240,7 +240,7 @@ class Tracker:
         turn = None
         if how == How.TRACKED:  # the difference to a rod found by Algorithm 1 is no motion
             now, before = (self._whole(one) for one in (rod, self._last))
-            turn = quaternion_product(now.quaternions[0], before.quaternions[0] * [1, -1, -1, -1])
+            turn = quaternion_product(now.quaternions[0], conjugate(before.quaternions[0]))
         self._turn, self._last, self._usual = turn, rod, min(self._usual, rod.camera_error.mean())
         marks = rod.configuration.vertices[:, :: search.options.pieces]
         error = np.full(len(self._rig.cameras), np.nan)

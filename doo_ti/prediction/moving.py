@@ -22,7 +22,7 @@ from doo_ti.prediction.predict import Prediction, begun, rotation_about_rod
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.point_loads import PointLoads
 from doo_ti.rod.frames import edge_frames
-from doo_ti.rod.types import Clamps, Configuration, Material, Status, sticky
+from doo_ti.rod.types import POSES, Clamps, Configuration, Material, Status, sticky
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
 
@@ -109,8 +109,7 @@ def grippers_along(path: ClampPath, held: Clamps) -> Grippers:
         raise InputError(path.source, "end_rotation", f"{np.degrees(np.abs(turns).max()):.0f} degrees between two moments",
                          f"give moments in between: at most {np.degrees(MOST_TURN):.0f} degrees for rods with inertia")
     clamps = [path.at(k, held) for k in range(path.moments)]
-    found = {name: np.stack([getattr(one, name) for one in clamps], axis=1) for name in (
-        "start_position", "end_position", "start_frame", "end_frame")}
+    found = {name: np.stack([getattr(one, name) for one in clamps], axis=1) for name in POSES}
     if path.tangents_only:
         for name in ("start_frame", "end_frame"):
             found[name] = edge_frames(found[name][..., 0], getattr(held, name)[..., 1])

@@ -88,10 +88,10 @@ class Contacts(ContactRounds):
 
     @ti.func
     def retry(self, rod, failed, blocked, bowed, least):
-        """Prepare a step that has failed for another try, which knows no forces; returns the lanes in which there is one. A
-        second try, and a first one that would begin inside an obstacle (``blocked``), though not one in which a straight rod
-        was ``bowed``, makes half the way, down to ``least`` of that to the next instant. Where that fails too there is no
-        equilibrium near, and the rod goes to another one against viscosity."""
+        """Prepare another try of a step that has ``failed``, without the forces of its contacts; returns the lanes in which
+        there is one. The first is the same step, unless that began inside an obstacle (``blocked``) and the rod was not
+        ``bowed``. Others make half the way, down to ``least`` of the way to the next instant. Where these fail there is no
+        equilibrium near, and viscosity carries the rod to another one."""
         zero = 0.0 * rod.total
         viscosity = rod.contacts.viscosity
         again = failed & (rod.contacts.retried < 0.5) & (bowed | ~blocked) & (viscosity <= 0.0)

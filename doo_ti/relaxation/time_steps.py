@@ -21,7 +21,7 @@ from doo_ti.relaxation.time_impact import TimeImpact
 from doo_ti.relaxation.time_loop import OUTCOMES, STATE, TimeLoop
 from doo_ti.relaxation.time_slopes import CURVATURE_1, CURVATURE_2, REMEMBERED, TimeSlopeLoop, TimeSlopes
 from doo_ti.relaxation.time_sweep import PLACE_2, TimeSweep
-from doo_ti.rod.frames import quaternion_product
+from doo_ti.rod.frames import conjugate, quaternion_product
 from doo_ti.rod.types import Status
 from doo_ti.system import runtime
 
@@ -171,7 +171,7 @@ def slope_memory(memory_of: Callable[[np.ndarray], Memory], changes: np.ndarray)
 
 def curvatures(frames: np.ndarray) -> np.ndarray:
     """(R, E − 1, 5) X, Y and m (:mod:`doo_ti.physics.pair`) at the joints of (R, E, 4) frames."""
-    q = quaternion_product(frames[:, :-1] * [1.0, -1.0, -1.0, -1.0], frames[:, 1:])
+    q = quaternion_product(conjugate(frames[:, :-1]), frames[:, 1:])
     z, bent = q[..., 0] + 1j * q[..., 1], q[..., 2] + 1j * q[..., 3]
     x, y = bent / z.conj(), bent / z
     return np.stack([x.real, x.imag, y.real, y.imag, 2.0 * np.arctan(q[..., 1] / q[..., 0])], axis=-1)

@@ -166,6 +166,10 @@ def require_kinds(source: str, start: Clamp | np.ndarray, end: Clamp | np.ndarra
                 raise InputError(source, name, f"{kind.tolist()!r:.60}", "give a Clamp, or one for each rod")
 
 
+POSES = ("start_position", "end_position", "start_frame", "end_frame")
+"""The arrays of :class:`Clamps`, besides the kinds."""
+
+
 @typed
 @dataclass(frozen=True)
 class Clamps:
@@ -209,6 +213,18 @@ class Clamps:
         return Clamps(
             *(kind if kind.ndim == 0 else kind[index] for kind in kinds), picked(self.start_position, index),
             picked(self.end_position, index), picked(self.start_frame, index), picked(self.end_frame, index))
+
+    @classmethod
+    @typed
+    def concatenate(cls, parts: Sequence["Clamps"]) -> "Clamps":
+        """The clamps of several, one after the other; their kinds are shared where all have the same."""
+        kinds = []
+        for end in ("start", "end"):
+            own = [getattr(part, end) for part in parts]
+            shared = all(np.ndim(kind) == 0 and kind == own[0] for kind in own)
+            kinds.append(own[0] if shared else np.concatenate([
+                np.broadcast_to(kind, part.count) for kind, part in zip(own, parts, strict=True)]))
+        return cls(*kinds, *(np.concatenate([getattr(part, name) for part in parts]) for name in POSES))
 
 
 @typed

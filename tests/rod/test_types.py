@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import doo_ti
-from doo_ti import EndLoads, Material, Observations, Solution
+from doo_ti import Clamp, Clamps, EndLoads, Material, Observations, Solution
 from tests.references.rods import clamps_at
 from tests.relaxation.rods import wandering
 
@@ -97,3 +97,13 @@ def test_arguments_are_of_public_types():
         for argument in inspect.signature(thing).parameters.values():
             own = {one for one in classes(argument.annotation) if one.__module__.startswith("doo_ti.")}
             assert not own - public, f"{name}: {argument.name} is of {own - public}"
+
+
+def test_clamps_of_several_tables_keep_their_kinds_and_rows(rng):
+    rods = wandering(rng, 3, 12)
+    one, other = clamps_at(rods), clamps_at(rods.take([2]), Clamp.POSITION, Clamp.FRAME)
+    alike, mixed = Clamps.concatenate([one, one]), Clamps.concatenate([one, other])
+    assert alike.start == one.start and mixed.end == Clamp.FRAME
+    assert mixed.start.tolist() == [Clamp.FRAME] * 3 + [Clamp.POSITION]
+    np.testing.assert_array_equal(mixed.take([3]).end_position, other.end_position)
+    np.testing.assert_array_equal(alike.start_frame[3:], one.start_frame)
