@@ -318,8 +318,13 @@ class ContactPlaces:
 
     @ti.func
     def rubbed(self, rod, limit, friction, gradient, u):
-        """Friction of a contact that has moved by ``u``: its energy, its derivative and its stiffness."""
-        stiffness = rod.contacts.stiffness
+        """Friction of a contact that has moved by ``u``: its energy, its derivative and its stiffness.
+
+        Its penalty stiffness is κ, or less where that would turn a small friction round within the tolerance of gaps: Newton's
+        steps would jump to and fro across such a kink.
+        """
+        least = 1e-6 * rod.contacts.stiffness
+        stiffness = ti.min(rod.contacts.stiffness, ti.max(limit / rod.contacts.tolerance, least))
         normal = self.distance.unit(gradient)
         whole = plus(friction, scaled(u, stiffness))
         z = minus(whole, scaled(normal, dot(normal, whole)))
