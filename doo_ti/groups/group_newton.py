@@ -1,7 +1,6 @@
 """Newton's method on all groups at once: its kernel and its launch (docs/groups.md)."""
 
-from copy import deepcopy
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from functools import cache
 from types import SimpleNamespace
 
@@ -18,7 +17,6 @@ from doo_ti.relaxation.contact_table import ContactTable
 from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, TABLE1, TABLE3, loop_kernel
 from doo_ti.relaxation.newton import EXTERNAL, NEWTON, OBSTACLES, Newton, NewtonLoop
 from doo_ti.relaxation.newton_policy import LARGE_TRACE
-from doo_ti.rod.types import Status
 from doo_ti.system import runtime
 
 
@@ -121,33 +119,11 @@ class GroupState:
         return cls(np.full((count, edges, 4), np.nan), results, table.begins_at.copy(), tie_forces, table.contact.memory,
                    table.contact.forces, np.zeros((count, edges + 1), dtype=np.int32), np.zeros(count))
 
-    def reset(self, start: "GroupState", rows: np.ndarray) -> None:
-        """Make the groups ``rows`` those of ``start`` again."""
-        for part in fields(self):
-            getattr(self, part.name)[rows] = getattr(start, part.name)[rows]
-
-
-def run_groups(table: GroupTables, options: Newton, state: GroupState, previous: np.ndarray, rows: np.ndarray) -> None:
-    """Relax the groups ``rows``, in place. Friction acts from ``previous`` (N, V, 3) mm on, where the vertices were at the
-    moment before.
-
-    Groups whose solver stalls, as it can in tight knots with friction, are relaxed once more from their start with the other
-    first shift, which leads through other shapes. Their iterations are those of both attempts.
-    """
-    start = deepcopy(state)
-    _launch(table, options, state, previous, rows)
-    stalled = rows[state.results[rows, of.STATUS] == Status.STALLED]
-    if len(stalled):
-        spent = state.results[stalled, of.ITERATIONS]
-        state.reset(start, stalled)
-        other = replace(options, first_shift=0.0 if options.first_shift else Newton().first_shift)
-        _launch(table, other, state, previous, stalled)
-        state.results[stalled, of.ITERATIONS] += spent
-
 
 @runtime.exclusive
-def _launch(table: GroupTables, options: Newton, state: GroupState, previous: np.ndarray, rows: np.ndarray) -> None:
-    """Relax the groups ``rows``."""
+def run_groups(table: GroupTables, options: Newton, state: GroupState, previous: np.ndarray, rows: np.ndarray) -> None:
+    """Relax the groups ``rows``, in place. Friction acts from ``previous`` (N, V, 3) mm on, where the vertices were at the
+    moment before."""
     if not len(rows):
         return
     rods = of.rod_rows(rows, rows % len(table.material), rows, rows, rows % len(table.rest))

@@ -274,7 +274,7 @@ class NewtonTrip:
                 rod.contacts.expecting = ti.select(judged.uphill, one, zero)
             cap = ti.select(part, PART * cap, cap)
             # Steps to and fro across a kink whose energy is rounding: ever shorter ones end on it.
-            cap = cap / (1.0 + ti.max(lane.idle_trips - 3.0, zero))
+            cap = cap / (1.0 + ti.max(lane.idle_trips - fixed.PATIENCE_AT_KINK, zero))
         lane.heading = ti.select(searching, ti.select(slope > 0.0, 0.0 - one, one), lane.heading)
         leap = lane.heading * fixed.ESCAPE_ROTATION / ((1.0 + lane.rejects) * (1.0 + lane.rejects) * (lane.longest + 1e-30))
         lane.step_scale = ti.select(lane.trying > 0.5, ti.select(lane.escaping > 0.5, leap, cap), zero)

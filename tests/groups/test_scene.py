@@ -124,7 +124,7 @@ def test_what_is_wrong_is_named(tmp_path, old, new, said):
 @pytest.mark.parametrize("path", [pytest.param(path, id=path.stem, marks=pytest.mark.slow if path.stem == "reef_knot" else
                                                pytest.mark.thorough) for path in SCENES])
 def test_scenes_that_ship_converge(path):
-    """At every moment: certified, and nothing inside anything. Of the reef knot some moments do so at the second attempt."""
+    """At every moment: certified, and nothing inside anything."""
     scene = load_group_scene(path)
     deepest = -1e-3 * np.min(scene.surroundings.radius)
     for solution in follow_group(scene.group, scene.clamps, **scene.surroundings.arguments):
