@@ -14,7 +14,7 @@ def main() -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if not sys.warnoptions:  # a refused input prints one line only; python -W shows warnings
         warnings.simplefilter("ignore")
-    from doo_ti.cli import main as command_line
+    from doo_ti.commands.cli import main as command_line
 
     while_running(interruptible)
     code = command_line()

@@ -17,7 +17,7 @@ SEED = 2011
 SHARED_KERNELS = {
     "contact": ("tests/contact/", "tests/groups/", "tests/commands/test_contact.py", "tests/commands/test_group.py",
                 "tests/commands/test_knots.py", "tests/dynamics/test_energies.py", "tests/refinement/test_on_a_table.py",
-                "tests/twist/test_on_a_table.py",
+                "tests/perception/test_twist_on_a_table.py",
                 "tests/examples/test_examples.py::test_example[12_", "tests/examples/test_examples.py::test_example[13_",
                 "tests/examples/test_examples.py::test_example[14_"),
     "images": ("tests/perception/", "tests/vision/reprojection/", "tests/commands/test_perceive.py",

@@ -21,22 +21,19 @@ LAYERS = [
     {"io"},
     {"contact"},
     {"relaxation"},
-    {"vision", "motion", "dynamics"},
-    {"groups"},
-    {"lab", "twist", "report"},
-    {"prediction"},
+    {"vision", "dynamics"},
+    {"groups", "motion"},
+    {"lab", "report"},
     {"manipulation"},
     {"perception"},
     {"record"},
     {"learning"},
     {"refinement"},
-    {"bench"},
     {"commands"},
-    {"cli"},
     {"__main__"},
 ]
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
-APART = {"learning", "twist", "perception"}
+APART = {"learning", "perception"}
 ONLY = {"rerun": {"record"}, "matplotlib": {"report"}, "jax": set(), "cv2": {"vision"}, "yaml": {"io"},
         "distributed": {"learning"}, "trimesh": {"contact"}}
 
@@ -148,7 +145,7 @@ def test_no_file_postpones_annotations():
         assert "\nfrom __future__ " not in path.read_text(encoding="utf-8"), path
 
 
-@pytest.mark.parametrize("module", ["doo_ti", "doo_ti.cli"])
+@pytest.mark.parametrize("module", ["doo_ti", "doo_ti.commands.cli"])
 def test_importing_costs_nothing_heavy(module):
     """Heavy libraries are imported where they are used: taichi 1 s, rerun 0.5 s."""
     heavy = ["taichi", "rerun", "cv2", "matplotlib", "pyarrow", "dask", "scipy", "jax", "distributed", "trimesh"]

@@ -28,7 +28,7 @@ def run(options: Namespace) -> int:
     rounds = given.whole("--rounds", options.rounds, 1, MOST_ROUNDS) or ROUNDS
     out = given.output_folder(options.out)
 
-    from doo_ti.bench.cases import benchmark
+    from doo_ti.lab.cases import benchmark
 
     summary = benchmark(rods, rounds, threads)
     if out is not None:

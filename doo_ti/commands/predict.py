@@ -122,10 +122,10 @@ def _predicted(task: _Task, sub_step: float, precision: str, advance):
     inputs = {"between": task.between, "up": task.up, "advance": advance, **task.surroundings.arguments}
     if task.stepping is not None:
         from doo_ti.dynamics.parameters import Dynamics
-        from doo_ti.prediction.moving import predict_moving
+        from doo_ti.motion.moving import predict_moving
 
         return predict_moving(task.start, task.material, task.clamps, task.path, Dynamics(density=1.0), task.stepping, **inputs)
-    from doo_ti.prediction.predict import predict
+    from doo_ti.motion.predict import predict
 
     return predict(task.start, task.material, task.clamps, task.path, sub_step=sub_step, precision=precision, **inputs)
 

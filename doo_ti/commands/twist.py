@@ -50,8 +50,8 @@ def run(options: Namespace) -> int:
     observations = loading.load(options, options.observations)
     given.refuse_overwriting(out, options.observations)
 
-    from doo_ti.twist.curves import consecutive_groups, end_offsets, load_offsets
-    from doo_ti.twist.estimation import TwistOptions, estimate_twist
+    from doo_ti.perception.twist import TwistOptions, estimate_twist
+    from doo_ti.perception.twist_curves import consecutive_groups, end_offsets, load_offsets
 
     offset = None
     if options.offset is not None:
@@ -126,7 +126,7 @@ def _draw(path: Path, observations: Observations, estimate) -> None:
 
 
 def _word(verdict: int) -> str:
-    from doo_ti.twist.estimation import TwistVerdict
+    from doo_ti.perception.twist import TwistVerdict
 
     return TwistVerdict(verdict).name.lower().replace("_", " ")
 

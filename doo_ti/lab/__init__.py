@@ -1,1 +1,1 @@
-"""The virtual laboratory of the paper's experiment (§V-A)."""
+"""The virtual laboratory: rods of the paper's experiment (§V-A), and what ``doo-ti bench`` measures on this machine."""

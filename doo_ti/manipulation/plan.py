@@ -6,7 +6,7 @@
 
 The target's equilibria are found first (:mod:`.goal`). Two trees of equilibria, from the start and from the goals, grow towards
 random ones and towards each other (:mod:`.search`), by ways of many states that are relaxed at once (:mod:`.equilibria`). The
-way that is found is shortened, and followed in sub-steps by :func:`~doo_ti.prediction.predict.predict`: where the rod loses its
+way that is found is shortened, and followed in sub-steps by :func:`~doo_ti.motion.predict.predict`: where the rod loses its
 stability, or jumps, the search goes on without that leg.
 
 Axes: T moments and states, R rods.
@@ -28,7 +28,7 @@ from doo_ti.manipulation.model import Model
 from doo_ti.manipulation.poses import change_between
 from doo_ti.manipulation.search import Search, Tree
 from doo_ti.manipulation.targets import ServoOptions, Targets
-from doo_ti.prediction.predict import predict
+from doo_ti.motion.predict import predict
 from doo_ti.rod.material import Material
 from doo_ti.rod.types import POSES, Clamp, Clamps, Configuration, unit_up
 from doo_ti.system.arguments import owning, typed

@@ -1,1 +1,2 @@
-"""Quasi-static motion: clamps move in sub-steps, rods follow their branch of equilibria, and jumps are counted (§III-D)."""
+"""Quasi-static motion: clamps move in sub-steps, rods follow their branch of equilibria, jumps are counted, and configurations
+are predicted (§III-D, Fig. 1)."""

@@ -18,9 +18,9 @@ from numpy.typing import ArrayLike
 
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.motion.path import Motion
+from doo_ti.motion.predict import predict_step
 from doo_ti.perception.perceive import check_seeds, checked_rod, checked_seeds, perceive
 from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search
-from doo_ti.prediction.predict import predict_step
 from doo_ti.rod.frames import conjugate, quaternion_product, smallest_rotation, tangent_from_quaternion
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
 from doo_ti.system.arguments import typed

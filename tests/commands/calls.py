@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 from tests.conftest import SEED
 from tests.io.rods import twisted_frames, wavy_vertices
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from doo_ti import cli
+from doo_ti.commands import cli
 
 TESTS = str(Path(__file__).parents[1])
 opened: list[str] = []

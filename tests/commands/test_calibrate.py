@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 from doo_ti.vision.cameras.board import Board
 from doo_ti.vision.cameras.rig import load_rig
 from tests.commands.calls import in_process, refused

@@ -12,7 +12,7 @@ import pyarrow.parquet
 import pytest
 
 from doo_ti import Clamp, Grid, InterruptedRunError, Observations, Status, load_observations, save_observations
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 from doo_ti.learning.landscape import gather_overview
 from doo_ti.rod.frames import bishop_frames
 from tests.commands.calls import MATERIAL, in_process, npz_bytes

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Observations, save_observations
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 from tests.commands.calls import refused, written
 
 PLANE = '[[obstacles]]\nkind = "plane"\npoint = [0, 0, 0]\nnormal = [0, 0, 1]\n'

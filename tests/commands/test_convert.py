@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 from doo_ti.io.observation_files import load_observations
 
 POLE = """

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Axis, Grid, SweepOptions, read_landscape, sweep
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 from doo_ti.io.scene import Synthesis
 from doo_ti.lab.synthesis import synthesise
 from tests.commands.calls import refused

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Status, follow_group
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 from tests.commands.calls import refused, written
 
 SCENE = """

@@ -25,7 +25,7 @@ from doo_ti.__main__ import main
 
 class Finder:
     def find_spec(self, name, path=None, target=None):
-        if name == "doo_ti.cli":
+        if name == "doo_ti.commands.cli":
             os.kill(os.getpid(), signal.SIGINT)
 
 sys.meta_path.insert(0, Finder())

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 from doo_ti.contact.itself import smallest_self_gap
 from tests.commands.calls import refused, written
 from tests.contact.topology import determinant

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doo_ti.cli import main
 from doo_ti.commands import runs as finished
+from doo_ti.commands.cli import main
 from tests.commands.calls import refused
 from tests.commands.test_commands import write_run
 from tests.learning.landscapes import dynamic, grid_of, static

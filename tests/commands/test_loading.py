@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Observations, load_observations
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 from doo_ti.commands.loading import length_doubt
 from doo_ti.commands.results import hypotheses_lines
 from tests.commands.calls import refused

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 from doo_ti.io.observation_files import save_observations
 from tests.commands.test_calibrate import TEXT, pictures  # noqa: F401  a fixture
 from tests.commands.test_triangulate import prepared, rows_of
@@ -42,7 +42,7 @@ libc = ctypes.CDLL(None, use_errno=True)
 assert libc.prctl(38, 1, 0, 0, 0) == 0 and libc.prctl(22, 2, header, 0, 0) == 0, ctypes.get_errno()
 """
 COMMANDS = """
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 
 if __name__ == "__main__":
     for words in sys.argv[1:]:

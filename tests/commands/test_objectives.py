@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 from doo_ti.io.observation_files import save_observations
 from tests.commands.calls import refused
 from tests.learning.lab import small_lab

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 from doo_ti.io.observation_files import load_observations
 from doo_ti.vision.cameras.rig import Rig, load_rig, save_rig
 from doo_ti.vision.rendering.render import render_set

@@ -5,7 +5,7 @@ import json
 
 import pytest
 
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 from tests.commands.calls import refused
 
 SCENE = """

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Material, Observations, load_observations, observation_clamps, relax, save_observations, start_configuration
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 from doo_ti.commands.results import plain
 from doo_ti.dynamics.theta import MotionTheta, load_theta, save_form
 from doo_ti.rod.frames import quaternion_from_matrix

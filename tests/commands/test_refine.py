@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Material, Observations, load_observations, relax, save_observations
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 from tests.commands.calls import refused
 from tests.references.rods import chain, clamps_at, stacked
 from tests.relaxation.rods import wandering

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Camera, Clamp, Material, Newton, Observations, hanging, load_path, relax, save_observations
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 from doo_ti.manipulation.poses import moved
 from doo_ti.rod.physical_units import stiffness
 from doo_ti.system.terminal import has_recorder

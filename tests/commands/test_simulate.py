@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 from tests.commands.calls import refused
 from tests.io.test_formats import motive, table
 

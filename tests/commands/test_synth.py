@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Camera, load_observations
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 from doo_ti.io.scene import load_scene
 from doo_ti.lab.synthesis import synthesise
 from doo_ti.perception.virtual_lab import lab_rods

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 from doo_ti.vision.cameras.rig import save_rig
 from tests.commands.calls import refused
 from tests.perception.videos import EDGES, FRAMES, LENGTH, far_motion, images, rods

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Clamp, load_observations, observation_clamps, start_configuration
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 from doo_ti.vision.cameras.rig import Rig, save_rig
 from tests.commands.calls import refused
 from tests.io.rods import wavy_vertices

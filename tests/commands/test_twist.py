@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from doo_ti import Material, Observations, relax, save_observations
-from doo_ti.cli import main
-from doo_ti.prediction.predict import total_twist
+from doo_ti.commands.cli import main
+from doo_ti.motion.predict import total_twist
 from tests.commands.calls import refused, written
 from tests.references.rods import chain, clamps_at, stacked
 

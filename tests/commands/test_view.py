@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from doo_ti import InterruptedRunError, sweep
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 from doo_ti.learning import sweeps
 from tests.learning.lab import DYNAMIC, GRID, small_lab
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from doo_ti.cli import _parser, main
 from doo_ti.commands import warm
+from doo_ti.commands.cli import _parser, main
 
 ROOT = Path(__file__).resolve().parents[2]
 

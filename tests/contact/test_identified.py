@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Grippers, InputError, Moving, Observations, Plane, RecordedMotion, Stepping, Stills, Surroundings, simulate
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 from doo_ti.dynamics.identify import IdentifyOptions, identify, identify_from_guesses
 from doo_ti.dynamics.rollouts import Nearby
 from doo_ti.dynamics.theta import MotionTheta, Unknowns, load_theta, save_form, simulated

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Clamp, ClampPath, Grippers, InputError, Material, Moving, Touch, predict_moving, relax, simulate
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 from doo_ti.contact.obstacles import Capsule, Cylinder, Plane
 from doo_ti.contact.touch import GAP_TOLERANCE
 from doo_ti.dynamics.parameters import Dynamics, Stepping

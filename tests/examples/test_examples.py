@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 from tools.maintenance.gallery import DRAWN_BY, digest
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 import doo_ti
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]

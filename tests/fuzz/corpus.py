@@ -129,7 +129,7 @@ def make(folder: Path, quick: bool = False) -> None:
 
 
 def _command(*words: str) -> None:
-    from doo_ti.cli import main
+    from doo_ti.commands.cli import main
 
     if main(words) != 0:
         raise RuntimeError(f"the corpus: doo-ti {' '.join(words)} failed")

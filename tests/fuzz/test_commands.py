@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 from tests.fuzz import corpus
 from tests.fuzz.changes import changed, words_changed
 from tests.fuzz.commands import RECIPES

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Clamp, InputError
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 from doo_ti.io.scene import Synthesis, load_scene
 from doo_ti.io.toml_file import scene_file
 

@@ -12,7 +12,7 @@ import pyarrow.parquet
 import pytest
 
 from doo_ti import InputError, read_landscape, sweep
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 from doo_ti.learning import run_folder
 from doo_ti.learning.chunks import maker
 from tests.learning.lab import DYNAMIC, GRID, small_lab

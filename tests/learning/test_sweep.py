@@ -110,7 +110,7 @@ def test_too_large_a_grid_is_reported_before_it_starts(tmp_path, observations):
 
 @pytest.mark.thorough
 def test_rods_that_stall_at_their_observation_do_not_win(tmp_path, capsys):
-    from doo_ti.cli import main
+    from doo_ti.commands.cli import main
     from doo_ti.io.observation_files import save_observations
 
     save_observations(tmp_path / "o.npz", small_lab())

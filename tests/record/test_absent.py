@@ -17,7 +17,7 @@ def version(package):
 metadata.version = version
 sys.modules["rerun"] = None
 sys.path.insert(0, sys.argv.pop(1))
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 sys.exit(main(sys.argv[1:]))
 """
 SCENE = ('name = "silk"\n[synthesis]\nseed = 4\nbend = 1.5e5\ntwist = 5e4\nend_distances_mm = [42, 66]\n'

@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 
 EI, GRAMS_PER_METRE, LENGTH, HUNG, MARKS, NOISE = 2e-3, 40.0, 0.4, 0.01, 17, 2e-4
 GRAVITY = 9.80665

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Axis, Clamp, Grid, InputError, Plane, RefinementOptions, Surroundings, refine, save_observations
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 from doo_ti.refinement.plan import plan
 from doo_ti.rod.start import observation_clamps
 from tests.refinement.rods_between_clips import TRUTH, suture

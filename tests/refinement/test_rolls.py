@@ -10,7 +10,7 @@ import pytest
 from scipy.special import logsumexp
 
 from doo_ti import Clamp, Clamps, Newton, Observations, RefinementOptions, Theta, observation_clamps, refine, relax
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 from doo_ti.refinement import rolls
 from doo_ti.refinement.evidence import Evidence, densities, integrated
 from doo_ti.refinement.fit import Fit, Fitted

@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from doo_ti import Clamp, Clamps, Configuration, Material, Solution, relax
-from doo_ti.bench.workload import BEND_RANGE, TWIST_RATIO_RANGE, log_uniform
+from doo_ti.lab.workload import BEND_RANGE, TWIST_RATIO_RANGE, log_uniform
 from doo_ti.rod.frames import bishop_frames, quaternion_about, quaternion_from_matrix, quaternion_product
 from tests.references.rods import clamps_at
 

@@ -72,7 +72,8 @@ def test_a_thread_that_has_ended_is_passed_over():
     assert done.stdout.strip() == "1", done.stderr
 
 
-START = "from doo_ti.cli import main; import sys; sys.exit(main(['relax', 'absent.npz', '--bend', '1e5', '--out', 'F.npz']))"
+START = ("from doo_ti.commands.cli import main; import sys; "
+         "sys.exit(main(['relax', 'absent.npz', '--bend', '1e5', '--out', 'F.npz']))")
 
 
 @pytest.mark.sampled(1)

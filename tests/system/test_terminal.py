@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from doo_ti.cli import main
+from doo_ti.commands.cli import main
 from doo_ti.system import runtime
 from doo_ti.system import terminal as terminal_module
 from doo_ti.system.terminal import busy, in_line, progress, visible

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from doo_ti.bench.cases import OPERATIONS, Measurement
+from doo_ti.lab.cases import OPERATIONS, Measurement
 from tools.bench import contact, relaxation, scoring
 from tools.bench.baseline import regressions, table
 from tools.bench.operations import counted
@@ -25,7 +25,7 @@ def test_half_the_ratio_or_fewer_converged_rods_are_a_regression(name, ratio, co
     (relaxation, "rods", 32, "metric"), (scoring, "hypotheses", 64, "single edges"), (contact, "rods", 32, "alone")])
 def test_a_baseline_of_its_own(bench, items, few, case, tmp_path, capsys, monkeypatch):
     """It has the cases of the committed one, is kept to, and is for as many items as it was made with."""
-    monkeypatch.setattr("doo_ti.bench.cases.ROUND_SECONDS", 0.0)
+    monkeypatch.setattr("doo_ti.lab.cases.ROUND_SECONDS", 0.0)
     file, options = tmp_path / "baseline.json", [f"--{items}", str(few), "--rounds", "1", "--baseline"]
     assert bench.main([*options, str(file), "--write"]) == 0
     written, committed = json.loads(file.read_text()), json.loads(bench.BASELINE.read_text())

@@ -6,8 +6,8 @@ from scipy.integrate import solve_ivp
 
 from doo_ti import ClampPath, Material, Observations, load_observations, load_path
 from tests.conftest import SEED
+from tests.perception.twisted_rods import MATERIAL, twisted_rods
 from tests.relaxation.lab import lab
-from tests.twist.rods import MATERIAL, twisted_rods
 from tools.studies import detection_study, group_study, picture_study
 from tools.studies.marks_study.rod import cross, equilibria, turned
 from tools.studies.marks_study.study import deviation

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti import Solution, gripper_jacobian
-from doo_ti.bench import clock
-from doo_ti.bench.cases import Case, Measurement, Outcome, measure
+from doo_ti.lab import clock
+from doo_ti.lab.cases import Case, Measurement, Outcome, measure
 from doo_ti.system.runtime import start as start_runtime
 from doo_ti.system.runtime import thread_count
 

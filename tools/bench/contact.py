@@ -17,7 +17,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from doo_ti import Capsule, Clamp, Clamps, Configuration, Itself, Material, Plane, Solution, Status, relax
-from doo_ti.bench.cases import Case, Outcome
+from doo_ti.lab.cases import Case, Outcome
 from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about, quaternion_product
 from tools.bench.baseline import derived, outcome, run
 

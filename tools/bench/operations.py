@@ -1,7 +1,7 @@
 """Operations of a trip through Newton's loop, counted in the compiled kernel: ``python tools/bench/operations.py``.
 
 Prints a line per kind of rod: operations in the loops over edges, for each edge, and outside, for each trip. These
-figures are in :data:`doo_ti.bench.cases.OPERATIONS`; a slow test of tests/tools compares them.
+figures are in :data:`doo_ti.lab.cases.OPERATIONS`; a slow test of tests/tools compares them.
 
 The kernels are compiled in a separate process, in which LLVM writes the optimised code to a file. In it the additions,
 multiplications, divisions and roots on packs are counted by the loop that contains them. Parts that are skipped for held edges
@@ -19,10 +19,10 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
-from doo_ti.bench.cases import OPERATIONS
+from doo_ti.lab.cases import OPERATIONS
 
 SPECIMENS = {"isotropic": "many", "general": "band", "springs": "pulled"}
-RELAX = "from doo_ti.bench.cases import COARSE, Specimens; Specimens(64).{}.relaxed(COARSE, 'f32')"
+RELAX = "from doo_ti.lab.cases import COARSE, Specimens; Specimens(64).{}.relaxed(COARSE, 'f32')"
 COUNTED = re.compile(r"= (?:fadd|fsub|fmul|fdiv) .*<16 x float>|@llvm\.sqrt\.v16f32\(")
 
 

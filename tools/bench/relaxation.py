@@ -15,12 +15,12 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from doo_ti import Descent, Observations, Servo, ServoStatus, Targets, distance, pullback, relax
-from doo_ti.bench.cases import COARSE, FINE, Case, Outcome, Specimens, relaxed
-from doo_ti.bench.cases import cases as command_cases
-from doo_ti.bench.workload import Rods
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.dynamics.simulate import simulate
+from doo_ti.lab.cases import COARSE, FINE, Case, Outcome, Specimens, relaxed
+from doo_ti.lab.cases import cases as command_cases
+from doo_ti.lab.workload import Rods
 from doo_ti.manipulation.poses import held
 from doo_ti.relaxation.sensitivity import GRIPPERS
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution

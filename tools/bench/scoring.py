@@ -14,7 +14,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from doo_ti import Camera, Detection, Newton, Reprojection, Rig, distance_maps, relax, score
-from doo_ti.bench.cases import Case, Outcome
+from doo_ti.lab.cases import Case, Outcome
 from doo_ti.rod.frames import bishop_frames, quaternion_from_matrix
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
 from tests.vision.poses import looking

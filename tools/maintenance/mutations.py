@@ -60,7 +60,7 @@ FAULTS = {
     "lens": Fault("the tangential coefficients of the lens swapped", "doo_ti/vision/cameras/camera.py",
                   "u = x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x)",
                   "u = x * radial + 2.0 * p2 * x * y + p1 * (square + 2.0 * x * x)", ("tests/vision/cameras",)),
-    "turns": Fault("the offsets of Eq. 4 without whole turns", "doo_ti/twist/curves.py",
+    "turns": Fault("the offsets of Eq. 4 without whole turns", "doo_ti/perception/twist_curves.py",
                    "return angle + 2 * np.pi * np.round((observations.total_twist - angle) / (2 * np.pi))", "return angle",
                    ("tests/twist", "tests/tools/test_studies.py")),
     "joints": Fault("the total twist of one joint too few", "doo_ti/rod/frames.py",

@@ -18,8 +18,8 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from doo_ti import InputError, Material, Newton
-from doo_ti.bench import clock
-from doo_ti.bench.workload import Rods
+from doo_ti.lab import clock
+from doo_ti.lab.workload import Rods
 from tools.studies.peers import capsules, cosserat, flex, swinging
 from tools.studies.peers.problem import BEND, Problem, problem, strain
 

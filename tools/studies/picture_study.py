@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from doo_ti import Camera, Rig
-from doo_ti.cli import main as doo_ti
+from doo_ti.commands.cli import main as doo_ti
 from doo_ti.vision.cameras.rig import save_rig
 from tests.vision.poses import looking
 from tools.studies.marks_study.rod import equilibria

@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from doo_ti import ClampPath, Observations, distance, load_observations, load_path, relax
 from doo_ti.motion.journey import Journey
 from doo_ti.motion.path import LARGEST_TURN, motion_between
-from doo_ti.prediction.predict import Prediction, predict, predict_step
+from doo_ti.motion.predict import Prediction, predict, predict_step
 from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about, quaternion_from_matrix, quaternion_product
 from doo_ti.rod.start import observation_clamps, start_configuration
 from doo_ti.rod.types import Clamps, Material

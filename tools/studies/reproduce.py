@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from doo_ti import InputError, InterruptedRunError
-from doo_ti.bench import clock
+from doo_ti.lab import clock
 from doo_ti.system.files import write_text
 from tools.studies.replication.report import Outcome, report
 from tools.studies.replication.settings import FULL, QUICK, TINY, Size

@@ -25,7 +25,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.cli import main as doo_ti
+from doo_ti.commands.cli import main as doo_ti
 from tools.studies.marks_study.specimens import FAMILIES, SOMETIMES, Recipe, drawn, specimen
 
 GRIDS = {"cable": "1e-5:1e-1:25", "suture": "1e-9:1e-5:17"}  # N m², of EI

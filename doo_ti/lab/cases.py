@@ -13,8 +13,8 @@ from statistics import median
 
 import numpy as np
 
-from doo_ti.bench import clock, workload
-from doo_ti.bench.workload import Rods
+from doo_ti.lab import clock, workload
+from doo_ti.lab.workload import Rods
 from doo_ti.relaxation import batch
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax

@@ -18,7 +18,7 @@ from doo_ti.dynamics.paths import refined_within_reach
 from doo_ti.dynamics.simulate import simulate
 from doo_ti.io.motion_file import ClampPath
 from doo_ti.motion.path import LARGEST_TURN, motion_between
-from doo_ti.prediction.predict import Prediction, begun, rotation_about_rod
+from doo_ti.motion.predict import Prediction, begun, rotation_about_rod
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.point_loads import PointLoads
 from doo_ti.rod.frames import edge_frames
@@ -36,7 +36,7 @@ def predict_moving(
     *, between: int = 1, up: ArrayLike = (0.0, 0.0, 1.0), advance: Callable[[int], None] = lambda rods: None,
     obstacles: Sequence[Obstacle | Moving] = (), radius: ArrayLike | None = None, loads: PointLoads | None = None,
 ) -> Prediction:
-    """As :func:`doo_ti.prediction.predict.predict`, with inertia: rods at rest at the path's first moment, then carried along
+    """As :func:`doo_ti.motion.predict.predict`, with inertia: rods at rest at the path's first moment, then carried along
     it at the speed that the rate gives it.
 
     dynamics  of G rows or one

@@ -117,7 +117,7 @@ def predict(
                    "f64"
     advance        called with the number of rods at each moment, (T − 1)·between·R in all
     obstacles, radius  as in :func:`doo_ti.relaxation.relax.relax`, without friction and at rest; for others there is
-                   :func:`doo_ti.prediction.moving.predict_moving` with quasi-static steps
+                   :func:`doo_ti.motion.moving.predict_moving` with quasi-static steps
     loads          forces and masses at the vertices, of R rows or one
 
     A rod that fails keeps that status at all later moments; the next interval begins at its last configuration. Raises

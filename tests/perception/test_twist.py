@@ -7,12 +7,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from doo_ti import Clamp, InputError, Material, Observations, Plane, Surroundings, distance, relax
+from doo_ti.perception.twist import TwistOptions, TwistVerdict, estimate_twist
+from doo_ti.perception.twist_curves import consecutive_groups, end_offsets
 from doo_ti.rod.frames import angle_about, total_twist
 from doo_ti.rod.start import held_spins, observation_clamps, start_configuration
-from doo_ti.twist.curves import consecutive_groups, end_offsets
-from doo_ti.twist.estimation import TwistOptions, TwistVerdict, estimate_twist
+from tests.perception.twisted_rods import EDGES, MATERIAL, twisted_rods
 from tests.references.rods import chain
-from tests.twist.rods import EDGES, MATERIAL, twisted_rods
 
 
 @pytest.fixture(scope="module")

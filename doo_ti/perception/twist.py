@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti.contact.surroundings import Surroundings
+from doo_ti.perception.twist_curves import TwistCurves
 from doo_ti.relaxation.newton import Newton
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.physical_units import doubt_angle
@@ -27,7 +28,6 @@ from doo_ti.rod.types import Material
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
 from doo_ti.system.short_repr import short_repr
-from doo_ti.twist.curves import TwistCurves
 
 
 class TwistVerdict(IntEnum):
@@ -133,7 +133,7 @@ def estimate_twist(
     observations  N observations; vertices, rest lengths, start frames and the tangents of the end frames are used
     material      Θ, one for all or one for each observation
     group         (N,) 0, 0, …, 1, …, K − 1: observations of one group share φ; by default each has its own
-    offset        (N,) τ in rad, from :func:`doo_ti.twist.curves.end_offsets`; zero by default
+    offset        (N,) τ in rad, from :func:`doo_ti.perception.twist_curves.end_offsets`; zero by default
     advance       called with the number of rods relaxed since the last call; N·F for the samples, and more to refine minima
 
     Raises InputError where the arguments do not match, for a rod that is not round while the start's roll is unknown, and for

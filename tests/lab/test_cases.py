@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from doo_ti.bench import cases as timed
-from doo_ti.bench import clock
-from doo_ti.bench.cases import Case, Measurement, Outcome, Specimens, cases, measure
+from doo_ti.lab import cases as timed
+from doo_ti.lab import clock
+from doo_ti.lab.cases import Case, Measurement, Outcome, Specimens, cases, measure
 from doo_ti.relaxation import batch
 
 RODS = 48

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from doo_ti import Newton, relax
-from doo_ti.bench import workload
 from doo_ti.io.scene import load_scene
+from doo_ti.lab import workload
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from doo_ti import Material, end_offsets, save_observations
-from doo_ti.cli import main
-from doo_ti.twist.estimation import TwistOptions, TwistVerdict, estimate_twist
+from doo_ti.commands.cli import main
+from doo_ti.perception.twist import TwistOptions, TwistVerdict, estimate_twist
 from tools.studies.table_study import TABLE, specimen
 
 

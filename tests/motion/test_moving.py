@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from doo_ti import ClampPath, Dynamics, Grippers, InputError, Material, Stepping, predict, simulate
-from doo_ti.prediction.moving import predict_moving, rate_of
-from tests.prediction.test_predict import MATERIAL, bows, line
+from doo_ti.motion.moving import predict_moving, rate_of
+from tests.motion.test_predict import MATERIAL, bows, line
 
 SHIFTS = np.linspace(0, 1, 5)[:, None] * [-6.0, 3.0, 2.0]
 LOSSES = Dynamics(bend_damping=0.01, drag=1.0)

@@ -6,9 +6,9 @@ import re
 import numpy as np
 import pytest
 
-from doo_ti.bench import cases, clock
-from doo_ti.cli import main
 from doo_ti.commands.bench import percent
+from doo_ti.commands.cli import main
+from doo_ti.lab import cases, clock
 from tests.commands.calls import refused
 
 

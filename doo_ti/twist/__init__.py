@@ -1,1 +1,0 @@
-"""Twist angles from shapes (§IV-B, Eq. 4)."""
