@@ -16,8 +16,7 @@ from doo_ti.commands import options as given
 from doo_ti.commands.results import report
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import write_text
-from doo_ti.system.interruption import ended, kept_from_children
-from doo_ti.system.terminal import in_line, progress
+from doo_ti.system.terminal import ended, in_line, kept_from_children, progress
 
 AT_ONCE = 2
 """Processes. Taichi compiles in one thread, and what two compile at the same time both compile."""

@@ -37,10 +37,9 @@ from doo_ti.rod.frames import (
 )
 from doo_ti.rod.physical_units import doubt_angle, mm_in
 from doo_ti.rod.types import Clamps
-from doo_ti.system.arguments import owning, typed
+from doo_ti.system.arguments import owning, short_repr, typed
 from doo_ti.system.errors import InputError, require_whole
 from doo_ti.system.files import read_content
-from doo_ti.system.short_repr import short_repr
 
 SHAPES = {"time_s": (), "start_position_mm": (3,), "end_position_mm": (3,), "start_frame": (3, 3), "end_frame": (3, 3),
           "start_quaternion": (4,), "end_quaternion": (4,), "end_rotation_deg": ()}

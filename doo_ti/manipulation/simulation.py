@@ -23,9 +23,8 @@ from doo_ti.manipulation.poses import finite_rods, put_rods
 from doo_ti.motion.path import LARGEST_TURN, motion_between
 from doo_ti.relaxation.newton import Newton
 from doo_ti.rod.types import Clamps, Configuration, Material, Solution, sticky, unit_up
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import counted, typed
 from doo_ti.system.errors import InputError
-from doo_ti.system.short_repr import counted
 
 
 class Simulation:

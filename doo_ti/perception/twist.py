@@ -25,9 +25,8 @@ from doo_ti.relaxation.newton import Newton
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.physical_units import doubt_angle
 from doo_ti.rod.types import Material
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
-from doo_ti.system.short_repr import short_repr
 
 
 class TwistVerdict(IntEnum):

@@ -31,8 +31,7 @@ from doo_ti.report.grid_view import GridView, Observed, grid_view
 from doo_ti.report.plane import LandscapePlane
 from doo_ti.rod.grid import UNITS, Interval
 from doo_ti.rod.types import Status
-from doo_ti.system.arguments import typed
-from doo_ti.system.short_repr import short_repr
+from doo_ti.system.arguments import short_repr, typed
 
 BLOCK = 10
 """Iterations sent at once."""

@@ -22,7 +22,7 @@ from rerun.experimental import ViewerClient
 
 from doo_ti.system.errors import InputError, InterruptedRunError
 from doo_ti.system.files import write_whole
-from doo_ti.system.interruption import ended, kept_from_children
+from doo_ti.system.terminal import ended, kept_from_children
 
 FILE = "run.rrd"
 PROGRAMS = ("Rerun.app/Contents/MacOS/Rerun", "rerun.exe", "rerun")

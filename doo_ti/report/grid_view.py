@@ -10,8 +10,7 @@ import numpy as np
 
 from doo_ti.report.canvas import box, deviations, widest
 from doo_ti.rod.observations import Observations
-from doo_ti.system.arguments import typed
-from doo_ti.system.short_repr import short_repr
+from doo_ti.system.arguments import short_repr, typed
 
 FLAT = 3.0
 """Of what is seen from above: the depth of a view from the side over its height."""

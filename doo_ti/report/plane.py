@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti.report.canvas import MEAN_DISTANCE, MISSING, axis_label, literal, plain_ticks, quantity
-from doo_ti.system.arguments import typed
-from doo_ti.system.short_repr import short_repr
+from doo_ti.system.arguments import short_repr, typed
 
 REGIMES = ("β > B₁₁ and B₂₂", "B₂₂ > B₁₁ > β", "B₁₁ > B₂₂ > β")
 """The regimes of a ribbon in the order of Fig. 5: it bends sharply instead of twisting, it bends about the stiff axis, it

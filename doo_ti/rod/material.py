@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti.rod.physical_units import bend_or_twist, doubt_weight, force_in_newton
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import counted, span_text, typed
 from doo_ti.system.errors import InputError, real_array
-from doo_ti.system.short_repr import counted, span_text
 
 Rows = ArrayLike | slice
 """Row numbers, flags or a slice."""

@@ -26,9 +26,8 @@ from doo_ti.rod.frames import (
 )
 from doo_ti.rod.material import LARGEST, Material, Rows
 from doo_ti.rod.physical_units import force_in_newton
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import counted, span_text, typed
 from doo_ti.system.errors import MOST_EDGES, InputError, real_array, require_whole
-from doo_ti.system.short_repr import counted, span_text
 
 __all__ = ["LARGEST", "Clamp", "Clamps", "Configuration", "Material", "Rows", "Solution", "Status", "sticky", "unit_up"]
 

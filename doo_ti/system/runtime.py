@@ -18,8 +18,7 @@ from typing import Any, ParamSpec, TypeVar
 
 from doo_ti.system import taichi_internals
 from doo_ti.system.errors import InputError
-from doo_ti.system.kernel_cache import kernel_folder
-from doo_ti.system.taichi_internals import TAICHI_NAMES
+from doo_ti.system.taichi_internals import TAICHI_NAMES, kernel_folder
 from doo_ti.system.terminal import compiling
 
 KERNELS = "TI_OFFLINE_CACHE_FILE_PATH"

@@ -15,9 +15,8 @@ import numpy as np
 import taichi as ti
 
 from doo_ti.system import runtime
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
-from doo_ti.system.short_repr import short_repr
 from doo_ti.vision.detection.line import Detection
 
 HALF_LENGTH_PX = 0.5  # half the length of a piece, and half the largest spacing of points along the line
