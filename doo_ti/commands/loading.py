@@ -16,8 +16,7 @@ import numpy as np
 from doo_ti.commands import options as given
 from doo_ti.commands.results import observed
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.io.arrays import read_npz
-from doo_ti.io.csv_table import decoded
+from doo_ti.io.arrays import decoded, read_npz
 from doo_ti.io.observation_files import load_observations
 from doo_ti.io.scene import Scene, Synthesis
 from doo_ti.rod.observations import Observations

@@ -15,7 +15,7 @@ from doo_ti.commands.loading import read_rest_length
 from doo_ti.commands.perceive import LEAST_SIGMA_MM
 from doo_ti.commands.results import RODS, report, save_arrays
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.io.csv_table import read_csv
+from doo_ti.io.arrays import read_csv
 from doo_ti.rod.types import Clamp, Clamps, Material
 from doo_ti.system.errors import InputError, InterruptedRunError
 from doo_ti.system.terminal import can_record, in_line, progress

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti.io.arrays import read_npz
-from doo_ti.io.curves import Curves, is_motive, is_nexus, is_polyline, read_motive, read_nexus, read_polylines, read_usd
-from doo_ti.io.mujoco_xml import read_mujoco
+from doo_ti.io.curves import Curves, is_motive, is_nexus, is_polyline, read_motive, read_nexus, read_polylines
+from doo_ti.io.foreign import read_mujoco, read_usd
 from doo_ti.io.observation_tables import KEYS_IN_TABLES, LABELS, RENAMED, read_table, write_table
 from doo_ti.rod.observations import KEYS, LENGTHS, Observations
 from doo_ti.rod.physical_units import mm_in

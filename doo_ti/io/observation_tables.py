@@ -25,8 +25,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from doo_ti.io.arrays import AXES, check_unpacked, first_line, frame_columns, given_columns
-from doo_ti.io.csv_table import parse_csv
+from doo_ti.io.arrays import AXES, check_unpacked, first_line, frame_columns, given_columns, parse_csv
 from doo_ti.rod.physical_units import UNITS_IN_MM
 from doo_ti.system.errors import InputError
 

@@ -20,8 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.io.arrays import AXES, NEARLY, frame_columns, given_columns, read_npz
-from doo_ti.io.csv_table import CsvTable, read_csv
+from doo_ti.io.arrays import AXES, NEARLY, CsvTable, frame_columns, given_columns, read_csv, read_npz
 from doo_ti.rod.frames import matrix_from_quaternion, rotation_matrix
 from doo_ti.rod.physical_units import UNITS_IN_MM
 from doo_ti.system.errors import InputError

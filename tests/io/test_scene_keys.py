@@ -5,8 +5,7 @@ import pytest
 
 from doo_ti.dynamics.scene import load_motion_scene
 from doo_ti.groups.scene import load_group_scene
-from doo_ti.io.scene_keys import between_moments
-from doo_ti.io.toml_file import NotNegative, Table, Vector
+from doo_ti.io.toml_file import NotNegative, Table, Vector, between_moments
 from doo_ti.rod.physical_units import STANDARD_GRAVITY
 from doo_ti.system.errors import InputError
 
