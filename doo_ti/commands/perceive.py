@@ -216,7 +216,7 @@ def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found
                        _verdict_text(found, row))
 
     if len(there) and not options.no_picture:
-        from doo_ti.report.shapes import MOST_SETS, reprojections_picture
+        from doo_ti.report.figures import MOST_SETS, reprojections_picture
 
         picture = out.with_suffix(".png")
         rods = [seen(row) for row in there[:MOST_SETS]]

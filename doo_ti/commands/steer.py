@@ -85,7 +85,7 @@ class SteeredRod:
         """The rod at the start, and its grippers, which hold frames from there on: where the file has none, those of the rod
         that rolls freely. Raises InputError where it has no stable equilibrium."""
         from doo_ti.relaxation.relax import relax
-        from doo_ti.rod.straight import end_clamps
+        from doo_ti.rod.shapes import end_clamps
 
         begin = settled(self.observations, self.clamps, self.material, self.surroundings)
         start = relax(begin, self.material, self.clamps, up=self.observations.up, **self.surroundings.arguments)

@@ -43,8 +43,7 @@ from doo_ti.io.toml_file import (
     unit_direction,
 )
 from doo_ti.rod.frames import quaternion_product, smallest_rotation
-from doo_ti.rod.knots import overhand_knot
-from doo_ti.rod.straight import end_clamps, with_end_edges
+from doo_ti.rod.shapes import end_clamps, overhand_knot, with_end_edges
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line

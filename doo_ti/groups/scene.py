@@ -33,8 +33,7 @@ from doo_ti.io.toml_file import (
     stated_material,
     unit_direction,
 )
-from doo_ti.rod.knots import rod_along
-from doo_ti.rod.straight import with_end_edges
+from doo_ti.rod.shapes import rod_along, with_end_edges
 from doo_ti.rod.types import LARGEST, Clamp, Clamps, Configuration, Material
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line

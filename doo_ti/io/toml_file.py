@@ -1,6 +1,6 @@
 """TOML files, the keys that scenes of several kinds share, and the scenes that come with the package.
 
-msgspec checks that each value has its declared type and range; one form of error message, which names file, key, value and remedy:
+msgspec checks that each value has its declared type and range. A message names file, key, value and remedy:
 
     scene.toml: rod.edges: 2 is not allowed; give a whole number >= 4
 

@@ -181,7 +181,7 @@ def draw(folder: Path, experiment: Experiment, overview: Overview, identity: str
     if not can_record():
         return written
     from doo_ti.record import record_sweep
-    from doo_ti.report.grid_view import Observed
+    from doo_ti.report.canvas import Observed
 
     record_sweep(
         folder / "run.rrd", run_id=identity[:32], name=title,

@@ -46,7 +46,7 @@ from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.relaxation.sensitivity import GRIPPERS
 from doo_ti.rod.physical_units import doubt_marks
-from doo_ti.rod.straight import with_end_edges
+from doo_ti.rod.shapes import with_end_edges
 from doo_ti.rod.types import Clamps, Configuration, Material, Solution, unit_up
 from doo_ti.system.arguments import counted, typed
 from doo_ti.system.errors import InputError

@@ -25,7 +25,7 @@ from doo_ti.record.stream import (
     space_view,
 )
 from doo_ti.report.canvas import box, widest
-from doo_ti.report.shapes import BEST, DETECTED, RUNNER_UP, TRUTH, SeenRod
+from doo_ti.report.figures import BEST, DETECTED, RUNNER_UP, TRUTH, SeenRod
 from doo_ti.vision.cameras.camera import Camera
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.detection.images import read_image

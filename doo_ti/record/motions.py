@@ -28,9 +28,8 @@ from doo_ti.record.stream import (
     space_view,
 )
 from doo_ti.report import MovingRods, Ribbons, distinct_colors
-from doo_ti.report.canvas import box, widest
+from doo_ti.report.canvas import Observed, box, facing, grid_view, widest
 from doo_ti.report.contact import GroupMotion, Touched
-from doo_ti.report.grid_view import Observed, facing, grid_view
 
 GRIPPER = (120, 120, 130)
 MOST_CURVES = 12

@@ -27,7 +27,7 @@ from doo_ti.record.stream import (
     space_view,
     vectors,
 )
-from doo_ti.report.grid_view import GridView, Observed, grid_view
+from doo_ti.report.canvas import GridView, Observed, grid_view
 from doo_ti.report.plane import LandscapePlane
 from doo_ti.rod.grid import UNITS, Interval
 from doo_ti.rod.types import Status

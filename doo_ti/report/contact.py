@@ -13,8 +13,7 @@ from doo_ti.contact.meshes import mesh
 from doo_ti.contact.moving import Moving
 from doo_ti.contact.obstacles import PLANE, Obstacle
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.report.canvas import box, limits_around, literal, new_figure, save_figure, widest
-from doo_ti.report.grid_view import upright_basis
+from doo_ti.report.canvas import box, limits_around, literal, new_figure, save_figure, upright_basis, widest
 
 if TYPE_CHECKING:  # it brings the solvers, and Taichi with them
     from doo_ti.groups.relax_group import GroupSolution

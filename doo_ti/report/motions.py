@@ -9,9 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.report.canvas import deviations, fit_titles, limits_around, literal, new_figure, save_figure
+from doo_ti.report.canvas import deviations, facing, fit_titles, limits_around, literal, new_figure, save_figure, upright_basis
 from doo_ti.report.contact import Touched
-from doo_ti.report.grid_view import facing, upright_basis
 from doo_ti.system.files import write_whole
 
 MOST_RODS = 6

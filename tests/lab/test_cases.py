@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from doo_ti.lab import cases as timed
-from doo_ti.lab import clock
+from doo_ti.lab import workload
 from doo_ti.lab.cases import Case, Measurement, Outcome, Specimens, cases, measure
 from doo_ti.relaxation import batch
 
@@ -20,7 +20,7 @@ def short_rounds():
 
 @pytest.fixture(scope="module")
 def reference():
-    return clock.Reference(1)
+    return workload.Reference(1)
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +76,7 @@ def test_busy_lanes_and_the_share_of_the_peak(reference):
 
 @pytest.mark.thorough
 def test_the_peak_is_the_most_that_was_found(monkeypatch):
-    monkeypatch.setattr(clock, "TRIPS", 1000)
-    found = clock.peak_gflops()
+    monkeypatch.setattr(workload, "TRIPS", 1000)
+    found = workload.peak_gflops()
     assert set(found) == {"f32", "f64"} and min(found.values()) > 0
-    assert clock.peak_gflops({"f32": 1e9, "f64": 0.0})["f32"] == 1e9
+    assert workload.peak_gflops({"f32": 1e9, "f64": 0.0})["f32"] == 1e9

@@ -8,7 +8,7 @@ import pytest
 
 from doo_ti.commands.bench import percent
 from doo_ti.commands.cli import main
-from doo_ti.lab import cases, clock
+from doo_ti.lab import cases, workload
 from tests.commands.calls import refused
 
 
@@ -16,7 +16,7 @@ from tests.commands.calls import refused
 def small(monkeypatch):
     """The whole command, small enough to take seconds."""
     monkeypatch.setattr(cases, "ROUND_SECONDS", 0.0)
-    monkeypatch.setattr(clock, "TRIPS", 1000)
+    monkeypatch.setattr(workload, "TRIPS", 1000)
 
 
 @pytest.mark.thorough
