@@ -13,7 +13,7 @@ import rerun.blueprint as blueprint
 
 from doo_ti.perception.growth import GrowthStep
 from doo_ti.perception.virtual_lab import SeenMoment
-from doo_ti.record.stream import (
+from doo_ti.record.viewer import (
     BACKGROUND,
     FAILED,
     drawn_strips,

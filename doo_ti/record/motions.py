@@ -11,16 +11,15 @@ import numpy as np
 import rerun
 import rerun.blueprint as blueprint
 
+from doo_ti.contact.moving import Moving, since_first
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.groups.relax_group import GroupSolution
-from doo_ti.record.stream import (
+from doo_ti.record.viewer import (
     FAILED,
     OBSERVED,
     drawn_strips,
     entity_name,
     front_view,
-    log_forces,
-    log_obstacles,
     log_up,
     log_view,
     panels,
@@ -52,8 +51,8 @@ def record_motion(path, *, run_id: str, name: str, rods: MovingRods, curves: dic
             radii=rerun.Radius.ui_points(2.0), labels=rods.names, show_labels=count <= MOST_CURVES), static=True)
         _log_held(stream, rods, when)
         if rods.touched is not None:
-            log_obstacles(stream, "world/obstacles", when, rods.touched, np.zeros((1, 3)))
-            log_forces(stream, "world/forces", when, rods.touched, np.zeros((count, 3)))
+            _log_obstacles(stream, "world/obstacles", when, rods.touched, np.zeros((1, 3)))
+            _log_forces(stream, "world/forces", when, rods.touched, np.zeros((count, 3)))
         own = distinct_colors(count)
         colors = np.where(rods.sound[..., None], own, np.uint8(FAILED)).astype(np.uint8)
         stream.send_columns("world/rods", when, rerun.LineStrips3D.columns(
@@ -206,8 +205,8 @@ def record_rollout(path: Path, name: str, names: list[str], positions: np.ndarra
             strips = drawn_strips(placed.swapaxes(0, 1).reshape(-1, *rods.shape[2:]))
             stream.send_columns(f"world/{entity}", when, rerun.LineStrips3D.columns(strips=strips).partition([count] * frames))
         if touched is not None:
-            log_obstacles(stream, "world/obstacles", when, touched, grid.offset)
-            log_forces(stream, "world/forces", when, touched, grid.offset)
+            _log_obstacles(stream, "world/obstacles", when, touched, grid.offset)
+            _log_forces(stream, "world/forces", when, touched, grid.offset)
         if seen is not None:
             _log_curves(stream, "curves/error", when, np.abs(rods - seen).mean(axis=(2, 3)).T, names[:MOST_RODS],
                         distinct_colors(count), 1.0)
@@ -248,10 +247,52 @@ def record_group(path: Path, moments: Sequence[GroupSolution], *, name: str, nam
             stream.log("world/ties", rerun.Points3D.from_fields(colors=TIE, radii=_thick(thickest, 1.3, 2.0)), static=True)
             stream.send_columns("world/ties", when, rerun.Points3D.columns(
                 positions=seen.vertices[:, seen.tied].reshape(-1, 3)).partition([len(seen.tied)] * frames))
-        log_obstacles(stream, "world/obstacles", when, seen.touched, np.zeros((1, 3)))
-        log_forces(stream, "world/forces", when, seen.touched, np.zeros((1, 3)))
+        _log_obstacles(stream, "world/obstacles", when, seen.touched, np.zeros((1, 3)))
+        _log_forces(stream, "world/forces", when, seen.touched, np.zeros((1, 3)))
 
 
 def _thick(radius: float | None, share: float, points: float):
     """So many times the radius, or so many points of the screen where there is none."""
     return rerun.Radius.ui_points(points) if radius is None else share * radius
+
+
+# --- contact -------------------------------------------------------------------------------------------------------------
+
+OBSTACLE, FORCE = (130, 138, 150, 255), (110, 160, 255)
+
+
+def _log_obstacles(stream, entity: str, when: list, touched: Touched, offset: np.ndarray) -> None:
+    """The obstacles around each rod, moved by the rod's ``offset`` (R, 3), below ``entity``; those that move at the T times
+    ``when``."""
+    for row, move in enumerate(offset):
+        for number, (given, _, vertices, triangles, normals) in enumerate(touched.meshes(row, 0)):
+            own, corners = f"{entity}/{row}/{number}", _outward(vertices[triangles], normals).reshape(-1, 3)
+            if isinstance(given, Moving):
+                rotation, shift = since_first(*given.path)
+                stream.send_columns(own, when, rerun.Transform3D.columns(mat3x3=rotation[0], translation=shift[0] + move))
+            else:
+                corners = corners + move
+            stream.log(own, rerun.Mesh3D(
+                vertex_positions=corners, vertex_normals=np.repeat(normals, 3, axis=0), albedo_factor=OBSTACLE,
+                # A table does not hide from below what lies on it.
+                face_rendering=rerun.components.MeshFaceRendering.Front), static=True)
+
+
+def _outward(corners: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Triangles (M, 3, 3) with their corners in the sense of their outward ``normals`` (M, 3)."""
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    turned = (across * normals).sum(axis=-1) < 0.0
+    return np.where(turned[:, None, None], corners[:, ::-1], corners)
+
+
+def _log_forces(stream, entity: str, when: list, touched: Touched, offset: np.ndarray) -> None:
+    """Contact forces on the rods that have an ``offset`` (R, 3), as arrows at the T times ``when``."""
+    places, vectors, counts = [], [], []
+    for frame in range(touched.force.shape[1]):
+        found = [touched.arrows(row, frame) for row in range(len(offset))]
+        places += [origin + move for (origin, _), move in zip(found, offset, strict=True)]
+        vectors += [vector for _, vector in found]
+        counts.append(sum(len(origin) for origin, _ in found))
+    stream.log(entity, rerun.Arrows3D.from_fields(colors=FORCE, radii=rerun.Radius.ui_points(0.8)), static=True)
+    stream.send_columns(entity, when, rerun.Arrows3D.columns(
+        origins=np.concatenate(places), vectors=np.concatenate(vectors)).partition(counts))

@@ -15,7 +15,7 @@ import rerun
 import rerun.blueprint as blueprint
 
 from doo_ti import report
-from doo_ti.record.stream import (
+from doo_ti.record.viewer import (
     FAILED,
     TEXT,
     drawn_strips,

@@ -1,6 +1,6 @@
 """Pictures of rods in space: recovered from images, drawn over them (Fig. 6), and ribbons as bands along their material frames
-(Fig. 5c); and of what data determine: maps over configurations of how strongly each informs each parameter (§V-A), and the curves of Eq. 4
-over the twist angle.
+(Fig. 5c); and of what data determine: maps over configurations of how strongly each informs each parameter (§V-A), and the
+curves of Eq. 4 over the twist angle.
 """
 
 from dataclasses import dataclass

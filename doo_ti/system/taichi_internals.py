@@ -10,8 +10,8 @@ quotation for a possible error message. Our kernels have hundreds of functions a
 time until a kernel runs. With DOO_TI_DEBUG set Taichi works as usual, and an error in a kernel is quoted.
 
 **The folder of compiled kernels**, kept between processes, is repaired. Else Taichi ends in a segmentation fault where no
-folder is writable or its table is damaged, compiles a damaged kernel again at every start without replacing it, and stores no further
-kernel once a process was killed while it wrote.
+folder is writable or its table is damaged, compiles a damaged kernel again at every start without replacing it, and stores no
+further kernel once a process was killed while it wrote.
 
     FOLDER/ticache.tcb   the table: a header, then an entry for each kernel
     FOLDER/T….tic        a kernel: a header, its content, sha256 of the content in hexadecimal

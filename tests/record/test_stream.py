@@ -11,7 +11,7 @@ import rerun
 import rerun.blueprint as blueprint
 from rerun.chunk import RrdReader
 
-from doo_ti.record.stream import DESCRIPTORS, recording
+from doo_ti.record.viewer import DESCRIPTORS, recording
 
 ROOT = Path(__file__).resolve().parents[2]
 LAYOUT = blueprint.Blueprint(blueprint.Spatial3DView())
@@ -19,7 +19,7 @@ LAYOUT = blueprint.Blueprint(blueprint.Spatial3DView())
 FULL = """
 import resource, sys
 import numpy as np, rerun, rerun.blueprint as blueprint
-from doo_ti.record.stream import recording
+from doo_ti.record.viewer import recording
 
 resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
 try:
