@@ -15,26 +15,24 @@ from typing import NoReturn
 
 from doo_ti import __version__
 from doo_ti.commands import (
-    bench,
     cameras,
     group,
+    hidden,
     identify,
+    machine,
+    nearest,
+    overview,
     perceive,
-    plan,
     predict,
     refine,
-    relax,
     runs,
-    servo,
+    search,
+    shapes,
     simulate,
     steer,
-    sweep,
     synth,
     track,
-    twist,
-    warm,
 )
-from doo_ti.commands.help_text import hidden, nearest, overview
 from doo_ti.system.errors import InputError, InterruptedRunError
 from doo_ti.system.runtime import check_architecture
 from doo_ti.system.terminal import VisibleStream, visible
@@ -195,7 +193,7 @@ def _parser() -> _Parser:
                      description="Fit discrete elastic rods to observed shapes (Javdani et al., ICRA 2011).")
     parser.add_argument("--version", action="version", version=f"doo-ti {__version__}")
     add = parser.add_subparsers(dest="command", required=True, metavar="COMMAND").add_parser
-    for commands in (relax, sweep, runs, refine, predict, steer, servo, simulate, group, identify, twist, plan, synth, bench,
-                     cameras, perceive, track, warm):
+    for commands in (shapes, search, runs, refine, predict, steer, simulate, group, identify, synth, machine, cameras, perceive,
+                     track):
         commands.declare(add)
     return parser

@@ -16,7 +16,7 @@ import numpy as np
 from doo_ti.commands import options as given
 from doo_ti.commands.results import observed
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.io.arrays import decoded, read_npz
+from doo_ti.io.arrays import checked_arrays, decoded, read_npz
 from doo_ti.io.observation_files import load_observations
 from doo_ti.io.scene import Scene, Synthesis
 from doo_ti.rod.observations import Observations
@@ -139,6 +139,26 @@ def _measured(observations: Observations, text: str) -> Observations:
                          "long", "give the length from the first mark to the last along the rod in mm, and the --unit of the "
                          "marks")
     return measured
+
+
+def target(options: Namespace, observations: Observations) -> np.ndarray:
+    """(1, V, 3) mm, where ``--target`` says that the vertices shall be; NaN where it asks nothing."""
+    path = Path(options.target)
+    if path.suffix != ".npz":
+        raise InputError(path, "file", f"suffix {path.suffix!r}", "name a .npz file with vertices_mm")
+    arrays = read_npz(path, read_content(path), ("vertices_mm",))
+    if "vertices_mm" not in arrays:
+        raise InputError(path, "vertices_mm", "missing", "give (1, V, 3) mm, NaN where nothing is asked")
+    places = arrays["vertices_mm"]
+    missing = np.isnan(places) if places.dtype.kind == "f" else np.zeros(places.shape, dtype=bool)
+    places = checked_arrays(path, {"vertices_mm": np.where(missing, 0, places) if missing.any() else places})["vertices_mm"]
+    wanted = (1, observations.edges + 1, 3)
+    if places.shape != wanted:
+        raise InputError(path, "vertices_mm", f"shape {places.shape}", f"give {wanted}, as START has vertices")
+    places = np.where(missing, np.nan, places)
+    if not np.isfinite(places).all(axis=-1).any():
+        raise InputError(path, "vertices_mm", "NaN everywhere", "give at least one vertex a place")
+    return places if options.unit is None else places * UNITS_IN_MM[options.unit]
 
 
 def of_scene(options: Namespace, scene: Scene) -> Observations:

@@ -22,7 +22,7 @@ from typing import Annotated
 
 import numpy as np
 
-from doo_ti.io.arrays import checked_arrays, read_npz
+from doo_ti.io.arrays import AXES, checked_arrays, frame_columns, read_npz
 from doo_ti.io.pose_table import frame_of_quaternion, read_poses
 from doo_ti.rod.frames import (
     FRAME_TOLERANCE,
@@ -299,3 +299,13 @@ def _of_positions(path: Path, arrays: dict[str, np.ndarray], rate: np.ndarray | 
     if time is None and rate is not None and rate.size == 1 and rate.item() > 0:
         time = np.arange(len(positions)) / rate.item()
     return path_of_marks(positions, time, str(path))
+
+
+def path_table(path: ClampPath) -> str:
+    """The path of the grippers of one rod as CSV, which ``predict --motion`` reads."""
+    names, columns = ["time_s"], [path.time[:, None]]
+    for end in ("start", "end"):
+        names += [f"{end}_{axis}_mm" for axis in AXES] + list(frame_columns(f"{end}_frame"))
+        columns += [getattr(path, f"{end}_position")[:, 0], getattr(path, f"{end}_frame")[:, 0].reshape(path.moments, 9)]
+    rows = np.concatenate(columns, axis=1)
+    return "\n".join([",".join(names), *(",".join(repr(float(value)) for value in row) for row in rows)]) + "\n"

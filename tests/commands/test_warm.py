@@ -9,21 +9,21 @@ from pathlib import Path
 
 import pytest
 
-from doo_ti.commands import warm
+from doo_ti.commands import machine
 from doo_ti.commands.cli import _parser, main
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.mark.parametrize("command", warm.STEPS)
+@pytest.mark.parametrize("command", machine.STEPS)
 def test_steps_are_valid_commands_that_end_with_their_own(command):
-    for step in warm.STEPS[command]:
+    for step in machine.STEPS[command]:
         _parser().parse_args(step.split())
-    assert command in (step.split()[0] for step in warm.STEPS[command])
+    assert command in (step.split()[0] for step in machine.STEPS[command])
 
 
 def test_each_step_is_run_and_a_failure_is_reported(monkeypatch, capsys):
-    monkeypatch.setattr(warm, "STEPS", {
+    monkeypatch.setattr(machine, "STEPS", {
         "relax": ("convert absent.npz a.npz", "convert never.npz b.npz"), "sweep": ("help", "--version"),
         "twist": ("--version",)})
     assert main(["warm", "relax", "sweep", "--json"]) == 1

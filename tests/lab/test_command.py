@@ -6,8 +6,8 @@ import re
 import numpy as np
 import pytest
 
-from doo_ti.commands.bench import percent
 from doo_ti.commands.cli import main
+from doo_ti.commands.machine import percent
 from doo_ti.lab import cases, workload
 from tests.commands.calls import refused
 
