@@ -10,7 +10,7 @@ from doo_ti.commands import image_options
 from doo_ti.commands import options as given
 from doo_ti.commands.results import counted, report, shortened
 from doo_ti.io.observation_files import save_observations
-from doo_ti.rod.physical_units import UNITS_IN_MM
+from doo_ti.rod.material import UNITS_IN_MM
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line, progress
 from doo_ti.vision.cameras.board import FORMS, Board, Views, find_sightings, parse_board, read_views

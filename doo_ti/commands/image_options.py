@@ -15,7 +15,7 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.arrays import read_npz
 from doo_ti.io.observation_files import load_observations
 from doo_ti.io.toml_file import scene_file
-from doo_ti.rod.physical_units import UNITS_IN_MM
+from doo_ti.rod.material import UNITS_IN_MM
 from doo_ti.rod.types import Material
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import read_content

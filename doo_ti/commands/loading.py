@@ -19,8 +19,8 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.arrays import checked_arrays, decoded, read_npz
 from doo_ti.io.observation_files import load_observations
 from doo_ti.io.scene import Scene, Synthesis
+from doo_ti.rod.material import UNITS_IN_MM, likely_unit
 from doo_ti.rod.observations import Observations
-from doo_ti.rod.physical_units import UNITS_IN_MM, likely_unit
 from doo_ti.rod.start import observation_clamps, reachable
 from doo_ti.rod.types import Clamp
 from doo_ti.system import terminal

@@ -14,8 +14,8 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.motion_file import TOOL_AXES, ClampPath, load_path
 from doo_ti.io.pose_table import NAMED
 from doo_ti.rod.frames import matrix_from_quaternion, smallest_rotation
+from doo_ti.rod.material import UNITS_IN_MM
 from doo_ti.rod.observations import Observations
-from doo_ti.rod.physical_units import UNITS_IN_MM
 from doo_ti.rod.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, unit_up
 from doo_ti.system.errors import InputError

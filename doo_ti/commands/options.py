@@ -15,7 +15,7 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.observation_files import checked_suffix
 from doo_ti.io.scene import CLAMPS, PRECISIONS
 from doo_ti.rod.grid import UNITS, Axis, Grid, parse_axes, parse_axis
-from doo_ti.rod.physical_units import bend_or_twist, force_in_newton, weight_per_length
+from doo_ti.rod.material import bend_or_twist, force_in_newton, weight_per_length
 from doo_ti.rod.types import LARGEST, Clamp, unit_up
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import INSTALL_RECORDER, has_recorder

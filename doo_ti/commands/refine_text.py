@@ -8,8 +8,8 @@ from doo_ti.commands.loading import up_text
 from doo_ti.commands.results import counted
 from doo_ti.contact.obstacle_file import described
 from doo_ti.contact.surroundings import Surroundings
+from doo_ti.rod.material import relative_stiffness, stiffness
 from doo_ti.rod.observations import Observations
-from doo_ti.rod.physical_units import relative_stiffness, stiffness
 from doo_ti.system.terminal import in_line
 
 LISTED = 6  # observations named individually

@@ -21,8 +21,8 @@ from doo_ti.io.toml_file import scene_file
 from doo_ti.learning.chunks import SUMMARY
 from doo_ti.learning.pairs import Pairs, load_pairs
 from doo_ti.rod.grid import Grid
+from doo_ti.rod.material import relative_stiffness, stiffness
 from doo_ti.rod.observations import Observations
-from doo_ti.rod.physical_units import relative_stiffness, stiffness
 from doo_ti.rod.start import check_experiment, observation_clamps
 from doo_ti.rod.types import Clamp
 from doo_ti.system.errors import InputError

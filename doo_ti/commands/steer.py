@@ -19,8 +19,8 @@ from doo_ti.commands.moving_rods import curved, settled
 from doo_ti.commands.results import report
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.motion_file import ClampPath, path_table
+from doo_ti.rod.material import relative_stiffness, stiffness
 from doo_ti.rod.observations import Observations
-from doo_ti.rod.physical_units import relative_stiffness, stiffness
 from doo_ti.rod.start import check_experiment, observation_clamps
 from doo_ti.rod.types import POSES, Clamp, Clamps, Material, Solution
 from doo_ti.system.errors import InputError, InterruptedRunError

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.io.arrays import csv_rows, decoded, number_in
-from doo_ti.rod.physical_units import UNITS_IN_MM
+from doo_ti.rod.material import UNITS_IN_MM
 from doo_ti.rod.types import LARGEST
 from doo_ti.system.errors import InputError
 

@@ -35,7 +35,7 @@ from doo_ti.rod.frames import (
     some_frames,
     turned_about_tangent,
 )
-from doo_ti.rod.physical_units import doubt_angle, mm_in
+from doo_ti.rod.material import doubt_angle, mm_in
 from doo_ti.rod.types import Clamps
 from doo_ti.system.arguments import owning, short_repr, typed
 from doo_ti.system.errors import InputError, require_whole

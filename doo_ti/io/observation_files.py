@@ -26,8 +26,8 @@ from doo_ti.io.arrays import read_npz
 from doo_ti.io.curves import Curves, is_motive, is_nexus, is_polyline, read_motive, read_nexus, read_polylines
 from doo_ti.io.foreign import read_mujoco, read_usd
 from doo_ti.io.observation_tables import KEYS_IN_TABLES, LABELS, RENAMED, read_table, write_table
+from doo_ti.rod.material import mm_in
 from doo_ti.rod.observations import KEYS, LENGTHS, Observations
-from doo_ti.rod.physical_units import mm_in
 from doo_ti.rod.types import unit_up
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, real_array

@@ -26,7 +26,7 @@ from typing import BinaryIO
 import numpy as np
 
 from doo_ti.io.arrays import AXES, check_unpacked, first_line, frame_columns, given_columns, parse_csv
-from doo_ti.rod.physical_units import UNITS_IN_MM
+from doo_ti.rod.material import UNITS_IN_MM
 from doo_ti.system.errors import InputError
 
 # Key of the npz format: what a value of it belongs to, the shape of the value, the names of its columns.

@@ -22,7 +22,7 @@ import numpy as np
 
 from doo_ti.io.arrays import AXES, NEARLY, CsvTable, frame_columns, given_columns, read_csv, read_npz
 from doo_ti.rod.frames import matrix_from_quaternion, rotation_matrix
-from doo_ti.rod.physical_units import UNITS_IN_MM
+from doo_ti.rod.material import UNITS_IN_MM
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import read_content
 

@@ -6,7 +6,7 @@ msgspec checks that each value has its declared type and range. A message names 
 
 Commands take scenes of the package by name in any folder: ``vicryl``, ``whip``, ``scenes/rig.yaml``. Scenes share the keys of a
 rod's material, relative to its weight or in physical units as the options of commands have it
-(:mod:`doo_ti.rod.physical_units`), and of what is stated at some moments of a motion, smooth between them: quantities of any
+(:mod:`doo_ti.rod.material`), and of what is stated at some moments of a motion, smooth between them: quantities of any
 kind, and the clamps of a rod's ends.
 
     bend = 6e5                         # mm³, or a matrix [[A1, A12], [A12, A2]]
@@ -43,7 +43,7 @@ import msgspec
 import numpy as np
 
 from doo_ti.rod.frames import matrix_from_quaternion, quaternion_product, smallest_rotation, turned_about_tangent
-from doo_ti.rod.physical_units import bend_or_twist, force_in_newton, weight_per_length
+from doo_ti.rod.material import bend_or_twist, force_in_newton, weight_per_length
 from doo_ti.rod.types import LARGEST, Configuration
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import MOST_TEXT_BYTES, read_content

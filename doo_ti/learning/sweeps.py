@@ -29,9 +29,9 @@ from doo_ti.learning.run_folder import claim, finished, identity_of, provenance,
 from doo_ti.learning.up_axes import other_up
 from doo_ti.learning.workers import ThisProcess, Workers, started_workers
 from doo_ti.rod.grid import Grid
+from doo_ti.rod.material import relative_stiffness, stiffness
 from doo_ti.rod.metric import distance
 from doo_ti.rod.observations import Observations
-from doo_ti.rod.physical_units import relative_stiffness, stiffness
 from doo_ti.rod.start import check_experiment
 from doo_ti.rod.types import Status
 from doo_ti.system.arguments import typed

@@ -45,7 +45,7 @@ from doo_ti.manipulation.targets import ServoOptions, ServoStatus, Targets, requ
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.relaxation.sensitivity import GRIPPERS
-from doo_ti.rod.physical_units import doubt_marks
+from doo_ti.rod.material import doubt_marks
 from doo_ti.rod.shapes import with_end_edges
 from doo_ti.rod.types import Clamps, Configuration, Material, Solution, unit_up
 from doo_ti.system.arguments import counted, typed

@@ -26,7 +26,7 @@ from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.point_loads import PointLoads, check_rows
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import angle_about, matrix_from_quaternion, smallest_rotation, total_twist, vertices_from_quaternions
-from doo_ti.rod.physical_units import doubt_angle
+from doo_ti.rod.material import doubt_angle
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution, Status, sticky
 from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError

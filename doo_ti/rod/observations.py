@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti.rod.frames import FRAME_TOLERANCE, handedness, orthonormality_error
-from doo_ti.rod.physical_units import doubt_angle
+from doo_ti.rod.material import doubt_angle
 from doo_ti.rod.types import LARGEST, Rows
 from doo_ti.system.arguments import counted, typed
 from doo_ti.system.errors import InputError, real_array

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti.rod.frames import across, bishop_frames, conjugate, quaternion_from_matrix, quaternion_product
-from doo_ti.rod.physical_units import doubt_length
+from doo_ti.rod.material import doubt_length
 from doo_ti.rod.types import LARGEST, Clamp, Clamps, Configuration, unit_up
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import MOST_EDGES, InputError, real_array, require_whole

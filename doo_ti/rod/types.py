@@ -24,8 +24,7 @@ from doo_ti.rod.frames import (
     tangent_from_quaternion,
     vertices_from_quaternions,
 )
-from doo_ti.rod.material import LARGEST, Material, Rows
-from doo_ti.rod.physical_units import force_in_newton
+from doo_ti.rod.material import LARGEST, Material, Rows, force_in_newton
 from doo_ti.system.arguments import counted, span_text, typed
 from doo_ti.system.errors import MOST_EDGES, InputError, real_array, require_whole
 

@@ -6,7 +6,7 @@ import pytest
 from doo_ti.dynamics.scene import load_motion_scene
 from doo_ti.groups.scene import load_group_scene
 from doo_ti.io.toml_file import NotNegative, Table, Vector, between_moments
-from doo_ti.rod.physical_units import STANDARD_GRAVITY
+from doo_ti.rod.material import STANDARD_GRAVITY
 from doo_ti.system.errors import InputError
 
 EI, GJ, DENSITY = 2e-5, 1.5e-5, 4.0

@@ -12,7 +12,7 @@ import numpy as np
 
 from doo_ti.io.foreign import read_opencv_yaml
 from doo_ti.rod.frames import matrix_from_quaternion, rotation_matrix
-from doo_ti.rod.physical_units import UNITS_IN_MM
+from doo_ti.rod.material import UNITS_IN_MM
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import read_content
@@ -36,7 +36,7 @@ LENSES = ("opencv", "fisheye")
 class RigReading:
     """How a file of cameras is meant; None: as usual, and doubted where cameras then do not see what they should.
 
-    unit    of lengths, one of ``doo_ti.rod.physical_units.UNITS_IN_MM``; None: mm
+    unit    of lengths, one of ``doo_ti.rod.material.UNITS_IN_MM``; None: mm
     poses   one of POSES; None: "opencv", x_cam = R x_world + t with z forward
     lens    "opencv", or "fisheye": of a stereo file, whose coefficients are k1, k2, k3, k4 of OpenCV's fisheye model
     turned  images are turned as their files' orientation tags say; None: as the rig says, else as the sensor has them
