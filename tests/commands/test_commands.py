@@ -159,15 +159,15 @@ def test_version(capsys):
     assert main(["--version"]) == 0 and capsys.readouterr().out.startswith("doo-ti ")
 
 
-@pytest.mark.parametrize("command, way", [
-    ("refine", "starts from the beginning"), ("sweep", "resumes with the unfinished cells")])
+@pytest.mark.parametrize("command, work, way", [
+    ("refine", "refine.run", "starts from the beginning"), ("sweep", "search.run_sweep", "resumes with the unfinished cells")])
 @pytest.mark.parametrize("failure", [
     OSError(28, "No space left on device"), KeyboardInterrupt(), RuntimeError("no\nmemory"), MemoryError()])
-def test_a_command_that_is_stopped_says_whether_it_starts_from_the_beginning(capsys, monkeypatch, command, way, failure):
+def test_a_command_that_is_stopped_says_whether_it_starts_from_the_beginning(capsys, monkeypatch, command, work, way, failure):
     def fail(*args):
         raise failure
 
-    monkeypatch.setattr(f"doo_ti.commands.{command}.run", fail)
+    monkeypatch.setattr(f"doo_ti.commands.{work}", fail)
     assert main([command, "source", "--out", "F"]) == 1
     out, err = capsys.readouterr()
     assert out == "" and err.count("\n") == 1 and f"; the same command {way}" in err
