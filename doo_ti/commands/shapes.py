@@ -7,21 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import loading
+from doo_ti.commands import loading, results
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import curved
-from doo_ti.commands.results import (
-    RODS,
-    contact_lines,
-    contact_summary,
-    counted,
-    in_newton,
-    report,
-    save_arrays,
-    shortened,
-    theta_of,
-    theta_text,
-)
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.observation_tables import write_columns
 from doo_ti.io.scene import PRECISIONS
@@ -69,7 +57,7 @@ def declare(add) -> None:
 def run_relax(options: Namespace) -> int:
     """F on each observation (§III-D), to one npz; of several whole-turn hypotheses the one nearest to the observation."""
     grid = given.single_cell(options, "give one number, or use sweep")
-    frame_weight, out = given.frame_weight(options), given.output_file(options.out, RODS)
+    frame_weight, out = given.frame_weight(options), given.output_file(options.out, results.RODS)
     surroundings = given.surroundings(options)
     observations = loading.load(options, options.observations)
     clamps = observation_clamps(observations, *given.clamps(options))
@@ -103,11 +91,11 @@ def run_relax(options: Namespace) -> int:
     if surroundings:
         result["contact_force"] = solution.contact_force[best]
         result["smallest_gap_mm"] = surroundings.smallest_gap(result["vertices_mm"])
-        contact = contact_summary(surroundings, result["contact_force"], result["smallest_gap_mm"], result["status"])
-    save_arrays(out, in_newton(result, given.newtons(options, material.weight), 0))
+        contact = results.contact_summary(surroundings, result["contact_force"], result["smallest_gap_mm"], result["status"])
+    results.save_arrays(out, results.in_newton(result, given.newtons(options, material.weight), 0))
     inside = _inside(surroundings, held, start, index, infeasible)
     summary = _summary_relax(observations, grid, result, out) | contact | {"infeasible_reason": inside}
-    report(options, summary, lambda: _lines_relax(observations, grid, result, summary))
+    results.report(options, summary, lambda: _lines_relax(observations, grid, result, summary))
     return 0 if (result["status"] == Status.CONVERGED).any() else 1
 
 
@@ -127,7 +115,7 @@ def _inside(surroundings: Surroundings, clamps, start, index: np.ndarray, rows: 
 def _summary_relax(observations: Observations, grid: Grid, result: dict, out: Path) -> dict:
     finite = result["distance_mm"][np.isfinite(result["distance_mm"])]
     return {
-        "observations": observations.count, "edges": observations.edges, **theta_of(grid),
+        "observations": observations.count, "edges": observations.edges, **results.theta_of(grid),
         "status": status_counts(result["status"]), "stable": int(result["stable"].sum()), "out": str(out),
         "mean_distance_mm": finite.mean() if len(finite) else np.nan,
         "largest_distance_mm": finite.max() if len(finite) else np.nan,
@@ -138,12 +126,12 @@ def _summary_relax(observations: Observations, grid: Grid, result: dict, out: Pa
 def _lines_relax(observations: Observations, grid: Grid, result: dict, summary: dict) -> list[str]:
     rods = f"{observations.count} rod{'s' * (observations.count != 1)}"
     lines = [f"{observations.name}: {rods} of {observations.edges} edges",
-             loading.rod_line(observations), f"  material    {theta_text(theta_of(grid), grid.is_isotropic)}",
-             f"  status      {counted(summary['status'])}; {summary['stable']} certified stable"]
+             loading.rod_line(observations), f"  material    {results.theta_text(results.theta_of(grid), grid.is_isotropic)}",
+             f"  status      {results.counted(summary['status'])}; {summary['stable']} certified stable"]
     if np.isfinite(summary["mean_distance_mm"]):
         lines.append(f"  distance    mean {summary['mean_distance_mm']:.4g} mm, largest {summary['largest_distance_mm']:.4g} "
                      f"mm at observation {observations.labels[np.nanargmax(result['distance_mm'])]} (Eq. 1)")
-    lines += contact_lines(summary, observations.count)
+    lines += results.contact_lines(summary, observations.count)
     if summary["infeasible_reason"]:
         lines.append(f"  infeasible  {summary['infeasible_reason']}")
     return [*lines, f"  iterations  median {summary['median_iterations']:.0f}, most {int(result['iterations'].max())}",
@@ -158,7 +146,7 @@ MOST_LISTED = 20
 def run_twist(options: Namespace) -> int:
     """Eq. 4 for each group of observations that share φ; writes φ and the whole curve, and prints ambiguous groups."""
     grid = given.single_cell(options)
-    out = given.output_file(options.out, RODS)
+    out = given.output_file(options.out, results.RODS)
     picture = given.output_file(options.picture, ".png", "--picture")
     observations = loading.load(options, options.observations)
     given.refuse_overwriting(out, options.observations)
@@ -191,14 +179,14 @@ def run_twist(options: Namespace) -> int:
         estimate = estimate_twist(observations, material, group, offset, search, advance)
     result = _arrays_twist(estimate)
     if out.suffix == ".npz":
-        save_arrays(out, result)
+        results.save_arrays(out, result)
     else:
         out.parent.mkdir(parents=True, exist_ok=True)
         write_whole(out, lambda file: write_columns(file, _columns(observations, result)))
     if picture is not None:
         _draw_twist(picture, observations, estimate)
     summary = _summary_twist(observations, grid, estimate, result, out)
-    report(options, summary, lambda: _lines_twist(observations, grid, estimate, summary))
+    results.report(options, summary, lambda: _lines_twist(observations, grid, estimate, summary))
     return 0 if np.isfinite(estimate.phi).any() else 1
 
 
@@ -247,7 +235,7 @@ def _word(verdict: int) -> str:
 def _summary_twist(observations: Observations, grid: Grid, estimate, result: dict, out: Path) -> dict:
     verdicts = {_word(kind): int(count) for kind, count in zip(*np.unique(estimate.verdict, return_counts=True), strict=True)}
     arrays = ("phi_deg", "least_mm", "low_deg", "high_deg", "minima_deg", "minima_mm", "total_twist_deg")
-    theta = theta_of(grid)
+    theta = results.theta_of(grid)
     del theta["bend_12"]
     return {"observations": observations.count, "groups": len(estimate.phi), **theta, "verdicts": verdicts,
             "unsound_rods": int(estimate.unsound.sum()), "verdict": [_word(kind) for kind in estimate.verdict],
@@ -259,10 +247,10 @@ def _lines_twist(observations: Observations, grid: Grid, estimate, summary: dict
     return [
         f"{observations.name}: {observations.count} observations in {summary['groups']} groups that share φ",
         loading.rod_line(observations),
-        f"  material    {theta_text(theta_of(grid), grid.is_isotropic)}",
-        f"  verdicts    {counted(summary['verdicts'])}; {summary['unsound_rods']} of {rods} rods on the curves have no "
+        f"  material    {results.theta_text(results.theta_of(grid), grid.is_isotropic)}",
+        f"  verdicts    {results.counted(summary['verdicts'])}; {summary['unsound_rods']} of {rods} rods on the curves have no "
         "certified minimum",
-        *shortened([_group_line(observations, estimate, k) for k in range(len(estimate.phi))], MOST_LISTED,
+        *results.shortened([_group_line(observations, estimate, k) for k in range(len(estimate.phi))], MOST_LISTED,
                    f"  and {{}} more, which {in_line(Path(summary['out']).name)} holds"),
         f"  written to {in_line(summary['out'])}"]
 
