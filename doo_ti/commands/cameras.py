@@ -20,8 +20,7 @@ from doo_ti.vision.reprojection.marks import MarkedRods, Marks, observe, read_la
 from doo_ti.vision.reprojection.triangulation import MarkStatus, Points, TriangulationOptions, triangulate
 
 MOST_LISTED = 20
-LEAST_SPACING_MM = 0.1
-"""Median distance of neighbouring marks below which the rig's unit is doubted."""
+LEAST_SPACING_MM = 0.1  # median distance of neighbouring marks below which the rig's unit is doubted
 
 
 def declare(add) -> None:

@@ -24,10 +24,8 @@ from doo_ti.vision.cameras.foreign import LENSES, POSES, RigReading
 from doo_ti.vision.cameras.rig import Rig, load_rig
 
 MOST_HYPOTHESES = 100_000
-RECORDED = 3
-"""Sets in a recording."""
-EDGES = 33
-"""Of a rod whose edges are not given."""
+RECORDED = 3  # sets in a recording
+EDGES = 33  # of a rod whose edges are not given
 GUESSED_BEND = 1e6
 """mm³, of a rod in images whose stiffness is not given: E_vis takes the rod's energy relative to its stiffness, so that only
 its weight and twist against its bending depend on it."""

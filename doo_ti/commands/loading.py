@@ -31,22 +31,15 @@ from doo_ti.system.terminal import in_line
 if TYPE_CHECKING:
     from doo_ti.dynamics.recorded import RecordedMotion
 
-FEW = 0.25
-"""Share of observations that may be left out; of more a file or an option is wrong."""
-MEASURED = 0.02
-"""Relative error of a length between marks that somebody measured."""
+FEW = 0.25  # share of observations that may be left out; of more a file or an option is wrong
+MEASURED = 0.02  # relative error of a length between marks that somebody measured
 MOST_OFF = 1.5
 """Stated length of the rod over that of arcs through its marks, or the inverse, above which one of both is wrong."""
-DOUBTFUL = 1.05
-"""The same, above which a warning is printed: arcs are off by up to 2 % on rods of ten marks or more."""
-COARSE = 2.0
-"""Length of an edge, over the radii of the thinnest obstacle and of the rod, above which it is too long."""
-MOST_UNEVEN = 20.0
-"""Longest edge over the median one, above which the marks may be of several rods."""
-OF_FILES = ("unit", "columns")
-"""Options that only files of marks have a use for."""
-OF_OBSERVATIONS = (*OF_FILES, "rest_length")
-"""Options that only files of observations have a use for."""
+DOUBTFUL = 1.05  # the same, above which a warning is printed: arcs are off by up to 2 % on rods of ten marks or more
+COARSE = 2.0  # length of an edge, over the radii of the thinnest obstacle and of the rod, above which it is too long
+MOST_UNEVEN = 20.0  # longest edge over the median one, above which the marks may be of several rods
+OF_FILES = ("unit", "columns")  # options that only files of marks have a use for
+OF_OBSERVATIONS = (*OF_FILES, "rest_length")  # options that only files of observations have a use for
 RECORDINGS = ".npz (positions_mm, rate_hz), .csv of OptiTrack or Vicon, a table"
 FORMATS = ".npz, .csv, .parquet; or curves as .csv of OptiTrack or Vicon, .xml (MuJoCo), .usd, .txt"
 
@@ -270,8 +263,7 @@ def _span(values: np.ndarray) -> str:
 
 
 MOST_EDGES = 2000
-LEAST_MM, MOST_MM = 1e-3, 1e4
-"""Of an edge."""
+LEAST_MM, MOST_MM = 1e-3, 1e4  # of an edge
 
 
 def read_rest_length(text: str) -> np.ndarray:

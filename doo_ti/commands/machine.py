@@ -23,8 +23,7 @@ from doo_ti.system.terminal import ended, in_line, kept_from_children, progress
 
 RODS, ROUNDS = 65_536, 3
 MOST_ROUNDS = 1000
-MOST_RODS = 1 << 22
-"""Four times as many are relaxed at once to measure the memory they need: some 20 GB."""
+MOST_RODS = 1 << 22  # four times as many are relaxed at once to measure the memory they need: some 20 GB
 
 
 def declare(add) -> None:
@@ -98,8 +97,7 @@ def percent(share: float | None) -> str:
 
 # --- warm ----------------------------------------------------------------------------------------------------------------
 
-AT_ONCE = 2
-"""Processes. Taichi compiles in one thread, and what two compile at the same time both compile."""
+AT_ONCE = 2  # processes. Taichi compiles in one thread, and what two compile at the same time both compile
 POLL_SECONDS = 0.1
 MATERIAL = "--bend 4e5 --twist 4e5"
 LAB, SEEN = "synth lab.toml --out lab.npz", f"--rig images/rig.yaml --rest-length 3:33 {MATERIAL} --no-recording"

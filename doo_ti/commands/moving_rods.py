@@ -26,12 +26,9 @@ if TYPE_CHECKING:
     from doo_ti.dynamics.parameters import Dynamics, Stepping
 
 LOSSES = {"bend_damping": "s", "twist_damping": "s", "drag": "1/s", "quadratic_drag": "1/mm"}
-MOST_STRETCH = 0.1
-"""By which the rod's length may differ from that of THETA.json."""
-MOST_LENGTHS = 100.0
-"""Of a rod, between its clamps."""
-FAR_OFF = 0.05
-"""Of the rod's length, from a clamp to where its motion begins: more is no error of measurement."""
+MOST_STRETCH = 0.1  # by which the rod's length may differ from that of THETA.json
+MOST_LENGTHS = 100.0  # of a rod, between its clamps
+FAR_OFF = 0.05  # of the rod's length, from a clamp to where its motion begins: more is no error of measurement
 
 
 # --- options -------------------------------------------------------------------------------------------------------------

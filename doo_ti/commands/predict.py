@@ -23,10 +23,8 @@ from doo_ti.system.terminal import in_line, progress
 MOST_LISTED = 30
 LEAST_DEGREES, MOST_DEGREES = 1e-3, 30.0
 """Of a sub-step: rods that are carried further at once may leave their branch; smaller steps make no difference."""
-MOST_STEPS = 1000
-"""With friction, from one state to the next."""
-MOST_BYTES = 8 << 30
-"""Of frames: predictions are held in memory."""
+MOST_STEPS = 1000  # with friction, from one state to the next
+MOST_BYTES = 8 << 30  # of frames: predictions are held in memory
 
 
 @dataclass(frozen=True)

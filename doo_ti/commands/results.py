@@ -41,8 +41,7 @@ def save(out: Path, observations: Observations) -> None:
           f"{in_line(out)}")
 
 
-RODS = (".npz", ".csv")
-"""Suffixes of files of results."""
+RODS = (".npz", ".csv")  # suffixes of files of results
 
 
 def save_arrays(out: Path, arrays: dict[str, np.ndarray], axes: tuple[str, ...] = ("observation",)) -> None:

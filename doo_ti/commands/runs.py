@@ -18,8 +18,7 @@ from doo_ti.system.files import write_text
 from doo_ti.system.terminal import busy, in_line
 
 RECORDING, PLAN = "run.rrd", "cells/plan.json"
-MOST_CELLS = 700
-"""A recording of so many cells of 60 rods holds 17 MB of vertices."""
+MOST_CELLS = 700  # a recording of so many cells of 60 rods holds 17 MB of vertices
 
 
 def declare(add) -> None:

@@ -236,8 +236,7 @@ def _true_theta(synthesis: Synthesis) -> str:
 
 # --- plan ----------------------------------------------------------------------------------------------------------------
 
-SIGMA_MM = 0.1
-"""Label uncertainty where none is given."""
+SIGMA_MM = 0.1  # label uncertainty where none is given
 PICKS = 10
 
 

@@ -32,10 +32,8 @@ if TYPE_CHECKING:
     from doo_ti.manipulation.belief import LearnedMaterial
     from doo_ti.perception.virtual_lab import SeenMoment, VirtualCameras
 
-MOST_SECONDS = 3600.0
-"""Of a search."""
-PLANNED = 2.0
-"""mm, default distance to the target at which it is reached."""
+MOST_SECONDS = 3600.0  # of a search
+PLANNED = 2.0  # mm, default distance to the target at which it is reached
 
 
 def declare(add) -> None:
@@ -157,15 +155,12 @@ def steered_rod(options: Namespace, written: Iterable[Path]) -> SteeredRod:
 # --- servo ---------------------------------------------------------------------------------------------------------------
 
 STEPS, MOST_STEPS = 30, 1000
-REACHED = 1.0
-"""mm, default distance to the target at which it is reached."""
-SETTLED = 3
-"""Steps at the target after which the loop ends."""
+REACHED = 1.0  # mm, default distance to the target at which it is reached
+SETTLED = 3  # steps at the target after which the loop ends
 PATH, TABLE, PICTURE, RECORDING = "path.csv", "steps.csv", "servo.png", "servo.rrd"
 STATUSES = ("on its way", "reached", "as near as it comes", "blocked by an instability", "lost")
 """In the order of ServoStatus."""
-HOW = ("tracked", "found anew", "lost")
-"""In the order of How."""
+HOW = ("tracked", "found anew", "lost")  # in the order of How
 
 
 @dataclass(frozen=True)

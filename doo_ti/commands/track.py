@@ -20,11 +20,9 @@ from doo_ti.rod.types import Clamp, Clamps, Material
 from doo_ti.system.errors import InputError, InterruptedRunError
 from doo_ti.system.terminal import can_record, in_line, progress
 
-AHEAD = 16
-"""Frames whose thread is detected while one is tracked."""
+AHEAD = 16  # frames whose thread is detected while one is tracked
 MOST_LISTED = 30
-LEAST_SHOWN = 0.01
-"""px: smaller errors are less than the noise of the smoothed images."""
+LEAST_SHOWN = 0.01  # px: smaller errors are less than the noise of the smoothed images
 
 
 @dataclass(frozen=True)

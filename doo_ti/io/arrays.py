@@ -35,12 +35,9 @@ from doo_ti.system.errors import InputError
 from doo_ti.system.files import MOST_TEXT_BYTES, read_content
 
 AXES = ("x", "y", "z")
-MOST_UNPACKED_BYTES = 1 << 30
-"""Of the arrays or columns of a file."""
-MOST_UNPACKED_RATIO = 1100
-"""Of these bytes to those of the file: what NumPy compresses shrinks to a thousandth at best."""
-NEARLY = 0.88
-"""Least similarity of two keys (difflib) at which one counts as a misspelling of the other."""
+MOST_UNPACKED_BYTES = 1 << 30  # of the arrays or columns of a file
+MOST_UNPACKED_RATIO = 1100  # of these bytes to those of the file: what NumPy compresses shrinks to a thousandth at best
+NEARLY = 0.88  # least similarity of two keys (difflib) at which one counts as a misspelling of the other
 # What reading a damaged npz may raise.
 _UNREADABLE = (ValueError, OSError, EOFError, KeyError, RuntimeError, MemoryError, OverflowError, SyntaxError,
                TypeError, TokenError, zipfile.BadZipFile, zlib.error)
@@ -155,8 +152,7 @@ def first_line(error: BaseException) -> str:
     return (str(error) or type(error).__name__).strip().splitlines()[0]
 
 
-EMPTY = frozenset({"", "na", "n/a", "nan", "null"})
-"""Texts for a missing number, in lower case."""
+EMPTY = frozenset({"", "na", "n/a", "nan", "null"})  # texts for a missing number, in lower case
 TRUTH = {"true": "1", "false": "0"}
 SEPARATORS = ",;\t"
 _QUOTED = re.compile(r'"[^"\n]*"')

@@ -77,8 +77,7 @@ def checked_points(path, points: np.ndarray) -> np.ndarray:
 
 FORM = "give lines of X Y Z, with an empty line between curves, or all numbers of a curve in one line"
 
-_DECIMAL = re.compile(r"[-+]?\d+(?:,\d+)?(?:[eE][-+]?\d+)?")
-"""A number with decimals behind a comma, or a whole one."""
+_DECIMAL = re.compile(r"[-+]?\d+(?:,\d+)?(?:[eE][-+]?\d+)?")  # a number with decimals behind a comma, or a whole one
 
 
 def is_polyline(content: bytes) -> bool:

@@ -25,10 +25,8 @@ from doo_ti.system.errors import InputError
 
 OTHER_ROTATIONS = ("euler", "axisangle", "xyaxes", "zaxis")
 REMEDY = "give a model with a cable, as MuJoCo's documentation describes it"
-DENSITY = 1000.0
-"""kg/m³, MuJoCo's default."""
-MOST_POINTS = 200_000
-"""Of all cables that are stated by their count: a few characters of the file."""
+DENSITY = 1000.0  # kg/m³, MuJoCo's default
+MOST_POINTS = 200_000  # of all cables that are stated by their count: a few characters of the file
 
 
 def read_mujoco(path: Path, content: bytes, names: list[str] | None = None) -> Curves:
@@ -204,8 +202,7 @@ def _placed(path: Path, name: str, curves) -> list[np.ndarray]:
 
 # --- OpenCV --------------------------------------------------------------------------------------------------------------
 
-KINDS = ("u", "c", "w", "s", "i", "f", "d")
-"""Of numbers in a matrix of one channel."""
+KINDS = ("u", "c", "w", "s", "i", "f", "d")  # of numbers in a matrix of one channel
 
 
 class DamagedError(ValueError):

@@ -52,8 +52,7 @@ HALF_TURN = np.radians(179.0)
 """A larger turn of a frame from one moment to the next could also be a turn the other way round."""
 CONTRADICTION = np.radians(45.0)
 """Largest difference between a frame's turn and the given rotation, which may count the swing of the tangent differently."""
-MOST_MM = 1e6
-"""From the origin to a clamp."""
+MOST_MM = 1e6  # from the origin to a clamp
 MOST_TURNS = 1000.0
 MOST_MOMENTS = 1_000_000
 

@@ -35,14 +35,11 @@ from doo_ti.system.files import MOST_BYTES, MOST_TEXT_BYTES, read_content, write
 from doo_ti.system.terminal import in_line
 
 TABLES = (".csv", ".parquet")
-OWN = (".npz", *TABLES)
-"""Suffixes of files that the package also writes."""
+OWN = (".npz", *TABLES)  # suffixes of files that the package also writes
 OF_OTHERS = {".txt": read_polylines, ".xyz": read_polylines, ".xml": read_mujoco,
              ".usd": read_usd, ".usda": read_usd, ".usdc": read_usd}
-MOST_CSV_BYTES = 1 << 28
-"""Reading CSV takes about fifteen times as much memory."""
-MOST_LEFT_OUT = 10
-"""Frames of a recording in all for each that is there."""
+MOST_CSV_BYTES = 1 << 28  # reading CSV takes about fifteen times as much memory
+MOST_LEFT_OUT = 10  # frames of a recording in all for each that is there
 
 
 def checked_suffix(path: Path, known: tuple[str, ...] = OWN) -> None:

@@ -35,8 +35,7 @@ _TIMES = {f"{name}{unit}": factor for name in ("time", "timestamp", "stamp", "t"
 _POSITION, _ORIENTATION = re.compile(r"^(pose_)?(position|translation|pos|t)_?(?=[xyz](_|$))"), re.compile(
     r"^(pose_)?(orientation|quaternion|quat|q)_?(?=[wxyz]$)")
 _QUATERNION, _VECTOR, _TURNS = ("qw", "qx", "qy", "qz"), ("rx", "ry", "rz"), ("roll", "pitch", "yaw")
-LARGEST_MISFIT = 1e-2
-"""Of the length of a quaternion from one."""
+LARGEST_MISFIT = 1e-2  # of the length of a quaternion from one
 
 
 def read_poses(path: Path, named: Mapping[str, str] | None = None) -> tuple[dict[str, np.ndarray], dict[str, float]]:

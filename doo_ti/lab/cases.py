@@ -30,8 +30,7 @@ OPERATIONS = {"isotropic": (962, 246), "general": (1536, 242), "springs": (1242,
 free edges, for each of these, and outside. Counted in the compiled code by ``tools/bench/operations.py``."""
 HELD_EDGES = 2
 BATCH = 256
-ROUND_SECONDS = 0.3
-"""A round repeats its case for about this long, so that a short interruption does not decide it."""
+ROUND_SECONDS = 0.3  # a round repeats its case for about this long, so that a short interruption does not decide it
 
 
 @dataclass(frozen=True)
@@ -211,8 +210,7 @@ def measure(case: Case, reference: workload.Reference, rounds: int) -> Measureme
 
 
 COMPARED = 4096  # rods whose shape in f32 is compared with f64's
-SAME_MM = 0.02
-"""Two rods are in the same minimum where the mean distance between their vertices is no more than this."""
+SAME_MM = 0.02  # two rods are in the same minimum where the mean distance between their vertices is no more than this
 
 
 def benchmark(count: int, rounds: int, threads: int | None) -> dict:

@@ -42,10 +42,8 @@ LAB = {
 SUTURES = ("nylon", "vicryl", "silk")
 BEND_RANGE = (5e4, 1e7)  # mm³
 TWIST_RATIO_RANGE = (0.1, 6.0)
-NEAR = 0.1
-"""Share by which bend and twist of a warm start differ from those that it is the solution for."""
-SPRING = 100.0
-"""Stiffness of a spring: 1 mm off its point it pulls as much as 5 cm of rod weigh."""
+NEAR = 0.1  # share by which bend and twist of a warm start differ from those that it is the solution for
+SPRING = 100.0  # stiffness of a spring: 1 mm off its point it pulls as much as 5 cm of rod weigh
 SEED = 0
 UP = (0.0, 0.0, 1.0)
 

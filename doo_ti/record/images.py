@@ -23,8 +23,7 @@ from doo_ti.vision.detection.images import read_image
 KEPT = (125, 170, 255)
 FRUSTUM_MM = 60.0
 JPEG_QUALITY = 80
-FARTHEST_PX = 1e6
-"""Points farther away are left out."""
+FARTHEST_PX = 1e6  # points farther away are left out
 TRACKED_COLORS = np.array([(47, 123, 255), (255, 159, 28), (255, 46, 77)], dtype=np.uint8)
 """Of rods that are tracked, found by Algorithm 1, and lost."""
 TRACKED_WORDS = ("tracked", "found by Algorithm 1", "lost")

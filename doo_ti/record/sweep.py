@@ -22,8 +22,7 @@ from doo_ti.rod.grid import UNITS, Interval
 from doo_ti.rod.types import Status
 from doo_ti.system.arguments import short_repr, typed
 
-BLOCK = 10
-"""Iterations sent at once."""
+BLOCK = 10  # iterations sent at once
 MINIMUM = (255, 255, 255)
 MOST_POINTS = 20_000
 ENDINGS = {status: status.name.lower().replace("_", " ") for status in Status}

@@ -33,8 +33,7 @@ from doo_ti.system.errors import InputError, InterruptedRunError
 from doo_ti.system.files import whole_file, write_whole
 from doo_ti.system.terminal import ended, kept_from_children
 
-DESCRIPTORS = Path("/proc/self/fd")
-"""Where Linux lists the open files of a process."""
+DESCRIPTORS = Path("/proc/self/fd")  # where Linux lists the open files of a process
 PIECE_BYTES = 1 << 16
 OBSERVED, FAILED, TEXT = (235, 235, 235), (255, 46, 99), (175, 175, 175)
 BACKGROUND = (16, 18, 22)
@@ -170,8 +169,7 @@ def front_view(grid: GridView, world: str, name: str, aspect: float = 1.35) -> b
 FILE = "run.rrd"
 PROGRAMS = ("Rerun.app/Contents/MacOS/Rerun", "rerun.exe", "rerun")
 """Where the package of the viewer may have its program."""
-NOWHERE = "http://127.0.0.1:9"
-"""A proxy that nobody runs."""
+NOWHERE = "http://127.0.0.1:9"  # a proxy that nobody runs
 ALONE = {"CI": "true", **{name: NOWHERE for name in ("ALL_PROXY", "HTTPS_PROXY", "HTTP_PROXY")}}
 """The viewer's environment. By default it reports its use, which CI=true stops, and asks a server for new versions, which no
 option stops: its requests go to a proxy, and there is none."""

@@ -15,8 +15,7 @@ from doo_ti.rod.observations import Observations
 from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.files import write_whole
 
-A_POINT, ROOM = 1e-9, 1.0
-"""Of the coordinates, below which a box is a point; and how wide such a box is drawn, mm."""
+A_POINT, ROOM = 1e-9, 1.0  # of the coordinates, below which a box is a point; and how wide such a box is drawn, mm
 
 
 def box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -41,12 +40,9 @@ def deviations(points: np.ndarray, axis: int = -2) -> np.ndarray:
     return np.where(finite, points - mean, 0.0)
 
 
-PICTURE_INCHES, PICTURE_DPI = (8.0, 6.0), 200
-"""1600 × 1200 pixels."""
-VIEWER_DPI = 80
-"""Of pictures in a recording, which the viewer shows small: of larger ones it leaves pixels out."""
-MEAN_DISTANCE = "mean distance (Eq. 1) [mm]"
-"""What the colours and heights of a landscape are."""
+PICTURE_INCHES, PICTURE_DPI = (8.0, 6.0), 200  # 1600 × 1200 pixels
+VIEWER_DPI = 80  # of pictures in a recording, which the viewer shows small: of larger ones it leaves pixels out
+MEAN_DISTANCE = "mean distance (Eq. 1) [mm]"  # what the colours and heights of a landscape are
 SYMBOLS = {
     "bend": "bend α", "bend_1": "bend B₁₁", "bend_2": "bend B₂₂", "bend_12": "bend B₁₂", "twist": "twist β",
     "twist_ratio": "twist ratio β/α", "weight": "weight μ",
@@ -198,10 +194,8 @@ def _colors(norm, values: np.ndarray) -> np.ndarray:
 
 # --- the grid view -------------------------------------------------------------------------------------------------------
 
-FLAT = 3.0
-"""Of what is seen from above: the depth of a view from the side over its height."""
-SLENDER = 0.1
-"""Of the larger extent of observations: the least width of a column."""
+FLAT = 3.0  # of what is seen from above: the depth of a view from the side over its height
+SLENDER = 0.1  # of the larger extent of observations: the least width of a column
 UNITS = {"mm": " mm", "deg": "°"}
 
 

@@ -19,8 +19,7 @@ if TYPE_CHECKING:  # it brings the solvers, and Taichi with them
     from doo_ti.groups.relax_group import GroupSolution
 
 PLANE_COLOR, OBSTACLE, FORCE = "#eceef2", "#c9ced8", "#1d4ed8"
-FAINT = 0.25
-"""Of an obstacle that has moved on."""
+FAINT = 0.25  # of an obstacle that has moved on
 LONG, MOST_SHORTER, LONGEST = 0.2, 0.95, 0.3
 """Of the size of the scene: the length of an arrow; that share of all forces has shorter ones; and the most at the last frame,
 which pictures show."""
@@ -126,14 +125,10 @@ class Touched:
 
 # --- groups --------------------------------------------------------------------------------------------------------------
 
-EARLIER = 4
-"""Moments before the last that are drawn, faintly."""
-WIDTH, HIGHEST, CURVES = 6.4, 6.0, 2.4
-"""Inches: of the picture, the most of a view, and of the curves."""
-ABOVE_ARROWS = 4
-"""Of what is drawn, so that arrows do not hide how rods cross."""
-MOST_NAMED = 12
-"""Entries of a legend."""
+EARLIER = 4  # moments before the last that are drawn, faintly
+WIDTH, HIGHEST, CURVES = 6.4, 6.0, 2.4  # inches: of the picture, the most of a view, and of the curves
+ABOVE_ARROWS = 4  # of what is drawn, so that arrows do not hide how rods cross
+MOST_NAMED = 12  # entries of a legend
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,9 @@ from doo_ti.report.canvas import MISSING, SYMBOLS, box, label_table, literal, ne
 from doo_ti.vision.cameras.rig import Rig
 
 BEST, RUNNER_UP, TRUTH, DETECTED = "#2f7bff", "#ff2e4d", "#ffd400", "#00c08b"
-WIDTHS = {TRUTH: 2.8, RUNNER_UP: 1.8, BEST: 1.0}
-"""Points: curves drawn first are wider, so that they stay visible."""
-MOST_SETS = 12
-"""Rows of a picture."""
-MARGIN_PX = 40
-"""Margin of the images around the drawn curves."""
+WIDTHS = {TRUTH: 2.8, RUNNER_UP: 1.8, BEST: 1.0}  # points: curves drawn first are wider, so that they stay visible
+MOST_SETS = 12  # rows of a picture
+MARGIN_PX = 40  # margin of the images around the drawn curves
 PANEL_INCHES = 3.2
 VIEWS = {"from the front": (0.0, 0.0), "from the side and above": (50.0, 30.0)}
 """Views of ribbons: the angles in degrees by which the viewer moves around to the right and up."""
@@ -228,8 +225,7 @@ def _turned(around: float, above: float) -> np.ndarray:
 
 RANK = MINIMUM = "#ff2e63"
 CURVE, SHADE = "#31688e", "#fde725"
-MOST_CURVES = 24
-"""In one picture."""
+MOST_CURVES = 24  # in one picture
 
 
 def identifiability_picture(path_or_buffer, parameters, strength, rank, end_distance=None, end_rotation=None) -> None:

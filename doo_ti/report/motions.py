@@ -13,13 +13,10 @@ from doo_ti.report.canvas import deviations, facing, fit_titles, limits_around, 
 from doo_ti.report.contact import Touched
 from doo_ti.system.files import write_whole
 
-MOST_RODS = 6
-"""In a picture, those of the largest, the median and the smallest errors."""
-STILLS = 9
-"""Positions of a rod in a picture."""
+MOST_RODS = 6  # in a picture, those of the largest, the median and the smallest errors
+STILLS = 9  # positions of a rod in a picture
 ANIMATED, FRAMES_PER_SECOND, MOST_FRAMES = 8, 25, 250
-VIEWS = 36
-"""Directions from which a motion may be seen."""
+VIEWS = 36  # directions from which a motion may be seen
 LEAST_MOTION, WORTH_TURNING = 1e-4, 3.0
 """Of the rods' size squared, below which motion is not looked at; and how much more has to be seen to turn the view."""
 RECORDED, PREDICTED = "#9a9a9a", "#c2410c"
@@ -223,8 +220,7 @@ def servo_picture(path_or_buffer, name: str, start: np.ndarray, end: np.ndarray,
 
 
 MOST_DRAWN, COLUMNS = 12, 4
-MOMENTS = 9
-"""Of each rod, evenly chosen."""
+MOMENTS = 9  # of each rod, evenly chosen
 JUMP = "#ff2e63"
 
 

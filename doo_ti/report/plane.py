@@ -17,12 +17,10 @@ from doo_ti.system.arguments import short_repr, typed
 REGIMES = ("β > B₁₁ and B₂₂", "B₂₂ > B₁₁ > β", "B₁₁ > B₂₂ > β")
 """The regimes of a ribbon in the order of Fig. 5: it bends sharply instead of twisting, it bends about the stiff axis, it
 twists instead of bending about the stiff axis."""
-MOST_DRAWN = 512
-"""Cells along an axis of a picture, whose axes are some 1100 × 800 pixels."""
+MOST_DRAWN = 512  # cells along an axis of a picture, whose axes are some 1100 × 800 pixels
 
 
-GridAxis = tuple[str, Sequence[float] | np.ndarray, bool, str]
-"""(name, values, is_log, unit)."""
+GridAxis = tuple[str, Sequence[float] | np.ndarray, bool, str]  # (name, values, is_log, unit)
 
 
 @typed

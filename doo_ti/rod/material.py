@@ -21,11 +21,9 @@ from numpy.typing import ArrayLike
 from doo_ti.system.arguments import counted, span_text, typed
 from doo_ti.system.errors import InputError, real_array
 
-Rows = ArrayLike | slice
-"""Row numbers, flags or a slice."""
+Rows = ArrayLike | slice  # row numbers, flags or a slice
 
-LARGEST = 1e30
-"""Upper bound of all inputs: squares of larger numbers overflow in f32 or f64 arithmetic."""
+LARGEST = 1e30  # upper bound of all inputs: squares of larger numbers overflow in f32 or f64 arithmetic
 
 
 @typed
@@ -207,10 +205,8 @@ def _check_bend(bend: np.ndarray) -> None:
 
 # --- physical units ------------------------------------------------------------------------------------------------------
 
-UNITS_IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
-"""mm in one unit of length, by its name on the command line."""
-STANDARD_GRAVITY = 9.80665
-"""m/s²."""
+UNITS_IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}  # mm in one unit of length, by its name on the command line
+STANDARD_GRAVITY = 9.80665  # m/s²
 
 
 def mm_in(unit: str, source: str) -> float:
@@ -245,16 +241,12 @@ def force_in_newton(force, weight_per_length, weight=1.0):
     return np.asarray(force) * (1e-3 * np.asarray(weight_per_length) / (2.0 * np.asarray(weight)))
 
 
-LEAST_MM, MOST_MM = 10.0, 20_000.0
-"""Lengths of rods that raise no doubt about the unit."""
-LEAST_NEWTON, MOST_NEWTON = 1e-6, 1e3
-"""N/m: the finest suture weighs 1e-5, a steel bar 40 mm thick 100."""
+LEAST_MM, MOST_MM = 10.0, 20_000.0  # lengths of rods that raise no doubt about the unit
+LEAST_NEWTON, MOST_NEWTON = 1e-6, 1e3  # N/m: the finest suture weighs 1e-5, a steel bar 40 mm thick 100
 LEAST_RISE_MM, MOST_RISE_MM = 0.1, 1e5
 """(EI/w)^(1/3), the length over which its weight bends a rod: 10 mm of a hair, 6 m of that bar."""
-NEAR = 0.02
-"""Distance of neighbouring marks over the rod between them, below which they are hardly in mm."""
-LEAST_IN_DEGREES = 10.0
-"""Of an angle's number, from which on a whole one is more likely in degrees."""
+NEAR = 0.02  # distance of neighbouring marks over the rod between them, below which they are hardly in mm
+LEAST_IN_DEGREES = 10.0  # of an angle's number, from which on a whole one is more likely in degrees
 _OURS = str(Path(__file__).parents[1]), "<string>"
 """What names of source files begin with; the second one is of constructors that dataclass makes."""
 

@@ -24,12 +24,9 @@ KEYS = {
     "end_distance": "end_distance_mm", "end_rotation": "end_rotation_deg", "labels": "observation",
     "spacing_error": "spacing_error",
 }
-LENGTHS = ("vertices", "rest_length", "sigma", "end_distance")
-"""Fields in mm."""
-UNKNOWN_SPACING = 0.1
-"""Relative error of rest lengths that were not measured, but taken from the marks."""
-LEAST_SIGMA_MM, MOST_SIGMA_MM = 1e-9, 1e6
-"""Of labels: the information in them grows with the inverse square."""
+LENGTHS = ("vertices", "rest_length", "sigma", "end_distance")  # fields in mm
+UNKNOWN_SPACING = 0.1  # relative error of rest lengths that were not measured, but taken from the marks
+LEAST_SIGMA_MM, MOST_SIGMA_MM = 1e-9, 1e6  # of labels: the information in them grows with the inverse square
 
 
 @typed

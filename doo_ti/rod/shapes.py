@@ -22,10 +22,8 @@ from doo_ti.rod.types import LARGEST, Clamp, Clamps, Configuration, unit_up
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import MOST_EDGES, InputError, real_array, require_whole
 
-HALVINGS = 60
-"""Of the interval that holds an arc's angle."""
-LEAST_ACROSS = 1e-6
-"""Of the direction against gravity, across a chord: below, the chord is vertical and any plane does."""
+HALVINGS = 60  # of the interval that holds an arc's angle
+LEAST_ACROSS = 1e-6  # of the direction against gravity, across a chord: below, the chord is vertical and any plane does
 
 
 @typed
@@ -149,19 +147,14 @@ def _direction(function: str, direction: ArrayLike) -> np.ndarray:
 
 # --- along curves --------------------------------------------------------------------------------------------------------
 
-EQUALISATIONS = 60
-"""Rounds in which the vertices along a curve are moved until all edges have their lengths."""
-APART = 1.25
-"""Radii from the middle to the two strands that are laid around each other."""
-BRAID, WIDE_BRAID = 8.0, 2.0
-"""Radii, and √(radius · loop): half the length over which they are, the larger of the two."""
-SAMPLES = 400
-"""Points of each part of a knot's curve."""
+EQUALISATIONS = 60  # rounds in which the vertices along a curve are moved until all edges have their lengths
+APART = 1.25  # radii from the middle to the two strands that are laid around each other
+BRAID, WIDE_BRAID = 8.0, 2.0  # radii, and √(radius · loop): half the length over which they are, the larger of the two
+SAMPLES = 400  # points of each part of a knot's curve
 LONGEST_EDGE, SHORT_EDGE = 0.5, 0.35
 """Of half the length of the strands, which make three half turns: the longest edges there with which a rod has the knot of its
 curve; and the edges there where ``finer`` is not given."""
-LOOP_EDGE = 0.5
-"""Of the loop's radius: the longest edges elsewhere."""
+LOOP_EDGE = 0.5  # of the loop's radius: the longest edges elsewhere
 
 
 @typed

@@ -21,14 +21,10 @@ from doo_ti.rod.types import Clamp, Clamps, Configuration
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import MOST_EDGES, InputError, require_whole
 
-MOST_LENGTHS = 2.0
-"""Largest distance of a mark from the first, over the rod's length: a label is never that wrong."""
-LEAST_LENGTHS = 0.1
-"""Smallest sum of the distances between neighbouring marks, over the rod's length between them."""
-LEAST_EDGE = 1e-6
-"""Shortest edge, over the mean edge."""
-MOST_LENGTHS_OFF = 1e9
-"""Largest coordinate, over the rod's length."""
+MOST_LENGTHS = 2.0  # largest distance of a mark from the first, over the rod's length: a label is never that wrong
+LEAST_LENGTHS = 0.1  # smallest sum of the distances between neighbouring marks, over the rod's length between them
+LEAST_EDGE = 1e-6  # shortest edge, over the mean edge
+MOST_LENGTHS_OFF = 1e9  # largest coordinate, over the rod's length
 
 
 @typed

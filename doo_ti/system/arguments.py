@@ -26,8 +26,7 @@ import numpy as np
 from doo_ti.system.argument_rules import Mismatch, Rule, rule_of, shape_of
 from doo_ti.system.errors import InputError
 
-MOST_REMEMBERED = 1000
-"""Sets of shapes of a function."""
+MOST_REMEMBERED = 1000  # sets of shapes of a function
 
 _Target = TypeVar("_Target")
 

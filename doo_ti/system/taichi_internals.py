@@ -42,8 +42,7 @@ from typing import Any
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import write_whole
 
-TAICHI_NAMES = {"cpu": ("x64", "arm64"), "cuda": ("cuda",)}
-"""Architectures, and Taichi's names for them."""
+TAICHI_NAMES = {"cpu": ("x64", "arm64"), "cuda": ("cuda",)}  # architectures, and Taichi's names for them
 COMPILED = (
     "advanced_optimization", "cache_loop_invariant_global_vars", "cfg_optimization", "check_out_of_bound",
     "cpu_block_dim_adaptive", "debug", "default_cpu_block_dim", "default_fp", "default_ip", "default_up",
@@ -204,15 +203,12 @@ def _last_lines(file: str) -> dict[int, int]:
 # --- the folder of compiled kernels --------------------------------------------------------------------------------------
 
 TABLE, LOCK = "ticache.tcb", "ticache.lock"
-WRITING_SECONDS = 60
-"""An older lock was left by a process that was killed."""
+WRITING_SECONDS = 60  # an older lock was left by a process that was killed
 
-HEADER = Struct("<Q3HQQ")
-"""Of the table: its length, Taichi's version, the length of all kernels, their number."""
+HEADER = Struct("<Q3HQQ")  # of the table: its length, Taichi's version, the length of all kernels, their number
 ENTRY = Struct("<Q65sQ65sQ16x")
 """A kernel's name and again its name, each after its length, the length of its file, and two times."""
-KNOWN_VERSION = (1, 7)
-"""The table is read and repaired only for these versions of Taichi, whose layout is known."""
+KNOWN_VERSION = (1, 7)  # the table is read and repaired only for these versions of Taichi, whose layout is known
 KERNEL_HEADER, DIGEST = 24, 64
 
 

@@ -20,8 +20,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from subprocess import Popen
 
-LINE_SECONDS = 30.0
-"""Between two lines of a long run whose standard error is no terminal."""
+LINE_SECONDS = 30.0  # between two lines of a long run whose standard error is no terminal
 COMPILING = "compiling …"
 INSTALL_RECORDER = "pip install rerun-sdk"
 
@@ -209,15 +208,11 @@ def progress(*, keep: bool = False):
 
 # --- signals -------------------------------------------------------------------------------------------------------------
 
-SECONDS_TO_END = 10.0
-"""That a process has to end by itself before it is killed."""
-AGAIN_SECONDS = 0.05
-"""Delay before a signal that was raised where it is lost is sent again."""
-MOST_POSTPONED = 200
-"""Times in succession: only an import that runs the program takes longer."""
+SECONDS_TO_END = 10.0  # that a process has to end by itself before it is killed
+AGAIN_SECONDS = 0.05  # delay before a signal that was raised where it is lost is sent again
+MOST_POSTPONED = 200  # times in succession: only an import that runs the program takes longer
 
-HANGUP = getattr(signal, "SIGHUP", None)
-"""The terminal is closed; not on Windows."""
+HANGUP = getattr(signal, "SIGHUP", None)  # the terminal is closed; not on Windows
 
 _postponed = 0
 
