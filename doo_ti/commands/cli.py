@@ -117,7 +117,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _report(error, 1)
     except (KeyboardInterrupt, OSError, MemoryError, RuntimeError) as error:
         reason = "interrupted" if isinstance(error, KeyboardInterrupt) else str(error) or type(error).__name__
-        return _report(f"{reason}; {_again(argv)}", 1)
+        # Only a sweep stores results before all of them are computed.
+        again = "resumes with the unfinished cells" if argv[:1] == ["sweep"] else "starts from the beginning"
+        return _report(f"{reason}; the same command {again}", 1)
 
 
 def _run(argv: list[str]) -> int:
@@ -163,11 +165,6 @@ def _unexpected(command: _Parser, word: str) -> InputError:
     meant = nearest(name, command.options()) if name.startswith("--") else None
     help_line = f"see {command.prog} --help"
     return InputError(command.prog, name, kind, f"did you mean {meant}? S{help_line[1:]}" if meant else help_line)
-
-
-def _again(argv: list[str]) -> str:
-    """What the same command does if it is run again: only a sweep stores results before all of them are computed."""
-    return f"the same command {'resumes with the unfinished cells' if argv[:1] == ['sweep'] else 'starts from the beginning'}"
 
 
 def _report(problem: object, code: int) -> int:

@@ -214,8 +214,10 @@ def _sets(options: Namespace, rig):
             raise InputError(given.SOURCE, name, f"{len(numbers)} numbers", "give X,Y,Z")
         seed[name] = np.array([numbers])
     paths = tuple(Path(image) for image in options.images)
+    clicks = {rig.names.index(camera): pixel
+              for camera, pixel in by_camera("--seed-pixel", options.seed_pixel, rig.names, "U,V").items()}
     return ImageSets((in_line(paths[0].stem),), (paths,), rig, seed["--seed-point"], seed["--seed-direction"], given.SOURCE,
-                     (_clicks(options, rig),))
+                     (clicks,))
 
 
 def _extent(options: Namespace) -> Extent:
@@ -229,12 +231,6 @@ def _extent(options: Namespace) -> Extent:
         if bounds[0] > bounds[1]:
             raise InputError(given.SOURCE, "--length", options.length, "give MM, or LOW:HIGH")
     return Extent(*bounds, edge)
-
-
-def _clicks(options: Namespace, rig) -> dict[int, tuple[float, float]]:
-    """The pixels of ``--seed-pixel`` by the numbers of their cameras."""
-    pixels = by_camera("--seed-pixel", options.seed_pixel, rig.names, "U,V")
-    return {rig.names.index(camera): pixel for camera, pixel in pixels.items()}
 
 
 def _truth(options: Namespace, names: tuple[str, ...]) -> np.ndarray | None:

@@ -24,6 +24,7 @@ from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import observation_clamps, reachable
 from doo_ti.rod.types import Clamp
 from doo_ti.system import terminal
+from doo_ti.system.arguments import counted, span_text
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import MOST_TEXT_BYTES, read_content
 from doo_ti.system.terminal import in_line
@@ -206,8 +207,8 @@ def rod_line(observations: Observations) -> str:
     seen = observations.valid[:, [0, -1]].all(axis=1)
     ends = np.linalg.norm(observations.vertices[:, -1] - observations.vertices[:, 0], axis=-1)[seen]
     missing = int((~observations.valid).sum())
-    span = "" if not len(ends) else f", its ends {_span(ends)} mm apart"
-    return (f"  loaded      {observations.count} observation{'s' * (observations.count > 1)} of {observations.edges + 1} marks"
+    span = "" if not len(ends) else f", its ends {span_text(ends, 'mm')} apart"
+    return (f"  loaded      {counted(observations.count, 'observation')} of {observations.edges + 1} marks"
             f"{f' ({missing} missing)' if missing else ''}; the rod is {observations.rest_length.sum():.4g} mm long{span}; "
             f"up {','.join(f'{value + 0:.3g}' for value in observations.up)}")
 
@@ -255,11 +256,6 @@ def length_doubt(observations: Observations) -> str | None:
         return None
     return (f"rest_length_mm: the rod is stated to be {stated:.4g} mm long, but arcs through its marks are {arcs:.4g} mm; "
             "check the length from the first mark to the last along the rod and the --unit, or give no length")
-
-
-def _span(values: np.ndarray) -> str:
-    low, high = f"{values.min():.4g}", f"{values.max():.4g}"
-    return low if low == high else f"{low} to {high}"
 
 
 MOST_EDGES = 2000

@@ -101,7 +101,7 @@ def run(options: Namespace) -> int:
     if picture or recording:
         _draw(task, prediction, result, picture, recording, lines)
     results.report(options, _summary(task, prediction, result, out),
-           lambda: [*lines, *task.loaded, f"  written to {in_line(out)}"])
+                   lambda: [*lines, *task.loaded, f"  written to {in_line(out)}"])
     return 0 if prediction.followed[-1].any() else 1
 
 

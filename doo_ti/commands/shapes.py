@@ -251,7 +251,7 @@ def _lines_twist(observations: Observations, grid: Grid, estimate, summary: dict
         f"  verdicts    {results.counted(summary['verdicts'])}; {summary['unsound_rods']} of {rods} rods on the curves have no "
         "certified minimum",
         *results.shortened([_group_line(observations, estimate, k) for k in range(len(estimate.phi))], MOST_LISTED,
-                   f"  and {{}} more, which {in_line(Path(summary['out']).name)} holds"),
+                           f"  and {{}} more, which {in_line(Path(summary['out']).name)} holds"),
         f"  written to {in_line(summary['out'])}"]
 
 

@@ -184,7 +184,7 @@ class Reference:
     def rate(self) -> float:
         """Multiply-adds per second, all threads together."""
         began = time.perf_counter()
-        list(self._pool.map(_dot_products, self._tasks))
+        list(self._pool.map(lambda vector: np.vecdot(np.broadcast_to(vector, (PRODUCTS, ELEMENTS)), vector), self._tasks))
         return len(self._tasks) * ELEMENTS * PRODUCTS / (time.perf_counter() - began)
 
 
@@ -193,10 +193,6 @@ def timed(work) -> tuple[float, object]:
     began = time.perf_counter()
     result = work()
     return time.perf_counter() - began, result
-
-
-def _dot_products(vector: np.ndarray) -> None:
-    np.vecdot(np.broadcast_to(vector, (PRODUCTS, ELEMENTS)), vector)
 
 
 def _processor() -> str:

@@ -38,7 +38,7 @@ def record_perception(path, *, run_id: str, name: str, rig: Rig, rods: list[Seen
     growth  of each of them, from two edges on
     up      direction against gravity
     """
-    places = [_entity(index, seen.name) for index, seen in enumerate(rods)]
+    places = [f"set{index}_{viewer.entity_name(seen.name)}" for index, seen in enumerate(rods)]
     with viewer.recording(path, run_id, name, _growth_layout(rig, places, rods, np.asarray(up, float))) as stream:
         for place, seen, steps in zip(places, rods, growth, strict=True):
             viewer.log_up(stream, f"world/{place}", np.asarray(up, float))
@@ -52,11 +52,6 @@ def record_perception(path, *, run_id: str, name: str, rig: Rig, rods: list[Seen
             _log_curves(stream, place, rig, {
                 "rods": [seen.best], "runner_up": [] if seen.runner_up is None else [seen.runner_up], "kept": [], "pruned": []})
             stream.reset_time()
-
-
-def _entity(index: int, name: str) -> str:
-    """The name of a set's entities, below ``world`` and ``images``."""
-    return f"set{index}_{viewer.entity_name(name)}"
 
 
 def _log_cameras(stream, place: str, rig: Rig, seen: SeenRod) -> None:
@@ -130,7 +125,7 @@ def _growth_layout(rig: Rig, places: list[str], rods: list[SeenRod], up: np.ndar
         toward = np.mean([camera.centre for camera in rig.cameras], axis=0) - middle
         toward = toward / np.linalg.norm(toward) + 0.3 * up / np.linalg.norm(up)
         space = viewer.space_view("Hypotheses: best and kept blue, pruned red", f"world/{place}",
-                           (middle + 1.3 * size * toward, middle, up))
+                                  (middle + 1.3 * size * toward, middle, up))
         cameras = viewer.space_view("Cameras", f"world/{place}")
         images = [blueprint.Spatial2DView(
             name=camera.name, origin=f"images/{place}/{camera.name}", background=viewer.BACKGROUND,

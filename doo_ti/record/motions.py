@@ -87,7 +87,7 @@ def _motion_layout(rods: MovingRods, titles: list[str]) -> blueprint.Blueprint:
     _, into, up = rods.basis
     blue = "" if rods.touched is None else f"; blue: {rods.touched.legend}"
     view = viewer.space_view(f"Rods, mm; grey: grippers, white: observed marks{blue}", "world",
-                      (middle - size * (into - 0.3 * up), middle, up))
+                             (middle - size * (into - 0.3 * up), middle, up))
     # The same colours everywhere: one legend, that of the first plot.
     plots = [blueprint.TimeSeriesView(
         name=title, origin=f"curves/{viewer.entity_name(title)}",

@@ -173,6 +173,8 @@ def save_group(path: Path, moments: "Sequence[GroupSolution]", *, name: str, nam
     """Write a picture of the group ``row`` at T moments, ``rate`` of them a second: the last with its ties, obstacles and
     contact forces, some earlier ones faintly; of a motion also the forces of the clamps. ``names`` are the rods';
     ``newton`` is N in their unit of force, for arrows of N."""
+    from matplotlib import colormaps
+
     seen = GroupMotion.of(moments, row, surroundings, newton)
     radii = np.zeros(len(names)) if seen.radii is None else seen.radii
     basis = upright_basis(seen.vertices.reshape(1, -1, 3), up)
@@ -183,7 +185,7 @@ def save_group(path: Path, moments: "Sequence[GroupSolution]", *, name: str, nam
     heights += [CURVES] * (len(moments) > 1)
     figure = new_figure((WIDTH + 1.0, sum(heights) + 0.5 * len(heights) + 0.8))
     plots = figure.subplots(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
-    colors = _colors(len(names))
+    colors = colormaps["tab10"](np.arange(len(names)) % 10)
     earlier = np.unique(np.linspace(0, len(moments) - 1, EARLIER + 1).round().astype(int))[:-1]
     for plot, (label, view), limit in zip(plots, views.items(), limits, strict=False):
         plot.set(xlim=limit[0], ylim=limit[1], ylabel=f"{label} [mm]")
@@ -206,13 +208,6 @@ def save_group(path: Path, moments: "Sequence[GroupSolution]", *, name: str, nam
     when = "" if len(moments) == 1 else f" after {(len(moments) - 1) / rate:.3g} s, earlier moments faint"
     figure.suptitle(f"{literal(name)}{when}{status}\nblue: {seen.touched.legend}{ties}", fontsize=10)
     save_figure(figure, path)
-
-
-def _colors(count: int) -> np.ndarray:
-    """(count, 4) on a white ground."""
-    from matplotlib import colormaps
-
-    return colormaps["tab10"](np.arange(count) % 10)
 
 
 def _draw_rods(plot, rods: list[np.ndarray], colors: np.ndarray, view: np.ndarray, radii: np.ndarray) -> None:

@@ -215,15 +215,16 @@ def _put_legend(figure, planes: list[LandscapePlane], columns: int, marks: str |
 
     marks  what the panels' marks are, empty where there are none; None: of one landscape, with its numbers
     """
-    keys = _legend(planes, marks) + (_region_key() if with_region else []) + _regime_keys(planes)
+    keys = _legend(planes, marks, with_region) + _regime_keys(planes)
     if keys:
         rows = [key for column in range(columns) for key in keys[column::columns]]
         figure.legend(handles=rows, loc="outside lower center", ncols=min(columns, len(keys)), frameon=False, fontsize=10,
                       handlelength=1.6, handletextpad=0.6, columnspacing=1.4)
 
 
-def _legend(planes: list[LandscapePlane], marks: str | None) -> list:
-    """Entries for the minimum, the valley, marks, and cells that do not compete or have no value."""
+def _legend(planes: list[LandscapePlane], marks: str | None, with_region: bool) -> list:
+    """Entries for the minimum, the valley, marks, cells that do not compete or have no value, and the region."""
+    from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     line, keys = all(len(plane.axes) == 1 for plane in planes), []
@@ -245,13 +246,10 @@ def _legend(planes: list[LandscapePlane], marks: str | None) -> list:
             facecolor="#c4c4c4", edgecolor="#262626", hatch="////", linewidth=0, label=label))
     if missing := sum((np.isnan(plane.values) & (plane.unfinished == 0)).sum() for plane in planes):
         keys.append(Patch(facecolor=canvas.MISSING, alpha=0.5 if line else 1, label=f"cells not evaluated: {missing}"))
+    if with_region:
+        keys.append(Line2D([], [], color=REGION, linewidth=2.2, linestyle="--", path_effects=edged(),
+                           label="confidence region"))
     return keys
-
-
-def _region_key() -> list:
-    from matplotlib.lines import Line2D
-
-    return [Line2D([], [], color=REGION, linewidth=2.2, linestyle="--", path_effects=edged(), label="confidence region")]
 
 
 def _regime_keys(planes: list[LandscapePlane]) -> list:
