@@ -17,6 +17,7 @@ import numpy as np
 
 from doo_ti.commands import options as given
 from doo_ti.commands.results import report, save_json
+from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import write_text
 from doo_ti.system.terminal import ended, in_line, kept_from_children, progress
@@ -56,14 +57,10 @@ def run_bench(options: Namespace) -> int:
 def text(summary: dict) -> str:
     """Markdown of a summary."""
     found, versions = summary["machine"], ", ".join(f"{name} {number}" for name, number in summary["versions"].items())
-    machine = (f"{found['processor']}, {_counted(found['cores'], 'core')}, {_counted(found['threads'], 'thread')}"
+    machine = (f"{found['processor']}, {counted(found['cores'], 'core')}, {counted(found['threads'], 'thread')}"
                f"{'' if found['architecture'] == 'cpu' else ', ' + found['architecture']}; {versions}; "
                f"batches of {summary['rods']}, rods of 33 edges, medians of {summary['rounds']}")
     return "\n\n".join([machine, _table(summary["cases"]), "\n".join(_notes(summary))])
-
-
-def _counted(count: int, what: str) -> str:
-    return f"{count} {what}{'s' * (count != 1)}"
 
 
 def _table(cases: dict[str, dict]) -> str:
