@@ -132,8 +132,6 @@ def test_a_broken_image_is_reported_in_one_line(pictures, tmp_path):
     assert done.stderr.count("\n") == 1 and "half.png: file: cannot be read as an image" in done.stderr
 
 
-
-
 def rows_of(marks: np.ndarray, rng, noise: float = 0.3) -> list[list]:
     """Rows of a file for (D, V, 3) marks, or (D, V, 2, 3) on both edges of ribbons."""
     pixels = RIG.project(marks)

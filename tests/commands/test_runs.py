@@ -192,26 +192,19 @@ def test_a_large_grid_is_thinned_and_that_is_reported(one_run, tmp_path, capsys)
     np.testing.assert_allclose(rods["distance_mm"], landscape.distance[rods["cell"]], rtol=1e-6)
 
 
-def refused_runs(folder, out, capsys, words: list[str], problem: str) -> None:
-    runs = [str(folder / word) if (folder / word).exists() or word == "nowhere" else word for word in words]
-    refused(capsys, out.parent, ["figures", *runs, "--out", str(out)], problem)
+ALL = pytest.mark.thorough
 
 
-@pytest.mark.parametrize(("words", "problem"), [
-    (["silk", "silk"], "static silk"), (["missing"], "finished sweep"), (["silk", "--observation", "8"], "observation"),
-    (["silk", "--observation", "x"], "--observation"), (["silk", "--cells", "some"], "--cells"),
-    (["silk", "--by", "colour"], "--by"), ([], "RUN"),
-])
-def test_wrong_input_is_one_line_and_nothing_is_written(one_run, tmp_path, capsys, words, problem):
-    refused_runs(one_run, tmp_path / "out", capsys, words, problem)
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize(("words", "problem"), [
-    (["silk", "static"], "grid"), (["unlabelled", "--by", "end-distance"], "end_distance_mm"),
-])
-def test_runs_that_do_not_go_together(lab, tmp_path, capsys, words, problem):
-    refused_runs(lab, tmp_path / "out", capsys, words, problem)
+@pytest.mark.parametrize(("runs_of", "words", "problem"), [
+    ("one_run", ["silk", "silk"], "static silk"), ("one_run", ["missing"], "finished sweep"), ("one_run", [], "RUN"),
+    ("one_run", ["silk", "--observation", "8"], "observation"), ("one_run", ["silk", "--observation", "x"], "--observation"),
+    ("one_run", ["silk", "--cells", "some"], "--cells"), ("one_run", ["silk", "--by", "colour"], "--by"),
+    pytest.param("lab", ["silk", "static"], "grid", marks=ALL),
+    pytest.param("lab", ["unlabelled", "--by", "end-distance"], "end_distance_mm", marks=ALL)])
+def test_wrong_input_is_one_line_and_nothing_is_written(request, tmp_path, capsys, runs_of, words, problem):
+    folder = request.getfixturevalue(runs_of)
+    runs = [str(folder / word) if (folder / word).exists() else word for word in words]
+    refused(capsys, tmp_path, ["figures", *runs, "--out", str(tmp_path / "out")], problem)
 
 
 @pytest.mark.thorough
