@@ -36,7 +36,7 @@ from doo_ti.rod.frames import (
     turned_about_tangent,
 )
 from doo_ti.rod.material import doubt_angle, mm_in
-from doo_ti.rod.types import Clamps
+from doo_ti.rod.types import POSES, Clamps
 from doo_ti.system.arguments import owning, short_repr, typed
 from doo_ti.system.errors import InputError, require_whole
 from doo_ti.system.files import read_content
@@ -116,7 +116,7 @@ class ClampPath:
     @property
     def count(self) -> int:
         """N, the number of paths."""
-        given = (self.start_position, self.end_position, self.start_frame, self.end_frame, self.end_rotation)
+        given = (getattr(self, name) for name in (*POSES, "end_rotation"))
         return max((value.shape[1] for value in given if value is not None), default=1)
 
     def at(self, moment: int, clamps: Clamps) -> Clamps:
@@ -143,10 +143,8 @@ class ClampPath:
             return None if path is None else own + path - path[:1]
         def turned(path, own):
             return None if path is None else np.einsum("tnij,tnkj,nkl->tnil", path, np.broadcast_to(path[:1], path.shape), own)
-        return replace(self, start_position=shifted(self.start_position, clamps.start_position),
-                       end_position=shifted(self.end_position, clamps.end_position),
-                       start_frame=turned(self.start_frame, clamps.start_frame),
-                       end_frame=turned(self.end_frame, clamps.end_frame))
+        return replace(self, **{name: (turned if name.endswith("frame") else shifted)(
+            getattr(self, name), getattr(clamps, name)) for name in POSES})
 
     def resampled(self, rate: float) -> "ClampPath":
         """The same path at ``rate`` moments per second, on monotone cubics between its own."""
@@ -168,9 +166,8 @@ class ClampPath:
             q[1:] *= np.cumprod(np.where((q[1:] * q[:-1]).sum(axis=-1) < 0, -1.0, 1.0), axis=0)[..., None]
             between = smooth(q)
             return matrix_from_quaternion(between / np.linalg.norm(between, axis=-1, keepdims=True))
-        return replace(self, time=time, start_position=smooth(self.start_position), end_position=smooth(self.end_position),
-                       start_frame=turning(self.start_frame), end_frame=turning(self.end_frame),
-                       end_rotation=smooth(self.end_rotation))
+        return replace(self, time=time, end_rotation=smooth(self.end_rotation), **{
+            name: (turning if name.endswith("frame") else smooth)(getattr(self, name)) for name in POSES})
 
     def _check_frames(self, name: str, frames: np.ndarray) -> None:
         bad = (orthonormality_error(frames) > FRAME_TOLERANCE) | (handedness(frames) < 0)

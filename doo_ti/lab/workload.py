@@ -123,10 +123,9 @@ def near(rods: Rods) -> Material:
 
 def pulled(rods: Rods) -> Rods:
     """The rods with their far end free, and a spring from every vertex to where the start has it."""
-    starts, held = rods.starts, rods.clamps
-    clamps = Clamps(held.start, Clamp.FREE, held.start_position, held.end_position, held.start_frame, held.end_frame)
-    points = starts.vertices
-    return replace(rods, clamps=clamps, springs=Springs(points, np.full(points.shape[:2], SPRING)))
+    points = rods.starts.vertices
+    springs = Springs(points, np.full(points.shape[:2], SPRING))
+    return replace(rods, clamps=replace(rods.clamps, end=Clamp.FREE), springs=springs)
 
 
 def isotropic_materials(count: int) -> Material:

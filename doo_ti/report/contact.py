@@ -188,7 +188,7 @@ def save_group(path: Path, moments: "Sequence[GroupSolution]", *, name: str, nam
     colors = colormaps["tab10"](np.arange(len(names)) % 10)
     earlier = np.unique(np.linspace(0, len(moments) - 1, EARLIER + 1).round().astype(int))[:-1]
     for plot, (label, view), limit in zip(plots, views.items(), limits, strict=False):
-        plot.set(xlim=limit[0], ylim=limit[1], ylabel=f"{label} [mm]")
+        plot.set(xlim=limit[0], ylim=limit[1], ylabel=f"{label} [mm]", aspect="equal")
         for moment in earlier:
             for rod, color in zip(seen.rods[moment], colors, strict=True):
                 plot.plot(*(rod @ view[[0, 2]].T).T, color=color, lw=0.8, alpha=0.3)
@@ -196,7 +196,6 @@ def save_group(path: Path, moments: "Sequence[GroupSolution]", *, name: str, nam
         seen.touched.draw(plot, 0, view[[0, 2]], [len(moments) - 1])
         tied = seen.vertices[-1, seen.tied] @ view[[0, 2]].T
         plot.plot(*tied.T, "o", color="white", markeredgecolor="black", markersize=4, zorder=ABOVE_ARROWS + 1)
-        plot.set_aspect("equal")
         plot.grid(alpha=0.2)
     for rod, color in zip(names[:MOST_NAMED], colors, strict=False):
         plots[0].plot([], [], color=color, lw=3, label=literal(rod))

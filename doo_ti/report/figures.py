@@ -161,8 +161,8 @@ def ribbons_picture(path_or_buffer, ribbons: list[Ribbons], which: int, *, basis
             _draw_band(axes, kind.sides[which] @ view.T, kind.color)
             for other in outlined:
                 _draw_outline(axes, other.sides[which] @ view.T, other.color)
-            axes.set(xlim=middle[0] + 0.5 * size[0] * np.array([-1, 1]), ylim=middle[1] + 0.5 * size[1] * np.array([-1, 1]))
-            axes.set_aspect("equal")
+            axes.set(xlim=middle[0] + 0.5 * size[0] * np.array([-1, 1]), ylim=middle[1] + 0.5 * size[1] * np.array([-1, 1]),
+                     aspect="equal")
             axes.set_axis_off()
         _label_view(places[0], name)
     for axes, kind in zip(grid[0], filled, strict=True):
@@ -298,8 +298,7 @@ def angle_curves_picture(path_or_buffer, angles: np.ndarray, objective: np.ndarr
             axes.axvspan(low[k], high[k], color=SHADE, alpha=0.35, linewidth=0)
             axes.axvline(phi[k], color=MINIMUM, linewidth=1.2)
         axes.set_ylim(bottom=0)
-        axes.set_xticks(np.arange(-360, 361, 180))
-        axes.set_xlim(angles[0], angles[-1])
+        axes.set(xticks=np.arange(-360, 361, 180), xlim=(angles[0], angles[-1]))
         axes.tick_params(labelbottom=k + columns >= shown)  # the last row may be incomplete
         axes.set_title(literal(names[k]), fontsize=9)
         axes.grid(alpha=0.25)

@@ -114,9 +114,8 @@ def _draw_errors(plot, time: np.ndarray, error: np.ndarray) -> None:
     plot.plot(time, error.T, color=PREDICTED, lw=0.5, alpha=0.35)
     known = np.isfinite(error).any(axis=0)
     plot.plot(time[known], np.nanmedian(error[:, known], axis=0), color="black", lw=1.6, label="median")
-    plot.set_ylim(0, max(1.0, 1.1 * np.quantile(error[np.isfinite(error)], 0.99) if known.any() else 0.0))
-    plot.set_xlabel("time [s]")
-    plot.set_ylabel("mean |difference| [mm]")
+    most = max(1.0, 1.1 * np.quantile(error[np.isfinite(error)], 0.99) if known.any() else 0.0)
+    plot.set(ylim=(0, most), xlabel="time [s]", ylabel="mean |difference| [mm]")
     plot.legend(fontsize=8, frameon=False)
 
 
@@ -153,11 +152,8 @@ def save_animation(path: Path, name: str, names: list[str], positions: np.ndarra
     curves, marks, momentary = [], [], []
     for k in range(len(rows)):
         plot = figure.add_subplot(lines, columns, k + 1)
-        plot.set(xlim=limits[0], ylim=limits[1])
+        plot.set(xlim=limits[0], ylim=limits[1], aspect="equal", xticks=[], yticks=[])
         plot.set_title(literal(names[rows[k]]), fontsize=9)
-        plot.set_aspect("equal")
-        plot.set_xticks([])
-        plot.set_yticks([])
         if touched is not None:
             touched.draw_still(plot, rows[k], axes)
         if seen is not None:
@@ -210,8 +206,7 @@ def servo_picture(path_or_buffer, name: str, start: np.ndarray, end: np.ndarray,
     axes.plot(steps, distance[:, 0], color=END, lw=1.6, label="true")
     axes.plot(steps, distance[:, 1], color="black", lw=1.0, ls="--", label="as estimated")
     axes.axhline(reached, color=TARGET, lw=0.8, label="reached")
-    axes.set_yscale("log")
-    axes.set_xlabel("step")
+    axes.set(yscale="log", xlabel="step")
     axes.set_title("distance to the target [mm], root mean square", fontsize=9)
     axes.legend(fontsize=8, frameon=False)
     axes.grid(alpha=0.2, which="both")
@@ -274,11 +269,10 @@ def motions_picture(path_or_buffer, rods: MovingRods, *, title: str) -> None:
             if rod >= shown:
                 axes.set_axis_off()
                 continue
-            axes.set(xlim=limits[row][0], ylim=limits[row][1])
+            axes.set(xlim=limits[row][0], ylim=limits[row][1], aspect="equal")
             _draw_moments(axes, vertices[:, rod] @ view.T, time, moments, np.flatnonzero(jumps[:, rod]))
             if rods.touched is not None:
                 rods.touched.draw(axes, rod, view, [len(time) - 1])
-            axes.set_aspect("equal")
             axes.grid(alpha=0.2)
             if column == 0:
                 axes.set_ylabel(f"{label} [mm]", fontsize=10)

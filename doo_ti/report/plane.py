@@ -212,8 +212,7 @@ def draw_map(axes, plane: LandscapePlane, norm, size: float = 1.0):
     axes.add_collection(LineCollection(
         _outline(x, y, drawn.valley), colors="white", linewidths=0.6 + 1.6 * size, capstyle="projecting",
         path_effects=edged()), autolim=False)
-    axes.set_xlim(x[0], x[-1])
-    axes.set_ylim(y[0], y[-1])
+    axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
     axes.tick_params(labelsize=11 * size)
     return mesh
 

@@ -13,6 +13,8 @@ curves and knotted ones (docs/contact.md); and clamps at the ends of a rod.
 Axes: R rods, E edges. Lengths are in mm.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -77,8 +79,7 @@ def hanging(length: ArrayLike, edges: int, start: ArrayLike, end: ArrayLike, *, 
     rest_length = np.repeat(length[:, None] / edges, edges, axis=1)
     rope = Configuration(start.copy(), quaternion_from_matrix(frames), rest_length if len(length) > 1 else rest_length[0])
     rope = with_end_edges(rope) if vertex_clamps else rope
-    held = end_clamps(rope, clamp, clamp)
-    return rope, Clamps(held.start, held.end, held.start_position, end.copy(), held.start_frame, held.end_frame)
+    return rope, replace(end_clamps(rope, clamp, clamp), end_position=end.copy())
 
 
 @typed

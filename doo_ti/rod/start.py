@@ -173,7 +173,7 @@ def held_spins(observations: Observations, clamps: Clamps, spin: np.ndarray) -> 
     """
     count = observations.count
     unknown_end = np.broadcast_to(np.asarray(clamps.end) == Clamp.TANGENT, count)
-    whole = Clamps(Clamp.FRAME, Clamp.FRAME, clamps.start_position, clamps.end_position, clamps.start_frame, clamps.end_frame)
+    whole = replace(clamps, start=Clamp.FRAME, end=Clamp.FRAME)
     bishop = _bishop(observations, whole)
     lacking = spin - _closing_angle(bishop, whole)
     end_frame = turned_about_tangent(whole.end_frame, np.where(unknown_end, lacking, 0.0))

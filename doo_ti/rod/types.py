@@ -208,9 +208,8 @@ class Clamps:
     def take(self, index: Rows) -> "Clamps":
         """The clamps of the rods named by ``index``, in that order, in arrays of their own."""
         kinds = (np.array(kind) for kind in (self.start, self.end))
-        return Clamps(
-            *(kind if kind.ndim == 0 else kind[index] for kind in kinds), picked(self.start_position, index),
-            picked(self.end_position, index), picked(self.start_frame, index), picked(self.end_frame, index))
+        return Clamps(*(kind if kind.ndim == 0 else kind[index] for kind in kinds),
+                      *(picked(getattr(self, name), index) for name in POSES))
 
     @classmethod
     @typed
