@@ -1,10 +1,10 @@
 """Where a thread goes on but looks different: along a glint, or where it is wider than most of it.
 
-A shiny thread has light lines within it, and a glint may be as light as the background: what is left of a dark thread are its
-two edges. Closing the darkness of an image fills what is narrower than the thread, and the thread is one line again, whatever
-it looks like inside. Such a line is taken for the thread where it begins at an end of what was found of it, in its direction,
-and no other end is there: where strands cross, or lie side by side, there are more. It ends at another end, or is free: a
-needle is wider than its thread.
+A shiny thread has light lines within it: what is left of a dark thread are its two edges. Closing the darkness of an image
+fills what is narrower than the thread, and the thread is one line again. Such a line is taken for the thread where it begins at
+an end of what was found of it, in its direction, and no other end is there: where strands cross, or lie side by side, there are
+more. It ends at another end, or is free: a needle is wider than its thread. What lies between two lines and is as light as the
+background is no glint, but the inside of a narrow loop.
 """
 
 import cv2
@@ -22,6 +22,7 @@ TOUCHING, ENDS_PX = 1.0, 3.0  # from the end of the thread to that of a line tha
 AGREEING = 0.7  # … and the least cosine between their directions
 BESIDE = 0.7  # share of such a line along which another one that goes on runs: these are two strands
 SHORTEST, GLINT = 1.0, 3.0  # least widths of such a line, and of one whose edges were found: strands that touch are shorter
+INSIDE = 0.2  # least darkness within one whose edges were found, over the thread's: of glints 0.3 and more, in loops 0.1
 
 
 def continued(image: np.ndarray, look: Appearance, ridges: Ridges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -38,7 +39,7 @@ def continued(image: np.ndarray, look: Appearance, ridges: Ridges) -> tuple[np.n
             break
         width = times * look.width_px
         line = _lines(dark, width, np.concatenate([found[0], *own]), look.width_px)
-        added = _joined(line, own, width)
+        added = _joined(line, own, width, dark)
         if added:
             beside = _edges_of(found[0], own, added, width)
             found = tuple(np.concatenate([array[~beside], *new]) for array, new in zip(found, zip(*added), strict=True))
@@ -72,12 +73,12 @@ def _lines(dark: np.ndarray, width: float, own: np.ndarray, usual: float) -> Det
     return Detection(ridges.point, ridges.tangent, ridges.strength, width, "light", dark.shape, "ridge")
 
 
-def _joined(line: Detection, own: list[np.ndarray], width: float) -> list[tuple[np.ndarray, ...]]:
+def _joined(line: Detection, own: list[np.ndarray], width: float, dark: np.ndarray) -> list[tuple[np.ndarray, ...]]:
     """Points, directions and strengths of the parts of a ``line`` that go on from ends of the chains ``own``, or of those."""
     waiting, parts = [chain for chain in chains_of(line) if chain_length(chain) >= SHORTEST * width], []
     tree, known = cKDTree(line.points) if line.count else None, list(own)
     while True:
-        ready = next((k for k, chain in enumerate(waiting) if _goes_on(chain, known, width)), None)
+        ready = next((k for k, chain in enumerate(waiting) if _goes_on(chain, known, width, dark)), None)
         if ready is None:
             return parts
         chain = waiting.pop(ready)
@@ -86,13 +87,14 @@ def _joined(line: Detection, own: list[np.ndarray], width: float) -> list[tuple[
         known.append(chain)
 
 
-def _goes_on(chain: np.ndarray, known: list[np.ndarray], width: float) -> bool:
+def _goes_on(chain: np.ndarray, known: list[np.ndarray], width: float, dark: np.ndarray) -> bool:
     """Whether a chain begins where one of those ``known`` ends, and no other one ends beside that half of it."""
     line = cKDTree(chain)
     inside = [line.query(other)[0].max() <= width for other in known]
     edges, others = ([other for other, here in zip(known, inside, strict=True) if bool(here) is kind] for kind in (True, False))
-    loop = any(outward(edge, 0) @ outward(edge, 1) >= AGREEING for edge in edges)  # it ends the way it began, and is no edge
-    if edges and (chain_length(chain) < GLINT * width or loop):
+    column, row = np.rint(chain).astype(int).T
+    within = np.median(dark[row, column])
+    if edges and (chain_length(chain) < GLINT * width or within < INSIDE * 255):
         return False
     strand = any((cKDTree(other).query(chain)[0] <= 0.6 * width).mean() > BESIDE for other in others)
     if strand or sum(chain_length(other) for other in others) < chain_length(chain):
