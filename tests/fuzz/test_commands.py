@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from doo_ti.commands.cli import main
 from tests.fuzz import corpus
-from tests.fuzz.changes import changed, words_changed
-from tests.fuzz.commands import RECIPES
+from tests.fuzz.commands import RECIPES, changed, words_changed
 
 QUICK = {"relax", "convert", "plan"}
 """Commands that the default run tries: their kernels compile in seconds."""
