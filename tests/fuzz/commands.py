@@ -16,8 +16,7 @@ SEEN = "--rig rig.yaml --rest-length 3:8"
 PERCEIVE = f"perceive {SEEN} --sets images/sets.csv {MADE_OF} --hypotheses 4 --out out/F.npz"
 SINGLE = (f"perceive {' '.join(f'images/silk_14mm_000deg_cam{camera}.jpg' for camera in range(3))} {SEEN} --seed-point 0,0,0 "
           f"--seed-direction 0.94,0,0.34 {MADE_OF} --hypotheses 4 --out out/F.npz --no-picture --no-recording")
-PATHS = {"--out", "--images", "--picture", "--recording", "--animation"}
-"""Options that name outputs."""
+PATHS = {"--out", "--images", "--picture", "--recording", "--animation"}  # options that name outputs
 COMPANIONS = {"dynamic.toml": ("pairs.csv",), "file.toml": ("rods.npz",), "images/sets.csv": ("images",),
               "frames.csv": ("images",), "views.csv": ("boards",)}
 """What a file of the corpus names itself."""

@@ -13,8 +13,7 @@ from doo_ti.commands.cli import main
 from tests.fuzz import corpus
 from tests.fuzz.commands import RECIPES, changed, words_changed
 
-QUICK = {"relax", "convert", "plan"}
-"""Commands that the default run tries: their kernels compile in seconds."""
+QUICK = {"relax", "convert", "plan"}  # commands that the default run tries: their kernels compile in seconds
 FREE = {"suppress_health_check": list(HealthCheck), "deadline": None, "derandomize": True, "database": None}
 PROGRESS = re.compile(r"━|\d+/\d+ \w+ .*:")
 

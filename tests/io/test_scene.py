@@ -148,8 +148,7 @@ def test_a_command_takes_one_by_name(tmp_path, monkeypatch):
 
 
 EI, GJ, DENSITY = 2e-5, 1.5e-5, 4.0
-WEIGHT = 1e-3 * DENSITY * STANDARD_GRAVITY
-"""N/m."""
+WEIGHT = 1e-3 * DENSITY * STANDARD_GRAVITY  # N/m
 SHARED = {
     load_motion_scene: "rod = { length_mm = 60.0, edges = 20 }\nrate_hz = 10.0\nduration_s = 1.0\n",
     load_group_scene: "".join(f'rods.{name} = {{ material = "{name}", edges = 10, length_mm = 90.0 }}\n' for name in "ab"),
