@@ -22,7 +22,7 @@ from tests.record.recordings import read
 def plane(rng) -> LandscapePlane:
     grid = runs.grid()
     values = rng.uniform(1, 9, grid.shape)
-    return LandscapePlane.of(runs.axes(grid), values, np.unravel_index(np.argmin(values), grid.shape))
+    return LandscapePlane.of(grid.picture_axes, values, np.unravel_index(np.argmin(values), grid.shape))
 
 
 def ribbon(count: int = 6, twist=(5e5,)) -> tuple[list, np.ndarray]:
@@ -80,7 +80,7 @@ def test_regimes_are_the_paper_s():
     axes, values = ribbon(twist=(1e5, 5e5))
     assert LandscapePlane.of(axes, values).twist is None
     grid = runs.grid()
-    assert LandscapePlane.of(runs.axes(grid), np.ones(grid.shape)).twist is None
+    assert LandscapePlane.of(grid.picture_axes, np.ones(grid.shape)).twist is None
 
 
 @pytest.mark.thorough
