@@ -76,7 +76,7 @@ def test_a_scene_of_another_command(capsys, tmp_path):
             "this is a scene of another command")
 
 
-# ---- options of relax and of sweep, in a valid command line, and the words of the message; texts of grids: tests/rod/test_grid.py
+# ---- options of relax and sweep in a valid command line, and words of the message; texts of grids: tests/rod/test_grid.py
 
 OPTIONS = {
     "B not positive definite": (["--bend", "1e5,1e5,2e5"], "--bend", "not positive definite"),
