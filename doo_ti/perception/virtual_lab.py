@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.io.scene import Synthesis
-from doo_ti.lab import fine_vertices
+from doo_ti.lab.synthesis import fine_vertices
 from doo_ti.motion.path import motion_between
 from doo_ti.perception.tracking import TrackedFrame, Tracker, seen_vertices
 from doo_ti.rod.types import Clamps, Material

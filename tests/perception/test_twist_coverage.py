@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Material, TwistVerdict, consecutive_groups, end_offsets, estimate_twist
-from doo_ti.lab import synthesise
+from doo_ti.lab.synthesis import synthesise
 from doo_ti.lab.workload import LAB, SUTURES
 
 SPECIMENS = range(300, 303)
