@@ -63,9 +63,10 @@ def run_twist(options: Namespace) -> int:
     check_experiment(replace(observations, frames=None), observation_clamps(observations), grid.axes[-1].values[-1], 0.0)
     if offset is None and (together > 1 or options.offset):
         offset = end_offsets(observations, group)
-    loading.warn(observations)
+    surroundings = given.surroundings(options)
+    loading.warn(observations, surroundings)
     material = curved(options, grid.materials(), observations.rest_length)
-    search = TwistOptions(precision=options.precision, surroundings=given.surroundings(options))
+    search = TwistOptions(precision=options.precision, surroundings=surroundings)
     with progress() as bar:
         task = bar.add_task("twist", total=observations.count * len(search.angles), unit="rods")
 
