@@ -291,6 +291,15 @@ def upright_basis(vertices: np.ndarray, up) -> np.ndarray:
     return np.stack([right, np.cross(up, right), up])
 
 
+def direction(vector: np.ndarray) -> str:
+    """A unit vector as text: an axis of the world, or a sum of axes with a sign each."""
+    parts = [f"{share:+.2g}{axis}" for share, axis in zip(vector, "xyz", strict=True) if abs(share) > 0.02]
+    if len(parts) == 1:
+        return ("−" if vector.sum() < 0 else "") + parts[0][-1]
+    text = " ".join(f"{part[0]} {part[1:-1]} {part[-1]}" for part in parts)
+    return (text[2:] if text[0] == "+" else text.replace("- ", "-", 1)).replace("-", "−")
+
+
 def facing(vertices: np.ndarray, up) -> tuple[np.ndarray, str]:
     """What points up in a view of rods (D, V, 3), and from where that is: from the side or, if they are flat, as on a table,
     from above."""

@@ -13,7 +13,7 @@ from doo_ti.contact.meshes import mesh
 from doo_ti.contact.moving import Moving
 from doo_ti.contact.obstacles import PLANE, Obstacle
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.report.canvas import box, limits_around, literal, new_figure, save_figure, upright_basis, widest
+from doo_ti.report.canvas import box, direction, limits_around, literal, new_figure, save_figure, upright_basis, widest
 
 if TYPE_CHECKING:  # it brings the solvers, and Taichi with them
     from doo_ti.groups.relax_group import GroupSolution
@@ -79,6 +79,14 @@ class Touched:
         if not np.nan_to_num(self.force).any():
             return "no contact forces"
         return f"contact forces (an arrow of 10 mm: {10 / self.arrow_scale:g} {'mm²/mm' if self.newtons is None else 'N'})"
+
+    @property
+    def legend_at_end(self) -> str:
+        """The same of a picture that shows the forces of the last frame."""
+        if np.nan_to_num(self.force[:, -1]).any() or not np.nan_to_num(self.force).any():
+            return f"blue, at the end: {self.legend}"
+        most = np.linalg.norm(np.nan_to_num(self._shown).sum(axis=2), axis=-1).max()
+        return f"at the end nothing touches; before, {most:.3g} {'mm²/mm' if self.newtons is None else 'N'} in all at most"
 
     def arrows(self, row: int, frame: int) -> tuple[np.ndarray, np.ndarray]:
         """Origins and vectors (N, 3) in mm of the forces on a rod at a frame."""
@@ -188,7 +196,8 @@ def save_group(path: Path, moments: "Sequence[GroupSolution]", *, name: str, nam
     colors = colormaps["tab10"](np.arange(len(names)) % 10)
     earlier = np.unique(np.linspace(0, len(moments) - 1, EARLIER + 1).round().astype(int))[:-1]
     for plot, (label, view), limit in zip(plots, views.items(), limits, strict=False):
-        plot.set(xlim=limit[0], ylim=limit[1], ylabel=f"{label} [mm]", aspect="equal")
+        plot.set(xlim=limit[0], ylim=limit[1], xlabel=f"{direction(view[0])} [mm]",
+                 ylabel=f"{label}\n{direction(view[2])} [mm]", aspect="equal")
         for moment in earlier:
             for rod, color in zip(seen.rods[moment], colors, strict=True):
                 plot.plot(*(rod @ view[[0, 2]].T).T, color=color, lw=0.8, alpha=0.3)

@@ -9,7 +9,17 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.report.canvas import deviations, facing, fit_titles, limits_around, literal, new_figure, save_figure, upright_basis
+from doo_ti.report.canvas import (
+    deviations,
+    direction,
+    facing,
+    fit_titles,
+    limits_around,
+    literal,
+    new_figure,
+    save_figure,
+    upright_basis,
+)
 from doo_ti.report.contact import Touched
 from doo_ti.system.files import write_whole
 
@@ -74,7 +84,7 @@ def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray,
     frames = np.linspace(0, positions.shape[1] - 1, min(STILLS, positions.shape[1])).round().astype(int)
     for k, row in enumerate(rows):
         plot = figure.add_subplot(grid[k // columns, k % columns])
-        _draw_stills(plot, positions[row, frames] @ axes.T, None if recorded is None else recorded[row, frames] @ axes.T)
+        _draw_stills(plot, axes, positions[row, frames], None if recorded is None else recorded[row, frames])
         if touched is not None:
             for frame in frames[:-1]:
                 touched.draw_moving(plot, row, axes, frame, faint=True)
@@ -93,19 +103,20 @@ def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray,
         _draw_energies(figure.add_subplot(grid[-1, :]), time, first, names[rows[0]])
     last = (positions.shape[1] - 1) / rate
     title = f"{name}: {len(frames)} of {positions.shape[1]} frames from 0 to {last:.3g} s, seen {view}"
-    figure.suptitle(literal(title) + ("" if touched is None else f"\nblue, at the end: {touched.legend}"), fontsize=8)
+    figure.suptitle(literal(title) + ("" if touched is None else f"\n{touched.legend_at_end}"), fontsize=8)
     save_figure(figure, path)
 
 
-def _draw_stills(plot, positions: np.ndarray, recorded: np.ndarray | None) -> None:
-    """A rod at several instants, (N, V, 2) each, later ones darker."""
+def _draw_stills(plot, axes: np.ndarray, positions: np.ndarray, recorded: np.ndarray | None) -> None:
+    """A rod at several instants, (N, V, 3) each, seen along ``axes`` (2, 3), later ones darker."""
     for n, rod in enumerate(positions):
         fade, last = 0.25 + 0.75 * (n + 1) / len(positions), n == len(positions) - 1
         if recorded is not None:
-            plot.plot(*recorded[n].T, color=RECORDED, lw=2.2, alpha=fade, label="recorded" if last else None)
-        plot.plot(*rod.T, color=PREDICTED, lw=1.1, alpha=fade, label="simulated" if last else None)
+            plot.plot(*(recorded[n] @ axes.T).T, color=RECORDED, lw=2.2, alpha=fade, label="recorded" if last else None)
+        plot.plot(*(rod @ axes.T).T, color=PREDICTED, lw=1.1, alpha=fade, label="simulated" if last else None)
     plot.set_aspect("equal", adjustable="datalim")
-    plot.set_xlabel("mm", fontsize=8)
+    plot.set_xlabel(f"{direction(axes[0])} [mm]", fontsize=8)
+    plot.set_ylabel(f"{direction(axes[1])} [mm]", fontsize=8)
     plot.tick_params(labelsize=8)
 
 
@@ -196,7 +207,7 @@ def servo_picture(path_or_buffer, name: str, start: np.ndarray, end: np.ndarray,
         axes.plot(*(target @ view.T).T, color=TARGET, lw=4.5, alpha=0.5, marker="o", ms=3, label="target")
         axes.plot(*(end @ view.T).T, color=END, lw=1.4, label="end")
         axes.set_aspect("equal", adjustable="datalim")
-        axes.set_title(f"{label} [mm]", fontsize=9)
+        axes.set_title(f"{label}: {direction(view[1])} over {direction(view[0])} [mm]", fontsize=9)
         axes.tick_params(labelsize=8)
         axes.grid(alpha=0.2)
         if not row:
@@ -275,15 +286,15 @@ def motions_picture(path_or_buffer, rods: MovingRods, *, title: str) -> None:
                 rods.touched.draw(axes, rod, view, [len(time) - 1])
             axes.grid(alpha=0.2)
             if column == 0:
-                axes.set_ylabel(f"{label} [mm]", fontsize=10)
+                axes.set_ylabel(f"{label}\n{direction(view[1])} [mm]", fontsize=9)
             if row == 0:
                 count = int(jumps[:, rod].sum())
                 axes.set_title(literal(rods.names[rod]) + f": {count} jump{'s' * (count != 1)}" * (count > 0), fontsize=10)
-    figure.supxlabel("[mm]", fontsize=10)
+    figure.supxlabel(f"{direction(views[0][0])} [mm]", fontsize=10)
     figure.colorbar(_time_scale(time), ax=list(panels.ravel()), pad=0.01, aspect=40).set_label("time [s]", fontsize=10)
     more = f" ({len(rods.names) - shown} more are not drawn)" if len(rods.names) > shown else ""
     red = "\nred: before a jump (dashed) and after it" if jumps.any() else ""
-    blue = "" if rods.touched is None else f"\nblue, at the end:\n{rods.touched.legend}"
+    blue = "" if rods.touched is None else f"\n{rods.touched.legend_at_end}"
     figure.suptitle(f"{literal(title)}{more}{red}{blue}", fontsize=10)
     save_figure(figure, path_or_buffer)
 
