@@ -117,19 +117,19 @@ from doo_ti.rod.types import Solution as Solution
 from doo_ti.rod.types import Status as Status
 from doo_ti.system.errors import InputError as InputError
 from doo_ti.system.errors import InterruptedRunError as InterruptedRunError
-from doo_ti.vision.cameras.camera import Camera as Camera
-from doo_ti.vision.cameras.foreign import RigReading as RigReading
-from doo_ti.vision.cameras.rig import Rig as Rig
-from doo_ti.vision.cameras.rig import load_rig as load_rig
-from doo_ti.vision.detection.detect import detect as detect
-from doo_ti.vision.detection.detect import detect_mask as detect_mask
-from doo_ti.vision.detection.follow import follow as follow
-from doo_ti.vision.detection.line import Detection as Detection
-from doo_ti.vision.detection.options import DetectionOptions as DetectionOptions
-from doo_ti.vision.reprojection.distance_map import DistanceMaps as DistanceMaps
-from doo_ti.vision.reprojection.distance_map import distance_maps as distance_maps
-from doo_ti.vision.reprojection.image_energy import Reprojection as Reprojection
-from doo_ti.vision.reprojection.score import Score as Score
-from doo_ti.vision.reprojection.score import score as score
+from doo_ti.vision.cameras import Camera as Camera
+from doo_ti.vision.cameras import Rig as Rig
+from doo_ti.vision.cameras import RigReading as RigReading
+from doo_ti.vision.detect import detect as detect
+from doo_ti.vision.detect import detect_mask as detect_mask
+from doo_ti.vision.detection import Detection as Detection
+from doo_ti.vision.detection import DetectionOptions as DetectionOptions
+from doo_ti.vision.distance_map import DistanceMaps as DistanceMaps
+from doo_ti.vision.distance_map import distance_maps as distance_maps
+from doo_ti.vision.follow import follow as follow
+from doo_ti.vision.image_energy import Reprojection as Reprojection
+from doo_ti.vision.rig_files import load_rig as load_rig
+from doo_ti.vision.score import Score as Score
+from doo_ti.vision.score import score as score
 
 __version__: str

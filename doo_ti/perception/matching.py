@@ -17,9 +17,9 @@ import taichi as ti
 from scipy.linalg import solveh_banded
 
 from doo_ti.system import runtime
-from doo_ti.vision.cameras.rig import Rig
-from doo_ti.vision.detection.paths import ImagePath
-from doo_ti.vision.reprojection.triangulation import rays
+from doo_ti.vision.cameras import Rig
+from doo_ti.vision.paths import ImagePath
+from doo_ti.vision.triangulation import rays
 
 STEP_PX = 2.0  # between places that are compared
 FARTHEST_PX = 12.0  # distances saturate there

@@ -33,10 +33,10 @@ from doo_ti.rod.frames import (
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution, Status
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, require_whole
-from doo_ti.vision.cameras.rig import Rig
-from doo_ti.vision.reprojection.distance_map import DistanceMaps
-from doo_ti.vision.reprojection.image_energy import Coverage, Reprojection, coverage
-from doo_ti.vision.reprojection.score import score
+from doo_ti.vision.cameras import Rig
+from doo_ti.vision.distance_map import Coverage, DistanceMaps, coverage
+from doo_ti.vision.image_energy import Reprojection
+from doo_ti.vision.score import score
 
 FAILED = Status.NOT_FINITE, Status.INFEASIBLE  # rods that have no shape; infeasible are those inside an obstacle
 LOST = 1e30  # 1/mm: E_vis of a rod that failed while growing. Its start is kept if its set has no better hypothesis

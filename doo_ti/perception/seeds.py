@@ -25,11 +25,11 @@ from doo_ti.perception.search import PerceptionOptions, evidence
 from doo_ti.perception.traced import PATHS, whole_rods
 from doo_ti.rod.types import Material
 from doo_ti.system.errors import InputError
-from doo_ti.vision.cameras.rig import Rig
-from doo_ti.vision.detection.line import Detection, thinned
-from doo_ti.vision.detection.paths import Chains, paths_from
-from doo_ti.vision.reprojection.distance_map import distance_maps
-from doo_ti.vision.reprojection.triangulation import rays
+from doo_ti.vision.cameras import Rig
+from doo_ti.vision.detection import Detection, thinned
+from doo_ti.vision.distance_map import distance_maps
+from doo_ti.vision.paths import Chains, paths_from
+from doo_ti.vision.triangulation import rays
 
 CLICK_PX, END_PX = 30.0, 15.0  # A click is this near to the thread; an end this near to a click is meant
 EPIPOLAR_PX = 8.0  # an end this near to the epipolar line of a click may be its image

@@ -25,10 +25,10 @@ from doo_ti.rod.frames import conjugate, quaternion_product, smallest_rotation, 
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
-from doo_ti.vision.cameras.rig import Rig
-from doo_ti.vision.detection.line import Detection
-from doo_ti.vision.reprojection.distance_map import distance_maps
-from doo_ti.vision.reprojection.score import score
+from doo_ti.vision.cameras import Rig
+from doo_ti.vision.detection import Detection
+from doo_ti.vision.distance_map import distance_maps
+from doo_ti.vision.score import score
 
 FEWEST_CAMERAS = 2  # that must see a rod which is tracked: one does not see depth
 ITERATIONS = 30  # largest number of Newton's iterations, in f32, from each initial shape

@@ -25,10 +25,10 @@ from doo_ti.perception.tracking import TrackedFrame, Tracker, seen_vertices
 from doo_ti.rod.types import Clamps, Material
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import write_whole
-from doo_ti.vision.cameras.rig import Rig
-from doo_ti.vision.detection.detect import detect
-from doo_ti.vision.detection.options import DetectionOptions
-from doo_ti.vision.rendering.render import RenderOptions, render_set
+from doo_ti.vision.cameras import Rig
+from doo_ti.vision.detect import detect
+from doo_ti.vision.detection import DetectionOptions
+from doo_ti.vision.render import RenderOptions, render_set
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import numpy as np
 
 from doo_ti.report.canvas import box, literal, new_figure, save_figure, widest
 from doo_ti.report.grid_view import upright_basis
-from doo_ti.vision.cameras.rig import Rig
+from doo_ti.vision.cameras import Rig
 
 BEST, RUNNER_UP, TRUTH, DETECTED = "#2f7bff", "#ff2e4d", "#ffd400", "#00c08b"
 WIDTHS = {TRUTH: 2.8, RUNNER_UP: 1.8, BEST: 1.0}

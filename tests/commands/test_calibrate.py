@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from doo_ti.commands.cli import main
-from doo_ti.vision.cameras.board import Board
-from doo_ti.vision.cameras.rig import load_rig
+from doo_ti.vision.board import Board
+from doo_ti.vision.rig_files import load_rig
 from tests.commands.calls import in_process, refused
 from tests.conftest import SEED
 from tests.vision.boards import around, look, poses

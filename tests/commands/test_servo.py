@@ -11,7 +11,8 @@ from doo_ti.commands.cli import main
 from doo_ti.manipulation.poses import moved
 from doo_ti.rod.physical_units import stiffness
 from doo_ti.system.terminal import has_recorder
-from doo_ti.vision.cameras.rig import Rig, save_rig
+from doo_ti.vision.cameras import Rig
+from doo_ti.vision.rig_files import save_rig
 from tests.commands.calls import refused
 from tests.vision.poses import looking
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from doo_ti.commands.cli import main
-from doo_ti.vision.cameras.rig import save_rig
+from doo_ti.vision.rig_files import save_rig
 from tests.commands.calls import refused
 from tests.perception.videos import EDGES, FRAMES, LENGTH, far_motion, images, rods
 from tests.vision.drawn_maps import three_cameras

@@ -9,11 +9,12 @@ import pytest
 
 from doo_ti import Clamp, load_observations, observation_clamps, start_configuration
 from doo_ti.commands.cli import main
-from doo_ti.vision.cameras.rig import Rig, save_rig
+from doo_ti.vision.cameras import Rig
+from doo_ti.vision.rig_files import save_rig
 from tests.commands.calls import refused
 from tests.io.rods import wavy_vertices
 from tests.vision.boards import around
-from tests.vision.reprojection.test_triangulation import HEADER, good_rows, ribbon, written
+from tests.vision.test_triangulation import HEADER, good_rows, ribbon, written
 
 RIG = around()
 

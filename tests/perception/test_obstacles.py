@@ -5,8 +5,8 @@ import pytest
 
 from doo_ti import How, InputError, PerceptionOptions, Plane, Surroundings, Tracker, detect, perceive, relax
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
-from doo_ti.vision.rendering.render import render_set
-from doo_ti.vision.rendering.tubes import smooth_curve
+from doo_ti.vision.render import render_set
+from doo_ti.vision.tubes import smooth_curve
 from tests.vision.drawn_maps import drawn_maps, three_cameras
 
 EDGES, LENGTH, RADIUS = 20, 3.0, 0.5

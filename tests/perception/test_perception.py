@@ -12,8 +12,8 @@ from doo_ti.perception.growth import rank_distinct
 from doo_ti.perception.perceive import Perception, PerceptionOptions, PerceptionVerdict, perceive
 from doo_ti.perception.shape_uncertainty import bending_hessian, point_sigma, vertex_sigma
 from doo_ti.rod.frames import unit_vectors
-from doo_ti.vision.detection.images import load_sets, read_image
-from doo_ti.vision.rendering.tubes import smooth_curve
+from doo_ti.vision.images import load_sets, read_image
+from doo_ti.vision.tubes import smooth_curve
 from tests.vision.drawn_maps import curves, drawn_maps, three_cameras
 from tools.studies.angle_study import cameras
 

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 
 from doo_ti import Camera, Rig
-from doo_ti.vision.cameras.board import Board
-from doo_ti.vision.cameras.calibration import Sighting
+from doo_ti.vision.board import Board
+from doo_ti.vision.calibration import Sighting
 from tests.vision.poses import looking
 
 OVERSAMPLING = 3
