@@ -42,14 +42,14 @@ from doo_ti.learning.landscape import read_landscape as read_landscape
 from doo_ti.learning.pairs import Pairs as Pairs
 from doo_ti.learning.sweeps import sweep as sweep
 from doo_ti.manipulation.belief import LearnedMaterial as LearnedMaterial
-from doo_ti.manipulation.grips import Grip as Grip
-from doo_ti.manipulation.grips import HeldSolution as HeldSolution
-from doo_ti.manipulation.grips import relax_held as relax_held
 from doo_ti.manipulation.plan import ManipulationPath as ManipulationPath
 from doo_ti.manipulation.plan import PlanOptions as PlanOptions
 from doo_ti.manipulation.plan import plan_manipulation as plan_manipulation
 from doo_ti.manipulation.servo import Servo as Servo
+from doo_ti.manipulation.simulation import Grip as Grip
+from doo_ti.manipulation.simulation import HeldSolution as HeldSolution
 from doo_ti.manipulation.simulation import Simulation as Simulation
+from doo_ti.manipulation.simulation import relax_held as relax_held
 from doo_ti.manipulation.targets import ServoOptions as ServoOptions
 from doo_ti.manipulation.targets import ServoStatus as ServoStatus
 from doo_ti.manipulation.targets import Targets as Targets

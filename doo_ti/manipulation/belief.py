@@ -9,7 +9,7 @@ the marks from the model at the present estimate v₀:
 R is the variance of a coordinate. To the noise it adds what this moment's linearisation is off by, and what remains of the
 marks after the fit: as that is an error of the model, common to all marks of some moments, it counts as often as these are.
 
-Unknowns in their order: ln of the factors on B and on β/B; twelve numbers of the clips (:func:`.poses.held`); the additional
+Unknowns in their order: ln of the factors on B and on β/B; twelve numbers of the clips (:func:`.model.held`); the additional
 compliance of the joints at the clamps, over their own; and coefficients of the rest curvature over the rod's length, two
 components for each of CURVES cosines. Those whose σ is zero are known.
 
@@ -121,7 +121,7 @@ class Belief:
 
     @property
     def clip(self) -> np.ndarray:
-        """(B, 12) of :func:`.poses.held`."""
+        """(B, 12) of :func:`.model.held`."""
         return self.unknowns[:, CLIP:JOINTS]
 
     @property

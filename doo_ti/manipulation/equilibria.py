@@ -1,13 +1,13 @@
-"""The equilibria of a rod between grippers, and ways in them: shapes are interpolated, and each is let go where grippers hold
-its ends (projection to the manifold of certified equilibria: Berenson, Srinivasa, Ferguson and Kuffner, *Manipulation planning
-on constraint manifolds*, ICRA 2009). Axes: R rods or ways, S states of all ways, E edges, V vertices."""
+"""The equilibria of a rod between grippers, ways in them, and trees of such ways: shapes are interpolated, and each is let go
+where grippers hold its ends (projection to the manifold of certified equilibria: Berenson, Srinivasa, Ferguson and Kuffner,
+*Manipulation planning on constraint manifolds*, ICRA 2009). Axes: R rods or ways, S states of all ways, E edges, V vertices."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.manipulation.poses import change_between, finite_rods, moved, put_rods
+from doo_ti.manipulation.model import change_between, finite_rods, moved, put_rods
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import conjugate, matrix_from_quaternion, quaternion_of_turn, quaternion_product, rotation_vector
@@ -281,6 +281,62 @@ class Equilibria:
         """(S,) whether a state and all before it in its way are sound."""
         broken = np.cumsum(~sound)
         return broken == (broken - ~sound)[first][way]
+
+
+class Tree:
+    """Nodes that ways from the roots lead to.
+
+    rods     N rods at rest, the roots first
+    parent   (N,) of each, -1 of the roots
+    alive    (N,) bool: ways to the others turned out to be broken
+    """
+
+    def __init__(self, roots: Configuration, space: Equilibria):
+        self.rods, self.parent, self.alive = roots, np.full(roots.count, -1), np.ones(roots.count, dtype=bool)
+        self._space, self._shapes = space, space.shapes(roots)
+
+    def nearest(self, rods: Configuration) -> np.ndarray:
+        """(M,) the nodes that are nearest to M rods."""
+        apart = self._apart(self._space.shapes(rods))
+        return np.argmin(np.where(self.alive, apart, np.inf), axis=1)
+
+    def pairs(self, other: "Tree") -> np.ndarray:
+        """(2, N·M) all pairs of a node and one of the other tree's M, the nearest first."""
+        apart = other._apart(self._shapes)
+        return np.stack(np.unravel_index(np.argsort(apart, axis=None, kind="stable"), apart.shape))
+
+    def _apart(self, shapes: Shapes) -> np.ndarray:
+        """(M, N) mm between M shapes and the nodes."""
+        return shapes.take(np.s_[:, None]).apart(self._shapes, self._space.lever)
+
+    def extend(self, nodes: np.ndarray, goals: Configuration) -> tuple[np.ndarray, np.ndarray]:
+        """Ways from ``nodes`` (M,) towards M rods: (M,) the new nodes where they end, -1 where that is at once; and which (M,)
+        of them come to the goals."""
+        ways = self._space.ways(self.rods.take(nodes), goals)
+        rows = np.flatnonzero(ways.reach)
+        found = np.full(len(nodes), -1)
+        found[rows] = len(self.parent) + np.arange(len(rows))
+        rods = ways.states.rods.take(np.array([ways.rows(row)[-1] for row in rows], dtype=np.int64))
+        parts = self._shapes, self._space.shapes(rods)
+        self._shapes = replace(parts[0], **{name: np.concatenate([getattr(part, name) for part in parts])
+                                            for name in ("place", "frame", "joints")})
+        self.rods = Configuration.concatenate([self.rods, rods])
+        self.parent = np.concatenate([self.parent, nodes[rows]])
+        self.alive = np.concatenate([self.alive, self.alive[nodes[rows]]])
+        return found, ways.whole
+
+    def branch(self, node: int) -> list[int]:
+        """The nodes from a root to ``node``."""
+        found = [node]
+        while self.parent[found[-1]] >= 0:
+            found.append(int(self.parent[found[-1]]))
+        return found[::-1]
+
+    def cut(self, node: int) -> None:
+        """Mark ``node`` and what it leads to as broken."""
+        self.alive[node] = False
+        for later in range(node + 1, len(self.parent)):
+            self.alive[later] &= self.parent[later] < 0 or self.alive[self.parent[later]]
 
 
 def _travel(before: np.ndarray, after: np.ndarray) -> np.ndarray:

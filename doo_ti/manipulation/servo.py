@@ -12,8 +12,8 @@ known of the rod. A step
     2. moves: damped least squares from the model with its offset to the target, at most ``step_mm`` long;
     3. looks ahead: the model goes there. Where it loses its stability, snaps, or does not come nearer, the step is shortened.
 
-A rod that comes no nearer looks for an equilibrium that does (:mod:`.goal`), and its grippers go straight to the poses of that
-one. A rod that has snapped is seen far from where its model is; the model is then drawn to the marks.
+A rod that comes no nearer looks for an equilibrium that does (:mod:`.targets`), and its grippers go straight to the poses of
+that one. A rod that has snapped is seen far from where its model is; the model is then drawn to the marks.
 
 Axes: B rods, V vertices, P unknowns.
 """
@@ -27,9 +27,10 @@ from numpy.typing import ArrayLike
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.manipulation.belief import CENTRE, CLIP, Belief, LearnedMaterial, elastic_curvature
-from doo_ti.manipulation.goal import DampedSteps, nearest_goal
-from doo_ti.manipulation.model import Model, Rested, between_marks, resynchronised
-from doo_ti.manipulation.poses import (
+from doo_ti.manipulation.model import (
+    Model,
+    Rested,
+    between_marks,
     boxed,
     change_between,
     drawn_in,
@@ -38,10 +39,11 @@ from doo_ti.manipulation.poses import (
     moved,
     put_rods,
     put_rows,
+    resynchronised,
     slack,
     slack_gradient,
 )
-from doo_ti.manipulation.targets import ServoOptions, ServoStatus, Targets, require_matching
+from doo_ti.manipulation.targets import DampedSteps, ServoOptions, ServoStatus, Targets, nearest_goal, require_matching
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.relaxation.sensitivity import GRIPPERS

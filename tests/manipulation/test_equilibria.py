@@ -5,7 +5,7 @@ import numpy as np
 import doo_ti as d
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.manipulation.equilibria import Clearance, Shapes
-from doo_ti.manipulation.poses import drawn_in, moved, slack, slack_gradient
+from doo_ti.manipulation.model import drawn_in, moved, slack, slack_gradient
 from doo_ti.rod.frames import rotation_matrix
 
 LENGTHS = np.full(20, 5.0)

@@ -8,7 +8,7 @@ import pytest
 
 import doo_ti as d
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.manipulation.poses import moved
+from doo_ti.manipulation.model import moved
 from tools.studies.servo_tasks import Tasks, tasks
 
 

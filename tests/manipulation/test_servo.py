@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import doo_ti as d
-from doo_ti.manipulation.model import resynchronised
-from doo_ti.manipulation.poses import held
+from doo_ti.manipulation.model import held, resynchronised
 from doo_ti.rod.straight import with_end_edges
 from tools.studies.servo_tasks import BEND, Plant, Tasks, tasks
 
