@@ -39,8 +39,8 @@ from doo_ti.io.observation_files import save_observations as save_observations
 from doo_ti.learning.experiment import SweepOptions as SweepOptions
 from doo_ti.learning.landscape import Landscape as Landscape
 from doo_ti.learning.landscape import read_landscape as read_landscape
-from doo_ti.learning.pairs import Pairs as Pairs
 from doo_ti.learning.sweeps import sweep as sweep
+from doo_ti.learning.terms import Pairs as Pairs
 from doo_ti.manipulation.belief import LearnedMaterial as LearnedMaterial
 from doo_ti.manipulation.plan import ManipulationPath as ManipulationPath
 from doo_ti.manipulation.plan import PlanOptions as PlanOptions

@@ -181,7 +181,7 @@ def readers() -> dict[str, list]:
     from doo_ti.io.motion_file import load_path
     from doo_ti.io.scene import load_scene
     from doo_ti.learning.chunks import read_columns, read_table
-    from doo_ti.learning.pairs import load_pairs
+    from doo_ti.learning.terms import load_pairs
     from doo_ti.perception.twist_curves import load_offsets
     from doo_ti.vision.board import read_views
     from doo_ti.vision.marks import read_labels, read_marks

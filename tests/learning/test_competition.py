@@ -7,8 +7,8 @@ import pytest
 
 from doo_ti import InputError, Status
 from doo_ti.learning.cross_validation import cross_validate, partition
-from doo_ti.learning.experiment import Hypotheses, resolved
 from doo_ti.learning.landscape import plane_of
+from doo_ti.learning.terms import Hypotheses, resolved
 from tests.learning.landscapes import static
 
 

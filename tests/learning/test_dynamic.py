@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from doo_ti import InputError, Material, distance, observation_clamps, read_landscape, relax, start_configuration, sweep
-from doo_ti.learning.cells import relax_cells
-from doo_ti.learning.experiment import Experiment, SweepOptions
-from doo_ti.learning.pairs import Pairs, pairs_from_labels
+from doo_ti.learning.experiment import Experiment, SweepOptions, relax_cells
 from doo_ti.learning.run_folder import read_experiment
+from doo_ti.learning.terms import Pairs, pairs_from_labels
 from doo_ti.motion.path import carried_clamps, carry
 from tests.learning.lab import DYNAMIC, GRID, small_lab
 from tests.learning.test_sweep import cells

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from doo_ti import Axis, Clamp, Grid, InputError, load_observations, observation_clamps, read_landscape, sweep
-from doo_ti.learning.experiment import Experiment, Hypotheses, SweepOptions, hypotheses_of, nearest, resolved, scores, started
+from doo_ti.learning.experiment import Experiment, SweepOptions
+from doo_ti.learning.terms import Hypotheses, hypotheses_of, nearest, resolved, scores, started
 from tests.io.rods import joint_twist
 from tests.learning.lab import DYNAMIC, small_lab
 

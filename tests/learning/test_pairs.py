@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti import InputError, observation_clamps
-from doo_ti.learning.pairs import Pairs, check_ways, load_pairs, pairs_from_labels, save_pairs
+from doo_ti.learning.terms import Pairs, check_ways, load_pairs, pairs_from_labels, save_pairs
 from tests.learning.lab import lab_rods, small_lab
 
 

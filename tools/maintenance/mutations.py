@@ -51,7 +51,7 @@ FAULTS = {
                     "return 2.0 * remaining - 2.0 * rod.total * rod.released", PHYSICS),
     "hessian": Fault("a term of the Hessian dropped", "doo_ti/physics/closure.py",
                      "return 0.0 - length * dot(c, t)", "return 0.0 * length", PHYSICS),
-    "pairs": Fault("Eq. 3 compares with the observation that the rod starts from", "doo_ti/learning/cells.py",
+    "pairs": Fault("Eq. 3 compares with the observation that the rod starts from", "doo_ti/learning/experiment.py",
                    "        observation = pairs.to_index[term]", "        observation = pairs.from_index[term]",
                    ("tests/learning",)),
     "left out": Fault("leave-one-out leaves nothing out", "doo_ti/learning/cross_validation.py",
