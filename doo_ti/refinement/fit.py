@@ -17,8 +17,8 @@ from scipy.special import logsumexp, softmax, xlogy
 
 from doo_ti.refinement.evidence import Evidence, Posterior, best_effects, densities
 from doo_ti.refinement.held_rod import POSE
-from doo_ti.refinement.priors import Scales
 from doo_ti.refinement.residuals import Comparison, Residuals
+from doo_ti.refinement.theta import Scales
 from doo_ti.refinement.unknowns import Unknowns, Values
 from doo_ti.relaxation.newton import Newton
 from doo_ti.rod.types import Solution

@@ -20,10 +20,9 @@ import numpy as np
 
 from doo_ti.refinement.evidence import integrated
 from doo_ti.refinement.fit import POSED, ROUGH, Fit, Fitted, State
-from doo_ti.refinement.priors import Scales
 from doo_ti.refinement.residuals import Comparison
 from doo_ti.refinement.rolls import bent, rolled, swivelling
-from doo_ti.refinement.theta import Theta, common_rod
+from doo_ti.refinement.theta import Scales, Theta, common_rod
 from doo_ti.refinement.unknowns import Unknowns, Values
 from doo_ti.rod.grid import Grid
 from doo_ti.rod.types import Clamp, Clamps

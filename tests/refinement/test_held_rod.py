@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from doo_ti import Clamp, Newton
 from doo_ti.refinement.held_rod import POSE
-from doo_ti.refinement.mesh import Lengths
-from doo_ti.refinement.priors import covariance, knots_of, values_at
+from doo_ti.refinement.mesh import Lengths, covariance, knots_of, values_at
 from doo_ti.refinement.refine import mesh_correction, relaxed_on
 from doo_ti.refinement.unknowns import Unknowns
 from doo_ti.rod.frames import right_jacobian, rotation_matrix
