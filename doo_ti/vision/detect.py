@@ -2,7 +2,7 @@
 a colour, or grey levels.
 
 The paper's binary image marks the pixels of the thread. Here the line is found to a fraction of a pixel, as points with
-directions; all later steps are as exact as these. First the thread's :mod:`doo_ti.vision.appearance` is measured. The
+directions; all later steps are as exact as these. First the thread's :mod:`doo_ti.vision.ridge` is measured. The
 paper's way is there too: Canny's edges, which vote for the centre line.
 
 In a mask the distance to the border is a roof, whose crest is the centre line. Smoothed by σ, a crest between slopes of ±1 that
@@ -28,7 +28,6 @@ from scipy.spatial import cKDTree
 
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
-from doo_ti.vision.appearance import BAR, SURE, Appearance, appearance, as_colour, lab, likeness, likeness_table, of_a_thread
 from doo_ti.vision.cameras import Camera
 from doo_ti.vision.detection import (
     Detection,
@@ -37,12 +36,28 @@ from doo_ti.vision.detection import (
     chains_of,
     check_image,
     cropped,
+    goes_on,
     in_whole_pixels,
     moved,
-    outward,
 )
 from doo_ti.vision.images import read_image, read_mask
-from doo_ti.vision.ridge import REACH_PX, Curvature, Ridges, edges_across, gradient, pieces
+from doo_ti.vision.ridge import (
+    BAR,
+    REACH_PX,
+    SURE,
+    Appearance,
+    Curvature,
+    Ridges,
+    appearance,
+    as_colour,
+    edges_across,
+    gradient,
+    lab,
+    likeness,
+    likeness_table,
+    of_a_thread,
+    pieces,
+)
 
 CANNY_STRONG, CANNY_WEAK = 0.4, 0.15  # Canny's thresholds over the slope of the thread's edges
 VOTE_BLUR_PX = 1.0  # standard deviation of a vote
@@ -160,10 +175,7 @@ def _alike(piece: np.ndarray, width: np.ndarray, strength: np.ndarray) -> np.nda
 
 TIMES = (2.0, 4.0)  # widths of lines that are tried, over that of the thread
 LEAST_STRENGTH = 0.4  # least strength over that of a line as dark as the thread
-TOUCHING, ENDS_PX = 1.0, 3.0  # from the end of the thread to that of a line that goes on: widths of that line, and px more …
-AGREEING = 0.7  # … and the least cosine between their directions
-BESIDE = 0.7  # share of such a line along which another one that goes on runs: these are two strands
-PART, GLINT = 1.0, 3.0  # least widths of such a line, and of one whose edges were found: strands that touch are shorter
+PART = 1.0  # least widths of a line that goes on: strands that touch are shorter
 
 
 def _continued(image: np.ndarray, look: Appearance, ridges: Ridges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -219,33 +231,13 @@ def _joined(line: Detection, own: list[np.ndarray], width: float) -> list[tuple[
     waiting, parts = [chain for chain in chains_of(line) if chain_length(chain) >= PART * width], []
     tree, known = cKDTree(line.points) if line.count else None, list(own)
     while True:
-        ready = next((k for k, chain in enumerate(waiting) if _goes_on(chain, known, width)), None)
+        ready = next((k for k, chain in enumerate(waiting) if goes_on(chain, known, width)), None)
         if ready is None:
             return parts
         chain = waiting.pop(ready)
         at = tree.query(chain)[1]
         parts.append((chain, line.direction[at], line.strength[at]))
         known.append(chain)
-
-
-def _goes_on(chain: np.ndarray, known: list[np.ndarray], width: float) -> bool:
-    """Whether a chain begins where one of those ``known`` ends, and no other one ends beside that half of it."""
-    line = cKDTree(chain)
-    inside = [line.query(other)[0].max() <= width for other in known]
-    edges, others = ([other for other, here in zip(known, inside, strict=True) if bool(here) is kind] for kind in (True, False))
-    loop = any(outward(edge, 0) @ outward(edge, 1) >= AGREEING for edge in edges)  # it ends the way it began, and is no edge
-    if edges and (chain_length(chain) < GLINT * width or loop):
-        return False
-    strand = any((cKDTree(other).query(chain)[0] <= 0.6 * width).mean() > BESIDE for other in others)
-    if strand or sum(chain_length(other) for other in others) < chain_length(chain):
-        return False  # what has two edges all along is two threads
-    ends = np.array([other[-1 if way else 0] for other in others for way in (0, 1)])
-    ahead = np.array([outward(other, way) for other in others for way in (0, 1)])
-    apart, at = line.query(ends)
-    half = (2 * at >= len(chain)).astype(int)
-    inward = -np.stack([outward(chain, way) for way in (0, 1)])[half]
-    agreeing = (apart <= TOUCHING * width + ENDS_PX) & ((ahead * inward).sum(axis=1) >= AGREEING)
-    return int(np.bincount(half[agreeing], minlength=2).max()) == 1
 
 
 def _edges_of(points: np.ndarray, own: list[np.ndarray], parts: list[tuple[np.ndarray, ...]], width: float) -> np.ndarray:

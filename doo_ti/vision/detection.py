@@ -155,6 +155,10 @@ NEXT_PX = 2.6  # largest distance between points that follow each other
 SLOPE, BEND = 0.6, 0.77  # of these: largest share of the step across the direction of either, least cosine between both
 SHORTEST_PX = 4.0  # chains that are shorter are noise
 END_PX = 8.0  # length of the end of a chain whose direction counts
+TOUCHING, ENDS_PX = 1.0, 3.0  # from the end of the thread to that of a line that goes on: widths of that line, and px more …
+AGREEING = 0.7  # … and the least cosine between their directions
+BESIDE = 0.7  # share of such a line along which another one that goes on runs: these are two strands
+GLINT = 3.0  # least widths of such a line whose edges were found: strands that touch are shorter
 
 
 def chains_of(detection: Detection) -> list[np.ndarray]:
@@ -206,3 +210,23 @@ def outward(chain: np.ndarray, way: int) -> np.ndarray:
 def chain_length(points: np.ndarray) -> float:
     """px."""
     return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+
+
+def goes_on(chain: np.ndarray, known: list[np.ndarray], width: float) -> bool:
+    """Whether a chain begins where one of those ``known`` ends, and no other one ends beside that half of it."""
+    line = cKDTree(chain)
+    inside = [line.query(other)[0].max() <= width for other in known]
+    edges, others = ([other for other, here in zip(known, inside, strict=True) if bool(here) is kind] for kind in (True, False))
+    loop = any(outward(edge, 0) @ outward(edge, 1) >= AGREEING for edge in edges)  # it ends the way it began, and is no edge
+    if edges and (chain_length(chain) < GLINT * width or loop):
+        return False
+    strand = any((cKDTree(other).query(chain)[0] <= 0.6 * width).mean() > BESIDE for other in others)
+    if strand or sum(chain_length(other) for other in others) < chain_length(chain):
+        return False  # what has two edges all along is two threads
+    ends = np.array([other[-1 if way else 0] for other in others for way in (0, 1)])
+    ahead = np.array([outward(other, way) for other in others for way in (0, 1)])
+    apart, at = line.query(ends)
+    half = (2 * at >= len(chain)).astype(int)
+    inward = -np.stack([outward(chain, way) for way in (0, 1)])[half]
+    agreeing = (apart <= TOUCHING * width + ENDS_PX) & ((ahead * inward).sum(axis=1) >= AGREEING)
+    return int(np.bincount(half[agreeing], minlength=2).max()) == 1

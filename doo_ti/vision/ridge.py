@@ -10,8 +10,15 @@ At the border of something wide the first derivative is not zero, so that border
 
 A round thread lit from one side is brighter on that side; the extremum of its brightness then lies off its middle, but the
 middle between its edges does not.
+
+How the thread looks, dark or light, how wide, how distinct, and roughly where, is found by them on a pyramid of ever coarser
+images: a line stands out as a ridge at the level that fits its width.
+
+Likeness to the thread's colours is exp(−(d/τ)²) of the distance d in CIE Lab to the nearest of them, 255 where equal. A thread
+becomes a light line on dark, whatever its background.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import cv2
@@ -179,3 +186,124 @@ def _peak(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     bend = before - 2 * here + after
     offset = np.clip(np.where(bend < 0, (before - after) / (2 * np.where(bend < 0, bend, -1)), 0), -1, 1)
     return at + offset, np.maximum(here, 0)
+
+
+# --- how the thread looks --------------------------------------------------------------------------------------------------
+
+LEVELS = 5  # levels of the pyramid above the image itself: halves to 32nds, for threads up to some 150 px wide
+SIGMA = 1.2  # smoothing, px of a level
+SURE = 7.0  # times the noise: strength of lines that are certainly not noise
+BAR = 0.4  # strength over contrast of a line at the level that fits it
+SHORTEST = 5.0  # px of a level: shorter pieces are regarded as noise
+SLENDER = 16.0  # px of a level: least length of a slender piece, a few px wide
+BLUR_PX = 4.0  # largest standard deviation of the blur of a thread's edge; edges with more are shading of the background
+LEAST_BALANCE = 0.25  # least ratio of the slopes of a thread's two edges; with less, the line is the border of something else
+SAMPLES = 400  # largest number of points where the width is measured
+
+
+@dataclass(frozen=True)
+class Appearance:
+    """How the thread looks in an image.
+
+    polarity  "dark" or "light" against the background
+    width_px  median distance between its edges
+    slope     grey levels per px of its edges, smoothed by EDGE_SIGMA
+    box       left, top, right, bottom of the box around it in px, right and bottom exclusive
+    """
+
+    polarity: str
+    width_px: float
+    slope: float
+    box: tuple[int, int, int, int]
+
+
+def appearance(image: np.ndarray, polarity: str | None, width_px: float | None, least_contrast: float) -> Appearance | None:
+    """The appearance of the most distinct line in an image (H, W) float32; None without a distinct line.
+
+    polarity, width_px  given, or None: measured
+    least_contrast      grey levels: lines that differ less from the background are ignored
+    """
+    found, level = [], image
+    for step in range(1, LEVELS + 1):
+        if min(level.shape) < 16:
+            break
+        level = cv2.pyrDown(level)
+        if width_px is not None and step < LEVELS and 2.0**step * SIGMA < 0.4 * width_px:
+            continue
+        curvature = Curvature(level, SIGMA)
+        strong = max(SURE * curvature.noise(), BAR * least_contrast)
+        for sign in ("dark", "light") if polarity is None else (polarity,):
+            ridges = curvature.ridges(sign, strong / 2)
+            ridges = ridges[np.abs(ridges.offset) <= REACH_PX]
+            piece = pieces(ridges, strong / 2, SHORTEST)
+            ridges, piece = ridges[piece > 0], piece[piece > 0]
+            slender = (np.bincount(piece, minlength=1) >= SLENDER * POINTS_PER_PX)[piece]
+            found.append((2.0**step * (ridges.strength[slender] ** 2).sum(), sign, 2.0**step, ridges, slender))
+        if width_px is not None:
+            break
+    for score, sign, scale, ridges, slender in sorted(found, key=lambda entry: -entry[0]):
+        look = _measured(image, ridges, slender, sign, scale, width_px) if score > 0 else None
+        if look is not None:
+            return look
+    return None
+
+
+def _measured(image: np.ndarray, ridges: Ridges, slender: np.ndarray, polarity: str, scale: float,
+              width_px: float | None) -> Appearance | None:
+    """The appearance from the ridges of one level, ``scale`` px of the image to a pixel; None where they are not a thread.
+
+    slender  (N,) bool: points of the long pieces, at which the thread is measured
+    """
+    # Smoothing and taking every second pixel leaves pixel centres of the level on pixel centres of the image.
+    margin = int(np.ceil(8 * scale)) + 4
+    point = scale * ridges.point
+    left, top = np.maximum(np.floor(point.min(axis=0)).astype(int) - margin, 0)
+    right, bottom = np.minimum(np.ceil(point.max(axis=0)).astype(int) + margin + 1, image.shape[::-1])
+    square = np.where(slender, ridges.strength, 0) ** 2
+    chosen = np.flatnonzero(slender & (ridges.strength >= 0.5 * (square * ridges.strength).sum() / square.sum()))
+    chosen = chosen[:: max(1, len(chosen) // SAMPLES)]
+    reach = 3.5 * SIGMA * scale if width_px is None else 0.75 * width_px + 2
+    slopes = gradient(image[top:bottom, left:right])
+    edges = edges_across(slopes, point[chosen] - (left, top), ridges.normal[chosen], polarity, reach)
+    sound = of_a_thread(edges, ridges.strength[chosen])
+    if 2 * sound.sum() < len(sound):
+        return None
+    width = float(np.median(edges.width[sound])) if width_px is None else float(width_px)
+    return Appearance(polarity, width, float(np.median(edges.slope[sound])), (int(left), int(top), int(right), int(bottom)))
+
+
+def of_a_thread(edges: Edges, strength: np.ndarray) -> np.ndarray:
+    """(N,) bool: there are two edges, and they are as sharp as a line of that ``strength`` must have."""
+    return (edges.balance > LEAST_BALANCE) & (edges.slope * BLUR_PX * np.sqrt(2 * np.pi) >= strength / BAR)
+
+
+# --- colours ---------------------------------------------------------------------------------------------------------------
+
+TOLERANCE = 18.0  # τ: distances in Lab by which shading changes a colour
+_STEPS = 64  # levels of each channel in the table of colours: within one, Lab differs by some 2
+
+
+def lab(colours: np.ndarray) -> np.ndarray:
+    """(..., 3) CIE Lab, L from 0 to 100, of (..., 3) B, G, R from 0 to 255."""
+    flat = np.ascontiguousarray(colours, dtype=np.float32).reshape(1, -1, 3) / 255
+    return cv2.cvtColor(flat, cv2.COLOR_BGR2LAB).reshape(np.shape(colours))
+
+
+def likeness_table(colours: Sequence[np.ndarray], tolerance: float = TOLERANCE) -> np.ndarray:
+    """(64, 64, 64) float32 likeness, 0 to 255, of blue, green and red to any of the ``colours``, each (3,) in Lab."""
+    level = (np.arange(_STEPS) + 0.5) * (256 / _STEPS) - 0.5
+    cells = lab(np.stack(np.meshgrid(level, level, level, indexing="ij"), axis=-1))
+    nearest = np.min([((cells - np.float32(colour)) ** 2).sum(axis=-1) for colour in colours], axis=0)
+    return 255 * np.exp(-nearest / tolerance**2, dtype=np.float32)
+
+
+def likeness(image: np.ndarray, table: np.ndarray) -> np.ndarray:
+    """(H, W) float32 likeness of an image (H, W, 3) uint8 in OpenCV's order, by a table of :func:`likeness_table`."""
+    blue, green, red = (image[..., channel] // (256 // _STEPS) for channel in range(3))
+    return table[blue, green, red]
+
+
+def as_colour(image: np.ndarray) -> np.ndarray:
+    """(H, W, 3) uint8 of an image (H, W) or (H, W, 3) with levels from 0 to 255."""
+    levels = image if image.dtype == np.uint8 else np.clip(np.nan_to_num(image), 0, 255).round().astype(np.uint8)
+    return levels if levels.ndim == 3 else np.repeat(levels[..., None], 3, axis=2)
