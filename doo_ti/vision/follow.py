@@ -1,11 +1,10 @@
 """The thread under a pixel: its points in order, from end to end.
 
-1. **Start.** Around the pixel, the line of largest contrast in Lab is sought over places, directions and widths. 2.
-**Colours.** Across the thread the colour at an offset s is compared with that farther off on either side: where the median
-   difference is large against the scatter along the thread, s is within, unless it is in the thread's shadow. That gives the
-   thread's middle, width and colours; a striped thread has several. Beside a thread its
-   shadow differs from the background, too; but there the colour is a multiple of the background's, while a thread has a colour
-   of its own or is much darker.
+1. **Start.** Around the pixel, the line of largest contrast in Lab is sought over places, directions and widths.
+2. **Colours.** Across the thread the colour at an offset s is compared with that farther off on either side: where the median
+   difference is large against the scatter along the thread, s is within. That gives the thread's middle, width and colours; a
+   striped thread has several. Beside a thread its shadow differs from the background, too; but there the colour is a multiple
+   of the background's, while a thread has a colour of its own or is much darker.
 3. **Walk.** In the likeness to these colours the thread is a light line of known width. Of circular arcs that go on from the
    last point, the one along which the line is strongest is followed for half a width; strength is the second derivative across,
    1 for a clean line. Where it is missing, for instance where something crosses, the arc goes on to where the line is
