@@ -33,15 +33,13 @@ BEND, RATIO, CLIP, JOINTS, CURVATURE = 0, 1, 2, 14, 15
 CURVES = 3
 LINEAR = 0.1
 """Share of a residual that its linearisation is off by. With 0.5 learning is slow, with 0.01 the first moments are trusted."""
-MOST_DEVIATIONS = 4.0
-"""Standard deviations of the prior, beyond which no unknown goes."""
+MOST_DEVIATIONS = 4.0  # standard deviations of the prior, beyond which no unknown goes
 CENTRE, STIFFEST, SOFTEST = -0.5, -0.95, 0.5
 """Of the additional compliance of the joints at the clamps, where it is unknown: its mean before anything is seen, and bounds;
 at one, the outer edges would have no stiffness."""
 PERSISTENT = 3.0
 """Moments to which an error of the model is common. With 1 a tenth of the intervals are too narrow, with 10 all are wide."""
-QUANTILE = 1.96
-"""Standard deviations of a 95 % interval."""
+QUANTILE = 1.96  # standard deviations of a 95 % interval
 
 
 @dataclass(frozen=True)

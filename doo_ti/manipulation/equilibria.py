@@ -15,34 +15,23 @@ from doo_ti.rod.types import Clamps, Configuration, Material
 
 BENDING, WAVES = 1.5, 3
 """rad, standard deviation of what each cosine along the rod adds to each component of a random rod's rotations."""
-CLEAR = 2e-3
-"""Of the rod's length, to obstacles: as near as equilibria are told apart."""
-NEAR = 0.03
-"""Of the rod's length: gaps that are larger are measured at vertices only, as a lower bound."""
-STEP = 0.03
-"""Of the rod's length, between two states of a way, turns times the lever."""
-ABRUPT = 4.0
-"""Times as far as their interpolated shapes may two successive states be apart; further, and the rod has jumped."""
+CLEAR = 2e-3  # of the rod's length, to obstacles: as near as equilibria are told apart
+NEAR = 0.03  # of the rod's length: gaps that are larger are measured at vertices only, as a lower bound
+STEP = 0.03  # of the rod's length, between two states of a way, turns times the lever
+ABRUPT = 4.0  # times as far as their interpolated shapes may two successive states be apart; further, and the rod has jumped
 SAME = 2e-3
 """Of the rod's length, between two shapes of one equilibrium: a tenth of what branches differ by, a thousand times rounding."""
 
 
 @dataclass(frozen=True)
 class Shapes:
-    """R rods.
+    """R rods."""
 
-    place        (R, 3) mm, the middle of the anchor
-    frame        (R, 4) its frame
-    joints       (R, E−1, 3) rad, rotation vectors from each edge to the next, in the axes of the edge
-    rest_length  (E,) mm
-    anchor       number of an edge
-    """
-
-    place: np.ndarray
-    frame: np.ndarray
-    joints: np.ndarray
-    rest_length: np.ndarray
-    anchor: int
+    place: np.ndarray  # (R, 3) mm, the middle of the anchor
+    frame: np.ndarray  # (R, 4) its frame
+    joints: np.ndarray  # (R, E−1, 3) rad, rotation vectors from each edge to the next, in the axes of the edge
+    rest_length: np.ndarray  # (E,) mm
+    anchor: int  # number of an edge
 
     @classmethod
     def of(cls, rods: Configuration, anchor: int) -> "Shapes":
@@ -143,14 +132,11 @@ class Clearance:
 
 @dataclass(frozen=True)
 class States:
-    """S rods at rest, and the grippers' poses.
-
-    touching  (S,) bool: they may touch obstacles, and on the way from the one before as well
-    """
+    """S rods at rest, and the grippers' poses."""
 
     rods: Configuration
     clamps: Clamps
-    touching: np.ndarray
+    touching: np.ndarray  # (S,) bool: they may touch obstacles, and on the way from the one before as well
 
     def take(self, rows: np.ndarray) -> "States":
         """The states named by ``rows``."""
@@ -165,18 +151,12 @@ def joined_states(parts: list[States]) -> States:
 
 @dataclass(frozen=True)
 class Ways:
-    """R ways in S states, one way after the other, without its first state.
+    """R ways in S states, one way after the other, without its first state."""
 
-    states   S
-    way      (S,) of which it is
-    reach    (R,) states that follow each other continuously, stable and clear, from the first on
-    whole    (R,) bool: whether these are all
-    """
-
-    states: States
-    way: np.ndarray
-    reach: np.ndarray
-    whole: np.ndarray
+    states: States  # S
+    way: np.ndarray  # (S,) of which it is
+    reach: np.ndarray  # (R,) states that follow each other continuously, stable and clear, from the first on
+    whole: np.ndarray  # (R,) bool: whether these are all
 
     def rows(self, number: int) -> np.ndarray:
         """The continuous states of one way."""
@@ -185,19 +165,14 @@ class Ways:
 
 @dataclass(frozen=True)
 class Equilibria:
-    """What is constant: one material, what surrounds the rod, the direction against gravity, and the grippers.
-
-    home    one row: coordinates that are not free stay so
-    moves   (12,) bool, the free ones of the grippers' coordinates
-    lever   mm that count as much as a radian
-    """
+    """What is constant: one material, what surrounds the rod, the direction against gravity, and the grippers."""
 
     material: Material
     clearance: Clearance
     up: np.ndarray
-    home: Clamps
-    moves: np.ndarray
-    lever: float
+    home: Clamps  # one row: coordinates that are not free stay so
+    moves: np.ndarray  # (12,) bool, the free ones of the grippers' coordinates
+    lever: float  # mm that count as much as a radian
 
     @property
     def length(self) -> float:

@@ -32,18 +32,12 @@ from doo_ti.system.arguments import owning, typed
 from doo_ti.system.errors import InputError, require_whole
 from doo_ti.system.runtime import working_time
 
-SAMPLES = 32
-"""Random rods that a tree grows towards at once, and ways that are tried for a shortcut."""
-AROUND = 0.5
-"""Of the rod's length: random rods are at most so far outside the box around the rod and its goals."""
-SHORTCUTS = 4
-"""Rounds in which a way is shortened."""
-NEARLY = 1.2
-"""Goals that are so many times further from the target than the nearest one count as well."""
-LEAST = 1e-2
-"""mm, between two moments."""
-SECOND = 10.0
-"""mm that the grippers move in a second of the path's time."""
+SAMPLES = 32  # random rods that a tree grows towards at once, and ways that are tried for a shortcut
+AROUND = 0.5  # of the rod's length: random rods are at most so far outside the box around the rod and its goals
+SHORTCUTS = 4  # rounds in which a way is shortened
+NEARLY = 1.2  # goals that are so many times further from the target than the nearest one count as well
+LEAST = 1e-2  # mm, between two moments
+SECOND = 10.0  # mm that the grippers move in a second of the path's time
 
 
 @typed

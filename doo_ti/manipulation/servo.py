@@ -55,21 +55,16 @@ from doo_ti.system.errors import InputError
 from doo_ti.system.short_repr import counted
 
 PARAMETERS = ("bend", "twist", *GRIPPERS)
-OF_GRIPPERS = slice(CLIP, CLIP + 12)
-"""Of the columns of derivatives."""
-SHORTER = 0.4
-"""Of a step that was refused, the length of the next one that is tried."""
-TRIES = 4
-"""Lengths of a step; the last is zero, which only takes in what was learned."""
+OF_GRIPPERS = slice(CLIP, CLIP + 12)  # of the columns of derivatives
+SHORTER = 0.4  # of a step that was refused, the length of the next one that is tried
+TRIES = 4  # lengths of a step; the last is zero, which only takes in what was learned
 NONLINEAR, NONLINEAR_MM = 0.5, 1.0
 """Share of a displacement, and mm, by which a step may end elsewhere than its derivatives say. Further off it is too long, or a
 snap: with 1 snaps pass, with 0.2 steps are short."""
 WORSE, ROUNDING = 1.02, 0.1
 """Growth of the distance to the target, as a factor and in mm, that is still taken for rounding and noise."""
-EXACT = 1e-6
-"""Of the rod's length, rounding of its slack."""
-GAIN = 0.3
-"""Of the newest moment in the offset."""
+EXACT = 1e-6  # of the rod's length, rounding of its slack
+GAIN = 0.3  # of the newest moment in the offset
 SNAPPED, SNAPPED_SHARE = 5.0, 0.02
 """A rod has snapped where its marks are so many standard deviations and so much of its length from its model."""
 AIMS, NEARER = 3, 0.5

@@ -46,8 +46,7 @@ from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
 from doo_ti.system.short_repr import counted, short_repr
 
-LEAST_EDGES = 2
-"""Between two places that are held."""
+LEAST_EDGES = 2  # between two places that are held
 
 
 @typed

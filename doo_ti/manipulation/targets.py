@@ -29,8 +29,7 @@ from doo_ti.rod.types import Clamp, Clamps, Configuration, Solution
 from doo_ti.system.arguments import owning, typed
 from doo_ti.system.errors import InputError
 
-ASKED = 1e-12
-"""Least total weight of a rod's vertices."""
+ASKED = 1e-12  # least total weight of a rod's vertices
 
 
 @owning
@@ -195,26 +194,18 @@ def require_matching(rod: Configuration, material: Material, clamps: Clamps, tar
 
 TWISTS = np.radians([0.0, 90.0, -90.0, 180.0, -180.0, 270.0, -270.0, 360.0, -360.0])
 """By which guesses are twisted more than the rod is. Marks do not show twist; the fit finds it within a quarter turn."""
-GUESSES = 1 + len(TWISTS)
-"""Of each rod: itself as it is, and drawn to its target under each twist."""
-ITERATIONS = 20
-"""Of the fit of the grippers' poses."""
-LONGEST = 40.0
-"""mm, of a step of that fit, shifts in mm and turns times the lever."""
-SHRINK, GROW = 0.3, 2.0
-"""Of a step's length after it has been refused, and taken."""
+GUESSES = 1 + len(TWISTS)  # of each rod: itself as it is, and drawn to its target under each twist
+ITERATIONS = 20  # of the fit of the grippers' poses
+LONGEST = 40.0  # mm, of a step of that fit, shifts in mm and turns times the lever
+SHRINK, GROW = 0.3, 2.0  # of a step's length after it has been refused, and taken
 
 
 @dataclass(frozen=True)
 class DampedSteps:
-    """Steps u of damped least squares (Levenberg, Marquardt): min |e − J u|² + λ |u|², λ so large that |u| ≤ a given length.
+    """Steps u of damped least squares (Levenberg, Marquardt): min |e − J u|² + λ |u|², λ so large that |u| ≤ a given length."""
 
-    normal    (B, K, K) JᵀJ
-    gradient  (B, K) Jᵀe
-    """
-
-    normal: np.ndarray
-    gradient: np.ndarray
+    normal: np.ndarray  # (B, K, K) JᵀJ
+    gradient: np.ndarray  # (B, K) Jᵀe
 
     @classmethod
     def towards(cls, targets: Targets, shapes: np.ndarray, columns: np.ndarray, first: int, options: ServoOptions
@@ -237,16 +228,11 @@ class DampedSteps:
 
 @dataclass(frozen=True)
 class Goal:
-    """B rods at certified rest near their targets.
+    """B rods at certified rest near their targets."""
 
-    rods      B
-    clamps    the grippers' poses, B
-    distance  (B,) mm, weighted root mean square; infinite where no guess has come to rest
-    """
-
-    rods: Configuration
-    clamps: Clamps
-    distance: np.ndarray
+    rods: Configuration  # B
+    clamps: Clamps  # the grippers' poses, B
+    distance: np.ndarray  # (B,) mm, weighted root mean square; infinite where no guess has come to rest
 
     def take(self, rods: np.ndarray) -> "Goal":
         """The goals of the rods named by ``rods``."""

@@ -35,16 +35,11 @@ BOTH, FIRST_ALONE, SECOND_ALONE = 0, 1, 2
 
 @dataclass(frozen=True)
 class Match:
-    """Places along one path in each camera that belong together.
+    """Places along one path in each camera that belong together."""
 
-    paths  C of them
-    arcs   (C, K) px along each path
-    cost   px: mean distance by which pairs miss a point in space, with gaps and what is left over
-    """
-
-    paths: tuple[ImagePath, ...]
-    arcs: np.ndarray
-    cost: float
+    paths: tuple[ImagePath, ...]  # C of them
+    arcs: np.ndarray  # (C, K) px along each path
+    cost: float  # px: mean distance by which pairs miss a point in space, with gaps and what is left over
 
 
 def best_matches(rig: Rig, paths: list[list[ImagePath]], most: int) -> list[Match]:

@@ -114,28 +114,19 @@ class PerceptionOptions:
 
 @dataclass(frozen=True)
 class Search:
-    """The constants of a search.
-
-    maps, rig    the distance maps, and their cameras
-    point        (A, 3) mm, v⁰
-    direction    (A, 3) unit vectors, e⁰
-    rest_length  (E,) mm
-    material     one Θ for all
-    up           (3,) unit vector against gravity
-    surroundings what the rods may touch, the same for all
-    """
+    """The constants of a search."""
 
     maps: DistanceMaps
-    rig: Rig
-    point: np.ndarray
-    direction: np.ndarray
-    rest_length: np.ndarray
-    material: Material
-    up: np.ndarray
+    rig: Rig  # the cameras of the maps
+    point: np.ndarray  # (A, 3) mm, v⁰
+    direction: np.ndarray  # (A, 3) unit vectors, e⁰
+    rest_length: np.ndarray  # (E,) mm
+    material: Material  # one Θ for all
+    up: np.ndarray  # (3,) unit vector against gravity
     options: PerceptionOptions
-    surroundings: Surroundings = Surroundings()
-    first: np.ndarray = field(init=False)
-    scale: float = field(init=False)
+    surroundings: Surroundings = Surroundings()  # what the rods may touch, the same for all
+    first: np.ndarray = field(init=False)  # (A, 3, 3) frames of e⁰
+    scale: float = field(init=False)  # the largest eigenvalue of B
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "first", bishop_frames(self.direction[:, None], across(self.direction))[:, 0])
@@ -243,26 +234,16 @@ def evidence(rig: Rig, maps: DistanceMaps, rods: Configuration, of_set: np.ndarr
 
 @dataclass(frozen=True)
 class Finalists:
-    """F rods on the fine mesh.
+    """F rods on the fine mesh."""
 
-    of_set         (F,) image set, in increasing order
-    configuration  the rods
-    energy_vis     (F,) 1/mm; infinite for rods that failed
-    status         (F,) how their relaxation ended
-    certified      (F,) bool: at a minimum of the energy that they were relaxed under
-    coverage       (F, C) share of the detected line that is explained; NaN where the detections are not known
-    line           (F, C) px of detected line
-    thread         (F,) mm: length of the thread that a traced rod follows; NaN of others
-    """
-
-    of_set: np.ndarray
-    configuration: Configuration
-    energy_vis: np.ndarray
-    status: np.ndarray
-    certified: np.ndarray
-    coverage: np.ndarray
-    line: np.ndarray
-    thread: np.ndarray
+    of_set: np.ndarray  # (F,) image set, in increasing order
+    configuration: Configuration  # the rods
+    energy_vis: np.ndarray  # (F,) 1/mm; infinite for rods that failed
+    status: np.ndarray  # (F,) how their relaxation ended
+    certified: np.ndarray  # (F,) bool: at a minimum of the energy that they were relaxed under
+    coverage: np.ndarray  # (F, C) share of the detected line that is explained; NaN where the detections are not known
+    line: np.ndarray  # (F, C) px of detected line
+    thread: np.ndarray  # (F,) mm: length of the thread that a traced rod follows; NaN of others
 
 
 def finalists(search: Search, grown: Hypotheses) -> Finalists:

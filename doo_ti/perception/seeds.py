@@ -144,16 +144,11 @@ AMBIGUOUS_PX = 0.02  # E_vis over ν and the length of all detected lines, in px
 
 @dataclass(frozen=True)
 class WholeThreads:
-    """Of A sets; NaN where no thread can be followed from the seed.
+    """Of A sets; NaN where no thread can be followed from the seed."""
 
-    length     (A,) mm
-    range      (A, 2) mm: the shortest and the longest length that explains the images as well
-    direction  (A, 3) unit vectors of the beginnings
-    """
-
-    length: np.ndarray
-    range: np.ndarray
-    direction: np.ndarray
+    length: np.ndarray  # (A,) mm
+    range: np.ndarray  # (A, 2) mm: the shortest and the longest length that explains the images as well
+    direction: np.ndarray  # (A, 3) unit vectors of the beginnings
 
 
 def whole_threads(rig: Rig, detections: Sequence[Sequence[Detection]], point: np.ndarray, direction: np.ndarray | None,

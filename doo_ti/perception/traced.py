@@ -120,21 +120,14 @@ class TracedShapes:
 
 @dataclass(frozen=True)
 class Tracing:
-    """Rods on their paths: R of all sets, whose places are assigned to points of the paths anew after each relaxation.
-
-    of_set     (R,) image set
-    matches    R times the paths of a rod
-    point      (R, 3) mm where it begins
-    direction  (R, 3) in which it begins, or None: free
-    shares     (N,) of its length that its edges have
-    """
+    """Rods on their paths: R of all sets, whose places are assigned to points of the paths anew after each relaxation."""
 
     rig: Rig
-    of_set: np.ndarray
-    matches: Sequence[Match]
-    point: np.ndarray
-    direction: np.ndarray | None
-    shares: np.ndarray
+    of_set: np.ndarray  # (R,) image set
+    matches: Sequence[Match]  # R times the paths of a rod
+    point: np.ndarray  # (R, 3) mm where it begins
+    direction: np.ndarray | None  # (R, 3) in which it begins, or None: free
+    shares: np.ndarray  # (N,) of its length that its edges have
     material: Material
     up: np.ndarray
 

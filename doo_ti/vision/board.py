@@ -34,22 +34,16 @@ DICTIONARY = "DICT_4X4_50"
 class Board:
     """A flat board with inner corners at known places.
 
-    columns, rows  inner corners of a chessboard, **squares** of a ChArUco board, circles, as OpenCV counts them
-    square         edge of a square, or distance of circles; in staggered rows the distance from row to row, mm
-    marker         edge of a marker, mm; None for a chessboard
-    dictionary     of the markers, as ``cv2.aruco`` names it
-    circles        "" for squares; "circles", or "acircles" for staggered rows
-
     Raises InputError for a board too small, one that looks the same after half a turn, markers that do not fit into the
     squares, and a dictionary that is unknown or has too few markers.
     """
 
-    columns: int
+    columns: int  # inner corners of a chessboard, **squares** of a ChArUco board, circles, as OpenCV counts them
     rows: int
-    square: float
-    marker: float | None = None
-    dictionary: str = DICTIONARY
-    circles: str = ""
+    square: float  # edge of a square, or distance of circles; in staggered rows the distance from row to row, mm
+    marker: float | None = None  # edge of a marker, mm; None for a chessboard
+    dictionary: str = DICTIONARY  # of the markers, as ``cv2.aruco`` names it
+    circles: str = ""  # "" for squares; "circles", or "acircles" for staggered rows
 
     def __post_init__(self) -> None:
         size = f"{self.columns} x {self.rows}"
@@ -264,18 +258,12 @@ def _window(scale: np.ndarray, board: Board) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True)
 class Views:
-    """V views by C cameras.
+    """V views by C cameras."""
 
-    names    of the views
-    cameras  names of the cameras
-    images   (view, camera) as numbers: the image
-    source   the file they come from
-    """
-
-    names: tuple[str, ...]
-    cameras: tuple[str, ...]
-    images: dict[tuple[int, int], Path]
-    source: str
+    names: tuple[str, ...]  # of the views
+    cameras: tuple[str, ...]  # names of the cameras
+    images: dict[tuple[int, int], Path]  # (view, camera) as numbers: the image
+    source: str  # the file they come from
 
 
 def read_views(path: Path) -> Views:

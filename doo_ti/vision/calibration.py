@@ -94,26 +94,17 @@ class CalibrationOptions:
 
 @dataclass(frozen=True)
 class Calibration:
-    """A rig, the pose of the board in each view, and the errors.
-
-    rotations, translations  (V, 3, 3), (V, 3) mm: pose of the board in the world; NaN for a view that no camera saw
-    rms                      (V, C) px: root mean square distance of the corners from their projections; NaN where none was seen
-    corners                  (V, C) number of corners seen
-    overall_rms              px, over all corners
-    sigma_px                 standard deviation of one coordinate of a corner, estimated from the residuals
-    centre_sigma             (C, 3) mm: standard deviation of the camera centres along the world's axes
-    focal_sigma              (C, 2) px: of fx and fy
-    """
+    """A rig, the pose of the board in each view, and the errors."""
 
     rig: Rig
-    rotations: np.ndarray
-    translations: np.ndarray
-    rms: np.ndarray
-    corners: np.ndarray
-    overall_rms: float
-    sigma_px: float
-    centre_sigma: np.ndarray
-    focal_sigma: np.ndarray
+    rotations: np.ndarray  # (V, 3, 3) pose of the board in the world; NaN for a view that no camera saw
+    translations: np.ndarray  # (V, 3) mm
+    rms: np.ndarray  # (V, C) px: root mean square distance of the corners from their projections; NaN where none was seen
+    corners: np.ndarray  # (V, C) number of corners seen
+    overall_rms: float  # px, over all corners
+    sigma_px: float  # standard deviation of one coordinate of a corner, estimated from the residuals
+    centre_sigma: np.ndarray  # (C, 3) mm: standard deviation of the camera centres along the world's axes
+    focal_sigma: np.ndarray  # (C, 2) px: of fx and fy
 
     @property
     def worst(self) -> tuple[int, int]:

@@ -313,16 +313,13 @@ def _roof(inside: np.ndarray) -> tuple[np.ndarray, float]:
 
 @dataclass(frozen=True)
 class Sight:
-    """How threads are sought in images.
+    """How threads are sought in images."""
 
-    options  of the detection
-    regions  by the name of a camera: the part of its images where the thread is, as ``options.region``
-    masks    a folder with masks named as the images are, whatever their suffix; or a mask for each image, by its path; None:
-             the image's alpha channel where it has one
-    """
-
-    options: DetectionOptions = DetectionOptions()
+    options: DetectionOptions = DetectionOptions()  # of the detection
+    # by the name of a camera: the part of its images where the thread is, as ``options.region``
     regions: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    # a folder with masks named as the images are, whatever their suffix; or a mask for each image, by its path; None: the
+    # image's alpha channel where it has one
     masks: Path | dict[Path, Path] | None = None
 
     def detected(self, path: Path, camera: Camera) -> Detection:

@@ -197,16 +197,11 @@ NEAR_PX = 3.0  # A detected point this near to the rod's image is explained
 
 @dataclass(frozen=True)
 class Coverage:
-    """Of R rods.
+    """Of R rods."""
 
-    share  (R, C) of the detected points within NEAR_PX of the rod's image
-    error  (R, C) E_cover, px²
-    line   (R, C) px of detected line
-    """
-
-    share: np.ndarray
-    error: np.ndarray
-    line: np.ndarray
+    share: np.ndarray  # (R, C) of the detected points within NEAR_PX of the rod's image
+    error: np.ndarray  # (R, C) E_cover, px²
+    line: np.ndarray  # (R, C) px of detected line
 
 
 @runtime.exclusive

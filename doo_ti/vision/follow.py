@@ -57,18 +57,12 @@ class Line:
 
 @dataclass(frozen=True)
 class Look:
-    """How a thread differs from what is beside it.
+    """How a thread differs from what is beside it."""
 
-    colours   (n, 3) Lab, across it
-    contrast  Lab
-    polarity  "dark" or "light"
-    sound     both its edges are where they are for its width, and it is no shadow
-    """
-
-    colours: np.ndarray
-    contrast: float
-    polarity: str
-    sound: bool
+    colours: np.ndarray  # (n, 3) Lab, across it
+    contrast: float  # Lab
+    polarity: str  # "dark" or "light"
+    sound: bool  # both its edges are where they are for its width, and it is no shadow
 
 
 @typed

@@ -165,24 +165,16 @@ POINT = 6  # numbers of a place in the field: q, √(w n nᵀ + w a t tᵀ) as a
 class AssignedPoints(External):
     """ν E_back as an external energy of :func:`doo_ti.relaxation.relax.relax`; ``external_index`` names the row of each rod.
 
-    rig      C cameras
-    points   (R, C, E, K, 2) px, q of K places along each of E edges, at the middles of K equal parts
-    tangent  (R, C, E, K, 2) unit vectors t
-    weight   (R, C, E, K) w ≥ 0, px; zero where nothing was detected
-    nu       ν, energy (mm²) per px³
-    along    a
-    soft     h, px
-
     Raises InputError for shapes that do not match, and for numbers that are negative or not finite.
     """
 
-    rig: Rig
-    points: np.ndarray
-    tangent: np.ndarray
-    weight: np.ndarray
-    nu: float
-    along: float = 0.05
-    soft: float = 3.0
+    rig: Rig  # C cameras
+    points: np.ndarray  # (R, C, E, K, 2) px, q of K places along each of E edges, at the middles of K equal parts
+    tangent: np.ndarray  # (R, C, E, K, 2) unit vectors t
+    weight: np.ndarray  # (R, C, E, K) w ≥ 0, px; zero where nothing was detected
+    nu: float  # ν, energy (mm²) per px³
+    along: float = 0.05  # a
+    soft: float = 3.0  # h, px
     layout: ClassVar[Layout] = Layout(row=1, edge=1, nu=1)
     has_coarse: ClassVar[bool] = True
 

@@ -212,22 +212,15 @@ def _silenced():
 
 @dataclass(frozen=True)
 class ImageSets:
-    """A sets of C images.
+    """A sets of C images."""
 
-    names      A names
-    paths      A tuples of C files, in the order of ``rig``'s cameras
-    rig        the cameras that took them
-    point      (A, 3) mm: v⁰; None where it is to be found in the images
-    direction  (A, 3) unit vectors: e⁰; None where it is to be found in the images
-    clicks     where ``point`` is None, A times the pixels (u, v) at which the rod begins, by the numbers of their cameras
-    """
-
-    names: tuple[str, ...]
-    paths: tuple[tuple[Path, ...], ...]
-    rig: Rig
-    point: np.ndarray | None
-    direction: np.ndarray | None
+    names: tuple[str, ...]  # A names
+    paths: tuple[tuple[Path, ...], ...]  # A tuples of C files, in the order of ``rig``'s cameras
+    rig: Rig  # the cameras that took them
+    point: np.ndarray | None  # (A, 3) mm: v⁰; None where it is to be found in the images
+    direction: np.ndarray | None  # (A, 3) unit vectors: e⁰; None where it is to be found in the images
     source: str = "sets"
+    # where ``point`` is None, A times the pixels (u, v) at which the rod begins, by the numbers of their cameras
     clicks: tuple[dict[int, tuple[float, float]], ...] | None = None
 
     def __post_init__(self) -> None:

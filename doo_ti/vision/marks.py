@@ -38,16 +38,11 @@ MOST_UNLABELLED = 100  # marks of all observations and cameras for each that is 
 
 @dataclass(frozen=True)
 class Marks:
-    """The labels of D rods with V marks each.
+    """The labels of D rods with V marks each."""
 
-    names   of the observations
-    pixels  (C, D, V, S, 2) px, in the order of the rig's cameras; NaN where a mark is not labelled
-    source  the file they come from
-    """
-
-    names: tuple[str, ...]
-    pixels: np.ndarray
-    source: str
+    names: tuple[str, ...]  # of the observations
+    pixels: np.ndarray  # (C, D, V, S, 2) px, in the order of the rig's cameras; NaN where a mark is not labelled
+    source: str  # the file they come from
 
     @property
     def labels(self) -> np.ndarray:
@@ -147,12 +142,10 @@ def _vertices(table: CsvTable) -> tuple[np.ndarray, np.ndarray, bool]:
 
 @dataclass(frozen=True)
 class MarkedRods:
-    """Observations of D rods, and how their frames came about.
-
-    frames_filled  (D, E) bool: frames carried over from the nearest measured one, because a mark beside them has no position
-    """
+    """Observations of D rods, and how their frames came about."""
 
     observations: Observations
+    # (D, E) bool: frames carried over from the nearest measured one, because a mark beside them has no position
     frames_filled: np.ndarray
 
 

@@ -33,18 +33,12 @@ MOST_JOINTS, MOST_TRIED = 4, 400  # ends that an end is joined to, and parts of 
 
 @dataclass(frozen=True)
 class ImagePath:
-    """A path along the detected thread in one image.
+    """A path along the detected thread in one image."""
 
-    points   (M, 2) px, a pixel apart
-    seen     (M,) bool: on the detection; false across a gap
-    cost     px of gaps, turns in them counted as lengths
-    share    of the detected line that is on the path
-    """
-
-    points: np.ndarray
-    seen: np.ndarray
-    cost: float
-    share: float
+    points: np.ndarray  # (M, 2) px, a pixel apart
+    seen: np.ndarray  # (M,) bool: on the detection; false across a gap
+    cost: float  # px of gaps, turns in them counted as lengths
+    share: float  # of the detected line that is on the path
 
     @cached_property
     def tangents(self) -> np.ndarray:
@@ -84,13 +78,10 @@ class ImagePath:
 
 @dataclass(frozen=True)
 class Chains:
-    """The detected line of an image in chains, from which paths begin anywhere.
+    """The detected line of an image in chains, from which paths begin anywhere."""
 
-    points  (M, 2) px of each chain
-    joints  for each end (chain, way) the ends that may follow, (cost, chain, way in which it is then followed), the best first
-    """
-
-    points: list[np.ndarray]
+    points: list[np.ndarray]  # (M, 2) px of each chain
+    # for each end (chain, way) the ends that may follow, (cost, chain, way in which it is then followed), the best first
     joints: dict[tuple[int, int], list[tuple[float, int, int]]]
 
     @classmethod

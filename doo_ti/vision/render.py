@@ -38,46 +38,28 @@ BLOB_PX = 120  # size of the background's uneven patches
 class RenderOptions:
     """The look of the images; brightness is in grey levels, 0 to 255.
 
-    thread           brightness of the thread away from the light; above ``background`` for a light thread on dark
-    background       mean brightness of the background
-    unevenness       standard deviation of the background's soft patches
-    gradient         brightness of the background at the right border less that at the left one
-    shading          additional brightness of a surface that faces the light
-    light            direction towards the light, in the world; any length
-    blur_px          standard deviation of the lens's blur, at least 0.3
-    noise            standard deviation of the sensor's noise
-    jpeg_quality     1 to 100, or None: not compressed
-    occluders        number of balls and bars, alternating, in front of the thread as seen from the middle of the cameras
-    occluded_share   approximate share of the thread's length that they hide together; it differs from camera to camera
-    occluder         their brightness
-    clutter          number of other lines, of 0.3 to 3 thread diameters, as bright as the thread or less distinct
-    specks           number of specks
-    mark_spacing_mm  distance between marks painted on the thread, from its start on, or None: no marks
-    mark_length_mm   their length along the thread
-    mark             their brightness
-    smooth           draw a smooth curve through the vertices, else straight edges between them
-
     Raises InputError for what cannot be drawn.
     """
 
-    thread: float = 45.0
-    background: float = 200.0
-    unevenness: float = 9.0
-    gradient: float = 0.0
-    shading: float = 15.0
-    light: tuple[float, float, float] = (-0.5, -0.3, 1.0)
-    blur_px: float = 0.9
-    noise: float = 3.0
-    jpeg_quality: int | None = 95
-    occluders: int = 0
+    thread: float = 45.0  # brightness of the thread away from the light; above ``background`` for a light thread on dark
+    background: float = 200.0  # mean brightness of the background
+    unevenness: float = 9.0  # standard deviation of the background's soft patches
+    gradient: float = 0.0  # brightness of the background at the right border less that at the left one
+    shading: float = 15.0  # additional brightness of a surface that faces the light
+    light: tuple[float, float, float] = (-0.5, -0.3, 1.0)  # direction towards the light, in the world; any length
+    blur_px: float = 0.9  # standard deviation of the lens's blur, at least 0.3
+    noise: float = 3.0  # standard deviation of the sensor's noise
+    jpeg_quality: int | None = 95  # 1 to 100, or None: not compressed
+    occluders: int = 0  # number of balls and bars, alternating, in front of the thread as seen from the middle of the cameras
+    # approximate share of the thread's length that they hide together; it differs from camera to camera
     occluded_share: float = 0.2
-    occluder: float = 120.0
-    clutter: int = 0
-    specks: int = 0
-    mark_spacing_mm: float | None = None
-    mark_length_mm: float = 0.6
-    mark: float = 150.0
-    smooth: bool = True
+    occluder: float = 120.0  # their brightness
+    clutter: int = 0  # number of other lines, of 0.3 to 3 thread diameters, as bright as the thread or less distinct
+    specks: int = 0  # number of specks
+    mark_spacing_mm: float | None = None  # distance between marks painted on the thread, from its start on, or None: no marks
+    mark_length_mm: float = 0.6  # their length along the thread
+    mark: float = 150.0  # their brightness
+    smooth: bool = True  # draw a smooth curve through the vertices, else straight edges between them
 
     def __post_init__(self) -> None:
         for name in (field.name for field in fields(self) if field.name not in ("light", "smooth")):
@@ -222,26 +204,17 @@ SETS_FILE, RIG_FILE = "sets.csv", "rig.yaml"
 class Photographs:
     """A sets of C images to render.
 
-    names        A names, used in the names of files
-    curves       (A, n, 3) mm: the threads' centre lines
-    point        (A, 3) mm: v⁰
-    direction    (A, 3) of e⁰
-    diameter_mm  of all threads
-    rig          the cameras
-    options      of the images
-    seed         of everything random; set a has the seed (``seed``, a), so that its images do not depend on the other sets
-
     Raises InputError for names that occur twice or cannot name a file, and for threads that a camera does not see completely.
     """
 
-    names: tuple[str, ...]
-    curves: np.ndarray
-    point: np.ndarray
-    direction: np.ndarray
-    diameter_mm: float
-    rig: Rig
-    options: RenderOptions = RenderOptions()
-    seed: int = 0
+    names: tuple[str, ...]  # A names, used in the names of files
+    curves: np.ndarray  # (A, n, 3) mm: the threads' centre lines
+    point: np.ndarray  # (A, 3) mm: v⁰
+    direction: np.ndarray  # (A, 3) of e⁰
+    diameter_mm: float  # of all threads
+    rig: Rig  # the cameras
+    options: RenderOptions = RenderOptions()  # of the images
+    seed: int = 0  # of everything random; set a has the seed (``seed``, a), so that its images do not depend on the other sets
 
     def __post_init__(self) -> None:
         if len(set(self.names)) < len(self.names) or any(not name or set(name) & set('/\\\0') for name in self.names):

@@ -33,21 +33,14 @@ ROUNDNESS = 0.6  # largest curvature along the line, of the same sign, over that
 
 @dataclass(frozen=True)
 class Ridges:
-    """Points of ridges, one for each of N pixels near one.
+    """Points of ridges, one for each of N pixels near one."""
 
-    point     (N, 2) px, x and y
-    offset    (N,) px from the pixel along the normal to the point
-    normal    (N, 2) unit vectors across, of either sign
-    strength  (N,) grey levels: the second derivative across times σ², 0.48 of the contrast of a bar as wide as 2 σ
-    row, column  (N,) the pixels
-    """
-
-    point: np.ndarray
-    offset: np.ndarray
-    normal: np.ndarray
-    strength: np.ndarray
-    row: np.ndarray
-    column: np.ndarray
+    point: np.ndarray  # (N, 2) px, x and y
+    offset: np.ndarray  # (N,) px from the pixel along the normal to the point
+    normal: np.ndarray  # (N, 2) unit vectors across, of either sign
+    strength: np.ndarray  # (N,) grey levels: the second derivative across times σ², 0.48 of the contrast of a bar 2 σ wide
+    row: np.ndarray  # (N,) the pixels
+    column: np.ndarray  # (N,)
 
     def __getitem__(self, kept: np.ndarray) -> "Ridges":
         return Ridges(*(getattr(self, field.name)[kept] for field in fields(self)))
@@ -134,18 +127,12 @@ EDGE_SIGMA = 1.0  # px by which an image is smoothed before edges are sought acr
 
 @dataclass(frozen=True)
 class Edges:
-    """The two edges of a line at N of its points.
+    """The two edges of a line at N of its points."""
 
-    shift  (N,) px from the point along its normal to the middle between the edges
-    width  (N,) px between the edges
-    slope  (N,) grey levels per px: the weaker edge's
-    balance  (N,) the weaker edge's slope over the stronger one's: 0 where only one side differs from the line
-    """
-
-    shift: np.ndarray
-    width: np.ndarray
-    slope: np.ndarray
-    balance: np.ndarray
+    shift: np.ndarray  # (N,) px from the point along its normal to the middle between the edges
+    width: np.ndarray  # (N,) px between the edges
+    slope: np.ndarray  # (N,) grey levels per px: the weaker edge's
+    balance: np.ndarray  # (N,) the weaker edge's slope over the stronger one's: 0 where only one side differs from the line
 
 
 def gradient(image: np.ndarray) -> np.ndarray:
@@ -203,18 +190,12 @@ SAMPLES = 400  # largest number of points where the width is measured
 
 @dataclass(frozen=True)
 class Appearance:
-    """How the thread looks in an image.
+    """How the thread looks in an image."""
 
-    polarity  "dark" or "light" against the background
-    width_px  median distance between its edges
-    slope     grey levels per px of its edges, smoothed by EDGE_SIGMA
-    box       left, top, right, bottom of the box around it in px, right and bottom exclusive
-    """
-
-    polarity: str
-    width_px: float
-    slope: float
-    box: tuple[int, int, int, int]
+    polarity: str  # "dark" or "light" against the background
+    width_px: float  # median distance between its edges
+    slope: float  # grey levels per px of its edges, smoothed by EDGE_SIGMA
+    box: tuple[int, int, int, int]  # left, top, right, bottom of the box around it in px, right and bottom exclusive
 
 
 def appearance(image: np.ndarray, polarity: str | None, width_px: float | None, least_contrast: float) -> Appearance | None:

@@ -59,20 +59,14 @@ class TriangulationOptions:
 
 @dataclass(frozen=True)
 class Points:
-    """P triangulated marks.
+    """P triangulated marks."""
 
-    position    (P, 3) mm, NaN where ``status`` says there is none
-    covariance  (P, 3, 3) mm², for labels with the ``sigma_px`` of the options; NaN likewise
-    status      (P,) :class:`MarkStatus`
-    used        (C, P) bool: labels from which the position was computed
-    residual    (C, P) px: distance of each label, also outliers, from the projection of the position; NaN without a label.
-                Of contradictory labels: from the point with the least squared distances to all of them
-    """
-
-    position: np.ndarray
-    covariance: np.ndarray
-    status: np.ndarray
-    used: np.ndarray
+    position: np.ndarray  # (P, 3) mm, NaN where ``status`` says there is none
+    covariance: np.ndarray  # (P, 3, 3) mm², for labels with the ``sigma_px`` of the options; NaN likewise
+    status: np.ndarray  # (P,) :class:`MarkStatus`
+    used: np.ndarray  # (C, P) bool: labels from which the position was computed
+    # (C, P) px: distance of each label, also outliers, from the projection of the position; NaN without a label. Of
+    # contradictory labels: from the point with the least squared distances to all of them
     residual: np.ndarray
 
     @property

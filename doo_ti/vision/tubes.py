@@ -19,16 +19,11 @@ ACROSS = 4  # number of places across the covered part of a pixel where shading 
 
 @dataclass(frozen=True)
 class Tube:
-    """A round, opaque object along a curve; its ends are round.
+    """A round, opaque object along a curve; its ends are round."""
 
-    curve       (n, 3) mm, n ≥ 2, dense enough to be straight between points
-    radius      mm
-    brightness  grey levels away from the light, one number or (n,)
-    """
-
-    curve: np.ndarray
-    radius: float
-    brightness: np.ndarray | float
+    curve: np.ndarray  # (n, 3) mm, n ≥ 2, dense enough to be straight between points
+    radius: float  # mm
+    brightness: np.ndarray | float  # grey levels away from the light, one number or (n,)
 
 
 def draw(camera: Camera, tubes: list[Tube], background: np.ndarray, light: np.ndarray, shading: float) -> np.ndarray:
