@@ -190,7 +190,11 @@ class Belief:
         keep, noise = 1.0 - 1.0 / self._options.memory, self._options.noise_mm**2
         count = 3 * visible.sum(axis=1)
         number = np.maximum(count, 1)
-        normal, right, square = _moments(residual, visible, columns, transform)
+        apart, across = np.where(visible[..., None], residual, 0.0), np.swapaxes(transform, 1, 2)
+        normal, right = normal_equations(columns, 0, columns.shape[-1], visible.astype(np.float64), apart)
+        # JᵀJ (B, P, P), Jᵀr (B, P) and |r|² (B,), J = columns · transform
+        normal, right, square = (across @ (normal @ transform), (across @ right[..., None])[..., 0],
+                                 np.einsum("bvk,bvk->b", apart, apart))
         missing = np.maximum(self._variance - noise, 0.0) * PERSISTENT * number / 3
         variance = noise + missing + LINEAR**2 * square / number
         before = self.unknowns[:, self.learned] / self._spread[self.learned]
@@ -228,15 +232,6 @@ class Belief:
         intervals = [one[:, None] * np.exp(QUANTILE * deviation[:, None] * [-1.0, 1.0])
                      for one, deviation in zip(value, spread, strict=True)]
         return LearnedMaterial(self.material, *value, *intervals, np.sqrt(self._variance))
-
-
-def _moments(residual: np.ndarray, visible: np.ndarray, columns: np.ndarray, transform: np.ndarray
-             ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """JᵀJ (B, P, P), Jᵀr (B, P) and |r|² (B,) of the visible marks, J = columns · transform."""
-    apart = np.where(visible[..., None], residual, 0.0)
-    normal, right = normal_equations(columns, 0, columns.shape[-1], visible.astype(np.float64), apart)
-    across = np.swapaxes(transform, 1, 2)
-    return across @ (normal @ transform), (across @ right[..., None])[..., 0], np.einsum("bvk,bvk->b", apart, apart)
 
 
 def elastic_curvature(rods: Configuration, material: Material) -> np.ndarray:

@@ -166,10 +166,13 @@ class Servo:
         derivatives[~usable] = 0.0
         model = np.where(usable[:, None, None], model, self._shapes)
         visible = visible & usable[:, None]
-        change = self._learn(seen - model, derivatives, visible)
+        frames = np.stack([self.clamps.start_frame] * 2 + [self.clamps.end_frame] * 2)
+        transform = self._belief.transform(frames, elastic_curvature(self._last, self._belief.material))
+        change = self._belief.learn(seen - model, visible, derivatives, transform)
         columns = derivatives.reshape(len(usable), -1, derivatives.shape[-1])
         expected = model + (columns @ change[..., None]).reshape(model.shape)
-        self._keep_apart(seen - expected, visible)
+        left = (1 - GAIN) * self._offset + GAIN * between_marks(seen - expected, visible)
+        self._offset = np.where(visible.any(axis=1)[:, None, None], left, self._offset)
         steps = DampedSteps.towards(self._targets, expected + self._offset, derivatives, OF_GRIPPERS.start, self._options)
         self._move(expected, columns, steps, usable)
         self._placed = self.clamps
@@ -203,18 +206,6 @@ class Servo:
         shapes = models.vertices if shapes is None else shapes
         self._last, self._shapes = put_rods(self._last, rods, models), self._shapes.copy()
         self._shapes[rods] = shapes
-
-    def _learn(self, residual: np.ndarray, columns: np.ndarray, visible: np.ndarray) -> np.ndarray:
-        """(B, C) the change of what the columns (B, V, 3, C) are derivatives by, learned from the ``residual`` (B, V, 3) of the
-        ``visible`` marks from the model."""
-        frames = (self.clamps.start_frame,) * 2 + (self.clamps.end_frame,) * 2
-        transform = self._belief.transform(np.stack(frames), elastic_curvature(self._last, self._belief.material))
-        return self._belief.learn(residual, visible, columns, transform)
-
-    def _keep_apart(self, left: np.ndarray, visible: np.ndarray) -> None:
-        """Update the offset with how far the ``visible`` marks are ``left`` (B, V, 3) from the model after it has learned."""
-        some = visible.any(axis=1)[:, None, None]
-        self._offset = np.where(some, (1 - GAIN) * self._offset + GAIN * between_marks(left, visible), self._offset)
 
     def _move(self, expected: np.ndarray, columns: np.ndarray, steps: DampedSteps, usable: np.ndarray) -> None:
         """Move the grippers, and the models with them: as far as these follow."""
