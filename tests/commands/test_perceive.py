@@ -16,7 +16,7 @@ from doo_ti.vision.render import render_set
 from doo_ti.vision.rig_files import load_rig, save_rig
 from doo_ti.vision.tubes import smooth_curve
 from tests.commands.calls import refused, written
-from tests.vision.drawn_maps import curves, three_cameras
+from tests.vision.scenes import curves, three_cameras
 
 EDGES = 14
 MATERIAL = ["--bend", "2e5", "--twist", "2e5", "--weight", "1", "--rest-length", f"3:{EDGES}"]

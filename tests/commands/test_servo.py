@@ -14,7 +14,7 @@ from doo_ti.system.terminal import has_recorder
 from doo_ti.vision.cameras import Rig
 from doo_ti.vision.rig_files import save_rig
 from tests.commands.calls import refused
-from tests.vision.poses import looking
+from tests.vision.scenes import looking
 
 BEND, DENSITY = 6e5, 10.0
 EI = stiffness(BEND / 2, DENSITY)

@@ -174,7 +174,7 @@ def _motions() -> None:
 def _rig():
     """Three small cameras that look at the rods from about 70 mm."""
     from doo_ti.vision.cameras import Camera, Rig
-    from tests.vision.poses import looking
+    from tests.vision.scenes import looking
 
     middle, cameras = np.load("rods.npz")["vertices_mm"].mean(axis=(0, 1)), []
     for index, angle in enumerate((0.3, 2.1, 4.2)):

@@ -8,7 +8,7 @@ import numpy as np
 from doo_ti import Camera, Rig
 from doo_ti.vision.board import Board
 from doo_ti.vision.calibration import Sighting
-from tests.vision.poses import looking
+from tests.vision.scenes import looking
 
 OVERSAMPLING = 3
 

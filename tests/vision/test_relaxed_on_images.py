@@ -8,7 +8,7 @@ from doo_ti.relaxation.newton import TOLERANCES
 from doo_ti.rod import frames
 from tests.oracle.reprojection import edge_error, rod_energy
 from tests.relaxation.rods import assert_same
-from tests.vision.drawn_maps import curves, drawn_maps, map_of, three_cameras
+from tests.vision.scenes import curves, drawn_maps, map_of, three_cameras
 
 EDGES, NU, POINTS = 14, 30.0, 4
 ALPHA = 2e5
