@@ -13,10 +13,11 @@ end at distance a from it has the second derivative across
 whatever the thread's width 2a; branches to corners and bumps of the border have √½ of it or less.
 
 A thread may go on but look different: along a glint, or where it is wider than most of it. A shiny thread has light lines
-within it, and a glint may be as light as the background: what is left of a dark thread are its two edges. Closing the darkness
-of an image fills what is narrower than the thread, and the thread is one line again, whatever it looks like inside. Such a line
-is taken for the thread where it begins at an end of what was found of it, in its direction, and no other end is there: where
-strands cross, or lie side by side, there are more. It ends at another end, or is free: a needle is wider than its thread.
+within it: what is left of a dark thread are its two edges. Closing the darkness of an image fills what is narrower than the
+thread, and the thread is one line again. Such a line is taken for the thread where it begins at an end of what was found of it,
+in its direction, and no other end is there: where strands cross, or lie side by side, there are more. It ends at another end,
+or is free: a needle is wider than its thread. What lies between two lines and is as light as the background is no glint, but
+the inside of a narrow loop.
 """
 
 from dataclasses import dataclass, field, replace
@@ -192,7 +193,7 @@ def _continued(image: np.ndarray, look: Appearance, ridges: Ridges) -> tuple[np.
             break
         width = times * look.width_px
         line = _wide_lines(dark, width, np.concatenate([found[0], *own]), look.width_px)
-        added = _joined(line, own, width)
+        added = _joined(line, own, width, dark)
         if added:
             beside = _edges_of(found[0], own, added, width)
             found = tuple(np.concatenate([array[~beside], *new]) for array, new in zip(found, zip(*added), strict=True))
@@ -226,12 +227,12 @@ def _wide_lines(dark: np.ndarray, width: float, own: np.ndarray, usual: float) -
     return Detection(ridges.point, ridges.tangent, ridges.strength, width, "light", dark.shape, "ridge")
 
 
-def _joined(line: Detection, own: list[np.ndarray], width: float) -> list[tuple[np.ndarray, ...]]:
+def _joined(line: Detection, own: list[np.ndarray], width: float, dark: np.ndarray) -> list[tuple[np.ndarray, ...]]:
     """Points, directions and strengths of the parts of a ``line`` that go on from ends of the chains ``own``, or of those."""
     waiting, parts = [chain for chain in chains_of(line) if chain_length(chain) >= PART * width], []
     tree, known = cKDTree(line.points) if line.count else None, list(own)
     while True:
-        ready = next((k for k, chain in enumerate(waiting) if goes_on(chain, known, width)), None)
+        ready = next((k for k, chain in enumerate(waiting) if goes_on(chain, known, width, dark)), None)
         if ready is None:
             return parts
         chain = waiting.pop(ready)

@@ -159,6 +159,7 @@ TOUCHING, ENDS_PX = 1.0, 3.0  # from the end of the thread to that of a line tha
 AGREEING = 0.7  # … and the least cosine between their directions
 BESIDE = 0.7  # share of such a line along which another one that goes on runs: these are two strands
 GLINT = 3.0  # least widths of such a line whose edges were found: strands that touch are shorter
+INSIDE = 0.2  # least darkness within one whose edges were found, over the thread's: of glints 0.3 and more, in loops 0.1
 
 
 def chains_of(detection: Detection) -> list[np.ndarray]:
@@ -212,13 +213,17 @@ def chain_length(points: np.ndarray) -> float:
     return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
-def goes_on(chain: np.ndarray, known: list[np.ndarray], width: float) -> bool:
-    """Whether a chain begins where one of those ``known`` ends, and no other one ends beside that half of it."""
+def goes_on(chain: np.ndarray, known: list[np.ndarray], width: float, dark: np.ndarray) -> bool:
+    """Whether a chain begins where one of those ``known`` ends, and no other one ends beside that half of it.
+
+    width  px of the line that the chain is
+    dark   (H, W) how much pixels differ from the background towards the thread, 255 for its contrast
+    """
     line = cKDTree(chain)
     inside = [line.query(other)[0].max() <= width for other in known]
     edges, others = ([other for other, here in zip(known, inside, strict=True) if bool(here) is kind] for kind in (True, False))
-    loop = any(outward(edge, 0) @ outward(edge, 1) >= AGREEING for edge in edges)  # it ends the way it began, and is no edge
-    if edges and (chain_length(chain) < GLINT * width or loop):
+    column, row = np.rint(chain).astype(int).T
+    if edges and (chain_length(chain) < GLINT * width or np.median(dark[row, column]) < INSIDE * 255):
         return False
     strand = any((cKDTree(other).query(chain)[0] <= 0.6 * width).mean() > BESIDE for other in others)
     if strand or sum(chain_length(other) for other in others) < chain_length(chain):
