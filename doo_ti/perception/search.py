@@ -287,21 +287,17 @@ def _with_traced(search: Search, grown: Finalists, sets: np.ndarray) -> Finalist
     cut = whole.cut(shares, np.where(together, 1.0, length / whole.length), np.full(len(together), length))
     solution = tracing.relaxed(cut, together).solution
     of_set, rods = sets[tracing.of_set], solution.configuration
-    energy, found = _evidence(search, rods, of_set)
+    looked = search.material, search.up, search.options, search.piece_points
+    energy, found = evidence(search.rig, search.maps, rods, of_set, *looked)
     if not together.all():  # a rod shorter than the thread, or longer, is as good as the whole thread that it is part of
         part = np.flatnonzero(~together)
-        energy[part] = _evidence(search, whole.solution.configuration.take(part), of_set[part])[0]
+        energy[part], _ = evidence(search.rig, search.maps, whole.solution.configuration.take(part), of_set[part], *looked)
     parts = grown, Finalists(of_set, Configuration(rods.start, rods.quaternions, fine), energy, solution.status,
                              (solution.status == Status.CONVERGED) & solution.stable, found.share, found.line, whole.length)
     order = np.argsort(np.concatenate([part.of_set for part in parts]), kind="stable")
     joined = {name: np.concatenate([getattr(part, name) for part in parts])[order] for name in Finalists.__dataclass_fields__
               if name != "configuration"}
     return Finalists(configuration=Configuration.concatenate([part.configuration for part in parts]).take(order), **joined)
-
-
-def _evidence(search: Search, rods: Configuration, of_set: np.ndarray) -> tuple[np.ndarray, Coverage]:
-    """:func:`evidence` as the search sees it."""
-    return evidence(search.rig, search.maps, rods, of_set, search.material, search.up, search.options, search.piece_points)
 
 
 def left_over(final: Finalists, best: np.ndarray, image_length: np.ndarray, length: float) -> np.ndarray:
