@@ -16,7 +16,7 @@ pytest.register_assert_rewrite("tests.commands.calls")
 SEED = 2011
 SHARED_KERNELS = {
     "contact": ("tests/contact/", "tests/groups/", "tests/commands/test_contact.py", "tests/commands/test_group.py",
-                "tests/commands/test_knots.py", "tests/dynamics/test_energies.py", "tests/refinement/test_on_a_table.py",
+                "tests/dynamics/test_energies.py", "tests/refinement/test_on_a_table.py",
                 "tests/perception/test_twist_on_a_table.py",
                 "tests/examples/test_examples.py::test_example[12_", "tests/examples/test_examples.py::test_example[13_",
                 "tests/examples/test_examples.py::test_example[14_"),

@@ -15,7 +15,7 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.arrays import read_npz
 from doo_ti.io.observation_files import load_observations
 from doo_ti.io.toml_file import scene_file
-from doo_ti.rod.physical_units import UNITS_IN_MM
+from doo_ti.rod.material import UNITS_IN_MM
 from doo_ti.rod.types import Material
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import read_content
@@ -24,10 +24,8 @@ from doo_ti.vision.cameras import LENSES, POSES, Rig, RigReading
 from doo_ti.vision.rig_files import load_rig
 
 MOST_HYPOTHESES = 100_000
-RECORDED = 3
-"""Sets in a recording."""
-EDGES = 33
-"""Of a rod whose edges are not given."""
+RECORDED = 3  # sets in a recording
+EDGES = 33  # of a rod whose edges are not given
 GUESSED_BEND = 1e6
 """mm³, of a rod in images whose stiffness is not given: E_vis takes the rod's energy relative to its stiffness, so that only
 its weight and twist against its bending depend on it."""
@@ -216,8 +214,10 @@ def _sets(options: Namespace, rig):
             raise InputError(given.SOURCE, name, f"{len(numbers)} numbers", "give X,Y,Z")
         seed[name] = np.array([numbers])
     paths = tuple(Path(image) for image in options.images)
+    clicks = {rig.names.index(camera): pixel
+              for camera, pixel in by_camera("--seed-pixel", options.seed_pixel, rig.names, "U,V").items()}
     return ImageSets((in_line(paths[0].stem),), (paths,), rig, seed["--seed-point"], seed["--seed-direction"], given.SOURCE,
-                     (_clicks(options, rig),))
+                     (clicks,))
 
 
 def _extent(options: Namespace) -> Extent:
@@ -231,12 +231,6 @@ def _extent(options: Namespace) -> Extent:
         if bounds[0] > bounds[1]:
             raise InputError(given.SOURCE, "--length", options.length, "give MM, or LOW:HIGH")
     return Extent(*bounds, edge)
-
-
-def _clicks(options: Namespace, rig) -> dict[int, tuple[float, float]]:
-    """The pixels of ``--seed-pixel`` by the numbers of their cameras."""
-    pixels = by_camera("--seed-pixel", options.seed_pixel, rig.names, "U,V")
-    return {rig.names.index(camera): pixel for camera, pixel in pixels.items()}
 
 
 def _truth(options: Namespace, names: tuple[str, ...]) -> np.ndarray | None:

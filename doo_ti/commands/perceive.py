@@ -17,18 +17,12 @@ from doo_ti.rod.types import Status
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import can_record, in_line, progress
 
-MARGIN_PX = 60
-"""Of the distance maps around what was detected."""
-MOST_MAP_BYTES = 1 << 29
-"""Of the distance maps held at once."""
-CLICK_PX = 1.0
-"""Standard deviation of where a thread ends in an image."""
-LEAST_SIGMA_MM = 1e-3
-"""Stated for vertices that the seed gives: no observation is exact."""
-LEFT_OVER = 0.02
-"""Share of the rod's length; less is not mentioned."""
-OUTSIDE = 0.01
-"""Share of the thread outside the other images that is worth saying."""
+MARGIN_PX = 60  # of the distance maps around what was detected
+MOST_MAP_BYTES = 1 << 29  # of the distance maps held at once
+CLICK_PX = 1.0  # standard deviation of where a thread ends in an image
+LEAST_SIGMA_MM = 1e-3  # stated for vertices that the seed gives: no observation is exact
+LEFT_OVER = 0.02  # share of the rod's length; less is not mentioned
+OUTSIDE = 0.01  # share of the thread outside the other images that is worth saying
 MOST_LISTED = 60
 
 
@@ -216,7 +210,7 @@ def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found
                        _verdict_text(found, row))
 
     if len(there) and not options.no_picture:
-        from doo_ti.report.shapes import MOST_SETS, reprojections_picture
+        from doo_ti.report.figures import MOST_SETS, reprojections_picture
 
         picture = out.with_suffix(".png")
         rods = [seen(row) for row in there[:MOST_SETS]]

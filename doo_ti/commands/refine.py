@@ -25,11 +25,9 @@ from doo_ti.system.terminal import busy, in_line, warn
 if TYPE_CHECKING:  # it reads Parquet
     from doo_ti.learning.landscape import Landscape
 
-REFINED = "refined.json"
-"""In the folder of a run, with its picture beside it."""
+REFINED = "refined.json"  # in the folder of a run, with its picture beside it
 STARTS = 3
-LEAST = 1e-6
-"""Least spread and range of a rest curvature, in 1/mm and mm; the largest is the inverse."""
+LEAST = 1e-6  # least spread and range of a rest curvature, in 1/mm and mm; the largest is the inverse
 CURVATURES = ("auto", "field", "uniform", "none")
 OLD_CURVATURES = {"rest_curvature": "uniform", "rest_curvature_per_joint": "field"}
 """Old names in --parameters for a rest curvature."""

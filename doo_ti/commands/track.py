@@ -15,16 +15,14 @@ from doo_ti.commands.loading import read_rest_length
 from doo_ti.commands.perceive import LEAST_SIGMA_MM
 from doo_ti.commands.results import RODS, report, save_arrays
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.io.csv_table import read_csv
+from doo_ti.io.arrays import read_csv
 from doo_ti.rod.types import Clamp, Clamps, Material
 from doo_ti.system.errors import InputError, InterruptedRunError
 from doo_ti.system.terminal import can_record, in_line, progress
 
-AHEAD = 16
-"""Frames whose thread is detected while one is tracked."""
+AHEAD = 16  # frames whose thread is detected while one is tracked
 MOST_LISTED = 30
-LEAST_SHOWN = 0.01
-"""px: smaller errors are less than the noise of the smoothed images."""
+LEAST_SHOWN = 0.01  # px: smaller errors are less than the noise of the smoothed images
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,8 @@ import numpy as np
 
 from doo_ti.rod.frames import FRAME_TOLERANCE, matrix_from_quaternion, orthonormality_error, quaternion_from_matrix
 from doo_ti.rod.types import POSES, Clamp, Clamps, Rows, require_kinds
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError, real_array, require_whole
-from doo_ti.system.short_repr import short_repr
 
 
 @typed

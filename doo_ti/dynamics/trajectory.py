@@ -6,7 +6,7 @@ import numpy as np
 
 from doo_ti.relaxation.time_steps import Memory
 from doo_ti.rod.types import Status
-from doo_ti.system.short_repr import short_repr
+from doo_ti.system.arguments import short_repr
 
 
 @dataclass(frozen=True)

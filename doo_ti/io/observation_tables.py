@@ -25,9 +25,8 @@ from typing import BinaryIO
 
 import numpy as np
 
-from doo_ti.io.arrays import AXES, check_unpacked, first_line, frame_columns, given_columns
-from doo_ti.io.csv_table import parse_csv
-from doo_ti.rod.physical_units import UNITS_IN_MM
+from doo_ti.io.arrays import AXES, check_unpacked, first_line, frame_columns, given_columns, parse_csv
+from doo_ti.rod.material import UNITS_IN_MM
 from doo_ti.system.errors import InputError
 
 # Key of the npz format: what a value of it belongs to, the shape of the value, the names of its columns.
@@ -49,13 +48,10 @@ KEYS_IN_TABLES = {
 _SHARED = ("rest_length_mm", "up", "spacing_error")
 _POSITION = KEYS_IN_TABLES["vertices_mm"][2]
 _COLUMNS = ("observation", "vertex", *(name for _, _, names in KEYS_IN_TABLES.values() for name in names))
-LABELS = "observation"
-"""Key of the npz format: what messages call the observations."""
-MOST_ABSENT = 100
-"""Marks of all observations for each row."""
+LABELS = "observation"  # key of the npz format: what messages call the observations
+MOST_ABSENT = 100  # marks of all observations for each row
 OTHER_NUMBERS = ("pose", "poses", "configuration", "config", "shape", "frame", "trial", "set", "sample", "rod")
-OTHER_MARKS = ("mark", "marker", "point", "node", "index")
-"""What others call the columns observation and vertex."""
+OTHER_MARKS = ("mark", "marker", "point", "node", "index")  # what others call the columns observation and vertex
 RENAMED = ("observation", "vertex", *AXES, "valid", "sigma_mm", "rest_length_mm")
 """What a user may say is in a column of another name."""
 

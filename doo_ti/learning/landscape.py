@@ -22,9 +22,8 @@ import numpy as np
 from doo_ti.learning.chunks import RODS, Terms, cell_files, read_summary, rods_in, sweep_identity, terms_in, whole_rods_in
 from doo_ti.rod.grid import Grid, Interval, valley
 from doo_ti.rod.types import Status
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
-from doo_ti.system.short_repr import short_repr
 from doo_ti.system.terminal import in_line
 
 

@@ -14,7 +14,7 @@ compliance of the joints at the clamps, over their own; and coefficients of the 
 components for each of CURVES cosines. Those whose σ is zero are known.
 
 Rods whose clamps act half an edge further in, as those of a mesh do, differ from a real one by a few percent of their bending
-stiffness. Models therefore bend from the clamped vertices on (:func:`doo_ti.rod.straight.with_end_edges`), and how much is
+stiffness. Models therefore bend from the clamped vertices on (:func:`doo_ti.rod.shapes.with_end_edges`), and how much is
 learned: a compliance of −1 of the joints there is a clamp that holds the whole edge, one of 0 a clamp that acts at the vertex.
 
 Axes: B rods, P unknowns that are learned, V vertices, E edges, C columns of derivatives that a rod has: by bend and twist

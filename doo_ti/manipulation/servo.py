@@ -47,12 +47,11 @@ from doo_ti.manipulation.targets import DampedSteps, ServoOptions, ServoStatus, 
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.relaxation.sensitivity import GRIPPERS
-from doo_ti.rod.physical_units import doubt_marks
-from doo_ti.rod.straight import with_end_edges
+from doo_ti.rod.material import doubt_marks
+from doo_ti.rod.shapes import with_end_edges
 from doo_ti.rod.types import Clamps, Configuration, Material, Solution, unit_up
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import counted, typed
 from doo_ti.system.errors import InputError
-from doo_ti.system.short_repr import counted
 
 PARAMETERS = ("bend", "twist", *GRIPPERS)
 OF_GRIPPERS = slice(CLIP, CLIP + 12)  # of the columns of derivatives

@@ -42,9 +42,8 @@ from doo_ti.rod.frames import (
     rotation_vector,
 )
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Rows, Solution, sticky, unit_up
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import counted, short_repr, typed
 from doo_ti.system.errors import InputError
-from doo_ti.system.short_repr import counted, short_repr
 
 LEAST_EDGES = 2  # between two places that are held
 

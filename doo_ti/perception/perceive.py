@@ -34,9 +34,8 @@ from doo_ti.perception.growth import rank_distinct
 from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search, finalists, left_over
 from doo_ti.perception.traced import SAME_LENGTH
 from doo_ti.rod.types import LARGEST, Configuration, Material, Status, unit_up
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
-from doo_ti.system.short_repr import short_repr
 from doo_ti.vision.cameras import Rig
 from doo_ti.vision.distance_map import DistanceMaps, outside_others
 from doo_ti.vision.score import score

@@ -20,7 +20,7 @@ from doo_ti.refinement.fit import OF_INTERVALS, Fit, Fitted
 from doo_ti.refinement.search import Optimum
 from doo_ti.refinement.theta import Scales, Theta
 from doo_ti.refinement.unknowns import LOGARITHMIC, Unknowns, Values
-from doo_ti.rod.physical_units import relative_stiffness
+from doo_ti.rod.material import relative_stiffness
 from doo_ti.system.errors import InputError
 
 PROBABILITY = 0.95

@@ -34,9 +34,8 @@ from doo_ti.relaxation.relax import relax
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import start_configuration, turn_hypotheses
 from doo_ti.rod.types import Clamps, Configuration, Solution, Status
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
-from doo_ti.system.short_repr import short_repr
 
 FEWEST_EDGES, MOST_EDGES = 24, 400
 PER_LAYER, MOST_FOR_LAYERS = 2.0, 64

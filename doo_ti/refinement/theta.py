@@ -23,9 +23,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti.rod.types import Material
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError, require_whole
-from doo_ti.system.short_repr import short_repr
 
 RATIO = 0.8  # twist over bend stiffness of a common rod
 

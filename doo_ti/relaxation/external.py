@@ -12,9 +12,8 @@ import numpy as np
 
 from doo_ti.physics.number import Number
 from doo_ti.physics.view import Layout
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
-from doo_ti.system.short_repr import short_repr
 
 
 class ExternalFunctions(NamedTuple):

@@ -41,9 +41,8 @@ from doo_ti.relaxation.sensitivity_kernel import run_sensitivity
 from doo_ti.rod.frames import matrix_from_quaternion, smallest_rotation
 from doo_ti.rod.types import Configuration, Solution
 from doo_ti.system import runtime
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError, require_whole
-from doo_ti.system.short_repr import short_repr
 
 CURVATURES = ("rest_curvature", "rest_curvature_per_joint", "modes")
 GRIPPERS = ("start_shift", "start_turn", "end_shift", "end_turn")

@@ -9,18 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.report.canvas import deviations, fit_titles, limits_around, literal, new_figure, save_figure
+from doo_ti.report.canvas import deviations, facing, fit_titles, limits_around, literal, new_figure, save_figure, upright_basis
 from doo_ti.report.contact import Touched
-from doo_ti.report.grid_view import facing, upright_basis
 from doo_ti.system.files import write_whole
 
-MOST_RODS = 6
-"""In a picture, those of the largest, the median and the smallest errors."""
-STILLS = 9
-"""Positions of a rod in a picture."""
+MOST_RODS = 6  # in a picture, those of the largest, the median and the smallest errors
+STILLS = 9  # positions of a rod in a picture
 ANIMATED, FRAMES_PER_SECOND, MOST_FRAMES = 8, 25, 250
-VIEWS = 36
-"""Directions from which a motion may be seen."""
+VIEWS = 36  # directions from which a motion may be seen
 LEAST_MOTION, WORTH_TURNING = 1e-4, 3.0
 """Of the rods' size squared, below which motion is not looked at; and how much more has to be seen to turn the view."""
 RECORDED, PREDICTED = "#9a9a9a", "#c2410c"
@@ -118,9 +114,8 @@ def _draw_errors(plot, time: np.ndarray, error: np.ndarray) -> None:
     plot.plot(time, error.T, color=PREDICTED, lw=0.5, alpha=0.35)
     known = np.isfinite(error).any(axis=0)
     plot.plot(time[known], np.nanmedian(error[:, known], axis=0), color="black", lw=1.6, label="median")
-    plot.set_ylim(0, max(1.0, 1.1 * np.quantile(error[np.isfinite(error)], 0.99) if known.any() else 0.0))
-    plot.set_xlabel("time [s]")
-    plot.set_ylabel("mean |difference| [mm]")
+    most = max(1.0, 1.1 * np.quantile(error[np.isfinite(error)], 0.99) if known.any() else 0.0)
+    plot.set(ylim=(0, most), xlabel="time [s]", ylabel="mean |difference| [mm]")
     plot.legend(fontsize=8, frameon=False)
 
 
@@ -157,11 +152,8 @@ def save_animation(path: Path, name: str, names: list[str], positions: np.ndarra
     curves, marks, momentary = [], [], []
     for k in range(len(rows)):
         plot = figure.add_subplot(lines, columns, k + 1)
-        plot.set(xlim=limits[0], ylim=limits[1])
+        plot.set(xlim=limits[0], ylim=limits[1], aspect="equal", xticks=[], yticks=[])
         plot.set_title(literal(names[rows[k]]), fontsize=9)
-        plot.set_aspect("equal")
-        plot.set_xticks([])
-        plot.set_yticks([])
         if touched is not None:
             touched.draw_still(plot, rows[k], axes)
         if seen is not None:
@@ -214,8 +206,7 @@ def servo_picture(path_or_buffer, name: str, start: np.ndarray, end: np.ndarray,
     axes.plot(steps, distance[:, 0], color=END, lw=1.6, label="true")
     axes.plot(steps, distance[:, 1], color="black", lw=1.0, ls="--", label="as estimated")
     axes.axhline(reached, color=TARGET, lw=0.8, label="reached")
-    axes.set_yscale("log")
-    axes.set_xlabel("step")
+    axes.set(yscale="log", xlabel="step")
     axes.set_title("distance to the target [mm], root mean square", fontsize=9)
     axes.legend(fontsize=8, frameon=False)
     axes.grid(alpha=0.2, which="both")
@@ -224,8 +215,7 @@ def servo_picture(path_or_buffer, name: str, start: np.ndarray, end: np.ndarray,
 
 
 MOST_DRAWN, COLUMNS = 12, 4
-MOMENTS = 9
-"""Of each rod, evenly chosen."""
+MOMENTS = 9  # of each rod, evenly chosen
 JUMP = "#ff2e63"
 
 
@@ -279,11 +269,10 @@ def motions_picture(path_or_buffer, rods: MovingRods, *, title: str) -> None:
             if rod >= shown:
                 axes.set_axis_off()
                 continue
-            axes.set(xlim=limits[row][0], ylim=limits[row][1])
+            axes.set(xlim=limits[row][0], ylim=limits[row][1], aspect="equal")
             _draw_moments(axes, vertices[:, rod] @ view.T, time, moments, np.flatnonzero(jumps[:, rod]))
             if rods.touched is not None:
                 rods.touched.draw(axes, rod, view, [len(time) - 1])
-            axes.set_aspect("equal")
             axes.grid(alpha=0.2)
             if column == 0:
                 axes.set_ylabel(f"{label} [mm]", fontsize=10)

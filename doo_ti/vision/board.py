@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.io.csv_table import read_csv
+from doo_ti.io.arrays import read_csv
 from doo_ti.system.errors import InputError
 from doo_ti.vision.calibration import Sighting
 from doo_ti.vision.cameras import check_camera_names

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from doo_ti.rod.frames import FRAME_TOLERANCE, handedness, orthonormality_error
-from doo_ti.rod.physical_units import UNITS_IN_MM
+from doo_ti.rod.material import UNITS_IN_MM
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, real_array
 
@@ -240,7 +240,7 @@ class RigReading:
     """How a file of cameras is meant: what it leaves open. None: as usual, and doubted where cameras then do not see what they
     should: with a wrong reading it is behind them or beside their images.
 
-    unit    of lengths, one of ``doo_ti.rod.physical_units.UNITS_IN_MM``; None: mm
+    unit    of lengths, one of ``doo_ti.rod.material.UNITS_IN_MM``; None: mm
     poses   one of POSES; None: "opencv", x_cam = R x_world + t with z forward
     lens    "opencv", or "fisheye": of a stereo file, whose coefficients are k1, k2, k3, k4 of OpenCV's fisheye model
     turned  images are turned as their files' orientation tags say; None: as the rig says, else as the sensor has them

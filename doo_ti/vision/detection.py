@@ -8,9 +8,8 @@ from typing import Annotated
 import numpy as np
 from scipy.spatial import cKDTree
 
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
-from doo_ti.system.short_repr import short_repr
 
 METHODS = ("ridge", "canny")
 POLARITIES = ("dark", "light")

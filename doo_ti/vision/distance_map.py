@@ -24,9 +24,8 @@ import numpy as np
 import taichi as ti
 
 from doo_ti.system import runtime
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
-from doo_ti.system.short_repr import short_repr
 from doo_ti.vision.cameras import Rig
 from doo_ti.vision.detection import Detection, thinned
 from doo_ti.vision.triangulation import rays

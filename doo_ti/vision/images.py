@@ -21,7 +21,7 @@ from threading import Lock
 
 import numpy as np
 
-from doo_ti.io.csv_table import CsvTable, read_csv
+from doo_ti.io.arrays import CsvTable, read_csv
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import read_content
 from doo_ti.vision.cameras import MOST_SIDE, Camera, Rig

@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.io.csv_table import CsvTable, read_csv
+from doo_ti.io.arrays import CsvTable, read_csv
 from doo_ti.rod.frames import matrix_from_quaternion, smallest_rotation
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import fill_missing

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.io.opencv_yaml import read_opencv_yaml
+from doo_ti.io.foreign import read_opencv_yaml
 from doo_ti.rod.frames import matrix_from_quaternion, rotation_matrix
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError

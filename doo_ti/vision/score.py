@@ -16,9 +16,8 @@ from doo_ti.physics.tuples import cross, dot, minus, put_lane, record, repeated,
 from doo_ti.relaxation.tables import MOST_NUMBERS
 from doo_ti.rod.types import Material, unit_up
 from doo_ti.system import runtime
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
-from doo_ti.system.short_repr import short_repr
 from doo_ti.vision.cameras import Rig
 from doo_ti.vision.distance_map import DistanceMaps
 from doo_ti.vision.edge_integral import EdgeIntegral

@@ -195,12 +195,7 @@ def test_a_click_and_no_length(photographed, tmp_path, capsys):
     (["--region", "cam7:0,0,50,50"], ("--region", "cam7")), (["--region", "cam0:0,0,5,50"], ("region",)),
     (["--masks", "a.png"], ("--masks",)), (["--image-size", "3"], ("--image-size",))])
 def test_wrong_options_are_reported(photographed, tmp_path, capsys, change, words):
-    argv = of_sets(photographed[0], "--out", str(tmp_path / "new" / "f.npz"))
-    if change[0] in argv:
-        argv[argv.index(change[0]) + 1] = change[1]
-    else:
-        argv += change
-    refused(capsys, tmp_path, argv, *words)
+    refused(capsys, tmp_path, of_sets(photographed[0], "--out", str(tmp_path / "new" / "f.npz"), *change), *words)
 
 
 def test_wrong_images_are_reported(photographed, tmp_path, capsys):

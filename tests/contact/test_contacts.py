@@ -11,7 +11,7 @@ from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.dynamics.simulate import simulate
 from doo_ti.io.motion_file import ClampPath
 from doo_ti.relaxation.newton import Newton
-from doo_ti.rod.straight import end_clamps, straight_rod
+from doo_ti.rod.shapes import end_clamps, straight_rod
 from doo_ti.rod.types import Solution, Status
 from tests.references.rods import clamps_at
 from tools.bench import contact as pegs

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Box, Capsule, Clamp, Clamps, Configuration, Material, Newton, Plane, Solution, Sphere, Status, relax
-from doo_ti.rod.straight import straight_rod
+from doo_ti.rod.shapes import straight_rod
 from tests.references.rods import clamps_at
 
 LENGTH, EDGES, RADIUS, COUNT = 200.0, 40, 1.0, 120

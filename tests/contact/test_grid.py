@@ -9,7 +9,7 @@ import pytest
 
 from doo_ti import Box, Clamp, Clamps, Configuration, DistanceGrid, InputError, Material, Sphere, load_obstacles, relax
 from doo_ti.contact.meshes import mesh
-from doo_ti.rod.straight import straight_rod
+from doo_ti.rod.shapes import straight_rod
 from tests.contact import test_friction
 from tests.contact.clutter import differences
 

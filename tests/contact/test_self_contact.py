@@ -11,8 +11,7 @@ from doo_ti.contact.itself import Itself, edge_distance, smallest_self_gap
 from doo_ti.physics.tuples import record
 from doo_ti.relaxation.pair_distance import pair_block, pair_distance, pair_slopes, pair_weights
 from doo_ti.rod.frames import quaternion_about, quaternion_product
-from doo_ti.rod.knots import overhand_knot, rod_along
-from doo_ti.rod.straight import end_clamps, straight_rod
+from doo_ti.rod.shapes import end_clamps, overhand_knot, rod_along, straight_rod
 from doo_ti.system import runtime
 from tests.contact.test_equilibrium import unbalanced
 from tests.contact.topology import determinant, link

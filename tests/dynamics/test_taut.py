@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti import ClampPath, Direction, Dynamics, Grippers, Plane, Stepping, predict_moving, relax, simulate
-from doo_ti.rod.straight import straight_rod
+from doo_ti.rod.shapes import straight_rod
 from doo_ti.rod.types import Clamp, Configuration, Material, Status
 from tests.references.rods import clamps_at
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Clamp, Group, Material, Newton, Status, Tie, follow_group, relax, relax_group
-from doo_ti.rod.straight import end_clamps, hanging, straight_rod
+from doo_ti.rod.shapes import end_clamps, hanging, straight_rod
 
 FREE = (Clamp.FREE, Clamp.FREE)
 MOST = 60

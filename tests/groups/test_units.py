@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Clamp, Dynamics, Group, InputError, Material, Newton, Tie, follow_group, relax_group
-from doo_ti.rod.straight import end_clamps, hanging, straight_rod
+from doo_ti.rod.shapes import end_clamps, hanging, straight_rod
 from tests.groups.reference import nearest_equilibrium
 
 TRUNK, BRANCH = {"EI": 1e-4, "GJ": 8e-5, "weight_per_length": 0.6}, {"EI": 2e-6, "GJ": 1e-6, "weight_per_length": 0.05}

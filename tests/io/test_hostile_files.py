@@ -31,8 +31,7 @@ resource = pytest.importorskip("resource", reason="the memory of a process is li
 ROOT = Path(__file__).parents[2]
 MOST_BYTES, MOST_ADDRESSES, MOST_SECONDS = 1 << 30, 8 << 30, 300
 MOST_SECONDS_EACH = 10.0
-DAMAGED = 60
-"""Copies of each good file."""
+DAMAGED = 60  # copies of each good file
 
 
 def npz(shape: str, content: bytes = bytes(192), method: int = zipfile.ZIP_STORED) -> bytes:

@@ -17,9 +17,8 @@ from doo_ti.report import (
     reprojections_picture,
     ribbons_picture,
 )
-from doo_ti.report.canvas import box, deviations, limits_around, widest
+from doo_ti.report.canvas import Observed, box, deviations, facing, grid_view, limits_around, widest
 from doo_ti.report.contact import Touched
-from doo_ti.report.grid_view import Observed, facing, grid_view
 from doo_ti.report.motions import save_animation, save_rollout
 from tests.vision.scenes import three_cameras
 

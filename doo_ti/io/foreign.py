@@ -1,9 +1,17 @@
-"""Cables of MuJoCo models: ``<composite type="cable">`` and ``<flexcomp dim="1" type="grid">``, in their shape in the model.
+"""Files of other programs' libraries: curves of MuJoCo models and of USD scenes, and OpenCV's YAML.
 
-A composite states its points as ``vertex``, or as a ``curve``: with i = 0 … N − 1 along the cable and sizes (a, b, c), the word
+**MuJoCo**: cables, ``<composite type="cable">`` and ``<flexcomp dim="1" type="grid">``, in their shape in the model. A
+composite states its points as ``vertex``, or as a ``curve``: with i = 0 … N − 1 along the cable and sizes (a, b, c), the word
 ``s`` means a i/(N − 1), ``cos(s)`` b cos(π c i/(N − 1)), ``sin(s)`` the same with sin, and ``0`` zero. Poses of the element
 and of the bodies around it are applied. The stiffness is that of the elasticity plug-in's moduli for a round cross-section.
 Lengths are in metres, z points up.
+
+**USD**: the points of every ``BasisCurves`` and ``NurbsCurves``, in order, where transforms put them; points with time samples
+give a curve for each. Control points of cubic curves are taken as points of the rod, which they are only for interpolating
+bases. Files are read by Pixar's library, the extra ``usd``.
+
+**OpenCV's FileStorage YAML**, the format of rigs (§V-A): OpenCV's own reader crashes on damaged files, so that they are read
+without it. A matrix is a map ``rows, cols, dt, data`` with the tag ``!!opencv-matrix``.
 """
 
 import xml.etree.ElementTree as ElementTree
@@ -17,10 +25,8 @@ from doo_ti.system.errors import InputError
 
 OTHER_ROTATIONS = ("euler", "axisangle", "xyaxes", "zaxis")
 REMEDY = "give a model with a cable, as MuJoCo's documentation describes it"
-DENSITY = 1000.0
-"""kg/m³, MuJoCo's default."""
-MOST_POINTS = 200_000
-"""Of all cables that are stated by their count: a few characters of the file."""
+DENSITY = 1000.0  # kg/m³, MuJoCo's default
+MOST_POINTS = 200_000  # of all cables that are stated by their count: a few characters of the file
 
 
 def read_mujoco(path: Path, content: bytes, names: list[str] | None = None) -> Curves:
@@ -145,3 +151,108 @@ def _vector(path: Path, element, name: str, default: str, size: int | None) -> n
     if not len(value) or not np.isfinite(value).all() or size is not None and len(value) != size:
         raise InputError(path, name, f"{text[:40]!r}", f"give {size or 'finite'} numbers")
     return value
+
+
+# --- USD -----------------------------------------------------------------------------------------------------------------
+
+UP = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
+
+
+def read_usd(path: Path, content: bytes, names: list[str] | None = None) -> Curves:
+    """The curves of a USD file, all or those of the prims ``names``. Raises InputError for files that cannot be read or have no
+    curves, for curves of different sizes, and where usd-core is not installed."""
+    try:
+        from pxr import Tf, Usd, UsdGeom
+    except ImportError:
+        raise InputError(path, "file", "usd-core is not installed", "pip install 'doo_ti[usd]'") from None
+    try:
+        stage = Usd.Stage.Open(str(path))
+    except Tf.ErrorException as error:
+        reason = str(error).strip().splitlines()[-1].strip()
+        raise InputError(path, "file", f"is not USD ({reason})", "export the rod as a curve") from None
+    prims = [prim for prim in stage.Traverse() if prim.IsA(UsdGeom.BasisCurves) or prim.IsA(UsdGeom.NurbsCurves)]
+    if not prims:
+        raise InputError(path, "BasisCurves", "the file has none", "export the rod as a curve")
+    called = [prim.GetName() for prim in prims]
+    found = {name if called.count(name) == 1 else str(prim.GetPath()): UsdGeom.Curves(prim)
+             for name, prim in zip(called, prims, strict=True)}
+    curves = [curve for name in chosen_names(path, "BasisCurves", list(found), names)
+              for curve in _placed(path, name, found[name])]
+    sizes = {len(curve) for curve in curves}
+    if len(sizes) > 1:
+        raise InputError(path, "points", f"curves of {min(sizes)} to {max(sizes)} points", "name curves that have equally many")
+    unit = 1000.0 * UsdGeom.GetStageMetersPerUnit(stage)
+    return Curves(checked_points(path, np.stack(curves)), unit, UP[str(UsdGeom.GetStageUpAxis(stage))])
+
+
+def _placed(path: Path, name: str, curves) -> list[np.ndarray]:
+    """The curves (V, 3) of one prim in the world: one after the other, and at every time sample."""
+    from pxr import Usd
+
+    found = []
+    for time in curves.GetPointsAttr().GetTimeSamples() or [Usd.TimeCode.Default()]:
+        points, sizes = (np.array(attribute.Get(time) or ()) for attribute in (
+            curves.GetPointsAttr(), curves.GetCurveVertexCountsAttr()))
+        if not len(sizes) or sizes.min() < 1 or sizes.sum() != len(points):
+            raise InputError(path, name, "curveVertexCounts do not add up to the points", "export the rod as a curve")
+        matrix = np.array(curves.ComputeLocalToWorldTransform(time))  # of rows of points
+        found += np.split(points.astype(np.float64) @ matrix[:3, :3] + matrix[3, :3], np.cumsum(sizes)[:-1])
+    return found
+
+
+# --- OpenCV --------------------------------------------------------------------------------------------------------------
+
+KINDS = ("u", "c", "w", "s", "i", "f", "d")  # of numbers in a matrix of one channel
+
+
+class DamagedError(ValueError):
+    """Text that FileStorage does not write."""
+
+
+def read_opencv_yaml(text: str):
+    """The values of one document: dictionaries, lists, text, numbers, and matrices as arrays (rows, cols) in f64.
+
+    Raises DamagedError for text that is not such YAML, and for damaged matrices. No other kind of object is created.
+    """
+    import yaml
+
+    class Loader(yaml.SafeLoader):
+        def compose_node(self, parent, index):
+            if self.check_event(yaml.AliasEvent):  # FileStorage writes none, and they can expand without end
+                raise DamagedError("an alias")
+            return super().compose_node(parent, index)
+
+        def matrix(self, node):
+            return _matrix(self.construct_mapping(node, deep=True))
+
+    Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", Loader.matrix)
+    # FileStorage begins with a line that only OpenCV takes for a version of YAML, %YAML:1.0.
+    lines = text.splitlines(keepends=True)
+    body = "".join(lines[1:]) if lines and lines[0].startswith("%YAML") else text
+    try:
+        return yaml.load(body, Loader)
+    except (yaml.YAMLError, RecursionError, OverflowError, TypeError, ValueError, AttributeError) as error:
+        # The last three: a key that is a list, a date that is none.
+        raise DamagedError((str(error) or type(error).__name__).splitlines()[0]) from None
+
+
+def _matrix(entries: dict) -> np.ndarray:
+    rows, columns, kind, data = (entries.get(key) for key in ("rows", "cols", "dt", "data"))
+    for name, value in (("rows", rows), ("cols", columns)):
+        if type(value) is not int or value < 1:
+            raise DamagedError(f"{name} of a matrix is {value!r}")
+    if kind not in KINDS:
+        raise DamagedError(f"dt of a matrix is {kind!r}")
+    if not isinstance(data, list) or len(data) != rows * columns:
+        raise DamagedError(f"data of a matrix are not {rows} x {columns} numbers")
+    return np.array([_number(value) for value in data]).reshape(rows, columns)
+
+
+def _number(value) -> float:
+    # YAML takes 1e3, without a point, for text.
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        raise DamagedError(f"{value!r} in a matrix is no number")
+    try:
+        return float(value)
+    except (ValueError, OverflowError):
+        raise DamagedError(f"{value!r} in a matrix is no number") from None
