@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti.io.scene import Synthesis
-from doo_ti.lab import ClipErrors, fine_vertices, synthesise
+from doo_ti.lab.synthesis import ClipErrors, fine_vertices, synthesise
 
 ROUND = Synthesis(bend=6e5, twist=8e5, seed=4, end_distances_mm=(42.0, 66.0, 84.0), end_rotations_deg=(0.0, 90.0, 180.0),
                   label_noise_mm=0.0)

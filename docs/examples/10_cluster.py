@@ -5,7 +5,7 @@ from distributed import LocalCluster
 
 from doo_ti import Grid, SweepOptions, read_landscape, sweep
 from doo_ti.io.scene import Synthesis
-from doo_ti.lab import synthesise
+from doo_ti.lab.synthesis import synthesise
 from doo_ti.rod.grid import Axis
 
 if __name__ == "__main__":  # workers are new processes, which import this file

@@ -23,15 +23,17 @@ from doo_ti.commands import (
     nearest,
     overview,
     perceive,
+    plan,
     predict,
     refine,
+    relax,
     runs,
-    search,
-    shapes,
     simulate,
     steer,
+    sweep,
     synth,
     track,
+    twist,
 )
 from doo_ti.system.errors import InputError, InterruptedRunError
 from doo_ti.system.runtime import check_architecture
@@ -190,7 +192,7 @@ def _parser() -> _Parser:
                      description="Fit discrete elastic rods to observed shapes (Javdani et al., ICRA 2011).")
     parser.add_argument("--version", action="version", version=f"doo-ti {__version__}")
     add = parser.add_subparsers(dest="command", required=True, metavar="COMMAND").add_parser
-    for commands in (shapes, search, runs, refine, predict, steer, simulate, group, identify, synth, machine, cameras, perceive,
-                     track):
+    for commands in (relax, twist, sweep, plan, runs, refine, predict, steer, simulate, group, identify, synth, machine,
+                     cameras, perceive, track):
         commands.declare(add)
     return parser

@@ -25,7 +25,7 @@ from doo_ti.system.terminal import in_line
 def observed(scene: Scene, up: np.ndarray | None) -> Observations:
     """A scene's observations, loaded or synthesised, under the scene's name."""
     if isinstance(scene.observations, Synthesis):
-        from doo_ti.lab import synthesise
+        from doo_ti.lab.synthesis import synthesise
 
         observations = replace(synthesise(scene.observations), sha256=scene.sha256)
     else:

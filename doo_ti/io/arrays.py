@@ -202,6 +202,13 @@ class CsvTable:
         self.refuse(name, ~allowed, "is not a finite number", "give decimal numbers")
         return values
 
+    def texts(self, name: str) -> np.ndarray | None:
+        """(N,) texts of a column that has one, and no number, in every row; else None."""
+        cells = self.columns[name]
+        if any(cell.lower() in EMPTY or np.isfinite(number_in(cell, self.decimal)) for cell in cells):
+            return None
+        return np.array(cells)
+
     def whole(self, name: str) -> np.ndarray:
         """(N,) int64: the whole numbers of a column. Raises InputError for anything else."""
         values = self.numbers(name)

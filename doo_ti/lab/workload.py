@@ -20,7 +20,7 @@ import taichi as ti
 
 from doo_ti import __version__
 from doo_ti.io.scene import Synthesis
-from doo_ti.lab import synthesise
+from doo_ti.lab.synthesis import synthesise
 from doo_ti.physics.number import Number
 from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.external import Springs

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.io.scene import Synthesis
-from doo_ti.lab import fine_vertices
+from doo_ti.lab.synthesis import fine_vertices
 from doo_ti.motion.path import motion_between
 from doo_ti.perception.tracking import TrackedFrame, Tracker, seen_vertices
 from doo_ti.rod.types import Clamps, Material
@@ -57,7 +57,7 @@ class LabRods:
 
 
 def lab_rods(synthesis: Synthesis) -> LabRods:
-    """The rods behind :func:`doo_ti.lab.synthesise`, in its order.
+    """The rods behind :func:`doo_ti.lab.synthesis.synthesise`, in its order.
 
     Raises InputError for rods that are not round, and InterruptedRunError where a rod cannot be carried to a stable
     equilibrium.

@@ -18,7 +18,7 @@ import numpy as np
 
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.scene import Synthesis
-from doo_ti.lab import synthesise
+from doo_ti.lab.synthesis import synthesise
 from doo_ti.refinement.evidence import integrated
 from doo_ti.refinement.held_rod import HeldRod
 from doo_ti.refinement.refine import FEWEST_EDGES, MOST_EDGES

@@ -162,7 +162,7 @@ def test_version(capsys):
 
 
 @pytest.mark.parametrize("command, work, way", [
-    ("refine", "refine.run", "starts from the beginning"), ("sweep", "search.run_sweep", "resumes with the unfinished cells")])
+    ("refine", "refine.run", "starts from the beginning"), ("sweep", "sweep.run_sweep", "resumes with the unfinished cells")])
 @pytest.mark.parametrize("failure", [
     OSError(28, "No space left on device"), KeyboardInterrupt(), RuntimeError("no\nmemory"), MemoryError()])
 def test_a_command_that_is_stopped_says_whether_it_starts_from_the_beginning(capsys, monkeypatch, command, work, way, failure):

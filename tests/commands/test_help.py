@@ -66,7 +66,7 @@ def test_wrong_words_name_the_right_one(argv, meant, capsys):
 
 def defaults() -> dict[tuple[str, str], float]:
     """The numbers that commands take where an option is absent, by where the code has them."""
-    from doo_ti.commands import machine, moving_rods, refine, runs, search, steer, synth
+    from doo_ti.commands import machine, moving_rods, plan, refine, runs, steer, synth
     from doo_ti.commands.image_options import RECORDED
     from doo_ti.dynamics.identify import IdentifyOptions
     from doo_ti.dynamics.parameters import Dynamics, Stepping
@@ -83,7 +83,7 @@ def defaults() -> dict[tuple[str, str], float]:
              ("identify", "--modes"): IdentifyOptions.modes, ("identify", "--robust"): IdentifyOptions.delta,
              ("identify", "--substeps"): IdentifyOptions.substeps, ("perceive", "--nu"): PerceptionOptions.nu,
              ("perceive", "--hypotheses"): PerceptionOptions.hypotheses, ("perceive", "--recorded-sets"): RECORDED,
-             ("refine", "--starts"): refine.STARTS, ("plan", "--picks"): search.PICKS,
+             ("refine", "--starts"): refine.STARTS, ("plan", "--picks"): plan.PICKS,
              ("synth", "--diameter"): synth.DIAMETER_MM,
              ("figures", "--cells"): runs.MOST_CELLS, ("bench", "--rods"): machine.RODS, ("bench", "--rounds"): machine.ROUNDS,
              ("sweep", "--roll-hypotheses"): SweepOptions.spins, ("relax", "--frame-weight"): SweepOptions.frame_weight}

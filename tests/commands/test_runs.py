@@ -16,7 +16,7 @@ from doo_ti import Axis, Grid, InterruptedRunError, SweepOptions, read_landscape
 from doo_ti.commands import runs as finished
 from doo_ti.commands.cli import main
 from doo_ti.io.scene import Synthesis
-from doo_ti.lab import synthesise
+from doo_ti.lab.synthesis import synthesise
 from doo_ti.learning import sweeps
 from tests.commands.calls import refused
 from tests.commands.test_commands import write_run

@@ -8,7 +8,7 @@ import pytest
 from doo_ti import Camera, load_observations
 from doo_ti.commands.cli import main
 from doo_ti.io.scene import load_scene
-from doo_ti.lab import synthesise
+from doo_ti.lab.synthesis import synthesise
 from doo_ti.perception.virtual_lab import lab_rods
 from doo_ti.vision.cameras import Rig
 from doo_ti.vision.images import load_sets

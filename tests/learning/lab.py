@@ -8,7 +8,7 @@ import numpy as np
 
 from doo_ti import Axis, Grid, Material, Observations, load_observations
 from doo_ti.io.scene import Synthesis
-from doo_ti.lab import synthesise
+from doo_ti.lab.synthesis import synthesise
 from doo_ti.learning.experiment import Experiment, SweepOptions
 
 GRID = Grid((Axis("bend", [2e5, 4e5, 8e5, 1.6e6]), Axis("twist_ratio", [0.5, 1.0, 2.0])))

@@ -20,7 +20,7 @@ from doo_ti import (
     estimate_twist,
     relax,
 )
-from doo_ti.lab import synthesise
+from doo_ti.lab.synthesis import synthesise
 from doo_ti.lab.workload import LAB, SUTURES
 from doo_ti.perception.twist import TwistOptions
 from doo_ti.rod.frames import angle_about, total_twist

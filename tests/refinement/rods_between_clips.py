@@ -7,7 +7,7 @@ import pytest
 
 from doo_ti import Observations, Theta, observation_clamps
 from doo_ti.io.scene import Synthesis
-from doo_ti.lab import synthesise
+from doo_ti.lab.synthesis import synthesise
 from doo_ti.refinement.held_rod import HeldRod
 from doo_ti.refinement.residuals import Comparison
 from doo_ti.refinement.theta import Scales, typical_scales

@@ -62,11 +62,11 @@ FAULTS = {
                   "u = x * radial + 2.0 * p2 * x * y + p1 * (square + 2.0 * x * x)", ("tests/vision",)),
     "turns": Fault("the offsets of Eq. 4 without whole turns", "doo_ti/perception/twist_curves.py",
                    "return angle + 2 * np.pi * np.round((observations.total_twist - angle) / (2 * np.pi))", "return angle",
-                   ("tests/twist", "tests/tools/test_studies.py")),
+                   ("tests/perception/test_twist.py", "tests/tools/test_studies.py")),
     "joints": Fault("the total twist of one joint too few", "doo_ti/rod/frames.py",
                     "before, after = quaternions[..., :-1, :], quaternions[..., 1:, :]",
                     "before, after = quaternions[..., :-2, :], quaternions[..., 1:-1, :]",
-                    ("tests/oracle", "tests/rod/test_start.py", "tests/lab/test_synthesis.py", "tests/twist")),
+                    ("tests/oracle", "tests/rod/test_start.py", "tests/lab", "tests/perception/test_twist.py")),
 }
 
 

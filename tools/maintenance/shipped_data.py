@@ -15,7 +15,7 @@ import numpy as np
 
 from doo_ti import load_rig, save_observations
 from doo_ti.io.scene import Synthesis, load_scene
-from doo_ti.lab import synthesise
+from doo_ti.lab.synthesis import synthesise
 from doo_ti.perception.virtual_lab import lab_rods, save_truth
 from doo_ti.system.files import write_whole
 from doo_ti.vision.render import Photographs, RenderOptions, save_photographs

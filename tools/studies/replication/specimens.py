@@ -8,7 +8,7 @@ import numpy as np
 
 from doo_ti import Grid, Observations, Pairs, Rig, load_rig
 from doo_ti.io.scene import Scene, Synthesis, load_scene
-from doo_ti.lab import synthesise
+from doo_ti.lab.synthesis import synthesise
 from doo_ti.rod.frames import rotation_matrix
 from doo_ti.vision.render import RenderOptions
 from doo_ti.vision.triangulation import TriangulationOptions, triangulate

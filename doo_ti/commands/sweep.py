@@ -1,7 +1,5 @@
-"""Grids over Θ: ``sweep`` searches one (§III-E), ``plan`` says which configurations to measure next."""
+"""``doo-ti sweep``: a grid over Θ (§III-E)."""
 
-import csv
-import io
 import json
 import os
 import shlex
@@ -11,11 +9,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from doo_ti.commands import loading
 from doo_ti.commands import options as given
-from doo_ti.commands.results import hypotheses_lines, note_theta, peak_memory, plain, report, run_lines, save_json, theta_text
+from doo_ti.commands.results import hypotheses_lines, note_theta, peak_memory, plain, run_lines, theta_text
 from doo_ti.io.scene import MOST_ROLLS, OBJECTIVES, Scene, Synthesis, load_scene
 from doo_ti.io.toml_file import scene_file
 from doo_ti.learning.chunks import SUMMARY
@@ -26,7 +22,6 @@ from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import check_experiment, observation_clamps
 from doo_ti.rod.types import Clamp
 from doo_ti.system.errors import InputError
-from doo_ti.system.files import write_text
 from doo_ti.system.terminal import in_line, warn
 
 if TYPE_CHECKING:
@@ -57,21 +52,6 @@ def declare(add) -> None:
     parser.add_argument("--workers", metavar="N", help="number of processes (default: one)")
     parser.add_argument("--dask", dest="scheduler", metavar="ADDRESS",
                         help="compute on the workers of a Dask cluster: its scheduler's address, tcp://HOST:8786")
-    parser = given.command(add, "plan", run_plan,
-                           "rank configurations by how much measuring them would reduce the uncertainty of Θ")
-    parser.add_argument("source", metavar="SCENE.toml|OBS", type=scene_file,
-                        help="a scene whose [synthesis] lists the possible clamp poses, or observations that have them")
-    given.add_material(parser, "a number or LO:HI:N[:log|:lin], the prior range; overrides the scene's axis")
-    parser.add_argument("--end-distances", metavar="MM,MM,…", help="end distances, instead of the scene's")
-    parser.add_argument("--end-rotations", metavar="DEG,DEG,…", help="end rotations, instead of the scene's")
-    parser.add_argument("--sigma", metavar="MM", help=f"label uncertainty (default: the source's, else {SIGMA_MM:g})")
-    parser.add_argument("--picks", metavar="K", help=f"how many configurations to rank (default {PICKS})")
-    parser.add_argument("--measured", metavar="I,I,…", help="row numbers, from 0, of the configurations already measured")
-    given.add_clamps(parser)
-    given.add_obstacles(parser, "without friction; the rods of a scene begin where they would be without obstacles")
-    loading.add_loading(parser)
-    parser.add_argument("--out", metavar="FOLDER",
-                        help="folder for plan.csv, plan.json and identifiability.png (default: not written)")
 
 
 @dataclass(frozen=True)
@@ -90,7 +70,7 @@ class _Search:
 def run_sweep(options: Namespace) -> int:
     searches = _searches(options)
     for search in searches:
-        loading.warn(search.observations)
+        loading.warn(search.observations, search.options.surroundings)
 
     from doo_ti.learning.sweeps import sweep
 
@@ -106,7 +86,7 @@ def run_sweep(options: Namespace) -> int:
             relaxed.append(summary)
         if not options.json:
             made_again = [name for name in now if now[name] != before.get(name, now[name])]
-            print("\n".join(_lines_sweep(search, summary, finished_before, made_again)))
+            print("\n".join(_lines(search, summary, finished_before, made_again)))
         if doubt := loading.up_text(summary.get("other_up")):
             warn(f"{in_line(search.observations.source)}: {doubt}")
     if options.json:
@@ -174,7 +154,7 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
     return _Search(scene, observations, grid, chosen, pairs, run, density)
 
 
-def _lines_sweep(search: _Search, summary: dict, finished_before: bool, made_again: list[str]) -> list[str]:
+def _lines(search: _Search, summary: dict, finished_before: bool, made_again: list[str]) -> list[str]:
     first, *rest = run_lines(summary)
     lines = [first, loading.rod_line(search.observations), *rest, *hypotheses_lines(summary, search.observations.labels)]
     if doubt := loading.up_text(summary.get("other_up")):
@@ -232,111 +212,3 @@ def _true_theta(synthesis: Synthesis) -> str:
     (first, mixed), (_, second) = material.bend[0, 0]
     return theta_text({"bend_1": first, "bend_2": second, "bend_12": mixed, "twist": material.twist[0, 0],
                    "weight": material.weight[0]}, material.is_isotropic)
-
-
-# --- plan ----------------------------------------------------------------------------------------------------------------
-
-SIGMA_MM = 0.1  # label uncertainty where none is given
-PICKS = 10
-
-
-def run_plan(options: Namespace) -> int:
-    scene = load_scene(options.source) if Path(options.source).suffix == ".toml" else None
-    grid = given.grid(options, scene.grid if scene else None)
-    out = given.output_folder(options.out)
-    picks = given.whole("--picks", options.picks, 1) or PICKS
-    sigma = given.length("--sigma", options.sigma)
-    configurations = _configurations(options, scene)
-    measured = given.rows("--measured", options.measured, configurations.count)
-    if sigma is None:
-        sigma = SIGMA_MM if configurations.sigma is None else float(np.mean(configurations.sigma))
-
-    from doo_ti.refinement.plan import plan
-
-    clamp_start, clamp_end = given.clamps(options)
-    found = plan(configurations, grid, sigma=sigma, picks=picks, clamp_start=clamp_start, clamp_end=clamp_end,
-                 measured=measured, surroundings=given.surroundings(options))
-    loading.warn(configurations)
-    summary = _summary_plan(configurations, found, sigma)
-    if out is not None:
-        _write_plan(out, configurations, found, summary)
-    written = [] if out is None else [f"  written to {in_line(out)}"]
-    report(options, summary, lambda: [*_lines_plan(configurations, found, sigma), *written])
-    return 0
-
-
-def _configurations(options: Namespace, scene) -> Observations:
-    """The candidate configurations: the scene's recipe at the given distances and rotations, or the observations."""
-    distances = given.numbers("--end-distances", options.end_distances)
-    rotations = given.numbers("--end-rotations", options.end_rotations)
-    recipe = scene.observations if scene and isinstance(scene.observations, Synthesis) else None
-    if recipe is None:
-        if distances or rotations:
-            raise InputError(given.SOURCE, "--end-distances" if distances else "--end-rotations",
-                             "given for observations, whose clamps are fixed", "plan with a scene that has [synthesis]")
-        return loading.of_scene(options, scene) if scene else loading.load(options, options.source)
-
-    from doo_ti.refinement.plan import planned
-
-    changed = {"end_distances_mm": distances} if distances else {}
-    changed |= {"end_rotations_deg": rotations} if rotations else {}
-    recipe = replace(recipe, **changed)
-    return replace(planned(recipe), sigma=np.array(recipe.label_noise_mm) if recipe.label_noise_mm > 0 else None)
-
-
-def _named(configurations: Observations, row: int) -> str:
-    """``54 mm, 120°``, or the observation's number."""
-    labels = ((configurations.end_distance, " mm"), (configurations.end_rotation, "°"))
-    parts = [f"{values[row]:g}{unit}" for values, unit in labels if values is not None]
-    return ", ".join(parts) or f"observation {configurations.labels[row]}"
-
-
-def _summary_plan(configurations: Observations, found, sigma: float) -> dict:
-    strength = {f"{name}_mm": found.strength[:, k] for k, name in enumerate(found.parameters)}
-    labels = {"end_distance_mm": configurations.end_distance, "end_rotation_deg": configurations.end_rotation}
-    return {
-        "configurations": configurations.count, "cells": found.cells, "sigma_mm": sigma,
-        "asked": [found.parameters[k] for k in found.asked],
-        "order": found.order, "volume_left": found.volume, "least_informative": found.least,
-        "moved_by_a_factor_e": strength, "moved_by_all_mm": found.total, "cells_sensed": found.sensed,
-        **{name: values for name, values in labels.items() if values is not None},
-    }
-
-
-def _write_plan(out: Path, configurations: Observations, found, summary: dict) -> None:
-    """plan.json, plan.csv and identifiability.png."""
-    from doo_ti.report import identifiability_picture
-
-    save_json(out / "plan.json", summary)
-    rank = np.full(configurations.count, 0)
-    rank[found.order] = 1 + np.arange(len(found.order))
-    table = io.StringIO()
-    writer = csv.writer(table, lineterminator="\n")
-    writer.writerow(["configuration", "end_distance_mm", "end_rotation_deg", *(f"{name}_mm" for name in found.parameters),
-                     "all_mm", "cells_sensed", "rank"])
-    labels = (configurations.end_distance, configurations.end_rotation)
-    for row in range(configurations.count):
-        writer.writerow([row, *("" if values is None else f"{values[row]:g}" for values in labels),
-                         *(f"{value:.6g}" for value in (*found.strength[row], found.total[row])), found.sensed[row],
-                         rank[row] or ""])
-    write_text(out / "plan.csv", table.getvalue())
-    identifiability_picture(out / "identifiability.png", found.parameters, found.strength, rank, configurations.end_distance,
-                            configurations.end_rotation)
-
-
-def _lines_plan(configurations: Observations, found, sigma: float) -> list[str]:
-    asked = ", ".join(found.parameters[k] for k in found.asked)
-    names = "".join(f"{name + ' [mm]':>13}" for name in found.parameters)
-    lines = [f"{configurations.name}: {configurations.count} configurations over {found.cells} cells, labels to {sigma:g} mm",
-             loading.rod_line(configurations),
-             "  motion of a mark, rms along the rod and median over the cells, when a parameter grows by a factor e:",
-             f"  {'rank':>4}  {'configuration':18}{names}{'region left':>14}"]
-    ranked = [(str(place), row, f"{left:.2g}")
-              for place, (row, left) in enumerate(zip(found.order, found.volume, strict=True), 1)]
-    for rank, row, left in (*ranked, ("last", found.least, "least of all")):
-        strength = "".join(f"{value:13.3g}" for value in found.strength[row])
-        lines.append(f"  {rank:>4}  {_named(configurations, row):18}{strength}{left:>14}")
-    lost = int((found.sensed < found.cells).sum())
-    if lost:
-        lines.append(f"  note        {lost} configurations have no certified equilibrium in some cells, which do not count")
-    return [*lines, f"  'region left': volume of the confidence region of {asked}, relative to that before"]

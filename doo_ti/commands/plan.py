@@ -1,0 +1,142 @@
+"""``doo-ti plan``: which configurations to measure next."""
+
+import csv
+import io
+from argparse import Namespace
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti.commands import loading
+from doo_ti.commands import options as given
+from doo_ti.commands.results import report, save_json
+from doo_ti.io.scene import Synthesis, load_scene
+from doo_ti.io.toml_file import scene_file
+from doo_ti.rod.observations import Observations
+from doo_ti.system.errors import InputError
+from doo_ti.system.files import write_text
+from doo_ti.system.terminal import in_line
+
+SIGMA_MM = 0.1  # label uncertainty where none is given
+PICKS = 10
+
+
+def declare(add) -> None:
+    parser = given.command(add, "plan", run_plan,
+                           "rank configurations by how much measuring them would reduce the uncertainty of Θ")
+    parser.add_argument("source", metavar="SCENE.toml|OBS", type=scene_file,
+                        help="a scene whose [synthesis] lists the possible clamp poses, or observations that have them")
+    given.add_material(parser, "a number or LO:HI:N[:log|:lin], the prior range; overrides the scene's axis")
+    parser.add_argument("--end-distances", metavar="MM,MM,…", help="end distances, instead of the scene's")
+    parser.add_argument("--end-rotations", metavar="DEG,DEG,…", help="end rotations, instead of the scene's")
+    parser.add_argument("--sigma", metavar="MM", help=f"label uncertainty (default: the source's, else {SIGMA_MM:g})")
+    parser.add_argument("--picks", metavar="K", help=f"how many configurations to rank (default {PICKS})")
+    parser.add_argument("--measured", metavar="I,I,…", help="row numbers, from 0, of the configurations already measured")
+    given.add_clamps(parser)
+    given.add_obstacles(parser, "without friction; the rods of a scene begin where they would be without obstacles")
+    loading.add_loading(parser)
+    parser.add_argument("--out", metavar="FOLDER",
+                        help="folder for plan.csv, plan.json and identifiability.png (default: not written)")
+
+
+def run_plan(options: Namespace) -> int:
+    scene = load_scene(options.source) if Path(options.source).suffix == ".toml" else None
+    grid = given.grid(options, scene.grid if scene else None)
+    out = given.output_folder(options.out)
+    picks = given.whole("--picks", options.picks, 1) or PICKS
+    sigma = given.length("--sigma", options.sigma)
+    configurations = _configurations(options, scene)
+    measured = given.rows("--measured", options.measured, configurations.count)
+    if sigma is None:
+        sigma = SIGMA_MM if configurations.sigma is None else float(np.mean(configurations.sigma))
+
+    from doo_ti.refinement.plan import plan
+
+    clamp_start, clamp_end = given.clamps(options)
+    found = plan(configurations, grid, sigma=sigma, picks=picks, clamp_start=clamp_start, clamp_end=clamp_end,
+                 measured=measured, surroundings=given.surroundings(options))
+    loading.warn(configurations)
+    summary = _summary(configurations, found, sigma)
+    if out is not None:
+        _write(out, configurations, found, summary)
+    written = [] if out is None else [f"  written to {in_line(out)}"]
+    report(options, summary, lambda: [*_lines(configurations, found, sigma), *written])
+    return 0
+
+
+def _configurations(options: Namespace, scene) -> Observations:
+    """The candidate configurations: the scene's recipe at the given distances and rotations, or the observations."""
+    distances = given.numbers("--end-distances", options.end_distances)
+    rotations = given.numbers("--end-rotations", options.end_rotations)
+    recipe = scene.observations if scene and isinstance(scene.observations, Synthesis) else None
+    if recipe is None:
+        if distances or rotations:
+            raise InputError(given.SOURCE, "--end-distances" if distances else "--end-rotations",
+                             "given for observations, whose clamps are fixed", "plan with a scene that has [synthesis]")
+        return loading.of_scene(options, scene) if scene else loading.load(options, options.source)
+
+    from doo_ti.refinement.plan import planned
+
+    changed = {"end_distances_mm": distances} if distances else {}
+    changed |= {"end_rotations_deg": rotations} if rotations else {}
+    recipe = replace(recipe, **changed)
+    return replace(planned(recipe), sigma=np.array(recipe.label_noise_mm) if recipe.label_noise_mm > 0 else None)
+
+
+def _named(configurations: Observations, row: int) -> str:
+    """``54 mm, 120°``, or the observation's number."""
+    labels = ((configurations.end_distance, " mm"), (configurations.end_rotation, "°"))
+    parts = [f"{values[row]:g}{unit}" for values, unit in labels if values is not None]
+    return ", ".join(parts) or f"observation {configurations.labels[row]}"
+
+
+def _summary(configurations: Observations, found, sigma: float) -> dict:
+    strength = {f"{name}_mm": found.strength[:, k] for k, name in enumerate(found.parameters)}
+    labels = {"end_distance_mm": configurations.end_distance, "end_rotation_deg": configurations.end_rotation}
+    return {
+        "configurations": configurations.count, "cells": found.cells, "sigma_mm": sigma,
+        "asked": [found.parameters[k] for k in found.asked],
+        "order": found.order, "volume_left": found.volume, "least_informative": found.least,
+        "moved_by_a_factor_e": strength, "moved_by_all_mm": found.total, "cells_sensed": found.sensed,
+        **{name: values for name, values in labels.items() if values is not None},
+    }
+
+
+def _write(out: Path, configurations: Observations, found, summary: dict) -> None:
+    """plan.json, plan.csv and identifiability.png."""
+    from doo_ti.report import identifiability_picture
+
+    save_json(out / "plan.json", summary)
+    rank = np.full(configurations.count, 0)
+    rank[found.order] = 1 + np.arange(len(found.order))
+    table = io.StringIO()
+    writer = csv.writer(table, lineterminator="\n")
+    writer.writerow(["configuration", "end_distance_mm", "end_rotation_deg", *(f"{name}_mm" for name in found.parameters),
+                     "all_mm", "cells_sensed", "rank"])
+    labels = (configurations.end_distance, configurations.end_rotation)
+    for row in range(configurations.count):
+        writer.writerow([row, *("" if values is None else f"{values[row]:g}" for values in labels),
+                         *(f"{value:.6g}" for value in (*found.strength[row], found.total[row])), found.sensed[row],
+                         rank[row] or ""])
+    write_text(out / "plan.csv", table.getvalue())
+    identifiability_picture(out / "identifiability.png", found.parameters, found.strength, rank, configurations.end_distance,
+                            configurations.end_rotation)
+
+
+def _lines(configurations: Observations, found, sigma: float) -> list[str]:
+    asked = ", ".join(found.parameters[k] for k in found.asked)
+    names = "".join(f"{name + ' [mm]':>13}" for name in found.parameters)
+    lines = [f"{configurations.name}: {configurations.count} configurations over {found.cells} cells, labels to {sigma:g} mm",
+             loading.rod_line(configurations),
+             "  motion of a mark, rms along the rod and median over the cells, when a parameter grows by a factor e:",
+             f"  {'rank':>4}  {'configuration':18}{names}{'region left':>14}"]
+    ranked = [(str(place), row, f"{left:.2g}")
+              for place, (row, left) in enumerate(zip(found.order, found.volume, strict=True), 1)]
+    for rank, row, left in (*ranked, ("last", found.least, "least of all")):
+        strength = "".join(f"{value:13.3g}" for value in found.strength[row])
+        lines.append(f"  {rank:>4}  {_named(configurations, row):18}{strength}{left:>14}")
+    lost = int((found.sensed < found.cells).sum())
+    if lost:
+        lines.append(f"  note        {lost} configurations have no certified equilibrium in some cells, which do not count")
+    return [*lines, f"  'region left': volume of the confidence region of {asked}, relative to that before"]

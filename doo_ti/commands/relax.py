@@ -1,0 +1,115 @@
+"""``doo-ti relax``: F on each observation (§III-D)."""
+
+from argparse import Namespace
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti.commands import loading, results
+from doo_ti.commands import options as given
+from doo_ti.commands.moving_rods import curved
+from doo_ti.contact.surroundings import Surroundings
+from doo_ti.learning.landscape import status_counts
+from doo_ti.rod.grid import Grid
+from doo_ti.rod.observations import Observations
+from doo_ti.rod.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
+from doo_ti.rod.types import Status
+from doo_ti.system.errors import InputError
+from doo_ti.system.terminal import busy, in_line
+
+WRITTEN = ("energy", "status", "iterations", "residual", "stable", "end_force")
+
+
+def declare(add) -> None:
+    parser = given.command(add, "relax", run_relax,
+                           "relax each observed rod under one material and compare it with its observation (Eq. 1)")
+    parser.add_argument("observations", metavar="OBS", help=f"observations: {loading.FORMATS}")
+    parser.add_argument("--out", required=True, metavar="F.npz|F.csv", help="file to write")
+    given.add_material(parser, "one number each", given.SHAPE_ONLY)
+    given.add_relaxation(parser, "f64")
+    loading.add_loading(parser)
+    given.add_obstacles(parser, "without friction, which acts in simulate and predict")
+
+
+def run_relax(options: Namespace) -> int:
+    """F on each observation (§III-D), to one npz; of several whole-turn hypotheses the one nearest to the observation."""
+    grid = given.single_cell(options, "give one number, or use sweep")
+    frame_weight, out = given.frame_weight(options), given.output_file(options.out, results.RODS)
+    surroundings = given.surroundings(options)
+    observations = loading.load(options, options.observations)
+    clamps = observation_clamps(observations, *given.clamps(options))
+    check_experiment(observations, clamps, grid.axes[-1].values[-1], frame_weight)
+    given.refuse_overwriting(out, options.observations)
+    loading.warn(observations, surroundings)
+
+    from doo_ti.learning.experiment import SOLVERS
+    from doo_ti.relaxation.relax import relax as relax_rods
+    from doo_ti.rod.metric import distance
+
+    material = curved(options, grid.materials(), observations.rest_length)
+    index, turns = turn_hypotheses(observations, clamps)
+    observed, held = observations.take(index), clamps.take(index)
+    # Without a solver relax allows more iterations among obstacles.
+    solver = None if surroundings else SOLVERS[options.solver]()
+    with busy(f"relaxing {observed.count} rods (kernels are compiled once on a machine)"):
+        start = start_configuration(observed, held, turns)
+        solution = relax_rods(start, material, held, solver, up=observations.up, precision=options.precision,
+                              **surroundings.arguments)
+    relaxed = solution.configuration
+    error = distance(relaxed, observations, index, frame_weight)
+    infeasible = np.flatnonzero(solution.status == Status.INFEASIBLE)
+    error[infeasible] = np.nan
+    best = choose_hypothesis(index, error, solution.converged & solution.stable)
+    configuration = relaxed.take(best)
+    result = {"vertices_mm": configuration.vertices, "frames": configuration.frames, "distance_mm": error[best],
+              "rest_length_mm": observations.rest_length}
+    result |= {name: getattr(solution, name)[best] for name in WRITTEN}
+    contact = {}
+    if surroundings:
+        result["contact_force"] = solution.contact_force[best]
+        result["smallest_gap_mm"] = surroundings.smallest_gap(result["vertices_mm"])
+        contact = results.contact_summary(surroundings, result["contact_force"], result["smallest_gap_mm"], result["status"])
+    results.save_arrays(out, results.in_newton(result, given.newtons(options, material.weight), 0))
+    inside = _inside(surroundings, held, start, index, infeasible)
+    summary = _summary(observations, grid, result, out) | contact | {"infeasible_reason": inside}
+    results.report(options, summary, lambda: _lines(observations, grid, result, summary))
+    return 0 if (result["status"] == Status.CONVERGED).any() else 1
+
+
+def _inside(surroundings: Surroundings, clamps, start, index: np.ndarray, rows: np.ndarray) -> str | None:
+    """What of the first of the ``rows`` is inside an obstacle, and by how much; None where nothing is."""
+    from doo_ti.relaxation.contact_table import require_clear
+
+    if not surroundings or not len(rows):
+        return None
+    try:
+        require_clear("relax", surroundings.take(rows), clamps.take(rows), start.take(rows), index[rows])
+    except InputError as error:
+        return error.problem
+    return None
+
+
+def _summary(observations: Observations, grid: Grid, result: dict, out: Path) -> dict:
+    finite = result["distance_mm"][np.isfinite(result["distance_mm"])]
+    return {
+        "observations": observations.count, "edges": observations.edges, **results.theta_of(grid),
+        "status": status_counts(result["status"]), "stable": int(result["stable"].sum()), "out": str(out),
+        "mean_distance_mm": finite.mean() if len(finite) else np.nan,
+        "largest_distance_mm": finite.max() if len(finite) else np.nan,
+        "median_iterations": np.median(result["iterations"]), "largest_residual": np.max(result["residual"]),
+    }
+
+
+def _lines(observations: Observations, grid: Grid, result: dict, summary: dict) -> list[str]:
+    rods = f"{observations.count} rod{'s' * (observations.count != 1)}"
+    lines = [f"{observations.name}: {rods} of {observations.edges} edges",
+             loading.rod_line(observations), f"  material    {results.theta_text(results.theta_of(grid), grid.is_isotropic)}",
+             f"  status      {results.counted(summary['status'])}; {summary['stable']} certified stable"]
+    if np.isfinite(summary["mean_distance_mm"]):
+        lines.append(f"  distance    mean {summary['mean_distance_mm']:.4g} mm, largest {summary['largest_distance_mm']:.4g} "
+                     f"mm at observation {observations.labels[np.nanargmax(result['distance_mm'])]} (Eq. 1)")
+    lines += results.contact_lines(summary, observations.count)
+    if summary["infeasible_reason"]:
+        lines.append(f"  infeasible  {summary['infeasible_reason']}")
+    return [*lines, f"  iterations  median {summary['median_iterations']:.0f}, most {int(result['iterations'].max())}",
+            f"  written to {in_line(summary['out'])}"]
