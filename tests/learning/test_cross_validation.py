@@ -207,13 +207,10 @@ def test_by_objective_the_static_one_keeps_what_occurs_in_pairs():
 
 
 @pytest.mark.parametrize(("runs", "factors"), [
-    ([lab("a")], [("end-distance",)]),
-    ([lab("a", np.full(12, np.nan))], []),
-    ([lab("a", np.arange(12.0))], []),
+    ([lab("a")], [("end-distance",)]), ([lab("a", np.full(12, np.nan))], []), ([lab("a", np.arange(12.0))], []),
     ([lab("a"), lab("b")], [("material",), ("material", "end-distance")]),
     ([lab("a", np.full(12, 30.0)), lab("b", np.full(12, 30.0))], [("material",)]),
-    ([lab("a"), moved("a")], [("objective", "end-distance")]),
-    ([lab("a"), moved("b")], [("end-distance",)]),
+    ([lab("a"), moved("a")], [("objective", "end-distance")]), ([lab("a"), moved("b")], [("end-distance",)]),
     ([lab("a"), lab("b"), moved("a")], [("material",), ("material", "end-distance"), ("objective", "end-distance")]),
 ])
 def test_tables_without_being_asked(runs, factors):

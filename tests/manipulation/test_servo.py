@@ -11,8 +11,7 @@ from doo_ti.rod.shapes import with_end_edges
 from tools.studies.servo_tasks import BEND, Plant, Tasks, tasks
 
 PLANTS = {"own mesh": Plant(), "finer mesh, clips, rest curvature": Plant(3, 0.7, 2.0, 6e-4)}
-NEAR = 2.0
-"""mm, mean distance."""
+NEAR = 2.0  # mm, mean distance
 
 
 @cache

@@ -45,8 +45,7 @@ def test_a_rig_survives_its_file(tmp_path):
     (lambda text: "<?xml version='1.0'?><opencv_storage><cameras/></opencv_storage>", "cameras"),
     (lambda text: text.replace("         cols: 3\n", "", 1), "not a rig"),
     (lambda text: text.replace("cols: 3", "cols: 2147483647", 1), "not a rig"),
-    (lambda text: text.replace("rows: 3", "rows: *x", 1), "not a rig"),
-    (lambda text: text + "? [a]\n: b\n", "not a rig"),
+    (lambda text: text.replace("rows: 3", "rows: *x", 1), "not a rig"), (lambda text: text + "? [a]\n: b\n", "not a rig"),
     (lambda text: text.replace("width: 640", "width: 100000"), "width"),
     (lambda text: text.replace("width: 640", "width: 100000000000"), "width"),
     (lambda text: text.replace("name: cam1", "name: cam1\n      width: !!python/object/apply:os.getcwd []"), "not a rig"),
@@ -179,8 +178,7 @@ def test_colmap_s_text(tmp_path, model):
     ("cameras.txt", "OPENCV", "THIN_PRISM"), ("cameras.txt", "610", "nan"), ("cameras.txt", "1280", "1e9"),
     ("cameras.txt", " -2e-3", ""), ("cameras.txt", "1280 960 610 612 633", ""), ("images.txt", " -60", " inf"),
     ("images.txt", " 1 left.png", " 7 left.png"), ("images.txt", "1 1 0 0 0", "1 0 0 0 0"),
-    ("images.txt", "left", "right view"),
-    ("cameras.txt", "1 OPENCV", "1 OPENCV\0\0"), ("images.txt", " 0 0 0 1 left.png", ""),
+    ("images.txt", "left", "right view"), ("cameras.txt", "1 OPENCV", "1 OPENCV\0\0"), ("images.txt", " 0 0 0 1 left.png", ""),
 ])
 def test_damaged_models_are_refused_in_one_line(tmp_path, file, old, new):
     colmap(tmp_path, "OPENCV")
