@@ -1,12 +1,11 @@
 """The steps of Algorithm 1: hypotheses grow by an edge, are relaxed under E_vis, and the best that differ are kept. The last
 ones are relaxed until they converge, and rods traced along the detected lines join them.
 
-    E_vis = E / B + ν Σ_c E_proj^c                                                                        (§IV-A)
-    E_vis = E / B + ν Σ_c (E_proj^c + E_cover^c)                                 with evidence from both sides
+    E_vis = E / B + ν Σ_c (E_proj^c + E_cover^c)                       (§IV-A); E_cover with evidence from both sides only
 
-with E_proj in px² (a projected edge's mean distance to the nearest detected pixel, times its length), what the rod's image is
-away from the detected line, E_cover what the line is away from the rod's image, and the rod's energy E over the largest
-eigenvalue of B, in 1/mm: so ν is in 1/(mm px²), and its effect does not depend on the rod's stiffness.
+E_proj is what the rod's image is away from the detected line, a projected edge's mean distance to the nearest detected pixel
+times its length, and E_cover what the line is away from the rod's image, px². The rod's energy E is over the largest eigenvalue
+of B, in 1/mm: so ν is in 1/(mm px²), and its effect does not depend on the rod's stiffness.
 
 Axes: A image sets, C cameras, N hypotheses of all sets, M sampled directions, R rods, F finalists of all sets, E edges.
 """
