@@ -190,7 +190,7 @@ def warn(observations: Observations, surroundings: Surroundings | None = None) -
     """Print a warning where the rod is implausible, or too coarse for what is around it. To be called once everything is
     checked, so that wrong input is reported in one line."""
     for doubt in (unit_doubt(observations), order_doubt(observations), length_doubt(observations),
-                  mesh_doubt(observations, surroundings)):
+                  mesh_doubt(observations, surroundings), inside_doubt(observations, surroundings)):
         if doubt is not None:
             terminal.warn(f"{in_line(observations.source)}: {doubt}")
 
@@ -237,6 +237,18 @@ def mesh_doubt(observations: Observations, surroundings: Surroundings | None) ->
     edges = int(np.ceil(observations.rest_length.sum() / radius))
     return (f"edges of {longest:.3g} mm are too long to lie on an obstacle of {thinnest:.3g} mm "
             f"radius: the rod may slip off it; make them shorter: doo-ti convert IN OUT --edges {edges}")
+
+
+def inside_doubt(observations: Observations, surroundings: Surroundings | None) -> str | None:
+    """That marks, or the lines between them, are inside an obstacle, or None: rods are moved out of it, to either side."""
+    if not surroundings:
+        return None
+    depth = -np.nan_to_num(surroundings.at(0).smallest_gap(observations.vertices)) - surroundings.radius
+    worst = int(depth.argmax())
+    if depth[worst] <= 0:
+        return None
+    return (f"the axis of observation {observations.labels[worst]} is {depth[worst]:.3g} mm inside an obstacle: it is moved "
+            "out first, on the nearer side, which need not be the right one; check the obstacle's place")
 
 
 def order_doubt(observations: Observations) -> str | None:
