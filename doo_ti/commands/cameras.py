@@ -13,11 +13,12 @@ from doo_ti.io.observation_files import save_observations
 from doo_ti.rod.material import UNITS_IN_MM
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line, progress
-from doo_ti.vision.cameras.board import FORMS, Views, find_sightings, parse_board, read_views
-from doo_ti.vision.cameras.calibration import COEFFICIENTS, WORLDS, Calibration, CalibrationOptions, calibrate
-from doo_ti.vision.cameras.rig import Rig, save_rig
-from doo_ti.vision.reprojection.marks import MarkedRods, Marks, observe, read_labels, read_marks
-from doo_ti.vision.reprojection.triangulation import MarkStatus, Points, TriangulationOptions, triangulate
+from doo_ti.vision.board import FORMS, Views, find_sightings, parse_board, read_views
+from doo_ti.vision.calibration import COEFFICIENTS, WORLDS, Calibration, CalibrationOptions, calibrate
+from doo_ti.vision.cameras import Rig
+from doo_ti.vision.marks import MarkedRods, Marks, observe, read_labels, read_marks
+from doo_ti.vision.rig_files import save_rig
+from doo_ti.vision.triangulation import MarkStatus, Points, TriangulationOptions, triangulate
 
 MOST_LISTED = 20
 LEAST_SPACING_MM = 0.1  # median distance of neighbouring marks below which the rig's unit is doubted

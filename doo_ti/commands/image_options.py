@@ -20,8 +20,8 @@ from doo_ti.rod.types import Material
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import read_content
 from doo_ti.system.terminal import in_line
-from doo_ti.vision.cameras.foreign import LENSES, POSES, RigReading
-from doo_ti.vision.cameras.rig import Rig, load_rig
+from doo_ti.vision.cameras import LENSES, POSES, Rig, RigReading
+from doo_ti.vision.rig_files import load_rig
 
 MOST_HYPOTHESES = 100_000
 RECORDED = 3  # sets in a recording
@@ -95,8 +95,8 @@ def by_camera(option: str, texts: Iterable[str] | None, names: tuple[str, ...], 
 
 def sight(options: Namespace, sets, method: str = "ridge"):
     """The Sight that :func:`add_thread` describes, of the images in ``sets``."""
-    from doo_ti.vision.detection.detect import Sight
-    from doo_ti.vision.detection.options import DetectionOptions
+    from doo_ti.vision.detect import Sight
+    from doo_ti.vision.detection import DetectionOptions
 
     colour = None if options.colour is None else tuple(given.numbers("--colour", options.colour))
     regions = {camera: tuple(map(int, box))
@@ -117,7 +117,7 @@ def sight(options: Namespace, sets, method: str = "ridge"):
 
 def orientation_note(paths: Iterable[Path], turned: bool) -> str | None:
     """What to say of images with orientation tags; None where there are none."""
-    from doo_ti.vision.detection.images import orientation_tags
+    from doo_ti.vision.images import orientation_tags
 
     count = orientation_tags(paths)
     did, other = ("applied", "ignore") if turned else ("ignored", "apply")
@@ -187,7 +187,7 @@ def perception_task(options: Namespace) -> PerceptionTask:
 
 def _sets(options: Namespace, rig):
     """The sets of the file, or the one that the command line spells out."""
-    from doo_ti.vision.detection.images import ImageSets, load_sets
+    from doo_ti.vision.images import ImageSets, load_sets
 
     single = {"IMAGE": options.images, "--seed-point": options.seed_point, "--seed-direction": options.seed_direction,
               "--seed-pixel": options.seed_pixel}

@@ -245,7 +245,8 @@ def _done(jobs: list[_Job]) -> None:
 
 def _prepared(name: str, folder: Path) -> _Job:
     """The job of a command, its input in ``folder``."""
-    from doo_ti.vision.cameras.rig import Camera, Rig, save_rig
+    from doo_ti.vision.cameras import Camera, Rig
+    from doo_ti.vision.rig_files import save_rig
 
     folder.mkdir()
     for file, text in INPUTS.items():

@@ -136,7 +136,7 @@ def _perceived(task: PerceptionTask, detected: list[list], bar):
     """(Perception of all sets, GrowthSteps of those that are recorded): in groups whose maps fit into memory."""
     from doo_ti.perception.growth import GrowthSteps
     from doo_ti.perception.perceive import Perception, perceive
-    from doo_ti.vision.reprojection.distance_map import distance_maps
+    from doo_ti.vision.distance_map import distance_maps
 
     sets, edges = task.sets, len(task.rest_length)
     pixels = max(camera.width * camera.height for camera in sets.rig.cameras)
@@ -194,7 +194,7 @@ def _found(found) -> np.ndarray:
 
 def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found, growth, out: Path) -> list[Path]:
     """Draw and record the result beside ``out``; returns the files."""
-    from doo_ti.vision.detection.images import read_image
+    from doo_ti.vision.images import read_image
 
     rig, written = task.sets.rig, []
     there = np.flatnonzero(np.isfinite(found.vertices).all(axis=(1, 2)))

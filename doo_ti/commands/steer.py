@@ -26,7 +26,7 @@ from doo_ti.rod.types import POSES, Clamp, Clamps, Material, Solution
 from doo_ti.system.errors import InputError, InterruptedRunError
 from doo_ti.system.files import write_text
 from doo_ti.system.terminal import busy, can_record, in_line, progress, warn
-from doo_ti.vision.cameras.rig import Rig
+from doo_ti.vision.cameras import Rig
 
 if TYPE_CHECKING:
     from doo_ti.manipulation.belief import LearnedMaterial
@@ -247,7 +247,7 @@ def _true(options: Namespace, material: Material, unit: Stiffness) -> Material:
 def _cameras(options: Namespace, rig: Rig, rod: SteeredRod) -> "VirtualCameras":
     """What looks at the true rod."""
     from doo_ti.perception.virtual_lab import DIAMETER_MM, VirtualCameras
-    from doo_ti.vision.rendering.render import RenderOptions, check_diameter
+    from doo_ti.vision.render import RenderOptions, check_diameter
 
     covered = {name: share for name, (share,) in image_options.by_camera(
         "--occlude", options.occlude, rig.names, "SHARE").items()}

@@ -15,7 +15,7 @@ from doo_ti.commands.results import hypotheses_lines, note_theta, peak_memory, p
 from doo_ti.io.scene import MOST_ROLLS, OBJECTIVES, Scene, Synthesis, load_scene
 from doo_ti.io.toml_file import scene_file
 from doo_ti.learning.chunks import SUMMARY
-from doo_ti.learning.pairs import Pairs, load_pairs
+from doo_ti.learning.terms import Pairs, load_pairs
 from doo_ti.rod.grid import Grid
 from doo_ti.rod.material import relative_stiffness, stiffness
 from doo_ti.rod.observations import Observations

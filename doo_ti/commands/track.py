@@ -92,7 +92,7 @@ def load_frames(path: Path, rig):
 
     Raises InputError naming line and column for whatever is missing or not a number, and for missing images.
     """
-    from doo_ti.vision.detection.images import SEED, ImageSets, cameras_in, images_in
+    from doo_ti.vision.images import SEED, ImageSets, cameras_in, images_in
 
     table = read_csv(path, ("frame", *SEED), form=f"frame, one per camera, {', '.join(SEED)}", short_lines=True)
     cameras = cameras_in(table, rig, ("frame", "time_s", *SEED))

@@ -20,12 +20,20 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.learning.cells import iterations, load_kernels, relax_hypotheses, resolve, settled, sub_steps
 from doo_ti.learning.chunks import DENSITY, SUMMARY, check_identity, chunk_path, read_rows, write_chunk
-from doo_ti.learning.experiment import Experiment, Hypotheses, SweepOptions
+from doo_ti.learning.experiment import (
+    Experiment,
+    SweepOptions,
+    iterations,
+    load_kernels,
+    relax_hypotheses,
+    resolve,
+    settled,
+    sub_steps,
+)
 from doo_ti.learning.landscape import Overview, gather_overview, gather_part, plane_of
-from doo_ti.learning.pairs import Pairs
 from doo_ti.learning.run_folder import claim, finished, identity_of, provenance, read_plan
+from doo_ti.learning.terms import Hypotheses, Pairs
 from doo_ti.learning.up_axes import other_up
 from doo_ti.learning.workers import ThisProcess, Workers, started_workers
 from doo_ti.rod.grid import Grid

@@ -16,9 +16,8 @@ from doo_ti.perception.virtual_lab import SeenMoment
 from doo_ti.record import viewer
 from doo_ti.report.canvas import box, widest
 from doo_ti.report.figures import BEST, DETECTED, RUNNER_UP, TRUTH, SeenRod
-from doo_ti.vision.cameras.camera import Camera
-from doo_ti.vision.cameras.rig import Rig
-from doo_ti.vision.detection.images import read_image
+from doo_ti.vision.cameras import Camera, Rig
+from doo_ti.vision.images import read_image
 
 KEPT = (125, 170, 255)
 FRUSTUM_MM = 60.0

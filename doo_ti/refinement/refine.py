@@ -2,7 +2,7 @@
 
 The model is the rod between its clips (:mod:`doo_ti.refinement.held_rod`), curved at rest, with clamps slightly off their
 reported poses. Unknown are Θ, the clips' lengths, the rest curvature and the clamps' errors; the sizes of noise, curvature and
-errors (:mod:`doo_ti.refinement.priors`) are learned from the same observations (:mod:`doo_ti.refinement.evidence`).
+errors (:mod:`doo_ti.refinement.theta`) are learned from the same observations (:mod:`doo_ti.refinement.evidence`).
 
 A discrete rod clamped in the middle of an edge differs from the continuum by h² to leading order. So with marks x_h and x_k on
 meshes of edges h and k < h,
@@ -23,11 +23,10 @@ from doo_ti.refinement.adequacy import Adequacy, Mislabelled, Score, adequacy, m
 from doo_ti.refinement.estimate import Estimate, estimated, within_reach
 from doo_ti.refinement.fit import FINE
 from doo_ti.refinement.held_rod import HeldRod
-from doo_ti.refinement.priors import Scales, typical_scales
 from doo_ti.refinement.residuals import mark_distance
 from doo_ti.refinement.rolls import most_probable
 from doo_ti.refinement.search import Optimum, once, searched, turns_chosen_again
-from doo_ti.refinement.theta import Theta
+from doo_ti.refinement.theta import Scales, Theta, typical_scales
 from doo_ti.refinement.unknowns import Unknowns, Values
 from doo_ti.relaxation.contact_table import require_clear
 from doo_ti.relaxation.newton import Newton

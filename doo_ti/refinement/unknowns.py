@@ -6,7 +6,7 @@
     twist, weight           ln β, ln μ
     up                      two tilts from the present up, rad
     clip_start, clip_end    mm from the outer mark inwards to where a clip ends; negative where it ends before that mark
-    curvature               L ω̄ at the knots of :mod:`doo_ti.refinement.priors`, two components each, or of the whole rod
+    curvature               L ω̄ at the knots of :mod:`doo_ti.refinement.mesh`, two components each, or of the whole rod
     clamps                  constant errors of the reported frames: a rotation of each in its own axes, and one in the world's
     spacing                 ln of the rod's length between neighbouring marks over that which the observations state
     outer                   mm by which an outer mark beside a reported frame is off the rod, along the frame's axes and the
@@ -25,9 +25,8 @@ from functools import cached_property
 import numpy as np
 
 from doo_ti.refinement.held_rod import POSE, HeldRod
-from doo_ti.refinement.mesh import Lengths, Mesh
-from doo_ti.refinement.priors import Scales, covariance, knots_of, values_at
-from doo_ti.refinement.theta import Theta, common_rod
+from doo_ti.refinement.mesh import Lengths, Mesh, covariance, knots_of, values_at
+from doo_ti.refinement.theta import Scales, Theta, common_rod
 from doo_ti.relaxation.sensitivity import tilt_axes
 from doo_ti.rod.frames import rotation_matrix
 from doo_ti.rod.types import Material
@@ -127,7 +126,7 @@ class Unknowns:
 
     @property
     def scale_names(self) -> set[str]:
-        """The sizes of :mod:`doo_ti.refinement.priors` that occur in the prior of the unknowns."""
+        """The sizes of :mod:`doo_ti.refinement.theta` that occur in the prior of the unknowns."""
         found = {"turn", "turn_scatter"} if self.turns else set()
         if self.curvature != "none":
             found |= {"curvature"} | ({"range"} if self.curvature == "field" else set())

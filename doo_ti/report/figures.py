@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from doo_ti.report.canvas import MISSING, SYMBOLS, box, label_table, literal, new_figure, save_figure, upright_basis, widest
-from doo_ti.vision.cameras.rig import Rig
+from doo_ti.vision.cameras import Rig
 
 BEST, RUNNER_UP, TRUTH, DETECTED = "#2f7bff", "#ff2e4d", "#ffd400", "#00c08b"
 WIDTHS = {TRUTH: 2.8, RUNNER_UP: 1.8, BEST: 1.0}  # points: curves drawn first are wider, so that they stay visible

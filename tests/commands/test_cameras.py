@@ -11,13 +11,14 @@ import pytest
 
 from doo_ti import Clamp, load_observations, observation_clamps, start_configuration
 from doo_ti.commands.cli import main
-from doo_ti.vision.cameras.board import Board
-from doo_ti.vision.cameras.rig import Rig, load_rig, save_rig
+from doo_ti.vision.board import Board
+from doo_ti.vision.cameras import Rig
+from doo_ti.vision.rig_files import load_rig, save_rig
 from tests.commands.calls import in_process, refused
 from tests.conftest import SEED
 from tests.io.rods import wavy_vertices
 from tests.vision.boards import around, look, poses
-from tests.vision.reprojection.test_triangulation import HEADER, good_rows, ribbon, written
+from tests.vision.test_triangulation import HEADER, good_rows, ribbon, written
 
 BOARD, RIG = Board(9, 6, 10.0), around()
 TEXT = "chessboard:9x6:10"

@@ -76,7 +76,7 @@ def defaults() -> dict[tuple[str, str], float]:
     from doo_ti.perception.search import PerceptionOptions
     from doo_ti.perception.virtual_lab import DIAMETER_MM
     from doo_ti.rod.types import Material
-    from doo_ti.vision.rendering.render import RenderOptions
+    from doo_ti.vision.render import RenderOptions
 
     found = {("simulate", "--most-substeps"): Stepping.most_substeps, ("simulate", "--substeps"): Stepping.substeps,
              ("predict", "--sub-step"): np.degrees(LARGEST_TURN), ("predict", "--steps-between"): 1,

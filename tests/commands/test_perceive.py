@@ -11,11 +11,12 @@ from scipy.spatial import cKDTree
 
 from doo_ti.commands.cli import main
 from doo_ti.io.observation_files import load_observations
-from doo_ti.vision.cameras.rig import Rig, load_rig, save_rig
-from doo_ti.vision.rendering.render import render_set
-from doo_ti.vision.rendering.tubes import smooth_curve
+from doo_ti.vision.cameras import Rig
+from doo_ti.vision.render import render_set
+from doo_ti.vision.rig_files import load_rig, save_rig
+from doo_ti.vision.tubes import smooth_curve
 from tests.commands.calls import refused, written
-from tests.vision.drawn_maps import curves, three_cameras
+from tests.vision.scenes import curves, three_cameras
 
 EDGES = 14
 MATERIAL = ["--bend", "2e5", "--twist", "2e5", "--weight", "1", "--rest-length", f"3:{EDGES}"]

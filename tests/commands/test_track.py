@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from doo_ti.commands.cli import main
-from doo_ti.vision.cameras.rig import save_rig
+from doo_ti.vision.rig_files import save_rig
 from tests.commands.calls import refused
 from tests.perception.videos import EDGES, FRAMES, LENGTH, far_motion, images, rods
-from tests.vision.drawn_maps import three_cameras
+from tests.vision.scenes import three_cameras
 
 SEED = "seed_x,seed_y,seed_z,dir_x,dir_y,dir_z"
 BLANK = (4, 5)

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Axis, Clamp, Clamps, Configuration, Grid, Material, Motion, Newton, Status, relax
-from doo_ti.learning.cells import carried, journey, relaxed
-from doo_ti.learning.experiment import Experiment
+from doo_ti.learning.experiment import Experiment, carried, journey, relaxed
 from doo_ti.motion.journey import Journey
 from doo_ti.rod.frames import quaternion_from_matrix
 from tests.learning.lab import DYNAMIC, lab_rods
