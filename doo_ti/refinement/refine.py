@@ -71,6 +71,7 @@ class RefinementOptions:
     intervals         "profile", or "covariance", which takes no extra time
     models            whether other models are fitted and compared
     surroundings      what the rods touch, without friction; with one row for all observations or one for each
+    twist_follows     whether a twist stiffness that is not learned stays in proportion to the bend stiffness, not as it is
     loads             (D, M) weights of bodies that hang at the marks, as those of :class:`.PointLoads`; None: nothing hangs
                       there. Where they are known the weight of the rod can be learned beside its stiffness
     """
@@ -92,6 +93,7 @@ class RefinementOptions:
     models: bool = False
     surroundings: Surroundings = Surroundings()
     loads: np.ndarray | None = None
+    twist_follows: bool = False
 
 
 @dataclass(frozen=True)
@@ -174,7 +176,7 @@ def refine(observations: Observations, clamps: Clamps, theta: Theta | Sequence[T
 def unknowns_of(rod: HeldRod, options: RefinementOptions) -> Unknowns:
     """The unknowns of a fit to ``rod``."""
     curvature = "field" if options.curvature == "auto" else options.curvature
-    return Unknowns(rod, tuple(options.parameters), options.clip is None, curvature)
+    return Unknowns(rod, tuple(options.parameters), options.clip is None, curvature, options.twist_follows)
 
 
 def optima(observations: Observations, clamps: Clamps, thetas: tuple[Theta, ...], options: RefinementOptions) -> list[Optimum]:

@@ -70,6 +70,7 @@ class Unknowns:
     parameters: tuple[str, ...]  # of Θ, from PARAMETERS
     clips: bool = True  # whether the clips' lengths are unknown
     curvature: str = "field"  # "field", "uniform" or "none"
+    twist_follows: bool = False  # whether a twist stiffness that is not learned stays in proportion to the bend stiffness
 
     def __post_init__(self) -> None:
         names = self.parameters
@@ -175,8 +176,9 @@ class Unknowns:
         root = np.sqrt(np.diag(theta.bend)) * np.exp(0.5 * logarithms)
         if "up[0]" in of:
             up = rotation_matrix(np.array([of["up[0]"], of["up[1]"]]) @ tilt_axes(up)) @ up
+        twist = of.get("twist", logarithms.mean() if self.twist_follows else 0.0)
         theta = Theta(np.diag(root**2) + correlation * root.prod() * (1 - np.eye(2)),
-                      theta.twist * float(np.exp(of.get("twist", 0.0))), theta.weight * float(np.exp(of.get("weight", 0.0))),
+                      theta.twist * float(np.exp(twist)), theta.weight * float(np.exp(of.get("weight", 0.0))),
                       None, up / np.linalg.norm(up))
         clip = values.clip + [of.get("clip_start", 0.0), of.get("clip_end", 0.0)]
         curvature = values.curvature + step[self.columns("curvature")].reshape(-1, 2) / self.rod.length
@@ -234,6 +236,8 @@ class Unknowns:
         elementary = [name for name in self.parameters if name not in entries]
         elementary += entries if len(elementary) < len(self.parameters) else ()
         names = self.names[: self.theta_count]
+        follows = {"bend": 1.0, "bend_1": 0.5, "bend_2": 0.5} if self.twist_follows and "twist" not in names else {}
+        elementary += ["twist"] * bool(follows)
         rows = []
         for name in elementary:
             if name in entries:
@@ -241,7 +245,8 @@ class Unknowns:
             elif name == "up":
                 rows += [[float(unknown == f"up[{k}]") for unknown in names] for k in range(2)]
             else:
-                rows.append([theta.entries[name] * (unknown == name) for unknown in names])
+                along = follows if name == "twist" and follows else {name: 1.0}
+                rows.append([theta.entries[name] * along.get(unknown, 0.0) for unknown in names])
         return tuple(elementary), np.array(rows)
 
     def offset(self, values: Values, origin: Values) -> np.ndarray:

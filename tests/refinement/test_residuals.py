@@ -100,6 +100,8 @@ def moved_residuals(comparison, fit, state, step, scatter):
 @pytest.mark.parametrize("theta, parameters, kinds, fields", [
     (TRUTH, ("bend", "twist"), (None, None), {}),
     (TRUTH, ("bend", "twist", "weight", "up"), (Clamp.TANGENT, Clamp.FRAME), {"curvature": "uniform"}),
+    (TRUTH, ("bend",), (None, None), {"twist_follows": True}),
+    (RIBBON, ("bend_1", "bend_2"), (None, None), {"twist_follows": True}),
     (TRUTH, ("bend",), (Clamp.FRAME, Clamp.POSITION), {"clips": False}), (TRUTH, ("bend", "up"), (Clamp.FRAME, Clamp.FREE), {}),
     (RIBBON, ("bend_1", "bend_2", "bend_12", "twist"), (None, None), {"with_frames": True}),
     (TRUTH, ("bend", "twist"), (None, None), {"bare": ("start_frame", "end_frame")}),
