@@ -9,7 +9,8 @@ and −2 ln of the evidence, without its constant, is
 
     F = r'ᵀWr' + (x̂ − x̄)ᵀA(x̂ − x̄) + ẑᵀS⁻¹ẑ + Σ n ln σ² + Σ_d (ln |M_d| + ln |S|) + ln |H| − ln |A|,
 
-with r' the residuals at the most probable x̂ and ẑ. It is Laplace's approximation of the evidence of the nonlinear model
+with r' the residuals at the most probable x̂ and ẑ; less ln of what marks tell of directions that were not reported
+(:meth:`Evidence._known_directions`). It is Laplace's approximation of the evidence of the nonlinear model
 (MacKay, *Bayesian Interpolation*, 1992).
 
 The sizes are found by BFGS with Powell's damping and projected steps (Nocedal and Wright, *Numerical Optimization*, 2006, §6.1
@@ -102,7 +103,8 @@ class Evidence:
         crossed = passed @ covariance_x
         spread_z = np.einsum("dqq->dq", inner) + (crossed * passed).sum(axis=-1)
         gradient = dict.fromkeys(NAMES, 0.0)
-        value = self.constant + log_hessian - log_prior - float(share @ np.linalg.slogdet(inner)[1])
+        value = self.constant + log_hessian - log_prior - float(share @ (
+            np.linalg.slogdet(inner)[1] + self._known_directions(scales)))
         # Σ w · spread over all kinds: each unknown and effect counts one, less what the priors know of it.
         rods, each = float(share.sum()), effects.shape[1]
         free = len(self.offset) if self.basis is None else self.basis.shape[1]
@@ -126,6 +128,20 @@ class Evidence:
         extra, own = scales.prior()
         learned = np.array([gradient[name] for name, free in zip(NAMES, scales.learned, strict=True) if free])
         return Posterior(step, covariance_x, effects, value + extra, learned + own)
+
+    def _known_directions(self, scales: Scales) -> np.ndarray:
+        """(D,) ln of what each observation knows of the directions of ends whose frames were not reported, marks being off by
+        their typical size.
+
+        Integrated over the angle, which a limp rod shows less, the evidence would favour limp rods, the more the more poses
+        there are. So directions count as equally probable where marks tell them apart equally well (Jeffreys' prior of them,
+        given the unknowns; Berger, Liseo and Wolpert, 1999)."""
+        at = [q for q, name in enumerate(effect_scales(self.unknowns)) if name == "any_turn"]
+        if not at:
+            return np.zeros(len(self.share))
+        marks = scales.typical[NAMES.index("marks")]
+        known = self.moments[0].effects[:, at][:, :, at] / marks**2 + np.eye(len(at)) / scales["any_turn"] ** 2
+        return np.linalg.slogdet(known)[1]
 
     def not_known(self, slope: np.ndarray) -> np.ndarray:
         """(P, P) the information that is missing because several rows may be the rod: the covariance of their slopes (D, P)

@@ -57,8 +57,9 @@ class Optimum:
         if np.array_equal(*used):
             return self.fitted.posterior.value - best.fitted.posterior.value
         both = used[0] & used[1]
-        if not both.any():
-            return np.inf
+        own, its = (int(one.fitted.counted.sum()) for one in (self, best))
+        if 2 * both.sum() < max(own, its):  # what one of them fits says nothing of the other
+            return -np.inf if own > its else np.inf
         values = []
         for one in (self, best):  # of the observations that count in both alone
             rods = np.repeat(both, one.fit.unknowns.rod.copies)
