@@ -44,9 +44,8 @@ import numpy as np
 
 from doo_ti.contact.distance_grid import DistanceGrid
 from doo_ti.contact.itself import Itself
-from doo_ti.contact.moving import Moving
 from doo_ti.contact.obstacles import Box, Capsule, Cylinder, Obstacle, Plane, Ring, Sphere
-from doo_ti.contact.surroundings import Surroundings
+from doo_ti.contact.surroundings import Moving, Surroundings
 from doo_ti.io.arrays import read_npz
 from doo_ti.io.scene_keys import between_moments
 from doo_ti.io.toml_file import Finite, NotNegative, Positive, Rotation, Table, Vector, checked, read_toml, unit_direction

@@ -10,7 +10,7 @@ import numpy as np
 
 from doo_ti.dynamics.parameters import GRAVITY, RATES, Dynamics, vertex_lengths
 from doo_ti.dynamics.trajectory import Detail
-from doo_ti.relaxation.point_loads import PointLoads
+from doo_ti.relaxation.external import PointLoads
 from doo_ti.relaxation.time_steps import Memory, curvatures
 from doo_ti.relaxation.time_sweep import DRAG, DRAG_BY_SPEED, FORCE, INERTIA, LOAD, SPRING, SPRING_POINT, VERTEX_ITEMS
 from doo_ti.rod.frames import conjugate, quaternion_of_turn, quaternion_product, rotation_vector, tangent_from_quaternion

@@ -44,7 +44,7 @@ class Stepping:
     precision  "f64"; "f32", in which a rod that rounding stops is reported as stalled; or "mixed": f32, and f64 for the rods
                that it stops or that need finer steps
     tolerance  mm: a rod whose estimated error is larger at some frame, or that fails, is simulated again with twice as many
-               steps, which also gives the estimate (:mod:`doo_ti.dynamics.adaptive`); None: no error is estimated
+               steps, which also gives the estimate (:mod:`doo_ti.dynamics.trajectory`); None: no error is estimated
     most_substeps  with a tolerance
     detailed   frames, velocities and energies are returned as well; every step is a launch of its own then
     quasi_static   without inertia and drag: every step is an equilibrium, in which friction remembers where the rod was

@@ -7,19 +7,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.contact.moving import Moving
 from doo_ti.contact.obstacles import Obstacle
-from doo_ti.contact.surroundings import Surroundings
-from doo_ti.dynamics.adaptive import adapted, kept_apart
+from doo_ti.contact.surroundings import Moving, Surroundings
 from doo_ti.dynamics.energies import Account, Losses, add_loads, damping_shares, stiffened, vertex_numbers
-from doo_ti.dynamics.grippers import Grippers
+from doo_ti.dynamics.grippers import Grippers, clamp_path, obstacle_path, refined_within_reach
 from doo_ti.dynamics.parameters import RATES, Direction, Dynamics, MovingStart, Stepping
-from doo_ti.dynamics.paths import clamp_path, obstacle_path, refined_within_reach
-from doo_ti.dynamics.trajectory import Trajectory, joined
-from doo_ti.relaxation.external import Springs
+from doo_ti.dynamics.trajectory import Trajectory, adapted, joined, kept_apart
+from doo_ti.relaxation.external import PointLoads, Springs, check_rows
 from doo_ti.relaxation.input_tables import paired_rows, tables, under
 from doo_ti.relaxation.newton import MOST_IN_CONTACT, Newton
-from doo_ti.relaxation.point_loads import PointLoads, check_rows
 from doo_ti.relaxation.tables import Tables, whole_start
 from doo_ti.relaxation.time_loop import END_FORCE, FRICTION_WORK, MOMENT, RELINKED, STATE, TRIPS
 from doo_ti.relaxation.time_slopes import NUMBERS, REMEMBERED

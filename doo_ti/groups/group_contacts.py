@@ -21,7 +21,7 @@ from doo_ti.physics.algebra import absolute, largest_of
 from doo_ti.physics.tuples import add, choose, dot, extended, identity, minus, picked, plus, scaled, variable
 from doo_ti.physics.view import NUMBERS, in_f64, read, write
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contact_layout import FINE, contact_items, pair_items
+from doo_ti.relaxation.contact_table import FINE, contact_items, pair_items
 from doo_ti.relaxation.loading import stiffness_scale
 from doo_ti.relaxation.self_contacts import SelfContacts
 

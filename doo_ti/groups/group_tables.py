@@ -13,8 +13,7 @@ from doo_ti.groups.layout import JOINT_ITEMS
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.bows import projectable
 from doo_ti.relaxation.clamp_table import INFEASIBLE, STRAIGHT, clamp_table
-from doo_ti.relaxation.contact_layout import DEEPEST_STEP
-from doo_ti.relaxation.contact_table import contact_table, require_margin
+from doo_ti.relaxation.contact_table import DEEPEST_STEP, contact_table, require_margin
 from doo_ti.relaxation.input_tables import (
     bending_range,
     check_material,

@@ -12,7 +12,7 @@ import numpy as np
 
 from doo_ti.physics.tuples import picked
 from doo_ti.physics.view import Layout
-from doo_ti.relaxation.contact_layout import matrix_items
+from doo_ti.relaxation.contact_table import matrix_items
 from doo_ti.relaxation.external import ExternalFunctions, Nothing
 
 # Of a group: κ of its ties and ε of the border; by how much the energy would be higher if the forces of ties had not changed,

@@ -5,8 +5,8 @@ A tie holds a vertex at another one or, as a clamp does, at a place. Steps are j
     λ · d + κ |d|²/2
 
 of the miss d. A first round with the same λ ends with λ ← λ + κ d; from then on λ changes with every step
-(:mod:`doo_ti.groups.border`), until it grows beyond bounds, as where other rods are in the way of a tie. λ is exact where no
-tie misses, for any κ.
+(:mod:`.group_elimination`), until it grows beyond bounds, as where other rods are in the way of a tie. λ is exact where no tie
+misses, for any κ.
 """
 
 import taichi as ti
@@ -19,7 +19,7 @@ from doo_ti.physics.tuples import choose, dot, identity, minus, negated, plus, s
 @ti.data_oriented
 class Ties:
     """The ties of :class:`.GroupContacts`: a class to derive from before the contacts. A force of the border
-    (:class:`.Border`) is that of a tie or the moment of a weld."""
+    (:class:`.GroupElimination`) is that of a tie or the moment of a weld."""
 
     @ti.func
     def bordered_force(self, rod, index):

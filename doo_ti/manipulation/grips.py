@@ -19,9 +19,9 @@ from numpy.typing import ArrayLike
 
 from doo_ti.contact.itself import Itself
 from doo_ti.contact.obstacles import Obstacle
-from doo_ti.relaxation.end_loads import end_loads
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
+from doo_ti.relaxation.sensitivity import end_loads
 from doo_ti.rod.frames import (
     FRAME_TOLERANCE,
     conjugate,

@@ -19,8 +19,8 @@ import numpy as np
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.motion.path import Motion
 from doo_ti.relaxation.descent import Descent
+from doo_ti.relaxation.external import PointLoads
 from doo_ti.relaxation.newton import Newton
-from doo_ti.relaxation.point_loads import PointLoads
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.types import Configuration, Material, Solution, sticky
 

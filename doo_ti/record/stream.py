@@ -15,7 +15,7 @@ import pyarrow
 import rerun
 import rerun.blueprint as blueprint
 
-from doo_ti.contact.moving import Moving, since_first
+from doo_ti.contact.surroundings import Moving, since_first
 from doo_ti.report.contact import Touched
 from doo_ti.report.grid_view import GridView, Observed
 from doo_ti.system.files import whole_file

@@ -9,10 +9,12 @@ import taichi as ti
 from taichi.lang.impl import subscript
 
 from doo_ti.physics.algebra import absolute, solve_symmetric
-from doo_ti.physics.closure import closing_rotation, linear_gradient, normal_matrix
 from doo_ti.physics.pair import PairEnergy, curvature
 from doo_ti.physics.quaternion import (
+    closing_rotation,
     first_director,
+    linear_gradient,
+    normal_matrix,
     second_director,
     tangent,
     turned_in_body,

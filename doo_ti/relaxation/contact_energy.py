@@ -34,8 +34,8 @@ from doo_ti.physics.tuples import (
     traced,
     variable,
 )
-from doo_ti.relaxation.contact_layout import EVEN
 from doo_ti.relaxation.contact_places import ContactPlaces
+from doo_ti.relaxation.contact_table import EVEN
 
 
 @traced

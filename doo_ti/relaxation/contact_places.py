@@ -26,7 +26,7 @@ from doo_ti.physics.tuples import (
     scaled,
     variable,
 )
-from doo_ti.relaxation.contact_layout import CONTACT, CONTACTS, EVEN, OBSTACLE, SEARCHES, VERTEX, contact_items
+from doo_ti.relaxation.contact_table import CONTACT, CONTACTS, EVEN, OBSTACLE, SEARCHES, VERTEX, contact_items
 
 
 @ti.data_oriented

@@ -12,9 +12,8 @@ blocks are kept while H is eliminated.
 import taichi as ti
 
 from doo_ti.contact.touch import GAP_TOLERANCE
-from doo_ti.physics.closure import linear_gradient
 from doo_ti.physics.number import Number
-from doo_ti.physics.quaternion import first_director, second_director
+from doo_ti.physics.quaternion import first_director, linear_gradient, second_director
 from doo_ti.physics.tuples import (
     add,
     against,
@@ -37,7 +36,7 @@ from doo_ti.physics.tuples import (
 )
 from doo_ti.physics.view import Layout
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contact_layout import SOFT
+from doo_ti.relaxation.contact_table import SOFT
 from doo_ti.relaxation.contacts import Contacts
 from doo_ti.relaxation.external import Nothing
 from doo_ti.relaxation.loaded_elimination import LoadedElimination

@@ -7,7 +7,8 @@ from doo_ti.contact.touch import HELD, Touch
 from doo_ti.physics.tuples import choose, dot, repeated, scaled
 from doo_ti.physics.view import in_f64, read
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contact_layout import (
+from doo_ti.relaxation.contact_rounds import ContactRounds
+from doo_ti.relaxation.contact_table import (
     BENDING_LOADS,
     CARRIED_ON,
     CLOSE,
@@ -21,7 +22,6 @@ from doo_ti.relaxation.contact_layout import (
     SOFT,
     STIFFER,
 )
-from doo_ti.relaxation.contact_rounds import ContactRounds
 
 NONE, STICKS, SLIPS = map(int, Touch)
 

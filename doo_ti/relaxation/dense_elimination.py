@@ -16,8 +16,15 @@ its unknown is the place ξ of the vertex behind it, where sums over vertices be
 import taichi as ti
 
 from doo_ti.physics.algebra import largest_of
-from doo_ti.physics.closure import closure_rows, linear_gradient, linear_hessian, shift_of_end
-from doo_ti.physics.quaternion import first_director, second_director, tangent
+from doo_ti.physics.quaternion import (
+    closure_rows,
+    first_director,
+    linear_gradient,
+    linear_hessian,
+    second_director,
+    shift_of_end,
+    tangent,
+)
 from doo_ti.physics.tuples import (
     applied,
     column_scaled,

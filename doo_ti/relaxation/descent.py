@@ -3,7 +3,7 @@
     x ← x − h (g + Jᵀ λ)        g = ∂E/∂x with the twist angles held, λ = −(J Jᵀ)⁻¹ J g the constraints' multipliers
     x ← x − Jᵀ (J Jᵀ)⁻¹ c(x)    fast projection onto fixed edge lengths, twice (:meth:`.VertexChain.eliminate_lengths`)
     m1 ← P(m1)                  material frames follow their tangents by parallel transport
-    θ ← argmin_θ E              one Newton step, exact for isotropic rods (:meth:`.VertexEnergy.minimise_twist`)
+    θ ← argmin_θ E              one Newton step, exact for isotropic rods (:meth:`.VertexChain.minimise_twist`)
 
 The step length h is spectral (Barzilai–Borwein), limited to a small fraction of an edge so that the path stays close to
 steepest descent, and a step is accepted if the energy does not exceed a running mean of the energies before.
@@ -20,8 +20,7 @@ from doo_ti.physics.view import Scratch
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, SCRATCH, TABLE1, TABLE2, TABLE3, loop_kernel
 from doo_ti.relaxation.loading import LANES, NEXT, stiffness_scale
-from doo_ti.relaxation.vertex_chain import VERTEX
-from doo_ti.relaxation.vertex_energy import VertexEnergy
+from doo_ti.relaxation.vertex_chain import VERTEX, VertexChain
 from doo_ti.rod.types import Status
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, require_number, require_whole
@@ -73,7 +72,7 @@ class DescentLoop:
     """
 
     def __init__(self, number: Number, stride: int):
-        self.sweep, self.memory = VertexEnergy(number), Scratch(number, stride)
+        self.sweep, self.memory = VertexChain(number), Scratch(number, stride)
         lanes = number.lanes()
         self.largest, self.lane, self.with_lane, self.constant = lanes.largest, lanes.lane, lanes.with_lane, lanes.constant
         self.width, self.scalar = number.width, number.scalar

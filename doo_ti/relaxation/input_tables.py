@@ -13,9 +13,8 @@ from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.bows import projectable
 from doo_ti.relaxation.clamp_table import INFEASIBLE, clamp_table
 from doo_ti.relaxation.contact_table import contact_table
-from doo_ti.relaxation.external import External
+from doo_ti.relaxation.external import External, PointLoads
 from doo_ti.relaxation.newton_policy import MOST_SHIFT
-from doo_ti.relaxation.point_loads import PointLoads
 from doo_ti.relaxation.tables import FREE, Tables, rod_rows, room
 from doo_ti.rod.types import Clamps, Configuration, Material
 from doo_ti.system.errors import InputError, real_array

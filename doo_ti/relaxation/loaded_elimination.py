@@ -14,8 +14,15 @@ border of closure.
 import taichi as ti
 
 from doo_ti.physics.algebra import absolute, factor, largest_of
-from doo_ti.physics.closure import closure_rows, linear_gradient, linear_hessian, shift_of_end
-from doo_ti.physics.quaternion import first_director, second_director, tangent
+from doo_ti.physics.quaternion import (
+    closure_rows,
+    first_director,
+    linear_gradient,
+    linear_hessian,
+    second_director,
+    shift_of_end,
+    tangent,
+)
 from doo_ti.physics.tuples import (
     against,
     applied,
@@ -46,10 +53,9 @@ from doo_ti.physics.tuples import (
     variable,
 )
 from doo_ti.relaxation.chain import edge_layout, rod_layout
-from doo_ti.relaxation.contact_layout import CONTACTS
+from doo_ti.relaxation.contact_table import CONTACTS
 from doo_ti.relaxation.contacts import Contacts
-from doo_ti.relaxation.elimination import held_pivot
-from doo_ti.relaxation.loose_start import LooseStart
+from doo_ti.relaxation.elimination import LooseStart, held_pivot
 from doo_ti.relaxation.newton_policy import INERTIA_OF_A_MINIMUM
 
 

@@ -21,19 +21,18 @@ import numpy as np
 import taichi as ti
 
 from doo_ti.physics import pair
-from doo_ti.physics.closure import linear_gradient
 from doo_ti.physics.number import Number
-from doo_ti.physics.quaternion import first_director, second_director
+from doo_ti.physics.quaternion import first_director, linear_gradient, second_director
 from doo_ti.physics.tuples import dot, minus, negated, plus, record, repeated, scaled, variable
 from doo_ti.physics.view import read, write
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_sensitivity import ContactSensitivity
-from doo_ti.relaxation.end_loads import alone
 from doo_ti.relaxation.kernel_factory import TABLE2, TABLE3, loop_kernel
 from doo_ti.relaxation.sensitivity import (
     CURVATURES,
     OF_CLAMPS,
     PARAMETERS,
+    alone,
     at_minima,
     check_parameters,
     parameter_directions,

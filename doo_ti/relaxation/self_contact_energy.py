@@ -23,7 +23,7 @@ from doo_ti.physics.tuples import (
     variable,
 )
 from doo_ti.physics.view import NUMBERS
-from doo_ti.relaxation.contact_layout import (
+from doo_ti.relaxation.contact_table import (
     DEEPEST_STEP,
     ITSELF,
     ITSELF_VERTEX,

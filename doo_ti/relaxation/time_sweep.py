@@ -24,8 +24,8 @@ from doo_ti.physics.quaternion import (
 from doo_ti.physics.tuples import choose, chosen, dot, minus, plus, record, repeated, scaled, variable
 from doo_ti.physics.view import Layout
 from doo_ti.relaxation.contacts import Contacts
+from doo_ti.relaxation.external import PointLoads
 from doo_ti.relaxation.loaded_elimination import LoadedElimination
-from doo_ti.relaxation.point_loads import PointLoads
 
 VERTEX = Layout(place_1=3, place_2=3, velocity_1=3, velocity_2=3, inertia=1, drag=1, drag_by_speed=1, load=1, force=3, spring=1,
                 spring_point=3)

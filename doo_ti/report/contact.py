@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from doo_ti.contact.meshes import mesh
-from doo_ti.contact.moving import Moving
 from doo_ti.contact.obstacles import PLANE, Obstacle
-from doo_ti.contact.surroundings import Surroundings
+from doo_ti.contact.surroundings import Moving, Surroundings
 from doo_ti.report.canvas import box, limits_around, literal, new_figure, save_figure, widest
 from doo_ti.report.grid_view import upright_basis
 

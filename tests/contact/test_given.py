@@ -30,7 +30,7 @@ from doo_ti import (
 )
 from doo_ti.contact.obstacles import Box
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.dynamics.paths import obstacle_path
+from doo_ti.dynamics.grippers import obstacle_path
 from doo_ti.io.motion_file import ClampPath
 from doo_ti.relaxation.time_loading import POSE_COLUMNS
 from doo_ti.rod.frames import matrix_from_quaternion, quaternion_of_turn

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti import ClampPath, Dynamics, Grippers, InputError, Material, Stepping, predict, simulate
-from doo_ti.motion.moving import predict_moving, rate_of
+from doo_ti.motion.predict import predict_moving, rate_of
 from tests.motion.test_predict import MATERIAL, bows, line
 
 SHIFTS = np.linspace(0, 1, 5)[:, None] * [-6.0, 3.0, 2.0]
