@@ -17,8 +17,8 @@ from doo_ti.groups.layout import (
     group_items,
 )
 from doo_ti.groups.ties import Ties
-from doo_ti.physics.algebra import absolute, largest_of
-from doo_ti.physics.tuples import add, choose, dot, extended, identity, minus, picked, plus, scaled, variable
+from doo_ti.physics.algebra import absolute, identity, largest_of
+from doo_ti.physics.tuples import add, choose, dot, extended, minus, picked, plus, scaled, variable
 from doo_ti.physics.view import NUMBERS, in_f64, read, write
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_table import FINE, contact_items, pair_items

@@ -20,40 +20,29 @@ import taichi as ti
 
 from doo_ti.groups.group_contacts import GroupContacts
 from doo_ti.groups.layout import JointRest
-from doo_ti.physics.algebra import absolute
-from doo_ti.physics.quaternion import (
+from doo_ti.physics.algebra import (
+    absolute,
     against_columns,
+    column_scaled,
+    full,
+    mixed_block,
+    on_diagonal,
+    own_block,
+    row_scaled,
+    seen_from,
+)
+from doo_ti.physics.quaternion import (
     closure_rows,
     first_director,
     linear_gradient,
     linear_hessian,
-    mixed_block,
-    own_block,
     product,
     relative_rotation,
     second_director,
-    seen_from,
     tangent,
     turned_in_body,
 )
-from doo_ti.physics.tuples import (
-    add,
-    chosen,
-    column_scaled,
-    cross,
-    dot,
-    extended,
-    full,
-    minus,
-    negated,
-    on_diagonal,
-    plus,
-    products,
-    repeated,
-    row_scaled,
-    scaled,
-    variable,
-)
+from doo_ti.physics.tuples import add, chosen, cross, dot, extended, minus, negated, plus, products, repeated, scaled, variable
 from doo_ti.relaxation.chain import Chain
 from doo_ti.relaxation.elimination import held_pivot
 from doo_ti.relaxation.newton import DenseLoadedElimination

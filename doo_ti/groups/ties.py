@@ -12,8 +12,8 @@ misses, for any κ.
 import taichi as ti
 
 from doo_ti.groups.layout import FORCE, GIVE, MOST_GROWTH, MOST_TIE_STIFFNESS, NO_BORDER, NOTABLE_MISS, STIFFER_TIES, TIE
-from doo_ti.physics.algebra import absolute, largest_of
-from doo_ti.physics.tuples import choose, dot, identity, minus, negated, plus, scaled, variable
+from doo_ti.physics.algebra import absolute, identity, largest_of
+from doo_ti.physics.tuples import choose, dot, minus, negated, plus, scaled, variable
 
 
 @ti.data_oriented

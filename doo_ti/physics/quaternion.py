@@ -2,8 +2,7 @@
 functions, which packs of lanes do not have.
 
 At the end linear potentials c·t·l of an edge: gravity, and the multiplier λ that holds the far end (§III-B). The one constraint
-that a chain of frames does not keep by itself is closure, Σ_j l_j t_j = d: three numbers per rod. And derivatives of a weld,
-which keeps the rotation between two edges.
+that a chain of frames does not keep by itself is closure, Σ_j l_j t_j = d: three numbers per rod.
 """
 
 import math
@@ -12,7 +11,7 @@ from fractions import Fraction
 import taichi as ti
 
 from doo_ti.physics.algebra import absolute
-from doo_ti.physics.tuples import cross, dot, minus, negated, plus, repeated, scaled, traced
+from doo_ti.physics.tuples import cross, dot, minus, negated, plus, repeated, scaled
 
 
 @ti.func
@@ -289,44 +288,3 @@ def normal_matrix(length, t):
 def closing_rotation(length, t, x):
     """World rotation −l t × x that moves the end of the edge by −AᵀA x: the minimum norm for a shift of the far end."""
     return negated(scaled(cross(t, x), length))
-
-
-@traced
-def against_columns(m, columns) -> tuple:
-    """M R, where R has three ``columns``."""
-    return tuple(m[3 * r] * c[0] + m[3 * r + 1] * c[1] + m[3 * r + 2] * c[2] for r in range(3) for c in columns)
-
-
-@traced
-def seen_from(columns, m) -> tuple:
-    """Rᵀ M R of a symmetric M, six numbers, where R has three ``columns``."""
-    turned = [(m[0] * c[0] + m[1] * c[1] + m[2] * c[2], m[1] * c[0] + m[3] * c[1] + m[4] * c[2],
-               m[2] * c[0] + m[4] * c[1] + m[5] * c[2]) for c in columns]
-    return tuple(columns[r][0] * turned[c][0] + columns[r][1] * turned[c][1] + columns[r][2] * turned[c][2]
-                 for r in range(3) for c in range(r, 3))
-
-
-@traced
-def own_block(v, stiffness, bent) -> tuple:
-    """κ (I − v vᵀ) + ``bent`` I, six numbers."""
-    return tuple((stiffness + bent if r == c else 0.0 * bent) - stiffness * v[r] * v[c] for r in range(3) for c in range(r, 3))
-
-
-@traced
-def mixed_block(s, v, p, stiffness) -> tuple:
-    """−κ (s + [v]×)² + (v pᵀ + p vᵀ + s [p]× − (p·v) I)/2, nine numbers: of the second derivatives by both edges what stands
-    before the rest rotation, r = (s, v)."""
-    across = {(0, 1): (2, -1.0), (0, 2): (1, 1.0), (1, 0): (2, 1.0), (1, 2): (0, -1.0), (2, 0): (1, -1.0), (2, 1): (0, 1.0)}
-    inner = v[0] * p[0] + v[1] * p[1] + v[2] * p[2]
-    square = s * s - v[0] * v[0] - v[1] * v[1] - v[2] * v[2]
-    block = []
-    for r in range(3):
-        for c in range(3):
-            value = 0.5 * (v[r] * p[c] + p[r] * v[c]) - stiffness * v[r] * v[c]
-            if r == c:
-                value = value - 0.5 * inner - stiffness * square
-            else:
-                k, sign = across[r, c]
-                value = value + (0.5 * sign) * s * p[k] - (2.0 * sign) * stiffness * s * v[k]
-            block.append(value)
-    return tuple(block)

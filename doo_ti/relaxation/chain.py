@@ -8,7 +8,7 @@ from functools import cache
 import taichi as ti
 from taichi.lang.impl import subscript
 
-from doo_ti.physics.algebra import absolute, solve_symmetric
+from doo_ti.physics.algebra import absolute, on_diagonal, solve_symmetric
 from doo_ti.physics.pair import PairEnergy, curvature
 from doo_ti.physics.quaternion import (
     closing_rotation,
@@ -21,20 +21,7 @@ from doo_ti.physics.quaternion import (
     turned_in_world,
     twist_angle_function,
 )
-from doo_ti.physics.tuples import (
-    chosen,
-    dot,
-    extended,
-    minus,
-    negated,
-    on_diagonal,
-    picked,
-    plus,
-    record,
-    repeated,
-    scaled,
-    variable,
-)
+from doo_ti.physics.tuples import chosen, dot, extended, minus, negated, picked, plus, record, repeated, scaled, variable
 from doo_ti.physics.view import Layout, Scratch
 from doo_ti.relaxation.newton_policy import UP
 

@@ -18,22 +18,8 @@ derivatives lower than those at a fixed s by v vᵀ/φ_ss, v = (H p, n + s H p),
 import taichi as ti
 
 from doo_ti.contact.distance import outer
-from doo_ti.physics.algebra import absolute, largest_of
-from doo_ti.physics.tuples import (
-    add,
-    applied,
-    choose,
-    dot,
-    full,
-    minus,
-    negated,
-    plus,
-    record,
-    repeated,
-    scaled,
-    traced,
-    variable,
-)
+from doo_ti.physics.algebra import absolute, applied, full, largest_of
+from doo_ti.physics.tuples import add, choose, dot, minus, negated, plus, record, repeated, scaled, traced, variable
 from doo_ti.relaxation.contact_places import ContactPlaces
 from doo_ti.relaxation.contact_table import EVEN
 

@@ -12,28 +12,10 @@ blocks are kept while H is eliminated.
 import taichi as ti
 
 from doo_ti.contact.touch import GAP_TOLERANCE
+from doo_ti.physics.algebra import against, applied, forward, full, minus_combination, symmetric_gram, transposed
 from doo_ti.physics.number import Number
 from doo_ti.physics.quaternion import first_director, linear_gradient, second_director
-from doo_ti.physics.tuples import (
-    add,
-    against,
-    applied,
-    extended,
-    forward,
-    full,
-    minus,
-    minus_combination,
-    negated,
-    picked,
-    plus,
-    products,
-    record,
-    repeated,
-    scaled,
-    symmetric_gram,
-    transposed,
-    variable,
-)
+from doo_ti.physics.tuples import add, extended, minus, negated, picked, plus, products, record, repeated, scaled, variable
 from doo_ti.physics.view import Layout
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_table import SOFT

@@ -15,7 +15,18 @@ its unknown is the place ξ of the vertex behind it, where sums over vertices be
 
 import taichi as ti
 
-from doo_ti.physics.algebra import largest_of
+from doo_ti.physics.algebra import (
+    applied,
+    column_scaled,
+    full,
+    identity,
+    largest_of,
+    on_diagonal,
+    row,
+    row_scaled,
+    shifted,
+    transposed,
+)
 from doo_ti.physics.quaternion import (
     closure_rows,
     first_director,
@@ -25,26 +36,7 @@ from doo_ti.physics.quaternion import (
     shift_of_end,
     tangent,
 )
-from doo_ti.physics.tuples import (
-    applied,
-    column_scaled,
-    dot,
-    full,
-    identity,
-    minus,
-    negated,
-    on_diagonal,
-    plus,
-    products,
-    repeated,
-    row,
-    row_scaled,
-    scaled,
-    shifted,
-    traced,
-    transposed,
-    variable,
-)
+from doo_ti.physics.tuples import dot, minus, negated, plus, products, repeated, scaled, traced, variable
 from doo_ti.relaxation.dense_factors import DenseFactors
 from doo_ti.relaxation.elimination import held_pivot
 

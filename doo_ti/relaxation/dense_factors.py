@@ -2,8 +2,8 @@
 
 import taichi as ti
 
-from doo_ti.physics.algebra import factor_in_turn
-from doo_ti.physics.tuples import minus, plus, repeated, row, scaled, traced, variable
+from doo_ti.physics.algebra import factor_in_turn, row
+from doo_ti.physics.tuples import minus, plus, repeated, scaled, traced, variable
 from doo_ti.physics.view import NUMBERS
 
 COLUMNS = 4

@@ -15,33 +15,29 @@ chain, so that no rotation has to.
 
 import taichi as ti
 
-from doo_ti.physics.algebra import absolute, factor, factor_in_turn, largest_of, positive_eigenvalues, solve_symmetric
-from doo_ti.physics.quaternion import closure_rows, first_director, linear_gradient, linear_hessian, second_director, tangent
-from doo_ti.physics.tuples import (
+from doo_ti.physics.algebra import (
+    absolute,
     against,
     backward,
-    chosen,
     column_scaled,
-    dot,
+    factor,
+    factor_in_turn,
     forward,
     forward_rows,
     gram,
-    minus,
+    largest_of,
     minus_combination,
-    negated,
     on_diagonal,
-    plus,
-    products,
-    record,
-    repeated,
+    positive_eigenvalues,
     row_scaled,
-    scaled,
     shifted,
+    solve_symmetric,
     squared,
     symmetric_gram,
     transposed,
-    variable,
 )
+from doo_ti.physics.quaternion import closure_rows, first_director, linear_gradient, linear_hessian, second_director, tangent
+from doo_ti.physics.tuples import chosen, dot, minus, negated, plus, products, record, repeated, scaled, variable
 from doo_ti.relaxation.chain import Chain
 
 

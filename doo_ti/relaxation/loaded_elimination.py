@@ -13,7 +13,26 @@ border of closure.
 
 import taichi as ti
 
-from doo_ti.physics.algebra import absolute, factor, largest_of
+from doo_ti.physics.algebra import (
+    absolute,
+    against,
+    applied,
+    column_scaled,
+    factor,
+    forward,
+    forward_rows,
+    full,
+    gram,
+    identity,
+    largest_of,
+    minus_combination,
+    quadratic,
+    row,
+    squared,
+    symmetric_gram,
+    times_transposed,
+    transposed,
+)
 from doo_ti.physics.quaternion import (
     closure_rows,
     first_director,
@@ -24,32 +43,17 @@ from doo_ti.physics.quaternion import (
     tangent,
 )
 from doo_ti.physics.tuples import (
-    against,
-    applied,
-    column_scaled,
     dot,
     extended,
-    forward,
-    forward_rows,
-    full,
-    gram,
-    identity,
     minus,
-    minus_combination,
     negated,
     picked,
     plus,
     products,
-    quadratic,
     record,
     repeated,
-    row,
     scaled,
-    squared,
-    symmetric_gram,
-    times_transposed,
     traced,
-    transposed,
     variable,
 )
 from doo_ti.relaxation.chain import edge_layout, rod_layout

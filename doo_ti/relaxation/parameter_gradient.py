@@ -11,9 +11,10 @@ the clamped vertex: the energy grows by it times the angle by which the clamp tu
 import taichi as ti
 
 from doo_ti.physics import pair
+from doo_ti.physics.algebra import applied, full, transposed
 from doo_ti.physics.pair import moment, strain
 from doo_ti.physics.quaternion import first_director, linear_gradient, linear_hessian, second_director, shift_of_end, tangent
-from doo_ti.physics.tuples import applied, dot, full, minus, plus, record, scaled, transposed, variable
+from doo_ti.physics.tuples import dot, minus, plus, record, scaled, variable
 from doo_ti.physics.view import Layout, read
 from doo_ti.relaxation import chain
 

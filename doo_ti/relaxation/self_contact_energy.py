@@ -7,21 +7,8 @@ from each other along the rod, so the Newton system is no longer a band (:mod:`.
 import taichi as ti
 
 from doo_ti.contact.itself import LEAST_ARC
-from doo_ti.physics.algebra import largest_of
-from doo_ti.physics.tuples import (
-    add,
-    chosen,
-    dot,
-    full,
-    minus,
-    picked,
-    plus,
-    record,
-    repeated,
-    row,
-    scaled,
-    variable,
-)
+from doo_ti.physics.algebra import full, largest_of, row
+from doo_ti.physics.tuples import add, chosen, dot, minus, picked, plus, record, repeated, scaled, variable
 from doo_ti.physics.view import NUMBERS
 from doo_ti.relaxation.contact_table import (
     DEEPEST_STEP,

@@ -9,24 +9,9 @@ that a clamp holds do not depend on p. The lanes of a pack make their steps toge
 import taichi as ti
 
 from doo_ti.physics import pair
+from doo_ti.physics.algebra import against, backward, forward, minus_combination, symmetric_gram
 from doo_ti.physics.quaternion import first_director, second_director, tangent
-from doo_ti.physics.tuples import (
-    against,
-    backward,
-    dot,
-    extended,
-    forward,
-    minus,
-    minus_combination,
-    negated,
-    picked,
-    plus,
-    products,
-    repeated,
-    scaled,
-    symmetric_gram,
-    variable,
-)
+from doo_ti.physics.tuples import dot, extended, minus, negated, picked, plus, products, repeated, scaled, variable
 from doo_ti.physics.view import Layout, in_f64
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.loading import load_stiffness

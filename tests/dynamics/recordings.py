@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from doo_ti import Clamp, Grippers, Stepping, simulate
-from doo_ti.dynamics.theta import MotionTheta, simulated
+from doo_ti import Clamp, Grippers, MotionTheta, Stepping, simulate
+from doo_ti.dynamics.theta import simulated
 from doo_ti.rod.frames import edge_frames
 from tests.references.rods import chain, stacked
 

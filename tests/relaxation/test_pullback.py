@@ -5,21 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import (
-    Clamp,
-    Configuration,
-    InputError,
-    Material,
-    Newton,
-    Plane,
-    PointLoads,
-    Solution,
-    Sphere,
-    pullback,
-    relax,
-    sensitivity,
-)
-from doo_ti.relaxation.sensitivity import PARAMETERS
+from doo_ti import Clamp, Configuration, InputError, Material, Newton, Plane, PointLoads, Solution, Sphere, pullback, relax
+from doo_ti.relaxation.sensitivity import PARAMETERS, sensitivity
 from tests.contact.clutter import OBSTACLES, RADIUS, sagging
 from tests.references.rods import chain, clamps_at
 from tests.relaxation.rods import PAIRS, definite, one_of_three_at_rest, wandering, with_kinds

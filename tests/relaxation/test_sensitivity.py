@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, InputError, Material, Newton, Springs, relax
-from doo_ti.relaxation.sensitivity import sensitivity, tilt_axes
+from doo_ti import Clamp, InputError, Material, Newton, Springs, relax, sensitivity
+from doo_ti.relaxation.sensitivity import tilt_axes
 from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import clamped_start, free_variables
