@@ -29,11 +29,7 @@ from doo_ti.motion.path import LARGEST_TURN, Motion, motion_between, rotation_ab
 from doo_ti.relaxation.external import PointLoads, check_rows
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.rod.frames import (
-    edge_frames,
-    total_twist,
-    vertices_from_quaternions,
-)
+from doo_ti.rod.frames import edge_frames, total_twist, vertices_from_quaternions
 from doo_ti.rod.physical_units import doubt_angle
 from doo_ti.rod.types import POSES, Clamps, Configuration, Material, Solution, Status, sticky
 from doo_ti.system.arguments import typed

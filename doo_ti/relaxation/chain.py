@@ -9,12 +9,9 @@ import taichi as ti
 from taichi.lang.impl import subscript
 
 from doo_ti.physics.algebra import absolute, on_diagonal, solve_symmetric
-from doo_ti.physics.pair import PairEnergy, curvature
+from doo_ti.physics.pair import PairEnergy, closing_rotation, curvature, linear_gradient, normal_matrix
 from doo_ti.physics.quaternion import (
-    closing_rotation,
     first_director,
-    linear_gradient,
-    normal_matrix,
     second_director,
     tangent,
     turned_in_body,

@@ -14,7 +14,8 @@ import taichi as ti
 from doo_ti.contact.touch import GAP_TOLERANCE
 from doo_ti.physics.algebra import against, applied, forward, full, minus_combination, symmetric_gram, transposed
 from doo_ti.physics.number import Number
-from doo_ti.physics.quaternion import first_director, linear_gradient, second_director
+from doo_ti.physics.pair import linear_gradient
+from doo_ti.physics.quaternion import first_director, second_director
 from doo_ti.physics.tuples import add, extended, minus, negated, picked, plus, products, record, repeated, scaled, variable
 from doo_ti.physics.view import Layout
 from doo_ti.relaxation import tables as of

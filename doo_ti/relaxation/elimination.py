@@ -36,7 +36,8 @@ from doo_ti.physics.algebra import (
     symmetric_gram,
     transposed,
 )
-from doo_ti.physics.quaternion import closure_rows, first_director, linear_gradient, linear_hessian, second_director, tangent
+from doo_ti.physics.pair import closure_rows, linear_gradient, linear_hessian
+from doo_ti.physics.quaternion import first_director, second_director, tangent
 from doo_ti.physics.tuples import chosen, dot, minus, negated, plus, products, record, repeated, scaled, variable
 from doo_ti.relaxation.chain import Chain
 

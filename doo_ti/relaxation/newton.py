@@ -19,17 +19,7 @@ from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contacts import Contacts
 from doo_ti.relaxation.dense_elimination import DenseElimination
 from doo_ti.relaxation.elimination import Elimination
-from doo_ti.relaxation.kernel_factory import (
-    FIELD,
-    INDEX1,
-    INDEX2,
-    SCRATCH,
-    TABLE1,
-    TABLE2,
-    TABLE3,
-    TABLE4,
-    loop_kernel,
-)
+from doo_ti.relaxation.kernel_factory import FIELD, INDEX1, INDEX2, SCRATCH, TABLE1, TABLE2, TABLE3, TABLE4, loop_kernel
 from doo_ti.relaxation.loaded_elimination import LoadedElimination
 from doo_ti.relaxation.loading import LANES, NEXT, TRIPS, Loading
 from doo_ti.relaxation.newton_trip import NewtonTrip

@@ -22,7 +22,8 @@ import taichi as ti
 
 from doo_ti.physics import pair
 from doo_ti.physics.number import Number
-from doo_ti.physics.quaternion import first_director, linear_gradient, second_director
+from doo_ti.physics.pair import linear_gradient
+from doo_ti.physics.quaternion import first_director, second_director
 from doo_ti.physics.tuples import dot, minus, negated, plus, record, repeated, scaled, variable
 from doo_ti.physics.view import read, write
 from doo_ti.relaxation import tables as of
