@@ -109,8 +109,7 @@ class Losses:
             "springs": (0.5 * self.spring_stiffness * apart).sum(axis=-1), "loads": -(self.force * place).sum(axis=(-1, -2))}
 
     def dissipated(self, memory: Memory, change: np.ndarray, step: float) -> dict[str, np.ndarray]:
-        """(R,) what was dissipated in the step before ``memory``, of h = ``step``, at its mean speeds; the strains changed by
-        ``change``."""
+        """(R,) what was dissipated in the step h before ``memory`` at its mean speeds; the strains changed by ``change``."""
         moved = memory.places[..., :3] - memory.places[..., 3:6]
         square = (moved**2).sum(axis=-1) / step
         loss = change * self.stresses(change) / step
@@ -235,8 +234,7 @@ class Account:
 
 
 def joint_strains(frames: np.ndarray) -> np.ndarray:
-    """(R, J, 5) of the joints of (R, J + 1, 4) frames: κ = (κb·m2, −κb·m1) of the left frame and of the right one, and the
-    twist m."""
+    """(R, J, 5) of joints of (R, J + 1, 4) frames: κ = (κb·m2, −κb·m1) of the left frame, of the right one, and twist m."""
     x1, x2, y1, y2, turn = np.moveaxis(curvatures(frames), -1, 0)
     return np.stack([2.0 * x2, -2.0 * x1, 2.0 * y2, -2.0 * y1, turn], axis=-1)
 

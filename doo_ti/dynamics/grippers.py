@@ -248,8 +248,7 @@ def _refined(body: Moving, parts: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def needed_substeps(surroundings: Surroundings, least_way: float, start: Configuration) -> int:
-    """How many time steps the moving obstacles need from one instant to the next, where a time step may be divided into parts
-    of ``least_way``."""
+    """How many time steps moving obstacles need between instants, where a step may be divided into parts of ``least_way``."""
     moves = [_largest_move(body.obstacle, *body.path, start) for body in surroundings.bodies if isinstance(body, Moving)]
     return max([1] + [int(np.ceil(move / _most_move(surroundings, least_way))) for move in moves])
 

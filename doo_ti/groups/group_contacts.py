@@ -18,7 +18,7 @@ from doo_ti.groups.layout import (
 )
 from doo_ti.groups.ties import Ties
 from doo_ti.physics.algebra import absolute, identity, largest_of
-from doo_ti.physics.tuples import add, choose, dot, extended, minus, picked, plus, scaled, variable
+from doo_ti.physics.tuples import add, choose, device_functions, dot, extended, minus, picked, plus, scaled, variable
 from doo_ti.physics.view import NUMBERS, in_f64, read, write
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_table import FINE, contact_items, pair_items
@@ -26,7 +26,7 @@ from doo_ti.relaxation.loading import stiffness_scale
 from doo_ti.relaxation.self_contacts import SelfContacts
 
 
-@ti.data_oriented
+@device_functions
 class GroupContacts(Ties, SelfContacts):
     """The contacts and ties of a group.
 
@@ -75,23 +75,18 @@ class GroupContacts(Ties, SelfContacts):
 
     # --- what a rod that touches itself has otherwise ---
 
-    @ti.func
     def may_touch(self, rod, i, at, arc):
         """Whether two edges may touch is known from the start."""
         return at.may_touch > 0.5
 
-    @ti.func
     def held(self, rod, index):
         return self.group_vertex(rod, index).held
 
-    @ti.func
     def clearance(self, rod, index, distance):
         return distance - self.group_vertex(rod, index).thicker
 
-    @ti.func
     def pinched(self, rod, miss):
-        """Whether clamps hold a vertex inside an obstacle or two edges in each other; of the ends, which ties hold, their
-        places count."""
+        """Whether clamps hold a vertex in an obstacle or two edges in each other; of ends, which ties hold, places count."""
         least = 0.0 * rod.total
         for index in range(rod.edges + 1):
             place = self.vertex(rod, index).place
@@ -103,7 +98,6 @@ class GroupContacts(Ties, SelfContacts):
                 least = self.sunk(rod, rod.ties[k, 0], place, at.active, least)
         return (least < 0.0 - rod.contacts.tolerance) | self.pinched_pairs(rod)
 
-    @ti.func
     def sunk(self, rod, index, place, held, least):
         """``least``, or the least gap of vertex ``index`` at a ``place`` where it is ``held``."""
         found = variable((least,))
@@ -113,7 +107,6 @@ class GroupContacts(Ties, SelfContacts):
             found = (ti.select(held > 0.5, ti.min(found[0], gap), found[0]),)
         return found[0]
 
-    @ti.func
     def stand_pairs(self, rod):
         SelfContacts.stand_pairs(self, rod)
         for g in range(rod.rods):
@@ -121,7 +114,6 @@ class GroupContacts(Ties, SelfContacts):
             at.begin_standing = at.begin
         self.stand_forces(rod)
 
-    @ti.func
     def restore_pairs(self, rod, lost):
         SelfContacts.restore_pairs(self, rod, lost)
         for g in range(rod.rods):
@@ -131,7 +123,6 @@ class GroupContacts(Ties, SelfContacts):
 
     # --- weight and springs ---
 
-    @ti.func
     def hang(self, rod):
         """Add the weight of all vertices and their springs to the energy, the gradient and the second derivatives."""
         for v in range(rod.edges + 1):
@@ -146,7 +137,6 @@ class GroupContacts(Ties, SelfContacts):
 
     # --- rounds ---
 
-    @ti.func
     def tolerance(self, rod, given):
         """As of one rod, but without the rougher rounds: with these, ties would change their forces before the rods have
         followed the last change. It is at least what rounding of places makes of the forces."""
@@ -154,13 +144,11 @@ class GroupContacts(Ties, SelfContacts):
         noise = self.rounding * stiffness * rod.longest * rod.total * rod.total
         return given + noise
 
-    @ti.func
     def end_round(self, rod, lane, calm, rests, moved):
         """As of one rod; but where ties still miss that the next step closes, it is taken first."""
         missing = ~self.draws(rod) & (self.miss(rod) > TIE_TOLERANCE)
         return SelfContacts.end_round(self, rod, lane, calm & ~missing, rests & ~missing, moved) | (rests & missing)
 
-    @ti.func
     def update_forces(self, rod, due):
         """End a round with new forces of contacts and, a first one, of ties. Returns the largest change of a gap that they
         mean, or what a tie misses times the ratio of their tolerances."""
@@ -171,7 +159,6 @@ class GroupContacts(Ties, SelfContacts):
 
     # --- into scratch and out of it ---
 
-    @ti.func
     def load(self, tables, slot, rod, unit, scale):
         """As the obstacles and contacts of one rod, and the group's own numbers."""
         SelfContacts.load(self, tables, slot, rod, unit, scale)
@@ -217,7 +204,6 @@ class GroupContacts(Ties, SelfContacts):
         head.bound = ti.select(most > 0.0, bound, 0.0 * bound)
         head.give = ti.select(most > 0.0, GIVE, NO_BORDER) / stiffness
 
-    @ti.func
     def load_apart(self, tables, one, row):
         """Which edges may touch; and no edge ends where a rod begins, so that none sags there."""
         for v in range(one.edges + 1):
@@ -227,10 +213,8 @@ class GroupContacts(Ties, SelfContacts):
         for number in range(tables.apart.shape[1]):
             self.numbered_pair(one, number).may_touch = ti.cast(tables.apart[own, number], ti.f64)
 
-    @ti.func
     def unload_forces(self, tables, slot, place, force_unit):
-        """The forces on vertices and those of ties, what sticks and slips, the work of friction, and where the rods begin, into
-        row ``place``."""
+        """Forces on vertices and of ties, what sticks and slips, friction's work and where rods begin, into row ``place``."""
         SelfContacts.unload_forces(self, tables, slot, place, force_unit)
         self.unload_touch(tables, slot, place)
         one = self.of_lane(tables, slot)

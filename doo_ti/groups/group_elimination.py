@@ -33,13 +33,27 @@ from doo_ti.physics.algebra import (
 )
 from doo_ti.physics.pair import closure_rows, linear_gradient, linear_hessian
 from doo_ti.physics.quaternion import first_director, product, relative_rotation, second_director, tangent, turned_in_body
-from doo_ti.physics.tuples import add, chosen, cross, dot, extended, minus, negated, plus, products, repeated, scaled, variable
+from doo_ti.physics.tuples import (
+    add,
+    chosen,
+    cross,
+    device_functions,
+    dot,
+    extended,
+    minus,
+    negated,
+    plus,
+    products,
+    repeated,
+    scaled,
+    variable,
+)
 from doo_ti.relaxation.chain import Chain
 from doo_ti.relaxation.elimination import held_pivot
 from doo_ti.relaxation.newton import DenseLoadedElimination
 
 
-@ti.data_oriented
+@device_functions
 class GroupElimination(DenseLoadedElimination):
     """The chain of a group. No rod is closed: ties hold their far ends.
 
@@ -52,30 +66,25 @@ class GroupElimination(DenseLoadedElimination):
     def __init__(self, number, stride: int, contacts: GroupContacts):
         super().__init__(number, False, stride, JointRest, True, contacts)
 
-    @ti.func
     def begins(self, rod, e):
         return rod.begins[e]
 
-    @ti.func
     def rest(self, edge):
         """u̅ of the left frame and of the right one, and m̅."""
         own = edge.external
         return (plus(edge.rest, own.left), plus(edge.rest, own.right), own.twist)
 
-    @ti.func
     def rods(self, tables, head, coarse):
         """As of one rod, with what :class:`.GroupContacts` reads."""
         rod = Chain.rods(self, tables, head, coarse)
         return extended(rod, begins=tables.begins, ties=tables.ties, borders=tables.borders, rods=tables.places.shape[1])
 
-    @ti.func
     def freedom(self, rod, edge):
         own = self.contacts.edge(rod, edge)
         return (own.spin, own.tilt, own.tilt)
 
     # --- the step ---
 
-    @ti.func
     def step(self, rod, scale, moving, before):
         """Frames turned by scale ω, and the rods' begins; nothing has to be closed."""
         zero = 0.0 * scale
@@ -95,7 +104,6 @@ class GroupElimination(DenseLoadedElimination):
         self.step_start(rod, scale, moving, variable(none), variable(none))
         return none, repeated(zero, 6)
 
-    @ti.func
     def close(self, rod, x, normal):
         """The energy of bending and twisting, and that once more for its magnitude; no closure is left."""
         zero = 0.0 * rod.total
@@ -112,7 +120,6 @@ class GroupElimination(DenseLoadedElimination):
 
     # --- the energies of places ---
 
-    @ti.func
     def collect(self, rod, found):
         self.contacts.begin(rod)
         self.find_tips(rod)
@@ -136,7 +143,6 @@ class GroupElimination(DenseLoadedElimination):
         self.contacts.bind(rod)
         self.weld(rod)
 
-    @ti.func
     def find_tips(self, rod):
         """Where all rods end."""
         x = variable(plus(rod.anchor, rod.head.drift))
@@ -150,19 +156,16 @@ class GroupElimination(DenseLoadedElimination):
                 x = plus(x, scaled(tangent(edge.frame), edge.length))
         self.contacts.member(rod, rod.rods - 1).tip = x
 
-    @ti.func
     def tip_of(self, rod, index):
         return self.contacts.member(rod, index).tip
 
     # --- H ---
 
-    @ti.func
     def assemble(self, rod, shift, search, multiplier, found):
         DenseLoadedElimination.assemble(self, rod, shift, search, multiplier, found)
         self.add_welds(rod)
         self.add_border(rod, search, found)
 
-    @ti.func
     def pulled_edge(self, rod, e, edge, slope, bent, force, beyond):
         """As of one rod, with what the welds of the edge add; weight is a force on vertices (:meth:`.GroupContacts.hang`)."""
         q = edge.frame
@@ -176,7 +179,6 @@ class GroupElimination(DenseLoadedElimination):
         h = (bent[0], bent[1] - 0.5 * welded[2], bent[2] + 0.5 * welded[1], bent[3] + straighten, bent[4], bent[5] + straighten)
         return g, self.second_derivatives(rod, h, g), closure_rows(length, m1, m2)
 
-    @ti.func
     def assemble_begin(self, rod, line, free, shift, force, found):
         slope = products(free, force)
         self.observe_moment(found, scaled(slope, rod.total))
@@ -185,23 +187,19 @@ class GroupElimination(DenseLoadedElimination):
         self.store_diagonal(rod, line, held_pivot(shifted, free))
         self.store_side(rod, line, negated(slope), repeated(0.0 * rod.total, 9))
 
-    @ti.func
     def begin_at(self, rod, e, step):
         """Keep the ``step`` of the place behind the break ``e``."""
         self.contacts.member(rod, rod.begins[e]).begin_step = step
 
-    @ti.func
     def substitute(self, rod, found):
         longest, size, decrement = DenseLoadedElimination.substitute(self, rod, found)
         return longest, size, decrement + self.keep_forces(rod)
 
     # --- the border ---
 
-    @ti.func
     def lines(self, rod):
         return rod.edges + 1 + rod.borders.shape[0]
 
-    @ti.func
     def add_border(self, rod, search, found):
         """Store A, ε and the right-hand side. Inverse iterations, the ``search`` off a saddle, leave forces as they are."""
         zero = 0.0 * rod.total
@@ -224,7 +222,6 @@ class GroupElimination(DenseLoadedElimination):
             self.store_side(rod, line, scaled(self.contacts.bordered_miss(rod, b), 0.0 - active), repeated(zero, 9))
             found.negative = found.negative - 3.0
 
-    @ti.func
     def add_way(self, rod, line, vertex, sign):
         """Add the derivatives of a vertex's place, times ``sign``, by all that moves it."""
         q, begin = vertex, 0
@@ -236,7 +233,6 @@ class GroupElimination(DenseLoadedElimination):
                     begin = q
             q -= 1
 
-    @ti.func
     def add_turns(self, rod, line, late, early, at, sign):
         """The same of a weld's rotation u = 2 v by those of both edges: −(s − [v]×) and (s + [v]×) R, with s² = 1 − |v|² and
         the rest rotation R."""
@@ -249,7 +245,6 @@ class GroupElimination(DenseLoadedElimination):
         self.contacts.add_block(rod, line, late + 1, scaled(column_scaled(before, self.freedom(rod, late)), sign))
         self.contacts.add_block(rod, line, early + 1, scaled(column_scaled(turned, self.freedom(rod, early)), sign))
 
-    @ti.func
     def keep_forces(self, rod):
         """Keep δλ for the next step. Returns d · δλ, what the border takes from the Newton decrement of H alone."""
         taken = 0.0 * rod.total
@@ -263,7 +258,6 @@ class GroupElimination(DenseLoadedElimination):
 
     # --- welds ---
 
-    @ti.func
     def weld(self, rod):
         """Add the energy of all welds, and keep their derivatives."""
         zero = 0.0 * rod.total
@@ -274,7 +268,6 @@ class GroupElimination(DenseLoadedElimination):
             if rod.ties[k, 2] >= 0:
                 self.weld_edges(rod, self.contacts.tie(rod, k), rod.ties[k, 2], rod.ties[k, 3], stiffness)
 
-    @ti.func
     def weld_edges(self, rod, at, late, early, whole):
         """The same of one weld, whose view is ``at``."""
         stiffness = whole * at.active * at.scale
@@ -298,7 +291,6 @@ class GroupElimination(DenseLoadedElimination):
         at.of_early = seen_from(columns, own)
         at.mixed = against_columns(mixed_block(s, v, p, stiffness), columns)
 
-    @ti.func
     def add_welds(self, rod):
         """Add the second derivatives of all welds to H."""
         for k in range(rod.ties.shape[0]):

@@ -225,8 +225,7 @@ def _materials(group: Group, members: list[Member]) -> tuple[np.ndarray, np.ndar
 
 
 def evened_group(table: GroupTables, most: float) -> tuple[GroupTables, np.ndarray]:
-    """The same groups with the stiffness of each uneven rod made even (:func:`.evened`), and (N,) bool of the groups that this
-    changes."""
+    """The same groups, each uneven rod's stiffness made even (:func:`.evened`), and (N,) bool of those that this changes."""
     material = table.material.copy()
     along = material[:, of.STIFFNESS:].reshape(len(material), -1, of.STIFFNESS_COLUMNS)
     heads, changed = [], np.zeros(len(material), dtype=bool)

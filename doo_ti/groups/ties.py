@@ -13,21 +13,19 @@ import taichi as ti
 
 from doo_ti.groups.layout import FORCE, GIVE, MOST_GROWTH, MOST_TIE_STIFFNESS, NO_BORDER, NOTABLE_MISS, STIFFER_TIES, TIE
 from doo_ti.physics.algebra import absolute, identity, largest_of
-from doo_ti.physics.tuples import choose, dot, minus, negated, plus, scaled, variable
+from doo_ti.physics.tuples import choose, device_functions, dot, minus, negated, plus, scaled, variable
 
 
-@ti.data_oriented
+@device_functions
 class Ties:
     """The ties of :class:`.GroupContacts`: a class to derive from before the contacts. A force of the border
     (:class:`.GroupElimination`) is that of a tie or the moment of a weld."""
 
-    @ti.func
     def bordered_force(self, rod, index):
         """The view of the force, or of a weld the moment, that belongs to three rows of the border."""
         place = ti.select(rod.borders[index, 1] > 0, TIE.at("moment"), TIE.at("force"))
         return self.tie(rod, rod.borders[index, 0]).part(FORCE, place)
 
-    @ti.func
     def bordered_miss(self, rod, index):
         """How far that tie misses, or its weld."""
         miss = variable(self.tie(rod, rod.borders[index, 0]).turned)
@@ -35,7 +33,6 @@ class Ties:
             miss = self.missed(rod, rod.borders[index, 0])
         return miss
 
-    @ti.func
     def lever(self, rod, index):
         """By what a miss of those rows is multiplied for that of a place."""
         lever = 0.0 * rod.total + 1.0
@@ -43,7 +40,6 @@ class Ties:
             lever = rod.total
         return lever
 
-    @ti.func
     def miss(self, rod):
         """The largest miss of a tie, over the length of the longest rod."""
         most = 0.0 * rod.total
@@ -52,7 +48,6 @@ class Ties:
             most = largest_of(most, self.tie(rod, rod.borders[b, 0]).active * dot(miss, miss))
         return ti.sqrt(most)
 
-    @ti.func
     def missed(self, rod, k):
         """How far a tie misses."""
         place, second = variable(self.tie(rod, k).target), rod.ties[k, 1]
@@ -60,7 +55,6 @@ class Ties:
             place = self.vertex(rod, second).place
         return minus(self.vertex(rod, rod.ties[k, 0]).place, place)
 
-    @ti.func
     def bind(self, rod):
         """Add the ties to the energy, the gradient and the second derivatives."""
         head = self.group(rod)
@@ -84,7 +78,6 @@ class Ties:
 
     # --- their forces ---
 
-    @ti.func
     def stand_forces(self, rod):
         """Keep the forces of ties before a step."""
         head = self.group(rod)
@@ -93,7 +86,6 @@ class Ties:
             at = self.bordered_force(rod, b)
             at.standing = at.now
 
-    @ti.func
     def step_forces(self, rod, scale, stepping):
         """Take the step of the forces of ties. What this does to the energy, λ · d of the misses before, is no way downhill.
 
@@ -110,7 +102,6 @@ class Ties:
             choose(at, stepping, now=plus(at.now, change))
         head.work = work[0]
 
-    @ti.func
     def largest_force(self, rod, scale):
         """The largest force of a tie, or moment of a weld over the length of the longest rod, after that share of a step; each
         over what its κ is multiplied by."""
@@ -122,7 +113,6 @@ class Ties:
             most = largest_of(most, dot(force, force) / (unit * unit))
         return ti.sqrt(most)
 
-    @ti.func
     def bound_forces(self, rod, where):
         """Give forces in the lanes ``where`` the bound that they have until the next such round ends."""
         head, zero = self.group(rod), 0.0 * rod.total
@@ -130,7 +120,6 @@ class Ties:
         bound = MOST_GROWTH * (self.largest_force(rod, zero) + least)
         choose(head, where, bound=bound)
 
-    @ti.func
     def restore_forces(self, rod, lost):
         """Restore them in the lanes that reject the step."""
         head = self.group(rod)
@@ -139,13 +128,11 @@ class Ties:
             at = self.bordered_force(rod, b)
             choose(at, lost > 0.5, now=at.standing)
 
-    @ti.func
     def draws(self, rod):
         """The lanes in which ties draw points together without changing their forces: those of a first round."""
         head = self.group(rod)
         return head.give * head.stiffness > 1.0
 
-    @ti.func
     def update_ties(self, rod, due):
         """New forces of the ties in the lanes in which they draw points together, and a larger κ where they had to do so again.
         From then on forces change with every step."""

@@ -74,8 +74,7 @@ def _scalar_lanes(scalar):
 
 
 def _largest_of_halves(width: int, scalar):
-    """The largest lane of a pack of ``width`` without NaN, by halves: its own ``max`` goes from lane to lane, which takes four
-    times as long."""
+    """The largest lane of a pack without NaN, by halves: its ``max`` goes from lane to lane, which takes four times as long."""
 
     @ti.func
     def of_two(value):

@@ -23,7 +23,7 @@ own and the joint a rest twist: E is then that of ω^left − u̅_left, ω^right
 import taichi as ti
 
 from doo_ti.physics.quaternion import relative_rotation
-from doo_ti.physics.tuples import cross, dot, minus, negated, picked, repeated, scaled, traced
+from doo_ti.physics.tuples import cross, device_functions, dot, minus, negated, picked, repeated, scaled, traced
 
 
 @ti.func
@@ -294,14 +294,13 @@ def closing_rotation(length, t, x):
     return negated(scaled(cross(t, x), length))
 
 
-@ti.data_oriented
+@device_functions
 class PairEnergy:
     """The variant for the material of a chain's rods: ``isotropic``, or general. Its functions take views of edges in scratch
     (:mod:`doo_ti.relaxation.chain`), and the stiffness as ``s``."""
 
     isotropic: bool
 
-    @ti.func
     def stiffness(self, left, right, material):
         """The stiffness tuple of the vertex between two neighbouring edges."""
         inverse = right.inverse_length
@@ -310,24 +309,20 @@ class PairEnergy:
         else:
             return (left.bend, right.bend, inverse, right.twist * inverse) + self.rest(right)
 
-    @ti.func
     def rest(self, edge):
         """What stiffness ends with, of the vertex where an edge begins: u̅, the same for both frames."""
         return (edge.rest,)
 
-    @ti.func
     def bent(self, b):
         """(X, Y, 1/s, m, e^{im}) of the numbers ``bent`` of an edge."""
         return ((b[0], b[1]), (b[2], b[3]), b[4], b[5], (b[6], b[7]))
 
-    @ti.func
     def energy_of(self, bent, s):
         if ti.static(self.isotropic):
             return isotropic_energy(bent[0], bent[3], s)
         else:
             return general_energy(bent[0], bent[1], bent[3], s)
 
-    @ti.func
     def gradient_of(self, bent, s):
         x, y, inverse, m, turn = bent
         if ti.static(self.isotropic):
@@ -335,7 +330,6 @@ class PairEnergy:
         else:
             return general_gradient(x, y, inverse, turn, m, s)
 
-    @ti.func
     def derivatives(self, bent, s):
         """(g_left, g_right, H_left, H_right, H_across) of a pair."""
         x, y, inverse, m, turn = bent
@@ -344,6 +338,5 @@ class PairEnergy:
         else:
             return self.gradient_of(bent, s) + general_hessian(x, y, inverse, turn, m, s)
 
-    @ti.func
     def keep_pair(self, rod, joint, derivatives):
         """Called with the :meth:`derivatives` of each pair during elimination; here it keeps nothing."""

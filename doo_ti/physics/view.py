@@ -64,8 +64,7 @@ class _LaneNumber(Expr):
 
 
 class Scratch:
-    """How the numbers of a thread lie in scratch: values of that ``number`` (:mod:`doo_ti.physics.number`), one ``stride``
-    apart."""
+    """How the numbers of a thread lie in scratch: values of that ``number`` (:mod:`.physics.number`), one ``stride`` apart."""
 
     def __init__(self, number: Number, stride: int):
         self.width, self.scalar, self.stride = number.width, number.scalar, stride

@@ -4,7 +4,7 @@ import taichi as ti
 
 from doo_ti.contact.obstacles import DEPTH, OBSTACLE_COLUMNS, SIZES
 from doo_ti.contact.touch import HELD, Touch
-from doo_ti.physics.tuples import choose, dot, repeated, scaled
+from doo_ti.physics.tuples import choose, device_functions, dot, repeated, scaled
 from doo_ti.physics.view import in_f64, read
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_rounds import ContactRounds
@@ -26,13 +26,12 @@ from doo_ti.relaxation.contact_table import (
 NONE, STICKS, SLIPS = map(int, Touch)
 
 
-@ti.data_oriented
+@device_functions
 class Contacts(ContactRounds):
     """The contacts from one instant to the next, and on their way into scratch and out of it."""
 
     # --- from one instant to the next ---
 
-    @ti.func
     def renew(self, rod, done, least, multiplier):
         """Begin another step from where the rods are, in the lanes that are ``done``; returns those in which the clamps have
         not made all their way to the next instant, of which they make ``least`` at once or more."""
@@ -60,7 +59,6 @@ class Contacts(ContactRounds):
         self.begin_rounds(rod, done)
         return midway
 
-    @ti.func
     def begin_rounds(self, rod, where):
         """Begin with the rounds of a step, from the forces that there are, in the lanes ``where``."""
         zero = 0.0 * rod.total
@@ -68,7 +66,6 @@ class Contacts(ContactRounds):
         self.tighten(rod, where)
         choose(rod.contacts, where, retried=zero, update_stiffness=zero, updates=zero)
 
-    @ti.func
     def friction_work(self, rod):
         """The work of friction since the instant before."""
         zero = 0.0 * rod.total
@@ -86,7 +83,6 @@ class Contacts(ContactRounds):
             work = work + self.pair_work(rod)
         return work
 
-    @ti.func
     def retry(self, rod, failed, blocked, bowed, least):
         """Prepare another try of a step that has ``failed``, without the forces of its contacts; returns the lanes in which
         there is one. The first is the same step, unless that began inside an obstacle (``blocked``) and the rod was not
@@ -113,7 +109,6 @@ class Contacts(ContactRounds):
                    stiffness=rod.contacts.first_stiffness, retried=zero + 1.0)
         return once
 
-    @ti.func
     def load_motion(self, tables, slot, row, unit, inertia):
         """Of a rod in motion, into lane ``slot``: its places at the last instant, and κ for that inertia of a vertex."""
         one = self.of_lane(tables, slot)
@@ -133,7 +128,6 @@ class Contacts(ContactRounds):
 
     # --- a rod into a lane and out of it ---
 
-    @ti.func
     def load(self, tables, slot, rod, unit, scale):
         """Rod ``rod``'s obstacles and contacts into lane ``slot``, lengths over ``unit``; ``scale``: the largest stiffness, the
         weight per length, the lengths of an edge, of the longest and of the rod, in the units of the chain."""
@@ -172,7 +166,6 @@ class Contacts(ContactRounds):
         if ti.static(self.itself):
             self.load_pairs(tables, slot, row)
 
-    @ti.func
     def load_contact(self, tables, contact, row, v, o):
         """What memory has of a contact into a lane; returns the larger of its forces."""
         if ti.static(self.expects):
@@ -185,7 +178,6 @@ class Contacts(ContactRounds):
             contact[k] = tables.memory[row, v, o, k]
         return ti.max(force, between)
 
-    @ti.func
     def unload_forces(self, tables, slot, place, force_unit):
         """The forces on the lane's vertices into row ``place``."""
         one = self.of_lane(tables, slot)
@@ -198,7 +190,6 @@ class Contacts(ContactRounds):
                     force += self.pair_force(tables, slot, v, k)
                 tables.forces[place, v, k] = force * force_unit
 
-    @ti.func
     def unload_touch(self, tables, slot, place):
         """The :class:`.Touch` of each vertex of the lane, with the edge that ends there, into row ``place``."""
         one = self.of_lane(tables, slot)
@@ -212,7 +203,6 @@ class Contacts(ContactRounds):
                 touch = ti.max(touch, self.touch_of(contact.force_between, contact.friction_between, coefficient))
             tables.touches[place, v] = touch
 
-    @ti.func
     def touch_of(self, force, friction, coefficient):
         """The :class:`.Touch` of a contact with that force and friction."""
         found = ti.cast(NONE, ti.i32)
@@ -224,7 +214,6 @@ class Contacts(ContactRounds):
             found = ti.select(square < (HELD * limit) ** 2, STICKS, SLIPS)
         return found
 
-    @ti.func
     def unload(self, tables, slot, row):
         """The lane's contacts into row ``row`` of the memory, in the units of the chain."""
         one = self.of_lane(tables, slot)
@@ -236,7 +225,6 @@ class Contacts(ContactRounds):
                 for k in range(REMEMBERED, tables.memory.shape[3]):
                     tables.memory[row, v, o, k] = contact[k]
 
-    @ti.func
     def unload_motion(self, tables, slot, row):
         """The same of a rod in motion, with what its next step begins with."""
         self.unload(tables, slot, row)

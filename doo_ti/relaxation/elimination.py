@@ -38,7 +38,19 @@ from doo_ti.physics.algebra import (
 )
 from doo_ti.physics.pair import closure_rows, linear_gradient, linear_hessian
 from doo_ti.physics.quaternion import first_director, second_director, tangent
-from doo_ti.physics.tuples import chosen, dot, minus, negated, plus, products, record, repeated, scaled, variable
+from doo_ti.physics.tuples import (
+    chosen,
+    device_functions,
+    dot,
+    minus,
+    negated,
+    plus,
+    products,
+    record,
+    repeated,
+    scaled,
+    variable,
+)
 from doo_ti.relaxation.chain import Chain
 
 
@@ -51,11 +63,10 @@ def held_pivot(d, free):
         free[1] * d[3] + (1.0 - free[1]), free[1] * d[4], free[2] * d[5] + (1.0 - free[2]))
 
 
-@ti.data_oriented
+@device_functions
 class Elimination(Chain):
     """The chain with the elimination of its Newton system."""
 
-    @ti.func
     def eliminate(self, rod, shift, search, multiplier, miss):
         """Assemble H + shift at the closed frames and eliminate it from the first edge to the last.
 
@@ -116,29 +127,24 @@ class Elimination(Chain):
         change, positive = self.bordered(rod, s, plus(z, miss))
         return self.result(found, change, positive)
 
-    @ti.func
     def edge_pull(self, rod, edge, weight):
         """The linear potential of an edge with that hanging ``weight``, without λ."""
         return scaled(rod.gravity, weight)
 
-    @ti.func
     def observe(self, found, g, h):
         """Take an edge's gradient and diagonal block into the largest of both."""
         found.scale = largest_of(found.scale, largest_of(h[0], largest_of(h[3], h[5])))
         self.observe_moment(found, g)
 
-    @ti.func
     def observe_moment(self, found, g):
         """Take a gradient into the largest square of a moment."""
         found.squared = largest_of(found.squared, largest_of(g[0] * g[0], largest_of(g[1] * g[1], g[2] * g[2])))
 
-    @ti.func
     def bordered(self, rod, s, z):
         """(δλ = S⁻¹ z, positive eigenvalues of S). Without closure S is the identity: λ stays zero and three are counted."""
         solved, minors = solve_symmetric(on_diagonal(s, 1.0 - rod.closed), z)
         return scaled(solved, rod.closed), positive_eigenvalues(minors)
 
-    @ti.func
     def substitute(self, rod, found):
         """Back-substitution ω = L⁻ᵀ D⁻¹ (W_r − W_A δλ − W_U ω_next). Returns how large the step is for one that may be taken
         whole, its size, here both the largest rotation, rad, and the Newton decrement ωᵀHω, twice the energy that the step is
@@ -158,19 +164,16 @@ class Elimination(Chain):
 
     # --- shared with the elimination under an external energy ---
 
-    @ti.func
     def nothing_found(self, rod):
         """The record of what an elimination sums up, before it."""
         zero = 0.0 * rod.total
         return record(squared=zero, scale=zero, negative=zero, slope=zero, energy=zero, magnitude=zero)
 
-    @ti.func
     def result(self, found, change, positive):
         """What :meth:`eliminate` returns of what was ``found``, of δλ and of the positive eigenvalues of S."""
         return record(moment=ti.sqrt(found.squared), scale=found.scale, change=change, inertia=found.negative + positive,
                       slope=found.slope, energy=found.energy, magnitude=found.magnitude)
 
-    @ti.func
     def stirred(self, edge, e, right, gradient, search):
         """(right-hand side with the noise and the echo of ``search`` (noise, echo), slope along the echo).
 
@@ -184,25 +187,21 @@ class Elimination(Chain):
                      right[2] + noise * ((4 * e + 3) % 7 - 2.5) + k[2])
         return perturbed, dot(gradient, k)
 
-    @ti.func
     def store_eliminated(self, edge, f, right, neighbour, border):
         """Store for :meth:`solved_edge`: the factors of an edge, W_r, and the columns of W_U and of the border."""
         edge.pivots = (f[0], f[1], f[2], f[3], f[4], f[5])
         edge.rotation, edge.neighbour, edge.border = right, neighbour, border
 
-    @ti.func
     def without_border(self, edge, columns, border):
         """W_r − W_border border of an edge, whose W_border has these ``columns``."""
         return minus_combination(edge.rotation, columns, border)
 
-    @ti.func
     def solved_edge(self, edge, right, w):
         """ω = L⁻ᵀ D⁻¹ (``right`` − W_U ω_neighbour) of an edge, into its place."""
         rotation = backward(edge.pivots, minus_combination(right, edge.neighbour, w))
         edge.rotation = rotation
         return rotation
 
-    @ti.func
     def longer(self, longest, w):
         """The larger of a square and |w|²."""
         return largest_of(longest, dot(w, w))
@@ -212,11 +211,10 @@ LEAST_HOLD = 1e-6
 """Over the cube of the rod's length, B being about one: the least stiffness with which a free vertex 0 is held in its place."""
 
 
-@ti.data_oriented
+@device_functions
 class LooseStart(Elimination):
     """The part of :class:`.LoadedElimination` for vertex 0. Lanes whose rods hold it are not changed."""
 
-    @ti.func
     def step_start(self, rod, scale, moving, reached, goal):
         """Move vertex 0 by its share of the step, or to where the far end, ``reached`` from vertex 0, is at its ``goal``;
         returns where rotations are still to close the chain."""
@@ -234,7 +232,6 @@ class LooseStart(Elimination):
         rod.head.drift = drift
         return ti.select(rod.loose > 0.5, zero, moving)
 
-    @ti.func
     def eliminate_start(self, rod, shift, beyond, border, found):
         """Eliminate ξ of vertex 0 from the quadratic form that edge 0 leaves, ½ ξᵀC ξ + c·ξ."""
         loose = rod.loose
@@ -265,7 +262,6 @@ class LooseStart(Elimination):
         rod.head.drift_step, rod.head.drift_border = wr, wa
         rod.head.drift_pivots = (f[0], f[1], f[2], f[3], f[4], f[5])
 
-    @ti.func
     def load_start(self, rod, found):
         """The external energy at vertex 0: its value goes to ``found``; returns its first and second derivative."""
         energy, gradient, curvature = self.functions.evaluate_start(
@@ -274,19 +270,15 @@ class LooseStart(Elimination):
         found.magnitude = found.magnitude + rod.loose * energy
         return scaled(gradient, rod.length_unit), scaled(curvature, rod.length_unit * rod.length_unit)
 
-    @ti.func
     def shift_of_start(self, rod, shift):
         """``shift`` of the place of vertex 0."""
         return shift * rod.shift_shares[1] / (rod.total * rod.total)
 
-    @ti.func
     def at_least_held(self, rod, stiffness):
-        """The stiffness that holds vertex 0 in some direction, or a small one where nothing does: along a table, for
-        example."""
+        """The stiffness that holds vertex 0 in some direction, or a small one where nothing does, as along a table."""
         least = LEAST_HOLD * rod.shift_shares[1] / (rod.total * rod.total * rod.total)
         return ti.select(absolute(stiffness) < least, least, stiffness)
 
-    @ti.func
     def solved_start(self, rod, change):
         """(ξ = L⁻ᵀ D⁻¹ (W_c − W_λ δλ) of vertex 0, also into its place; its part in the Newton decrement)."""
         y = minus_combination(rod.head.drift_step, rod.head.drift_border, change)

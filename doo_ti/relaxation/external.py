@@ -318,8 +318,7 @@ class PointLoads(External):
 
 
 def check_rows(function: str, loads: PointLoads | Springs | None, rods: int, vertices: int) -> None:
-    """Raise InputError, naming ``function``, where there are loads, and of others than so many rods, or one for all, of so many
-    vertices."""
+    """Raise InputError, naming ``function``, for loads of others than so many rods, or one for all, of so many vertices."""
     if loads is not None and (loads.vertices != vertices or loads.count not in (1, rods)):
         name = "loads" if isinstance(loads, PointLoads) else "springs"
         raise InputError(function, name, f"{loads.count} rows of {loads.vertices} vertices",

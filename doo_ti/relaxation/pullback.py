@@ -24,7 +24,7 @@ from doo_ti.physics import pair
 from doo_ti.physics.number import Number
 from doo_ti.physics.pair import linear_gradient
 from doo_ti.physics.quaternion import first_director, second_director
-from doo_ti.physics.tuples import dot, minus, negated, plus, record, repeated, scaled, variable
+from doo_ti.physics.tuples import device_functions, dot, minus, negated, plus, record, repeated, scaled, variable
 from doo_ti.physics.view import read, write
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_sensitivity import ContactSensitivity
@@ -48,7 +48,7 @@ from doo_ti.system.errors import InputError, real_array
 from doo_ti.system.short_repr import short_repr
 
 
-@ti.data_oriented
+@device_functions
 class Adjoint(SensitivityColumns):
     """The adjoint solve in place of the columns. ``tables`` holds, besides: pulls and twists, the cotangents; displaced and
     turned, dx and p; gradient, by each direction; curvature, by ω̄ of every joint.
@@ -56,7 +56,6 @@ class Adjoint(SensitivityColumns):
     A class that derives from this one and from one that solves columns where rods touch obstacles adds ``pushed_work``.
     """
 
-    @ti.func
     def differentiate(self, tables, rod, index, known):
         """The gradients of a rod at rest, as :meth:`.SensitivityColumns.differentiate` has its columns."""
         row = tables.rods[index, of.RESULT_ROW]
@@ -76,7 +75,6 @@ class Adjoint(SensitivityColumns):
             along = self.followed(tables, rod, row, column, total)
             tables.gradient[row, p] = along - dot(change, closure) - unit * self.worked(tables, rod, row, column)
 
-    @ti.func
     def solve_adjoint(self, tables, rod, row, total):
         """p and dx into their tables; returns q. ``total`` is the sum of the forces."""
         none = repeated(0.0 * rod.total, 3)
@@ -102,7 +100,6 @@ class Adjoint(SensitivityColumns):
         write(tables.displaced, row, rod.edges, 0, values=scaled(x, factor))
         return change
 
-    @ti.func
     def put_curvature(self, tables, rod, row, joint, unit):
         """−pᵀ ∂g/∂ω̄ of a joint: ½ B δω of both frames, since its energy is that of ω − ω̄ l̄/2 over 2 l̄."""
         bent, s = self.kept_pair(rod, joint)
@@ -115,7 +112,6 @@ class Adjoint(SensitivityColumns):
         # As the complex numbers i/2 B δω.
         write(tables.curvature, row, joint, 0, values=(unit * (left[1] + right[1]), 0.0 - unit * (left[0] + right[0])))
 
-    @ti.func
     def followed(self, tables, rod, row, column, total):
         """What the cotangents make of the displacements and turns that the column itself prescribes."""
         moved = variable(column.move)
@@ -126,7 +122,6 @@ class Adjoint(SensitivityColumns):
             found += dot(read(tables.pulls, row, e + 1, 0), moved) + dot(read(tables.twists, row, e, 0), w)
         return found - rod.released * dot(total, moved)
 
-    @ti.func
     def worked(self, tables, rod, row, column):
         """pᵀ ∂g/∂θ, ∂g/∂θ being in the place of the step: with what obstacles and the weight do to vertices."""
         moved, x = variable(column.move), variable(read(tables.displaced, row, 0, 0))
@@ -143,16 +138,15 @@ class Adjoint(SensitivityColumns):
         return found
 
 
-@ti.data_oriented
+@device_functions
 class AdjointSweep(Adjoint, SensitivitySweep):
     """Of rods that touch nothing."""
 
 
-@ti.data_oriented
+@device_functions
 class ContactAdjoint(Adjoint, ContactSensitivity):
     """Of rods that touch obstacles, or whose vertex 0 is free among them."""
 
-    @ti.func
     def pushed_work(self, edge, before, after, start, end):
         """Of obstacles that an edge touches, whose ends a column moves by ``before`` and ``after``: what the change of their
         forces does along the displacements ``start`` and ``end``."""

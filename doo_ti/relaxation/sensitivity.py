@@ -83,8 +83,7 @@ class EndLoads:
 
     @classmethod
     def of(cls, loads: np.ndarray, table: Tables, first: int, last: int) -> "EndLoads":
-        """``loads`` (R, 4, 3, …) of the rods from ``first`` to ``last`` of ``table``, in N and N m where its materials are in
-        physical units."""
+        """``loads`` (R, 4, 3, …) of rods ``first`` to ``last`` of ``table``, in N and N m where materials are physical."""
         physical = table.weight_per_length is not None
         if physical:
             rows = table.material_index[first:last]
@@ -279,8 +278,7 @@ def parameter_directions(parameters: Sequence[str], edges: int, up: np.ndarray, 
 
 def check_parameters(function: str, parameters: Sequence[str], known: tuple[str, ...], modes: np.ndarray | None,
                      table: of.Tables) -> None:
-    """Raise InputError, naming ``function``, unless ``parameters`` are among those ``known`` and suit the rods of ``table``,
-    and the modes do."""
+    """Raise InputError, naming ``function``, unless ``parameters`` are ``known`` and they and the modes suit ``table``."""
     every = ", ".join(known)
     if isinstance(parameters, str) or not parameters:
         raise InputError(function, "parameters", f"{parameters!r}", f"give a list of {every}")

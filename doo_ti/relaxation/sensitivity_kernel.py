@@ -9,7 +9,7 @@ import taichi as ti
 
 from doo_ti.physics.algebra import against, forward, symmetric_gram
 from doo_ti.physics.number import Number
-from doo_ti.physics.tuples import chosen, negated, plus, record, repeated, scaled, variable
+from doo_ti.physics.tuples import chosen, device_functions, negated, plus, record, repeated, scaled, variable
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.batch import laid_out, layout_for, layout_of_gpu
 from doo_ti.relaxation.chain import edge_layout
@@ -28,7 +28,7 @@ from doo_ti.system import runtime
 MOST_THREADS_ON_A_GPU = 4096
 
 
-@ti.data_oriented
+@device_functions
 class SensitivitySweep(SensitivityColumns, Elimination):
     """The columns of rods that touch nothing."""
 
@@ -36,12 +36,10 @@ class SensitivitySweep(SensitivityColumns, Elimination):
         super().__init__(number, False, stride, edge_layout(False, KEPT))
         self.loading = Loading(self, in_millimetres=True)
 
-    @ti.func
     def edge_pull(self, rod, edge, weight):
         """With the point loads, which are kept with the forces of obstacles."""
         return plus(scaled(rod.gravity, weight), edge.external.beyond)
 
-    @ti.func
     def schur_complement(self, rod):
         """S = Σ W_Aᵀ D⁻¹ W_A."""
         s = variable(repeated(0.0 * rod.total, 6))
@@ -50,7 +48,6 @@ class SensitivitySweep(SensitivityColumns, Elimination):
             s = plus(s, symmetric_gram(edge.pivots, edge.border))
         return s
 
-    @ti.func
     def solve_column(self, rod, column, schur, closure):
         """dω into the place of the step, where closure is changed by ``closure``; returns dλ."""
         right = variable(closure)  # Σ W_Aᵀ D⁻¹ W_b and ∂c/∂θ
@@ -67,7 +64,6 @@ class SensitivitySweep(SensitivityColumns, Elimination):
         self.substitute(rod, record(change=change))
         return change
 
-    @ti.func
     def started(self, rod, column):
         """What vertex 0 moves by."""
         x = variable(column.move)

@@ -143,8 +143,7 @@ class Tables:
         return self.clamp[:, ANCHOR : ANCHOR + 3]
 
     def continued(self, usable: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """``rods`` for another launch over the feasible ones of ``rows``: from their frames where ``usable`` (R,), else from
-        their starts."""
+        """``rods`` for another launch over the feasible of ``rows``: from their frames where ``usable`` (R,), else starts."""
         good = rows[self.feasible[self.configuration_index[rows]]]
         of_start = self.configuration_index[good]
         origin = np.where(usable[good], FROM_RESULTS, of_start)

@@ -9,7 +9,7 @@ import taichi as ti
 from doo_ti.physics import vertex_form
 from doo_ti.physics.algebra import absolute, larger
 from doo_ti.physics.quaternion import signed_angle_function
-from doo_ti.physics.tuples import choose, cross, dot, minus, picked, plus, record, repeated, scaled, variable
+from doo_ti.physics.tuples import choose, cross, device_functions, dot, minus, picked, plus, record, repeated, scaled, variable
 from doo_ti.physics.view import Layout, read
 from doo_ti.relaxation.loading import load_stiffness
 
@@ -26,7 +26,7 @@ def direction(v):
     return scaled(v, 1.0 / ti.sqrt(dot(v, v)))
 
 
-@ti.data_oriented
+@device_functions
 class VertexChain:
     """The sweeps over vertices, for one kind of number; materials are always general.
 
@@ -53,7 +53,6 @@ class VertexChain:
         """What the fast projection changes of a vertex."""
         return vertex.of("trial_force" if of_gradient else "trial_position")
 
-    @ti.func
     def mobility(self, rod, vertex):
         """One where the vertex may move."""
         free = 1.0 - rod.held[4]
@@ -69,7 +68,6 @@ class VertexChain:
 
     # --- sweeps ---
 
-    @ti.func
     def move(self, rod, step):
         """Trial vertices: the step down the gradient, the projection, and the frames carried along."""
         for v in range(rod.edges + 1):
@@ -85,7 +83,6 @@ class VertexChain:
             m1 = vertex_form.transported(old, new, at.director)
             at.trial_director = vertex_form.across(m1, new)
 
-    @ti.func
     def eliminate_lengths(self, rod, of_gradient: ti.template()):
         """Fast projection, the forward half (§III-D; Goldenthal 2007):
 
@@ -124,7 +121,6 @@ class VertexChain:
             at.ratio = ratio
             before = u
 
-    @ti.func
     def apply_lengths(self, rod, of_gradient: ti.template()):
         """Fast projection, the backward half: subtract Jᵀ y from the trial vertices, or from the trial gradient, which is also
         set to zero at held vertices. Returns Σ |gradient| over the vertices (zero for positions)."""
@@ -157,7 +153,6 @@ class VertexChain:
         first.value = x
         return total
 
-    @ti.func
     def adopt(self, rod, accepted):
         """Make the trial the state where accepted. Returns a record: ``ss``, ``sy``, ``yy`` of the change s of the vertices and
         y of the gradient, and ``top``, the largest gradient of any vertex."""
@@ -177,7 +172,6 @@ class VertexChain:
         change.top = ti.sqrt(change.top)
         return change
 
-    @ti.func
     def load_rod(self, tables, origin, s, g):
         """Start s and material g into a lane, whose vertex 0 is ``origin``; returns (longest edge, shortest edge)."""
         edges = tables.directors.shape[1]
@@ -198,7 +192,6 @@ class VertexChain:
 
     # --- the energy of the trial vertices and directors ---
 
-    @ti.func
     def edge(self, rod, index):
         """The record of an edge: e, |e|, t, m1, m2 and B."""
         at, after = self.vertex(rod.origin, index), self.vertex(rod.origin, index + 1)
@@ -207,7 +200,6 @@ class VertexChain:
         length, bend = at.length, at.bend
         return record(e=e, length=length, t=t, m1=m1, m2=cross(t, m1), bend=bend)
 
-    @ti.func
     def joint(self, rod, e):
         """The record of the vertex between edge ``e`` and the one after it:
 
@@ -233,7 +225,6 @@ class VertexChain:
             twist=self.signed_angle(dot(reference, right.m1), dot(cross(reference, right.m1), right.t)),
             stiffness=after.twist * inverse)
 
-    @ti.func
     def spins(self, joint):
         """First and second derivatives of a joint's bend energy by the spins of its frames: ((first, second) of the left frame,
         of the right one)."""
@@ -241,14 +232,12 @@ class VertexChain:
         right = vertex_form.spin_derivatives(joint.right.bend, joint.moment_right, joint.omega_right, joint.inverse)
         return left, right
 
-    @ti.func
     def bend_force(self, joint):
         """Derivatives of a joint's bend energy by the edge before and the edge after."""
         left, right = joint.left, joint.right
         return vertex_form.bend_force(joint.moment_left, joint.moment_right, left.m1, left.m2, right.m1, right.m2,
                                       joint.binormal, joint.bottom, left.e, right.e)
 
-    @ti.func
     def minimise_twist(self, rod):
         """One Newton round on the twist angles, the vertices held: a scalar tridiagonal system."""
         one = 0.0 * rod.spin[0] + 1.0
@@ -282,7 +271,6 @@ class VertexChain:
             at.ratio = ratio
         self.spin_frames(rod)
 
-    @ti.func
     def spin_frames(self, rod):
         """Turn the trial directors by the angles of :meth:`minimise_twist`, half a radian at most."""
         angle = 0.0 * rod.spin[0]
@@ -295,7 +283,6 @@ class VertexChain:
             turn = ti.min(ti.max(angle, 0.0 * angle - 0.5), 0.0 * angle + 0.5)
             at.trial_director = vertex_form.spun(m1, cross(t, m1), turn)
 
-    @ti.func
     def evaluate(self, rod):
         """The record of ``energy``, its ``magnitude`` (sum of absolute terms) and ``spin``, the largest moment of spin; the
         gradient goes to ``trial_force``.
