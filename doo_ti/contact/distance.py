@@ -14,6 +14,7 @@ from taichi.lang.impl import expr_init
 from doo_ti.contact.distance_grid import HEADER, SIXTH
 from doo_ti.contact.obstacles import BOX, CAPSULE, CYLINDER, GRID, PLANE, RING
 from doo_ti.physics.algebra import absolute, applied, full, largest_of, row, transposed
+from doo_ti.physics.number import Layout
 from doo_ti.physics.tuples import (
     chosen,
     device_functions,
@@ -27,7 +28,6 @@ from doo_ti.physics.tuples import (
     scaled,
     traced,
 )
-from doo_ti.physics.view import Layout
 
 COLUMNS = Layout(point=3, axis_1=3, axis_2=3, axis_3=3, axes=("axis_1", 9), sizes=3, depth=1, friction=1)
 """Of an obstacle, in the order of :mod:`doo_ti.contact.obstacles`."""

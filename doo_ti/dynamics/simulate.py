@@ -124,7 +124,8 @@ class _Motion:
         self.stepping, self.substeps, self.step = stepping, stepping.substeps, stepping.step
         self.grippers = refined_within_reach(grippers, stepping.substeps, start.rest_length)
         self.pairs, self.surroundings, self.touching = pairs, surroundings, touching
-        self.first = _spread(grippers.at(0), start.count)
+        first = grippers.at(0)
+        self.first = first if grippers.count == start.count else first.take(np.zeros(start.count, dtype=np.int64))
         self.poses = None
         if surroundings.moves:
             self.poses = obstacle_path(surroundings, stepping, grippers.instants, start.take(pairs[0]))
@@ -303,7 +304,3 @@ def _memory(frames, x, v, a, h: float, status) -> Memory:
     before = quaternion_product(turn, frames)
     return Memory(frames.copy(), np.ascontiguousarray(before), places, np.zeros((len(x), 3)), np.zeros((len(x), 3)), status)
 
-
-def _spread(clamps, count: int):
-    """The clamps of one rod for ``count`` of them."""
-    return clamps if len(clamps.start_position) == count else clamps.take(np.zeros(count, dtype=np.int64))

@@ -109,7 +109,8 @@ def adapted(run: Callable[..., Trajectory], count: int, stepping: Stepping,
         put(found, rows[better], fine, better)
         error[rows[better]] = estimate[better]
         left = ~(estimate <= stepping.tolerance)
-        rows, before, coarse = rows[left], apart[left], _some(fine, left)
+        rows, before = rows[left], apart[left]
+        coarse = replace(fine, positions=fine.positions[left], status=fine.status[left])  # enough for comparison
     found = replace(found, error=error)
     return replace(found, detail=_detail(run, _fixed(stepping, steps), found)) if stepping.detailed else found
 
@@ -143,11 +144,6 @@ def _gain(before: np.ndarray, apart: np.ndarray, most: float) -> np.ndarray:
     known = np.isfinite(before) & np.isfinite(apart)
     ratio = np.where(known, before, most) / np.where(known, np.maximum(apart, 1e-300), 1.0)
     return np.clip(ratio, LEAST_GAIN, most)
-
-
-def _some(trajectory: Trajectory, rows) -> Trajectory:
-    """The rods ``rows``, for comparison: their positions and status."""
-    return replace(trajectory, positions=trajectory.positions[rows], status=trajectory.status[rows])
 
 
 def put(into: Trajectory, rows: np.ndarray, other: Trajectory, of: np.ndarray | slice) -> None:

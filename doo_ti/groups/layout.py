@@ -10,8 +10,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from doo_ti.physics.number import Layout
 from doo_ti.physics.tuples import picked
-from doo_ti.physics.view import Layout
 from doo_ti.relaxation.contact_table import matrix_items
 from doo_ti.relaxation.external import ExternalFunctions, Nothing
 

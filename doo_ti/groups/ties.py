@@ -113,13 +113,6 @@ class Ties:
             most = largest_of(most, dot(force, force) / (unit * unit))
         return ti.sqrt(most)
 
-    def bound_forces(self, rod, where):
-        """Give forces in the lanes ``where`` the bound that they have until the next such round ends."""
-        head, zero = self.group(rod), 0.0 * rod.total
-        least = NOTABLE_MISS * rod.total * head.stiffness
-        bound = MOST_GROWTH * (self.largest_force(rod, zero) + least)
-        choose(head, where, bound=bound)
-
     def restore_forces(self, rod, lost):
         """Restore them in the lanes that reject the step."""
         head = self.group(rod)
@@ -143,7 +136,9 @@ class Ties:
             change = scaled(self.bordered_miss(rod, b), stiffness * (tie.active * tie.scale) * lever * lever)
             choose(at, first, now=plus(at.now, change))
         again = first & (head.bound > 0.0)
-        self.bound_forces(rod, first)
+        # The bound of forces until the next such round ends.
+        least = NOTABLE_MISS * rod.total * head.stiffness
+        choose(head, first, bound=MOST_GROWTH * (self.largest_force(rod, 0.0 * rod.total) + least))
         most = MOST_TIE_STIFFNESS / (rod.total * rod.total * rod.total)
         stiffness = ti.select(again, ti.min(STIFFER_TIES * stiffness, most), stiffness)
         head.stiffness = stiffness

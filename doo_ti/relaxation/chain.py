@@ -9,6 +9,7 @@ import taichi as ti
 from taichi.lang.impl import subscript
 
 from doo_ti.physics.algebra import absolute, on_diagonal, solve_symmetric
+from doo_ti.physics.number import Layout, Scratch
 from doo_ti.physics.pair import PairEnergy, closing_rotation, curvature, linear_gradient, normal_matrix
 from doo_ti.physics.quaternion import (
     first_director,
@@ -32,7 +33,6 @@ from doo_ti.physics.tuples import (
     scaled,
     variable,
 )
-from doo_ti.physics.view import Layout, Scratch
 from doo_ti.relaxation.newton_policy import UP
 
 # What scratch holds of a rod (see :class:`Chain`), and then of each of its edges.

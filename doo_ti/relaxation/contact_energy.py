@@ -89,7 +89,10 @@ class ContactEnergy(ContactPlaces):
                     if between:
                         some = 2
                 else:
-                    room = ti.min(room, self.room_beside(rod, o, contact, previous))
+                    # It is nowhere nearer to the obstacle than at its ends.
+                    least = ti.min(previous.value, contact.value)
+                    deep = least + self.obstacle(rod, o).depth
+                    room = ti.min(room, ti.select(self.close_lanes(rod, least), deep, least - rod.contacts.radius))
             else:
                 value = ti.min(previous.value, contact.value)
                 room = ti.min(room, value - rod.contacts.radius)
@@ -106,12 +109,6 @@ class ContactEnergy(ContactPlaces):
                     self.rub_between(rod, o, index, contact, active)
         at.room = room
         return some
-
-    def room_beside(self, rod, o, contact, previous):
-        """The room of an edge that is nowhere nearer to obstacle ``o`` than at its ends."""
-        least = ti.min(previous.value, contact.value)
-        depth = self.obstacle(rod, o).depth
-        return ti.select(self.close_lanes(rod, least), least + depth, least - rod.contacts.radius)
 
     def touched_start(self, rod, index):
         """The same of vertex ``index`` alone, where a rod begins."""

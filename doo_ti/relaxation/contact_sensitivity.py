@@ -12,8 +12,9 @@ blocks are kept while H is eliminated.
 import taichi as ti
 
 from doo_ti.contact.touch import GAP_TOLERANCE
-from doo_ti.physics.algebra import against, applied, forward, full, minus_combination, symmetric_gram, transposed
-from doo_ti.physics.number import Number
+from doo_ti.physics.algebra import applied, full, transposed
+from doo_ti.physics.factors import against, forward, minus_combination, symmetric_gram
+from doo_ti.physics.number import Layout, Number
 from doo_ti.physics.pair import linear_gradient
 from doo_ti.physics.quaternion import first_director, second_director
 from doo_ti.physics.tuples import (
@@ -30,7 +31,6 @@ from doo_ti.physics.tuples import (
     scaled,
     variable,
 )
-from doo_ti.physics.view import Layout
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_table import SOFT
 from doo_ti.relaxation.contacts import Contacts
@@ -129,21 +129,16 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
         return (plus(applied(full(k), before), applied(mixed, along)),
                 plus(applied(transposed(mixed), before), applied(full(kss), along)))
 
-    def prescribe(self, rod, column):
-        """Keep the displacements that the column prescribes, of clamps and of lengths; returns that of the far end."""
-        moved = variable(column.move)
-        for e in range(rod.edges):
-            edge = self.edge(rod.head, e)
-            edge.external.moved = moved
-            moved = self.end_of_turned(edge, moved, self.held_turn_of(rod, e, column), column.stretch)
-        return moved
-
     def solve_column(self, rod, column, schur, closure):
         """dω into the place of the step and ξ of a free vertex 0 into that of its own; returns dλ."""
         zero = 0.0 * rod.total
         right = variable(closure)
         c, f = variable(repeated(zero, 3)), variable(repeated(zero, 3))
-        after = variable(self.prescribe(rod, column))
+        after = variable(column.move)
+        for e in range(rod.edges):  # keep the displacements that the column prescribes, of clamps and of lengths
+            edge = self.edge(rod.head, e)
+            edge.external.moved = after
+            after = self.end_of_turned(edge, after, self.held_turn_of(rod, e, column), column.stretch)
         for back in range(rod.edges):
             e = rod.edges - 1 - back
             edge = self.edge(rod.head, e)
@@ -159,17 +154,13 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
             c = plus(plus(c, pushed), against(d, edge.border, wb))
             f = against(d, edge.neighbour, wb)
             after = before
-        right = plus(right, self.solve_start(rod, column, c))
+        d = rod.head.drift_pivots  # of a free vertex 0, which the rest of the rod pulls by c
+        wb = forward(d, scaled(negated(plus(c, column.whole)), rod.loose))
+        rod.head.drift_step = wb
+        right = plus(right, against(d, rod.head.drift_border, wb))
         change, positive = self.bordered(rod, schur, right)
         self.substitute_column(rod, change)
         return change
-
-    def solve_start(self, rod, column, c):
-        """W_b of a free vertex 0 into its place, where the rest of the rod pulls it by ``c``; returns W_λᵀ D⁻¹ W_b."""
-        d = rod.head.drift_pivots
-        wb = forward(d, scaled(negated(plus(c, column.whole)), rod.loose))
-        rod.head.drift_step = wb
-        return against(d, rod.head.drift_border, wb)
 
     def substitute_column(self, rod, change):
         """Back-substitution from vertex 0 on. The turns of held edges are prescribed: they do not count as displacements."""

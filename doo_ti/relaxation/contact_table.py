@@ -11,8 +11,8 @@ from doo_ti.contact.distance_grid import DistanceGrid, grid_table
 from doo_ti.contact.obstacles import FRICTION, GRID, Obstacle, obstacle_table
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.contact.touch import GAP_TOLERANCE, Contacts, gap_tolerance
+from doo_ti.physics.number import Layout
 from doo_ti.physics.tuples import picked
-from doo_ti.physics.view import Layout
 from doo_ti.relaxation import tables as of
 from doo_ti.rod.types import Clamp, Clamps, Configuration
 from doo_ti.system.errors import InputError

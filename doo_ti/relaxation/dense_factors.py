@@ -2,9 +2,10 @@
 
 import taichi as ti
 
-from doo_ti.physics.algebra import factor_in_turn, row
+from doo_ti.physics.algebra import row
+from doo_ti.physics.factors import factor_in_turn
+from doo_ti.physics.number import NUMBERS
 from doo_ti.physics.tuples import device_functions, minus, plus, repeated, scaled, traced, variable
-from doo_ti.physics.view import NUMBERS
 
 COLUMNS = 4
 """Of the right-hand side: that of the step and the three of closure."""

@@ -17,24 +17,26 @@ import taichi as ti
 
 from doo_ti.physics.algebra import (
     absolute,
-    against,
-    backward,
     column_scaled,
-    factor,
-    factor_in_turn,
-    forward,
-    forward_rows,
-    gram,
     largest_of,
-    minus_combination,
     on_diagonal,
     positive_eigenvalues,
     row_scaled,
     shifted,
     solve_symmetric,
+    transposed,
+)
+from doo_ti.physics.factors import (
+    against,
+    backward,
+    factor,
+    factor_in_turn,
+    forward,
+    forward_rows,
+    gram,
+    minus_combination,
     squared,
     symmetric_gram,
-    transposed,
 )
 from doo_ti.physics.pair import closure_rows, linear_gradient, linear_hessian
 from doo_ti.physics.quaternion import first_director, second_director, tangent

@@ -17,8 +17,7 @@ from typing import ClassVar, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.physics.number import Number
-from doo_ti.physics.view import Layout
+from doo_ti.physics.number import Layout, Number
 from doo_ti.rod.material import LARGEST, Material
 from doo_ti.rod.physical_units import STANDARD_GRAVITY
 from doo_ti.system.arguments import typed
@@ -30,7 +29,7 @@ class ExternalFunctions(NamedTuple):
     """An external energy as Taichi functions.
 
     load      (own, numbers, row, edge, scale): those of ``numbers``' row into the view ``own`` of an edge's numbers in a lane
-              (:mod:`doo_ti.physics.view`), energies times ``scale``
+              (:mod:`doo_ti.physics.number`), energies times ``scale``
     evaluate  (own, numbers, field, start, end, coarse): an edge's energy E with its vertices at ``start`` and ``end``,
               and the moments of its gradient γ and curvature K over the places s in [0, 1] along the edge where it acts,
               (E, Σ γ, Σ s γ, Σ K, Σ s K, Σ s² K). That is: the derivatives by a shift of the whole edge and by the change

@@ -15,24 +15,17 @@ import taichi as ti
 
 from doo_ti.physics.algebra import (
     absolute,
-    against,
     applied,
     column_scaled,
-    factor,
-    forward,
-    forward_rows,
     full,
-    gram,
     identity,
     largest_of,
-    minus_combination,
     quadratic,
     row,
-    squared,
-    symmetric_gram,
     times_transposed,
     transposed,
 )
+from doo_ti.physics.factors import against, factor, forward, forward_rows, gram, minus_combination, squared, symmetric_gram
 from doo_ti.physics.pair import closure_rows, linear_gradient, linear_hessian, shift_of_end
 from doo_ti.physics.quaternion import first_director, second_director, tangent
 from doo_ti.physics.tuples import (

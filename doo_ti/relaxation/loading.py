@@ -2,9 +2,9 @@
 
 import taichi as ti
 
+from doo_ti.physics.number import in_f64, read, write
 from doo_ti.physics.quaternion import normalised, tangent, transported
 from doo_ti.physics.tuples import device_functions, dot, record, scaled
-from doo_ti.physics.view import in_f64, read, write
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.newton_policy import MOST_SHIFT
@@ -92,7 +92,11 @@ class Loading:
             self.load_frames(tables, tables.start, tables.rods[rod, of.START_ROW], lane, s)
         row = ti.min(s, tables.rest_length.shape[0] - 1)
         if lengths_known < 0.5 or tables.rest_length.shape[0] > 1:
-            self.load_lengths(tables, lane, row, unit)
+            for e in range(tables.rest_length.shape[1]):
+                edge, length = self.edge(lane, e), tables.rest_length[row, e] / unit
+                edge.length = length
+                if e > 0:
+                    edge.inverse_length = 1.0 / (tables.rest_length[row, e - 1] / unit + length)
         if ti.static(not self.isotropic):
             for e in range(tables.rest_length.shape[1]):
                 edge = self.edge(lane, e)
@@ -146,14 +150,6 @@ class Loading:
     def force_unit(self, lane):
         """The lane's unit of force, energy per mm."""
         return in_f64(lane.energy_unit) / in_f64(lane.length_unit)
-
-    def load_lengths(self, tables, lane, row, unit):
-        """Edge lengths and 1/l̄ of row ``row`` into a lane, in that unit."""
-        for e in range(tables.rest_length.shape[1]):
-            edge, length = self.edge(lane, e), tables.rest_length[row, e] / unit
-            edge.length = length
-            if e > 0:
-                edge.inverse_length = 1.0 / (tables.rest_length[row, e - 1] / unit + length)
 
     def shift_share(self, tables, g, e, tilt: ti.template()):
         """The share of a shift that an edge's spin or ``tilt`` has: all of it, unless that is more than MOST_SHIFT times what

@@ -3,6 +3,7 @@
 import taichi as ti
 
 from doo_ti.contact.obstacles import AXES, POINT
+from doo_ti.physics.number import in_f64, read, write
 from doo_ti.physics.quaternion import (
     first_director,
     partway,
@@ -14,7 +15,6 @@ from doo_ti.physics.quaternion import (
     turned_in_world,
 )
 from doo_ti.physics.tuples import cross, device_functions, dot, minus, plus, record, repeated, scaled, variable
-from doo_ti.physics.view import in_f64, read, write
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.bows import STEEP, STEEPEST
 from doo_ti.relaxation.clamp_table import ALIKE, INFEASIBLE, ROUNDING, SOUND, STRAIGHT, TAUT, TAUT_SLACK
@@ -132,13 +132,6 @@ class MotionLoading(Loading):
                 own.reach = BOWED
         return found
 
-    def load_last_reach(self, tables, own, s):
-        """Load how the rod in a lane was at the last instant: SOUND, or STRAIGHT as its frames say."""
-        found = SOUND
-        if tables.clamp[s, of.CLOSED] > 0.0 and self.is_straight(tables, own, s, True):
-            found = STRAIGHT
-        own.reach = found
-
     def load_freedom(self, tables, own, s, slack):
         """Load which edges may tilt, and that closure holds, where ``slack`` is one; where it is zero, none and not."""
         own.closed = slack * tables.clamp[s, of.CLOSED]
@@ -238,7 +231,11 @@ class MotionLoading(Loading):
             motion.frame_2 = read(tables.frames_before, place, count=4)
         if ti.static(self.touches):
             own.euler = 0.0
-        self.load_last_reach(tables, own, tables.rods[rod, of.CLAMP_ROW])
+        # How it was at the last instant: SOUND, or STRAIGHT as its frames say.
+        s, found = tables.rods[rod, of.CLAMP_ROW], SOUND
+        if tables.clamp[s, of.CLOSED] > 0.0 and self.is_straight(tables, own, s, True):
+            found = STRAIGHT
+        own.reach = found
 
     def load_vertex(self, tables, vertex, row, numbers, v, scale):
         """Vertex ``v`` into its view in a lane, energies times ``scale``."""

@@ -9,7 +9,8 @@ that a clamp holds do not depend on p. The lanes of a pack make their steps toge
 import taichi as ti
 
 from doo_ti.physics import pair
-from doo_ti.physics.algebra import against, backward, forward, minus_combination, symmetric_gram
+from doo_ti.physics.factors import against, backward, forward, minus_combination, symmetric_gram
+from doo_ti.physics.number import Layout, in_f64
 from doo_ti.physics.quaternion import first_director, second_director, tangent
 from doo_ti.physics.tuples import (
     device_functions,
@@ -24,7 +25,6 @@ from doo_ti.physics.tuples import (
     scaled,
     variable,
 )
-from doo_ti.physics.view import Layout, in_f64
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.loading import load_stiffness
 from doo_ti.relaxation.time_loop import TimeLoop

@@ -13,6 +13,7 @@ draws it towards y(ω): a rest curvature of its own for each step.
 import taichi as ti
 
 from doo_ti.physics import pair
+from doo_ti.physics.number import Layout
 from doo_ti.physics.quaternion import (
     normalised,
     passed_half_turn,
@@ -22,7 +23,6 @@ from doo_ti.physics.quaternion import (
     turned_about_own_tangent,
 )
 from doo_ti.physics.tuples import choose, chosen, device_functions, dot, minus, plus, record, repeated, scaled, variable
-from doo_ti.physics.view import Layout
 from doo_ti.relaxation.contacts import Contacts
 from doo_ti.relaxation.external import PointLoads
 from doo_ti.relaxation.loaded_elimination import LoadedElimination

@@ -10,7 +10,7 @@ import pytest
 import taichi as ti
 
 from doo_ti.physics import algebra, quaternion, tuples
-from doo_ti.physics.algebra import factor, factor_in_turn
+from doo_ti.physics.factors import factor, factor_in_turn
 from doo_ti.physics.number import Number
 from doo_ti.system import runtime
 from tests.physics.columns import ROWS, columns_kernel, every_number

@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 import taichi as ti
 
-from doo_ti.physics import algebra, tuples
-from doo_ti.physics.number import Number
+from doo_ti.physics import algebra, factors, tuples
+from doo_ti.physics.number import Layout, Number, Scratch, in_f64
 from doo_ti.physics.tuples import add, choose
-from doo_ti.physics.view import Layout, Scratch, in_f64
 from doo_ti.system import runtime
 from tests.physics.columns import ROWS, columns_kernel, every_number
 
@@ -72,19 +71,19 @@ CASES = {
                   lambda x: np.einsum("ni,nij,nj->n", x[:, A], symmetric(x), x[:, B])[:, None]),
     "row_scaled": (lambda x: algebra.row_scaled(x[M], x[9:12]), lambda x: x[:, 9:12, None] * matrices(x, M)),
     "column_scaled": (lambda x: algebra.column_scaled(x[M], x[9:12]), lambda x: matrices(x, M) * x[:, None, 9:12]),
-    "minus_combination": (lambda x: algebra.minus_combination(x[12:15], x[M], x[9:12]),
+    "minus_combination": (lambda x: factors.minus_combination(x[12:15], x[M], x[9:12]),
                           lambda x: x[:, 12:15] - np.einsum("nki,nk->ni", matrices(x, M), x[:, 9:12])),
-    "squared": (lambda x: (algebra.squared(x[F], x[A]),), lambda x: (x[:, F][:, :3] * x[:, A] ** 2).sum(axis=1)[:, None]),
-    "forward": (lambda x: algebra.forward(x[F], x[A]), lambda x: np.linalg.solve(lower(x), x[:, A, None])),
-    "forward_rows": (lambda x: algebra.forward_rows(x[F], x[M]),
+    "squared": (lambda x: (factors.squared(x[F], x[A]),), lambda x: (x[:, F][:, :3] * x[:, A] ** 2).sum(axis=1)[:, None]),
+    "forward": (lambda x: factors.forward(x[F], x[A]), lambda x: np.linalg.solve(lower(x), x[:, A, None])),
+    "forward_rows": (lambda x: factors.forward_rows(x[F], x[M]),
                      lambda x: np.linalg.solve(lower(x), matrices(x, M).swapaxes(1, 2)).swapaxes(1, 2)),
-    "backward": (lambda x: algebra.backward(x[F], x[A]),
+    "backward": (lambda x: factors.backward(x[F], x[A]),
                  lambda x: np.linalg.solve(lower(x).swapaxes(1, 2), inverse_diagonal(x) @ x[:, A, None])),
-    "gram": (lambda x: algebra.gram(x[F], x[M], x[N]),
+    "gram": (lambda x: factors.gram(x[F], x[M], x[N]),
              lambda x: matrices(x, M) @ inverse_diagonal(x) @ matrices(x, N).swapaxes(1, 2)),
-    "symmetric_gram": (lambda x: algebra.symmetric_gram(x[F], x[M]),
+    "symmetric_gram": (lambda x: factors.symmetric_gram(x[F], x[M]),
                        lambda x: upper(matrices(x, M) @ inverse_diagonal(x) @ matrices(x, M).swapaxes(1, 2))),
-    "against": (lambda x: algebra.against(x[F], x[M], x[9:12]),
+    "against": (lambda x: factors.against(x[F], x[M], x[9:12]),
                 lambda x: matrices(x, M) @ inverse_diagonal(x) @ x[:, 9:12, None]),
 }
 

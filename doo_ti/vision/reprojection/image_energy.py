@@ -23,9 +23,8 @@ from typing import ClassVar
 import numpy as np
 import taichi as ti
 
-from doo_ti.physics.number import Number
+from doo_ti.physics.number import Layout, Number
 from doo_ti.physics.tuples import minus
-from doo_ti.physics.view import Layout
 from doo_ti.relaxation.external import External, ExternalFunctions
 from doo_ti.relaxation.tables import MOST_NUMBERS
 from doo_ti.system import runtime
