@@ -15,19 +15,18 @@ moves, under the cotangent as a load.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 import taichi as ti
 
 from doo_ti.physics import pair
-from doo_ti.physics.number import Number, read, write
+from doo_ti.physics.number import read, write
 from doo_ti.physics.pair import linear_gradient
 from doo_ti.physics.quaternion import first_director, second_director
 from doo_ti.physics.tuples import device_functions, dot, minus, negated, plus, record, repeated, scaled, variable
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_sensitivity import ContactSensitivity
-from doo_ti.relaxation.kernel_factory import TABLE2, TABLE3, loop_kernel
+from doo_ti.relaxation.kernel_factory import TABLE2, TABLE3
 from doo_ti.relaxation.sensitivity import (
     CURVATURES,
     OF_CLAMPS,
@@ -39,7 +38,7 @@ from doo_ti.relaxation.sensitivity import (
     taut_rods,
 )
 from doo_ti.relaxation.sensitivity_columns import SensitivityColumns
-from doo_ti.relaxation.sensitivity_kernel import AT_REST, CONTACTS_AT_REST, SensitivitySweep, run_at_rest
+from doo_ti.relaxation.sensitivity_kernel import SensitivitySweep, kernels_at_rest, run_at_rest
 from doo_ti.rod.types import Solution
 from doo_ti.system import runtime
 from doo_ti.system.arguments import typed
@@ -161,8 +160,7 @@ def run_pullback(solution: Solution, usable: np.ndarray, directions: np.ndarray,
     displaced, turned = of.room(count, edges + 1, 3), of.room(count, edges, 3)
     gradient, curvature = np.empty((count, max(1, len(directions)))), of.room(count, edges - 1, 2)
     arrays = forces, moments, displaced, turned, gradient, curvature
-    found = run_at_rest(solution, usable, (pullback_kernel, contact_pullback_kernel), directions, np.zeros((1, edges - 1, 2)),
-                        arrays, 0, count)
+    found = run_at_rest(solution, usable, KERNELS, directions, np.zeros((1, edges - 1, 2)), arrays, 0, count)
     for array in (gradient, curvature, displaced):
         array[~found] = np.nan
     return gradient[:, : len(directions)], curvature, displaced, found
@@ -176,21 +174,7 @@ COTANGENTS = {
 }
 
 
-@cache
-def pullback_kernel(number: Number, stride: int, block: int):
-    """As :func:`.newton_kernel`."""
-    sweep = AdjointSweep(Number(1, 64), stride)
-    return loop_kernel("pull_back", number, AT_REST | COTANGENTS, sweep.work, block), sweep.items
-
-
-@cache
-def contact_pullback_kernel(number: Number, stride: int, block: int, known: frozenset[int]):
-    """The same for rods that touch obstacles of the kinds ``known``."""
-    sweep = ContactAdjoint(stride, known)
-    given = AT_REST | COTANGENTS | CONTACTS_AT_REST
-    return loop_kernel("pull_back_in_contact", number, given, sweep.work, block, brief=True), sweep.items
-
-
+KERNELS = kernels_at_rest("pull_back", COTANGENTS, AdjointSweep, ContactAdjoint)
 FORCES = "forces"
 
 

@@ -92,7 +92,7 @@ def run_sensitivity(solution: Solution, usable: np.ndarray, directions: np.ndarr
                of.room(count, LOADS, 3, columns * loads), of.room(count, 2, 3, 1))
     # Kernels take no arrays without entries.
     written = tuple(array if array.shape[3] else np.empty((1,) * array.ndim) for array in outputs)
-    kernels = sensitivity_kernel, contact_sensitivity_kernel if columns else None
+    kernels = SOLVING, SOLVING_IN_CONTACT if columns else None
     lost = ~run_at_rest(solution, usable, kernels, directions, modes, written, first, last, packed=True)
     for array in outputs:
         array[lost] = np.nan
@@ -104,8 +104,7 @@ def run_at_rest(solution: Solution, usable: np.ndarray, kernels: tuple, directio
     """Launch kernels over the rods from ``first`` to ``last`` of a solution that are ``usable``; ``directions`` and ``modes``
     as :func:`run_sensitivity` has them.
 
-    kernels  made as :func:`sensitivity_kernel` and :func:`contact_sensitivity_kernel` are: for rods that touch nothing and for
-             those at obstacles; None: the first takes them all
+    kernels  :func:`kernels_at_rest`: for rods that touch nothing and for those at obstacles; None: the first takes them all
     arrays   further ones of the kernels, in their order
     packed   whether the first kernel takes packs of rods
 
@@ -207,16 +206,21 @@ CONTACTS_AT_REST = {name: OBSTACLES[name] for name in ("obstacles", "kinds", "gr
     "point_loads": TABLE3}  # [row, vertex, 3], or a single one of zero
 
 
-@cache
-def sensitivity_kernel(number: Number, stride: int, block: int):
-    """As :func:`.newton_kernel`."""
-    sweep = SensitivitySweep(number, stride)
-    return loop_kernel("solve", number, AT_REST | COLUMNS, sweep.work, block), sweep.items
+def kernels_at_rest(name: str, results: dict, alone: type, touching: type) -> tuple[Callable, Callable]:
+    """What :func:`run_at_rest` takes as ``kernels``, made as by :func:`.newton_kernel` of these sweeps: for rods that touch
+    nothing, and for those that touch obstacles of some kinds. They write ``results``."""
+    @cache
+    def kernel(number: Number, stride: int, block: int):
+        sweep = alone(number, stride)
+        return loop_kernel(name, number, AT_REST | results, sweep.work, block), sweep.items
+
+    @cache
+    def in_contact(number: Number, stride: int, block: int, known: frozenset[int]):
+        sweep = touching(stride, known)
+        given = AT_REST | results | CONTACTS_AT_REST
+        return loop_kernel(f"{name}_in_contact", number, given, sweep.work, block, brief=True), sweep.items
+
+    return kernel, in_contact
 
 
-@cache
-def contact_sensitivity_kernel(number: Number, stride: int, block: int, known: frozenset[int]):
-    """The same for rods that touch obstacles of the kinds ``known``."""
-    sweep = ContactSensitivity(stride, known)
-    given = AT_REST | COLUMNS | CONTACTS_AT_REST
-    return loop_kernel("solve_in_contact", number, given, sweep.work, block, brief=True), sweep.items
+SOLVING, SOLVING_IN_CONTACT = kernels_at_rest("solve", COLUMNS, SensitivitySweep, ContactSensitivity)
