@@ -14,20 +14,8 @@ from taichi.lang.impl import expr_init
 from doo_ti.contact.distance_grid import HEADER, SIXTH
 from doo_ti.contact.obstacles import BOX, CAPSULE, CYLINDER, GRID, PLANE, RING
 from doo_ti.physics.algebra import absolute, applied, full, largest_of, row, transposed
-from doo_ti.physics.number import Layout
-from doo_ti.physics.tuples import (
-    chosen,
-    device_functions,
-    dot,
-    minus,
-    plus,
-    products,
-    put_lane,
-    record,
-    repeated,
-    scaled,
-    traced,
-)
+from doo_ti.physics.number import Layout, device_functions
+from doo_ti.physics.tuples import chosen, dot, minus, plus, products, put_lane, record, repeated, scaled, traced
 
 COLUMNS = Layout(point=3, axis_1=3, axis_2=3, axis_3=3, axes=("axis_1", 9), sizes=3, depth=1, friction=1)
 """Of an obstacle, in the order of :mod:`doo_ti.contact.obstacles`."""

@@ -18,8 +18,8 @@ from doo_ti.groups.layout import (
 )
 from doo_ti.groups.ties import Ties
 from doo_ti.physics.algebra import absolute, identity, largest_of
-from doo_ti.physics.number import NUMBERS, in_f64, read, write
-from doo_ti.physics.tuples import add, choose, device_functions, dot, extended, minus, picked, plus, scaled, variable
+from doo_ti.physics.number import NUMBERS, device_functions, in_f64, read, write
+from doo_ti.physics.tuples import add, choose, dot, extended, minus, picked, plus, scaled, variable
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_table import FINE, contact_items, pair_items
 from doo_ti.relaxation.loading import stiffness_scale

@@ -31,23 +31,10 @@ from doo_ti.physics.algebra import (
     row_scaled,
     seen_from,
 )
+from doo_ti.physics.number import device_functions
 from doo_ti.physics.pair import closure_rows, linear_gradient, linear_hessian
 from doo_ti.physics.quaternion import first_director, product, relative_rotation, second_director, tangent, turned_in_body
-from doo_ti.physics.tuples import (
-    add,
-    chosen,
-    cross,
-    device_functions,
-    dot,
-    extended,
-    minus,
-    negated,
-    plus,
-    products,
-    repeated,
-    scaled,
-    variable,
-)
+from doo_ti.physics.tuples import add, chosen, cross, dot, extended, minus, negated, plus, products, repeated, scaled, variable
 from doo_ti.relaxation.chain import Chain
 from doo_ti.relaxation.elimination import held_pivot
 from doo_ti.relaxation.newton import DenseLoadedElimination

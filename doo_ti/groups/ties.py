@@ -13,7 +13,8 @@ import taichi as ti
 
 from doo_ti.groups.layout import FORCE, GIVE, MOST_GROWTH, MOST_TIE_STIFFNESS, NO_BORDER, NOTABLE_MISS, STIFFER_TIES, TIE
 from doo_ti.physics.algebra import absolute, identity, largest_of
-from doo_ti.physics.tuples import choose, device_functions, dot, minus, negated, plus, scaled, variable
+from doo_ti.physics.number import device_functions
+from doo_ti.physics.tuples import choose, dot, minus, negated, plus, scaled, variable
 
 
 @device_functions

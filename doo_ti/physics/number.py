@@ -12,12 +12,13 @@ it in the kernel are reads and writes.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, wraps
 from typing import NamedTuple
 
 import taichi as ti
 from taichi.lang.expr import Expr
 from taichi.lang.impl import expr_init, subscript
+from taichi.lang.kernel_impl import Func
 
 from doo_ti.physics.tuples import picked, traced
 
@@ -290,3 +291,24 @@ def write(array, *place, values) -> None:
 def in_f64(values):
     """A number, or several, in f64."""
     return tuple(ti.cast(value, ti.f64) for value in values) if isinstance(values, tuple) else ti.cast(values, ti.f64)
+
+
+def device_functions(cls):
+    """``cls`` for kernels: its methods are Taichi functions, as by ``ti.func``, but for those that are :func:`picked` or
+    :func:`traced`, and for those that Python itself calls."""
+    for name, method in list(vars(cls).items()):
+        if isinstance(method, type(picked)) and not name.startswith("__") and not hasattr(method, "_is_wrapped_kernel"):
+            setattr(cls, name, _device_function(method))
+    return ti.data_oriented(cls)
+
+
+def _device_function(method):
+    """What ``ti.func`` makes of a method; that looks for the class where it is called."""
+    compiled = Func(method, _classfunc=True)
+
+    @wraps(method)
+    def call(*arguments, **options):
+        return compiled(*arguments, **options)
+
+    call._is_taichi_function, call._is_real_function, call.func = True, False, compiled
+    return call

@@ -22,8 +22,9 @@ own and the joint a rest twist: E is then that of ω^left − u̅_left, ω^right
 
 import taichi as ti
 
+from doo_ti.physics.number import device_functions
 from doo_ti.physics.quaternion import relative_rotation
-from doo_ti.physics.tuples import cross, device_functions, dot, minus, negated, picked, repeated, scaled, traced
+from doo_ti.physics.tuples import cross, dot, minus, negated, picked, repeated, scaled, traced
 
 
 @ti.func

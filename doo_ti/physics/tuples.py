@@ -15,7 +15,6 @@ from functools import wraps
 import taichi as ti
 from taichi.lang.any_array import AnyArray
 from taichi.lang.impl import expr_init
-from taichi.lang.kernel_impl import Func
 
 
 class _Numbers(Sequence):
@@ -77,27 +76,6 @@ def traced(function):
         value = expr_init(function(*arguments, **options))
         return _Evaluated(value) if isinstance(value, tuple) else value
 
-    return call
-
-
-def device_functions(cls):
-    """``cls`` for kernels: its methods are Taichi functions, as by ``ti.func``, but for those that are :func:`picked` or
-    :func:`traced`, and for those that Python itself calls."""
-    for name, method in list(vars(cls).items()):
-        if isinstance(method, type(picked)) and not name.startswith("__") and not hasattr(method, "_is_wrapped_kernel"):
-            setattr(cls, name, _device_function(method))
-    return ti.data_oriented(cls)
-
-
-def _device_function(method):
-    """What ``ti.func`` makes of a method; that looks for the class where it is called."""
-    compiled = Func(method, _classfunc=True)
-
-    @wraps(method)
-    def call(*arguments, **options):
-        return compiled(*arguments, **options)
-
-    call._is_taichi_function, call._is_real_function, call.func = True, False, compiled
     return call
 
 

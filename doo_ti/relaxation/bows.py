@@ -15,8 +15,8 @@ import taichi as ti
 from doo_ti.contact.distance import COLUMNS, Distance
 from doo_ti.contact.distance_grid import grid_table
 from doo_ti.contact.obstacles import GRID, OBSTACLE_COLUMNS, PLANE, Obstacle, obstacle_table
-from doo_ti.physics.number import Number, Scratch, read
-from doo_ti.physics.tuples import cross, device_functions, dot, minus, plus, record, scaled, variable
+from doo_ti.physics.number import Number, Scratch, device_functions, read
+from doo_ti.physics.tuples import cross, dot, minus, plus, record, scaled, variable
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.clamp_table import STRAIGHT, TAUT, TAUT_SLACK
 from doo_ti.relaxation.kernel_factory import INDEX1, TABLE1, loop_kernel

@@ -9,7 +9,7 @@ import taichi as ti
 from taichi.lang.impl import subscript
 
 from doo_ti.physics.algebra import absolute, on_diagonal, solve_symmetric
-from doo_ti.physics.number import Layout, Scratch
+from doo_ti.physics.number import Layout, Scratch, device_functions
 from doo_ti.physics.pair import PairEnergy, closing_rotation, curvature, linear_gradient, normal_matrix
 from doo_ti.physics.quaternion import (
     first_director,
@@ -19,20 +19,7 @@ from doo_ti.physics.quaternion import (
     turned_in_world,
     twist_angle_function,
 )
-from doo_ti.physics.tuples import (
-    chosen,
-    device_functions,
-    dot,
-    extended,
-    minus,
-    negated,
-    picked,
-    plus,
-    record,
-    repeated,
-    scaled,
-    variable,
-)
+from doo_ti.physics.tuples import chosen, dot, extended, minus, negated, picked, plus, record, repeated, scaled, variable
 from doo_ti.relaxation.newton_policy import UP
 
 # What scratch holds of a rod (see :class:`Chain`), and then of each of its edges.

@@ -6,9 +6,9 @@ import numpy as np
 import taichi as ti
 
 from doo_ti.physics.algebra import absolute, larger, row, transposed
-from doo_ti.physics.number import Number, read, write
+from doo_ti.physics.number import Number, device_functions, read, write
 from doo_ti.physics.quaternion import from_matrix, normalised, tangent, transported, turned_in_world
-from doo_ti.physics.tuples import cross, device_functions, dot, minus, record, repeated, scaled, variable
+from doo_ti.physics.tuples import cross, dot, minus, record, repeated, scaled, variable
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.kernel_factory import INDEX2, TABLE2, TABLE3, loop_kernel
 from doo_ti.relaxation.tables import FRAME, POSITION, TANGENT

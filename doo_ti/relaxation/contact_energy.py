@@ -19,20 +19,8 @@ import taichi as ti
 
 from doo_ti.contact.distance import outer
 from doo_ti.physics.algebra import absolute, applied, full, largest_of
-from doo_ti.physics.tuples import (
-    add,
-    choose,
-    device_functions,
-    dot,
-    minus,
-    negated,
-    plus,
-    record,
-    repeated,
-    scaled,
-    traced,
-    variable,
-)
+from doo_ti.physics.number import device_functions
+from doo_ti.physics.tuples import add, choose, dot, minus, negated, plus, record, repeated, scaled, traced, variable
 from doo_ti.relaxation.contact_places import ContactPlaces
 from doo_ti.relaxation.contact_table import EVEN
 

@@ -10,20 +10,8 @@ import taichi as ti
 from doo_ti.contact.distance import Distance, outer
 from doo_ti.contact.obstacles import PLANE
 from doo_ti.physics.algebra import absolute, applied, full, largest_of, row
-from doo_ti.physics.tuples import (
-    add,
-    choose,
-    chosen,
-    device_functions,
-    dot,
-    minus,
-    picked,
-    plus,
-    record,
-    repeated,
-    scaled,
-    variable,
-)
+from doo_ti.physics.number import device_functions
+from doo_ti.physics.tuples import add, choose, chosen, dot, minus, picked, plus, record, repeated, scaled, variable
 from doo_ti.relaxation.contact_table import CONTACT, CONTACTS, EVEN, OBSTACLE, SEARCHES, VERTEX, contact_items
 
 

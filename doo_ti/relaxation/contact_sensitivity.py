@@ -14,23 +14,10 @@ import taichi as ti
 from doo_ti.contact.touch import GAP_TOLERANCE
 from doo_ti.physics.algebra import applied, full, transposed
 from doo_ti.physics.factors import against, forward, minus_combination, symmetric_gram
-from doo_ti.physics.number import Layout, Number
+from doo_ti.physics.number import Layout, Number, device_functions
 from doo_ti.physics.pair import linear_gradient
 from doo_ti.physics.quaternion import first_director, second_director
-from doo_ti.physics.tuples import (
-    add,
-    device_functions,
-    extended,
-    minus,
-    negated,
-    picked,
-    plus,
-    products,
-    record,
-    repeated,
-    scaled,
-    variable,
-)
+from doo_ti.physics.tuples import add, extended, minus, negated, picked, plus, products, record, repeated, scaled, variable
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_table import SOFT
 from doo_ti.relaxation.contacts import Contacts

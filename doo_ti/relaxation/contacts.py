@@ -4,8 +4,8 @@ import taichi as ti
 
 from doo_ti.contact.obstacles import DEPTH, OBSTACLE_COLUMNS, SIZES
 from doo_ti.contact.touch import HELD, Touch
-from doo_ti.physics.number import in_f64, read
-from doo_ti.physics.tuples import choose, device_functions, dot, repeated, scaled
+from doo_ti.physics.number import device_functions, in_f64, read
+from doo_ti.physics.tuples import choose, dot, repeated, scaled
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_rounds import ContactRounds
 from doo_ti.relaxation.contact_table import (

@@ -27,9 +27,10 @@ from doo_ti.physics.algebra import (
     shifted,
     transposed,
 )
+from doo_ti.physics.number import device_functions
 from doo_ti.physics.pair import closure_rows, linear_gradient, linear_hessian, shift_of_end
 from doo_ti.physics.quaternion import first_director, second_director, tangent
-from doo_ti.physics.tuples import device_functions, dot, minus, negated, plus, products, repeated, scaled, traced, variable
+from doo_ti.physics.tuples import dot, minus, negated, plus, products, repeated, scaled, traced, variable
 from doo_ti.relaxation.dense_factors import DenseFactors
 from doo_ti.relaxation.elimination import held_pivot
 

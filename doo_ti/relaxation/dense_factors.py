@@ -4,8 +4,8 @@ import taichi as ti
 
 from doo_ti.physics.algebra import row
 from doo_ti.physics.factors import factor_in_turn
-from doo_ti.physics.number import NUMBERS
-from doo_ti.physics.tuples import device_functions, minus, plus, repeated, scaled, traced, variable
+from doo_ti.physics.number import NUMBERS, device_functions
+from doo_ti.physics.tuples import minus, plus, repeated, scaled, traced, variable
 
 COLUMNS = 4
 """Of the right-hand side: that of the step and the three of closure."""

@@ -14,8 +14,8 @@ from functools import cache
 
 import taichi as ti
 
-from doo_ti.physics.number import Number, Scratch
-from doo_ti.physics.tuples import chosen, device_functions, picked, put_lane, record, repeated
+from doo_ti.physics.number import Number, Scratch, device_functions
+from doo_ti.physics.tuples import chosen, picked, put_lane, record, repeated
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, SCRATCH, TABLE1, TABLE2, TABLE3, loop_kernel
 from doo_ti.relaxation.loading import LANES, NEXT, stiffness_scale

@@ -38,21 +38,10 @@ from doo_ti.physics.factors import (
     squared,
     symmetric_gram,
 )
+from doo_ti.physics.number import device_functions
 from doo_ti.physics.pair import closure_rows, linear_gradient, linear_hessian
 from doo_ti.physics.quaternion import first_director, second_director, tangent
-from doo_ti.physics.tuples import (
-    chosen,
-    device_functions,
-    dot,
-    minus,
-    negated,
-    plus,
-    products,
-    record,
-    repeated,
-    scaled,
-    variable,
-)
+from doo_ti.physics.tuples import chosen, dot, minus, negated, plus, products, record, repeated, scaled, variable
 from doo_ti.relaxation.chain import Chain
 
 

@@ -26,10 +26,10 @@ from doo_ti.physics.algebra import (
     transposed,
 )
 from doo_ti.physics.factors import against, factor, forward, forward_rows, gram, minus_combination, squared, symmetric_gram
+from doo_ti.physics.number import device_functions
 from doo_ti.physics.pair import closure_rows, linear_gradient, linear_hessian, shift_of_end
 from doo_ti.physics.quaternion import first_director, second_director, tangent
 from doo_ti.physics.tuples import (
-    device_functions,
     dot,
     extended,
     minus,

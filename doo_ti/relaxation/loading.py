@@ -2,9 +2,9 @@
 
 import taichi as ti
 
-from doo_ti.physics.number import in_f64, read, write
+from doo_ti.physics.number import device_functions, in_f64, read, write
 from doo_ti.physics.quaternion import normalised, tangent, transported
-from doo_ti.physics.tuples import device_functions, dot, record, scaled
+from doo_ti.physics.tuples import dot, record, scaled
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.newton_policy import MOST_SHIFT

@@ -11,8 +11,8 @@ from functools import cache
 import taichi as ti
 
 from doo_ti.contact.touch import require_gap_tolerance
-from doo_ti.physics.number import Number, in_f64, write
-from doo_ti.physics.tuples import choose, device_functions, dot, record, repeated, scaled
+from doo_ti.physics.number import Number, device_functions, in_f64, write
+from doo_ti.physics.tuples import choose, dot, record, repeated, scaled
 from doo_ti.relaxation import newton_policy as fixed
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contacts import Contacts

@@ -3,7 +3,8 @@
 import taichi as ti
 
 from doo_ti.physics.algebra import absolute
-from doo_ti.physics.tuples import choose, chosen, device_functions, dot, plus, record, scaled, variable
+from doo_ti.physics.number import device_functions
+from doo_ti.physics.tuples import choose, chosen, dot, plus, record, scaled, variable
 from doo_ti.relaxation import newton_policy as fixed
 from doo_ti.relaxation.contact_table import EARLY_ROTATION, PART, SHIFT_GROWTH, SHORTENED
 from doo_ti.relaxation.elimination import Elimination

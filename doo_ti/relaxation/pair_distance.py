@@ -15,8 +15,8 @@ could touch: their distance then, less that at which they touch, over the larges
 
 import taichi as ti
 
-from doo_ti.physics.number import Layout, in_f64
-from doo_ti.physics.tuples import device_functions, dot, minus, picked, plus, record, scaled, traced
+from doo_ti.physics.number import Layout, device_functions, in_f64
+from doo_ti.physics.tuples import dot, minus, picked, plus, record, scaled, traced
 
 
 @traced

@@ -12,10 +12,10 @@ import taichi as ti
 
 from doo_ti.physics import pair
 from doo_ti.physics.algebra import applied, full, transposed
-from doo_ti.physics.number import Layout, read
+from doo_ti.physics.number import Layout, device_functions, read
 from doo_ti.physics.pair import linear_gradient, linear_hessian, moment, shift_of_end, strain
 from doo_ti.physics.quaternion import first_director, second_director, tangent
-from doo_ti.physics.tuples import device_functions, dot, minus, plus, record, scaled, variable
+from doo_ti.physics.tuples import dot, minus, plus, record, scaled, variable
 from doo_ti.relaxation import chain
 
 # What changes along a direction, of the table of directions.

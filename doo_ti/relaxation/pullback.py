@@ -20,10 +20,10 @@ import numpy as np
 import taichi as ti
 
 from doo_ti.physics import pair
-from doo_ti.physics.number import read, write
+from doo_ti.physics.number import device_functions, read, write
 from doo_ti.physics.pair import linear_gradient
 from doo_ti.physics.quaternion import first_director, second_director
-from doo_ti.physics.tuples import device_functions, dot, minus, negated, plus, record, repeated, scaled, variable
+from doo_ti.physics.tuples import dot, minus, negated, plus, record, repeated, scaled, variable
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_sensitivity import ContactSensitivity
 from doo_ti.relaxation.kernel_factory import TABLE2, TABLE3

@@ -25,9 +25,9 @@ import taichi as ti
 
 from doo_ti.contact.itself import LEAST_ARC
 from doo_ti.physics.algebra import largest_of
-from doo_ti.physics.number import Number, Scratch
+from doo_ti.physics.number import Number, Scratch, device_functions
 from doo_ti.physics.quaternion import passed_half_turn, tangent, turned_about_own_tangent
-from doo_ti.physics.tuples import device_functions, dot, itemwise, minus, picked, plus, record, repeated, scaled, variable
+from doo_ti.physics.tuples import dot, itemwise, minus, picked, plus, record, repeated, scaled, variable
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.batch import laid_out, layout_for
 from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, SCRATCH, TABLE1, loop_kernel

@@ -8,8 +8,8 @@ import taichi as ti
 
 from doo_ti.contact.itself import LEAST_ARC
 from doo_ti.physics.algebra import full, largest_of, row
-from doo_ti.physics.number import NUMBERS
-from doo_ti.physics.tuples import add, chosen, device_functions, dot, minus, picked, plus, record, repeated, scaled, variable
+from doo_ti.physics.number import NUMBERS, device_functions
+from doo_ti.physics.tuples import add, chosen, dot, minus, picked, plus, record, repeated, scaled, variable
 from doo_ti.relaxation.contact_table import (
     DEEPEST_STEP,
     ITSELF,

@@ -3,8 +3,8 @@
 import taichi as ti
 
 from doo_ti.physics.algebra import largest_of
-from doo_ti.physics.number import in_f64
-from doo_ti.physics.tuples import choose, device_functions, dot, minus, plus, scaled
+from doo_ti.physics.number import device_functions, in_f64
+from doo_ti.physics.tuples import choose, dot, minus, plus, scaled
 from doo_ti.relaxation.contact_table import PAIR_CARRIED, PAIR_REMEMBERED, PRESSED_IN, REACH
 from doo_ti.relaxation.contacts import NONE
 from doo_ti.relaxation.pair_distance import pair_weights

@@ -7,9 +7,9 @@ the factors, S dλ = Σ W_Aᵀ D⁻¹ W_b, and back-substitution gives dω.
 
 import taichi as ti
 
-from doo_ti.physics.number import read
+from doo_ti.physics.number import device_functions, read
 from doo_ti.physics.quaternion import first_director, second_director, tangent
-from doo_ti.physics.tuples import device_functions, minus, plus, products, record, repeated, scaled, traced, variable
+from doo_ti.physics.tuples import minus, plus, products, record, repeated, scaled, traced, variable
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.newton_policy import INERTIA_OF_A_MINIMUM, LARGE_TRACE, TRACE
 from doo_ti.relaxation.parameter_gradient import NO_MODE, ParameterGradient

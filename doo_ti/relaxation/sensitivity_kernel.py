@@ -8,8 +8,8 @@ import numpy as np
 import taichi as ti
 
 from doo_ti.physics.factors import against, forward, symmetric_gram
-from doo_ti.physics.number import Number
-from doo_ti.physics.tuples import chosen, device_functions, negated, plus, record, repeated, scaled, variable
+from doo_ti.physics.number import Number, device_functions
+from doo_ti.physics.tuples import chosen, negated, plus, record, repeated, scaled, variable
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.batch import laid_out, layout_for, layout_of_gpu
 from doo_ti.relaxation.chain import edge_layout

@@ -7,8 +7,9 @@ the rod would bounce with more energy than it came with. A step of backward Eule
 import taichi as ti
 
 from doo_ti.physics import pair
+from doo_ti.physics.number import device_functions
 from doo_ti.physics.quaternion import tangent
-from doo_ti.physics.tuples import choose, device_functions, dot, minus, plus, record, scaled, variable
+from doo_ti.physics.tuples import choose, dot, minus, plus, record, scaled, variable
 from doo_ti.relaxation.time_sweep import TimeSweep
 
 LEAVING = 5.0

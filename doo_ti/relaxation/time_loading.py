@@ -3,7 +3,7 @@
 import taichi as ti
 
 from doo_ti.contact.obstacles import AXES, POINT
-from doo_ti.physics.number import in_f64, read, write
+from doo_ti.physics.number import device_functions, in_f64, read, write
 from doo_ti.physics.quaternion import (
     first_director,
     partway,
@@ -14,7 +14,7 @@ from doo_ti.physics.quaternion import (
     transported,
     turned_in_world,
 )
-from doo_ti.physics.tuples import cross, device_functions, dot, minus, plus, record, repeated, scaled, variable
+from doo_ti.physics.tuples import cross, dot, minus, plus, record, repeated, scaled, variable
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.bows import STEEP, STEEPEST
 from doo_ti.relaxation.clamp_table import ALIKE, INFEASIBLE, ROUNDING, SOUND, STRAIGHT, TAUT, TAUT_SLACK

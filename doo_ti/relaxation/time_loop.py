@@ -2,8 +2,8 @@
 
 import taichi as ti
 
-from doo_ti.physics.number import in_f64, read
-from doo_ti.physics.tuples import choose, chosen, device_functions, plus, put_lane, repeated, scaled
+from doo_ti.physics.number import device_functions, in_f64, read
+from doo_ti.physics.tuples import choose, chosen, plus, put_lane, repeated, scaled
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.clamp_table import INFEASIBLE, TAUT
 from doo_ti.relaxation.loading import LANES

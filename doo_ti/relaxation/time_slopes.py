@@ -10,21 +10,9 @@ import taichi as ti
 
 from doo_ti.physics import pair
 from doo_ti.physics.factors import against, backward, forward, minus_combination, symmetric_gram
-from doo_ti.physics.number import Layout, in_f64
+from doo_ti.physics.number import Layout, device_functions, in_f64
 from doo_ti.physics.quaternion import first_director, second_director, tangent
-from doo_ti.physics.tuples import (
-    device_functions,
-    dot,
-    extended,
-    minus,
-    negated,
-    picked,
-    plus,
-    products,
-    repeated,
-    scaled,
-    variable,
-)
+from doo_ti.physics.tuples import dot, extended, minus, negated, picked, plus, products, repeated, scaled, variable
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.loading import load_stiffness
 from doo_ti.relaxation.time_loop import TimeLoop

@@ -13,7 +13,7 @@ draws it towards y(ω): a rest curvature of its own for each step.
 import taichi as ti
 
 from doo_ti.physics import pair
-from doo_ti.physics.number import Layout
+from doo_ti.physics.number import Layout, device_functions
 from doo_ti.physics.quaternion import (
     normalised,
     passed_half_turn,
@@ -22,7 +22,7 @@ from doo_ti.physics.quaternion import (
     tangent,
     turned_about_own_tangent,
 )
-from doo_ti.physics.tuples import choose, chosen, device_functions, dot, minus, plus, record, repeated, scaled, variable
+from doo_ti.physics.tuples import choose, chosen, dot, minus, plus, record, repeated, scaled, variable
 from doo_ti.relaxation.contacts import Contacts
 from doo_ti.relaxation.external import PointLoads
 from doo_ti.relaxation.loaded_elimination import LoadedElimination

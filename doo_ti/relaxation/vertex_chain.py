@@ -8,9 +8,9 @@ import taichi as ti
 
 from doo_ti.physics import vertex_form
 from doo_ti.physics.algebra import absolute, larger
-from doo_ti.physics.number import Layout, read
+from doo_ti.physics.number import Layout, device_functions, read
 from doo_ti.physics.quaternion import signed_angle_function
-from doo_ti.physics.tuples import choose, cross, device_functions, dot, minus, picked, plus, record, repeated, scaled, variable
+from doo_ti.physics.tuples import choose, cross, dot, minus, picked, plus, record, repeated, scaled, variable
 from doo_ti.relaxation.loading import load_stiffness
 
 VERTEX = Layout(position=3, director=3, force=3, state=("position", 9), trial_position=3, trial_director=3, trial_force=3,
