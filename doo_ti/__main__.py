@@ -4,7 +4,7 @@ import os
 import sys
 import warnings
 
-from doo_ti.system.interruption import before_anything_is_begun, when_all_is_done, while_running
+from doo_ti.system.terminal import before_anything_is_begun, when_all_is_done, while_running
 
 
 def main() -> int:

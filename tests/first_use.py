@@ -12,7 +12,7 @@ from threading import Barrier, Thread
 import numpy as np
 
 import doo_ti as d
-from tests.vision.drawn_maps import curves, drawn_maps, three_cameras
+from tests.vision.scenes import curves, drawn_maps, three_cameras
 
 ROPE, CLAMPS = d.hanging(500.0, 12, start=(0, 0, 0), end=(300, 0, 0), clamp=d.Clamp.FRAME)
 MATERIAL = d.Material(1e6, 1e6)

@@ -14,7 +14,7 @@ import numpy as np
 from doo_ti import Clamp, Material, end_clamps, load_rig, predict, straight_rod
 from doo_ti.io.motion_file import ClampPath
 from doo_ti.rod.frames import rotation_matrix
-from doo_ti.vision.rendering.render import render_set
+from doo_ti.vision.render import render_set
 
 FRAMES, LENGTH_MM, EDGES, DIAMETER_MM = 8, 90.0, 30, 0.8
 

@@ -10,18 +10,18 @@ from doo_ti.commands import image_options
 from doo_ti.commands import options as given
 from doo_ti.commands.results import counted, report, shortened
 from doo_ti.io.observation_files import save_observations
-from doo_ti.rod.physical_units import UNITS_IN_MM
+from doo_ti.rod.material import UNITS_IN_MM
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line, progress
-from doo_ti.vision.cameras.board import FORMS, Board, Views, find_sightings, parse_board, read_views
-from doo_ti.vision.cameras.calibration import COEFFICIENTS, WORLDS, Calibration, CalibrationOptions, calibrate
-from doo_ti.vision.cameras.rig import Rig, save_rig
-from doo_ti.vision.reprojection.marks import MarkedRods, Marks, observe, read_labels, read_marks
-from doo_ti.vision.reprojection.triangulation import MarkStatus, Points, TriangulationOptions, triangulate
+from doo_ti.vision.board import FORMS, Views, find_sightings, parse_board, read_views
+from doo_ti.vision.calibration import COEFFICIENTS, WORLDS, Calibration, CalibrationOptions, calibrate
+from doo_ti.vision.cameras import Rig
+from doo_ti.vision.marks import MarkedRods, Marks, observe, read_labels, read_marks
+from doo_ti.vision.rig_files import save_rig
+from doo_ti.vision.triangulation import MarkStatus, Points, TriangulationOptions, triangulate
 
 MOST_LISTED = 20
-LEAST_SPACING_MM = 0.1
-"""Median distance of neighbouring marks below which the rig's unit is doubted."""
+LEAST_SPACING_MM = 0.1  # median distance of neighbouring marks below which the rig's unit is doubted
 
 
 def declare(add) -> None:
@@ -58,7 +58,9 @@ def run_calibrate(options: Namespace) -> int:
     board, out = parse_board(options.board), given.output_file(options.out, ".yaml")
     views = read_views(Path(options.views))
     turned = options.orientation == "apply"
-    sightings, sizes = _searched(views, board, turned)
+    with progress() as bar:
+        task = bar.add_task("corners", total=len(views.images), unit="images")
+        sightings, sizes = find_sightings(views, board, lambda: bar.advance(task), turned)
     chosen = CalibrationOptions(world=options.world, distortion=options.distortion)
     calibration = calibrate(board.points, sightings, sizes, len(views.names), chosen, views.source)
     save_rig(out, Rig(tuple(replace(camera, turned=turned) for camera in calibration.rig.cameras)))
@@ -68,21 +70,15 @@ def run_calibrate(options: Namespace) -> int:
     return 0
 
 
-def _searched(views: Views, board: Board, turned: bool):
-    with progress() as bar:
-        task = bar.add_task("corners", total=len(views.images), unit="images")
-        return find_sightings(views, board, lambda: bar.advance(task), turned)
-
-
 def _calibration_summary(views: Views, calibration: Calibration, out: Path) -> dict:
-    worst_view, worst_camera = calibration.worst
+    (worst_view, worst_camera), corners = calibration.worst, calibration.corners
     cameras = [{
         "name": camera.name, "width": camera.width, "height": camera.height, "focal_px": camera.matrix[[0, 1], [0, 1]],
         "focal_sigma_px": calibration.focal_sigma[index], "principal_point_px": camera.matrix[:2, 2],
         "distortion": camera.distortion, "centre_mm": camera.centre, "centre_sigma_mm": calibration.centre_sigma[index],
-        "rms_px": _rms(calibration, np.s_[:, index]),
+        "rms_px": np.sqrt(np.nansum(calibration.rms[:, index] ** 2 * corners[:, index]) / corners[:, index].sum()),
     } for index, camera in enumerate(calibration.rig.cameras)]
-    images = [{"view": views.names[view], "camera": views.cameras[camera], "corners": calibration.corners[view, camera],
+    images = [{"view": views.names[view], "camera": views.cameras[camera], "corners": corners[view, camera],
                "rms_px": calibration.rms[view, camera]} for view, camera in sorted(views.images)]
     return {
         "views": len(views.names), "rms_px": calibration.overall_rms, "corner_sigma_px": calibration.sigma_px,
@@ -91,12 +87,6 @@ def _calibration_summary(views: Views, calibration: Calibration, out: Path) -> d
                   "rms_px": calibration.rms[worst_view, worst_camera]},
         "images": images, "without_board": [image for image in images if not image["corners"]], "out": str(out),
     }
-
-
-def _rms(calibration: Calibration, part) -> float:
-    """px, over the corners of some images."""
-    corners = calibration.corners[part]
-    return np.sqrt(np.nansum(calibration.rms[part] ** 2 * corners) / corners.sum())
 
 
 def _calibration_lines(views: Views, calibration: Calibration, summary: dict) -> list[str]:
@@ -177,18 +167,14 @@ def _marks_summary(marks: Marks, rig: Rig, points: Points, rods: MarkedRods, cho
         "marks": {name: count for name, count in counts.items() if count}, "valid_vertices": observations.valid.sum(),
         "median_sigma_mm": np.median(observations.sigma[observations.valid]),
         "sigma_px": chosen.sigma_px, "label_sigma_px": points.label_sigma,
-        "rms_px": {name: _root_mean_square(points.residual[camera, points.used[camera]])
-                   for camera, name in enumerate(rig.names)},
+        "rms_px": {name: np.sqrt(np.mean(points.residual[camera, used] ** 2)) if used.any() else np.nan
+                   for camera, (name, used) in enumerate(zip(rig.names, points.used, strict=True))},
         "outliers": _unused_labels(marks, rig, points, MarkStatus.OUTLIER_LEFT_OUT),
         "contradictory": _unused_labels(marks, rig, points, MarkStatus.CONTRADICTORY),
         "frames_filled": rods.frames_filled.sum(),
         "end_frames": [end for end in ("start_frame", "end_frame") if getattr(observations, end) is not None],
         "out": str(out),
     }
-
-
-def _root_mean_square(residual: np.ndarray) -> float:
-    return np.sqrt(np.mean(residual**2)) if len(residual) else np.nan
 
 
 def _unused_labels(marks: Marks, rig: Rig, points: Points, status: MarkStatus) -> list[dict]:

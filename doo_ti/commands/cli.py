@@ -15,26 +15,26 @@ from typing import NoReturn
 
 from doo_ti import __version__
 from doo_ti.commands import (
-    bench,
     cameras,
     group,
+    hidden,
     identify,
+    machine,
+    nearest,
+    overview,
     perceive,
     plan,
     predict,
     refine,
     relax,
     runs,
-    servo,
     simulate,
     steer,
     sweep,
     synth,
     track,
     twist,
-    warm,
 )
-from doo_ti.commands.help_text import hidden, nearest, overview
 from doo_ti.system.errors import InputError, InterruptedRunError
 from doo_ti.system.runtime import check_architecture
 from doo_ti.system.terminal import VisibleStream, visible
@@ -119,7 +119,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _report(error, 1)
     except (KeyboardInterrupt, OSError, MemoryError, RuntimeError) as error:
         reason = "interrupted" if isinstance(error, KeyboardInterrupt) else str(error) or type(error).__name__
-        return _report(f"{reason}; {_again(argv)}", 1)
+        # Only a sweep stores results before all of them are computed.
+        again = "resumes with the unfinished cells" if argv[:1] == ["sweep"] else "starts from the beginning"
+        return _report(f"{reason}; the same command {again}", 1)
 
 
 def _run(argv: list[str]) -> int:
@@ -167,11 +169,6 @@ def _unexpected(command: _Parser, word: str) -> InputError:
     return InputError(command.prog, name, kind, f"did you mean {meant}? S{help_line[1:]}" if meant else help_line)
 
 
-def _again(argv: list[str]) -> str:
-    """What the same command does if it is run again: only a sweep stores results before all of them are computed."""
-    return f"the same command {'resumes with the unfinished cells' if argv[:1] == ['sweep'] else 'starts from the beginning'}"
-
-
 def _report(problem: object, code: int) -> int:
     # One line whatever the message holds.
     text = " ".join((str(problem) or type(problem).__name__).split())
@@ -195,7 +192,7 @@ def _parser() -> _Parser:
                      description="Fit discrete elastic rods to observed shapes (Javdani et al., ICRA 2011).")
     parser.add_argument("--version", action="version", version=f"doo-ti {__version__}")
     add = parser.add_subparsers(dest="command", required=True, metavar="COMMAND").add_parser
-    for commands in (relax, sweep, runs, refine, predict, steer, servo, simulate, group, identify, twist, plan, synth, bench,
-                     cameras, perceive, track, warm):
+    for commands in (relax, twist, sweep, plan, runs, refine, predict, steer, simulate, group, identify, synth, machine,
+                     cameras, perceive, track):
         commands.declare(add)
     return parser

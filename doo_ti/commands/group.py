@@ -22,10 +22,8 @@ if TYPE_CHECKING:
     from doo_ti.groups.relax_group import GroupSolution
     from doo_ti.groups.scene import GroupScene
 
-OF_RODS = ("group", "contact_force", "touch")
-"""Fields of a solution that are lists, one for each rod."""
-MOST_LISTED = 6
-"""Names or forces in a line."""
+OF_RODS = ("group", "contact_force", "touch")  # fields of a solution that are lists, one for each rod
+MOST_LISTED = 6  # names or forces in a line
 
 
 def declare(add) -> None:

@@ -15,19 +15,17 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.arrays import read_npz
 from doo_ti.io.observation_files import load_observations
 from doo_ti.io.toml_file import scene_file
-from doo_ti.rod.physical_units import UNITS_IN_MM
+from doo_ti.rod.material import UNITS_IN_MM
 from doo_ti.rod.types import Material
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import read_content
 from doo_ti.system.terminal import in_line
-from doo_ti.vision.cameras.foreign import LENSES, POSES, RigReading
-from doo_ti.vision.cameras.rig import Rig, load_rig
+from doo_ti.vision.cameras import LENSES, POSES, Rig, RigReading
+from doo_ti.vision.rig_files import load_rig
 
 MOST_HYPOTHESES = 100_000
-RECORDED = 3
-"""Sets in a recording."""
-EDGES = 33
-"""Of a rod whose edges are not given."""
+RECORDED = 3  # sets in a recording
+EDGES = 33  # of a rod whose edges are not given
 GUESSED_BEND = 1e6
 """mm³, of a rod in images whose stiffness is not given: E_vis takes the rod's energy relative to its stiffness, so that only
 its weight and twist against its bending depend on it."""
@@ -97,8 +95,8 @@ def by_camera(option: str, texts: Iterable[str] | None, names: tuple[str, ...], 
 
 def sight(options: Namespace, sets, method: str = "ridge"):
     """The Sight that :func:`add_thread` describes, of the images in ``sets``."""
-    from doo_ti.vision.detection.detect import Sight
-    from doo_ti.vision.detection.options import DetectionOptions
+    from doo_ti.vision.detect import Sight
+    from doo_ti.vision.detection import DetectionOptions
 
     colour = None if options.colour is None else tuple(given.numbers("--colour", options.colour))
     regions = {camera: tuple(map(int, box))
@@ -119,7 +117,7 @@ def sight(options: Namespace, sets, method: str = "ridge"):
 
 def orientation_note(paths: Iterable[Path], turned: bool) -> str | None:
     """What to say of images with orientation tags; None where there are none."""
-    from doo_ti.vision.detection.images import orientation_tags
+    from doo_ti.vision.images import orientation_tags
 
     count = orientation_tags(paths)
     did, other = ("applied", "ignore") if turned else ("ignored", "apply")
@@ -189,7 +187,7 @@ def perception_task(options: Namespace) -> PerceptionTask:
 
 def _sets(options: Namespace, rig):
     """The sets of the file, or the one that the command line spells out."""
-    from doo_ti.vision.detection.images import ImageSets, load_sets
+    from doo_ti.vision.images import ImageSets, load_sets
 
     single = {"IMAGE": options.images, "--seed-point": options.seed_point, "--seed-direction": options.seed_direction,
               "--seed-pixel": options.seed_pixel}
@@ -216,8 +214,10 @@ def _sets(options: Namespace, rig):
             raise InputError(given.SOURCE, name, f"{len(numbers)} numbers", "give X,Y,Z")
         seed[name] = np.array([numbers])
     paths = tuple(Path(image) for image in options.images)
+    clicks = {rig.names.index(camera): pixel
+              for camera, pixel in by_camera("--seed-pixel", options.seed_pixel, rig.names, "U,V").items()}
     return ImageSets((in_line(paths[0].stem),), (paths,), rig, seed["--seed-point"], seed["--seed-direction"], given.SOURCE,
-                     (_clicks(options, rig),))
+                     (clicks,))
 
 
 def _extent(options: Namespace) -> Extent:
@@ -231,12 +231,6 @@ def _extent(options: Namespace) -> Extent:
         if bounds[0] > bounds[1]:
             raise InputError(given.SOURCE, "--length", options.length, "give MM, or LOW:HIGH")
     return Extent(*bounds, edge)
-
-
-def _clicks(options: Namespace, rig) -> dict[int, tuple[float, float]]:
-    """The pixels of ``--seed-pixel`` by the numbers of their cameras."""
-    pixels = by_camera("--seed-pixel", options.seed_pixel, rig.names, "U,V")
-    return {rig.names.index(camera): pixel for camera, pixel in pixels.items()}
 
 
 def _truth(options: Namespace, names: tuple[str, ...]) -> np.ndarray | None:

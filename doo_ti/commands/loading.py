@@ -16,15 +16,15 @@ import numpy as np
 from doo_ti.commands import options as given
 from doo_ti.commands.results import observed
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.io.arrays import read_npz
-from doo_ti.io.csv_table import decoded
+from doo_ti.io.arrays import checked_arrays, decoded, read_npz
 from doo_ti.io.observation_files import load_observations
 from doo_ti.io.scene import Scene, Synthesis
+from doo_ti.rod.material import UNITS_IN_MM, likely_unit
 from doo_ti.rod.observations import Observations
-from doo_ti.rod.physical_units import UNITS_IN_MM, likely_unit
 from doo_ti.rod.start import observation_clamps, reachable
 from doo_ti.rod.types import Clamp
 from doo_ti.system import terminal
+from doo_ti.system.arguments import counted, span_text
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import MOST_TEXT_BYTES, read_content
 from doo_ti.system.terminal import in_line
@@ -32,22 +32,15 @@ from doo_ti.system.terminal import in_line
 if TYPE_CHECKING:
     from doo_ti.dynamics.recorded import RecordedMotion
 
-FEW = 0.25
-"""Share of observations that may be left out; of more a file or an option is wrong."""
-MEASURED = 0.02
-"""Relative error of a length between marks that somebody measured."""
+FEW = 0.25  # share of observations that may be left out; of more a file or an option is wrong
+MEASURED = 0.02  # relative error of a length between marks that somebody measured
 MOST_OFF = 1.5
 """Stated length of the rod over that of arcs through its marks, or the inverse, above which one of both is wrong."""
-DOUBTFUL = 1.05
-"""The same, above which a warning is printed: arcs are off by up to 2 % on rods of ten marks or more."""
-COARSE = 2.0
-"""Length of an edge, over the radii of the thinnest obstacle and of the rod, above which it is too long."""
-MOST_UNEVEN = 20.0
-"""Longest edge over the median one, above which the marks may be of several rods."""
-OF_FILES = ("unit", "columns")
-"""Options that only files of marks have a use for."""
-OF_OBSERVATIONS = (*OF_FILES, "rest_length")
-"""Options that only files of observations have a use for."""
+DOUBTFUL = 1.05  # the same, above which a warning is printed: arcs are off by up to 2 % on rods of ten marks or more
+COARSE = 2.0  # length of an edge, over the radii of the thinnest obstacle and of the rod, above which it is too long
+MOST_UNEVEN = 20.0  # longest edge over the median one, above which the marks may be of several rods
+OF_FILES = ("unit", "columns")  # options that only files of marks have a use for
+OF_OBSERVATIONS = (*OF_FILES, "rest_length")  # options that only files of observations have a use for
 RECORDINGS = ".npz (positions_mm, rate_hz), .csv of OptiTrack or Vicon, a table"
 FORMATS = ".npz, .csv, .parquet; or curves as .csv of OptiTrack or Vicon, .xml (MuJoCo), .usd, .txt"
 
@@ -142,6 +135,26 @@ def _measured(observations: Observations, text: str) -> Observations:
     return measured
 
 
+def target(options: Namespace, observations: Observations) -> np.ndarray:
+    """(1, V, 3) mm, where ``--target`` says that the vertices shall be; NaN where it asks nothing."""
+    path = Path(options.target)
+    if path.suffix != ".npz":
+        raise InputError(path, "file", f"suffix {path.suffix!r}", "name a .npz file with vertices_mm")
+    arrays = read_npz(path, read_content(path), ("vertices_mm",))
+    if "vertices_mm" not in arrays:
+        raise InputError(path, "vertices_mm", "missing", "give (1, V, 3) mm, NaN where nothing is asked")
+    places = arrays["vertices_mm"]
+    missing = np.isnan(places) if places.dtype.kind == "f" else np.zeros(places.shape, dtype=bool)
+    places = checked_arrays(path, {"vertices_mm": np.where(missing, 0, places) if missing.any() else places})["vertices_mm"]
+    wanted = (1, observations.edges + 1, 3)
+    if places.shape != wanted:
+        raise InputError(path, "vertices_mm", f"shape {places.shape}", f"give {wanted}, as START has vertices")
+    places = np.where(missing, np.nan, places)
+    if not np.isfinite(places).all(axis=-1).any():
+        raise InputError(path, "vertices_mm", "NaN everywhere", "give at least one vertex a place")
+    return places if options.unit is None else places * UNITS_IN_MM[options.unit]
+
+
 def of_scene(options: Namespace, scene: Scene) -> Observations:
     """A scene's observations, loaded or synthesised, under the scene's name."""
     if isinstance(scene.observations, Synthesis):
@@ -177,7 +190,7 @@ def warn(observations: Observations, surroundings: Surroundings | None = None) -
     """Print a warning where the rod is implausible, or too coarse for what is around it. To be called once everything is
     checked, so that wrong input is reported in one line."""
     for doubt in (unit_doubt(observations), order_doubt(observations), length_doubt(observations),
-                  mesh_doubt(observations, surroundings)):
+                  mesh_doubt(observations, surroundings), inside_doubt(observations, surroundings)):
         if doubt is not None:
             terminal.warn(f"{in_line(observations.source)}: {doubt}")
 
@@ -194,8 +207,8 @@ def rod_line(observations: Observations) -> str:
     seen = observations.valid[:, [0, -1]].all(axis=1)
     ends = np.linalg.norm(observations.vertices[:, -1] - observations.vertices[:, 0], axis=-1)[seen]
     missing = int((~observations.valid).sum())
-    span = "" if not len(ends) else f", its ends {_span(ends)} mm apart"
-    return (f"  loaded      {observations.count} observation{'s' * (observations.count > 1)} of {observations.edges + 1} marks"
+    span = "" if not len(ends) else f", its ends {span_text(ends, 'mm')} apart"
+    return (f"  loaded      {counted(observations.count, 'observation')} of {observations.edges + 1} marks"
             f"{f' ({missing} missing)' if missing else ''}; the rod is {observations.rest_length.sum():.4g} mm long{span}; "
             f"up {','.join(f'{value + 0:.3g}' for value in observations.up)}")
 
@@ -226,6 +239,18 @@ def mesh_doubt(observations: Observations, surroundings: Surroundings | None) ->
             f"radius: the rod may slip off it; make them shorter: doo-ti convert IN OUT --edges {edges}")
 
 
+def inside_doubt(observations: Observations, surroundings: Surroundings | None) -> str | None:
+    """That marks, or the lines between them, are inside an obstacle, or None: rods are moved out of it, to either side."""
+    if not surroundings:
+        return None
+    depth = -np.nan_to_num(surroundings.at(0).smallest_gap(observations.vertices)) - surroundings.radius
+    worst = int(depth.argmax())
+    if depth[worst] <= 0:
+        return None
+    return (f"the axis of observation {observations.labels[worst]} is {depth[worst]:.3g} mm inside an obstacle: it is moved "
+            "out first, on the nearer side, which need not be the right one; check the obstacle's place")
+
+
 def order_doubt(observations: Observations) -> str | None:
     """Why the marks may not be those of one rod in their order, or None."""
     lengths = observations.rest_length
@@ -245,14 +270,8 @@ def length_doubt(observations: Observations) -> str | None:
             "check the length from the first mark to the last along the rod and the --unit, or give no length")
 
 
-def _span(values: np.ndarray) -> str:
-    low, high = f"{values.min():.4g}", f"{values.max():.4g}"
-    return low if low == high else f"{low} to {high}"
-
-
 MOST_EDGES = 2000
-LEAST_MM, MOST_MM = 1e-3, 1e4
-"""Of an edge."""
+LEAST_MM, MOST_MM = 1e-3, 1e4  # of an edge
 
 
 def read_rest_length(text: str) -> np.ndarray:

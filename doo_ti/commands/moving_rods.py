@@ -14,8 +14,8 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.motion_file import TOOL_AXES, ClampPath, load_path
 from doo_ti.io.pose_table import NAMED
 from doo_ti.rod.frames import matrix_from_quaternion, smallest_rotation
+from doo_ti.rod.material import UNITS_IN_MM
 from doo_ti.rod.observations import Observations
-from doo_ti.rod.physical_units import UNITS_IN_MM
 from doo_ti.rod.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, unit_up
 from doo_ti.system.errors import InputError
@@ -26,12 +26,9 @@ if TYPE_CHECKING:
     from doo_ti.dynamics.parameters import Dynamics, Stepping
 
 LOSSES = {"bend_damping": "s", "twist_damping": "s", "drag": "1/s", "quadratic_drag": "1/mm"}
-MOST_STRETCH = 0.1
-"""By which the rod's length may differ from that of THETA.json."""
-MOST_LENGTHS = 100.0
-"""Of a rod, between its clamps."""
-FAR_OFF = 0.05
-"""Of the rod's length, from a clamp to where its motion begins: more is no error of measurement."""
+MOST_STRETCH = 0.1  # by which the rod's length may differ from that of THETA.json
+MOST_LENGTHS = 100.0  # of a rod, between its clamps
+FAR_OFF = 0.05  # of the rod's length, from a clamp to where its motion begins: more is no error of measurement
 
 
 # --- options -------------------------------------------------------------------------------------------------------------

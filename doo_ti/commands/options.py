@@ -10,25 +10,23 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands.help_text import FIRST, examples
+from doo_ti.commands import FIRST, examples
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.observation_files import checked_suffix
 from doo_ti.io.scene import CLAMPS, PRECISIONS
 from doo_ti.rod.grid import UNITS, Axis, Grid, parse_axes, parse_axis
-from doo_ti.rod.physical_units import bend_or_twist, force_in_newton, weight_per_length
+from doo_ti.rod.material import bend_or_twist, force_in_newton, weight_per_length
 from doo_ti.rod.types import LARGEST, Clamp, unit_up
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import INSTALL_RECORDER, has_recorder
 
 SOURCE = "command line"
-MATERIAL = ("bend", "bend_1", "bend_2", "twist", "twist_ratio", "weight", "EI", "GJ")
-"""The options that state Θ."""
+MATERIAL = ("bend", "bend_1", "bend_2", "twist", "twist_ratio", "weight", "EI", "GJ")  # the options that state Θ
 STIFFNESS_ONLY = "bend and twist stiffness are used; rest curvature, damping, drag and markers are ignored"
 SHAPE_ONLY = "bend, twist and rest curvature are used; damping, drag and markers are ignored"
 EVERYTHING = "bend, twist, rest curvature, damping, drag and markers are used"
 CLAMP_DEFAULT = "frame where the file gives one, else tangent"
-LONGEST_NAME = 200
-"""Bytes in the name of a file: systems allow 255, and while the file is written it has a longer name."""
+LONGEST_NAME = 200  # bytes in the name of a file: systems allow 255, and while the file is written it has a longer name
 
 
 class _HelpAll(Action):

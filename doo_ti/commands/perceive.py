@@ -17,18 +17,12 @@ from doo_ti.rod.types import Status
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import can_record, in_line, progress
 
-MARGIN_PX = 60
-"""Of the distance maps around what was detected."""
-MOST_MAP_BYTES = 1 << 29
-"""Of the distance maps held at once."""
-CLICK_PX = 1.0
-"""Standard deviation of where a thread ends in an image."""
-LEAST_SIGMA_MM = 1e-3
-"""Stated for vertices that the seed gives: no observation is exact."""
-LEFT_OVER = 0.02
-"""Share of the rod's length; less is not mentioned."""
-OUTSIDE = 0.01
-"""Share of the thread outside the other images that is worth saying."""
+MARGIN_PX = 60  # of the distance maps around what was detected
+MOST_MAP_BYTES = 1 << 29  # of the distance maps held at once
+CLICK_PX = 1.0  # standard deviation of where a thread ends in an image
+LEAST_SIGMA_MM = 1e-3  # stated for vertices that the seed gives: no observation is exact
+LEFT_OVER = 0.02  # share of the rod's length; less is not mentioned
+OUTSIDE = 0.01  # share of the thread outside the other images that is worth saying
 MOST_LISTED = 60
 
 
@@ -142,7 +136,7 @@ def _perceived(task: PerceptionTask, detected: list[list], bar):
     """(Perception of all sets, GrowthSteps of those that are recorded): in groups whose maps fit into memory."""
     from doo_ti.perception.growth import GrowthSteps
     from doo_ti.perception.perceive import Perception, perceive
-    from doo_ti.vision.reprojection.distance_map import distance_maps
+    from doo_ti.vision.distance_map import distance_maps
 
     sets, edges = task.sets, len(task.rest_length)
     pixels = max(camera.width * camera.height for camera in sets.rig.cameras)
@@ -200,7 +194,7 @@ def _found(found) -> np.ndarray:
 
 def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found, growth, out: Path) -> list[Path]:
     """Draw and record the result beside ``out``; returns the files."""
-    from doo_ti.vision.detection.images import read_image
+    from doo_ti.vision.images import read_image
 
     rig, written = task.sets.rig, []
     there = np.flatnonzero(np.isfinite(found.vertices).all(axis=(1, 2)))
@@ -216,7 +210,7 @@ def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found
                        _verdict_text(found, row))
 
     if len(there) and not options.no_picture:
-        from doo_ti.report.shapes import MOST_SETS, reprojections_picture
+        from doo_ti.report.figures import MOST_SETS, reprojections_picture
 
         picture = out.with_suffix(".png")
         rods = [seen(row) for row in there[:MOST_SETS]]

@@ -1,4 +1,4 @@
-"""Which configurations to measure next."""
+"""``doo-ti plan``: which configurations to measure next."""
 
 import csv
 import io
@@ -18,13 +18,13 @@ from doo_ti.system.errors import InputError
 from doo_ti.system.files import write_text
 from doo_ti.system.terminal import in_line
 
-SIGMA_MM = 0.1
-"""Label uncertainty where none is given."""
+SIGMA_MM = 0.1  # label uncertainty where none is given
 PICKS = 10
 
 
 def declare(add) -> None:
-    parser = given.command(add, "plan", run, "rank configurations by how much measuring them would reduce the uncertainty of Θ")
+    parser = given.command(add, "plan", run_plan,
+                           "rank configurations by how much measuring them would reduce the uncertainty of Θ")
     parser.add_argument("source", metavar="SCENE.toml|OBS", type=scene_file,
                         help="a scene whose [synthesis] lists the possible clamp poses, or observations that have them")
     given.add_material(parser, "a number or LO:HI:N[:log|:lin], the prior range; overrides the scene's axis")
@@ -40,7 +40,7 @@ def declare(add) -> None:
                         help="folder for plan.csv, plan.json and identifiability.png (default: not written)")
 
 
-def run(options: Namespace) -> int:
+def run_plan(options: Namespace) -> int:
     scene = load_scene(options.source) if Path(options.source).suffix == ".toml" else None
     grid = given.grid(options, scene.grid if scene else None)
     out = given.output_folder(options.out)

@@ -7,20 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import loading
+from doo_ti.commands import loading, results
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import OF_MOTIONS, Moved, add_motion, check_reach, held_rods, warn_of
-from doo_ti.commands.results import (
-    RODS,
-    contact_lines,
-    contact_summary,
-    counted,
-    force_lines,
-    in_newton,
-    report,
-    save_arrays,
-    shortened,
-)
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.motion_file import ClampPath
 from doo_ti.io.scene import PRECISIONS
@@ -34,10 +23,8 @@ from doo_ti.system.terminal import in_line, progress
 MOST_LISTED = 30
 LEAST_DEGREES, MOST_DEGREES = 1e-3, 30.0
 """Of a sub-step: rods that are carried further at once may leave their branch; smaller steps make no difference."""
-MOST_STEPS = 1000
-"""With friction, from one state to the next."""
-MOST_BYTES = 8 << 30
-"""Of frames: predictions are held in memory."""
+MOST_STEPS = 1000  # with friction, from one state to the next
+MOST_BYTES = 8 << 30  # of frames: predictions are held in memory
 
 
 @dataclass(frozen=True)
@@ -91,7 +78,7 @@ def declare(add) -> None:
 
 
 def run(options: Namespace) -> int:
-    out = given.output_file(options.out, RODS)
+    out = given.output_file(options.out, results.RODS)
     picture = given.output_file(options.picture, ".png", "--picture")
     recording = given.output_file(options.recording, ".rrd", "--recording")
     between = given.whole("--steps-between", options.between, 1)
@@ -109,12 +96,12 @@ def run(options: Namespace) -> int:
     result = _arrays(task, prediction)
     for path in filter(None, (picture, recording)):
         path.parent.mkdir(parents=True, exist_ok=True)
-    save_arrays(out, result, ("moment", "rod"))
+    results.save_arrays(out, result, ("moment", "rod"))
     lines = _lines(task, prediction, result)
     if picture or recording:
         _draw(task, prediction, result, picture, recording, lines)
-    report(options, _summary(task, prediction, result, out),
-           lambda: [*lines, *task.loaded, f"  written to {in_line(out)}"])
+    results.report(options, _summary(task, prediction, result, out),
+                   lambda: [*lines, *task.loaded, f"  written to {in_line(out)}"])
     return 0 if prediction.followed[-1].any() else 1
 
 
@@ -190,7 +177,7 @@ def _arrays(task: _Task, prediction) -> dict[str, np.ndarray]:
     if task.surroundings:
         per_material |= {"contact_force": prediction.contact_force,
                          "smallest_gap_mm": task.surroundings.smallest_gaps(prediction.vertices)}
-    return in_newton({
+    return results.in_newton({
         "time_s": prediction.time, "vertices_mm": prediction.vertices, "energy": prediction.energy, "status": prediction.status,
         "stable": prediction.stable, "followed": prediction.followed, "jumps": prediction.jumps,
         "iterations": prediction.iterations, "residual": prediction.residual, "end_force": prediction.end_force,
@@ -208,20 +195,20 @@ def _lines(task: _Task, prediction, result: dict) -> list[str]:
     if task.stepping is not None:
         how = f"{task.stepping.substeps} quasi-static steps between states"
     lines = [f"{task.name}: {count} rod{'s' * (count > 1)} of {task.start.edges} edges at {moments} moments",
-             f"  status      {counted(status_counts(prediction.status))}; {how}",
-             *contact_lines(_contact(task, prediction, result), count), *force_lines(result, 1),
+             f"  status      {results.counted(status_counts(prediction.status))}; {how}",
+             *results.contact_lines(_contact(task, prediction, result), count), *results.force_lines(result, 1),
              f"  far clamp   at the end turned about the rod by {_range(result['end_rotation_deg'][-1])}, total twist "
              f"{_range(result['total_twist_deg'][-1])}"]
     rods = f"to another branch, {len(np.unique(jumps[:, 1]))} of {count} rods" if len(jumps) else "all stayed on their branch"
     if task.stepping is None:
         lines.append(f"  jumps       {int(prediction.jumps.sum())}, {rods}")
-    lines += shortened([
+    lines += results.shortened([
         f"    {task.names[rod]}: between {prediction.time[max(moment - 1, 0)]:g} and {prediction.time[moment]:g} s; "
         f"the far clamp is then turned about the rod by {result['end_rotation_deg'][moment, rod]:.1f}°"
         for moment, rod in jumps], MOST_LISTED, "    and {} more")
     if len(lost):
         lines.append(f"  lost        {len(lost)} of {count} rods cannot follow the motion to its end")
-    return lines + shortened([
+    return lines + results.shortened([
         f"    {task.names[rod]}: no prediction from {prediction.time[int(np.argmin(prediction.followed[:, rod]))]:g} s on"
         for rod in lost], MOST_LISTED, "    and {} more")
 
@@ -229,7 +216,7 @@ def _lines(task: _Task, prediction, result: dict) -> list[str]:
 def _contact(task: _Task, prediction, result: dict) -> dict:
     if not task.surroundings:
         return {}
-    return contact_summary(task.surroundings, *(np.swapaxes(value, 0, 1) for value in (
+    return results.contact_summary(task.surroundings, *(np.swapaxes(value, 0, 1) for value in (
         result["contact_force"], result["smallest_gap_mm"], prediction.status)))
 
 

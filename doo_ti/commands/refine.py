@@ -25,11 +25,9 @@ from doo_ti.system.terminal import busy, in_line, warn
 if TYPE_CHECKING:  # it reads Parquet
     from doo_ti.learning.landscape import Landscape
 
-REFINED = "refined.json"
-"""In the folder of a run, with its picture beside it."""
+REFINED = "refined.json"  # in the folder of a run, with its picture beside it
 STARTS = 3
-LEAST = 1e-6
-"""Least spread and range of a rest curvature, in 1/mm and mm; the largest is the inverse."""
+LEAST = 1e-6  # least spread and range of a rest curvature, in 1/mm and mm; the largest is the inverse
 CURVATURES = ("auto", "field", "uniform", "none")
 OLD_CURVATURES = {"rest_curvature": "uniform", "rest_curvature_per_joint": "field"}
 """Old names in --parameters for a rest curvature."""
@@ -86,7 +84,7 @@ def declare(add) -> None:
 @dataclass(frozen=True)
 class Task:
     """One source: its observations, their clamps, the Θ to start from, what the rods touch, the linear density in g/m, the
-    landscape of a run, or None, and the weights that hang at the marks, or None."""
+    landscape of a run, or None, the weights that hang at the marks, or None, and whether twist was stated relative to bend."""
 
     observations: Observations
     clamps: Clamps
@@ -96,6 +94,7 @@ class Task:
     density: float | None
     landscape: "Landscape | None"
     loads: np.ndarray | None
+    twist_follows: bool
 
 
 def run(options: Namespace) -> int:
@@ -185,7 +184,7 @@ def _task(options: Namespace, source: str, starts: int) -> Task:
     density = given.density(options)
     if os.path.isdir(source):
         observations, thetas, kinds, weight, around, landscape = _of_run(options, Path(source), starts)
-        density = run_density(Path(source)) if density is None else density
+        density, grid = run_density(Path(source)) if density is None else density, landscape.grid
     else:
         from doo_ti.refinement.search import theta_of_cell
 
@@ -206,7 +205,8 @@ def _task(options: Namespace, source: str, starts: int) -> Task:
         loads = None if loads is None else loads[np.isin(every, observations.labels)]
     clamps = observation_clamps(observations, *kinds)
     check_experiment(observations, clamps, max(theta.weight for theta in thetas), weight, exact)
-    task = Task(observations, clamps, thetas, weight, around, density, landscape, loads)
+    task = Task(observations, clamps, thetas, weight, around, density, landscape, loads,
+                "twist" not in [axis.name for axis in grid.axes])
     _check_model(_refinement_options(options, task), task)
     return task
 
@@ -295,7 +295,7 @@ def _refinement_options(options: Namespace, task: Task):
         tuple(names), clip, curvature or "auto", "exact" if exact else "loose", error, task.frame_weight,
         curvature_spread=spread, curvature_range=reach,
         edges=given.whole("--edges", options.edges, 6), models=not options.no_models, surroundings=task.surroundings,
-        loads=task.loads)
+        loads=task.loads, twist_follows=task.twist_follows)
 
 
 def _check_model(chosen, task: Task) -> None:

@@ -8,8 +8,8 @@ from doo_ti.commands.loading import up_text
 from doo_ti.commands.results import counted
 from doo_ti.contact.obstacle_file import described
 from doo_ti.contact.surroundings import Surroundings
+from doo_ti.rod.material import relative_stiffness, stiffness
 from doo_ti.rod.observations import Observations
-from doo_ti.rod.physical_units import relative_stiffness, stiffness
 from doo_ti.system.terminal import in_line
 
 LISTED = 6  # observations named individually
@@ -31,7 +31,7 @@ def summary_of(observations: Observations, surroundings: Surroundings, found, he
     loaded    whether bodies of known mass hang at the marks: then ``density`` is that of the weight one
     """
     estimate, scales = found.estimate, found.estimate.scales
-    names = estimate.names
+    names, rest = estimate.names, found.theta.rest_curvature
     pairs = [(first, second) for k, first in enumerate(names) for second in names[k + 1 :]
              if not (first.startswith("up") or second.startswith("up"))]
     constant = estimate.values.constant.reshape(2, 2, 3)
@@ -43,7 +43,7 @@ def summary_of(observations: Observations, surroundings: Surroundings, found, he
         "stiffness": _stiffness(estimate, density, loaded),
         "linear_density_g_per_m": _learned_density(estimate, density) if loaded else None,
         "rest_curvature_per_mm": {"spread": scales["curvature"], "range_mm": scales["range"],
-                                  "root_mean_square": _size(found.theta.rest_curvature)},
+                                  "root_mean_square": 0.0 if rest is None else float(np.sqrt((np.asarray(rest) ** 2).mean()))},
         "clamp_errors": {"turn_deg": np.degrees(np.linalg.norm(constant, axis=-1)).max(axis=0),
                          "turn_scatter_deg": float(np.degrees(scales["turn_scatter"]))},
         "tilt_deg": float(np.degrees(np.arccos(np.clip(np.dot(found.theta.up, observations.up), -1.0, 1.0)))),
@@ -74,11 +74,6 @@ def summary_of(observations: Observations, surroundings: Surroundings, found, he
 def _theta(theta) -> dict:
     return {"bend_1": theta.bend[0, 0], "bend_2": theta.bend[1, 1], "bend_12": theta.bend[0, 1], "twist": theta.twist,
             "weight": theta.weight, "rest_curvature": theta.rest_curvature, "up": theta.up}
-
-
-def _size(curvature: np.ndarray | None) -> float:
-    """Root mean square over the rod of one component, 1/mm."""
-    return 0.0 if curvature is None else float(np.sqrt((np.asarray(curvature) ** 2).mean()))
 
 
 def _stiffness(estimate, density: float | None, loaded: bool) -> dict:

@@ -1,24 +1,13 @@
-"""F on each observation (§III-D)."""
+"""``doo-ti relax``: F on each observation (§III-D)."""
 
 from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import loading
+from doo_ti.commands import loading, results
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import curved
-from doo_ti.commands.results import (
-    RODS,
-    contact_lines,
-    contact_summary,
-    counted,
-    in_newton,
-    report,
-    save_arrays,
-    theta_of,
-    theta_text,
-)
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.learning.landscape import status_counts
 from doo_ti.rod.grid import Grid
@@ -32,7 +21,7 @@ WRITTEN = ("energy", "status", "iterations", "residual", "stable", "end_force")
 
 
 def declare(add) -> None:
-    parser = given.command(add, "relax", run,
+    parser = given.command(add, "relax", run_relax,
                            "relax each observed rod under one material and compare it with its observation (Eq. 1)")
     parser.add_argument("observations", metavar="OBS", help=f"observations: {loading.FORMATS}")
     parser.add_argument("--out", required=True, metavar="F.npz|F.csv", help="file to write")
@@ -42,10 +31,10 @@ def declare(add) -> None:
     given.add_obstacles(parser, "without friction, which acts in simulate and predict")
 
 
-def run(options: Namespace) -> int:
+def run_relax(options: Namespace) -> int:
     """F on each observation (§III-D), to one npz; of several whole-turn hypotheses the one nearest to the observation."""
     grid = given.single_cell(options, "give one number, or use sweep")
-    frame_weight, out = given.frame_weight(options), given.output_file(options.out, RODS)
+    frame_weight, out = given.frame_weight(options), given.output_file(options.out, results.RODS)
     surroundings = given.surroundings(options)
     observations = loading.load(options, options.observations)
     clamps = observation_clamps(observations, *given.clamps(options))
@@ -79,11 +68,11 @@ def run(options: Namespace) -> int:
     if surroundings:
         result["contact_force"] = solution.contact_force[best]
         result["smallest_gap_mm"] = surroundings.smallest_gap(result["vertices_mm"])
-        contact = contact_summary(surroundings, result["contact_force"], result["smallest_gap_mm"], result["status"])
-    save_arrays(out, in_newton(result, given.newtons(options, material.weight), 0))
+        contact = results.contact_summary(surroundings, result["contact_force"], result["smallest_gap_mm"], result["status"])
+    results.save_arrays(out, results.in_newton(result, given.newtons(options, material.weight), 0))
     inside = _inside(surroundings, held, start, index, infeasible)
     summary = _summary(observations, grid, result, out) | contact | {"infeasible_reason": inside}
-    report(options, summary, lambda: _lines(observations, grid, result, summary))
+    results.report(options, summary, lambda: _lines(observations, grid, result, summary))
     return 0 if (result["status"] == Status.CONVERGED).any() else 1
 
 
@@ -103,7 +92,7 @@ def _inside(surroundings: Surroundings, clamps, start, index: np.ndarray, rows: 
 def _summary(observations: Observations, grid: Grid, result: dict, out: Path) -> dict:
     finite = result["distance_mm"][np.isfinite(result["distance_mm"])]
     return {
-        "observations": observations.count, "edges": observations.edges, **theta_of(grid),
+        "observations": observations.count, "edges": observations.edges, **results.theta_of(grid),
         "status": status_counts(result["status"]), "stable": int(result["stable"].sum()), "out": str(out),
         "mean_distance_mm": finite.mean() if len(finite) else np.nan,
         "largest_distance_mm": finite.max() if len(finite) else np.nan,
@@ -114,12 +103,12 @@ def _summary(observations: Observations, grid: Grid, result: dict, out: Path) ->
 def _lines(observations: Observations, grid: Grid, result: dict, summary: dict) -> list[str]:
     rods = f"{observations.count} rod{'s' * (observations.count != 1)}"
     lines = [f"{observations.name}: {rods} of {observations.edges} edges",
-             loading.rod_line(observations), f"  material    {theta_text(theta_of(grid), grid.is_isotropic)}",
-             f"  status      {counted(summary['status'])}; {summary['stable']} certified stable"]
+             loading.rod_line(observations), f"  material    {results.theta_text(results.theta_of(grid), grid.is_isotropic)}",
+             f"  status      {results.counted(summary['status'])}; {summary['stable']} certified stable"]
     if np.isfinite(summary["mean_distance_mm"]):
         lines.append(f"  distance    mean {summary['mean_distance_mm']:.4g} mm, largest {summary['largest_distance_mm']:.4g} "
                      f"mm at observation {observations.labels[np.nanargmax(result['distance_mm'])]} (Eq. 1)")
-    lines += contact_lines(summary, observations.count)
+    lines += results.contact_lines(summary, observations.count)
     if summary["infeasible_reason"]:
         lines.append(f"  infeasible  {summary['infeasible_reason']}")
     return [*lines, f"  iterations  median {summary['median_iterations']:.0f}, most {int(result['iterations'].max())}",

@@ -18,8 +18,7 @@ from doo_ti.system.files import write_text
 from doo_ti.system.terminal import busy, in_line
 
 RECORDING, PLAN = "run.rrd", "cells/plan.json"
-MOST_CELLS = 700
-"""A recording of so many cells of 60 rods holds 17 MB of vertices."""
+MOST_CELLS = 700  # a recording of so many cells of 60 rods holds 17 MB of vertices
 
 
 def declare(add) -> None:
@@ -170,7 +169,7 @@ def run_view(options: Namespace) -> int:
         if out.resolve().is_relative_to(path.resolve()):
             raise InputError(out, "--out", "is inside the run, where only the sweep writes", "name another folder")
         _draw_unfinished(path, out)
-        print(f"  written to  {out}")
+        print(f"  written to  {in_line(out)}")
         return 0
     given.require_recorder("view")
     picture = given.output_file(options.screenshot, ".png", "--screenshot")
@@ -208,7 +207,7 @@ def _draw_unfinished(run: Path, folder: Path) -> None:
     with busy("reading cells"):
         found = read_unfinished(run)
     overview = found.overview
-    print(f"{overview.name}: {found.done} stored, the last of them {found.age:,.0f} s ago")
+    print(f"{in_line(overview.name)}: {found.done} stored, the last of them {found.age:,.0f} s ago")
     print(f"  best so far {theta_text(theta_of(overview.grid, overview.best), overview.grid.is_isotropic)}")
     print(f"  distance    mean {overview.mean_distance[overview.best]:.4g} mm (Eq. 1)")
     with busy("drawing"):

@@ -6,20 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import loading
+from doo_ti.commands import loading, results
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import LOSSES, OF_MOTIONS, MovedRods, add_losses, add_motion, moved_rods, require_length
-from doo_ti.commands.results import (
-    RODS,
-    contact_lines,
-    contact_summary,
-    counted,
-    force_lines,
-    in_newton,
-    report,
-    save_arrays,
-    shortened,
-)
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.contact.touch import Touch
 from doo_ti.io.pose_table import holds_poses
@@ -91,7 +80,7 @@ def declare(add) -> None:
 
 
 def run(options: Namespace) -> int:
-    out = given.output_file(options.out, RODS)
+    out = given.output_file(options.out, results.RODS)
     changes = _stepping(options)
     picture = given.output_file(options.picture, ".png", "--picture")
     recording = given.output_file(options.recording, ".rrd", "--recording")
@@ -115,9 +104,9 @@ def run(options: Namespace) -> int:
         per_rod = {"positions_mm", "status", "error_mm", "substeps", "step_error_mm", *map(ENERGY.format, found.energies),
                    *found.contact, "end_force", "end_force_N", "contact_force_N"}
         arrays = {key: value[0] if key in per_rod else value for key, value in arrays.items()}
-    save_arrays(out, arrays, ("frame",) if found.alone else ("rod", "frame"))
+    results.save_arrays(out, arrays, ("frame",) if found.alone else ("rod", "frame"))
     _draw(found, picture, recording, animation)
-    report(options, summary, lambda: _lines(found, summary, whole))
+    results.report(options, summary, lambda: _lines(found, summary, whole))
     return 0 if (found.status[:, -1] == Status.CONVERGED).any() else 1
 
 
@@ -239,7 +228,7 @@ def _results(found: _Simulated, out: Path) -> tuple[dict, dict]:
     arrays |= {ENERGY.format(name): value for name, value in found.energies.items()} | found.contact
     before = found.positions.shape[1] - found.end_force.shape[1]  # frames at which the motion begins, whose force is not known
     arrays["end_force"] = np.pad(found.end_force, ((0, 0), (before, 0), (0, 0)), constant_values=np.nan)
-    arrays = in_newton(arrays, None if found.newtons is None else np.broadcast_to(found.newtons, len(found.names)), 0)
+    arrays = results.in_newton(arrays, None if found.newtons is None else np.broadcast_to(found.newtons, len(found.names)), 0)
     last = found.status[:, -1]
     summary = {"rods": len(found.names), "frames": found.positions.shape[1], "vertices": found.positions.shape[2],
                "status": status_counts(last), "failed": [name for name, value in zip(found.names, last, strict=True) if value],
@@ -248,7 +237,7 @@ def _results(found: _Simulated, out: Path) -> tuple[dict, dict]:
         gap = found.contact["smallest_gap_mm"].copy()
         if found.recorded is not None:
             gap[:, :2] = np.nan  # as recorded
-        summary |= contact_summary(found.surroundings, found.contact["contact_force"], gap, found.status)
+        summary |= results.contact_summary(found.surroundings, found.contact["contact_force"], gap, found.status)
     if found.step_error is not None:
         arrays["step_error_mm"] = found.step_error
         summary |= _step_summary(found.names, found.substeps, found.step_error, found.tolerance)
@@ -269,14 +258,14 @@ def _lines(found: _Simulated, summary: dict, arrays: dict) -> list[str]:
     rods = f"{summary['rods']} rod{'s' * (summary['rods'] > 1)}"
     lines = [f"{in_line(found.name)}: {rods} of {summary['vertices'] - 1} edges, {duration:.3g} s at "
              f"{found.rate:g} frames/s",
-             f"  status      {counted(summary['status'])} at the end"]
+             f"  status      {results.counted(summary['status'])} at the end"]
     if summary["failed"]:
         lines.append(f"  failed      {', '.join(map(in_line, summary['failed'][:MOST_LISTED]))}: no positions from there on")
         first = found.status.argmax(axis=1)
         if found.contact and (found.status[np.arange(len(first)), first] == Status.INFEASIBLE).any():
             lines.append("  infeasible  a gripper holds a rod in an obstacle, or moves it into one by more than its radius in "
                          "a time step: check their places, or give more --substeps")
-    lines += [*contact_lines(summary, len(found.names)), *force_lines(arrays, 0)]
+    lines += [*results.contact_lines(summary, len(found.names)), *results.force_lines(arrays, 0)]
     if found.contact:
         work = found.contact["friction_work"][:, -1]
         touch = found.contact["touch"][:, -1]
@@ -286,7 +275,8 @@ def _lines(found: _Simulated, summary: dict, arrays: dict) -> list[str]:
     if found.recorded is not None:
         lines.append(f"  error       mean {summary['mean_error_mm']:.4g} mm, median {summary['median_error_mm']:.4g} mm over "
                      "recordings (mean |difference| over markers and coordinates, grippers' included)")
-        lines += [f"  glitch      {in_line(line)}" for line in shortened(list(found.glitches), MOST_LISTED, "and {} more")]
+        glitches = results.shortened(list(found.glitches), MOST_LISTED, "and {} more")
+        lines += [f"  glitch      {in_line(line)}" for line in glitches]
     return [*lines, f"  written to {in_line(summary['out'])}"]
 
 

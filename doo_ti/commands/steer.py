@@ -1,43 +1,67 @@
-"""Grippers that bring a rod to a target (§VI): ``doo-ti steer`` plans their motion; what ``doo-ti servo`` shares with it."""
+"""Grippers that bring a rod to a target (§VI). ``steer`` plans their motion. ``servo`` does it with visual feedback, in the
+virtual lab (§V-A): cameras render the true rod, a tracker sees it, and a servo that knows its stiffness only roughly moves the
+grippers.
+"""
 
+import csv
 from argparse import Namespace
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from io import StringIO
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from doo_ti.commands import loading
+from doo_ti.commands import image_options, loading
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import curved, settled
 from doo_ti.commands.results import report
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.io.arrays import AXES, checked_arrays, frame_columns, read_npz
-from doo_ti.io.motion_file import ClampPath
+from doo_ti.io.motion_file import ClampPath, path_table
+from doo_ti.rod.material import relative_stiffness, stiffness
 from doo_ti.rod.observations import Observations
-from doo_ti.rod.physical_units import UNITS_IN_MM
 from doo_ti.rod.start import check_experiment, observation_clamps
-from doo_ti.rod.types import Clamp, Clamps, Material, Solution
-from doo_ti.system.errors import InputError
-from doo_ti.system.files import read_content, write_text
-from doo_ti.system.terminal import busy, in_line, warn
+from doo_ti.rod.types import POSES, Clamp, Clamps, Material, Solution
+from doo_ti.system.errors import InputError, InterruptedRunError
+from doo_ti.system.files import write_text
+from doo_ti.system.terminal import busy, can_record, in_line, progress, warn
+from doo_ti.vision.cameras import Rig
 
-MOST_SECONDS = 3600.0
-"""Of a search."""
-REACHED = 2.0
-"""mm, default distance to the target at which it is reached."""
+if TYPE_CHECKING:
+    from doo_ti.manipulation.belief import LearnedMaterial
+    from doo_ti.perception.virtual_lab import SeenMoment, VirtualCameras
+
+MOST_SECONDS = 3600.0  # of a search
+PLANNED = 2.0  # mm, default distance to the target at which it is reached
 
 
 def declare(add) -> None:
-    parser = given.command(add, "steer", run, "plan a motion of both grippers that brings a rod to a shape (§VI)")
+    parser = given.command(add, "steer", run_steer, "plan a motion of both grippers that brings a rod to a shape (§VI)")
     add_steered(parser)
     parser.add_argument("--out", required=True, metavar="PATH.csv", help="file to write, which predict --motion reads")
-    parser.add_argument("--reached", metavar="MM", help=f"distance at which the target is reached (default {REACHED:g})")
+    parser.add_argument("--reached", metavar="MM", help=f"distance at which the target is reached (default {PLANNED:g})")
     parser.add_argument("--seconds", metavar="S", help="longest search (default 10)")
     parser.add_argument("--seed", metavar="N", help="of the search's random numbers (default 0)")
+    parser = given.command(add, "servo", run_servo,
+                           "bring a rod to a shape by what cameras see of it, in the virtual lab (§VI)")
+    add_steered(parser)
+    image_options.add_rig(parser)
+    parser.add_argument("--out", required=True, metavar="DIR", help=f"folder for {PATH}, {TABLE}, {PICTURE} and {RECORDING}")
+    lab = parser.add_argument_group("virtual lab", "the true rod and its images")
+    lab.add_argument("--true-EI", metavar="NM2", help="bend stiffness of the true rod in N m² (default: the model's)")
+    lab.add_argument("--true-GJ", metavar="NM2", help="its twist stiffness in N m² (default: the model's)")
+    lab.add_argument("--diameter", metavar="MM", help="diameter of the rod in the images (default 2)")
+    lab.add_argument("--noise", metavar="GREY", help="noise of the images, grey levels (default 3)")
+    lab.add_argument("--occlude", metavar="CAMERA:SHARE", action="append",
+                     help="share of the steps in which something covers a camera; once for each camera")
+    lab.add_argument("--seed", metavar="N", help="of all random numbers (default 0)")
+    parser.add_argument("--steps", metavar="N", help=f"most steps (default {STEPS})")
+    parser.add_argument("--reached", metavar="MM", help=f"distance at which the target is reached (default {REACHED:g})")
+    parser.add_argument("--no-recording", action="store_true", help=f"do not write {RECORDING}")
 
 
-def run(options: Namespace) -> int:
+def run_steer(options: Namespace) -> int:
     out = given.output_file(options.out, ".csv")
     reached, seconds = given.length("--reached", options.reached), given.positive("--seconds", options.seconds, "s")
     if seconds is not None and seconds > MOST_SECONDS:
@@ -48,7 +72,7 @@ def run(options: Namespace) -> int:
     from doo_ti.manipulation.plan import PlanOptions, plan_manipulation
     from doo_ti.manipulation.targets import Targets
 
-    chosen = PlanOptions(reached_mm=reached or REACHED, seconds=seconds or PlanOptions.seconds, seed=seed or 0)
+    chosen = PlanOptions(reached_mm=reached or PLANNED, seconds=seconds or PlanOptions.seconds, seed=seed or 0)
     with busy("planning (kernels are compiled once on a machine)"):
         start, held = rod.at_rest()
         path = plan_manipulation(start.configuration, rod.material, held, Targets(rod.places), chosen, up=rod.observations.up,
@@ -56,7 +80,8 @@ def run(options: Namespace) -> int:
     out.parent.mkdir(parents=True, exist_ok=True)
     write_text(out, path_table(path))
     if not path.reached:
-        warn_not_reached(options, f"the path ends {path.distance:.3g} mm from it, at the nearest shape that was found")
+        warn(f"{in_line(options.target)}: the target is not reached; the path ends {path.distance:.3g} mm from it, at the "
+             "nearest shape that was found")
     summary = {"reached": path.reached, "distance_mm": path.distance, "moments": path.moments, "seconds": path.time[-1],
                "out": str(out)}
     report(options, summary, lambda: [
@@ -66,7 +91,7 @@ def run(options: Namespace) -> int:
     return 0
 
 
-# --- shared with servo ---------------------------------------------------------------------------------------------------
+# --- the rod -------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -85,7 +110,7 @@ class SteeredRod:
         """The rod at the start, and its grippers, which hold frames from there on: where the file has none, those of the rod
         that rolls freely. Raises InputError where it has no stable equilibrium."""
         from doo_ti.relaxation.relax import relax
-        from doo_ti.rod.straight import end_clamps
+        from doo_ti.rod.shapes import end_clamps
 
         begin = settled(self.observations, self.clamps, self.material, self.surroundings)
         start = relax(begin, self.material, self.clamps, up=self.observations.up, **self.surroundings.arguments)
@@ -116,7 +141,7 @@ def steered_rod(options: Namespace, written: Iterable[Path]) -> SteeredRod:
     observations = loading.load(options, options.start).take(np.zeros(1, dtype=np.int64))
     for out in written:
         given.refuse_overwriting(out, options.start, options.target)
-    places = _target(options, observations)
+    places = loading.target(options, observations)
     clamps = observation_clamps(observations, *given.clamps(options))
     for end, kind in (("start", clamps.start), ("end", clamps.end)):
         if (np.asarray(kind) < Clamp.TANGENT).any():
@@ -127,36 +152,193 @@ def steered_rod(options: Namespace, written: Iterable[Path]) -> SteeredRod:
     return SteeredRod(options.start, observations, clamps, material, surroundings, places)
 
 
-def warn_not_reached(options: Namespace, rest: str) -> None:
-    """Say that the target is not reached; ``rest`` says what is instead."""
-    warn(f"{in_line(options.target)}: the target is not reached; {rest}")
+# --- servo ---------------------------------------------------------------------------------------------------------------
+
+STEPS, MOST_STEPS = 30, 1000
+REACHED = 1.0  # mm, default distance to the target at which it is reached
+SETTLED = 3  # steps at the target after which the loop ends
+PATH, TABLE, PICTURE, RECORDING = "path.csv", "steps.csv", "servo.png", "servo.rrd"
+STATUSES = ("on its way", "reached", "as near as it comes", "blocked by an instability", "lost")
+"""In the order of ServoStatus."""
+HOW = ("tracked", "found anew", "lost")  # in the order of How
 
 
-def _target(options: Namespace, observations: Observations) -> np.ndarray:
-    """(1, V, 3) mm."""
-    path = Path(options.target)
-    if path.suffix != ".npz":
-        raise InputError(path, "file", f"suffix {path.suffix!r}", "name a .npz file with vertices_mm")
-    arrays = read_npz(path, read_content(path), ("vertices_mm",))
-    if "vertices_mm" not in arrays:
-        raise InputError(path, "vertices_mm", "missing", "give (1, V, 3) mm, NaN where nothing is asked")
-    places = arrays["vertices_mm"]
-    missing = np.isnan(places) if places.dtype.kind == "f" else np.zeros(places.shape, dtype=bool)
-    places = checked_arrays(path, {"vertices_mm": np.where(missing, 0, places) if missing.any() else places})["vertices_mm"]
-    wanted = (1, observations.edges + 1, 3)
-    if places.shape != wanted:
-        raise InputError(path, "vertices_mm", f"shape {places.shape}", f"give {wanted}, as START has vertices")
-    places = np.where(missing, np.nan, places)
-    if not np.isfinite(places).all(axis=-1).any():
-        raise InputError(path, "vertices_mm", "NaN everywhere", "give at least one vertex a place")
-    return places if options.unit is None else places * UNITS_IN_MM[options.unit]
+@dataclass(frozen=True)
+class Step:
+    """One step: what the cameras saw, where the ``model`` (V, 3) was then, the grippers' poses and the distances to the target
+    after it, mm, status, and what was learned."""
+
+    seen: "SeenMoment"
+    model: np.ndarray
+    clamps: Clamps
+    true_mm: float
+    estimated_mm: float
+    status: int
+    learned: "LearnedMaterial"
 
 
-def path_table(path: ClampPath) -> str:
-    """The path of the grippers of one rod as CSV, which ``predict --motion`` reads."""
-    names, columns = ["time_s"], [path.time[:, None]]
-    for end in ("start", "end"):
-        names += [f"{end}_{axis}_mm" for axis in AXES] + list(frame_columns(f"{end}_frame"))
-        columns += [getattr(path, f"{end}_position")[:, 0], getattr(path, f"{end}_frame")[:, 0].reshape(path.moments, 9)]
-    rows = np.concatenate(columns, axis=1)
-    return "\n".join([",".join(names), *(",".join(repr(float(value)) for value in row) for row in rows)]) + "\n"
+@dataclass(frozen=True)
+class Stiffness:
+    """How stiffness is written: its two names, the unit, and the numbers that bend and twist in mm³ are multiplied by."""
+
+    names: tuple[str, str]
+    unit: str
+    factor: float
+
+    def of(self, learned: "LearnedMaterial") -> list[tuple[float, float, float]]:
+        """(value, low, high) of each."""
+        return [(self.factor * value[0], *(self.factor * interval[0])) for value, interval in (
+            (learned.bend, learned.bend_interval), (learned.twist, learned.twist_interval))]
+
+
+def run_servo(options: Namespace) -> int:
+    folder = given.output_folder(options.out)
+    rig = image_options.rig(options)
+    reached = given.length("--reached", options.reached) or REACHED
+    most = given.whole("--steps", options.steps, 1, MOST_STEPS) or STEPS
+    rod = steered_rod(options, [folder / name for name in (PATH, TABLE, PICTURE, RECORDING)])
+    unit = _unit(options, rod.material)
+    true, cameras = _true(options, rod.material, unit), _cameras(options, rig, rod)
+    begin, steps, end = _steps(rod, true, cameras, rig, most, reached)
+
+    from doo_ti.report.motions import servo_picture
+
+    folder.mkdir(parents=True, exist_ok=True)
+    held = [begin, *(step.clamps for step in steps)]
+    write_text(folder / PATH, path_table(ClampPath(np.arange(len(held), dtype=float), **{
+        name: np.stack([getattr(clamps, name) for clamps in held]) for name in POSES})))
+    write_text(folder / TABLE, _table(steps, unit))
+    distance = np.array([(step.true_mm, step.estimated_mm) for step in steps])
+    servo_picture(folder / PICTURE, rod.observations.name, steps[0].seen.rod, end, rod.places[0], distance, reached,
+                  rod.observations.up)
+    written = [folder / name for name in (PATH, TABLE, PICTURE)]
+    if not options.no_recording and can_record():
+        from doo_ti.record import record_servo
+
+        written.append(folder / RECORDING)
+        record_servo(written[-1], run_id=f"servo {folder.name}", name=rod.observations.name, rig=rig,
+                     moments=[step.seen for step in steps], model=np.array([step.model for step in steps]),
+                     target=rod.places[0], distance=distance, words=[STATUSES[step.status] for step in steps],
+                     up=rod.observations.up)
+    summary = _summary(steps, unit, true, written)
+    if not summary["reached"]:
+        warn(f"{in_line(options.target)}: the target is not reached; the rod is {summary['distance_mm']:.3g} mm from it, "
+             f"{summary['status']}")
+    report(options, summary, lambda: _lines(rod, steps, summary))
+    return 0
+
+
+def _unit(options: Namespace, material: Material) -> Stiffness:
+    density = given.density(options)
+    if density is None:
+        if missing := next((name for name in ("EI", "GJ") if getattr(options, f"true_{name}") is not None), None):
+            raise InputError(given.SOURCE, "--linear-density", f"missing beside --true-{missing}", "give the rod's in g/m")
+        return Stiffness(("bend", "twist"), "mm3", 1.0)
+    return Stiffness(("EI", "GJ"), "Nm2", float(stiffness(relative_stiffness(1.0, material.weight[0]), density)))
+
+
+def _true(options: Namespace, material: Material, unit: Stiffness) -> Material:
+    """The material of the true rod."""
+    bend, twist = (given.positive(f"--true-{name}", getattr(options, f"true_{name}"), "N m²") for name in ("EI", "GJ"))
+    return Material(material.bend[0, 0, 0, 0] if bend is None else bend / unit.factor,
+                    material.twist[0, 0] if twist is None else twist / unit.factor, material.weight, material.rest_curvature)
+
+
+def _cameras(options: Namespace, rig: Rig, rod: SteeredRod) -> "VirtualCameras":
+    """What looks at the true rod."""
+    from doo_ti.perception.virtual_lab import DIAMETER_MM, VirtualCameras
+    from doo_ti.vision.render import RenderOptions, check_diameter
+
+    covered = {name: share for name, (share,) in image_options.by_camera(
+        "--occlude", options.occlude, rig.names, "SHARE").items()}
+    for name, share in covered.items():
+        if not 0 <= share <= 1:
+            raise InputError(given.SOURCE, "--occlude", f"{share:g} for {in_line(name)}", "give a share of the steps, 0 to 1")
+    diameter = given.length("--diameter", options.diameter) or DIAMETER_MM
+    check_diameter(diameter, given.SOURCE, "--diameter")
+    noise, seed = given.not_negative("--noise", options.noise), given.whole("--seed", options.seed, 0, 2**31 - 1) or 0
+    look = RenderOptions() if noise is None else replace(RenderOptions(), noise=noise)
+    material = replace(rod.material, rest_curvature=None)
+    return VirtualCameras(rig, rod.observations.rest_length, material, up=rod.observations.up, diameter_mm=diameter, look=look,
+                          covered=covered, seed=seed)
+
+
+def _steps(rod: SteeredRod, true: Material, cameras: "VirtualCameras", rig: Rig, most: int, reached: float
+           ) -> tuple[Clamps, list[Step], np.ndarray]:
+    """The grippers' first poses, what has been done, and (V, 3) mm the true rod at the end."""
+    from doo_ti.manipulation.servo import Servo
+    from doo_ti.manipulation.simulation import Simulation
+    from doo_ti.manipulation.targets import ServoOptions, Targets
+    from doo_ti.perception.virtual_lab import TRACKED_NOISE
+
+    up, around, targets, steps = rod.observations.up, rod.surroundings.arguments, Targets(rod.places), []
+    with progress() as bar:
+        shown = bar.add_task("steps", total=most, unit="steps")
+        model, begin = rod.at_rest()
+        simulation = Simulation(model.configuration, true, begin, up=up, **around)
+        state = simulation.state
+        if not (state.converged & state.stable).all():
+            raise InputError(given.SOURCE, "--true-EI", "the true rod has no stable equilibrium at the start",
+                             "give another, or a rod that is held within its length")
+        _check_seen(state.configuration.vertices[0], rig)
+        chosen = ServoOptions(reached_mm=reached, noise_mm=TRACKED_NOISE * float(np.sum(rod.observations.rest_length)))
+        servo = Servo(model.configuration, rod.material, begin, targets, chosen, up=up, **around)
+        while len(steps) < most and not (len(steps) >= SETTLED and all(
+                step.status == STATUSES.index("reached") for step in steps[-SETTLED:])):
+            truth, expected = state.configuration.vertices[0], servo.vertices[0]
+            if not np.isfinite(truth).all():
+                raise InterruptedRunError(f"the true rod has no equilibrium after step {len(steps)}; nothing is written; give "
+                                          f"--steps {len(steps) - 1} to see the steps before")
+            seen = cameras.see(truth, servo.clamps)
+            state = simulation.step(servo.step(seen.seen[None]))
+            steps.append(Step(seen, expected, servo.clamps, float(targets.distance(state.configuration.vertices)[0]),
+                              float(servo.distance[0]), int(servo.status[0]), servo.material))
+            bar.update(shown, advance=1, description=f"steps: {STATUSES[steps[-1].status]}")
+    return begin, steps, state.configuration.vertices[0]
+
+
+def _check_seen(vertices: np.ndarray, rig: Rig) -> None:
+    """Raise InputError unless two cameras see the rod when it begins."""
+    rig.check_sight(vertices, "the rod at its start")
+    if (seeing := sum(bool(camera.sees(vertices).all()) for camera in rig.cameras)) < 2:
+        raise InputError(rig.source, "cameras", f"{seeing} of {len(rig.cameras)} see all of the rod at its start",
+                         "let two or more look at it from different sides")
+
+
+def _table(steps: list[Step], unit: Stiffness) -> str:
+    """The steps as CSV."""
+    text = StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    names = [f"{name}{bound}_{unit.unit}" for name in unit.names for bound in ("", "_low", "_high")]
+    writer.writerow(["step", "distance_mm", "estimated_mm", "status", "rod", "vertices_seen", "covered", *names])
+    for number, step in enumerate(steps, 1):
+        learned = [repr(float(value)) for row in unit.of(step.learned) for value in row]
+        writer.writerow([number, step.true_mm, step.estimated_mm, STATUSES[step.status], HOW[step.seen.frame.how],
+                         int(np.isfinite(step.seen.seen).all(axis=1).sum()), " ".join(step.seen.covered), *learned])
+    return text.getvalue()
+
+
+def _summary(steps: list[Step], unit: Stiffness, true: Material, written: list[Path]) -> dict:
+    last, how = steps[-1], [HOW[step.seen.frame.how] for step in steps]
+    values = (true.bend[0, 0, 0, 0], true.twist[0, 0])
+    return {
+        "reached": STATUSES[last.status] == "reached", "status": STATUSES[last.status], "distance_mm": last.true_mm,
+        "estimated_mm": last.estimated_mm, "steps": len(steps), "frames": {word: how.count(word) for word in HOW},
+        "covered": sum(bool(step.seen.covered) for step in steps), "unit": unit.unit,
+        **{name: {"value": row[0], "low": row[1], "high": row[2], "true": unit.factor * value}
+           for name, row, value in zip(unit.names, unit.of(last.learned), values, strict=True)},
+        "written": [str(path) for path in written],
+    }
+
+
+def _lines(rod: SteeredRod, steps: list[Step], summary: dict) -> list[str]:
+    unit = {"Nm2": "N m²", "mm3": "mm³"}[summary["unit"]]
+    frames = ", ".join(f"{word} in {count}" for word, count in summary["frames"].items())
+    learned = [f"  {name:<11} {found['value']:.3g} {unit}, 95 % within {found['low']:.3g} and {found['high']:.3g}; true "
+               f"{found['true']:.3g}" for name, found in summary.items() if isinstance(found, dict) and "true" in found]
+    return [
+        f"{rod.observations.name}: target {'reached' if summary['reached'] else 'not reached'}, {summary['distance_mm']:.3g} mm"
+        f" from it (root mean square), {summary['estimated_mm']:.3g} mm as estimated",
+        f"  steps       {summary['steps']}; the rod {frames}; a camera covered in {summary['covered']}",
+        f"  status      {summary['status']}", *learned, loading.rod_line(rod.observations),
+        *(f"  written to  {in_line(path)}" for path in summary["written"])]

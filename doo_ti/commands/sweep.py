@@ -1,4 +1,4 @@
-"""The search over a grid (§III-E)."""
+"""``doo-ti sweep``: a grid over Θ (§III-E)."""
 
 import json
 import os
@@ -15,25 +15,24 @@ from doo_ti.commands.results import hypotheses_lines, note_theta, peak_memory, p
 from doo_ti.io.scene import MOST_ROLLS, OBJECTIVES, Scene, Synthesis, load_scene
 from doo_ti.io.toml_file import scene_file
 from doo_ti.learning.chunks import SUMMARY
-from doo_ti.learning.pairs import Pairs, load_pairs
+from doo_ti.learning.terms import Pairs, load_pairs
 from doo_ti.rod.grid import Grid
+from doo_ti.rod.material import relative_stiffness, stiffness
 from doo_ti.rod.observations import Observations
-from doo_ti.rod.physical_units import relative_stiffness, stiffness
 from doo_ti.rod.start import check_experiment, observation_clamps
 from doo_ti.rod.types import Clamp
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line, warn
 
-if TYPE_CHECKING:  # it brings the solvers, and Taichi with them
+if TYPE_CHECKING:
     from doo_ti.learning.experiment import SweepOptions
-
 
 MOST_WORKERS = 1024
 RIBBON_PARAMETERS = " --parameters bend-1,bend-2,twist"
 
 
 def declare(add) -> None:
-    parser = given.command(add, "sweep", run, "search a grid of material parameters for the smallest error (Eq. 2 or 3)")
+    parser = given.command(add, "sweep", run_sweep, "search a grid of material parameters for the smallest error (Eq. 2 or 3)")
     parser.add_argument("sources", nargs="+", metavar="SCENE.toml|OBS", type=scene_file,
                         help=f"scenes, or observations: {loading.FORMATS}; each "
                         "of several gets a folder of its name below RUN")
@@ -68,10 +67,10 @@ class _Search:
     density: float | None  # linear density in g/m
 
 
-def run(options: Namespace) -> int:
+def run_sweep(options: Namespace) -> int:
     searches = _searches(options)
     for search in searches:
-        loading.warn(search.observations)
+        loading.warn(search.observations, search.options.surroundings)
 
     from doo_ti.learning.sweeps import sweep
 

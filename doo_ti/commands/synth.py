@@ -131,10 +131,10 @@ def _photograph(options: Namespace, scene: Scene) -> None:
         raise InputError(scene.source, "observations", "a file, which does not say how the rods lie between their marks",
                          "give a scene with [synthesis]")
     from doo_ti.perception.virtual_lab import lab_rods, save_truth
-    from doo_ti.vision.rendering.render import check_diameter
+    from doo_ti.vision.render import check_diameter
 
     check_diameter(diameter, given.SOURCE, "--diameter")
-    from doo_ti.vision.rendering.render import Photographs, save_photographs
+    from doo_ti.vision.render import Photographs, save_photographs
 
     rods = lab_rods(scene.observations)
     photographs = Photographs(rods.names, rods.curve, rods.point, rods.direction, diameter, rig, look, seed)
@@ -148,8 +148,8 @@ def _photograph(options: Namespace, scene: Scene) -> None:
 
 def _rig(options: Namespace, folder: Path):
     """The cameras. Raises InputError where none are given, and where their file would be overwritten."""
-    from doo_ti.vision.cameras.rig import load_rig
-    from doo_ti.vision.rendering.render import RIG_FILE
+    from doo_ti.vision.render import RIG_FILE
+    from doo_ti.vision.rig_files import load_rig
 
     if options.rig is None:
         raise InputError(given.SOURCE, "--rig", "missing", "name the cameras' file, such as scenes/rig.yaml")
@@ -162,7 +162,7 @@ def _rig(options: Namespace, folder: Path):
 
 def _look(words: list[str]):
     """RenderOptions from words NAME=VALUE."""
-    from doo_ti.vision.rendering.render import RenderOptions
+    from doo_ti.vision.render import RenderOptions
 
     look = RenderOptions()
     known = {field.name: getattr(look, field.name) for field in fields(look) if field.name != "smooth"}

@@ -15,16 +15,14 @@ from doo_ti.commands.loading import read_rest_length
 from doo_ti.commands.perceive import LEAST_SIGMA_MM
 from doo_ti.commands.results import RODS, report, save_arrays
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.io.csv_table import read_csv
+from doo_ti.io.arrays import read_csv
 from doo_ti.rod.types import Clamp, Clamps, Material
 from doo_ti.system.errors import InputError, InterruptedRunError
 from doo_ti.system.terminal import can_record, in_line, progress
 
-AHEAD = 16
-"""Frames whose thread is detected while one is tracked."""
+AHEAD = 16  # frames whose thread is detected while one is tracked
 MOST_LISTED = 30
-LEAST_SHOWN = 0.01
-"""px: smaller errors are less than the noise of the smoothed images."""
+LEAST_SHOWN = 0.01  # px: smaller errors are less than the noise of the smoothed images
 
 
 @dataclass(frozen=True)
@@ -94,7 +92,7 @@ def load_frames(path: Path, rig):
 
     Raises InputError naming line and column for whatever is missing or not a number, and for missing images.
     """
-    from doo_ti.vision.detection.images import SEED, ImageSets, cameras_in, images_in
+    from doo_ti.vision.images import SEED, ImageSets, cameras_in, images_in
 
     table = read_csv(path, ("frame", *SEED), form=f"frame, one per camera, {', '.join(SEED)}", short_lines=True)
     cameras = cameras_in(table, rig, ("frame", "time_s", *SEED))

@@ -1,4 +1,4 @@
-"""Twist angles from shapes (§IV-B)."""
+"""``doo-ti twist``: the angles that explain the shapes of observed rods (§IV-B, Eq. 4)."""
 
 from argparse import Namespace
 from dataclasses import replace
@@ -6,10 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import loading
+from doo_ti.commands import loading, results
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import curved
-from doo_ti.commands.results import RODS, counted, report, save_arrays, shortened, theta_of, theta_text
 from doo_ti.io.observation_tables import write_columns
 from doo_ti.io.scene import PRECISIONS
 from doo_ti.rod.grid import Grid
@@ -22,7 +21,7 @@ MOST_LISTED = 20
 
 
 def declare(add) -> None:
-    parser = given.command(add, "twist", run, "estimate the twist of rods from their shapes (Eq. 4)")
+    parser = given.command(add, "twist", run_twist, "estimate the twist of rods from their shapes (Eq. 4)")
     parser.add_argument("observations", metavar="OBS",
                         help=f"observations, or a file that perceive wrote: {loading.FORMATS}")
     parser.add_argument("--out", required=True, metavar="F.npz|F.csv", help="file to write")
@@ -42,10 +41,10 @@ def declare(add) -> None:
                         help="floating-point arithmetic (default f32, whose error is below that of labels)")
 
 
-def run(options: Namespace) -> int:
+def run_twist(options: Namespace) -> int:
     """Eq. 4 for each group of observations that share φ; writes φ and the whole curve, and prints ambiguous groups."""
     grid = given.single_cell(options)
-    out = given.output_file(options.out, RODS)
+    out = given.output_file(options.out, results.RODS)
     picture = given.output_file(options.picture, ".png", "--picture")
     observations = loading.load(options, options.observations)
     given.refuse_overwriting(out, options.observations)
@@ -64,9 +63,10 @@ def run(options: Namespace) -> int:
     check_experiment(replace(observations, frames=None), observation_clamps(observations), grid.axes[-1].values[-1], 0.0)
     if offset is None and (together > 1 or options.offset):
         offset = end_offsets(observations, group)
-    loading.warn(observations)
+    surroundings = given.surroundings(options)
+    loading.warn(observations, surroundings)
     material = curved(options, grid.materials(), observations.rest_length)
-    search = TwistOptions(precision=options.precision, surroundings=given.surroundings(options))
+    search = TwistOptions(precision=options.precision, surroundings=surroundings)
     with progress() as bar:
         task = bar.add_task("twist", total=observations.count * len(search.angles), unit="rods")
 
@@ -78,14 +78,14 @@ def run(options: Namespace) -> int:
         estimate = estimate_twist(observations, material, group, offset, search, advance)
     result = _arrays(estimate)
     if out.suffix == ".npz":
-        save_arrays(out, result)
+        results.save_arrays(out, result)
     else:
         out.parent.mkdir(parents=True, exist_ok=True)
         write_whole(out, lambda file: write_columns(file, _columns(observations, result)))
     if picture is not None:
         _draw(picture, observations, estimate)
     summary = _summary(observations, grid, estimate, result, out)
-    report(options, summary, lambda: _lines(observations, grid, estimate, summary))
+    results.report(options, summary, lambda: _lines(observations, grid, estimate, summary))
     return 0 if np.isfinite(estimate.phi).any() else 1
 
 
@@ -115,7 +115,7 @@ def _rows(observations: Observations, estimate, group: int) -> str:
 
 def _draw(path: Path, observations: Observations, estimate) -> None:
     from doo_ti.report import angle_curves_picture
-    from doo_ti.report.identifiability import MOST_CURVES
+    from doo_ti.report.figures import MOST_CURVES
 
     names = [f"{_rows(observations, estimate, k)}: {np.degrees(estimate.phi[k]):.0f}°, {_word(estimate.verdict[k])}"
              for k in range(min(MOST_CURVES, len(estimate.phi)))]
@@ -134,7 +134,7 @@ def _word(verdict: int) -> str:
 def _summary(observations: Observations, grid: Grid, estimate, result: dict, out: Path) -> dict:
     verdicts = {_word(kind): int(count) for kind, count in zip(*np.unique(estimate.verdict, return_counts=True), strict=True)}
     arrays = ("phi_deg", "least_mm", "low_deg", "high_deg", "minima_deg", "minima_mm", "total_twist_deg")
-    theta = theta_of(grid)
+    theta = results.theta_of(grid)
     del theta["bend_12"]
     return {"observations": observations.count, "groups": len(estimate.phi), **theta, "verdicts": verdicts,
             "unsound_rods": int(estimate.unsound.sum()), "verdict": [_word(kind) for kind in estimate.verdict],
@@ -146,11 +146,11 @@ def _lines(observations: Observations, grid: Grid, estimate, summary: dict) -> l
     return [
         f"{observations.name}: {observations.count} observations in {summary['groups']} groups that share φ",
         loading.rod_line(observations),
-        f"  material    {theta_text(theta_of(grid), grid.is_isotropic)}",
-        f"  verdicts    {counted(summary['verdicts'])}; {summary['unsound_rods']} of {rods} rods on the curves have no "
+        f"  material    {results.theta_text(results.theta_of(grid), grid.is_isotropic)}",
+        f"  verdicts    {results.counted(summary['verdicts'])}; {summary['unsound_rods']} of {rods} rods on the curves have no "
         "certified minimum",
-        *shortened([_group_line(observations, estimate, k) for k in range(len(estimate.phi))], MOST_LISTED,
-                   f"  and {{}} more, which {in_line(Path(summary['out']).name)} holds"),
+        *results.shortened([_group_line(observations, estimate, k) for k in range(len(estimate.phi))], MOST_LISTED,
+                           f"  and {{}} more, which {in_line(Path(summary['out']).name)} holds"),
         f"  written to {in_line(summary['out'])}"]
 
 

@@ -16,10 +16,9 @@ from numpy.typing import ArrayLike
 
 from doo_ti.contact.obstacles import GRID, Distances, Obstacle, Placed, require_rotation
 from doo_ti.io.arrays import first_line
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError, real_array, require_number
 from doo_ti.system.files import read_content
-from doo_ti.system.short_repr import short_repr
 
 HEADER = 4
 """Numbers that a grid has in front of all coefficients: where its own begin, and how many there are along each axis."""

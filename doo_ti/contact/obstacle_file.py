@@ -47,8 +47,18 @@ from doo_ti.contact.itself import Itself
 from doo_ti.contact.obstacles import Box, Capsule, Cylinder, Obstacle, Plane, Ring, Sphere
 from doo_ti.contact.surroundings import Moving, Surroundings
 from doo_ti.io.arrays import read_npz
-from doo_ti.io.scene_keys import between_moments
-from doo_ti.io.toml_file import Finite, NotNegative, Positive, Rotation, Table, Vector, checked, read_toml, unit_direction
+from doo_ti.io.toml_file import (
+    Finite,
+    NotNegative,
+    Positive,
+    Rotation,
+    Table,
+    Vector,
+    between_moments,
+    checked,
+    read_toml,
+    unit_direction,
+)
 from doo_ti.rod.frames import rotation_matrix
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError

@@ -11,9 +11,8 @@ from numpy.typing import ArrayLike
 
 from doo_ti.contact.itself import Itself, smallest_self_gap
 from doo_ti.contact.obstacles import Obstacle, require_rotation
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError, real_array
-from doo_ti.system.short_repr import short_repr
 
 
 @typed

@@ -31,9 +31,8 @@ from doo_ti.rod.frames import (
     smallest_rotation,
 )
 from doo_ti.rod.types import POSES, Clamp, Clamps, Configuration, Rows, require_kinds
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError, real_array, require_whole
-from doo_ti.system.short_repr import short_repr
 
 
 @typed

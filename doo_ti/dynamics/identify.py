@@ -20,9 +20,8 @@ from doo_ti.dynamics.stills import Stills
 from doo_ti.dynamics.theta import MotionTheta, Unknowns
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.types import Clamp, Status
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError, require_whole
-from doo_ti.system.short_repr import short_repr
 
 STEP = 1e-6
 """Of an entry of p, for differences of material and dynamics."""

@@ -7,11 +7,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti.contact.touch import require_gap_tolerance
-from doo_ti.rod.physical_units import STANDARD_GRAVITY
+from doo_ti.rod.material import STANDARD_GRAVITY
 from doo_ti.rod.types import Configuration, Material
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError, real_array, require_number, require_whole
-from doo_ti.system.short_repr import short_repr
 
 GRAVITY = 1e3 * STANDARD_GRAVITY
 """mm/s²: a rod of weight μ = 1 has the mass per length 2/GRAVITY in the package's units, for which its weight is 2."""

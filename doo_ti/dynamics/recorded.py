@@ -11,9 +11,8 @@ from numpy.typing import ArrayLike
 from doo_ti.dynamics.parameters import LEAST_RATE, MOST_RATE
 from doo_ti.io.observation_files import read_recording
 from doo_ti.rod.types import Rows
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
-from doo_ti.system.short_repr import short_repr
 
 LEAST_JUMP, LARGEST_MISFIT, SMALLEST_JUMP = 1.7, 0.2, 10.0
 """Frames are missing where the gripper markers together move by more than the first times their usual move; where what that

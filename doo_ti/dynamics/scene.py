@@ -23,21 +23,27 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.io.motion_file import MOST_MOMENTS, ClampPath
-from doo_ti.io.scene_keys import (
+from doo_ti.io.toml_file import (
     ClampName,
     EndPaths,
+    Finite,
     MaterialKeys,
     Moment,
+    NotNegative,
+    Positive,
     StatedMaterial,
+    Table,
+    Vector,
+    checked,
     end_paths,
     instants,
     newtons,
+    read_toml,
     stated_material,
+    unit_direction,
 )
-from doo_ti.io.toml_file import Finite, NotNegative, Positive, Table, Vector, checked, read_toml, unit_direction
 from doo_ti.rod.frames import quaternion_product, smallest_rotation
-from doo_ti.rod.knots import overhand_knot
-from doo_ti.rod.straight import end_clamps, with_end_edges
+from doo_ti.rod.shapes import end_clamps, overhand_knot, with_end_edges
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line

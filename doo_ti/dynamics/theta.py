@@ -11,10 +11,9 @@ from scipy.special import stdtrit
 
 from doo_ti.dynamics.parameters import Dynamics
 from doo_ti.rod.types import LARGEST, Material, unit_up
-from doo_ti.system.arguments import owning, typed
+from doo_ti.system.arguments import owning, short_repr, typed
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import MOST_TEXT_BYTES, read_content
-from doo_ti.system.short_repr import short_repr
 
 FRICTION = "friction"
 """Its name in a file, where one may be left out."""

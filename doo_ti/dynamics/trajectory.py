@@ -14,7 +14,7 @@ from doo_ti.dynamics.parameters import Stepping
 from doo_ti.relaxation.self_approach import approach_in_motion
 from doo_ti.relaxation.time_steps import Memory
 from doo_ti.rod.types import Status
-from doo_ti.system.short_repr import short_repr
+from doo_ti.system.arguments import short_repr
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
     name, radius_mm, rate_hz, ...      of all rods, and the moments of a motion; without a rate one relaxation
     [materials.NAME]                   one or more; ties and density are relative to the first one's weight
     [rods.NAME]                        one or more, in the order in which they are numbered: start, clamps and material
-    [[rods.NAME.moments]]              of its clamps (:mod:`doo_ti.io.scene_keys`); ends that are elsewhere are drawn there
+    [[rods.NAME.moments]]              of its clamps (:mod:`doo_ti.io.toml_file`); ends that are elsewhere are drawn there
     [[ties]]                           points that stay at one place
     [[obstacles]]                      kind "itself" has the rods' friction (:mod:`doo_ti.contact.obstacle_file`)
 """
@@ -20,10 +20,20 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.parameters import Dynamics
 from doo_ti.dynamics.scene import InertiaKeys, checked_material, stated_instants
 from doo_ti.groups.group import Group, Tie
-from doo_ti.io.scene_keys import ClampName, end_paths, newtons, stated_material
-from doo_ti.io.toml_file import NotNegative, Positive, Table, Vector, checked, read_toml, unit_direction
-from doo_ti.rod.knots import rod_along
-from doo_ti.rod.straight import with_end_edges
+from doo_ti.io.toml_file import (
+    ClampName,
+    NotNegative,
+    Positive,
+    Table,
+    Vector,
+    checked,
+    end_paths,
+    newtons,
+    read_toml,
+    stated_material,
+    unit_direction,
+)
+from doo_ti.rod.shapes import rod_along, with_end_edges
 from doo_ti.rod.types import LARGEST, Clamp, Clamps, Configuration, Material
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line

@@ -1,32 +1,43 @@
-"""Files of named arrays: npz, one array per key, or CSV, one row per entry of the first axis.
+"""Files of named arrays: npz, one array per key, or CSV, one row per entry of the first axis; and the one reader for every CSV
+table that users write, with one form of error message.
 
-The caller states which keys are known, the shape of an entry, and the columns that hold it in a CSV file:
+The caller of :func:`read_arrays` states which keys are known, the shape of an entry, and the columns that hold it in CSV:
 
     {"end_position_mm": ((3,), ("end_x_mm", "end_y_mm", "end_z_mm"))}
+
+A message about a table names file, column, the cell's text, its line (the header is line 1) and the remedy:
+
+    sets.csv: seed_y: 'x' in line 2 is not a finite number; give decimal numbers
+
+Cells are between commas, or between the semicolons or tabs that spreadsheets write where decimals are behind a comma: if any
+cell of such a file is a number with a comma, all numbers have one. Text is UTF-8, UTF-16 with its mark, or of Windows.
 """
 
+import csv
 import io
 import math
+import re
 import zipfile
 import zlib
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
+from collections import Counter
+from dataclasses import dataclass
 from difflib import get_close_matches
+from io import StringIO
+from itertools import pairwise
 from pathlib import Path
 from tokenize import TokenError
 
 import numpy as np
 
-from doo_ti.io.csv_table import read_csv
 from doo_ti.rod.types import LARGEST
 from doo_ti.system.errors import InputError
-from doo_ti.system.files import read_content
+from doo_ti.system.files import MOST_TEXT_BYTES, read_content
 
 AXES = ("x", "y", "z")
-MOST_UNPACKED_BYTES = 1 << 30
-"""Of the arrays or columns of a file."""
-MOST_UNPACKED_RATIO = 1100
-"""Of these bytes to those of the file: what NumPy compresses shrinks to a thousandth at best."""
-NEARLY = 0.88
-"""Least similarity of two keys (difflib) at which one counts as a misspelling of the other."""
+MOST_UNPACKED_BYTES = 1 << 30  # of the arrays or columns of a file
+MOST_UNPACKED_RATIO = 1100  # of these bytes to those of the file: what NumPy compresses shrinks to a thousandth at best
+NEARLY = 0.88  # least similarity of two keys (difflib) at which one counts as a misspelling of the other
 # What reading a damaged npz may raise.
 _UNREADABLE = (ValueError, OSError, EOFError, KeyError, RuntimeError, MemoryError, OverflowError, SyntaxError,
                TypeError, TokenError, zipfile.BadZipFile, zlib.error)
@@ -139,3 +150,168 @@ def given_columns(path: Path, columns: tuple[str, ...], names) -> tuple[str, ...
 def first_line(error: BaseException) -> str:
     """Of an error's message, as part of one line."""
     return (str(error) or type(error).__name__).strip().splitlines()[0]
+
+
+EMPTY = frozenset({"", "na", "n/a", "nan", "null"})  # texts for a missing number, in lower case
+TRUTH = {"true": "1", "false": "0"}
+SEPARATORS = ",;\t"
+_QUOTED = re.compile(r'"[^"\n]*"')
+_WITH_COMMA = re.compile(r'(?:^|[;\t"]) *[-+]?\d*,\d+(?:[eE][-+]?\d+)? *(?:$|[\r;\t"])', re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class CsvTable:
+    """The cells of a CSV file, stripped of spaces.
+
+    columns  name: N texts
+    lines    N: the line of the file on which a row ends
+    decimal  the sign before decimals
+    """
+
+    path: Path
+    columns: dict[str, list[str]]
+    lines: list[int]
+    decimal: str = "."
+
+    @property
+    def count(self) -> int:
+        """N, the number of rows."""
+        return len(self.lines)
+
+    def rows(self, chosen: np.ndarray) -> "CsvTable":
+        """The rows that are ``chosen`` (N,)."""
+        columns = {name: [cells[row] for row in np.flatnonzero(chosen)] for name, cells in self.columns.items()}
+        return CsvTable(self.path, columns, [self.lines[row] for row in np.flatnonzero(chosen)], self.decimal)
+
+    def refuse(self, name: str, wrong: np.ndarray, problem: str, remedy: str) -> None:
+        """Raise InputError for the first cell of column ``name`` that is ``wrong`` (N,), if there is one."""
+        if np.any(wrong):
+            row = int(np.argmax(wrong))
+            raise InputError(self.path, name, f"{self.columns[name][row]!r} in line {self.lines[row]} {problem}", remedy)
+
+    def numbers(self, name: str, *, may_be_empty: bool = False) -> np.ndarray:
+        """(N,) f64: the finite numbers of a column; NaN where it may be empty and is. Raises InputError for anything else."""
+        cells = self.columns[name]
+        try:
+            values = np.array([float(cell or "nan") if may_be_empty else float(cell) for cell in cells])
+        except ValueError:
+            values = None
+        if values is None or self.decimal != ".":  # the slower way, which accepts more spellings and stops at no cell
+            values = np.array([_number(cell, may_be_empty, self.decimal) for cell in cells])
+        allowed = np.isfinite(values) | (np.isnan(values) if may_be_empty else False)
+        self.refuse(name, ~allowed, "is not a finite number", "give decimal numbers")
+        return values
+
+    def texts(self, name: str) -> np.ndarray | None:
+        """(N,) texts of a column that has one, and no number, in every row; else None."""
+        cells = self.columns[name]
+        if any(cell.lower() in EMPTY or np.isfinite(number_in(cell, self.decimal)) for cell in cells):
+            return None
+        return np.array(cells)
+
+    def whole(self, name: str) -> np.ndarray:
+        """(N,) int64: the whole numbers of a column. Raises InputError for anything else."""
+        values = self.numbers(name)
+        broken = (values != np.round(values)) | (np.abs(values) >= 2**53)
+        self.refuse(name, broken, "is not a whole number", "give whole numbers")
+        return values.astype(np.int64)
+
+
+def _number(cell: str, may_be_empty: bool, decimal: str) -> float:
+    """The number in a cell, NaN where it is missing and may be, infinity where there is none."""
+    if may_be_empty and cell.lower() in EMPTY:
+        return np.nan
+    return number_in(TRUTH.get(cell.lower(), cell) if may_be_empty else cell, decimal)
+
+
+def number_in(cell: str, decimal: str = ".") -> float:
+    """The number in a cell with that sign before decimals; infinity where there is none."""
+    if decimal != ".":
+        cell = "" if "." in cell else cell.replace(decimal, ".")
+    try:
+        return float(cell)
+    except ValueError:
+        return np.inf
+
+
+def read_csv(path: Path, needed: tuple[str, ...], optional: tuple[str, ...] | None = None, *, form: str | None = None,
+             short_lines: bool = False) -> CsvTable:
+    """The table in a CSV file; lines without any text are left out.
+
+    needed       columns that must be there
+    optional     columns that may be there, any other is an error; None: other columns are read too
+    form         which columns to give, for messages; by default ``needed``
+    short_lines  whether a line may end before the last columns, whose cells are then empty
+
+    Raises InputError for a file that cannot be read or is not CSV, for columns that are missing, unknown or given twice, for
+    lines with more or fewer cells than the header, for cells that hold a line break, as after a quote that is not closed, and
+    for a file without rows.
+    """
+    return parse_csv(path, read_content(path, MOST_TEXT_BYTES, "name a readable CSV file"), needed, optional, form=form,
+                     short_lines=short_lines)
+
+
+def decoded(content: bytes, errors: str = "strict") -> str:
+    """The text of a file that a spreadsheet may have written. Raises UnicodeDecodeError for what is no text, if ``errors`` are
+    strict."""
+    if content.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
+        return content.decode("utf-16", errors)
+    try:
+        return content.decode("utf-8-sig", errors)
+    except UnicodeDecodeError:
+        return content.decode("cp1252")
+
+
+def csv_rows(path: Path, content: bytes, remedy: str) -> tuple[list[tuple[int, list[str]]], str]:
+    """Each line of a CSV file, (its number from 1, its cells), and the sign before decimals. Raises InputError, with that
+    ``remedy``, for bytes that are not CSV, and for cells that hold a line break, as after a quote that is not closed."""
+    try:
+        text = decoded(content)
+        separator = _separator(text)
+        reader = csv.reader(StringIO(text, newline=""), strict=True, delimiter=separator)
+        ends = [(reader.line_num, row) for row in reader]  # the line on which each row ends
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(path, "file", f"is not a CSV table ({str(error)[:80]})", remedy) from None
+    for (before, _), (line, _) in pairwise([(0, []), *ends]):
+        if line > before + 1:
+            raise InputError(path, f"line {line}", "a line break within a cell", "close the quote")
+    if ends and "".join(ends[0][1]).strip() == "sep=":  # by which spreadsheets are told the separator
+        ends = ends[1:]
+    return ends, "," if separator != "," and _WITH_COMMA.search(text) else "."
+
+
+def _separator(text: str) -> str:
+    """What separates the cells, by the first line that has several."""
+    for line in StringIO(text):
+        unquoted = _QUOTED.sub("", line)
+        if any(sign in unquoted for sign in SEPARATORS):
+            return max(SEPARATORS, key=unquoted.count)
+    return ","
+
+
+def parse_csv(path: Path, content: bytes, needed: tuple[str, ...], optional: tuple[str, ...] | None = None, *,
+              form: str | None = None, short_lines: bool = False) -> CsvTable:
+    """The table in the bytes of a CSV file, as :func:`read_csv` reads it; ``path`` names it in messages."""
+    remedy = f"give the columns {form or ', '.join(needed)}"
+    lines, decimal = csv_rows(path, content, remedy)
+    rows = [(line, row) for line, row in lines if any(row) and any(map(str.strip, row))]
+    names = [name.strip() for name in rows[0][1]] if rows else []
+    for name in needed:
+        if name not in names:
+            raise InputError(path, name, "the column is missing", remedy)
+    for name, count in Counter(names).items():
+        if count > 1:
+            raise InputError(path, name or "header", f"the column {name!r} is there twice", "keep one of them")
+        if optional is not None and name not in (*needed, *optional):
+            raise InputError(path, name or "header", f"unknown column {name!r}", remedy)
+    if len(rows) < 2:
+        raise InputError(path, "file", "holds no rows", "write one line or more below the names of the columns")
+    for line, row in rows[1:]:
+        if len(row) > len(names) or len(row) < len(names) and not short_lines:
+            raise InputError(path, f"line {line}", f"{len(row)} cells under {len(names)} columns", "give one for each column")
+        if len(row) < len(names):
+            row += [""] * (len(names) - len(row))
+    columns = {name: list(cells) for name, cells in zip(names, zip(*(row for _, row in rows[1:]), strict=True), strict=True)}
+    if any(byte in content for byte in (b" ", b"\t")):
+        columns = {name: [cell.strip() for cell in cells] for name, cells in columns.items()}
+    return CsvTable(path, columns, [line for line, _ in rows[1:]], decimal)

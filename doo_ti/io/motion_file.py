@@ -22,7 +22,7 @@ from typing import Annotated
 
 import numpy as np
 
-from doo_ti.io.arrays import checked_arrays, read_npz
+from doo_ti.io.arrays import AXES, checked_arrays, frame_columns, read_npz
 from doo_ti.io.pose_table import frame_of_quaternion, read_poses
 from doo_ti.rod.frames import (
     FRAME_TOLERANCE,
@@ -35,12 +35,11 @@ from doo_ti.rod.frames import (
     some_frames,
     turned_about_tangent,
 )
-from doo_ti.rod.physical_units import doubt_angle, mm_in
-from doo_ti.rod.types import Clamps
-from doo_ti.system.arguments import owning, typed
+from doo_ti.rod.material import doubt_angle, mm_in
+from doo_ti.rod.types import POSES, Clamps
+from doo_ti.system.arguments import owning, short_repr, typed
 from doo_ti.system.errors import InputError, require_whole
 from doo_ti.system.files import read_content
-from doo_ti.system.short_repr import short_repr
 
 SHAPES = {"time_s": (), "start_position_mm": (3,), "end_position_mm": (3,), "start_frame": (3, 3), "end_frame": (3, 3),
           "start_quaternion": (4,), "end_quaternion": (4,), "end_rotation_deg": ()}
@@ -53,8 +52,7 @@ HALF_TURN = np.radians(179.0)
 """A larger turn of a frame from one moment to the next could also be a turn the other way round."""
 CONTRADICTION = np.radians(45.0)
 """Largest difference between a frame's turn and the given rotation, which may count the swing of the tangent differently."""
-MOST_MM = 1e6
-"""From the origin to a clamp."""
+MOST_MM = 1e6  # from the origin to a clamp
 MOST_TURNS = 1000.0
 MOST_MOMENTS = 1_000_000
 
@@ -118,7 +116,7 @@ class ClampPath:
     @property
     def count(self) -> int:
         """N, the number of paths."""
-        given = (self.start_position, self.end_position, self.start_frame, self.end_frame, self.end_rotation)
+        given = (getattr(self, name) for name in (*POSES, "end_rotation"))
         return max((value.shape[1] for value in given if value is not None), default=1)
 
     def at(self, moment: int, clamps: Clamps) -> Clamps:
@@ -145,10 +143,8 @@ class ClampPath:
             return None if path is None else own + path - path[:1]
         def turned(path, own):
             return None if path is None else np.einsum("tnij,tnkj,nkl->tnil", path, np.broadcast_to(path[:1], path.shape), own)
-        return replace(self, start_position=shifted(self.start_position, clamps.start_position),
-                       end_position=shifted(self.end_position, clamps.end_position),
-                       start_frame=turned(self.start_frame, clamps.start_frame),
-                       end_frame=turned(self.end_frame, clamps.end_frame))
+        return replace(self, **{name: (turned if name.endswith("frame") else shifted)(
+            getattr(self, name), getattr(clamps, name)) for name in POSES})
 
     def resampled(self, rate: float) -> "ClampPath":
         """The same path at ``rate`` moments per second, on monotone cubics between its own."""
@@ -170,9 +166,8 @@ class ClampPath:
             q[1:] *= np.cumprod(np.where((q[1:] * q[:-1]).sum(axis=-1) < 0, -1.0, 1.0), axis=0)[..., None]
             between = smooth(q)
             return matrix_from_quaternion(between / np.linalg.norm(between, axis=-1, keepdims=True))
-        return replace(self, time=time, start_position=smooth(self.start_position), end_position=smooth(self.end_position),
-                       start_frame=turning(self.start_frame), end_frame=turning(self.end_frame),
-                       end_rotation=smooth(self.end_rotation))
+        return replace(self, time=time, end_rotation=smooth(self.end_rotation), **{
+            name: (turning if name.endswith("frame") else smooth)(getattr(self, name)) for name in POSES})
 
     def _check_frames(self, name: str, frames: np.ndarray) -> None:
         bad = (orthonormality_error(frames) > FRAME_TOLERANCE) | (handedness(frames) < 0)
@@ -300,3 +295,13 @@ def _of_positions(path: Path, arrays: dict[str, np.ndarray], rate: np.ndarray | 
     if time is None and rate is not None and rate.size == 1 and rate.item() > 0:
         time = np.arange(len(positions)) / rate.item()
     return path_of_marks(positions, time, str(path))
+
+
+def path_table(path: ClampPath) -> str:
+    """The path of the grippers of one rod as CSV, which ``predict --motion`` reads."""
+    names, columns = ["time_s"], [path.time[:, None]]
+    for end in ("start", "end"):
+        names += [f"{end}_{axis}_mm" for axis in AXES] + list(frame_columns(f"{end}_frame"))
+        columns += [getattr(path, f"{end}_position")[:, 0], getattr(path, f"{end}_frame")[:, 0].reshape(path.moments, 9)]
+    rows = np.concatenate(columns, axis=1)
+    return "\n".join([",".join(names), *(",".join(repr(float(value)) for value in row) for row in rows)]) + "\n"

@@ -23,11 +23,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti.io.arrays import read_npz
-from doo_ti.io.curves import Curves, is_motive, is_nexus, is_polyline, read_motive, read_nexus, read_polylines, read_usd
-from doo_ti.io.mujoco_xml import read_mujoco
+from doo_ti.io.curves import Curves, is_motive, is_nexus, is_polyline, read_motive, read_nexus, read_polylines
+from doo_ti.io.foreign import read_mujoco, read_usd
 from doo_ti.io.observation_tables import KEYS_IN_TABLES, LABELS, RENAMED, read_table, write_table
+from doo_ti.rod.material import mm_in
 from doo_ti.rod.observations import KEYS, LENGTHS, Observations
-from doo_ti.rod.physical_units import mm_in
 from doo_ti.rod.types import unit_up
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, real_array
@@ -35,14 +35,11 @@ from doo_ti.system.files import MOST_BYTES, MOST_TEXT_BYTES, read_content, write
 from doo_ti.system.terminal import in_line
 
 TABLES = (".csv", ".parquet")
-OWN = (".npz", *TABLES)
-"""Suffixes of files that the package also writes."""
+OWN = (".npz", *TABLES)  # suffixes of files that the package also writes
 OF_OTHERS = {".txt": read_polylines, ".xyz": read_polylines, ".xml": read_mujoco,
              ".usd": read_usd, ".usda": read_usd, ".usdc": read_usd}
-MOST_CSV_BYTES = 1 << 28
-"""Reading CSV takes about fifteen times as much memory."""
-MOST_LEFT_OUT = 10
-"""Frames of a recording in all for each that is there."""
+MOST_CSV_BYTES = 1 << 28  # reading CSV takes about fifteen times as much memory
+MOST_LEFT_OUT = 10  # frames of a recording in all for each that is there
 
 
 def checked_suffix(path: Path, known: tuple[str, ...] = OWN) -> None:

@@ -1,7 +1,8 @@
 """Tables of rods, CSV or Parquet, a row per vertex: of observations, to and from the keys of the npz format without loss; and
 of results.
 
-    observation, vertex        whole numbers, vertices 0 … E, or 1 … V, of each observation at most once, rows in any order
+    observation                a whole number, or a name in every row
+    vertex                     0 … E, or 1 … V, of each observation at most once, rows in any order
     x_mm, y_mm, z_mm           the vertex; empty, NaN, or without a row where it is missing
     valid, sigma_mm            of the vertex
     rest_length_mm, frame_*    of the edge from this vertex to the next, empty at vertex E
@@ -25,9 +26,8 @@ from typing import BinaryIO
 
 import numpy as np
 
-from doo_ti.io.arrays import AXES, check_unpacked, first_line, frame_columns, given_columns
-from doo_ti.io.csv_table import parse_csv
-from doo_ti.rod.physical_units import UNITS_IN_MM
+from doo_ti.io.arrays import AXES, check_unpacked, first_line, frame_columns, given_columns, parse_csv
+from doo_ti.rod.material import UNITS_IN_MM
 from doo_ti.system.errors import InputError
 
 # Key of the npz format: what a value of it belongs to, the shape of the value, the names of its columns.
@@ -49,13 +49,10 @@ KEYS_IN_TABLES = {
 _SHARED = ("rest_length_mm", "up", "spacing_error")
 _POSITION = KEYS_IN_TABLES["vertices_mm"][2]
 _COLUMNS = ("observation", "vertex", *(name for _, _, names in KEYS_IN_TABLES.values() for name in names))
-LABELS = "observation"
-"""Key of the npz format: what messages call the observations."""
-MOST_ABSENT = 100
-"""Marks of all observations for each row."""
+LABELS = "observation"  # key of the npz format: what messages call the observations
+MOST_ABSENT = 100  # marks of all observations for each row
 OTHER_NUMBERS = ("pose", "poses", "configuration", "config", "shape", "frame", "trial", "set", "sample", "rod")
-OTHER_MARKS = ("mark", "marker", "point", "node", "index")
-"""What others call the columns observation and vertex."""
+OTHER_MARKS = ("mark", "marker", "point", "node", "index")  # what others call the columns observation and vertex
 RENAMED = ("observation", "vertex", *AXES, "valid", "sigma_mm", "rest_length_mm")
 """What a user may say is in a column of another name."""
 
@@ -77,7 +74,9 @@ def read_table(path: Path, content: bytes, renamed: dict[str, str] | None = None
         columns["vertex"] = _counted(columns["observation"])
     rows = {}
     for name in ("observation", "vertex"):
-        values = columns[name]
+        rows[name] = values = columns[name]
+        if values.dtype.kind == "U":
+            continue
         bad = np.flatnonzero(~(np.isfinite(values) & (values == np.round(values)) & (np.abs(values) < 2**53)))
         if len(bad):
             raise InputError(path, name, f"{values[bad[0]]:g} in {place(bad[0])} is not a whole number", "give whole numbers")
@@ -109,7 +108,7 @@ def write_table(file: BinaryIO, suffix: str, keys: dict[str, np.ndarray]) -> Non
     """Write the keys of the npz format to ``file`` as CSV or Parquet, by ``suffix``."""
     count, marks = keys["vertices_mm"].shape[:2]
     labels = keys.get(LABELS, np.arange(count))
-    if labels.dtype.kind not in "iu" or len(np.unique(labels)) < count:
+    if len(np.unique(labels)) < count:
         labels = np.arange(count)
     columns = {"observation": np.repeat(labels, marks), "vertex": np.tile(np.arange(marks), count)}
     for key, (owner, value_shape, names) in KEYS_IN_TABLES.items():
@@ -161,11 +160,15 @@ def _named(path: Path, names, renamed: dict[str, str]) -> dict[str, tuple[str, f
 
 
 def _csv_columns(path: Path, content: bytes, renamed) -> tuple[dict[str, np.ndarray], Callable[[int], str], float]:
-    """The known columns as (N,) f64, NaN where a cell is empty, how a message names a row, and mm in the unit of positions."""
+    """The known columns as (N,) f64, NaN where a cell is empty, or texts of names; how a message names a row; and mm in the
+    unit of positions."""
     table = parse_csv(path, content, ())
     named = _named(path, table.columns, renamed)
-    return ({name: factor * table.numbers(column, may_be_empty=True) for name, (column, factor) in named.items()},
-            lambda row: f"line {table.lines[row]}", named[_POSITION[0]][1])
+    names = table.texts(named["observation"][0]) if "observation" in named else None
+    columns = {name: factor * table.numbers(column, may_be_empty=True) for name, (column, factor) in named.items()
+               if name != "observation" or names is None}
+    return (columns if names is None else columns | {"observation": names}, lambda row: f"line {table.lines[row]}",
+            named[_POSITION[0]][1])
 
 
 def _parquet_columns(path: Path, content: bytes, renamed) -> tuple[dict[str, np.ndarray], Callable[[int], str], float]:
@@ -187,8 +190,18 @@ def _parquet_columns(path: Path, content: bytes, renamed) -> tuple[dict[str, np.
         table = file.read(list({column for column, _ in named.values()}))
     except (pyarrow.ArrowException, OSError, UnicodeDecodeError) as error:
         raise InputError(path, "file", f"is not a Parquet table ({first_line(error)})", "write one row per vertex") from None
-    return ({name: factor * _parquet_numbers(path, column, table.column(column)) for name, (column, factor) in named.items()},
+    return ({name: factor * _parquet_numbers(path, column, table.column(column)) if name != "observation"
+             else _parquet_labels(path, column, table.column(column)) for name, (column, factor) in named.items()},
             lambda row: f"row {row + 1}", named[_POSITION[0]][1])
+
+
+def _parquet_labels(path: Path, name: str, column) -> np.ndarray:
+    """(N,) texts of a pyarrow column that has one in every row, else its numbers."""
+    import pyarrow.types as types
+
+    if (types.is_string(column.type) or types.is_large_string(column.type)) and not column.null_count:
+        return np.array(column.to_pylist())
+    return _parquet_numbers(path, name, column)
 
 
 def _parquet_numbers(path: Path, name: str, column) -> np.ndarray:
@@ -206,9 +219,13 @@ def _parquet_numbers(path: Path, name: str, column) -> np.ndarray:
 
 
 def _rows_of(path, observation: np.ndarray, vertex: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(D,) the labels of the observations, which rise, and (D, V) the row of each vertex, −1 where it has none."""
+    """(D,) the labels of the observations, which rise, texts in the order in which they appear; and (D, V) the row of each
+    vertex, −1 where it has none."""
     vertex = vertex - (vertex.min() == 1)  # some programs count from one
-    labels, place = np.unique(observation, return_inverse=True)
+    labels, first, place = np.unique(observation, return_index=True, return_inverse=True)
+    if labels.dtype.kind == "U":
+        order = np.argsort(first)
+        labels, place = labels[order], np.argsort(order)[place]
     marks = int(vertex.max()) + 1
     if vertex.min() < 0:
         raise InputError(path, "vertex", f"{vertex.min()} of observation {observation[vertex.argmin()]}", "count from 0, or 1")

@@ -20,10 +20,9 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.io.arrays import AXES, NEARLY, frame_columns, given_columns, read_npz
-from doo_ti.io.csv_table import CsvTable, read_csv
+from doo_ti.io.arrays import AXES, NEARLY, CsvTable, frame_columns, given_columns, read_csv, read_npz
 from doo_ti.rod.frames import matrix_from_quaternion, rotation_matrix
-from doo_ti.rod.physical_units import UNITS_IN_MM
+from doo_ti.rod.material import UNITS_IN_MM
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import read_content
 
@@ -36,8 +35,7 @@ _TIMES = {f"{name}{unit}": factor for name in ("time", "timestamp", "stamp", "t"
 _POSITION, _ORIENTATION = re.compile(r"^(pose_)?(position|translation|pos|t)_?(?=[xyz](_|$))"), re.compile(
     r"^(pose_)?(orientation|quaternion|quat|q)_?(?=[wxyz]$)")
 _QUATERNION, _VECTOR, _TURNS = ("qw", "qx", "qy", "qz"), ("rx", "ry", "rz"), ("roll", "pitch", "yaw")
-LARGEST_MISFIT = 1e-2
-"""Of the length of a quaternion from one."""
+LARGEST_MISFIT = 1e-2  # of the length of a quaternion from one
 
 
 def read_poses(path: Path, named: Mapping[str, str] | None = None) -> tuple[dict[str, np.ndarray], dict[str, float]]:

@@ -50,12 +50,10 @@ OBJECTIVES = ("static", "dynamic")
 PRECISIONS = ("f32", "f64", "mixed")
 CLAMPS = tuple(kind.name.lower() for kind in Clamp)
 MOST_ROLLS = 360
-MOST_FINE_EDGES, MOST_TURNS = 20_000, 1000
-"""Of a virtual rod."""
+MOST_FINE_EDGES, MOST_TURNS = 20_000, 1000  # of a virtual rod
 Rolls = Annotated[int, Meta(ge=0, le=MOST_ROLLS)]
 _Rotation = Annotated[float, Meta(ge=-360 * MOST_TURNS, le=360 * MOST_TURNS)]
-_Tilt = Annotated[float, Meta(ge=0, le=45)]
-"""Degrees, standard deviation of a virtual clip's tilt."""
+_Tilt = Annotated[float, Meta(ge=0, le=45)]  # degrees, standard deviation of a virtual clip's tilt
 
 
 @dataclass(frozen=True)

@@ -1,22 +1,53 @@
-"""TOML files: msgspec checks that each value has its declared type and range; one form of error message, which names file, key,
-value and remedy:
+"""TOML files, the keys that scenes of several kinds share, and the scenes that come with the package.
+
+msgspec checks that each value has its declared type and range. A message names file, key, value and remedy:
 
     scene.toml: rod.edges: 2 is not allowed; give a whole number >= 4
 
-and the scenes that come with the package: commands take them by name in any folder, ``vicryl``, ``whip``, ``scenes/rig.yaml``.
+Commands take scenes of the package by name in any folder: ``vicryl``, ``whip``, ``scenes/rig.yaml``. Scenes share the keys of a
+rod's material, relative to its weight or in physical units as the options of commands have it
+(:mod:`doo_ti.rod.material`), and of what is stated at some moments of a motion, smooth between them: quantities of any
+kind, and the clamps of a rod's ends.
+
+    bend = 6e5                         # mm³, or a matrix [[A1, A12], [A12, A2]]
+    twist = 8e5                        # mm³ (the same as a bend that is a number)
+    weight = 1.0                       # (1)
+
+    EI = 1e-5                          # N m², or a matrix, instead of bend and weight
+    GJ = 8e-6                          # N m² (the same as an EI that is a number)
+    linear_density = 3.0               # g/m, needed with EI; beside bend and weight it only gives forces in N
+
+    start = "frame"                    # free, position, tangent or frame
+    end = "free"
+
+    [[moments]]                        # none or more; what is left out stays as it was
+    time_s = 0.0
+    start_position_mm = [0, 0, 0]      # at first where the rod is
+    start_direction = [0, 0, -1]
+    end_position_mm = [0, 0, -1000]
+    end_direction = [0, 0, -1]
+    start_turns = 0.0                  # about its direction, since the beginning (0)
+    end_turns = 2.5
+
+``end_rotation_deg``, what end_turns was in scenes of ``predict``, is read too.
 """
 
 import re
 import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, get_args, get_origin
 
 import msgspec
 import numpy as np
 
-from doo_ti.rod.types import LARGEST
+from doo_ti.rod.frames import matrix_from_quaternion, quaternion_product, smallest_rotation, turned_about_tangent
+from doo_ti.rod.material import bend_or_twist, force_in_newton, weight_per_length
+from doo_ti.rod.types import LARGEST, Configuration
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import MOST_TEXT_BYTES, read_content
+from doo_ti.system.terminal import warn
 
 Finite = Annotated[float, msgspec.Meta(ge=-LARGEST, le=LARGEST)]
 Positive = Annotated[float, msgspec.Meta(gt=0, le=LARGEST)]
@@ -124,3 +155,191 @@ def scene_file(name: str) -> str:
             if file.is_file():
                 return str(file)
     return name
+
+
+# --- keys that scenes share ----------------------------------------------------------------------------------------------
+
+
+class MaterialKeys(Table, kw_only=True):
+    """The keys; what is None is not stated."""
+
+    bend: NumberOrMatrix | None = None
+    twist: Positive | None = None
+    weight: NotNegative | None = None
+    EI: NumberOrMatrix | None = None
+    GJ: Positive | None = None
+    linear_density: Positive | None = None
+
+
+@dataclass(frozen=True)
+class StatedMaterial:
+    """bend (2, 2) and twist in mm³ and weight, as :class:`.Material` has them; newton: N in its unit of force, or None."""
+
+    bend: np.ndarray
+    twist: float
+    weight: float
+    newton: float | None
+
+
+def stated_material(source, key: str, keys: MaterialKeys, unit_density: float | None = None) -> StatedMaterial:
+    """The material that the table ``key`` of the file ``source`` states.
+
+    unit_density  g/m of a rod of weight 1, to which stiffness in N m² becomes relative; by default the material's own
+
+    Raises InputError for keys that are missing, and for the same quantity stated in both ways.
+    """
+    physical = keys.EI is not None
+    for name, other in (("bend", "EI"), ("weight", "EI"), ("twist", "EI"), ("GJ", "bend")):
+        if getattr(keys, name) is not None and getattr(keys, other) is not None:
+            raise InputError(source, f"{key}.{name}", f"given beside {other}", "give bend, twist and weight, or EI and GJ with "
+                             "linear_density")
+    if not physical and keys.bend is None:
+        raise InputError(source, f"{key}.{'EI' if keys.GJ is not None else 'bend'}", "missing",
+                         "give bend, or EI with linear_density")
+    if physical and keys.linear_density is None:
+        raise InputError(source, f"{key}.linear_density", "missing beside EI", "give the mass per length in g/m")
+    bend, twist, names = (keys.EI, keys.GJ, ("EI", "GJ")) if physical else (keys.bend, keys.twist, ("bend", "twist"))
+    if twist is None and not isinstance(bend, float):
+        raise InputError(source, f"{key}.{names[1]}", f"missing beside a matrix {names[0]}", "give the stiffness against twist")
+    matrix, twist = np.array(bend) if isinstance(bend, tuple) else bend * np.eye(2), bend if twist is None else twist
+    weight = 1.0 if keys.weight is None else keys.weight
+    if physical:
+        unit = weight_per_length(keys.linear_density if unit_density is None else unit_density)
+        matrix, twist = bend_or_twist(matrix, unit), float(bend_or_twist(twist, unit))
+        weight = 1.0 if unit_density is None else keys.linear_density / unit_density
+    newton = None
+    if keys.linear_density is not None and weight > 0:
+        newton = float(force_in_newton(1.0, weight_per_length(keys.linear_density), weight))
+    return StatedMaterial(matrix, twist, weight, newton)
+
+
+def newtons(found: list[StatedMaterial]) -> np.ndarray | None:
+    """(G,) N in the unit of force of each material, or None where one does not state it."""
+    return None if any(one.newton is None for one in found) else np.array([one.newton for one in found])
+
+
+def instants(source, rate: float, duration: float, most: int, called: str) -> np.ndarray:
+    """(1 + steps,) s: ``rate`` instants a second from zero to ``duration``, the values of ``rate_hz`` and ``duration_s`` in the
+    file ``source``. Raises InputError, which calls them ``called``, for fewer than one step or more than ``most``."""
+    steps = round(duration * rate)
+    if not 1 <= steps <= most:
+        raise InputError(source, "duration_s", f"{steps} {called} at rate_hz", f"give 1 to {most:,}")
+    return np.arange(steps + 1) / rate
+
+
+def between_moments(source, name: str, rows: list, table: type[Table], first: Mapping[str, object],
+                    time: np.ndarray) -> dict[str, np.ndarray]:
+    """The quantities of ``first``, as they are at time zero, at the instants ``time`` (T,) in s: (T, ...) each, on monotone
+    cubics between the moments of ``rows``, called ``name`` in the file ``source``; after the last they stay.
+
+    table  how a moment is written: ``time_s``, and quantities that are None where they stay as they were. Those whose names
+           end in "direction" become unit vectors
+
+    Raises InputError where times do not rise, and as :func:`.checked` does.
+    """
+    from scipy.interpolate import PchipInterpolator
+
+    now, at, values = dict(first), [0.0], {key: [value] for key, value in first.items()}
+    for k, row in enumerate(rows):
+        moment = checked(source, f"{name}[{k}]", row, table)
+        if moment.time_s < at[-1] or k and moment.time_s == at[-1]:
+            raise InputError(source, f"{name}[{k}].time_s", f"{moment.time_s:g} does not rise", "give moments in their order")
+        for key in now:
+            value = getattr(moment, key)
+            if value is not None:
+                direction = key.endswith("direction")
+                now[key] = unit_direction(source, f"{name}[{k}].{key}", value) if direction else np.array(value)
+        if moment.time_s == at[-1]:
+            at.pop()
+            for key in now:
+                values[key].pop()
+        at.append(moment.time_s)
+        for key in now:
+            values[key].append(now[key])
+    if len(at) == 1:
+        return {key: np.broadcast_to(value[0], (len(time), *np.shape(value[0]))) for key, value in values.items()}
+    return {key: PchipInterpolator(at, np.array(value))(np.minimum(time, at[-1])) for key, value in values.items()}
+
+
+ClampName = Literal["free", "position", "tangent", "frame"]
+
+
+class Moment(Table):
+    """One moment; what is None stays as it was."""
+
+    time_s: NotNegative = 0.0
+    start_position_mm: Vector | None = None
+    start_direction: Vector | None = None
+    end_position_mm: Vector | None = None
+    end_direction: Vector | None = None
+    start_turns: Finite | None = None
+    end_turns: Finite | None = None
+    end_rotation_deg: Finite | None = None
+
+
+@dataclass(frozen=True)
+class EndPaths:
+    """Where both ends of a rod are held at T instants: positions (T, 3) mm, frames (T, 3, 3) with columns t, m1, m2, and (T,)
+    rad by which the end has turned about its direction."""
+
+    start_position: np.ndarray
+    end_position: np.ndarray
+    start_frame: np.ndarray
+    end_frame: np.ndarray
+    end_rotation: np.ndarray
+
+
+def end_paths(source, key: str, rows: list, start: Configuration, time: np.ndarray) -> EndPaths:
+    """The paths of the ends of one rod at the instants ``time`` (T,) s.
+
+    rows   the moments, the value of ``key`` in the file ``source``
+    start  the rod: where its ends are as long as no moment says otherwise
+
+    While its direction changes, also from the rod's own to that of the first moment, an end turns about it only by its
+    ``turns``. Raises InputError as :func:`.between_moments` does, and where a direction reverses from one moment to the next.
+    """
+    rows = [_in_turns(source, f"{key}[{number}]", row) for number, row in enumerate(rows)]
+    vertices, frames = start.vertices[0], start.frames[0]
+    first = {"start_position_mm": vertices[0], "start_direction": frames[0, :, 0], "end_position_mm": vertices[-1],
+             "end_direction": frames[-1, :, 0], "start_turns": 0.0, "end_turns": 0.0}
+    paths = between_moments(source, key, rows, Moment, first, time)
+    held = {}
+    for end, edge in (("start", 0), ("end", -1)):
+        length = np.linalg.norm(paths[f"{end}_direction"], axis=-1, keepdims=True)
+        if not (length > 0).all():
+            raise InputError(source, key, f"{end}_direction reverses from one moment to the next",
+                             "give a moment with a direction in between")
+        along = np.concatenate([frames[edge, None, :, 0], paths[f"{end}_direction"] / length])
+        along = _transported(along, frames[edge, :, 1])[1:]
+        held[end] = turned_about_tangent(along, 2 * np.pi * paths[f"{end}_turns"])
+    return EndPaths(paths["start_position_mm"], paths["end_position_mm"], held["start"], held["end"],
+                    2 * np.pi * paths["end_turns"])
+
+
+def _in_turns(source, key: str, row):
+    """The moment ``row`` with ``end_turns`` for ``end_rotation_deg``, if it has that."""
+    if not isinstance(row, dict) or "end_rotation_deg" not in row:
+        return row
+    turns = checked(source, key, row, Moment).end_rotation_deg / 360.0
+    warn(f"{source}: {key}.end_rotation_deg is called end_turns now: {turns:g}")
+    return {name: value for name, value in row.items() if name != "end_rotation_deg"} | {"end_turns": turns}
+
+
+def _transported(directions: np.ndarray, m1: np.ndarray) -> np.ndarray:
+    """(T, 3, 3) frames along unit ``directions`` (T, 3), from one with that ``m1`` (3,) by the smallest rotation from each to
+    the next. Products are formed in √T parts of √T instants, all parts at once: there may be a million instants."""
+    count = len(directions)
+    size = int(np.ceil(np.sqrt(count)))
+    turn = np.zeros((size * size, 4))
+    turn[:, 0] = 1.0
+    turn[1:count] = smallest_rotation(directions[:-1], directions[1:])
+    parts = turn.reshape(size, size, 4)
+    for k in range(1, size):
+        parts[:, k] = quaternion_product(parts[:, k], parts[:, k - 1])
+    for k in range(1, size):
+        parts[k] = quaternion_product(parts[k], parts[k - 1, -1])
+    turn = turn[:count]
+    across = matrix_from_quaternion(turn / np.linalg.norm(turn, axis=-1, keepdims=True)) @ m1
+    across -= np.sum(across * directions, axis=-1, keepdims=True) * directions
+    across /= np.linalg.norm(across, axis=-1, keepdims=True)
+    return np.stack([directions, across, np.cross(directions, across)], axis=-1)

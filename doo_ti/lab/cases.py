@@ -1,7 +1,7 @@
 """The cases that are timed: rods × material × precision, NumPy in to NumPy out, kernels compiled before; and what
 ``doo-ti bench`` measures.
 
-    measured = measure(case, clock.Reference(threads), rounds)
+    measured = measure(case, workload.Reference(threads), rounds)
 
 Of rods that are relaxed only those that converged count.
 """
@@ -13,7 +13,7 @@ from statistics import median
 
 import numpy as np
 
-from doo_ti.lab import clock, workload
+from doo_ti.lab import workload
 from doo_ti.lab.workload import Rods
 from doo_ti.relaxation import batch
 from doo_ti.relaxation.newton import Newton
@@ -30,8 +30,7 @@ OPERATIONS = {"isotropic": (962, 254), "general": (1538, 245), "springs": (1242,
 free edges, for each of these, and outside. Counted in the compiled code by ``tools/bench/operations.py``."""
 HELD_EDGES = 2
 BATCH = 256
-ROUND_SECONDS = 0.3
-"""A round repeats its case for about this long, so that a short interruption does not decide it."""
+ROUND_SECONDS = 0.3  # a round repeats its case for about this long, so that a short interruption does not decide it
 
 
 @dataclass(frozen=True)
@@ -190,15 +189,15 @@ def converged(*calls: tuple[Solution, int, dict[str, float]]) -> Outcome:
                    iterations, sum(trips), {name: sum(counted.get(name, 0.0) for counted in operations) for name in names})
 
 
-def measure(case: Case, reference: clock.Reference, rounds: int) -> Measurement:
+def measure(case: Case, reference: workload.Reference, rounds: int) -> Measurement:
     """Run once so that kernels are compiled, then time the case between two runs of the reference, ``rounds`` times."""
     case.run()
-    once, outcome = clock.timed(case.run)
+    once, outcome = workload.timed(case.run)
     calls = max(1, round(ROUND_SECONDS / once))
     rates, ratios = [], []
     for _ in range(rounds):
         before = reference.rate()
-        seconds, outcomes = clock.timed(lambda: [case.run() for _ in range(calls)])
+        seconds, outcomes = workload.timed(lambda: [case.run() for _ in range(calls)])
         rates.append(sum(outcome.amount for outcome in outcomes) / seconds)
         ratios.append(rates[-1] / (0.5 * (before + reference.rate())))
     rate, iterations = median(rates), outcome.iterations
@@ -211,29 +210,28 @@ def measure(case: Case, reference: clock.Reference, rounds: int) -> Measurement:
 
 
 COMPARED = 4096  # rods whose shape in f32 is compared with f64's
-SAME_MM = 0.02
-"""Two rods are in the same minimum where the mean distance between their vertices is no more than this."""
+SAME_MM = 0.02  # two rods are in the same minimum where the mean distance between their vertices is no more than this
 
 
 def benchmark(count: int, rounds: int, threads: int | None) -> dict:
     """What ``doo-ti bench`` measures, with its progress on standard error: the content of ``bench.json``."""
     architecture, rods = runtime.start(threads=threads), Specimens(count)
-    reference, chosen, measured, peak = clock.Reference(runtime.thread_count()), cases(rods), {}, {}
+    reference, chosen, measured, peak = workload.Reference(runtime.thread_count()), cases(rods), {}, {}
     with progress(keep=True) as bar:
         task = bar.add_task("", total=len(chosen) + 2, unit="steps", rate="")
         for case in chosen:
             bar.update(task, description=case.name)
-            peak = clock.peak_gflops(peak)  # before each case, and once after them: the most counts
+            peak = workload.peak_gflops(peak)  # before each case, and once after them: the most counts
             found = measured[case.name] = measure(case, reference, rounds)
             bar.update(task, rate=f"{found.per_second:,.0f} {found.unit}", advance=1)
         bar.update(task, description="peak")
-        peak = clock.peak_gflops(peak)
+        peak = workload.peak_gflops(peak)
         bar.update(task, rate=", ".join(f"{value:,.0f} GFlop/s" for value in peak.values()), advance=1)
         bar.update(task, description="f32 against f64")
         accuracy = f32_against_f64(rods)
         bar.update(task, rate=f"{accuracy['median_mm']:.1e} mm", advance=1)
-    return {"machine": {**clock.machine(), "threads": runtime.thread_count(), "architecture": architecture},
-            "versions": clock.versions(), "rods": count, "rounds": rounds, "peak_gflops": peak,
+    return {"machine": {**workload.machine(), "threads": runtime.thread_count(), "architecture": architecture},
+            "versions": workload.versions(), "rods": count, "rounds": rounds, "peak_gflops": peak,
             "cases": {name: {**asdict(found), "share_of_peak": found.share_of(peak)} for name, found in measured.items()},
             "f32_against_f64": accuracy}
 

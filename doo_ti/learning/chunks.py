@@ -26,8 +26,8 @@ from doo_ti.rod.types import LARGEST, Status
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import MOST_TEXT_BYTES, read_content, write_whole
 
-SOURCES = ("contact", "motion", "physics", "relaxation", "rod", "system/runtime.py", "learning/cells.py",
-           "learning/experiment.py", "learning/pairs.py")
+SOURCES = ("contact", "motion", "physics", "relaxation", "rod", "system/runtime.py", "learning/experiment.py",
+           "learning/terms.py")
 """Files and folders of the package that cells depend on."""
 SUMMARY = "summary.json"
 DENSITY = "linear_density_g_per_m"  # key of the summary: the rod's linear density, where it was given

@@ -1,159 +1,43 @@
-"""An experiment: the observations, the grid to search, the options of relaxation and comparison, the terms of the objective
-(§III-E), and hypotheses about what was not recorded of an observation: its whole turns, and the roll of its clamps (§III-B).
+"""An experiment: the observations, the grid to search, the options of relaxation and comparison, the terms of the objective;
+and its rods, those of Eqs. 2 and 3, relaxed cell by cell (§III-E): rows of numbers as the run's files hold them, and shapes.
 
-Every hypothesis is a rod of its own. At the end of a sweep each observation keeps the one with the smallest distance, the same
-in all cells, unless the data do not distinguish them.
-
-Axes: G cells, D observations, H hypotheses of all observations, M of one, P pairs, N rods of each cell.
+Axes: G cells or materials, D observations, H hypotheses of all observations, N rods of each cell, R = G·N rods, cell by cell.
 """
 
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
 from doo_ti.contact.obstacle_file import described
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.learning.pairs import Pairs, check_ways, pairs_from_labels
+from doo_ti.learning.chunks import chunk_path, read_columns, read_rows, write_rows
+from doo_ti.learning.terms import (
+    Hypotheses,
+    Pairs,
+    check_ways,
+    hypotheses_of,
+    nearest,
+    pairs_from_labels,
+    resolved,
+    scores,
+    started,
+)
+from doo_ti.motion.journey import Journey
+from doo_ti.motion.path import motion_between
 from doo_ti.relaxation.contact_table import require_clear
 from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.newton import Newton
-from doo_ti.relaxation.relax import PRECISIONS
+from doo_ti.relaxation.relax import PRECISIONS, relax
 from doo_ti.rod.grid import Grid
+from doo_ti.rod.metric import distance
 from doo_ti.rod.observations import Observations
-from doo_ti.rod.start import held_spins, observation_clamps, start_configuration, turn_hypotheses
-from doo_ti.rod.types import LARGEST, Clamp, Clamps, Configuration
+from doo_ti.rod.start import observation_clamps
+from doo_ti.rod.types import LARGEST, Clamp, Clamps, Configuration, Material, Solution, Status, sticky
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, require_number, require_whole
-
-NEAR = 1.05  # cells, and hypotheses, whose distance is at most this many times the smallest count as equally good
-UNSOUND = 1e9  # mm added to the distance of a rod that is no certified minimum: it is chosen only where all are none
-ROUNDS = 50
-
-
-@dataclass(frozen=True)
-class Hypotheses:
-    """The rods to start, those of an observation in succession."""
-
-    observation: np.ndarray  # (H,) the observation that each is about
-    turns: np.ndarray  # (H,) whole turns, added to the angle in (−π, π] between the frames
-    # (H,) rad, the angle between the frames that fixes an unknown roll, or None: such ends turn freely
-    spin: np.ndarray | None = None
-
-    @property
-    def count(self) -> int:
-        return len(self.observation)
-
-    @property
-    def are_several(self) -> bool:
-        """Whether some observation has more than one hypothesis."""
-        return bool((self.observation[1:] == self.observation[:-1]).any())
-
-    @property
-    def table(self) -> tuple[np.ndarray, np.ndarray]:
-        """(D,) observations, and (D, M) their hypotheses, the first repeated where there are fewer."""
-        observation, first, count = np.unique(self.observation, return_index=True, return_counts=True)
-        rank = np.arange(count.max())
-        return observation, first[:, None] + np.where(rank < count[:, None], rank, 0)
-
-    def take(self, index) -> "Hypotheses":
-        return Hypotheses(self.observation[index], self.turns[index], None if self.spin is None else self.spin[index])
-
-    def as_dict(self) -> dict:
-        """As JSON holds it; :meth:`from_dict` reads it back exactly."""
-        return {"observation": self.observation.tolist(), "turns": self.turns.tolist(),
-                "spin": None if self.spin is None else self.spin.tolist()}
-
-    @classmethod
-    def from_dict(cls, content: dict) -> "Hypotheses":
-        spin = content["spin"]
-        return cls(np.array(content["observation"]), np.array(content["turns"]), None if spin is None else np.array(spin))
-
-
-def hypotheses_of(observations: Observations, clamps: Clamps, spins: int = 0) -> Hypotheses:
-    """The hypotheses of D observations: the whole turns of :func:`doo_ti.rod.start.turn_hypotheses`, and ``spins`` angles,
-    evenly over a turn, where a clamp holds the tangent and its roll is unknown.
-
-    Raises InputError for ``spins`` where no roll is unknown.
-    """
-    if not spins:
-        return Hypotheses(*turn_hypotheses(observations, clamps))
-    kinds = np.broadcast_arrays(clamps.start, clamps.end)
-    if not (np.minimum(*kinds) == Clamp.TANGENT).all() or observations.frames is not None:
-        raise InputError(observations.source, "spins", "no end is held by its tangent alone, or frames were measured",
-                         "leave spins out, or clamp the end by its tangent")
-    index = np.repeat(np.arange(observations.count), spins)
-    spin = np.tile(2 * np.pi * np.arange(spins) / spins, observations.count)
-    observed = observations.take(index)
-    rows, turns = turn_hypotheses(observed, held_spins(observed, clamps.take(index), spin))
-    return Hypotheses(index[rows], turns, spin[rows])
-
-
-def started(observations: Observations, clamps: Clamps, hypotheses: Hypotheses) -> tuple[Configuration, Clamps]:
-    """The starts of the H rods, and their clamps."""
-    observed, held = observations.take(hypotheses.observation), clamps.take(hypotheses.observation)
-    if hypotheses.spin is not None:
-        held = held_spins(observed, held, hypotheses.spin)
-    return start_configuration(observed, held, hypotheses.turns), held
-
-
-def scores(distance: np.ndarray, sound: np.ndarray, weight: np.ndarray, of_rod: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(G, H) mean distance of each hypothesis's rods, mm, by their ``weight``, and whether all are ``sound``.
-
-    distance, sound  (G, N) of each cell's rods; NaN counts as infinity
-    weight, of_rod   (N,) w_xy, and the hypothesis of each rod
-    """
-    order = np.argsort(of_rod, kind="stable")
-    begins = np.flatnonzero(np.concatenate([[True], np.diff(of_rod[order]) != 0]))
-    far = np.where(np.isnan(distance), np.inf, distance)[:, order]
-    mean = np.add.reduceat(far * weight[order], begins, axis=1) / np.add.reduceat(weight[order], begins)
-    return mean, np.logical_and.reduceat(sound[:, order], begins, axis=1)
-
-
-def nearest(distance: np.ndarray, sound: np.ndarray, hypotheses: Hypotheses) -> np.ndarray:
-    """(G, D) in each cell the hypothesis of each observation with the smallest score (G, H), among the sound ones where there
-    are any; of equal ones the first."""
-    _, table = hypotheses.table
-    best = np.argmin(_far(distance, sound)[:, table], axis=-1)
-    return np.take_along_axis(table[None], best[..., None], axis=-1)[..., 0]
-
-
-def resolved(distance: np.ndarray, sound: np.ndarray, weight: np.ndarray, hypotheses: Hypotheses):
-    """(G, D) the hypothesis of each observation, the same in all cells, and (D,) bool: the ambiguous ones, for which each cell
-    has its nearest.
-
-    distance, sound  (G, H) scores of the hypotheses
-    weight           (D,) of each observation in a cell's mean
-
-    Each observation takes the hypothesis with the smallest mean distance over the cells near the best one. That may change
-    which cell is best: it is repeated until nothing changes. An observation is ambiguous where a second hypothesis is within
-    5 %.
-    """
-    _, table = hypotheses.table
-    far, rows = _far(distance, sound), np.arange(len(table))
-    cellwise = chosen = nearest(distance, sound, hypotheses)
-    ambiguous, before = np.zeros(len(table), dtype=bool), None
-    for _ in range(ROUNDS):
-        value = np.take_along_axis(np.where(sound, distance, np.inf), chosen, axis=1)
-        useful = np.isfinite(value).any(axis=0)
-        if not useful.any():
-            return cellwise, np.ones(len(table), dtype=bool)
-        mean = (value[:, useful] * weight[useful]).sum(axis=1) / weight[useful].sum()
-        near = mean <= NEAR * mean.min()
-        there = far[near][:, table].mean(axis=0)
-        best = np.argmin(there, axis=1)
-        smallest, winner = there[rows, best], table[rows, best]
-        ambiguous = ((table != winner[:, None]) & ~(there > NEAR * smallest[:, None])).any(axis=1)
-        decision = np.where(ambiguous, -1, winner)
-        if before is not None and (decision == before).all():
-            break
-        chosen, before = np.where(ambiguous, cellwise, decision), decision
-    return chosen, ambiguous
-
-
-def _far(distance: np.ndarray, sound: np.ndarray) -> np.ndarray:
-    return distance + np.where(sound, 0.0, UNSOUND)
-
 
 SOLVERS = {"newton": Newton, "descent": Descent}
 LEAST_SUB_STEP = 1e-5  # rad: smaller sub-steps change no result and take too long
@@ -249,9 +133,8 @@ class Experiment:
         if dynamic:
             pairs = pairs_from_labels(self.observations) if self.pairs is None else self.pairs
             object.__setattr__(self, "pairs", pairs.weighted)
+            check_ways(self.pairs, self.clamps)
         clamps = self.clamps
-        if dynamic:
-            check_ways(self.pairs, clamps)
         both_unknown = np.broadcast_to(np.maximum(clamps.start, clamps.end) == Clamp.TANGENT, 1).any()
         if self.options.spins and both_unknown and not self.grid.is_isotropic:
             raise InputError(self.observations.source, "spins", "the rolls of both clamps are unknown and the rod is not round",
@@ -262,13 +145,18 @@ class Experiment:
                 hypotheses = hypotheses.take(np.isin(hypotheses.observation, self.pairs.from_index))
             object.__setattr__(self, "hypotheses", hypotheses)
         if self.options.surroundings:
-            starts, held = started(self.observations, clamps, self.hypotheses)
+            starts, held = self.started
             require_clear(self.observations.source, self.options.surroundings, held, starts, self.hypotheses.observation)
 
     @cached_property
     def clamps(self) -> Clamps:
         """C of each observation; unknown rolls are not held."""
         return observation_clamps(self.observations, self.options.clamp_start, self.options.clamp_end)
+
+    @property
+    def started(self) -> tuple[Configuration, Clamps]:
+        """The starts of the H rods, and their clamps."""
+        return started(self.observations, self.clamps, self.hypotheses)
 
     @cached_property
     def rods(self) -> tuple[np.ndarray, np.ndarray]:
@@ -299,3 +187,161 @@ class Experiment:
         of_rod, _ = self.rods
         observation, _ = self.hypotheses.table
         return np.flatnonzero(chosen[:, np.searchsorted(observation, self.hypotheses.observation[of_rod])] == of_rod)
+
+
+# --- its rods --------------------------------------------------------------------------------------------------------------
+
+FEW_RODS = 64  # enough for the kernels of large batches: fewer rods have kernels with fewer of them in a value
+RESULTS = ("energy", "residual", "iterations", "status", "stable", "precision")  # arrays of a solution that become columns
+
+
+def relaxed(experiment: Experiment, materials: Material) -> Solution:
+    """Γ̃^x of Eq. 2: each hypothesis under each material, G·H rods."""
+    (starts, clamps), options = experiment.started, experiment.options
+    of_material, hypothesis = np.divmod(np.arange(materials.count * starts.count), starts.count)
+    return relax(starts, materials, clamps, options.solver, up=experiment.observations.up, precision=options.precision,
+                 configuration_index=hypothesis, material_index=of_material, **options.surroundings.arguments)
+
+
+def load_kernels(experiment: Experiment) -> None:
+    """Relax a few rods, which compiles the kernels of a sweep, or loads them where they were compiled before."""
+    hypotheses = experiment.hypotheses
+    few = hypotheses.take(np.resize(np.arange(hypotheses.count), FEW_RODS))
+    relaxed(replace(experiment, hypotheses=few), experiment.grid.materials(slice(0, 1)))
+
+
+def carried(experiment: Experiment, materials: Material) -> tuple[Solution, np.ndarray, np.ndarray]:
+    """Γ̃^xy of Eq. 3, R rods; the number of jumps of each (R,); and the distance of Γ̃^x from Γ^x (R,), Eq. 1 in mm."""
+    begin, rows = _relaxed_once(experiment, materials)
+    solution, jumps = journey(experiment, materials).end(begin.configuration.take(rows))
+    first = np.tile(experiment.hypotheses.observation, materials.count)
+    off = distance(begin.configuration, experiment.observations, first, experiment.options.frame_weight)
+    status, iterations = sticky(begin.status[rows], solution.status), begin.iterations[rows] + solution.iterations
+    return replace(solution, status=status, iterations=iterations), jumps, off[rows]
+
+
+def sub_steps(experiment: Experiment, material: Material) -> Iterator[tuple[Configuration, np.ndarray, np.ndarray, np.ndarray]]:
+    """Configuration, energy, residual and status (N,) of the rods of Eq. 3 under one material: before their motion, after each
+    sub-step, and at the end."""
+    begin, rows = _relaxed_once(experiment, material)
+    there = begin.configuration.take(rows)
+    yield there, begin.energy[rows], begin.residual[rows], begin.status[rows]
+    for solution in journey(experiment, material).follow(there):
+        yield solution.configuration, solution.energy, solution.residual, solution.status
+
+
+def iterations(experiment: Experiment, material: Material, most: int) -> Iterator[tuple]:
+    """As :func:`sub_steps` the rods of Eq. 2 at their starts, then after 1, 2, … iterations of Newton, ``most`` of them. A
+    relaxation stopped after k iterations equals the first k of the whole one."""
+    starts, clamps = experiment.started
+    nothing = np.full(starts.count, np.nan)
+    yield starts, nothing, nothing, None
+    for count in range(1, most + 1):
+        solution = relax(starts, material, clamps, Newton(max_iterations=count), up=experiment.observations.up,
+                         **experiment.options.surroundings.arguments)
+        yield solution.configuration, solution.energy, solution.residual, solution.status
+        if (solution.iterations < count).all():
+            return
+
+
+def journey(experiment: Experiment, materials: Material) -> Journey:
+    """The motions from C^x to C^y of the pairs, one for each hypothesis of x."""
+    pairs, options, observations = experiment.pairs, experiment.options, experiment.observations
+    hypothesis, term = experiment.rods
+    rotation = None if pairs.rotation is None else pairs.rotation[term]
+    motion = motion_between(experiment.started[1].take(hypothesis), experiment.clamps.take(pairs.to_index[term]), rotation)
+    return Journey(motion, materials, options.sub_step, observations.rest_length, observations.up, options.solver,
+                   options.precision, options.surroundings)
+
+
+def relax_cells(experiment: Experiment, first: int, last: int) -> tuple[dict[str, np.ndarray], Configuration]:
+    """The rows of cells ``first`` to ``last`` as their files hold them, columns by name, and the rods, aligned.
+
+    Cell by cell, then observation by observation under Eq. 2 and pair by pair under Eq. 3. Of several hypotheses of an
+    observation each cell holds the nearest one; the column ``turns`` says which.
+    """
+    columns, rods = relax_hypotheses(experiment, first, last)
+    if not experiment.hypotheses.are_several:
+        return columns, rods
+    rows = experiment.rows_of(_nearest(experiment, columns))
+    return {name: column[rows] for name, column in columns.items()}, rods.take(rows)
+
+
+def relax_hypotheses(experiment: Experiment, first: int, last: int) -> tuple[dict[str, np.ndarray], Configuration]:
+    """As :func:`relax_cells`, with a row for each hypothesis."""
+    observations, grid, pairs = experiment.observations, experiment.grid, experiment.pairs
+    hypothesis, term = experiment.rods
+    cells, rods = last - first, len(hypothesis)
+    of_cell, of_rod = np.divmod(np.arange(cells * rods), rods)
+    materials = grid.materials(slice(first, last))
+    if pairs is None:
+        solution, observation = relaxed(experiment, materials), term
+    else:
+        solution, jumps, off = carried(experiment, materials)
+        observation = pairs.to_index[term]
+    own = observation[of_rod]
+    columns = {name: values[of_cell] for name, values in grid.cell_values(slice(first, last)).items()}
+    if pairs is not None:
+        columns["from_observation"] = pairs.from_index[term].astype(np.int32)[of_rod]
+    columns["observation"] = own.astype(np.int32)
+    columns["turns"] = experiment.hypotheses.turns[hypothesis].astype(np.int32)[of_rod]
+    if experiment.hypotheses.spin is not None:
+        columns["spin_deg"] = np.degrees(experiment.hypotheses.spin[hypothesis])[of_rod]
+    for name, labels in (("end_distance_mm", observations.end_distance), ("end_rotation_deg", observations.end_rotation)):
+        columns[name] = np.full(len(own), np.nan) if labels is None else labels[own]
+    columns["distance_mm"] = distance(solution.configuration, observations, own, experiment.options.frame_weight)
+    columns |= {name: getattr(solution, name) for name in RESULTS}
+    if pairs is not None:
+        columns |= {"start_distance_mm": off, "jumps": jumps, "pair_weight": pairs.weight[term][of_rod]}
+    return columns, solution.configuration
+
+
+def settled(experiment: Experiment, cell: int) -> Experiment:
+    """The experiment with one hypothesis for each observation: the nearest in that cell."""
+    if not experiment.hypotheses.are_several:
+        return experiment
+    chosen, = _nearest(experiment, relax_hypotheses(experiment, cell, cell + 1)[0])
+    return replace(experiment, hypotheses=experiment.hypotheses.take(chosen))
+
+
+def resolve(run: Path, experiment: Experiment, chunks: list[tuple[int, int]]) -> dict:
+    """Choose one hypothesis for each observation, the same in all cells, and write its rows of RUN/hypotheses into RUN/cells;
+    returns the choice as JSON holds it.
+
+    ``kept`` are the hypotheses of all observations: one, or of an ambiguous observation all that it has.
+    """
+    hypotheses, (of_rod, _) = experiment.hypotheses, experiment.rods
+    names = [experiment.decides, "status", "stable"]
+    of_chunks = (_by_cell(experiment, read_columns(chunk_path(run, "hypotheses", *chunk), names)) for chunk in chunks)
+    score = scores(*map(np.concatenate, zip(*of_chunks, strict=True)), experiment.weight, of_rod)
+    observation, table = hypotheses.table
+    weight = np.ones(len(table))
+    if experiment.pairs is not None:
+        weight = np.bincount(experiment.pairs.from_index, experiment.pairs.weight)[observation]
+    chosen, ambiguous = resolved(*score, weight, hypotheses)
+    for first, last in chunks:
+        rows = read_rows(chunk_path(run, "hypotheses", first, last))
+        write_rows(chunk_path(run, "cells", first, last), rows.take(experiment.rows_of(chosen[first:last])))
+    kept = np.isin(hypotheses.observation, observation[ambiguous]) | np.isin(np.arange(hypotheses.count), chosen[0])
+    return {"hypotheses": hypotheses.count, "resolved": int((~ambiguous).sum()), "ambiguous": observation[ambiguous].tolist(),
+            "kept": hypotheses.take(kept).as_dict()}
+
+
+def _relaxed_once(experiment: Experiment, materials: Material) -> tuple[Solution, np.ndarray]:
+    """Γ̃^x, each (material, hypothesis) once, and for each of the R rods its row (R,)."""
+    hypothesis, _ = experiment.rods
+    rows = np.arange(materials.count)[:, None] * experiment.hypotheses.count + hypothesis
+    return relaxed(experiment, materials), rows.ravel()
+
+
+def _nearest(experiment: Experiment, columns: dict[str, np.ndarray]) -> np.ndarray:
+    """(G, D) the hypothesis of each observation that is nearest in each cell of ``columns``."""
+    score = scores(*_by_cell(experiment, columns), experiment.weight, experiment.rods[0])
+    return nearest(*score, experiment.hypotheses)
+
+
+def _by_cell(experiment: Experiment, columns: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """(G, N) the distance that decides between hypotheses, mm, and whether the rod is a certified minimum."""
+    shape = -1, len(experiment.rods[0])
+    sound = (columns["status"] == Status.CONVERGED) & columns["stable"]
+    return columns[experiment.decides].reshape(shape), sound.reshape(shape)

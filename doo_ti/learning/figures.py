@@ -13,14 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti import record
-from doo_ti.learning.cells import relax_cells
 from doo_ti.learning.cross_validation import check_comparable
-from doo_ti.learning.experiment import Experiment
+from doo_ti.learning.experiment import Experiment, relax_cells
 from doo_ti.learning.landscape import Landscape, plane_of, read_landscape
 from doo_ti.learning.run_folder import read_experiment
 from doo_ti.report import LandscapePanel, Ribbons, cells_image, landscapes_picture, ribbon_sides, ribbons_picture
-from doo_ti.report.canvas import quantity, values_text
-from doo_ti.report.grid_view import Observed, upright_basis
+from doo_ti.report.canvas import Observed, quantity, upright_basis, values_text
 from doo_ti.report.plane import REGIMES, regime
 from doo_ti.rod.grid import Axis, Grid
 from doo_ti.rod.types import Configuration, Status

@@ -5,9 +5,9 @@ read from its stored cells: summed up per cell (:class:`Overview`), or rod by ro
     Eq. 3, dynamic    f(Θ) = Σ_{xy} w_xy d(Γ̃^xy, Γ^y) / Σ_{xy} w_xy      Γ̃^xy = F(Γ̃^x, E_Θ, C^y)
 
 Γ^x are the observations and C^x their clamps, d is Eq. 1 in mm (:mod:`doo_ti.rod.metric`), and F relaxes a rod
-(:mod:`doo_ti.learning.cells`). A term is an observation x under Eq. 2, and a pair (x, y) under Eq. 3: its clamps move from C^x
-to C^y. Both are divided by the sum of the weights, so that f is a mean distance in mm, with the same minimum. Only certified
-minima are compared: the distance of a rod that did not converge does not depend on Θ alone.
+(:mod:`doo_ti.learning.experiment`). A term is an observation x under Eq. 2, and a pair (x, y) under Eq. 3: its clamps move from
+C^x to C^y. Both are divided by the sum of the weights, so that f is a mean distance in mm, with the same minimum. Only
+certified minima are compared: the distance of a rod that did not converge does not depend on Θ alone.
 
 Axes: G grid cells, N terms, n rods that are added at once, or of a cell.
 """
@@ -22,9 +22,8 @@ import numpy as np
 from doo_ti.learning.chunks import RODS, Terms, cell_files, read_summary, rods_in, sweep_identity, terms_in, whole_rods_in
 from doo_ti.rod.grid import Grid, Interval, valley
 from doo_ti.rod.types import Status
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
-from doo_ti.system.short_repr import short_repr
 from doo_ti.system.terminal import in_line
 
 

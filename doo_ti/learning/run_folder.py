@@ -26,8 +26,8 @@ from doo_ti import __version__
 from doo_ti.contact.obstacle_file import load_surroundings, save_surroundings
 from doo_ti.io.observation_files import load_observations, save_observations
 from doo_ti.learning.chunks import maker, maker_text, read_summary, read_table, sweep_identity
-from doo_ti.learning.experiment import Experiment, Hypotheses, SweepOptions
-from doo_ti.learning.pairs import load_pairs, save_pairs
+from doo_ti.learning.experiment import Experiment, SweepOptions
+from doo_ti.learning.terms import Hypotheses, load_pairs, save_pairs
 from doo_ti.rod.grid import Grid
 from doo_ti.rod.types import Clamp
 from doo_ti.system.errors import InputError

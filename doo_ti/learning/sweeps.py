@@ -20,18 +20,26 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.learning.cells import iterations, load_kernels, relax_hypotheses, resolve, settled, sub_steps
 from doo_ti.learning.chunks import DENSITY, SUMMARY, check_identity, chunk_path, read_rows, write_chunk
-from doo_ti.learning.experiment import Experiment, Hypotheses, SweepOptions
+from doo_ti.learning.experiment import (
+    Experiment,
+    SweepOptions,
+    iterations,
+    load_kernels,
+    relax_hypotheses,
+    resolve,
+    settled,
+    sub_steps,
+)
 from doo_ti.learning.landscape import Overview, gather_overview, gather_part, plane_of
-from doo_ti.learning.pairs import Pairs
 from doo_ti.learning.run_folder import claim, finished, identity_of, provenance, read_plan
+from doo_ti.learning.terms import Hypotheses, Pairs
 from doo_ti.learning.up_axes import other_up
 from doo_ti.learning.workers import ThisProcess, Workers, started_workers
 from doo_ti.rod.grid import Grid
+from doo_ti.rod.material import relative_stiffness, stiffness
 from doo_ti.rod.metric import distance
 from doo_ti.rod.observations import Observations
-from doo_ti.rod.physical_units import relative_stiffness, stiffness
 from doo_ti.rod.start import check_experiment
 from doo_ti.rod.types import Status
 from doo_ti.system.arguments import typed
@@ -181,7 +189,7 @@ def draw(folder: Path, experiment: Experiment, overview: Overview, identity: str
     if not can_record():
         return written
     from doo_ti.record import record_sweep
-    from doo_ti.report.grid_view import Observed
+    from doo_ti.report.canvas import Observed
 
     record_sweep(
         folder / "run.rrd", run_id=identity[:32], name=title,

@@ -2,22 +2,21 @@
 with z upwards fit some stiff rod, with narrow intervals, and nothing in the fit shows that gravity was wrong.
 
 Up to MOST observations are relaxed under the given direction, under those axes ±x, ±y, ±z that are far from it, and without
-weight, each with stiffness on a coarse grid and then around the best cell. The misfit of an observation is the mean square
-distance q of its marks, that of a direction
+weight, each with stiffness on a coarse grid and then around the best cell. With q the mean square distance of an observation's
+marks, and m the median of the least q of each observation in all the grids, the misfit of a direction is
 
-    M = ½ mean_d ln(m + q_d),    m the median of the least q of each observation in all the grids,
+    M = ½ mean_d ln(m + q_d),
 
 so that one mislabelled observation counts little, and neither does what is far below the errors that every direction leaves.
-M(no weight) − M(up) is what gravity along ``up`` explains. Another axis fits far better where its misfit is lower than that of
-the given one by more than what the given one explains itself, and by more than CLEAR/√D of D observations beyond that:
+M(no weight) − M(up) is what gravity along ``up`` explains. Of D observations another axis fits far better where
 
     M(given) − M(other) > M(no weight) − M(given) + CLEAR/√D.
 
-The first term rests on gravity: of a rod that feels its weight the right axis explains some of the shape, while a wrong one
-explains next to nothing, and then the grid ends at stiff rods. It keeps rest curvature and clips, which are not in this model
-and which a wrong axis may imitate, from outvoting a right axis that does explain. The second term is chance: each observation
-says which axis is nearer with an error of about one, in units of ln. Planar observations, and rods so stiff or short that
-their weight does not bend them, leave all M alike, and no axis is named.
+The first term rests on gravity: of a rod that feels its weight the right axis explains some of the shape, a wrong one next to
+nothing, and then the grid ends at stiff rods. It keeps rest curvature and clips, which are not in this model and which a wrong
+axis may imitate, from outvoting a right axis that does explain. The second is chance: each observation says which axis is
+nearer with an error of about one, in units of ln. Planar observations, and rods that their weight does not bend, leave all M
+alike, and no axis is named.
 """
 
 from dataclasses import dataclass

@@ -17,7 +17,7 @@ from threading import Thread
 from doo_ti.learning.chunks import maker, maker_text
 from doo_ti.system import runtime
 from doo_ti.system.errors import InputError
-from doo_ti.system.interruption import kept_from_children
+from doo_ti.system.terminal import kept_from_children
 
 ANSWER_SECONDS = 10  # longest wait for a scheduler's answer
 CHECK_SECONDS = 1.0  # interval at which the connection to the scheduler is checked

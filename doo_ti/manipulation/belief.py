@@ -9,12 +9,12 @@ the marks from the model at the present estimate v₀:
 R is the variance of a coordinate. To the noise it adds what this moment's linearisation is off by, and what remains of the
 marks after the fit: as that is an error of the model, common to all marks of some moments, it counts as often as these are.
 
-Unknowns in their order: ln of the factors on B and on β/B; twelve numbers of the clips (:func:`.poses.held`); the additional
+Unknowns in their order: ln of the factors on B and on β/B; twelve numbers of the clips (:func:`.model.held`); the additional
 compliance of the joints at the clamps, over their own; and coefficients of the rest curvature over the rod's length, two
 components for each of CURVES cosines. Those whose σ is zero are known.
 
 Rods whose clamps act half an edge further in, as those of a mesh do, differ from a real one by a few percent of their bending
-stiffness. Models therefore bend from the clamped vertices on (:func:`doo_ti.rod.straight.with_end_edges`), and how much is
+stiffness. Models therefore bend from the clamped vertices on (:func:`doo_ti.rod.shapes.with_end_edges`), and how much is
 learned: a compliance of −1 of the joints there is a clamp that holds the whole edge, one of 0 a clamp that acts at the vertex.
 
 Axes: B rods, P unknowns that are learned, V vertices, E edges, C columns of derivatives that a rod has: by bend and twist
@@ -33,15 +33,13 @@ BEND, RATIO, CLIP, JOINTS, CURVATURE = 0, 1, 2, 14, 15
 CURVES = 3
 LINEAR = 0.1
 """Share of a residual that its linearisation is off by. With 0.5 learning is slow, with 0.01 the first moments are trusted."""
-MOST_DEVIATIONS = 4.0
-"""Standard deviations of the prior, beyond which no unknown goes."""
+MOST_DEVIATIONS = 4.0  # standard deviations of the prior, beyond which no unknown goes
 CENTRE, STIFFEST, SOFTEST = -0.5, -0.95, 0.5
 """Of the additional compliance of the joints at the clamps, where it is unknown: its mean before anything is seen, and bounds;
 at one, the outer edges would have no stiffness."""
 PERSISTENT = 3.0
 """Moments to which an error of the model is common. With 1 a tenth of the intervals are too narrow, with 10 all are wide."""
-QUANTILE = 1.96
-"""Standard deviations of a 95 % interval."""
+QUANTILE = 1.96  # standard deviations of a 95 % interval
 
 
 @dataclass(frozen=True)
@@ -121,7 +119,7 @@ class Belief:
 
     @property
     def clip(self) -> np.ndarray:
-        """(B, 12) of :func:`.poses.held`."""
+        """(B, 12) of :func:`.model.held`."""
         return self.unknowns[:, CLIP:JOINTS]
 
     @property
@@ -192,7 +190,11 @@ class Belief:
         keep, noise = 1.0 - 1.0 / self._options.memory, self._options.noise_mm**2
         count = 3 * visible.sum(axis=1)
         number = np.maximum(count, 1)
-        normal, right, square = _moments(residual, visible, columns, transform)
+        apart, across = np.where(visible[..., None], residual, 0.0), np.swapaxes(transform, 1, 2)
+        normal, right = normal_equations(columns, 0, columns.shape[-1], visible.astype(np.float64), apart)
+        # JᵀJ (B, P, P), Jᵀr (B, P) and |r|² (B,), J = columns · transform
+        normal, right, square = (across @ (normal @ transform), (across @ right[..., None])[..., 0],
+                                 np.einsum("bvk,bvk->b", apart, apart))
         missing = np.maximum(self._variance - noise, 0.0) * PERSISTENT * number / 3
         variance = noise + missing + LINEAR**2 * square / number
         before = self.unknowns[:, self.learned] / self._spread[self.learned]
@@ -230,15 +232,6 @@ class Belief:
         intervals = [one[:, None] * np.exp(QUANTILE * deviation[:, None] * [-1.0, 1.0])
                      for one, deviation in zip(value, spread, strict=True)]
         return LearnedMaterial(self.material, *value, *intervals, np.sqrt(self._variance))
-
-
-def _moments(residual: np.ndarray, visible: np.ndarray, columns: np.ndarray, transform: np.ndarray
-             ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """JᵀJ (B, P, P), Jᵀr (B, P) and |r|² (B,) of the visible marks, J = columns · transform."""
-    apart = np.where(visible[..., None], residual, 0.0)
-    normal, right = normal_equations(columns, 0, columns.shape[-1], visible.astype(np.float64), apart)
-    across = np.swapaxes(transform, 1, 2)
-    return across @ (normal @ transform), (across @ right[..., None])[..., 0], np.einsum("bvk,bvk->b", apart, apart)
 
 
 def elastic_curvature(rods: Configuration, material: Material) -> np.ndarray:

@@ -23,8 +23,7 @@ Ten times as much leaves small rotations undone, a tenth follows the noise of th
 ITERATIONS, CLOSE = 50, 1e-6
 """The search for the damping ends when a step's length is right to the share CLOSE, usually within ten iterations, or after
 ITERATIONS."""
-LEAST_LENGTH = 1e-12
-"""mm, in place of zero in that search."""
+LEAST_LENGTH = 1e-12  # mm, in place of zero in that search
 
 
 @ti.data_oriented

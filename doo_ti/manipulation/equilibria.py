@@ -1,13 +1,13 @@
-"""The equilibria of a rod between grippers, and ways in them: shapes are interpolated, and each is let go where grippers hold
-its ends (projection to the manifold of certified equilibria: Berenson, Srinivasa, Ferguson and Kuffner, *Manipulation planning
-on constraint manifolds*, ICRA 2009). Axes: R rods or ways, S states of all ways, E edges, V vertices."""
+"""The equilibria of a rod between grippers, ways in them, and trees of such ways: shapes are interpolated, and each is let go
+where grippers hold its ends (projection to the manifold of certified equilibria: Berenson, Srinivasa, Ferguson and Kuffner,
+*Manipulation planning on constraint manifolds*, ICRA 2009). Axes: R rods or ways, S states of all ways, E edges, V vertices."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.manipulation.poses import change_between, finite_rods, moved, put_rods
+from doo_ti.manipulation.model import change_between, finite_rods, moved, put_rods
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import conjugate, matrix_from_quaternion, quaternion_of_turn, quaternion_product, rotation_vector
@@ -15,34 +15,23 @@ from doo_ti.rod.types import Clamps, Configuration, Material
 
 BENDING, WAVES = 1.5, 3
 """rad, standard deviation of what each cosine along the rod adds to each component of a random rod's rotations."""
-CLEAR = 2e-3
-"""Of the rod's length, to obstacles: as near as equilibria are told apart."""
-NEAR = 0.03
-"""Of the rod's length: gaps that are larger are measured at vertices only, as a lower bound."""
-STEP = 0.03
-"""Of the rod's length, between two states of a way, turns times the lever."""
-ABRUPT = 4.0
-"""Times as far as their interpolated shapes may two successive states be apart; further, and the rod has jumped."""
+CLEAR = 2e-3  # of the rod's length, to obstacles: as near as equilibria are told apart
+NEAR = 0.03  # of the rod's length: gaps that are larger are measured at vertices only, as a lower bound
+STEP = 0.03  # of the rod's length, between two states of a way, turns times the lever
+ABRUPT = 4.0  # times as far as their interpolated shapes may two successive states be apart; further, and the rod has jumped
 SAME = 2e-3
 """Of the rod's length, between two shapes of one equilibrium: a tenth of what branches differ by, a thousand times rounding."""
 
 
 @dataclass(frozen=True)
 class Shapes:
-    """R rods.
+    """R rods."""
 
-    place        (R, 3) mm, the middle of the anchor
-    frame        (R, 4) its frame
-    joints       (R, E−1, 3) rad, rotation vectors from each edge to the next, in the axes of the edge
-    rest_length  (E,) mm
-    anchor       number of an edge
-    """
-
-    place: np.ndarray
-    frame: np.ndarray
-    joints: np.ndarray
-    rest_length: np.ndarray
-    anchor: int
+    place: np.ndarray  # (R, 3) mm, the middle of the anchor
+    frame: np.ndarray  # (R, 4) its frame
+    joints: np.ndarray  # (R, E−1, 3) rad, rotation vectors from each edge to the next, in the axes of the edge
+    rest_length: np.ndarray  # (E,) mm
+    anchor: int  # number of an edge
 
     @classmethod
     def of(cls, rods: Configuration, anchor: int) -> "Shapes":
@@ -143,14 +132,11 @@ class Clearance:
 
 @dataclass(frozen=True)
 class States:
-    """S rods at rest, and the grippers' poses.
-
-    touching  (S,) bool: they may touch obstacles, and on the way from the one before as well
-    """
+    """S rods at rest, and the grippers' poses."""
 
     rods: Configuration
     clamps: Clamps
-    touching: np.ndarray
+    touching: np.ndarray  # (S,) bool: they may touch obstacles, and on the way from the one before as well
 
     def take(self, rows: np.ndarray) -> "States":
         """The states named by ``rows``."""
@@ -165,18 +151,12 @@ def joined_states(parts: list[States]) -> States:
 
 @dataclass(frozen=True)
 class Ways:
-    """R ways in S states, one way after the other, without its first state.
+    """R ways in S states, one way after the other, without its first state."""
 
-    states   S
-    way      (S,) of which it is
-    reach    (R,) states that follow each other continuously, stable and clear, from the first on
-    whole    (R,) bool: whether these are all
-    """
-
-    states: States
-    way: np.ndarray
-    reach: np.ndarray
-    whole: np.ndarray
+    states: States  # S
+    way: np.ndarray  # (S,) of which it is
+    reach: np.ndarray  # (R,) states that follow each other continuously, stable and clear, from the first on
+    whole: np.ndarray  # (R,) bool: whether these are all
 
     def rows(self, number: int) -> np.ndarray:
         """The continuous states of one way."""
@@ -185,19 +165,14 @@ class Ways:
 
 @dataclass(frozen=True)
 class Equilibria:
-    """What is constant: one material, what surrounds the rod, the direction against gravity, and the grippers.
-
-    home    one row: coordinates that are not free stay so
-    moves   (12,) bool, the free ones of the grippers' coordinates
-    lever   mm that count as much as a radian
-    """
+    """What is constant: one material, what surrounds the rod, the direction against gravity, and the grippers."""
 
     material: Material
     clearance: Clearance
     up: np.ndarray
-    home: Clamps
-    moves: np.ndarray
-    lever: float
+    home: Clamps  # one row: coordinates that are not free stay so
+    moves: np.ndarray  # (12,) bool, the free ones of the grippers' coordinates
+    lever: float  # mm that count as much as a radian
 
     @property
     def length(self) -> float:
@@ -281,6 +256,62 @@ class Equilibria:
         """(S,) whether a state and all before it in its way are sound."""
         broken = np.cumsum(~sound)
         return broken == (broken - ~sound)[first][way]
+
+
+class Tree:
+    """Nodes that ways from the roots lead to.
+
+    rods     N rods at rest, the roots first
+    parent   (N,) of each, -1 of the roots
+    alive    (N,) bool: ways to the others turned out to be broken
+    """
+
+    def __init__(self, roots: Configuration, space: Equilibria):
+        self.rods, self.parent, self.alive = roots, np.full(roots.count, -1), np.ones(roots.count, dtype=bool)
+        self._space, self._shapes = space, space.shapes(roots)
+
+    def nearest(self, rods: Configuration) -> np.ndarray:
+        """(M,) the nodes that are nearest to M rods."""
+        apart = self._apart(self._space.shapes(rods))
+        return np.argmin(np.where(self.alive, apart, np.inf), axis=1)
+
+    def pairs(self, other: "Tree") -> np.ndarray:
+        """(2, N·M) all pairs of a node and one of the other tree's M, the nearest first."""
+        apart = other._apart(self._shapes)
+        return np.stack(np.unravel_index(np.argsort(apart, axis=None, kind="stable"), apart.shape))
+
+    def _apart(self, shapes: Shapes) -> np.ndarray:
+        """(M, N) mm between M shapes and the nodes."""
+        return shapes.take(np.s_[:, None]).apart(self._shapes, self._space.lever)
+
+    def extend(self, nodes: np.ndarray, goals: Configuration) -> tuple[np.ndarray, np.ndarray]:
+        """Ways from ``nodes`` (M,) towards M rods: (M,) the new nodes where they end, -1 where that is at once; and which (M,)
+        of them come to the goals."""
+        ways = self._space.ways(self.rods.take(nodes), goals)
+        rows = np.flatnonzero(ways.reach)
+        found = np.full(len(nodes), -1)
+        found[rows] = len(self.parent) + np.arange(len(rows))
+        rods = ways.states.rods.take(np.array([ways.rows(row)[-1] for row in rows], dtype=np.int64))
+        parts = self._shapes, self._space.shapes(rods)
+        self._shapes = replace(parts[0], **{name: np.concatenate([getattr(part, name) for part in parts])
+                                            for name in ("place", "frame", "joints")})
+        self.rods = Configuration.concatenate([self.rods, rods])
+        self.parent = np.concatenate([self.parent, nodes[rows]])
+        self.alive = np.concatenate([self.alive, self.alive[nodes[rows]]])
+        return found, ways.whole
+
+    def branch(self, node: int) -> list[int]:
+        """The nodes from a root to ``node``."""
+        found = [node]
+        while self.parent[found[-1]] >= 0:
+            found.append(int(self.parent[found[-1]]))
+        return found[::-1]
+
+    def cut(self, node: int) -> None:
+        """Mark ``node`` and what it leads to as broken."""
+        self.alive[node] = False
+        for later in range(node + 1, len(self.parent)):
+            self.alive[later] &= self.parent[later] < 0 or self.alive[self.parent[later]]
 
 
 def _travel(before: np.ndarray, after: np.ndarray) -> np.ndarray:

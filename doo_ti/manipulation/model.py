@@ -1,17 +1,20 @@
-"""Models of rods: at rest under their grippers, drawn to marks, and what is kept of them from one step of a servo to the next.
-Axes: B rods, V vertices, C columns of derivatives."""
+"""Models of rods: at rest under their grippers, drawn to marks, and what is kept of them from one step of a servo to the next;
+and poses of both grippers as twelve numbers: shift (mm) and turn (rad) of the start, then of the end.
 
-from dataclasses import dataclass
+Axes: B rods, V vertices, C columns of derivatives.
+"""
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.manipulation.poses import finite_rods, held
 from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.relaxation.sensitivity import sensitivity
-from doo_ti.rod.types import Clamps, Configuration, Material, Solution
+from doo_ti.rod.frames import rotation_matrix, turn_between, unit_vectors
+from doo_ti.rod.types import POSES, Clamps, Configuration, Material, Solution
 
 PULL = 30.0
 """Stiffness of a spring over B/s³, s the rod's length between marks: it draws a mark to a thirtieth of what bending between its
@@ -20,7 +23,7 @@ neighbours leaves. With 3 shapes of the old branch remain, with 300 noise bends 
 
 @dataclass(frozen=True)
 class Model:
-    """Models of B rods: what they are made of, how clips hold them (:func:`.poses.held`), and what surrounds them."""
+    """Models of B rods: what they are made of, how clips hold them (:func:`held`), and what surrounds them."""
 
     material: Material
     clip: np.ndarray
@@ -111,3 +114,87 @@ def resynchronised(rods: Configuration, material: Material, clamps: Clamps, seen
     visible = np.isfinite(seen).all(axis=-1)
     drawn = drawn_to(rods, material, clamps, np.where(visible[..., None], seen, 0.0), visible, up, **around)
     return relax(drawn, material, clamps, Newton.careful(), up=up, **around)
+
+
+# --- poses of grippers ---------------------------------------------------------------------------------------------------
+
+def moved(clamps: Clamps, change: np.ndarray) -> Clamps:
+    """The clamps after ``change`` (B, 12): shifts and rotation vectors in the world."""
+    start_turn, end_turn = rotation_matrix(change[:, 3:6]), rotation_matrix(change[:, 9:12])
+    return replace(clamps, start_position=clamps.start_position + change[:, :3], start_frame=start_turn @ clamps.start_frame,
+                   end_position=clamps.end_position + change[:, 6:9], end_frame=end_turn @ clamps.end_frame)
+
+
+def change_between(clamps: Clamps, goal: Clamps) -> np.ndarray:
+    """(B, 12) the change from ``clamps`` to ``goal``, frames turning the shortest way."""
+    return np.concatenate([goal.start_position - clamps.start_position, turn_between(clamps.start_frame, goal.start_frame),
+                           goal.end_position - clamps.end_position, turn_between(clamps.end_frame, goal.end_frame)], axis=1)
+
+
+def held(clamps: Clamps, clip: np.ndarray) -> Clamps:
+    """How clips hold rods whose reported clamps are ``clamps``: with a reported frame F and position x at F exp(r), x + F d;
+    ``clip`` (B, 12) is d and r of both ends, constant in the gripper."""
+    def put(position, frame, own):
+        return position + (frame @ own[:, :3, None])[..., 0], frame @ rotation_matrix(own[:, 3:])
+    start, end = (put(clamps.start_position, clamps.start_frame, clip[:, :6]),
+                  put(clamps.end_position, clamps.end_frame, clip[:, 6:]))
+    return replace(clamps, start_position=start[0], start_frame=start[1], end_position=end[0], end_frame=end[1])
+
+
+def slack(clamps: Clamps, length: float, stiff: np.ndarray | float) -> np.ndarray:
+    """(B,) mm by which rods of that ``length``, of which grippers hold ``stiff`` mm at each end, (B,) or one number, are longer
+    between their grippers than these are apart."""
+    stiff = np.broadcast_to(stiff, clamps.count)
+    return length - 2 * stiff - np.linalg.norm(_way(clamps, stiff), axis=-1)
+
+
+def slack_gradient(clamps: Clamps, stiff: np.ndarray) -> np.ndarray:
+    """(B, 12) of :func:`slack` by the change of :func:`moved`."""
+    along = -unit_vectors(_way(clamps, stiff))
+    turns = [np.cross(frame[..., 0], along) * -stiff[:, None] for frame in (clamps.start_frame, clamps.end_frame)]
+    return np.concatenate([-along, turns[0], along, turns[1]], axis=1)
+
+
+def drawn_in(clamps: Clamps, excess: np.ndarray, stiff: np.ndarray, moves: np.ndarray) -> Clamps:
+    """The clamps with grippers that are nearer to each other by ``excess`` (B,) mm: those whose shifts are free, of ``moves``
+    (12,), by equal parts."""
+    start, end = float(moves[0]), float(moves[6])
+    part = unit_vectors(_way(clamps, stiff)) * (excess / max(start + end, 1.0))[:, None]
+    return replace(clamps, start_position=clamps.start_position + start * part, end_position=clamps.end_position - end * part)
+
+
+def boxed(clamps: Clamps, before: Clamps, boxes: tuple) -> Clamps:
+    """The clamps with each gripper in its box ((3,), (3,)) mm, or None: one that was outside before goes no farther out."""
+    places = {}
+    for name, box in zip(("start_position", "end_position"), boxes, strict=True):
+        if box is not None:
+            old = getattr(before, name)
+            places[name] = np.clip(getattr(clamps, name), np.minimum(box[0], old), np.maximum(box[1], old))
+    return replace(clamps, **places)
+
+
+def _way(clamps: Clamps, stiff: np.ndarray) -> np.ndarray:
+    """(B, 3) mm, between the ends of what grippers hold."""
+    tangents = clamps.start_frame[..., 0] + clamps.end_frame[..., 0]
+    return clamps.end_position - clamps.start_position - stiff[:, None] * tangents
+
+
+def put_rows(clamps: Clamps, rods: np.ndarray, other: Clamps) -> Clamps:
+    """``clamps`` with ``other`` in the rows ``rods``."""
+    parts = {name: getattr(clamps, name).copy() for name in POSES}
+    for name, values in parts.items():
+        values[rods] = getattr(other, name)
+    return replace(clamps, **parts)
+
+
+def put_rods(rods: Configuration, rows: np.ndarray, other: Configuration) -> Configuration:
+    """``rods`` with ``other`` in those rows."""
+    start, frames = rods.start.copy(), rods.quaternions.copy()
+    start[rows], frames[rows] = other.start, other.quaternions
+    return Configuration(start, frames, rods.rest_length)
+
+
+def finite_rods(rods: Configuration, otherwise: Configuration) -> Configuration:
+    """``rods``, those that are not finite as they are in ``otherwise``."""
+    lost = np.flatnonzero(~np.isfinite(rods.quaternions).all(axis=(1, 2)))
+    return put_rods(rods, lost, otherwise.take(lost)) if len(lost) else rods

@@ -4,15 +4,15 @@
     path.reached, path.distance          # mm; a target out of reach: the nearest that was found
     predict(rod, material, clamps, path)
 
-The target's equilibria are found first (:mod:`.goal`). Two trees of equilibria, from the start and from the goals, grow towards
-random ones and towards each other (:mod:`.search`), by ways of many states that are relaxed at once (:mod:`.equilibria`). The
-way that is found is shortened, and followed in sub-steps by :func:`~doo_ti.motion.predict.predict`: where the rod loses its
-stability, or jumps, the search goes on without that leg.
+The target's equilibria are found first (:mod:`.targets`). Two trees of equilibria (:mod:`.equilibria`), from the start and from
+the goals, grow towards random ones and towards each other, by many ways at once (Kuffner and LaValle, *RRT-Connect*, ICRA
+2000). The way that is found is shortened, and followed in sub-steps by :func:`~doo_ti.motion.predict.predict`: where the rod
+loses its stability, or jumps, the search goes on without that leg.
 
-Axes: T moments and states, R rods.
+Axes: N nodes, M samples, T moments and states, R rods.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -22,12 +22,9 @@ from numpy.typing import ArrayLike
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.motion_file import ClampPath
-from doo_ti.manipulation.equilibria import CLEAR, Clearance, Equilibria, States, joined_states
-from doo_ti.manipulation.goal import all_goals
-from doo_ti.manipulation.model import Model
-from doo_ti.manipulation.poses import change_between
-from doo_ti.manipulation.search import Search, Tree
-from doo_ti.manipulation.targets import ServoOptions, Targets
+from doo_ti.manipulation.equilibria import CLEAR, Clearance, Equilibria, Shapes, States, Tree, joined_states
+from doo_ti.manipulation.model import Model, change_between
+from doo_ti.manipulation.targets import ServoOptions, Targets, all_goals
 from doo_ti.motion.predict import predict
 from doo_ti.rod.material import Material
 from doo_ti.rod.types import POSES, Clamp, Clamps, Configuration, unit_up
@@ -35,12 +32,12 @@ from doo_ti.system.arguments import owning, typed
 from doo_ti.system.errors import InputError, require_whole
 from doo_ti.system.runtime import working_time
 
-NEARLY = 1.2
-"""Goals that are so many times further from the target than the nearest one count as well."""
-LEAST = 1e-2
-"""mm, between two moments."""
-SECOND = 10.0
-"""mm that the grippers move in a second of the path's time."""
+SAMPLES = 32  # random rods that a tree grows towards at once, and ways that are tried for a shortcut
+AROUND = 0.5  # of the rod's length: random rods are at most so far outside the box around the rod and its goals
+SHORTCUTS = 4  # rounds in which a way is shortened
+NEARLY = 1.2  # goals that are so many times further from the target than the nearest one count as well
+LEAST = 1e-2  # mm, between two moments
+SECOND = 10.0  # mm that the grippers move in a second of the path's time
 
 
 @typed
@@ -110,6 +107,70 @@ def plan_manipulation(rod: Configuration, material: Material, clamps: Clamps, ta
     space = Equilibria(material, Clearance(surroundings, float(rod.rest_length.sum()), rod.edges), up, clamps, moves,
                        options.lever_mm)
     return _Planner(space, rod, clamps, targets, options).path(ends)
+
+
+class Search:
+    """The ways from ``begin``, one rod, to ``goals``.
+
+    space    the equilibria
+    ends     of :func:`.working_time`: nothing is searched later
+    """
+
+    def __init__(self, begin: Tree, goals: Tree, space: Equilibria, ends: float, seed: int):
+        self._start, self._goals, self._space, self._ends = begin, goals, space, ends
+        self._random = np.random.default_rng(seed)
+        places = np.concatenate([tree.rods.vertices.reshape(-1, 3) for tree in (begin, goals)])
+        self._low, self._high = places.min(axis=0) - AROUND * space.length, places.max(axis=0) + AROUND * space.length
+
+    def found(self) -> Iterator[tuple[list[int], list[int]]]:
+        """Ways to the goals as nodes of the tree of the start and then of that of the goals, as long as there is time.
+        They meet in one rod, which is a node of both."""
+        start, goals = self._start, self._goals
+        yield from self._joined(start, goals, *start.pairs(goals))
+        while working_time() < self._ends:
+            for tree, other in ((start, goals), (goals, start)):
+                samples = self._samples()
+                new, _ = tree.extend(tree.nearest(samples), samples)
+                new = new[new >= 0]
+                if len(new):
+                    yield from self._joined(tree, other, new, other.nearest(tree.rods.take(new)))
+
+    def _joined(self, tree: Tree, other: Tree, nodes: np.ndarray, others: np.ndarray) -> Iterator[tuple[list[int], list[int]]]:
+        """Ways through both trees, where the ``other`` comes from one of ``others`` (M,) to one of ``nodes``."""
+        new, whole = other.extend(others, tree.rods.take(nodes))
+        for row in np.flatnonzero(whole):
+            if tree.alive[nodes[row]] and other.alive[new[row]]:
+                own, rest = tree.branch(int(nodes[row])), other.branch(int(new[row]))
+                yield (own, rest[::-1]) if tree is self._start else (rest, own[::-1])
+
+    def shortened(self, states: States) -> States:
+        """The states of a way without detours: a straight way between two of them, again and again."""
+        for _ in range(SHORTCUTS):
+            count = states.rods.count
+            if working_time() > self._ends:
+                break
+            pairs = np.sort(self._random.integers(count, size=(SAMPLES, 2)), axis=1)
+            pairs = pairs[pairs[:, 1] > pairs[:, 0] + 1]
+            if not len(pairs):
+                break
+            ways = self._space.ways(states.rods.take(pairs[:, 0]), states.rods.take(pairs[:, 1]))
+            saved = np.where(ways.whole, pairs[:, 1] - pairs[:, 0] - ways.reach, 0)
+            best = int(np.argmax(saved))
+            if saved[best] > 0:
+                first, last = pairs[best]
+                states = joined_states([states.take(np.arange(first + 1)), ways.states.take(ways.rows(best)),
+                                        states.take(np.arange(last + 1, count))])
+        return states
+
+    def _samples(self) -> Configuration:
+        """Random rods at rest."""
+        rest_length, anchor = self._start.rods.rest_length, self._space.anchor
+        shapes = Shapes.at_random(SAMPLES, self._low, self._high, rest_length, anchor, self._random)
+        if self._space.held_anchor:
+            first = self._space.shapes(self._start.rods.take(np.zeros(len(shapes.place), dtype=int)))
+            shapes = replace(shapes, place=first.place, frame=first.frame)
+        states, sound = self._space.at_rest(shapes, np.zeros(SAMPLES, dtype=bool))
+        return states.rods.take(np.flatnonzero(sound))
 
 
 class _Planner:

@@ -12,8 +12,8 @@ known of the rod. A step
     2. moves: damped least squares from the model with its offset to the target, at most ``step_mm`` long;
     3. looks ahead: the model goes there. Where it loses its stability, snaps, or does not come nearer, the step is shortened.
 
-A rod that comes no nearer looks for an equilibrium that does (:mod:`.goal`), and its grippers go straight to the poses of that
-one. A rod that has snapped is seen far from where its model is; the model is then drawn to the marks.
+A rod that comes no nearer looks for an equilibrium that does (:mod:`.targets`), and its grippers go straight to the poses of
+that one. A rod that has snapped is seen far from where its model is; the model is then drawn to the marks.
 
 Axes: B rods, V vertices, P unknowns.
 """
@@ -27,9 +27,10 @@ from numpy.typing import ArrayLike
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.manipulation.belief import CENTRE, CLIP, Belief, LearnedMaterial, elastic_curvature
-from doo_ti.manipulation.goal import DampedSteps, nearest_goal
-from doo_ti.manipulation.model import Model, Rested, between_marks, resynchronised
-from doo_ti.manipulation.poses import (
+from doo_ti.manipulation.model import (
+    Model,
+    Rested,
+    between_marks,
     boxed,
     change_between,
     drawn_in,
@@ -38,36 +39,31 @@ from doo_ti.manipulation.poses import (
     moved,
     put_rods,
     put_rows,
+    resynchronised,
     slack,
     slack_gradient,
 )
-from doo_ti.manipulation.targets import ServoOptions, ServoStatus, Targets, require_matching
+from doo_ti.manipulation.targets import DampedSteps, ServoOptions, ServoStatus, Targets, nearest_goal, require_matching
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.relaxation.sensitivity import GRIPPERS
-from doo_ti.rod.physical_units import doubt_marks
-from doo_ti.rod.straight import with_end_edges
+from doo_ti.rod.material import doubt_marks
+from doo_ti.rod.shapes import with_end_edges
 from doo_ti.rod.types import Clamps, Configuration, Material, Solution, unit_up
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import counted, typed
 from doo_ti.system.errors import InputError
-from doo_ti.system.short_repr import counted
 
 PARAMETERS = ("bend", "twist", *GRIPPERS)
-OF_GRIPPERS = slice(CLIP, CLIP + 12)
-"""Of the columns of derivatives."""
-SHORTER = 0.4
-"""Of a step that was refused, the length of the next one that is tried."""
-TRIES = 4
-"""Lengths of a step; the last is zero, which only takes in what was learned."""
+OF_GRIPPERS = slice(CLIP, CLIP + 12)  # of the columns of derivatives
+SHORTER = 0.4  # of a step that was refused, the length of the next one that is tried
+TRIES = 4  # lengths of a step; the last is zero, which only takes in what was learned
 NONLINEAR, NONLINEAR_MM = 0.5, 1.0
 """Share of a displacement, and mm, by which a step may end elsewhere than its derivatives say. Further off it is too long, or a
 snap: with 1 snaps pass, with 0.2 steps are short."""
 WORSE, ROUNDING = 1.02, 0.1
 """Growth of the distance to the target, as a factor and in mm, that is still taken for rounding and noise."""
-EXACT = 1e-6
-"""Of the rod's length, rounding of its slack."""
-GAIN = 0.3
-"""Of the newest moment in the offset."""
+EXACT = 1e-6  # of the rod's length, rounding of its slack
+GAIN = 0.3  # of the newest moment in the offset
 SNAPPED, SNAPPED_SHARE = 5.0, 0.02
 """A rod has snapped where its marks are so many standard deviations and so much of its length from its model."""
 AIMS, NEARER = 3, 0.5
@@ -169,10 +165,13 @@ class Servo:
         derivatives[~usable] = 0.0
         model = np.where(usable[:, None, None], model, self._shapes)
         visible = visible & usable[:, None]
-        change = self._learn(seen - model, derivatives, visible)
+        frames = np.stack([self.clamps.start_frame] * 2 + [self.clamps.end_frame] * 2)
+        transform = self._belief.transform(frames, elastic_curvature(self._last, self._belief.material))
+        change = self._belief.learn(seen - model, visible, derivatives, transform)
         columns = derivatives.reshape(len(usable), -1, derivatives.shape[-1])
         expected = model + (columns @ change[..., None]).reshape(model.shape)
-        self._keep_apart(seen - expected, visible)
+        left = (1 - GAIN) * self._offset + GAIN * between_marks(seen - expected, visible)
+        self._offset = np.where(visible.any(axis=1)[:, None, None], left, self._offset)
         steps = DampedSteps.towards(self._targets, expected + self._offset, derivatives, OF_GRIPPERS.start, self._options)
         self._move(expected, columns, steps, usable)
         self._placed = self.clamps
@@ -206,18 +205,6 @@ class Servo:
         shapes = models.vertices if shapes is None else shapes
         self._last, self._shapes = put_rods(self._last, rods, models), self._shapes.copy()
         self._shapes[rods] = shapes
-
-    def _learn(self, residual: np.ndarray, columns: np.ndarray, visible: np.ndarray) -> np.ndarray:
-        """(B, C) the change of what the columns (B, V, 3, C) are derivatives by, learned from the ``residual`` (B, V, 3) of the
-        ``visible`` marks from the model."""
-        frames = (self.clamps.start_frame,) * 2 + (self.clamps.end_frame,) * 2
-        transform = self._belief.transform(np.stack(frames), elastic_curvature(self._last, self._belief.material))
-        return self._belief.learn(residual, visible, columns, transform)
-
-    def _keep_apart(self, left: np.ndarray, visible: np.ndarray) -> None:
-        """Update the offset with how far the ``visible`` marks are ``left`` (B, V, 3) from the model after it has learned."""
-        some = visible.any(axis=1)[:, None, None]
-        self._offset = np.where(some, (1 - GAIN) * self._offset + GAIN * between_marks(left, visible), self._offset)
 
     def _move(self, expected: np.ndarray, columns: np.ndarray, steps: DampedSteps, usable: np.ndarray) -> None:
         """Move the grippers, and the models with them: as far as these follow."""

@@ -1,31 +1,241 @@
-"""A batch of rods that is stepped by its grippers, for control loops.
+"""Rods that grippers hold, between their ends as well (§VI): relaxed once, or as a batch that is stepped, for control loops.
+
+    grip = Grip.where(rods, 12)                                     # vertex 12, where it is now
+    held = relax_held(rods, material, clamps, [replace(grip, position=grip.position + [0, 0, 20])])
+    held.solution.configuration, held.grip_loads().force            # R rods, (R, 1, 3)
 
     simulation = Simulation(rods, material, clamps)
     while …:
-        state = simulation.step(clamps)            # Solution: B rods at rest
-        state.configuration.vertices
-    simulation.step(clamps, [Grip.where(state.configuration, 12)])      # a third gripper takes hold of vertex 12
+        state = simulation.step(clamps)                             # Solution: B rods at rest
+    simulation.step(clamps, [Grip.where(state.configuration, 12)])  # a third gripper takes hold of vertex 12
 
-Quasi-static: after every step each rod is at rest on the branch that its clamps have carried it along, or where it has snapped
-to. Axes: B rods.
+A gripper holds a vertex, with the tangent and the roll there: its frame. The rod on either side is then a rod of its own that
+ends in a clamp at this vertex, and nothing else connects both. A simulation is quasi-static: after every step each rod is at
+rest on the branch that its clamps have carried it along, or where it has snapped to.
+
+Axes: R or B rods, E edges, K grips, which are the same vertices of all rods.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import reduce
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.contact.itself import Itself
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.manipulation.grips import Grip, HeldSolution, Stretches
-from doo_ti.manipulation.poses import finite_rods, put_rods
+from doo_ti.manipulation.model import finite_rods, put_rods
 from doo_ti.motion.path import LARGEST_TURN, motion_between
 from doo_ti.relaxation.newton import Newton
-from doo_ti.rod.types import Clamps, Configuration, Material, Solution, sticky, unit_up
-from doo_ti.system.arguments import typed
+from doo_ti.relaxation.relax import relax
+from doo_ti.relaxation.sensitivity import end_loads
+from doo_ti.rod.frames import (
+    FRAME_TOLERANCE,
+    conjugate,
+    orthonormality_error,
+    quaternion_from_matrix,
+    quaternion_product,
+    rotation_matrix,
+    rotation_vector,
+)
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Rows, Solution, sticky, unit_up
+from doo_ti.system.arguments import counted, short_repr, typed
 from doo_ti.system.errors import InputError
-from doo_ti.system.short_repr import counted
+
+LEAST_EDGES = 2  # between two places that are held
+
+
+@typed
+@dataclass(frozen=True)
+class Grip:
+    """A gripper that holds a vertex of R rods.
+
+    vertex    which, from 1 to E − 1
+    position  (R, 3) mm
+    frame     (R, 3, 3) columns t, m1, m2: tangent and material directors there
+
+    Raises InputError for numbers that are not finite and frames that are no rotations.
+    """
+
+    __repr__ = short_repr
+
+    vertex: int
+    position: Annotated[np.ndarray, "R 3", float]
+    frame: Annotated[np.ndarray, "R 3 3", float]
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.position).all():
+            raise InputError("Grip", "position", "not finite", "give mm")
+        if not np.isfinite(self.frame).all() or orthonormality_error(self.frame).max(initial=0.0) > FRAME_TOLERANCE:
+            raise InputError("Grip", "frame", "no rotations", "give unit, orthogonal columns t, m1, m2")
+
+    @classmethod
+    def where(cls, rods: Configuration, vertex: int) -> "Grip":
+        """The gripper that takes hold of ``vertex`` where it is, so that nothing moves: its frame is between those of both
+        edges there, nearer to that of the shorter one."""
+        if not 0 < vertex < rods.edges:
+            raise InputError("Grip.where", "vertex", f"{vertex}", f"give a vertex between the ends, 1 to {rods.edges - 1}")
+        before, after = rods.quaternions[:, vertex - 1], rods.quaternions[:, vertex]
+        lengths = np.broadcast_to(rods.rest_length, (rods.count, rods.edges))[:, vertex - 1 : vertex + 1]
+        turn = rotation_vector(quaternion_product(conjugate(before), after))
+        share = lengths[:, :1] / lengths.sum(axis=1, keepdims=True)
+        return cls(vertex, rods.vertices[:, vertex], rods.frames[:, vertex - 1] @ rotation_matrix(share * turn))
+
+    def take(self, rows: Rows) -> "Grip":
+        """The gripper of the rods named by ``rows``, in that order."""
+        return replace(self, position=self.position[rows], frame=self.frame[rows])
+
+
+@dataclass(frozen=True)
+class GripLoads:
+    """Forces and moments of the grippers on the rods, in the axes of the world; moments about the vertex that is held.
+
+    force, moment  (R, K, 3), in N and N m where the material has a weight per length, else mm and mm² (:class:`.EndLoads`)
+    physical       whether in N and N m
+    """
+
+    __repr__ = short_repr
+
+    force: np.ndarray
+    moment: np.ndarray
+    physical: bool
+
+
+@dataclass(frozen=True)
+class HeldSolution:
+    """Rods at rest that are held between their ends.
+
+    parts     K + 1 solutions, of the stretches of the rods from one held place to the next, with an edge of length zero at each
+              end that a grip holds
+    solution  of the whole rods; without ``tables`` where there are grips, so that functions that need its input take ``parts``
+    """
+
+    parts: tuple[Solution, ...]
+    solution: Solution
+
+    def grip_loads(self) -> GripLoads:
+        """What each gripper exerts; NaN in rods that have not converged. Raises InputError as :func:`.end_loads`."""
+        loads = [end_loads(part) for part in self.parts]
+        pairs = list(zip(loads[:-1], loads[1:], strict=True))
+        force = [before.end_force + after.start_force for before, after in pairs]
+        moment = [before.end_moment + after.start_moment for before, after in pairs]
+        shape = (len(self.solution.status), len(pairs), 3)
+        return GripLoads(*(np.stack(all_, axis=1) if pairs else np.zeros(shape) for all_ in (force, moment)), loads[0].physical)
+
+
+@typed
+def relax_held(rods: Configuration, material: Material, clamps: Clamps, grips: Sequence[Grip], solver: Newton | None = None, *,
+               up: ArrayLike | None = None, precision: str = "f64", obstacles: Sequence[Obstacle] = (),
+               radius: ArrayLike | None = None) -> HeldSolution:
+    """F for R rods that grippers hold between their ends, too: the other arguments as :func:`doo_ti.relaxation.relax.relax` has
+    them, with clamps and a start for each rod, and one material or one for each.
+
+    A rod has the worst status of its stretches, and is certified stable where all of them are. Stretches do not touch each
+    other. Raises InputError for grips that are not in the order of their vertices, or closer to each other or to an end than
+    two edges, and for ``Itself`` among the obstacles.
+    """
+    stretches = Stretches.between("relax_held", rods, grips, obstacles)
+    own = stretches.clamps(clamps, grips)
+    return stretches.relaxed(rods, stretches.material(material), own, solver, up=up, precision=precision, obstacles=obstacles,
+                             radius=radius)
+
+
+@dataclass(frozen=True)
+class Stretches:
+    """The stretches of rods between the held ``vertices``: those of the grips, and both ends."""
+
+    vertices: tuple[int, ...]
+
+    @classmethod
+    def between(cls, function: str, rods: Configuration, grips: Sequence[Grip], obstacles: Sequence[Obstacle]) -> "Stretches":
+        """Raises InputError, of ``function``, for grips that do not suit the rods, and for ``Itself`` beside grips."""
+        held = (0, *(grip.vertex for grip in grips), rods.edges)
+        for before, after in zip(held[:-1], held[1:], strict=True):
+            if grips and after - before < LEAST_EDGES:
+                raise InputError(function, "grips", f"vertices {list(held[1:-1])} of rods of {rods.edges} edges",
+                                 f"give grips in the order of their vertices, {LEAST_EDGES} edges or more between them and to "
+                                 "the ends")
+        for grip in grips:
+            if len(grip.position) != rods.count:
+                raise InputError(function, "grips", f"{len(grip.position)} rows for {rods.count} rods", "give one for each rod")
+        if grips and any(isinstance(body, Itself) for body in obstacles):
+            raise InputError(function, "obstacles", "Itself beside grips", "leave it out: stretches do not touch each other")
+        return cls(held)
+
+    @property
+    def _spans(self) -> list[tuple[int, int, int, int]]:
+        """Of each stretch: the vertices where it begins and ends, and how many edges of length zero are added at both."""
+        inner = (0, *(1 for _ in self.vertices[1:-1]), 0)
+        return list(zip(self.vertices[:-1], self.vertices[1:], inner[:-1], inner[1:], strict=True))
+
+    def rods(self, rods: Configuration, clamps: Sequence[Clamps]) -> list[Configuration]:
+        """Those of each stretch, which begin where the clamps hold them."""
+        found = []
+        for (first, last, before, after), own in zip(self._spans, clamps, strict=True):
+            frames = [quaternion_from_matrix(own.start_frame)[:, None]] * before + [rods.quaternions[:, first:last]]
+            frames += [quaternion_from_matrix(own.end_frame)[:, None]] * after
+            lengths = np.pad(rods.rest_length[..., first:last], [(0, 0)] * (rods.rest_length.ndim - 1) + [(before, after)])
+            found.append(Configuration(own.start_position if before else rods.start, np.concatenate(frames, axis=1),
+                                       lengths))
+        return found
+
+    def lengths(self, rods: Configuration) -> list[np.ndarray]:
+        """The ``rest_length`` of each stretch."""
+        return [rods.rest_length[..., first:last] for first, last, *_ in self._spans]
+
+    def clamps(self, clamps: Clamps, grips: Sequence[Grip]) -> list[Clamps]:
+        """Those of each stretch: the clamps of the rod's ends, and the grips between."""
+        starts = [(clamps.start, clamps.start_position, clamps.start_frame),
+                  *((Clamp.FRAME, grip.position, grip.frame) for grip in grips)]
+        ends = [*starts[1:], (clamps.end, clamps.end_position, clamps.end_frame)]
+        return [Clamps(start, end, start_position, end_position, start_frame, end_frame)
+                for (start, start_position, start_frame), (end, end_position, end_frame) in zip(starts, ends, strict=True)]
+
+    def material(self, material: Material) -> list[Material]:
+        """That of each stretch: what varies along the rod is cut, and an edge of length zero has what its vertex has."""
+        found = []
+        for first, last, before, after in self._spans:
+            edges = [first] * before + list(range(first, last)) + [last - 1] * after
+            inner = np.arange(first + 1 - before, last + after) - 1  # the first inner vertex of a rod is vertex 1
+            rest = material.rest_curvature
+            found.append(Material(
+                material.bend[:, edges] if material.bend.shape[1] > 1 else material.bend,
+                material.twist[:, inner] if material.twist.shape[1] > 1 else material.twist, material.weight,
+                rest[:, inner] if rest is not None and rest.shape[1] > 1 else rest, material.weight_per_length))
+        return found
+
+    def relaxed(self, rods: Configuration, materials: Sequence[Material], clamps: Sequence[Clamps],
+                solver: Newton | None = None, **options) -> HeldSolution:
+        """The rods at rest, each stretch from where it is to its clamps. ``options`` go to :func:`.relax`."""
+        parts = tuple(relax(part, material, own, solver, **options) for part, material, own in zip(
+            self.rods(rods, clamps), materials, clamps, strict=True))
+        return HeldSolution(parts, parts[0] if len(parts) == 1 else self._joined(rods, parts))
+
+    def _joined(self, rods: Configuration, parts: Sequence[Solution]) -> Solution:
+        """The whole rods of ``parts``."""
+        frames = [part.configuration.quaternions[:, before : before + last - first]
+                  for part, (first, last, before, _) in zip(parts, self._spans, strict=True)]
+        whole = Configuration(parts[0].configuration.start, np.concatenate(frames, axis=1), rods.rest_length)
+        length = np.sum(rods.rest_length, axis=-1)
+        misses = [part.closure * np.sum(part.configuration.rest_length, axis=-1) / length for part in parts]
+        forces = None
+        if parts[0].contact_force is not None:
+            forces = np.zeros(whole.vertices.shape)
+            for part, (first, last, before, after) in zip(parts, self._spans, strict=True):
+                own = part.contact_force
+                forces[:, first : last + 1] += own[:, before : before + last - first + 1]
+                forces[:, first] += before * own[:, 0]  # both ends of an edge of length zero are one vertex
+                forces[:, last] += after * own[:, -1]
+        return Solution(
+            whole, energy=np.sum([part.energy for part in parts], axis=0),
+            residual=np.max([part.residual for part in parts], axis=0), closure=np.max(misses, axis=0),
+            iterations=np.sum([part.iterations for part in parts], axis=0, dtype=np.int32),
+            status=reduce(sticky, (part.status for part in parts)),
+            stable=np.all([part.stable for part in parts], axis=0), end_force=parts[-1].end_force,
+            precision=np.min([part.precision for part in parts], axis=0), contact_force=forces)
 
 
 class Simulation:

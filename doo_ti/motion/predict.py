@@ -30,11 +30,10 @@ from doo_ti.relaxation.external import PointLoads, check_rows
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import edge_frames, total_twist, vertices_from_quaternions
-from doo_ti.rod.physical_units import doubt_angle
+from doo_ti.rod.material import doubt_angle
 from doo_ti.rod.types import POSES, Clamps, Configuration, Material, Solution, Status, sticky
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
-from doo_ti.system.short_repr import short_repr
 
 STILL = 1e-9  # mm and rad: clamps that move by less count as fixed
 MOST_TURN = np.radians(170.0)  # of the far frame between two moments: its sense is taken from the shorter way

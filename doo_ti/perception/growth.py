@@ -134,16 +134,11 @@ def rank_distinct(
 
 @dataclass(frozen=True)
 class GrowthStep:
-    """The hypotheses of one set after a step, the best first.
+    """The hypotheses of one set after a step, the best first."""
 
-    vertices    (n, i + 1, 3) mm
-    energy_vis  (n,) 1/mm, heights from v⁰
-    kept        (n,) bool: kept for the next step; the others were pruned
-    """
-
-    vertices: np.ndarray
-    energy_vis: np.ndarray
-    kept: np.ndarray
+    vertices: np.ndarray  # (n, i + 1, 3) mm
+    energy_vis: np.ndarray  # (n,) 1/mm, heights from v⁰
+    kept: np.ndarray  # (n,) bool: kept for the next step; the others were pruned
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,9 @@ import taichi as ti
 from scipy.linalg import solveh_banded
 
 from doo_ti.system import runtime
-from doo_ti.vision.cameras.rig import Rig
-from doo_ti.vision.detection.paths import ImagePath
-from doo_ti.vision.reprojection.triangulation import rays
+from doo_ti.vision.cameras import Rig
+from doo_ti.vision.paths import ImagePath
+from doo_ti.vision.triangulation import rays
 
 STEP_PX = 2.0  # between places that are compared
 FARTHEST_PX = 12.0  # distances saturate there
@@ -35,16 +35,11 @@ BOTH, FIRST_ALONE, SECOND_ALONE = 0, 1, 2
 
 @dataclass(frozen=True)
 class Match:
-    """Places along one path in each camera that belong together.
+    """Places along one path in each camera that belong together."""
 
-    paths  C of them
-    arcs   (C, K) px along each path
-    cost   px: mean distance by which pairs miss a point in space, with gaps and what is left over
-    """
-
-    paths: tuple[ImagePath, ...]
-    arcs: np.ndarray
-    cost: float
+    paths: tuple[ImagePath, ...]  # C of them
+    arcs: np.ndarray  # (C, K) px along each path
+    cost: float  # px: mean distance by which pairs miss a point in space, with gaps and what is left over
 
 
 def best_matches(rig: Rig, paths: list[list[ImagePath]], most: int) -> list[Match]:

@@ -11,7 +11,7 @@ Beyond the paper, evidence counts both ways. An edge that points at a camera cos
 from the thread. Rods that are traced along the detected lines join the last hypotheses, and what each leaves unexplained of
 these lines is added to its E_vis:
 
-    E_vis = E / B + ν Σ_c (E_proj^c + E_cover^c)              doo_ti.vision.reprojection.image_energy
+    E_vis = E / B + ν Σ_c (E_proj^c + E_cover^c)              doo_ti.vision.image_energy
 
 Images of a thin, uniform thread that crosses itself agree with many curves; the energy of the rod distinguishes them. The last
 hypotheses are relaxed on a finer mesh. All image sets are searched at once.
@@ -34,13 +34,11 @@ from doo_ti.perception.growth import rank_distinct
 from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search, finalists, left_over
 from doo_ti.perception.traced import SAME_LENGTH
 from doo_ti.rod.types import LARGEST, Configuration, Material, Status, unit_up
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
-from doo_ti.system.short_repr import short_repr
-from doo_ti.vision.cameras.rig import Rig
-from doo_ti.vision.reprojection.distance_map import DistanceMaps
-from doo_ti.vision.reprojection.image_energy import outside_others
-from doo_ti.vision.reprojection.score import score
+from doo_ti.vision.cameras import Rig
+from doo_ti.vision.distance_map import DistanceMaps, outside_others
+from doo_ti.vision.score import score
 
 CLEAR_PX, AMBIGUOUS_PX = 0.1, 0.02
 """Bounds of the gap: the first is larger than the mean error of detected lines; the second is smaller than the difference of
@@ -160,7 +158,7 @@ def perceive(
 ) -> Perception:
     """Recover the rods in A sets of images (Alg. 1).
 
-    maps         distances to the detected lines, from :func:`doo_ti.vision.reprojection.distance_map.distance_maps`
+    maps         distances to the detected lines, from :func:`doo_ti.vision.distance_map.distance_maps`
     rig          the C calibrated cameras
     point        (A, 3) mm, the first vertex v⁰
     direction    (A, 3) direction of the first edge e⁰; any length

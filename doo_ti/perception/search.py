@@ -1,12 +1,11 @@
 """The steps of Algorithm 1: hypotheses grow by an edge, are relaxed under E_vis, and the best that differ are kept. The last
 ones are relaxed until they converge, and rods traced along the detected lines join them.
 
-    E_vis = E / B + ν Σ_c E_proj^c                                                                        (§IV-A)
-    E_vis = E / B + ν Σ_c (E_proj^c + E_cover^c)                                 with evidence from both sides
+    E_vis = E / B + ν Σ_c (E_proj^c + E_cover^c)                       (§IV-A); E_cover with evidence from both sides only
 
-with E_proj in px² (a projected edge's mean distance to the nearest detected pixel, times its length), what the rod's image is
-away from the detected line, E_cover what the line is away from the rod's image, and the rod's energy E over the largest
-eigenvalue of B, in 1/mm: so ν is in 1/(mm px²), and its effect does not depend on the rod's stiffness.
+E_proj is what the rod's image is away from the detected line, a projected edge's mean distance to the nearest detected pixel
+times its length, and E_cover what the line is away from the rod's image, px². The rod's energy E is over the largest eigenvalue
+of B, in 1/mm: so ν is in 1/(mm px²), and its effect does not depend on the rod's stiffness.
 
 Axes: A image sets, C cameras, N hypotheses of all sets, M sampled directions, R rods, F finalists of all sets, E edges.
 """
@@ -33,10 +32,10 @@ from doo_ti.rod.frames import (
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution, Status
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, require_whole
-from doo_ti.vision.cameras.rig import Rig
-from doo_ti.vision.reprojection.distance_map import DistanceMaps
-from doo_ti.vision.reprojection.image_energy import Coverage, Reprojection, coverage
-from doo_ti.vision.reprojection.score import score
+from doo_ti.vision.cameras import Rig
+from doo_ti.vision.distance_map import Coverage, DistanceMaps, coverage
+from doo_ti.vision.image_energy import Reprojection
+from doo_ti.vision.score import score
 
 FAILED = Status.NOT_FINITE, Status.INFEASIBLE  # rods that have no shape; infeasible are those inside an obstacle
 LOST = 1e30  # 1/mm: E_vis of a rod that failed while growing. Its start is kept if its set has no better hypothesis
@@ -114,28 +113,19 @@ class PerceptionOptions:
 
 @dataclass(frozen=True)
 class Search:
-    """The constants of a search.
-
-    maps, rig    the distance maps, and their cameras
-    point        (A, 3) mm, v⁰
-    direction    (A, 3) unit vectors, e⁰
-    rest_length  (E,) mm
-    material     one Θ for all
-    up           (3,) unit vector against gravity
-    surroundings what the rods may touch, the same for all
-    """
+    """The constants of a search."""
 
     maps: DistanceMaps
-    rig: Rig
-    point: np.ndarray
-    direction: np.ndarray
-    rest_length: np.ndarray
-    material: Material
-    up: np.ndarray
+    rig: Rig  # the cameras of the maps
+    point: np.ndarray  # (A, 3) mm, v⁰
+    direction: np.ndarray  # (A, 3) unit vectors, e⁰
+    rest_length: np.ndarray  # (E,) mm
+    material: Material  # one Θ for all
+    up: np.ndarray  # (3,) unit vector against gravity
     options: PerceptionOptions
-    surroundings: Surroundings = Surroundings()
-    first: np.ndarray = field(init=False)
-    scale: float = field(init=False)
+    surroundings: Surroundings = Surroundings()  # what the rods may touch, the same for all
+    first: np.ndarray = field(init=False)  # (A, 3, 3) frames of e⁰
+    scale: float = field(init=False)  # the largest eigenvalue of B
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "first", bishop_frames(self.direction[:, None], across(self.direction))[:, 0])
@@ -243,26 +233,16 @@ def evidence(rig: Rig, maps: DistanceMaps, rods: Configuration, of_set: np.ndarr
 
 @dataclass(frozen=True)
 class Finalists:
-    """F rods on the fine mesh.
+    """F rods on the fine mesh."""
 
-    of_set         (F,) image set, in increasing order
-    configuration  the rods
-    energy_vis     (F,) 1/mm; infinite for rods that failed
-    status         (F,) how their relaxation ended
-    certified      (F,) bool: at a minimum of the energy that they were relaxed under
-    coverage       (F, C) share of the detected line that is explained; NaN where the detections are not known
-    line           (F, C) px of detected line
-    thread         (F,) mm: length of the thread that a traced rod follows; NaN of others
-    """
-
-    of_set: np.ndarray
-    configuration: Configuration
-    energy_vis: np.ndarray
-    status: np.ndarray
-    certified: np.ndarray
-    coverage: np.ndarray
-    line: np.ndarray
-    thread: np.ndarray
+    of_set: np.ndarray  # (F,) image set, in increasing order
+    configuration: Configuration  # the rods
+    energy_vis: np.ndarray  # (F,) 1/mm; infinite for rods that failed
+    status: np.ndarray  # (F,) how their relaxation ended
+    certified: np.ndarray  # (F,) bool: at a minimum of the energy that they were relaxed under
+    coverage: np.ndarray  # (F, C) share of the detected line that is explained; NaN where the detections are not known
+    line: np.ndarray  # (F, C) px of detected line
+    thread: np.ndarray  # (F,) mm: length of the thread that a traced rod follows; NaN of others
 
 
 def finalists(search: Search, grown: Hypotheses) -> Finalists:
@@ -306,21 +286,17 @@ def _with_traced(search: Search, grown: Finalists, sets: np.ndarray) -> Finalist
     cut = whole.cut(shares, np.where(together, 1.0, length / whole.length), np.full(len(together), length))
     solution = tracing.relaxed(cut, together).solution
     of_set, rods = sets[tracing.of_set], solution.configuration
-    energy, found = _evidence(search, rods, of_set)
+    looked = search.material, search.up, search.options, search.piece_points
+    energy, found = evidence(search.rig, search.maps, rods, of_set, *looked)
     if not together.all():  # a rod shorter than the thread, or longer, is as good as the whole thread that it is part of
         part = np.flatnonzero(~together)
-        energy[part] = _evidence(search, whole.solution.configuration.take(part), of_set[part])[0]
+        energy[part], _ = evidence(search.rig, search.maps, whole.solution.configuration.take(part), of_set[part], *looked)
     parts = grown, Finalists(of_set, Configuration(rods.start, rods.quaternions, fine), energy, solution.status,
                              (solution.status == Status.CONVERGED) & solution.stable, found.share, found.line, whole.length)
     order = np.argsort(np.concatenate([part.of_set for part in parts]), kind="stable")
     joined = {name: np.concatenate([getattr(part, name) for part in parts])[order] for name in Finalists.__dataclass_fields__
               if name != "configuration"}
     return Finalists(configuration=Configuration.concatenate([part.configuration for part in parts]).take(order), **joined)
-
-
-def _evidence(search: Search, rods: Configuration, of_set: np.ndarray) -> tuple[np.ndarray, Coverage]:
-    """:func:`evidence` as the search sees it."""
-    return evidence(search.rig, search.maps, rods, of_set, search.material, search.up, search.options, search.piece_points)
 
 
 def left_over(final: Finalists, best: np.ndarray, image_length: np.ndarray, length: float) -> np.ndarray:

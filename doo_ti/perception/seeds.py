@@ -25,11 +25,11 @@ from doo_ti.perception.search import PerceptionOptions, evidence
 from doo_ti.perception.traced import PATHS, whole_rods
 from doo_ti.rod.types import Material
 from doo_ti.system.errors import InputError
-from doo_ti.vision.cameras.rig import Rig
-from doo_ti.vision.detection.line import Detection, thinned
-from doo_ti.vision.detection.paths import Chains, paths_from
-from doo_ti.vision.reprojection.distance_map import distance_maps
-from doo_ti.vision.reprojection.triangulation import rays
+from doo_ti.vision.cameras import Rig
+from doo_ti.vision.detection import Detection, thinned
+from doo_ti.vision.distance_map import distance_maps
+from doo_ti.vision.paths import Chains, paths_from
+from doo_ti.vision.triangulation import rays
 
 CLICK_PX, END_PX = 30.0, 15.0  # A click is this near to the thread; an end this near to a click is meant
 EPIPOLAR_PX = 8.0  # an end this near to the epipolar line of a click may be its image
@@ -144,16 +144,11 @@ AMBIGUOUS_PX = 0.02  # E_vis over ν and the length of all detected lines, in px
 
 @dataclass(frozen=True)
 class WholeThreads:
-    """Of A sets; NaN where no thread can be followed from the seed.
+    """Of A sets; NaN where no thread can be followed from the seed."""
 
-    length     (A,) mm
-    range      (A, 2) mm: the shortest and the longest length that explains the images as well
-    direction  (A, 3) unit vectors of the beginnings
-    """
-
-    length: np.ndarray
-    range: np.ndarray
-    direction: np.ndarray
+    length: np.ndarray  # (A,) mm
+    range: np.ndarray  # (A, 2) mm: the shortest and the longest length that explains the images as well
+    direction: np.ndarray  # (A, 3) unit vectors of the beginnings
 
 
 def whole_threads(rig: Rig, detections: Sequence[Sequence[Detection]], point: np.ndarray, direction: np.ndarray | None,

@@ -1,6 +1,6 @@
 """Hypotheses from traced paths: rods that explain the detected thread from its beginning to its end (docs/perception.md).
 
-    paths     along the thread in each image, from the seed on            doo_ti.vision.detection.paths
+    paths     along the thread in each image, from the seed on            doo_ti.vision.paths
     matches   paths of all images that are of one curve, and the curve    doo_ti.perception.matching
     rods      that begin as these curves, some smoother than others, and are relaxed under E/B + ν E_back
 
@@ -22,10 +22,10 @@ from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import across, bishop_frames, quaternion_from_matrix
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution
-from doo_ti.vision.cameras.rig import Rig
-from doo_ti.vision.detection.line import Detection
-from doo_ti.vision.detection.paths import Chains, paths_from
-from doo_ti.vision.reprojection.assigned_energy import AssignedPoints
+from doo_ti.vision.cameras import Rig
+from doo_ti.vision.detection import Detection
+from doo_ti.vision.image_energy import AssignedPoints
+from doo_ti.vision.paths import Chains, paths_from
 
 PATHS, MATCHES = 4, 3  # paths of each image, and matches of each set, that are tried
 SMOOTHNESS = (30.0, 1e3, 3e4)
@@ -120,21 +120,14 @@ class TracedShapes:
 
 @dataclass(frozen=True)
 class Tracing:
-    """Rods on their paths: R of all sets, whose places are assigned to points of the paths anew after each relaxation.
-
-    of_set     (R,) image set
-    matches    R times the paths of a rod
-    point      (R, 3) mm where it begins
-    direction  (R, 3) in which it begins, or None: free
-    shares     (N,) of its length that its edges have
-    """
+    """Rods on their paths: R of all sets, whose places are assigned to points of the paths anew after each relaxation."""
 
     rig: Rig
-    of_set: np.ndarray
-    matches: Sequence[Match]
-    point: np.ndarray
-    direction: np.ndarray | None
-    shares: np.ndarray
+    of_set: np.ndarray  # (R,) image set
+    matches: Sequence[Match]  # R times the paths of a rod
+    point: np.ndarray  # (R, 3) mm where it begins
+    direction: np.ndarray | None  # (R, 3) in which it begins, or None: free
+    shares: np.ndarray  # (N,) of its length that its edges have
     material: Material
     up: np.ndarray
 

@@ -25,10 +25,10 @@ from doo_ti.rod.frames import conjugate, quaternion_product, smallest_rotation, 
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
-from doo_ti.vision.cameras.rig import Rig
-from doo_ti.vision.detection.line import Detection
-from doo_ti.vision.reprojection.distance_map import distance_maps
-from doo_ti.vision.reprojection.score import score
+from doo_ti.vision.cameras import Rig
+from doo_ti.vision.detection import Detection
+from doo_ti.vision.distance_map import distance_maps
+from doo_ti.vision.score import score
 
 FEWEST_CAMERAS = 2  # that must see a rod which is tracked: one does not see depth
 ITERATIONS = 30  # largest number of Newton's iterations, in f32, from each initial shape
@@ -172,14 +172,15 @@ class Tracker:
                         direction, self._rest_length, self._material, self._up, self._search,
                         check_seeds(self._surroundings, point))
         rod, how = None if self._last is None else self._tracked(search, far), How.TRACKED
-        if rod is None or self._doubtful(rod):
+        if rod is None or not (self._sound(rod) and rod.camera_error.mean() - self._usual <= self._options.worse_px):
             self._usual = np.inf
             found = perceive(search.maps, search.rig, search.point, search.direction, self._rest_length, self._material,
                              up=self._up, options=self._search, surroundings=self._surroundings)
             seeded = _Rod(found.configuration, found.energy_vis[0], found.camera_error[0], found.status[0], found.stable[0])
-            if rod is None or self._better(seeded, rod):
+            if rod is None or (seeded.converged if seeded.converged != rod.converged
+                               else seeded.energy_vis < (1 - BETTER) * rod.energy_vis):
                 rod, how = seeded, How.SEEDED
-        if not (rod.converged and self._seen(rod)):
+        if not self._sound(rod):
             return self._lost()
         return self._kept(rod, how, search)
 
@@ -220,20 +221,9 @@ class Tracker:
         fine, pieces = rod.configuration, self._search.pieces
         return Configuration(fine.start, fine.quaternions[:, pieces // 2 :: pieces], self._rest_length)
 
-    def _seen(self, rod: _Rod) -> bool:
-        """Whether the rod is on the detected line."""
-        return np.sort(rod.camera_error)[FEWEST_CAMERAS - 1] <= self._options.lost_px
-
-    def _doubtful(self, rod: _Rod) -> bool:
-        """Whether Algorithm 1 is to be run."""
-        worse = rod.camera_error.mean() - self._usual
-        return not (rod.converged and self._seen(rod) and worse <= self._options.worse_px)
-
-    @staticmethod
-    def _better(rod: _Rod, other: _Rod) -> bool:
-        if rod.converged != other.converged:
-            return rod.converged
-        return rod.energy_vis < (1 - BETTER) * other.energy_vis
+    def _sound(self, rod: _Rod) -> bool:
+        """Whether the rod has converged on the detected line."""
+        return rod.converged and np.sort(rod.camera_error)[FEWEST_CAMERAS - 1] <= self._options.lost_px
 
     def _kept(self, rod: _Rod, how: How, search: Search) -> TrackedFrame:
         """The result of a frame; the rod is stored for the next one."""

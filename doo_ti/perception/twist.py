@@ -22,12 +22,11 @@ from numpy.typing import ArrayLike
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.perception.twist_curves import TwistCurves
 from doo_ti.relaxation.newton import Newton
+from doo_ti.rod.material import doubt_angle
 from doo_ti.rod.observations import Observations
-from doo_ti.rod.physical_units import doubt_angle
 from doo_ti.rod.types import Material
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
-from doo_ti.system.short_repr import short_repr
 
 
 class TwistVerdict(IntEnum):

@@ -25,26 +25,20 @@ from doo_ti.perception.tracking import TrackedFrame, Tracker, seen_vertices
 from doo_ti.rod.types import Clamps, Material
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import write_whole
-from doo_ti.vision.cameras.rig import Rig
-from doo_ti.vision.detection.detect import detect
-from doo_ti.vision.detection.options import DetectionOptions
-from doo_ti.vision.rendering.render import RenderOptions, render_set
+from doo_ti.vision.cameras import Rig
+from doo_ti.vision.detect import detect
+from doo_ti.vision.detection import DetectionOptions
+from doo_ti.vision.render import RenderOptions, render_set
 
 
 @dataclass(frozen=True)
 class LabRods:
-    """The rods of a scene, free of any noise.
+    """The rods of a scene, free of any noise."""
 
-    names        S of them: rod, end distance and end rotation
-    curve        (S, n, 3) mm: the fine mesh, with its rest curvature and its clips
-    vertices     (S, V, 3) mm: its marks
-    rest_length  (V − 1,) mm between them
-    """
-
-    names: tuple[str, ...]
-    curve: np.ndarray
-    vertices: np.ndarray
-    rest_length: np.ndarray
+    names: tuple[str, ...]  # S of them: rod, end distance and end rotation
+    curve: np.ndarray  # (S, n, 3) mm: the fine mesh, with its rest curvature and its clips
+    vertices: np.ndarray  # (S, V, 3) mm: its marks
+    rest_length: np.ndarray  # (V − 1,) mm between them
 
     @property
     def point(self) -> np.ndarray:
@@ -93,20 +87,13 @@ three cameras and to a half by two, root mean square, but their errors are commo
 
 @dataclass(frozen=True)
 class SeenMoment:
-    """What the cameras saw at one moment.
+    """What the cameras saw at one moment."""
 
-    rod      (n, 3) mm, the true one
-    images   C images (H, W) uint8
-    covered  names of the cameras that saw nothing
-    frame    the rod that was tracked
-    seen     (V, 3) mm, its vertices that images show, NaN at the others
-    """
-
-    rod: np.ndarray
-    images: list[np.ndarray]
-    covered: tuple[str, ...]
-    frame: TrackedFrame
-    seen: np.ndarray
+    rod: np.ndarray  # (n, 3) mm, the true one
+    images: list[np.ndarray]  # C images (H, W) uint8
+    covered: tuple[str, ...]  # names of the cameras that saw nothing
+    frame: TrackedFrame  # the rod that was tracked
+    seen: np.ndarray  # (V, 3) mm, its vertices that images show, NaN at the others
 
 
 class VirtualCameras:

@@ -13,28 +13,16 @@ import rerun.blueprint as blueprint
 
 from doo_ti.perception.growth import GrowthStep
 from doo_ti.perception.virtual_lab import SeenMoment
-from doo_ti.record.stream import (
-    BACKGROUND,
-    FAILED,
-    drawn_strips,
-    entity_name,
-    log_up,
-    log_view,
-    panels,
-    recording,
-    space_view,
-)
+from doo_ti.record import viewer
 from doo_ti.report.canvas import box, widest
-from doo_ti.report.shapes import BEST, DETECTED, RUNNER_UP, TRUTH, SeenRod
-from doo_ti.vision.cameras.camera import Camera
-from doo_ti.vision.cameras.rig import Rig
-from doo_ti.vision.detection.images import read_image
+from doo_ti.report.figures import BEST, DETECTED, RUNNER_UP, TRUTH, SeenRod
+from doo_ti.vision.cameras import Camera, Rig
+from doo_ti.vision.images import read_image
 
 KEPT = (125, 170, 255)
 FRUSTUM_MM = 60.0
 JPEG_QUALITY = 80
-FARTHEST_PX = 1e6
-"""Points farther away are left out."""
+FARTHEST_PX = 1e6  # points farther away are left out
 TRACKED_COLORS = np.array([(47, 123, 255), (255, 159, 28), (255, 46, 77)], dtype=np.uint8)
 """Of rods that are tracked, found by Algorithm 1, and lost."""
 TRACKED_WORDS = ("tracked", "found by Algorithm 1", "lost")
@@ -49,10 +37,10 @@ def record_perception(path, *, run_id: str, name: str, rig: Rig, rods: list[Seen
     growth  of each of them, from two edges on
     up      direction against gravity
     """
-    places = [_entity(index, seen.name) for index, seen in enumerate(rods)]
-    with recording(path, run_id, name, _growth_layout(rig, places, rods, np.asarray(up, float))) as stream:
+    places = [f"set{index}_{viewer.entity_name(seen.name)}" for index, seen in enumerate(rods)]
+    with viewer.recording(path, run_id, name, _growth_layout(rig, places, rods, np.asarray(up, float))) as stream:
         for place, seen, steps in zip(places, rods, growth, strict=True):
-            log_up(stream, f"world/{place}", np.asarray(up, float))
+            viewer.log_up(stream, f"world/{place}", np.asarray(up, float))
             _log_cameras(stream, place, rig, seen)
             _log_styles(stream, place, rig)
             for number, step in enumerate(steps, 2):
@@ -63,11 +51,6 @@ def record_perception(path, *, run_id: str, name: str, rig: Rig, rods: list[Seen
             _log_curves(stream, place, rig, {
                 "rods": [seen.best], "runner_up": [] if seen.runner_up is None else [seen.runner_up], "kept": [], "pruned": []})
             stream.reset_time()
-
-
-def _entity(index: int, name: str) -> str:
-    """The name of a set's entities, below ``world`` and ``images``."""
-    return f"set{index}_{entity_name(name)}"
 
 
 def _log_cameras(stream, place: str, rig: Rig, seen: SeenRod) -> None:
@@ -84,7 +67,7 @@ def _log_cameras(stream, place: str, rig: Rig, seen: SeenRod) -> None:
                 static=True)
     if seen.truth is not None:
         stream.log(f"world/{place}/truth", rerun.LineStrips3D(
-            drawn_strips(seen.truth[None]), colors=_rgb(TRUTH), radii=rerun.Radius.ui_points(1.0)), static=True)
+            viewer.drawn_strips(seen.truth[None]), colors=_rgb(TRUTH), radii=rerun.Radius.ui_points(1.0)), static=True)
     words = rerun.TextDocument(f"**{seen.name}**: {seen.verdict}", media_type="text/markdown")
     stream.log(f"summary/{place}", words, static=True)
 
@@ -100,7 +83,7 @@ def _log_styles(stream, place: str, rig: Rig) -> None:
     """Colours and widths of all curves, once."""
     for root, strips in [(f"world/{place}", rerun.LineStrips3D)] + [
             (f"images/{place}/{camera.name}", rerun.LineStrips2D) for camera in rig.cameras]:
-        for name, color, width in (("pruned", FAILED, 0.4), ("kept", KEPT, 0.7), ("runner_up", _rgb(RUNNER_UP), 1.6),
+        for name, color, width in (("pruned", viewer.FAILED, 0.4), ("kept", KEPT, 0.7), ("runner_up", _rgb(RUNNER_UP), 1.6),
                                    ("rods", _rgb(BEST), 1.6)):
             order = {} if strips is rerun.LineStrips3D else {"draw_order": {"pruned": 6.0, "kept": 7.0}.get(name, 9.0)}
             stream.log(f"{root}/{name}", strips.from_fields(colors=[color], radii=rerun.Radius.ui_points(width), **order),
@@ -118,7 +101,7 @@ def _log_curves(stream, place: str, rig: Rig, curves: dict[str, list[np.ndarray]
     """Curves (V, 3) by the name of their entity, in space and in every image."""
     for name, some in curves.items():
         stream.log(f"world/{place}/{name}", rerun.LineStrips3D.from_fields(
-            strips=[strip for curve in some for strip in drawn_strips(curve[None])]))
+            strips=[strip for curve in some for strip in viewer.drawn_strips(curve[None])]))
         for camera in rig.cameras:
             stream.log(f"images/{place}/{camera.name}/{name}", rerun.LineStrips2D.from_fields(
                 strips=[_drawn(camera.project(curve)) for curve in some]))
@@ -140,18 +123,18 @@ def _growth_layout(rig: Rig, places: list[str], rods: list[SeenRod], up: np.ndar
         middle, size = seen.best.mean(axis=0), widest(*box(seen.best))
         toward = np.mean([camera.centre for camera in rig.cameras], axis=0) - middle
         toward = toward / np.linalg.norm(toward) + 0.3 * up / np.linalg.norm(up)
-        space = space_view("Hypotheses: best and kept blue, pruned red", f"world/{place}",
-                           (middle + 1.3 * size * toward, middle, up))
-        cameras = space_view("Cameras", f"world/{place}")
-        images = [blueprint.Spatial2DView(name=camera.name, origin=f"images/{place}/{camera.name}", background=BACKGROUND,
-                                          visual_bounds=_bounds(seen.detected[column]))
-                  for column, camera in enumerate(rig.cameras)]
+        space = viewer.space_view("Hypotheses: best and kept blue, pruned red", f"world/{place}",
+                                  (middle + 1.3 * size * toward, middle, up))
+        cameras = viewer.space_view("Cameras", f"world/{place}")
+        images = [blueprint.Spatial2DView(
+            name=camera.name, origin=f"images/{place}/{camera.name}", background=viewer.BACKGROUND,
+            visual_bounds=_bounds(seen.detected[column])) for column, camera in enumerate(rig.cameras)]
         words = blueprint.TextDocumentView(name="Verdict", origin=f"summary/{place}")
         tabs.append(blueprint.Horizontal(
             blueprint.Vertical(space, words, row_shares=[6, 1]), blueprint.Grid(*images, cameras), column_shares=[1, 1.2],
             name=seen.name))
     body = tabs[0] if len(tabs) == 1 else blueprint.Tabs(*tabs)
-    return blueprint.Blueprint(body, *panels("edges"))
+    return blueprint.Blueprint(body, *viewer.panels("edges"))
 
 
 def _bounds(detected: np.ndarray, margin: float = 40.0) -> blueprint.VisualBounds2D:
@@ -173,8 +156,8 @@ def record_track(path, *, run_id: str, name: str, rig: Rig, paths, vertices: np.
     """
     layout = _video_layout(rig, "frame", "Rod: blue tracked, orange by Algorithm 1", "error", "Distance to the detection [px]",
                            "How the rod was found")
-    with recording(path, run_id, name, layout) as stream:
-        log_up(stream, "world", np.asarray(up, float))
+    with viewer.recording(path, run_id, name, layout) as stream:
+        viewer.log_up(stream, "world", np.asarray(up, float))
         for camera in rig.cameras:
             _log_frustum(stream, f"world/cameras/{camera.name}", camera, 0.2 * float(np.linalg.norm(camera.centre)))
         for frame, (images, rod) in enumerate(zip(paths, vertices, strict=True)):
@@ -194,12 +177,12 @@ def record_track(path, *, run_id: str, name: str, rig: Rig, paths, vertices: np.
 def _video_layout(rig: Rig, timeline: str, rods: str, curve: str, title: str, log: str) -> blueprint.Blueprint:
     """Rods among the cameras on the left, above a ``curve`` and the log; images on the right."""
     curves = blueprint.TimeSeriesView(name=title, origin=f"curves/{curve}")
-    images = [blueprint.Spatial2DView(name=camera.name, origin=f"images/{camera.name}", background=BACKGROUND)
+    images = [blueprint.Spatial2DView(name=camera.name, origin=f"images/{camera.name}", background=viewer.BACKGROUND)
               for camera in rig.cameras]
-    below = blueprint.Horizontal(curves, log_view(log, timeline))
-    beside = blueprint.Vertical(space_view(rods, "world"), below, row_shares=[3, 1])
+    below = blueprint.Horizontal(curves, viewer.log_view(log, timeline))
+    beside = blueprint.Vertical(viewer.space_view(rods, "world"), below, row_shares=[3, 1])
     views = blueprint.Grid(*images, grid_columns=1 if len(images) <= 3 else 2)
-    return blueprint.Blueprint(blueprint.Horizontal(beside, views, column_shares=[2, 1]), *panels(timeline))
+    return blueprint.Blueprint(blueprint.Horizontal(beside, views, column_shares=[2, 1]), *viewer.panels(timeline))
 
 
 MODEL, TARGET = (198, 120, 221), (253, 231, 37)
@@ -219,8 +202,8 @@ def record_servo(path, *, run_id: str, name: str, rig: Rig, moments: list[SeenMo
     asked = target[np.isfinite(target).all(axis=1)]
     layout = _video_layout(rig, "step", "Rods: blue tracked, purple the model, yellow the target", "distance",
                            "Distance to the target [mm]", "Statuses")
-    with recording(path, run_id, name, layout) as stream:
-        log_up(stream, "world", np.asarray(up, float))
+    with viewer.recording(path, run_id, name, layout) as stream:
+        viewer.log_up(stream, "world", np.asarray(up, float))
         stream.log("world/target", rerun.LineStrips3D([asked], colors=TARGET, radii=rerun.Radius.ui_points(1.2)), static=True)
         for camera in rig.cameras:
             _log_frustum(stream, f"world/cameras/{camera.name}", camera, FRUSTUM_MM)

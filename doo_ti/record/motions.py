@@ -11,26 +11,12 @@ import numpy as np
 import rerun
 import rerun.blueprint as blueprint
 
-from doo_ti.contact.surroundings import Surroundings
+from doo_ti.contact.surroundings import Moving, Surroundings, since_first
 from doo_ti.groups.relax_group import GroupSolution
-from doo_ti.record.stream import (
-    FAILED,
-    OBSERVED,
-    drawn_strips,
-    entity_name,
-    front_view,
-    log_forces,
-    log_obstacles,
-    log_up,
-    log_view,
-    panels,
-    recording,
-    space_view,
-)
+from doo_ti.record import viewer
 from doo_ti.report import MovingRods, Ribbons, distinct_colors
-from doo_ti.report.canvas import box, widest
+from doo_ti.report.canvas import Observed, box, facing, grid_view, widest
 from doo_ti.report.contact import GroupMotion, Touched
-from doo_ti.report.grid_view import Observed, facing, grid_view
 
 GRIPPER = (120, 120, 130)
 MOST_CURVES = 12
@@ -47,21 +33,21 @@ def record_motion(path, *, run_id: str, name: str, rods: MovingRods, curves: dic
     """
     count, moments = len(rods.names), len(rods.time)
     when = [rerun.TimeColumn("time", duration=rods.time)]
-    with recording(path, run_id, name, _motion_layout(rods, list(curves))) as stream:
-        log_up(stream, "world", rods.basis[2])
+    with viewer.recording(path, run_id, name, _motion_layout(rods, list(curves))) as stream:
+        viewer.log_up(stream, "world", rods.basis[2])
         stream.log("world/rods", rerun.LineStrips3D.from_fields(
             radii=rerun.Radius.ui_points(2.0), labels=rods.names, show_labels=count <= MOST_CURVES), static=True)
         _log_held(stream, rods, when)
         if rods.touched is not None:
-            log_obstacles(stream, "world/obstacles", when, rods.touched, np.zeros((1, 3)))
-            log_forces(stream, "world/forces", when, rods.touched, np.zeros((count, 3)))
+            _log_obstacles(stream, "world/obstacles", when, rods.touched, np.zeros((1, 3)))
+            _log_forces(stream, "world/forces", when, rods.touched, np.zeros((count, 3)))
         own = distinct_colors(count)
-        colors = np.where(rods.sound[..., None], own, np.uint8(FAILED)).astype(np.uint8)
+        colors = np.where(rods.sound[..., None], own, np.uint8(viewer.FAILED)).astype(np.uint8)
         stream.send_columns("world/rods", when, rerun.LineStrips3D.columns(
-            strips=drawn_strips(rods.vertices.reshape(moments * count, *rods.vertices.shape[2:])),
+            strips=viewer.drawn_strips(rods.vertices.reshape(moments * count, *rods.vertices.shape[2:])),
             colors=colors.reshape(-1, 3)).partition([count] * moments))
         for title, values in curves.items():
-            _log_curves(stream, f"curves/{entity_name(title)}", when, values[:, :MOST_CURVES], rods.names[:MOST_CURVES],
+            _log_curves(stream, f"curves/{viewer.entity_name(title)}", when, values[:, :MOST_CURVES], rods.names[:MOST_CURVES],
                         own[:MOST_CURVES], 2.0)
         for moment, rod in np.argwhere(rods.jumps > 0):
             stream.set_time("time", duration=float(rods.time[moment]))
@@ -84,12 +70,13 @@ def _log_held(stream, rods: MovingRods, when: list[rerun.TimeColumn]) -> None:
         moments, count, lines = rods.grippers.shape[:3]
         stream.log("world/grippers", rerun.LineStrips3D.from_fields(
             colors=[GRIPPER], radii=rerun.Radius.ui_points(3.5)), static=True)
+        strips = viewer.drawn_strips(rods.grippers.reshape(-1, *rods.grippers.shape[3:]))
         stream.send_columns("world/grippers", when, rerun.LineStrips3D.columns(
-            strips=drawn_strips(rods.grippers.reshape(-1, *rods.grippers.shape[3:]))).partition([count * lines] * moments))
+            strips=strips).partition([count * lines] * moments))
     if rods.marks is not None:
         present = rods.marks[np.isfinite(rods.marks).all(axis=-1)].astype(np.float32)
-        stream.log("world/observations/marks", rerun.Points3D(present, colors=OBSERVED, radii=rerun.Radius.ui_points(1.4)),
-                   static=True)
+        stream.log("world/observations/marks", rerun.Points3D(
+            present, colors=viewer.OBSERVED, radii=rerun.Radius.ui_points(1.4)), static=True)
 
 
 def _motion_layout(rods: MovingRods, titles: list[str]) -> blueprint.Blueprint:
@@ -98,16 +85,16 @@ def _motion_layout(rods: MovingRods, titles: list[str]) -> blueprint.Blueprint:
     middle, size = 0.5 * (low + high), max(np.linalg.norm(high - low), 1.0)
     _, into, up = rods.basis
     blue = "" if rods.touched is None else f"; blue: {rods.touched.legend}"
-    view = space_view(f"Rods, mm; grey: grippers, white: observed marks{blue}", "world",
-                      (middle - size * (into - 0.3 * up), middle, up))
+    view = viewer.space_view(f"Rods, mm; grey: grippers, white: observed marks{blue}", "world",
+                             (middle - size * (into - 0.3 * up), middle, up))
     # The same colours everywhere: one legend, that of the first plot.
     plots = [blueprint.TimeSeriesView(
-        name=title, origin=f"curves/{entity_name(title)}",
+        name=title, origin=f"curves/{viewer.entity_name(title)}",
         plot_legend=blueprint.PlotLegend("LeftTop", visible=not place and len(rods.names) <= MOST_IN_LEGEND))
         for place, title in enumerate(titles)]
-    words = blueprint.Horizontal(blueprint.TextDocumentView(name="Summary", origin="summary"), log_view("Jumps", "time"))
+    words = blueprint.Horizontal(blueprint.TextDocumentView(name="Summary", origin="summary"), viewer.log_view("Jumps", "time"))
     beside = blueprint.Vertical(*plots, words)
-    return blueprint.Blueprint(blueprint.Horizontal(view, beside, column_shares=[1.3, 1]), *panels("time"))
+    return blueprint.Blueprint(blueprint.Horizontal(view, beside, column_shares=[1.3, 1]), *viewer.panels("time"))
 
 
 def record_ribbons(path, *, run_id: str, name: str, ribbons: list[Ribbons], observation: np.ndarray, rank: np.ndarray,
@@ -121,8 +108,8 @@ def record_ribbons(path, *, run_id: str, name: str, ribbons: list[Ribbons], obse
     """
     count, _, marks, _ = ribbons[0].sides.shape
     times = [rerun.TimeColumn("observation", sequence=observation), rerun.TimeColumn("difference", sequence=rank)]
-    with recording(path, run_id, name, _ribbon_layout(ribbons, basis)) as stream:
-        log_up(stream, "world", basis[2])
+    with viewer.recording(path, run_id, name, _ribbon_layout(ribbons, basis)) as stream:
+        viewer.log_up(stream, "world", basis[2])
         for number, kind in enumerate(ribbons):
             place, borders = f"world/ribbons/{number}", kind.sides.reshape(-1, marks, 3)
             if kind.filled:
@@ -136,7 +123,7 @@ def record_ribbons(path, *, run_id: str, name: str, ribbons: list[Ribbons], obse
                 colors=[np.uint8(kind.color) // (2 if kind.filled else 1)], radii=rerun.Radius.ui_points(0.9),
                 labels=[kind.label] * 2, show_labels=False), static=True)
             stream.send_columns(f"{place}/borders", times, rerun.LineStrips3D.columns(
-                strips=drawn_strips(borders)).partition([2] * count))
+                strips=viewer.drawn_strips(borders)).partition([2] * count))
         stream.send_columns("summary", times, rerun.TextDocument.columns(text=texts, media_type=["text/markdown"] * count))
 
 
@@ -162,9 +149,9 @@ def _ribbon_layout(ribbons: list[Ribbons], basis: np.ndarray) -> blueprint.Bluep
     middle = np.median(0.5 * (low + high), axis=0)
     size = max(np.linalg.norm(high - low, axis=-1).max(), widest(low, high))
     position = middle - 0.9 * size * (basis[1] - 0.35 * basis[2] - 0.35 * basis[0])
-    view = space_view("Ribbons, mm", "world", (position, middle, basis[2]))
+    view = viewer.space_view("Ribbons, mm", "world", (position, middle, basis[2]))
     text = blueprint.TextDocumentView(name="Ribbons", origin="summary")
-    return blueprint.Blueprint(blueprint.Horizontal(view, text, column_shares=[1.2, 1]), *panels("difference"))
+    return blueprint.Blueprint(blueprint.Horizontal(view, text, column_shares=[1.2, 1]), *viewer.panels("difference"))
 
 
 SIMULATED = (255, 140, 60)
@@ -186,16 +173,16 @@ def record_rollout(path: Path, name: str, names: list[str], positions: np.ndarra
     places = (rods if seen is None else seen).reshape(count, -1, 3)
     grid = grid_view(Observed(places, up=facing(places, up)[0]))
     title = f"Rods, mm: orange simulated{', white recorded' * (seen is not None)}"
-    views = [front_view(grid, "world", title if touched is None else f"{title}, blue {touched.legend}", 1.8)]
+    views = [viewer.front_view(grid, "world", title if touched is None else f"{title}, blue {touched.legend}", 1.8)]
     if seen is not None:
         views.append(blueprint.TimeSeriesView(name="Mean |difference|, mm", origin="curves/error"))
     if energies is not None:
         views.append(blueprint.TimeSeriesView(name=f"Energies of {names[0]}, mm²", origin="curves/energy"))
-    layout = blueprint.Blueprint(blueprint.Vertical(*views, row_shares=[2, 1, 1][: len(views)]), *panels("time"))
+    layout = blueprint.Blueprint(blueprint.Vertical(*views, row_shares=[2, 1, 1][: len(views)]), *viewer.panels("time"))
     when = [rerun.TimeColumn("time", duration=np.arange(frames) / rate)]
-    with recording(path, f"rollout {name}", name, layout) as stream:
-        log_up(stream, "world", up)
-        for entity, shown, color, width in (("observations", seen, OBSERVED, 0.7), ("rods", rods, SIMULATED, 1.2)):
+    with viewer.recording(path, f"rollout {name}", name, layout) as stream:
+        viewer.log_up(stream, "world", up)
+        for entity, shown, color, width in (("observations", seen, viewer.OBSERVED, 0.7), ("rods", rods, SIMULATED, 1.2)):
             if shown is None:
                 continue
             placed = shown + grid.offset[:, None, None]
@@ -204,11 +191,11 @@ def record_rollout(path: Path, name: str, names: list[str], positions: np.ndarra
             radius = float(np.min(touched.surroundings.radius)) if thick else rerun.Radius.ui_points(width)
             stream.log(f"world/{entity}", rerun.LineStrips3D.from_fields(
                 colors=color, radii=radius, labels=names[:MOST_RODS], show_labels=count <= 12), static=True)
-            strips = drawn_strips(placed.swapaxes(0, 1).reshape(-1, *rods.shape[2:]))
+            strips = viewer.drawn_strips(placed.swapaxes(0, 1).reshape(-1, *rods.shape[2:]))
             stream.send_columns(f"world/{entity}", when, rerun.LineStrips3D.columns(strips=strips).partition([count] * frames))
         if touched is not None:
-            log_obstacles(stream, "world/obstacles", when, touched, grid.offset)
-            log_forces(stream, "world/forces", when, touched, grid.offset)
+            _log_obstacles(stream, "world/obstacles", when, touched, grid.offset)
+            _log_forces(stream, "world/forces", when, touched, grid.offset)
         if seen is not None:
             _log_curves(stream, "curves/error", when, np.abs(rods - seen).mean(axis=(2, 3)).T, names[:MOST_RODS],
                         distinct_colors(count), 1.0)
@@ -231,28 +218,70 @@ def record_group(path: Path, moments: Sequence[GroupSolution], *, name: str, nam
     """
     seen = GroupMotion.of(moments, row, surroundings, newton)
     grid = grid_view(Observed(seen.vertices.reshape(1, -1, 3), up=up))
-    layout = blueprint.Blueprint(front_view(grid, "world", f"Rods, mm: blue {seen.touched.legend}", 1.8), *panels("time"))
+    view = viewer.front_view(grid, "world", f"Rods, mm: blue {seen.touched.legend}", 1.8)
     frames, count = len(seen.rods), len(seen.rods[0])
     when = [rerun.TimeColumn("time", duration=np.arange(frames) / rate)]
-    called = [str(rod) if names is None else f"{rod}_{entity_name(names[rod])}" for rod in range(count)]
-    with recording(path, f"group {name}", name, layout) as stream:
-        log_up(stream, "world", grid.basis[2])
+    called = [str(rod) if names is None else f"{rod}_{viewer.entity_name(names[rod])}" for rod in range(count)]
+    with viewer.recording(path, f"group {name}", name, blueprint.Blueprint(view, *viewer.panels("time"))) as stream:
+        viewer.log_up(stream, "world", grid.basis[2])
         radii = [None] * count if seen.radii is None else seen.radii.tolist()
         for rod, (own, color) in enumerate(zip(called, distinct_colors(count), strict=True)):
             place = f"world/rods/{own}"
             stream.log(place, rerun.LineStrips3D.from_fields(radii=_thick(radii[rod], 1.0, 1.2)), static=True)
-            strips = [strip for moment in seen.rods for strip in drawn_strips(moment[rod][None])]
+            strips = [strip for moment in seen.rods for strip in viewer.drawn_strips(moment[rod][None])]
             stream.send_columns(place, when, rerun.LineStrips3D.columns(
-                strips=strips, colors=np.where(seen.sound[:, None], color, np.array(FAILED, dtype=color.dtype))))
+                strips=strips, colors=np.where(seen.sound[:, None], color, np.array(viewer.FAILED, dtype=color.dtype))))
         if len(seen.tied):
             thickest = None if seen.radii is None else max(radii)
             stream.log("world/ties", rerun.Points3D.from_fields(colors=TIE, radii=_thick(thickest, 1.3, 2.0)), static=True)
             stream.send_columns("world/ties", when, rerun.Points3D.columns(
                 positions=seen.vertices[:, seen.tied].reshape(-1, 3)).partition([len(seen.tied)] * frames))
-        log_obstacles(stream, "world/obstacles", when, seen.touched, np.zeros((1, 3)))
-        log_forces(stream, "world/forces", when, seen.touched, np.zeros((1, 3)))
+        _log_obstacles(stream, "world/obstacles", when, seen.touched, np.zeros((1, 3)))
+        _log_forces(stream, "world/forces", when, seen.touched, np.zeros((1, 3)))
 
 
 def _thick(radius: float | None, share: float, points: float):
     """So many times the radius, or so many points of the screen where there is none."""
     return rerun.Radius.ui_points(points) if radius is None else share * radius
+
+
+# --- contact -------------------------------------------------------------------------------------------------------------
+
+OBSTACLE, FORCE = (130, 138, 150, 255), (110, 160, 255)
+
+
+def _log_obstacles(stream, entity: str, when: list, touched: Touched, offset: np.ndarray) -> None:
+    """The obstacles around each rod, moved by the rod's ``offset`` (R, 3), below ``entity``; those that move at the T times
+    ``when``."""
+    for row, move in enumerate(offset):
+        for number, (given, _, vertices, triangles, normals) in enumerate(touched.meshes(row, 0)):
+            own, corners = f"{entity}/{row}/{number}", _outward(vertices[triangles], normals).reshape(-1, 3)
+            if isinstance(given, Moving):
+                rotation, shift = since_first(*given.path)
+                stream.send_columns(own, when, rerun.Transform3D.columns(mat3x3=rotation[0], translation=shift[0] + move))
+            else:
+                corners = corners + move
+            stream.log(own, rerun.Mesh3D(
+                vertex_positions=corners, vertex_normals=np.repeat(normals, 3, axis=0), albedo_factor=OBSTACLE,
+                # A table does not hide from below what lies on it.
+                face_rendering=rerun.components.MeshFaceRendering.Front), static=True)
+
+
+def _outward(corners: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Triangles (M, 3, 3) with their corners in the sense of their outward ``normals`` (M, 3)."""
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    turned = (across * normals).sum(axis=-1) < 0.0
+    return np.where(turned[:, None, None], corners[:, ::-1], corners)
+
+
+def _log_forces(stream, entity: str, when: list, touched: Touched, offset: np.ndarray) -> None:
+    """Contact forces on the rods that have an ``offset`` (R, 3), as arrows at the T times ``when``."""
+    places, vectors, counts = [], [], []
+    for frame in range(touched.force.shape[1]):
+        found = [touched.arrows(row, frame) for row in range(len(offset))]
+        places += [origin + move for (origin, _), move in zip(found, offset, strict=True)]
+        vectors += [vector for _, vector in found]
+        counts.append(sum(len(origin) for origin, _ in found))
+    stream.log(entity, rerun.Arrows3D.from_fields(colors=FORCE, radii=rerun.Radius.ui_points(0.8)), static=True)
+    stream.send_columns(entity, when, rerun.Arrows3D.columns(
+        origins=np.concatenate(places), vectors=np.concatenate(vectors)).partition(counts))

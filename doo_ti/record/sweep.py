@@ -15,27 +15,14 @@ import rerun
 import rerun.blueprint as blueprint
 
 from doo_ti import report
-from doo_ti.record.stream import (
-    FAILED,
-    TEXT,
-    drawn_strips,
-    entity_name,
-    front_view,
-    log_observations,
-    panels,
-    recording,
-    space_view,
-    vectors,
-)
-from doo_ti.report.grid_view import GridView, Observed, grid_view
+from doo_ti.record import viewer
+from doo_ti.report.canvas import GridView, Observed, grid_view
 from doo_ti.report.plane import LandscapePlane
 from doo_ti.rod.grid import UNITS, Interval
 from doo_ti.rod.types import Status
-from doo_ti.system.arguments import typed
-from doo_ti.system.short_repr import short_repr
+from doo_ti.system.arguments import short_repr, typed
 
-BLOCK = 10
-"""Iterations sent at once."""
+BLOCK = 10  # iterations sent at once
 MINIMUM = (255, 255, 255)
 MOST_POINTS = 20_000
 ENDINGS = {status: status.name.lower().replace("_", " ") for status in Status}
@@ -75,10 +62,10 @@ def record_sweep(path: str | os.PathLike[str], *, run_id: str, name: str, observ
     """
     properties = {key: value if isinstance(value, (int, float, str)) else str(value) for key, value in properties.items()}
     grid = grid_view(observed)
-    with recording(path, run_id, name, _layout(grid, plane)) as stream:
+    with viewer.recording(path, run_id, name, _layout(grid, plane)) as stream:
         if properties:
             stream.send_property("run", rerun.AnyValues(**properties))
-        log_observations(stream, "world", grid, observed)
+        viewer.log_observations(stream, "world", grid, observed)
         _log_rods(stream, grid, trajectory, observed.names, with_trials=plane is not None)
         _log_curves(stream, trajectory)
         if plane is not None:
@@ -92,15 +79,15 @@ def record_sweep(path: str | os.PathLike[str], *, run_id: str, name: str, observ
 def _log_rods(stream, grid: GridView, trajectory: SweepTrajectory, names: list[str], with_trials: bool) -> None:
     """One entity for all rods, one instance per rod: an entity per rod makes files large and the viewer slow."""
     status, distance = trajectory.status, trajectory.distance
-    colors = np.where((status == Status.CONVERGED)[:, None], report.distance_colors(distance), FAILED)
+    colors = np.where((status == Status.CONVERGED)[:, None], report.distance_colors(distance), viewer.FAILED)
     labels = [f"{name}: {report.quantity(d, 'mm')}, {ENDINGS[s]}" for name, d, s in zip(names, distance, status, strict=True)]
     stream.log("world/rods", rerun.LineStrips3D.from_fields(
         colors=colors.astype(np.uint8), radii=rerun.Radius.ui_points(1.7), labels=labels, show_labels=False),
-        rerun.AnyValues(offset_mm=vectors(grid.offset)), static=True)
+        rerun.AnyValues(offset_mm=viewer.vectors(grid.offset)), static=True)
     for start in range(0, len(trajectory.vertices), BLOCK):
         rods = trajectory.vertices[start:start + BLOCK] + grid.offset[:, None]
         steps, rods_of_step, marks, _ = rods.shape
-        strips = drawn_strips(rods.reshape(-1, marks, 3))
+        strips = viewer.drawn_strips(rods.reshape(-1, marks, 3))
         stream.send_columns("world/rods", [rerun.TimeColumn("iteration", sequence=np.arange(start, start + steps))],
                             rerun.LineStrips3D.columns(strips=strips).partition([rods_of_step] * steps))
     if with_trials:  # so that the relaxed rods are also shown on the timeline of the cells
@@ -117,7 +104,7 @@ def _log_curves(stream, trajectory: SweepTrajectory) -> None:
         "energy/mean": ("mean [mm²]", np.nanmean, energy, (45, 212, 191)),
         "energy/median": ("median [mm²]", np.nanmedian, energy, (125, 170, 255)),
         "residual/median": ("median [log10]", np.nanmedian, residual, (125, 170, 255)),
-        "residual/largest": ("largest [log10]", np.nanmax, residual, FAILED),
+        "residual/largest": ("largest [log10]", np.nanmax, residual, viewer.FAILED),
     }
     for entity, (name, statistic, values, color) in curves.items():
         some = np.isfinite(values).any(axis=1)
@@ -161,9 +148,9 @@ def _log_surface_axes(stream, plane: LandscapePlane) -> None:
         texts += ["0 mm", "mean distance " + report.quantity(np.nanmax(plane.values), "mm")]
         places += [(-0.08, -0.04, 0), (0, 0, plane.HEIGHT + 0.05)]
     stream.log("landscape/surface/axes", rerun.LineStrips3D(
-        strips, colors=TEXT, radii=rerun.Radius.ui_points(0.7)), static=True)
+        strips, colors=viewer.TEXT, radii=rerun.Radius.ui_points(0.7)), static=True)
     stream.log("landscape/surface/axes/labels", rerun.Points3D(
-        places, labels=texts, show_labels=True, colors=TEXT, radii=rerun.Radius.ui_points(0)), static=True)
+        places, labels=texts, show_labels=True, colors=viewer.TEXT, radii=rerun.Radius.ui_points(0)), static=True)
 
 
 def log_cells(stream, plane: LandscapePlane) -> None:
@@ -189,7 +176,7 @@ def log_cells(stream, plane: LandscapePlane) -> None:
 
 def _layout(grid: GridView, plane: LandscapePlane | None) -> blueprint.Blueprint:
     """Rods and summary on the left, landscape and curves on the right; it opens on the last iteration."""
-    rods = front_view(grid, "world", f"Rods on observed marks (white), mm; {grid.meaning}".removesuffix("; "))
+    rods = viewer.front_view(grid, "world", f"Rods on observed marks (white), mm; {grid.meaning}".removesuffix("; "))
     plots = [blueprint.TimeSeriesView(name=name, origin=f"curves/{entity}", plot_legend=blueprint.Corner2D.RightTop)
              for entity, name in (("energy", "Energy [mm²]"), ("residual", "log10 residual"))]
     summary = blueprint.TextDocumentView(name="Summary", origin="summary")
@@ -197,12 +184,12 @@ def _layout(grid: GridView, plane: LandscapePlane | None) -> blueprint.Blueprint
     if plane is not None:
         picture = blueprint.Spatial2DView(name="Landscape", origin="landscape/picture")
         right = blueprint.Vertical(blueprint.Tabs(picture, _surface_view()), blueprint.Horizontal(*plots), row_shares=[3, 2])
-    return blueprint.Blueprint(blueprint.Horizontal(left, right, column_shares=[1.25, 1]), *panels("iteration"))
+    return blueprint.Blueprint(blueprint.Horizontal(left, right, column_shares=[1.25, 1]), *viewer.panels("iteration"))
 
 
 def _surface_view() -> blueprint.Spatial3DView:
     """The surface, with the cells up to the time cursor."""
-    return space_view(
+    return viewer.space_view(
         "Surface (timeline: trial)", "landscape", ((1.25, -0.95, 0.95), (0.55, 0.42, 0.15), (0, 0, 1)),
         contents=["$origin/surface/**", "$origin/cells"],
         time_ranges=blueprint.VisibleTimeRange("trial", start=blueprint.TimeRangeBoundary.infinite(),
@@ -259,7 +246,7 @@ class CellsOfRun:
     @property
     def entity(self) -> str:
         """The name of its entities, below ``world`` and ``landscape``."""
-        return entity_name(self.name)
+        return viewer.entity_name(self.name)
 
 
 @dataclass(frozen=True)
@@ -290,7 +277,7 @@ def record_cells(path, *, run_id: str, name: str, runs: list[CellsOfRun], cells:
     rods   of all runs and cells, in pieces, in any order
     """
     grids = [grid_view(run.observed) for run in runs]
-    with recording(path, run_id, name, _cells_layout(runs, grids)) as stream:
+    with viewer.recording(path, run_id, name, _cells_layout(runs, grids)) as stream:
         for run, grid in zip(runs, grids, strict=True):
             _log_run(stream, run, grid, _times(cells, rank))
         stream.send_columns("summary", _times(cells, rank), rerun.TextDocument.columns(
@@ -308,13 +295,13 @@ def _log_run(stream, run: CellsOfRun, grid: GridView, times: list[rerun.TimeColu
     """Everything but the rods: what is the same in all cells, and a box around the cell in each panel, a little larger than the
     cell, so that its colour stays visible."""
     world, names = f"world/{run.entity}", run.observed.names
-    log_observations(stream, world, grid, run.observed)
+    viewer.log_observations(stream, world, grid, run.observed)
     stream.log(f"{world}/rods", rerun.LineStrips3D.from_fields(
         radii=rerun.Radius.ui_points(1.7), labels=[names[d] for d in run.observation], show_labels=False),
-        rerun.AnyValues(offset_mm=vectors(grid.offset[run.observation])), static=True)
+        rerun.AnyValues(offset_mm=viewer.vectors(grid.offset[run.observation])), static=True)
     stream.log(f"landscape/{run.entity}", rerun.Image(run.picture).compress(), static=True)
     stream.log(f"landscape/{run.entity}/cell", rerun.Boxes2D.from_fields(
-        colors=[FAILED], radii=rerun.Radius.ui_points(1.5), draw_order=10.0), static=True)
+        colors=[viewer.FAILED], radii=rerun.Radius.ui_points(1.5), draw_order=10.0), static=True)
     steps, count, _ = run.boxes.shape
     half = 0.5 * run.boxes[..., 2:]
     stream.send_columns(f"landscape/{run.entity}/cell", times, rerun.Boxes2D.columns(
@@ -325,8 +312,8 @@ def _log_run(stream, run: CellsOfRun, grid: GridView, times: list[rerun.TimeColu
 def _log_cell_rods(stream, run: CellsOfRun, grid: GridView, piece: Rods, times: list[rerun.TimeColumn]) -> None:
     """One entity for all rods of a run, one instance per rod, one row per cell."""
     steps, count, marks, _ = piece.vertices.shape
-    strips = drawn_strips((piece.vertices + grid.offset[run.observation][:, None]).reshape(-1, marks, 3))
-    colors = np.where(piece.sound[..., None], report.distance_colors(piece.distance, run.distance), FAILED)
+    strips = viewer.drawn_strips((piece.vertices + grid.offset[run.observation][:, None]).reshape(-1, marks, 3))
+    colors = np.where(piece.sound[..., None], report.distance_colors(piece.distance, run.distance), viewer.FAILED)
     place, lengths = f"world/{run.entity}/rods", [count] * steps
     stream.send_columns(place, times, [
         *rerun.LineStrips3D.columns(strips=strips, colors=colors.reshape(-1, 3).astype(np.uint8)).partition(lengths),
@@ -338,7 +325,7 @@ def _cells_layout(runs: list[CellsOfRun], grids: list[GridView]) -> blueprint.Bl
     text = blueprint.TextDocumentView(name="Cell", origin="summary")
     views = []
     for run, grid in zip(runs, grids, strict=True):
-        rods = front_view(grid, f"world/{run.entity}", f"{run.name}: rods on observed marks (white)", aspect=1.1)
+        rods = viewer.front_view(grid, f"world/{run.entity}", f"{run.name}: rods on observed marks (white)", aspect=1.1)
         views.append((rods, blueprint.Spatial2DView(name=f"{run.name}: landscape", origin=f"landscape/{run.entity}")))
     if len(runs) == 1:
         (rods, landscape), = views
@@ -347,4 +334,4 @@ def _cells_layout(runs: list[CellsOfRun], grids: list[GridView]) -> blueprint.Bl
         together = blueprint.Horizontal if len(runs) <= 3 else blueprint.Tabs
         body = blueprint.Vertical(together(*(blueprint.Vertical(*pair, row_shares=[3, 2.4]) for pair in views)), text,
                                   row_shares=[4, 1])
-    return blueprint.Blueprint(body, *panels("falling_error"))
+    return blueprint.Blueprint(body, *viewer.panels("falling_error"))

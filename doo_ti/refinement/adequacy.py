@@ -88,8 +88,12 @@ def adequacy(fit: Fit, fitted: Fitted) -> Adequacy:
     noise = float(np.mean(fit.unknowns.rod.observations.sigma)) if stated else sigma
     gap = state.scales["gap"] * float(np.sqrt((comparison.gap_modes**2).sum(axis=1).mean()))
     degrees = max(3.0 * counts.sum() - len(fit.unknowns.names), 1.0)
+    gains = ((option, meaning, fitted.posterior.value - _evidence(fit, fitted, unknowns))
+             for option, meaning, unknowns in _extensions(fit.unknowns))
+    advice = (Advice(*one) for one in gains if one[-1] > WORTH)
     return Adequacy(noise, stated, float(np.sqrt((rows**2).sum() / degrees) / sigma), gap,
-                    _correlation(rows, counts), _advice(fit, fitted), _influences(fit, fitted))
+                    _correlation(rows, counts), tuple(sorted(advice, key=lambda one: -one.gain)),
+                    _influences(fit, fitted))
 
 
 def _correlation(rows: np.ndarray, counts: np.ndarray) -> float:
@@ -111,12 +115,6 @@ def _influences(fit: Fit, fitted: Fitted) -> tuple[Influence, ...]:
 
 
 # --- extensions of the model ----------------------------------------------------------------------------------------------
-
-
-def _advice(fit: Fit, fitted: Fitted) -> tuple[Advice, ...]:
-    gains = ((option, meaning, fitted.posterior.value - _evidence(fit, fitted, unknowns))
-             for option, meaning, unknowns in _extensions(fit.unknowns))
-    return tuple(sorted((Advice(*one) for one in gains if one[-1] > WORTH), key=lambda one: -one.gain))
 
 
 def _extensions(unknowns: Unknowns):
@@ -194,8 +192,6 @@ def _variants(unknowns: Unknowns) -> dict[str, Unknowns]:
         others = tuple(name for name in unknowns.parameters if name != "bend")
         found["ribbon"] = replace(unknowns, parameters=("bend_1", "bend_2", *others))
     return {name: model for name, model in found.items() if model != unknowns}
-
-
 
 
 # --- misfits whose marks are wrong ----------------------------------------------------------------------------------------

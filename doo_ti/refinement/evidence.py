@@ -1,4 +1,4 @@
-"""Marginal likelihood of the sizes in :mod:`doo_ti.refinement.priors`, unknowns and effects integrated out (empirical Bayes).
+"""Marginal likelihood of the sizes in :mod:`doo_ti.refinement.theta`, unknowns and effects integrated out (empirical Bayes).
 
 With the linear model of :mod:`doo_ti.refinement.residuals` and W = Σ_kinds 1/σ², the effects of each observation are
 eliminated first,
@@ -24,8 +24,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.refinement.priors import NAMES, Scales, covariance
+from doo_ti.refinement.mesh import covariance
 from doo_ti.refinement.residuals import GAP_MODES, Moments, Residuals
+from doo_ti.refinement.theta import NAMES, Scales
 from doo_ti.refinement.unknowns import Unknowns
 
 STEPS = 60

@@ -17,8 +17,8 @@ from scipy.special import logsumexp, softmax, xlogy
 
 from doo_ti.refinement.evidence import Evidence, Posterior, best_effects, densities
 from doo_ti.refinement.held_rod import POSE
-from doo_ti.refinement.priors import Scales
 from doo_ti.refinement.residuals import Comparison, Residuals
+from doo_ti.refinement.theta import Scales
 from doo_ti.refinement.unknowns import Unknowns, Values
 from doo_ti.relaxation.newton import Newton
 from doo_ti.rod.types import Solution
@@ -148,7 +148,9 @@ class Fit:
                 linear, sound = self.comparison.linear(latest.solution, latest.values, moved & latest.sound,
                                                        leave_out_soft=False, shared=False)
                 wanted = best_effects(self.unknowns, linear, state.scales)[:, :POSE]
-                step[moved] = np.where(sound[:, None], _not_too_far(wanted - latest.values.scatter), 0.0)[moved]
+                turn = wanted - latest.values.scatter
+                turn *= np.minimum(1.0, LARGEST_ROLL / np.maximum(np.abs(turn[:, :6]).max(axis=1), 1e-300))[:, None]
+                step[moved] = np.where(sound[:, None], turn, 0.0)[moved]
                 usable = np.where(moved, sound, usable)
             latest = self.at(replace(begin.values, scatter=begin.values.scatter + share[:, None] * step), state.scales,
                              begin.solution)
@@ -325,8 +327,3 @@ class Fit:
     def _least(self, state: State, rods: np.ndarray) -> np.ndarray:
         """(D,) the least mean square of the marks' residuals among those of the ``rods`` that stand for each observation."""
         return self.unknowns.rod.by_observation(np.where(rods, self.mean_squares(state.residuals), np.inf)).min(axis=1)
-
-
-def _not_too_far(step: np.ndarray) -> np.ndarray:
-    """A change of poses (D, POSE), shortened where it turns a clamp too far for one step."""
-    return step * np.minimum(1.0, LARGEST_ROLL / np.maximum(np.abs(step[:, :6]).max(axis=1), 1e-300))[:, None]

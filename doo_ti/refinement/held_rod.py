@@ -91,7 +91,7 @@ class HeldRod:
 
     @cached_property
     def pose_scales(self) -> tuple[str, ...]:
-        """(POSE,) for each number of the clamps' poses the name of the size, in :mod:`doo_ti.refinement.priors`, of its error
+        """(POSE,) for each number of the clamps' poses the name of the size, in :mod:`doo_ti.refinement.theta`, of its error
         in one observation; "" where it has none."""
         turns, shifts = [], []
         for end, (kind, reported) in enumerate(zip((self.clamps.start, self.clamps.end), self.reported, strict=True)):

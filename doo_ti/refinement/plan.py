@@ -21,10 +21,10 @@ from doo_ti.io.scene import Synthesis
 from doo_ti.lab.synthesis import synthesise
 from doo_ti.refinement.evidence import integrated
 from doo_ti.refinement.held_rod import HeldRod
-from doo_ti.refinement.priors import typical_scales
 from doo_ti.refinement.refine import FEWEST_EDGES, MOST_EDGES
 from doo_ti.refinement.residuals import Comparison
 from doo_ti.refinement.search import theta_of_cell
+from doo_ti.refinement.theta import typical_scales
 from doo_ti.refinement.unknowns import Unknowns
 from doo_ti.relaxation.contact_table import require_clear
 from doo_ti.relaxation.newton import Newton

@@ -2,7 +2,7 @@
 
 The model is the rod between its clips (:mod:`doo_ti.refinement.held_rod`), curved at rest, with clamps slightly off their
 reported poses. Unknown are Θ, the clips' lengths, the rest curvature and the clamps' errors; the sizes of noise, curvature and
-errors (:mod:`doo_ti.refinement.priors`) are learned from the same observations (:mod:`doo_ti.refinement.evidence`).
+errors (:mod:`doo_ti.refinement.theta`) are learned from the same observations (:mod:`doo_ti.refinement.evidence`).
 
 A discrete rod clamped in the middle of an edge differs from the continuum by h² to leading order. So with marks x_h and x_k on
 meshes of edges h and k < h,
@@ -23,11 +23,10 @@ from doo_ti.refinement.adequacy import Adequacy, Mislabelled, Score, adequacy, m
 from doo_ti.refinement.estimate import Estimate, estimated, within_reach
 from doo_ti.refinement.fit import FINE
 from doo_ti.refinement.held_rod import HeldRod
-from doo_ti.refinement.priors import Scales, typical_scales
 from doo_ti.refinement.residuals import mark_distance
 from doo_ti.refinement.rolls import most_probable
 from doo_ti.refinement.search import Optimum, once, searched, turns_chosen_again
-from doo_ti.refinement.theta import Theta
+from doo_ti.refinement.theta import Scales, Theta, typical_scales
 from doo_ti.refinement.unknowns import Unknowns, Values
 from doo_ti.relaxation.contact_table import require_clear
 from doo_ti.relaxation.newton import Newton
@@ -35,9 +34,8 @@ from doo_ti.relaxation.relax import relax
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import start_configuration, turn_hypotheses
 from doo_ti.rod.types import Clamps, Configuration, Solution, Status
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
-from doo_ti.system.short_repr import short_repr
 
 FEWEST_EDGES, MOST_EDGES = 24, 400
 PER_LAYER, MOST_FOR_LAYERS = 2.0, 64
@@ -73,6 +71,7 @@ class RefinementOptions:
     intervals         "profile", or "covariance", which takes no extra time
     models            whether other models are fitted and compared
     surroundings      what the rods touch, without friction; with one row for all observations or one for each
+    twist_follows     whether a twist stiffness that is not learned stays in proportion to the bend stiffness, not as it is
     loads             (D, M) weights of bodies that hang at the marks, as those of :class:`.PointLoads`; None: nothing hangs
                       there. Where they are known the weight of the rod can be learned beside its stiffness
     """
@@ -94,6 +93,7 @@ class RefinementOptions:
     models: bool = False
     surroundings: Surroundings = Surroundings()
     loads: np.ndarray | None = None
+    twist_follows: bool = False
 
 
 @dataclass(frozen=True)
@@ -176,7 +176,7 @@ def refine(observations: Observations, clamps: Clamps, theta: Theta | Sequence[T
 def unknowns_of(rod: HeldRod, options: RefinementOptions) -> Unknowns:
     """The unknowns of a fit to ``rod``."""
     curvature = "field" if options.curvature == "auto" else options.curvature
-    return Unknowns(rod, tuple(options.parameters), options.clip is None, curvature)
+    return Unknowns(rod, tuple(options.parameters), options.clip is None, curvature, options.twist_follows)
 
 
 def optima(observations: Observations, clamps: Clamps, thetas: tuple[Theta, ...], options: RefinementOptions) -> list[Optimum]:

@@ -20,7 +20,7 @@ import numpy as np
 
 from doo_ti.refinement.held_rod import POSE
 from doo_ti.refinement.mesh import GEOMETRY, Lengths, Mesh
-from doo_ti.refinement.priors import Scales
+from doo_ti.refinement.theta import Scales
 from doo_ti.refinement.unknowns import Unknowns, Values
 from doo_ti.relaxation.sensitivity import sensitivity
 from doo_ti.rod.observations import Observations
@@ -35,7 +35,7 @@ OF_POSES = ("end_shift", "start_turn", "end_turn")
 
 @dataclass(frozen=True)
 class Residuals:
-    """Residuals of one kind, all with the noise of ``scale``, a name of :mod:`doo_ti.refinement.priors`."""
+    """Residuals of one kind, all with the noise of ``scale``, a name of :mod:`doo_ti.refinement.theta`."""
 
     scale: str
     values: np.ndarray  # (D, N) with z_d = 0; zero where nothing was seen

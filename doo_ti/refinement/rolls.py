@@ -34,7 +34,7 @@ import numpy as np
 from doo_ti.refinement.evidence import Evidence, integrated
 from doo_ti.refinement.fit import Fit, Fitted, State
 from doo_ti.refinement.held_rod import POSE, TWIST
-from doo_ti.refinement.priors import ANY_TWIST, NAMES, Scales
+from doo_ti.refinement.theta import ANY_TWIST, NAMES, Scales
 from doo_ti.refinement.unknowns import Unknowns
 
 ROLLS = np.linspace(-np.pi, np.pi, 48, endpoint=False)

@@ -20,13 +20,12 @@ import numpy as np
 
 from doo_ti.refinement.evidence import integrated
 from doo_ti.refinement.fit import POSED, ROUGH, Fit, Fitted, State
-from doo_ti.refinement.priors import Scales
 from doo_ti.refinement.residuals import Comparison
 from doo_ti.refinement.rolls import bent, rolled, swivelling
-from doo_ti.refinement.theta import Theta, common_rod
+from doo_ti.refinement.theta import Scales, Theta, common_rod
 from doo_ti.refinement.unknowns import Unknowns, Values
 from doo_ti.rod.grid import Grid
-from doo_ti.rod.types import Clamp, Clamps
+from doo_ti.rod.types import Clamp
 from doo_ti.system.errors import InputError
 
 if TYPE_CHECKING:
@@ -60,14 +59,12 @@ class Optimum:
         both = used[0] & used[1]
         if not both.any():
             return np.inf
-        own, other = (one._value_of(both) for one in (self, best))
-        return own - other
-
-    def _value_of(self, counted: np.ndarray) -> float:
-        """−2 ln of the evidence of the observations ``counted`` (D,) alone."""
-        rods = np.repeat(counted, self.fit.unknowns.rod.copies)
-        state = replace(self.fitted.state, used=rods & self.fitted.state.used)
-        return replace(self.fit, rods=rods).run(state, COMPARED).posterior.value
+        values = []
+        for one in (self, best):  # of the observations that count in both alone
+            rods = np.repeat(both, one.fit.unknowns.rod.copies)
+            state = replace(one.fitted.state, used=rods & one.fitted.state.used)
+            values.append(replace(one.fit, rods=rods).run(state, COMPARED).posterior.value)
+        return values[0] - values[1]
 
     def like(self, other: "Optimum") -> bool:
         """Whether Θ and the kind of model are the same."""
@@ -106,9 +103,10 @@ def _from_thetas(comparison: Comparison, thetas: Sequence[Theta], clip: np.ndarr
     unknowns, tried = comparison.unknowns, []
     origin = replace(unknowns.begun(thetas[0], clip), theta=unknowns.expected(thetas[0]))
     fit = Fit(comparison, origin, options.solver, tolerance=ROUGH)
+    rolls_free = all((np.asarray(kind) < Clamp.FRAME).all() for kind in (unknowns.rod.held.start, unknowns.rod.held.end))
     for theta in thetas:
         values = unknowns.begun(theta, clip)
-        if _rolls_free(unknowns.rod.held) and len(values.curvature) and not values.curvature.any():
+        if rolls_free and len(values.curvature) and not values.curvature.any():
             values.curvature[:] = [FIRST_TURN / unknowns.rod.length, 0.0]
         try:
             tried.append(fit.run(fit.begin(values, scales), TRIED_FIRST if len(thetas) > 1 else options.iterations))
@@ -120,11 +118,6 @@ def _from_thetas(comparison: Comparison, thetas: Sequence[Theta], clip: np.ndarr
         return [Optimum(fit, tried[0])]
     best = min(tried, key=lambda one: one.rank)
     return [Optimum(fit, fit.run(best.state, options.iterations).after(best))]
-
-
-def _rolls_free(clamps: Clamps) -> bool:
-    """Whether no clamp holds the roll of any rod."""
-    return bool(np.all((np.asarray(clamps.start) < Clamp.FRAME) & (np.asarray(clamps.end) < Clamp.FRAME)))
 
 
 def _from_twists(found: list[Optimum], scales: Scales, steps: int) -> list[Optimum]:

@@ -1,4 +1,20 @@
-"""Θ, the parameters of one rod (§III-E)."""
+"""Θ, the parameters of one rod, and the sizes that a fit learns beside it: of noise, of errors of the clamps, and of the rest
+curvature (§III-E).
+
+All sizes are positive and have a wide log-normal prior around values typical of a rod with such marks. They are chosen by
+marginal likelihood (:mod:`doo_ti.refinement.evidence`).
+
+    marks           σ of a mark's coordinate, mm; fixed at one where the observations state their own σ
+    frames          σ of each component of a measured m1
+    curvature       d of the rest curvature, 1/mm (:func:`doo_ti.refinement.mesh.covariance`)
+    range           ρ of the rest curvature, mm
+    turn            standard deviation of the constant error of a reported frame, rad
+    turn_scatter    standard deviation of its additional error in one observation, rad
+    gap             amplitude of the smooth displacements that the model does not explain, mm
+    any_turn, any_roll, any_twist, any_shift   what is not reported of a clamp's pose in one observation: its direction, its
+                    roll, the angle by which the rod is twisted, rad, and its place, mm. So wide that the marks decide; not
+                    learned
+"""
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated
@@ -7,9 +23,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti.rod.types import Material
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError, require_whole
-from doo_ti.system.short_repr import short_repr
 
 RATIO = 0.8  # twist over bend stiffness of a common rod
 
@@ -71,3 +86,75 @@ class Theta:
 def common_rod(theta: Theta) -> Theta:
     """``theta`` with the twist stiffness of a common rod of its bend stiffness."""
     return replace(theta, twist=RATIO * float(np.sqrt(np.linalg.det(theta.bend))))
+
+
+# --- sizes -----------------------------------------------------------------------------------------------------------------
+
+NAMES = ("marks", "frames", "curvature", "range", "turn", "turn_scatter", "gap", "any_turn", "any_roll", "any_twist",
+         "any_shift")
+ANY_TURN, ANY_ROLL, ANY_TWIST, ANY_SHIFT = 0.5, 3.0, 3.0, 0.1
+"""rad, rad, rad, and over the rod's length: of the direction of two marks, a parallel frame, no twist, the outermost mark."""
+BOUND, BOUND_OF_RANGE = 9.0, 2.5
+"""Largest |ln| of a size over its typical value; for the range: from about a hundredth of the rod's length to all of it."""
+
+
+@dataclass(frozen=True)
+class Scales:
+    """The sizes of one fit. All arrays follow NAMES."""
+
+    value: np.ndarray  # present values
+    typical: np.ndarray  # medians of the priors
+    factor: np.ndarray  # standard deviations of the logarithms under the priors
+    learned: np.ndarray  # bool: which of them are learned; the others are fixed
+    # (H, H) of F (:mod:`doo_ti.refinement.evidence`) by the logarithms of the H learned sizes, as the last search for them left
+    # it: where the next one begins. None before the first
+    hessian: np.ndarray | None = None
+
+    def __getitem__(self, name: str) -> float:
+        return float(self.value[NAMES.index(name)])
+
+    @property
+    def free(self) -> np.ndarray:
+        """(H,) logarithms of the learned sizes."""
+        return np.log(self.value[self.learned])
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """(H,) least and largest logarithms of the learned sizes."""
+        middle, reach = np.log(self.typical), np.where(np.array(NAMES) == "range", BOUND_OF_RANGE, BOUND)
+        return (middle - reach)[self.learned], (middle + reach)[self.learned]
+
+    def at(self, free: np.ndarray) -> "Scales":
+        """These sizes with logarithms ``free`` (H,) of the learned ones."""
+        value = self.value.copy()
+        value[self.learned] = np.exp(free)
+        return replace(self, value=value)
+
+    def given(self, **value: float) -> "Scales":
+        """These sizes with other present values of some."""
+        return replace(self, value=np.array([value.get(name, now) for name, now in zip(NAMES, self.value, strict=True)]))
+
+    def learning(self, names: set[str]) -> "Scales":
+        """The same, but ``names`` are learned too if they still have their typical values."""
+        new = np.array([name in names for name in NAMES]) & (self.value == self.typical)
+        return replace(self, learned=self.learned | new, hessian=None if new.any() else self.hessian)
+
+    def prior(self) -> tuple[float, np.ndarray]:
+        """−2 ln of the priors of the learned sizes, without its constant, and its gradient (H,) by their logarithms."""
+        apart = (np.log(self.value / self.typical) / self.factor)[self.learned]
+        return float(apart @ apart), 2 * apart / self.factor[self.learned]
+
+
+def typical_scales(length: float, spacing: float, learned: set[str], fixed: dict[str, float]) -> Scales:
+    """Initial sizes for rods of ``length`` mm with marks ``spacing`` mm apart.
+
+    learned  names of the learned sizes
+    fixed    values of others; sizes in neither stay at their typical values
+    """
+    typical = {"marks": 0.1 * spacing, "frames": 0.1, "curvature": 0.1 / length, "range": 0.1 * length, "turn": 0.01,
+               "turn_scatter": 0.003, "gap": 3e-4 * length, "any_turn": ANY_TURN, "any_roll": ANY_ROLL, "any_twist": ANY_TWIST,
+               "any_shift": ANY_SHIFT * length}
+    factor = {"marks": 5.0, "frames": 2.0, "curvature": 1.5, "range": 1.0}
+    value = np.array([fixed.get(name, typical[name]) for name in NAMES])
+    return Scales(value, np.array([typical[name] for name in NAMES]), np.array([factor.get(name, 1.5) for name in NAMES]),
+                  np.array([name in learned for name in NAMES]))

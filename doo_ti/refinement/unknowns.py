@@ -6,7 +6,7 @@
     twist, weight           ln β, ln μ
     up                      two tilts from the present up, rad
     clip_start, clip_end    mm from the outer mark inwards to where a clip ends; negative where it ends before that mark
-    curvature               L ω̄ at the knots of :mod:`doo_ti.refinement.priors`, two components each, or of the whole rod
+    curvature               L ω̄ at the knots of :mod:`doo_ti.refinement.mesh`, two components each, or of the whole rod
     clamps                  constant errors of the reported frames: a rotation of each in its own axes, and one in the world's
     spacing                 ln of the rod's length between neighbouring marks over that which the observations state
     outer                   mm by which an outer mark beside a reported frame is off the rod, along the frame's axes and the
@@ -25,9 +25,8 @@ from functools import cached_property
 import numpy as np
 
 from doo_ti.refinement.held_rod import POSE, HeldRod
-from doo_ti.refinement.mesh import Lengths, Mesh
-from doo_ti.refinement.priors import Scales, covariance, knots_of, values_at
-from doo_ti.refinement.theta import Theta, common_rod
+from doo_ti.refinement.mesh import Lengths, Mesh, covariance, knots_of, values_at
+from doo_ti.refinement.theta import Scales, Theta, common_rod
 from doo_ti.relaxation.sensitivity import tilt_axes
 from doo_ti.rod.frames import rotation_matrix
 from doo_ti.rod.types import Material
@@ -71,6 +70,7 @@ class Unknowns:
     parameters: tuple[str, ...]  # of Θ, from PARAMETERS
     clips: bool = True  # whether the clips' lengths are unknown
     curvature: str = "field"  # "field", "uniform" or "none"
+    twist_follows: bool = False  # whether a twist stiffness that is not learned stays in proportion to the bend stiffness
 
     def __post_init__(self) -> None:
         names = self.parameters
@@ -127,7 +127,7 @@ class Unknowns:
 
     @property
     def scale_names(self) -> set[str]:
-        """The sizes of :mod:`doo_ti.refinement.priors` that occur in the prior of the unknowns."""
+        """The sizes of :mod:`doo_ti.refinement.theta` that occur in the prior of the unknowns."""
         found = {"turn", "turn_scatter"} if self.turns else set()
         if self.curvature != "none":
             found |= {"curvature"} | ({"range"} if self.curvature == "field" else set())
@@ -176,8 +176,9 @@ class Unknowns:
         root = np.sqrt(np.diag(theta.bend)) * np.exp(0.5 * logarithms)
         if "up[0]" in of:
             up = rotation_matrix(np.array([of["up[0]"], of["up[1]"]]) @ tilt_axes(up)) @ up
+        twist = of.get("twist", logarithms.mean() if self.twist_follows else 0.0)
         theta = Theta(np.diag(root**2) + correlation * root.prod() * (1 - np.eye(2)),
-                      theta.twist * float(np.exp(of.get("twist", 0.0))), theta.weight * float(np.exp(of.get("weight", 0.0))),
+                      theta.twist * float(np.exp(twist)), theta.weight * float(np.exp(of.get("weight", 0.0))),
                       None, up / np.linalg.norm(up))
         clip = values.clip + [of.get("clip_start", 0.0), of.get("clip_end", 0.0)]
         curvature = values.curvature + step[self.columns("curvature")].reshape(-1, 2) / self.rod.length
@@ -235,6 +236,8 @@ class Unknowns:
         elementary = [name for name in self.parameters if name not in entries]
         elementary += entries if len(elementary) < len(self.parameters) else ()
         names = self.names[: self.theta_count]
+        follows = {"bend": 1.0, "bend_1": 0.5, "bend_2": 0.5} if self.twist_follows and "twist" not in names else {}
+        elementary += ["twist"] * bool(follows)
         rows = []
         for name in elementary:
             if name in entries:
@@ -242,7 +245,8 @@ class Unknowns:
             elif name == "up":
                 rows += [[float(unknown == f"up[{k}]") for unknown in names] for k in range(2)]
             else:
-                rows.append([theta.entries[name] * (unknown == name) for unknown in names])
+                along = follows if name == "twist" and follows else {name: 1.0}
+                rows.append([theta.entries[name] * along.get(unknown, 0.0) for unknown in names])
         return tuple(elementary), np.array(rows)
 
     def offset(self, values: Values, origin: Values) -> np.ndarray:

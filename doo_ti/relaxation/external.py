@@ -18,11 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti.physics.number import Layout, Number
-from doo_ti.rod.material import LARGEST, Material
-from doo_ti.rod.physical_units import STANDARD_GRAVITY
-from doo_ti.system.arguments import typed
+from doo_ti.rod.material import LARGEST, STANDARD_GRAVITY, Material
+from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError, real_array
-from doo_ti.system.short_repr import short_repr
 
 
 class ExternalFunctions(NamedTuple):

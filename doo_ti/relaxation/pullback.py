@@ -41,9 +41,8 @@ from doo_ti.relaxation.sensitivity_columns import SensitivityColumns
 from doo_ti.relaxation.sensitivity_kernel import SensitivitySweep, kernels_at_rest, run_at_rest
 from doo_ti.rod.types import Solution
 from doo_ti.system import runtime
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError, real_array
-from doo_ti.system.short_repr import short_repr
 
 
 @device_functions

@@ -45,12 +45,11 @@ from doo_ti.relaxation.external import PointLoads
 from doo_ti.relaxation.sensitivity_kernel import run_sensitivity, vertex_forces
 from doo_ti.relaxation.tables import Tables
 from doo_ti.rod.frames import matrix_from_quaternion, smallest_rotation
-from doo_ti.rod.physical_units import force_in_newton
+from doo_ti.rod.material import force_in_newton
 from doo_ti.rod.types import Configuration, Solution
 from doo_ti.system import runtime
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError, require_whole
-from doo_ti.system.short_repr import short_repr
 
 
 @dataclass(frozen=True)

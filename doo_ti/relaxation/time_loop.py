@@ -11,7 +11,7 @@ from doo_ti.relaxation.newton import NewtonLoop
 from doo_ti.relaxation.newton_policy import TOLERANCE
 from doo_ti.relaxation.time_loading import BOWED, MotionLoading
 from doo_ti.relaxation.time_sweep import LEAST_WAY, RATE, STEP, WATCHED, TimeSweep
-from doo_ti.rod.physical_units import STANDARD_GRAVITY
+from doo_ti.rod.material import STANDARD_GRAVITY
 
 # Columns of the outcome of a frame: the status, iterations of all its steps and the largest residual, and the force of the far
 # clamp at its end; the work that friction has done since the motion began; and where that is noted one if the rod's link has

@@ -12,7 +12,15 @@ from doo_ti.report.canvas import (
     quantity,
     values_text,
 )
-from doo_ti.report.identifiability import angle_curves_picture, identifiability_picture
+from doo_ti.report.figures import (
+    Ribbons,
+    SeenRod,
+    angle_curves_picture,
+    identifiability_picture,
+    reprojections_picture,
+    ribbon_sides,
+    ribbons_picture,
+)
 from doo_ti.report.landscapes import (
     LandscapePanel,
     cells_image,
@@ -21,7 +29,6 @@ from doo_ti.report.landscapes import (
     landscapes_picture,
 )
 from doo_ti.report.motions import MovingRods, motions_picture
-from doo_ti.report.shapes import Ribbons, SeenRod, reprojections_picture, ribbon_sides, ribbons_picture
 
 __all__ = [
     "SYMBOLS", "LandscapePanel", "MovingRods", "Ribbons", "SeenRod", "angle_curves_picture", "axis_label", "cells_image",

@@ -12,15 +12,13 @@ import numpy as np
 from doo_ti.contact.meshes import mesh
 from doo_ti.contact.obstacles import PLANE, Obstacle
 from doo_ti.contact.surroundings import Moving, Surroundings
-from doo_ti.report.canvas import box, limits_around, literal, new_figure, save_figure, widest
-from doo_ti.report.grid_view import upright_basis
+from doo_ti.report.canvas import box, direction, limits_around, literal, new_figure, save_figure, upright_basis, widest
 
 if TYPE_CHECKING:  # it brings the solvers, and Taichi with them
     from doo_ti.groups.relax_group import GroupSolution
 
 PLANE_COLOR, OBSTACLE, FORCE = "#eceef2", "#c9ced8", "#1d4ed8"
-FAINT = 0.25
-"""Of an obstacle that has moved on."""
+FAINT = 0.25  # of an obstacle that has moved on
 LONG, MOST_SHORTER, LONGEST = 0.2, 0.95, 0.3
 """Of the size of the scene: the length of an arrow; that share of all forces has shorter ones; and the most at the last frame,
 which pictures show."""
@@ -81,6 +79,14 @@ class Touched:
             return "no contact forces"
         return f"contact forces (an arrow of 10 mm: {10 / self.arrow_scale:g} {'mm²/mm' if self.newtons is None else 'N'})"
 
+    @property
+    def legend_at_end(self) -> str:
+        """The same of a picture that shows the forces of the last frame."""
+        if np.nan_to_num(self.force[:, -1]).any() or not np.nan_to_num(self.force).any():
+            return f"blue, at the end: {self.legend}"
+        most = np.linalg.norm(np.nan_to_num(self._shown).sum(axis=2), axis=-1).max()
+        return f"at the end nothing touches; before, {most:.3g} {'mm²/mm' if self.newtons is None else 'N'} in all at most"
+
     def arrows(self, row: int, frame: int) -> tuple[np.ndarray, np.ndarray]:
         """Origins and vectors (N, 3) in mm of the forces on a rod at a frame."""
         force, places = self._shown[row, frame], self.positions[row, frame]
@@ -126,14 +132,10 @@ class Touched:
 
 # --- groups --------------------------------------------------------------------------------------------------------------
 
-EARLIER = 4
-"""Moments before the last that are drawn, faintly."""
-WIDTH, HIGHEST, CURVES = 6.4, 6.0, 2.4
-"""Inches: of the picture, the most of a view, and of the curves."""
-ABOVE_ARROWS = 4
-"""Of what is drawn, so that arrows do not hide how rods cross."""
-MOST_NAMED = 12
-"""Entries of a legend."""
+EARLIER = 4  # moments before the last that are drawn, faintly
+WIDTH, HIGHEST, CURVES = 6.4, 6.0, 2.4  # inches: of the picture, the most of a view, and of the curves
+ABOVE_ARROWS = 4  # of what is drawn, so that arrows do not hide how rods cross
+MOST_NAMED = 12  # entries of a legend
 
 
 @dataclass(frozen=True)
@@ -178,6 +180,8 @@ def save_group(path: Path, moments: "Sequence[GroupSolution]", *, name: str, nam
     """Write a picture of the group ``row`` at T moments, ``rate`` of them a second: the last with its ties, obstacles and
     contact forces, some earlier ones faintly; of a motion also the forces of the clamps. ``names`` are the rods';
     ``newton`` is N in their unit of force, for arrows of N."""
+    from matplotlib import colormaps
+
     seen = GroupMotion.of(moments, row, surroundings, newton)
     radii = np.zeros(len(names)) if seen.radii is None else seen.radii
     basis = upright_basis(seen.vertices.reshape(1, -1, 3), up)
@@ -188,10 +192,11 @@ def save_group(path: Path, moments: "Sequence[GroupSolution]", *, name: str, nam
     heights += [CURVES] * (len(moments) > 1)
     figure = new_figure((WIDTH + 1.0, sum(heights) + 0.5 * len(heights) + 0.8))
     plots = figure.subplots(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
-    colors = _colors(len(names))
+    colors = colormaps["tab10"](np.arange(len(names)) % 10)
     earlier = np.unique(np.linspace(0, len(moments) - 1, EARLIER + 1).round().astype(int))[:-1]
     for plot, (label, view), limit in zip(plots, views.items(), limits, strict=False):
-        plot.set(xlim=limit[0], ylim=limit[1], ylabel=f"{label} [mm]")
+        plot.set(xlim=limit[0], ylim=limit[1], xlabel=f"{direction(view[0])} [mm]",
+                 ylabel=f"{label}\n{direction(view[2])} [mm]", aspect="equal")
         for moment in earlier:
             for rod, color in zip(seen.rods[moment], colors, strict=True):
                 plot.plot(*(rod @ view[[0, 2]].T).T, color=color, lw=0.8, alpha=0.3)
@@ -199,7 +204,6 @@ def save_group(path: Path, moments: "Sequence[GroupSolution]", *, name: str, nam
         seen.touched.draw(plot, 0, view[[0, 2]], [len(moments) - 1])
         tied = seen.vertices[-1, seen.tied] @ view[[0, 2]].T
         plot.plot(*tied.T, "o", color="white", markeredgecolor="black", markersize=4, zorder=ABOVE_ARROWS + 1)
-        plot.set_aspect("equal")
         plot.grid(alpha=0.2)
     for rod, color in zip(names[:MOST_NAMED], colors, strict=False):
         plots[0].plot([], [], color=color, lw=3, label=literal(rod))
@@ -211,13 +215,6 @@ def save_group(path: Path, moments: "Sequence[GroupSolution]", *, name: str, nam
     when = "" if len(moments) == 1 else f" after {(len(moments) - 1) / rate:.3g} s, earlier moments faint"
     figure.suptitle(f"{literal(name)}{when}{status}\nblue: {seen.touched.legend}{ties}", fontsize=10)
     save_figure(figure, path)
-
-
-def _colors(count: int) -> np.ndarray:
-    """(count, 4) on a white ground."""
-    from matplotlib import colormaps
-
-    return colormaps["tab10"](np.arange(count) % 10)
 
 
 def _draw_rods(plot, rods: list[np.ndarray], colors: np.ndarray, view: np.ndarray, radii: np.ndarray) -> None:

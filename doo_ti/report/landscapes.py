@@ -4,21 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.report.canvas import (
-    MEAN_DISTANCE,
-    MISSING,
-    PICTURE_DPI,
-    SYMBOLS,
-    VIEWER_DPI,
-    literal,
-    new_figure,
-    norm_of,
-    pixels,
-    plain_ticks,
-    quantity,
-    save_figure,
-    values_text,
-)
+from doo_ti.report import canvas
 from doo_ti.report.plane import (
     BORDER,
     REGIMES,
@@ -58,12 +44,12 @@ def landscape_picture(path_or_buffer, plane: LandscapePlane, *, title: str, regi
     region           (n, 2) outline of a confidence region in the units of the two axes drawn; not drawn over one axis
     newton_per_bend  EI in N m² of a rod with a bend stiffness of 1 mm³, for a second axis; None where its weight is not known
     """
-    save_figure(draw_landscape(plane, title, region, newton_per_bend), path_or_buffer)
+    canvas.save_figure(draw_landscape(plane, title, region, newton_per_bend), path_or_buffer)
 
 
 def landscape_image(plane: LandscapePlane, *, title: str, region: np.ndarray | None = None) -> np.ndarray:
     """The same drawing as (1200, 1600, 3) uint8."""
-    return pixels(draw_landscape(plane, title, region))
+    return canvas.pixels(draw_landscape(plane, title, region))
 
 
 def landscapes_picture(path_or_buffer, rows: list[list[LandscapePanel]], *, title: str, marks: str = "",
@@ -74,15 +60,15 @@ def landscapes_picture(path_or_buffer, rows: list[list[LandscapePanel]], *, titl
     relative  one colour scale for all maps, in multiples of each one's minimum; else each has its own, which shows more
     """
     figure, _ = draw_panels(rows, title, marks, relative)
-    save_figure(figure, path_or_buffer)
+    canvas.save_figure(figure, path_or_buffer)
 
 
 def cells_image(rows: list[list[LandscapePanel]], index: tuple, *, marks: str = "",
                 relative: bool = False) -> tuple[np.ndarray, np.ndarray]:
     """The same drawing, small and without a title, as (H, W, 3) uint8, and (N, P, 4) left, top, width and height in pixels of N
     cells in each of the P panels. ``index`` holds (N,) indices per axis of the grid."""
-    figure, drawn = draw_panels(rows, "", marks, relative, VIEWER_DPI)
-    image = pixels(figure)
+    figure, drawn = draw_panels(rows, "", marks, relative, canvas.VIEWER_DPI)
+    image = canvas.pixels(figure)
     boxes = [_cell_boxes(axes, panel.plane, panel.plane.places(index)) for axes, panel in drawn]
     return image, np.stack(boxes, axis=1)
 
@@ -101,7 +87,7 @@ def _cell_boxes(axes, plane: LandscapePlane, cells: tuple[np.ndarray, np.ndarray
 
 def draw_landscape(plane: LandscapePlane, title: str, region: np.ndarray | None = None, newton_per_bend: float | None = None):
     """The figure of one landscape, its legend below; other arguments as :func:`landscape_picture` has them."""
-    figure = new_figure()
+    figure = canvas.new_figure()
     axes = figure.add_subplot()
     _draw(figure, axes, plane, None, 1.0)
     region = region if len(plane.axes) == 2 else None
@@ -111,7 +97,7 @@ def draw_landscape(plane: LandscapePlane, title: str, region: np.ndarray | None 
         label_minimum(axes, plane)
     if newton_per_bend is not None and plane.axes[0][0] in ("bend", "bend_1"):
         _draw_stiffness_axis(axes, plane, newton_per_bend)
-    axes.set_title("\n".join([literal(title), *_remarks(plane)]), fontsize=14, pad=12)
+    axes.set_title("\n".join([canvas.literal(title), *_remarks(plane)]), fontsize=14, pad=12)
     _put_legend(figure, [plane], 1 if plane.hidden else 2, with_region=region is not None)
     return figure
 
@@ -120,16 +106,16 @@ def _draw_stiffness_axis(axes, plane: LandscapePlane, newton_per_bend: float) ->
     """EI above the picture, over the bend stiffness below."""
     above = axes.secondary_xaxis("top", functions=(lambda bend: bend * newton_per_bend, lambda EI: EI / newton_per_bend))
     low, high = axes.get_xlim()
-    plain_ticks(above.xaxis, plane.axes[0][2], low, high)
+    canvas.plain_ticks(above.xaxis, plane.axes[0][2], low, high)
     above.tick_params(labelsize=11)
     above.set_xlabel("EI [N m²]", fontsize=13)
 
 
-def draw_panels(rows: list[list[LandscapePanel]], title: str, marks: str, relative: bool, dpi: int = PICTURE_DPI):
+def draw_panels(rows: list[list[LandscapePanel]], title: str, marks: str, relative: bool, dpi: int = canvas.PICTURE_DPI):
     """The figure of several landscapes, and its (axes, panel) in reading order."""
     panels, columns = [panel for row in rows for panel in row], max(len(row) for row in rows)
     size, width, height = (0.9, 5.4, 4.4) if columns <= 3 else (0.75, 3.2, 3.0)
-    figure = new_figure((max(width * columns, 8.0), height * len(rows) + 1.0), dpi)
+    figure = canvas.new_figure((max(width * columns, 8.0), height * len(rows) + 1.0), dpi)
     grid = figure.subplots(len(rows), columns, squeeze=False)
     relative = relative and all(len(panel.plane.axes) == 2 for panel in panels)
     norm = _common_norm([panel.plane for panel in panels]) if relative else None
@@ -144,9 +130,9 @@ def draw_panels(rows: list[list[LandscapePanel]], title: str, marks: str, relati
         if relative:
             _leave_inner_labels(axes, at_left=place[1] == 0, at_bottom=all(place[1] >= len(row) for row in rows[place[0] + 1:]))
     if relative:
-        label = MEAN_DISTANCE.rpartition(" [")[0] + ", in multiples of the panel's smallest"
+        label = canvas.MEAN_DISTANCE.rpartition(" [")[0] + ", in multiples of the panel's smallest"
         _color_bar(figure, meshes[0], grid, label, extend="max")
-    figure.suptitle(literal(title), fontsize=14)
+    figure.suptitle(canvas.literal(title), fontsize=14)
     _put_legend(figure, [panel.plane for panel in panels], 3 if columns <= 3 else 6,
                 marks if any(panel.marks for panel in panels) else "")
     return figure, drawn
@@ -154,10 +140,10 @@ def draw_panels(rows: list[list[LandscapePanel]], title: str, marks: str, relati
 
 def _draw_panel(figure, axes, panel: LandscapePanel, norm, size: float):
     """One panel with its title; returns as :func:`_draw`."""
-    plane, lines = panel.plane, [literal(panel.title)]
+    plane, lines = panel.plane, [canvas.literal(panel.title)]
     mesh = _draw(figure, axes, plane, norm, size)
     if plane.minimum is not None:
-        lines = [f"{lines[0]}: {quantity(plane.values[plane.minimum], 'mm')}", f"at {values_text(plane.best)}"]
+        lines = [f"{lines[0]}: {canvas.quantity(plane.values[plane.minimum], 'mm')}", f"at {canvas.values_text(plane.best)}"]
     draw_marks(axes, plane, panel.marks, size)
     axes.set_title("\n".join(lines + _remarks(plane)), fontsize=12 * size)
     return mesh
@@ -170,7 +156,7 @@ def _draw(figure, axes, plane: LandscapePlane, norm, size: float):
     if len(plane.axes) == 1:
         draw_line(axes, plane, size)
     elif norm is None:
-        mesh = draw_map(axes, plane, norm_of(plane.values), size)
+        mesh = draw_map(axes, plane, canvas.norm_of(plane.values), size)
         _color_bar(figure, mesh, axes, size=size)
     else:
         mesh = draw_map(axes, replace(plane, values=_multiples(plane)), norm, size)
@@ -204,20 +190,20 @@ def _common_norm(planes: list[LandscapePlane]):
     return LogNorm(1.0, max(min(largest, default=2.0), 2.0))
 
 
-def _color_bar(figure, mesh, axes, label: str = MEAN_DISTANCE, size: float = 1.0, extend: str = "neither") -> None:
+def _color_bar(figure, mesh, axes, label: str = canvas.MEAN_DISTANCE, size: float = 1.0, extend: str = "neither") -> None:
     from matplotlib.colors import LogNorm
 
     bar = figure.colorbar(mesh, ax=axes, pad=0.02, aspect=28, extend=extend)
     bar.set_label(label, fontsize=12 * size)
     bar.ax.tick_params(labelsize=11 * size)
-    plain_ticks(bar.ax.yaxis, isinstance(mesh.norm, LogNorm), mesh.norm.vmin, mesh.norm.vmax)
+    canvas.plain_ticks(bar.ax.yaxis, isinstance(mesh.norm, LogNorm), mesh.norm.vmin, mesh.norm.vmax)
 
 
 def _remarks(plane: LandscapePlane) -> list[str]:
     """Lines for the title: axes that are not shown, and a minimum at the border."""
     lines = []
     if plane.hidden:
-        lines.append(f"minimum over {', '.join(SYMBOLS.get(name, name) for name in plane.hidden)}")
+        lines.append(f"minimum over {', '.join(canvas.SYMBOLS.get(name, name) for name in plane.hidden)}")
     if plane.at_border:
         lines.append("minimum at the border of the grid: widen it")
     return lines
@@ -229,22 +215,24 @@ def _put_legend(figure, planes: list[LandscapePlane], columns: int, marks: str |
 
     marks  what the panels' marks are, empty where there are none; None: of one landscape, with its numbers
     """
-    keys = _legend(planes, marks) + (_region_key() if with_region else []) + _regime_keys(planes)
+    keys = _legend(planes, marks, with_region) + _regime_keys(planes)
     if keys:
         rows = [key for column in range(columns) for key in keys[column::columns]]
         figure.legend(handles=rows, loc="outside lower center", ncols=min(columns, len(keys)), frameon=False, fontsize=10,
                       handlelength=1.6, handletextpad=0.6, columnspacing=1.4)
 
 
-def _legend(planes: list[LandscapePlane], marks: str | None) -> list:
-    """Entries for the minimum, the valley, marks, and cells that do not compete or have no value."""
+def _legend(planes: list[LandscapePlane], marks: str | None, with_region: bool) -> list:
+    """Entries for the minimum, the valley, marks, cells that do not compete or have no value, and the region."""
+    from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     line, keys = all(len(plane.axes) == 1 for plane in planes), []
     if any(plane.minimum is not None for plane in planes):
         at = cells = ""
         if marks is None:
-            at, cells = f" at {values_text(planes[0].best)}", f": {planes[0].valley.sum()} of {planes[0].values.size} cells"
+            at = f" at {canvas.values_text(planes[0].best)}"
+            cells = f": {planes[0].valley.sum()} of {planes[0].values.size} cells"
         style = {"facecolor": VALLEY, "alpha": 0.35} if line else {
             "facecolor": "none", "edgecolor": "white", "linewidth": 2.2, "path_effects": edged()}
         keys += [_point(f"minimum{at}", marker="*", markersize=14, color=STAR, markeredgecolor="white"),
@@ -254,17 +242,14 @@ def _legend(planes: list[LandscapePlane], marks: str | None) -> list:
                            markeredgewidth=1.2))
     if rods := sum(plane.unfinished.sum() for plane in planes):
         label = f"cells not competing: {sum((plane.unfinished > 0).sum() for plane in planes)} (rods not certified: {rods})"
-        keys.append(_point(label, marker="o", markerfacecolor="white", color=MISSING, markersize=8) if line else Patch(
+        keys.append(_point(label, marker="o", markerfacecolor="white", color=canvas.MISSING, markersize=8) if line else Patch(
             facecolor="#c4c4c4", edgecolor="#262626", hatch="////", linewidth=0, label=label))
     if missing := sum((np.isnan(plane.values) & (plane.unfinished == 0)).sum() for plane in planes):
-        keys.append(Patch(facecolor=MISSING, alpha=0.5 if line else 1, label=f"cells not evaluated: {missing}"))
+        keys.append(Patch(facecolor=canvas.MISSING, alpha=0.5 if line else 1, label=f"cells not evaluated: {missing}"))
+    if with_region:
+        keys.append(Line2D([], [], color=REGION, linewidth=2.2, linestyle="--", path_effects=edged(),
+                           label="confidence region"))
     return keys
-
-
-def _region_key() -> list:
-    from matplotlib.lines import Line2D
-
-    return [Line2D([], [], color=REGION, linewidth=2.2, linestyle="--", path_effects=edged(), label="confidence region")]
 
 
 def _regime_keys(planes: list[LandscapePlane]) -> list:
@@ -274,7 +259,7 @@ def _regime_keys(planes: list[LandscapePlane]) -> list:
     twists = sorted({plane.twist for plane in planes if plane.twist is not None})
     if not twists:
         return []
-    label = f"B₁₁ = B₂₂, B₁₁ = β and B₂₂ = β, β = {', '.join(quantity(twist, 'mm³') for twist in twists)}"
+    label = f"B₁₁ = B₂₂, B₁₁ = β and B₂₂ = β, β = {', '.join(canvas.quantity(twist, 'mm³') for twist in twists)}"
     return [Line2D([], [], color=BORDER, linewidth=1.4, linestyle=(0, (5, 3)), label=label),
             *(_point(regime, marker=f"${number}$", markersize=9, color=BORDER) for number, regime in enumerate(REGIMES, 1))]
 

@@ -9,18 +9,24 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.report.canvas import deviations, fit_titles, limits_around, literal, new_figure, save_figure
+from doo_ti.report.canvas import (
+    deviations,
+    direction,
+    facing,
+    fit_titles,
+    limits_around,
+    literal,
+    new_figure,
+    save_figure,
+    upright_basis,
+)
 from doo_ti.report.contact import Touched
-from doo_ti.report.grid_view import facing, upright_basis
 from doo_ti.system.files import write_whole
 
-MOST_RODS = 6
-"""In a picture, those of the largest, the median and the smallest errors."""
-STILLS = 9
-"""Positions of a rod in a picture."""
+MOST_RODS = 6  # in a picture, those of the largest, the median and the smallest errors
+STILLS = 9  # positions of a rod in a picture
 ANIMATED, FRAMES_PER_SECOND, MOST_FRAMES = 8, 25, 250
-VIEWS = 36
-"""Directions from which a motion may be seen."""
+VIEWS = 36  # directions from which a motion may be seen
 LEAST_MOTION, WORTH_TURNING = 1e-4, 3.0
 """Of the rods' size squared, below which motion is not looked at; and how much more has to be seen to turn the view."""
 RECORDED, PREDICTED = "#9a9a9a", "#c2410c"
@@ -78,7 +84,7 @@ def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray,
     frames = np.linspace(0, positions.shape[1] - 1, min(STILLS, positions.shape[1])).round().astype(int)
     for k, row in enumerate(rows):
         plot = figure.add_subplot(grid[k // columns, k % columns])
-        _draw_stills(plot, positions[row, frames] @ axes.T, None if recorded is None else recorded[row, frames] @ axes.T)
+        _draw_stills(plot, axes, positions[row, frames], None if recorded is None else recorded[row, frames])
         if touched is not None:
             for frame in frames[:-1]:
                 touched.draw_moving(plot, row, axes, frame, faint=True)
@@ -97,19 +103,20 @@ def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray,
         _draw_energies(figure.add_subplot(grid[-1, :]), time, first, names[rows[0]])
     last = (positions.shape[1] - 1) / rate
     title = f"{name}: {len(frames)} of {positions.shape[1]} frames from 0 to {last:.3g} s, seen {view}"
-    figure.suptitle(literal(title) + ("" if touched is None else f"\nblue, at the end: {touched.legend}"), fontsize=8)
+    figure.suptitle(literal(title) + ("" if touched is None else f"\n{touched.legend_at_end}"), fontsize=8)
     save_figure(figure, path)
 
 
-def _draw_stills(plot, positions: np.ndarray, recorded: np.ndarray | None) -> None:
-    """A rod at several instants, (N, V, 2) each, later ones darker."""
+def _draw_stills(plot, axes: np.ndarray, positions: np.ndarray, recorded: np.ndarray | None) -> None:
+    """A rod at several instants, (N, V, 3) each, seen along ``axes`` (2, 3), later ones darker."""
     for n, rod in enumerate(positions):
         fade, last = 0.25 + 0.75 * (n + 1) / len(positions), n == len(positions) - 1
         if recorded is not None:
-            plot.plot(*recorded[n].T, color=RECORDED, lw=2.2, alpha=fade, label="recorded" if last else None)
-        plot.plot(*rod.T, color=PREDICTED, lw=1.1, alpha=fade, label="simulated" if last else None)
+            plot.plot(*(recorded[n] @ axes.T).T, color=RECORDED, lw=2.2, alpha=fade, label="recorded" if last else None)
+        plot.plot(*(rod @ axes.T).T, color=PREDICTED, lw=1.1, alpha=fade, label="simulated" if last else None)
     plot.set_aspect("equal", adjustable="datalim")
-    plot.set_xlabel("mm", fontsize=8)
+    plot.set_xlabel(f"{direction(axes[0])} [mm]", fontsize=8)
+    plot.set_ylabel(f"{direction(axes[1])} [mm]", fontsize=8)
     plot.tick_params(labelsize=8)
 
 
@@ -118,9 +125,8 @@ def _draw_errors(plot, time: np.ndarray, error: np.ndarray) -> None:
     plot.plot(time, error.T, color=PREDICTED, lw=0.5, alpha=0.35)
     known = np.isfinite(error).any(axis=0)
     plot.plot(time[known], np.nanmedian(error[:, known], axis=0), color="black", lw=1.6, label="median")
-    plot.set_ylim(0, max(1.0, 1.1 * np.quantile(error[np.isfinite(error)], 0.99) if known.any() else 0.0))
-    plot.set_xlabel("time [s]")
-    plot.set_ylabel("mean |difference| [mm]")
+    most = max(1.0, 1.1 * np.quantile(error[np.isfinite(error)], 0.99) if known.any() else 0.0)
+    plot.set(ylim=(0, most), xlabel="time [s]", ylabel="mean |difference| [mm]")
     plot.legend(fontsize=8, frameon=False)
 
 
@@ -157,11 +163,8 @@ def save_animation(path: Path, name: str, names: list[str], positions: np.ndarra
     curves, marks, momentary = [], [], []
     for k in range(len(rows)):
         plot = figure.add_subplot(lines, columns, k + 1)
-        plot.set(xlim=limits[0], ylim=limits[1])
+        plot.set(xlim=limits[0], ylim=limits[1], aspect="equal", xticks=[], yticks=[])
         plot.set_title(literal(names[rows[k]]), fontsize=9)
-        plot.set_aspect("equal")
-        plot.set_xticks([])
-        plot.set_yticks([])
         if touched is not None:
             touched.draw_still(plot, rows[k], axes)
         if seen is not None:
@@ -204,7 +207,7 @@ def servo_picture(path_or_buffer, name: str, start: np.ndarray, end: np.ndarray,
         axes.plot(*(target @ view.T).T, color=TARGET, lw=4.5, alpha=0.5, marker="o", ms=3, label="target")
         axes.plot(*(end @ view.T).T, color=END, lw=1.4, label="end")
         axes.set_aspect("equal", adjustable="datalim")
-        axes.set_title(f"{label} [mm]", fontsize=9)
+        axes.set_title(f"{label}: {direction(view[1])} over {direction(view[0])} [mm]", fontsize=9)
         axes.tick_params(labelsize=8)
         axes.grid(alpha=0.2)
         if not row:
@@ -214,8 +217,7 @@ def servo_picture(path_or_buffer, name: str, start: np.ndarray, end: np.ndarray,
     axes.plot(steps, distance[:, 0], color=END, lw=1.6, label="true")
     axes.plot(steps, distance[:, 1], color="black", lw=1.0, ls="--", label="as estimated")
     axes.axhline(reached, color=TARGET, lw=0.8, label="reached")
-    axes.set_yscale("log")
-    axes.set_xlabel("step")
+    axes.set(yscale="log", xlabel="step")
     axes.set_title("distance to the target [mm], root mean square", fontsize=9)
     axes.legend(fontsize=8, frameon=False)
     axes.grid(alpha=0.2, which="both")
@@ -224,8 +226,7 @@ def servo_picture(path_or_buffer, name: str, start: np.ndarray, end: np.ndarray,
 
 
 MOST_DRAWN, COLUMNS = 12, 4
-MOMENTS = 9
-"""Of each rod, evenly chosen."""
+MOMENTS = 9  # of each rod, evenly chosen
 JUMP = "#ff2e63"
 
 
@@ -279,22 +280,21 @@ def motions_picture(path_or_buffer, rods: MovingRods, *, title: str) -> None:
             if rod >= shown:
                 axes.set_axis_off()
                 continue
-            axes.set(xlim=limits[row][0], ylim=limits[row][1])
+            axes.set(xlim=limits[row][0], ylim=limits[row][1], aspect="equal")
             _draw_moments(axes, vertices[:, rod] @ view.T, time, moments, np.flatnonzero(jumps[:, rod]))
             if rods.touched is not None:
                 rods.touched.draw(axes, rod, view, [len(time) - 1])
-            axes.set_aspect("equal")
             axes.grid(alpha=0.2)
             if column == 0:
-                axes.set_ylabel(f"{label} [mm]", fontsize=10)
+                axes.set_ylabel(f"{label}\n{direction(view[1])} [mm]", fontsize=9)
             if row == 0:
                 count = int(jumps[:, rod].sum())
                 axes.set_title(literal(rods.names[rod]) + f": {count} jump{'s' * (count != 1)}" * (count > 0), fontsize=10)
-    figure.supxlabel("[mm]", fontsize=10)
+    figure.supxlabel(f"{direction(views[0][0])} [mm]", fontsize=10)
     figure.colorbar(_time_scale(time), ax=list(panels.ravel()), pad=0.01, aspect=40).set_label("time [s]", fontsize=10)
     more = f" ({len(rods.names) - shown} more are not drawn)" if len(rods.names) > shown else ""
     red = "\nred: before a jump (dashed) and after it" if jumps.any() else ""
-    blue = "" if rods.touched is None else f"\nblue, at the end:\n{rods.touched.legend}"
+    blue = "" if rods.touched is None else f"\n{rods.touched.legend_at_end}"
     figure.suptitle(f"{literal(title)}{more}{red}{blue}", fontsize=10)
     save_figure(figure, path_or_buffer)
 

@@ -12,18 +12,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti.report.canvas import MEAN_DISTANCE, MISSING, axis_label, literal, plain_ticks, quantity
-from doo_ti.system.arguments import typed
-from doo_ti.system.short_repr import short_repr
+from doo_ti.system.arguments import short_repr, typed
 
 REGIMES = ("β > B₁₁ and B₂₂", "B₂₂ > B₁₁ > β", "B₁₁ > B₂₂ > β")
 """The regimes of a ribbon in the order of Fig. 5: it bends sharply instead of twisting, it bends about the stiff axis, it
 twists instead of bending about the stiff axis."""
-MOST_DRAWN = 512
-"""Cells along an axis of a picture, whose axes are some 1100 × 800 pixels."""
+MOST_DRAWN = 512  # cells along an axis of a picture, whose axes are some 1100 × 800 pixels
 
 
-GridAxis = tuple[str, Sequence[float] | np.ndarray, bool, str]
-"""(name, values, is_log, unit)."""
+GridAxis = tuple[str, Sequence[float] | np.ndarray, bool, str]  # (name, values, is_log, unit)
 
 
 @typed
@@ -215,8 +212,7 @@ def draw_map(axes, plane: LandscapePlane, norm, size: float = 1.0):
     axes.add_collection(LineCollection(
         _outline(x, y, drawn.valley), colors="white", linewidths=0.6 + 1.6 * size, capstyle="projecting",
         path_effects=edged()), autolim=False)
-    axes.set_xlim(x[0], x[-1])
-    axes.set_ylim(y[0], y[-1])
+    axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
     axes.tick_params(labelsize=11 * size)
     return mesh
 

@@ -7,8 +7,7 @@ import numpy as np
 
 from doo_ti.system.errors import InputError
 
-FRAME_TOLERANCE = 1e-3
-"""Largest allowed :func:`orthonormality_error` of an input frame."""
+FRAME_TOLERANCE = 1e-3  # largest allowed `orthonormality_error` of an input frame
 
 
 def matrix_from_quaternion(quaternion: np.ndarray) -> np.ndarray:

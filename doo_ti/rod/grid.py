@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti.rod.types import LARGEST, Material
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
-from doo_ti.system.short_repr import short_repr
 
 # Axis name: unit, in the order in which a grid's axes run.
 UNITS = {"bend": "mm³", "bend_1": "mm³", "bend_2": "mm³", "twist": "mm³", "twist_ratio": "", "weight": ""}

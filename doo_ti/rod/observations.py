@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti.rod.frames import FRAME_TOLERANCE, handedness, orthonormality_error
-from doo_ti.rod.physical_units import doubt_angle
+from doo_ti.rod.material import doubt_angle
 from doo_ti.rod.types import LARGEST, Rows
-from doo_ti.system.arguments import typed
+from doo_ti.system.arguments import counted, typed
 from doo_ti.system.errors import InputError, real_array
-from doo_ti.system.short_repr import counted
 
 # Field of Observations: key of the file.
 KEYS = {
@@ -25,12 +24,9 @@ KEYS = {
     "end_distance": "end_distance_mm", "end_rotation": "end_rotation_deg", "labels": "observation",
     "spacing_error": "spacing_error",
 }
-LENGTHS = ("vertices", "rest_length", "sigma", "end_distance")
-"""Fields in mm."""
-UNKNOWN_SPACING = 0.1
-"""Relative error of rest lengths that were not measured, but taken from the marks."""
-LEAST_SIGMA_MM, MOST_SIGMA_MM = 1e-9, 1e6
-"""Of labels: the information in them grows with the inverse square."""
+LENGTHS = ("vertices", "rest_length", "sigma", "end_distance")  # fields in mm
+UNKNOWN_SPACING = 0.1  # relative error of rest lengths that were not measured, but taken from the marks
+LEAST_SIGMA_MM, MOST_SIGMA_MM = 1e-9, 1e6  # of labels: the information in them grows with the inverse square
 
 
 @typed

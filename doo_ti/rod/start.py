@@ -21,14 +21,10 @@ from doo_ti.rod.types import Clamp, Clamps, Configuration
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import MOST_EDGES, InputError, require_whole
 
-MOST_LENGTHS = 2.0
-"""Largest distance of a mark from the first, over the rod's length: a label is never that wrong."""
-LEAST_LENGTHS = 0.1
-"""Smallest sum of the distances between neighbouring marks, over the rod's length between them."""
-LEAST_EDGE = 1e-6
-"""Shortest edge, over the mean edge."""
-MOST_LENGTHS_OFF = 1e9
-"""Largest coordinate, over the rod's length."""
+MOST_LENGTHS = 2.0  # largest distance of a mark from the first, over the rod's length: a label is never that wrong
+LEAST_LENGTHS = 0.1  # smallest sum of the distances between neighbouring marks, over the rod's length between them
+LEAST_EDGE = 1e-6  # shortest edge, over the mean edge
+MOST_LENGTHS_OFF = 1e9  # largest coordinate, over the rod's length
 
 
 @typed
@@ -177,7 +173,7 @@ def held_spins(observations: Observations, clamps: Clamps, spin: np.ndarray) -> 
     """
     count = observations.count
     unknown_end = np.broadcast_to(np.asarray(clamps.end) == Clamp.TANGENT, count)
-    whole = Clamps(Clamp.FRAME, Clamp.FRAME, clamps.start_position, clamps.end_position, clamps.start_frame, clamps.end_frame)
+    whole = replace(clamps, start=Clamp.FRAME, end=Clamp.FRAME)
     bishop = _bishop(observations, whole)
     lacking = spin - _closing_angle(bishop, whole)
     end_frame = turned_about_tangent(whole.end_frame, np.where(unknown_end, lacking, 0.0))

@@ -24,11 +24,9 @@ from doo_ti.rod.frames import (
     tangent_from_quaternion,
     vertices_from_quaternions,
 )
-from doo_ti.rod.material import LARGEST, Material, Rows
-from doo_ti.rod.physical_units import force_in_newton
-from doo_ti.system.arguments import typed
+from doo_ti.rod.material import LARGEST, Material, Rows, force_in_newton
+from doo_ti.system.arguments import counted, span_text, typed
 from doo_ti.system.errors import MOST_EDGES, InputError, real_array, require_whole
-from doo_ti.system.short_repr import counted, span_text
 
 __all__ = ["LARGEST", "Clamp", "Clamps", "Configuration", "Material", "Rows", "Solution", "Status", "sticky", "unit_up"]
 
@@ -210,9 +208,8 @@ class Clamps:
     def take(self, index: Rows) -> "Clamps":
         """The clamps of the rods named by ``index``, in that order, in arrays of their own."""
         kinds = (np.array(kind) for kind in (self.start, self.end))
-        return Clamps(
-            *(kind if kind.ndim == 0 else kind[index] for kind in kinds), picked(self.start_position, index),
-            picked(self.end_position, index), picked(self.start_frame, index), picked(self.end_frame, index))
+        return Clamps(*(kind if kind.ndim == 0 else kind[index] for kind in kinds),
+                      *(picked(getattr(self, name), index) for name in POSES))
 
     @classmethod
     @typed

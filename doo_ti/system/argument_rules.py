@@ -17,8 +17,7 @@ from numpy.typing import ArrayLike
 KINDS = {None: "fiub", float: "fiu", int: "iu", bool: "b"}
 """NumPy's letters of the kinds of dtype of numbers and flags, or of numbers, whole ones or flags alone."""
 NUMERIC = KINDS[None]
-MOST_SHOWN = 40
-"""Characters of a value in a message."""
+MOST_SHOWN = 40  # characters of a value in a message
 INDEX_BITS = 63
 
 _ARRAY = set(get_args(ArrayLike)) or {ArrayLike}  # a union before NumPy 2.5, a name for one since

@@ -7,8 +7,7 @@ from numbers import Integral, Real
 
 import numpy as np
 
-MOST_EDGES = 1_000_000
-"""Of a rod."""
+MOST_EDGES = 1_000_000  # of a rod
 
 
 class InputError(ValueError):

@@ -18,16 +18,13 @@ from typing import Any, ParamSpec, TypeVar
 
 from doo_ti.system import taichi_internals
 from doo_ti.system.errors import InputError
-from doo_ti.system.kernel_cache import kernel_folder
-from doo_ti.system.taichi_internals import TAICHI_NAMES
+from doo_ti.system.taichi_internals import TAICHI_NAMES, kernel_folder
 from doo_ti.system.terminal import compiling
 
-KERNELS = "TI_OFFLINE_CACHE_FILE_PATH"
-"""The environment variable with the folder of Taichi's compiled kernels."""
+KERNELS = "TI_OFFLINE_CACHE_FILE_PATH"  # the environment variable with the folder of Taichi's compiled kernels
 KERNELS_HELD = 1 << 30
 """Bytes of kernels that the folder holds. With Taichi's 100 MB all commands in turn would compile most of them again."""
-TASKS = Path("/proc/self/task")
-"""Where Linux lists the threads of a process."""
+TASKS = Path("/proc/self/task")  # where Linux lists the threads of a process
 
 _Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")

@@ -76,7 +76,7 @@ def test_a_scene_of_another_command(capsys, tmp_path):
             "this is a scene of another command")
 
 
-# ---- options: replacements in a valid command line, and the words of the message; texts of grids: tests/rod/test_grid.py
+# ---- options of relax and sweep in a valid command line, and words of the message; texts of grids: tests/rod/test_grid.py
 
 OPTIONS = {
     "B not positive definite": (["--bend", "1e5,1e5,2e5"], "--bend", "not positive definite"),
@@ -107,14 +107,6 @@ OPTIONS = {
 }
 
 
-@pytest.mark.parametrize("case", OPTIONS)
-def test_wrong_options(capsys, tmp_path, case):
-    words, *expected = OPTIONS[case]
-    npz_bytes(tmp_path)
-    argv = ["relax", str(tmp_path / "good.npz"), *MATERIAL, "--out", str(tmp_path / "F.npz"), *words]
-    refused(capsys, tmp_path, argv, *expected)
-
-
 GRIDS = {
     "grid of zero cells": (["--bend", "1e5:1e6:0"], "--bend", "zero cells"),
     "grid from below": (["--bend", "1e5", "--twist-ratio", "-1:1:5:lin"], "--twist-ratio", "not positive"),
@@ -127,11 +119,12 @@ GRIDS = {
 }
 
 
-@pytest.mark.parametrize("case", GRIDS)
-def test_wrong_grids(capsys, tmp_path, case):
-    words, *expected = GRIDS[case]
+@pytest.mark.parametrize("case", [*OPTIONS, *GRIDS])
+def test_wrong_options(capsys, tmp_path, case):
+    words, *expected = OPTIONS.get(case) or GRIDS[case]
     npz_bytes(tmp_path)
-    refused(capsys, tmp_path, ["sweep", str(tmp_path / "good.npz"), *words, "--out", str(tmp_path / "run")], *expected)
+    command, own, out = ("relax", MATERIAL, "F.npz") if case in OPTIONS else ("sweep", [], "run")
+    refused(capsys, tmp_path, [command, str(tmp_path / "good.npz"), *own, "--out", str(tmp_path / out), *words], *expected)
 
 
 def test_unknown_command(capsys, tmp_path):

@@ -1,6 +1,7 @@
-"""Commands on good input: what they write, print and pass on."""
+"""Commands on good input: what they write, print and pass on; sweeps under both objectives."""
 
 import json
+import re
 import sys
 import types
 from dataclasses import replace
@@ -15,7 +16,8 @@ from doo_ti import Clamp, Grid, InterruptedRunError, Observations, Status, load_
 from doo_ti.commands.cli import main
 from doo_ti.learning.landscape import gather_overview
 from doo_ti.rod.frames import bishop_frames
-from tests.commands.calls import MATERIAL, in_process, npz_bytes
+from tests.commands.calls import MATERIAL, in_process, npz_bytes, refused
+from tests.learning.lab import small_lab
 
 SCENE = """
 name = "silk"
@@ -159,15 +161,15 @@ def test_version(capsys):
     assert main(["--version"]) == 0 and capsys.readouterr().out.startswith("doo-ti ")
 
 
-@pytest.mark.parametrize("command, way", [
-    ("refine", "starts from the beginning"), ("sweep", "resumes with the unfinished cells")])
+@pytest.mark.parametrize("command, work, way", [
+    ("refine", "refine.run", "starts from the beginning"), ("sweep", "sweep.run_sweep", "resumes with the unfinished cells")])
 @pytest.mark.parametrize("failure", [
     OSError(28, "No space left on device"), KeyboardInterrupt(), RuntimeError("no\nmemory"), MemoryError()])
-def test_a_command_that_is_stopped_says_whether_it_starts_from_the_beginning(capsys, monkeypatch, command, way, failure):
+def test_a_command_that_is_stopped_says_whether_it_starts_from_the_beginning(capsys, monkeypatch, command, work, way, failure):
     def fail(*args):
         raise failure
 
-    monkeypatch.setattr(f"doo_ti.commands.{command}.run", fail)
+    monkeypatch.setattr(f"doo_ti.commands.{work}", fail)
     assert main([command, "source", "--out", "F"]) == 1
     out, err = capsys.readouterr()
     assert out == "" and err.count("\n") == 1 and f"; the same command {way}" in err
@@ -211,3 +213,66 @@ def test_relax_picks_the_turn_that_was_seen(tmp_path):
         assert main(["relax", str(tmp_path / f"{name}.npz"), *MATERIAL, "--out", str(tmp_path / f"F_{name}.npz")]) == 0
     with np.load(tmp_path / "F_good.npz") as hinted, np.load(tmp_path / "F_unknown.npz") as guessed:
         assert (guessed["distance_mm"] <= hinted["distance_mm"] + 1e-9).all()
+
+
+GRID = ["--bend", "2e5:8e5:3", "--twist-ratio", "0.5:2:3"]
+
+
+def written_lab(folder, **changes) -> str:
+    save_observations(folder / "lab.npz", replace(small_lab(), **changes))
+    return str(folder / "lab.npz")
+
+
+@pytest.mark.thorough
+def test_a_dynamic_sweep_reports_pairs_and_jumps(capsys, tmp_path):
+    argv = ["sweep", written_lab(tmp_path), *GRID, "--objective", "dynamic", "--out", str(tmp_path / "run")]
+    assert main(argv) == 0
+    out = capsys.readouterr().out
+    assert "9 cells x 4 pairs" in out and "Eq. 3" in out and "0 of 4 rods" in out
+    assert "hypotheses" not in out
+    assert main([*argv, "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert (summary["objective"], summary["pairs"], summary["jumps"]["rods"]) == ("dynamic", 4, 0)
+    assert (tmp_path / "run" / "pairs.csv").read_text().startswith("from,to,weight,rotation_deg\n0,4,")
+
+
+@pytest.mark.thorough
+def test_pairs_of_a_file_and_of_a_scene(capsys, tmp_path):
+    written_lab(tmp_path)
+    (tmp_path / "pairs.csv").write_text("from,to,weight\n0,2,1\n2,4,0.5\n5,1,0\n")
+    scene = tmp_path / "scene.toml"
+    scene.write_text('objective = "dynamic"\npairs = "pairs.csv"\n[observations]\nfile = "lab.npz"\n'
+                     '[grid]\nbend = "2e5:8e5:3"\n')
+    assert main(["sweep", str(scene), "--out", str(tmp_path / "scene")]) == 0
+    assert "3 cells x 2 pairs" in capsys.readouterr().out
+    assert main(["sweep", str(scene), "--objective", "static", "--out", str(tmp_path / "static")]) == 0
+    assert "3 cells x 6 observations" in capsys.readouterr().out
+    (tmp_path / "other.csv").write_text("from,to\n3,5\n")
+    assert main(["sweep", str(scene), "--pairs", str(tmp_path / "other.csv"), "--out", str(tmp_path / "other")]) == 0
+    assert "3 cells x 1 pairs" in capsys.readouterr().out
+
+
+@pytest.mark.thorough
+def test_settled_hypotheses_are_reported(capsys, tmp_path):
+    argv = ["sweep", written_lab(tmp_path, total_twist=None), *GRID, "--out", str(tmp_path / "run")]
+    assert main(argv) == 0
+    out = capsys.readouterr().out
+    assert re.search(r"hypotheses +18\b.*\b6 observations.*\b0\b", out)
+    unknown = written_lab(tmp_path, total_twist=None, end_frame=None)
+    assert main(["sweep", unknown, *GRID, "--spins", "6", "--out", str(tmp_path / "spins")]) == 0
+    out = capsys.readouterr().out
+    assert "hypotheses  108;" in out and "twist is not determined" not in out
+    assert main(["sweep", unknown, *GRID, "--out", str(tmp_path / "free")]) == 0
+    assert "twist is not" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("words, expected", [
+    (["--pairs", "pairs.csv"], ["--pairs", "the objective is static"]),
+    (["--objective", "dynamic", "--pairs", "absent.csv"], ["absent.csv", "no such file"]),
+    (["--objective", "both"], ["--objective", "'both'"]),
+    (["--spins", "9999"], ["--roll-hypotheses", "9999"]),
+    (["--spins", "12"], ["lab.npz", "spins", "no end is held by its tangent alone"]),
+])
+def test_what_makes_no_sense_is_refused(capsys, tmp_path, monkeypatch, words, expected):
+    monkeypatch.chdir(tmp_path)
+    refused(capsys, tmp_path, ["sweep", written_lab(tmp_path), *GRID, "--out", str(tmp_path / "run"), *words], *expected)

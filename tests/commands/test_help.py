@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from doo_ti.commands import EXAMPLES, FIRST, GROUPS, OTHER_WORDS
 from doo_ti.commands.cli import _parser, main
-from doo_ti.commands.help_text import EXAMPLES, FIRST, GROUPS, OTHER_WORDS
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 COMMANDS = _parser().meanings()
@@ -66,7 +66,7 @@ def test_wrong_words_name_the_right_one(argv, meant, capsys):
 
 def defaults() -> dict[tuple[str, str], float]:
     """The numbers that commands take where an option is absent, by where the code has them."""
-    from doo_ti.commands import bench, moving_rods, plan, refine, runs, servo, steer, synth
+    from doo_ti.commands import machine, moving_rods, plan, refine, runs, steer, synth
     from doo_ti.commands.image_options import RECORDED
     from doo_ti.dynamics.identify import IdentifyOptions
     from doo_ti.dynamics.parameters import Dynamics, Stepping
@@ -76,18 +76,19 @@ def defaults() -> dict[tuple[str, str], float]:
     from doo_ti.perception.search import PerceptionOptions
     from doo_ti.perception.virtual_lab import DIAMETER_MM
     from doo_ti.rod.types import Material
-    from doo_ti.vision.rendering.render import RenderOptions
+    from doo_ti.vision.render import RenderOptions
 
     found = {("simulate", "--most-substeps"): Stepping.most_substeps, ("simulate", "--substeps"): Stepping.substeps,
              ("predict", "--sub-step"): np.degrees(LARGEST_TURN), ("predict", "--steps-between"): 1,
              ("identify", "--modes"): IdentifyOptions.modes, ("identify", "--robust"): IdentifyOptions.delta,
              ("identify", "--substeps"): IdentifyOptions.substeps, ("perceive", "--nu"): PerceptionOptions.nu,
              ("perceive", "--hypotheses"): PerceptionOptions.hypotheses, ("perceive", "--recorded-sets"): RECORDED,
-             ("refine", "--starts"): refine.STARTS, ("plan", "--picks"): plan.PICKS, ("synth", "--diameter"): synth.DIAMETER_MM,
-             ("figures", "--cells"): runs.MOST_CELLS, ("bench", "--rods"): bench.RODS, ("bench", "--rounds"): bench.ROUNDS,
+             ("refine", "--starts"): refine.STARTS, ("plan", "--picks"): plan.PICKS,
+             ("synth", "--diameter"): synth.DIAMETER_MM,
+             ("figures", "--cells"): runs.MOST_CELLS, ("bench", "--rods"): machine.RODS, ("bench", "--rounds"): machine.ROUNDS,
              ("sweep", "--roll-hypotheses"): SweepOptions.spins, ("relax", "--frame-weight"): SweepOptions.frame_weight}
-    found |= {("steer", "--reached"): steer.REACHED, ("steer", "--seconds"): PlanOptions.seconds}
-    found |= {("servo", "--reached"): servo.REACHED, ("servo", "--steps"): servo.STEPS, ("servo", "--diameter"): DIAMETER_MM,
+    found |= {("steer", "--reached"): steer.PLANNED, ("steer", "--seconds"): PlanOptions.seconds}
+    found |= {("servo", "--reached"): steer.REACHED, ("servo", "--steps"): steer.STEPS, ("servo", "--diameter"): DIAMETER_MM,
               ("servo", "--noise"): RenderOptions.noise}
     found |= {("twist", "--observations"): 1, ("simulate", "--smoothing"): 1, ("identify", "--smoothing"): 1}
     for command in COMMANDS:

@@ -13,7 +13,7 @@ from urllib.request import urlopen
 
 import pytest
 
-from doo_ti.system import interruption
+from doo_ti.system import terminal
 
 ROOT = Path(__file__).resolve().parents[2]
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="sends signals as a terminal does")
@@ -34,9 +34,9 @@ print("lost")
 """
 SWALLOWED = """
 import os, signal, sys, time
-from doo_ti.system import interruption
+from doo_ti.system import terminal
 
-interruption.while_running(True)
+terminal.while_running(True)
 
 class Ended:
     def __del__(self):
@@ -91,7 +91,7 @@ def test_a_signal_while_processes_are_started_waits_for_them(number):
     other = threading.Thread(target=stop.wait)
     other.start()
     try:
-        with interruption.kept_from_children():
+        with terminal.kept_from_children():
             os.kill(os.getpid(), number)
             time.sleep(0.05)
             assert heard == []
@@ -125,8 +125,8 @@ def test_a_served_viewer_ends_with_its_command(tmp_path, number):
 
 
 def test_under_nohup_the_end_of_the_terminal_is_ignored(tmp_path):
-    script = ("import os, signal, time\nfrom doo_ti.system import interruption\nsignal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
-              "interruption.while_running(True)\nos.kill(os.getpid(), signal.SIGHUP)\ntime.sleep(0.05)\nprint('goes on')")
+    script = ("import os, signal, time\nfrom doo_ti.system import terminal\nsignal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
+              "terminal.while_running(True)\nos.kill(os.getpid(), signal.SIGHUP)\ntime.sleep(0.05)\nprint('goes on')")
     assert run_script(script, tmp_path).stdout == "goes on\n"
 
 

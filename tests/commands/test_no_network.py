@@ -15,8 +15,7 @@ import pytest
 
 from doo_ti.commands.cli import main
 from doo_ti.io.observation_files import save_observations
-from tests.commands.test_calibrate import TEXT, pictures  # noqa: F401  a fixture
-from tests.commands.test_triangulate import prepared, rows_of
+from tests.commands.test_cameras import TEXT, pictures, prepared, rows_of  # noqa: F401  a fixture
 from tests.io.rods import wavy_vertices
 from tests.learning.lab import small_lab
 

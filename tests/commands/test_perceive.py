@@ -11,11 +11,12 @@ from scipy.spatial import cKDTree
 
 from doo_ti.commands.cli import main
 from doo_ti.io.observation_files import load_observations
-from doo_ti.vision.cameras.rig import Rig, load_rig, save_rig
-from doo_ti.vision.rendering.render import render_set
-from doo_ti.vision.rendering.tubes import smooth_curve
+from doo_ti.vision.cameras import Rig
+from doo_ti.vision.render import render_set
+from doo_ti.vision.rig_files import load_rig, save_rig
+from doo_ti.vision.tubes import smooth_curve
 from tests.commands.calls import refused, written
-from tests.vision.drawn_maps import curves, three_cameras
+from tests.vision.scenes import curves, three_cameras
 
 EDGES = 14
 MATERIAL = ["--bend", "2e5", "--twist", "2e5", "--weight", "1", "--rest-length", f"3:{EDGES}"]
@@ -194,12 +195,7 @@ def test_a_click_and_no_length(photographed, tmp_path, capsys):
     (["--region", "cam7:0,0,50,50"], ("--region", "cam7")), (["--region", "cam0:0,0,5,50"], ("region",)),
     (["--masks", "a.png"], ("--masks",)), (["--image-size", "3"], ("--image-size",))])
 def test_wrong_options_are_reported(photographed, tmp_path, capsys, change, words):
-    argv = of_sets(photographed[0], "--out", str(tmp_path / "new" / "f.npz"))
-    if change[0] in argv:
-        argv[argv.index(change[0]) + 1] = change[1]
-    else:
-        argv += change
-    refused(capsys, tmp_path, argv, *words)
+    refused(capsys, tmp_path, of_sets(photographed[0], "--out", str(tmp_path / "new" / "f.npz"), *change), *words)
 
 
 def test_wrong_images_are_reported(photographed, tmp_path, capsys):

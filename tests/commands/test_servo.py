@@ -8,12 +8,13 @@ import pytest
 
 from doo_ti import Camera, Clamp, Material, Newton, Observations, hanging, load_path, relax, save_observations
 from doo_ti.commands.cli import main
-from doo_ti.manipulation.poses import moved
-from doo_ti.rod.physical_units import stiffness
+from doo_ti.manipulation.model import moved
+from doo_ti.rod.material import stiffness
 from doo_ti.system.terminal import has_recorder
-from doo_ti.vision.cameras.rig import Rig, save_rig
+from doo_ti.vision.cameras import Rig
+from doo_ti.vision.rig_files import save_rig
 from tests.commands.calls import refused
-from tests.vision.poses import looking
+from tests.vision.scenes import looking
 
 BEND, DENSITY = 6e5, 10.0
 EI = stiffness(BEND / 2, DENSITY)

@@ -10,9 +10,10 @@ from doo_ti.commands.cli import main
 from doo_ti.io.scene import load_scene
 from doo_ti.lab.synthesis import synthesise
 from doo_ti.perception.virtual_lab import lab_rods
-from doo_ti.vision.cameras.rig import Rig, load_rig, save_rig
-from doo_ti.vision.detection.images import load_sets
-from doo_ti.vision.rendering.render import Photographs, RenderOptions
+from doo_ti.vision.cameras import Rig
+from doo_ti.vision.images import load_sets
+from doo_ti.vision.render import Photographs, RenderOptions
+from doo_ti.vision.rig_files import load_rig, save_rig
 from tests.commands.calls import refused
 
 SCENE = ('name = "silk"\n[synthesis]\nseed = 4\nbend = 1.5e5\ntwist = 5e4\nend_distances_mm = [42, 66]\n'

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from doo_ti.commands.cli import main
-from doo_ti.vision.cameras.rig import save_rig
+from doo_ti.vision.rig_files import save_rig
 from tests.commands.calls import refused
 from tests.perception.videos import EDGES, FRAMES, LENGTH, far_motion, images, rods
-from tests.vision.drawn_maps import three_cameras
+from tests.vision.scenes import three_cameras
 
 SEED = "seed_x,seed_y,seed_z,dir_x,dir_y,dir_z"
 BLANK = (4, 5)
@@ -41,11 +41,9 @@ def of(folder, out, *more: str) -> list[str]:
             f"{LENGTH}:{EDGES}", "--bend", "2e5", "--twist", "2e5", "--weight", "1", "--out", str(out), *more]
 
 
-def changed(folder, path, change) -> list[str]:
-    """Lines of FRAMES.csv, changed, beside the images."""
-    lines = change((folder / "frames.csv").read_text().splitlines())
-    path.write_text("\n".join(lines) + "\n")
-    return lines
+def changed(folder, path, change) -> None:
+    """Write lines of FRAMES.csv, changed, beside the images."""
+    path.write_text("\n".join(change((folder / "frames.csv").read_text().splitlines())) + "\n")
 
 
 @pytest.mark.thorough
@@ -77,9 +75,8 @@ def test_a_known_motion_is_taken(filmed, tmp_path, capsys):
     out = tmp_path / "f.npz"
     changed(filmed, filmed / "eight.csv", lambda lines: lines[:9])
     np.savez(filmed / "eight.npz", **{key: value[:8] for key, value in np.load(filmed / "motion.npz").items()})
-    argv = of(filmed, out, "--motion", str(filmed / "eight.npz"), "--no-recording", "--json")
-    argv[argv.index("--frames") + 1] = str(filmed / "eight.csv")
-    assert main(argv) == 0
+    assert main(of(filmed, out, "--motion", str(filmed / "eight.npz"), "--frames", str(filmed / "eight.csv"), "--no-recording",
+                   "--json")) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed["seeded"] == ["000", "006"] and printed["lost"] == ["004", "005"] and len(printed["tracked"]) == 4
     assert printed["written"] == [str(out)] and [path.name for path in tmp_path.iterdir()] == ["f.npz"]
@@ -92,9 +89,7 @@ def test_finished_frames_are_kept(filmed, tmp_path, capsys):
     broken.write_bytes(b"no image")
     frames = filmed / "broken.csv"
     changed(filmed, frames, lambda lines: [line.replace("003_cam1.png", str(broken)) for line in lines])
-    argv = of(filmed, tmp_path / "f.npz")
-    argv[argv.index("--frames") + 1] = str(frames)
-    assert main(argv) == 1
+    assert main(of(filmed, tmp_path / "f.npz", "--frames", str(frames))) == 1
     err = capsys.readouterr().err
     assert err.count("\n") == 1 and "broken.png" in err and "3 of 16 frames are kept" in err
     assert np.load(tmp_path / "f.npz")["how"].tolist() == [1, 0, 0]
@@ -112,9 +107,7 @@ def test_finished_frames_are_kept(filmed, tmp_path, capsys):
 def test_wrong_frames_are_reported(filmed, tmp_path, capsys, change, words):
     frames = filmed / "changed.csv"
     changed(filmed, frames, change)
-    argv = of(filmed, tmp_path / "new" / "f.npz")
-    argv[argv.index("--frames") + 1] = str(frames)
-    refused(capsys, tmp_path, argv, "changed.csv", *words)
+    refused(capsys, tmp_path, of(filmed, tmp_path / "new" / "f.npz", "--frames", str(frames)), "changed.csv", *words)
 
 
 @pytest.mark.parametrize("change, words", [
@@ -122,12 +115,7 @@ def test_wrong_frames_are_reported(filmed, tmp_path, capsys, change, words):
     (("--rest-length", "3:x"), ("--rest-length",)), (("--frames", "missing.csv"), ("missing.csv",)),
     (("--bend-1", "1e5"), ("--bend-1", "unknown")), (("--motion", "missing.npz"), ("missing.npz",))])
 def test_wrong_options_are_reported(filmed, tmp_path, capsys, change, words):
-    argv = of(filmed, tmp_path / "new" / "f.npz")
-    if change[0] in argv:
-        argv[argv.index(change[0]) + 1] = change[1]
-    else:
-        argv += change
-    refused(capsys, tmp_path, argv, *words)
+    refused(capsys, tmp_path, of(filmed, tmp_path / "new" / "f.npz", *change), *words)
 
 
 def test_a_motion_of_another_length_is_reported(filmed, tmp_path, capsys):

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Capsule, ClampPath, Dynamics, Grippers, InputError, Newton, Plane, Stepping, relax, rod_along, simulate
+from doo_ti import Capsule, ClampPath, Dynamics, Grippers, InputError, Newton, Plane, Stepping, relax, simulate
 from doo_ti.motion.predict import predict, predict_step
-from doo_ti.rod.straight import end_clamps, straight_rod
+from doo_ti.rod.shapes import end_clamps, rod_along, straight_rod
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution, Status
 from tests.references.rods import clamps_at
 from tools.bench import contact as pegs

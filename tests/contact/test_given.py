@@ -12,7 +12,7 @@ from doo_ti.dynamics.grippers import Grippers, obstacle_path
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.relaxation.time_loading import POSE_COLUMNS
 from doo_ti.rod.frames import matrix_from_quaternion, quaternion_of_turn
-from doo_ti.rod.straight import end_clamps, hanging, straight_rod
+from doo_ti.rod.shapes import end_clamps, hanging, straight_rod
 from doo_ti.rod.types import Clamp, Material
 from tests.contact.clutter import gaps
 

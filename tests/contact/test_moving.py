@@ -11,7 +11,7 @@ from doo_ti.contact.obstacles import Capsule, Cylinder, Plane
 from doo_ti.contact.touch import GAP_TOLERANCE, Touch
 from doo_ti.dynamics.scene import load_motion_scene
 from doo_ti.rod.frames import rotation_matrix
-from doo_ti.rod.straight import end_clamps, hanging, straight_rod
+from doo_ti.rod.shapes import end_clamps, hanging, straight_rod
 
 RADIUS, INSTANTS = 2.0, 21
 TIME = np.linspace(0.0, 1.0, INSTANTS)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import taichi as ti
 
-from doo_ti import Dynamics, Grippers, InputError, Newton, Stepping, overhand_knot, relax, rod_along, simulate
+from doo_ti import Dynamics, Grippers, InputError, Newton, Stepping, relax, simulate
 from doo_ti.contact.itself import Itself, edge_distance, smallest_self_gap
 from doo_ti.physics.tuples import record
 from doo_ti.relaxation.pair_distance import pair_block, pair_distance, pair_slopes, pair_weights
@@ -19,7 +19,7 @@ from doo_ti.rod.frames import (
     quaternion_product,
     vertices_from_quaternions,
 )
-from doo_ti.rod.straight import end_clamps, straight_rod
+from doo_ti.rod.shapes import end_clamps, overhand_knot, rod_along, straight_rod
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
 from doo_ti.system import runtime
 from tests.contact.test_equilibrium import unbalanced

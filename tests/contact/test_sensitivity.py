@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Itself, Newton, Plane, PointLoads, Sphere, end_clamps, overhand_knot, pullback, relax, straight_rod
+from doo_ti import Clamp, Configuration, Itself, Material, Newton, Plane, PointLoads, Sphere, pullback, relax
 from doo_ti.relaxation.sensitivity import end_loads, sensitivity, tilt_axes
 from doo_ti.rod.frames import rotation_matrix
-from doo_ti.rod.types import Clamp, Configuration, Material
+from doo_ti.rod.shapes import end_clamps, overhand_knot, straight_rod
 from tests.contact.clutter import OBSTACLES, RADIUS, sagging
 from tests.references.rods import clamps_at
 from tests.relaxation.rods import with_kinds

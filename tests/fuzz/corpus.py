@@ -173,9 +173,8 @@ def _motions() -> None:
 
 def _rig():
     """Three small cameras that look at the rods from about 70 mm."""
-    from doo_ti.vision.cameras.camera import Camera
-    from doo_ti.vision.cameras.rig import Rig
-    from tests.vision.poses import looking
+    from doo_ti.vision.cameras import Camera, Rig
+    from tests.vision.scenes import looking
 
     middle, cameras = np.load("rods.npz")["vertices_mm"].mean(axis=(0, 1)), []
     for index, angle in enumerate((0.3, 2.1, 4.2)):
@@ -199,7 +198,7 @@ def _moving() -> None:
 
 
 def _images() -> None:
-    from doo_ti.vision.cameras.rig import save_rig
+    from doo_ti.vision.rig_files import save_rig
 
     save_rig(Path("rig.yaml"), _rig())
     _command("synth", "scene.toml", "--images", "images", "--rig", "rig.yaml", "--diameter", "0.6")

@@ -11,11 +11,9 @@ from hypothesis import strategies as st
 
 from doo_ti.commands.cli import main
 from tests.fuzz import corpus
-from tests.fuzz.changes import changed, words_changed
-from tests.fuzz.commands import RECIPES
+from tests.fuzz.commands import RECIPES, changed, words_changed
 
-QUICK = {"relax", "convert", "plan"}
-"""Commands that the default run tries: their kernels compile in seconds."""
+QUICK = {"relax", "convert", "plan"}  # commands that the default run tries: their kernels compile in seconds
 FREE = {"suppress_health_check": list(HealthCheck), "deadline": None, "derandomize": True, "database": None}
 PROGRESS = re.compile(r"━|\d+/\d+ \w+ .*:")
 

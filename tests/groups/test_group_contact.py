@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Group, Itself, Plane, Tie, Touch, end_clamps, follow_group, relax_group, rod_along, straight_rod
-from doo_ti.rod.types import Clamp, Configuration, Material
+from doo_ti import Clamp, Configuration, Group, Itself, Material, Plane, Tie, Touch, follow_group, relax_group
+from doo_ti.rod.shapes import end_clamps, rod_along, straight_rod
 from tests.contact.topology import linking
 from tests.oracle.chain_form import chain_energy, rod_of
 

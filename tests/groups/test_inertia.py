@@ -7,7 +7,7 @@ import pytest
 
 from doo_ti import Grippers, Group, InputError, Newton, Plane, Tie, follow_group, relax_group, simulate
 from doo_ti.dynamics.parameters import GRAVITY, Dynamics, MovingStart, Stepping, vertex_lengths
-from doo_ti.rod.straight import end_clamps, straight_rod
+from doo_ti.rod.shapes import end_clamps, straight_rod
 from doo_ti.rod.types import Clamp, Clamps, Material
 
 MATERIAL = Material(3e5, 2e5, rest_curvature=np.array([2e-3, -1e-3]))

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_bvp
 
-from doo_ti import Dynamics, Group, GroupSolution, InputError, Newton, Tie, follow_group, relax, relax_group, rod_along
+from doo_ti import Dynamics, Group, GroupSolution, InputError, Newton, Tie, follow_group, relax, relax_group
 from doo_ti.groups.scene import load_group_scene
-from doo_ti.rod.straight import end_clamps, hanging, straight_rod
+from doo_ti.rod.shapes import end_clamps, hanging, rod_along, straight_rod
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
 from tests.groups.reference import nearest_equilibrium
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from doo_ti.commands.loading import read_rest_length
-from doo_ti.io.csv_table import parse_csv, read_csv
+from doo_ti.io.arrays import parse_csv, read_csv
 from doo_ti.system.errors import InputError
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.io.observation_files import load_observations, read_curves, read_recording
+from doo_ti.io.observation_files import load_observations, read_curves, read_recording, save_observations
 from doo_ti.system.errors import InputError
 
 MARKS = np.array([[[0.0, 10, 0], [30, 5, 1], [60, 5, 0], [90, 10, 2]], [[0.0, 10, 0], [25, 0, 1], [55, 0, 0], [80, 10, 2]]])
@@ -102,6 +102,22 @@ def test_columns_of_other_names(tmp_path):
     np.testing.assert_array_equal(load_observations(tmp_path / "z.csv").vertices, MARKS)
     swapped = load_observations(tmp_path / "y.csv", columns={"y": "z", "z": "y"})
     np.testing.assert_array_equal(swapped.vertices, MARKS[:1][..., [0, 2, 1]])
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".npz"])
+def test_names_of_observations(tmp_path, suffix):
+    """They are in the order of the file, and kept in others; among numbers a name is refused."""
+    _, *rows = table(MARKS, "observation,vertex,x,y,z").splitlines()
+    names = [f"shot {len(MARKS) - d}" for d in range(len(MARKS))]
+    text = "\n".join(["observation,vertex,x,y,z", *(f"{names[int(row.split(',')[0])]},{row.split(',', 1)[1]}" for row in rows)])
+    (tmp_path / "x.csv").write_text(text)
+    save_observations(tmp_path / f"y{suffix}", load_observations(tmp_path / "x.csv"))
+    found = load_observations(tmp_path / f"y{suffix}")
+    np.testing.assert_array_equal(found.vertices, MARKS)
+    assert found.labels.tolist() == names
+    (tmp_path / "x.csv").write_text(text.replace(names[0], "7"))
+    with pytest.raises(InputError, match=f"observation: '{names[1]}' in line"):
+        load_observations(tmp_path / "x.csv")
 
 
 def test_marks_numbered_from_one(tmp_path):

@@ -24,15 +24,14 @@ from doo_ti import InputError, Observations, load_observations, save_observation
 from doo_ti.io import arrays
 from doo_ti.io.observation_files import read_recording
 from doo_ti.system.files import read_content
-from doo_ti.vision.detection.images import load_sets, read_image, stated_size
+from doo_ti.vision.images import load_sets, read_image, stated_size
 from tests.io.test_formats import CABLE, MARKS, motive, nexus, table
 
 resource = pytest.importorskip("resource", reason="the memory of a process is limited on Unix only")
 ROOT = Path(__file__).parents[2]
 MOST_BYTES, MOST_ADDRESSES, MOST_SECONDS = 1 << 30, 8 << 30, 300
 MOST_SECONDS_EACH = 10.0
-DAMAGED = 60
-"""Copies of each good file."""
+DAMAGED = 60  # copies of each good file
 
 
 def npz(shape: str, content: bytes = bytes(192), method: int = zipfile.ZIP_STORED) -> bytes:
@@ -181,11 +180,11 @@ def readers() -> dict[str, list]:
     from doo_ti.io.motion_file import load_path
     from doo_ti.io.scene import load_scene
     from doo_ti.learning.chunks import read_columns, read_table
-    from doo_ti.learning.pairs import load_pairs
+    from doo_ti.learning.terms import load_pairs
     from doo_ti.perception.twist_curves import load_offsets
-    from doo_ti.vision.cameras.board import read_views
-    from doo_ti.vision.cameras.rig import load_rig
-    from doo_ti.vision.reprojection.marks import read_labels, read_marks
+    from doo_ti.vision.board import read_views
+    from doo_ti.vision.marks import read_labels, read_marks
+    from doo_ti.vision.rig_files import load_rig
 
     def read_motion_scene(path):
         found = load_motion_scene(path)

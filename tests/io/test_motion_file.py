@@ -1,10 +1,12 @@
-"""Motion files: poses over time from npz and CSV, and errors in them."""
+"""Motion files: poses over time from npz and tables, orientations in all usual forms, units, names, and errors in them."""
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from doo_ti import Clamp, Clamps, InputError
-from doo_ti.io.motion_file import ClampPath, load_path, path_of_marks
+from doo_ti import Clamp, Clamps, InputError, load_path
+from doo_ti.io.motion_file import ClampPath, path_of_marks
+from doo_ti.io.pose_table import holds_poses
 
 QUARTER = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
 
@@ -90,3 +92,82 @@ def test_half_a_turn_is_determined_by_the_given_rotation():
     frames = np.stack([np.eye(3), np.diag([1.0, -1, -1])])[:, None]
     path = ClampPath(np.arange(2.0), end_frame=frames, end_rotation=np.array([[0.0], [-np.pi]]))
     assert path.rotation(0, 1) == pytest.approx([-np.pi])
+
+
+TURNS = Rotation.from_euler("xyz", [[0.1, -0.4, 0.9], [0.3, -0.2, 1.0], [0.5, 0.1, 1.4]])
+PLACES = np.array([[50.0, 0, 1], [52, 3, 1], [54, 5, 0]])
+FORMS = {
+    "quaternion": (["qw", "qx", "qy", "qz"], np.roll(TURNS.as_quat(), 1, axis=1)),
+    "messages": (["pose.orientation.x", "pose.orientation.y", "pose.orientation.z", "pose.orientation.w"], -TURNS.as_quat()),
+    "rotation vector": (["rx", "ry", "rz"], TURNS.as_rotvec()),
+    "degrees": (["rx_deg", "ry_deg", "rz_deg"], np.degrees(TURNS.as_rotvec())),
+    "turns": (["Roll", "Pitch", "Yaw"], TURNS.as_euler("xyz")),
+    "turns in degrees": (["roll_deg", "pitch_deg", "yaw_deg"], np.degrees(TURNS.as_euler("xyz"))),
+}
+
+
+def written(folder, names, values, name: str = "x.csv"):
+    rows = [",".join(map(repr, row)) for row in np.asarray(values).tolist()]
+    (folder / name).write_text("\n".join([",".join(names), *rows]))
+    return folder / name
+
+
+@pytest.mark.parametrize("prefix", ["end_", "end.", ""])
+@pytest.mark.parametrize("form", FORMS)
+def test_orientations(tmp_path, form, prefix):
+    names, values = FORMS[form]
+    time = 10.0 + 0.5 * np.arange(3)[:, None]
+    own = [f"{prefix}{name}" for name in ("x_m", "y_m", "z_m", *names)]
+    file = written(tmp_path, ["Time", *own, "force"], np.hstack([time, 1e-3 * PLACES, values, 0 * time]))
+    path = load_path(file)
+    np.testing.assert_allclose(path.end_frame[:, 0], TURNS.as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(path.end_position[:, 0], PLACES)
+    assert path.start_frame is None and path.time.tolist() == [10, 10.5, 11]
+    np.testing.assert_allclose(load_path(file, unit="cm").end_position[:, 0], 1e-2 * PLACES)
+    tool = load_path(file, axes=("x", "-y")).end_frame[:, 0]
+    np.testing.assert_allclose(tool[..., 0], -TURNS.as_matrix()[..., 1], atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(tool), 1.0)
+    quarter = Rotation.from_euler("x", 90, degrees=True).as_matrix()
+    turned = load_path(file, turn=quarter)
+    np.testing.assert_allclose(turned.end_position[:, 0], PLACES @ quarter.T, atol=1e-12)
+    np.testing.assert_allclose(turned.end_frame[:, 0], quarter @ TURNS.as_matrix(), atol=1e-12)
+
+
+def test_quaternions_of_an_npz(tmp_path):
+    np.savez(tmp_path / "x.npz", end_quaternion=np.roll(TURNS.as_quat(), 1, axis=1))
+    np.testing.assert_allclose(load_path(tmp_path / "x.npz").end_frame[:, 0], TURNS.as_matrix(), atol=1e-12)
+    assert holds_poses(tmp_path / "x.npz")
+    np.savez(tmp_path / "y.npz", positions_mm=np.zeros((3, 5, 3)), start_position_mm=PLACES)
+    assert not holds_poses(tmp_path / "y.npz")
+
+
+def test_a_path_at_equal_intervals(tmp_path):
+    """Of positions that are linear in time, and turns about one axis."""
+    time = np.array([0.0, 0.1, 0.35, 0.4, 1.0])
+    values = np.hstack([time[:, None], np.outer(time, [10.0, -20.0, 5.0]), np.outer(time, [0, 0, 1.2])])
+    path = load_path(written(tmp_path, ["time_s", "x", "y", "z", "rx", "ry", "rz"], values)).resampled(20.0)
+    np.testing.assert_allclose(path.time, np.arange(21) / 20)
+    np.testing.assert_allclose(path.end_position[:, 0], np.outer(path.time, [10.0, -20.0, 5.0]), atol=1e-9)
+    angle = Rotation.from_matrix(path.end_frame[:, 0]).as_rotvec()[:, 2]
+    np.testing.assert_allclose(angle, 1.2 * path.time, atol=5e-3)
+    with pytest.raises(InputError, match="time_s"):
+        path.resampled(1e9)
+
+
+@pytest.mark.parametrize("wrong", [{"unit": "inch"}, {"axes": ("x", "w")}])
+def test_units_and_axes_that_are_not_known_are_named(tmp_path, wrong):
+    with pytest.raises(InputError, match=f"load_path: {next(iter(wrong))}: "):
+        load_path(written(tmp_path, ["x", "y", "z"], PLACES), **wrong)
+
+
+@pytest.mark.parametrize("names, values, said", [
+    (["end_qw", "end_qx", "end_qy", "end_qz"], [[1.0, 0, 0, 0], [2, 0, 0, 0]], "moment 1 has a quaternion of length 2"),
+    (["end_qx", "end_qy", "end_qz"], np.zeros((2, 3)), "end_qw: the column is missing"),
+    (["end_x_m", "end_z_m"], np.zeros((2, 2)), "end_y_m: the column is missing"),
+    (["end_rx", "end_ry", "end_rz", "end_roll", "end_pitch", "end_yaw"], np.zeros((2, 6)), "rotation vector and as turns"),
+    (["time", "speed"], np.zeros((2, 2)), "speed"),
+    (["end_x", "end_y", "end_z", "end_rotaton_deg"], np.zeros((2, 4)), "rotaton"),
+])
+def test_what_does_not_fit_is_named(tmp_path, names, values, said):
+    with pytest.raises(InputError, match=said):
+        load_path(written(tmp_path, names, values))

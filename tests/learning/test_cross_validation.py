@@ -1,4 +1,5 @@
-"""Leave-one-out against loops over fractions, and against landscapes whose answer is known; the rows and columns of tables."""
+"""Leave-one-out against loops over fractions, and against landscapes whose answer is known; the rows and columns of tables; and
+that only cells compete whose rods all converged to certified minima: a rod that stalls at its observation scores best."""
 
 import statistics
 from dataclasses import replace
@@ -9,10 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from doo_ti import InputError, Status
 from doo_ti.learning import cross_validation
 from doo_ti.learning.cross_validation import Part, Partition, chosen_cells, cross_validate, partition, usual_factors
-from doo_ti.rod.types import Status
-from doo_ti.system.errors import InputError
+from doo_ti.learning.landscape import plane_of
+from doo_ti.learning.terms import Hypotheses, resolved
 from tests.learning.landscapes import dynamic, grid_of, static
 
 PAIRS = list(product(range(5), repeat=2))
@@ -205,13 +207,10 @@ def test_by_objective_the_static_one_keeps_what_occurs_in_pairs():
 
 
 @pytest.mark.parametrize(("runs", "factors"), [
-    ([lab("a")], [("end-distance",)]),
-    ([lab("a", np.full(12, np.nan))], []),
-    ([lab("a", np.arange(12.0))], []),
+    ([lab("a")], [("end-distance",)]), ([lab("a", np.full(12, np.nan))], []), ([lab("a", np.arange(12.0))], []),
     ([lab("a"), lab("b")], [("material",), ("material", "end-distance")]),
     ([lab("a", np.full(12, 30.0)), lab("b", np.full(12, 30.0))], [("material",)]),
-    ([lab("a"), moved("a")], [("objective", "end-distance")]),
-    ([lab("a"), moved("b")], [("end-distance",)]),
+    ([lab("a"), moved("a")], [("objective", "end-distance")]), ([lab("a"), moved("b")], [("end-distance",)]),
     ([lab("a"), lab("b"), moved("a")], [("material",), ("material", "end-distance"), ("objective", "end-distance")]),
 ])
 def test_tables_without_being_asked(runs, factors):
@@ -236,3 +235,59 @@ def test_runs_that_cannot_be_compared_are_reported(runs, by, distances, words):
     with pytest.raises(InputError) as problem:
         partition(runs, by, distances)
     assert words in str(problem.value)
+
+
+# --- only cells whose rods all converged to certified minima compete ------------------------------------------------------
+
+def fooled(name: str = "nylon"):
+    """Five cells of four rods, the second the best, except for the fourth, in which a rod stalled close to its observation."""
+    distance = np.array([3.0, 1.0, 2.0, 0.1, 3.0])[:, None] + np.zeros(4)
+    landscape = static(name, distance)
+    landscape.status[3, 1] = Status.STALLED
+    return landscape
+
+
+def test_a_cell_with_a_rod_that_stalled_does_not_win():
+    landscape = fooled()
+    assert landscape.best == 1 and np.flatnonzero(np.isnan(landscape.mean_distance)).tolist() == [3]
+    assert landscape.competition == {"cells_competing": 4, "cells_not_competing": 1, "terms_left_out": 0}
+    interval, = landscape.intervals
+    assert interval.best == landscape.grid.axes[0].values[1] and not interval.high_is_open
+    # Nor does one with a saddle.
+    landscape = fooled()
+    landscape.status[:] = Status.CONVERGED
+    stable = np.ones((5, 4), dtype=bool)
+    stable[3, 0] = False
+    assert replace(landscape, stable=stable).best == 1
+
+
+def test_a_term_that_is_sound_in_no_cell_is_left_out():
+    landscape = fooled()
+    landscape.status[:, 2] = Status.ITERATION_LIMIT
+    assert landscape.best == 1 and landscape.competition["terms_left_out"] == 1
+    landscape = fooled()
+    landscape.status[:] = Status.STALLED
+    assert landscape.competition == {"cells_competing": 0, "cells_not_competing": 0, "terms_left_out": 4}
+    with pytest.raises(InputError, match="certified"):
+        landscape.best
+
+
+def test_a_training_set_does_not_choose_it_nor_does_an_entry_win_a_column_by_rods_that_stalled():
+    scores = cross_validate(partition([fooled(), static("silk", fooled().distance)], ("material",))[0])
+    assert scores.best.tolist() == [1, 3] and (scores.mean[1] < scores.mean[0]).all()
+    assert replace(scores, uncertified=np.array([[0, 0], [1, 0]])).is_best.tolist() == [[True, False], [False, True]]
+
+
+def test_the_picture_marks_cells_that_do_not_compete():
+    plane = plane_of(fooled())
+    assert plane.minimum == (1, 0) and plane.unfinished.ravel().tolist() == [0, 0, 0, 1, 0]
+    assert np.isnan(plane.values[3, 0]) and not plane.valley[3, 0]
+
+
+def test_hypotheses_are_not_resolved_by_such_a_cell():
+    """In the first cell the second hypothesis is right, in the other one, where rods stalled, the first."""
+    hypotheses = Hypotheses(np.array([0, 0, 1]), np.array([0, 1, 0]))
+    distance = np.array([[3.0, 1.0, 1.0], [0.1, 3.0, 0.1]])
+    sound = np.array([[True, True, True], [False, False, False]])
+    chosen, ambiguous = resolved(distance, sound, np.ones(2), hypotheses)
+    assert chosen[0].tolist() == [1, 2] and not ambiguous.any()

@@ -1,4 +1,5 @@
-"""A whole sweep on a small virtual lab: its files, resuming, and independence of the division into chunks."""
+"""Whole sweeps on a small virtual lab, static and dynamic (Eq. 3): their files and rows, resuming, and independence of the
+division into chunks."""
 
 import json
 from dataclasses import replace
@@ -7,8 +8,26 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 
-from doo_ti import Axis, Grid, InputError, InterruptedRunError, Observations, SweepOptions, read_landscape, sweep
+from doo_ti import (
+    Axis,
+    Grid,
+    InputError,
+    InterruptedRunError,
+    Material,
+    Observations,
+    SweepOptions,
+    distance,
+    observation_clamps,
+    read_landscape,
+    relax,
+    start_configuration,
+    sweep,
+)
 from doo_ti.learning import sweeps
+from doo_ti.learning.experiment import Experiment, relax_cells
+from doo_ti.learning.run_folder import read_experiment
+from doo_ti.learning.terms import Pairs, pairs_from_labels
+from doo_ti.motion.path import carried_clamps, carry
 from tests.learning.lab import DYNAMIC, GRID, small_lab
 
 COLUMNS = {
@@ -121,3 +140,111 @@ def test_rods_that_stall_at_their_observation_do_not_win(tmp_path, capsys):
     out = capsys.readouterr().out
     assert summary["cells_not_competing"] > 0
     assert f"competing   {summary['cells_competing']} of 5" in out
+
+
+# --- a dynamic sweep (Eq. 3) ----------------------------------------------------------------------------------------------
+
+def assert_same_rows(first: dict, second: dict) -> None:
+    assert first.keys() == second.keys()
+    for name in first:
+        np.testing.assert_array_equal(first[name], second[name], err_msg=name)
+
+
+def test_rows_are_what_eq_3_says(tmp_path):
+    """Each row of a cell computed independently: one end carried in 48 sub-steps in f64."""
+    observations, run = small_lab(), tmp_path / "run"
+    summary = sweep(run, observations, GRID, options=DYNAMIC)
+    pairs = pairs_from_labels(observations)
+    assert summary["pairs"] == 4 and summary["rods"] == {"count": 48, "converged": 48, "stable": 48}
+    rows = cells(run)
+    for cell in (0, 4, 11):
+        values = {name: value[cell] for name, value in GRID.cell_values().items()}
+        material = Material(values["bend_1"], values["twist"])
+        clamps = observation_clamps(observations)
+        at_rest = relax(start_configuration(observations, clamps), material, clamps).configuration.take(pairs.from_index)
+        held = clamps.take(pairs.from_index)
+        path = carried_clamps(held, held.end_position, pairs.rotation[:, None] * held.end_frame[..., 0], 48)
+        solution, _ = carry(at_rest, material, path)
+        expected = distance(solution.configuration, observations, pairs.to_index)
+        off = distance(at_rest, observations, pairs.from_index)
+        here = slice(4 * cell, 4 * cell + 4)
+        np.testing.assert_array_equal(rows["from_observation"][here], pairs.from_index)
+        np.testing.assert_array_equal(rows["observation"][here], pairs.to_index)
+        np.testing.assert_allclose(rows["distance_mm"][here], expected, atol=1e-6)
+        np.testing.assert_allclose(rows["start_distance_mm"][here], off, atol=1e-6)
+        np.testing.assert_allclose(rows["energy"][here], solution.energy, rtol=1e-9)
+        np.testing.assert_array_equal(rows["end_rotation_deg"][here], observations.end_rotation[pairs.to_index])
+    assert (rows["jumps"] == 0).all() and (rows["pair_weight"] == 1).all() and (rows["precision"] == 64).all()
+
+
+@pytest.mark.thorough
+def test_the_landscape_is_the_weighted_mean(tmp_path):
+    observations = small_lab()
+    every = pairs_from_labels(observations)
+    weight = np.array([3.0, 0.0, 1.0, 0.5])
+    pairs = Pairs(every.from_index, every.to_index, weight, every.rotation)
+    summary = sweep(tmp_path / "run", observations, GRID, options=DYNAMIC, pairs=pairs)
+    assert summary["pairs"] == 3 and summary["timing"]["relaxed_rods"] == 36, "a pair of weight zero is not run"
+    landscape = read_landscape(tmp_path / "run")
+    assert landscape.objective == "dynamic" == summary["objective"]
+    kept = weight > 0
+    order = np.lexsort((every.to_index[kept], every.from_index[kept]))
+    np.testing.assert_array_equal(landscape.from_observation, every.from_index[kept][order])
+    np.testing.assert_array_equal(landscape.observation, every.to_index[kept][order])
+    np.testing.assert_array_equal(landscape.weight, weight[kept][order])
+    np.testing.assert_array_equal(landscape.end_distance, observations.end_distance[landscape.observation])
+    rows = cells(tmp_path / "run")
+    mean = (rows["distance_mm"] * rows["pair_weight"]).reshape(GRID.size, -1).sum(axis=1) / 4.5
+    np.testing.assert_allclose(landscape.mean_distance, mean)
+    assert summary["best"]["mean_distance_mm"] == landscape.mean_distance[landscape.best] == np.min(landscape.mean_distance)
+    assert summary["jumps"] == {"rods": 0, "rods_at_best": 0} and landscape.jumps.shape == (GRID.size, 3)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("options", [SweepOptions(), DYNAMIC, replace(DYNAMIC, precision="f64", sub_step=0.1)])
+@pytest.mark.parametrize("hint", [True, False])
+def test_a_folder_is_enough_to_relax_its_cells_again(tmp_path, options, hint):
+    observations = small_lab() if hint else replace(small_lab(), total_twist=None)
+    sweep(tmp_path / "run", observations, GRID, options=options)
+    (tmp_path / "run" / "run.rrd").unlink()
+    experiment = read_experiment(tmp_path / "run")
+    assert experiment.grid.as_dict() == GRID.as_dict() and experiment.options.as_dict() == Experiment(
+        observations, GRID, replace(options, clamp_start=3, clamp_end=3)).options.as_dict()
+    columns, rods = relax_cells(experiment, 2, 5)
+    stored, terms = cells(tmp_path / "run"), experiment.terms
+    assert_same_rows(columns, {name: column[2 * terms : 5 * terms] for name, column in stored.items()})
+    again = distance(rods, experiment.observations, columns["observation"])
+    np.testing.assert_array_equal(again, columns["distance_mm"])
+
+
+def test_a_folder_that_is_none(tmp_path):
+    with pytest.raises(InputError, match="summary.json: file"):
+        read_experiment(tmp_path)
+    (tmp_path / "summary.json").write_text(json.dumps({"grid": GRID.as_dict()}))
+    with pytest.raises(InputError, match="summary.json"):
+        read_experiment(tmp_path)
+
+
+@pytest.mark.thorough
+def test_another_set_of_pairs_is_another_sweep(tmp_path):
+    observations = small_lab()
+    sweep(tmp_path / "run", observations, GRID, options=DYNAMIC)
+    with pytest.raises(InputError, match="another sweep"):
+        sweep(tmp_path / "run", observations, GRID, options=DYNAMIC, pairs=Pairs([0], [4], [1.0]))
+    with pytest.raises(InputError, match="another sweep"):
+        sweep(tmp_path / "run", observations, GRID, options=replace(DYNAMIC, precision="f64"))
+    with pytest.raises(InputError, match="static"):
+        sweep(tmp_path / "static", observations, GRID, pairs=Pairs([0], [4], [1.0]))
+    with pytest.raises(InputError, match="end_rotation_deg: "):
+        sweep(tmp_path / "none", replace(observations, end_rotation=None), GRID, options=DYNAMIC)
+    assert not (tmp_path / "static").exists() and not (tmp_path / "none").exists()
+
+
+@pytest.mark.thorough
+def test_the_recording_shows_the_way(tmp_path):
+    from rerun.chunk import RrdReader
+
+    sweep(tmp_path / "run", small_lab(), GRID, options=DYNAMIC)
+    moments = sum(chunk.num_rows for chunk in RrdReader(tmp_path / "run" / "run.rrd").stream()
+                  if chunk.entity_path == "/world/rods" and "iteration" in chunk.timeline_names)
+    assert moments == 18, "where they set out, after 16 sub-steps, and at the end"

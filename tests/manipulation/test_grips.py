@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_bvp
 
 from doo_ti import Grip, InputError, Itself, Simulation, end_loads, hanging, relax, relax_held, straight_rod
-from doo_ti.manipulation.poses import moved
+from doo_ti.manipulation.model import moved
 from doo_ti.rod.types import Clamp, Clamps, Material, Status
 from tools.studies.servo_tasks import tasks
 

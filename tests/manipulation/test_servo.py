@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 
 import doo_ti as d
-from doo_ti.manipulation.model import resynchronised
-from doo_ti.manipulation.poses import held
-from doo_ti.rod.straight import with_end_edges
+from doo_ti.manipulation.model import held, resynchronised
+from doo_ti.rod.shapes import with_end_edges
 from tools.studies.servo_tasks import BEND, Plant, Tasks, tasks
 
 PLANTS = {"own mesh": Plant(), "finer mesh, clips, rest curvature": Plant(3, 0.7, 2.0, 6e-4)}
-NEAR = 2.0
-"""mm, mean distance."""
+NEAR = 2.0  # mm, mean distance
 
 
 @cache

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Axis, Clamp, ClampPath, Clamps, Configuration, Grid, Material, Motion, Newton, Status, predict, relax
-from doo_ti.learning.cells import carried, journey, relaxed
-from doo_ti.learning.experiment import Experiment
+from doo_ti.learning.experiment import Experiment, carried, journey, relaxed
 from doo_ti.motion.journey import Journey
 from doo_ti.rod.frames import quaternion_from_matrix
 from tests.learning.lab import DYNAMIC, lab_rods

@@ -5,9 +5,9 @@ import pytest
 
 from doo_ti import How, InputError, PerceptionOptions, Plane, Surroundings, Tracker, detect, perceive, relax
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
-from doo_ti.vision.rendering.render import render_set
-from doo_ti.vision.rendering.tubes import smooth_curve
-from tests.vision.drawn_maps import drawn_maps, three_cameras
+from doo_ti.vision.render import render_set
+from doo_ti.vision.tubes import smooth_curve
+from tests.vision.scenes import drawn_maps, three_cameras
 
 EDGES, LENGTH, RADIUS = 20, 3.0, 0.5
 MATERIAL, REST_LENGTH = Material(2e3, 2e3), np.full(EDGES, LENGTH)

@@ -8,8 +8,8 @@ from scipy.spatial import cKDTree
 
 from doo_ti import InputError, Material, PerceptionOptions, PerceptionVerdict, detect, distance_maps, load_rig, perceive
 from doo_ti.perception.seeds import seed_from_pixels, whole_threads
-from doo_ti.vision.detection.images import load_sets, read_image
-from doo_ti.vision.reprojection.image_energy import coverage
+from doo_ti.vision.distance_map import coverage
+from doo_ti.vision.images import load_sets, read_image
 from tools.studies.angle_study import EDGES, LENGTH_MM, apart, cameras, curve, dense, detection
 
 MATERIAL, UP = Material(6e5, 8e5), np.array([0.0, 0.0, 1.0])

@@ -13,7 +13,7 @@ from doo_ti.perception.search import PerceptionOptions, Search
 from doo_ti.perception.tracking import How, TrackedFrame, Tracker, TrackingOptions, seen_vertices
 from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about
 from tests.perception.videos import FRAMES, MATERIAL, REST_LENGTH, far_motion, image, photographed, rods
-from tests.vision.drawn_maps import curves, three_cameras
+from tests.vision.scenes import curves, three_cameras
 
 NOTHING = Detection(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.nan, "", (480, 640), "ridge")
 

@@ -6,9 +6,9 @@ import numpy as np
 
 from doo_ti import Clamp, Clamps, Configuration, Material, Motion, Newton, relax
 from doo_ti.rod.frames import across, bishop_frames, quaternion_from_matrix
-from doo_ti.vision.rendering.render import render_set
-from doo_ti.vision.rendering.tubes import smooth_curve
-from tests.vision.drawn_maps import curves, three_cameras
+from doo_ti.vision.render import render_set
+from doo_ti.vision.tubes import smooth_curve
+from tests.vision.scenes import curves, three_cameras
 
 EDGES, LENGTH, FRAMES = 20, 3.0, 16
 MATERIAL = Material(2e5, 2e5)

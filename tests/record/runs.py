@@ -29,13 +29,9 @@ def landscape() -> np.ndarray:
     return values.reshape(-1)
 
 
-def axes(of: Grid) -> list:
-    return [(axis.name, axis.values, axis.log, axis.unit) for axis in of.axes]
-
-
 def plane(**more) -> LandscapePlane:
     cells = grid()
-    return LandscapePlane.of(axes(cells), landscape().reshape(cells.shape), (2, 1, 0), **more)
+    return LandscapePlane.of(cells.picture_axes, landscape().reshape(cells.shape), (2, 1, 0), **more)
 
 
 def relaxation(rng: np.random.Generator) -> dict:

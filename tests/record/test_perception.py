@@ -7,9 +7,9 @@ from PIL import Image
 from doo_ti.perception.growth import GrowthStep, GrowthSteps
 from doo_ti.perception.search import Hypotheses
 from doo_ti.report import SeenRod, reprojections_picture
-from doo_ti.vision.rendering.tubes import smooth_curve
+from doo_ti.vision.tubes import smooth_curve
 from tests.record.recordings import read
-from tests.vision.drawn_maps import curves, three_cameras
+from tests.vision.scenes import curves, three_cameras
 
 EDGES = 5
 

@@ -9,8 +9,8 @@ from doo_ti import Observations, Theta, observation_clamps
 from doo_ti.io.scene import Synthesis
 from doo_ti.lab.synthesis import synthesise
 from doo_ti.refinement.held_rod import HeldRod
-from doo_ti.refinement.priors import Scales, typical_scales
 from doo_ti.refinement.residuals import Comparison
+from doo_ti.refinement.theta import Scales, typical_scales
 from doo_ti.refinement.unknowns import Unknowns
 
 BEND, TWIST, NOISE = 4e5, 3e5, 0.1

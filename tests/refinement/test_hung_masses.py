@@ -12,8 +12,7 @@ from doo_ti.commands.cli import main
 
 EI, GRAMS_PER_METRE, LENGTH, HUNG, MARKS, NOISE = 2e-3, 40.0, 0.4, 0.01, 17, 2e-4
 GRAVITY = 9.80665
-AT = 10
-"""The mark at which the body hangs."""
+AT = 10  # the mark at which the body hangs
 
 
 def cantilever(tilt: float, mass: float) -> np.ndarray:

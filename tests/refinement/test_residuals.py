@@ -1,15 +1,91 @@
-"""The derivatives of all residuals with respect to all unknowns, against rods relaxed again."""
+"""The mesh between the clips, the field of rest curvature on it, the places of the marks; and the derivatives of all residuals
+with respect to all unknowns, against rods relaxed again."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from doo_ti import Clamp, Newton, Theta
 from doo_ti.refinement.fit import Fit
 from doo_ti.refinement.held_rod import POSE
-from doo_ti.refinement.unknowns import TURNS
+from doo_ti.refinement.mesh import Lengths, covariance, knots_of, values_at
+from doo_ti.refinement.refine import mesh_correction, relaxed_on
+from doo_ti.refinement.unknowns import TURNS, Unknowns
+from doo_ti.rod.frames import right_jacobian, rotation_matrix
 from tests.refinement.rods_between_clips import TRUTH, held, model, suture
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("kinds, count", [((None, None), 39), ((Clamp.POSITION, None), 39.5), ((None, Clamp.FREE), 39.5)])
+def test_edges_share_what_lies_between_the_clips(kinds, count):
+    rod = held(suture(1), 40, kinds)
+    clip, spacing = np.array([1.7, 3.1]), rod.observations.rest_length
+    mesh = rod.mesh(Lengths(clip, spacing))
+    free = 99.0 - clip[rod.clamped].sum()
+    assert mesh.edge == pytest.approx(free / count)
+    if rod.clamped[0]:  # the middle of the first edge is where the clip lets go
+        assert mesh.place[:2].mean() == pytest.approx(1.7)
+    if rod.clamped[1]:
+        assert mesh.place[-2:].mean() == pytest.approx(99.0 - 3.1)
+    for end in range(2):
+        step = 1e-6 * np.eye(2)[end]
+        above, below = (rod.mesh(Lengths(clip + sign * step, spacing)) for sign in (1, -1))
+        assert mesh.edge_slope[end] == pytest.approx((above.edge - below.edge) / 2e-6, abs=1e-8)
+        np.testing.assert_allclose(mesh.joint_slope[:, end], (above.joints - below.joints) / 2e-6, atol=1e-7)
+
+
+def test_marks_are_interpolated_to_the_third_order():
+    mesh = held(suture(1), 40).mesh(Lengths(np.array([2.0, 2.0]), np.full(33, 3.0)))
+    weights, slopes = mesh.at(np.linspace(8.0, 90.0, 17))
+    for power in range(4):
+        np.testing.assert_allclose(weights @ mesh.place**power, np.linspace(8.0, 90.0, 17) ** power, rtol=1e-10)
+    np.testing.assert_allclose(slopes @ mesh.place, mesh.edge, rtol=1e-10)
+    np.testing.assert_allclose(mesh.at(np.array([0.0, 1.0]))[0] @ mesh.place, [0.0, 1.0], atol=1e-12)
+
+
+def test_turns_and_their_jacobian(rng):
+    turn, change = 0.4 * rng.normal(size=(5, 3)), 1e-6 * rng.normal(size=(5, 3))
+    np.testing.assert_allclose(rotation_matrix(turn), Rotation.from_rotvec(turn).as_matrix(), atol=1e-14)
+    moved = rotation_matrix(turn) @ rotation_matrix(np.einsum("dij,dj->di", right_jacobian(turn), change))
+    np.testing.assert_allclose(rotation_matrix(turn + change), moved, atol=1e-11)
+
+
+def test_the_field_is_linear_between_knots_and_its_covariance_slopes_as_it_says(rng):
+    knots = np.sort(rng.uniform(0, 90, 8))
+    values = rng.normal(size=8)
+    place = np.linspace(-5, 95, 23)
+    weights, slopes = values_at(place, knots)
+    np.testing.assert_allclose(weights @ values, np.interp(place, knots, values), atol=1e-12)
+    above, below = (values_at(place + step, knots)[0] @ values for step in (1e-7, -1e-7))
+    smooth = np.abs(place[:, None] - knots).min(axis=1) > 1e-5
+    np.testing.assert_allclose((slopes @ values)[smooth], ((above - below) / 2e-7)[smooth], atol=1e-6)
+    matrix, slope = covariance(knots, 2e-3, 12.0)
+    wider, narrower = (covariance(knots, 2e-3, 12.0 * np.exp(step))[0] for step in (1e-5, -1e-5))
+    np.testing.assert_allclose(slope, (wider - narrower) / 2e-5, atol=1e-12)
+    assert np.linalg.eigvalsh(matrix).min() > 0 and matrix[0, 0] == pytest.approx(4e-6, rel=1e-5)
+    assert len(knots_of(np.full(200, 1.0))) == 16 and len(knots_of(np.full(12, 3.0))) == 11
+
+
+def test_the_corrected_mesh_is_close_to_a_very_fine_one():
+    """Marks of 40 edges, corrected, against those of 640: the error decreases by an order of magnitude."""
+    seen = suture(2, label_noise_mm=0.0)
+    unknowns = Unknowns(held(seen, 40), ("bend", "twist"))
+    values = unknowns.begun(TRUTH, np.array([2.25, 2.25]))
+    values = replace(values, curvature=1e-3 * np.ones_like(values.curvature))
+    rod, solver, none = unknowns.rod, Newton(), np.zeros((seen.count, POSE))
+    lengths = unknowns.lengths(values)
+    coarse = rod.relaxed(unknowns.material(values), lengths, none, solver, TRUTH.up)
+    finest = replace(unknowns, rod=replace(rod, edges=640))
+    exact = finest.rod.marks(relaxed_on(finest, values, coarse, rod, solver), lengths)
+    before = np.abs(rod.marks(coarse, lengths) - exact).max()
+    after = np.abs(rod.marks(coarse, lengths) + mesh_correction(unknowns, values, coarse, solver) - exact).max()
+    print(f"off by {before:.4f} mm, corrected by {after:.4f} mm")
+    assert 0.01 < before < 0.5 and after < 0.15 * before
+
+
+# --- derivatives ----------------------------------------------------------------------------------------------------------
 
 SHARP = Newton(tolerance=1e-10)
 RIBBON = Theta([[6e5, 1e5], [1e5, 3e5]], 3e5, 1.2, up=np.array([0.1, -0.05, 1.0]) / np.sqrt(1.0125))
@@ -24,8 +100,9 @@ def moved_residuals(comparison, fit, state, step, scatter):
 @pytest.mark.parametrize("theta, parameters, kinds, fields", [
     (TRUTH, ("bend", "twist"), (None, None), {}),
     (TRUTH, ("bend", "twist", "weight", "up"), (Clamp.TANGENT, Clamp.FRAME), {"curvature": "uniform"}),
-    (TRUTH, ("bend",), (Clamp.FRAME, Clamp.POSITION), {"clips": False}),
-    (TRUTH, ("bend", "up"), (Clamp.FRAME, Clamp.FREE), {}),
+    (TRUTH, ("bend",), (None, None), {"twist_follows": True}),
+    (RIBBON, ("bend_1", "bend_2"), (None, None), {"twist_follows": True}),
+    (TRUTH, ("bend",), (Clamp.FRAME, Clamp.POSITION), {"clips": False}), (TRUTH, ("bend", "up"), (Clamp.FRAME, Clamp.FREE), {}),
     (RIBBON, ("bend_1", "bend_2", "bend_12", "twist"), (None, None), {"with_frames": True}),
     (TRUTH, ("bend", "twist"), (None, None), {"bare": ("start_frame", "end_frame")}),
     (TRUTH, ("bend", "twist"), (None, None), {"bare": ("start_frame",)}),

@@ -8,10 +8,10 @@ import pytest
 from doo_ti import Newton, Observations, Theta, observation_clamps
 from doo_ti.refinement.estimate import Interval
 from doo_ti.refinement.fit import Fit, State
-from doo_ti.refinement.priors import Scales, typical_scales
 from doo_ti.refinement.refine import RefinementOptions, finished, first_edges, optima, refine
 from doo_ti.refinement.residuals import Comparison
 from doo_ti.refinement.search import turns_chosen_again, twisted
+from doo_ti.refinement.theta import Scales, typical_scales
 from doo_ti.refinement.unknowns import Unknowns, Values
 from tests.io.rods import joint_twist
 from tests.refinement.rods_between_clips import TRUTH, held, suture

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Itself, Newton, Plane, Sphere, end_clamps, hanging, relax, rod_along, straight_rod
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
+from doo_ti import Clamp, Clamps, Configuration, Itself, Material, Newton, Plane, Sphere, relax
+from doo_ti.rod.shapes import end_clamps, hanging, rod_along, straight_rod
 from tests.oracle.external import relaxed
 from tests.references.rods import chain, clamps_at, jiggled
 from tests.relaxation.rods import definite, wandering

@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 from scipy.special import ellipeinc, ellipk, ellipkinc
 
 from doo_ti import Descent, InputError, Newton, Plane, PointLoads, Springs, end_loads, pullback, relax, sensitivity
-from doo_ti.rod.straight import end_clamps, straight_rod
+from doo_ti.rod.shapes import end_clamps, straight_rod
 from doo_ti.rod.types import Clamp, Clamps, Material
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import State, clamped_start

@@ -17,11 +17,10 @@ from doo_ti.report import (
     reprojections_picture,
     ribbons_picture,
 )
-from doo_ti.report.canvas import box, deviations, limits_around, widest
+from doo_ti.report.canvas import Observed, box, deviations, facing, grid_view, limits_around, widest
 from doo_ti.report.contact import Touched
-from doo_ti.report.grid_view import Observed, facing, grid_view
 from doo_ti.report.motions import save_animation, save_rollout
-from tests.vision.drawn_maps import three_cameras
+from tests.vision.scenes import three_cameras
 
 UP = np.array([0.0, 0.0, 1.0])
 S = np.linspace(0.0, 100.0, 7)[:, None]

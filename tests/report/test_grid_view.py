@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.report.grid_view import Observed, grid_view
+from doo_ti.report.canvas import Observed, grid_view
 from tests.record import runs
 
 LABELS = {"end_distance_mm": np.repeat([30.0, 50.0, 70.0], 2), "end_rotation_deg": np.tile([120.0, 0.0], 3)}

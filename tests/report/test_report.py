@@ -26,7 +26,7 @@ GREY = (154, 154, 154)
 
 def run() -> tuple[list, np.ndarray]:
     grid = runs.grid()
-    return runs.axes(grid), runs.landscape().reshape(grid.shape)
+    return grid.picture_axes, runs.landscape().reshape(grid.shape)
 
 
 @pytest.mark.thorough

@@ -23,7 +23,7 @@ from doo_ti import (
 )
 from doo_ti.commands.options import add_material, grid
 from doo_ti.rod.grid import parse_axis
-from doo_ti.rod.physical_units import stiffness, weight_per_length
+from doo_ti.rod.material import stiffness, weight_per_length
 
 EI, GJ, DENSITY = 2e-6, 1.5e-6, 1.2  # N m², g/m: a suture
 LENGTH, EDGES = 60.0, 40

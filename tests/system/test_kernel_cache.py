@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from doo_ti.system.kernel_cache import ENTRY, HEADER, LOCK, TABLE
+from doo_ti.system.taichi_internals import ENTRY, HEADER, LOCK, TABLE
 
 ROOT = Path(__file__).resolve().parents[2]
 ONE_KERNEL = """

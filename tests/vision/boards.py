@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 
 from doo_ti import Camera, Rig
-from doo_ti.vision.cameras.board import Board
-from doo_ti.vision.cameras.calibration import Sighting
-from tests.vision.poses import looking
+from doo_ti.vision.board import Board
+from doo_ti.vision.calibration import Sighting
+from tests.vision.scenes import looking
 
 OVERSAMPLING = 3
 

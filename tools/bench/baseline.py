@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti import Solution, gripper_jacobian
-from doo_ti.lab import clock
+from doo_ti.lab import workload
 from doo_ti.lab.cases import Case, Measurement, Outcome, measure
 from doo_ti.system.runtime import start as start_runtime
 from doo_ti.system.runtime import thread_count
@@ -49,14 +49,14 @@ def run(arguments: list[str], description: str, file: Path, items: str, default:
     chosen = [case for case in every if not options.cases or any(part in case.name for part in options.cases)]
     if not chosen:
         parser.error(f"no case is named {', '.join(options.cases)}")
-    reference = clock.Reference(thread_count())
+    reference = workload.Reference(thread_count())
     measured = {case.name: measure(case, reference, options.rounds) for case in track(chosen, "timing", console=console)}
     if options.check:
         for case in chosen:
             first = measured[case.name]
             if regressions({case.name: first}, baseline):  # another process may have disturbed it: the better of two counts
                 measured[case.name] = max(first, measure(case, reference, 2 * options.rounds), key=lambda one: one.ratio)
-    machine = clock.machine()
+    machine = workload.machine()
     print(f"{machine['processor']}, {machine['cores']} cores, {thread_count()} threads; medians of {options.rounds}\n")
     print(table(measured, baseline))
     if options.write:
@@ -81,9 +81,9 @@ def _parser(description: str, file: Path, items: str, default: int) -> argparse.
 
 def as_baseline(measured: dict[str, Measurement], count: int, rounds: int) -> dict:
     """What a baseline holds."""
-    versions = clock.versions()
+    versions = workload.versions()
     return {
-        "machine": {**clock.machine(), "threads": thread_count()},
+        "machine": {**workload.machine(), "threads": thread_count()},
         "versions": {name: versions[name] for name in ("taichi", "numpy")},
         "rods": count,
         "rounds": rounds,

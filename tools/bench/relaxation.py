@@ -21,7 +21,7 @@ from doo_ti.dynamics.simulate import simulate
 from doo_ti.lab.cases import COARSE, FINE, Case, Outcome, Specimens, relaxed
 from doo_ti.lab.cases import cases as command_cases
 from doo_ti.lab.workload import Rods
-from doo_ti.manipulation.poses import held
+from doo_ti.manipulation.model import held
 from doo_ti.relaxation.sensitivity import GRIPPERS
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution
 from tools.bench.baseline import derived, run

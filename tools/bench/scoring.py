@@ -17,7 +17,7 @@ from doo_ti import Camera, Detection, Newton, Reprojection, Rig, distance_maps, 
 from doo_ti.lab.cases import Case, Outcome
 from doo_ti.rod.frames import bishop_frames, quaternion_from_matrix
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
-from tests.vision.poses import looking
+from tests.vision.scenes import looking
 from tools.bench.baseline import outcome, run
 
 BASELINE = Path(__file__).with_name("scoring.json")

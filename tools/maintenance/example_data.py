@@ -15,7 +15,7 @@ import numpy as np
 
 from doo_ti import Clamp, Material, hanging, relax
 from doo_ti.rod.frames import across, bishop_frames
-from doo_ti.rod.physical_units import weight_per_length
+from doo_ti.rod.material import weight_per_length
 from doo_ti.system.files import write_text
 
 EI, GRAMS_PER_METRE = 1e-3, 50.0

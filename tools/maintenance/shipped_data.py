@@ -18,7 +18,7 @@ from doo_ti.io.scene import Synthesis, load_scene
 from doo_ti.lab.synthesis import synthesise
 from doo_ti.perception.virtual_lab import lab_rods, save_truth
 from doo_ti.system.files import write_whole
-from doo_ti.vision.rendering.render import Photographs, RenderOptions, save_photographs
+from doo_ti.vision.render import Photographs, RenderOptions, save_photographs
 
 ROOT = Path(__file__).resolve().parents[2]
 RODS = ("nylon", "vicryl", "silk", "ribbon")

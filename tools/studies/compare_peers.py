@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from doo_ti import InputError, Material, Newton
-from doo_ti.lab import clock
+from doo_ti.lab import workload
 from doo_ti.lab.workload import Rods
 from tools.studies.peers import capsules, cosserat, flex, swinging
 from tools.studies.peers.problem import BEND, Problem, problem, strain
@@ -91,7 +91,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="one step of each, without motion")
     options = parser.parse_args()
-    machine = clock.machine()
+    machine = workload.machine()
     rows, left_out = at_rest(options.quick)
     print(f"{machine['processor']}, {machine['cores']} cores. At rest:\n", *table(rows), sep="\n")
     print("", *(f"Left out: {one}." for one in left_out), sep="\n")

@@ -13,7 +13,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from doo_ti import DetectionOptions
-from doo_ti.vision.rendering.render import RenderOptions
+from doo_ti.vision.render import RenderOptions
 from tools.studies.perception_study import photographed
 from tools.studies.replication.specimens import scene
 

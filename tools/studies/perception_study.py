@@ -23,8 +23,8 @@ from doo_ti.learning.landscape import status_counts
 from doo_ti.perception.perceive import Perception, PerceptionVerdict, perceive
 from doo_ti.perception.search import PerceptionOptions
 from doo_ti.perception.virtual_lab import LabRods, lab_rods
-from doo_ti.vision.rendering.render import Photographs, RenderOptions
-from doo_ti.vision.rendering.tubes import smooth_curve
+from doo_ti.vision.render import Photographs, RenderOptions
+from doo_ti.vision.tubes import smooth_curve
 from tools.studies.replication.specimens import SCENES, scene
 
 THREADS = ("nylon", "vicryl", "silk")

@@ -25,8 +25,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from doo_ti import Camera, Rig
 from doo_ti.commands.cli import main as doo_ti
-from doo_ti.vision.cameras.rig import save_rig
-from tests.vision.poses import looking
+from doo_ti.vision.rig_files import save_rig
+from tests.vision.scenes import looking
 from tools.studies.marks_study.rod import equilibria
 
 LENGTH, POSES = 300.0, 10

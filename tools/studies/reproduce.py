@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from doo_ti import InputError, InterruptedRunError
-from doo_ti.lab import clock
+from doo_ti.lab import workload
 from doo_ti.system.files import write_text
 from tools.studies.replication.report import Outcome, report
 from tools.studies.replication.settings import FULL, QUICK, TINY, Size
@@ -62,7 +62,7 @@ def main(words: list[str] | None = None) -> int:
         run = json.loads(kept.read_text(encoding="utf-8"))
         outcomes = [Outcome.from_dict(one) for one in run["outcomes"]]
     else:
-        run, outcomes = {"command": command, "machine": clock.machine()}, []
+        run, outcomes = {"command": command, "machine": workload.machine()}, []
         for outcome in measured(options.items or list(ITEMS), size):
             outcomes.append(outcome)  # kept at once: a run that is ended keeps the items that were done
             write_text(kept, json.dumps({**run, "outcomes": [asdict(one) for one in outcomes]}, default=bool) + "\n")

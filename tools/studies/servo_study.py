@@ -21,10 +21,10 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from doo_ti import Camera, Newton, Rig, Servo, ServoOptions, Targets, gripper_jacobian, relax
-from doo_ti.manipulation.goal import DampedSteps
-from doo_ti.manipulation.poses import held, moved
+from doo_ti.manipulation.model import held, moved
+from doo_ti.manipulation.targets import DampedSteps
 from doo_ti.perception.virtual_lab import TRACKED_NOISE, VirtualCameras
-from tests.vision.poses import looking
+from tests.vision.scenes import looking
 from tools.studies.servo_tasks import BEND, LENGTH, Plant, Tasks, tasks
 
 PLANTS = {"own": Plant(), "far": Plant(), "finer": Plant(finer=3), "clips": Plant(clip_mm=0.7, clip_deg=2.0),

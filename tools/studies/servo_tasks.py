@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from doo_ti import Clamp, Clamps, Configuration, Material, Newton, Simulation, hanging, relax
-from doo_ti.manipulation.poses import held, moved
+from doo_ti.manipulation.model import held, moved
 
 LENGTH, EDGES, BEND = 330.0, 33, 6e5
 SPREAD = 0.4  # standard deviation of ln of the factors on B and on β/B

@@ -6,7 +6,7 @@ import numpy as np
 
 from doo_ti import Material, Rig, perceive
 from doo_ti.io.scene import Synthesis
-from doo_ti.vision.rendering.render import RenderOptions
+from doo_ti.vision.render import RenderOptions
 from tools.studies.perception_study import CORRECT_MM, photographed, with_energy
 from tools.studies.replication.settings import Setting
 from tools.studies.replication.specimens import SUTURES, Specimen, scene

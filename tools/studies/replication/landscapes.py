@@ -7,9 +7,9 @@ import numpy as np
 
 from doo_ti import Landscape, Material, Pairs, distance, predict
 from doo_ti.dynamics.scene import load_motion_scene
-from doo_ti.learning.cells import journey
-from doo_ti.learning.experiment import Experiment, started
+from doo_ti.learning.experiment import Experiment, journey
 from doo_ti.learning.sweeps import chunk_rows
+from doo_ti.learning.terms import started
 from tools.studies.replication.settings import Setting
 from tools.studies.replication.specimens import SCENES, Specimen
 

@@ -38,7 +38,7 @@ class Outcome:
 
 
 def report(outcomes: list[Outcome], command: str, machine: dict, note: str, size: Size) -> str:
-    """The text of the file; ``machine`` is that of :func:`doo_ti.lab.clock.machine`, ``note`` a remark on the run."""
+    """The text of the file; ``machine`` is that of :func:`doo_ti.lab.workload.machine`, ``note`` a remark on the run."""
     laboratory, reasons = _reasons()
     seconds, processor = (sum(getattr(outcome, name) for outcome in outcomes) for name in ("seconds", "processor"))
     lines = [

@@ -10,8 +10,8 @@ from doo_ti import Grid, Observations, Pairs, Rig, load_rig
 from doo_ti.io.scene import Scene, Synthesis, load_scene
 from doo_ti.lab.synthesis import synthesise
 from doo_ti.rod.frames import rotation_matrix
-from doo_ti.vision.rendering.render import RenderOptions
-from doo_ti.vision.reprojection.triangulation import TriangulationOptions, triangulate
+from doo_ti.vision.render import RenderOptions
+from doo_ti.vision.triangulation import TriangulationOptions, triangulate
 
 SCENES = Path(__file__).resolve().parents[3] / "scenes"
 SUTURES = ("nylon", "silk", "vicryl")  # in the order of the paper's tables

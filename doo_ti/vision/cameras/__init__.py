@@ -1,1 +1,0 @@
-"""Calibrated cameras: the lens, rigs and their files, calibration from boards (§V-A)."""

@@ -1,0 +1,339 @@
+"""The thread's centre line in an image or its file (§IV-A), by whatever there is of it: a mask, the image's own alpha channel,
+a colour, or grey levels.
+
+The paper's binary image marks the pixels of the thread. Here the line is found to a fraction of a pixel, as points with
+directions; all later steps are as exact as these. First the thread's :mod:`doo_ti.vision.ridge` is measured. The
+paper's way is there too: Canny's edges, which vote for the centre line.
+
+In a mask the distance to the border is a roof, whose crest is the centre line. Smoothed by σ, a crest between slopes of ±1 that
+end at distance a from it has the second derivative across
+
+    −2 (1 − exp(−a² / 2σ²)) / (σ √(2π)),
+
+whatever the thread's width 2a; branches to corners and bumps of the border have √½ of it or less.
+
+A thread may go on but look different: along a glint, or where it is wider than most of it. A shiny thread has light lines
+within it: what is left of a dark thread are its two edges. Closing the darkness of an image fills what is narrower than the
+thread, and the thread is one line again. Such a line is taken for the thread where it begins at an end of what was found of it,
+in its direction, and no other end is there: where strands cross, or lie side by side, there are more. It ends at another end,
+or is free: a needle is wider than its thread. What lies between two lines and is as light as the background is no glint, but
+the inside of a narrow loop.
+"""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from scipy.spatial import cKDTree
+
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError
+from doo_ti.vision.cameras import Camera
+from doo_ti.vision.detection import (
+    Detection,
+    DetectionOptions,
+    chain_length,
+    chains_of,
+    check_image,
+    cropped,
+    goes_on,
+    in_whole_pixels,
+    moved,
+)
+from doo_ti.vision.images import read_image, read_mask
+from doo_ti.vision.ridge import (
+    BAR,
+    REACH_PX,
+    SURE,
+    Appearance,
+    Curvature,
+    Ridges,
+    appearance,
+    as_colour,
+    edges_across,
+    gradient,
+    lab,
+    likeness,
+    likeness_table,
+    of_a_thread,
+    pieces,
+)
+
+CANNY_STRONG, CANNY_WEAK = 0.4, 0.15  # Canny's thresholds over the slope of the thread's edges
+VOTE_BLUR_PX = 1.0  # standard deviation of a vote
+MEETING = 0.5  # least share of votes on the centre line, of those of two complete edges with an edge pixel per px of length
+STEEPEST = 8000  # slope of the thread's edges in the whole numbers that Canny takes
+
+
+def _canny_line(image: np.ndarray, look: Appearance, least_contrast: float, shortest_px: float) -> tuple[np.ndarray, ...]:
+    """(N, 2) pixels of the centre line in an image (H, W) float32, their (N, 2) directions and (N,) strengths.
+
+    "A Canny edge detector with a blurred, offset Gaussian kernel" (§IV-A): every edge pixel votes for the place half a thread's
+    width along the gradient towards the thread's middle; votes are blurred. The centre line lies where votes of both edges
+    coincide. Votes have directions: those of opposite edges cancel, and only votes that cancel count.
+
+    look            of the thread: the offset is half its width
+    least_contrast  grey levels: fainter edges are ignored
+    shortest_px     of a piece of line
+    """
+    slope = gradient(image)
+    whole = np.clip(np.rint(slope * (STEEPEST / look.slope)), -32767, 32767).astype(np.int16)
+    floor = 0.25 * least_contrast / look.slope
+    weak, strong = (STEEPEST * max(share, floor) for share in (CANNY_WEAK, CANNY_STRONG))
+    edge = cv2.Canny(np.ascontiguousarray(whole[..., 0]), np.ascontiguousarray(whole[..., 1]), weak, strong, L2gradient=True)
+    row, column = np.nonzero(edge)
+    away = slope[row, column] / np.maximum(np.linalg.norm(slope[row, column], axis=1, keepdims=True), 1e-30)
+    away = away if look.polarity == "dark" else -away
+    x = np.rint(column - look.width_px / 2 * away[:, 0]).astype(np.int64)
+    y = np.rint(row - look.width_px / 2 * away[:, 1]).astype(np.int64)
+    inside = (x >= 0) & (x < image.shape[1]) & (y >= 0) & (y < image.shape[0])
+    ballots = [np.bincount((y * image.shape[1] + x)[inside], weight, image.size).reshape(image.shape).astype(np.float32)
+               for weight in (None, away[inside, 0], away[inside, 1])]
+    votes, across, down = (cv2.GaussianBlur(ballot, (0, 0), VOTE_BLUR_PX, borderType=cv2.BORDER_CONSTANT) for ballot in ballots)
+    # Votes that coincide with votes from the other edge, 1 for two complete edges.
+    meeting = (votes - np.sqrt(across * across + down * down)) * np.float32(VOTE_BLUR_PX * np.sqrt(2 * np.pi) / 2)
+    ridges = Curvature(meeting, VOTE_BLUR_PX).ridges("light", 1e-3)
+    ridges = ridges[(meeting[ridges.row, ridges.column] >= MEETING) & (np.abs(ridges.offset) <= REACH_PX)]
+    ridges = ridges[pieces(ridges, 0.0, shortest_px) > 0]
+    return np.stack([ridges.column, ridges.row], axis=1).astype(np.float64), ridges.tangent, look.slope * ridges.strength
+
+
+SIGMA_PER_WIDTH, SMALLEST_SIGMA = 0.35, 0.8  # px of smoothing: a bar gets a single ridge, and neighbouring strands stay apart
+WEAK, STRONG = 0.2, 0.5  # shares of the typical strength: all of a piece of thread exceeds the first, some of it the second
+WIDTH_RATIO, FAINTEST = 1.5, 0.4
+"""Largest ratio of widths, which differ with depth, and least ratio of mean strengths, of a piece and the most distinct one."""
+WIDEST_PX = 40.0  # wider threads are sought in halved images
+
+
+@typed
+def detect(image: np.ndarray, options: DetectionOptions = DetectionOptions()) -> Detection:
+    """The thread's centre line in an image with levels from 0 to 255, (H, W) grey or (H, W, 3) in OpenCV's order.
+
+    Raises InputError for an image of another shape or smaller than 16 × 16, and for a region outside.
+    """
+    image = np.asarray(image)
+    check_image(image)
+    part, corner = cropped(image, options)
+    if options.colour is not None:
+        line, polarity = likeness(as_colour(part), likeness_table([lab(np.array(options.colour[::-1]))])), "light"
+    else:
+        grey = part if part.ndim == 2 else cv2.cvtColor(as_colour(part), cv2.COLOR_BGR2GRAY)
+        line, polarity = grey.astype(np.float32), options.polarity
+    look = appearance(line, polarity, options.width_px, options.least_contrast)
+    points, direction, strength = np.empty((0, 2)), np.empty((0, 2)), np.empty(0)
+    if look is not None:
+        left, top, right, bottom = look.box
+        points, direction, strength = _line(line[top:bottom, left:right], look, options)
+        points = points + (left, top)
+    found = Detection(points, direction, strength, look.width_px if len(points) else np.nan,
+                      look.polarity if len(points) else "", image.shape[:2], options.method)
+    return moved(found, corner)
+
+
+def _line(image: np.ndarray, look: Appearance, options: DetectionOptions) -> tuple[np.ndarray, ...]:
+    """(N, 2) points, (N, 2) directions and (N,) strengths in an image (H, W) float32, halved for wide threads."""
+    halvings = max(0, int(np.ceil(np.log2(look.width_px / WIDEST_PX))))
+    for _ in range(halvings):
+        image = cv2.pyrDown(image)
+    scale = 2.0**halvings
+    look = replace(look, width_px=look.width_px / scale, slope=look.slope * scale)
+    find = {"ridge": _ridge_line, "canny": _canny_line}[options.method]
+    return in_whole_pixels(scale, *find(image, look, options.least_contrast, options.shortest_px / scale))
+
+
+def _ridge_line(image: np.ndarray, look: Appearance, least_contrast: float, shortest_px: float) -> tuple[np.ndarray, ...]:
+    """As :func:`_canny_line`: ridges at the thread's width, each moved to the middle between the two edges, and what goes on
+    from their ends."""
+    curvature = Curvature(image, max(SMALLEST_SIGMA, SIGMA_PER_WIDTH * look.width_px))
+    certain = max(SURE * curvature.noise(), BAR * least_contrast)
+    ridges = curvature.ridges(look.polarity, certain / 2)
+    typical = (ridges.strength**3).sum() / max((ridges.strength**2).sum(), 1e-30)
+    ridges = ridges[ridges.strength >= WEAK * typical]
+    edges = edges_across(gradient(image), ridges.point, ridges.normal, look.polarity, 0.75 * look.width_px + 2)
+    sound = of_a_thread(edges, ridges.strength) & (np.abs(ridges.offset + edges.shift) <= REACH_PX)
+    sound &= (edges.width > look.width_px / 2) & (edges.width < 1.5 * look.width_px + 1)
+    ridges, width = ridges.moved(edges.shift)[sound], edges.width[sound]
+    piece = pieces(ridges, max(certain, STRONG * typical), max(shortest_px, look.width_px))
+    kept = np.flatnonzero(piece)
+    kept = kept[_alike(piece[kept], width[kept], ridges.strength[kept])]
+    return _continued(image, look, ridges[kept])
+
+
+def _alike(piece: np.ndarray, width: np.ndarray, strength: np.ndarray) -> np.ndarray:
+    """(N,) bool: points of pieces about as wide as the most distinct one, and not much fainter."""
+    if not len(piece):
+        return np.zeros(0, dtype=bool)
+    _, piece, count = np.unique(piece, return_inverse=True, return_counts=True)
+    median = width[np.lexsort((width, piece))][np.cumsum(count) - count + count // 2]
+    mean = np.bincount(piece, strength) / count
+    first = np.argmax(count * mean**2)
+    ratio = median / median[first]
+    return ((ratio < WIDTH_RATIO) & (ratio > 1 / WIDTH_RATIO) & (mean > FAINTEST * mean[first]))[piece]
+
+
+# --- where the thread goes on ------------------------------------------------------------------------------------------------
+
+TIMES = (2.0, 4.0)  # widths of lines that are tried, over that of the thread
+LEAST_STRENGTH = 0.4  # least strength over that of a line as dark as the thread
+PART = 1.0  # least widths of a line that goes on: strands that touch are shorter
+
+
+def _continued(image: np.ndarray, look: Appearance, ridges: Ridges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(M, 2) points, (M, 2) directions and (M,) strengths of the thread in an image (H, W) float32: the ``ridges`` found at its
+    usual width, and what goes on from their ends."""
+    found = ridges.point, ridges.tangent, ridges.strength
+    own = chains_of(_as_detection(*found, look, image.shape))
+    if not own:
+        return found
+    contrast = float(np.median(ridges.strength)) / BAR
+    dark = _darkness(image, look, contrast)
+    for turn, times in enumerate(2 * TIMES):  # a part that is wider may become narrower again
+        if turn == len(TIMES) and len(found[0]) == len(ridges.row):
+            break
+        width = times * look.width_px
+        line = _wide_lines(dark, width, np.concatenate([found[0], *own]), look.width_px)
+        added = _joined(line, own, width, dark)
+        if added:
+            beside = _edges_of(found[0], own, added, width)
+            found = tuple(np.concatenate([array[~beside], *new]) for array, new in zip(found, zip(*added), strict=True))
+            own = chains_of(_as_detection(*found, look, image.shape))
+    return found
+
+
+def _as_detection(points, direction, strength, look: Appearance, shape: tuple[int, ...]) -> Detection:
+    return Detection(points, direction, strength, look.width_px, look.polarity, shape, "ridge")
+
+
+def _darkness(image: np.ndarray, look: Appearance, contrast: float) -> np.ndarray:
+    """(H, W) float32: how much each pixel differs from the background around it towards the thread, 255 for its contrast."""
+    side = 2 * int(np.ceil(1.25 * max(TIMES) * look.width_px)) + 1
+    kernel = cv2.getStructuringElement(cv2.MORPH_RECT, (side, side))
+    kind = cv2.MORPH_BLACKHAT if look.polarity == "dark" else cv2.MORPH_TOPHAT
+    return np.minimum(cv2.morphologyEx(image, kind, kernel) * np.float32(255 / contrast), np.float32(255))
+
+
+def _wide_lines(dark: np.ndarray, width: float, own: np.ndarray, usual: float) -> Detection:
+    """Lines about as wide as ``width`` in the closed darkness, away from points ``own`` (N, 2) of a line ``usual`` px wide."""
+    side = 2 * int(np.ceil(width / 2)) + 1
+    closed = cv2.morphologyEx(dark, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
+    ridges = Curvature(closed, SIGMA_PER_WIDTH * width).ridges("light", LEAST_STRENGTH * BAR * 255)
+    edges = edges_across(gradient(closed), ridges.point, ridges.normal, "light", 0.75 * width + 2)
+    sound = (edges.width > width / 2) & (edges.width < 1.5 * width + 1) & (np.abs(ridges.offset + edges.shift) <= REACH_PX)
+    sound &= edges.balance > 0
+    ridges = ridges.moved(edges.shift)[sound]
+    if len(ridges.row):
+        ridges = ridges[cKDTree(own).query(ridges.point)[0] > 0.5 * usual + 1]
+    return Detection(ridges.point, ridges.tangent, ridges.strength, width, "light", dark.shape, "ridge")
+
+
+def _joined(line: Detection, own: list[np.ndarray], width: float, dark: np.ndarray) -> list[tuple[np.ndarray, ...]]:
+    """Points, directions and strengths of the parts of a ``line`` that go on from ends of the chains ``own``, or of those."""
+    waiting, parts = [chain for chain in chains_of(line) if chain_length(chain) >= PART * width], []
+    tree, known = cKDTree(line.points) if line.count else None, list(own)
+    while True:
+        ready = next((k for k, chain in enumerate(waiting) if goes_on(chain, known, width, dark)), None)
+        if ready is None:
+            return parts
+        chain = waiting.pop(ready)
+        at = tree.query(chain)[1]
+        parts.append((chain, line.direction[at], line.strength[at]))
+        known.append(chain)
+
+
+def _edges_of(points: np.ndarray, own: list[np.ndarray], parts: list[tuple[np.ndarray, ...]], width: float) -> np.ndarray:
+    """(N,) bool: points of chains that lie beside the ``parts`` as their edges do, from end to end."""
+    line = cKDTree(np.concatenate([part[0] for part in parts]))
+    edges = [chain for chain in own if line.query(chain)[0].max() <= width]
+    if not edges:
+        return np.zeros(len(points), dtype=bool)
+    return cKDTree(np.concatenate(edges)).query(points)[0] <= 1.0
+
+
+# --- masks, and files --------------------------------------------------------------------------------------------------------
+
+SIGMA = 1.0
+CREST = 0.8  # least second derivative over that of a full roof
+LABELS = 16
+WORKING_WIDTH = 16.0  # px: masks of wider threads are halved, so that their rough borders are smoothed
+LARGEST_HOLE = 20  # px of a hole or speck that is regarded as noise
+
+
+@typed
+def detect_mask(mask: np.ndarray, options: DetectionOptions = DetectionOptions()) -> Detection:
+    """The centre line of a mask (H, W) of any numbers. With at most LABELS different ones the thread is where they are not 0;
+    with more, in a smoothed mask, where they exceed half of the largest. Of ``options`` its ``shortest_px`` and ``region``
+    are used.
+
+    Raises InputError for anything else, and for masks smaller than 16 × 16.
+    """
+    mask = np.asarray(mask)
+    if mask.ndim != 2 or min(mask.shape) < 16 or mask.dtype.kind not in "buif":
+        raise InputError("detection", "mask", f"shape {mask.shape} of {mask.dtype}", "give (H, W) numbers, at least 16 x 16")
+    part, corner = cropped(mask, options)
+    least = 0 if len(np.unique(mask)) <= LABELS else mask.max() / 2
+    roof, scale = _roof(_cleaned(part > least))
+    ridges = Curvature(roof, SIGMA).ridges("light", 0.1)
+    half = roof[ridges.row, ridges.column].astype(np.float64)
+    full = 2 * SIGMA / np.sqrt(2 * np.pi) * (1 - np.exp(-0.5 * (half / SIGMA) ** 2))
+    kept = (ridges.strength >= CREST * full) & (np.abs(ridges.offset) <= REACH_PX) & (half > 0)
+    ridges, half = ridges[kept], half[kept]
+    kept = pieces(ridges, 0.0, options.shortest_px / scale) > 0
+    ridges, half = ridges[kept], half[kept]
+    # Distances are from pixel to pixel: half a pixel lies beyond the border.
+    width = 2 * (half + np.abs(ridges.offset)) - 1
+    found = in_whole_pixels(scale, ridges.point, ridges.tangent, np.full(len(width), 255.0), scale * width)
+    typical, polarity = (float(np.median(found[3])), "light") if len(width) else (np.nan, "")
+    return moved(Detection(*found[:3], typical, polarity, mask.shape, "mask", found[3]), corner)
+
+
+def _cleaned(inside: np.ndarray) -> np.ndarray:
+    """(H, W) uint8: 1 within, without small holes and specks."""
+    for within in (0, 1):
+        of_kind = (inside == within).astype(np.uint8)
+        label, sizes = cv2.connectedComponentsWithStats(of_kind, connectivity=4 + 4 * within)[1:3]
+        small = sizes[:, cv2.CC_STAT_AREA] <= LARGEST_HOLE
+        small[0] = False
+        inside = inside ^ small[label]
+    return inside.astype(np.uint8)
+
+
+def _roof(inside: np.ndarray) -> tuple[np.ndarray, float]:
+    """(h, w) float32: px from the nearest pixel outside, halved where the thread is wide, and px of the mask to one of it."""
+    scale = 1.0
+    while True:
+        # The thread goes on beyond the image's border; distances to nothing would have no end.
+        roof = cv2.distanceTransform(np.pad(inside, 2, mode="edge"), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[2:-2, 2:-2]
+        # Squares of distances are whole numbers; their rounding differs with the number of OpenCV's threads.
+        roof = np.sqrt(np.rint(np.square(roof, dtype=np.float64))).astype(np.float32)
+        roof = np.minimum(roof, max(inside.shape))
+        if not inside.any() or 4 * np.median(roof[inside > 0]) <= WORKING_WIDTH or min(inside.shape) < 32:
+            return np.ascontiguousarray(roof), scale
+        inside, scale = (cv2.pyrDown(255 * inside) > 127).astype(np.uint8), 2 * scale
+
+
+@dataclass(frozen=True)
+class Sight:
+    """How threads are sought in images."""
+
+    options: DetectionOptions = DetectionOptions()  # of the detection
+    # by the name of a camera: the part of its images where the thread is, as ``options.region``
+    regions: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    # a folder with masks named as the images are, whatever their suffix; or a mask for each image, by its path; None: the
+    # image's alpha channel where it has one
+    masks: Path | dict[Path, Path] | None = None
+
+    def detected(self, path: Path, camera: Camera) -> Detection:
+        """The thread in the image that ``camera`` took. Raises InputError for files that are missing or do not fit."""
+        options = replace(self.options, region=self.regions.get(camera.name, self.options.region))
+        file = path
+        if isinstance(self.masks, dict):
+            file = self.masks[path]
+        elif self.masks is not None:
+            file = next(iter(sorted(self.masks.glob(f"{path.stem}.*"))), None)
+            if file is None:
+                raise InputError(self.masks, path.stem, "no mask of this name", "name masks as the images are")
+        mask = read_mask(file, camera)
+        if mask is None and self.masks is None:
+            return detect(read_image(path, camera, colour=options.colour is not None), options)
+        return detect_mask(read_image(file, camera) if mask is None else mask, options)

@@ -1,0 +1,236 @@
+"""What a detection takes, what is known of the thread before an image is looked at, and gives: the centre line, points with
+directions and widths, and chains of those that follow each other along their directions."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from doo_ti.system.arguments import short_repr, typed
+from doo_ti.system.errors import InputError
+
+METHODS = ("ridge", "canny")
+POLARITIES = ("dark", "light")
+MOST_WIDTH_PX = 1000.0  # largest width of a thread: samples are taken across it
+
+
+@typed
+@dataclass(frozen=True)
+class DetectionOptions:
+    """Options of the detection.
+
+    method          "ridge": to a fraction of a pixel; "canny": the paper's edges and offset Gaussian, to a pixel
+    polarity        "dark" or "light" against the background; None: the more distinct of the two
+    width_px        of the thread between its edges; None: measured
+    least_contrast  grey levels between thread and background; lines that differ less are ignored
+    shortest_px     shorter visible pieces are regarded as specks
+    colour          red, green and blue of the thread, 0 to 255: it is then a light line in the likeness to this colour
+    region          left, top, width and height in px of the part of the image where the thread is; None: all of it
+
+    Raises InputError for another method or polarity, numbers that are not positive, and other colours and regions.
+    """
+
+    __repr__ = short_repr
+
+    method: str = "ridge"
+    polarity: str | None = None
+    width_px: float | None = None
+    least_contrast: float = 10.0
+    shortest_px: float = 10.0
+    colour: Sequence[float] | None = None
+    region: Sequence[int] | None = None
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise InputError("detection", "method", f"{self.method!r} is unknown", f"give {' or '.join(METHODS)}")
+        if self.polarity not in (None, *POLARITIES):
+            raise InputError("detection", "polarity", f"{self.polarity!r} is unknown", f"give {' or '.join(POLARITIES)}")
+        for name in ("width_px", "least_contrast", "shortest_px"):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise InputError("detection", name, f"{value}", "give a number above 0")
+        if self.width_px is not None and self.width_px > MOST_WIDTH_PX:
+            raise InputError("detection", "width_px", f"{self.width_px:g}", f"give {MOST_WIDTH_PX:g} px at most")
+        for name, count, wanted in (("colour", 3, "three numbers from 0 to 255: red, green and blue"),
+                                    ("region", 4, "left, top, width and height in px, at least 16 x 16")):
+            value = getattr(self, name)
+            if value is None:
+                continue
+            numbers = tuple(value)
+            sound = len(numbers) == count and np.isfinite(numbers).all() and min(numbers) >= 0
+            if not sound or (max(numbers) > 255 if name == "colour" else min(numbers[2:]) < 16):
+                raise InputError("detection", name, f"{numbers}", f"give {wanted}")
+            object.__setattr__(self, name, numbers)
+
+
+def check_image(image: np.ndarray) -> None:
+    """Raise InputError for anything but (H, W) or (H, W, 3) numbers of at least 16 × 16."""
+    form = image.ndim in (2, 3) and image.shape[2:] in ((), (3,)) and image.dtype.kind in "uif"
+    if not form or min(image.shape[:2]) < 16:
+        raise InputError("detection", "image", f"shape {image.shape} of {image.dtype}",
+                         "give (H, W) or (H, W, 3) levels, at least 16 x 16")
+
+
+def cropped(image: np.ndarray, options: DetectionOptions) -> tuple[np.ndarray, tuple[int, int]]:
+    """The region of an image, and its corner's x and y. Raises InputError where the image has fewer than 16 × 16 px of it."""
+    if options.region is None:
+        return image, (0, 0)
+    left, top, width, height = (int(value) for value in options.region)
+    part = image[top : top + height, left : left + width]
+    if min(part.shape[:2]) < 16:
+        raise InputError("detection", "region", f"{options.region} has less than 16 x 16 px of the image",
+                         f"give a part of its {image.shape[1]} x {image.shape[0]} px")
+    return part, (left, top)
+
+
+# --- the centre line -----------------------------------------------------------------------------------------------------
+
+@typed
+@dataclass(frozen=True)
+class Detection:
+    """The centre line found in one image; N = 0 where no thread was found.
+
+    points     (N, 2) px, x and y, at most a pixel apart along the line, in no order
+    direction  (N, 2) unit tangents, of either sign
+    strength   (N,) grey levels: how distinct the line is
+    width_px   median distance between the thread's edges, NaN without a thread
+    polarity   "dark" or "light", "" without a thread
+    shape      (height, width) of the image
+    method     of :class:`DetectionOptions`, or "mask", "follow"
+    width      (N,) px: the thread's width at each point, where it is known: of masks; else None
+    """
+
+    points: Annotated[np.ndarray, "N 2"]
+    direction: Annotated[np.ndarray, "N 2"]
+    strength: Annotated[np.ndarray, "N"]
+    width_px: float
+    polarity: str
+    shape: tuple[int, int]
+    method: str
+    width: Annotated[np.ndarray, "N"] | None = None
+
+    @property
+    def widths(self) -> np.ndarray:
+        """(N,) px: the thread's width at each point; where only one is known, that."""
+        return np.full(len(self.points), float(self.width_px)) if self.width is None else self.width
+
+    def copy(self) -> "Detection":
+        """The same in arrays of its own."""
+        arrays = {name: getattr(self, name).copy() for name in ("points", "direction", "strength")}
+        return replace(self, **arrays, width=None if self.width is None else self.width.copy())
+
+    @property
+    def count(self) -> int:
+        return len(self.points)
+
+
+def thinned(detection: Detection) -> tuple[np.ndarray, np.ndarray]:
+    """The strongest point of each pixel (N', 2), and its direction: about one for each pixel of line."""
+    order = np.argsort(-detection.strength, kind="stable")
+    cells = np.round(detection.points[order]).astype(np.int64)
+    _, first = np.unique(cells[:, 1] * (detection.shape[1] + 1) + cells[:, 0], return_index=True)
+    kept = order[np.sort(first)]
+    return detection.points[kept], detection.direction[kept]
+
+
+def moved(detection: Detection, corner: tuple[int, int]) -> Detection:
+    """What was detected in a region that begins at ``corner``, in px of the whole image."""
+    return replace(detection, points=detection.points + corner) if any(corner) else detection
+
+
+def in_whole_pixels(scale: float, points: np.ndarray, direction: np.ndarray, *values: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Points with directions and (N,) ``values`` of an image that has one pixel for ``scale``, in px of the image itself and
+    again at most a pixel apart."""
+    if scale == 1:
+        return points, direction, *values
+    between = np.arange(scale) - (scale - 1) / 2
+    points = (scale * points[:, None] + between[:, None] * direction[:, None]).reshape(-1, 2)
+    return points, *(np.repeat(array, len(between), axis=0) for array in (direction, *values))
+
+
+NEXT_PX = 2.6  # largest distance between points that follow each other
+SLOPE, BEND = 0.6, 0.77  # of these: largest share of the step across the direction of either, least cosine between both
+SHORTEST_PX = 4.0  # chains that are shorter are noise
+END_PX = 8.0  # length of the end of a chain whose direction counts
+TOUCHING, ENDS_PX = 1.0, 3.0  # from the end of the thread to that of a line that goes on: widths of that line, and px more …
+AGREEING = 0.7  # … and the least cosine between their directions
+BESIDE = 0.7  # share of such a line along which another one that goes on runs: these are two strands
+GLINT = 3.0  # least widths of such a line whose edges were found: strands that touch are shorter
+INSIDE = 0.2  # least darkness within one whose edges were found, over the thread's: of glints 0.3 and more, in loops 0.1
+
+
+def chains_of(detection: Detection) -> list[np.ndarray]:
+    """(M, 2) px each, M points in order."""
+    points, direction = thinned(detection)
+    if len(points) < 2:
+        return []
+    pairs = cKDTree(points).query_pairs(NEXT_PX, output_type="ndarray")
+    pairs = np.concatenate([pairs, pairs[:, ::-1]])
+    one, other = pairs.T
+    step = points[other] - points[one]
+    length, normal = np.linalg.norm(step, axis=1), np.stack([-direction[:, 1], direction[:, 0]], axis=1)
+    forward = (step * direction[one]).sum(axis=1)
+    turned = np.abs((direction[one] * direction[other]).sum(axis=1))
+    aside = np.maximum(*(np.abs((step * normal[end]).sum(axis=1)) for end in (one, other)))
+    fits = (aside <= SLOPE * length) & (turned >= BEND) & (length > 0.3)
+    one, other, forward, length, aside = (values[fits] for values in (one, other, forward, length, aside))
+    way = (forward > 0).astype(int)
+    best = np.full((len(points), 2), -1)
+    order = np.lexsort((other, length + 2 * aside, way, one))
+    keys = 2 * one[order] + way[order]
+    leading = order[np.flatnonzero(np.diff(keys, prepend=-1))]
+    best[one[leading], way[leading]] = other[leading]
+    mutual = np.array([[k if k >= 0 and i in best[k] else -1 for k in row] for i, row in enumerate(best)])
+    chains, left = [], np.ones(len(points), dtype=bool)
+    ends = np.flatnonzero((mutual >= 0).sum(axis=1) == 1)
+    for begin in [*ends, *np.flatnonzero((mutual >= 0).all(axis=1))]:  # ends first, then closed chains
+        if not left[begin]:
+            continue
+        rows, here = [], int(begin)
+        while here >= 0 and left[here]:
+            rows.append(here)
+            left[here] = False
+            here = next((int(k) for k in mutual[here] if k >= 0 and left[k]), -1)
+        if len(rows) > 2 and chain_length(points[rows]) >= SHORTEST_PX:
+            chains.append(points[rows])
+    return chains
+
+
+def outward(chain: np.ndarray, way: int) -> np.ndarray:
+    """(2,) unit direction in which a chain ends."""
+    points = chain if way else chain[::-1]
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points[::-1], axis=0), axis=1))])
+    back = points[::-1][min(np.searchsorted(arc, END_PX), len(points) - 1)]
+    out = points[-1] - back
+    return out / max(np.linalg.norm(out), 1e-12)
+
+
+def chain_length(points: np.ndarray) -> float:
+    """px."""
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+
+
+def goes_on(chain: np.ndarray, known: list[np.ndarray], width: float, dark: np.ndarray) -> bool:
+    """Whether a chain begins where one of those ``known`` ends, and no other one ends beside that half of it.
+
+    width  px of the line that the chain is
+    dark   (H, W) how much pixels differ from the background towards the thread, 255 for its contrast
+    """
+    line = cKDTree(chain)
+    inside = [line.query(other)[0].max() <= width for other in known]
+    edges, others = ([other for other, here in zip(known, inside, strict=True) if bool(here) is kind] for kind in (True, False))
+    column, row = np.rint(chain).astype(int).T
+    if edges and (chain_length(chain) < GLINT * width or np.median(dark[row, column]) < INSIDE * 255):
+        return False
+    strand = any((cKDTree(other).query(chain)[0] <= 0.6 * width).mean() > BESIDE for other in others)
+    if strand or sum(chain_length(other) for other in others) < chain_length(chain):
+        return False  # what has two edges all along is two threads
+    ends = np.array([other[-1 if way else 0] for other in others for way in (0, 1)])
+    ahead = np.array([outward(other, way) for other in others for way in (0, 1)])
+    apart, at = line.query(ends)
+    half = (2 * at >= len(chain)).astype(int)
+    inward = -np.stack([outward(chain, way) for way in (0, 1)])[half]
+    agreeing = (apart <= TOUCHING * width + ENDS_PX) & ((ahead * inward).sum(axis=1) >= AGREEING)
+    return int(np.bincount(half[agreeing], minlength=2).max()) == 1

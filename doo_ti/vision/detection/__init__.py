@@ -1,1 +1,0 @@
-"""Images from files, and the thread's centre line in them (§IV-A)."""

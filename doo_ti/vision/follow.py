@@ -1,0 +1,334 @@
+"""The thread under a pixel: its points in order, from end to end.
+
+1. **Start.** Around the pixel, the line of largest contrast in Lab is sought over places, directions and widths.
+2. **Colours.** Across the thread the colour at an offset s is compared with that farther off on either side: where the median
+   difference is large against the scatter along the thread, s is within. That gives the thread's middle, width and colours; a
+   striped thread has several. Beside a thread its shadow differs from the background, too; but there the colour is a multiple
+   of the background's, while a thread has a colour of its own or is much darker.
+3. **Walk.** In the likeness to these colours the thread is a light line of known width. Of circular arcs that go on from the
+   last point, the one along which the line is strongest is followed for half a width; strength is the second derivative across,
+   1 for a clean line. Where it is missing, for instance where something crosses, the arc goes on to where the line is
+   there again within six widths. Else the thread ends.
+
+Other threads that cross are not followed: an arc that is straighter through the crossing has more of the line.
+"""
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from doo_ti.system.arguments import typed
+from doo_ti.system.errors import InputError
+from doo_ti.vision.detection import Detection, DetectionOptions, check_image, cropped, moved
+from doo_ti.vision.ridge import TOLERANCE, Curvature, as_colour, lab, likeness, likeness_table
+
+REACH_PX = 4.0  # from the pixel to the thread's middle, or half a width, whichever is more
+FINEST, OCTAVES = 2.0, 6  # widths tried, px: two to an octave, up to 180
+DIRECTIONS = 24
+SEGMENT = 1.5  # half the length of the line at the start, in widths
+FINENESS = 1.75  # power of σ in the strength of the start's line: 2 treats all widths alike, but threads have shadows
+WORKING_WIDTH = 16.0  # px: wider threads are followed in halved images
+LEAST_TOLERANCE = 5.0
+AHEAD, SHARPEST, ARCS = 6.0, 0.35, 21  # length of arcs in widths, their largest curvature times the width, and their number
+PRESENT = 0.35  # least strength of the line over its median along the path so far
+FULL = 0.41 * 255  # second derivative times σ², σ = 0.35 widths, on the middle of a clean line
+AGAIN = 2.0  # widths along which the line must be there behind a gap
+STRAIGHT = 0.15  # strength that an arc of the largest curvature must have more than a straight one
+SHORTEST = 4.0  # widths of a thread
+WITHIN = 0.5  # share of the largest ratio of difference and scatter up to which a place is within the thread
+SURELY_WITHIN = 5.0  # ratio from which on a place is within the thread in any case: its stripes may differ
+LEVEL = 3.0  # Lab: scatter without noise
+DEEPEST, TINGE = 0.6, 6.0
+"""In a shadow the levels of an image are those of the background times a factor, of 0.6 or more (a third of the light), and
+differ from that by less than this in Lab."""
+REACH = 2.5  # widths to either side that are looked at
+SMOOTHING_PX = 0.7
+
+
+@dataclass(frozen=True)
+class Line:
+    """A place on a thread: (2,) px, the angle of its direction and its width."""
+
+    point: np.ndarray
+    angle: float
+    width: float
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a thread differs from what is beside it."""
+
+    colours: np.ndarray  # (n, 3) Lab, across it
+    contrast: float  # Lab
+    polarity: str  # "dark" or "light"
+    sound: bool  # both its edges are where they are for its width, and it is no shadow
+
+
+@typed
+def follow(image: np.ndarray, pixel: tuple[float, float], options: DetectionOptions = DetectionOptions()) -> Detection:
+    """The thread of which ``pixel`` (u, v) shows a part, in an image (H, W) grey or (H, W, 3) in OpenCV's order; others that it
+    crosses are left out. Points are in order, a pixel apart, from one end to the other or to the border of the image or of
+    ``options.region``; ``strength`` is 0 where a gap was bridged. Without a thread there the detection has no points.
+
+    Raises InputError for another image, and for a pixel outside.
+    """
+    image = np.asarray(image)
+    check_image(image)
+    part, corner = cropped(image, options)
+    place = np.asarray(pixel, dtype=np.float64) - corner
+    if not ((place >= -0.5) & (place < np.array(part.shape[1::-1]) - 0.5)).all():
+        raise InputError("detection", "pixel", f"{tuple(pixel)} is outside",
+                         f"give one of the {part.shape[1]} x {part.shape[0]} px of the image or region")
+    levels = [as_colour(part)]
+    lines = sorted(_lines(levels, place), key=lambda entry: -entry[0])
+    found = next((one for sound in (True, False) for _, line in lines
+                  if (one := _followed(levels, line, sound)) is not None), None)
+    if found is None:
+        return Detection(np.empty((0, 2)), np.empty((0, 2)), np.empty(0), np.nan, "", image.shape[:2], "follow")
+    points, strength, width, polarity = found
+    tangent = np.gradient(points, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    return moved(Detection(points, tangent, strength, width, polarity, image.shape[:2], "follow"), corner)
+
+
+# --- the line at the pixel -------------------------------------------------------------------------------------------------
+
+def _lines(levels: list[np.ndarray], place: np.ndarray) -> list[tuple[float, Line]]:
+    """(contrast, line) of the best line of each width near ``place``; appends halved images to ``levels``."""
+    found = []
+    for level in range(OCTAVES):
+        if level:
+            if min(levels[-1].shape[:2]) < 32:
+                break
+            levels.append(cv2.pyrDown(levels[-1]))
+        scale = 2.0**level
+        for width in (2 * FINEST, 2 * FINEST * np.sqrt(2)) if level else FINEST * np.sqrt(2) ** np.arange(4):
+            contrast, line = _line(levels[level], place / scale, float(width), REACH_PX / scale)
+            found.append((contrast, Line(line.point * scale, line.angle, line.width * scale)))
+    return found
+
+
+def _line(image: np.ndarray, place: np.ndarray, width: float, reach: float) -> tuple[float, Line]:
+    """The contrast in Lab and the line of this width that is most distinct within ``reach`` or half a width of ``place``."""
+    reach, sigma = max(reach, width / 2), width / 2
+    pixels, corner = window(image, place, int(np.ceil(reach + (SEGMENT + 2) * width)) + 2)
+    colours = lab(pixels)
+    parts = [Curvature(np.ascontiguousarray(colours[..., channel]), sigma) for channel in range(3)]
+    grid = np.arange(-np.ceil(reach), np.ceil(reach) + 1)
+    offset = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
+    offset = offset[np.linalg.norm(offset, axis=1) <= reach]
+    angle = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
+    along = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    step = np.arange(-np.floor(SEGMENT * width), SEGMENT * width + 0.01)
+    at = (place - corner + offset[:, None]) + (along[:, None] * step[:, None])[:, None]
+    at = at.reshape(-1, len(step), 2).astype(np.float32)
+    across = np.stack([-along[:, 1], along[:, 0]], axis=-1)
+    weight = np.stack([across[:, 0] ** 2, 2 * across[:, 0] * across[:, 1], across[:, 1] ** 2], axis=-1)
+    square = 0.0
+    for part in parts:
+        bends = cv2.remap(cv2.merge([part.xx, part.xy, part.yy]), at[..., 0], at[..., 1], cv2.INTER_LINEAR,
+                          borderMode=cv2.BORDER_REPLICATE).mean(axis=1).reshape(DIRECTIONS, -1, 3)
+        square = square + np.einsum("apk,ak->ap", bends, weight) ** 2
+    contrast = np.sqrt(square) * sigma**FINENESS * (1 - 0.5 * (np.linalg.norm(offset, axis=1) / (reach + 1)) ** 2)
+    best, at_place = np.unravel_index(np.argmax(contrast), contrast.shape)
+    return float(contrast[best, at_place]), Line(place + offset[at_place], float(angle[best]), width)
+
+
+# --- the thread along it ---------------------------------------------------------------------------------------------------
+
+def _followed(levels: list[np.ndarray], line: Line, sound: bool) -> tuple[np.ndarray, np.ndarray, float, str] | None:
+    """(N, 2) points, (N,) strengths, width and polarity of the thread that has this line; None where there is none, or none
+    that is ``sound`` where it must be."""
+    level = int(np.clip(np.ceil(np.log2(line.width / WORKING_WIDTH)), 0, len(levels) - 1))
+    image, scale = levels[level], 2.0**level
+    line = Line(line.point / scale, line.angle, line.width / scale)
+    step = np.arange(-np.ceil(SEGMENT * line.width), np.ceil(SEGMENT * line.width) + 1)
+    path = line.point + step[:, None] * [np.cos(line.angle), np.sin(line.angle)]
+    near, look = looked(image, path, len(step) // 2, line, None)
+    walked = None if sound and not look.sound else _both_ways(image, near, look, 8 * line.width)
+    if walked is None:
+        return None
+    far, far_look = looked(image, walked[1], walked[3], near, look)
+    again = _both_ways(image, far, far_look, np.inf)
+    if again is None:  # what is farther along is misleading
+        far, far_look, again = near, look, _both_ways(image, near, look, np.inf)
+    if again is None:
+        return None
+    field, path, strength, _ = again
+    points = scale * field.centred(path, strength > 0)
+    place = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    at = np.arange(0, place[-1], 1.0)  # a pixel apart
+    points = np.stack([np.interp(at, place, points[:, axis]) for axis in (0, 1)], axis=-1)
+    strength = strength[np.clip(np.searchsorted(place, at), 0, len(strength) - 1)]
+    return points, strength, far.width * scale, far_look.polarity
+
+
+def _both_ways(image: np.ndarray, line: Line, look: Look, length: float
+               ) -> tuple["_Field", np.ndarray, np.ndarray, int] | None:
+    """(field, (N, 2) points, (N,) strengths, the number of the line's point) of the thread as far as ``length`` px either way;
+    None where it is no longer than four widths."""
+    table = likeness_table(list(look.colours), float(np.clip(look.contrast / 2, LEAST_TOLERANCE, TOLERANCE)))
+    field = _Field(image, table, line.width)
+    ahead, ahead_strength = _walked(field, line, length)
+    back, back_strength = _walked(field, Line(line.point, line.angle + np.pi, line.width), length)
+    path = np.concatenate([back[::-1], line.point[None], ahead])
+    if len(path) < SHORTEST * line.width:
+        return None
+    return field, path, np.concatenate([back_strength[::-1], [FULL], ahead_strength]), len(back)
+
+
+# --- from point to point -----------------------------------------------------------------------------------------------------
+
+class _Field:
+    """Second and first derivatives of an image's likeness, in a window that moves along with those who ask."""
+
+    def __init__(self, image: np.ndarray, table: np.ndarray, width: float):
+        self.image, self.table, self.sigma = image, table, max(0.8, 0.35 * width)
+        self.reach = int(3 * AHEAD * width)
+        self.corner, self.end = np.zeros(2), np.full(2, -1.0)
+
+    def sampled(self, points: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(a, n) strength across a line at (a, n, 2) points with unit tangents ``along``, and px to the crest of the line."""
+        margin = int(np.ceil(4 * self.sigma))
+        low, high = points.min(axis=(0, 1)), points.max(axis=(0, 1))
+        edge = np.array(self.image.shape[1::-1]) - 1
+        if (np.maximum(low, 0) < self.corner).any() or (np.minimum(high, edge) > self.end).any():
+            pixels, corner = window(self.image, (low + high) / 2, self.reach + margin)
+            part = Curvature(likeness(pixels, self.table), self.sigma)
+            self.maps = cv2.merge([part.xx, part.xy, part.yy]), cv2.merge([part.x, part.y])
+            cut = [np.where(at, 0, margin) for at in (corner == 0, corner + pixels.shape[1::-1] > edge)]
+            self.origin, self.corner = corner, corner + cut[0]
+            self.end = corner + pixels.shape[1::-1] - 1 - cut[1]
+        at = (points - self.origin).astype(np.float32)
+        bends, slopes = (cv2.remap(part, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+                         for part in self.maps)
+        x, y = -along[..., 1], along[..., 0]
+        bend = -(bends[..., 0] * x * x + 2 * bends[..., 1] * x * y + bends[..., 2] * y * y)
+        slope = slopes[..., 0] * x + slopes[..., 1] * y
+        return bend * self.sigma**2 / FULL, slope / np.maximum(bend, 0.1 * FULL / self.sigma**2)
+
+    def centred(self, path: np.ndarray, there: np.ndarray) -> np.ndarray:
+        """The (N, 2) points of a path on the crest of the line; where it is not ``there`` (N,), as far aside as beyond gaps."""
+        along = np.gradient(path, axis=0)
+        along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
+        shift = np.empty(len(path))
+        for first in range(0, len(path), max(1, self.reach // 2)):
+            rows = slice(first, first + max(1, self.reach // 2))
+            shift[rows] = self.sampled(path[None, rows], along[None, rows])[1][0]
+        # At its ends a gap's cause pulls the line aside.
+        clear = np.convolve(~there, np.ones(2 * int(2 * self.sigma) + 1), "same")[: len(path)] == 0
+        every, sure = np.arange(len(path)), clear if clear.any() else there
+        shift = np.clip(np.interp(every, every[sure], shift[sure]), -self.sigma, self.sigma)
+        return path + shift[:, None] * np.stack([-along[:, 1], along[:, 0]], axis=-1)
+
+
+def _walked(field: _Field, line: Line, longest: float) -> tuple[np.ndarray, np.ndarray]:
+    """(N, 2) points a pixel apart beyond a line's point, and (N,) grey levels: their strengths, 0 in gaps."""
+    width, (height, breadth) = line.width, field.image.shape[:2]
+    step = np.arange(1.0, np.ceil(AHEAD * width) + 1)
+    bend = np.where(np.arange(ARCS) == ARCS // 2, 1e-9, np.linspace(-SHARPEST, SHARPEST, ARCS))[:, None] / width
+    arcs, turn = np.stack([np.sin(bend * step), 1 - np.cos(bend * step)], axis=-1) / bend[..., None], bend * step
+    cost = STRAIGHT * np.abs(bend[:, 0]) * width / SHARPEST
+    point, angle, points, strengths = line.point, line.angle, [], [np.ones(1)]
+    stride, again, count = max(1, int(width / 2)), int(np.ceil(AGAIN * width)), 0
+    while count < min(longest, height * breadth / width):
+        cos, sin = np.cos(angle), np.sin(angle)
+        at, heading = point + arcs @ np.array([[cos, sin], [-sin, cos]]), angle + turn
+        strength = field.sampled(at, np.stack([np.cos(heading), np.sin(heading)], axis=-1))[0]
+        best = np.argmax(np.clip(strength, -0.3, 1.2).mean(axis=1) - cost)
+        strength, at, heading = strength[best], at[best], heading[best]
+        there = strength >= PRESENT * np.median(np.concatenate(strengths[-50:]))
+        taken, ended = stride, False
+        if there[: max(stride, int(width))].mean() < 0.5:
+            share = np.convolve(there, np.ones(again), "valid")
+            behind = np.flatnonzero((share >= 0.85 * again) & there[: len(share)])
+            taken, ended = (behind[0] + 1, False) if len(behind) else (int(np.argmin(there)), True)
+        inside = ((at[:taken] > -0.5) & (at[:taken] < [breadth - 0.5, height - 0.5])).all(axis=1)
+        kept = taken if inside.all() else int(np.argmin(inside))
+        points.append(at[:kept])
+        strengths.append(np.where(there, np.clip(strength, 0, 1), 0)[:kept])
+        count += kept
+        if ended or kept < taken or count > 4 * width and np.linalg.norm(at[taken - 1] - line.point) < width / 2:
+            break
+        point, angle = at[taken - 1], heading[taken - 1]
+        shift = float(np.clip(field.sampled(point[None, None], np.array([[[np.cos(angle), np.sin(angle)]]]))[1][0, 0],
+                              -width / 4, width / 4))
+        point, angle = point + shift * np.array([-np.sin(angle), np.cos(angle)]), angle + 0.5 * shift / max(taken, width)
+    found, strength = np.concatenate([np.empty((0, 2)), *points]), np.concatenate(strengths)[1:]
+    last = np.flatnonzero(strength > 0).max(initial=-1) + 1
+    return found[:last], FULL * strength[:last]
+
+
+# --- across the thread -------------------------------------------------------------------------------------------------------
+
+def looked(image: np.ndarray, path: np.ndarray, middle: int, line: Line, before: Look | None) -> tuple[Line, Look]:
+    """The line again, at the middle and with the width of the thread that the points ``path`` (N, 2) follow, and its look; what
+    was known ``before`` where the thread has no edges there. The line is at the point ``middle`` of them."""
+    sampled, along, offset = _across(image, path, line.width)
+    seen, shaded = lab(sampled), _in_shadow(np.median(sampled, axis=0))
+    usual = np.median(seen, axis=0)
+    scatter = np.median(np.linalg.norm(seen - usual, axis=-1), axis=0)
+    difference = np.minimum(*(np.median(np.linalg.norm(seen - seen[:, [end]], axis=-1), axis=0) for end in (0, -1)))
+    ratio = difference / (scatter + LEVEL)
+    near = np.flatnonzero(np.abs(offset) <= max(line.width / 2, 0.5))
+    top = int(near[np.argmax(ratio[near])])
+    first, last = _edges(ratio, difference, top)
+    clear = np.flatnonzero(~shaded[first : last + 1])
+    if len(clear):
+        first, last = first + int(clear[0]), first + int(clear[-1])
+        top = first + int(np.argmax(ratio[first : last + 1]))
+    width = offset[last] - offset[first] + 0.5
+    line = Line(path[middle], float(np.arctan2(along[middle, 1], along[middle, 0])), line.width)
+    sound = len(clear) > 0 and 0 < first and last < len(offset) - 1 and line.width / 2 <= width <= 2 * line.width
+    if not sound:
+        if before is not None:
+            return line, before
+        first, last, width = top, top, line.width
+    shift = (offset[first] + offset[last]) / 2 if last > first else 0.0
+    inner = np.linspace(offset[first] + 0.2 * width, offset[last] - 0.2 * width, 5) if last > first else offset[[top]]
+    colours = usual[np.argmin(np.abs(offset[:, None] - inner), axis=0)]
+    polarity = "light" if usual[top, 0] > (usual[0, 0] + usual[-1, 0]) / 2 else "dark"
+    across = np.array([-along[middle, 1], along[middle, 0]])
+    return (replace(line, point=line.point + shift * across, width=max(float(width), 2.0)),
+            Look(colours, float(difference[top]), polarity, sound))
+
+
+def window(image: np.ndarray, place: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
+    """The pixels within ``reach`` of a place, blurred, and the corner (2,) at which they begin."""
+    x, y = (int(value) for value in np.clip(np.rint(place), 0, np.array(image.shape[1::-1]) - 1))
+    left, top = max(x - reach, 0), max(y - reach, 0)
+    return cv2.GaussianBlur(image[top : y + reach + 1, left : x + reach + 1], (0, 0), SMOOTHING_PX), np.array([left, top])
+
+
+def _across(image: np.ndarray, path: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(N, n, 3) colours across a path (N, 2), its (N, 2) directions, and the (n,) offsets in px."""
+    span = int(max(1, width))
+    smooth = cv2.blur(np.gradient(path, axis=0)[:, None], (1, 2 * span + 1), borderType=cv2.BORDER_REPLICATE)[:, 0]
+    along = smooth / np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-9)
+    offset = np.arange(-REACH * width, REACH * width + 0.01, 0.5)
+    place, reach = path.mean(axis=0), int(np.abs(path - path.mean(axis=0)).max() + REACH * width) + 4
+    pixels, corner = window(image, place, reach)
+    at = (path - corner)[:, None] + offset[:, None] * np.stack([-along[:, 1], along[:, 0]], axis=-1)[:, None]
+    at = at.astype(np.float32)
+    return cv2.remap(pixels, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), along, offset
+
+
+def _edges(ratio: np.ndarray, difference: np.ndarray, top: int) -> tuple[int, int]:
+    """The first and the last place within the thread around ``top``."""
+    outside = np.flatnonzero(ratio <= min(WITHIN * ratio[top], SURELY_WITHIN))
+    first, last = outside[outside < top].max(initial=-1) + 1, outside[outside > top].min(initial=len(ratio)) - 1
+    # The edges, blurred, are where half of the outermost stripe's difference is reached.
+    third = max(1, (last - first) // 3)
+    outer, inner = difference[first : first + third], difference[last - third + 1 : last + 1]
+    return first + int(np.argmax(outer >= outer.max() / 2)), last - int(np.argmax(inner[::-1] >= inner.max() / 2))
+
+
+def _in_shadow(colours: np.ndarray) -> np.ndarray:
+    """(n,) bool: which of (n, 3) B, G, R across a thread are those of either end in a shadow."""
+    found = np.zeros(len(colours), dtype=bool)
+    for ground in (colours[0], colours[-1]):
+        factor = colours @ ground / max(float(ground @ ground), 1e-9)
+        off = np.linalg.norm(lab(colours) - lab(factor[:, None] * ground), axis=1)
+        found |= (factor >= DEEPEST) & (factor <= 1.0) & (off <= TINGE)
+    return found

@@ -1,0 +1,217 @@
+"""Paths along the thread in one image: its detected points in order, from where the rod begins (docs/perception.md).
+
+Points that follow each other along their directions are chains. A chain ends where the thread ends, is hidden, or crosses
+itself; its end is joined to ends of other chains that go on in its direction. A path is a sequence of joined chains, each used
+once: at a crossing there are several.
+
+Axes: N detected points, M of a path.
+"""
+
+import heapq
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from doo_ti.vision.detection import NEXT_PX, SHORTEST_PX, Detection, chain_length, chains_of, outward
+
+WIDEST_GAP = 0.3  # of the image's height: the longest gap that a path crosses
+FORWARD = 0.64  # least cosine between the direction of an end and the way to the next
+TURNING = 2.0  # cost in lengths of a gap for each rad that the thread would turn in it
+CORNER_PX = 8.0
+"""Ends this near to each other are joined whatever their directions: a thread that comes towards the camera and goes back has a
+corner in the image."""
+BESIDE_PX = 6.0  # an end this near to the inside of another chain divides it, so that a path may change over
+AGAINST = 0.5
+"""Share of the detected line that a path against the given direction must have more: an image of a direction that points at the
+camera says little."""
+CROSSING_PX, NEIGHBOURS = 1.5, 12  # chains cross where points are this near that are so many apart along one chain
+ALIKE_PX = 4.0  # mean distance below which two paths are the same
+MOST_JOINTS, MOST_TRIED = 4, 400  # ends that an end is joined to, and parts of paths that are looked at
+
+
+@dataclass(frozen=True)
+class ImagePath:
+    """A path along the detected thread in one image."""
+
+    points: np.ndarray  # (M, 2) px, a pixel apart
+    seen: np.ndarray  # (M,) bool: on the detection; false across a gap
+    cost: float  # px of gaps, turns in them counted as lengths
+    share: float  # of the detected line that is on the path
+
+    @cached_property
+    def tangents(self) -> np.ndarray:
+        """(M, 2) unit vectors."""
+        padded = np.pad(self.points, ((2, 2), (0, 0)), mode="reflect", reflect_type="odd")
+        smoothed = np.stack([np.convolve(column, np.full(5, 1 / 5), mode="valid") for column in padded.T], axis=1)
+        ahead = np.gradient(smoothed, axis=0)
+        return ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-12)
+
+    @property
+    def length(self) -> float:
+        """px."""
+        return len(self.points) - 1.0
+
+    def at(self, arc: np.ndarray) -> np.ndarray:
+        """(..., 2) px of the points at arc lengths ``arc`` (...) px from the first, within the path."""
+        place = np.arange(len(self.points), dtype=float)
+        return np.stack([np.interp(arc, place, column) for column in self.points.T], axis=-1)
+
+    def tangent_at(self, arc: np.ndarray) -> np.ndarray:
+        """(..., 2) unit vectors."""
+        return self.tangents[self._nearest(arc)]
+
+    def is_seen(self, arc: np.ndarray) -> np.ndarray:
+        """(...) bool."""
+        return self.seen[self._nearest(arc)]
+
+    def followed(self, pixels: np.ndarray, arc: np.ndarray, window: int) -> np.ndarray:
+        """(K,) places along the path nearest to ``pixels`` (K, 2), within ``window`` px of ``arc`` (K,), in order."""
+        near = np.clip(arc[:, None] + np.arange(-window, window + 1), 0.0, self.length)
+        apart = np.linalg.norm(self.at(near) - pixels[:, None], axis=-1)
+        return np.maximum.accumulate(near[np.arange(len(arc)), np.nan_to_num(apart, nan=np.inf).argmin(axis=1)])
+
+    def _nearest(self, arc: np.ndarray) -> np.ndarray:
+        return np.clip(np.round(arc), 0, len(self.points) - 1).astype(np.int64)
+
+
+@dataclass(frozen=True)
+class Chains:
+    """The detected line of an image in chains, from which paths begin anywhere."""
+
+    points: list[np.ndarray]  # (M, 2) px of each chain
+    # for each end (chain, way) the ends that may follow, (cost, chain, way in which it is then followed), the best first
+    joints: dict[tuple[int, int], list[tuple[float, int, int]]]
+
+    @classmethod
+    def of(cls, detection: Detection) -> "Chains":
+        chains = _divided(chains_of(detection))
+        return cls(chains, _joints(chains, WIDEST_GAP * detection.shape[0]) if chains else {})
+
+    @property
+    def free_ends(self) -> np.ndarray:
+        """(K, 2) px: ends that are joined to no other, the thread's ends among them."""
+        free = [self.points[c][-1 if way else 0] for (c, way), others in self.joints.items() if not others]
+        return np.array(free).reshape(-1, 2)
+
+
+def paths_from(line: Chains, start: np.ndarray, direction: np.ndarray | None, most: int = 4) -> list[ImagePath]:
+    """Up to ``most`` paths from the place ``start`` (2,) px on, in the ``direction`` (2,), or in either where that is None;
+    those that explain most of the thread first."""
+    chains, joints = line.points, line.joints
+    if not chains:
+        return []
+    ends = np.concatenate(chains)
+    chain = np.repeat(np.arange(len(chains)), [len(points) for points in chains])
+    place = np.concatenate([np.arange(len(points)) for points in chains])
+    nearest = int(np.argmin(np.linalg.norm(ends - start, axis=1)))
+    first, at = int(chain[nearest]), int(place[nearest])
+    found, whole = [], sum(chain_length(points) for points in chains)
+    for way in (0, 1):
+        rest = chains[first][at:] if way else chains[first][: at + 1][::-1]
+        turn = 0.0
+        if direction is not None and len(rest) > 1:
+            cosine = -outward(rest, 0) @ direction / max(np.linalg.norm(outward(rest, 0)) * np.linalg.norm(direction), 1e-12)
+            turn = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+        found += _searched(chains, joints, first, rest, way, AGAINST * (turn / np.pi) ** 2 * whole)
+    found.sort(key=lambda one: -one[0])
+    kept: list[ImagePath] = []
+    for _, pieces, cost in found:
+        path = _resampled(pieces, cost, whole)
+        if len(kept) == most:
+            break
+        if len(path.points) > SHORTEST_PX and not any(_alike(path, other) for other in kept):
+            kept.append(path)
+    return kept
+
+
+# --- chains ---------------------------------------------------------------------------------------------------------------
+
+def _divided(chains: list[np.ndarray]) -> list[np.ndarray]:
+    """The chains, divided where an end of another one meets their inside."""
+    cuts = [set() for _ in chains]
+    trees = [cKDTree(chain) for chain in chains]
+    for c, chain in enumerate(chains):
+        for way in (0, 1):
+            end, out = chain[-1 if way else 0], outward(chain, way)
+            for other, tree in enumerate(trees):
+                if other == c:
+                    continue
+                near = [k for k in tree.query_ball_point(end, BESIDE_PX) if (chains[other][k] - end) @ out > 0]
+                if near:
+                    k = min(near, key=lambda k: np.linalg.norm(chains[other][k] - end))
+                    if min(chain_length(chains[other][: k + 1]), chain_length(chains[other][k:])) > SHORTEST_PX:
+                        cuts[other].add(k)
+    _cross_cuts(chains, cuts)
+    return [part for chain, at in zip(chains, cuts, strict=True) for part in np.split(chain, sorted(at)) if len(part)]
+
+
+def _cross_cuts(chains: list[np.ndarray], cuts: list[set]) -> None:
+    """Add where chains cross each other, or themselves, to ``cuts``."""
+    chain = np.repeat(np.arange(len(chains)), [len(points) for points in chains])
+    place = np.concatenate([np.arange(len(points)) for points in chains]) if chains else np.empty(0)
+    pairs = cKDTree(np.concatenate(chains)).query_pairs(CROSSING_PX, output_type="ndarray") if chains else np.empty((0, 2), int)
+    apart = (chain[pairs[:, 0]] != chain[pairs[:, 1]]) | (np.abs(place[pairs[:, 0]] - place[pairs[:, 1]]) > NEIGHBOURS)
+    for pair in pairs[apart]:
+        for c, k in zip(chain[pair], place[pair], strict=True):
+            inside = NEIGHBOURS // 2 < k < len(chains[c]) - NEIGHBOURS // 2
+            if inside and all(abs(k - other) > NEIGHBOURS for other in cuts[c]):
+                cuts[c].add(int(k))
+
+
+def _joints(chains: list[np.ndarray], gap: float) -> dict[tuple[int, int], list[tuple[float, int, int]]]:
+    """As :class:`Chains` has them, across gaps of up to ``gap`` px."""
+    ends = [(c, way) for c in range(len(chains)) for way in (0, 1)]
+    places = np.array([chains[c][-1 if way else 0] for c, way in ends])
+    out = np.array([outward(chains[c], way) for c, way in ends])
+    found = {}
+    for k, (c, way) in enumerate(ends):
+        step = places - places[k]
+        length = np.linalg.norm(step, axis=1)
+        ahead = np.where(length[:, None] > 2.0, step / np.maximum(length, 1e-9)[:, None], out[k])
+        leaving, entering = ahead @ out[k], -(ahead * out).sum(axis=1)
+        turn = np.arccos(np.clip(leaving, -1, 1)) + np.arccos(np.clip(entering, -1, 1))
+        cost = length + (length + 0.5 * CORNER_PX) * TURNING * turn
+        fits = (length <= gap) & (leaving >= FORWARD) & (entering >= FORWARD) | (length <= CORNER_PX)
+        fits &= np.array(ends)[:, 0] != c
+        order = sorted(np.flatnonzero(fits), key=lambda j: cost[j])[:MOST_JOINTS]
+        found[c, way] = [(float(cost[j]), ends[j][0], 1 - ends[j][1]) for j in order]
+    return found
+
+
+def _searched(chains, joints, first: int, begin: np.ndarray, way: int, cost: float) -> list:
+    """(score, pieces, cost) of the paths that begin with the part ``begin`` of chain ``first``."""
+    waiting, found = [(cost - chain_length(begin), 0, (first,), way, [begin], cost)], []
+    tried = 0
+    while waiting and tried < MOST_TRIED:
+        score, _, used, way, pieces, cost = heapq.heappop(waiting)
+        tried += 1
+        on = [one for one in joints[used[-1], way] if one[1] not in used]
+        found.append((-score, pieces, cost))
+        for extra, chain, follow in on:
+            piece = chains[chain] if follow else chains[chain][::-1]
+            gain = chain_length(piece) - extra
+            heapq.heappush(waiting, (score - gain, tried * 10 + len(waiting), (*used, chain), follow, [*pieces, piece],
+                                     cost + extra))
+    return found
+
+
+def _alike(one: ImagePath, other: ImagePath) -> bool:
+    """Whether two paths are at the same places, share by share of their lengths."""
+    share = np.linspace(0.0, 1.0, 64)
+    apart = one.at(share * one.length) - other.at(share * other.length)
+    return bool(np.linalg.norm(apart, axis=1).mean() < ALIKE_PX)
+
+
+def _resampled(pieces: list[np.ndarray], cost: float, whole: float) -> ImagePath:
+    points = np.concatenate(pieces)
+    last = np.cumsum([len(piece) for piece in pieces])[:-1]
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    place = np.arange(0.0, arc[-1])
+    seen = np.ones(len(place), dtype=bool)
+    for k in last:
+        if arc[k] - arc[k - 1] > NEXT_PX:
+            seen &= ~((place > arc[k - 1]) & (place < arc[k]))
+    return ImagePath(np.stack([np.interp(place, arc, column) for column in points.T], axis=1), seen, cost,
+                     min(1.0, sum(chain_length(piece) for piece in pieces) / whole))

@@ -1,1 +1,0 @@
-"""Rendered images of rods, as seen by a rig of cameras (§V-A)."""

@@ -1,1 +1,0 @@
-"""Agreement of rods with images: distance maps, E_proj and E_vis; and triangulation of marks (§IV-A, §V-A)."""

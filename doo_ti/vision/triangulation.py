@@ -1,0 +1,245 @@
+"""Marks labelled in several images to points in the world, with their uncertainty and outliers among the labels (§V-A).
+
+    x = argmin Σ_c |u_c − p_c(x)|²      over the cameras c that see the mark at u_c, in px through the distorted lenses,
+
+starting from the point nearest to all rays. Axes: C cameras, P points.
+
+Least squares are by Levenberg–Marquardt, P problems of K unknowns each, all at once:
+
+    x ← x − (JᵀJ + λ diag(JᵀJ))⁻¹ Jᵀr,    λ ← λ/10 where |r|² decreased, else the step is undone and λ ← 10 λ
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from doo_ti.rod.types import LARGEST
+from doo_ti.system.errors import InputError
+from doo_ti.vision.cameras import Camera, Rig
+
+SMALLEST_ANGLE = np.radians(0.5)  # rays closer to parallel than this have no point nearest to them
+MOST_STEPS = 30
+FINE_MM = 1e-9
+AMBIGUITY = 9.0  # χ² by which leaving out one label must be better than leaving out another: three standard deviations
+
+
+class MarkStatus(IntEnum):
+    """Result of the triangulation of a mark. The first two have a position; degenerate: rays that are parallel or intersect
+    behind a camera."""
+
+    TRIANGULATED = 0
+    OUTLIER_LEFT_OUT = 1
+    CONTRADICTORY = 2
+    FEW_VIEWS = 3
+    DEGENERATE = 4
+
+
+MOST = 1e9  # of options: squares of much larger numbers overflow
+
+
+@dataclass(frozen=True)
+class TriangulationOptions:
+    """sigma_px   standard deviation of each coordinate of a label, px; covariances are proportional to its square
+    threshold     the labels of a mark contradict each other if their residuals are as improbable as a normal variable this many
+                  standard deviations from its mean; a larger threshold tolerates more
+
+    Raises InputError for values that are not positive, or beyond MOST.
+    """
+
+    sigma_px: float = 0.5
+    threshold: float = 5.0
+
+    def __post_init__(self) -> None:
+        for name in ("sigma_px", "threshold"):
+            if not 0 < getattr(self, name) <= MOST:
+                raise InputError("options", name, f"{getattr(self, name)!r}", f"give a positive number up to {MOST:g}")
+
+
+@dataclass(frozen=True)
+class Points:
+    """P triangulated marks."""
+
+    position: np.ndarray  # (P, 3) mm, NaN where ``status`` says there is none
+    covariance: np.ndarray  # (P, 3, 3) mm², for labels with the ``sigma_px`` of the options; NaN likewise
+    status: np.ndarray  # (P,) :class:`MarkStatus`
+    used: np.ndarray  # (C, P) bool: labels from which the position was computed
+    # (C, P) px: distance of each label, also outliers, from the projection of the position; NaN without a label. Of
+    # contradictory labels: from the point with the least squared distances to all of them
+    residual: np.ndarray
+
+    @property
+    def valid(self) -> np.ndarray:
+        """(P,) bool: marks with a position."""
+        return self.status <= MarkStatus.OUTLIER_LEFT_OUT
+
+    @property
+    def label_sigma(self) -> float:
+        """px: standard deviation of one coordinate of a label, estimated from the residuals; NaN without a point."""
+        used = self.used & self.valid
+        freedom = 2 * used.sum() - 3 * self.valid.sum()
+        return float(np.sqrt(np.sum(self.residual[used] ** 2) / freedom)) if freedom > 0 else np.nan
+
+
+def triangulate(rig: Rig, pixels: np.ndarray, options: TriangulationOptions | None = None) -> Points:
+    """The points whose projections are ``pixels`` (C, P, 2), NaN where a camera has no label.
+
+    Of three labels or more that contradict each other, the one is left out without which the others agree; where several
+    labels could be the outlier, or where only two labels contradict each other, the mark has no position.
+
+    Raises InputError for fewer than two cameras and for other shapes.
+    """
+    options = options or TriangulationOptions()
+    pixels = np.asarray(pixels, dtype=np.float64)
+    if len(rig.cameras) < 2:
+        raise InputError(rig.source, "cameras", f"{len(rig.cameras)} of them", "triangulation needs two or more")
+    if pixels.ndim != 3 or pixels.shape[0] != len(rig.cameras) or pixels.shape[2] != 2:
+        raise InputError(rig.source, "pixels", f"shape {pixels.shape}", f"make it ({len(rig.cameras)}, P, 2)")
+    seen = np.isfinite(pixels).all(axis=-1)
+    status = np.where(seen.sum(axis=0) < 2, MarkStatus.FEW_VIEWS, MarkStatus.TRIANGULATED)
+    position, cost = _fitted(rig, pixels, seen)
+    used = seen.copy()
+    doubtful = np.flatnonzero((status == MarkStatus.TRIANGULATED) & ~(cost <= _tolerated(seen.sum(axis=0), options)))
+    if len(doubtful):
+        status[doubtful], used[:, doubtful] = _without_outliers(rig, pixels[:, doubtful], seen[:, doubtful], options)
+        again = doubtful[status[doubtful] == MarkStatus.OUTLIER_LEFT_OUT]
+        position[again], _ = _fitted(rig, pixels[:, again], used[:, again])
+    status[(status == MarkStatus.CONTRADICTORY) & ~np.isfinite(cost)] = MarkStatus.DEGENERATE
+    residual = np.linalg.norm(rig.project(position) - pixels, axis=-1)
+    good = status <= MarkStatus.OUTLIER_LEFT_OUT
+    used[:, ~good] = False
+    covariance = np.full((len(status), 3, 3), np.nan)
+    normal = _linearised(rig, pixels[:, good], used[:, good], position[good])[1]
+    covariance[good] = options.sigma_px**2 * np.linalg.inv(normal)
+    return Points(np.where(good[:, None], position, np.nan), covariance, status, used, residual)
+
+
+def _tolerated(views: np.ndarray, options: TriangulationOptions) -> np.ndarray:
+    """(P,) px²: the largest sum of squares that noise explains: χ² of 2n − 3 degrees of freedom, by Wilson and Hilferty."""
+    freedom = np.maximum(2 * views - 3, 1)
+    spread = 2 / (9 * freedom)
+    return options.sigma_px**2 * freedom * (1 - spread + options.threshold * np.sqrt(spread)) ** 3
+
+
+def _without_outliers(rig: Rig, pixels: np.ndarray, seen: np.ndarray, options: TriangulationOptions):
+    """(P,) status and (C, P) labels to use, of marks whose labels contradict each other.
+
+    Labels are left out one after the other, each time the one without which the others agree best, until the others no longer
+    contradict each other. The mark stays contradictory if leaving out another label would be nearly as good.
+    """
+    used, count = seen.copy(), seen.shape[1]
+    status = np.full(count, MarkStatus.CONTRADICTORY)
+    while len(rows := np.flatnonzero((status == MarkStatus.CONTRADICTORY) & (used.sum(axis=0) > 2))):
+        cost = np.full((len(rig.cameras), len(rows)), np.inf)
+        for camera in range(len(rig.cameras)):
+            there = used[camera, rows]
+            fewer = used[:, rows[there]].copy()
+            fewer[camera] = False
+            # Finite, so that a label without a point is preferred to a camera without a label: each round removes a label.
+            cost[camera, there] = np.minimum(_fitted(rig, pixels[:, rows[there]], fewer)[1], LARGEST)
+        order = np.sort(cost, axis=0)
+        used[np.argmin(cost, axis=0), rows] = False
+        agree = order[0] <= _tolerated(used[:, rows].sum(axis=0), options)
+        clear = order[1] > order[0] + AMBIGUITY * options.sigma_px**2
+        status[rows[agree & clear]] = MarkStatus.OUTLIER_LEFT_OUT
+        used[:, rows[agree & ~clear]] = False
+    return status, used
+
+
+def _fitted(rig: Rig, pixels: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(P, 3) mm points with the least squares for the labels ``used`` (C, P), and (P,) px² their sums of squares.
+
+    NaN and infinite for fewer than two labels, parallel rays, and points that are not in front of their cameras.
+    """
+    position, sound = _nearest_to_rays(rig, pixels, used)
+
+    def linearised(trial):
+        cost, normal, slope = _linearised(rig, pixels, used, trial)
+        return np.where(sound, cost, np.inf), normal, slope
+
+    position, cost, _ = least_squares(
+        position, linearised, np.add, lambda better, trial, before: np.where(better[:, None], trial, before),
+        lambda step, gain, cost: np.linalg.norm(step, axis=-1) <= FINE_MM, 1e-6, MOST_STEPS)
+    return np.where(np.isfinite(cost)[:, None], position, np.nan), cost
+
+
+def _linearised(rig: Rig, pixels: np.ndarray, used: np.ndarray, position: np.ndarray):
+    """(P,) sum of squares, infinite behind a camera, (P, 3, 3) normal matrix JᵀJ and (P, 3) Jᵀr, of the labels ``used``."""
+    count = len(position)
+    cost, normal, slope = np.zeros(count), np.zeros((count, 3, 3)), np.zeros((count, 3))
+    for camera, labels, there in zip(rig.cameras, pixels, used):
+        front = there & (camera.depth(position) > 0)
+        pixel, by_point, _ = camera.project_with_jacobian(position[front])
+        residual, jacobian = pixel - labels[front], by_point @ camera.rotation
+        cost[front] += np.sum(residual**2, axis=-1)
+        cost[there & ~front] = np.inf
+        normal[front] += np.swapaxes(jacobian, 1, 2) @ jacobian
+        slope[front] += np.einsum("pki,pk->pi", jacobian, residual)
+    return cost, normal, slope
+
+
+def _nearest_to_rays(rig: Rig, pixels: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(P, 3) mm points with the least sum of squared distances from the rays of the labels ``used``, and (P,) whether the
+    rays are two or more and not parallel: Σ (1 − d dᵀ)(x − c) = 0."""
+    count = pixels.shape[1]
+    matrix, right = np.zeros((count, 3, 3)), np.zeros((count, 3))
+    for camera, labels, there in zip(rig.cameras, pixels, used):
+        ray = rays(camera, labels[there])
+        across = np.eye(3) - ray[:, :, None] * ray[:, None, :]
+        matrix[there] += across
+        right[there] += across @ camera.centre
+    # Two rays at an angle φ make the smallest eigenvalue 1 − cos φ.
+    sound = (used.sum(axis=0) >= 2) & (np.linalg.eigvalsh(matrix)[:, 0] > 1 - np.cos(SMALLEST_ANGLE))
+    matrix[~sound] = np.eye(3)
+    return np.linalg.solve(matrix, right[..., None])[..., 0], sound
+
+
+def rays(camera: Camera, pixels: np.ndarray) -> np.ndarray:
+    """(P, 3) unit directions in the world in which ``camera`` sees (P, 2) pixels."""
+    import cv2
+
+    if not len(pixels):
+        return np.zeros((0, 3))
+    flat = cv2.undistortPoints(np.ascontiguousarray(pixels)[:, None], np.array(camera.matrix), np.array(camera.distortion))
+    ray = np.column_stack([np.asarray(flat).reshape(-1, 2), np.ones(len(pixels))]) @ camera.rotation
+    return ray / np.linalg.norm(ray, axis=-1, keepdims=True)
+
+
+# --- least squares -------------------------------------------------------------------------------------------------------
+
+WORST_DAMPING = 1e12  # with more damping steps are too short to lower a sum of squares
+
+
+def least_squares(start, linearised: Callable, moved: Callable, chosen: Callable, settled: Callable, damping: float,
+                  most_steps: int) -> tuple:
+    """(the unknowns with the least sums of squares that are reached from ``start``, the (P,) sums, and (P, K, K) JᵀJ there).
+
+    linearised  (unknowns) → (P,) sums of squares, infinite for invalid unknowns, (P, K, K) JᵀJ and (P, K) Jᵀr
+    moved       (unknowns, steps (P, K)) → unknowns
+    chosen      ((P,) bool, unknowns, other unknowns) → the first where true, else the second
+    settled     (steps (P, K), (P,) decrease of the sums, (P,) new sums) → (P,) bool: done
+    damping     λ of the first step
+
+    Raises LinAlgError where a damped JᵀJ is singular.
+    """
+    place = start
+    cost, normal, slope = linearised(place)
+    identity, damping = np.eye(slope.shape[1]), np.full(len(cost), damping)
+    for _ in range(most_steps):
+        lost = ~np.isfinite(cost)[:, None]
+        damped = np.where(lost[..., None], identity, normal * (1 + damping[:, None, None] * identity))
+        step = -np.linalg.solve(damped, np.where(lost, 0.0, slope)[..., None])[..., 0]
+        trial = moved(place, step)
+        trial_cost, trial_normal, trial_slope = linearised(trial)
+        better = trial_cost <= cost
+        gain = np.full(len(cost), -np.inf)
+        np.subtract(cost, trial_cost, out=gain, where=better & np.isfinite(cost))
+        place = chosen(better, trial, place)
+        cost = np.where(better, trial_cost, cost)
+        normal = np.where(better[:, None, None], trial_normal, normal)
+        slope = np.where(better[:, None], trial_slope, slope)
+        damping = np.where(better, damping / 10, damping * 10)
+        if (settled(step, gain, cost) | (damping >= WORST_DAMPING)).all():
+            break
+    return place, cost, normal

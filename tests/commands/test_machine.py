@@ -1,0 +1,110 @@
+"""``doo-ti warm``: kernels are compiled in processes of their own, and kept for the next ones; ``doo-ti bench``: the table, the
+file, and options that are wrong."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from doo_ti.commands import machine
+from doo_ti.commands.cli import _parser, main
+from doo_ti.commands.machine import percent
+from doo_ti.lab import cases, workload
+from tests.commands.calls import refused
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.mark.parametrize("command", machine.STEPS)
+def test_steps_are_valid_commands_that_end_with_their_own(command):
+    for step in machine.STEPS[command]:
+        _parser().parse_args(step.split())
+    assert command in (step.split()[0] for step in machine.STEPS[command])
+
+
+def test_each_step_is_run_and_a_failure_is_reported(monkeypatch, capsys):
+    monkeypatch.setattr(machine, "STEPS", {
+        "relax": ("convert absent.npz a.npz", "convert never.npz b.npz"), "sweep": ("help", "--version"),
+        "twist": ("--version",)})
+    assert main(["warm", "relax", "sweep", "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert set(found["seconds"]) == {"relax", "sweep"} and set(found["failed"]) == {"relax"}
+    assert "absent.npz" in found["failed"]["relax"]
+    assert main(["warm", "twist"]) == 0
+    assert "twist" in capsys.readouterr().out
+
+
+def test_a_command_without_kernels_is_refused(capsys):
+    assert main(["warm", "convert"]) == 2
+    assert "'convert' has no kernels" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_kernels_are_kept(tmp_path):
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "TI_OFFLINE_CACHE_FILE_PATH": str(tmp_path / "kernels")}
+    kept, seconds = [], []
+    for _ in range(2):
+        began = time.monotonic()
+        subprocess.run([sys.executable, "-m", "doo_ti", "warm", "relax", "twist"], cwd=tmp_path, env=environment, check=True)
+        seconds.append(time.monotonic() - began)
+        kept.append(sorted(path.name for path in (tmp_path / "kernels").glob("*.tic")))
+    assert len(kept[0]) > 2 and kept[0] == kept[1]
+    print(f"{seconds[0]:.0f} s, then {seconds[1]:.0f} s")
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch):
+    """The whole command, small enough to take seconds."""
+    monkeypatch.setattr(cases, "ROUND_SECONDS", 0.0)
+    monkeypatch.setattr(workload, "TRIPS", 1000)
+
+
+@pytest.mark.thorough
+def test_everything_goes_into_one_table_and_one_file(capsys, tmp_path):
+    out = tmp_path / "new" / "bench"
+    assert main(["bench", "--rods", "64", "--rounds", "1", "--out", str(out)]) == 0
+    text, progress = capsys.readouterr()
+    assert [path.name for path in out.iterdir()] == ["bench.json"]
+    found = json.loads((out / "bench.json").read_text(encoding="utf-8"))
+    assert len(found["cases"]) == 7
+    for name, case in found["cases"].items():
+        assert f"\n| {name} " in text
+        share = sum(rate / found["peak_gflops"][bits] for bits, rate in case["gflops"].items())
+        assert case["share_of_peak"] == pytest.approx(share) and f" {percent(share)} " in text
+    assert list(found["cases"]["newton mixed"]["gflops"]) == ["f32", "f64"]
+    assert found["machine"]["processor"] in text and found["f32_against_f64"]["rods"] == 64
+    assert re.search(r"(\d+)/\1 ", progress)
+
+
+def test_shares_are_rounded_down_and_those_above_all_are_shown():
+    shares = {None: "–", 1: "100 %", 0.999999: "99.99 %", 0.5678: "56.78 %", 0.57: "57.00 %", 1.2345: "123.45 %"}
+    assert {share: percent(share) for share in shares} == shares
+
+
+def test_for_machines_it_is_one_object_and_nothing_is_written(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(cases, "benchmark", lambda rods, rounds, threads: {
+        "rods": rods, "rounds": rounds, "threads": threads, "rate": np.float64(np.nan)})
+    assert main(["bench", "--rods", "32", "--rounds", "2", "--threads", "1", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found == {"rods": 32, "rounds": 2, "threads": 1, "rate": None}
+    assert not list(tmp_path.iterdir())
+
+
+WRONG = {
+    "more rods than memory": (["--rods", "1000000000000"], "--rods", "above"),
+    "more threads than cores": (["--threads", "100000"], "--threads", "above"),
+    "rounds without end": (["--rounds", "1000001"], "--rounds", "above 1000"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_options(capsys, tmp_path, case):
+    words, *expected = WRONG[case]
+    refused(capsys, tmp_path, ["bench", "--out", str(tmp_path / "new"), *words], *expected)

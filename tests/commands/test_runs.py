@@ -1,0 +1,309 @@
+"""Finished sweeps: ``doo-ti learn``, tables on the terminal, in files and as JSON; ``doo-ti figures``, files and messages; and
+``doo-ti view`` of an unfinished one, whose folder is only read; refused input."""
+
+import csv
+import hashlib
+import json
+import shutil
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from doo_ti import Axis, Grid, InterruptedRunError, SweepOptions, read_landscape, sweep
+from doo_ti.commands import runs as finished
+from doo_ti.commands.cli import main
+from doo_ti.io.scene import Synthesis
+from doo_ti.lab.synthesis import synthesise
+from doo_ti.learning import sweeps
+from tests.commands.calls import refused
+from tests.commands.test_commands import write_run
+from tests.learning.lab import DYNAMIC, GRID, small_lab
+from tests.learning.landscapes import dynamic, grid_of, static
+from tests.record.recordings import read
+
+LABELS = np.repeat([30.0, 54.0, 78.0], 6)
+PAIRS = [(6 * group + one, 6 * group + other) for group in range(3) for one in range(6) for other in range(6) if one != other]
+
+
+@pytest.fixture
+def runs(monkeypatch, capsys, rng) -> None:
+    """Runs by name: each material's bowl is lowest at its own cell, silk's pairs at another."""
+    def bowl(cell, count):
+        return 1 + rng.uniform(0, 0.2, (9, count)) + 0.5 * np.abs(np.arange(9) - cell)[:, None]
+
+    built = {name: static(name, bowl(cell, 18), LABELS) for name, cell in (("nylon", 2), ("silk", 4), ("vicryl", 7))}
+    built["silk_moved"] = dynamic("silk", bowl(6, len(PAIRS)), PAIRS, end_distance=LABELS)
+    monkeypatch.setattr(finished, "read_landscape", lambda run: built[run.name])
+    capsys.readouterr()  # the seed
+
+
+def test_tables_of_the_paper(capsys, tmp_path, runs):
+    assert main(["learn", "nylon", "silk", "vicryl", "silk_moved", "--out", str(tmp_path / "new" / "tables")]) == 0
+    out = capsys.readouterr().out
+    for words in ("Table I: leave-one-out error by material; static (Eq. 2)", "Table II: leave-one-out",
+                  "Table III: leave-one-out error by objective and end distance; silk;",
+                  "[ ] trained and tested on the same part", "What each training set chooses as a whole",
+                  "every scored rod is a certified minimum"):
+        assert words in out
+    files = sorted(path.name for path in (tmp_path / "new" / "tables").iterdir())
+    stems = ("by_material", "by_material_and_end_distance", "by_objective_and_end_distance")
+    assert files == sorted([*(f"{stem}.{suffix}" for stem in stems for suffix in ("csv", "md")), "learn.json"])
+    for stem, parts in zip(stems, (3, 9, 6), strict=True):
+        with open(tmp_path / "new" / "tables" / f"{stem}.csv", newline="", encoding="utf-8") as file:
+            lines = list(csv.DictReader(file))
+        assert len(lines) == parts**2
+        # Bowls differ by objective and material, so the diagonal's block holds each column's best.
+        for line in lines:
+            if line["is_best"] == "True":
+                assert line["train"].split()[0] == line["test"].split()[0]
+
+
+def test_json_says_what_the_files_say(capsys, tmp_path, runs):
+    assert main(["learn", "nylon", "silk", "--by", "material", "--out", str(tmp_path), "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed == json.loads((tmp_path / "learn.json").read_text())
+    assert [run["material"] for run in printed["runs"]] == ["nylon", "silk"]
+    table, = printed["tables"]
+    assert (table["by"], table["within"], len(table["entries"])) == (["material"], "static", 4)
+    assert table["training_error_mm"]["nylon"] == pytest.approx(printed["runs"][0]["mean_distance_mm"])
+    before = (tmp_path / "by_material.csv").read_bytes()
+    assert main(["learn", "nylon", "silk", "--by", "material", "--out", str(tmp_path), "--json"]) == 0
+    assert (tmp_path / "by_material.csv").read_bytes() == before
+
+
+def test_partitions_are_chosen(capsys, runs):
+    assert main(["learn", "nylon", "silk", "--by", "end-distance, material", "--by", "material",
+                 "--end-distances", "78,30"]) == 0
+    out = capsys.readouterr().out
+    assert "nylon 30 mm" in out and "nylon 78 mm" in out and "54 mm" not in out
+    assert out.index("Table II:") < out.index("Table I:")
+    assert main(["learn", "silk"]) == 0
+    assert "end distance; silk static" in capsys.readouterr().out
+
+
+def test_refused_runs(capsys, tmp_path, runs):
+    out = tmp_path / "tables"
+    for argv, words in ((["--by", "colour"], ("by", "'colour' is no partition", "material, objective, end-distance")),
+                        (["--end-distances", "near"], ("--end-distances", "'near'")),
+                        (["--by", "material", "--end-distances", "30"], ("--end-distances", "--by end-distance"))):
+        refused(capsys, tmp_path, ["learn", "nylon", "silk", *argv, "--out", str(out)], *words)
+    refused(capsys, tmp_path, ["learn", "silk", "--out", str(Path(__file__))], "--out", "is a file")
+
+
+def test_runs_in_folders(capsys, tmp_path, rng):
+    for name in ("nylon", "silk"):
+        write_run(tmp_path / name, grid_of(4), rng.uniform(1, 2, (4, 5)), name)
+    assert main(["learn", str(tmp_path / "nylon"), str(tmp_path / "silk")]) == 0
+    out = capsys.readouterr().out
+    assert "Table I:" in out and "Table II:" not in out, "without labels no table by end distance"
+
+
+BENDS = np.geomspace(1e5, 4e6, 4)
+RIBBON = Grid((Axis("bend_1", BENDS), Axis("bend_2", BENDS), Axis("twist", [6e5])))
+ROUND = Grid((Axis("bend", BENDS), Axis("twist_ratio", [0.5, 1.0, 2.0])))
+
+
+FEW = {"end_distances_mm": (42.0, 66.0), "end_rotations_deg": (0.0, 60.0, 120.0, 180.0)}
+
+
+@pytest.fixture(scope="module")
+def silk():
+    return synthesise(Synthesis(bend=2e5, twist=1e5, name="silk", **FEW))
+
+
+@pytest.fixture(scope="module")
+def one_run(silk, tmp_path_factory):
+    """A folder with a finished sweep of a round rod, silk."""
+    folder = tmp_path_factory.mktemp("lab")
+    sweep(folder / "silk", silk, ROUND)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def lab(silk, one_run):
+    """That folder with a second round rod, a ribbon under both objectives, and a sweep without end distances."""
+    ribbon = synthesise(Synthesis(bend=((4e6, 0.0), (0.0, 2e5)), twist=6e5, frames=True, name="ribbon", **FEW))
+    sweep(one_run / "nylon", synthesise(Synthesis(bend=1e6, twist=1e6, name="nylon", **FEW)), ROUND)
+    sweep(one_run / "unlabelled", replace(silk, end_distance=None, name="unlabelled"), ROUND)
+    for objective in ("static", "dynamic"):
+        sweep(one_run / objective, ribbon, RIBBON, options=SweepOptions(frame_weight=6.7, objective=objective))
+    return one_run
+
+
+def names(folder) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+@pytest.mark.thorough
+def test_round_rods(lab, tmp_path, capsys):
+    out = tmp_path / "new" / "out"
+    assert main(["figures", str(lab / "silk"), str(lab / "nylon"), "--by", "end-distance", "--cells", "all", "--out",
+                 str(out)]) == 0
+    assert names(out) == ["cells.rrd", "end_distances.png", "landscapes.png"]
+    printed = capsys.readouterr().out
+    assert printed.startswith("silk; nylon: 12 cells\n") and "recorded" not in printed and str(out / "cells.rrd") in printed
+    _, moving = read(out / "cells.rrd")
+    for name in ("silk", "nylon"):
+        landscape, rods = read_landscape(lab / name), moving[f"/world/{name}/rods"]
+        assert rods["cell"]["cell"] == list(range(12))
+        # The rods are those of the sweep, relaxed again.
+        np.testing.assert_allclose(rods["cell"]["distance_mm"], landscape.distance, rtol=1e-6)
+        # Two end distances and both together.
+        assert np.array(moving[f"/landscape/{name}/cell"]["cell"]["Boxes2D:centers"]).shape == (12, 3, 2)
+    mean = np.stack([read_landscape(lab / name).mean_distance for name in ("silk", "nylon")])
+    relative = (mean / mean.min(axis=1, keepdims=True)).mean(axis=0)
+    assert moving["/summary"]["falling_error"]["cell"] == np.argsort(-relative, kind="stable").tolist()
+    assert "| silk | **" in moving["/summary"]["cell"]["TextDocument:text"][3][0]
+
+
+@pytest.mark.slow
+def test_a_ribbon_under_both_objectives_and_its_regimes(lab, tmp_path, capsys):
+    argv = ["figures", str(lab / "static"), str(lab / "dynamic"), "--out", str(tmp_path), "--observation", "2", "--json"]
+    assert main(argv) == 0
+    stems = ["regimes_ribbon_dynamic", "regimes_ribbon_static"]
+    assert names(tmp_path) == ["cells.rrd", "landscapes.png", *(f"{stem}{end}" for stem in stems for end in (".png", ".rrd"))]
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["runs"] == ["ribbon, static", "ribbon, dynamic"] and summary["recorded_cells"] == 16
+    assert [file["path"] for file in summary["files"]][:2] == [str(tmp_path / "landscapes.png"), str(tmp_path / "cells.rrd")]
+    dynamic = read_landscape(lab / "dynamic")
+    static, moving = read(tmp_path / "cells.rrd")
+    rods = moving["/world/ribbon__dynamic/rods"]["cell"]
+    np.testing.assert_allclose(rods["distance_mm"], dynamic.distance, rtol=1e-6)
+    labels = static["/world/ribbon__dynamic/rods"]["LineStrips3D:labels"][0]
+    assert [int(label.split()[1].rstrip(":")) for label in labels] == dynamic.observation.tolist()
+    still, bands = read(tmp_path / "regimes_ribbon_static.rrd")
+    assert bands["/summary"]["observation"]["observation"] == list(range(8))
+    assert bands["/summary"]["difference"]["observation"][-1] == 2
+    assert [still[f"/world/ribbons/{k}/borders"]["LineStrips3D:labels"][0][0].split("\n")[0] for k in range(4)] == [
+        "observed", "1: β > B₁₁ and B₂₂", "2: B₂₂ > B₁₁ > β", "3: B₁₁ > B₂₂ > β"]
+
+
+def test_a_large_grid_is_thinned_and_that_is_reported(one_run, tmp_path, capsys):
+    assert main(["figures", str(one_run / "silk"), "--cells", "6", "--out", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    assert "recorded    6 cells: " in printed and "of 4 values of bend" in printed and "--cells all" in printed
+    landscape = read_landscape(one_run / "silk")
+    _, moving = read(tmp_path / "cells.rrd")
+    rods = moving["/world/silk/rods"]["cell"]
+    assert len(rods["cell"]) == 6 and landscape.best in rods["cell"]
+    np.testing.assert_allclose(rods["distance_mm"], landscape.distance[rods["cell"]], rtol=1e-6)
+
+
+ALL = pytest.mark.thorough
+
+
+@pytest.mark.parametrize(("runs_of", "words", "problem"), [
+    ("one_run", ["silk", "silk"], "static silk"), ("one_run", ["missing"], "finished sweep"), ("one_run", [], "RUN"),
+    ("one_run", ["silk", "--observation", "8"], "observation"), ("one_run", ["silk", "--observation", "x"], "--observation"),
+    ("one_run", ["silk", "--cells", "some"], "--cells"), ("one_run", ["silk", "--by", "colour"], "--by"),
+    pytest.param("lab", ["silk", "static"], "grid", marks=ALL),
+    pytest.param("lab", ["unlabelled", "--by", "end-distance"], "end_distance_mm", marks=ALL)])
+def test_wrong_input_is_one_line_and_nothing_is_written(request, tmp_path, capsys, runs_of, words, problem):
+    folder = request.getfixturevalue(runs_of)
+    runs = [str(folder / word) if (folder / word).exists() else word for word in words]
+    refused(capsys, tmp_path, ["figures", *runs, "--out", str(tmp_path / "out")], problem)
+
+
+@pytest.mark.thorough
+def test_pairs_that_are_not_those_of_the_cells(lab, tmp_path, capsys):
+    run = tmp_path / "dynamic"
+    shutil.copytree(lab / "dynamic", run)
+    (run / "pairs.csv").write_text("".join((run / "pairs.csv").read_text().splitlines(keepends=True)[:-1]))
+    assert main(["figures", str(run), "--out", str(tmp_path / "out")]) == 2
+    assert "the cells hold" in capsys.readouterr().err and not (tmp_path / "out").exists()
+
+
+@pytest.mark.thorough
+def test_a_failure_on_the_way_keeps_finished_files(one_run, tmp_path, capsys, monkeypatch):
+    from doo_ti.learning import figures
+
+    def fail(*args):
+        raise RuntimeError("the disk is full")
+
+    monkeypatch.setattr(figures, "relax_cells", fail)
+    assert main(["figures", str(one_run / "silk"), "--out", str(tmp_path / "out")]) == 1
+    assert "the disk is full" in capsys.readouterr().err.splitlines()[-1]
+    assert names(tmp_path / "out") == ["landscapes.png"]
+
+
+def interrupted(run, monkeypatch, chunks: int, observations=None, **options):
+    """A sweep with a given number of stored chunks."""
+    work, calls = sweeps.relax_hypotheses, []
+
+    def stopping(*arguments):
+        calls.append(arguments)
+        if len(calls) > chunks:
+            raise KeyboardInterrupt
+        return work(*arguments)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(sweeps, "CHUNK_BYTES", 18 * 32 * 33)  # three cells of six rods
+        patched.setattr(sweeps, "relax_hypotheses", stopping)
+        with pytest.raises(InterruptedRunError):
+            sweep(run, small_lab() if observations is None else observations, GRID, **options)
+    return run
+
+
+def content(folder) -> dict:
+    return {path: (hashlib.sha256(path.read_bytes()).hexdigest(), path.stat().st_mtime_ns)
+            for path in folder.rglob("*") if path.is_file()}
+
+
+def entities(recording) -> set[str]:
+    from rerun.chunk import RrdReader
+
+    return {chunk.entity_path for chunk in RrdReader(recording).stream()}
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(("case", "cells"), [("static", 6), ("dynamic", 8), ("hypotheses", 2)])
+def test_stored_cells_are_drawn_and_nothing_in_the_folder_changes(tmp_path, capsys, monkeypatch, case, cells):
+    """Under both objectives, and with three hypotheses for each observation."""
+    given = {"dynamic": {"options": DYNAMIC}, "hypotheses": {"observations": replace(small_lab(), total_twist=None)}}
+    run = interrupted(tmp_path / "run", monkeypatch, 2, **given.get(case, {}))
+    before = content(run)
+    capsys.readouterr()
+    assert main(["view", str(run), "--out", str(tmp_path / "new" / "seen")]) == 0
+    out = capsys.readouterr().out
+    assert f"{cells} of 12 cells" in out and f"{100 * cells // 12} %" in out
+    assert content(run) == before
+    assert sorted(path.name for path in (tmp_path / "new" / "seen").iterdir()) == ["landscape.png", "run.rrd"]
+    assert {"/world/rods", "/world/observations", "/landscape/picture", "/landscape/cells"} <= entities(
+        tmp_path / "new" / "seen" / "run.rrd")
+
+
+@pytest.mark.thorough
+def test_a_window_shows_it_and_its_files_go_afterwards(tmp_path, capsys, monkeypatch):
+    from doo_ti import record
+
+    run, seen = interrupted(tmp_path / "run", monkeypatch, 1), []
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(record, "open_viewer", lambda folder: seen.append((folder, entities(f"{folder}/run.rrd"))))
+    before = content(run)
+    assert main(["view", str(run)]) == 0
+    (folder, shown), = seen
+    assert "/landscape/cells" in shown and content(run) == before
+    assert not (tmp_path / folder).exists()
+
+
+def test_what_cannot_be_shown(tmp_path, capsys, monkeypatch):
+    run, nothing = interrupted(tmp_path / "run", monkeypatch, 1), interrupted(tmp_path / "nothing", monkeypatch, 0)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    finished, damaged = tmp_path / "finished", tmp_path / "damaged"
+    shutil.copytree(run, finished)
+    (finished / "run.rrd").touch()
+    shutil.copytree(run, damaged)
+    (damaged / "cells" / "plan.json").write_text("{}")
+    for argv, code, words in (([nothing, "--out", tmp_path / "x"], 1, "none of 12 cells is stored yet"),
+                              ([run, "--out", run / "x"], 2, "inside the run"),
+                              ([finished, "--out", tmp_path / "x"], 2, "there is a recording"),
+                              ([damaged, "--out", tmp_path / "x"], 2, "plan.json: file: does not describe a sweep"),
+                              ([run], 1 if sys.platform == "linux" else 0, "--out FOLDER" if sys.platform == "linux" else "")):
+        capsys.readouterr()
+        assert main(["view", *map(str, argv)]) == code
+        assert words in capsys.readouterr().err
+    assert not (tmp_path / "x").exists() and not (run / "x").exists()

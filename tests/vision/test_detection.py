@@ -1,0 +1,103 @@
+"""The thread's centre line in rendered images and in images made by another renderer."""
+
+import cv2
+import numpy as np
+import pytest
+
+from doo_ti import DetectionOptions, InputError, detect, load_rig
+from doo_ti.vision.images import read_image
+from doo_ti.vision.render import RenderOptions, render_set
+from doo_ti.vision.tubes import smooth_curve
+from tests.vision.scenes import against, bow, normals, small_rig
+
+PLAIN = RenderOptions(noise=2, shading=0, jpeg_quality=None)
+LINE = smooth_curve(bow(), 20)
+
+
+def errors(options: RenderOptions, diameter: float, detection: DetectionOptions = DetectionOptions()):
+    """Errors, completeness and false points over the small rig's images, and the last detection."""
+    found = [detect(image, detection) for image in render_set(small_rig(), bow(), diameter, options, 7)]
+    parts = [against(one, camera.project(LINE)) for one, camera in zip(found, small_rig().cameras)]
+    error, complete, false = zip(*parts)
+    return np.concatenate(error), min(complete), max(false), found[-1]
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("options, diameter, polarity", [
+    (PLAIN, 1.3, "dark"), (RenderOptions(thread=180, background=50, shading=0), 1.3, "light"), (PLAIN, 4.0, "dark")])
+def test_the_centre_line_is_found(options, diameter, polarity):
+    error, complete, false, found = errors(options, diameter)
+    assert abs(error.mean()) < 0.03 and np.median(np.abs(error)) < 0.05 and np.quantile(np.abs(error), 0.95) < 0.15
+    assert complete > 0.98 and false < 0.01
+    assert found.polarity == polarity and found.width_px == pytest.approx(diameter * 600 / 250, abs=1.0)
+
+
+@pytest.mark.thorough
+def test_directions_are_tangents_and_points_are_dense():
+    found = errors(PLAIN, 1.3)[-1]
+    line = small_rig().cameras[-1].project(smooth_curve(bow(), 200))
+    nearest = np.linalg.norm(found.points[:, None] - line, axis=-1).argmin(axis=1)
+    across = (normals(line)[nearest] * found.direction).sum(axis=1)
+    assert np.median(np.abs(across)) < np.sqrt(1 - 0.999**2)
+    place = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    assert np.diff(np.sort(place[nearest])).max() < 1.15
+
+
+def test_a_thread_lit_from_the_side_is_found_between_its_edges():
+    """The ridge of its brightness is further from its middle."""
+    lit = RenderOptions(thread=120, background=20, shading=80, light=(0, 1, -0.3), noise=0, jpeg_quality=None)
+    error, complete, _, _ = errors(lit, 4.0)
+    assert complete > 0.95 and np.median(np.abs(error)) < 0.15
+
+
+def test_the_papers_way_is_as_exact_as_pixels():
+    error, complete, false, found = errors(PLAIN, 1.3, DetectionOptions(method="canny"))
+    assert abs(error.mean()) < 0.1 and np.quantile(np.abs(error), 0.95) < 0.9 and complete > 0.95 and false < 0.01
+    assert (found.points == np.rint(found.points)).all() and found.method == "canny"
+
+
+def test_gaps_stay_gaps():
+    options = RenderOptions(occluders=2, shading=0)
+    error, complete, false, _ = errors(options, 1.3)
+    assert 0.5 < complete < 0.97 and false < 0.02 and np.median(np.abs(error)) < 0.1
+
+
+def test_polarity_and_width_may_be_given():
+    error, complete, _, found = errors(PLAIN, 1.3, DetectionOptions(polarity="dark", width_px=3.3))
+    assert complete > 0.98 and found.width_px == 3.3
+    image = render_set(small_rig(), bow(), 1.3, PLAIN)[0]
+    assert detect(image, DetectionOptions(polarity="light")).count == 0
+    assert detect(image, DetectionOptions(least_contrast=250)).count == 0
+
+
+@pytest.mark.parametrize("image", [
+    np.full((120, 160), 128, np.uint8),
+    np.repeat(150 * (np.arange(160) > 60), 120).reshape(160, 120).astype(np.uint8),
+    cv2.GaussianBlur(cv2.circle(np.full((360, 480), 200, np.uint8), (200, 180), 80, 60, -1), (0, 0), 1),
+    np.random.default_rng(1).normal(128, 12, (360, 480)).clip(0, 255).astype(np.uint8),
+], ids=["blank", "a border", "a disc", "noise"])
+def test_where_there_is_no_thread_none_is_found(image):
+    found = detect(image)
+    assert found.count == 0 and found.polarity == "" and np.isnan(found.width_px) and found.shape == image.shape
+
+
+def test_images_in_files(laboratory):
+    folder = laboratory / "images_a"
+    rig, truth = load_rig(folder / "rig.yaml"), np.load(folder / "truth.npz")
+    parts = []
+    for name, curve in zip(truth["names"][::3], smooth_curve(truth["vertices_mm"], 20)[::3], strict=True):
+        for camera in rig.cameras:
+            found = detect(read_image(folder / f"{name}_{camera.name}.jpg", camera))
+            parts.append(against(found, camera.project(curve)))
+    error = np.concatenate([part[0] for part in parts])
+    assert abs(error.mean()) < 0.01 and np.median(np.abs(error)) < 0.05 and np.quantile(np.abs(error), 0.95) < 0.1
+    assert min(part[1] for part in parts) > 0.98 and max(part[2] for part in parts) < 0.01
+
+
+@pytest.mark.parametrize("change", [{"method": "sobel"}, {"polarity": "grey"}, {"width_px": 0}, {"width_px": 1e9},
+                                    {"least_contrast": np.nan}])
+def test_bad_options_are_refused(change):
+    with pytest.raises(InputError, match=next(iter(change))):
+        DetectionOptions(**change)
+    with pytest.raises(InputError, match="image"):
+        detect(np.zeros((10, 10, 3)))

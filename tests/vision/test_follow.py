@@ -1,0 +1,239 @@
+"""The thread under a pixel, by colour and in masks; with glints, and needles that are wider than their threads: in pictures
+drawn by OpenCV, and in photographs that others took."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from doo_ti import DetectionOptions, InputError, detect, detect_mask, follow
+from doo_ti.io.scene import load_scene
+from doo_ti.perception.virtual_lab import lab_rods
+from doo_ti.vision.cameras import Rig
+from doo_ti.vision.render import render_set
+from doo_ti.vision.rig_files import load_rig
+from doo_ti.vision.tubes import smooth_curve
+
+SIZE = 400, 600
+GREEN, YELLOW, RED = (60, 120, 40), (70, 210, 230), (50, 40, 200)
+PAPER = (205, 215, 220)
+
+
+def wave(phase: float = 0.0, scale: float = 1.0) -> np.ndarray:
+    """(N, 2) px: a curve through the picture."""
+    t = np.linspace(0, 1, 2000)[:, None]
+    return scale * np.hstack([60 + 480 * t, 200 + 90 * np.sin(5 * t + phase)])
+
+
+def beside(curve: np.ndarray, shift: float) -> np.ndarray:
+    along = np.gradient(curve, axis=0)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    return curve + shift * np.stack([-along[:, 1], along[:, 0]], axis=1)
+
+
+def drawn(*strokes, size=SIZE, seed=0) -> np.ndarray:
+    """A picture of (curve, colour, width) one on another, blurred, with noise."""
+    image = np.full((*size, 3), PAPER, np.uint8)
+    for curve, colour, width in strokes:
+        cv2.polylines(image, [np.rint(16 * curve).astype(int)], False, colour, width, cv2.LINE_AA, 4)
+    noise = np.random.default_rng(seed).normal(0, 3, image.shape)
+    return np.clip(cv2.GaussianBlur(image, (0, 0), 0.8) + noise, 0, 255).round().astype(np.uint8)
+
+
+def shares(points: np.ndarray, true: np.ndarray, near: float = 3.0) -> tuple[float, float]:
+    """Recall and precision."""
+    if not len(points):
+        return 0.0, 0.0
+    return tuple(float((cKDTree(a).query(b)[0] <= near).mean()) for a, b in ((points, true), (true, points)))
+
+
+def test_a_striped_thread_is_followed_at_its_middle_past_others():
+    curve = wave()
+    image = drawn((beside(curve, -2.5), GREEN, 5), (beside(curve, 2.5), YELLOW, 5), (wave(2.2), RED, 8))
+    found = follow(image, tuple(beside(curve, 2.0)[300]))
+    assert min(shares(found.points, curve, 1.5)) > 0.97
+    assert np.median(cKDTree(curve).query(found.points)[0]) < 0.6 and found.width_px == pytest.approx(11, abs=2.5)
+    assert np.linalg.norm(np.diff(found.points, axis=0), axis=1).max() < 1.6  # in order
+    assert (found.strength == 0).any() and (found.strength == 0).mean() < 0.1  # where the other one lies on it
+    along = np.gradient(curve, axis=0)[cKDTree(curve).query(found.points)[1]]
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    assert np.median(np.abs((along * found.direction).sum(axis=1))) > 0.99
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("colour", [RED, YELLOW, (40, 40, 40)])
+@pytest.mark.parametrize("aside", [5.0, 8.0])
+def test_the_shadow_beside_a_cable_is_no_part_of_it(colour, aside):
+    """A soft shadow on one side, at which the click is, too; of a cable in a colour of its own, and of a black one."""
+    curve, shadow = wave(), np.zeros(SIZE, np.float32)
+    cv2.polylines(shadow, [np.rint(16 * beside(curve, aside)).astype(int)], False, 0.35, 10, cv2.LINE_8, 4)
+    light = 1 - cv2.GaussianBlur(shadow, (0, 0), 2.5)
+    ground, cable = np.full((*SIZE, 3), PAPER, np.float32) * light[..., None], np.zeros(SIZE, np.float32)
+    cv2.polylines(cable, [np.rint(16 * curve).astype(int)], False, 1.0, 8, cv2.LINE_AA, 4)
+    image = cv2.GaussianBlur(ground + cable[..., None] * (np.float32(colour) - ground), (0, 0), 0.8)
+    image = np.clip(image + np.random.default_rng(3).normal(0, 3, image.shape), 0, 255).astype(np.uint8)
+    for shift in (0.0, 3.0):
+        assert min(shares(follow(image, tuple(beside(curve, shift)[900])).points, curve, 1.7)) > 0.97
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("width", [2, 60, 150])
+def test_threads_of_any_width(width):
+    scale = max(1.0, width / 20)
+    curve, size = wave(scale=scale), (int(SIZE[0] * scale), int(SIZE[1] * scale))
+    image = drawn((curve, RED, width), size=size)
+    for found in (follow(image, tuple(curve[900])), detect(image, DetectionOptions(colour=RED[::-1])), detect(image)):
+        recall, precision = shares(found.points, curve, max(1.5, 0.03 * width))
+        assert recall > 0.97 and precision > 0.9
+        assert found.width_px == pytest.approx(width, abs=3 + 0.1 * width)  # blur widens
+
+
+def test_a_region_and_a_colour():
+    image, curve = drawn((wave(), RED, 6), (wave(2.2), GREEN, 12)), wave()
+    found = detect(image, DetectionOptions(colour=RED[::-1]))
+    assert shares(found.points, curve)[1] > 0.97
+    region = 100, 20, 300, 350
+    for part in (detect(image, DetectionOptions(colour=RED[::-1], region=region)),
+                 follow(image, tuple(curve[600]), DetectionOptions(region=region))):
+        assert part.count and (part.points >= [99, 19]).all() and (part.points <= [401, 371]).all()
+        assert shares(part.points, curve)[1] > 0.99
+
+
+@pytest.mark.thorough
+def test_more_points_than_opencv_samples_at_once():
+    image = np.full((1000, 1000), 200, np.uint8)
+    for row in range(10, 1000, 14):
+        cv2.line(image, (20, row), (980, row), 60, 2, cv2.LINE_AA)
+    assert detect(image).count > 40_000
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("rough", [0, 25])
+@pytest.mark.parametrize("width", [3, 9, 40])
+def test_the_centre_line_of_a_mask(width, rough):
+    """The mask is smoothed noise and threshold, so that its border is rough."""
+    curve, pixels = wave(), np.stack(np.meshgrid(np.arange(600), np.arange(400)), axis=-1)
+    distance = cKDTree(curve).query(pixels, distance_upper_bound=2.0 * width)[0]
+    noise = cv2.GaussianBlur(np.random.default_rng(1).normal(0, rough, SIZE), (0, 0), 1) / 25
+    found = detect_mask(distance + noise < width / 2)
+    assert min(shares(found.points, curve, 1.5 if width < 40 else 3)) > 0.97
+    assert found.width_px == pytest.approx(width, abs=1.5) and found.width.shape == (found.count,)
+
+
+def test_a_mask_gives_the_same_points_on_any_number_of_threads():
+    mask, before = np.zeros(SIZE, np.uint8), cv2.getNumThreads()
+    cv2.polylines(mask, [np.rint(wave()).astype(int)], False, 1, 20)
+    try:
+        cv2.setNumThreads(1)
+        alone = detect_mask(mask)
+    finally:
+        cv2.setNumThreads(before)
+    np.testing.assert_array_equal(alone.points, detect_mask(mask).points)
+
+
+def test_labels_are_a_mask_and_nothing_is_none():
+    labels = np.zeros(SIZE, np.uint8)
+    for label, phase in enumerate((0, 2.2), 1):
+        cv2.polylines(labels, [np.rint(16 * wave(phase)).astype(int)], False, label, 7, cv2.LINE_8, 4)
+    found = detect_mask(labels)
+    assert min(shares(found.points, np.concatenate([wave(), wave(2.2)]))) > 0.97
+    assert detect_mask(np.zeros(SIZE, np.uint8)).count == 0 and detect_mask(np.ones(SIZE, bool)).count < 2000
+    assert follow(np.full((*SIZE, 3), 90, np.uint8), (200, 200)).count == 0
+
+
+@pytest.mark.parametrize("call, word", [
+    (lambda image: follow(image, (-9, 3)), "pixel"), (lambda image: follow(image[..., :2], (3, 3)), "image"),
+    (lambda image: follow(image, (np.nan, 3)), "pixel"), (lambda image: detect_mask(image), "mask"),
+    (lambda image: detect(image, DetectionOptions(colour=(1, 2))), "colour"),
+    (lambda image: detect(image, DetectionOptions(colour=(1, 2, 300))), "colour"),
+    (lambda image: detect(image, DetectionOptions(region=(0, 0, 5, 50))), "region"),
+    (lambda image: detect(image, DetectionOptions(region=(590, 0, 50, 50))), "region"),
+])
+def test_bad_input_is_refused(call, word):
+    with pytest.raises(InputError, match=word):
+        call(drawn((wave(), RED, 6)))
+
+
+# --- photographs -----------------------------------------------------------------------------------------------------
+
+def cables(folder, kind: str):
+    """(picture, mask, (N, 2) px of its middle, a pixel of it that no other cable hides) of each cable."""
+    for picture in sorted(folder.glob(f"{kind}_*.jpg")):
+        masks = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) > 0
+                 for path in sorted(folder.glob(f"{picture.stem}_mask_[0-9].png"))]
+        for mask in masks:
+            inner = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+            middle = np.argwhere(inner >= 0.8 * np.median(inner[mask]) * 2)[:, ::-1]
+            alone = middle[np.sum(masks, axis=0)[middle[:, 1], middle[:, 0]] == 1]
+            yield cv2.imread(str(picture)), mask, middle, tuple(alone[len(alone) // 2])
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("kind, recall, precision", [("simple", 0.8, 0.8), ("hard", 0.7, 0.8)])
+def test_cables_in_photographs(shared_data, kind, recall, precision):
+    """Masks of this set are strokes along splines, up to a few px beside the cables."""
+    folder = shared_data / "photographs"
+    found = np.array([[shares(detect_mask(mask).points, middle), shares(follow(image, click).points, middle)]
+                      for image, mask, middle, click in cables(folder, kind)]).mean(axis=0)
+    assert found[0].min() > 0.97
+    assert found[1, 0] > recall and found[1, 1] > precision
+
+
+# --- threads with glints, and needles that are wider than their threads; strands beside each other ------------------------
+
+SCENES = Path(__file__).resolve().parents[2] / "scenes"
+DARK, WHITE = (50, 40, 60), (205, 215, 220)
+
+
+def grey(*strokes) -> np.ndarray:
+    return cv2.cvtColor(drawn(*strokes), cv2.COLOR_BGR2GRAY)
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("light", [WHITE, (255, 255, 255), (150, 150, 150)])
+def test_a_glint_within_the_thread(light):
+    """The thread is wider there, and as light in its middle as the paper."""
+    curve = wave()
+    image = grey((curve, DARK, 4), (curve[800:1100], DARK, 8), (curve[815:1085], light, 4))
+    recall, precision = shares(detect(image).points, curve, 3.5)
+    assert recall > 0.97 and precision > 0.98
+
+
+def test_a_needle_is_wider_than_its_thread():
+    curve = wave()
+    image = grey((curve[:1700], DARK, 4), (curve[1700:], DARK, 10))
+    recall, precision = shares(detect(image).points, curve, 3.0)
+    assert recall > 0.97 and precision > 0.98
+
+
+@pytest.mark.thorough
+def test_what_crosses_or_lies_alone_is_not_the_thread():
+    """A wider line that begins at no end of the thread."""
+    curve, other = wave(), np.stack([np.linspace(300, 330, 200), np.linspace(20, 380, 200)], axis=1)
+    found = detect(grey((other, DARK, 13), (curve, DARK, 4)))
+    assert (cKDTree(curve).query(found.points)[0] <= 4.0).mean() > 0.97
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("apart", [4.0, 6.0])
+def test_strands_side_by_side_are_two_lines(apart):
+    """Where they touch, nothing is put between them."""
+    curve = wave()
+    aside = apart / 2 + 4.0 * np.abs(np.linspace(-1, 1, len(curve)))[:, None]
+    pair = [beside(curve, sign * aside) for sign in (-1, 1)]
+    found = detect(grey(*((line, DARK, 4) for line in pair)))
+    assert not (cKDTree(curve).query(found.points)[0] < 1.0).any()
+    assert shares(found.points, np.concatenate(pair), 2.0)[1] > 0.93
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("seed", [0, 5, 7])
+def test_a_narrow_loop_is_no_glint(seed):
+    """A rod that crosses itself, seen from beside it: two strands three widths apart, on which a line between them ends."""
+    rods = lab_rods(load_scene(SCENES / "silk.toml").observations)
+    rig = Rig(load_rig(SCENES / "rig.yaml").cameras[2:])
+    curve = smooth_curve(rods.curve[rods.names.index("silk_54mm_150deg")], 8)
+    recall, precision = shares(detect(render_set(rig, curve, 0.5, seed=seed)[0]).points, rig.project(curve)[0], 2.0)
+    assert recall > 0.99 and precision > 0.97

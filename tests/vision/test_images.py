@@ -1,0 +1,166 @@
+"""Images as cameras and editors store them: depths, orientation tags, alpha channels, damage; and lists of them, SETS.csv."""
+
+import os
+import struct
+from concurrent.futures import ThreadPoolExecutor
+
+import cv2
+import numpy as np
+import pytest
+
+from doo_ti import Camera, DetectionOptions, InputError
+from doo_ti.vision.detect import Sight
+from doo_ti.vision.images import load_sets, orientation_tags, read_image, read_mask
+from tests.vision.boards import around
+
+
+def picture() -> np.ndarray:
+    """(60, 80) uint8 with a dark line and a light border at its left."""
+    image = np.full((60, 80), 180, np.uint8)
+    image[:, :5] = 255
+    image[28:33] = 40
+    return image
+
+
+def camera(turned: bool = False) -> Camera:
+    return Camera("cam0", 80, 60, np.diag([100.0, 100, 1]), np.zeros(5), np.eye(3), np.zeros(3), turned=turned)
+
+
+def tagged(path, image: np.ndarray, tag: int) -> None:
+    """A JPEG file with an orientation tag."""
+    content = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 100])[1].tobytes()
+    exif = b"Exif\0\0" + b"II*\0" + struct.pack("<IHHHIHHI", 8, 1, 274, 3, 1, tag, 0, 0)
+    path.write_bytes(content[:2] + b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif + content[2:])
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tiff"])
+@pytest.mark.parametrize("bits", [8, 10, 12, 14, 16])
+def test_images_of_any_depth(tmp_path, suffix, bits):
+    most = 2**bits - 1
+    deep = np.round(picture() * (most / 255)).astype(np.uint16)
+    cv2.imwrite(str(tmp_path / f"deep{suffix}"), deep if bits > 8 else deep.astype(np.uint8))
+    found = read_image(tmp_path / f"deep{suffix}", camera())
+    assert found.dtype == np.uint8 and np.abs(found.astype(int) - picture()).max() <= 1
+
+
+def test_fractions(tmp_path):
+    values = (picture() / 255).astype(np.float32)
+    values[0, 0] = np.nan
+    cv2.imwrite(str(tmp_path / "fractions.tiff"), values)
+    assert np.abs(read_image(tmp_path / "fractions.tiff").astype(int) - picture())[1:].max() <= 1
+
+
+@pytest.mark.parametrize("tag", range(1, 9))
+def test_tags_are_ignored_unless_the_rig_says_otherwise(tmp_path, tag):
+    tagged(tmp_path / "image.jpg", picture(), tag)
+    assert np.abs(read_image(tmp_path / "image.jpg", camera()).astype(int) - picture()).max() < 12
+    assert orientation_tags([tmp_path / "image.jpg"]) == (tag > 1)
+    turned = read_image(tmp_path / "image.jpg", turned=True)
+    assert turned.shape == ((80, 60) if tag > 4 else (60, 80))
+    if tag > 4:
+        with pytest.raises(InputError, match="size"):
+            read_image(tmp_path / "image.jpg", camera(turned=True))
+    if tag in (2, 3):
+        assert read_image(tmp_path / "image.jpg", camera(turned=True))[0, -1] > 240
+
+
+def test_alpha_channels_and_masks(tmp_path):
+    alpha = np.where(picture() < 100, 255, 0).astype(np.uint8)
+    cv2.imwrite(str(tmp_path / "cut.png"), np.dstack([picture()] * 3 + [alpha]))
+    cv2.imwrite(str(tmp_path / "opaque.png"), np.dstack([picture()] * 3 + [np.full_like(alpha, 255)]))
+    cv2.imwrite(str(tmp_path / "plain.png"), picture())
+    (tmp_path / "masks").mkdir()
+    cv2.imwrite(str(tmp_path / "masks" / "plain.png"), alpha // 255)
+    np.testing.assert_array_equal(read_mask(tmp_path / "cut.png"), alpha)
+    assert read_mask(tmp_path / "opaque.png") is None and read_mask(tmp_path / "plain.png") is None
+    for name, sight, method in (
+            ("cut.png", Sight(), "mask"), ("plain.png", Sight(), "ridge"),
+            ("plain.png", Sight(masks=tmp_path / "masks"), "mask"),
+            ("plain.png", Sight(masks={tmp_path / "plain.png": tmp_path / "cut.png"}), "mask"),
+            ("plain.png", Sight(DetectionOptions(colour=(40, 40, 40)), {"cam0": (10, 10, 60, 40)}), "ridge")):
+        found = sight.detected(tmp_path / name, camera())
+        assert found.method == method and found.count > 50
+        np.testing.assert_allclose(np.median(found.points[:, 1]), 30, atol=0.2)
+        assert found.width_px == pytest.approx(5, abs=1.5)
+    with pytest.raises(InputError, match="opaque"):
+        Sight(masks=tmp_path / "masks").detected(tmp_path / "opaque.png", camera())
+
+
+def test_bad_image_files_are_refused(tmp_path):
+    with pytest.raises(InputError, match="no such file"):
+        read_image(tmp_path / "none.png")
+    (tmp_path / "text.png").write_text("no image")
+    (tmp_path / "empty.png").write_bytes(b"")
+    for name in ("text.png", "empty.png"):
+        with pytest.raises(InputError, match=name):
+            read_image(tmp_path / name)
+    cv2.imwrite(str(tmp_path / "small.png"), np.zeros((20, 30), np.uint8))
+    with pytest.raises(InputError, match="30 x 20 px, but cam0"):
+        read_image(tmp_path / "small.png", camera())
+
+
+def test_libraries_say_nothing_of_damaged_images(tmp_path, capfd):
+    """Of such as begin and end well, too, and from several threads; afterwards the standard error is heard again."""
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((20, 30), np.uint8))
+    good = (tmp_path / "a.png").read_bytes()
+    at = good.index(b"IDAT")
+    (length,) = struct.unpack(">I", good[at - 4:at])
+    wrong_sum = good[:at + 4 + length] + b"wrng" + good[at + 8 + length:]
+    damaged = {"wrong_sum.png": wrong_sum, "wrong_depth.png": good[:24] + b"\x03" + good[25:], "cut.png": good[:-20]}
+    for name, content in damaged.items():
+        (tmp_path / name).write_bytes(content)
+
+    def read(name: str) -> bool:
+        try:
+            return read_image(tmp_path / name).shape == (20, 30)
+        except InputError:
+            return False
+
+    with ThreadPoolExecutor(4) as threads:
+        read_well = dict(zip(["a.png", *damaged], threads.map(read, ["a.png", *damaged] * 20)))
+    os.write(2, b"heard")
+    assert capfd.readouterr().err == "heard" and read_well["a.png"] and not read_well["cut.png"]
+
+
+# --- sets --------------------------------------------------------------------------------------------------------------------
+
+HEADER = "name,cam0,cam2,seed_x,seed_y,seed_z,dir_x,dir_y,dir_z\n"
+LINE = "a,a0.png,a2.png,1,2,3,0,3,4\n"
+
+
+def test_a_file_of_sets(tmp_path):
+    (tmp_path / "sets.csv").write_text(HEADER + LINE + LINE.replace("a,", "b,", 1))
+    sets = load_sets(tmp_path / "sets.csv", around())
+    assert sets.names == ("a", "b") and sets.rig.names == ("cam0", "cam2")
+    assert sets.paths[0] == (tmp_path / "a0.png", tmp_path / "a2.png")
+    np.testing.assert_allclose(sets.point[0], [1, 2, 3])
+    np.testing.assert_allclose(sets.direction[0], [0, 0.6, 0.8])
+
+
+CLICKS = "name,cam0,cam2,cam0_u,cam0_v,cam2_u,cam2_v\n"
+
+
+def test_rods_that_begin_at_pixels(tmp_path):
+    (tmp_path / "sets.csv").write_text(CLICKS + "a,a0.png,a2.png,10,20.5,,\nb,b0.png,b2.png,1,2,3,4\nc,c0.png,c2.png,,,5,6\n")
+    sets = load_sets(tmp_path / "sets.csv", around())
+    assert sets.point is None and sets.direction is None and sets.rig.names == ("cam0", "cam2")
+    assert sets.clicks == ({0: (10.0, 20.5)}, {0: (1.0, 2.0), 1: (3.0, 4.0)}, {1: (5.0, 6.0)})
+
+
+@pytest.mark.parametrize("text, word", [
+    (HEADER, "no rows"), (HEADER.replace("seed_y", "y") + LINE, "seed_y"), (HEADER.replace("cam2", "cam9") + LINE, "cam9"),
+    (HEADER + LINE.replace("1,2,3", "1,x,3"), "seed_y: 'x' in line 2"), (HEADER + LINE + LINE, "twice"),
+    (HEADER + LINE.replace("a2.png", ""), "cam2"), (HEADER + LINE.replace("0,3,4", "0,0,0"), "direction"),
+    (HEADER + LINE.replace("1,2,3", "1,2,nan"), "finite"), (HEADER + LINE.replace("1,2,3", "0,0,9000"), "behind"),
+    (HEADER.replace("\n", ",cam0\n") + LINE.replace("\n", ",a0.png\n"), "cam0: .* twice"),
+    (HEADER + LINE.replace("\n", ",7\n"), "10 cells under 9"), (HEADER + LINE.replace("a,", '"a\nb",', 1), "line break"),
+    (CLICKS + "a,a0.png,a2.png,,,,\n", "cam0_u: '' in line 2"), (CLICKS + "a,a0.png,a2.png,3,,,\n", "cam0_v: '' in line 2"),
+    (CLICKS.replace("cam2_u", "cam1_u") + "a,a0.png,a2.png,3,4,5,6\n", "cam1_v|cam2_v"),
+    (CLICKS.replace("\n", ",seed_x\n") + "a,a0.png,a2.png,3,4,,,1\n", "seed_x"),
+    (CLICKS.replace("cam0_v", "x") + "a,a0.png,a2.png,3,4,,\n", "cam0_v"),
+    (CLICKS.replace("cam2_", "cam1_") + "a,a0.png,a2.png,3,4,,\n", "cam1"),
+])
+def test_wrong_lists_are_reported(tmp_path, text, word):
+    (tmp_path / "sets.csv").write_text(text)
+    with pytest.raises(InputError, match=word):
+        load_sets(tmp_path / "sets.csv", around())

@@ -1,0 +1,233 @@
+"""Rig files, ours and those of others, against OpenCV's projections; and what is said of another unit or other axes."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from doo_ti import InputError
+from doo_ti.vision.cameras import POSES, Camera, Rig, RigReading
+from doo_ti.vision.rig_files import load_rig, rational_of_fisheye, save_rig
+from tests.vision.boards import around
+
+
+def test_projection_is_opencv_s():
+    grid = np.random.default_rng(1).uniform(-60, 60, size=(5, 7, 3))
+    pixels = around().project(grid)
+    assert pixels.shape == (3, 5, 7, 2)
+    for camera, found in zip(around().cameras, pixels, strict=True):
+        wanted = cv2.projectPoints(grid.reshape(-1, 3), cv2.Rodrigues(np.array(camera.rotation))[0], *map(np.array, (
+            camera.translation, camera.matrix, camera.distortion)))[0]
+        np.testing.assert_allclose(found.reshape(-1, 2), wanted.reshape(-1, 2), atol=1e-9)
+        np.testing.assert_allclose(camera.rotation @ camera.centre + camera.translation, 0, atol=1e-10)
+        behind = camera.centre - 10 * camera.rotation[2]
+        assert np.isnan(camera.project(behind)).all() and camera.depth(behind) == pytest.approx(-10)
+
+
+def test_a_rig_survives_its_file(tmp_path):
+    save_rig(tmp_path / "rig.yaml", around())
+    again = load_rig(tmp_path / "rig.yaml")
+    for first, second in zip(around().cameras, again.cameras, strict=True):
+        assert (first.name, first.width, first.height) == (second.name, second.width, second.height)
+        for name in ("matrix", "distortion", "rotation", "translation"):
+            np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+
+
+@pytest.mark.sampled(9)
+@pytest.mark.parametrize("spoil, word", [
+    (lambda text: text.replace("cameras:", "kameras:"), "cameras"),
+    (lambda text: text.replace("width: 640", "width: x"), "width"),
+    (lambda text: text.replace("name: cam1", "name: seed_x"), "cameras"),
+    (lambda text: text.replace("name: cam1", 'name: "cam\\n1"'), "line break"),
+    (lambda text: text.replace("   K:", "   Q:"), "K"),
+    (lambda text: "{{{", "not a rig"),
+    (lambda text: "<?xml version='1.0'?><opencv_storage><cameras/></opencv_storage>", "cameras"),
+    (lambda text: text.replace("         cols: 3\n", "", 1), "not a rig"),
+    (lambda text: text.replace("cols: 3", "cols: 2147483647", 1), "not a rig"),
+    (lambda text: text.replace("rows: 3", "rows: *x", 1), "not a rig"), (lambda text: text + "? [a]\n: b\n", "not a rig"),
+    (lambda text: text.replace("width: 640", "width: 100000"), "width"),
+    (lambda text: text.replace("width: 640", "width: 100000000000"), "width"),
+    (lambda text: text.replace("name: cam1", "name: cam1\n      width: !!python/object/apply:os.getcwd []"), "not a rig"),
+    (lambda text: "[" * 100_000, "not a rig"),
+])
+def test_a_bad_file_is_refused(tmp_path, spoil, word):
+    save_rig(tmp_path / "rig.yaml", around())
+    text = (tmp_path / "rig.yaml").read_text()
+    (tmp_path / "bad.yaml").write_text(spoil(text))
+    with pytest.raises(InputError, match=word):
+        load_rig(tmp_path / "bad.yaml")
+
+
+@pytest.mark.parametrize("change", [
+    {"rotation": np.diag([1.0, 1, -1])}, {"matrix": np.eye(3) * -1}, {"width": 0}, {"distortion": [1.0, 2]},
+    {"translation": [0, 0, np.nan]}, {"translation": [0, 0, 1e300]}, {"distortion": [1e300, 0, 0, 0, 0]},
+    {"matrix": [[1e300, 0, 0], [0, 1e300, 0], [0, 0, 1]]}, {"matrix": [[1e-300, 0, 0], [0, 1e-300, 0], [0, 0, 1]]},
+    {"matrix": [[1e3, 0, 1e300], [0, 1e3, 0], [0, 0, 1]]}, {"matrix": np.eye(3) + 1j}, {"height": 10**11},
+])
+def test_invalid_cameras_are_refused(change):
+    with pytest.raises(InputError):
+        replace(around().cameras[0], **change)
+
+
+def test_cameras_by_name():
+    assert around().only(["cam2", "cam0"]).names == ("cam2", "cam0")
+    with pytest.raises(InputError, match="no camera"):
+        around().only(["cam7"])
+
+
+# --- rigs in the files of others ------------------------------------------------------------------------------------------
+
+MATRIX = np.array([[610.0, 0, 633], [0, 612, 471], [0, 0, 1]])
+SIZE = 1280, 960
+TURN, SHIFT = cv2.Rodrigues(np.array([0.05, -0.3, 0.02]))[0], np.array([-60.0, 3, 5])
+
+
+def points(count=200) -> np.ndarray:
+    return np.random.default_rng(4).uniform((-200, -150, 250), (200, 150, 500), (count, 3))
+
+
+def stereo(path, names=("K", "D", "R", "T"), size=True, coefficients=(-0.2, 0.05, 1e-3, -5e-4, 0.01)) -> None:
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for number in (1, 2):
+        storage.write(f"{names[0]}{number}", MATRIX)
+        storage.write(f"{names[1]}{number}", np.array([coefficients]))
+    storage.write(names[2], TURN)
+    storage.write(names[3], SHIFT.reshape(3, 1))
+    if size:
+        storage.write("image_width", SIZE[0])
+        storage.write("image_height", SIZE[1])
+    storage.release()
+
+
+@pytest.mark.parametrize("names, coefficients", [
+    (("K", "D", "R", "T"), (-0.2, 0.05, 1e-3, -5e-4, 0.01)), (("cameraMatrix", "distCoeffs", "R", "T"), (0.1, 0.1, 0.1, 0.1)),
+    (("M", "D", "R", "T"), (-0.1, 0.02, 1e-3, 0, 0.01, 0.05, -0.01, 0.002))])
+def test_opencv_s_stereo_files(tmp_path, names, coefficients):
+    stereo(tmp_path / "stereo.yml", names, coefficients=coefficients)
+    found = load_rig(tmp_path / "stereo.yml")
+    for camera, turn, shift in zip(found.cameras, (np.eye(3), TURN), (np.zeros(3), SHIFT)):
+        wanted = cv2.projectPoints(points(), cv2.Rodrigues(turn)[0], shift, MATRIX, np.array(coefficients))[0][:, 0]
+        np.testing.assert_allclose(camera.project(points()), wanted, atol=1e-8)
+    save_rig(tmp_path / "rig.yaml", found)
+    np.testing.assert_array_equal(load_rig(tmp_path / "rig.yaml").project(points()), found.project(points()))
+
+
+def test_the_size_may_be_given_and_extrinsics_lie_beside(tmp_path):
+    stereo(tmp_path / "whole.yml", size=False)
+    with pytest.raises(InputError, match="--image-size"):
+        load_rig(tmp_path / "whole.yml")
+    text = (tmp_path / "whole.yml").read_text()
+    head, body = text.split("---\n")
+    at = body.index("R: ")
+    (tmp_path / "intrinsics.yml").write_text(f"{head}---\n{body[:at]}")
+    (tmp_path / "extrinsics.yml").write_text(f"{head}---\n{body[at:]}")
+    found = load_rig(tmp_path / "intrinsics.yml", RigReading(unit="m", size=SIZE))
+    np.testing.assert_allclose(found.cameras[1].translation, 1000 * SHIFT)
+    assert (found.cameras[0].width, found.cameras[0].height) == SIZE
+
+
+FISHEYE = (0.02, 0.01, -0.003, 0.0005)
+
+
+def test_fisheye_lenses(tmp_path):
+    stereo(tmp_path / "fish.yml", coefficients=FISHEYE)
+    camera = load_rig(tmp_path / "fish.yml", RigReading(lens="fisheye")).cameras[0]
+    rays = np.random.default_rng(2).normal(size=(4000, 3))
+    rays[:, 2] = np.abs(rays[:, 2]) + 0.12 * np.linalg.norm(rays[:, :2], axis=1)
+    wanted = cv2.fisheye.projectPoints(rays[None], np.zeros(3), np.zeros(3), MATRIX, np.array(FISHEYE))[0][0]
+    inside = ((wanted >= 0) & (wanted < SIZE)).all(axis=1)
+    assert inside.sum() > 1000 and np.abs(camera.project(rays) - wanted)[inside].max() < 0.3
+    with pytest.raises(InputError, match="fisheye"):
+        rational_of_fisheye("rig", "dist", MATRIX, np.arange(5.0), *SIZE)
+
+
+LENSES = {
+    "SIMPLE_PINHOLE": ("610 633.5 471.5", ()), "PINHOLE": ("610 612 633.5 471.5", ()),
+    "SIMPLE_RADIAL": ("610 633.5 471.5 -0.1", (-0.1, 0, 0, 0)), "RADIAL": ("610 633.5 471.5 -0.1 0.02", (-0.1, 0.02, 0, 0)),
+    "OPENCV": ("610 612 633.5 471.5 -0.1 0.02 1e-3 -2e-3", (-0.1, 0.02, 1e-3, -2e-3)),
+    "FULL_OPENCV": ("610 612 633.5 471.5 -0.1 0.02 1e-3 0 .01 .02 -.01 .001", (-0.1, 0.02, 1e-3, 0, 0.01, 0.02, -0.01, 1e-3)),
+    "OPENCV_FISHEYE": ("610 612 633.5 471.5 .02 .01 -.003 .0005", FISHEYE),
+}
+
+
+def colmap(folder, model: str, points_lines=("", "1.5 2.5 7 3 4 -1")) -> None:
+    (folder / "cameras.txt").write_text(f"# cameras\n1 {model} 1280 960 {LENSES[model][0]}\n")
+    w, (x, y, z) = np.cos(0.1), np.sin(0.1) * np.array([0.6, 0.8, 0])
+    (folder / "images.txt").write_text(f"# images\n1 1 0 0 0 0 0 0 1 left.png\n{points_lines[0]}\n"
+                                       f"2 {w} {x} {y} {z} -60 3 5 1 right view.png\n{points_lines[1]}\n")
+
+
+@pytest.mark.parametrize("model", LENSES)
+def test_colmap_s_text(tmp_path, model):
+    colmap(tmp_path, model)
+    found = load_rig(tmp_path)
+    assert found.names == ("left", "right view") == load_rig(tmp_path / "images.txt").names
+    turn, shift = 0.2 * np.array([0.6, 0.8, 0]), np.array([-60.0, 3, 5])
+    matrix = MATRIX.copy()
+    if LENSES[model][0].startswith("610 633"):
+        matrix[1, 1] = 610
+    if model.endswith("FISHEYE"):
+        wanted = cv2.fisheye.projectPoints(points()[None], turn, shift, matrix, np.array(FISHEYE))[0][0]
+    else:
+        wanted = cv2.projectPoints(points(), turn, shift, matrix, np.array(LENSES[model][1]))[0][:, 0]
+    np.testing.assert_allclose(found.cameras[1].project(points()), wanted, atol=0.2 if model.endswith("FISHEYE") else 1e-8)
+
+
+@pytest.mark.parametrize("file, old, new", [
+    ("cameras.txt", "OPENCV", "THIN_PRISM"), ("cameras.txt", "610", "nan"), ("cameras.txt", "1280", "1e9"),
+    ("cameras.txt", " -2e-3", ""), ("cameras.txt", "1280 960 610 612 633", ""), ("images.txt", " -60", " inf"),
+    ("images.txt", " 1 left.png", " 7 left.png"), ("images.txt", "1 1 0 0 0", "1 0 0 0 0"),
+    ("images.txt", "left", "right view"), ("cameras.txt", "1 OPENCV", "1 OPENCV\0\0"), ("images.txt", " 0 0 0 1 left.png", ""),
+])
+def test_damaged_models_are_refused_in_one_line(tmp_path, file, old, new):
+    colmap(tmp_path, "OPENCV")
+    text = (tmp_path / file).read_text()
+    assert old in text
+    (tmp_path / file).write_text(text.replace(old, new, 1))
+    with pytest.raises(InputError) as caught:
+        load_rig(tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("spoil", [
+    lambda text: text.replace("R: ", "Q: "), lambda text: text.replace("K2", "L2"), lambda text: text.replace("610.", "-610."),
+    lambda text: text.replace("image_width: 1280", "image_width: [1, 2]"), lambda text: text[: len(text) // 2],
+    lambda text: text.replace("D1: ", "D1: 3\nE: "), lambda text: "[]", lambda text: text.replace("cols: 5", "cols: 500000000"),
+])
+def test_damaged_stereo_files_are_refused_in_one_line(tmp_path, spoil):
+    stereo(tmp_path / "stereo.yml")
+    (tmp_path / "stereo.yml").write_text(spoil((tmp_path / "stereo.yml").read_text()))
+    with pytest.raises(InputError) as caught:
+        load_rig(tmp_path / "stereo.yml")
+    assert "\n" not in str(caught.value)
+
+
+# --- what files leave open ------------------------------------------------------------------------------------------
+
+FLIP = np.diag([1.0, -1, -1])
+MEANT = {
+    "opencv": lambda c: (c.rotation, c.translation), "opengl": lambda c: (FLIP @ c.rotation, FLIP @ c.translation),
+    "opencv-to-world": lambda c: (c.rotation.T, c.centre), "opengl-to-world": lambda c: (c.rotation.T @ FLIP, c.centre),
+    "opencv-centre": lambda c: (c.rotation, c.centre),
+}
+
+
+@pytest.mark.parametrize("unit", ["mm", "m"])
+@pytest.mark.parametrize("poses", POSES)
+def test_other_poses_and_units_are_read_and_recognised(tmp_path, poses, unit):
+    cameras = []
+    for camera in around().cameras:
+        turn, shift = MEANT[poses](camera)
+        cameras.append(Camera(camera.name, camera.width, camera.height, camera.matrix, camera.distortion, turn,
+                              shift / (1000 if unit == "m" else 1)))
+    save_rig(tmp_path / "rig.yaml", Rig(tuple(cameras)))
+    seen = np.array([[20.0, 10, 0], [25, 12, 3], [-20, 8, -4], [2, -15, 9]])
+    found = load_rig(tmp_path / "rig.yaml", RigReading(unit, poses))
+    np.testing.assert_allclose(found.project(seen), around().project(seen), atol=1e-8)
+    found.check_sight(seen, "the seed")
+    doubtful = load_rig(tmp_path / "rig.yaml")
+    if (poses, unit) == ("opencv", "mm"):
+        return doubtful.check_sight(seen, "the seed")
+    with pytest.raises(InputError, match="--rig-unit m" if poses == "opencv" else f"--rig-poses {poses}"):
+        doubtful.check_sight(seen, "the seed")

@@ -1,0 +1,309 @@
+"""Labelled marks to points, outliers and ribbons."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.optimize
+
+from doo_ti import Camera, InputError, Rig
+from doo_ti.rod.frames import handedness, orthonormality_error
+from doo_ti.vision.marks import Marks, observe, read_labels, read_marks
+from doo_ti.vision.triangulation import MarkStatus, Points, TriangulationOptions, triangulate
+from tests.io.rods import twisted_frames, wavy_vertices
+from tests.vision.boards import around
+
+NOISE = 0.3
+SURE = TriangulationOptions(sigma_px=NOISE)
+
+
+def seen(rng, count: int, rig: Rig | None = None, noise: float = NOISE) -> tuple[Rig, np.ndarray, np.ndarray]:
+    """A rig, (P, 3) points in front of it, and (C, P, 2) labels with noise."""
+    rig = rig or around()
+    points = rng.uniform(-35, 35, (count, 3))
+    exact = rig.project(points)
+    return rig, points, exact + rng.normal(0, noise, exact.shape)
+
+
+def off(found: Points, points: np.ndarray, which=slice(None)) -> np.ndarray:
+    """Squared errors in units of the covariance: χ² of three degrees of freedom."""
+    error = (found.position - points)[which]
+    return np.einsum("pi,pij,pj->p", error, np.linalg.inv(found.covariance[which]), error)
+
+
+# ---- points
+
+def test_exact_labels_give_exact_points(rng):
+    rig, points, pixels = seen(rng, 200, around(count=4), noise=0.0)
+    pixels[3, :150] = np.nan
+    pixels[2, :100] = np.nan
+    found = triangulate(rig, pixels, SURE)
+    np.testing.assert_allclose(found.position, points, atol=1e-9)
+    assert (found.status == MarkStatus.TRIANGULATED).all() and np.nanmax(found.residual) < 1e-9
+    np.testing.assert_array_equal(found.used, np.isfinite(pixels[..., 0]))
+
+
+def test_it_is_the_least_squares_point(rng):
+    rig, _, pixels = seen(rng, 5)
+    found = triangulate(rig, pixels, SURE)
+    for point in range(5):
+        def residual(x, labels=pixels[:, point]):
+            return (rig.project(x) - labels).ravel()
+
+        best = scipy.optimize.least_squares(residual, np.zeros(3), xtol=1e-14, ftol=1e-14, gtol=1e-14)
+        np.testing.assert_allclose(found.position[point], best.x, atol=1e-6)
+        np.testing.assert_allclose(found.covariance[point], NOISE**2 * np.linalg.inv(best.jac.T @ best.jac), rtol=1e-4)
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("cameras", [2, 3])
+def test_covariance_matches_the_errors(rng, cameras):
+    """The squared error in units of the covariance has mean 3."""
+    rig, points, pixels = seen(rng, 4000, Rig(around().cameras[:cameras]))
+    found = triangulate(rig, pixels, SURE)
+    assert found.valid.all()
+    assert np.mean(off(found, points)) == pytest.approx(3, rel=0.06)
+    assert found.label_sigma == pytest.approx(NOISE, rel=0.03)
+
+
+def test_a_point_does_not_depend_on_the_others(rng):
+    rig, _, pixels = seen(rng, 50)
+    pixels[1, 7] += [25, -10]
+    together = triangulate(rig, pixels, SURE)
+    order = rng.permutation(50)
+    shuffled = triangulate(rig, pixels[:, order], SURE)
+    np.testing.assert_allclose(shuffled.position, together.position[order], atol=1e-9)
+    np.testing.assert_array_equal(shuffled.status, together.status[order])
+    np.testing.assert_allclose(triangulate(rig, pixels[:, 7:8], SURE).position[0], together.position[7], atol=1e-9)
+
+
+# ---- errors
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("cameras", [3, 4])
+def test_outliers_are_found_and_left_out(rng, cameras):
+    rig, points, pixels = seen(rng, 1000, around(count=cameras))
+    wrong, camera = rng.choice(1000, 100, replace=False), rng.integers(0, cameras, 100)
+    angle = rng.uniform(0, 2 * np.pi, 100)
+    pixels[camera, wrong] += rng.uniform(6, 40, 100)[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    found = triangulate(rig, pixels, SURE)
+    status = found.status[wrong]
+    assert (np.delete(found.status, wrong) == MarkStatus.TRIANGULATED).all()
+    named = status == MarkStatus.OUTLIER_LEFT_OUT
+    assert np.mean(named) > (0.8 if cameras == 3 else 0.95)
+    assert (status[~named] == MarkStatus.CONTRADICTORY).all()  # along the other cameras' epipolar lines: undecidable
+    assert not found.used[camera[named], wrong[named]].any()
+    assert (found.used[:, wrong[named]].sum(axis=0) == cameras - 1).all()
+    assert off(found, points, wrong[named]).max() < 25
+    assert (found.residual[camera[named], wrong[named]] > 4).all()
+    assert np.isnan(found.position[wrong[~named]]).all() and np.isnan(found.covariance[wrong[~named]]).all()
+
+
+@pytest.mark.thorough
+def test_two_outliers_of_five(rng):
+    rig, points, pixels = seen(rng, 40, around(count=5))
+    pixels[0] += [15, 8]
+    pixels[3] += [-9, 21]
+    found = triangulate(rig, pixels, SURE)
+    named = found.status == MarkStatus.OUTLIER_LEFT_OUT
+    assert named.mean() > 0.8
+    assert not found.used[np.ix_([0, 3], named)].any() and found.used[np.ix_([1, 2, 4], named)].all()
+    assert off(found, points, named).max() < 25
+
+
+def test_two_labels_that_contradict_each_other(rng):
+    rig, _, pixels = seen(rng, 3, Rig(around().cameras[:2]))
+    pixels[0, 1] += [0, 30]
+    found = triangulate(rig, pixels, SURE)
+    assert found.status.tolist() == [MarkStatus.TRIANGULATED, MarkStatus.CONTRADICTORY, MarkStatus.TRIANGULATED]
+    assert (found.residual[:, 1] > 5).all() and not found.used[:, 1].any() and np.isnan(found.position[1]).all()
+    tolerant = triangulate(rig, pixels, TriangulationOptions(sigma_px=NOISE, threshold=500))
+    assert tolerant.valid.all()
+
+
+def test_few_views_and_parallel_rays(rng):
+    rig, points, pixels = seen(rng, 4)
+    pixels[1:, 0] = np.nan
+    pixels[:, 1] = np.nan
+    found = triangulate(rig, pixels, SURE)
+    assert found.status.tolist() == [MarkStatus.FEW_VIEWS] * 2 + [MarkStatus.TRIANGULATED] * 2
+    assert found.valid.tolist() == [False, False, True, True] and not found.used[:, :2].any()
+    here = rig.cameras[0]
+    beside = replace(here, name="beside", translation=here.translation + [0.5, 0, 0])
+    copies = [replace(camera, name=name) for camera, name in ((here, "c"), (beside, "d"), (here, "e"))]
+    for close in (Rig((here, beside)), Rig((here, beside, *copies))):
+        assert (triangulate(close, close.project(points), SURE).status == MarkStatus.DEGENERATE).all()
+
+
+def test_a_point_behind_the_cameras_is_none():
+    """Rays that diverge meet behind both."""
+    matrix = [[500.0, 0, 320], [0, 500.0, 240], [0, 0, 1]]
+    rig = Rig(tuple(Camera(name, 640, 480, matrix, np.zeros(5), np.eye(3), [x, 0, 0])
+                    for name, x in (("left", 20.0), ("right", -20.0))))
+    found = triangulate(rig, np.array([[[200.0, 240]], [[440.0, 240]]]), SURE)
+    assert found.status.tolist() == [MarkStatus.DEGENERATE]
+
+
+def test_wrong_arguments():
+    for rig, cameras, word in ((Rig(around().cameras[:1]), 1, "two or more"), (around(), 2, "shape")):
+        with pytest.raises(InputError, match=word):
+            triangulate(rig, np.zeros((cameras, 4, 2)))
+    for wrong in ({"sigma_px": 0.0}, {"threshold": -1.0}, {"sigma_px": np.nan}):
+        with pytest.raises(InputError):
+            TriangulationOptions(**wrong)
+
+
+# ---- ribbons
+
+WIDTH = 6.7
+
+
+def ribbon(rng) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(D, V, 3) centre lines near the origin, (D, E, 3, 3) frames, and (D, V, 2, 3) marks on both edges."""
+    vertices = wavy_vertices(rng, count=4, marks=12)
+    vertices = vertices - vertices.mean(axis=1, keepdims=True)
+    frames = twisted_frames(vertices, np.array([0.3, -1.5, 2.0, 0.0]), rng)
+    director = np.concatenate([frames[:, :1, :, 1], frames[:, :-1, :, 1] + frames[:, 1:, :, 1], frames[:, -1:, :, 1]], axis=1)
+    director /= np.linalg.norm(director, axis=-1, keepdims=True)
+    return vertices, frames, np.stack([vertices - WIDTH / 2 * director, vertices + WIDTH / 2 * director], axis=2)
+
+
+def marked(rig: Rig, edges: np.ndarray, noise: float, rng) -> Marks:
+    exact = rig.project(edges)
+    return Marks(tuple(f"pose {d}" for d in range(len(edges))), exact + rng.normal(0, noise, exact.shape), "marks.csv")
+
+
+def observed(rig: Rig, marks: Marks, **labels):
+    return observe(marks, triangulate(rig, marks.pixels.reshape(len(rig.cameras), -1, 2), SURE), **labels)
+
+
+def test_ribbons_get_their_frames(rng):
+    vertices, frames, edges = ribbon(rng)
+    rig = around()
+    rods = observed(rig, marked(rig, edges, 0.0, rng), up=(0, 1, 0), end_distance=np.arange(4.0))
+    found = rods.observations
+    np.testing.assert_allclose(found.vertices, vertices, atol=1e-8)
+    np.testing.assert_allclose(found.frames[..., 0], frames[..., 0], atol=1e-7)
+    # m1 points from left to right. The widths at both ends of an edge turn about it; their mean is its own director.
+    inner = np.sum(found.frames[:, 1:-1, :, 1] * frames[:, 1:-1, :, 1], axis=-1)
+    assert np.degrees(np.arccos(np.clip(inner, -1, 1))).max() < 4
+    assert orthonormality_error(found.frames).max() < 1e-12 and (handedness(found.frames) > 0).all()
+    np.testing.assert_array_equal(found.start_frame, found.frames[:, 0])
+    np.testing.assert_array_equal(found.end_frame, found.frames[:, -1])
+    assert not rods.frames_filled.any() and found.up.tolist() == [0, 1, 0] and found.end_distance.tolist() == [0, 1, 2, 3]
+
+
+def test_a_ribbon_s_uncertainty_matches_the_errors(rng):
+    rig, scores = around(), []
+    for _ in range(10):
+        vertices, _, edges = ribbon(rng)
+        found = observed(rig, marked(rig, edges, NOISE, rng)).observations
+        scores.append(np.mean((found.vertices - vertices) ** 2, axis=-1) / found.sigma**2)
+    assert np.mean(scores) == pytest.approx(1, rel=0.12)
+
+
+def test_missing_edge_marks(rng):
+    vertices, frames, edges = ribbon(rng)
+    rig = around()
+    marks = marked(rig, edges, 0.0, rng)
+    marks.pixels[:, 1, 5, 0] = np.nan  # the left mark of an inner vertex, in all images
+    marks.pixels[1:, 2, 0, 1] = np.nan  # the right mark of the first, in all but one
+    rods = observed(rig, marks)
+    found = rods.observations
+    assert not found.valid[1, 5] and not found.valid[2, 0] and found.valid.sum() == found.valid.size - 2
+    assert np.argwhere(rods.frames_filled).tolist() == [[1, 4], [1, 5], [2, 0]]
+    assert found.start_frame is None and np.shape(found.end_frame) == (4, 3, 3)
+    assert orthonormality_error(found.frames).max() < 1e-12
+    angle = np.arccos(np.clip(np.sum(found.frames[1, 4:6, :, 1] * frames[1, 4:6, :, 1], axis=-1), -1, 1))
+    assert np.degrees(angle).max() < 25
+
+
+def test_an_observation_without_two_vertices_is_named(rng):
+    _, _, edges = ribbon(rng)
+    marks = marked(around(), edges, 0.0, rng)
+    marks.pixels[:, 2, 1:] = np.nan
+    with pytest.raises(InputError, match="pose 2"):
+        observed(around(), marks)
+
+
+# ---- files
+
+HEADER = "observation,camera,mark,u_px,v_px\n"
+
+
+def written(folder, rows, header: str = HEADER):
+    path = folder / "marks.csv"
+    path.write_text(header + "".join(f"{','.join(map(str, row))}\n" for row in rows), encoding="utf-8")
+    return path
+
+
+def test_marks_come_back_in_their_order(tmp_path, rng):
+    rig = around()
+    pixels = rng.uniform(0, 400, (3, 2, 4, 1, 2))
+    pixels[1, 1, 2] = np.nan
+    rows = [(f"take {'ba'[d]}", rig.names[c], v, *pixels[c, d, v, 0].tolist())
+            for d in range(2) for c in range(3) for v in range(4) if np.isfinite(pixels[c, d, v, 0, 0])]
+    marks = read_marks(written(tmp_path, rows[:12] + rows[:11:-1]), rig)
+    assert marks.names == ("take b", "take a") and not marks.is_ribbon
+    np.testing.assert_array_equal(marks.pixels, pixels)
+
+
+def good_rows() -> list[tuple]:
+    return [("a", camera, mark, 100 + 20 * mark, 200.5) for camera in ("cam0", "cam1", "cam2") for mark in range(4)]
+
+
+def changed(row: int, place: int, value) -> list[tuple]:
+    rows = [list(entry) for entry in good_rows()]
+    rows[row][place] = value
+    return rows
+
+
+MARKS = {
+    "unknown camera": (changed(3, 1, "cam9"), "camera: 'cam9' in line 5 .* cam0, cam1, cam2"),
+    "not a number": (changed(2, 3, "left"), "u_px: 'left' in line 4"),
+    "NaN": (changed(2, 4, "nan"), "v_px: 'nan' in line 4"),
+    "empty": (changed(2, 4, ""), "v_px: '' in line 4"),
+    "outside": (changed(5, 3, 1200), "u_px: '1200' in line 7 .* cam1, 640 x 480"),
+    "above": (changed(5, 4, -3), "v_px: '-3' in line 7"),
+    "twice": ([*good_rows(), good_rows()[1]], "mark: '1' in line 14 is there twice .* cam0"),
+    "no mark": (changed(0, 2, "x"), "mark: 'x' in line 2"),
+    "negative mark": (changed(0, 2, -1), "mark: '-1' in line 2"),
+    "plain beside edges": (changed(0, 2, "0L"), "mark: '1' in line 3"),
+    "a gap": ([row for row in good_rows() if row[2] != 2], "mark: 2 is missing"),
+    "one edge only": ([(*row[:2], f"{row[2]}L", *row[3:]) for row in good_rows()], "mark: 0R is missing"),
+    "too few": ([row for row in good_rows() if row[2] < 2], "2 marks"),
+    "no name": (changed(4, 0, ""), "observation: '' in line 6"),
+    "no rows": ([], "holds no rows"),
+}
+
+
+@pytest.mark.parametrize("case", MARKS)
+def test_wrong_marks(tmp_path, case):
+    rows, message = MARKS[case]
+    with pytest.raises(InputError, match=message):
+        read_marks(written(tmp_path, rows), around())
+
+
+def test_wrong_files_of_marks(tmp_path):
+    with pytest.raises(InputError, match="v_px: "):
+        read_marks(written(tmp_path, [("a", "cam0", 0, 1)], "observation,camera,mark,u_px\n"), around())
+    for content, field in ((b"", "observation"), (b"\xff\xfe\x00", "file"),
+                           (b"observation,camera,mark,u_px,v_px\na,b\n", "line 2")):
+        (tmp_path / "bad.csv").write_bytes(content)
+        with pytest.raises(InputError) as caught:
+            read_marks(tmp_path / "bad.csv", around())
+        assert caught.value.field == field
+
+
+def test_labels(tmp_path):
+    path = tmp_path / "labels.csv"
+    path.write_text("observation,end_distance_mm,total_twist_deg\nb,54,-90\na,30,450\nc,1,1\n")
+    labels = read_labels(path, ("a", "b"))
+    assert {name: value.tolist() for name, value in labels.items()} == {"end_distance": [30, 54], "total_twist": [450, -90]}
+    for text, names, message in (("observation,end_distance_mm\na,1\na,2\n", ("a",), "'a' in line 2 is there twice"),
+                                 ("observation,end_distance_mm\na,1\n", ("a", "b"), "no row for 'b'"),
+                                 ("observation,distance\na,1\n", ("a",), "no label"),
+                                 ("observation,end_distance_mm\na,\n", ("a",), "'' in line 2")):
+        path.write_text(text)
+        with pytest.raises(InputError, match=message):
+            read_labels(path, names)
