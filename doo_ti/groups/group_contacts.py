@@ -2,20 +2,7 @@
 
 import taichi as ti
 
-from doo_ti.groups.layout import (
-    EDGE,
-    GIVE,
-    GROUP,
-    MEMBER,
-    MOST_GROWTH,
-    NO_BORDER,
-    NOTABLE_MISS,
-    STIFFNESS_OF_TIES,
-    TIE,
-    TIE_TOLERANCE,
-    VERTEX,
-    group_items,
-)
+from doo_ti.groups import layout
 from doo_ti.groups.ties import Ties
 from doo_ti.physics.algebra import absolute, identity, largest_of
 from doo_ti.physics.number import NUMBERS, device_functions, in_f64, read, write
@@ -40,30 +27,30 @@ class GroupContacts(Ties, SelfContacts):
     @picked
     def items(self, tables):
         edges = tables.rest_length.shape[1]
-        group = group_items(edges, tables.places.shape[1], tables.ties.shape[0], tables.borders.shape[0])
+        group = layout.group_items(edges, tables.places.shape[1], tables.ties.shape[0], tables.borders.shape[0])
         return contact_items(edges, tables.kinds.shape[0]) + pair_items(edges) + group
 
     @picked
     def group(self, rod):
         """That of the group."""
-        return self.own(rod).part(GROUP, pair_items(rod.edges))
+        return self.own(rod).part(layout.GROUP, pair_items(rod.edges))
 
     @picked
     def edge(self, rod, index):
-        return self.group(rod).part(EDGE, len(GROUP) + index * len(EDGE))
+        return self.group(rod).part(layout.EDGE, len(layout.GROUP) + index * len(layout.EDGE))
 
     @picked
     def group_vertex(self, rod, index):
-        return self.edge(rod, rod.edges).part(VERTEX, index * len(VERTEX))
+        return self.edge(rod, rod.edges).part(layout.VERTEX, index * len(layout.VERTEX))
 
     @picked
     def member(self, rod, index):
         """Of the rod ``index``."""
-        return self.group_vertex(rod, rod.edges + 1).part(MEMBER, index * len(MEMBER))
+        return self.group_vertex(rod, rod.edges + 1).part(layout.MEMBER, index * len(layout.MEMBER))
 
     @picked
     def tie(self, rod, index):
-        return self.member(rod, rod.rods).part(TIE, index * len(TIE))
+        return self.member(rod, rod.rods).part(layout.TIE, index * len(layout.TIE))
 
     @picked
     def matrix(self, rod):
@@ -146,7 +133,7 @@ class GroupContacts(Ties, SelfContacts):
 
     def end_round(self, rod, lane, calm, rests, moved):
         """As of one rod; but where ties still miss that the next step closes, it is taken first."""
-        missing = ~self.draws(rod) & (self.miss(rod) > TIE_TOLERANCE)
+        missing = ~self.draws(rod) & (self.miss(rod) > layout.TIE_TOLERANCE)
         return SelfContacts.end_round(self, rod, lane, calm & ~missing, rests & ~missing, moved) | (rests & missing)
 
     def update_forces(self, rod, due):
@@ -155,7 +142,7 @@ class GroupContacts(Ties, SelfContacts):
         change, zero = SelfContacts.update_forces(self, rod, due), 0.0 * rod.total
         self.update_ties(rod, due)
         choose(rod.contacts, due, work=self.friction_work(rod))
-        return largest_of(change, ti.select(due, self.miss(rod) / TIE_TOLERANCE * rod.contacts.tolerance, zero))
+        return largest_of(change, ti.select(due, self.miss(rod) / layout.TIE_TOLERANCE * rod.contacts.tolerance, zero))
 
     # --- into scratch and out of it ---
 
@@ -167,7 +154,7 @@ class GroupContacts(Ties, SelfContacts):
         if tables.touching == 0:
             one.contacts.phase = FINE
         self.load_apart(tables, one, row)
-        stiffness = STIFFNESS_OF_TIES / (scale.total * scale.total * scale.total)
+        stiffness = layout.STIFFNESS_OF_TIES / (scale.total * scale.total * scale.total)
         head.stiffness, head.work, head.unit = stiffness, 0.0, unit
         divisor = stiffness_scale(tables.material, tables.clamp, tables.rods[rod, of.MATERIAL_ROW],
                                   tables.rods[rod, of.CLAMP_ROW])
@@ -200,9 +187,9 @@ class GroupContacts(Ties, SelfContacts):
                 moment = tables.tie_forces[row, t, 3 + k] / tables.clamp[tables.rods[rod, of.CLAMP_ROW], of.TOTAL]
                 largest = ti.max(ti.abs(tables.tie_forces[row, t, k]), ti.abs(moment))
                 most = ti.max(most, largest * (unit * unit) / tables.targets[row, t, 8])
-        bound = MOST_GROWTH * (most + NOTABLE_MISS * scale.total * stiffness)
+        bound = layout.MOST_GROWTH * (most + layout.NOTABLE_MISS * scale.total * stiffness)
         head.bound = ti.select(most > 0.0, bound, 0.0 * bound)
-        head.give = ti.select(most > 0.0, GIVE, NO_BORDER) / stiffness
+        head.give = ti.select(most > 0.0, layout.GIVE, layout.NO_BORDER) / stiffness
 
     def load_apart(self, tables, one, row):
         """Which edges may touch; and no edge ends where a rod begins, so that none sags there."""

@@ -10,20 +10,11 @@ from doo_ti.contact.itself import LEAST_ARC, Itself, smallest_of_pairs
 from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupTables
 from doo_ti.groups.layout import JOINT_ITEMS
+from doo_ti.relaxation import input_tables
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.bows import projectable
 from doo_ti.relaxation.clamp_table import INFEASIBLE, STRAIGHT, clamp_table
 from doo_ti.relaxation.contact_table import DEEPEST_STEP, contact_table, require_margin
-from doo_ti.relaxation.input_tables import (
-    bending_range,
-    check_material,
-    check_shapes,
-    clamp_kinds,
-    evened_materials,
-    material_table,
-    put_extremes,
-    rest_lengths,
-)
 from doo_ti.relaxation.loading import REFERENCE_LENGTH
 from doo_ti.rod.frames import conjugate, quaternion_product, vertices_from_quaternions
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
@@ -40,11 +31,11 @@ class Member:
     whether a tie draws them there: far ends, and starts that are somewhere else; ``loose`` (N,) one where vertex 0 may move."""
 
     def __init__(self, start: Configuration, material: Material, clamps: Clamps, up: np.ndarray, bodies):
-        check_shapes(start, clamps)
-        check_material(material, start.edges, False)
+        input_tables.check_shapes(start, clamps)
+        input_tables.check_material(material, start.edges, False)
         count = start.count
-        self.lengths = rest_lengths(start)
-        kinds = clamp_kinds(clamps, count)
+        self.lengths = input_tables.rest_lengths(start)
+        kinds = input_tables.clamp_kinds(clamps, count)
         self.held = kinds >= Clamp.POSITION
         self.clamp, found = clamp_table(start, self.lengths, kinds, clamps)
         self.feasible = found != INFEASIBLE
@@ -59,7 +50,7 @@ class Member:
         fixed = self.held[:, 0] & ~away
         self.begin[fixed] = self.places[fixed, 0]
         self.loose = 1.0 - fixed
-        self.material = _edge_by_edge(material_table(material, start.edges), start.edges)
+        self.material = _edge_by_edge(input_tables.material_table(material, start.edges), start.edges)
 
     @property
     def free(self) -> np.ndarray:
@@ -96,7 +87,7 @@ class Member:
 
 def _bending_range(along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(-, E) each, the smaller and the larger bending stiffness of every edge of ``along`` (-, E, STIFFNESS_COLUMNS)."""
-    return bending_range(along[..., of.BEND], along[..., of.BEND + 1], along[..., of.BEND + 2])
+    return input_tables.bending_range(along[..., of.BEND], along[..., of.BEND + 1], along[..., of.BEND + 2])
 
 
 def _edge_by_edge(table: np.ndarray, edges: int) -> np.ndarray:
@@ -233,8 +224,8 @@ def evened_group(table: GroupTables, most: float) -> tuple[GroupTables, np.ndarr
     for first, end in zip(np.append(0, ends[:-1] + 1), ends, strict=True):
         own = along[:, first:end]
         head = material[:, : of.STIFFNESS].copy()
-        put_extremes(head, _bending_range(own), own[..., of.TWIST])
-        even, uneven = evened_materials(np.concatenate([head, own.reshape(len(own), -1)], axis=1), most)
+        input_tables.put_extremes(head, _bending_range(own), own[..., of.TWIST])
+        even, uneven = input_tables.evened_materials(np.concatenate([head, own.reshape(len(own), -1)], axis=1), most)
         own[...] = even[:, of.STIFFNESS:].reshape(own.shape)
         heads.append(even[:, : of.STIFFNESS])
         changed |= uneven
