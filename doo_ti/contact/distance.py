@@ -19,8 +19,7 @@ from doo_ti.physics.tuples import chosen, dot, minus, plus, products, put_lane, 
 
 COLUMNS = Layout(point=3, axis_1=3, axis_2=3, axis_3=3, axes=("axis_1", 9), sizes=3, depth=1, friction=1)
 """Of an obstacle, in the order of :mod:`doo_ti.contact.obstacles`."""
-TINY = 1e-20
-"""Below all squares of distances, against division by zero on an axis."""
+TINY = 1e-20  # below all squares of distances, against division by zero on an axis
 
 
 @traced

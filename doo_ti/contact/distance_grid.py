@@ -20,18 +20,13 @@ from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError, real_array, require_number
 from doo_ti.system.files import read_content
 
-HEADER = 4
-"""Numbers that a grid has in front of all coefficients: where its own begin, and how many there are along each axis."""
+HEADER = 4  # numbers that a grid has in front of all coefficients: where its own begin, and how many there are along each axis
 SIXTH = 1.0 / 6.0
 MOST_POINTS = 8_000_000
-CHUNK = 20_000
-"""Points whose distances are computed at a time."""
-FORMATS = (".stl", ".ply", ".obj")
-"""trimesh reads more: archives, which it unpacks, and files that name others."""
-STL_HEADER, STL_TRIANGLE = 84, 50
-"""Bytes of a binary STL file."""
-MARGIN, MARGIN_SPACINGS = 0.1, 2.0
-"""Of the surface's largest size, and besides so many spacings: grid around it."""
+CHUNK = 20_000  # points whose distances are computed at a time
+FORMATS = (".stl", ".ply", ".obj")  # trimesh reads more: archives, which it unpacks, and files that name others
+STL_HEADER, STL_TRIANGLE = 84, 50  # bytes of a binary STL file
+MARGIN, MARGIN_SPACINGS = 0.1, 2.0  # of the surface's largest size, and besides so many spacings: grid around it
 
 
 @typed

@@ -10,12 +10,9 @@ from numpy.typing import ArrayLike
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.system.arguments import typed
 
-ITSELF = -1
-"""Its kind. Kernels do not meet it: they have a code of their own for it."""
-LEAST_ARC = np.pi
-"""Radii: parts of a rod with less of it between them do not touch, since it cannot bend that much."""
-PAIRS_AT_ONCE = 2_000_000
-"""Of edges, whose distances are measured together."""
+ITSELF = -1  # its kind. Kernels do not meet it: they have a code of their own for it.
+LEAST_ARC = np.pi  # radii: parts of a rod with less of it between them do not touch, since it cannot bend that much
+PAIRS_AT_ONCE = 2_000_000  # of edges, whose distances are measured together
 
 
 @typed

@@ -5,12 +5,9 @@ import numpy as np
 from doo_ti.contact.distance_grid import DistanceGrid
 from doo_ti.contact.obstacles import BOX, CAPSULE, CYLINDER, PLANE, Obstacle
 
-AROUND, ALONG = 48, 24
-"""Vertices around an axis, and along a round profile."""
-CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-"""Of a box, over half its size."""
-WIDER = 0.6
-"""Of the size of the scene: half the side of the square that stands for a plane."""
+AROUND, ALONG = 48, 24  # vertices around an axis, and along a round profile
+CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])  # of a box, over half its size
+WIDER = 0.6  # of the size of the scene: half the side of the square that stands for a plane
 
 
 def mesh(obstacle: Obstacle, row: int, centre: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray]:

@@ -66,8 +66,7 @@ from doo_ti.system.files import read_content, write_whole
 
 KINDS = {kind.__name__.lower(): kind for kind in (Plane, Sphere, Capsule, Cylinder, Ring, Box, Itself)} | {"grid": DistanceGrid}
 GRID_KEYS = ("values", "spacing", "origin")
-MOST_POSES = 1_000_000
-"""Moving obstacles times instants of the motion."""
+MOST_POSES = 1_000_000  # moving obstacles times instants of the motion
 _TYPES = {(): Finite, (3,): Vector, (3, 3): Rotation}
 
 

@@ -117,10 +117,8 @@ def _rows(name: str, value, shape: tuple[int, ...], instants: int) -> np.ndarray
     return found if found.ndim > least else found[None]
 
 
-PLACES = 8
-"""Of an edge, both ends included, at which its gap is measured."""
-SHALLOW, MOST_STEPS = 0.5, 10_000
-"""Of a radius; and the most steps that are taken for it."""
+PLACES = 8  # of an edge, both ends included, at which its gap is measured
+SHALLOW, MOST_STEPS = 0.5, 10_000  # of a radius; and the most steps that are taken for it
 
 
 def obstacle_list(source: str, obstacles: Iterable[Obstacle | Moving], moving: bool = False) -> list[Obstacle | Moving]:

@@ -16,10 +16,8 @@ GAP_TOLERANCE_OF_OBSTACLES = 1e-5
 """The same in ``relax`` of rods that may touch obstacles only, whose forces settle with the steps and so at little cost."""
 GAP_TOLERANCE_IN_MOTION = 4e-5
 """The same of rods in motion that may touch obstacles only: a gap that closes lifts the rod, which costs energy."""
-LEAST, MOST = 1e-10, 0.1
-"""What may be given; smaller ones are below rounding."""
-HELD = 0.999
-"""A contact is said to stick while its friction is below that share of the coefficient times its force."""
+LEAST, MOST = 1e-10, 0.1  # what may be given; smaller ones are below rounding
+HELD = 0.999  # a contact is said to stick while its friction is below that share of the coefficient times its force
 
 
 def gap_tolerance(given: float | None, itself: bool, in_motion: bool) -> float:

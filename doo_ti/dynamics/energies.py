@@ -17,13 +17,11 @@ from doo_ti.rod.frames import conjugate, quaternion_of_turn, quaternion_product,
 from doo_ti.rod.types import Material, Status
 from doo_ti.system.errors import InputError
 
-STORED = ("kinetic", "gravity", "bending", "twist", "springs", "loads")
-"""Parts of the energy that a rod has at an instant."""
+STORED = ("kinetic", "gravity", "bending", "twist", "springs", "loads")  # parts of the energy that a rod has at an instant
 FLOWS = ("drag", "bend_damping", "twist_damping", "contact", "work")
 """What has been dissipated since the start, by what, and the grippers' work on the rod since then. Contact takes what friction
 and impacts do, less the work of obstacles that move."""
-SMALL_TURN = 1e-5
-"""rad, for differences of the strains."""
+SMALL_TURN = 1e-5  # rad, for differences of the strains
 TURNS = quaternion_of_turn(SMALL_TURN * np.repeat(np.eye(3), 2, axis=0) * np.tile([1.0, -1.0], 3)[:, None])
 """By that about each axis, forwards and backwards."""
 

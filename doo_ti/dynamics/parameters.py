@@ -16,12 +16,9 @@ GRAVITY = 1e3 * STANDARD_GRAVITY
 """mm/s²: a rod of weight μ = 1 has the mass per length 2/GRAVITY in the package's units, for which its weight is 2."""
 
 
-RATES = {"euler": 1.0, "bdf2": 1.5}
-"""Schemes, with a of their time derivative D u = (a/h) (u − y)."""
-LEAST_RATE, MOST_RATE = 1e-9, 1e7
-"""Instants per second."""
-LEAST_WAY = 1 / 8
-"""Of the way to the next instant: the shortest quasi-static step, where longer ones fail."""
+RATES = {"euler": 1.0, "bdf2": 1.5}  # schemes, with a of their time derivative D u = (a/h) (u − y)
+LEAST_RATE, MOST_RATE = 1e-9, 1e7  # instants per second
+LEAST_WAY = 1 / 8  # of the way to the next instant: the shortest quasi-static step, where longer ones fail
 
 
 def vertex_lengths(rest_length: np.ndarray) -> np.ndarray:

@@ -23,14 +23,11 @@ from doo_ti.rod.frames import bishop_frames, edge_frames, quaternion_from_matrix
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
 from doo_ti.system.errors import InputError, require_whole
 
-LARGEST_REACH = 0.999
-"""Share of the rod's length between grippers, at most: beyond, the far gripper is moved back."""
+LARGEST_REACH = 0.999  # share of the rod's length between grippers, at most: beyond, the far gripper is moved back
 FIT_STIFFNESS = 0.01
 """Of a rod that is fitted to markers, over that of the springs to them and the cube of an edge: it hardly resists."""
-SMOOTHED = 0.09
-"""s, over which recordings among obstacles are smoothed."""
-NUMBERS_AT_ONCE = 16_000_000
-"""Numbers of positions that a simulation returns."""
+SMOOTHED = 0.09  # s, over which recordings among obstacles are smoothed
+NUMBERS_AT_ONCE = 16_000_000  # numbers of positions that a simulation returns
 
 
 def require_smoothing(source: str, field: str, frames: int) -> None:

@@ -26,8 +26,7 @@ from doo_ti.rod.types import Clamp, Configuration, Material, Status, unit_up
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
 
-NUMBERS_AT_ONCE = 32_000_000
-"""Numbers of positions that a launch writes."""
+NUMBERS_AT_ONCE = 32_000_000  # numbers of positions that a launch writes
 
 
 @typed

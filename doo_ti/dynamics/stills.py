@@ -18,10 +18,8 @@ from doo_ti.rod.types import Clamps, Configuration, Material, Solution
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
 
-MOST_STRETCH = 0.1
-"""By which the length of a rod in stills may differ from that in motion."""
-LEAST_ACROSS = 0.2
-"""Of the roll reference, a unit vector: its part across the first edge of a still without a frame."""
+MOST_STRETCH = 0.1  # by which the length of a rod in stills may differ from that in motion
+LEAST_ACROSS = 0.2  # of the roll reference, a unit vector: its part across the first edge of a still without a frame
 
 
 @typed

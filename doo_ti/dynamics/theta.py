@@ -15,8 +15,7 @@ from doo_ti.system.arguments import owning, short_repr, typed
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import MOST_TEXT_BYTES, read_content
 
-FRICTION = "friction"
-"""Its name in a file, where one may be left out."""
+FRICTION = "friction"  # its name in a file, where one may be left out
 FILE_KEYS = {"bend": "bend_mm3", "twist_ratio": "twist_ratio", "bend_damping": "bend_damping_s", "drag": "drag_per_s",
              "quadratic_drag": "quadratic_drag_per_mm", "marker_share": "marker_share"}
 """Numbers of Θ and their names in a file."""
@@ -148,8 +147,7 @@ class Unknowns:
     SIZES = {"bend_damping": 0.03, "drag": 0.3, "quadratic_drag": 1e-4, "marker_share": 0.3, "twist_ratio": 1.0,
              "friction": 0.3}
     """The change of a parameter for a change of one in its entry of p."""
-    CURVATURE = 1e-3
-    """The same for the coefficients of the rest curvature, 1/mm."""
+    CURVATURE = 1e-3  # the same for the coefficients of the rest curvature, 1/mm
 
     def __init__(self, begin: MotionTheta, modes: int, fitted: tuple[str, ...]):
         self.begin, self.modes, self.fitted = begin, modes, tuple(fitted)

@@ -20,8 +20,7 @@ from doo_ti.rod.frames import conjugate, quaternion_product, vertices_from_quate
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
 from doo_ti.system.errors import InputError
 
-AT_ITS_CLAMP = 1e-8
-"""Of a rod's length: a start no further from its clamp is there."""
+AT_ITS_CLAMP = 1e-8  # of a rod's length: a start no further from its clamp is there
 
 
 class Member:

@@ -42,8 +42,7 @@ GIVE, NO_BORDER = 1e-8, 1e8
 MOST_GROWTH, NOTABLE_MISS = 10.0, 1e-2
 """By steps forces of ties grow to at most so many times the largest at the end of such a round, and what κ makes of a miss of
 that share of the length."""
-TIE_TOLERANCE = 1e-10
-"""Of the longest rod: how far tied points may be apart."""
+TIE_TOLERANCE = 1e-10  # of the longest rod: how far tied points may be apart
 
 
 @picked

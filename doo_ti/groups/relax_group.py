@@ -89,8 +89,7 @@ class GroupSolution:
 class AtRest:
     """What the groups of a relaxation have besides their energy at rest: nothing. :class:`.MovingGroups` have inertia."""
 
-    moves = False
-    """Whether this is a time step."""
+    moves = False  # whether this is a time step
 
     def stiffened(self, group: Group) -> Group:
         """The groups as they are relaxed."""

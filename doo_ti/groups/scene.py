@@ -39,13 +39,10 @@ from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line
 
 MOST_MOMENTS, MOST_EDGES, MOST_POINTS = 100_000, 1000, 10_000
-MOST_OF_ALL = 2000
-"""Edges of all rods: the memory of their Newton system grows with the square, to half a gigabyte."""
-MOST_HELD = 200_000
-"""Rods times moments."""
+MOST_OF_ALL = 2000  # edges of all rods: the memory of their Newton system grows with the square, to half a gigabyte
+MOST_HELD = 200_000  # rods times moments
 SAME_UNIT = 1e-6
-SAMPLES = 40
-"""Of a curve, for each edge of the rod along it."""
+SAMPLES = 40  # of a curve, for each edge of the rod along it
 
 
 @dataclass(frozen=True)

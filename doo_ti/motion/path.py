@@ -23,12 +23,9 @@ from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution, s
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
 
-LARGEST_TURN = np.radians(5.0)
-"""rad, of a clamp in one sub-step."""
-SHIFT_PER_TURN = 0.2
-"""Largest shift of a clamp in one sub-step, as a share of the rod's length, per radian of its largest turn."""
-MOST_STEPS = 100_000
-"""Sub-steps of a motion."""
+LARGEST_TURN = np.radians(5.0)  # rad, of a clamp in one sub-step
+SHIFT_PER_TURN = 0.2  # largest shift of a clamp in one sub-step, as a share of the rod's length, per radian of its largest turn
+MOST_STEPS = 100_000  # sub-steps of a motion
 
 
 @typed

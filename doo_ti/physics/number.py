@@ -166,8 +166,7 @@ class Layout:
         return self.places[name][0]
 
 
-NUMBERS = Layout(one=1, two=("one", 2), three=("one", 3), four=("one", 4))
-"""Of numbers without names: the first ones."""
+NUMBERS = Layout(one=1, two=("one", 2), three=("one", 3), four=("one", 4))  # of numbers without names: the first ones
 
 
 class _Stored(tuple):

@@ -33,12 +33,9 @@ from doo_ti.system import runtime
 # Columns of a try: the number of half waves; whether it lies aside; to which side; the largest slope, rad; and one where the
 # way from the straight line is followed.
 HALF_WAVES, ASIDE, SIGN, SLOPE, FOLLOWED, TRY_COLUMNS = 0, 1, 2, 3, 4, 5
-MIDWAY = 0.4
-"""Of a bow's slope: the shape through which its way from the straight line is followed."""
-PLACES = 8
-"""Of an edge, and of the way of a vertex, that are to be outside all obstacles."""
-FROM_THERE = 0.9
-"""A vertex may always come as near to an obstacle as that share of its distance at the start of its way."""
+MIDWAY = 0.4  # of a bow's slope: the shape through which its way from the straight line is followed
+PLACES = 8  # of an edge, and of the way of a vertex, that are to be outside all obstacles
+FROM_THERE = 0.9  # a vertex may always come as near to an obstacle as that share of its distance at the start of its way
 NONE = -1
 
 
@@ -169,16 +166,11 @@ def bow_kernel(kinds: frozenset[int], block: int):
 DOWN, SIDEWAYS, UPRIGHT = (False, 1.0), ((True, 1.0), (True, -1.0)), (False, -1.0)
 """Directions of a bow: whether it lies aside, perpendicular to the plane of the first, and to which side. An upright arch would
 have to fall over."""
-NUMBERS = (1, 2, 3, 4, 6, 8, 12, 16)
-"""Of half waves."""
-EDGES_OF_A_HALF_WAVE = 3
-"""At least."""
-SLIGHT = 0.2
-"""rad: the slope of a bow where there is no room for a wide one."""
-STEEPEST = 2.2
-"""rad: the slope of a bow at its ends; steeper ones cross themselves."""
-STEEP = 1e-3
-"""The sine of the angle between a rod and the vertical, below which its first bow goes along a director."""
+NUMBERS = (1, 2, 3, 4, 6, 8, 12, 16)  # of half waves
+EDGES_OF_A_HALF_WAVE = 3  # at least
+SLIGHT = 0.2  # rad: the slope of a bow where there is no room for a wide one
+STEEPEST = 2.2  # rad: the slope of a bow at its ends; steeper ones cross themselves
+STEEP = 1e-3  # the sine of the angle between a rod and the vertical, below which its first bow goes along a director
 SERIES, NEWTON_ROUNDS = 9, 6
 MOST_THREADS = 4096
 

@@ -37,8 +37,7 @@ bent                before eliminating, curvature and twist where the edge ends
 pivots              the factors of the diagonal block"""
 GENERAL = Layout(bend=3, twist=1, rest=2, shift_shares=2)
 """β and ω̄ are those of the vertex where the edge begins; shares of a spin and of a tilt."""
-FORCE = Layout(force_border=9)
-"""Of the columns of the multiplier under an external energy."""
+FORCE = Layout(force_border=9)  # of the columns of the multiplier under an external energy
 
 
 @cache
@@ -56,8 +55,7 @@ def rod_layout(external_start: Layout | None = None) -> Layout:
 
 STAND_INS = {"start": "frames", "numbers": "material", "field": "material", "kinds": "rods", "grids": "material"}
 """What stands in for an array that a kernel does not take: Taichi's functions must be given one, and nothing reads it."""
-EASILY_TWISTED = 1e-2
-"""β over α, below which twisting is much easier than bending."""
+EASILY_TWISTED = 1e-2  # β over α, below which twisting is much easier than bending
 
 
 @device_functions

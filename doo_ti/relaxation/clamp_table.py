@@ -34,8 +34,7 @@ TAUT_SLACK = 1e-7
 ROUNDING = 1e-12
 # The square of the difference of two tangents, below which a rod may be straight.
 ALIKE = 1e-4
-FEW = 512
-"""Up to so many starts are read on the caller's thread: to wake another takes as long."""
+FEW = 512  # up to so many starts are read on the caller's thread: to wake another takes as long
 
 
 @ti.func

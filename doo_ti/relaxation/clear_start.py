@@ -21,12 +21,10 @@ from doo_ti.rod.material import Material
 from doo_ti.rod.types import Status
 
 ROUNDS = 24
-PUSHING, HOLDING = 100.0, 1e-2
-"""Stiffness of a spring over B/l³, of a vertex that is inside and of others."""
+PUSHING, HOLDING = 100.0, 1e-2  # stiffness of a spring over B/l³, of a vertex that is inside and of others
 CLEARANCE, FURTHER = 1.05, 0.5
 """Radii from the centreline to an obstacle to which vertices are pulled, and how many more in each round."""
-LEAST = 0.1
-"""Radii: a centreline that is so far outside is clear."""
+LEAST = 0.1  # radii: a centreline that is so far outside is clear
 
 
 def move_out(table: Tables, frames: np.ndarray, results: np.ndarray) -> np.ndarray:

@@ -27,10 +27,8 @@ from doo_ti.relaxation.loading import Loading, length_unit
 from doo_ti.relaxation.parameter_gradient import KEPT
 from doo_ti.relaxation.sensitivity_columns import SensitivityColumns
 
-STIFF = 1e6
-"""κ over the stiffness B/l³ of the shortest edge."""
-LEAST_FORCE = 1e-6
-"""Of the force to expect of a contact: one that bears less does not count."""
+STIFF = 1e6  # κ over the stiffness B/l³ of the shortest edge
+LEAST_FORCE = 1e-6  # of the force to expect of a contact: one that bears less does not count
 
 
 class Kept(Nothing):

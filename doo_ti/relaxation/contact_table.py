@@ -51,8 +51,7 @@ EDGE = Layout(
 """between  derivatives of the energy of the contacts of one edge between its ends, as :meth:`.LoadedElimination.load` has them
 excesses  how much of the first two is not of known forces
 end       derivatives by the place of the vertex where the edge ends of the energy of the contacts there"""
-CONTACTS = ROD + SUMS + STEP + EDGE
-"""Of a rod; its obstacles follow, and then its vertices."""
+CONTACTS = ROD + SUMS + STEP + EDGE  # of a rod; its obstacles follow, and then its vertices
 CARRIED_ON = tuple(map(CONTACTS.at, ("first_stiffness", "stiffness", "largest", "way", "work")))
 """Numbers of a rod that last from one launch of a motion to the next."""
 OBSTACLE = COLUMNS + Layout(turn=4, shift=3, pose=("turn", 7), turn_before=4, shift_before=3,
@@ -112,28 +111,22 @@ PAIR_REMEMBERED, PAIR_CARRIED = PAIR.at("distance"), PAIR.at("places")
 ROUNDED = 2e-3
 """Squared radii by which a place on an edge is drawn to the middle of the edge, so that the nearest places of parallel edges
 are unique: a distance of two radii becomes larger by at most 2.5e-4 of a radius."""
-REACH = 3.0
-"""Radii between centrelines: within them the nearest places of two edges are computed."""
-DEEPEST_STEP = 0.1
-"""Radii between centrelines: no step brings two edges nearer."""
-LEAST_DISTANCE = 1e-3
-"""Radii: a start whose centreline is nearer to itself does not say which side is which."""
+REACH = 3.0  # radii between centrelines: within them the nearest places of two edges are computed
+DEEPEST_STEP = 0.1  # radii between centrelines: no step brings two edges nearer
+LEAST_DISTANCE = 1e-3  # radii: a start whose centreline is nearer to itself does not say which side is which
 
 # --- the numbers that rounds and steps go by ---
 
-ROUGH, FINE = 1.0, 0.0
-"""Phases of a rod: rounds to a rough tolerance of its moments, and rounds to the final one."""
+ROUGH, FINE = 1.0, 0.0  # phases of a rod: rounds to a rough tolerance of its moments, and rounds to the final one
 
-SEARCHES = 48
-"""Evaluations, at most, to find the point of an edge that is nearest to an obstacle."""
+SEARCHES = 48  # evaluations, at most, to find the point of an edge that is nearest to an obstacle
 EVEN = 1e-5
 """Of a radius: that times (s − ½)² is added to φ along an edge, s from 0 to 1, so that an edge that lies flat on a face has one
 nearest point, which moves continuously. Gaps are off by at most a quarter of it."""
 BENDING_LOADS, LOOP_LOADS = 20.0, 200.0
 """The forces to expect are the weight of an edge and so many B/L²; more where rods touch themselves, which are bent to loops.
 With 20 there, too, loops are pressed so far into each other that a knot slips over an end of its rod."""
-SOFT = 0.1
-"""Of a radius: at first κ gives way by that under such a force."""
+SOFT = 0.1  # of a radius: at first κ gives way by that under such a force
 PRESSED_IN = 0.3
 """Of a radius: the most by which κ gives way under the largest force at the end of a round, so that forces end where contact
 does, and what a step may press in beyond a closed gap. Of the way to the middle of an obstacle: the most by which κ first gives
@@ -148,10 +141,8 @@ leaves more than the share SLOW of the change of the round before, and where a r
 STIFFEST times the first κ; it shrinks by it where a step is refused a second time elsewhere. A force that is larger than
 STIFFEST times the first κ and the radius means that the rod cannot get out of an obstacle. Viscosity that eases a step grows by
 STIFFER where a step with it fails, else shrinks by that."""
-CLOSE = 4.0
-"""Radii: what is further from an obstacle than that, and half an edge, is not close."""
-ROUGHER = 3e-3
-"""The residual to reach until the forces of contacts have settled."""
+CLOSE = 4.0  # radii: what is further from an obstacle than that, and half an edge, is not close
+ROUGHER = 3e-3  # the residual to reach until the forces of contacts have settled
 
 SHORTENED, PART, SHIFT_GROWTH = 0.8, 0.3, 10.0
 """A step of which a smaller share than SHORTENED was taken does not make the shift smaller; the part of it that is tried after

@@ -7,8 +7,7 @@ from doo_ti.physics.factors import factor_in_turn
 from doo_ti.physics.number import NUMBERS, device_functions
 from doo_ti.physics.tuples import minus, plus, repeated, scaled, traced, variable
 
-COLUMNS = 4
-"""Of the right-hand side: that of the step and the three of closure."""
+COLUMNS = 4  # of the right-hand side: that of the step and the three of closure
 
 
 @traced

@@ -133,8 +133,7 @@ def _row_numbers(name: str, value, function: str) -> np.ndarray:
 UNEVEN = MOST_SHIFT
 """Of the largest stiffness of a rod to its smallest, above which it is relaxed with evener ones first (:func:`evened`): up to
 there no shift is limited (:meth:`.Loading.shift_share`)."""
-RATIOS = (1e2, 1e4, 1e6, 1e8)
-"""Of their stiffness then, one after the other."""
+RATIOS = (1e2, 1e4, 1e6, 1e8)  # of their stiffness then, one after the other
 
 
 def tables(

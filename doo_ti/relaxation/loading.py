@@ -9,8 +9,7 @@ from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.newton_policy import MOST_SHIFT
 
-REFERENCE_LENGTH = 99.0
-"""mm: rods of about this length are computed in mm, others in units in which they have it."""
+REFERENCE_LENGTH = 99.0  # mm: rods of about this length are computed in mm, others in units in which they have it
 
 # Entries of a launch's queue: the next rod that is not yet taken, the trips of all packs, and from LANES on every lane's rod.
 NEXT, TRIPS, LANES = 0, 1, 2

@@ -103,10 +103,8 @@ def pair_block(own, other, seen, push, stiffness) -> tuple:
     return tuple(block)
 
 
-WAY = Layout(before=3, after=3, arc=1)
-"""Of a vertex: its place before and after, and the length of rod up to it."""
-ENOUGH = 1e-3
-"""Radii, nearer than which two edges touch."""
+WAY = Layout(before=3, after=3, arc=1)  # of a vertex: its place before and after, and the length of rod up to it
+ENOUGH = 1e-3  # radii, nearer than which two edges touch
 
 
 @ti.func

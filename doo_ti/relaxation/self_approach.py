@@ -35,17 +35,13 @@ from doo_ti.relaxation.pair_distance import ENOUGH, WAY, ClosestApproach, least_
 from doo_ti.relaxation.tables import Tables
 from doo_ti.system import runtime
 
-APART, TOUCHING, TURNED = 0, 1, 2
-"""Flags: a rod stays apart from itself, may touch itself, or does not but its link changes."""
-START, ROD = 0, 1
-"""Columns of a rod's rows: among starts, and among rods."""
+APART, TOUCHING, TURNED = 0, 1, 2  # flags: a rod stays apart from itself, may touch itself, or does not but its link changes
+START, ROD = 0, 1  # columns of a rod's rows: among starts, and among rods
 RADIUS, NEAR, ARC_BETWEEN, LIMITS = 0, 1, 2, 3
 """Of a rod, mm: its radius, the distance at which two places touch, and the rod between any two edges that count."""
 BLOCKS = 8
-ROUNDING = 1e-5
-"""Of a rod's length, by which f32 may be off."""
-BENT = 0.25
-"""Of the largest way of a vertex from frame to frame, by which places may be off the straight way."""
+ROUNDING = 1e-5  # of a rod's length, by which f32 may be off
+BENT = 0.25  # of the largest way of a vertex from frame to frame, by which places may be off the straight way
 
 
 @device_functions

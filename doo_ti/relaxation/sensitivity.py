@@ -141,8 +141,7 @@ def alone(function: str, solution: Solution) -> Solution:
 CURVATURES = ("rest_curvature", "rest_curvature_per_joint", "modes")
 GRIPPERS = ("start_shift", "start_turn", "end_shift", "end_turn")
 OF_CLAMPS = ("length", *GRIPPERS)
-CLOSED = 2e-3
-"""Of a radius: two parts of a rod that are nearer to each other touch."""
+CLOSED = 2e-3  # of a radius: two parts of a rod that are nearer to each other touch
 PARAMETERS = ("bend", "bend_1", "bend_2", "bend_12", "twist", "weight", "up", "gravity", *CURVATURES, *OF_CLAMPS)
 
 

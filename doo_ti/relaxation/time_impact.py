@@ -12,10 +12,8 @@ from doo_ti.physics.quaternion import tangent
 from doo_ti.physics.tuples import choose, dot, minus, plus, record, scaled, variable
 from doo_ti.relaxation.time_sweep import TimeSweep
 
-LEAVING = 5.0
-"""Tolerances of a gap: a vertex that an obstacle pushes may leave it in a step by no more."""
-IMPACT = 1e-3
-"""Of the kinetic energy, and more than open gaps make of the weight: a larger rise of the energy means an impact."""
+LEAVING = 5.0  # tolerances of a gap: a vertex that an obstacle pushes may leave it in a step by no more
+IMPACT = 1e-3  # of the kinetic energy, and more than open gaps make of the weight: a larger rise of the energy means an impact
 SLIGHT = {32: 1e-5, 64: 1e-12}
 """By bits, of the kinetic energy and of the rod's weight times its radius: what counts as no rise."""
 

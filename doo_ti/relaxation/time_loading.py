@@ -27,8 +27,7 @@ POSE_SHIFT, POSE_COLUMNS = 4, 7
 # Columns of the clamps at an instant: the point the chain hangs from, the far point from there, mm, the first and last frame,
 # and one where all that is as it was at the instant before.
 PATH_ANCHOR, PATH_TARGET, PATH_ENDS, PATH_STILL, PATH_COLUMNS = 0, 3, 6, 14, 15
-BOWED = 4
-"""Of a step: its rod was straight and is bowed (after the findings of :mod:`.clamp_table`)."""
+BOWED = 4  # of a step: its rod was straight and is bowed (after the findings of :mod:`.clamp_table`)
 
 
 @device_functions

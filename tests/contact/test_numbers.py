@@ -15,8 +15,7 @@ pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[2]
 NUMBERS = [name for name, value in vars(contact_table).items() if isinstance(value, float)
            and name not in ("ROUGH", "FINE", "GAP_TOLERANCE")]
-BOUNDED = {"SHORTENED"}
-"""Shares near one: doubled, half of what they are short of it."""
+BOUNDED = {"SHORTENED"}  # shares near one: doubled, half of what they are short of it
 RODS = """
 import importlib, json, sys
 module, name, value = sys.argv[1:]

@@ -13,8 +13,7 @@ from tests.contact.clutter import OBSTACLES, RADIUS, sagging
 from tests.references.rods import clamps_at
 from tests.relaxation.rods import with_kinds
 
-SHARP = Newton(tolerance=1e-11, max_iterations=2000, gap_tolerance=1e-10)
-"""So that differences of rods relaxed twice are exact."""
+SHARP = Newton(tolerance=1e-11, max_iterations=2000, gap_tolerance=1e-10)  # so that differences of rods relaxed twice are exact
 UP = np.array([0.1, 0.05, 1.0]) / np.linalg.norm([0.1, 0.05, 1.0])
 LOADS = ("start_force", "start_moment", "end_force", "end_moment")
 

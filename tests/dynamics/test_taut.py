@@ -136,8 +136,7 @@ def test_predictions_with_inertia_follow_a_gripper_out_of_taut():
     assert np.abs(found.vertices[:, 0, -1] - end[:, 0]).max() < 1e-9
 
 
-ASIDE = np.radians(60.0)
-"""Of a rod that is let go, from hanging straight down."""
+ASIDE = np.radians(60.0)  # of a rod that is let go, from hanging straight down
 
 
 def aside(length: float, edges: int, count: int = 1) -> Configuration:

@@ -207,8 +207,7 @@ def test_wrong_groups_are_one_line():
 
 
 FREE = (Clamp.FREE, Clamp.FREE)
-MOST = 60
-"""Iterations."""
+MOST = 60  # iterations
 
 
 @pytest.mark.parametrize("end", [(0.0, 0.0, 0.0), (0.0, 0.0, 100.0), (1.0, 0.0, 0.0)])

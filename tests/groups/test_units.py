@@ -14,8 +14,7 @@ from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
 from tests.groups.reference import nearest_equilibrium
 
 TRUNK, BRANCH = {"EI": 1e-4, "GJ": 8e-5, "weight_per_length": 0.6}, {"EI": 2e-6, "GJ": 1e-6, "weight_per_length": 0.05}
-UNIT = 0.25
-"""N/m that the hand-made materials are relative to."""
+UNIT = 0.25  # N/m that the hand-made materials are relative to
 
 
 def by_hand(rod: dict) -> Material:

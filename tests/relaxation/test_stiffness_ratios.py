@@ -16,8 +16,7 @@ from tests.relaxation.rods import wandering, with_kinds
 
 EDGES, LENGTH, SOFT = 24, 240.0, 2e6
 RATIOS = (1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9)
-SHAPE = 1e-4
-"""Of the length: what a converged rod may be off."""
+SHAPE = 1e-4  # of the length: what a converged rod may be off
 
 
 def poses() -> tuple[Configuration, list[Clamps]]:
@@ -117,8 +116,7 @@ def test_the_soft_part_is_resolved_whatever_the_ratio(kind, precision):
 
 SIZED_EDGES, COUNT = 20, 24
 SIZES = (1e-3, 0.1, 3.0, 1e3, 1e4)
-SAME = 2e-4
-"""Of the length."""
+SAME = 2e-4  # of the length
 
 
 def sized(rods: Configuration, clamps: Clamps, size: float) -> tuple[Configuration, Clamps]:
