@@ -39,22 +39,14 @@ def require_smoothing(source: str, field: str, frames: int) -> None:
 
 @dataclass(frozen=True)
 class Layout:
-    """A recorded motion as a simulation begins it: from frames 0 and 1 or, smoothed, from the first few.
+    """A recorded motion as a simulation begins it: from frames 0 and 1 or, smoothed, from the first few."""
 
-    start         R rods at frame 1
-    velocity      (R, V, 3) mm/s there
-    grippers      at every step from frame 1 on, missing frames included
-    steps         (R, T − 1) the step of each frame from 1 on
-    rate          steps per second
-    smoothing     frames that parabolas were fitted through
-    """
-
-    start: Configuration
-    velocity: np.ndarray
-    grippers: Grippers
-    steps: np.ndarray
-    rate: float
-    smoothing: int
+    start: Configuration  # R rods at frame 1
+    velocity: np.ndarray  # (R, V, 3) mm/s there
+    grippers: Grippers  # at every step from frame 1 on, missing frames included
+    steps: np.ndarray  # (R, T − 1) the step of each frame from 1 on
+    rate: float  # steps per second
+    smoothing: int  # frames that parabolas were fitted through
 
     @property
     def velocity_age(self) -> float:

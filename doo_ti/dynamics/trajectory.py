@@ -19,16 +19,11 @@ from doo_ti.system.arguments import short_repr
 
 @dataclass(frozen=True)
 class Detail:
-    """R rods at the start and at F frames; NaN from where a rod failed.
+    """R rods at the start and at F frames; NaN from where a rod failed."""
 
-    quaternions  (R, F + 1, E, 4) frames
-    velocities   (R, F + 1, V, 3) mm/s
-    energies     (R, F + 1) by name, mm²: see :meth:`doo_ti.dynamics.energies.Account.detail`
-    """
-
-    quaternions: np.ndarray
-    velocities: np.ndarray
-    energies: dict[str, np.ndarray]
+    quaternions: np.ndarray  # (R, F + 1, E, 4) frames
+    velocities: np.ndarray  # (R, F + 1, V, 3) mm/s
+    energies: dict[str, np.ndarray]  # (R, F + 1) by name, mm²: see :meth:`doo_ti.dynamics.energies.Account.detail`
 
 
 @dataclass(frozen=True)
