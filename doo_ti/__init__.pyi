@@ -1,5 +1,4 @@
 from doo_ti.contact.distance_grid import DistanceGrid as DistanceGrid
-from doo_ti.contact.itself import Itself as Itself
 from doo_ti.contact.obstacle_file import load_obstacles as load_obstacles
 from doo_ti.contact.obstacles import Box as Box
 from doo_ti.contact.obstacles import Capsule as Capsule
@@ -8,6 +7,7 @@ from doo_ti.contact.obstacles import Obstacle as Obstacle
 from doo_ti.contact.obstacles import Plane as Plane
 from doo_ti.contact.obstacles import Ring as Ring
 from doo_ti.contact.obstacles import Sphere as Sphere
+from doo_ti.contact.surroundings import Itself as Itself
 from doo_ti.contact.surroundings import Moving as Moving
 from doo_ti.contact.surroundings import Surroundings as Surroundings
 from doo_ti.contact.touch import Contacts as Contacts
@@ -23,8 +23,8 @@ from doo_ti.dynamics.parameters import MovingStart as MovingStart
 from doo_ti.dynamics.parameters import Stepping as Stepping
 from doo_ti.dynamics.recorded import RecordedMotion as RecordedMotion
 from doo_ti.dynamics.simulate import simulate as simulate
-from doo_ti.dynamics.stills import Stills as Stills
 from doo_ti.dynamics.theta import MotionTheta as MotionTheta
+from doo_ti.dynamics.theta import Stills as Stills
 from doo_ti.dynamics.theta import load_theta as load_theta
 from doo_ti.dynamics.trajectory import Trajectory as Trajectory
 from doo_ti.groups.follow import follow_group as follow_group

@@ -43,9 +43,8 @@ import msgspec
 import numpy as np
 
 from doo_ti.contact.distance_grid import DistanceGrid
-from doo_ti.contact.itself import Itself
 from doo_ti.contact.obstacles import Box, Capsule, Cylinder, Obstacle, Plane, Ring, Sphere
-from doo_ti.contact.surroundings import Moving, Surroundings
+from doo_ti.contact.surroundings import Itself, Moving, Surroundings
 from doo_ti.io.arrays import read_npz
 from doo_ti.io.toml_file import (
     Finite,

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import numpy as np
 
-from doo_ti.contact.meshes import CORNERS
+from doo_ti.contact.distance_grid import CORNERS
 from doo_ti.contact.obstacles import BOX, GRID, PLANE, Obstacle
 from doo_ti.contact.surroundings import SHALLOW, Moving, Surroundings, about, since_first
 from doo_ti.dynamics.parameters import Stepping

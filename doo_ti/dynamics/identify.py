@@ -16,8 +16,7 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.parameters import Stepping
 from doo_ti.dynamics.recorded import RecordedMotion
 from doo_ti.dynamics.rollouts import Nearby, Rollouts, require_smoothing, roll_reference
-from doo_ti.dynamics.stills import Stills
-from doo_ti.dynamics.theta import MotionTheta, Unknowns
+from doo_ti.dynamics.theta import MotionTheta, Stills, Unknowns
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.types import Clamp, Status
 from doo_ti.system.arguments import short_repr, typed

@@ -2,8 +2,7 @@
 
 import taichi as ti
 
-from doo_ti.groups import layout
-from doo_ti.groups.ties import Ties
+from doo_ti.groups import ties
 from doo_ti.physics.algebra import absolute, identity, largest_of
 from doo_ti.physics.number import NUMBERS, device_functions, in_f64, read, write
 from doo_ti.physics.tuples import add, choose, dot, extended, minus, picked, plus, scaled, variable
@@ -14,7 +13,7 @@ from doo_ti.relaxation.self_contacts import SelfContacts
 
 
 @device_functions
-class GroupContacts(Ties, SelfContacts):
+class GroupContacts(ties.Ties, SelfContacts):
     """The contacts and ties of a group.
 
     Of the record ``rod`` its functions read ``begins``, of every edge zero or, of a break, the number of the rod after it;
@@ -27,30 +26,30 @@ class GroupContacts(Ties, SelfContacts):
     @picked
     def items(self, tables):
         edges = tables.rest_length.shape[1]
-        group = layout.group_items(edges, tables.places.shape[1], tables.ties.shape[0], tables.borders.shape[0])
+        group = ties.group_items(edges, tables.places.shape[1], tables.ties.shape[0], tables.borders.shape[0])
         return contact_items(edges, tables.kinds.shape[0]) + pair_items(edges) + group
 
     @picked
     def group(self, rod):
         """That of the group."""
-        return self.own(rod).part(layout.GROUP, pair_items(rod.edges))
+        return self.own(rod).part(ties.GROUP, pair_items(rod.edges))
 
     @picked
     def edge(self, rod, index):
-        return self.group(rod).part(layout.EDGE, len(layout.GROUP) + index * len(layout.EDGE))
+        return self.group(rod).part(ties.EDGE, len(ties.GROUP) + index * len(ties.EDGE))
 
     @picked
     def group_vertex(self, rod, index):
-        return self.edge(rod, rod.edges).part(layout.VERTEX, index * len(layout.VERTEX))
+        return self.edge(rod, rod.edges).part(ties.VERTEX, index * len(ties.VERTEX))
 
     @picked
     def member(self, rod, index):
         """Of the rod ``index``."""
-        return self.group_vertex(rod, rod.edges + 1).part(layout.MEMBER, index * len(layout.MEMBER))
+        return self.group_vertex(rod, rod.edges + 1).part(ties.MEMBER, index * len(ties.MEMBER))
 
     @picked
     def tie(self, rod, index):
-        return self.member(rod, rod.rods).part(layout.TIE, index * len(layout.TIE))
+        return self.member(rod, rod.rods).part(ties.TIE, index * len(ties.TIE))
 
     @picked
     def matrix(self, rod):
@@ -133,7 +132,7 @@ class GroupContacts(Ties, SelfContacts):
 
     def end_round(self, rod, lane, calm, rests, moved):
         """As of one rod; but where ties still miss that the next step closes, it is taken first."""
-        missing = ~self.draws(rod) & (self.miss(rod) > layout.TIE_TOLERANCE)
+        missing = ~self.draws(rod) & (self.miss(rod) > ties.TIE_TOLERANCE)
         return SelfContacts.end_round(self, rod, lane, calm & ~missing, rests & ~missing, moved) | (rests & missing)
 
     def update_forces(self, rod, due):
@@ -142,7 +141,7 @@ class GroupContacts(Ties, SelfContacts):
         change, zero = SelfContacts.update_forces(self, rod, due), 0.0 * rod.total
         self.update_ties(rod, due)
         choose(rod.contacts, due, work=self.friction_work(rod))
-        return largest_of(change, ti.select(due, self.miss(rod) / layout.TIE_TOLERANCE * rod.contacts.tolerance, zero))
+        return largest_of(change, ti.select(due, self.miss(rod) / ties.TIE_TOLERANCE * rod.contacts.tolerance, zero))
 
     # --- into scratch and out of it ---
 
@@ -150,11 +149,11 @@ class GroupContacts(Ties, SelfContacts):
         """As the obstacles and contacts of one rod, and the group's own numbers."""
         SelfContacts.load(self, tables, slot, rod, unit, scale)
         one, row = self.of_lane(tables, slot), tables.rods[rod, of.RESULT_ROW]
-        ties, head = tables.ties.shape[0], self.group(one)
+        tied, head = tables.ties.shape[0], self.group(one)
         if tables.touching == 0:
             one.contacts.phase = FINE
         self.load_apart(tables, one, row)
-        stiffness = layout.STIFFNESS_OF_TIES / (scale.total * scale.total * scale.total)
+        stiffness = ties.STIFFNESS_OF_TIES / (scale.total * scale.total * scale.total)
         head.stiffness, head.work, head.unit = stiffness, 0.0, unit
         divisor = stiffness_scale(tables.material, tables.clamp, tables.rods[rod, of.MATERIAL_ROW],
                                   tables.rods[rod, of.CLAMP_ROW])
@@ -172,7 +171,7 @@ class GroupContacts(Ties, SelfContacts):
             vertex.spring = tables.burden[row, v, 6] * unit / force_unit
         for g in range(one.rods):
             self.member(one, g).begin = scaled(read(tables.places, row, g, 0), 1.0 / unit)
-        for t in range(ties):
+        for t in range(tied):
             tie = self.tie(one, t)
             tie.target = scaled(read(tables.targets, row, t, 0), 1.0 / unit)
             for k in ti.static(range(3)):
@@ -182,14 +181,14 @@ class GroupContacts(Ties, SelfContacts):
             tie.active = tables.targets[row, t, 3]
             tie.scale = tables.targets[row, t, 8] / divisor
         most = ti.cast(0.0, ti.f64)
-        for t in range(ties):
+        for t in range(tied):
             for k in ti.static(range(3)):
                 moment = tables.tie_forces[row, t, 3 + k] / tables.clamp[tables.rods[rod, of.CLAMP_ROW], of.TOTAL]
                 largest = ti.max(ti.abs(tables.tie_forces[row, t, k]), ti.abs(moment))
                 most = ti.max(most, largest * (unit * unit) / tables.targets[row, t, 8])
-        bound = layout.MOST_GROWTH * (most + layout.NOTABLE_MISS * scale.total * stiffness)
+        bound = ties.MOST_GROWTH * (most + ties.NOTABLE_MISS * scale.total * stiffness)
         head.bound = ti.select(most > 0.0, bound, 0.0 * bound)
-        head.give = ti.select(most > 0.0, layout.GIVE, layout.NO_BORDER) / stiffness
+        head.give = ti.select(most > 0.0, ties.GIVE, ties.NO_BORDER) / stiffness
 
     def load_apart(self, tables, one, row):
         """Which edges may touch; and no edge ends where a rod begins, so that none sags there."""

@@ -19,7 +19,7 @@ holds, and the turn by which it misses where that is small. As for a tie the ene
 import taichi as ti
 
 from doo_ti.groups.group_contacts import GroupContacts
-from doo_ti.groups.layout import JointRest
+from doo_ti.groups.ties import JointRest
 from doo_ti.physics.algebra import (
     absolute,
     against_columns,

@@ -9,7 +9,7 @@ import taichi as ti
 
 from doo_ti.groups.group_contacts import GroupContacts
 from doo_ti.groups.group_elimination import GroupElimination
-from doo_ti.groups.layout import JointRest
+from doo_ti.groups.ties import JointRest
 from doo_ti.physics.number import Number
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.batch import UNTOUCHED, laid_out, layout_for, policy_row

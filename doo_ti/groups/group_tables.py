@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from doo_ti.contact.itself import LEAST_ARC, Itself, smallest_of_pairs
+from doo_ti.contact.surroundings import LEAST_ARC, Itself, smallest_of_pairs
 from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupTables
-from doo_ti.groups.layout import JOINT_ITEMS
+from doo_ti.groups.ties import JOINT_ITEMS
 from doo_ti.relaxation import input_tables
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.bows import projectable

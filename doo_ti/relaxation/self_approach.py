@@ -23,7 +23,7 @@ from types import SimpleNamespace
 import numpy as np
 import taichi as ti
 
-from doo_ti.contact.itself import LEAST_ARC
+from doo_ti.contact.surroundings import LEAST_ARC
 from doo_ti.physics.algebra import largest_of
 from doo_ti.physics.number import Number, Scratch, device_functions
 from doo_ti.physics.quaternion import passed_half_turn, tangent, turned_about_own_tangent

@@ -6,7 +6,7 @@ from each other along the rod, so the Newton system is no longer a band (:mod:`.
 
 import taichi as ti
 
-from doo_ti.contact.itself import LEAST_ARC
+from doo_ti.contact.surroundings import LEAST_ARC
 from doo_ti.physics.algebra import full, largest_of, row
 from doo_ti.physics.number import NUMBERS, device_functions
 from doo_ti.physics.tuples import add, chosen, dot, minus, picked, plus, record, repeated, scaled, variable

@@ -38,7 +38,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.contact.itself import smallest_self_gap
+from doo_ti.contact.surroundings import smallest_self_gap
 from doo_ti.relaxation import parameter_gradient as change
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.external import PointLoads

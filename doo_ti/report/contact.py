@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from doo_ti.contact.meshes import mesh
+from doo_ti.contact.distance_grid import mesh
 from doo_ti.contact.obstacles import PLANE, Obstacle
 from doo_ti.contact.surroundings import Moving, Surroundings
 from doo_ti.report.canvas import box, direction, limits_around, literal, new_figure, save_figure, upright_basis, widest

@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Configuration, Grippers, InputError, Observations, Plane, RecordedMotion, Stepping, Stills, simulate
+from doo_ti import Grippers, InputError, Moving, Observations, Plane, RecordedMotion, Stepping, Surroundings, simulate
 from doo_ti.commands.cli import main
-from doo_ti.contact.surroundings import Moving, Surroundings
 from doo_ti.dynamics.identify import IdentifyOptions, identify, identify_from_guesses
 from doo_ti.dynamics.rollouts import Nearby
-from doo_ti.dynamics.theta import MotionTheta, Unknowns, load_theta, save_form, simulated
+from doo_ti.dynamics.theta import MotionTheta, Stills, Unknowns, load_theta, save_form, simulated
 from doo_ti.rod.frames import bishop_frames, quaternion_from_matrix, rotation_matrix
+from doo_ti.rod.types import Clamp, Configuration
 
 RATE, COUNT, FRAMES, SETTLING = 100.0, 6, 150, 60
 RADIUS, HEIGHT, EDGE, EDGES = 4.0, 12.0, 40.0, 12  # mm

@@ -9,11 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import DistanceGrid, InputError, Surroundings, load_obstacles, relax, straight_rod
-from doo_ti.contact.meshes import mesh
+from doo_ti import Clamp, Clamps, Configuration, InputError, Material, Surroundings, load_obstacles, relax, straight_rod
+from doo_ti.contact.distance_grid import DistanceGrid, mesh
 from doo_ti.contact.obstacles import Box, Capsule, Cylinder, Plane, Ring, Sphere
 from doo_ti.dynamics.scene import load_motion_scene
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
 from tests.contact import test_friction
 from tests.contact.clutter import differences
 

@@ -8,7 +8,7 @@ import pytest
 import taichi as ti
 
 from doo_ti import Dynamics, Grippers, InputError, Newton, Stepping, relax, simulate
-from doo_ti.contact.itself import Itself, edge_distance, smallest_self_gap
+from doo_ti.contact.surroundings import Itself, edge_distance, smallest_self_gap
 from doo_ti.physics.tuples import record
 from doo_ti.relaxation.pair_distance import pair_block, pair_distance, pair_slopes, pair_weights
 from doo_ti.relaxation.self_approach import approach_in_motion, approach_in_relaxation, stays_in_order
