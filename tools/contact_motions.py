@@ -24,7 +24,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from doo_ti import Capsule, Dynamics, Grippers, Itself, Plane, Stepping, relax, simulate
-from doo_ti.contact.itself import smallest_self_gap
+from doo_ti.contact.surroundings import smallest_self_gap
 from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about, quaternion_product
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
 from tests.contact.topology import solid_angles

@@ -92,7 +92,7 @@ def run(options: Namespace) -> int:
 def _stills(options: Namespace, motion, surroundings) -> list:
     """The observations at rest of the rod in ``motion``, with their noise, checked."""
     from doo_ti.dynamics.rollouts import roll_reference
-    from doo_ti.dynamics.stills import Stills
+    from doo_ti.dynamics.theta import Stills
     from doo_ti.io.observation_files import load_observations
 
     noise = given.length("--still-noise", options.still_noise)

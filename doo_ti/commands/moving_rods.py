@@ -149,9 +149,8 @@ def moved_rods(options: Namespace, out: Path, changes: dict) -> tuple[MovedRods,
     changes  fields of :class:`doo_ti.dynamics.parameters.Stepping`
     """
     from doo_ti.dynamics.parameters import Stepping
-    from doo_ti.motion.moving import grippers_along, rate_of
     from doo_ti.motion.path import LARGEST_TURN
-    from doo_ti.motion.predict import begun
+    from doo_ti.motion.predict import begun, grippers_along, rate_of
     from doo_ti.relaxation.newton import Newton
 
     given.refuse(options, ("fill_gaps", "smoothing"), "given, but the motion has no markers", "leave it out")

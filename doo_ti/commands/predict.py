@@ -109,7 +109,7 @@ def _predicted(task: _Task, sub_step: float, precision: str, advance):
     inputs = {"between": task.between, "up": task.up, "advance": advance, **task.surroundings.arguments}
     if task.stepping is not None:
         from doo_ti.dynamics.parameters import Dynamics
-        from doo_ti.motion.moving import predict_moving
+        from doo_ti.motion.predict import predict_moving
 
         return predict_moving(task.start, task.material, task.clamps, task.path, Dynamics(density=1.0), task.stepping, **inputs)
     from doo_ti.motion.predict import predict
@@ -122,8 +122,8 @@ def _with_history(task: _Task, sub_step: float) -> _Task:
     between the returned states as its motion and that of the clamps need."""
     if not (task.surroundings.rub or task.surroundings.moves):
         return task
+    from doo_ti.dynamics.grippers import needed_substeps
     from doo_ti.dynamics.parameters import LEAST_WAY, Stepping
-    from doo_ti.dynamics.paths import needed_substeps
     from doo_ti.motion.path import motion_between
 
     motions = len(task.clamps.start_position)

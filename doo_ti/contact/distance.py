@@ -13,29 +13,13 @@ from taichi.lang.impl import expr_init
 
 from doo_ti.contact.distance_grid import HEADER, SIXTH
 from doo_ti.contact.obstacles import BOX, CAPSULE, CYLINDER, GRID, PLANE, RING
-from doo_ti.physics.algebra import absolute, largest_of
-from doo_ti.physics.tuples import (
-    applied,
-    chosen,
-    dot,
-    full,
-    minus,
-    plus,
-    products,
-    put_lane,
-    record,
-    repeated,
-    row,
-    scaled,
-    traced,
-    transposed,
-)
-from doo_ti.physics.view import Layout
+from doo_ti.physics.algebra import absolute, applied, full, largest_of, row, transposed
+from doo_ti.physics.number import Layout, device_functions
+from doo_ti.physics.tuples import chosen, dot, minus, plus, products, put_lane, record, repeated, scaled, traced
 
 COLUMNS = Layout(point=3, axis_1=3, axis_2=3, axis_3=3, axes=("axis_1", 9), sizes=3, depth=1, friction=1)
 """Of an obstacle, in the order of :mod:`doo_ti.contact.obstacles`."""
-TINY = 1e-20
-"""Below all squares of distances, against division by zero on an axis."""
+TINY = 1e-20  # below all squares of distances, against division by zero on an axis
 
 
 @traced
@@ -73,7 +57,7 @@ def weights(t) -> tuple:
             u, 3.0 * t - 2.0, 3.0 * u - 2.0, t)
 
 
-@ti.data_oriented
+@device_functions
 class Distance:
     """φ, n and ∇∇φ for one kind of number, of obstacles among ``kinds``."""
 
@@ -84,7 +68,6 @@ class Distance:
         self.has_revolved = self.has_ring or self.has_cylinder
         self.lookup = GridLookup(number)
 
-    @ti.func
     def unit(self, normal):
         """A normal over its length, which only of a grid is not one."""
         if ti.static(self.has_grid):
@@ -92,7 +75,6 @@ class Distance:
         else:
             return normal
 
-    @ti.func
     def measure(self, own, grids: ti.template(), kind, x):
         """Of an obstacle of that kind with the view ``own`` of its :data:`COLUMNS`: a record of ``value`` φ, ``normal`` n and
         ``curvature`` ∇∇φ (6,) at ``x``. ``grids`` holds the numbers of those that are grids."""
@@ -117,7 +99,6 @@ class Distance:
                 self.revolved(own, kind, away, seen)
         return seen
 
-    @ti.func
     def revolved(self, own, kind, away, seen):
         """A cylinder or a ring."""
         axis = own.axis_3
@@ -152,7 +133,6 @@ class Distance:
         seen.curvature = (bent[0] + profile.around, bent[1], bent[2], bent[3] + profile.around, bent[4],
                           bent[5] + profile.around)
 
-    @ti.func
     def capsule(self, own, away, seen):
         """A capsule: all around the nearest point of its axis. Between its ends that point moves along the axis."""
         axis = own.axis_3
@@ -166,14 +146,12 @@ class Distance:
         bent = plus(scaled(outer(seen.normal), bend), scaled(outer(axis), along))
         seen.curvature = (bend - bent[0], 0.0 - bent[1], 0.0 - bent[2], bend - bent[3], 0.0 - bent[4], bend - bent[5])
 
-    @ti.func
     def rim(self, profile, beside, above, radial):
         """The distance to a circle about the axis, ``beside`` and ``above`` which the point lies."""
         length = ti.sqrt(beside * beside + above * above + self.tiny)
         profile.value, profile.r, profile.z = length, beside / length, above / length
         profile.bend, profile.around = 1.0 / length, beside / (length * radial)
 
-    @ti.func
     def box(self, own, away, seen):
         """Signed distance of a box."""
         zero, one = 0.0 * away[0], 0.0 * away[0] + 1.0
@@ -198,12 +176,10 @@ class Distance:
         bent = ti.select(outside, 1.0 / length, zero)
         seen.curvature = minus(seen.curvature, scaled(outer(seen.normal), bent))
 
-    @ti.func
     def last(self, grids: ti.template(), index, k: ti.template()):
         """The largest place along an axis of a grid."""
         return ti.cast(grids[HEADER * index + 1 + k] - 3.0, self.lookup.scalar)
 
-    @ti.func
     def grid(self, own, grids: ti.template(), index, away, seen):
         """A grid, by its spline at the nearest point of its box, which lies ``beyond`` that."""
         spacing = own.sizes[0]
@@ -230,7 +206,7 @@ class Distance:
         seen.curvature = turned(chosen(outside, slanting, bend), axes)
 
 
-@ti.data_oriented
+@device_functions
 class GridLookup:
     """The spline and its derivatives in the axes of a grid, for one kind of number."""
 
@@ -238,7 +214,6 @@ class GridLookup:
         lanes = number.lanes()
         self.lane, self.with_lane, self.width, self.scalar = lanes.lane, lanes.with_lane, number.width, number.scalar
 
-    @ti.func
     def look_up(self, grids: ti.template(), index, place):
         """Of grid ``index`` at ``place``, which is inside it, in spacings from its first point: a record of ``value``, over the
         spacing, ``slope`` (3,) and ``bend`` (6,), first and second derivatives by ``place``."""
@@ -258,7 +233,6 @@ class GridLookup:
             put_lane(found, self.with_lane, slot, value=whole.value, slope=whole.slope, bend=whole.bend)
         return found
 
-    @ti.func
     def sums(self, grids: ti.template(), corner, counts, t):
         """The sums over the 64 B-splines that are not zero at the place ``t`` of a cell, in one lane."""
         zero = 0.0 * t[0]

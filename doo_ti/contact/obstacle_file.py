@@ -43,10 +43,8 @@ import msgspec
 import numpy as np
 
 from doo_ti.contact.distance_grid import DistanceGrid
-from doo_ti.contact.itself import Itself
-from doo_ti.contact.moving import Moving
 from doo_ti.contact.obstacles import Box, Capsule, Cylinder, Obstacle, Plane, Ring, Sphere
-from doo_ti.contact.surroundings import Surroundings
+from doo_ti.contact.surroundings import Itself, Moving, Surroundings
 from doo_ti.io.arrays import read_npz
 from doo_ti.io.toml_file import (
     Finite,
@@ -67,8 +65,7 @@ from doo_ti.system.files import read_content, write_whole
 
 KINDS = {kind.__name__.lower(): kind for kind in (Plane, Sphere, Capsule, Cylinder, Ring, Box, Itself)} | {"grid": DistanceGrid}
 GRID_KEYS = ("values", "spacing", "origin")
-MOST_POSES = 1_000_000
-"""Moving obstacles times instants of the motion."""
+MOST_POSES = 1_000_000  # moving obstacles times instants of the motion
 _TYPES = {(): Finite, (3,): Vector, (3, 3): Rotation}
 
 

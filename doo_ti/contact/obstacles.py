@@ -26,8 +26,7 @@ POINT, AXES, SIZES, DEPTH, FRICTION, OBSTACLE_COLUMNS = 0, 3, 12, 15, 16, 17
 Placed = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 Distances = tuple[np.ndarray, np.ndarray]
 
-UNBOUNDED = 1e6
-"""mm: the depth of a half space."""
+UNBOUNDED = 1e6  # mm: the depth of a half space
 
 
 @dataclass(frozen=True)

@@ -1,21 +1,187 @@
-"""The obstacles around rods, with the rods' radius, and the gaps between them (docs/contact.md). Axes: R rods, V vertices."""
+"""What rods may touch, with their radius, and the gaps between them: obstacles, the rod itself, and obstacles that move, such
+as pushers, tilting tables and turning drums (docs/contact.md). Axes: R rods, V vertices, T instants."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.contact.itself import Itself, smallest_self_gap
-from doo_ti.contact.moving import Moving
-from doo_ti.contact.obstacles import Obstacle
-from doo_ti.system.arguments import typed
+from doo_ti.contact.obstacles import Obstacle, require_rotation
+from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError, real_array
 
-PLACES = 8
-"""Of an edge, both ends included, at which its gap is measured."""
-SHALLOW, MOST_STEPS = 0.5, 10_000
-"""Of a radius; and the most steps that are taken for it."""
+ITSELF = -1  # its kind. Kernels do not meet it: they have a code of their own for it.
+LEAST_ARC = np.pi  # radii: parts of a rod with less of it between them do not touch, since it cannot bend that much
+PAIRS_AT_ONCE = 2_000_000  # of edges, whose distances are measured together
+
+
+@typed
+@dataclass(frozen=True)
+class Itself(Obstacle):
+    """The rod itself: no part of it passes through another one, or comes nearer to it than twice the radius."""
+
+    friction: np.ndarray = 0.0
+    kind, shapes = ITSELF, {"friction": ()}
+
+    if TYPE_CHECKING:
+        def __init__(self, friction: ArrayLike = 0.0) -> None: ...
+
+
+def smallest_self_gap(vertices: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """(R,) mm between the surfaces of different parts of each rod (R, V, 3) of that ``radius`` (1 or R,): the smallest distance
+    of two edges with more than :data:`LEAST_ARC` of the rod between them, less two radii. Infinite where there are no such
+    edges, NaN for a rod without places."""
+    radius = np.broadcast_to(np.asarray(radius, dtype=np.float64).reshape(-1), (len(vertices),))
+    early, late = np.triu_indices(vertices.shape[1] - 1, 2)
+    lengths = np.linalg.norm(np.diff(vertices, axis=1), axis=-1)
+    arc = np.concatenate([np.zeros((len(vertices), 1)), np.cumsum(lengths, axis=1)], axis=1)
+
+    def gaps(rods: slice, distance: np.ndarray) -> np.ndarray:
+        between, own = arc[rods, late] - arc[rods, early + 1], radius[rods, None]
+        return np.where(between > LEAST_ARC * own, distance - 2.0 * own, np.inf)
+
+    return np.where(np.isfinite(vertices).all(axis=(1, 2)), smallest_of_pairs(vertices, early, late, gaps), np.nan)
+
+
+def smallest_of_pairs(vertices: np.ndarray, early: np.ndarray, late: np.ndarray,
+                      gaps: Callable[[slice, np.ndarray], np.ndarray]) -> np.ndarray:
+    """(R,) the smallest of the ``gaps`` that K pairs of edges of rods (R, V, 3) have, infinite without pairs. Some rods at a
+    time: ``gaps`` is given a slice of them and the distances (-, K) of their edges."""
+    smallest = np.full(len(vertices), np.inf)
+    if len(early):
+        rows = max(1, PAIRS_AT_ONCE // len(early))
+        for rods in (slice(first, first + rows) for first in range(0, len(vertices), rows)):
+            x, edges = vertices[rods], np.diff(vertices[rods], axis=1)
+            distance = edge_distance(x[:, late] - x[:, early], edges[:, early], edges[:, late])
+            smallest[rods] = gaps(rods, distance).min(axis=1)
+    return smallest
+
+
+def edge_distance(w: np.ndarray, p: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Least distance of the edges 0 … p and w … w + q, all (..., 3)."""
+    pp, qq, pq, wp, wq, ww = ((a * b).sum(axis=-1) for a, b in ((p, p), (q, q), (p, q), (w, p), (w, q), (w, w)))
+
+    def square(s, t):
+        return ww + s * (s * pp - 2.0 * wp) + t * (t * qq + 2.0 * wq) - 2.0 * s * t * pq
+
+    with np.errstate(all="ignore"):
+        determinant = pp * qq - pq * pq
+        s, t = (wp * qq - wq * pq) / determinant, (wp * pq - wq * pp) / determinant
+        inside = (determinant > 0) & (s > 0) & (s < 1) & (t > 0) & (t < 1)
+        least = np.where(inside, square(s, t), np.inf)
+        for end in (0.0, 1.0):
+            least = np.minimum(least, square(end, np.clip((pq * end - wq) / qq, 0.0, 1.0)))
+            least = np.minimum(least, square(np.clip((wp + pq * end) / pp, 0.0, 1.0), end))
+    return np.sqrt(np.maximum(least, 0.0))
+
+
+@typed
+@dataclass(frozen=True, eq=False, repr=False)
+class Moving:
+    """An obstacle at the T instants of a motion, those of its grippers: a place x of it is at pivot + rotation (x − pivot) +
+    shift.
+
+    obstacle  where it is before it moves, with its friction
+    shift     (T, 3) mm or, for each rod, (R, T, 3)
+    rotation  (T, 3, 3) or (R, T, 3, 3); unrotated unless given. From one instant to the next less than half a turn
+    pivot     (3,) mm or (R, 3); the obstacle's own point unless given: a centre, the middle of an axis, the point of a plane,
+              the position of a grid
+
+    Raises InputError for other shapes and for what is no rotation.
+    """
+
+    obstacle: Obstacle
+    shift: np.ndarray
+    rotation: np.ndarray | None = None
+    pivot: np.ndarray | None = None
+    __repr__ = short_repr
+
+    if TYPE_CHECKING:
+        def __init__(self, obstacle: Obstacle, shift: ArrayLike, rotation: ArrayLike | None = None,
+                     pivot: ArrayLike | None = None) -> None: ...
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.obstacle, Obstacle) or isinstance(self.obstacle, Itself):
+            raise InputError("Moving", "obstacle", f"{type(self.obstacle).__name__}",
+                             "give Plane(...), Sphere(...) and the like")
+        own = np.mean(np.broadcast_arrays(*(getattr(self.obstacle, name) for name in self.obstacle.points)), axis=0)
+        shift = _rows("shift", self.shift, (3,), 1)
+        still = np.broadcast_to(np.eye(3), (1, shift.shape[1], 3, 3))
+        rotation = still if self.rotation is None else _rows("rotation", self.rotation, (3, 3), 1)
+        pivot = own if self.pivot is None else _rows("pivot", self.pivot, (3,), 0)
+        require_rotation("Moving", rotation)
+        if rotation.shape[1] != shift.shape[1] or shift.shape[1] < 2:
+            raise InputError("Moving", "rotation", f"{rotation.shape[1]} instants beside {shift.shape[1]} of shift",
+                             "give both at the same instants, two or more")
+        rows = {len(value) for value in (shift, rotation, pivot)} | {self.obstacle.count}
+        if 0 in rows or len(rows - {1}) > 1:
+            raise InputError("Moving", "shift", f"rows for {' and '.join(map(str, sorted(rows)))} rods",
+                             "give one, or one for each rod")
+        for name, value in (("shift", shift), ("rotation", rotation), ("pivot", pivot)):
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+
+    @property
+    def count(self) -> int:
+        """Number of rows: one for all rods, or R."""
+        return max(len(self.shift), len(self.rotation), len(self.pivot), self.obstacle.count)
+
+    @property
+    def instants(self) -> int:
+        """T, the number of instants."""
+        return self.shift.shape[1]
+
+    @property
+    def friction(self) -> np.ndarray:
+        """The obstacle's coefficient of friction."""
+        return self.obstacle.friction
+
+    def take(self, rows: ArrayLike) -> "Moving":
+        """The obstacle's rows of the rods ``rows``; an obstacle that all rods share stays as it is."""
+        own = {name: value[rows] for name in ("shift", "rotation", "pivot") if len(value := getattr(self, name)) > 1}
+        return replace(self, obstacle=self.obstacle.take(rows), **own)
+
+    def at(self, instant: int) -> Obstacle:
+        """The obstacle where it is at one instant."""
+        rotation, shift = self.path
+        return self.obstacle.moved(rotation[:, instant], shift[:, instant])
+
+    @cached_property
+    def path(self) -> tuple[np.ndarray, np.ndarray]:
+        """(1 or R, T, 3, 3) rotation R and (1 or R, T, 3) shift s: a place x of the obstacle is at R x + s."""
+        return self.rotation, about(self.pivot[:, None], self.rotation, self.shift)
+
+
+def since_first(rotation: np.ndarray, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A :attr:`Moving.path` of the places where the obstacle is at the first instant."""
+    turned = rotation @ np.swapaxes(rotation[:, :1], -1, -2)
+    return turned, shift - (turned @ shift[:, :1, :, None])[..., 0]
+
+
+def about(pivot: np.ndarray, rotation: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    """(..., 3) what is added to ``rotation`` (..., 3, 3) x where a place x is turned about ``pivot`` (..., 3) and moved by
+    ``shift`` (..., 3)."""
+    return shift + pivot - (rotation @ pivot[..., None])[..., 0]
+
+
+def _rows(name: str, value, shape: tuple[int, ...], instants: int) -> np.ndarray:
+    """A field as (R, T, *shape), or (R, *shape) where it has no ``instants``."""
+    lead = ("T",) * instants
+    wanted = f"give ({', '.join(map(str, (*lead, *shape)))}) or ({', '.join(map(str, ('R', *lead, *shape)))})"
+    found = np.array(real_array("Moving", name, value, wanted), dtype=np.float64)
+    least = instants + len(shape)
+    if found.shape[found.ndim - len(shape):] != shape or found.ndim not in (least, least + 1):
+        raise InputError("Moving", name, f"shape {found.shape}", wanted)
+    if not np.isfinite(found).all():
+        raise InputError("Moving", name, "not finite", "give finite numbers")
+    return found if found.ndim > least else found[None]
+
+
+PLACES = 8  # of an edge, both ends included, at which its gap is measured
+SHALLOW, MOST_STEPS = 0.5, 10_000  # of a radius; and the most steps that are taken for it
 
 
 def obstacle_list(source: str, obstacles: Iterable[Obstacle | Moving], moving: bool = False) -> list[Obstacle | Moving]:

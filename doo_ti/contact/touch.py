@@ -1,7 +1,13 @@
-"""When a rod touches: how far the gap at a contact may be off, and whether it sticks or slips (docs/contact.md)."""
+"""When a rod touches: how far the gap at a contact may be off, whether it sticks or slips, and what obstacles exert
+(docs/contact.md). Axes: R rods, V vertices."""
 
+from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 
+import numpy as np
+
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.system.errors import InputError, require_number
 
 GAP_TOLERANCE = 2e-4
@@ -10,10 +16,8 @@ GAP_TOLERANCE_OF_OBSTACLES = 1e-5
 """The same in ``relax`` of rods that may touch obstacles only, whose forces settle with the steps and so at little cost."""
 GAP_TOLERANCE_IN_MOTION = 4e-5
 """The same of rods in motion that may touch obstacles only: a gap that closes lifts the rod, which costs energy."""
-LEAST, MOST = 1e-10, 0.1
-"""What may be given; smaller ones are below rounding."""
-HELD = 0.999
-"""A contact is said to stick while its friction is below that share of the coefficient times its force."""
+LEAST, MOST = 1e-10, 0.1  # what may be given; smaller ones are below rounding
+HELD = 0.999  # a contact is said to stick while its friction is below that share of the coefficient times its force
 
 
 def gap_tolerance(given: float | None, itself: bool, in_motion: bool) -> float:
@@ -38,3 +42,27 @@ class Touch(IntEnum):
     """Friction holds every place where they touch."""
     SLIPS = 2
     """In some place friction is as large as its coefficient allows, or there is none."""
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """Contacts of R rods with the obstacles around them.
+
+    force         (R, V, 3) of obstacles on the vertices, mm (energy per mm); the force on an edge is divided between its ends
+    vertices      (R, V, 3) mm
+    surroundings  the obstacles and the rods' radius
+    """
+
+    force: np.ndarray
+    vertices: np.ndarray
+    surroundings: Surroundings
+
+    @property
+    def touching(self) -> np.ndarray:
+        """(R, V) bool: vertices that an obstacle pushes, at the vertex or at an edge beside it."""
+        return (self.force != 0.0).any(axis=-1)
+
+    @cached_property
+    def gap(self) -> np.ndarray:
+        """(R,) mm, see :meth:`.Surroundings.smallest_gap`."""
+        return self.surroundings.smallest_gap(self.vertices)

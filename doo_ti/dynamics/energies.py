@@ -10,20 +10,18 @@ import numpy as np
 
 from doo_ti.dynamics.parameters import GRAVITY, RATES, Dynamics, vertex_lengths
 from doo_ti.dynamics.trajectory import Detail
-from doo_ti.relaxation.point_loads import PointLoads
+from doo_ti.relaxation.external import PointLoads
 from doo_ti.relaxation.time_steps import Memory, curvatures
 from doo_ti.relaxation.time_sweep import DRAG, DRAG_BY_SPEED, FORCE, INERTIA, LOAD, SPRING, SPRING_POINT, VERTEX_ITEMS
 from doo_ti.rod.frames import conjugate, quaternion_of_turn, quaternion_product, rotation_vector, tangent_from_quaternion
 from doo_ti.rod.types import Material, Status
 from doo_ti.system.errors import InputError
 
-STORED = ("kinetic", "gravity", "bending", "twist", "springs", "loads")
-"""Parts of the energy that a rod has at an instant."""
+STORED = ("kinetic", "gravity", "bending", "twist", "springs", "loads")  # parts of the energy that a rod has at an instant
 FLOWS = ("drag", "bend_damping", "twist_damping", "contact", "work")
 """What has been dissipated since the start, by what, and the grippers' work on the rod since then. Contact takes what friction
 and impacts do, less the work of obstacles that move."""
-SMALL_TURN = 1e-5
-"""rad, for differences of the strains."""
+SMALL_TURN = 1e-5  # rad, for differences of the strains
 TURNS = quaternion_of_turn(SMALL_TURN * np.repeat(np.eye(3), 2, axis=0) * np.tile([1.0, -1.0], 3)[:, None])
 """By that about each axis, forwards and backwards."""
 
@@ -109,8 +107,7 @@ class Losses:
             "springs": (0.5 * self.spring_stiffness * apart).sum(axis=-1), "loads": -(self.force * place).sum(axis=(-1, -2))}
 
     def dissipated(self, memory: Memory, change: np.ndarray, step: float) -> dict[str, np.ndarray]:
-        """(R,) what was dissipated in the step before ``memory``, of h = ``step``, at its mean speeds; the strains changed by
-        ``change``."""
+        """(R,) what was dissipated in the step h before ``memory`` at its mean speeds; the strains changed by ``change``."""
         moved = memory.places[..., :3] - memory.places[..., 3:6]
         square = (moved**2).sum(axis=-1) / step
         loss = change * self.stresses(change) / step
@@ -235,8 +232,7 @@ class Account:
 
 
 def joint_strains(frames: np.ndarray) -> np.ndarray:
-    """(R, J, 5) of the joints of (R, J + 1, 4) frames: κ = (κb·m2, −κb·m1) of the left frame and of the right one, and the
-    twist m."""
+    """(R, J, 5) of joints of (R, J + 1, 4) frames: κ = (κb·m2, −κb·m1) of the left frame, of the right one, and twist m."""
     x1, x2, y1, y2, turn = np.moveaxis(curvatures(frames), -1, 0)
     return np.stack([2.0 * x2, -2.0 * x1, 2.0 * y2, -2.0 * y1, turn], axis=-1)
 

@@ -16,21 +16,17 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.parameters import Stepping
 from doo_ti.dynamics.recorded import RecordedMotion
 from doo_ti.dynamics.rollouts import Nearby, Rollouts, require_smoothing, roll_reference
-from doo_ti.dynamics.stills import Stills
-from doo_ti.dynamics.theta import MotionTheta, Unknowns
+from doo_ti.dynamics.theta import MotionTheta, Stills, Unknowns
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.types import Clamp, Status
 from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError, require_whole
 
-STEP = 1e-6
-"""Of an entry of p, for differences of material and dynamics."""
+STEP = 1e-6  # of an entry of p, for differences of material and dynamics
 LONG_STEP = 5e-3
 """The same for differences of rollouts: they are off by the tolerance of gaps and average over contacts that begin."""
-BENDS = (3e-4, 3e-3, 3e-2, 0.3)
-"""Bend stiffness over weight and the cube of the length, to begin with."""
-FRICTIONS = (0.1, 0.3, 0.6)
-"""Coefficients to begin with."""
+BENDS = (3e-4, 3e-3, 3e-2, 0.3)  # bend stiffness over weight and the cube of the length, to begin with
+FRICTIONS = (0.1, 0.3, 0.6)  # coefficients to begin with
 
 
 @typed

@@ -16,12 +16,9 @@ GRAVITY = 1e3 * STANDARD_GRAVITY
 """mm/s²: a rod of weight μ = 1 has the mass per length 2/GRAVITY in the package's units, for which its weight is 2."""
 
 
-RATES = {"euler": 1.0, "bdf2": 1.5}
-"""Schemes, with a of their time derivative D u = (a/h) (u − y)."""
-LEAST_RATE, MOST_RATE = 1e-9, 1e7
-"""Instants per second."""
-LEAST_WAY = 1 / 8
-"""Of the way to the next instant: the shortest quasi-static step, where longer ones fail."""
+RATES = {"euler": 1.0, "bdf2": 1.5}  # schemes, with a of their time derivative D u = (a/h) (u − y)
+LEAST_RATE, MOST_RATE = 1e-9, 1e7  # instants per second
+LEAST_WAY = 1 / 8  # of the way to the next instant: the shortest quasi-static step, where longer ones fail
 
 
 def vertex_lengths(rest_length: np.ndarray) -> np.ndarray:
@@ -43,7 +40,7 @@ class Stepping:
     precision  "f64"; "f32", in which a rod that rounding stops is reported as stalled; or "mixed": f32, and f64 for the rods
                that it stops or that need finer steps
     tolerance  mm: a rod whose estimated error is larger at some frame, or that fails, is simulated again with twice as many
-               steps, which also gives the estimate (:mod:`doo_ti.dynamics.adaptive`); None: no error is estimated
+               steps, which also gives the estimate (:mod:`doo_ti.dynamics.trajectory`); None: no error is estimated
     most_substeps  with a tolerance
     detailed   frames, velocities and energies are returned as well; every step is a launch of its own then
     quasi_static   without inertia and drag: every step is an equilibrium, in which friction remembers where the rod was

@@ -17,19 +17,13 @@ from doo_ti.system.errors import InputError
 LEAST_JUMP, LARGEST_MISFIT, SMALLEST_JUMP = 1.7, 0.2, 10.0
 """Frames are missing where the gripper markers together move by more than the first times their usual move; where what that
 multiple does not explain is below the second, a share of the sum of squares; and where they move by more than the third, mm."""
-NEIGHBOURS = 3
-"""Frames on either side that tell how fast a gripper is."""
-MOST_LOST = 100
-"""Frames that may be missing at one place."""
-LARGEST_TURN = np.radians(60.0)
-"""A gripper that seems to turn by more in one frame does not: its markers were confused."""
+NEIGHBOURS = 3  # frames on either side that tell how fast a gripper is
+MOST_LOST = 100  # frames that may be missing at one place
+LARGEST_TURN = np.radians(60.0)  # a gripper that seems to turn by more in one frame does not: its markers were confused
 FINE, SWAPPED, LOST = 0, 1, 2
-MOST_CONFUSED = 50
-"""Frames after which such a turn is taken as real."""
-LEAST_MM, MOST_MM = 1e-6, 1e6
-"""Between neighbouring markers, and from the origin."""
-GRIPPED = (0, 1, -2, -1)
-"""Vertices of the first and last edge."""
+MOST_CONFUSED = 50  # frames after which such a turn is taken as real
+LEAST_MM, MOST_MM = 1e-6, 1e6  # between neighbouring markers, and from the origin
+GRIPPED = (0, 1, -2, -1)  # vertices of the first and last edge
 
 
 @typed

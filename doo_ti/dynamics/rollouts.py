@@ -23,14 +23,11 @@ from doo_ti.rod.frames import bishop_frames, edge_frames, quaternion_from_matrix
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
 from doo_ti.system.errors import InputError, require_whole
 
-LARGEST_REACH = 0.999
-"""Share of the rod's length between grippers, at most: beyond, the far gripper is moved back."""
+LARGEST_REACH = 0.999  # share of the rod's length between grippers, at most: beyond, the far gripper is moved back
 FIT_STIFFNESS = 0.01
 """Of a rod that is fitted to markers, over that of the springs to them and the cube of an edge: it hardly resists."""
-SMOOTHED = 0.09
-"""s, over which recordings among obstacles are smoothed."""
-NUMBERS_AT_ONCE = 16_000_000
-"""Numbers of positions that a simulation returns."""
+SMOOTHED = 0.09  # s, over which recordings among obstacles are smoothed
+NUMBERS_AT_ONCE = 16_000_000  # numbers of positions that a simulation returns
 
 
 def require_smoothing(source: str, field: str, frames: int) -> None:
@@ -42,22 +39,14 @@ def require_smoothing(source: str, field: str, frames: int) -> None:
 
 @dataclass(frozen=True)
 class Layout:
-    """A recorded motion as a simulation begins it: from frames 0 and 1 or, smoothed, from the first few.
+    """A recorded motion as a simulation begins it: from frames 0 and 1 or, smoothed, from the first few."""
 
-    start         R rods at frame 1
-    velocity      (R, V, 3) mm/s there
-    grippers      at every step from frame 1 on, missing frames included
-    steps         (R, T − 1) the step of each frame from 1 on
-    rate          steps per second
-    smoothing     frames that parabolas were fitted through
-    """
-
-    start: Configuration
-    velocity: np.ndarray
-    grippers: Grippers
-    steps: np.ndarray
-    rate: float
-    smoothing: int
+    start: Configuration  # R rods at frame 1
+    velocity: np.ndarray  # (R, V, 3) mm/s there
+    grippers: Grippers  # at every step from frame 1 on, missing frames included
+    steps: np.ndarray  # (R, T − 1) the step of each frame from 1 on
+    rate: float  # steps per second
+    smoothing: int  # frames that parabolas were fitted through
 
     @property
     def velocity_age(self) -> float:

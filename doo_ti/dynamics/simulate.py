@@ -7,19 +7,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.contact.moving import Moving
 from doo_ti.contact.obstacles import Obstacle
-from doo_ti.contact.surroundings import Surroundings
-from doo_ti.dynamics.adaptive import adapted, kept_apart
+from doo_ti.contact.surroundings import Moving, Surroundings
 from doo_ti.dynamics.energies import Account, Losses, add_loads, damping_shares, stiffened, vertex_numbers
-from doo_ti.dynamics.grippers import Grippers
+from doo_ti.dynamics.grippers import Grippers, clamp_path, obstacle_path, refined_within_reach
 from doo_ti.dynamics.parameters import RATES, Direction, Dynamics, MovingStart, Stepping
-from doo_ti.dynamics.paths import clamp_path, obstacle_path, refined_within_reach
-from doo_ti.dynamics.trajectory import Trajectory, joined
-from doo_ti.relaxation.external import Springs
+from doo_ti.dynamics.trajectory import Trajectory, adapted, joined, kept_apart
+from doo_ti.relaxation.external import PointLoads, Springs, check_rows
 from doo_ti.relaxation.input_tables import paired_rows, tables, under
 from doo_ti.relaxation.newton import MOST_IN_CONTACT, Newton
-from doo_ti.relaxation.point_loads import PointLoads, check_rows
 from doo_ti.relaxation.tables import Tables, whole_start
 from doo_ti.relaxation.time_loop import END_FORCE, FRICTION_WORK, MOMENT, RELINKED, STATE, TRIPS
 from doo_ti.relaxation.time_slopes import NUMBERS, REMEMBERED
@@ -30,8 +26,7 @@ from doo_ti.rod.types import Clamp, Configuration, Material, Status, unit_up
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
 
-NUMBERS_AT_ONCE = 32_000_000
-"""Numbers of positions that a launch writes."""
+NUMBERS_AT_ONCE = 32_000_000  # numbers of positions that a launch writes
 
 
 @typed
@@ -128,7 +123,8 @@ class _Motion:
         self.stepping, self.substeps, self.step = stepping, stepping.substeps, stepping.step
         self.grippers = refined_within_reach(grippers, stepping.substeps, start.rest_length)
         self.pairs, self.surroundings, self.touching = pairs, surroundings, touching
-        self.first = _spread(grippers.at(0), start.count)
+        first = grippers.at(0)
+        self.first = first if grippers.count == start.count else first.take(np.zeros(start.count, dtype=np.int64))
         self.poses = None
         if surroundings.moves:
             self.poses = obstacle_path(surroundings, stepping, grippers.instants, start.take(pairs[0]))
@@ -307,7 +303,3 @@ def _memory(frames, x, v, a, h: float, status) -> Memory:
     before = quaternion_product(turn, frames)
     return Memory(frames.copy(), np.ascontiguousarray(before), places, np.zeros((len(x), 3)), np.zeros((len(x), 3)), status)
 
-
-def _spread(clamps, count: int):
-    """The clamps of one rod for ``count`` of them."""
-    return clamps if len(clamps.start_position) == count else clamps.take(np.zeros(count, dtype=np.int64))

@@ -1,9 +1,17 @@
-"""What a simulation returns. Axes: R rods, F frames, V vertices, E edges, P parameters."""
+"""What a simulation returns, and motions that are simulated again: with as many time steps as a rod needs, doubled until two
+simulations agree (docs/dynamics.md), and with contact of the rod with itself where it comes near to itself (docs/contact.md).
 
-from dataclasses import dataclass
+Every rod is judged by itself, over its whole motion, and moves alone as among others: its steps do not depend on the rods that
+are simulated beside it. Axes: R rods, F frames, V vertices, E edges, P parameters.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from doo_ti.dynamics.parameters import Stepping
+from doo_ti.relaxation.self_approach import approach_in_motion
 from doo_ti.relaxation.time_steps import Memory
 from doo_ti.rod.types import Status
 from doo_ti.system.arguments import short_repr
@@ -11,16 +19,11 @@ from doo_ti.system.arguments import short_repr
 
 @dataclass(frozen=True)
 class Detail:
-    """R rods at the start and at F frames; NaN from where a rod failed.
+    """R rods at the start and at F frames; NaN from where a rod failed."""
 
-    quaternions  (R, F + 1, E, 4) frames
-    velocities   (R, F + 1, V, 3) mm/s
-    energies     (R, F + 1) by name, mm²: see :meth:`doo_ti.dynamics.energies.Account.detail`
-    """
-
-    quaternions: np.ndarray
-    velocities: np.ndarray
-    energies: dict[str, np.ndarray]
+    quaternions: np.ndarray  # (R, F + 1, E, 4) frames
+    velocities: np.ndarray  # (R, F + 1, V, 3) mm/s
+    energies: dict[str, np.ndarray]  # (R, F + 1) by name, mm²: see :meth:`doo_ti.dynamics.energies.Account.detail`
 
 
 @dataclass(frozen=True)
@@ -71,3 +74,123 @@ class Trajectory:
 def joined(parts: list[np.ndarray]) -> np.ndarray:
     """The frames of several launches; a copy only where there are several."""
     return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+
+
+MOST_GAIN, LEAST_GAIN = {"bdf2": 2.0, "euler": 1.5}, 1.25
+"""Times by which the error is taken to become smaller with half the step, at most and before it can be measured, and at least.
+In a smooth motion it is 4 and 2; less where a gripper starts at once or a velocity contradicts it, and in coarse steps."""
+
+
+def adapted(run: Callable[..., Trajectory], count: int, stepping: Stepping,
+            progress: Callable[[int], None] | None) -> Trajectory:
+    """The motion of R = ``count`` rods, each with the fewest substeps that reach the tolerance, or with the most.
+
+    run  (stepping, rows (n,), progress): the motion of some rods with fixed steps in one precision
+
+    With d the largest distance of a vertex in any frame between the motions with n/2 and n substeps, and that distance before
+    divided by d being the gain g, at most MOST_GAIN, the error of n substeps is estimated as d/(g − 1), of a geometric series.
+    """
+    steps, rows = stepping.substeps, np.arange(count)
+    coarse = _moved(run, stepping, steps, rows, progress)
+    found, error = coarse, np.full(count, np.nan if stepping.tolerance is None else np.inf)
+    before = np.full(count, np.nan)
+    while stepping.tolerance is not None and len(rows) and 2 * steps <= stepping.most_substeps:
+        steps *= 2
+        fine = _moved(run, stepping, steps, rows)
+        apart = _apart(coarse, fine)
+        estimate = apart / (_gain(before, apart, MOST_GAIN[stepping.scheme]) - 1.0)
+        # A motion that fails only with finer steps is kept as it was.
+        better = fine.converged | ~found.converged[rows]
+        put(found, rows[better], fine, better)
+        error[rows[better]] = estimate[better]
+        left = ~(estimate <= stepping.tolerance)
+        rows, before = rows[left], apart[left]
+        coarse = replace(fine, positions=fine.positions[left], status=fine.status[left])  # enough for comparison
+    found = replace(found, error=error)
+    return replace(found, detail=_detail(run, _fixed(stepping, steps), found)) if stepping.detailed else found
+
+
+def _fixed(stepping: Stepping, steps: int, precision: str = "f64") -> Stepping:
+    """So many steps, in the precision that ``stepping`` states, or where that is mixed in the one given."""
+    precision = precision if stepping.precision == "mixed" else stepping.precision
+    return replace(stepping, substeps=steps, precision=precision, tolerance=None, detailed=False)
+
+
+def _moved(run: Callable[..., Trajectory], stepping: Stepping, steps: int, rows: np.ndarray, progress=None) -> Trajectory:
+    """The rods ``rows`` with so many substeps. In mixed precision the first substeps and twice as many are f32, whose rounding
+    grows with finer steps, and what it stops is repeated in f64."""
+    coarse = "f32" if steps <= 2 * stepping.substeps else "f64"
+    found = run(_fixed(stepping, steps, coarse), rows, progress)
+    again = np.flatnonzero(~found.converged)
+    if stepping.precision == "mixed" and coarse == "f32" and len(again):
+        put(found, again, run(_fixed(stepping, steps), rows[again]), slice(None))
+    return found
+
+
+def _apart(coarse: Trajectory, fine: Trajectory) -> np.ndarray:
+    """(n,) mm, infinite where one of the two failed."""
+    both = coarse.converged & fine.converged
+    square = ((coarse.positions - fine.positions) ** 2).sum(axis=-1).max(axis=(1, 2))
+    return np.where(both, np.sqrt(square), np.inf)
+
+
+def _gain(before: np.ndarray, apart: np.ndarray, most: float) -> np.ndarray:
+    """(n,) times by which the distance has become smaller; as assumed where it was not measured before."""
+    known = np.isfinite(before) & np.isfinite(apart)
+    ratio = np.where(known, before, most) / np.where(known, np.maximum(apart, 1e-300), 1.0)
+    return np.clip(ratio, LEAST_GAIN, most)
+
+
+def put(into: Trajectory, rows: np.ndarray, other: Trajectory, of: np.ndarray | slice) -> None:
+    """Write the rods ``of`` of another trajectory into those ``rows``."""
+    for name in ("positions", "status", "iterations", "residual", "end_force", "substeps", "contact_force", "friction_work",
+                 "touch"):
+        if getattr(other, name) is not None:
+            getattr(into, name)[rows] = getattr(other, name)[of]
+    for entry in fields(Memory):
+        getattr(into.memory, entry.name)[rows] = getattr(other.memory, entry.name)[of]
+    if into.detail is not None and other.detail is not None:
+        for name in ("quaternions", "velocities"):
+            getattr(into.detail, name)[rows] = getattr(other.detail, name)[of]
+        for name, energy in into.detail.energies.items():
+            energy[rows] = other.detail.energies[name][of]
+
+
+def _detail(run: Callable[..., Trajectory], fixed: Stepping, found: Trajectory) -> Detail:
+    """The detail of rods whose steps have been chosen: simulated once more, where precision is mixed in f64."""
+    parts, order = [], []
+    for steps in np.unique(found.substeps):
+        rows = np.flatnonzero(found.substeps == steps)
+        parts.append(run(replace(fixed, substeps=int(steps), detailed=True), rows).detail)
+        order.append(rows)
+    back = np.argsort(np.concatenate(order))
+    energies = {name: np.concatenate([part.energies[name] for part in parts])[back] for name in parts[0].energies}
+    return Detail(*(np.concatenate([getattr(part, name) for part in parts])[back] for name in ("quaternions", "velocities")),
+                  energies)
+
+
+def kept_apart(moved: Callable[..., Trajectory], stepping: Stepping, rows: np.ndarray, start: np.ndarray, radius: np.ndarray,
+               progress: Callable[[int], None] | None) -> Trajectory:
+    """The motion of the rods ``rows``, which are their own obstacles: of all of them as if they were not, and of those that
+    may have touched themselves from one frame to the next, or passed through themselves, once more, in f64.
+
+    moved   (stepping, rows, progress, touching): a motion without or with contact of the rods with themselves, and which rods
+            have passed through themselves, as the link of their frames says
+    start   (R, V, 3) mm, their places at first
+    radius  (1 or R,) mm
+    """
+    radius = np.asarray(radius, dtype=np.float64).reshape(-1)
+    found, near = moved(stepping, rows, progress)
+    lengths = np.linalg.norm(np.diff(start, axis=1), axis=-1)
+    places = np.concatenate([start[:, None], found.positions], axis=1)
+    own = np.arange(len(rows))
+    near = near | approach_in_motion(places[:, 0], places[:, 0], own, lengths, radius)
+    for frame in range(found.positions.shape[1]):
+        near |= approach_in_motion(places[:, frame], places[:, frame + 1], own, lengths, radius)
+    if found.contact_force is None:
+        found = replace(found, contact_force=np.zeros_like(found.positions),
+                        touch=np.zeros(found.positions.shape[:3], dtype=np.int8))
+    again = np.flatnonzero(near)
+    if len(again):
+        put(found, again, moved(replace(stepping, precision="f64"), rows[again], None, True)[0], slice(None))
+    return found

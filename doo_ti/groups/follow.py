@@ -16,8 +16,8 @@ from doo_ti.dynamics.energies import Losses, damping_shares, joint_strains, stif
 from doo_ti.dynamics.parameters import GRAVITY, RATES, Dynamics, Stepping
 from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupTables
-from doo_ti.groups.layout import JOINT_ITEMS, TWIST
 from doo_ti.groups.relax_group import AtRest, GroupSolution, relaxed, weights_at_vertices
+from doo_ti.groups.ties import JOINT_ITEMS, TWIST
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.time_sweep import DRAG, DRAG_BY_SPEED, INERTIA, LOAD

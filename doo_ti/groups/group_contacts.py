@@ -2,32 +2,18 @@
 
 import taichi as ti
 
-from doo_ti.groups.layout import (
-    EDGE,
-    GIVE,
-    GROUP,
-    MEMBER,
-    MOST_GROWTH,
-    NO_BORDER,
-    NOTABLE_MISS,
-    STIFFNESS_OF_TIES,
-    TIE,
-    TIE_TOLERANCE,
-    VERTEX,
-    group_items,
-)
-from doo_ti.groups.ties import Ties
-from doo_ti.physics.algebra import absolute, largest_of
-from doo_ti.physics.tuples import add, choose, dot, extended, identity, minus, picked, plus, scaled, variable
-from doo_ti.physics.view import NUMBERS, in_f64, read, write
+from doo_ti.groups import ties
+from doo_ti.physics.algebra import absolute, identity, largest_of
+from doo_ti.physics.number import NUMBERS, device_functions, in_f64, read, write
+from doo_ti.physics.tuples import add, choose, dot, extended, minus, picked, plus, scaled, variable
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contact_layout import FINE, contact_items, pair_items
+from doo_ti.relaxation.contact_table import FINE, contact_items, pair_items
 from doo_ti.relaxation.loading import stiffness_scale
 from doo_ti.relaxation.self_contacts import SelfContacts
 
 
-@ti.data_oriented
-class GroupContacts(Ties, SelfContacts):
+@device_functions
+class GroupContacts(ties.Ties, SelfContacts):
     """The contacts and ties of a group.
 
     Of the record ``rod`` its functions read ``begins``, of every edge zero or, of a break, the number of the rod after it;
@@ -40,30 +26,30 @@ class GroupContacts(Ties, SelfContacts):
     @picked
     def items(self, tables):
         edges = tables.rest_length.shape[1]
-        group = group_items(edges, tables.places.shape[1], tables.ties.shape[0], tables.borders.shape[0])
+        group = ties.group_items(edges, tables.places.shape[1], tables.ties.shape[0], tables.borders.shape[0])
         return contact_items(edges, tables.kinds.shape[0]) + pair_items(edges) + group
 
     @picked
     def group(self, rod):
         """That of the group."""
-        return self.own(rod).part(GROUP, pair_items(rod.edges))
+        return self.own(rod).part(ties.GROUP, pair_items(rod.edges))
 
     @picked
     def edge(self, rod, index):
-        return self.group(rod).part(EDGE, len(GROUP) + index * len(EDGE))
+        return self.group(rod).part(ties.EDGE, len(ties.GROUP) + index * len(ties.EDGE))
 
     @picked
     def group_vertex(self, rod, index):
-        return self.edge(rod, rod.edges).part(VERTEX, index * len(VERTEX))
+        return self.edge(rod, rod.edges).part(ties.VERTEX, index * len(ties.VERTEX))
 
     @picked
     def member(self, rod, index):
         """Of the rod ``index``."""
-        return self.group_vertex(rod, rod.edges + 1).part(MEMBER, index * len(MEMBER))
+        return self.group_vertex(rod, rod.edges + 1).part(ties.MEMBER, index * len(ties.MEMBER))
 
     @picked
     def tie(self, rod, index):
-        return self.member(rod, rod.rods).part(TIE, index * len(TIE))
+        return self.member(rod, rod.rods).part(ties.TIE, index * len(ties.TIE))
 
     @picked
     def matrix(self, rod):
@@ -75,23 +61,18 @@ class GroupContacts(Ties, SelfContacts):
 
     # --- what a rod that touches itself has otherwise ---
 
-    @ti.func
     def may_touch(self, rod, i, at, arc):
         """Whether two edges may touch is known from the start."""
         return at.may_touch > 0.5
 
-    @ti.func
     def held(self, rod, index):
         return self.group_vertex(rod, index).held
 
-    @ti.func
     def clearance(self, rod, index, distance):
         return distance - self.group_vertex(rod, index).thicker
 
-    @ti.func
     def pinched(self, rod, miss):
-        """Whether clamps hold a vertex inside an obstacle or two edges in each other; of the ends, which ties hold, their
-        places count."""
+        """Whether clamps hold a vertex in an obstacle or two edges in each other; of ends, which ties hold, places count."""
         least = 0.0 * rod.total
         for index in range(rod.edges + 1):
             place = self.vertex(rod, index).place
@@ -103,7 +84,6 @@ class GroupContacts(Ties, SelfContacts):
                 least = self.sunk(rod, rod.ties[k, 0], place, at.active, least)
         return (least < 0.0 - rod.contacts.tolerance) | self.pinched_pairs(rod)
 
-    @ti.func
     def sunk(self, rod, index, place, held, least):
         """``least``, or the least gap of vertex ``index`` at a ``place`` where it is ``held``."""
         found = variable((least,))
@@ -113,7 +93,6 @@ class GroupContacts(Ties, SelfContacts):
             found = (ti.select(held > 0.5, ti.min(found[0], gap), found[0]),)
         return found[0]
 
-    @ti.func
     def stand_pairs(self, rod):
         SelfContacts.stand_pairs(self, rod)
         for g in range(rod.rods):
@@ -121,7 +100,6 @@ class GroupContacts(Ties, SelfContacts):
             at.begin_standing = at.begin
         self.stand_forces(rod)
 
-    @ti.func
     def restore_pairs(self, rod, lost):
         SelfContacts.restore_pairs(self, rod, lost)
         for g in range(rod.rods):
@@ -131,7 +109,6 @@ class GroupContacts(Ties, SelfContacts):
 
     # --- weight and springs ---
 
-    @ti.func
     def hang(self, rod):
         """Add the weight of all vertices and their springs to the energy, the gradient and the second derivatives."""
         for v in range(rod.edges + 1):
@@ -146,7 +123,6 @@ class GroupContacts(Ties, SelfContacts):
 
     # --- rounds ---
 
-    @ti.func
     def tolerance(self, rod, given):
         """As of one rod, but without the rougher rounds: with these, ties would change their forces before the rods have
         followed the last change. It is at least what rounding of places makes of the forces."""
@@ -154,33 +130,30 @@ class GroupContacts(Ties, SelfContacts):
         noise = self.rounding * stiffness * rod.longest * rod.total * rod.total
         return given + noise
 
-    @ti.func
     def end_round(self, rod, lane, calm, rests, moved):
         """As of one rod; but where ties still miss that the next step closes, it is taken first."""
-        missing = ~self.draws(rod) & (self.miss(rod) > TIE_TOLERANCE)
+        missing = ~self.draws(rod) & (self.miss(rod) > ties.TIE_TOLERANCE)
         return SelfContacts.end_round(self, rod, lane, calm & ~missing, rests & ~missing, moved) | (rests & missing)
 
-    @ti.func
     def update_forces(self, rod, due):
         """End a round with new forces of contacts and, a first one, of ties. Returns the largest change of a gap that they
         mean, or what a tie misses times the ratio of their tolerances."""
         change, zero = SelfContacts.update_forces(self, rod, due), 0.0 * rod.total
         self.update_ties(rod, due)
         choose(rod.contacts, due, work=self.friction_work(rod))
-        return largest_of(change, ti.select(due, self.miss(rod) / TIE_TOLERANCE * rod.contacts.tolerance, zero))
+        return largest_of(change, ti.select(due, self.miss(rod) / ties.TIE_TOLERANCE * rod.contacts.tolerance, zero))
 
     # --- into scratch and out of it ---
 
-    @ti.func
     def load(self, tables, slot, rod, unit, scale):
         """As the obstacles and contacts of one rod, and the group's own numbers."""
         SelfContacts.load(self, tables, slot, rod, unit, scale)
         one, row = self.of_lane(tables, slot), tables.rods[rod, of.RESULT_ROW]
-        ties, head = tables.ties.shape[0], self.group(one)
+        tied, head = tables.ties.shape[0], self.group(one)
         if tables.touching == 0:
             one.contacts.phase = FINE
         self.load_apart(tables, one, row)
-        stiffness = STIFFNESS_OF_TIES / (scale.total * scale.total * scale.total)
+        stiffness = ties.STIFFNESS_OF_TIES / (scale.total * scale.total * scale.total)
         head.stiffness, head.work, head.unit = stiffness, 0.0, unit
         divisor = stiffness_scale(tables.material, tables.clamp, tables.rods[rod, of.MATERIAL_ROW],
                                   tables.rods[rod, of.CLAMP_ROW])
@@ -198,7 +171,7 @@ class GroupContacts(Ties, SelfContacts):
             vertex.spring = tables.burden[row, v, 6] * unit / force_unit
         for g in range(one.rods):
             self.member(one, g).begin = scaled(read(tables.places, row, g, 0), 1.0 / unit)
-        for t in range(ties):
+        for t in range(tied):
             tie = self.tie(one, t)
             tie.target = scaled(read(tables.targets, row, t, 0), 1.0 / unit)
             for k in ti.static(range(3)):
@@ -208,16 +181,15 @@ class GroupContacts(Ties, SelfContacts):
             tie.active = tables.targets[row, t, 3]
             tie.scale = tables.targets[row, t, 8] / divisor
         most = ti.cast(0.0, ti.f64)
-        for t in range(ties):
+        for t in range(tied):
             for k in ti.static(range(3)):
                 moment = tables.tie_forces[row, t, 3 + k] / tables.clamp[tables.rods[rod, of.CLAMP_ROW], of.TOTAL]
                 largest = ti.max(ti.abs(tables.tie_forces[row, t, k]), ti.abs(moment))
                 most = ti.max(most, largest * (unit * unit) / tables.targets[row, t, 8])
-        bound = MOST_GROWTH * (most + NOTABLE_MISS * scale.total * stiffness)
+        bound = ties.MOST_GROWTH * (most + ties.NOTABLE_MISS * scale.total * stiffness)
         head.bound = ti.select(most > 0.0, bound, 0.0 * bound)
-        head.give = ti.select(most > 0.0, GIVE, NO_BORDER) / stiffness
+        head.give = ti.select(most > 0.0, ties.GIVE, ties.NO_BORDER) / stiffness
 
-    @ti.func
     def load_apart(self, tables, one, row):
         """Which edges may touch; and no edge ends where a rod begins, so that none sags there."""
         for v in range(one.edges + 1):
@@ -227,10 +199,8 @@ class GroupContacts(Ties, SelfContacts):
         for number in range(tables.apart.shape[1]):
             self.numbered_pair(one, number).may_touch = ti.cast(tables.apart[own, number], ti.f64)
 
-    @ti.func
     def unload_forces(self, tables, slot, place, force_unit):
-        """The forces on vertices and those of ties, what sticks and slips, the work of friction, and where the rods begin, into
-        row ``place``."""
+        """Forces on vertices and of ties, what sticks and slips, friction's work and where rods begin, into row ``place``."""
         SelfContacts.unload_forces(self, tables, slot, place, force_unit)
         self.unload_touch(tables, slot, place)
         one = self.of_lane(tables, slot)

@@ -9,7 +9,7 @@ import taichi as ti
 
 from doo_ti.groups.group_contacts import GroupContacts
 from doo_ti.groups.group_elimination import GroupElimination
-from doo_ti.groups.layout import JointRest
+from doo_ti.groups.ties import JointRest
 from doo_ti.physics.number import Number
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.batch import UNTOUCHED, laid_out, layout_for, policy_row
@@ -122,8 +122,7 @@ class GroupState:
 
 @runtime.exclusive
 def run_groups(table: GroupTables, options: Newton, state: GroupState, previous: np.ndarray, rows: np.ndarray) -> None:
-    """Relax the groups ``rows``, in place. Friction acts from ``previous`` (N, V, 3) mm on, where the vertices were at the
-    moment before."""
+    """Relax the groups ``rows``, in place; friction acts from ``previous`` (N, V, 3) mm on, the vertices a moment before."""
     if not len(rows):
         return
     rods = of.rod_rows(rows, rows % len(table.material), rows, rows, rows % len(table.rest))

@@ -6,32 +6,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from doo_ti.contact.itself import LEAST_ARC, Itself, smallest_of_pairs
+from doo_ti.contact.surroundings import LEAST_ARC, Itself, smallest_of_pairs
 from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupTables
-from doo_ti.groups.layout import JOINT_ITEMS
+from doo_ti.groups.ties import JOINT_ITEMS
+from doo_ti.relaxation import input_tables
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.bows import projectable
 from doo_ti.relaxation.clamp_table import INFEASIBLE, STRAIGHT, clamp_table
-from doo_ti.relaxation.contact_layout import DEEPEST_STEP
-from doo_ti.relaxation.contact_table import contact_table, require_margin
-from doo_ti.relaxation.input_tables import (
-    bending_range,
-    check_material,
-    check_shapes,
-    clamp_kinds,
-    evened_materials,
-    material_table,
-    put_extremes,
-    rest_lengths,
-)
+from doo_ti.relaxation.contact_table import DEEPEST_STEP, contact_table, require_margin
 from doo_ti.relaxation.loading import REFERENCE_LENGTH
 from doo_ti.rod.frames import conjugate, quaternion_product, vertices_from_quaternions
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
 from doo_ti.system.errors import InputError
 
-AT_ITS_CLAMP = 1e-8
-"""Of a rod's length: a start no further from its clamp is there."""
+AT_ITS_CLAMP = 1e-8  # of a rod's length: a start no further from its clamp is there
 
 
 class Member:
@@ -41,11 +30,11 @@ class Member:
     whether a tie draws them there: far ends, and starts that are somewhere else; ``loose`` (N,) one where vertex 0 may move."""
 
     def __init__(self, start: Configuration, material: Material, clamps: Clamps, up: np.ndarray, bodies):
-        check_shapes(start, clamps)
-        check_material(material, start.edges, False)
+        input_tables.check_shapes(start, clamps)
+        input_tables.check_material(material, start.edges, False)
         count = start.count
-        self.lengths = rest_lengths(start)
-        kinds = clamp_kinds(clamps, count)
+        self.lengths = input_tables.rest_lengths(start)
+        kinds = input_tables.clamp_kinds(clamps, count)
         self.held = kinds >= Clamp.POSITION
         self.clamp, found = clamp_table(start, self.lengths, kinds, clamps)
         self.feasible = found != INFEASIBLE
@@ -60,7 +49,7 @@ class Member:
         fixed = self.held[:, 0] & ~away
         self.begin[fixed] = self.places[fixed, 0]
         self.loose = 1.0 - fixed
-        self.material = _edge_by_edge(material_table(material, start.edges), start.edges)
+        self.material = _edge_by_edge(input_tables.material_table(material, start.edges), start.edges)
 
     @property
     def free(self) -> np.ndarray:
@@ -97,7 +86,7 @@ class Member:
 
 def _bending_range(along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(-, E) each, the smaller and the larger bending stiffness of every edge of ``along`` (-, E, STIFFNESS_COLUMNS)."""
-    return bending_range(along[..., of.BEND], along[..., of.BEND + 1], along[..., of.BEND + 2])
+    return input_tables.bending_range(along[..., of.BEND], along[..., of.BEND + 1], along[..., of.BEND + 2])
 
 
 def _edge_by_edge(table: np.ndarray, edges: int) -> np.ndarray:
@@ -226,8 +215,7 @@ def _materials(group: Group, members: list[Member]) -> tuple[np.ndarray, np.ndar
 
 
 def evened_group(table: GroupTables, most: float) -> tuple[GroupTables, np.ndarray]:
-    """The same groups with the stiffness of each uneven rod made even (:func:`.evened`), and (N,) bool of the groups that this
-    changes."""
+    """The same groups, each uneven rod's stiffness made even (:func:`.evened`), and (N,) bool of those that this changes."""
     material = table.material.copy()
     along = material[:, of.STIFFNESS:].reshape(len(material), -1, of.STIFFNESS_COLUMNS)
     heads, changed = [], np.zeros(len(material), dtype=bool)
@@ -235,8 +223,8 @@ def evened_group(table: GroupTables, most: float) -> tuple[GroupTables, np.ndarr
     for first, end in zip(np.append(0, ends[:-1] + 1), ends, strict=True):
         own = along[:, first:end]
         head = material[:, : of.STIFFNESS].copy()
-        put_extremes(head, _bending_range(own), own[..., of.TWIST])
-        even, uneven = evened_materials(np.concatenate([head, own.reshape(len(own), -1)], axis=1), most)
+        input_tables.put_extremes(head, _bending_range(own), own[..., of.TWIST])
+        even, uneven = input_tables.evened_materials(np.concatenate([head, own.reshape(len(own), -1)], axis=1), most)
         own[...] = even[:, of.STIFFNESS:].reshape(own.shape)
         heads.append(even[:, : of.STIFFNESS])
         changed |= uneven

@@ -89,8 +89,7 @@ class GroupSolution:
 class AtRest:
     """What the groups of a relaxation have besides their energy at rest: nothing. :class:`.MovingGroups` have inertia."""
 
-    moves = False
-    """Whether this is a time step."""
+    moves = False  # whether this is a time step
 
     def stiffened(self, group: Group) -> Group:
         """The groups as they are relaxed."""
@@ -148,7 +147,9 @@ def relaxed(group: Group, solver: Newton | None, up: ArrayLike | None, obstacles
         if before is None:  # friction acts on the way from there
             table, previous = replace(table, contact=table.contact.smooth), np.zeros_like(state.forces)
         else:
-            previous = _previous(group, before)
+            # Where the vertices were at the moment before or, where there was no place for them, where they start.
+            then, now = (np.concatenate([rod.vertices for rod in rods], axis=1) for rods in (before.rods, group.rods))
+            previous = np.ascontiguousarray(np.where(np.isfinite(then), then, now))
         solver = Newton(max_iterations=MOST_IN_CONTACT) if solver is None else solver
         _through_ratios(table, solver, state, previous, RATIOS if before is None else ())
         return motion.reached(_solution(group, table, state), table)
@@ -173,12 +174,6 @@ def _through_ratios(table: GroupTables, solver: Newton, state: GroupState, previ
 def weights_at_vertices(table: GroupTables) -> np.ndarray:
     """(N, V) energy per mm by which the weight pulls at each vertex."""
     return table.material[:, of.WEIGHT, None] * table.burden[..., 0]
-
-
-def _previous(group: Group, before: GroupSolution) -> np.ndarray:
-    """(N, V, 3) mm where the vertices were at the moment before or, where there was no place for them, where they start."""
-    then, now = (np.concatenate([rod.vertices for rod in rods], axis=1) for rods in (before.rods, group.rods))
-    return np.ascontiguousarray(np.where(np.isfinite(then), then, now))
 
 
 def _forces(group: Group, before: GroupSolution) -> np.ndarray:

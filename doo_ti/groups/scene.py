@@ -39,40 +39,26 @@ from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line
 
 MOST_MOMENTS, MOST_EDGES, MOST_POINTS = 100_000, 1000, 10_000
-MOST_OF_ALL = 2000
-"""Edges of all rods: the memory of their Newton system grows with the square, to half a gigabyte."""
-MOST_HELD = 200_000
-"""Rods times moments."""
+MOST_OF_ALL = 2000  # edges of all rods: the memory of their Newton system grows with the square, to half a gigabyte
+MOST_HELD = 200_000  # rods times moments
 SAME_UNIT = 1e-6
-SAMPLES = 40
-"""Of a curve, for each edge of the rod along it."""
+SAMPLES = 40  # of a curve, for each edge of the rod along it
 
 
 @dataclass(frozen=True)
 class GroupScene:
-    """A scene, checked.
-
-    names         G of the rods
-    group         one group, with the clamps of the first moment
-    clamps        those of all T moments, each of G rods
-    time          (T,) s; one moment where there is no motion
-    rate          moments per second
-    surroundings  the obstacles, and the radius of the rods, one or (1, G), where they touch each other
-    dynamics      G of them, or None without inertia
-    scheme        of the time steps
-    newton        N in the unit of force, where the materials state their mass per length, or None
-    """
+    """A scene, checked."""
 
     name: str
-    names: tuple[str, ...]
-    group: Group
-    clamps: list[list[Clamps]]
-    time: np.ndarray
-    rate: float
-    surroundings: Surroundings
-    dynamics: list[Dynamics] | None = None
-    scheme: str = "bdf2"
-    newton: float | None = None
+    names: tuple[str, ...]  # G of the rods
+    group: Group  # one group, with the clamps of the first moment
+    clamps: list[list[Clamps]]  # those of all T moments, each of G rods
+    time: np.ndarray  # (T,) s; one moment where there is no motion
+    rate: float  # moments per second
+    surroundings: Surroundings  # the obstacles, and the radius of the rods, one or (1, G), where they touch each other
+    dynamics: list[Dynamics] | None = None  # G of them, or None without inertia
+    scheme: str = "bdf2"  # of the time steps
+    newton: float | None = None  # N in the unit of force, where the materials state their mass per length, or None
 
     @property
     def arguments(self) -> dict:

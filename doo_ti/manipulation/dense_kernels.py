@@ -11,9 +11,8 @@ import numpy as np
 import taichi as ti
 
 from doo_ti.physics.algebra import largest_of
-from doo_ti.physics.number import Number
+from doo_ti.physics.number import NUMBERS, Number, Scratch
 from doo_ti.physics.tuples import picked, record, variable
-from doo_ti.physics.view import NUMBERS, Scratch
 from doo_ti.relaxation.batch import laid_out, layout_for
 from doo_ti.relaxation.kernel_factory import SCRATCH, TABLE1, loop_kernel
 from doo_ti.system import runtime

@@ -24,14 +24,13 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.contact.itself import Itself
 from doo_ti.contact.obstacles import Obstacle
-from doo_ti.contact.surroundings import Surroundings
+from doo_ti.contact.surroundings import Itself, Surroundings
 from doo_ti.manipulation.model import finite_rods, put_rods
 from doo_ti.motion.path import LARGEST_TURN, motion_between
-from doo_ti.relaxation.end_loads import end_loads
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
+from doo_ti.relaxation.sensitivity import end_loads
 from doo_ti.rod.frames import (
     FRAME_TOLERANCE,
     conjugate,

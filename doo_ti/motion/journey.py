@@ -19,25 +19,20 @@ import numpy as np
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.motion.path import Motion
 from doo_ti.relaxation.descent import Descent
+from doo_ti.relaxation.external import PointLoads
 from doo_ti.relaxation.newton import Newton
-from doo_ti.relaxation.point_loads import PointLoads
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.types import Configuration, Material, Solution, sticky
 
-FEWEST_STEPS = 2
-"""Sub-steps of a motion: jumps are found by comparing a sub-step with the one before."""
+FEWEST_STEPS = 2  # sub-steps of a motion: jumps are found by comparing a sub-step with the one before
 PARTS = 8
 OUT_OF_PROPORTION = 0.5
 """A sub-step is repeated where the difference of two successive changes exceeds this share of the larger one: 0.1 on smooth
 motions, 1 at a jump."""
-UNDIVIDED = 0.5
-"""A part that holds more than this share of the change of all parts is a jump."""
-ABRUPT = 6.0
-"""A part that changes this many times as much as the parts beside it is a jump, too."""
-NOTABLE = 0.01
-"""rad, root mean square over the frames: smaller changes are no jumps."""
-EVERY = 4
-"""Every fourth edge is compared: that suffices for the change of a shape."""
+UNDIVIDED = 0.5  # a part that holds more than this share of the change of all parts is a jump
+ABRUPT = 6.0  # a part that changes this many times as much as the parts beside it is a jump, too
+NOTABLE = 0.01  # rad, root mean square over the frames: smaller changes are no jumps
+EVERY = 4  # every fourth edge is compared: that suffices for the change of a shape
 
 
 class JumpCount:

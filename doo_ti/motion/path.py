@@ -9,6 +9,7 @@ import numpy as np
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import (
+    angle_about,
     conjugate,
     matrix_from_quaternion,
     quaternion_about,
@@ -22,12 +23,9 @@ from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution, s
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
 
-LARGEST_TURN = np.radians(5.0)
-"""rad, of a clamp in one sub-step."""
-SHIFT_PER_TURN = 0.2
-"""Largest shift of a clamp in one sub-step, as a share of the rod's length, per radian of its largest turn."""
-MOST_STEPS = 100_000
-"""Sub-steps of a motion."""
+LARGEST_TURN = np.radians(5.0)  # rad, of a clamp in one sub-step
+SHIFT_PER_TURN = 0.2  # largest shift of a clamp in one sub-step, as a share of the rod's length, per radian of its largest turn
+MOST_STEPS = 100_000  # sub-steps of a motion
 
 
 @typed
@@ -124,6 +122,19 @@ def carry(configuration: Configuration, material: Material, path: Iterator[Clamp
         if status is not None:
             solution = replace(solution, status=sticky(status, solution.status))
     return solution, clamps
+
+
+def rotation_about_rod(motion: Motion) -> np.ndarray:
+    """(N,) rad by which a motion turns the far frame about its tangent, beyond the parallel transport of the frame; whole turns
+    are those of the motion's own rotation vector and roll."""
+    before, after = motion.clamps.end_frame, motion.at(1.0).end_frame
+    carried = matrix_from_quaternion(smallest_rotation(before[..., 0], after[..., 0]))
+    m1 = np.einsum("nij,nj->ni", carried, before[..., 1])
+    angle = angle_about(after[..., 0], m1, after[..., 1])
+    spin = 0.0 if motion.end_spin is None else motion.end_spin
+    along = 0.0 if motion.end_turn is None else np.sum(motion.end_turn * before[..., 0], axis=-1)
+    held = np.broadcast_to(np.asarray(motion.clamps.end) == Clamp.FRAME, len(angle))
+    return np.where(held, angle + 2 * np.pi * np.round((spin + along - angle) / (2 * np.pi)), 0.0)
 
 
 def _shifted(position: np.ndarray, shift: np.ndarray | None, share: np.ndarray) -> np.ndarray:

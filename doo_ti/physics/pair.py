@@ -1,4 +1,4 @@
-"""Bend and twist energy of two neighbouring edges, with gradient and Hessian (§III-C E_bend, E_twist).
+"""Bend and twist energy of two neighbouring edges, with gradient and Hessian (§III-C E_bend, E_twist); then linear potentials.
 
 It depends on the relative rotation q = conj(Q_left) Q_right = (q0, q1, q2, q3) of the two material frames. With
 z = q0 + i q1, ζ = q2 + i q3 and s = |z|² two complex numbers X = ζ/z̄, Y = ζ/z hold the curvature as each frame sees it,
@@ -22,8 +22,9 @@ own and the joint a rest twist: E is then that of ω^left − u̅_left, ω^right
 
 import taichi as ti
 
+from doo_ti.physics.number import device_functions
 from doo_ti.physics.quaternion import relative_rotation
-from doo_ti.physics.tuples import picked, traced
+from doo_ti.physics.tuples import cross, dot, minus, negated, picked, repeated, scaled, traced
 
 
 @ti.func
@@ -92,14 +93,8 @@ def _applied(b, u):
 
 
 @picked
-def _rest_left(stiffness):
-    """u̅ of the left frame."""
-    return stiffness[4]
-
-
-@picked
 def _rest_right(stiffness):
-    """u̅ of the right frame."""
+    """u̅ of the right frame; that of the left one is the fifth of ``stiffness``."""
     return stiffness[5] if len(stiffness) > 5 else stiffness[4]
 
 
@@ -117,7 +112,7 @@ def strain(x, rest):
 
 @ti.func
 def general_energy(x, y, m, stiffness):
-    left = strain(x, _rest_left(stiffness))
+    left = strain(x, stiffness[4])
     right = strain(y, _rest_right(stiffness))
     f = _applied(stiffness[0], left)
     g = _applied(stiffness[1], right)
@@ -161,8 +156,7 @@ def _bend_form(b, factor, p, q):
 def first_variation(x, y, inverse, turn):
     """Columns of δX over (a_left, r_left, s_left, r_right, s_right) and of δY over (r_left, s_left, a_right, r_right,
     s_right), Ω = r + i s; the missing columns are zero. And X², Y², c."""
-    xx = _times(x, x)
-    yy = _times(y, y)
+    xx, yy = _times(x, x), _times(y, y)
     c = (turn[0] * inverse, turn[1] * inverse)
     of_x = ((x[1], 0.0 - x[0]), (0.0 - 0.5 - 0.5 * xx[0], 0.0 - 0.5 * xx[1]), (0.0 - 0.5 * xx[1], 0.5 * xx[0] - 0.5),
             (0.5 * c[0], 0.5 * c[1]), (0.0 - 0.5 * c[1], 0.5 * c[0]))
@@ -174,7 +168,7 @@ def first_variation(x, y, inverse, turn):
 @ti.func
 def general_gradient(x, y, inverse, turn, m, stiffness):
     """⟨μ, δX⟩ + ⟨ν, δY⟩ + M δm with μ, ν the moments of the left and right frame and M = 2 b m."""
-    mu = moment(stiffness[0], strain(x, _rest_left(stiffness)), stiffness[2])
+    mu = moment(stiffness[0], strain(x, stiffness[4]), stiffness[2])
     nu = moment(stiffness[1], strain(y, _rest_right(stiffness)), stiffness[2])
     t = 2.0 * stiffness[3] * _twist(m, stiffness)
     return gradient_of_moments(mu, nu, t, x, y, inverse, turn)
@@ -210,21 +204,18 @@ def curvature_variation(x, y, inverse, turn, left, right):
 @ti.func
 def general_hessian(x, y, inverse, turn, m, stiffness):
     """Σ (δu)ᵀB(δu)/l̄ + 2b δm² + ⟨μ, δ²X⟩ + ⟨ν, δ²Y⟩ + M δ²m."""
-    b_left = stiffness[0]
-    b_right = stiffness[1]
-    mu = moment(b_left, strain(x, _rest_left(stiffness)), stiffness[2])
+    b_left, b_right = stiffness[0], stiffness[1]
+    mu = moment(b_left, strain(x, stiffness[4]), stiffness[2])
     nu = moment(b_right, strain(y, _rest_right(stiffness)), stiffness[2])
     f = 4.0 * stiffness[2]
     b2 = 2.0 * stiffness[3]
     h = 0.5 * b2 * _twist(m, stiffness)  # M/2
     dx, dy, xx, yy, c = first_variation(x, y, inverse, turn)
-    xxx = _times(xx, x)
-    yyy = _times(yy, y)
+    xxx, yyy = _times(xx, x), _times(yy, y)
     c_bar = (c[0], 0.0 - c[1])
     cx_bar = _times(c_bar, (x[0], 0.0 - x[1]))
     cy_bar = _times(c, (y[0], 0.0 - y[1]))
-    cx = _times(c, x)
-    cy = _times(c_bar, y)
+    cx, cy = _times(c, x), _times(c_bar, y)
     left = (
         _bend_form(b_left, f, dx[0], dx[0]) + b2 - _inner(mu, x),
         _bend_form(b_left, f, dx[0], dx[1]) + b2 * x[1] + 0.5 * (mu[1] + _inner_i(mu, xx)),
@@ -234,8 +225,7 @@ def general_hessian(x, y, inverse, turn, m, stiffness):
         _bend_form(b_left, f, dx[1], dx[2]) + _bend_form(b_right, f, dy[0], dy[1]) - b2 * x[0] * x[1]
         + 0.5 * (_inner_i(nu, cx_bar) - _inner_i(mu, xxx)) - h * xx[0],
         _bend_form(b_left, f, dx[2], dx[2]) + _bend_form(b_right, f, dy[1], dy[1]) + b2 * x[0] * x[0]
-        + 0.5 * (_inner(mu, x) - _inner(mu, xxx) - _inner(nu, cx_bar)) - h * xx[1],
-    )
+        + 0.5 * (_inner(mu, x) - _inner(mu, xxx) - _inner(nu, cx_bar)) - h * xx[1])
     right = (
         _bend_form(b_right, f, dy[2], dy[2]) + b2 - _inner(nu, y),
         _bend_form(b_right, f, dy[2], dy[3]) - b2 * y[1] - 0.5 * (nu[1] + _inner_i(nu, yy)),
@@ -245,8 +235,7 @@ def general_hessian(x, y, inverse, turn, m, stiffness):
         _bend_form(b_left, f, dx[3], dx[4]) + _bend_form(b_right, f, dy[3], dy[4]) - b2 * y[0] * y[1]
         + 0.5 * (_inner_i(mu, cy_bar) - _inner_i(nu, yyy)) + h * yy[0],
         _bend_form(b_left, f, dx[4], dx[4]) + _bend_form(b_right, f, dy[4], dy[4]) + b2 * y[0] * y[0]
-        + 0.5 * (_inner(nu, y) - _inner(nu, yyy) - _inner(mu, cy_bar)) + h * yy[1],
-    )
+        + 0.5 * (_inner(nu, y) - _inner(nu, yyy) - _inner(mu, cy_bar)) + h * yy[1])
     across = (
         0.0 - b2,
         _bend_form(b_left, f, dx[0], dx[3]) + b2 * y[1] - 0.5 * _inner_i(mu, c),
@@ -260,19 +249,59 @@ def general_hessian(x, y, inverse, turn, m, stiffness):
         _bend_form(b_left, f, dx[2], dx[3]) + _bend_form(b_right, f, dy[1], dy[3]) - b2 * x[0] * y[1]
         + 0.5 * (_inner_i(mu, cx) - _inner_i(nu, cy)) + h * c[0],
         _bend_form(b_left, f, dx[2], dx[4]) + _bend_form(b_right, f, dy[1], dy[4]) + b2 * x[0] * y[0]
-        - 0.5 * (_inner(mu, cx) + _inner(nu, cy)) - h * c[1],
-    )
+        - 0.5 * (_inner(mu, cx) + _inner(nu, cy)) - h * c[1])
     return left, right, across
 
 
-@ti.data_oriented
+# --- linear potentials c·t·l of an edge: gravity, and the multiplier λ that holds the far end (§III-B). The one constraint that
+# a chain of frames does not keep by itself is closure, Σ_j l_j t_j = d: three numbers per rod -------------------------
+
+
+@ti.func
+def linear_gradient(c, length, m1, m2):
+    """∂(l c·t)/∂w: (0, −l c·m2, l c·m1), given as its last two numbers. Its Jacobian rows in c are A = l (0; −m2ᵀ; m1ᵀ)."""
+    return (0.0 - length * dot(c, m2), length * dot(c, m1))
+
+
+@ti.func
+def linear_hessian(c, length, t):
+    """∂²(l c·t)/∂w²: −l c·t for both tilts, and zero for all else, spin included."""
+    return 0.0 - length * dot(c, t)
+
+
+@ti.func
+def closure_rows(length, m1, m2):
+    """A = l (0; −m2ᵀ; m1ᵀ), by which the far end follows the edge's rotation: nine numbers."""
+    return repeated(0.0 * length, 3) + negated(scaled(m2, length)) + scaled(m1, length)
+
+
+@ti.func
+def shift_of_end(length, m1, m2, w):
+    """Aᵀw, by which the rotation w of an edge moves its end."""
+    return scaled(minus(scaled(m1, w[2]), scaled(m2, w[1])), length)
+
+
+@ti.func
+def normal_matrix(length, t):
+    """AᵀA = l² (I − t tᵀ), symmetric 6-tuple."""
+    s = length * length
+    return (s - s * t[0] * t[0], 0.0 - s * t[0] * t[1], 0.0 - s * t[0] * t[2],
+            s - s * t[1] * t[1], 0.0 - s * t[1] * t[2], s - s * t[2] * t[2])
+
+
+@ti.func
+def closing_rotation(length, t, x):
+    """World rotation −l t × x that moves the end of the edge by −AᵀA x: the minimum norm for a shift of the far end."""
+    return negated(scaled(cross(t, x), length))
+
+
+@device_functions
 class PairEnergy:
     """The variant for the material of a chain's rods: ``isotropic``, or general. Its functions take views of edges in scratch
     (:mod:`doo_ti.relaxation.chain`), and the stiffness as ``s``."""
 
     isotropic: bool
 
-    @ti.func
     def stiffness(self, left, right, material):
         """The stiffness tuple of the vertex between two neighbouring edges."""
         inverse = right.inverse_length
@@ -281,24 +310,20 @@ class PairEnergy:
         else:
             return (left.bend, right.bend, inverse, right.twist * inverse) + self.rest(right)
 
-    @ti.func
     def rest(self, edge):
         """What stiffness ends with, of the vertex where an edge begins: u̅, the same for both frames."""
         return (edge.rest,)
 
-    @ti.func
     def bent(self, b):
         """(X, Y, 1/s, m, e^{im}) of the numbers ``bent`` of an edge."""
         return ((b[0], b[1]), (b[2], b[3]), b[4], b[5], (b[6], b[7]))
 
-    @ti.func
     def energy_of(self, bent, s):
         if ti.static(self.isotropic):
             return isotropic_energy(bent[0], bent[3], s)
         else:
             return general_energy(bent[0], bent[1], bent[3], s)
 
-    @ti.func
     def gradient_of(self, bent, s):
         x, y, inverse, m, turn = bent
         if ti.static(self.isotropic):
@@ -306,7 +331,6 @@ class PairEnergy:
         else:
             return general_gradient(x, y, inverse, turn, m, s)
 
-    @ti.func
     def derivatives(self, bent, s):
         """(g_left, g_right, H_left, H_right, H_across) of a pair."""
         x, y, inverse, m, turn = bent
@@ -315,6 +339,5 @@ class PairEnergy:
         else:
             return self.gradient_of(bent, s) + general_hessian(x, y, inverse, turn, m, s)
 
-    @ti.func
     def keep_pair(self, rod, joint, derivatives):
         """Called with the :meth:`derivatives` of each pair during elimination; here it keeps nothing."""

@@ -11,8 +11,7 @@ import numpy as np
 import rerun
 import rerun.blueprint as blueprint
 
-from doo_ti.contact.moving import Moving, since_first
-from doo_ti.contact.surroundings import Surroundings
+from doo_ti.contact.surroundings import Moving, Surroundings, since_first
 from doo_ti.groups.relax_group import GroupSolution
 from doo_ti.record import viewer
 from doo_ti.report import MovingRods, Ribbons, distinct_colors

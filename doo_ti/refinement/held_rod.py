@@ -15,8 +15,8 @@ import numpy as np
 
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.refinement.mesh import GEOMETRY, Lengths, Mesh, mesh_of
+from doo_ti.relaxation.external import PointLoads
 from doo_ti.relaxation.newton import Newton
-from doo_ti.relaxation.point_loads import PointLoads
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import right_jacobian, rotation_matrix, turned_about_tangent
 from doo_ti.rod.observations import Observations

@@ -21,20 +21,16 @@ from doo_ti.rod.frames import matrix_from_quaternion, quaternion_from_matrix, ve
 from doo_ti.rod.types import Solution, Status
 from doo_ti.system import runtime
 
-PROJECTIONS = 100
-"""Rounds in which Descent's starts are brought onto closure."""
-BLOCK, MOST_THREADS = 64, 1 << 16
-"""On a GPU, threads in a block, and threads of a launch."""
+PROJECTIONS = 100  # rounds in which Descent's starts are brought onto closure
+BLOCK, MOST_THREADS = 64, 1 << 16  # on a GPU, threads in a block, and threads of a launch
 WIDER = 4
 """On a GPU, the factor from one stride to the next. A kernel is compiled for one stride: if that were the number of rods, each
 launch with another number of rods would compile its kernel again, for seconds."""
 
-UNTOUCHED = np.full(of.RESULTS, np.nan)
-"""The results of an infeasible rod, which no kernel relaxes."""
+UNTOUCHED = np.full(of.RESULTS, np.nan)  # the results of an infeasible rod, which no kernel relaxes
 UNTOUCHED[[of.ITERATIONS, of.STATUS]] = 0.0, Status.INFEASIBLE
 
-_last: dict[int, tuple[Number, np.ndarray]] = {}
-"""By bits: the numbers and the queue of the last launch."""
+_last: dict[int, tuple[Number, np.ndarray]] = {}  # by bits: the numbers and the queue of the last launch
 
 
 def run_newton(table: Tables, options: newton.Newton, bits: int, begin: Solution | None = None, moving: bool = True):

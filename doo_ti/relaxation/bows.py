@@ -15,9 +15,8 @@ import taichi as ti
 from doo_ti.contact.distance import COLUMNS, Distance
 from doo_ti.contact.distance_grid import grid_table
 from doo_ti.contact.obstacles import GRID, OBSTACLE_COLUMNS, PLANE, Obstacle, obstacle_table
-from doo_ti.physics.number import Number
+from doo_ti.physics.number import Number, Scratch, device_functions, read
 from doo_ti.physics.tuples import cross, dot, minus, plus, record, scaled, variable
-from doo_ti.physics.view import Scratch, read
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.clamp_table import STRAIGHT, TAUT, TAUT_SLACK
 from doo_ti.relaxation.kernel_factory import INDEX1, TABLE1, loop_kernel
@@ -34,16 +33,13 @@ from doo_ti.system import runtime
 # Columns of a try: the number of half waves; whether it lies aside; to which side; the largest slope, rad; and one where the
 # way from the straight line is followed.
 HALF_WAVES, ASIDE, SIGN, SLOPE, FOLLOWED, TRY_COLUMNS = 0, 1, 2, 3, 4, 5
-MIDWAY = 0.4
-"""Of a bow's slope: the shape through which its way from the straight line is followed."""
-PLACES = 8
-"""Of an edge, and of the way of a vertex, that are to be outside all obstacles."""
-FROM_THERE = 0.9
-"""A vertex may always come as near to an obstacle as that share of its distance at the start of its way."""
+MIDWAY = 0.4  # of a bow's slope: the shape through which its way from the straight line is followed
+PLACES = 8  # of an edge, and of the way of a vertex, that are to be outside all obstacles
+FROM_THERE = 0.9  # a vertex may always come as near to an obstacle as that share of its distance at the start of its way
 NONE = -1
 
 
-@ti.data_oriented
+@device_functions
 class BowSearch:
     """The search, one rod at a time, among obstacles of some ``kinds``. Its functions take the record ``tables`` of the
     kernel's arguments, and a rod's row ``r`` in them."""
@@ -53,23 +49,19 @@ class BowSearch:
         self.distance, self.scalar = Distance(number, kinds), number.scalar
         self.memory = Scratch(number, 1)
 
-    @ti.func
     def work(self, tables, thread):
         """A thread's share of the rods."""
         for k in range((tables.chosen.shape[0] - thread + tables.threads - 1) // tables.threads):
             tables.chosen[thread + k * tables.threads] = self.search(tables, thread + k * tables.threads)
 
-    @ti.func
     def value(self, tables, r, o, x):
         """φ of obstacle ``o`` at ``x``."""
         row = ti.min(r, tables.obstacles.shape[0] // (tables.kinds.shape[0] * OBSTACLE_COLUMNS) - 1)
         own = self.memory.view(tables.obstacles, (row * tables.kinds.shape[0] + o) * OBSTACLE_COLUMNS, COLUMNS)
         return self.distance.measure(own, tables.grids, tables.kinds[o], x).value
 
-    @ti.func
     def nears(self, tables, r, o, start, end, both, least):
-        """Whether the straight line between two places, whose φ is ``both`` together, comes nearer to an obstacle than
-        ``least``."""
+        """Whether the line between two places, whose φ is ``both`` together, comes nearer to an obstacle than ``least``."""
         along, room, nearer = minus(end, start), both - 2.0 * least, False
         # φ grows no faster than the place: a short line stays away.
         if room < 0.0 or dot(along, along) > room * room:
@@ -78,14 +70,12 @@ class BowSearch:
                     nearer = self.value(tables, r, o, plus(start, scaled(along, k / PLACES))) < least
         return nearer
 
-    @ti.func
     def passes(self, tables, r, o, start, end, length):
         """Whether a vertex on its way comes so near to an obstacle that an edge of that ``length`` may pass through it."""
         first, last = self.value(tables, r, o, start), self.value(tables, r, o, end)
         least = ti.min(0.5 * length, FROM_THERE * first)
         return last < least or self.nears(tables, r, o, start, end, first + last, least)
 
-    @ti.func
     def bent(self, tables, r, e, half_waves, slope, across):
         """An edge of a bow, whose edges turn in the plane of the line and of ``across``."""
         angle = slope * ti.cos(ti.math.pi * half_waves * tables.place[r, e]) * tables.free[r, e]
@@ -93,7 +83,6 @@ class BowSearch:
         flat = minus(across, scaled(t, dot(across, t)))
         return plus(scaled(t, length * ti.cos(angle)), scaled(flat, length * ti.sin(angle)))
 
-    @ti.func
     def fits(self, tables, r, number, slope, followed):
         """Whether a try of that slope is outside all obstacles and, where it is ``followed``, passes through none."""
         edges, fine = tables.lengths.shape[1], True
@@ -128,7 +117,6 @@ class BowSearch:
             v += 1
         return fine
 
-    @ti.func
     def is_outside(self, tables, r, o, last, x, length):
         """Whether vertex ``x`` and the edge of that ``length`` from the ``last`` one are."""
         value = self.value(tables, r, o, x)
@@ -137,7 +125,6 @@ class BowSearch:
             outside = not self.nears(tables, r, o, last, x, value + self.value(tables, r, o, last), 0.0)
         return outside
 
-    @ti.func
     def search(self, tables, r):
         """The first try that fits, or NONE."""
         # Of no slope a try is the straight line, the way from which can be followed only if it is outside.
@@ -179,16 +166,11 @@ def bow_kernel(kinds: frozenset[int], block: int):
 DOWN, SIDEWAYS, UPRIGHT = (False, 1.0), ((True, 1.0), (True, -1.0)), (False, -1.0)
 """Directions of a bow: whether it lies aside, perpendicular to the plane of the first, and to which side. An upright arch would
 have to fall over."""
-NUMBERS = (1, 2, 3, 4, 6, 8, 12, 16)
-"""Of half waves."""
-EDGES_OF_A_HALF_WAVE = 3
-"""At least."""
-SLIGHT = 0.2
-"""rad: the slope of a bow where there is no room for a wide one."""
-STEEPEST = 2.2
-"""rad: the slope of a bow at its ends; steeper ones cross themselves."""
-STEEP = 1e-3
-"""The sine of the angle between a rod and the vertical, below which its first bow goes along a director."""
+NUMBERS = (1, 2, 3, 4, 6, 8, 12, 16)  # of half waves
+EDGES_OF_A_HALF_WAVE = 3  # at least
+SLIGHT = 0.2  # rad: the slope of a bow where there is no room for a wide one
+STEEPEST = 2.2  # rad: the slope of a bow at its ends; steeper ones cross themselves
+STEEP = 1e-3  # the sine of the angle between a rod and the vertical, below which its first bow goes along a director
 SERIES, NEWTON_ROUNDS = 9, 6
 MOST_THREADS = 4096
 

@@ -8,9 +8,9 @@ from functools import cache
 import taichi as ti
 from taichi.lang.impl import subscript
 
-from doo_ti.physics.algebra import absolute, solve_symmetric
-from doo_ti.physics.closure import closing_rotation, linear_gradient, normal_matrix
-from doo_ti.physics.pair import PairEnergy, curvature
+from doo_ti.physics.algebra import absolute, on_diagonal, solve_symmetric
+from doo_ti.physics.number import Layout, Scratch, device_functions
+from doo_ti.physics.pair import PairEnergy, closing_rotation, curvature, linear_gradient, normal_matrix
 from doo_ti.physics.quaternion import (
     first_director,
     second_director,
@@ -19,21 +19,7 @@ from doo_ti.physics.quaternion import (
     turned_in_world,
     twist_angle_function,
 )
-from doo_ti.physics.tuples import (
-    chosen,
-    dot,
-    extended,
-    minus,
-    negated,
-    on_diagonal,
-    picked,
-    plus,
-    record,
-    repeated,
-    scaled,
-    variable,
-)
-from doo_ti.physics.view import Layout, Scratch
+from doo_ti.physics.tuples import chosen, dot, extended, minus, negated, picked, plus, record, repeated, scaled, variable
 from doo_ti.relaxation.newton_policy import UP
 
 # What scratch holds of a rod (see :class:`Chain`), and then of each of its edges.
@@ -51,8 +37,7 @@ bent                before eliminating, curvature and twist where the edge ends
 pivots              the factors of the diagonal block"""
 GENERAL = Layout(bend=3, twist=1, rest=2, shift_shares=2)
 """β and ω̄ are those of the vertex where the edge begins; shares of a spin and of a tilt."""
-FORCE = Layout(force_border=9)
-"""Of the columns of the multiplier under an external energy."""
+FORCE = Layout(force_border=9)  # of the columns of the multiplier under an external energy
 
 
 @cache
@@ -70,11 +55,10 @@ def rod_layout(external_start: Layout | None = None) -> Layout:
 
 STAND_INS = {"start": "frames", "numbers": "material", "field": "material", "kinds": "rods", "grids": "material"}
 """What stands in for an array that a kernel does not take: Taichi's functions must be given one, and nothing reads it."""
-EASILY_TWISTED = 1e-2
-"""β over α, below which twisting is much easier than bending."""
+EASILY_TWISTED = 1e-2  # β over α, below which twisting is much easier than bending
 
 
-@ti.data_oriented
+@device_functions
 class Chain(PairEnergy):
     """The sweeps that all rods share, for one kind of number and of material.
 
@@ -148,7 +132,6 @@ class Chain(PairEnergy):
         """The view of an edge of the rods at ``head``."""
         return head.part(self.edge_layout, len(self.rod_layout) + e * len(self.edge_layout))
 
-    @ti.func
     def rods(self, tables, head, coarse):
         """The record of the rods at ``head``, with the tables of an external energy if there is one."""
         loose = 0.0 * head.closed
@@ -162,7 +145,6 @@ class Chain(PairEnergy):
             shift_shares=head.shift_shares, gravity=head.gravity, anchor=head.anchor, numbers=tables.numbers,
             field=tables.field, coarse=coarse)
 
-    @ti.func
     def spinning_first(self, rod, far):
         """One where a step is to turn frames by spins that are made before tilts, zero where by rotation vectors; ``far``: one
         where a rod is far from rest.
@@ -180,14 +162,12 @@ class Chain(PairEnergy):
             one = far * ti.max(rod.closed, easily_twisted)
         return one
 
-    @ti.func
     def second_derivatives(self, rod, h, g):
         """H of an edge by w as a step turns it, from ``h`` with spins made first and the gradient ``g``: with rotation vectors
         the second derivative by spin and tilt is the mean of both orders."""
         half = 0.5 * (1.0 - rod.spins_first)
         return (h[0], h[1] + half * g[2], h[2] - half * g[1], h[3], h[4], h[5])
 
-    @ti.func
     def shifts(self, rod, edge, shift):
         """``shift`` of a spin and of a tilt of an edge: at most a large multiple of what is stiff there, so that the soft parts
         of a rod with a stiff one still move."""
@@ -198,7 +178,6 @@ class Chain(PairEnergy):
 
     # --- free rotations and weight ---
 
-    @ti.func
     def freedom(self, rod, edge):
         """(spin, tilt, tilt) of an edge: one where it may turn about its tangent, and about m1 and m2."""
         one = 0.0 * rod.total + 1.0
@@ -209,12 +188,10 @@ class Chain(PairEnergy):
             free = (rod.free[2], rod.free[3], rod.free[3])
         return free
 
-    @ti.func
     def hanging_weight(self, rod, length, remaining):
         """Coefficient of gravity on an edge: Σ_{i>j} l̄_i, less Σ_i l̄_i where the rod hangs from its far end."""
         return length + 2.0 * remaining - 2.0 * rod.total * rod.released
 
-    @ti.func
     def summed(self, total, lost, values):
         """Compensated summation: (``total`` + ``values``, the rounding error, which is corrected with the next values). In f32
         the far end of a chain would otherwise be off by more than 1e-7 of its length."""
@@ -227,7 +204,6 @@ class Chain(PairEnergy):
 
     # --- sweeps ---
 
-    @ti.func
     def step(self, rod, scale, moving, before):
         """Frames turned by scale ω (:meth:`spinning_first`), and x of the projection that puts them back on closure, both only
         where ``moving``; and AᵀA over the edges that may tilt. Where rods may touch something, a step that is not taken whole
@@ -267,7 +243,6 @@ class Chain(PairEnergy):
         shrink = moving * ti.min(0.0 * size + 1.0, 0.15 / size)
         return scaled(x, shrink), normal
 
-    @ti.func
     def close(self, rod, x, normal):
         """Turn the stepped frames onto closure by the minimum-norm rotation of :meth:`step`, and evaluate them.
 
@@ -329,7 +304,6 @@ class Chain(PairEnergy):
         fit, minors = solve_symmetric(normal, moment)
         return energy + potential, energy + magnitude, miss, negated(scaled(fit, rod.closed)), (unclosed, closed)
 
-    @ti.func
     def _bend(self, rod, e, before, q):
         """Curvature and twist between the frame before and q, of edge ``e``, kept for the elimination; the stiffness there."""
         previous = self.edge(rod.head, e - 1)
@@ -338,7 +312,6 @@ class Chain(PairEnergy):
         previous.bent = px + py + (inverse, m) + turn
         return (px, py, inverse, m, turn), self.stiffness(previous, self.edge(rod.head, e), rod.stiffness)
 
-    @ti.func
     def restore(self, rod, lost):
         """Restore the frames from before the step in the lanes that reject it."""
         for e in range(rod.edges):

@@ -5,11 +5,10 @@ from functools import cache
 import numpy as np
 import taichi as ti
 
-from doo_ti.physics.algebra import absolute, larger
-from doo_ti.physics.number import Number
+from doo_ti.physics.algebra import absolute, larger, row, transposed
+from doo_ti.physics.number import Number, device_functions, read, write
 from doo_ti.physics.quaternion import from_matrix, normalised, tangent, transported, turned_in_world
-from doo_ti.physics.tuples import cross, dot, minus, record, repeated, row, scaled, transposed, variable
-from doo_ti.physics.view import read, write
+from doo_ti.physics.tuples import cross, dot, minus, record, repeated, scaled, variable
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.kernel_factory import INDEX2, TABLE2, TABLE3, loop_kernel
 from doo_ti.relaxation.tables import FRAME, POSITION, TANGENT
@@ -35,8 +34,7 @@ TAUT_SLACK = 1e-7
 ROUNDING = 1e-12
 # The square of the difference of two tangents, below which a rod may be straight.
 ALIKE = 1e-4
-FEW = 512
-"""Up to so many starts are read on the caller's thread: to wake another takes as long."""
+FEW = 512  # up to so many starts are read on the caller's thread: to wake another takes as long
 
 
 @ti.func
@@ -81,11 +79,10 @@ def held_frame(kind, frame, own):
     return q
 
 
-@ti.data_oriented
+@device_functions
 class ClampReader:
     """Fills the table of clamps. ``tables`` is the record of the kernel's arrays."""
 
-    @ti.func
     def read_share(self, tables, thread):
         """Rows of one thread."""
         zero = ti.cast(0.0, ti.f64)
@@ -97,7 +94,6 @@ class ClampReader:
                 self.measure(tables.rest_length, s, size)
             self.fill(tables, size, s)
 
-    @ti.func
     def measure(self, rest_length: ti.template(), s, size):
         """Into the record ``size`` from the rest lengths s: the ``total``, the ``longest`` edge, the ``shortest_pair`` of
         neighbours, mm, and the largest moment arm of gravity seen from vertex 0, ``hanging``, and from the far end,
@@ -118,7 +114,6 @@ class ClampReader:
             size.hanging = ti.max(size.hanging, absolute(length * (length + 2.0 * (size.total - before))))
             size.standing = ti.max(size.standing, absolute(length * (length - 2.0 * before)))
 
-    @ti.func
     def fill(self, tables, size, s):
         """Fill row s of the table of clamps, and of the findings."""
         kind_start, kind_end = tables.states[s, KIND_START], tables.states[s, KIND_END]
@@ -155,7 +150,6 @@ class ClampReader:
             frames = NOT_THE_FIRST
         tables.states[s, OF_FRAMES] = frames
 
-    @ti.func
     def read_flags(self, clamp: ti.template(), s, kind_start, kind_end, closed, released):
         """Columns of row s that are one or zero."""
         clamp[s, of.CLOSED], clamp[s, of.RELEASED] = ti.cast(closed, ti.f64), ti.cast(released, ti.f64)
@@ -164,7 +158,6 @@ class ClampReader:
         clamp[s, of.TILT_END] = ti.cast(kind_end < TANGENT, ti.f64)
         clamp[s, of.TILT_INNER], clamp[s, of.LOOSE] = 1.0, 0.0
 
-    @ti.func
     def reached(self, tables, size, s, line, first, last):
         """The finding about a start whose vertex 0 and far end are held, ``line`` apart, with these frames at its ends."""
         edges = tables.start.shape[1]

@@ -21,12 +21,10 @@ from doo_ti.rod.material import Material
 from doo_ti.rod.types import Status
 
 ROUNDS = 24
-PUSHING, HOLDING = 100.0, 1e-2
-"""Stiffness of a spring over B/l³, of a vertex that is inside and of others."""
+PUSHING, HOLDING = 100.0, 1e-2  # stiffness of a spring over B/l³, of a vertex that is inside and of others
 CLEARANCE, FURTHER = 1.05, 0.5
 """Radii from the centreline to an obstacle to which vertices are pulled, and how many more in each round."""
-LEAST = 0.1
-"""Radii: a centreline that is so far outside is clear."""
+LEAST = 0.1  # radii: a centreline that is so far outside is clear
 
 
 def move_out(table: Tables, frames: np.ndarray, results: np.ndarray) -> np.ndarray:
@@ -44,7 +42,8 @@ def move_out(table: Tables, frames: np.ndarray, results: np.ndarray) -> np.ndarr
     stuck = np.ones(len(rows), dtype=bool)
     for number in range(ROUNDS):
         springs.pull(frames, results, stuck, CLEARANCE + FURTHER * number)
-        stuck &= springs.are_inside(frames, results)
+        least = (LEAST - 1.0) * np.reshape(springs.around.radius, -1)  # the centreline is inside, or hardly outside
+        stuck &= ~(springs.around.smallest_gap(springs.vertices(frames, results)) > least)
         if not stuck.any():
             break
     results[rows[stuck]], frames[rows[stuck]] = before[stuck], np.nan
@@ -85,8 +84,3 @@ class _Springs:
         limp = replace(self.limp, external=Springs(places, stiffness))
         usable = np.ones(limp.count, dtype=bool)
         batch.continue_newton(limp, Newton(tolerance=1e-5), 64, frames, results, self.rows[stuck], usable)
-
-    def are_inside(self, frames: np.ndarray, results: np.ndarray) -> np.ndarray:
-        """(N,) whether the centreline of a rod is inside an obstacle, or hardly outside."""
-        least = (LEAST - 1.0) * np.reshape(self.around.radius, -1)
-        return ~(self.around.smallest_gap(self.vertices(frames, results)) > least)

@@ -18,24 +18,11 @@ derivatives lower than those at a fixed s by v vᵀ/φ_ss, v = (H p, n + s H p),
 import taichi as ti
 
 from doo_ti.contact.distance import outer
-from doo_ti.physics.algebra import absolute, largest_of
-from doo_ti.physics.tuples import (
-    add,
-    applied,
-    choose,
-    dot,
-    full,
-    minus,
-    negated,
-    plus,
-    record,
-    repeated,
-    scaled,
-    traced,
-    variable,
-)
-from doo_ti.relaxation.contact_layout import EVEN
+from doo_ti.physics.algebra import absolute, applied, full, largest_of
+from doo_ti.physics.number import device_functions
+from doo_ti.physics.tuples import add, choose, dot, minus, negated, plus, record, repeated, scaled, traced, variable
 from doo_ti.relaxation.contact_places import ContactPlaces
+from doo_ti.relaxation.contact_table import EVEN
 
 
 @traced
@@ -44,7 +31,7 @@ def outer_product(a, b) -> tuple:
     return tuple(x * y for x in a for y in b)
 
 
-@ti.data_oriented
+@device_functions
 class ContactEnergy(ContactPlaces):
     """The energy of the contacts of the rods in a pack, in a motion with friction if they ``rub``. ``expects``: steps that are
     refused are tried again with the contacts they have met."""
@@ -53,7 +40,6 @@ class ContactEnergy(ContactPlaces):
         super().__init__(number, kinds, moves)
         self.rub, self.updates_in_steps, self.expects = rub, not rub, expects
 
-    @ti.func
     def touched(self, rod, index, start, end):
         """Sum up the derivatives of the energy of the contacts of vertex ``index``, at ``end``, and of the edge from ``start``
         to there. Returns two where the edge has some between its ends, one where only the vertex has some, else zero. Measures
@@ -72,7 +58,6 @@ class ContactEnergy(ContactPlaces):
         self.note_forces(rod, at, some)
         return some
 
-    @ti.func
     def touched_by_all(self, rod, index, start, end):
         """The same, obstacle by obstacle."""
         zero, some = 0.0 * end[0], 0
@@ -92,7 +77,10 @@ class ContactEnergy(ContactPlaces):
                     if between:
                         some = 2
                 else:
-                    room = ti.min(room, self.room_beside(rod, o, contact, previous))
+                    # It is nowhere nearer to the obstacle than at its ends.
+                    least = ti.min(previous.value, contact.value)
+                    deep = least + self.obstacle(rod, o).depth
+                    room = ti.min(room, ti.select(self.close_lanes(rod, least), deep, least - rod.contacts.radius))
             else:
                 value = ti.min(previous.value, contact.value)
                 room = ti.min(room, value - rod.contacts.radius)
@@ -110,14 +98,6 @@ class ContactEnergy(ContactPlaces):
         at.room = room
         return some
 
-    @ti.func
-    def room_beside(self, rod, o, contact, previous):
-        """The room of an edge that is nowhere nearer to obstacle ``o`` than at its ends."""
-        least = ti.min(previous.value, contact.value)
-        depth = self.obstacle(rod, o).depth
-        return ti.select(self.close_lanes(rod, least), least + depth, least - rod.contacts.radius)
-
-    @ti.func
     def touched_start(self, rod, index):
         """The same of vertex ``index`` alone, where a rod begins."""
         at, zero, some = self.vertex(rod, index), 0.0 * rod.total, 0
@@ -141,14 +121,12 @@ class ContactEnergy(ContactPlaces):
         self.note_forces(rod, at, some)
         return some
 
-    @ti.func
     def clear_between(self, rod, zero):
         """Begin the sums over the contacts of an edge between its ends."""
         rod.contacts.between = repeated(zero, 27)
         if ti.static(self.updates_in_steps):
             rod.contacts.excesses = repeated(zero, 6)
 
-    @ti.func
     def known(self, whole, excess):
         """Of three sums of an edge those of the forces that are known."""
         if ti.static(self.updates_in_steps):
@@ -156,7 +134,6 @@ class ContactEnergy(ContactPlaces):
         else:
             return whole
 
-    @ti.func
     def note_forces(self, rod, at, some):
         """Keep the forces on the ends of an edge, as :meth:`touched` found ``some``."""
         zero, own = 0.0 * rod.total, rod.contacts
@@ -170,7 +147,6 @@ class ContactEnergy(ContactPlaces):
             at.force_end, at.force_start = negated(on_end), on_start
             at.lane(0).pushed = ti.select(some > 0, 1.0, 0.0)
 
-    @ti.func
     def take_vertex(self, rod, load):
         """Add the sums over the contacts of a vertex to the derivatives of an edge's energy."""
         own = rod.contacts
@@ -178,7 +154,6 @@ class ContactEnergy(ContactPlaces):
         add(load, known=known, known_s=known, gradient=whole, gradient_s=whole, curvature=bent, curvature_ss=bent,
             curvature_s=full(bent))
 
-    @ti.func
     def take_between(self, rod, load):
         """Add those of the edge between its ends."""
         own = rod.contacts
@@ -186,7 +161,6 @@ class ContactEnergy(ContactPlaces):
             gradient=own.gradient, gradient_s=own.gradient_s, curvature=own.curvatures, curvature_s=own.curvatures_s,
             curvature_ss=own.curvatures_ss)
 
-    @ti.func
     def touched_between(self, rod, o, index, start, edge, some):
         """The same of the edge between its ends, of which one is close to obstacle ``o`` in some lane: whether it has contacts
         there, and its room. ``some``: what was found so far."""
@@ -218,7 +192,6 @@ class ContactEnergy(ContactPlaces):
             self.add_between(rod, contact, edge, seen, active)
         return between, ti.select(close, low + depth, least - radius)
 
-    @ti.func
     def push(self, rod, force, gap):
         """(force, stiffness) of a contact whose λ is ``force``, and its energy."""
         stiffness = rod.contacts.stiffness
@@ -226,7 +199,6 @@ class ContactEnergy(ContactPlaces):
         acting = ti.select(push > 0.0, stiffness, 0.0 * gap)
         return record(push=push, stiffness=acting, energy=0.5 * push * push * rod.contacts.compliance)
 
-    @ti.func
     def add_vertex(self, rod, o, contact):
         """Add a contact of the vertex where the edge ends."""
         normal = contact.normal
@@ -244,10 +216,8 @@ class ContactEnergy(ContactPlaces):
         if self.is_curved(rod, o):
             add(rod.contacts, end_curvatures=scaled(contact.curvature, 0.0 - known))
 
-    @ti.func
     def update_now(self, rod, force, gap, counts):
-        """Where the contact ``counts`` and the step updates forces, set its ``force`` λ to max(0, λ − κ g) with the κ before
-        the step."""
+        """Where the contact ``counts`` and the step updates forces, its ``force`` λ becomes max(0, λ − κ g), κ that before."""
         if ti.static(self.updates_in_steps):
             stiffness, old = rod.contacts.update_stiffness, force.value
             updates = counts & (stiffness > 0.0)
@@ -255,12 +225,10 @@ class ContactEnergy(ContactPlaces):
             force.value = new
             rod.contacts.force_change = largest_of(rod.contacts.force_change, absolute(new - old))
 
-    @ti.func
     def gap_change(self, rod):
         """By how much the step changed a gap by updating forces, in the lanes where it did."""
         return rod.contacts.force_change / rod.contacts.update_stiffness
 
-    @ti.func
     def known_force(self, rod, updated, push):
         """The force of a contact in the residual and in the second derivatives of φ: in a step that updates forces the
         ``updated`` λ where the contact pushes at all; otherwise its whole ``push``, or none where it is only expected. The
@@ -272,7 +240,6 @@ class ContactEnergy(ContactPlaces):
             known = (ti.max(known[0], 0.0 * push),)
         return known[0]
 
-    @ti.func
     def expect(self, rod, kept, force, gap, counts, pushed):
         """After a refused step, add to the derivatives a contact that pushed where the step ended and does not push now.
         ``kept``: where scratch notes whether it pushes, renewed here; ``pushed``: the result of :meth:`push`, changed here."""
@@ -287,7 +254,6 @@ class ContactEnergy(ContactPlaces):
                 pushed.stiffness = ti.select(expected, stiffness, pushed.stiffness)
                 choose(rod.contacts, expected, expected=zero + 1.0)
 
-    @ti.func
     def add_between(self, rod, contact, edge, seen, acts):
         """Add the contact at the nearest point of the edge in the lanes where it ``acts``; in others it may hold any number."""
         s, normal, zero = seen.s, seen.normal, 0.0 * seen.s

@@ -9,27 +9,13 @@ import taichi as ti
 
 from doo_ti.contact.distance import Distance, outer
 from doo_ti.contact.obstacles import PLANE
-from doo_ti.physics.algebra import absolute, largest_of
-from doo_ti.physics.tuples import (
-    add,
-    applied,
-    choose,
-    chosen,
-    dot,
-    full,
-    minus,
-    picked,
-    plus,
-    record,
-    repeated,
-    row,
-    scaled,
-    variable,
-)
-from doo_ti.relaxation.contact_layout import CONTACT, CONTACTS, EVEN, OBSTACLE, SEARCHES, VERTEX, contact_items
+from doo_ti.physics.algebra import absolute, applied, full, largest_of, row
+from doo_ti.physics.number import device_functions
+from doo_ti.physics.tuples import add, choose, chosen, dot, minus, picked, plus, record, repeated, scaled, variable
+from doo_ti.relaxation.contact_table import CONTACT, CONTACTS, EVEN, OBSTACLE, SEARCHES, VERTEX, contact_items
 
 
-@ti.data_oriented
+@device_functions
 class ContactPlaces:
     """Where the rods in a pack are, seen from obstacles of some ``kinds``. Of the record ``rod`` it reads ``contacts``, the
     view of its numbers in scratch, ``kinds``, ``grids``, and ``obstacles``, how many there are. ``moves``: obstacles may move
@@ -46,7 +32,6 @@ class ContactPlaces:
         # And of the place on an edge, of its length: φ there is wrong by its square.
         self.place_rounding = 3e-4 if number.bits == 32 else 1e-7
 
-    @ti.func
     def some(self, condition, zero):
         """Whether a condition holds in some lane."""
         return self.largest(ti.select(condition, zero + 1.0, zero)) > 0.5
@@ -78,7 +63,6 @@ class ContactPlaces:
 
     # --- sums ---
 
-    @ti.func
     def begin(self, rod):
         """Begin the sums over all vertices, and compute what they all need."""
         zero = 0.0 * rod.total
@@ -90,14 +74,12 @@ class ContactPlaces:
         common.some_expecting = self.largest(rod.contacts.expecting)
         common.longest_edge = self.largest(rod.longest)
 
-    @ti.func
     def add_penalty(self, rod, energy, magnitude):
         """Add to the energy of all contacts a part that only makes gaps close, and is no energy of the rod."""
         add(rod.contacts, energy=energy, magnitude=magnitude, penalty=energy)
 
     # --- what a rod is near to ---
 
-    @ti.func
     def look(self, rod, index, place):
         """Measure how far vertex ``index``, at ``place``, is from all obstacles."""
         at = self.vertex(rod, index)
@@ -126,39 +108,32 @@ class ContactPlaces:
         at.least = least
         at.lane(0).nearest_of_all = nearest_of_all
 
-    @ti.func
     def clearance(self, rod, index, distance):
         """The ``distance`` of vertex ``index``, or of the edge that ends there, less what is added to RADIUS there: nothing for
         one rod. Rods of a group may be thicker than the thinnest, whose radius RADIUS is."""
         return distance
 
-    @ti.func
     def close_lanes(self, rod, value):
         """The lanes in which a vertex is close to an obstacle, ``value`` being its φ."""
         return value < rod.contacts.reach
 
-    @ti.func
     def is_close(self, rod, contact):
         """Whether there are any. What is computed because of one of them must leave the others as they are."""
         return contact.lane(0).nearest < 0.0
 
-    @ti.func
     def is_edge_close(self, rod, index, o):
         """Whether an end of the edge to vertex ``index`` is close to obstacle ``o`` in some lane; no edge ends at vertex 0."""
         at, before = self.vertex(rod, index), self.vertex(rod, index - 1)
         return index > 0 and (self.is_close(rod, self.contact(at, o)) or self.is_close(rod, self.contact(before, o)))
 
-    @ti.func
     def is_curved(self, rod, o):
         """Whether obstacle ``o`` is no plane: an edge can then be nearer to it between its ends than at both."""
         return rod.kinds[o] != ti.static(PLANE)
 
-    @ti.func
     def is_any_close(self, rod, at):
         """Whether the vertex at ``at`` in scratch is close to any obstacle in some lane."""
         return at.lane(0).nearest_of_all < 0.0
 
-    @ti.func
     def nearness(self, rod, index, at):
         """1/ρ² of the vertex, ρ the least room of the two edges that meet there."""
         room = at.room
@@ -166,7 +141,6 @@ class ContactPlaces:
             room = ti.min(room, self.vertex(rod, index + 1).room)
         return 1.0 / (room * room + 1e-20)
 
-    @ti.func
     def held(self, rod, index):
         """One where clamps hold the vertex: at the ends, and where they hold an end edge too at the vertex after."""
         held = 0.0 * rod.closed
@@ -181,7 +155,6 @@ class ContactPlaces:
             held = ti.max(held, ti.min(far, 0.0 * far + 1.0))
         return held
 
-    @ti.func
     def blocked(self, rod, fresh, miss):
         """The ``fresh`` lanes in which the rod's centreline is inside an obstacle, or a clamp (:meth:`pinched`)."""
         zero = 0.0 * rod.total
@@ -190,7 +163,6 @@ class ContactPlaces:
             inside = (inside[0] | (fresh & self.pinched(rod, miss)),)
         return inside[0]
 
-    @ti.func
     def pinched(self, rod, miss):
         """Whether a clamp holds a vertex of an end edge in an obstacle, or the edge between them; a far end is taken where it
         is held, not where it still misses that place by ``miss``."""
@@ -220,7 +192,6 @@ class ContactPlaces:
             pinched = pinched | self.pinched_pairs(rod)
         return pinched
 
-    @ti.func
     def nearest(self, rod, o, index, start, edge, ends, wanted):
         """The point of the edge to vertex ``index`` that is nearest to an obstacle in the lanes where it is ``wanted``, by
         Newton's method between bounds, which halves them where a step is not half as long as the one before, from ``ends``, φ_s
@@ -254,7 +225,6 @@ class ContactPlaces:
         found.bend = ti.select(bridging, found.bend, zero + 1e30)
         return found
 
-    @ti.func
     def first_guess(self, edge, ends, bridging):
         """Where the nearest point of an edge is, exactly where the obstacle's section along the edge is round: φ_s is then the
         sine of an angle whose tangent is linear."""
@@ -265,12 +235,10 @@ class ContactPlaces:
         end = ti.select(ends[0] < 0.0, zero + 1.0, zero)
         return ti.select(bridging, before / ti.max(before + beyond, zero + 1e-20), end)
 
-    @ti.func
     def moved(self, rod, vertex):
         """How far a vertex has moved since the instant before."""
         return minus(vertex.place, vertex.previous)
 
-    @ti.func
     def slid(self, rod, vertex, o):
         """How far a vertex has moved since then against obstacle ``o``, which may have carried the place where it was."""
         away = variable(self.moved(rod, vertex))
@@ -282,7 +250,6 @@ class ContactPlaces:
             away = plus(away, minus(before, carried))
         return away
 
-    @ti.func
     def slid_between(self, rod, index, contact, o):
         """The same of the place on the edge to vertex ``index`` at which friction acts."""
         s = contact.rubbed_place
@@ -291,7 +258,6 @@ class ContactPlaces:
 
     # --- friction ---
 
-    @ti.func
     def rub_vertex(self, rod, o, at, contact):
         """Add the friction of the vertex."""
         limit = self.limit(rod, o, contact.force)
@@ -299,7 +265,6 @@ class ContactPlaces:
         self.add_penalty(rod, rubbed.energy, dot(rubbed.pull, rubbed.pull) / rod.contacts.stiffness)
         add(rod.contacts, end_gradient=rubbed.pull, end_curvatures=rubbed.stiffness)
 
-    @ti.func
     def rub_between(self, rod, o, index, contact, counts):
         """Add the friction at the nearest point of an edge in the lanes where it ``counts``."""
         zero = 0.0 * rod.total
@@ -311,12 +276,10 @@ class ContactPlaces:
         add(rod.contacts, gradient=pull, gradient_s=scaled(pull, s), curvatures=bent, curvatures_s=scaled(full(bent), s),
             curvatures_ss=scaled(bent, s * s))
 
-    @ti.func
     def limit(self, rod, o, force):
         """μ λ, the largest friction of a contact with obstacle ``o``."""
         return self.obstacle(rod, o).friction * force
 
-    @ti.func
     def rubbed(self, rod, limit, friction, gradient, u):
         """Friction of a contact that has moved by ``u``: its energy, its derivative and its stiffness.
 

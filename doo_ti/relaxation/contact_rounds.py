@@ -3,27 +3,18 @@
 import taichi as ti
 
 from doo_ti.physics.algebra import absolute, largest_of
+from doo_ti.physics.number import device_functions
 from doo_ti.physics.tuples import add, choose, chosen, dot, minus, plus, record, repeated, scaled, variable
 from doo_ti.relaxation.contact_energy import ContactEnergy
-from doo_ti.relaxation.contact_layout import (
-    FINE,
-    MOST_TRIES,
-    PRESSED_IN,
-    ROUGH,
-    ROUGHER,
-    SLOW,
-    STIFFER,
-    STIFFEST,
-)
+from doo_ti.relaxation.contact_table import FINE, MOST_TRIES, PRESSED_IN, ROUGH, ROUGHER, SLOW, STIFFER, STIFFEST
 
 
-@ti.data_oriented
+@device_functions
 class ContactRounds(ContactEnergy):
     """The contacts with their steps and their rounds."""
 
     # --- steps ---
 
-    @ti.func
     def restore(self, rod, lost):
         """Put vertices back to where they were before the step, in the lanes that are ``lost``. Forces that it updated stay."""
         for v in range(rod.edges + 1):
@@ -32,7 +23,6 @@ class ContactRounds(ContactEnergy):
         if ti.static(self.itself):
             self.restore_pairs(rod, lost)
 
-    @ti.func
     def approach(self, rod, index, before, move):
         """The square of the largest share that a ``move`` takes of a vertex's way to the middle of an obstacle, or of the gap,
         PRESSED_IN added, there and on the edge that ends there, whose start moves by ``before``. Only so much of a step is
@@ -62,24 +52,20 @@ class ContactRounds(ContactEnergy):
 
     # --- rounds ---
 
-    @ti.func
     def tolerance(self, rod, given):
         """The residual that a rod is to reach where ``given`` is that of one without contact: more while its rounds are rough,
         and at least what rounding of places makes of the forces."""
         rough = ti.max(given, 0.0 * given + ROUGHER)
         return self.final_tolerance(rod, ti.select(self.is_fine(rod), given, rough))
 
-    @ti.func
     def final_tolerance(self, rod, given):
         """That of a rod in its final rounds."""
         return given + self.rounding * rod.contacts.stiffness * rod.longest * rod.total * rod.total
 
-    @ti.func
     def is_fine(self, rod):
         """The lanes whose rods are in their final rounds."""
         return rod.contacts.phase < ti.static(0.5 * (ROUGH + FINE))
 
-    @ti.func
     def end_round(self, rod, lane, calm, rests, moved):
         """End a round where a lane's rod ``rests`` under the forces of its contacts or, while these still change, is ``calm``
         to a rougher tolerance, or where a step has ``moved`` it deeper than its radius into itself: strands that have come to
@@ -100,7 +86,6 @@ class ContactRounds(ContactEnergy):
                returned=zero)
         return again[0]
 
-    @ti.func
     def plan_update(self, rod, lane, ready, rests):
         """Let the next step update forces in the lanes that are ``ready`` and whose rounds are rough: forces then change as
         soon as the step has moved the rod, so that no trip only evaluates the rod under new forces. Where the forces that this
@@ -126,7 +111,6 @@ class ContactRounds(ContactEnergy):
             updating = (updates | last,)
         return updating[0], done[0]
 
-    @ti.func
     def update_forces(self, rod, due):
         """End a round in the lanes that are ``due`` with new forces. Returns the largest change of a gap that they mean."""
         zero = 0.0 * rod.total
@@ -156,12 +140,10 @@ class ContactRounds(ContactEnergy):
         choose(rod.contacts, due, change=change)
         return largest_of(change, ti.select(due, found.rubbed / stiffness, zero))
 
-    @ti.func
     def jammed(self, rod):
         """The lanes in which forces have grown beyond all bounds: no place that the rod can get to is outside the obstacles."""
         return rod.contacts.largest > STIFFEST * rod.contacts.first_stiffness * rod.contacts.radius
 
-    @ti.func
     def soften(self, rod, where):
         """Make κ smaller, down to the first or to what gives way by a radius under the largest force, in the lanes ``where`` a
         step was refused, unless the rod is deep (:meth:`stiffen`); returns those in which it had grown."""
@@ -171,7 +153,6 @@ class ContactRounds(ContactEnergy):
         choose(rod.contacts, softer, stiffness=ti.max(stiffness / STIFFER, least))
         return softer
 
-    @ti.func
     def stiffen(self, rod, where):
         """A larger κ in the lanes ``where`` a step was refused and the rod is deeper than its radius inside an obstacle: forces
         that draw it through are larger than those that κ was chosen for."""
@@ -179,7 +160,6 @@ class ContactRounds(ContactEnergy):
         deep = where & (rod.contacts.closest < 0.0 - radius) & (stiffness < STIFFEST * rod.contacts.first_stiffness)
         choose(rod.contacts, deep, stiffness=STIFFER * stiffness)
 
-    @ti.func
     def update_vertex(self, rod, contact, due, found):
         """The new force of the contact of a vertex."""
         old = contact.force
@@ -187,7 +167,6 @@ class ContactRounds(ContactEnergy):
         self.note_change(found, old, new)
         contact.force = ti.select(due, new, old)
 
-    @ti.func
     def update_edge(self, rod, index, o, contact, due, found):
         """The new force of the contact of the edge to vertex ``index``; none ends at vertex 0."""
         zero = 0.0 * rod.total
@@ -200,12 +179,10 @@ class ContactRounds(ContactEnergy):
         self.note_change(found, old, new)
         contact.force_between = ti.select(due, new, old)
 
-    @ti.func
     def updated_force(self, rod, old, gap):
         """max(0, λ − κ g)."""
         return ti.max(old - rod.contacts.stiffness * gap, 0.0 * gap)
 
-    @ti.func
     def update_far(self, rod, contact, due, found):
         """New forces where neither a vertex nor the edge that ends there is close to the obstacle in any lane."""
         zero = 0.0 * rod.total
@@ -214,19 +191,16 @@ class ContactRounds(ContactEnergy):
         choose(contact, due, force_between=zero, active=zero)
         contact.sagging = zero
 
-    @ti.func
     def note_change(self, found, old, new):
         """Take the change of a contact's force into ``found``."""
         found.change = largest_of(found.change, absolute(new - old))
         found.largest = largest_of(found.largest, new)
 
-    @ti.func
     def tighten(self, rod, where):
         """Make κ so large that it gives way by no more than a part of the radius under the largest force."""
         least = rod.contacts.largest / (PRESSED_IN * rod.contacts.radius)
         choose(rod.contacts, where, stiffness=ti.max(rod.contacts.stiffness, least))
 
-    @ti.func
     def update_between(self, rod, index, o, due, gap, force):
         """Decide whether the nearest point of an edge is a contact in the next round: as long as it is nearer than both ends.
         Where it no longer is one its force goes to the nearer end. Returns its force, and κ times its depth where it has just
@@ -247,7 +221,6 @@ class ContactRounds(ContactEnergy):
         contact.active = ti.select(due, ti.select(sags, zero + 1.0, zero), active)
         return ti.select(sags, force, zero), begun
 
-    @ti.func
     def update_friction(self, rod, index, o, due):
         """New friction on a vertex and on the edge that ends there, under the new forces: by how much it changes."""
         zero = 0.0 * rod.total
@@ -273,7 +246,6 @@ class ContactRounds(ContactEnergy):
             self.keep_friction(contact.of("friction_between"), repeated(zero, 3), due)
         return change
 
-    @ti.func
     def keep_friction(self, friction, pull, due):
         """Store a ``friction`` in the lanes that are ``due``: by how much it changes."""
         change = minus(pull, friction.value)

@@ -12,32 +12,14 @@ blocks are kept while H is eliminated.
 import taichi as ti
 
 from doo_ti.contact.touch import GAP_TOLERANCE
-from doo_ti.physics.closure import linear_gradient
-from doo_ti.physics.number import Number
+from doo_ti.physics.algebra import applied, full, transposed
+from doo_ti.physics.factors import against, forward, minus_combination, symmetric_gram
+from doo_ti.physics.number import Layout, Number, device_functions
+from doo_ti.physics.pair import linear_gradient
 from doo_ti.physics.quaternion import first_director, second_director
-from doo_ti.physics.tuples import (
-    add,
-    against,
-    applied,
-    extended,
-    forward,
-    full,
-    minus,
-    minus_combination,
-    negated,
-    picked,
-    plus,
-    products,
-    record,
-    repeated,
-    scaled,
-    symmetric_gram,
-    transposed,
-    variable,
-)
-from doo_ti.physics.view import Layout
+from doo_ti.physics.tuples import add, extended, minus, negated, picked, plus, products, record, repeated, scaled, variable
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contact_layout import SOFT
+from doo_ti.relaxation.contact_table import SOFT
 from doo_ti.relaxation.contacts import Contacts
 from doo_ti.relaxation.external import Nothing
 from doo_ti.relaxation.loaded_elimination import LoadedElimination
@@ -45,10 +27,8 @@ from doo_ti.relaxation.loading import Loading, length_unit
 from doo_ti.relaxation.parameter_gradient import KEPT
 from doo_ti.relaxation.sensitivity_columns import SensitivityColumns
 
-STIFF = 1e6
-"""κ over the stiffness B/l³ of the shortest edge."""
-LEAST_FORCE = 1e-6
-"""Of the force to expect of a contact: one that bears less does not count."""
+STIFF = 1e6  # κ over the stiffness B/l³ of the shortest edge
+LEAST_FORCE = 1e-6  # of the force to expect of a contact: one that bears less does not count
 
 
 class Kept(Nothing):
@@ -59,11 +39,10 @@ class Kept(Nothing):
     layout = KEPT + Layout(curvature=6, curvature_s=9, curvature_ss=6, moved=3, load=3)
 
 
-@ti.data_oriented
+@device_functions
 class ContactsAtRest(Contacts):
     """The contacts of rods at rest, which push with their forces λ whatever their gaps."""
 
-    @ti.func
     def push(self, rod, force, gap):
         """(force, stiffness) of a contact whose λ is ``force``; without energy."""
         least = LEAST_FORCE * SOFT * rod.contacts.radius * rod.contacts.first_stiffness
@@ -73,7 +52,7 @@ class ContactsAtRest(Contacts):
                       energy=none)
 
 
-@ti.data_oriented
+@device_functions
 class ContactSensitivity(SensitivityColumns, LoadedElimination):
     """The columns of rods that touch obstacles of those ``kinds``, or whose vertex 0 is free among them."""
 
@@ -86,7 +65,6 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
     def completed(self, given, thread):
         return extended(LoadedElimination.completed(self, given, thread), tolerance=GAP_TOLERANCE)
 
-    @ti.func
     def load_contacts(self, tables, rod, index):
         """Forces from the unit of length in which the rod was relaxed, and κ, of contacts at rest."""
         s, g = tables.rods[index, of.CLAMP_ROW], tables.rods[index, of.MATERIAL_ROW]
@@ -107,7 +85,6 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
             for k in ti.static(range(3)):
                 self.edge(rod.head, e).external.load[k] = tables.point_loads[row, vertex, k] / rod.head.energy_unit
 
-    @ti.func
     def load(self, rod, edge, e, start, end, found):
         """With the point load on the edge's end; keeps the blocks of K of the edge."""
         load = LoadedElimination.load(self, rod, edge, e, start, end, found)
@@ -117,13 +94,11 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
         own.curvature, own.curvature_s, own.curvature_ss = load.curvature, load.curvature_s, load.curvature_ss
         return load
 
-    @ti.func
     def hold_start(self, rod, column):
         """Where vertex 0 is free no clamp moves it, and it is the far point that ``shift`` moves."""
         column.shift = plus(column.shift, scaled(column.move, rod.loose))
         column.move = scaled(column.move, 1.0 - rod.loose)
 
-    @ti.func
     def schur_complement(self, rod):
         """S = Σ W_λᵀ D⁻¹ W_λ, vertex 0 included where it is free."""
         s = variable(symmetric_gram(rod.head.drift_pivots, rod.head.drift_border))
@@ -132,7 +107,6 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
             s = plus(s, symmetric_gram(edge.pivots, edge.force_border))
         return s
 
-    @ti.func
     def pushes(self, edge, before, after):
         """K ξ of an edge whose ends move so: by the displacement of its start, and by that of its end beyond its start."""
         k, mixed, kss = edge.external.curvature, edge.external.curvature_s, edge.external.curvature_ss
@@ -140,23 +114,16 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
         return (plus(applied(full(k), before), applied(mixed, along)),
                 plus(applied(transposed(mixed), before), applied(full(kss), along)))
 
-    @ti.func
-    def prescribe(self, rod, column):
-        """Keep the displacements that the column prescribes, of clamps and of lengths; returns that of the far end."""
-        moved = variable(column.move)
-        for e in range(rod.edges):
-            edge = self.edge(rod.head, e)
-            edge.external.moved = moved
-            moved = self.end_of_turned(edge, moved, self.held_turn_of(rod, e, column), column.stretch)
-        return moved
-
-    @ti.func
     def solve_column(self, rod, column, schur, closure):
         """dω into the place of the step and ξ of a free vertex 0 into that of its own; returns dλ."""
         zero = 0.0 * rod.total
         right = variable(closure)
         c, f = variable(repeated(zero, 3)), variable(repeated(zero, 3))
-        after = variable(self.prescribe(rod, column))
+        after = variable(column.move)
+        for e in range(rod.edges):  # keep the displacements that the column prescribes, of clamps and of lengths
+            edge = self.edge(rod.head, e)
+            edge.external.moved = after
+            after = self.end_of_turned(edge, after, self.held_turn_of(rod, e, column), column.stretch)
         for back in range(rod.edges):
             e = rod.edges - 1 - back
             edge = self.edge(rod.head, e)
@@ -172,20 +139,14 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
             c = plus(plus(c, pushed), against(d, edge.border, wb))
             f = against(d, edge.neighbour, wb)
             after = before
-        right = plus(right, self.solve_start(rod, column, c))
+        d = rod.head.drift_pivots  # of a free vertex 0, which the rest of the rod pulls by c
+        wb = forward(d, scaled(negated(plus(c, column.whole)), rod.loose))
+        rod.head.drift_step = wb
+        right = plus(right, against(d, rod.head.drift_border, wb))
         change, positive = self.bordered(rod, schur, right)
         self.substitute_column(rod, change)
         return change
 
-    @ti.func
-    def solve_start(self, rod, column, c):
-        """W_b of a free vertex 0 into its place, where the rest of the rod pulls it by ``c``; returns W_λᵀ D⁻¹ W_b."""
-        d = rod.head.drift_pivots
-        wb = forward(d, scaled(negated(plus(c, column.whole)), rod.loose))
-        rod.head.drift_step = wb
-        return against(d, rod.head.drift_border, wb)
-
-    @ti.func
     def substitute_column(self, rod, change):
         """Back-substitution from vertex 0 on. The turns of held edges are prescribed: they do not count as displacements."""
         w = variable(repeated(0.0 * rod.total, 3))
@@ -197,12 +158,10 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
             w = products(self.freedom(rod, e), self.solved_edge(edge, right, w))
             x = self.end_of_turned(edge, x, w, 0.0 * rod.total)
 
-    @ti.func
     def started(self, rod, column):
         """What vertex 0 moves by."""
         return plus(column.move, scaled(rod.head.drift_step, rod.loose))
 
-    @ti.func
     def pushed(self, tables, rod, index, p):
         """By how much the forces of obstacles change with column ``p``, with the sign of a gradient."""
         zero, row = 0.0 * rod.total, tables.rods[index, of.RESULT_ROW]
@@ -219,7 +178,6 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
             after = before
         return record(all=every, first=first, last=last)
 
-    @ti.func
     def stored_move(self, tables, row, vertex, p):
         """What a vertex moves by with column ``p``, from the results."""
         return (tables.vertices[row, vertex, 0, p], tables.vertices[row, vertex, 1, p], tables.vertices[row, vertex, 2, p])

@@ -1,19 +1,172 @@
-"""The obstacles of many rods as tables, and which of the rods can reach any (docs/contact.md)."""
+"""The obstacles of many rods as tables, and which of the rods can reach any; where the numbers of contacts lie in scratch, and
+those that their rounds go by (docs/contact.md)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from doo_ti.contact.contacts import Contacts
+from doo_ti.contact.distance import COLUMNS
 from doo_ti.contact.distance_grid import DistanceGrid, grid_table
 from doo_ti.contact.obstacles import FRICTION, GRID, Obstacle, obstacle_table
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.contact.touch import GAP_TOLERANCE, gap_tolerance
+from doo_ti.contact.touch import GAP_TOLERANCE, Contacts, gap_tolerance
+from doo_ti.physics.number import Layout
+from doo_ti.physics.tuples import picked
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contact_layout import CARRIED_ON, PAIR_CARRIED, REMEMBERED, REMEMBERED_IN_MOTION
 from doo_ti.rod.types import Clamp, Clamps, Configuration
 from doo_ti.system.errors import InputError
+
+# --- contacts with obstacles: those of a rod, then its obstacles, then its vertices, each followed by its contacts ---
+
+ROD = Layout(
+    radius=1, stiffness=1, tolerance=1, change=1, phase=1, reach=1, first_stiffness=1, work=1, retried=1, way_made=1, way=1,
+    multiplier=3, largest=1, viscosity=1, first_viscosity=1, eased=1, given=("radius", 9))
+"""stiffness, first_stiffness       κ, and as it was at first
+tolerance, change, phase         of gaps; by how much the last round changed one; ROUGH or FINE
+reach                            how close to an obstacle a vertex is where more than its φ counts
+work, retried                    of friction since the motion began; one where a step is tried for the second time
+way_made, way                    of the clamps' way to the next instant, what is made and what is made at once
+multiplier, largest              of closure at the last instant; the largest force
+viscosity, first_viscosity, eased  of a step that viscosity helps along: now, at first, and how many such steps there were"""
+SUMS = Layout(energy=1, magnitude=1, penalty=1, crossing=1, deepest=1, closest=1, force_change=1, sums=("energy", 7))
+"""Kept here because a loop over obstacles has no registers for them.
+
+energy, magnitude  of all contacts, and the sum of its absolute terms
+penalty            the part of the energy that only makes gaps close, which is no energy of the rod
+crossing           the square of the largest share of its way to the middle of an obstacle that a vertex has made in this step
+deepest, closest   the least φ, and the least gap where no clamp holds the rod
+force_change       by how much the step changed a force by updating forces"""
+STEP = Layout(update_stiffness=1, updates=1, compliance=1, expecting=1, expected=1, penalty_kept=1, some_expecting=1,
+              longest_edge=1)
+"""update_stiffness, updates   κ with which the step updates forces, zero where it does not; how many steps have done so
+compliance                 1/κ
+expecting, expected        one where the step before was refused; one where the derivatives therefore have a contact that does
+                           not push (:meth:`.ContactEnergy.expect`)
+penalty_kept               ``penalty`` at the accepted frames
+some_expecting, longest_edge  one number for all rods of the pack: whether any is ``expecting``; the longest edge"""
+EDGE = Layout(
+    gradient=3, gradient_s=3, curvatures=6, curvatures_s=9, curvatures_ss=6, between=("gradient", 27), excess=3, excess_s=3,
+    excesses=("excess", 6), end_gradient=3, end_curvatures=6, end_excess=3, end=("end_gradient", 12))
+"""between  derivatives of the energy of the contacts of one edge between its ends, as :meth:`.LoadedElimination.load` has them
+excesses  how much of the first two is not of known forces
+end       derivatives by the place of the vertex where the edge ends of the energy of the contacts there"""
+CONTACTS = ROD + SUMS + STEP + EDGE  # of a rod; its obstacles follow, and then its vertices
+CARRIED_ON = tuple(map(CONTACTS.at, ("first_stiffness", "stiffness", "largest", "way", "work")))
+"""Numbers of a rod that last from one launch of a motion to the next."""
+OBSTACLE = COLUMNS + Layout(turn=4, shift=3, pose=("turn", 7), turn_before=4, shift_before=3,
+                            pose_before=("turn_before", 7), carry=9, carried=3)
+"""An obstacle; of one that moves its turn and its shift from where it was at first, now and at the last instant, and by which
+turn, column after column, and shift a place of it has moved since then."""
+VERTEX = Layout(place=3, standing=3, room=1, room_standing=1, force_end=3, force_start=3, previous=3, least=1, nearest_of_all=1,
+                pushed=1, odd=1)
+"""place, previous             now, and at the last instant of a motion
+room                        of the edge that ends there: how far it is from the middle of an obstacle, at least
+standing, room_standing     place and room before the step
+force_end, force_start      on that edge's end and on its start
+least                       φ, of all obstacles
+nearest_of_all, pushed      one number for all rods of the pack: how far the nearest obstacle is from being close; whether there
+                            are forces
+odd                         unused: with a power of two of numbers all vertices would share a few lines of the cache"""
+CONTACT = Layout(
+    force=1, force_between=1, friction=3, friction_between=3, rubbed_normal=3, rubbed_place=1, rubbed_normal_between=3,
+    active=1, value=1, normal=3, curvature=6, place_between=1, value_between=1, normal_between=3, acts=1,
+    nearest_point=("place_between", 6), sagging=1, nearest=1, pushes=1, pushes_between=1,
+    remembered=("force", 16))
+"""The contact of a vertex and of the edge that ends there (``_between``) with an obstacle.
+
+force, friction        λ and q
+rubbed_normal, rubbed_place  for friction, where a round does not change them: the normals, and the place on the edge
+active                 one where rounds have the contact of the edge
+value, normal, curvature  φ, ∇φ and ∇∇φ at the vertex
+nearest_point          of the edge: s, φ* and its normal, and one where it has a contact, ``acts``
+sagging                by how much the edge is nearer there than at its ends
+nearest                one number for all rods of the pack: how far the nearest is from being close
+pushes                 one where the contact has pushed in the last trip"""
+REMEMBERED, REMEMBERED_IN_MOTION = CONTACT.at("friction"), CONTACT.at("value")
+"""Numbers of a contact that last from one relaxation to the next, and from one step to the next."""
+
+# --- the contact of a rod with itself, after those with obstacles: of the rod, of its vertices, of pairs of its edges, and the
+# dense Newton system (:class:`.DenseFactors`) ---
+
+ITSELF = Layout(coefficient=1, weights=4, slopes=24, ends=("weights", 28), pinched=1)
+"""coefficient  of friction on itself
+ends         of the two edges that are looked at: the weights of their four ends, and the mixed derivatives of their distance by
+             these and by the places on both edges
+pinched      the least gap of two edges that clamps hold"""
+ITSELF_VERTEX = Layout(load=3, pull=3, move=3, arc=1)
+"""The gradient of all energies of places, the part of it from the rod's contact with itself, the displacement that the next
+step means, and the length of the rod before."""
+PAIR = Layout(force=1, friction=3, rubbed_normal=3, rubbed_places=2, remembered=("force", 9), distance=1, distance_standing=1,
+              places=2, normal=3, nearest=("places", 5), may_touch=1)
+"""Of edges i < j, number j (j − 1)/2 + i.
+
+remembered          force and friction, the normal of its plane and the places on both edges at which it acts
+distance            of the edges, or a bound below it, now and before the step
+nearest             the places on both, and the gradient of the distance
+may_touch           in a group, one where they may"""
+PAIR_REMEMBERED, PAIR_CARRIED = PAIR.at("distance"), PAIR.at("places")
+"""Numbers of a pair that last from one step to the next, and from one launch to the next."""
+
+ROUNDED = 2e-3
+"""Squared radii by which a place on an edge is drawn to the middle of the edge, so that the nearest places of parallel edges
+are unique: a distance of two radii becomes larger by at most 2.5e-4 of a radius."""
+REACH = 3.0  # radii between centrelines: within them the nearest places of two edges are computed
+DEEPEST_STEP = 0.1  # radii between centrelines: no step brings two edges nearer
+LEAST_DISTANCE = 1e-3  # radii: a start whose centreline is nearer to itself does not say which side is which
+
+# --- the numbers that rounds and steps go by ---
+
+ROUGH, FINE = 1.0, 0.0  # phases of a rod: rounds to a rough tolerance of its moments, and rounds to the final one
+
+SEARCHES = 48  # evaluations, at most, to find the point of an edge that is nearest to an obstacle
+EVEN = 1e-5
+"""Of a radius: that times (s − ½)² is added to φ along an edge, s from 0 to 1, so that an edge that lies flat on a face has one
+nearest point, which moves continuously. Gaps are off by at most a quarter of it."""
+BENDING_LOADS, LOOP_LOADS = 20.0, 200.0
+"""The forces to expect are the weight of an edge and so many B/L²; more where rods touch themselves, which are bent to loops.
+With 20 there, too, loops are pressed so far into each other that a knot slips over an end of its rod."""
+SOFT = 0.1  # of a radius: at first κ gives way by that under such a force
+PRESSED_IN = 0.3
+"""Of a radius: the most by which κ gives way under the largest force at the end of a round, so that forces end where contact
+does, and what a step may press in beyond a closed gap. Of the way to the middle of an obstacle: the most by which κ first gives
+way under the weight of the whole rod."""
+EARLY_ROTATION = 3e-2
+"""A step in which every edge turns by less than that, rad, and which takes less than that share of gaps, updates forces."""
+MOST_TRIES = 12.0
+"""At most so many steps of a rod update forces, and so many are eased by viscosity between two instants of a motion."""
+STIFFER, SLOW, STIFFEST = 10.0, 0.3, 1e6
+"""κ is at least STIFFER times the first one from the first step on that updates forces. It grows by that factor where a round
+leaves more than the share SLOW of the change of the round before, and where a refused step is deep inside an obstacle, up to
+STIFFEST times the first κ; it shrinks by it where a step is refused a second time elsewhere. A force that is larger than
+STIFFEST times the first κ and the radius means that the rod cannot get out of an obstacle. Viscosity that eases a step grows by
+STIFFER where a step with it fails, else shrinks by that."""
+CLOSE = 4.0  # radii: what is further from an obstacle than that, and half an edge, is not close
+ROUGHER = 3e-3  # the residual to reach until the forces of contacts have settled
+
+SHORTENED, PART, SHIFT_GROWTH = 0.8, 0.3, 10.0
+"""A step of which a smaller share than SHORTENED was taken does not make the shift smaller; the part of it that is tried after
+it was refused; and by how much the shift then grows."""
+
+
+@picked
+def contact_items(edges, obstacles):
+    """Numbers of a rod's contacts in scratch."""
+    return len(CONTACTS) + obstacles * len(OBSTACLE) + (edges + 1) * (len(VERTEX) + obstacles * len(CONTACT))
+
+@picked
+def pair_items(edges):
+    """Numbers of a rod's contact with itself in scratch, without the matrix."""
+    return len(ITSELF) + (edges + 1) * len(ITSELF_VERTEX) + edges * (edges - 1) // 2 * len(PAIR)
+
+
+@picked
+def matrix_items(lines):
+    """Numbers of a dense Newton system of so many ``lines`` of 3×3 blocks: the lower triangle of the matrix, row by row; three
+    rows that are being eliminated, column by column; the inverse pivots; the right-hand side with the three columns of closure,
+    row by row."""
+    size = 3 * lines
+    return size * (size + 1) // 2 + 3 * size + size + 4 * size
 
 
 @dataclass(frozen=True)

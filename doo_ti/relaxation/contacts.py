@@ -4,35 +4,21 @@ import taichi as ti
 
 from doo_ti.contact.obstacles import DEPTH, OBSTACLE_COLUMNS, SIZES
 from doo_ti.contact.touch import HELD, Touch
+from doo_ti.physics.number import device_functions, in_f64, read
 from doo_ti.physics.tuples import choose, dot, repeated, scaled
-from doo_ti.physics.view import in_f64, read
+from doo_ti.relaxation import contact_table as fixed
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contact_layout import (
-    BENDING_LOADS,
-    CARRIED_ON,
-    CLOSE,
-    CONTACT,
-    LOOP_LOADS,
-    MOST_TRIES,
-    PRESSED_IN,
-    REMEMBERED,
-    REMEMBERED_IN_MOTION,
-    ROUGH,
-    SOFT,
-    STIFFER,
-)
 from doo_ti.relaxation.contact_rounds import ContactRounds
 
 NONE, STICKS, SLIPS = map(int, Touch)
 
 
-@ti.data_oriented
+@device_functions
 class Contacts(ContactRounds):
     """The contacts from one instant to the next, and on their way into scratch and out of it."""
 
     # --- from one instant to the next ---
 
-    @ti.func
     def renew(self, rod, done, least, multiplier):
         """Begin another step from where the rods are, in the lanes that are ``done``; returns those in which the clamps have
         not made all their way to the next instant, of which they make ``least`` at once or more."""
@@ -47,7 +33,7 @@ class Contacts(ContactRounds):
         # The clamps wait until the rod has come to rest without viscosity.
         further = ti.max(2.0 * rod.contacts.way, least)
         choose(rod.contacts, done, way=ti.select(eased, zero, ti.min(further, one - made)))
-        thinner = rod.contacts.viscosity / STIFFER
+        thinner = rod.contacts.viscosity / fixed.STIFFER
         enough = thinner >= 0.5 * rod.contacts.first_viscosity  # rounding apart, the first one
         choose(rod.contacts, done, viscosity=ti.select(enough, thinner, zero), multiplier=multiplier)
         choose(rod.contacts, done & ~midway, eased=zero)
@@ -60,15 +46,13 @@ class Contacts(ContactRounds):
         self.begin_rounds(rod, done)
         return midway
 
-    @ti.func
     def begin_rounds(self, rod, where):
         """Begin with the rounds of a step, from the forces that there are, in the lanes ``where``."""
         zero = 0.0 * rod.total
-        choose(rod.contacts, where, phase=zero + ROUGH, change=zero + 1e30, stiffness=rod.contacts.first_stiffness)
+        choose(rod.contacts, where, phase=zero + fixed.ROUGH, change=zero + 1e30, stiffness=rod.contacts.first_stiffness)
         self.tighten(rod, where)
         choose(rod.contacts, where, retried=zero, update_stiffness=zero, updates=zero)
 
-    @ti.func
     def friction_work(self, rod):
         """The work of friction since the instant before."""
         zero = 0.0 * rod.total
@@ -86,7 +70,6 @@ class Contacts(ContactRounds):
             work = work + self.pair_work(rod)
         return work
 
-    @ti.func
     def retry(self, rod, failed, blocked, bowed, least):
         """Prepare another try of a step that has ``failed``, without the forces of its contacts; returns the lanes in which
         there is one. The first is the same step, unless that began inside an obstacle (``blocked``) and the rod was not
@@ -97,23 +80,22 @@ class Contacts(ContactRounds):
         again = failed & (rod.contacts.retried < 0.5) & (bowed | ~blocked) & (viscosity <= 0.0)
         quasi_static = least < 0.9
         shorter = failed & ~again & (rod.contacts.way > 1.5 * least) & quasi_static & ((viscosity <= 0.0) | blocked)
-        eased = failed & ~again & ~blocked & ~shorter & quasi_static & (rod.contacts.eased < MOST_TRIES)
+        eased = failed & ~again & ~blocked & ~shorter & quasi_static & (rod.contacts.eased < fixed.MOST_TRIES)
         once = again | shorter | eased
         if self.some(once, zero):
             choose(rod.contacts, shorter, way=0.5 * rod.contacts.way)
-            choose(rod.contacts, eased, viscosity=ti.max(STIFFER * viscosity, rod.contacts.first_viscosity),
+            choose(rod.contacts, eased, viscosity=ti.max(fixed.STIFFER * viscosity, rod.contacts.first_viscosity),
                    eased=1.0 + rod.contacts.eased)
             for v in range(rod.edges + 1):
                 at = self.vertex(rod, v)
                 for o in range(rod.obstacles):
-                    choose(self.contact(at, o), once, remembered=repeated(zero, REMEMBERED_IN_MOTION))
+                    choose(self.contact(at, o), once, remembered=repeated(zero, fixed.REMEMBERED_IN_MOTION))
             if ti.static(self.itself):
                 self.forget_pairs(rod, once)
-            choose(rod.contacts, once, phase=zero + ROUGH, update_stiffness=zero, updates=zero, change=zero + 1e30,
+            choose(rod.contacts, once, phase=zero + fixed.ROUGH, update_stiffness=zero, updates=zero, change=zero + 1e30,
                    stiffness=rod.contacts.first_stiffness, retried=zero + 1.0)
         return once
 
-    @ti.func
     def load_motion(self, tables, slot, row, unit, inertia):
         """Of a rod in motion, into lane ``slot``: its places at the last instant, and κ for that inertia of a vertex."""
         one = self.of_lane(tables, slot)
@@ -122,18 +104,17 @@ class Contacts(ContactRounds):
             self.vertex(one, v).previous = scaled(read(tables.places, row, v, 0), 1.0 / unit)
         # The first step of a motion knows no forces. All others continue as if no launch had ended before them.
         stiffness = in_f64(own.stiffness) + inertia
-        own.stiffness, own.first_stiffness, own.phase, own.way = stiffness, stiffness, ROUGH, 1.0
+        own.stiffness, own.first_stiffness, own.phase, own.way = stiffness, stiffness, fixed.ROUGH, 1.0
         own.work, own.largest, own.viscosity, own.eased, own.way_made = 0.0, 0.0, 0.0, 0.0, 0.0
         if tables.rod_memory[row, 0] > 0.0:
-            for k in ti.static(range(len(CARRIED_ON))):
-                own[CARRIED_ON[k]] = tables.rod_memory[row, k]
+            for k in ti.static(range(len(fixed.CARRIED_ON))):
+                own[fixed.CARRIED_ON[k]] = tables.rod_memory[row, k]
             if ti.static(self.itself):
                 self.load_carried_pairs(tables, slot, row)
         own.multiplier = read(tables.results, row, of.FORCE)
 
     # --- a rod into a lane and out of it ---
 
-    @ti.func
     def load(self, tables, slot, rod, unit, scale):
         """Rod ``rod``'s obstacles and contacts into lane ``slot``, lengths over ``unit``; ``scale``: the largest stiffness, the
         weight per length, the lengths of an edge, of the longest and of the rod, in the units of the chain."""
@@ -143,15 +124,16 @@ class Contacts(ContactRounds):
         own = ti.min(row, tables.obstacles.shape[0] - 1)
         vertices = one.edges + 1
         radius = tables.radius[ti.min(row, tables.radius.shape[0] - 1)] / unit
-        bending = ti.static(LOOP_LOADS if self.itself else BENDING_LOADS) * scale.bend / (scale.total * scale.total)
+        bending = ti.static(fixed.LOOP_LOADS if self.itself else fixed.BENDING_LOADS) * scale.bend / (scale.total * scale.total)
         force, whole = bending + scale.weight * scale.length, bending + scale.weight * scale.total
         thinnest = ti.cast(1e30, ti.f64)
         for o in range(count):
             thinnest = ti.min(thinnest, tables.obstacles[own, o, DEPTH] / unit)
-        stiffness = ti.max(force / (SOFT * radius), whole / (PRESSED_IN * (radius + thinnest)))
+        stiffness = ti.max(force / (fixed.SOFT * radius), whole / (fixed.PRESSED_IN * (radius + thinnest)))
         viscosity = whole / (scale.total * vertices * unit * unit)
         tolerance = ti.max(tables.tolerance * radius, 10.0 * self.rounding * scale.total)
-        base.given = (radius, stiffness, tolerance, 1e30, ROUGH, CLOSE * radius + 0.5 * scale.longest, stiffness, 0.0, 0.0)
+        reach = fixed.CLOSE * radius + 0.5 * scale.longest
+        base.given = (radius, stiffness, tolerance, 1e30, fixed.ROUGH, reach, stiffness, 0.0, 0.0)
         base.first_viscosity, base.update_stiffness, base.updates, base.expecting = viscosity, 0.0, 0.0, 0.0
         for o in range(count):
             at = self.obstacle(one, o)
@@ -168,24 +150,22 @@ class Contacts(ContactRounds):
                 largest = ti.max(largest, self.load_contact(tables, self.contact(at, o), row, v, o))
         # A rod that begins with large forces would slip into the obstacle if κ gave way as if it had none.
         base.largest = largest
-        base.stiffness = ti.max(stiffness, largest / (PRESSED_IN * radius))
+        base.stiffness = ti.max(stiffness, largest / (fixed.PRESSED_IN * radius))
         if ti.static(self.itself):
             self.load_pairs(tables, slot, row)
 
-    @ti.func
     def load_contact(self, tables, contact, row, v, o):
         """What memory has of a contact into a lane; returns the larger of its forces."""
         if ti.static(self.expects):
             contact.pushes, contact.pushes_between = 0.0, 0.0
-        for k in ti.static(range(REMEMBERED, REMEMBERED_IN_MOTION) if self.rub else (CONTACT.at("active"),)):
+        for k in ti.static(range(fixed.REMEMBERED, fixed.REMEMBERED_IN_MOTION) if self.rub else (fixed.CONTACT.at("active"),)):
             contact[k] = 0.0
         force, between = tables.memory[row, v, o, 0], tables.memory[row, v, o, 1]
         contact.force, contact.force_between = force, between
-        for k in range(REMEMBERED, tables.memory.shape[3]):
+        for k in range(fixed.REMEMBERED, tables.memory.shape[3]):
             contact[k] = tables.memory[row, v, o, k]
         return ti.max(force, between)
 
-    @ti.func
     def unload_forces(self, tables, slot, place, force_unit):
         """The forces on the lane's vertices into row ``place``."""
         one = self.of_lane(tables, slot)
@@ -198,7 +178,6 @@ class Contacts(ContactRounds):
                     force += self.pair_force(tables, slot, v, k)
                 tables.forces[place, v, k] = force * force_unit
 
-    @ti.func
     def unload_touch(self, tables, slot, place):
         """The :class:`.Touch` of each vertex of the lane, with the edge that ends there, into row ``place``."""
         one = self.of_lane(tables, slot)
@@ -212,7 +191,6 @@ class Contacts(ContactRounds):
                 touch = ti.max(touch, self.touch_of(contact.force_between, contact.friction_between, coefficient))
             tables.touches[place, v] = touch
 
-    @ti.func
     def touch_of(self, force, friction, coefficient):
         """The :class:`.Touch` of a contact with that force and friction."""
         found = ti.cast(NONE, ti.i32)
@@ -224,24 +202,22 @@ class Contacts(ContactRounds):
             found = ti.select(square < (HELD * limit) ** 2, STICKS, SLIPS)
         return found
 
-    @ti.func
     def unload(self, tables, slot, row):
         """The lane's contacts into row ``row`` of the memory, in the units of the chain."""
         one = self.of_lane(tables, slot)
         for v in range(one.edges + 1):
             for o in range(one.obstacles):
                 contact = self.contact(self.vertex(one, v), o)
-                for k in ti.static(range(REMEMBERED)):
+                for k in ti.static(range(fixed.REMEMBERED)):
                     tables.memory[row, v, o, k] = contact[k]
-                for k in range(REMEMBERED, tables.memory.shape[3]):
+                for k in range(fixed.REMEMBERED, tables.memory.shape[3]):
                     tables.memory[row, v, o, k] = contact[k]
 
-    @ti.func
     def unload_motion(self, tables, slot, row):
         """The same of a rod in motion, with what its next step begins with."""
         self.unload(tables, slot, row)
         own = tables.contacts.lane(slot)
-        for k in ti.static(range(len(CARRIED_ON))):
-            tables.rod_memory[row, k] = own[CARRIED_ON[k]]
+        for k in ti.static(range(len(fixed.CARRIED_ON))):
+            tables.rod_memory[row, k] = own[fixed.CARRIED_ON[k]]
         if ti.static(self.itself):
             self.carry_pairs(tables, slot, row)

@@ -15,29 +15,22 @@ its unknown is the place ξ of the vertex behind it, where sums over vertices be
 
 import taichi as ti
 
-from doo_ti.physics.algebra import largest_of
-from doo_ti.physics.closure import closure_rows, linear_gradient, linear_hessian, shift_of_end
-from doo_ti.physics.quaternion import first_director, second_director, tangent
-from doo_ti.physics.tuples import (
+from doo_ti.physics.algebra import (
     applied,
     column_scaled,
-    dot,
     full,
     identity,
-    minus,
-    negated,
+    largest_of,
     on_diagonal,
-    plus,
-    products,
-    repeated,
     row,
     row_scaled,
-    scaled,
     shifted,
-    traced,
     transposed,
-    variable,
 )
+from doo_ti.physics.number import device_functions
+from doo_ti.physics.pair import closure_rows, linear_gradient, linear_hessian, shift_of_end
+from doo_ti.physics.quaternion import first_director, second_director, tangent
+from doo_ti.physics.tuples import dot, minus, negated, plus, products, repeated, scaled, traced, variable
 from doo_ti.relaxation.dense_factors import DenseFactors
 from doo_ti.relaxation.elimination import held_pivot
 
@@ -63,19 +56,17 @@ def sum_of(values):
     return total
 
 
-@ti.data_oriented
+@device_functions
 class DenseElimination(DenseFactors):
     """The part of a :class:`.LoadedElimination` that solves the Newton system, for rods whose contacts are
     :class:`.SelfContacts`: a class to derive from before the other. ``breaks``: the chain is that of a group."""
 
     breaks = False
 
-    @ti.func
     def begins(self, rod, e):
         """Of a break the number of the rod behind it, else zero."""
         return 0
 
-    @ti.func
     def eliminate(self, rod, shift, search, multiplier, miss):
         """Assemble H + shift and factor it; as :meth:`.LoadedElimination.eliminate`."""
         found = self.nothing_found(rod)
@@ -93,7 +84,6 @@ class DenseElimination(DenseFactors):
 
     # --- the energies of places ---
 
-    @ti.func
     def clear(self, rod):
         """Begin the sums of the gradient and of K."""
         zero = 0.0 * rod.total
@@ -104,7 +94,6 @@ class DenseElimination(DenseFactors):
         for v in range(rod.edges + 1):
             self.contacts.own_vertex(rod, v).load = repeated(zero, 3)
 
-    @ti.func
     def collect(self, rod, found):
         """Add the external energy and the contacts with obstacles, edge by edge, to the gradient and to K."""
         end = self.tip(rod)
@@ -121,7 +110,6 @@ class DenseElimination(DenseFactors):
             self.contacts.add_diagonal(rod, 0, full(curvature))
         self.touch_begin(rod, 0)
 
-    @ti.func
     def add_edge(self, rod, e, load):
         """Add the derivatives of an edge's energy: a function of the start and of the edge, the end less the start."""
         self.contacts.add_load(rod, e, minus(load.gradient, load.gradient_s))
@@ -132,7 +120,6 @@ class DenseElimination(DenseFactors):
         of_start = minus(plus(load.curvature, load.curvature_ss), symmetric_sum(mixed))
         self.contacts.add_diagonal(rod, e, full(of_start))
 
-    @ti.func
     def touch_begin(self, rod, index):
         """Add the contacts of vertex ``index``, where a rod begins, with obstacles."""
         if self.contacts.touched_start(rod, index) == 1:
@@ -141,7 +128,6 @@ class DenseElimination(DenseFactors):
 
     # --- H ---
 
-    @ti.func
     def sum_columns(self, rod):
         """From K the sums Σ_{v≥p} K(v, q) off the diagonal and Σ_{v≥p} Σ_{w≥p} K(v, w) on it, in its place."""
         for q in range(rod.edges):
@@ -155,7 +141,6 @@ class DenseElimination(DenseFactors):
                 both = plus(self.load_diagonal(rod, p + 1), symmetric_sum(self.load_block(rod, p + 1, p)))
                 self.contacts.add_diagonal(rod, p, full(both))
 
-    @ti.func
     def levers(self, rod, index):
         """The rows of A of block ``index``, with zeros for what is held: the identity where a rod begins."""
         a, free = variable(identity(0.0 * rod.total)), variable(repeated(rod.loose, 3))
@@ -167,7 +152,6 @@ class DenseElimination(DenseFactors):
                 a = closure_rows(edge.length, first_director(q), second_director(q))
         return scaled(row(a, 0), free[1]), scaled(row(a, 1), free[1]), scaled(row(a, 2), free[2])
 
-    @ti.func
     def assemble(self, rod, shift, search, multiplier, found):
         """H + shift in the place of the sums, and the right-hand sides."""
         zero = 0.0 * rod.total
@@ -198,7 +182,6 @@ class DenseElimination(DenseFactors):
             h, g = h_before, g_before
         self.assemble_begin(rod, 0, repeated(rod.loose, 3), shift, plus(force, self.contacts.own_vertex(rod, 0).load), found)
 
-    @ti.func
     def pulled_edge(self, rod, e, edge, slope, bent, force, beyond):
         """Of an edge whose bending and twisting has the gradient ``slope`` and second derivative ``bent``: these with what the
         ``force`` on it and the weight of the length ``beyond`` it add, and the rows of A."""
@@ -211,7 +194,6 @@ class DenseElimination(DenseFactors):
         h = (bent[0], bent[1], bent[2], bent[3] + straighten, bent[4], bent[5] + straighten)
         return g, self.second_derivatives(rod, h, g), closure_rows(length, m1, m2)
 
-    @ti.func
     def assemble_edge(self, rod, e, edge, slope, bent, across, rows, given, found):
         """The row of an edge. ``slope``, ``bent``: the gradient and second derivative by its rotation, without the sums of K;
         ``across``: what couples it with the edge before; ``rows``: those of A; ``given``: the shift and the search."""
@@ -231,7 +213,6 @@ class DenseElimination(DenseFactors):
         self.store_diagonal(rod, e + 1, held_pivot(shifted(whole, spin, tilt), free))
         self.store_side(rod, e + 1, products(free, b), scaled(rows, free[1] * rod.closed))
 
-    @ti.func
     def assemble_row(self, rod, line, free, across):
         """The blocks of row ``line`` before the diagonal, from the last: H(p, q) for all q < p; ``across`` couples the edge by
         bending and twisting with the edge before."""
@@ -247,7 +228,6 @@ class DenseElimination(DenseFactors):
                 block = plus(block, column_scaled(row_scaled(transposed(across), free), self.freedom(rod, q - 1)))
             self.store_block(rod, line, q, block)
 
-    @ti.func
     def assemble_begin(self, rod, line, free, shift, force, found):
         """The row of the place where a rod begins, all of which bears ``force``."""
         slope = products(free, plus(force, scaled(rod.gravity, 2.0 * rod.total)))
@@ -256,14 +236,12 @@ class DenseElimination(DenseFactors):
         self.store_diagonal(rod, line, held_pivot(diagonal, free))
         self.store_side(rod, line, negated(slope), scaled(identity(0.0 * rod.loose), rod.loose * rod.closed))
 
-    @ti.func
     def store_side(self, rod, line, right, border):
         """Three rows of the right-hand side: that of the step and those of closure."""
         for r in ti.static(range(3)):
             values = (right[r], border[3 * r], border[3 * r + 1], border[3 * r + 2])
             self.side(rod, 3 * line + r).four = values
 
-    @ti.func
     def substitute(self, rod, found):
         """ω = L⁻ᵀ D⁻¹ L⁻¹ (b − A δλ), as :meth:`.LoadedElimination.substitute`, with the way to other parts of the rod too."""
         decrement = self.solve_backward(rod, found.change)

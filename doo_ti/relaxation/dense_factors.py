@@ -2,12 +2,12 @@
 
 import taichi as ti
 
-from doo_ti.physics.algebra import factor_in_turn
-from doo_ti.physics.tuples import minus, plus, repeated, row, scaled, traced, variable
-from doo_ti.physics.view import NUMBERS
+from doo_ti.physics.algebra import row
+from doo_ti.physics.factors import factor_in_turn
+from doo_ti.physics.number import NUMBERS, device_functions
+from doo_ti.physics.tuples import minus, plus, repeated, scaled, traced, variable
 
-COLUMNS = 4
-"""Of the right-hand side: that of the step and the three of closure."""
+COLUMNS = 4  # of the right-hand side: that of the step and the three of closure
 
 
 @traced
@@ -16,68 +16,57 @@ def minus_product(m, a, b) -> tuple:
     return tuple(m[3 * r + c] - a[r] * b[c] for r in range(3) for c in range(3))
 
 
-@ti.data_oriented
+@device_functions
 class DenseFactors:
     """The matrix, its factors and the right-hand sides of rods whose contacts are :class:`.SelfContacts`: a class to derive
     from beside a :class:`.Chain`."""
 
     # --- places in scratch, behind the matrix ---
 
-    @ti.func
     def lines(self, rod):
         """Of 3×3 blocks: one for the place of vertex 0 and one for the rotation of each edge."""
         return rod.edges + 1
 
-    @ti.func
     def unknowns(self, rod):
         """Numbers of a step."""
         return 3 * self.lines(rod)
 
-    @ti.func
     def behind_matrix(self, rod, numbers):
         """The view of what lies so many numbers behind the matrix."""
         size = self.unknowns(rod)
         return self.contacts.matrix(rod).part(NUMBERS, size * (size + 1) // 2 + numbers)
 
-    @ti.func
     def eliminated(self, rod, column):
         """Three numbers of the three rows that are being eliminated, in one column."""
         return self.behind_matrix(rod, 3 * column)
 
-    @ti.func
     def pivot(self, rod, line):
         """The inverse of a pivot."""
         return self.behind_matrix(rod, 3 * self.unknowns(rod) + line)
 
-    @ti.func
     def side(self, rod, line):
         """A row of the right-hand side."""
         return self.behind_matrix(rod, 4 * self.unknowns(rod) + COLUMNS * line)
 
-    @ti.func
     def rows_of(self, rod, line, column):
         """The three rows of a block of the lower triangle."""
         return (self.contacts.block(rod, line, column, 0), self.contacts.block(rod, line, column, 1),
                 self.contacts.block(rod, line, column, 2))
 
-    @ti.func
     def load_block(self, rod, line, column):
         """Block of the lower triangle, off the diagonal, row by row."""
         first, second, third = self.rows_of(rod, line, column)
         return first.three + second.three + third.three
 
-    @ti.func
     def load_diagonal(self, rod, line):
         """Block on the diagonal, six numbers."""
         first, second, third = self.rows_of(rod, line, line)
         return (first[0], second[0], third[0], second[1], third[1], third[2])
 
-    @ti.func
     def store_block(self, rod, line, column, values):
         first, second, third = self.rows_of(rod, line, column)
         first.three, second.three, third.three = row(values, 0), row(values, 1), row(values, 2)
 
-    @ti.func
     def store_diagonal(self, rod, line, values):
         first, second, third = self.rows_of(rod, line, line)
         first.one = values[0]
@@ -86,7 +75,6 @@ class DenseFactors:
 
     # --- the factors ---
 
-    @ti.func
     def factor_rows(self, rod, found):
         """L D Lᵀ in the place of the matrix, three rows after three."""
         for p in range(self.lines(rod)):
@@ -107,7 +95,6 @@ class DenseFactors:
                 self.pivot(rod, 3 * p + r).one = f[r]
             self.store_diagonal(rod, p, (f[0], f[3], f[4], f[1], f[5], f[2]))
 
-    @ti.func
     def eliminate_block(self, rod, p, q):
         """L D of block (p, q)."""
         rest = variable(self.load_block(rod, p, q))
@@ -122,12 +109,10 @@ class DenseFactors:
             columns = self.eliminated(rod, 3 * q)
             columns[r], columns[r + 3], columns[r + 6] = first, second, third
 
-    @ti.func
     def line(self, rod, line):
         """A row of L."""
         return self.contacts.matrix(rod).part(NUMBERS, line * (line + 1) // 2)
 
-    @ti.func
     def solve_forward(self, rod):
         """L⁻¹ of the right-hand sides, in their place; returns what closure needs: Aᵀ H⁻¹ A and Aᵀ H⁻¹ b."""
         zero = 0.0 * rod.total
@@ -144,10 +129,8 @@ class DenseFactors:
             right = plus(right, scaled(d, y[0]))
         return schur, right
 
-    @ti.func
     def solve_backward(self, rod, change):
-        """L⁻ᵀ D⁻¹ of the right-hand side of the step less those of closure times ``change``, in its place. Returns the Newton
-        decrement."""
+        """L⁻ᵀ D⁻¹ of the step's right-hand side less ``change`` times closure's, in its place; returns the Newton decrement."""
         size = self.unknowns(rod)
         decrement = 0.0 * rod.total
         for line in range(size):
@@ -164,7 +147,6 @@ class DenseFactors:
                 side.one = side.one - solved * low[k]
         return decrement
 
-    @ti.func
     def solution(self, rod, block):
         """Three of the unknowns."""
         return (self.side(rod, 3 * block).one, self.side(rod, 3 * block + 1).one, self.side(rod, 3 * block + 2).one)

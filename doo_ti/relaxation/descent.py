@@ -3,7 +3,7 @@
     x ← x − h (g + Jᵀ λ)        g = ∂E/∂x with the twist angles held, λ = −(J Jᵀ)⁻¹ J g the constraints' multipliers
     x ← x − Jᵀ (J Jᵀ)⁻¹ c(x)    fast projection onto fixed edge lengths, twice (:meth:`.VertexChain.eliminate_lengths`)
     m1 ← P(m1)                  material frames follow their tangents by parallel transport
-    θ ← argmin_θ E              one Newton step, exact for isotropic rods (:meth:`.VertexEnergy.minimise_twist`)
+    θ ← argmin_θ E              one Newton step, exact for isotropic rods (:meth:`.VertexChain.minimise_twist`)
 
 The step length h is spectral (Barzilai–Borwein), limited to a small fraction of an edge so that the path stays close to
 steepest descent, and a step is accepted if the energy does not exceed a running mean of the energies before.
@@ -14,14 +14,12 @@ from functools import cache
 
 import taichi as ti
 
-from doo_ti.physics.number import Number
+from doo_ti.physics.number import Number, Scratch, device_functions
 from doo_ti.physics.tuples import chosen, picked, put_lane, record, repeated
-from doo_ti.physics.view import Scratch
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, SCRATCH, TABLE1, TABLE2, TABLE3, loop_kernel
 from doo_ti.relaxation.loading import LANES, NEXT, stiffness_scale
-from doo_ti.relaxation.vertex_chain import VERTEX
-from doo_ti.relaxation.vertex_energy import VertexEnergy
+from doo_ti.relaxation.vertex_chain import VERTEX, VertexChain
 from doo_ti.rod.types import Status
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, require_number, require_whole
@@ -56,7 +54,7 @@ MEMORY = 0.9  # weight of the past in the running mean of the energy
 PATIENCE = 20_000  # iterations in which neither energy nor residual came down noticeably
 
 
-@ti.data_oriented
+@device_functions
 class DescentLoop:
     """The work of a thread, until the queue is empty.
 
@@ -73,7 +71,7 @@ class DescentLoop:
     """
 
     def __init__(self, number: Number, stride: int):
-        self.sweep, self.memory = VertexEnergy(number), Scratch(number, stride)
+        self.sweep, self.memory = VertexChain(number), Scratch(number, stride)
         lanes = number.lanes()
         self.largest, self.lane, self.with_lane, self.constant = lanes.largest, lanes.lane, lanes.with_lane, lanes.constant
         self.width, self.scalar = number.width, number.scalar
@@ -86,7 +84,6 @@ class DescentLoop:
         """As :meth:`.Chain.items`."""
         return given.vertices.shape[1] * VERTEX.size
 
-    @ti.func
     def work(self, tables, thread):
         """A thread's work, until the queue is empty."""
         origin = self.memory.of_thread(tables.scratch, thread, VERTEX, self.items(tables))
@@ -111,7 +108,6 @@ class DescentLoop:
             else:
                 self.trip(tables, origin, lane)
 
-    @ti.func
     def idle_lanes(self):
         """The record of lanes that have no rod yet."""
         zero, one = self.constant(0.0), self.constant(1.0)
@@ -120,7 +116,6 @@ class DescentLoop:
             energy=zero, lowest=zero, mean=zero, count=zero, step=zero, residual=zero, best=one, fresh=zero, trips=zero,
             still=zero, status=zero, short=repeated(one, 3), active=zero, finished=one)
 
-    @ti.func
     def store(self, tables, origin, slot, lane, place):
         """The rod in lane ``slot`` into row ``place`` of the results."""
         edges = tables.directors.shape[1]
@@ -137,7 +132,6 @@ class DescentLoop:
         tables.results[place, of.STATUS] = self.lane(lane.status, slot)
         tables.results[place, of.STABLE] = 0.0
 
-    @ti.func
     def load(self, tables, origin, slot, lane, index):
         """Row ``index`` of the rods into lane ``slot``."""
         s, g = tables.rods[index, of.CLAMP_ROW], tables.rods[index, of.MATERIAL_ROW]
@@ -155,7 +149,6 @@ class DescentLoop:
             limit_move=tables.largest_move * shortest, count=0.0, step=0.0, residual=1e30, best=1e30, lowest=1e30,
             short=(1e30, 1e30, 1e30), fresh=1.0, trips=0.0, still=0.0, active=1.0)
 
-    @ti.func
     def trip(self, tables, origin, lane):
         """One step of every lane's rod, and its judgement."""
         rod = record(origin=origin, edges=tables.directors.shape[1], held=lane.held, spin=lane.spin, gravity=lane.gravity)
@@ -179,7 +172,6 @@ class DescentLoop:
         self.plan(lane, change, taken)
         self.end(tables, lane, found.magnitude, accepted)
 
-    @ti.func
     def plan(self, lane, change, taken):
         """Length of the next step, by Barzilai and Borwein: the long step s·s/s·y, or where the gradient is mostly stiff
         directions the shortest of the last four short ones s·y/y·y; but every twelfth step is a long one, for narrow
@@ -196,7 +188,6 @@ class DescentLoop:
         wanted = ti.select(lane.fresh > 0.5, first, longer)
         lane.step = ti.select(taken, ti.min(wanted, lane.limit_move / (change.top + 1e-30)), 0.25 * lane.step)
 
-    @ti.func
     def end(self, tables, lane, magnitude, accepted):
         """Which lanes are finished, and with which status."""
         zero, one = self.constant(0.0), self.constant(1.0)

@@ -7,38 +7,41 @@ The Hessian is block-tridiagonal with 3×3 blocks, bordered by the three columns
 
 One forward sweep assembles and eliminates it, H + δI = L D Lᵀ edge by edge, one backward sweep gives the step ω. The signs of D
 and of the Schur complement S = Aᵀ (H + δI)⁻¹ A are the certificate that a rod rests at a minimum.
+
+Of a chain whose vertex 0 is not held the place is three more unknowns, which only an external energy determines
+(:class:`LooseStart`). It hangs from the anchor, displaced by the drift. Where the far end is held the drift alone closes the
+chain, so that no rotation has to.
 """
 
 import taichi as ti
 
-from doo_ti.physics.algebra import factor, largest_of, positive_eigenvalues, solve_symmetric
-from doo_ti.physics.closure import closure_rows, linear_gradient, linear_hessian
-from doo_ti.physics.quaternion import first_director, second_director, tangent
-from doo_ti.physics.tuples import (
+from doo_ti.physics.algebra import (
+    absolute,
+    column_scaled,
+    largest_of,
+    on_diagonal,
+    positive_eigenvalues,
+    row_scaled,
+    shifted,
+    solve_symmetric,
+    transposed,
+)
+from doo_ti.physics.factors import (
     against,
     backward,
-    chosen,
-    column_scaled,
-    dot,
+    factor,
+    factor_in_turn,
     forward,
     forward_rows,
     gram,
-    minus,
     minus_combination,
-    negated,
-    on_diagonal,
-    plus,
-    products,
-    record,
-    repeated,
-    row_scaled,
-    scaled,
-    shifted,
     squared,
     symmetric_gram,
-    transposed,
-    variable,
 )
+from doo_ti.physics.number import device_functions
+from doo_ti.physics.pair import closure_rows, linear_gradient, linear_hessian
+from doo_ti.physics.quaternion import first_director, second_director, tangent
+from doo_ti.physics.tuples import chosen, dot, minus, negated, plus, products, record, repeated, scaled, variable
 from doo_ti.relaxation.chain import Chain
 
 
@@ -51,11 +54,10 @@ def held_pivot(d, free):
         free[1] * d[3] + (1.0 - free[1]), free[1] * d[4], free[2] * d[5] + (1.0 - free[2]))
 
 
-@ti.data_oriented
+@device_functions
 class Elimination(Chain):
     """The chain with the elimination of its Newton system."""
 
-    @ti.func
     def eliminate(self, rod, shift, search, multiplier, miss):
         """Assemble H + shift at the closed frames and eliminate it from the first edge to the last.
 
@@ -116,29 +118,24 @@ class Elimination(Chain):
         change, positive = self.bordered(rod, s, plus(z, miss))
         return self.result(found, change, positive)
 
-    @ti.func
     def edge_pull(self, rod, edge, weight):
         """The linear potential of an edge with that hanging ``weight``, without λ."""
         return scaled(rod.gravity, weight)
 
-    @ti.func
     def observe(self, found, g, h):
         """Take an edge's gradient and diagonal block into the largest of both."""
         found.scale = largest_of(found.scale, largest_of(h[0], largest_of(h[3], h[5])))
         self.observe_moment(found, g)
 
-    @ti.func
     def observe_moment(self, found, g):
         """Take a gradient into the largest square of a moment."""
         found.squared = largest_of(found.squared, largest_of(g[0] * g[0], largest_of(g[1] * g[1], g[2] * g[2])))
 
-    @ti.func
     def bordered(self, rod, s, z):
         """(δλ = S⁻¹ z, positive eigenvalues of S). Without closure S is the identity: λ stays zero and three are counted."""
         solved, minors = solve_symmetric(on_diagonal(s, 1.0 - rod.closed), z)
         return scaled(solved, rod.closed), positive_eigenvalues(minors)
 
-    @ti.func
     def substitute(self, rod, found):
         """Back-substitution ω = L⁻ᵀ D⁻¹ (W_r − W_A δλ − W_U ω_next). Returns how large the step is for one that may be taken
         whole, its size, here both the largest rotation, rad, and the Newton decrement ωᵀHω, twice the energy that the step is
@@ -158,19 +155,16 @@ class Elimination(Chain):
 
     # --- shared with the elimination under an external energy ---
 
-    @ti.func
     def nothing_found(self, rod):
         """The record of what an elimination sums up, before it."""
         zero = 0.0 * rod.total
         return record(squared=zero, scale=zero, negative=zero, slope=zero, energy=zero, magnitude=zero)
 
-    @ti.func
     def result(self, found, change, positive):
         """What :meth:`eliminate` returns of what was ``found``, of δλ and of the positive eigenvalues of S."""
         return record(moment=ti.sqrt(found.squared), scale=found.scale, change=change, inertia=found.negative + positive,
                       slope=found.slope, energy=found.energy, magnitude=found.magnitude)
 
-    @ti.func
     def stirred(self, edge, e, right, gradient, search):
         """(right-hand side with the noise and the echo of ``search`` (noise, echo), slope along the echo).
 
@@ -184,25 +178,102 @@ class Elimination(Chain):
                      right[2] + noise * ((4 * e + 3) % 7 - 2.5) + k[2])
         return perturbed, dot(gradient, k)
 
-    @ti.func
     def store_eliminated(self, edge, f, right, neighbour, border):
         """Store for :meth:`solved_edge`: the factors of an edge, W_r, and the columns of W_U and of the border."""
         edge.pivots = (f[0], f[1], f[2], f[3], f[4], f[5])
         edge.rotation, edge.neighbour, edge.border = right, neighbour, border
 
-    @ti.func
     def without_border(self, edge, columns, border):
         """W_r − W_border border of an edge, whose W_border has these ``columns``."""
         return minus_combination(edge.rotation, columns, border)
 
-    @ti.func
     def solved_edge(self, edge, right, w):
         """ω = L⁻ᵀ D⁻¹ (``right`` − W_U ω_neighbour) of an edge, into its place."""
         rotation = backward(edge.pivots, minus_combination(right, edge.neighbour, w))
         edge.rotation = rotation
         return rotation
 
-    @ti.func
     def longer(self, longest, w):
         """The larger of a square and |w|²."""
         return largest_of(longest, dot(w, w))
+
+
+LEAST_HOLD = 1e-6
+"""Over the cube of the rod's length, B being about one: the least stiffness with which a free vertex 0 is held in its place."""
+
+
+@device_functions
+class LooseStart(Elimination):
+    """The part of :class:`.LoadedElimination` for vertex 0. Lanes whose rods hold it are not changed."""
+
+    def step_start(self, rod, scale, moving, reached, goal):
+        """Move vertex 0 by its share of the step, or to where the far end, ``reached`` from vertex 0, is at its ``goal``;
+        returns where rotations are still to close the chain."""
+        zero = 0.0 * scale
+        standing = rod.head.drift
+        full = rod.head.drift_step
+        stepping = (scale > 0.0) | (scale < 0.0)
+        drift = variable(chosen(stepping, plus(standing, scaled(full, scale)), standing))
+        tied = rod.loose * rod.closed * moving
+        whole = variable(minus(goal, reached))
+        if ti.static(self.touches):
+            whole = plus(drift, scaled(minus(whole, drift), moving))
+        drift = chosen(tied > 0.0, whole, drift)
+        rod.head.drift_standing = standing
+        rod.head.drift = drift
+        return ti.select(rod.loose > 0.5, zero, moving)
+
+    def eliminate_start(self, rod, shift, beyond, border, found):
+        """Eliminate ξ of vertex 0 from the quadratic form that edge 0 leaves, ½ ξᵀC ξ + c·ξ."""
+        loose = rod.loose
+        free = (loose, loose, loose)
+        weight = scaled(rod.gravity, 2.0 * rod.total)
+        force, c = variable(plus(beyond.force, weight)), variable(plus(beyond.c, weight))
+        if ti.static(self.pulls_start):
+            slope, curvature = self.load_start(rod, found)
+            force, c = plus(force, slope), plus(c, slope)
+            beyond.cc = plus(beyond.cc, curvature)
+        if ti.static(self.touches):
+            if self.contacts.touched_start(rod, 0) == 1:
+                slope = rod.contacts.end_gradient
+                force, c = plus(force, self.contacts.known(slope, rod.contacts.end_excess)), plus(c, slope)
+                beyond.cc = plus(beyond.cc, rod.contacts.end_curvatures)
+            found.energy = found.energy + rod.contacts.energy
+            found.magnitude = found.magnitude + rod.contacts.magnitude
+        moment = scaled(force, loose * rod.total)
+        self.observe_moment(found, moment)
+        d = on_diagonal(beyond.cc, self.shift_of_start(rod, shift))
+        stiff = (self.at_least_held(rod, d[0]), d[1], d[2], self.at_least_held(rod, d[3]), d[4], self.at_least_held(rod, d[5]))
+        f = factor_in_turn(held_pivot(stiff, free))
+        found.negative = found.negative + f[6]
+        wr = forward(f, scaled(negated(c), loose))
+        wa = forward_rows(f, scaled(border.c, loose))
+        border.schur = plus(border.schur, symmetric_gram(f, wa))
+        border.right = plus(border.right, against(f, wa, wr))
+        rod.head.drift_step, rod.head.drift_border = wr, wa
+        rod.head.drift_pivots = (f[0], f[1], f[2], f[3], f[4], f[5])
+
+    def load_start(self, rod, found):
+        """The external energy at vertex 0: its value goes to ``found``; returns its first and second derivative."""
+        energy, gradient, curvature = self.functions.evaluate_start(
+            rod.head.external, scaled(plus(rod.anchor, rod.head.drift), rod.length_unit))
+        found.energy = found.energy + rod.loose * energy
+        found.magnitude = found.magnitude + rod.loose * energy
+        return scaled(gradient, rod.length_unit), scaled(curvature, rod.length_unit * rod.length_unit)
+
+    def shift_of_start(self, rod, shift):
+        """``shift`` of the place of vertex 0."""
+        return shift * rod.shift_shares[1] / (rod.total * rod.total)
+
+    def at_least_held(self, rod, stiffness):
+        """The stiffness that holds vertex 0 in some direction, or a small one where nothing does, as along a table."""
+        least = LEAST_HOLD * rod.shift_shares[1] / (rod.total * rod.total * rod.total)
+        return ti.select(absolute(stiffness) < least, least, stiffness)
+
+    def solved_start(self, rod, change):
+        """(ξ = L⁻ᵀ D⁻¹ (W_c − W_λ δλ) of vertex 0, also into its place; its part in the Newton decrement)."""
+        y = minus_combination(rod.head.drift_step, rod.head.drift_border, change)
+        f = rod.head.drift_pivots
+        shift = backward(f, y)
+        rod.head.drift_step = shift
+        return shift, squared(f, y)

@@ -1,26 +1,33 @@
 """External energies at the vertices of a rod, besides bending, twist and gravity.
 
 A kind of external energy is a table of numbers and a field of values on the host, and two Taichi functions on the device,
-``load`` and ``evaluate``; the solver needs nothing else. Springs are the simplest kind, and need no field.
+``load`` and ``evaluate``; the solver needs nothing else. Springs are the simplest kind, and need no field. Forces and masses at
+the vertices, such as a needle, a payload or a pull of known direction, are another:
+
+    force = np.zeros((1, V, 3))
+    force[:, -1] = (0, 0.02, 0)                                         # N at the last vertex
+    relax(start, material, clamps, external=PointLoads.from_physical(force, material))
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, field
 from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from doo_ti.physics.number import Number
-from doo_ti.physics.view import Layout
+from doo_ti.physics.number import Layout, Number
+from doo_ti.rod.material import LARGEST, STANDARD_GRAVITY, Material
 from doo_ti.system.arguments import short_repr, typed
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, real_array
 
 
 class ExternalFunctions(NamedTuple):
     """An external energy as Taichi functions.
 
     load      (own, numbers, row, edge, scale): those of ``numbers``' row into the view ``own`` of an edge's numbers in a lane
-              (:mod:`doo_ti.physics.view`), energies times ``scale``
+              (:mod:`doo_ti.physics.number`), energies times ``scale``
     evaluate  (own, numbers, field, start, end, coarse): an edge's energy E with its vertices at ``start`` and ``end``,
               and the moments of its gradient γ and curvature K over the places s in [0, 1] along the edge where it acts,
               (E, Σ γ, Σ s γ, Σ K, Σ s K, Σ s² K). That is: the derivatives by a shift of the whole edge and by the change
@@ -174,3 +181,142 @@ class Springs(External):
 
 class Nothing(External):
     """No energy: for rods that only contact loads."""
+
+
+@typed
+@dataclass(frozen=True)
+class PointLoads(External):
+    """−F_i · x_i at every vertex: dead forces, and masses that hang there. An external energy, alone or together with springs.
+
+    force    (A, V, 3) on the vertices, in the package's unit, energy (mm²) per mm
+    mass     (A, V) ≥ 0, or one number for all vertices: the weight that the body has, in the same unit, whatever the weight of
+             the rod. In a motion it has the inertia of that weight under standard gravity
+    springs  of A rows, or none
+
+    ``up`` (3,), the unit direction against which masses hang, is that of the call they are given to, which sets it.
+    ``external_index`` gives each rod one of the A rows. Raises InputError for shapes that do not match, and for numbers that
+    are not finite or masses that are negative.
+    """
+
+    __repr__ = short_repr
+
+    force: np.ndarray
+    mass: np.ndarray | float = 0.0
+    springs: Springs | None = None
+    up: np.ndarray | None = field(default=None, init=False)
+    layout: ClassVar[Layout] = Springs.layout + Layout(force=3)
+    start_layout: ClassVar[Layout] = layout
+
+    def __post_init__(self) -> None:
+        force, mass = (np.array(real_array("PointLoads", name, getattr(self, name), "give real numbers"), dtype=np.float64)
+                       for name in ("force", "mass"))
+        if force.ndim != 3 or force.shape[-1] != 3:
+            raise InputError("PointLoads", "force", f"shape {force.shape}", "give (A, V, 3)")
+        if mass.shape not in ((), force.shape[:2]):
+            raise InputError("PointLoads", "mass", f"shape {mass.shape}", f"give a number or {force.shape[:2]}")
+        for name, value in (("force", force), ("mass", mass)):
+            if not (np.abs(value) <= LARGEST).all():
+                raise InputError("PointLoads", name, f"not finite, or beyond {LARGEST:g}", "give finite numbers")
+        if not (mass >= 0).all():
+            raise InputError("PointLoads", "mass", f"{mass.min():g} is negative", "give zero or more")
+        if self.springs is not None and self.springs.stiffness.shape != force.shape[:2]:
+            raise InputError("PointLoads", "springs", f"those of {self.springs.stiffness.shape} vertices",
+                             f"give {force.shape[:2]}")
+        for name, value in (("force", force), ("mass", np.array(np.broadcast_to(mass, force.shape[:2])))):
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    @typed
+    def from_physical(cls, force: ArrayLike, material: Material, mass: ArrayLike = 0.0) -> "PointLoads":
+        """Those of ``force`` (A, V, 3) in N and ``mass`` in g, (A, V) or one number for all vertices, on rods of ``material``,
+        of one row or A, whose weight per length is known.
+
+        Raises InputError as the class does, and for a material without a weight per length.
+        """
+        force = real_array("PointLoads", "force", force, "give N").astype(np.float64)
+        mass = real_array("PointLoads", "mass", mass, "give g").astype(np.float64)
+        if material.newton is None:
+            raise InputError("PointLoads", "material", "without a weight per length", "give Material.from_physical(…)")
+        if force.ndim != 3 or material.count not in (1, len(force)):
+            raise InputError("PointLoads", "force", f"shape {force.shape} for {material.count} materials", "give (A, V, 3)")
+        unit = material.newton[:, None]
+        weight = np.broadcast_to(1e-3 * STANDARD_GRAVITY * mass, force.shape[:2] if mass.ndim == 0 else mass.shape)
+        return cls(force / unit[..., None], weight / unit)
+
+    @property
+    def count(self) -> int:
+        """A."""
+        return len(self.force)
+
+    @property
+    def vertices(self) -> int:
+        """V."""
+        return self.force.shape[1]
+
+    @property
+    def whole_force(self) -> np.ndarray:
+        """(A, V, 3) with the weight of the masses."""
+        return self.force if self.up is None else self.force - self.mass[..., None] * self.up
+
+    def hanging(self, up: np.ndarray) -> "PointLoads":
+        """The same, whose masses hang against ``up`` (3,)."""
+        loads = copy(self)
+        object.__setattr__(loads, "up", up)
+        return loads
+
+    def take(self, rows: np.ndarray) -> "PointLoads":
+        """The rows of that number, in that order."""
+        springs = None if self.springs is None else Springs(self.springs.points[rows], self.springs.stiffness[rows])
+        return PointLoads(self.force[rows], self.mass[rows], springs)
+
+    def numbers(self) -> np.ndarray:
+        """(A, V, 7): point and stiffness of a spring, and the force."""
+        springs = np.zeros((*self.mass.shape, 4)) if self.springs is None else self.springs.numbers()
+        return np.ascontiguousarray(np.concatenate([springs, self.whole_force], axis=-1))
+
+    def energy_at_start(self, start: np.ndarray, index: np.ndarray) -> np.ndarray:
+        """(R,) energy at vertex 0 in ``start`` (R, 3), which no kernel moves."""
+        own = -np.sum(self.whole_force[index, 0] * start, axis=-1)
+        return own if self.springs is None else own + self.springs.energy_at_start(start, index)
+
+    @staticmethod
+    def functions(number: Number) -> ExternalFunctions:
+        """On the device: those of springs, and the force of the vertex where an edge ends."""
+        import taichi as ti
+
+        from doo_ti.physics.tuples import dot, minus, scaled
+
+        springs = Springs.functions(number)
+
+        @ti.func
+        def load(own, numbers: ti.template(), row, edge, scale):
+            springs.load(own, numbers, row, edge, scale)
+            own.force = scaled((numbers[row, edge + 1, 4], numbers[row, edge + 1, 5], numbers[row, edge + 1, 6]), scale)
+
+        @ti.func
+        def evaluate(own, numbers: ti.template(), field: ti.template(), start, end, coarse):
+            energy, gradient, along, curvature, mixed, stiffness = springs.evaluate(own, numbers, field, start, end, coarse)
+            force = own.force
+            return (energy - dot(force, end), minus(gradient, force), minus(along, force), curvature, mixed, stiffness)
+
+        @ti.func
+        def load_start(own, numbers: ti.template(), row, scale):
+            springs.load_start(own, numbers, row, scale)
+            own.force = scaled((numbers[row, 0, 4], numbers[row, 0, 5], numbers[row, 0, 6]), scale)
+
+        @ti.func
+        def evaluate_start(own, place):
+            energy, gradient, curvature = springs.evaluate_start(own, place)
+            force = own.force
+            return energy - dot(force, place), minus(gradient, force), curvature
+
+        return ExternalFunctions(load, evaluate, load_start, evaluate_start)
+
+
+def check_rows(function: str, loads: PointLoads | Springs | None, rods: int, vertices: int) -> None:
+    """Raise InputError, naming ``function``, for loads of others than so many rods, or one for all, of so many vertices."""
+    if loads is not None and (loads.vertices != vertices or loads.count not in (1, rods)):
+        name = "loads" if isinstance(loads, PointLoads) else "springs"
+        raise InputError(function, name, f"{loads.count} rows of {loads.vertices} vertices",
+                         f"give 1 or {rods} rows of {vertices} vertices")

@@ -13,9 +13,8 @@ from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.bows import projectable
 from doo_ti.relaxation.clamp_table import INFEASIBLE, clamp_table
 from doo_ti.relaxation.contact_table import contact_table
-from doo_ti.relaxation.external import External
+from doo_ti.relaxation.external import External, PointLoads
 from doo_ti.relaxation.newton_policy import MOST_SHIFT
-from doo_ti.relaxation.point_loads import PointLoads
 from doo_ti.relaxation.tables import FREE, Tables, rod_rows, room
 from doo_ti.rod.types import Clamps, Configuration, Material
 from doo_ti.system.errors import InputError, real_array
@@ -134,8 +133,7 @@ def _row_numbers(name: str, value, function: str) -> np.ndarray:
 UNEVEN = MOST_SHIFT
 """Of the largest stiffness of a rod to its smallest, above which it is relaxed with evener ones first (:func:`evened`): up to
 there no shift is limited (:meth:`.Loading.shift_share`)."""
-RATIOS = (1e2, 1e4, 1e6, 1e8)
-"""Of their stiffness then, one after the other."""
+RATIOS = (1e2, 1e4, 1e6, 1e8)  # of their stiffness then, one after the other
 
 
 def tables(

@@ -12,8 +12,7 @@ from doo_ti.system import runtime
 TABLE1, TABLE2, TABLE3, TABLE4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))
 INDEX1, INDEX2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))
 FIELD = ti.types.ndarray(dtype=ti.f32, ndim=1)
-SCRATCH = "scratch"
-"""The type of an array of a kernel's own numbers."""
+SCRATCH = "scratch"  # the type of an array of a kernel's own numbers
 
 SOURCE = """def {name}({names}):
     ti.loop_config(block_dim=block, serialize=serial)

@@ -13,43 +13,40 @@ border of closure.
 
 import taichi as ti
 
-from doo_ti.physics.algebra import absolute, factor, largest_of
-from doo_ti.physics.closure import closure_rows, linear_gradient, linear_hessian, shift_of_end
-from doo_ti.physics.quaternion import first_director, second_director, tangent
-from doo_ti.physics.tuples import (
-    against,
+from doo_ti.physics.algebra import (
+    absolute,
     applied,
     column_scaled,
+    full,
+    identity,
+    largest_of,
+    quadratic,
+    row,
+    times_transposed,
+    transposed,
+)
+from doo_ti.physics.factors import against, factor, forward, forward_rows, gram, minus_combination, squared, symmetric_gram
+from doo_ti.physics.number import device_functions
+from doo_ti.physics.pair import closure_rows, linear_gradient, linear_hessian, shift_of_end
+from doo_ti.physics.quaternion import first_director, second_director, tangent
+from doo_ti.physics.tuples import (
     dot,
     extended,
-    forward,
-    forward_rows,
-    full,
-    gram,
-    identity,
     minus,
-    minus_combination,
     negated,
     picked,
     plus,
     products,
-    quadratic,
     record,
     repeated,
-    row,
     scaled,
-    squared,
-    symmetric_gram,
-    times_transposed,
     traced,
-    transposed,
     variable,
 )
 from doo_ti.relaxation.chain import edge_layout, rod_layout
-from doo_ti.relaxation.contact_layout import CONTACTS
+from doo_ti.relaxation.contact_table import CONTACTS
 from doo_ti.relaxation.contacts import Contacts
-from doo_ti.relaxation.elimination import held_pivot
-from doo_ti.relaxation.loose_start import LooseStart
+from doo_ti.relaxation.elimination import LooseStart, held_pivot
 from doo_ti.relaxation.newton_policy import INERTIA_OF_A_MINIMUM
 
 
@@ -61,7 +58,7 @@ def pulled(h, straighten, k, a1, a2) -> tuple:
             h[5] + straighten + quadratic(k, a2, a2))
 
 
-@ti.data_oriented
+@device_functions
 class LoadedElimination(LooseStart):
     """The chain under an external energy of class ``external``, whose functions on the device are ``functions``.
 
@@ -91,7 +88,6 @@ class LoadedElimination(LooseStart):
         own = LooseStart.items(self, given)
         return own + self.contacts.items(given) if self.touches else own
 
-    @ti.func
     def tip(self, rod):
         """The far end, found from the anchor on, where contacts begin."""
         x = variable(rod.anchor)
@@ -105,7 +101,6 @@ class LoadedElimination(LooseStart):
             self.contacts.look(rod, rod.edges, x)
         return x
 
-    @ti.func
     def eliminate(self, rod, shift, search, multiplier, miss):
         """Assemble H + shift and eliminate it from the far end to the start, as :meth:`.Elimination.eliminate`. The force p,
         the sum of all known gradients further out, enters the geometric part of H and the residual; the force c, which
@@ -166,7 +161,6 @@ class LoadedElimination(LooseStart):
             h, g = h_before, g_before
         return self.closed(rod, shift, miss, beyond, border, found)
 
-    @ti.func
     def closed(self, rod, shift, miss, beyond, border, found):
         """The result of :meth:`eliminate`, from what edge 0 passes on: vertex 0 and closure are eliminated here."""
         zero = 0.0 * rod.total
@@ -177,7 +171,6 @@ class LoadedElimination(LooseStart):
             change, positive = self.bordered(rod, border.schur, plus(border.right, miss))
         return self.result(found, change, positive)
 
-    @ti.func
     def at_the_end(self, rod, multiplier):
         """The records of what lies beyond the far end, nothing but λ, and of the border, as the last edge is given them."""
         zero = 0.0 * rod.total
@@ -189,7 +182,6 @@ class LoadedElimination(LooseStart):
         return beyond, record(c=scaled(identity(zero), rod.closed), f=repeated(zero, 9), schur=repeated(zero, 6),
                               right=repeated(zero, 3))
 
-    @ti.func
     def load(self, rod, edge, e, start, end, found):
         """The external energy of an edge (:class:`doo_ti.relaxation.external.ExternalFunctions`) and that of its contacts: the
         value goes to ``found``, and the record of the derivatives is returned; ``known`` and ``known_s`` are the gradients
@@ -216,7 +208,6 @@ class LoadedElimination(LooseStart):
                 self.contacts.take_between(rod, load)
         return load
 
-    @ti.func
     def condensed(self, h, shifts, beyond, a1, a2):
         """The edge's diagonal block with what lies beyond: H + shifts + F + A Z + Zᵀ Aᵀ + A C Aᵀ."""
         turned = transposed(beyond.z)
@@ -227,7 +218,6 @@ class LoadedElimination(LooseStart):
                 h[4] + o[4] + row1[2] + row2[1] + quadratic(c, a1, a2),
                 h[5] + shifts[1] + o[5] + 2.0 * row2[2] + quadratic(c, a2, a2))
 
-    @ti.func
     def coupled(self, beyond, load, a1, a2):
         """Z with what the edge adds, (C + K_s) Aᵀ: a row for each direction of ξ, a column for each rotation of the edge."""
         stretched = plus(full(beyond.cc), load.curvature_s)
@@ -235,7 +225,6 @@ class LoadedElimination(LooseStart):
         z = beyond.z
         return (z[0], z[1] + w1[0], z[2] + w2[0], z[3], z[4] + w1[1], z[5] + w2[1], z[6], z[7] + w1[2], z[8] + w2[2])
 
-    @ti.func
     def eliminate_border(self, edge, free, border, rows, f, wr, wz, wu):
         """The edge's part in closure: of each component of λ the columns c_λ and f_λ that the edge before is given, and the
         Schur complement."""
@@ -246,7 +235,6 @@ class LoadedElimination(LooseStart):
         border.schur = plus(border.schur, symmetric_gram(f, wa))
         border.right = plus(border.right, against(f, wa, wr))
 
-    @ti.func
     def pass_on(self, beyond, load, f, wr, wz, wu):
         """The quadratic form that the edge before is given: C, c, p, Z, F and f with the edge's rotation minimised over."""
         beyond.cc = minus(plus(beyond.cc, load.curvature), symmetric_gram(f, wz))
@@ -256,7 +244,6 @@ class LoadedElimination(LooseStart):
         beyond.ff = negated(symmetric_gram(f, wu))
         beyond.f = against(f, wu, wr)
 
-    @ti.func
     def substitute(self, rod, found):
         """ω = L⁻ᵀ D⁻¹ (W_r − W_λ δλ − W_Z ξ − W_U ω_before) from the start on, as :meth:`.Elimination.substitute`. The size of
         the step is the largest rotation or the share of the rod's length by which vertex 0 moves, if that is more; for one that
@@ -281,7 +268,6 @@ class LoadedElimination(LooseStart):
             size = self.longer(size, w)
         return ti.sqrt(largest_of(longest, size)), ti.sqrt(size), decrement
 
-    @ti.func
     def without_multiplier(self, edge, change):
         """W_r − W_λ δλ of an edge."""
         if ti.static(self.moves_start):

@@ -2,15 +2,14 @@
 
 import taichi as ti
 
+from doo_ti.physics.number import device_functions, in_f64, read, write
 from doo_ti.physics.quaternion import normalised, tangent, transported
 from doo_ti.physics.tuples import dot, record, scaled
-from doo_ti.physics.view import in_f64, read, write
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.newton_policy import MOST_SHIFT
 
-REFERENCE_LENGTH = 99.0
-"""mm: rods of about this length are computed in mm, others in units in which they have it."""
+REFERENCE_LENGTH = 99.0  # mm: rods of about this length are computed in mm, others in units in which they have it
 
 # Entries of a launch's queue: the next rod that is not yet taken, the trips of all packs, and from LANES on every lane's rod.
 NEXT, TRIPS, LANES = 0, 1, 2
@@ -55,7 +54,7 @@ def load_stiffness(view, material: ti.template(), g, rest_length: ti.template(),
         view.rest = scaled(read(material, g, column + of.REST, count=2), 0.5 * both)
 
 
-@ti.data_oriented
+@device_functions
 class Loading:
     """Loading of rods into lanes of ``sweep`` (:class:`.Chain`), and storing of their frames.
 
@@ -73,7 +72,6 @@ class Loading:
         self.loaded = functions is not None
         self.loads_start = self.loaded and functions.load_start is not None
 
-    @ti.func
     def load(self, tables, head, slot, rod, lengths_known):
         """Row ``rod`` of the rods into lane ``slot``. Lengths that all rods share are loaded once per lane.
 
@@ -93,7 +91,11 @@ class Loading:
             self.load_frames(tables, tables.start, tables.rods[rod, of.START_ROW], lane, s)
         row = ti.min(s, tables.rest_length.shape[0] - 1)
         if lengths_known < 0.5 or tables.rest_length.shape[0] > 1:
-            self.load_lengths(tables, lane, row, unit)
+            for e in range(tables.rest_length.shape[1]):
+                edge, length = self.edge(lane, e), tables.rest_length[row, e] / unit
+                edge.length = length
+                if e > 0:
+                    edge.inverse_length = 1.0 / (tables.rest_length[row, e - 1] / unit + length)
         if ti.static(not self.isotropic):
             for e in range(tables.rest_length.shape[1]):
                 edge = self.edge(lane, e)
@@ -116,10 +118,8 @@ class Loading:
             if ti.static(self.loads_start):
                 self.functions.load_start(lane.external, tables.numbers, row_e, 1.0 / divisor * unit)
 
-    @ti.func
     def load_frames(self, tables, source: ti.template(), row, lane, s):
-        """The frames of ``source``'s row into a lane, those at the ends as clamp s holds them. The first step, of length zero,
-        normalises them."""
+        """The frames of ``source``'s row into a lane, clamp s holding the ends. A first step of length zero normalises them."""
         edges = tables.rest_length.shape[1]
         place = row * edges * 4
         for e in range(edges):
@@ -128,7 +128,6 @@ class Loading:
         self.load_end(tables.clamp, s, 0, source, row * edges * 4, self.edge(lane, 0))
         self.load_end(tables.clamp, s, 1, source, place - 4, self.edge(lane, edges - 1))
 
-    @ti.func
     def load_end(self, clamp: ti.template(), s, end: ti.template(), source: ti.template(), place, edge):
         """What clamp s holds of the first frame or the last, which is at ``place`` of ``source``, into that edge of a lane."""
         if clamp[s, of.TILT_START + end] == 0.0:
@@ -141,28 +140,16 @@ class Loading:
                 if 1.0 + dot(old, new) > 1e-14:
                     edge.frame = transported(frame, old, new)
 
-    @ti.func
     def store_frames(self, tables, row, lane):
         """The lane's frames into row ``row`` of the results' frames."""
         edges = tables.rest_length.shape[1]
         for e in range(edges):
             write(tables.frames, (row * edges + e) * 4, values=self.edge(lane, e).frame)
 
-    @ti.func
     def force_unit(self, lane):
         """The lane's unit of force, energy per mm."""
         return in_f64(lane.energy_unit) / in_f64(lane.length_unit)
 
-    @ti.func
-    def load_lengths(self, tables, lane, row, unit):
-        """Edge lengths and 1/l̄ of row ``row`` into a lane, in that unit."""
-        for e in range(tables.rest_length.shape[1]):
-            edge, length = self.edge(lane, e), tables.rest_length[row, e] / unit
-            edge.length = length
-            if e > 0:
-                edge.inverse_length = 1.0 / (tables.rest_length[row, e - 1] / unit + length)
-
-    @ti.func
     def shift_share(self, tables, g, e, tilt: ti.template()):
         """The share of a shift that an edge's spin or ``tilt`` has: all of it, unless that is more than MOST_SHIFT times what
         is stiff in it at its two joints."""
@@ -177,10 +164,8 @@ class Loading:
             stiff = ti.max(stiff, own)
         return ti.min(1.0, MOST_SHIFT * stiff / tables.material[g, of.STIFFEST])
 
-    @ti.func
     def load_parameters(self, tables, lane, s, g, divisor, unit):
-        """Parameters of the rod (configuration s, material g) into a lane, stiffness over ``divisor`` and lengths over
-        ``unit``."""
+        """Parameters of a rod (configuration s, material g) into a lane, stiffness over ``divisor``, lengths over ``unit``."""
         lane.target = scaled(read(tables.clamp, s, of.TARGET), 1.0 / unit)
         lane.anchor = scaled(read(tables.clamp, s, of.ANCHOR), 1.0 / unit)
         for k in ti.static(range(3)):

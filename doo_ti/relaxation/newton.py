@@ -11,25 +11,14 @@ from functools import cache
 import taichi as ti
 
 from doo_ti.contact.touch import require_gap_tolerance
-from doo_ti.physics.number import Number
+from doo_ti.physics.number import Number, device_functions, in_f64, write
 from doo_ti.physics.tuples import choose, dot, record, repeated, scaled
-from doo_ti.physics.view import in_f64, write
 from doo_ti.relaxation import newton_policy as fixed
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contacts import Contacts
 from doo_ti.relaxation.dense_elimination import DenseElimination
 from doo_ti.relaxation.elimination import Elimination
-from doo_ti.relaxation.kernel_factory import (
-    FIELD,
-    INDEX1,
-    INDEX2,
-    SCRATCH,
-    TABLE1,
-    TABLE2,
-    TABLE3,
-    TABLE4,
-    loop_kernel,
-)
+from doo_ti.relaxation.kernel_factory import FIELD, INDEX1, INDEX2, SCRATCH, TABLE1, TABLE2, TABLE3, TABLE4, loop_kernel
 from doo_ti.relaxation.loaded_elimination import LoadedElimination
 from doo_ti.relaxation.loading import LANES, NEXT, TRIPS, Loading
 from doo_ti.relaxation.newton_trip import NewtonTrip
@@ -38,7 +27,7 @@ from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, require_number, require_whole
 
 
-@ti.data_oriented
+@device_functions
 class NewtonLoop(NewtonTrip):
     """The work of a thread, until the queue is empty."""
 
@@ -47,7 +36,6 @@ class NewtonLoop(NewtonTrip):
         self.width = sweep.number.width
         self.loading = Loading(sweep, functions)
 
-    @ti.func
     def work(self, given, thread):
         """A thread's work with the arrays of its kernel, until the queue is empty."""
         tables = self.sweep.completed(given, thread)
@@ -69,12 +57,10 @@ class NewtonLoop(NewtonTrip):
                 pack_trips += 1
         ti.atomic_add(tables.queue[TRIPS], pack_trips)
 
-    @ti.func
     def exchanges(self, lane):
         """Whether finished lanes are to be exchanged now."""
         return self.largest(lane.finished) > 0.5
 
-    @ti.func
     def exchange(self, tables, head, lane, supply):
         """Store the rods of the finished lanes and load others."""
         for slot in range(self.width):
@@ -83,7 +69,6 @@ class NewtonLoop(NewtonTrip):
                     self.store(tables, head, slot, lane, tables.queue[supply.places + slot])
                 self.refill(tables, head, slot, lane, supply)
 
-    @ti.func
     def idle_lanes(self):
         """The record of lanes that have no rod yet."""
         zero, one = self.constant(0.0), self.constant(1.0)
@@ -94,7 +79,6 @@ class NewtonLoop(NewtonTrip):
             heading=one, best=zero, idle_trips=zero, aimless=zero, rejects=zero, trips=zero, status=zero, stable=zero,
             lengths_known=zero, along=zero, begun=zero, arrived=zero, spins_first=zero, strays=zero, active=zero, finished=one)
 
-    @ti.func
     def store(self, tables, head, slot, lane, rod):
         """Results of the rod in lane ``slot``, row ``rod`` of the rods."""
         row, own = tables.rods[rod, of.RESULT_ROW], head.lane(slot)
@@ -137,7 +121,6 @@ class NewtonLoop(NewtonTrip):
         tables.results[row, of.STATUS] = status
         tables.results[row, of.STABLE] = self.lane(lane.stable, slot)
 
-    @ti.func
     def refill(self, tables, head, slot, lane, supply):
         """The next rod of the queue into lane ``slot``, if there is one; ``supply`` are the rods taken from it already."""
         lane.active = self.with_lane(lane.active, slot, 0.0)
@@ -152,7 +135,6 @@ class NewtonLoop(NewtonTrip):
             lane.lengths_known = self.with_lane(lane.lengths_known, slot, 1.0)
             lane.active = self.with_lane(lane.active, slot, 1.0)
 
-    @ti.func
     def begin(self, tables, head, lane):
         """Initialise the lanes that were refilled."""
         zero, one = self.constant(0.0), self.constant(1.0)
@@ -165,7 +147,6 @@ class NewtonLoop(NewtonTrip):
             escapes=zero, strays=zero, along=self.constant(1e30))
         lane.finished = zero
 
-    @ti.func
     def advance(self, tables, head, lane):
         """The work between two exchanges of rods: a trip."""
         self.trip(tables, head, lane)

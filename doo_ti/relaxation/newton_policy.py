@@ -2,8 +2,7 @@
 
 INERTIA_OF_A_MINIMUM = 3.0
 """Negative pivots of H and positive eigenvalues of closure's Schur complement, together: one for each row of closure."""
-SHAPE_TOLERANCE_32 = 1e-4
-"""rad: in f32 the next Newton step has to be smaller too, or f64 takes over."""
+SHAPE_TOLERANCE_32 = 1e-4  # rad: in f32 the next Newton step has to be smaller too, or f64 takes over
 
 # The policy's fixed numbers (shifts are over the largest diagonal entry of H).
 SHIFT_WRONG_INERTIA = 0.01

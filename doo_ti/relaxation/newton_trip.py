@@ -3,14 +3,15 @@
 import taichi as ti
 
 from doo_ti.physics.algebra import absolute
+from doo_ti.physics.number import device_functions
 from doo_ti.physics.tuples import choose, chosen, dot, plus, record, scaled, variable
 from doo_ti.relaxation import newton_policy as fixed
-from doo_ti.relaxation.contact_layout import EARLY_ROTATION, PART, SHIFT_GROWTH, SHORTENED
+from doo_ti.relaxation.contact_table import EARLY_ROTATION, PART, SHIFT_GROWTH, SHORTENED
 from doo_ti.relaxation.elimination import Elimination
 from doo_ti.rod.types import Status
 
 
-@ti.data_oriented
+@device_functions
 class NewtonTrip:
     """A trip through the loop of :class:`.NewtonLoop`.
 
@@ -62,7 +63,6 @@ class NewtonTrip:
         self.growth = SHIFT_GROWTH if self.touches else fixed.GROWTH
         self.stalled, self.not_finite, self.infeasible = map(int, (Status.STALLED, Status.NOT_FINITE, Status.INFEASIBLE))
 
-    @ti.func
     def trip(self, tables, head, lane):
         """One step of every lane's rod, and its judgement."""
         zero, one = self.constant(0.0), self.constant(1.0)
@@ -110,10 +110,8 @@ class NewtonTrip:
         self.plan(tables, rod, lane, judged, place, searching, found.slope)
         self.end(tables, rod, lane, judged, place)
 
-    @ti.func
     def multiplier(self, lane, fitted):
-        """λ at the new frames: the least-squares one of closure or, under an external energy, which that leaves out, the one of
-        the Newton step."""
+        """λ at the new frames: the least-squares one of closure, or under an external energy the one of the Newton step."""
         value = variable(fitted)
         if ti.static(self.sweep.moves_start):
             share = ti.select(lane.escaping < 0.5, lane.step_scale, self.constant(0.0))
@@ -122,7 +120,6 @@ class NewtonTrip:
             value = chosen(lane.fresh > 0.5, fitted, stepped)
         return value
 
-    @ti.func
     def judge_step(self, rod, lane, found, miss):
         """Judge the step by the Lagrangian: a record of flags."""
         multiplier = plus(lane.multiplier, lane.change)
@@ -146,7 +143,6 @@ class NewtonTrip:
             gained=(after < before - noise_level) & downhill, broken=(lane.fresh > 0.5) & ~stands,
             notable=(after < before - fixed.NOTABLE * lane.magnitude) & downhill)
 
-    @ti.func
     def keep(self, rod, lane, found, miss, lowest, multiplier, judged, next_shift):
         """Update the lane after its step: from the new frames where it is accepted, else from the old ones.
 
@@ -181,7 +177,6 @@ class NewtonTrip:
         lane.escaping = ti.select(judged.downhill, zero, lane.escaping)
         lane.trips = lane.trips + lane.active
 
-    @ti.func
     def tolerance(self, tables, rod):
         """The largest residual of a rod that has converged."""
         given = ti.cast(tables.policy[fixed.TOLERANCE], self.scalar)
@@ -190,7 +185,6 @@ class NewtonTrip:
         else:
             return given
 
-    @ti.func
     def judge_place(self, tables, rod, lane, inertia, step, judged):
         """Judge where the rod is: a record of flags. ``at_rest``: residual, closure and decrement are small; ``calm``: at rest,
         at accepted frames, and not leaving a saddle. The elimination, at the new frames, says nothing about restored ones.
@@ -242,7 +236,6 @@ class NewtonTrip:
             at_minimum=calm & ~altered & right & resolved, at_saddle=at_saddle, leaving=leaving,
             stays=at_saddle & (lane.escapes >= limit), certify=certify)
 
-    @ti.func
     def plan(self, tables, rod, lane, judged, place, searching, slope):
         """The next step: whether to take one, how much of it, and under which shift."""
         zero, one = self.constant(0.0), self.constant(1.0)
@@ -279,7 +272,6 @@ class NewtonTrip:
         leap = lane.heading * fixed.ESCAPE_ROTATION / ((1.0 + lane.rejects) * (1.0 + lane.rejects) * (lane.longest + 1e-30))
         lane.step_scale = ti.select(lane.trying > 0.5, ti.select(lane.escaping > 0.5, leap, cap), zero)
 
-    @ti.func
     def end(self, tables, rod, lane, judged, place):
         """Which lanes are finished, and with which status."""
         zero, one = self.constant(0.0), self.constant(1.0)

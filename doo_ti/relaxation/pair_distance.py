@@ -15,8 +15,8 @@ could touch: their distance then, less that at which they touch, over the larges
 
 import taichi as ti
 
+from doo_ti.physics.number import Layout, device_functions, in_f64
 from doo_ti.physics.tuples import dot, minus, picked, plus, record, scaled, traced
-from doo_ti.physics.view import Layout, in_f64
 
 
 @traced
@@ -103,22 +103,19 @@ def pair_block(own, other, seen, push, stiffness) -> tuple:
     return tuple(block)
 
 
-WAY = Layout(before=3, after=3, arc=1)
-"""Of a vertex: its place before and after, and the length of rod up to it."""
-ENOUGH = 1e-3
-"""Radii, nearer than which two edges touch."""
+WAY = Layout(before=3, after=3, arc=1)  # of a vertex: its place before and after, and the length of rod up to it
+ENOUGH = 1e-3  # radii, nearer than which two edges touch
 
 
 @ti.func
 def least_distance(before, change):
-    """The least distance of two places on their straight ways: ``before`` from one to the other at first, and the ``change`` of
-    that."""
+    """The least distance of two places on straight ways: ``before`` from one to the other at first, and by its ``change``."""
     share = within((0.0 - dot(before, change)) / (dot(change, change) + 1e-30))
     nearest = plus(before, scaled(change, share))
     return ti.sqrt(dot(nearest, nearest))
 
 
-@ti.data_oriented
+@device_functions
 class ClosestApproach:
     """The ways of rods.
 
@@ -131,24 +128,20 @@ class ClosestApproach:
         """The view of vertex ``v``."""
         return head.part(WAY, v * len(WAY))
 
-    @ti.func
     def arc(self, rod, first, last):
         """The length of rod between two vertices."""
         return in_f64(self.vertex(rod.head, last).arc) - in_f64(self.vertex(rod.head, first).arc)
 
-    @ti.func
     def apart(self, rod, first, last, share):
         """From one vertex to another when both have gone that ``share`` of their ways."""
         old = minus(in_f64(self.vertex(rod.head, last).before), in_f64(self.vertex(rod.head, first).before))
         return plus(old, scaled(self.moved(rod, first, last), share))
 
-    @ti.func
     def moved(self, rod, first, last):
         """The displacement of a vertex against another."""
         one, other = self.vertex(rod.head, first), self.vertex(rod.head, last)
         return minus(minus(in_f64(other.after), in_f64(other.before)), minus(in_f64(one.after), in_f64(one.before)))
 
-    @ti.func
     def touches(self, rod):
         """Whether any two edges touch on their way, or are not finite."""
         longest = ti.cast(0.0, ti.f64)
@@ -170,14 +163,12 @@ class ClosestApproach:
             i += 1
         return touching
 
-    @ti.func
     def room_of_middles(self, rod, i, j):
         """By how much the middles of two edges stay too far apart on the way for the edges to touch."""
         before = scaled(plus(self.apart(rod, i, j, 0.0), self.apart(rod, i + 1, j + 1, 0.0)), 0.5)
         change = scaled(plus(self.moved(rod, i, j), self.moved(rod, i + 1, j + 1)), 0.5)
         return least_distance(before, change) - 0.5 * (self.arc(rod, i, i + 1) + self.arc(rod, j, j + 1)) - rod.near
 
-    @ti.func
     def edges_touch(self, rod, i, j):
         """Whether edges i and j touch on their way, or are not finite."""
         fastest = ti.cast(0.0, ti.f64)
@@ -200,10 +191,8 @@ class ClosestApproach:
                 share += missing / (change + 1e-30)
         return touching
 
-    @ti.func
     def missing_arc(self, rod, first, last, share):
-        """How much too little of the rod is between two vertices at that ``share`` of the way, and by how much this may change
-        on all of it."""
+        """How much too little of the rod is between two vertices at that ``share`` of the way; by how much it may change."""
         missing, most = rod.least_arc, ti.cast(0.0, ti.f64)
         for e in range(first, last):
             edge, change = self.apart(rod, e, e + 1, share), self.moved(rod, e, e + 1)

@@ -11,11 +11,11 @@ the clamped vertex: the energy grows by it times the angle by which the clamp tu
 import taichi as ti
 
 from doo_ti.physics import pair
-from doo_ti.physics.closure import linear_gradient, linear_hessian, shift_of_end
-from doo_ti.physics.pair import moment, strain
+from doo_ti.physics.algebra import applied, full, transposed
+from doo_ti.physics.number import Layout, device_functions, read
+from doo_ti.physics.pair import linear_gradient, linear_hessian, moment, shift_of_end, strain
 from doo_ti.physics.quaternion import first_director, second_director, tangent
-from doo_ti.physics.tuples import applied, dot, full, minus, plus, record, scaled, transposed, variable
-from doo_ti.physics.view import Layout, read
+from doo_ti.physics.tuples import dot, minus, plus, record, scaled, variable
 from doo_ti.relaxation import chain
 
 # What changes along a direction, of the table of directions.
@@ -39,7 +39,7 @@ beyond  the sum of the forces of obstacles and of point loads on all vertices af
 pair    the derivatives of the pair there, of the first pair and of the last"""
 
 
-@ti.data_oriented
+@device_functions
 class ParameterGradient(chain.Chain):
     """The chain with its derivatives by parameters, and with the moments at its ends, in f64.
 
@@ -57,7 +57,6 @@ class ParameterGradient(chain.Chain):
     multiplier               λ of the equilibrium
     """
 
-    @ti.func
     def bend_pairs(self, rod):
         """Curvature and twist at every vertex, to where they are eliminated from and to where they are kept."""
         for e in range(rod.edges - 1):
@@ -66,20 +65,17 @@ class ParameterGradient(chain.Chain):
             bent = x + y + (inverse, self.twist_angle(r)) + turn
             edge.bent, edge.external.kept = bent, bent
 
-    @ti.func
     def kept_pair(self, rod, e):
         """Curvature and twist, and the stiffness, at the vertex where edge ``e`` ends."""
         edge = self.edge(rod.head, e)
         return self.bent(edge.external.kept), self.stiffness(edge, self.edge(rod.head, e + 1), rod.stiffness)
 
-    @ti.func
     def keep_pair(self, rod, joint, derivatives):
         """Keep the derivatives of the first pair and of the last, whose edges clamps hold."""
         if joint == 0 or joint == rod.edges - 2:
             kept = self.edge(rod.head, joint).external.pair
             kept.left, kept.right, kept.h_left, kept.h_right, kept.across = derivatives
 
-    @ti.func
     def keep_gradients(self, rod):
         """Keep only the gradients of these pairs, which needs no elimination."""
         for end in range(2):
@@ -88,7 +84,6 @@ class ParameterGradient(chain.Chain):
             kept = self.edge(rod.head, joint).external.pair
             kept.left, kept.right = self.gradient_of(bent, s)
 
-    @ti.func
     def column(self, tables, rod, p, known):
         """The record of direction ``p`` for rods of which the multiplier, the weight and what clamps hold are ``known``."""
         one = 0.0 * rod.total + 1.0
@@ -115,14 +110,11 @@ class ParameterGradient(chain.Chain):
             shift=scaled(read(tables.directions, p, SHIFT), one), move=scaled(read(tables.directions, p, MOVE), one),
             turned=turned, turn_start=turn_start, turn_end=turn_end, multiplier=known.multiplier)
 
-    @ti.func
     def held_turn(self, edge, w, holds):
-        """The part that a clamp holds, (spin, tilt) = ``holds``, of its edge's rotation ``w`` in the world: in the edge's own
-        axes."""
+        """The part that a clamp holds, (spin, tilt) = ``holds``, of its edge's rotation ``w`` in the world: in its axes."""
         q = edge.frame
         return (holds[0] * dot(w, tangent(q)), holds[1] * dot(w, first_director(q)), holds[1] * dot(w, second_director(q)))
 
-    @ti.func
     def pair_change(self, rod, joint, column):
         """∂g/∂θ of the pair at ``joint``, where the edge of that number ends: (left, right)."""
         bent, s = self.kept_pair(rod, joint)
@@ -140,7 +132,6 @@ class ParameterGradient(chain.Chain):
         twist = 2.0 * m * (column.twist * s[2] - column.stretch * s[3])
         return pair.gradient_of_moments(mu, nu, twist, x, y, inverse, turn)
 
-    @ti.func
     def seen(self, rod, edge, remaining):
         """The record of an edge: length, frame, the coefficient of gravity on it, where ``remaining`` is the length of the
         edges after it, and the forces of obstacles ``beyond`` its first vertex."""
@@ -149,12 +140,10 @@ class ParameterGradient(chain.Chain):
         return record(length=length, hang=self.hanging_weight(rod, length, remaining), t=tangent(q), m1=first_director(q),
                       m2=second_director(q), beyond=edge.external.beyond)
 
-    @ti.func
     def pull_on(self, rod, edge, multiplier):
         """The linear potential of an edge: of gravity, of obstacles and of λ."""
         return plus(plus(scaled(rod.gravity, edge.hang), edge.beyond), multiplier)
 
-    @ti.func
     def linear_change(self, rod, edge, column):
         """∂g/∂θ of the linear potentials of an edge: its last two numbers. With the lengths gravity's term grows by their
         square, those of obstacles and of λ by the first power."""
@@ -162,7 +151,6 @@ class ParameterGradient(chain.Chain):
         change = plus(scaled(column.pull, edge.hang), scaled(grown, column.stretch))
         return linear_gradient(change, edge.length, edge.m1, edge.m2)
 
-    @ti.func
     def turn_neighbours(self, rod, e, column, change):
         """Add what the turns of the first edge and the last do through their pairs to ``change``, a record:
 
@@ -182,7 +170,6 @@ class ParameterGradient(chain.Chain):
                 change.pair = plus(change.pair, applied(kept.across, w))
                 change.after = (change.after[0] + h[1] * w[1] + h[2] * w[2], change.after[1], change.after[2])
 
-    @ti.func
     def turn_end(self, rod, edge, e, column, change):
         """Add what the turn of the first edge or the last does to closure to ``change`` (:meth:`turn_neighbours`)."""
         if e == 0 or e == rod.edges - 1:
@@ -193,7 +180,6 @@ class ParameterGradient(chain.Chain):
 
     # --- the moments at the ends: ``end`` is FIRST or LAST ---
 
-    @ti.func
     def end_places(self, rod, end):
         """The number of the end's edge, that of its pair's joint, and the length after the end's edge."""
         remaining = 0.0 * rod.total
@@ -201,7 +187,6 @@ class ParameterGradient(chain.Chain):
             remaining = rod.total - self.edge(rod.head, 0).length
         return end * (rod.edges - 1), end * (rod.edges - 2), remaining
 
-    @ti.func
     def own_part(self, end, left, right):
         """Of what a pair does to its two edges, the part of the end's own edge."""
         part = variable(left)
@@ -209,18 +194,15 @@ class ParameterGradient(chain.Chain):
             part = right
         return part
 
-    @ti.func
     def in_world(self, edge, v):
         """A vector in the edge's axes as one in the world."""
         return plus(plus(scaled(edge.t, v[0]), scaled(edge.m1, v[1])), scaled(edge.m2, v[2]))
 
-    @ti.func
     def body_moment(self, rod, edge, own, multiplier):
         """g + Aλ of the end's ``edge`` in its own axes, ``own`` what its pair adds to g."""
         l1, l2 = linear_gradient(self.pull_on(rod, edge, multiplier), edge.length, edge.m1, edge.m2)
         return plus(own, (0.0 * l1, l1, l2))
 
-    @ti.func
     def end_moment(self, rod, end, multiplier):
         """The moment at an end, in the world."""
         e, joint, remaining = self.end_places(rod, end)
@@ -228,7 +210,6 @@ class ParameterGradient(chain.Chain):
         edge = self.seen(rod, self.edge(rod.head, e), remaining)
         return self.in_world(edge, self.body_moment(rod, edge, self.own_part(end, pair.left, pair.right), multiplier))
 
-    @ti.func
     def moment_change(self, rod, end, column, change):
         """The derivative of an end's moment, in the world, by a column whose rotations lie in the place of the step and by
         which λ, with the forces of obstacles beyond the edge, changes by ``change``.

@@ -15,39 +15,37 @@ moves, under the cotangent as a load.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 import taichi as ti
 
 from doo_ti.physics import pair
-from doo_ti.physics.closure import linear_gradient
-from doo_ti.physics.number import Number
+from doo_ti.physics.number import device_functions, read, write
+from doo_ti.physics.pair import linear_gradient
 from doo_ti.physics.quaternion import first_director, second_director
 from doo_ti.physics.tuples import dot, minus, negated, plus, record, repeated, scaled, variable
-from doo_ti.physics.view import read, write
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_sensitivity import ContactSensitivity
-from doo_ti.relaxation.end_loads import alone
-from doo_ti.relaxation.kernel_factory import TABLE2, TABLE3, loop_kernel
+from doo_ti.relaxation.kernel_factory import TABLE2, TABLE3
 from doo_ti.relaxation.sensitivity import (
     CURVATURES,
     OF_CLAMPS,
     PARAMETERS,
+    alone,
     at_minima,
     check_parameters,
     parameter_directions,
     taut_rods,
 )
 from doo_ti.relaxation.sensitivity_columns import SensitivityColumns
-from doo_ti.relaxation.sensitivity_kernel import AT_REST, CONTACTS_AT_REST, SensitivitySweep, run_at_rest
+from doo_ti.relaxation.sensitivity_kernel import SensitivitySweep, kernels_at_rest, run_at_rest
 from doo_ti.rod.types import Solution
 from doo_ti.system import runtime
 from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError, real_array
 
 
-@ti.data_oriented
+@device_functions
 class Adjoint(SensitivityColumns):
     """The adjoint solve in place of the columns. ``tables`` holds, besides: pulls and twists, the cotangents; displaced and
     turned, dx and p; gradient, by each direction; curvature, by ω̄ of every joint.
@@ -55,7 +53,6 @@ class Adjoint(SensitivityColumns):
     A class that derives from this one and from one that solves columns where rods touch obstacles adds ``pushed_work``.
     """
 
-    @ti.func
     def differentiate(self, tables, rod, index, known):
         """The gradients of a rod at rest, as :meth:`.SensitivityColumns.differentiate` has its columns."""
         row = tables.rods[index, of.RESULT_ROW]
@@ -75,7 +72,6 @@ class Adjoint(SensitivityColumns):
             along = self.followed(tables, rod, row, column, total)
             tables.gradient[row, p] = along - dot(change, closure) - unit * self.worked(tables, rod, row, column)
 
-    @ti.func
     def solve_adjoint(self, tables, rod, row, total):
         """p and dx into their tables; returns q. ``total`` is the sum of the forces."""
         none = repeated(0.0 * rod.total, 3)
@@ -101,7 +97,6 @@ class Adjoint(SensitivityColumns):
         write(tables.displaced, row, rod.edges, 0, values=scaled(x, factor))
         return change
 
-    @ti.func
     def put_curvature(self, tables, rod, row, joint, unit):
         """−pᵀ ∂g/∂ω̄ of a joint: ½ B δω of both frames, since its energy is that of ω − ω̄ l̄/2 over 2 l̄."""
         bent, s = self.kept_pair(rod, joint)
@@ -114,7 +109,6 @@ class Adjoint(SensitivityColumns):
         # As the complex numbers i/2 B δω.
         write(tables.curvature, row, joint, 0, values=(unit * (left[1] + right[1]), 0.0 - unit * (left[0] + right[0])))
 
-    @ti.func
     def followed(self, tables, rod, row, column, total):
         """What the cotangents make of the displacements and turns that the column itself prescribes."""
         moved = variable(column.move)
@@ -125,7 +119,6 @@ class Adjoint(SensitivityColumns):
             found += dot(read(tables.pulls, row, e + 1, 0), moved) + dot(read(tables.twists, row, e, 0), w)
         return found - rod.released * dot(total, moved)
 
-    @ti.func
     def worked(self, tables, rod, row, column):
         """pᵀ ∂g/∂θ, ∂g/∂θ being in the place of the step: with what obstacles and the weight do to vertices."""
         moved, x = variable(column.move), variable(read(tables.displaced, row, 0, 0))
@@ -142,16 +135,15 @@ class Adjoint(SensitivityColumns):
         return found
 
 
-@ti.data_oriented
+@device_functions
 class AdjointSweep(Adjoint, SensitivitySweep):
     """Of rods that touch nothing."""
 
 
-@ti.data_oriented
+@device_functions
 class ContactAdjoint(Adjoint, ContactSensitivity):
     """Of rods that touch obstacles, or whose vertex 0 is free among them."""
 
-    @ti.func
     def pushed_work(self, edge, before, after, start, end):
         """Of obstacles that an edge touches, whose ends a column moves by ``before`` and ``after``: what the change of their
         forces does along the displacements ``start`` and ``end``."""
@@ -167,8 +159,7 @@ def run_pullback(solution: Solution, usable: np.ndarray, directions: np.ndarray,
     displaced, turned = of.room(count, edges + 1, 3), of.room(count, edges, 3)
     gradient, curvature = np.empty((count, max(1, len(directions)))), of.room(count, edges - 1, 2)
     arrays = forces, moments, displaced, turned, gradient, curvature
-    found = run_at_rest(solution, usable, (pullback_kernel, contact_pullback_kernel), directions, np.zeros((1, edges - 1, 2)),
-                        arrays, 0, count)
+    found = run_at_rest(solution, usable, KERNELS, directions, np.zeros((1, edges - 1, 2)), arrays, 0, count)
     for array in (gradient, curvature, displaced):
         array[~found] = np.nan
     return gradient[:, : len(directions)], curvature, displaced, found
@@ -182,21 +173,7 @@ COTANGENTS = {
 }
 
 
-@cache
-def pullback_kernel(number: Number, stride: int, block: int):
-    """As :func:`.newton_kernel`."""
-    sweep = AdjointSweep(Number(1, 64), stride)
-    return loop_kernel("pull_back", number, AT_REST | COTANGENTS, sweep.work, block), sweep.items
-
-
-@cache
-def contact_pullback_kernel(number: Number, stride: int, block: int, known: frozenset[int]):
-    """The same for rods that touch obstacles of the kinds ``known``."""
-    sweep = ContactAdjoint(stride, known)
-    given = AT_REST | COTANGENTS | CONTACTS_AT_REST
-    return loop_kernel("pull_back_in_contact", number, given, sweep.work, block, brief=True), sweep.items
-
-
+KERNELS = kernels_at_rest("pull_back", COTANGENTS, AdjointSweep, ContactAdjoint)
 FORCES = "forces"
 
 

@@ -34,8 +34,7 @@ CONVERGED, STALLED, LIMIT, INFEASIBLE = (
     int(status) for status in (Status.CONVERGED, Status.STALLED, Status.ITERATION_LIMIT, Status.INFEASIBLE))
 PRECISIONS = ("f32", "f64", "mixed")
 F32_ONLY = "f32 only"
-ITERATIONS_32 = 300
-"""After which f64 takes over from f32, which can repeat the same few steps without end."""
+ITERATIONS_32 = 300  # after which f64 takes over from f32, which can repeat the same few steps without end
 INSIDE, CLOSE_PLACES = 1e-2, 29
 """Radii by which an edge of a rod that has converged may be inside a ring; and places of it that are measured for that."""
 

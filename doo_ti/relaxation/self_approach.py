@@ -23,12 +23,11 @@ from types import SimpleNamespace
 import numpy as np
 import taichi as ti
 
-from doo_ti.contact.itself import LEAST_ARC
+from doo_ti.contact.surroundings import LEAST_ARC
 from doo_ti.physics.algebra import largest_of
-from doo_ti.physics.number import Number
+from doo_ti.physics.number import Number, Scratch, device_functions
 from doo_ti.physics.quaternion import passed_half_turn, tangent, turned_about_own_tangent
 from doo_ti.physics.tuples import dot, itemwise, minus, picked, plus, record, repeated, scaled, variable
-from doo_ti.physics.view import Scratch
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.batch import laid_out, layout_for
 from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, SCRATCH, TABLE1, loop_kernel
@@ -36,20 +35,16 @@ from doo_ti.relaxation.pair_distance import ENOUGH, WAY, ClosestApproach, least_
 from doo_ti.relaxation.tables import Tables
 from doo_ti.system import runtime
 
-APART, TOUCHING, TURNED = 0, 1, 2
-"""Flags: a rod stays apart from itself, may touch itself, or does not but its link changes."""
-START, ROD = 0, 1
-"""Columns of a rod's rows: among starts, and among rods."""
+APART, TOUCHING, TURNED = 0, 1, 2  # flags: a rod stays apart from itself, may touch itself, or does not but its link changes
+START, ROD = 0, 1  # columns of a rod's rows: among starts, and among rods
 RADIUS, NEAR, ARC_BETWEEN, LIMITS = 0, 1, 2, 3
 """Of a rod, mm: its radius, the distance at which two places touch, and the rod between any two edges that count."""
 BLOCKS = 8
-ROUNDING = 1e-5
-"""Of a rod's length, by which f32 may be off."""
-BENT = 0.25
-"""Of the largest way of a vertex from frame to frame, by which places may be off the straight way."""
+ROUNDING = 1e-5  # of a rod's length, by which f32 may be off
+BENT = 0.25  # of the largest way of a vertex from frame to frame, by which places may be off the straight way
 
 
-@ti.data_oriented
+@device_functions
 class SelfApproach:
     """The bounds for one kind of number, on packs of rods whose vertices are in scratch."""
 
@@ -65,7 +60,6 @@ class SelfApproach:
         """As :meth:`.Chain.items`."""
         return (given.edges + 1) * WAY.size
 
-    @ti.func
     def work(self, tables, thread):
         """A thread's share of the rods, pack after pack."""
         rods = tables.flags.shape[0]
@@ -91,7 +85,6 @@ class SelfApproach:
                                 flag = TOUCHING
                         tables.flags[rod] = flag
 
-    @ti.func
     def touches(self, tables, head, row):
         """Whether the rod in a lane, whose vertex 0 is ``head``, touches itself on its way, edge by edge."""
         at = ti.min(row, tables.limits.shape[0] // LIMITS - 1) * LIMITS
@@ -101,21 +94,18 @@ class SelfApproach:
 
     # --- from tables into scratch ---
 
-    @ti.func
     def numbers(self, table: ti.template(), rows, size, at, count: ti.template()):
         """``count`` numbers from ``at`` on of the rows of all lanes, in a table with rows of that ``size``."""
         return itemwise(*[
             self.gather(table, [rows[slot] * size + at + k for slot in ti.static(range(self.width))])
             for k in ti.static(range(count))])
 
-    @ti.func
     def limit(self, tables, own, column: ti.template()):
         """A column of the limits of the rods in all lanes."""
         last = tables.limits.shape[0] // LIMITS - 1
         rows = [ti.min(own[slot], last) for slot in ti.static(range(self.width))]
         return self.numbers(tables.limits, rows, LIMITS, column, 1)[0]
 
-    @ti.func
     def length(self, tables, starts, e):
         """That of an edge."""
         length = self.constant(tables.lengths[e])
@@ -123,7 +113,6 @@ class SelfApproach:
             length = self.numbers(tables.lengths, starts, tables.edges, e, 1)[0]
         return length
 
-    @ti.func
     def load_frames(self, tables, starts, own, head):
         """The vertices of rods that are given by frames; returns by how many turns the link changes."""
         zero = self.constant(0.0)
@@ -143,7 +132,6 @@ class SelfApproach:
             rod.last = turned
         return rod.turns
 
-    @ti.func
     def load_places(self, tables, starts, own, head):
         """The vertices of rods that are given by places, from where the first one is before."""
         size, arc = (tables.edges + 1) * 3, self.constant(0.0)
@@ -157,22 +145,18 @@ class SelfApproach:
 
     # --- bounds ---
 
-    @ti.func
     def before(self, head, first, last):
         """From one vertex to another, before."""
         return minus(self.vertex(head, last).before, self.vertex(head, first).before)
 
-    @ti.func
     def after(self, head, first, last):
         """The same after."""
         return minus(self.vertex(head, last).after, self.vertex(head, first).after)
 
-    @ti.func
     def arc(self, head, first, last):
         """The length of rod between two vertices."""
         return self.vertex(head, last).arc - self.vertex(head, first).arc
 
-    @ti.func
     def room(self, tables, own, head):
         """By how much two parts of the rods stay further apart on the way than they may, at least; negative where they may
         come nearer."""
@@ -195,7 +179,6 @@ class SelfApproach:
         reach, end = self.vertex(head, edges).before, self.vertex(head, edges).after
         return ti.select(dot(reach, reach) + dot(end, end) < 1e30, room, 0.0 * near - 1.0)
 
-    @ti.func
     def cosine(self, head, first, last):
         """That of the largest angle, before or after, of an edge between two vertices to the mean direction of all of them."""
         mean = plus(self.before(head, first, last), self.after(head, first, last))
@@ -206,7 +189,6 @@ class SelfApproach:
             longest = largest_of(longest, self.arc(head, e, e + 1))
         return least / (longest * ti.sqrt(dot(mean, mean) + 1e-30))
 
-    @ti.func
     def room_of_blocks(self, head, i, j, size, edges):
         """The least distance on the way between the ``size`` edges from i on and those from j on."""
         end = ti.min(j + size, edges)

@@ -6,40 +6,16 @@ from each other along the rod, so the Newton system is no longer a band (:mod:`.
 
 import taichi as ti
 
-from doo_ti.contact.itself import LEAST_ARC
-from doo_ti.physics.algebra import largest_of
-from doo_ti.physics.tuples import (
-    add,
-    chosen,
-    dot,
-    full,
-    minus,
-    picked,
-    plus,
-    record,
-    repeated,
-    row,
-    scaled,
-    variable,
-)
-from doo_ti.physics.view import NUMBERS
-from doo_ti.relaxation.contact_layout import (
-    DEEPEST_STEP,
-    ITSELF,
-    ITSELF_VERTEX,
-    LEAST_DISTANCE,
-    PAIR,
-    REACH,
-    ROUNDED,
-    contact_items,
-    matrix_items,
-    pair_items,
-)
+from doo_ti.contact.surroundings import LEAST_ARC
+from doo_ti.physics.algebra import full, largest_of, row
+from doo_ti.physics.number import NUMBERS, device_functions
+from doo_ti.physics.tuples import add, chosen, dot, minus, picked, plus, record, repeated, scaled, variable
+from doo_ti.relaxation import contact_table as fixed
 from doo_ti.relaxation.contacts import Contacts
 from doo_ti.relaxation.pair_distance import pair_block, pair_distance, pair_slopes, pair_weights
 
 
-@ti.data_oriented
+@device_functions
 class SelfContactEnergy(Contacts):
     """The contacts with obstacles and the energy of those of the rod with itself."""
 
@@ -52,16 +28,16 @@ class SelfContactEnergy(Contacts):
     @picked
     def items(self, tables):
         edges = tables.rest_length.shape[1]
-        return contact_items(edges, tables.kinds.shape[0]) + pair_items(edges) + matrix_items(edges + 1)
+        return fixed.contact_items(edges, tables.kinds.shape[0]) + fixed.pair_items(edges) + fixed.matrix_items(edges + 1)
 
     @picked
     def own(self, rod):
         """That of the rod's contact with itself."""
-        return rod.contacts.part(ITSELF, contact_items(rod.edges, rod.obstacles))
+        return rod.contacts.part(fixed.ITSELF, fixed.contact_items(rod.edges, rod.obstacles))
 
     @picked
     def own_vertex(self, rod, index):
-        return self.own(rod).part(ITSELF_VERTEX, len(ITSELF) + index * len(ITSELF_VERTEX))
+        return self.own(rod).part(fixed.ITSELF_VERTEX, len(fixed.ITSELF) + index * len(fixed.ITSELF_VERTEX))
 
     @picked
     def pair(self, rod, i, j):
@@ -70,12 +46,13 @@ class SelfContactEnergy(Contacts):
 
     @picked
     def numbered_pair(self, rod, number):
-        return self.own(rod).part(PAIR, len(ITSELF) + (rod.edges + 1) * len(ITSELF_VERTEX) + number * len(PAIR))
+        before = len(fixed.ITSELF) + (rod.edges + 1) * len(fixed.ITSELF_VERTEX)
+        return self.own(rod).part(fixed.PAIR, before + number * len(fixed.PAIR))
 
     @picked
     def matrix(self, rod):
         """The dense matrix."""
-        return self.own(rod).part(NUMBERS, pair_items(rod.edges))
+        return self.own(rod).part(NUMBERS, fixed.pair_items(rod.edges))
 
     @picked
     def block(self, rod, row, column, r: int):
@@ -83,25 +60,21 @@ class SelfContactEnergy(Contacts):
         line = 3 * row + r
         return self.matrix(rod).part(NUMBERS, line * (line + 1) // 2 + 3 * column)
 
-    @ti.func
     def add_load(self, rod, index, values):
         """Add to the gradient at a vertex."""
         add(self.own_vertex(rod, index), load=values)
 
-    @ti.func
     def add_block(self, rod, line, column, values):
         """Add nine numbers to the block of two vertices."""
         for r in ti.static(range(3)):
             add(self.block(rod, line, column, r), three=row(values, r))
 
-    @ti.func
     def add_diagonal(self, rod, line, values):
         """The same on the diagonal, of which the lower triangle is kept."""
         add(self.block(rod, line, line, 0), one=values[0])
         add(self.block(rod, line, line, 1), two=(values[3], values[4]))
         add(self.block(rod, line, line, 2), three=row(values, 2))
 
-    @ti.func
     def measure_arc(self, rod):
         """Note how much of the rod lies before each vertex."""
         arc = 0.0 * rod.total
@@ -117,7 +90,6 @@ class SelfContactEnergy(Contacts):
 
     # --- the energy ---
 
-    @ti.func
     def touch_itself(self, rod):
         """Measure the distances of all edges from each other, where the rod is, and add the energy of their contacts to the
         sums, its gradient to the vertices and its second derivative to the matrix."""
@@ -136,7 +108,7 @@ class SelfContactEnergy(Contacts):
                 bound = 0.5 * ti.sqrt(dot(away, away)) - rod.longest
                 counts = self.may_touch(rod, i, at, arc)
                 at.distance = ti.select(counts, bound, zero + 1e30)
-                near = counts & (self.pair_clearance(rod, i, j, bound) < REACH * radius)
+                near = counts & (self.pair_clearance(rod, i, j, bound) < fixed.REACH * radius)
                 if self.some(near, zero):
                     self.touch(rod, i, j, at, near, minus(start, first), minus(last, first), minus(end, start))
                 if ti.static(self.rub):
@@ -146,28 +118,25 @@ class SelfContactEnergy(Contacts):
             at = self.own_vertex(rod, v)
             add(at, load=at.pull)
 
-    @ti.func
     def may_touch(self, rod, i, at, arc):
         """Whether edge ``i`` may touch an edge that begins ``arc`` along the rod less what must lie between them; their items
         begin ``at``."""
         return arc > self.own_vertex(rod, i + 1).arc
 
-    @ti.func
     def pair_clearance(self, rod, i, j, distance):
         """The ``distance`` of two edges, less what is added to RADIUS on both (:meth:`clearance`)."""
         return self.clearance(rod, j + 1, self.clearance(rod, i + 1, distance))
 
-    @ti.func
     def touch(self, rod, i, j, at, near, w, p, q):
         """The same of two edges p and q, with w from the start of the first to that of the second, in the lanes where they are
         ``near`` to each other."""
         zero, radius = 0.0 * rod.total, rod.contacts.radius
-        seen = pair_distance(w, p, q, ROUNDED * radius * radius)
+        seen = pair_distance(w, p, q, fixed.ROUNDED * radius * radius)
         at.nearest = (seen.s, seen.t) + seen.normal
         at.distance = ti.select(near, seen.value, at.distance)
         self.note_depth(rod, at, near, seen.value)
         gap = ti.select(near, self.pair_clearance(rod, i, j, seen.value) - 2.0 * radius, zero + 1e30)
-        depth = ti.select(near, seen.value - LEAST_DISTANCE * radius, zero + 1e30)
+        depth = ti.select(near, seen.value - fixed.LEAST_DISTANCE * radius, zero + 1e30)
         held = (self.held_edge(rod, i) > 0.5) & (self.held_edge(rod, j) > 0.5)
         rod.contacts.deepest = ti.min(rod.contacts.deepest, depth)
         own = self.own(rod)
@@ -186,7 +155,6 @@ class SelfContactEnergy(Contacts):
                     block = pair_block(end, self.end(rod, m), seen, push, stiffness)
                     self.add_ends(rod, i, j, k, m, block)
 
-    @ti.func
     def end(self, rod, k):
         """A record of the weight of end ``k`` of four, of the two edges that are looked at, and of the mixed derivatives by it
         and by the places on both edges."""
@@ -194,12 +162,10 @@ class SelfContactEnergy(Contacts):
         return record(weight=self.own(rod).of("weights")[k], by_s=(slopes[3 * k], slopes[3 * k + 1], slopes[3 * k + 2]),
                       by_t=(slopes[3 * k + 12], slopes[3 * k + 13], slopes[3 * k + 14]))
 
-    @ti.func
     def vertex_of(self, i, j, k):
         """The vertex that is end ``k`` of the edges ``i`` and ``j``."""
         return ti.select(k < 2, i + k, j + k - 2)
 
-    @ti.func
     def add_ends(self, rod, i, j, k, m, values):
         """Add nine numbers to the block of two of the four ends, m ≤ k."""
         if k == m:
@@ -207,17 +173,14 @@ class SelfContactEnergy(Contacts):
         else:
             self.add_block(rod, self.vertex_of(i, j, k), self.vertex_of(i, j, m), values)
 
-    @ti.func
     def pinched_pairs(self, rod):
         """Whether clamps hold two edges where they are in each other."""
         return self.own(rod).pinched < 0.0 - rod.contacts.tolerance
 
-    @ti.func
     def held_edge(self, rod, edge):
         """One where clamps hold both ends of an edge."""
         return ti.min(self.held(rod, edge), self.held(rod, edge + 1))
 
-    @ti.func
     def note_crossing(self, rod, i, j, at):
         """By how much of their distance before the step two edges have come nearer to each other at most."""
         most = 0.0 * rod.total
@@ -228,15 +191,13 @@ class SelfContactEnergy(Contacts):
         before = at.distance_standing
         rod.contacts.crossing = largest_of(rod.contacts.crossing, most / (before * before + 1e-20))
 
-    @ti.func
     def note_depth(self, rod, at, near, value):
         """Note that the step is refused where it brings two edges nearer than :data:`DEEPEST_STEP`, in the lanes where they are
         ``near``: the distance is a little too large there, so that they could pass through each other."""
         zero = 0.0 * value
-        nearer = near & (value < DEEPEST_STEP * rod.contacts.radius) & (value < at.distance_standing)
+        nearer = near & (value < fixed.DEEPEST_STEP * rod.contacts.radius) & (value < at.distance_standing)
         rod.contacts.crossing = largest_of(rod.contacts.crossing, ti.select(nearer, zero + 1.0, zero))
 
-    @ti.func
     def shift(self, rod, index):
         """How far a vertex has moved in this step."""
         at = self.vertex(rod, index)
@@ -244,7 +205,6 @@ class SelfContactEnergy(Contacts):
 
     # --- friction ---
 
-    @ti.func
     def moved_pair(self, rod, i, j, at):
         """How far the places at which friction acts on two edges have moved along each other since the instant before."""
         s, t = at.rubbed_places[0], at.rubbed_places[1]
@@ -252,13 +212,11 @@ class SelfContactEnergy(Contacts):
         last = plus(scaled(self.moved(rod, self.vertex(rod, j)), 1.0 - t), scaled(self.moved(rod, self.vertex(rod, j + 1)), t))
         return minus(last, first)
 
-    @ti.func
     def rubbed_pair(self, rod, i, j, at):
         """Friction of two edges, as :meth:`.ContactEnergy.rubbed`."""
         limit = self.own(rod).coefficient * at.force
         return self.rubbed(rod, limit, at.friction, at.rubbed_normal, self.moved_pair(rod, i, j, at))
 
-    @ti.func
     def rub_pair(self, rod, i, j, at):
         """Add the friction of two edges."""
         zero = 0.0 * rod.total

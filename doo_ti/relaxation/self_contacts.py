@@ -3,15 +3,15 @@
 import taichi as ti
 
 from doo_ti.physics.algebra import largest_of
+from doo_ti.physics.number import device_functions, in_f64
 from doo_ti.physics.tuples import choose, dot, minus, plus, scaled
-from doo_ti.physics.view import in_f64
-from doo_ti.relaxation.contact_layout import PAIR_CARRIED, PAIR_REMEMBERED, PRESSED_IN, REACH
+from doo_ti.relaxation.contact_table import PAIR_CARRIED, PAIR_REMEMBERED, PRESSED_IN, REACH
 from doo_ti.relaxation.contacts import NONE
 from doo_ti.relaxation.pair_distance import pair_weights
 from doo_ti.relaxation.self_contact_energy import SelfContactEnergy
 
 
-@ti.data_oriented
+@device_functions
 class SelfContacts(SelfContactEnergy):
     """The contacts with obstacles and those of the rod with itself."""
 
@@ -19,21 +19,18 @@ class SelfContacts(SelfContactEnergy):
 
     # --- steps ---
 
-    @ti.func
     def stand_pairs(self, rod):
         """Keep the distances of edges from each other before a step."""
         for number in range(rod.edges * (rod.edges - 1) // 2):
             at = self.numbered_pair(rod, number)
             at.distance_standing = at.distance
 
-    @ti.func
     def restore_pairs(self, rod, lost):
         """Restore them in the lanes that reject the step."""
         for number in range(rod.edges * (rod.edges - 1) // 2):
             at = self.numbered_pair(rod, number)
             choose(at, lost > 0.5, distance=at.distance_standing)
 
-    @ti.func
     def approach_itself(self, rod):
         """The square of the largest share that the next step, the moves of all vertices, takes of the distance or of the gap of
         two edges."""
@@ -64,7 +61,6 @@ class SelfContacts(SelfContactEnergy):
 
     # --- rounds ---
 
-    @ti.func
     def update_pairs(self, rod, due, found):
         """New forces between edges in the lanes that are ``due``: their largest change to ``found``."""
         zero, radius = 0.0 * rod.total, rod.contacts.radius
@@ -81,7 +77,6 @@ class SelfContacts(SelfContactEnergy):
                     if ti.static(self.rub):
                         found.rubbed = largest_of(found.rubbed, self.update_pair_friction(rod, i, j, at, due))
 
-    @ti.func
     def update_pair_friction(self, rod, i, j, at, due):
         """New friction of two edges under the new force: by how much it changes."""
         change = self.keep_friction(at.of("friction"), self.rubbed_pair(rod, i, j, at).pull, due)
@@ -94,7 +89,6 @@ class SelfContacts(SelfContactEnergy):
 
     # --- from one instant to the next, into scratch and out of it ---
 
-    @ti.func
     def pair_work(self, rod):
         """The work of the rod's friction on itself since the instant before."""
         work = 0.0 * rod.total
@@ -107,14 +101,12 @@ class SelfContacts(SelfContactEnergy):
                         work = work + ti.select(acting, dot(at.friction, self.moved_pair(rod, i, j, at)), 0.0 * work)
         return work
 
-    @ti.func
     def forget_pairs(self, rod, once):
         """Forget the forces between edges in the lanes where ``once``."""
         for number in range(rod.edges * (rod.edges - 1) // 2):
             at = self.numbered_pair(rod, number)
             choose(at, once, remembered=scaled(at.remembered, 0.0))
 
-    @ti.func
     def load_pairs(self, tables, slot, row):
         """Begin lane ``slot`` without forces between edges."""
         one = self.of_lane(tables, slot)
@@ -125,7 +117,6 @@ class SelfContacts(SelfContactEnergy):
                 at[k] = 0.0
             at.distance, at.distance_standing = 1e30, 1e30
 
-    @ti.func
     def load_carried_pairs(self, tables, slot, row):
         """What the launch before has left of edges, into lane ``slot``."""
         one, pairs = self.of_lane(tables, slot), tables.pair_memory.shape[1]
@@ -133,7 +124,6 @@ class SelfContacts(SelfContactEnergy):
             for k in ti.static(range(PAIR_CARRIED)):
                 self.numbered_pair(one, number)[k] = tables.pair_memory[row, number, k]
 
-    @ti.func
     def carry_pairs(self, tables, slot, row):
         """What the next launch needs of edges, from lane ``slot``."""
         one, pairs = self.of_lane(tables, slot), tables.pair_memory.shape[1]
@@ -141,7 +131,6 @@ class SelfContacts(SelfContactEnergy):
             for k in ti.static(range(PAIR_CARRIED)):
                 tables.pair_memory[row, number, k] = self.numbered_pair(one, number)[k]
 
-    @ti.func
     def pair_touch(self, tables, slot, vertex):
         """The :class:`.Touch` of the edge that ends at a vertex of lane ``slot`` with other edges."""
         one, edge = self.of_lane(tables, slot), vertex - 1
@@ -152,7 +141,6 @@ class SelfContacts(SelfContactEnergy):
                 touch = ti.max(touch, self.touch_of(at.force, at.friction, self.own(one).coefficient))
         return touch
 
-    @ti.func
     def pair_force(self, tables, slot, vertex, k: ti.template()):
         """Component ``k`` of the rod's own force on a vertex of lane ``slot``."""
         return 0.0 - in_f64(self.own_vertex(self.of_lane(tables, slot), vertex).pull[k])

@@ -7,9 +7,9 @@ the factors, S dλ = Σ W_Aᵀ D⁻¹ W_b, and back-substitution gives dω.
 
 import taichi as ti
 
+from doo_ti.physics.number import device_functions, read
 from doo_ti.physics.quaternion import first_director, second_director, tangent
 from doo_ti.physics.tuples import minus, plus, products, record, repeated, scaled, traced, variable
-from doo_ti.physics.view import read
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.newton_policy import INERTIA_OF_A_MINIMUM, LARGE_TRACE, TRACE
 from doo_ti.relaxation.parameter_gradient import NO_MODE, ParameterGradient
@@ -18,7 +18,7 @@ from doo_ti.relaxation.parameter_gradient import NO_MODE, ParameterGradient
 START_FORCE, START_MOMENT, END_FORCE, END_MOMENT, LOADS = 0, 1, 2, 3, 4
 
 
-@ti.data_oriented
+@device_functions
 class SensitivityColumns(ParameterGradient):
     """The work of a thread. ``tables`` is the record of the kernel's arrays.
 
@@ -26,7 +26,6 @@ class SensitivityColumns(ParameterGradient):
     where rods touch obstacles, ``load_contacts``, ``hold_start`` and ``pushed``.
     """
 
-    @ti.func
     def work(self, given, thread):
         """Every rod of this thread, and all columns for it."""
         tables = self.completed(given, thread)
@@ -43,7 +42,6 @@ class SensitivityColumns(ParameterGradient):
             self.differentiate(tables, rod, index, known)
             index += tables.threads * self.width
 
-    @ti.func
     def load_lane(self, tables, head, slot, index, known):
         """Row ``index`` of the rods into lane ``slot``; into the record ``known`` the multiplier λ of its equilibrium, which of
         (spin_start, spin_end, tilt_start, tilt_end) clamps hold, as ones, and its weight."""
@@ -67,7 +65,6 @@ class SensitivityColumns(ParameterGradient):
         """Several values with lane ``slot`` replaced by the numbers ``new``."""
         return tuple(self.with_lane(value, slot, number) for value, number in zip(values, new, strict=True))
 
-    @ti.func
     def differentiate(self, tables, rod, index, known):
         """The moments and all columns of the rods at rest whose rows of the rods begin with ``index``."""
         sound = 0.0 * rod.total + 1.0
@@ -93,7 +90,6 @@ class SensitivityColumns(ParameterGradient):
             if tables.loads.shape[2] == 3:
                 self.store_loads(tables, rod, index, p, column, change)
 
-    @ti.func
     def is_minimum(self, rod, multiplier):
         """Eliminate H and leave its factors in scratch; returns one where they certify a minimum, zero elsewhere.
 
@@ -109,7 +105,6 @@ class SensitivityColumns(ParameterGradient):
             shift = ti.select(inertia == INERTIA_OF_A_MINIMUM, none, trace)
         return ti.select(inertia == INERTIA_OF_A_MINIMUM, none + 1.0, none)
 
-    @ti.func
     def first_changed(self, rod, column):
         """The first edge that a column changes."""
         first = 0
@@ -117,7 +112,6 @@ class SensitivityColumns(ParameterGradient):
             first = ti.max(rod.edges - 2, 0)
         return first
 
-    @ti.func
     def held_turn_of(self, rod, e, column):
         """The rotation by which a clamp turns edge ``e``."""
         held = variable(repeated(0.0 * rod.total, 3))
@@ -127,7 +121,6 @@ class SensitivityColumns(ParameterGradient):
             held = column.turn_end
         return held
 
-    @ti.func
     def assemble_column(self, rod, column):
         """∂g/∂θ of every edge, into the place of the step; returns ∂c/∂θ.
 
@@ -161,19 +154,16 @@ class SensitivityColumns(ParameterGradient):
             change.pair = change.after
         return minus(change.closure, column.shift)
 
-    @ti.func
     def right_of(self, rod, edge, e, column, more):
         """b of an edge: less ∂g/∂θ and what eliminating adds to it, ``more``; where a clamp holds the edge, and the identity
         stands in H, the clamp's turn."""
         changed = plus(edge.rotation, more)
         return minus(self.held_turn_of(rod, e, column), products(self.freedom(rod, e), changed))
 
-    @ti.func
     def moved_end(self, edge, x, stretch):
         """What the end of an edge moves by, where its start moves by ``x`` and the edge turns by its part of the step."""
         return self.end_of_turned(edge, x, edge.rotation, stretch)
 
-    @ti.func
     def end_of_turned(self, edge, x, w, stretch):
         """x + l (w × t + stretch t), of an edge that turns by ``w`` in its own axes."""
         q = edge.frame
@@ -181,7 +171,6 @@ class SensitivityColumns(ParameterGradient):
         moved = plus(turned, scaled(tangent(q), stretch))
         return plus(x, scaled(moved, edge.length))
 
-    @ti.func
     def store_column(self, tables, rod, index, p, column):
         """dω from the place of the step, and dx, into the results."""
         stretch = column.stretch
@@ -194,7 +183,6 @@ class SensitivityColumns(ParameterGradient):
             x = self.moved_end(edge, x, stretch)
         self.store(tables, tables.vertices, index, rod.edges, p, x)
 
-    @ti.func
     def store(self, tables, array: ti.template(), index, place, p, v):
         """A vector of each rod from row ``index`` on into column ``p`` at ``place`` of its row."""
         for slot in ti.static(range(self.width)):
@@ -203,7 +191,6 @@ class SensitivityColumns(ParameterGradient):
                 for k in ti.static(range(3)):
                     array[row, place, k, p] = self.lane(v[k], slot)
 
-    @ti.func
     def store_loads(self, tables, rod, index, p, column, change):
         """The change of the loads into the results, where closure's multiplier changes by ``change``.
 
@@ -222,7 +209,6 @@ class SensitivityColumns(ParameterGradient):
 
     # --- where rods touch obstacles: :class:`doo_ti.relaxation.contact_sensitivity.ContactSensitivity` ---
 
-    @ti.func
     def pushed(self, tables, rod, index, p):
         """By how much the forces of obstacles change with column ``p``, which is in the results, with the sign of a gradient:
         on ``all`` vertices, and on those after the start of the ``first`` edge and of the ``last``."""

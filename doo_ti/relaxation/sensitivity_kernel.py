@@ -7,8 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import taichi as ti
 
-from doo_ti.physics.number import Number
-from doo_ti.physics.tuples import against, chosen, forward, negated, plus, record, repeated, scaled, symmetric_gram, variable
+from doo_ti.physics.factors import against, forward, symmetric_gram
+from doo_ti.physics.number import Number, device_functions
+from doo_ti.physics.tuples import chosen, negated, plus, record, repeated, scaled, variable
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.batch import laid_out, layout_for, layout_of_gpu
 from doo_ti.relaxation.chain import edge_layout
@@ -27,7 +28,7 @@ from doo_ti.system import runtime
 MOST_THREADS_ON_A_GPU = 4096
 
 
-@ti.data_oriented
+@device_functions
 class SensitivitySweep(SensitivityColumns, Elimination):
     """The columns of rods that touch nothing."""
 
@@ -35,12 +36,10 @@ class SensitivitySweep(SensitivityColumns, Elimination):
         super().__init__(number, False, stride, edge_layout(False, KEPT))
         self.loading = Loading(self, in_millimetres=True)
 
-    @ti.func
     def edge_pull(self, rod, edge, weight):
         """With the point loads, which are kept with the forces of obstacles."""
         return plus(scaled(rod.gravity, weight), edge.external.beyond)
 
-    @ti.func
     def schur_complement(self, rod):
         """S = Σ W_Aᵀ D⁻¹ W_A."""
         s = variable(repeated(0.0 * rod.total, 6))
@@ -49,7 +48,6 @@ class SensitivitySweep(SensitivityColumns, Elimination):
             s = plus(s, symmetric_gram(edge.pivots, edge.border))
         return s
 
-    @ti.func
     def solve_column(self, rod, column, schur, closure):
         """dω into the place of the step, where closure is changed by ``closure``; returns dλ."""
         right = variable(closure)  # Σ W_Aᵀ D⁻¹ W_b and ∂c/∂θ
@@ -66,7 +64,6 @@ class SensitivitySweep(SensitivityColumns, Elimination):
         self.substitute(rod, record(change=change))
         return change
 
-    @ti.func
     def started(self, rod, column):
         """What vertex 0 moves by."""
         x = variable(column.move)
@@ -95,7 +92,7 @@ def run_sensitivity(solution: Solution, usable: np.ndarray, directions: np.ndarr
                of.room(count, LOADS, 3, columns * loads), of.room(count, 2, 3, 1))
     # Kernels take no arrays without entries.
     written = tuple(array if array.shape[3] else np.empty((1,) * array.ndim) for array in outputs)
-    kernels = sensitivity_kernel, contact_sensitivity_kernel if columns else None
+    kernels = SOLVING, SOLVING_IN_CONTACT if columns else None
     lost = ~run_at_rest(solution, usable, kernels, directions, modes, written, first, last, packed=True)
     for array in outputs:
         array[lost] = np.nan
@@ -107,8 +104,7 @@ def run_at_rest(solution: Solution, usable: np.ndarray, kernels: tuple, directio
     """Launch kernels over the rods from ``first`` to ``last`` of a solution that are ``usable``; ``directions`` and ``modes``
     as :func:`run_sensitivity` has them.
 
-    kernels  made as :func:`sensitivity_kernel` and :func:`contact_sensitivity_kernel` are: for rods that touch nothing and for
-             those at obstacles; None: the first takes them all
+    kernels  :func:`kernels_at_rest`: for rods that touch nothing and for those at obstacles; None: the first takes them all
     arrays   further ones of the kernels, in their order
     packed   whether the first kernel takes packs of rods
 
@@ -210,16 +206,21 @@ CONTACTS_AT_REST = {name: OBSTACLES[name] for name in ("obstacles", "kinds", "gr
     "point_loads": TABLE3}  # [row, vertex, 3], or a single one of zero
 
 
-@cache
-def sensitivity_kernel(number: Number, stride: int, block: int):
-    """As :func:`.newton_kernel`."""
-    sweep = SensitivitySweep(number, stride)
-    return loop_kernel("solve", number, AT_REST | COLUMNS, sweep.work, block), sweep.items
+def kernels_at_rest(name: str, results: dict, alone: type, touching: type) -> tuple[Callable, Callable]:
+    """What :func:`run_at_rest` takes as ``kernels``, made as by :func:`.newton_kernel` of these sweeps: for rods that touch
+    nothing, and for those that touch obstacles of some kinds. They write ``results``."""
+    @cache
+    def kernel(number: Number, stride: int, block: int):
+        sweep = alone(number, stride)
+        return loop_kernel(name, number, AT_REST | results, sweep.work, block), sweep.items
+
+    @cache
+    def in_contact(number: Number, stride: int, block: int, known: frozenset[int]):
+        sweep = touching(stride, known)
+        given = AT_REST | results | CONTACTS_AT_REST
+        return loop_kernel(f"{name}_in_contact", number, given, sweep.work, block, brief=True), sweep.items
+
+    return kernel, in_contact
 
 
-@cache
-def contact_sensitivity_kernel(number: Number, stride: int, block: int, known: frozenset[int]):
-    """The same for rods that touch obstacles of the kinds ``known``."""
-    sweep = ContactSensitivity(stride, known)
-    given = AT_REST | COLUMNS | CONTACTS_AT_REST
-    return loop_kernel("solve_in_contact", number, given, sweep.work, block, brief=True), sweep.items
+SOLVING, SOLVING_IN_CONTACT = kernels_at_rest("solve", COLUMNS, SensitivitySweep, ContactSensitivity)

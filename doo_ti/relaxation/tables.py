@@ -56,13 +56,10 @@ ALONG  the smallest cosine of an edge to the line through the rod's ends, at the
        the way where it is negative there
 DRIFT  under an external energy, how far vertex 0 has moved from the anchor, mm: in where a rod starts, and out"""
 
-MOST_NUMBERS = 2**31 - 1
-"""A table has no more entries: the kernels count them with 32 bits."""
+MOST_NUMBERS = 2**31 - 1  # a table has no more entries: the kernels count them with 32 bits
 
-POOLED_BYTES = 1 << 30
-"""Arrays no longer in use are kept up to this size."""
-SMALLEST = 1 << 14
-"""Numbers below which an array takes no pages of its own."""
+POOLED_BYTES = 1 << 30  # arrays no longer in use are kept up to this size
+SMALLEST = 1 << 14  # numbers below which an array takes no pages of its own
 
 pool: list[np.ndarray] = []
 _pool_lock = Lock()
@@ -143,8 +140,7 @@ class Tables:
         return self.clamp[:, ANCHOR : ANCHOR + 3]
 
     def continued(self, usable: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """``rods`` for another launch over the feasible ones of ``rows``: from their frames where ``usable`` (R,), else from
-        their starts."""
+        """``rods`` for another launch over the feasible of ``rows``: from their frames where ``usable`` (R,), else starts."""
         good = rows[self.feasible[self.configuration_index[rows]]]
         of_start = self.configuration_index[good]
         origin = np.where(usable[good], FROM_RESULTS, of_start)

@@ -7,23 +7,21 @@ the rod would bounce with more energy than it came with. A step of backward Eule
 import taichi as ti
 
 from doo_ti.physics import pair
+from doo_ti.physics.number import device_functions
 from doo_ti.physics.quaternion import tangent
 from doo_ti.physics.tuples import choose, dot, minus, plus, record, scaled, variable
 from doo_ti.relaxation.time_sweep import TimeSweep
 
-LEAVING = 5.0
-"""Tolerances of a gap: a vertex that an obstacle pushes may leave it in a step by no more."""
-IMPACT = 1e-3
-"""Of the kinetic energy, and more than open gaps make of the weight: a larger rise of the energy means an impact."""
+LEAVING = 5.0  # tolerances of a gap: a vertex that an obstacle pushes may leave it in a step by no more
+IMPACT = 1e-3  # of the kinetic energy, and more than open gaps make of the weight: a larger rise of the energy means an impact
 SLIGHT = {32: 1e-5, 64: 1e-12}
 """By bits, of the kinetic energy and of the rod's weight times its radius: what counts as no rise."""
 
 
-@ti.data_oriented
+@device_functions
 class TimeImpact(TimeSweep):
     """The chain in motion among obstacles."""
 
-    @ti.func
     def impact(self, rod, time, up):
         """A record about the step that was made: ``bounces``, the lanes in which it is one of BDF2 that would throw the rod off
         what it touches or, where neither grippers nor obstacles move, raises its energy by more than a little; and ``kept``,
@@ -39,13 +37,11 @@ class TimeImpact(TimeSweep):
         bounces = (impact | (self.leaves(rod, time) & (rise.mass > 0.0))) & (time.rate > 1.0)
         return record(bounces=bounces, kept=ti.select(raised, kept, one))
 
-    @ti.func
     def make_euler(self, rod, where):
         """Make the step once more as one of backward Euler in the lanes ``where``."""
         choose(rod.head, where, euler=0.0 * rod.total + 1.0)
         self.contacts.begin_rounds(rod, where)
 
-    @ti.func
     def leaves(self, rod, time):
         """The lanes in which an obstacle pushes a vertex, or a place between two, that leaves it at the end of the step."""
         zero = 0.0 * rod.total
@@ -70,7 +66,6 @@ class TimeImpact(TimeSweep):
             last = bent
         return most > LEAVING * rod.contacts.tolerance
 
-    @ti.func
     def bend_of_way(self, rod, v):
         """By how much the way of vertex ``v`` in the step differs from that in the step before."""
         vertex = self.moving_vertex(rod.head, v)
@@ -80,7 +75,6 @@ class TimeImpact(TimeSweep):
 
     # --- the energy ---
 
-    @ti.func
     def rise(self, rod, time, up):
         """A record: by how much the step raises the rod's ``energy``, that of its springs included, its kinetic energy before,
         ``slow``, and after, ``fast``, and its ``mass``."""
@@ -102,7 +96,6 @@ class TimeImpact(TimeSweep):
         self.add_vertex(rod, rod.edges, place, before, time, up, found)
         return found
 
-    @ti.func
     def add_vertex(self, rod, v, place, length, time, up, found):
         """The part of vertex ``v`` at ``place``, whose edges have that ``length``."""
         vertex = self.moving_vertex(rod.head, v)
@@ -120,13 +113,11 @@ class TimeImpact(TimeSweep):
         found.slow, found.fast = found.slow + slow, found.fast + fast
         found.mass = found.mass + mass
 
-    @ti.func
     def joint_energy(self, left, right, stiffness):
         """Of the joint between two frames."""
         x, y, inverse, turn, r = pair.curvature(left, right)
         return self.energy_of(((x[0], x[1]), (y[0], y[1]), inverse, self.twist_angle(r), turn), stiffness)
 
-    @ti.func
     def own_stiffness(self, rod, previous, edge):
         """The stiffness of that joint, and its rest curvature, without damping."""
         if ti.static(self.isotropic):
@@ -139,13 +130,11 @@ class TimeImpact(TimeSweep):
 
     # --- damping in a step of backward Euler ---
 
-    @ti.func
     def prepare(self, rod, time, up, done):
         if ti.static(self.joints_rest):
             rod.head.stiffness = self.stiffness_shares(rod, time)
         TimeSweep.prepare(self, rod, time, up, done)
 
-    @ti.func
     def stiffness(self, left, right, material):
         """As :meth:`.Chain.stiffness`; that of damped rods times ``material``, of bending and of twist."""
         given = TimeSweep.stiffness(self, left, right, material)

@@ -3,6 +3,7 @@
 import taichi as ti
 
 from doo_ti.contact.obstacles import AXES, POINT
+from doo_ti.physics.number import device_functions, in_f64, read, write
 from doo_ti.physics.quaternion import (
     first_director,
     partway,
@@ -14,7 +15,6 @@ from doo_ti.physics.quaternion import (
     turned_in_world,
 )
 from doo_ti.physics.tuples import cross, dot, minus, plus, record, repeated, scaled, variable
-from doo_ti.physics.view import in_f64, read, write
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.bows import STEEP, STEEPEST
 from doo_ti.relaxation.clamp_table import ALIKE, INFEASIBLE, ROUNDING, SOUND, STRAIGHT, TAUT, TAUT_SLACK
@@ -27,11 +27,10 @@ POSE_SHIFT, POSE_COLUMNS = 4, 7
 # Columns of the clamps at an instant: the point the chain hangs from, the far point from there, mm, the first and last frame,
 # and one where all that is as it was at the instant before.
 PATH_ANCHOR, PATH_TARGET, PATH_ENDS, PATH_STILL, PATH_COLUMNS = 0, 3, 6, 14, 15
-BOWED = 4
-"""Of a step: its rod was straight and is bowed (after the findings of :mod:`.clamp_table`)."""
+BOWED = 4  # of a step: its rod was straight and is bowed (after the findings of :mod:`.clamp_table`)
 
 
-@ti.data_oriented
+@device_functions
 class MotionLoading(Loading):
     """Loading and storing of a rod's state at its last two instants, in addition to what :class:`.Loading` does for any rod,
     and of its clamps and the poses of obstacles at an instant. Lengths are in mm.
@@ -53,7 +52,6 @@ class MotionLoading(Loading):
 
     # --- the poses of obstacles ---
 
-    @ti.func
     def first_poses(self, tables, slot, row, unit):
         """Load the poses of lane ``slot`` before the first step."""
         for o in range(tables.kinds.shape[0]):
@@ -62,7 +60,6 @@ class MotionLoading(Loading):
             at.pose = pose.turn + pose.shift
             at.pose_before = pose.turn + pose.shift
 
-    @ti.func
     def next_poses(self, tables, slot, row, step, share, unit):
         """Load the poses of lane ``slot`` after that ``share`` of the way to the end of step ``step``, where that puts the
         obstacles, and by how much it carries their places."""
@@ -86,7 +83,6 @@ class MotionLoading(Loading):
             at.carry = tangent(carry) + first_director(carry) + second_director(carry)
             at.carried = minus(shift, rotated(carry, before))
 
-    @ti.func
     def rest_of_poses(self, tables, row, step):
         """One where no obstacle moves in step ``step``, else zero."""
         i, still = ti.min(row, tables.poses.shape[0] - 1), ti.cast(1.0, ti.f64)
@@ -95,7 +91,6 @@ class MotionLoading(Loading):
                 still = 0.0
         return still
 
-    @ti.func
     def pose_from(self, tables, row, instant, o, unit):
         """The record of ``turn`` and ``shift`` of an obstacle at an instant, lengths over ``unit``."""
         i = ti.min(row, tables.poses.shape[0] - 1)
@@ -105,7 +100,6 @@ class MotionLoading(Loading):
 
     # --- how far apart clamps hold a rod: beyond its reach, taut, or slack ---
 
-    @ti.func
     def load_reach(self, tables, own, slot, s, line, first, last):
         """Load what the clamps s make of the rod in lane ``slot`` where they hold its ends ``line`` apart, the first edge along
         ``first`` and the last along ``last``, zero where they hold none. Returns SOUND, STRAIGHT, TAUT or
@@ -137,22 +131,12 @@ class MotionLoading(Loading):
                 own.reach = BOWED
         return found
 
-    @ti.func
-    def load_last_reach(self, tables, own, s):
-        """Load how the rod in a lane was at the last instant: SOUND, or STRAIGHT as its frames say."""
-        found = SOUND
-        if tables.clamp[s, of.CLOSED] > 0.0 and self.is_straight(tables, own, s, True):
-            found = STRAIGHT
-        own.reach = found
-
-    @ti.func
     def load_freedom(self, tables, own, s, slack):
         """Load which edges may tilt, and that closure holds, where ``slack`` is one; where it is zero, none and not."""
         own.closed = slack * tables.clamp[s, of.CLOSED]
         for pair in ti.static(((1, of.TILT_START), (3, of.TILT_END), (4, of.TILT_INNER))):
             own.free[pair[0]] = slack * tables.clamp[s, pair[1]]
 
-    @ti.func
     def tilts(self, tables, s, e):
         """One where clamps s let edge ``e`` tilt, else zero."""
         free = ti.cast(1.0, ti.f64)
@@ -162,7 +146,6 @@ class MotionLoading(Loading):
             free = tables.clamp[s, of.TILT_END]
         return free
 
-    @ti.func
     def stretch(self, tables, own, s, along):
         """Turn the edges that may tilt to the unit vector ``along``; their spins are kept by parallel transport."""
         for e in range(tables.rest_length.shape[1]):
@@ -174,7 +157,6 @@ class MotionLoading(Loading):
                     straight = transported(q, old, along)
                 self.edge(own, e).frame = straight
 
-    @ti.func
     def is_straight(self, tables, own, s, last: ti.template()):
         """Whether the edges that may tilt are in one straight line, at the last instant with ``last``."""
         edges, row = tables.rest_length.shape[1], ti.min(s, tables.rest_length.shape[0] - 1)
@@ -191,7 +173,6 @@ class MotionLoading(Loading):
             straight = dot(chord, chord) > (reach * (1.0 - self.straightness)) ** 2
         return straight
 
-    @ti.func
     def direction(self, own, e, last: ti.template()):
         """The tangent of an edge in a lane, at the last instant with ``last``."""
         if ti.static(last):
@@ -199,7 +180,6 @@ class MotionLoading(Loading):
         else:
             return tangent(in_f64(self.edge(own, e).frame))
 
-    @ti.func
     def bow(self, tables, own, slot, s, slack):
         """Bow the edges that may tilt as far as that ``slack``, a share of their length, lets them: downwards, or where the
         step of a rod that may touch something has failed so, aside."""
@@ -225,7 +205,6 @@ class MotionLoading(Loading):
 
     # --- the rod and its clamps ---
 
-    @ti.func
     def load_motion(self, tables, head, slot, rod):
         """Load the state of rod ``rod`` at its last two instants, its mass, drag and springs into lane ``slot``."""
         row, numbers = tables.rods[rod, of.RESULT_ROW], tables.rods[rod, of.EXTERNAL_ROW]
@@ -251,9 +230,12 @@ class MotionLoading(Loading):
             motion.frame_2 = read(tables.frames_before, place, count=4)
         if ti.static(self.touches):
             own.euler = 0.0
-        self.load_last_reach(tables, own, tables.rods[rod, of.CLAMP_ROW])
+        # How it was at the last instant: SOUND, or STRAIGHT as its frames say.
+        s, found = tables.rods[rod, of.CLAMP_ROW], SOUND
+        if tables.clamp[s, of.CLOSED] > 0.0 and self.is_straight(tables, own, s, True):
+            found = STRAIGHT
+        own.reach = found
 
-    @ti.func
     def load_vertex(self, tables, vertex, row, numbers, v, scale):
         """Vertex ``v`` into its view in a lane, energies times ``scale``."""
         for k in range(INERTIA):
@@ -262,7 +244,6 @@ class MotionLoading(Loading):
             factor = ti.select(k < SPRING_POINT - INERTIA, scale, 1.0)
             vertex[INERTIA + k] = tables.numbers[numbers, v, k] * factor
 
-    @ti.func
     def load_path(self, tables, head, slot, rod, step):
         """Load the clamps of step ``step``, and the obstacles that move, into lane ``slot``; of the end frames what they hold.
         Returns how they reach (:meth:`load_reach`)."""
@@ -292,7 +273,6 @@ class MotionLoading(Loading):
             own.still = still
         return self.load_reach(tables, own, slot, s, line, first, last)
 
-    @ti.func
     def share_of_way(self, tables, slot):
         """Of the clamps' way that is left to the next instant, the share that the rod in lane ``slot`` makes at once."""
         share = ti.cast(1.0, ti.f64)
@@ -302,7 +282,6 @@ class MotionLoading(Loading):
             share = ti.min(share, own.way / ti.max(1.0 - made, 1e-9))
         return share
 
-    @ti.func
     def load_path_end(self, tables, s, step, share, end: ti.template(), edge):
         """The frame of an end ``edge`` after that share of its way; returns its tangent, zero where it is not held."""
         along = variable(repeated(ti.cast(0.0, ti.f64), 3))
@@ -323,7 +302,6 @@ class MotionLoading(Loading):
             edge.frame = held
         return along
 
-    @ti.func
     def store_motion(self, tables, head, slot, row):
         """Store the state of the lane's rod at its last two instants in row ``row``."""
         own, edges = head.lane(slot), tables.rest_length.shape[1]
@@ -335,7 +313,6 @@ class MotionLoading(Loading):
         if ti.static(self.moves_start):
             write(tables.results, row, of.DRIFT, values=scaled(in_f64(own.drift), in_f64(own.length_unit)))
 
-    @ti.func
     def store_vertices(self, target: ti.template(), row, count: ti.template(), own, edges):
         """The first ``count`` items of every vertex into row ``row`` of ``target`` (-, V, count)."""
         for v in range(edges + 1):

@@ -2,8 +2,8 @@
 
 import taichi as ti
 
+from doo_ti.physics.number import device_functions, in_f64, read
 from doo_ti.physics.tuples import choose, chosen, plus, put_lane, repeated, scaled
-from doo_ti.physics.view import in_f64, read
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.clamp_table import INFEASIBLE, TAUT
 from doo_ti.relaxation.loading import LANES
@@ -24,7 +24,7 @@ RESOLVED = 3e-3
 """Of the force of the acceleration of gravity, whatever the rod weighs: a step that rounds more than that is not resolved."""
 
 
-@ti.data_oriented
+@device_functions
 class TimeLoop(NewtonLoop):
     """Newton's loop over the steps of every rod. ``tables`` holds, besides what :class:`MotionLoading` reads, what it writes:
     positions (rod · frame, V, 3) mm, and outcome (rod, frame, OUTCOMES); and steps, and every: a frame is stored after so many.
@@ -40,7 +40,6 @@ class TimeLoop(NewtonLoop):
         self.loading = MotionLoading(sweep)
         self.number_bits = sweep.number.bits
 
-    @ti.func
     def exchange(self, tables, head, lane, supply):
         """Give every finished lane the next step of its rod; where that step was the last, or failed, another rod."""
         zero, one = self.constant(0.0), self.constant(1.0)
@@ -85,7 +84,6 @@ class TimeLoop(NewtonLoop):
                     if reach == TAUT:
                         put_lane(lane, self.with_lane, slot, multiplier=repeated(0.0, 3))
 
-    @ti.func
     def exchange_lane(self, tables, head, slot, lane, supply, repeats, made):
         """The next step of the rod in a finished lane or, where that is over, another rod. ``repeats``: one where the step is
         not over; ``made``: one where a part of it is."""
@@ -112,12 +110,10 @@ class TimeLoop(NewtonLoop):
                 if ti.static(self.differentiates):
                     self.load_slopes(tables, head, slot, tables.queue[supply.places + slot])
 
-    @ti.func
     def advance(self, tables, head, lane):
         self.trip(tables, head, lane)
         self.refuse(head, lane)
 
-    @ti.func
     def refuse(self, head, lane):
         """End the steps whose clamps are out of their rods' reach."""
         reach = head.reach
@@ -125,14 +121,12 @@ class TimeLoop(NewtonLoop):
         lane.status = ti.select(out, self.constant(self.infeasible), lane.status)
         lane.finished = ti.select(out, lane.active, lane.finished)
 
-    @ti.func
     def note_link(self, tables, head, slot, row, frame):
         """Note where the link of the rod in lane ``slot`` has changed in what it has just made."""
         if tables.time[WATCHED] > 0.0:
             if not ti.abs(head.lane(slot).relinked) < 0.5:
                 tables.outcome[row, frame, RELINKED] = 1.0
 
-    @ti.func
     def conclude(self, tables, head, slot, lane, rod, step):
         """Report the step that the rod in lane ``slot`` has made; returns one where it is to make another."""
         row, edges = tables.rods[rod, of.RESULT_ROW], tables.rest_length.shape[1]
@@ -177,7 +171,6 @@ class TimeLoop(NewtonLoop):
                 tables.outcome[row, later, STATE] = status
         return again
 
-    @ti.func
     def tolerance(self, tables, rod):
         """The largest residual of a step: that of a rod at rest or, where its mass times the acceleration of gravity means
         smaller moments, that share of these; and what rounding makes of its stiffness and inertia. Negative, so that the step
@@ -196,7 +189,6 @@ class TimeLoop(NewtonLoop):
             given = self.sweep.contacts.tolerance(rod, given)
         return ti.select(rounding * rod.longest > ti.static(RESOLVED) * weight * lever, zero - 1.0, given + rounding)
 
-    @ti.func
     def multiplier(self, lane, fitted):
         """λ of the Newton step; a time step begins with that of the step before."""
         share = ti.select((lane.escaping < 0.5) & (lane.fresh < 0.5), lane.step_scale, self.constant(0.0))

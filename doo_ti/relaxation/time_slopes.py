@@ -9,25 +9,10 @@ that a clamp holds do not depend on p. The lanes of a pack make their steps toge
 import taichi as ti
 
 from doo_ti.physics import pair
+from doo_ti.physics.factors import against, backward, forward, minus_combination, symmetric_gram
+from doo_ti.physics.number import Layout, device_functions, in_f64
 from doo_ti.physics.quaternion import first_director, second_director, tangent
-from doo_ti.physics.tuples import (
-    against,
-    backward,
-    dot,
-    extended,
-    forward,
-    minus,
-    minus_combination,
-    negated,
-    picked,
-    plus,
-    products,
-    repeated,
-    scaled,
-    symmetric_gram,
-    variable,
-)
-from doo_ti.physics.view import Layout, in_f64
+from doo_ti.physics.tuples import dot, extended, minus, negated, picked, plus, products, repeated, scaled, variable
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.loading import load_stiffness
 from doo_ti.relaxation.time_loop import TimeLoop
@@ -61,7 +46,7 @@ def slope_items(edges, parameters):
     return (edges + 1) * (len(SHARED) + parameters * len(OWN))
 
 
-@ti.data_oriented
+@device_functions
 class TimeSlopes(TimeSweep):
     """The chain of :class:`.TimeSweep` with the derivatives of its steps. ``blocks`` is the view of the first in scratch: the
     shared ones of all vertices, then those of each parameter."""
@@ -91,7 +76,6 @@ class TimeSlopes(TimeSweep):
         vertices = edges + 1
         return blocks.part(OWN, vertices * len(SHARED) + (parameter * vertices + vertex) * len(OWN))
 
-    @ti.func
     def differentiate(self, rod, blocks, count, time, up):
         """The derivatives of the step that has converged, by ``count`` parameters."""
         schur = self.share(rod, blocks, time)
@@ -102,7 +86,6 @@ class TimeSlopes(TimeSweep):
 
     # --- what all parameters share ---
 
-    @ti.func
     def share(self, rod, blocks, time):
         """Fill the shared blocks; returns the Schur complement Σ W_λᵀ D⁻¹ W_λ."""
         place = variable(plus(rod.anchor, rod.head.drift))
@@ -120,7 +103,6 @@ class TimeSlopes(TimeSweep):
             schur = plus(schur, symmetric_gram(edge.pivots, edge.force_border))
         return schur
 
-    @ti.func
     def share_vertex(self, rod, block, vertex, place, time):
         """Fill the vertex part of the shared block for a ``vertex`` at ``place``."""
         y, ahead, fast = self.extrapolated(vertex, time)
@@ -128,7 +110,6 @@ class TimeSlopes(TimeSweep):
         speed = ti.sqrt(dot(fast, fast))
         block.seen = minus(x, ahead) + minus(x, y) + (speed,) + scaled(fast, 1.0 / (speed + 1e-30))
 
-    @ti.func
     def share_joint(self, block, previous, edge, time):
         """Fill the joint part of the shared block for the joint where an ``edge`` begins."""
         x, y, inverse, turn, r = pair.curvature(previous.frame, edge.frame)
@@ -138,7 +119,6 @@ class TimeSlopes(TimeSweep):
         block.strain = pair.strain(x, rest_left) + pair.strain(y, rest_right) + (m - rest_twist,)
         block.ahead = self.extrapolated_curvature(previous.motion, edge.motion, time)
 
-    @ti.func
     def curved(self, block):
         """(X, Y, 1/s, e^{im}) of the joint of a shared block."""
         b = block.curved
@@ -146,10 +126,8 @@ class TimeSlopes(TimeSweep):
 
     # --- the right-hand side of a parameter ---
 
-    @ti.func
     def eliminate_slope(self, rod, blocks, parameter, time, up):
-        """W_r of −∂g/∂p for every edge and for vertex 0, as :meth:`.LoadedElimination.eliminate` makes it; returns
-        Σ W_λᵀ D⁻¹ W_r."""
+        """W_r of −∂g/∂p for every edge and vertex 0, as :meth:`.LoadedElimination.eliminate` has it; returns Σ W_λᵀ D⁻¹ W_r."""
         zero = 0.0 * rod.total
         first = self.block(blocks, rod.edges, parameter, 0)
         unit = rod.length_unit
@@ -189,7 +167,6 @@ class TimeSlopes(TimeSweep):
         first.right = w
         return plus(right, against(pivots, rod.head.drift_border, w))
 
-    @ti.func
     def pull_slope(self, rod, vertex, shared, own, time, up):
         """∂γ/∂p of the springs κ (x − x̂) + d (x − y) + load at a ``vertex``."""
         dy, ahead, fast = self.extrapolated(own, time)
@@ -202,7 +179,6 @@ class TimeSlopes(TimeSweep):
         moved = plus(scaled(ahead, vertex.inertia), scaled(dy, drag))
         return scaled(minus(plus(stiffer, scaled(up, change[3])), moved), rod.length_unit)
 
-    @ti.func
     def joint_slope(self, rod, e, shared, own, own_before, first, time):
         """(left, right) ∂g/∂p of the joint where edge ``e`` begins."""
         previous, edge = self.edge(rod.head, e - 1), self.edge(rod.head, e)
@@ -217,7 +193,6 @@ class TimeSlopes(TimeSweep):
         x, y, inverse, turn = self.curved(shared)
         return pair.gradient_of_moments(left, right, 2.0 * inverse_length * twist, x, y, inverse, turn)
 
-    @ti.func
     def rest_slope(self, rod, shared, own, first, time):
         """Derivatives of u̅ of the left frame and of the right one, and of m̅."""
         last, before = own.curvature_1, own.curvature_2
@@ -232,7 +207,6 @@ class TimeSlopes(TimeSweep):
 
     # --- the derivatives of a parameter ---
 
-    @ti.func
     def substitute_slope(self, rod, blocks, parameter, change, time):
         """The derivatives of the step from W_r, which become those at the last instant."""
         first = self.block(blocks, rod.edges, parameter, 0)
@@ -255,13 +229,12 @@ class TimeSlopes(TimeSweep):
             x = plus(x, minus(scaled(lever1, w[2]), scaled(lever2, w[1])))
             self.remember_place(rod, own, x, time)
 
-    @ti.func
     def remember_place(self, rod, own, x, time):
         """As :meth:`remember_vertex`, of the derivative ``x`` of a place in the rod's unit of length."""
         self.remember_vertex(rod, own, x, time, rod.total > 0.0)
 
 
-@ti.data_oriented
+@device_functions
 class TimeSlopeLoop(TimeLoop):
     """The loop with derivatives by P parameters. ``tables`` holds, besides, blocks, the view of this thread's in scratch, and
 
@@ -275,12 +248,10 @@ class TimeSlopeLoop(TimeLoop):
 
     differentiates = True
 
-    @ti.func
     def exchanges(self, lane):
         """Once all lanes with a rod have finished."""
         return self.largest(lane.active * (1.0 - lane.finished)) < 0.5
 
-    @ti.func
     def advance(self, tables, head, lane):
         """A trip, in which lanes that wait keep their frames and repeat the elimination."""
         zero, one = self.constant(0.0), self.constant(1.0)
@@ -297,18 +268,15 @@ class TimeSlopeLoop(TimeLoop):
         lane.status = ti.select(waited > 0.5, status, lane.status)
         lane.trips = ti.select(waited > 0.5, trips, lane.trips)
 
-    @ti.func
     def differentiate(self, tables, rod, time, up, done):
         """The derivatives of the steps that have converged, in the lanes where ``done`` is one."""
         if self.largest(done) > 0.5:
             self.sweep.differentiate(rod, tables.blocks, tables.number_slopes.shape[0], time, up)
 
-    @ti.func
     def own_block(self, tables, slot, parameter, vertex):
         """The view of the block of a vertex for a parameter, in a lane."""
         return self.sweep.block(tables.blocks.lane(slot), tables.rest_length.shape[1], parameter, vertex)
 
-    @ti.func
     def load_slopes(self, tables, head, slot, rod):
         """The derivatives that rod ``rod`` remembers, and its parameters, into lane ``slot``."""
         row, g, numbers = tables.rods[rod, of.RESULT_ROW], tables.rods[rod, of.MATERIAL_ROW], tables.rods[rod, of.EXTERNAL_ROW]
@@ -331,7 +299,6 @@ class TimeSlopeLoop(TimeLoop):
                 first.of_rod[k] = tables.share_slopes[p, numbers, k]
             first.of_rod[2] = tables.material_slopes[material, of.WEIGHT]
 
-    @ti.func
     def store_slopes(self, tables, slot, row):
         """The derivatives that the lane's rod remembers into row ``row``."""
         for p in range(tables.number_slopes.shape[0]):
@@ -340,7 +307,6 @@ class TimeSlopeLoop(TimeLoop):
                 for k in range(REMEMBERED):
                     tables.slopes[row, p, v, k] = block[k]
 
-    @ti.func
     def write_slopes(self, tables, slot, place):
         """The derivatives of the lane's positions, for row ``place`` of the positions."""
         for p in range(tables.number_slopes.shape[0]):

@@ -134,18 +134,12 @@ class Steps:
 
 @dataclass
 class Slopes:
-    """Derivatives by P parameters of what R rods are given, and of what they remember; the latter change as they move.
+    """Derivatives by P parameters of what R rods are given, and of what they remember; the latter change as they move."""
 
-    material  (P, G, -) of the table of materials
-    numbers   (P, N, V, 4) of inertia, drag, its growth with speed and load
-    shares    (P, N, 2)
-    memory    (R, P, V, REMEMBERED) see :mod:`doo_ti.relaxation.time_slopes`; zero where the start depends on no parameter
-    """
-
-    material: np.ndarray
-    numbers: np.ndarray
-    shares: np.ndarray
-    memory: np.ndarray
+    material: np.ndarray  # (P, G, -) of the table of materials
+    numbers: np.ndarray  # (P, N, V, 4) of inertia, drag, its growth with speed and load
+    shares: np.ndarray  # (P, N, 2)
+    memory: np.ndarray  # (R, P, V, REMEMBERED) see :mod:`.time_slopes`; zero where the start depends on no parameter
 
     @property
     def count(self) -> int:

@@ -13,6 +13,7 @@ draws it towards y(ω): a rest curvature of its own for each step.
 import taichi as ti
 
 from doo_ti.physics import pair
+from doo_ti.physics.number import Layout, device_functions
 from doo_ti.physics.quaternion import (
     normalised,
     passed_half_turn,
@@ -22,10 +23,9 @@ from doo_ti.physics.quaternion import (
     turned_about_own_tangent,
 )
 from doo_ti.physics.tuples import choose, chosen, dot, minus, plus, record, repeated, scaled, variable
-from doo_ti.physics.view import Layout
 from doo_ti.relaxation.contacts import Contacts
+from doo_ti.relaxation.external import PointLoads
 from doo_ti.relaxation.loaded_elimination import LoadedElimination
-from doo_ti.relaxation.point_loads import PointLoads
 
 VERTEX = Layout(place_1=3, place_2=3, velocity_1=3, velocity_2=3, inertia=1, drag=1, drag_by_speed=1, load=1, force=3, spring=1,
                 spring_point=3)
@@ -52,7 +52,7 @@ STEP, RATE, EXTRAPOLATION, LEAST_WAY, WATCHED, TIME_COLUMNS = 0, 1, 2, 3, 4, 5
 contact makes at once where more fails; and one where changes of link are noted."""
 
 
-@ti.data_oriented
+@device_functions
 class TimeSweep(LoadedElimination):
     """The chain under the springs of a time step, whose points it sets itself, and dead forces.
 
@@ -67,13 +67,11 @@ class TimeSweep(LoadedElimination):
         self.joints_rest = not isotropic
         self.edge_layout, self.rod_layout = self.edge_layout + Layout(motion=MOTION), self.rod_layout + ROD
 
-    @ti.func
     def moving_vertex(self, head, v):
         """The view of vertex ``v`` of the rods at ``head``: those after the first lie with the edge that ends there."""
         later = self.rod_layout.size + self.edge_layout.at("motion") + (v - 1) * self.edge_layout.size
         return head.part(VERTEX, ti.select(v > 0, later, self.rod_layout.at("vertex")))
 
-    @ti.func
     def steps_of(self, tables, head):
         """The record of the lanes' steps: h, ``step``, in s; a, ``rate``; b, ``extrapolation``; a over that of the launch,
         ``share``, below one where a step is one of backward Euler though others are not; h over the launch's a, ``interval``;
@@ -87,14 +85,12 @@ class TimeSweep(LoadedElimination):
         return record(kept=one, step=step * one, rate=own, share=own / rate, interval=step / rate * one,
                       extrapolation=ti.cast(tables.time[EXTRAPOLATION], self.number.scalar) * (one - euler))
 
-    @ti.func
     def rest(self, edge):
         """u̅ of the left frame and of the right one, and m̅."""
         return (edge.motion.rest_left, edge.motion.rest_right, edge.motion.rest_twist)
 
     # --- the step that was made ---
 
-    @ti.func
     def remember(self, rod, time, done):
         """Make the present shape the last instant, and the last instant the one before it, in the lanes that are ``done``.
         After a step of backward Euler among others the velocities and frames before it do not count any more: they are as if
@@ -114,7 +110,6 @@ class TimeSweep(LoadedElimination):
             choose(own, done, frame_2=chosen(time.share < 1.0, q, own.frame_1))
             choose(own, done, frame_1=q)
 
-    @ti.func
     def watch(self, rod):
         """Note by how many turns the rod's link has changed in the step that was made: so often the angles of the frames
         against those before it, each transported to its new tangent, go around along the rod."""
@@ -129,7 +124,6 @@ class TimeSweep(LoadedElimination):
             last = turned
         rod.head.relinked = change
 
-    @ti.func
     def remember_vertex(self, rod, vertex, place, time, done):
         """The same for a ``vertex`` at ``place``."""
         x = scaled(place, rod.length_unit)
@@ -138,7 +132,6 @@ class TimeSweep(LoadedElimination):
         choose(vertex, done, place_1=x, velocity_2=chosen(time.share < 1.0, new, vertex.velocity_1))
         choose(vertex, done, velocity_1=new)
 
-    @ti.func
     def end_velocity(self, vertex, x, time):
         """mm/s at the end of a step that takes a ``vertex`` to ``x``, mm."""
         last, before = vertex.place_1, vertex.place_2
@@ -148,7 +141,6 @@ class TimeSweep(LoadedElimination):
 
     # --- the step to be made ---
 
-    @ti.func
     def prepare(self, rod, time, up, done):
         """Set the springs and rest curvatures of the next step. In the lanes that are ``done`` also set where its Newton
         iterations start: every frame turned once more as in the last step, and a free vertex 0 in free flight."""
@@ -171,7 +163,6 @@ class TimeSweep(LoadedElimination):
                 if e > 0:
                     self.set_rest(rod, self.edge(rod.head, e - 1), edge, time)
 
-    @ti.func
     def set_spring(self, rod, external, vertex, time, up):
         """Set the spring of a step at a ``vertex``, and the force there, in ``external``; returns x̂, mm."""
         y, ahead, fast = self.extrapolated(vertex, time)
@@ -188,7 +179,6 @@ class TimeSweep(LoadedElimination):
         external.force = minus(vertex.force, scaled(up, vertex.load))
         return ahead
 
-    @ti.func
     def extrapolated(self, vertex, time):
         """(y, x̂, the velocity at the step's end) of a ``vertex``, mm and mm/s."""
         p1, p2 = vertex.place_1, vertex.place_2
@@ -197,7 +187,6 @@ class TimeSweep(LoadedElimination):
         w = plus(v1, scaled(minus(v1, v2), time.extrapolation))
         return y, plus(y, scaled(w, time.step / time.rate)), minus(plus(v1, v1), v2)
 
-    @ti.func
     def set_rest(self, rod, previous, edge, time):
         """Set u̅ and m̅ of the joint where an ``edge`` begins: the sum of the material's part and that of damping."""
         own = edge.motion
@@ -210,14 +199,12 @@ class TimeSweep(LoadedElimination):
         own.rest_right = (rest1 + bend * curved[2], rest2 + bend * curved[3])
         own.rest_twist = twist * curved[4]
 
-    @ti.func
     def stiffness_shares(self, rod, time):
         """Of the stiffness of bending and of twist that the launch is given, with what damping adds in its steps, what those of
         the lanes have."""
         bend, twist = rod.head.bend_share, rod.head.twist_share
         return 1.0 - bend * (1.0 - time.share), 1.0 - twist * (1.0 - time.share)
 
-    @ti.func
     def extrapolated_curvature(self, previous, own, time):
         """y(ω) as the left frame sees it and the right one, and of the twist: of the joint of two edges in ``motion``."""
         last = pair.curvature(previous.frame_1, own.frame_1)

@@ -1,21 +1,22 @@
-"""A rod in the paper's own variables, vertices and material frames, in scratch: the step and the fast projection (§III-D).
+"""A rod in the paper's own variables, vertices and material frames, in scratch: the step and the fast projection (§III-D), its
+energy and gradient, and its twist angles minimised (§III-C).
 
-The counterpart of :mod:`doo_ti.relaxation.chain` for :mod:`doo_ti.relaxation.descent`. ``number`` says how
-many rods a value holds. :mod:`doo_ti.relaxation.vertex_energy` has the energy.
+The counterpart of :mod:`doo_ti.relaxation.chain` for :mod:`doo_ti.relaxation.descent`.
 """
 
 import taichi as ti
 
 from doo_ti.physics import vertex_form
-from doo_ti.physics.tuples import choose, dot, minus, picked, plus, record, repeated, scaled, variable
-from doo_ti.physics.view import Layout, read
+from doo_ti.physics.algebra import absolute, larger
+from doo_ti.physics.number import Layout, device_functions, read
+from doo_ti.physics.quaternion import signed_angle_function
+from doo_ti.physics.tuples import choose, cross, dot, minus, picked, plus, record, repeated, scaled, variable
 from doo_ti.relaxation.loading import load_stiffness
 
 VERTEX = Layout(position=3, director=3, force=3, state=("position", 9), trial_position=3, trial_director=3, trial_force=3,
                 trial=("trial_position", 9), ratio=1, right=1, length=1, inverse_length=1, bend=3, twist=1, rest=2)
 """What scratch has of a vertex and the edge that leaves it; ``force``: the projected gradient; ``ratio``, ``right``: factor and
 right-hand side of the tridiagonal systems."""
-
 PROJECTION_ROUNDS = 2
 
 
@@ -25,7 +26,7 @@ def direction(v):
     return scaled(v, 1.0 / ti.sqrt(dot(v, v)))
 
 
-@ti.data_oriented
+@device_functions
 class VertexChain:
     """The sweeps over vertices, for one kind of number; materials are always general.
 
@@ -40,6 +41,7 @@ class VertexChain:
 
     def __init__(self, number):
         self.number = number
+        self.signed_angle = signed_angle_function(number)
 
     @picked
     def vertex(self, origin, v):
@@ -51,7 +53,6 @@ class VertexChain:
         """What the fast projection changes of a vertex."""
         return vertex.of("trial_force" if of_gradient else "trial_position")
 
-    @ti.func
     def mobility(self, rod, vertex):
         """One where the vertex may move."""
         free = 1.0 - rod.held[4]
@@ -67,7 +68,6 @@ class VertexChain:
 
     # --- sweeps ---
 
-    @ti.func
     def move(self, rod, step):
         """Trial vertices: the step down the gradient, the projection, and the frames carried along."""
         for v in range(rod.edges + 1):
@@ -83,7 +83,6 @@ class VertexChain:
             m1 = vertex_form.transported(old, new, at.director)
             at.trial_director = vertex_form.across(m1, new)
 
-    @ti.func
     def eliminate_lengths(self, rod, of_gradient: ti.template()):
         """Fast projection, the forward half (§III-D; Goldenthal 2007):
 
@@ -122,7 +121,6 @@ class VertexChain:
             at.ratio = ratio
             before = u
 
-    @ti.func
     def apply_lengths(self, rod, of_gradient: ti.template()):
         """Fast projection, the backward half: subtract Jᵀ y from the trial vertices, or from the trial gradient, which is also
         set to zero at held vertices. Returns Σ |gradient| over the vertices (zero for positions)."""
@@ -155,7 +153,6 @@ class VertexChain:
         first.value = x
         return total
 
-    @ti.func
     def adopt(self, rod, accepted):
         """Make the trial the state where accepted. Returns a record: ``ss``, ``sy``, ``yy`` of the change s of the vertices and
         y of the gradient, and ``top``, the largest gradient of any vertex."""
@@ -175,7 +172,6 @@ class VertexChain:
         change.top = ti.sqrt(change.top)
         return change
 
-    @ti.func
     def load_rod(self, tables, origin, s, g):
         """Start s and material g into a lane, whose vertex 0 is ``origin``; returns (longest edge, shortest edge)."""
         edges = tables.directors.shape[1]
@@ -193,3 +189,149 @@ class VertexChain:
                 if v > 0:
                     at.inverse_length = 1.0 / (tables.rest_length[row, v - 1] + tables.rest_length[row, v])
         return longest, shortest
+
+    # --- the energy of the trial vertices and directors ---
+
+    def edge(self, rod, index):
+        """The record of an edge: e, |e|, t, m1, m2 and B."""
+        at, after = self.vertex(rod.origin, index), self.vertex(rod.origin, index + 1)
+        e = minus(after.trial_position, at.trial_position)
+        t, m1 = direction(e), at.trial_director
+        length, bend = at.length, at.bend
+        return record(e=e, length=length, t=t, m1=m1, m2=cross(t, m1), bend=bend)
+
+    def joint(self, rod, e):
+        """The record of the vertex between edge ``e`` and the one after it:
+
+        left, right              the edges (:meth:`edge`)
+        binormal, bottom         κb and its denominator
+        omega_left, omega_right  ω as either frame sees it; moment_left, moment_right  B (ω − u̅)/l̄
+        rest                     u̅ = ω̄ l̄/2
+        inverse, twist           1/l̄, and the angle of twist
+        stiffness                β/l̄
+        """
+        after = self.vertex(rod.origin, e + 1)
+        left, right = self.edge(rod, e), self.edge(rod, e + 1)
+        inverse = after.inverse_length
+        binormal, bottom = vertex_form.curvature_binormal(left.e, right.e, left.length, right.length)
+        reference = vertex_form.transported(left.t, right.t, left.m1)
+        rest = after.rest
+        omega_left = vertex_form.material_curvature(binormal, left.m1, left.m2)
+        omega_right = vertex_form.material_curvature(binormal, right.m1, right.m2)
+        return record(
+            left=left, right=right, binormal=binormal, bottom=bottom, omega_left=omega_left, omega_right=omega_right,
+            moment_left=vertex_form.bend_moment(left.bend, omega_left, rest, inverse),
+            moment_right=vertex_form.bend_moment(right.bend, omega_right, rest, inverse), rest=rest, inverse=inverse,
+            twist=self.signed_angle(dot(reference, right.m1), dot(cross(reference, right.m1), right.t)),
+            stiffness=after.twist * inverse)
+
+    def spins(self, joint):
+        """First and second derivatives of a joint's bend energy by the spins of its frames: ((first, second) of the left frame,
+        of the right one)."""
+        left = vertex_form.spin_derivatives(joint.left.bend, joint.moment_left, joint.omega_left, joint.inverse)
+        right = vertex_form.spin_derivatives(joint.right.bend, joint.moment_right, joint.omega_right, joint.inverse)
+        return left, right
+
+    def bend_force(self, joint):
+        """Derivatives of a joint's bend energy by the edge before and the edge after."""
+        left, right = joint.left, joint.right
+        return vertex_form.bend_force(joint.moment_left, joint.moment_right, left.m1, left.m2, right.m1, right.m2,
+                                      joint.binormal, joint.bottom, left.e, right.e)
+
+    def minimise_twist(self, rod):
+        """One Newton round on the twist angles, the vertices held: a scalar tridiagonal system."""
+        one = 0.0 * rod.spin[0] + 1.0
+        zero = 0.0 * one
+        gradient, curvature = (zero, zero)  # of the joint before
+        ratio, right, coupling = (zero, zero, zero)
+        for e in range(rod.edges):
+            at = self.vertex(rod.origin, e)
+            g, h = gradient, curvature
+            gradient, curvature = (zero, zero)
+            b2 = zero
+            if e < rod.edges - 1:
+                joint = self.joint(rod, e)
+                b2 = 2.0 * joint.stiffness
+                of_left, of_right = self.spins(joint)
+                g, h = g + of_left[0] - b2 * joint.twist, h + of_left[1] + b2
+                gradient, curvature = of_right[0] + b2 * joint.twist, of_right[1] + b2
+            free, after_free = (one, one)
+            if e == 0:
+                free = rod.spin[0]
+            if e == rod.edges - 1:
+                free = rod.spin[1]
+            if e == rod.edges - 2:
+                after_free = rod.spin[1]
+            pivot = h - coupling * ratio
+            pivot = ti.select((free > 0.5) & (pivot > 0.0), pivot, one)
+            right = free * (0.0 - g - coupling * right) / pivot
+            coupling = 0.0 - b2 * free * after_free
+            ratio = coupling / pivot
+            at.right = right
+            at.ratio = ratio
+        self.spin_frames(rod)
+
+    def spin_frames(self, rod):
+        """Turn the trial directors by the angles of :meth:`minimise_twist`, half a radian at most."""
+        angle = 0.0 * rod.spin[0]
+        for back in range(rod.edges):
+            e = rod.edges - 1 - back
+            at, after = self.vertex(rod.origin, e), self.vertex(rod.origin, e + 1)
+            angle = at.right - at.ratio * angle
+            t = direction(minus(after.trial_position, at.trial_position))
+            m1 = at.trial_director
+            turn = ti.min(ti.max(angle, 0.0 * angle - 0.5), 0.0 * angle + 0.5)
+            at.trial_director = vertex_form.spun(m1, cross(t, m1), turn)
+
+    def evaluate(self, rod):
+        """The record of ``energy``, its ``magnitude`` (sum of absolute terms) and ``spin``, the largest moment of spin; the
+        gradient goes to ``trial_force``.
+
+        ∂E/∂x_v = N_{v−1} − N_v + μ l̄_v up, N_j the derivative with respect to edge j.
+        """
+        zero = 0.0 * rod.spin[0]
+        found = record(energy=zero, magnitude=zero, spin=zero)
+        potential, before, carried = (zero, zero, zero)
+        n = variable(repeated(zero, 3))
+        for v in range(rod.edges + 1):
+            at = self.vertex(rod.origin, v)
+            length = zero
+            if v < rod.edges:
+                length = at.length
+            weight = before + length
+            before = length
+            height = weight * dot(rod.gravity, at.trial_position)
+            potential = potential + height
+            found.magnitude = found.magnitude + absolute(height)
+            f = plus(n, scaled(rod.gravity, weight))
+            # Take the next edge's derivative: what the vertex before left for it, and the joint after it.
+            n = repeated(zero, 3)
+            if v < rod.edges:
+                if v > 0:
+                    n = at.trial_force
+                moment = carried
+                carried = zero
+                if v < rod.edges - 1:
+                    joint = self.joint(rod, v)
+                    left, right = joint.left, joint.right
+                    torque = joint.stiffness * joint.twist
+                    found.energy = (found.energy + torque * joint.twist
+                                    + vertex_form.bend_energy(joint.moment_left, joint.omega_left, joint.rest)
+                                    + vertex_form.bend_energy(joint.moment_right, joint.omega_right, joint.rest))
+                    of_left, of_right = self.bend_force(joint)
+                    # Holonomy: δm = ½ κb·(δe⁻/|e⁻| + δe⁺/|e⁺|).
+                    n = plus(plus(n, of_left), scaled(joint.binormal, torque / left.length))
+                    after = self.vertex(rod.origin, v + 1)
+                    after.trial_force = plus(of_right, scaled(joint.binormal, torque / right.length))
+                    spin_left, spin_right = self.spins(joint)
+                    moment = moment + spin_left[0] - 2.0 * torque
+                    carried = spin_right[0] + 2.0 * torque
+                if v == 0:
+                    moment = moment * rod.spin[0]
+                if v == rod.edges - 1:
+                    moment = moment * rod.spin[1]
+                found.spin = larger(found.spin, absolute(moment))
+            at.trial_force = minus(f, n)
+        found.magnitude = found.energy + found.magnitude
+        found.energy = found.energy + potential
+        return found

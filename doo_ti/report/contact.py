@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from doo_ti.contact.meshes import mesh
-from doo_ti.contact.moving import Moving
+from doo_ti.contact.distance_grid import mesh
 from doo_ti.contact.obstacles import PLANE, Obstacle
-from doo_ti.contact.surroundings import Surroundings
+from doo_ti.contact.surroundings import Moving, Surroundings
 from doo_ti.report.canvas import box, direction, limits_around, literal, new_figure, save_figure, upright_basis, widest
 
 if TYPE_CHECKING:  # it brings the solvers, and Taichi with them

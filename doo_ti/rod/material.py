@@ -113,7 +113,7 @@ class Material:
     @typed
     def from_physical(cls, EI: ArrayLike, GJ: ArrayLike, weight_per_length: ArrayLike) -> "Material":  # noqa: N803
         """The round rods of stiffness EI and GJ in N m² that weigh ``weight_per_length`` in N/m, scalars or (R,); μ is 1.
-        Forces and moments of these rods come out in N and N m (:func:`doo_ti.relaxation.end_loads.end_loads`).
+        Forces and moments of these rods come out in N and N m (:func:`doo_ti.relaxation.sensitivity.end_loads`).
 
         Raises InputError as the class does, and for a rod without weight, which has no stiffness relative to it.
         """

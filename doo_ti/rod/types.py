@@ -276,7 +276,7 @@ class Solution:
 
     @property
     def contact(self) -> Any:
-        """Forces, gaps and touching vertices as :class:`doo_ti.contact.contacts.Contacts`; None without obstacles, and without
+        """Forces, gaps and touching vertices as :class:`doo_ti.contact.touch.Contacts`; None without obstacles, and without
         ``tables``."""
         table = getattr(self.tables, "contact", None)
         return None if table is None else table.contacts(self.configuration.vertices, self.contact_force)

@@ -16,8 +16,8 @@ length of the edge's image there, A the lens' Jacobian in px and w = (d1 − X d
 import taichi as ti
 
 from doo_ti.physics import tuples
-from doo_ti.physics.algebra import largest_of
-from doo_ti.physics.tuples import full, itemwise, picked, record, repeated, unevaluated
+from doo_ti.physics.algebra import full, largest_of
+from doo_ti.physics.tuples import itemwise, picked, record, repeated, unevaluated
 from doo_ti.vision.sampling import (
     CAMERA_COLUMNS,
     WINDOW_COLUMNS,

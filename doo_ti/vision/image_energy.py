@@ -25,9 +25,9 @@ from typing import ClassVar
 import numpy as np
 import taichi as ti
 
-from doo_ti.physics.number import Number
-from doo_ti.physics.tuples import full, minus, plus, put_lane, record, repeated, scaled
-from doo_ti.physics.view import Layout
+from doo_ti.physics.algebra import full
+from doo_ti.physics.number import Layout, Number
+from doo_ti.physics.tuples import minus, plus, put_lane, record, repeated, scaled
 from doo_ti.relaxation.external import External, ExternalFunctions
 from doo_ti.relaxation.tables import MOST_NUMBERS
 from doo_ti.system.arguments import typed

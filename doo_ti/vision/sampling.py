@@ -13,8 +13,9 @@ from functools import partial
 import numpy as np
 import taichi as ti
 
-from doo_ti.physics.tuples import applied, dot, full, plus, put_lane, record, repeated, times_transposed, traced, transposed
-from doo_ti.physics.tuples import row as row_of
+from doo_ti.physics.algebra import applied, full, times_transposed, transposed
+from doo_ti.physics.algebra import row as row_of
+from doo_ti.physics.tuples import dot, plus, put_lane, record, repeated, traced
 from doo_ti.vision import cameras as camera
 from doo_ti.vision.cameras import Rig
 

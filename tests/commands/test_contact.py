@@ -7,7 +7,7 @@ import pytest
 
 from doo_ti import Observations, save_observations
 from doo_ti.commands.cli import main
-from doo_ti.contact.itself import smallest_self_gap
+from doo_ti.contact.surroundings import smallest_self_gap
 from tests.commands.calls import refused, written
 from tests.contact.topology import determinant
 

@@ -4,8 +4,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
 
+from doo_ti import Configuration
 from doo_ti.rod.frames import across
-from doo_ti.rod.types import Configuration
 from tests.references.rods import chain
 
 ANGLE, CURVATURE, X, Z = range(4)

@@ -5,14 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Capsule, Clamp, Clamps, Configuration, InputError, Material, Plane, predict, predict_step, relax, rod_along
-from doo_ti.dynamics.grippers import Grippers
-from doo_ti.dynamics.parameters import Dynamics, Stepping
-from doo_ti.dynamics.simulate import simulate
-from doo_ti.io.motion_file import ClampPath
-from doo_ti.relaxation.newton import Newton
-from doo_ti.rod.shapes import end_clamps, straight_rod
-from doo_ti.rod.types import Solution, Status
+from doo_ti import Capsule, ClampPath, Dynamics, Grippers, InputError, Newton, Plane, Stepping, relax, simulate
+from doo_ti.motion.predict import predict, predict_step
+from doo_ti.rod.shapes import end_clamps, rod_along, straight_rod
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution, Status
 from tests.references.rods import clamps_at
 from tools.bench import contact as pegs
 from tools.bench.contact import Specimens

@@ -5,36 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import (
-    Capsule,
-    Clamp,
-    Dynamics,
-    Grippers,
-    Group,
-    Itself,
-    Material,
-    Moving,
-    Newton,
-    Plane,
-    Ring,
-    Sphere,
-    Stepping,
-    end_clamps,
-    end_loads,
-    hanging,
-    predict,
-    relax,
-    relax_group,
-    simulate,
-    straight_rod,
-)
-from doo_ti.contact.obstacles import Box
-from doo_ti.contact.surroundings import Surroundings
-from doo_ti.dynamics.paths import obstacle_path
-from doo_ti.io.motion_file import ClampPath
+from doo_ti import Clamp, ClampPath, Group, InputError, Material, Newton, end_loads, predict, relax, relax_group, simulate
+from doo_ti.contact.obstacles import Box, Capsule, Plane, Ring, Sphere
+from doo_ti.contact.surroundings import Itself, Moving, Surroundings
+from doo_ti.dynamics.grippers import Grippers, obstacle_path
+from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.relaxation.time_loading import POSE_COLUMNS
 from doo_ti.rod.frames import matrix_from_quaternion, quaternion_of_turn
-from doo_ti.system.errors import InputError
+from doo_ti.rod.shapes import end_clamps, hanging, straight_rod
 from tests.contact.clutter import gaps
 
 FLOOR = Plane((0, 0, -10), (0, 0, 1))

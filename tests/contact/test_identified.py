@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Grippers, InputError, Moving, Observations, Plane, RecordedMotion, Stepping, Stills, Surroundings, simulate
+from doo_ti import Grippers, InputError, Moving, Observations, Plane, RecordedMotion, Stepping, Surroundings, simulate
 from doo_ti.commands.cli import main
 from doo_ti.dynamics.identify import IdentifyOptions, identify, identify_from_guesses
 from doo_ti.dynamics.rollouts import Nearby
-from doo_ti.dynamics.theta import MotionTheta, Unknowns, load_theta, save_form, simulated
+from doo_ti.dynamics.theta import MotionTheta, Stills, Unknowns, load_theta, save_form, simulated
 from doo_ti.rod.frames import bishop_frames, quaternion_from_matrix, rotation_matrix
 from doo_ti.rod.types import Clamp, Configuration
 

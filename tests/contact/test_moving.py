@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, ClampPath, Grippers, InputError, Material, Moving, Touch, predict_moving, relax, simulate
+from doo_ti import Clamp, ClampPath, Dynamics, Grippers, InputError, Material, Moving, Stepping, predict_moving, relax, simulate
 from doo_ti.commands.cli import main
 from doo_ti.contact.obstacles import Capsule, Cylinder, Plane
-from doo_ti.contact.touch import GAP_TOLERANCE
-from doo_ti.dynamics.parameters import Dynamics, Stepping
+from doo_ti.contact.touch import GAP_TOLERANCE, Touch
 from doo_ti.dynamics.scene import load_motion_scene
 from doo_ti.rod.frames import rotation_matrix
 from doo_ti.rod.shapes import end_clamps, hanging, straight_rod

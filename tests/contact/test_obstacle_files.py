@@ -1,12 +1,20 @@
-"""Obstacles in TOML files, and the gaps and meshes of what they state."""
+"""Obstacles in TOML files, and the gaps and meshes of what they state. Obstacles given by their distances on a grid:
+derivatives, shapes as with the obstacle itself, files, meshes, errors."""
 
+
+import re
+import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from doo_ti import Box, Capsule, Cylinder, InputError, Plane, Ring, Sphere, Surroundings, load_obstacles
-from doo_ti.contact.meshes import mesh
+from doo_ti import Clamp, Clamps, Configuration, InputError, Material, Surroundings, load_obstacles, relax, straight_rod
+from doo_ti.contact.distance_grid import DistanceGrid, mesh
+from doo_ti.contact.obstacles import Box, Capsule, Cylinder, Plane, Ring, Sphere
 from doo_ti.dynamics.scene import load_motion_scene
+from tests.contact import test_friction
+from tests.contact.clutter import differences
 
 ALL = """
 [[obstacles]]
@@ -118,3 +126,172 @@ def test_meshes_lie_on_the_surfaces(tmp_path):
         vertices, triangles = mesh(obstacle, 0, np.array([5.0, 5.0, 50.0]), 100.0)
         value = obstacle.distance(vertices[None])[0]
         assert np.abs(value).max() < 1e-9 and triangles.min() == 0 and triangles.max() == len(vertices) - 1
+
+
+RADIUS, BALL = 1.0, 15.0
+
+
+def sampled(obstacle, spacing: float, low, high, **pose) -> DistanceGrid:
+    """An obstacle on a grid."""
+    counts = np.round((np.array(high) - low) / spacing).astype(int) + 1
+    points = np.array(low) + spacing * np.indices(counts).reshape(3, -1).T
+    return DistanceGrid(obstacle.distance(points[None])[0].reshape(counts), spacing, low, **pose)
+
+
+def ball(spacing: float, **pose) -> DistanceGrid:
+    return sampled(Sphere((0, 0, 0), BALL), spacing, [-24.0] * 3, [24.0] * 3, **pose)
+
+
+def rotation(rng) -> np.ndarray:
+    """A random one."""
+    q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    return q * np.linalg.det(q)
+
+
+def test_the_normal_is_the_gradient_of_the_distance_inside_the_grid_and_outside(rng):
+    grid = ball(2.0, rotation=rotation(rng), position=(1, 2, 3))
+    points = rng.normal(scale=20.0, size=(1, 2000, 3)) + [1, 2, 3]
+    value, normal = grid.distance(points)
+    # A difference may straddle the border.
+    assert np.quantile(np.abs(differences(grid, points) - normal).max(axis=-1), 0.998) < 1e-7
+    exact = np.linalg.norm(points - [1, 2, 3], axis=-1) - BALL
+    outside = np.abs((points - [1, 2, 3]) @ grid.rotation[0]).max(axis=-1) > 24
+    assert outside.mean() > 0.2 and (value[outside] < exact[outside] + 1e-3).all(), "never more than the distance"
+    assert (value[outside] > 0.7 * exact[outside]).all()
+    assert np.isnan(grid.distance(np.full((1, 1, 3), np.nan))[0]).all()
+
+
+def over_a_ball(count: int) -> tuple[Configuration, Clamps]:
+    """Rods of 120 mm across a ball, bent upwards between their clamps."""
+    rods = straight_rod(120.0, 30, (-58.0, 0.0, 13.0)).take(np.zeros(count, dtype=int))
+    share = np.linspace(0.0, 1.0, count)
+    ends = np.stack([60.5 - share, 6 * share - 3, 11 + 4 * share], -1)
+    clamps = Clamps(Clamp.FRAME, Clamp.FRAME, rods.start, ends, rods.frames[:, 0], rods.frames[:, 0])
+    return relax(rods, Material(1e5, 1e5), clamps, up=(0, 0, -1)).configuration, clamps
+
+
+@pytest.mark.slow
+def test_rods_on_a_ball_given_by_a_grid_are_as_on_the_ball(rng):
+    rods, clamps = over_a_ball(16)
+    fine, coarse = ball(1.0, rotation=rotation(rng)), ball(4.0, rotation=rotation(rng))
+    exact, found, rough = (relax(rods, Material(1e5, 1e5), clamps, obstacles=[obstacle], radius=RADIUS)
+                           for obstacle in (Sphere((0, 0, 0), BALL), fine, coarse))
+    assert found.converged.all() and found.stable.all() and found.contact.touching.any(axis=1).all()
+    off, more = (np.abs(one.configuration.vertices - exact.configuration.vertices).max() for one in (found, rough))
+    assert off < 3e-5
+    assert more > 30 * off, "more than second order in the spacing"
+    assert np.allclose(found.contact_force.sum(axis=1), exact.contact_force.sum(axis=1), rtol=1e-2, atol=1.0)
+    assert found.contact.gap.min() > -1e-3 * RADIUS
+
+
+@pytest.mark.slow
+def test_a_block_slides_on_a_slab_given_by_a_grid(monkeypatch):
+    """Its friction is along the surface although the gradient of a grid is not quite of unit length. It begins in contact: an
+    impact would cost half a step's acceleration."""
+    slab = Box((40, 20, -10), (150, 70, 20))
+    monkeypatch.setattr(test_friction, "Plane", lambda point, normal, friction: sampled(
+        slab, 2.5, [-50.0, -30.0, -35.0], [130.0, 70.0, 15.0], friction=friction, position=(0, 0, -0.0022)))
+    # So stiff a block bears on the ripples of a grid's surface: its forces need gaps that are closed further.
+    moved = test_friction.on_slope([0.0, 0.2, 0.5], replace(test_friction.STEPPING, gap_tolerance=5e-6))
+    test_friction.test_it_slides_as_a_block_does(moved)
+    test_friction.test_it_stays_where_friction_is_large_enough(moved)
+    assert np.allclose(-moved.contact_force[1, -1].sum(0)[0], 0.2 * moved.contact_force[1, -1].sum(0)[2], rtol=1e-2)
+
+
+def test_the_drawn_surface_is_that_of_the_obstacle():
+    vertices, triangles = mesh(ball(2.0, position=(5, 0, 0)), 0, np.zeros(3), 100.0)
+    assert np.abs(np.linalg.norm(vertices - [5, 0, 0], axis=1) - BALL).max() < 0.3
+    assert triangles.min() == 0 and triangles.max() == len(vertices) - 1
+    corners = vertices[triangles]
+    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert (np.einsum("na,na->n", outward, corners.mean(axis=1) - [5, 0, 0]) > 0).all()
+    assert len(vertices) - 3 * len(triangles) / 2 + len(triangles) == 2, "closed"
+
+
+TABLE = '[[obstacles]]\nkind = "grid"\nfile = "ball.npz"\nposition = [0, 0, 10]\nfriction = 0.2\n'
+
+
+@pytest.fixture
+def folder(tmp_path):
+    grid = ball(4.0)
+    np.savez(tmp_path / "ball.npz", values=grid.values, spacing=4.0, origin=grid.origin[0])
+    np.savez(tmp_path / "flat.npz", values=grid.values[0], spacing=4.0, origin=grid.origin[0])
+    np.savez(tmp_path / "hole.npz", values=np.where(grid.values < 0, np.nan, grid.values), spacing=4.0, origin=grid.origin[0])
+    np.savez(tmp_path / "half.npz", values=grid.values[6:], spacing=4.0, origin=grid.origin[0])
+    np.savez(tmp_path / "dense.npz", values=grid.values, spacing=0.0, origin=grid.origin[0])
+    np.savez(tmp_path / "bare.npz", values=grid.values)
+    (tmp_path / "broken.stl").write_text("solid nothing\n")
+    (tmp_path / "table.toml").write_text(TABLE)
+    return tmp_path
+
+
+def test_a_grid_is_read_from_a_file_beside_the_scene(folder):
+    (grid,) = load_obstacles(folder / "table.toml")
+    assert grid.friction == 0.2 and grid.values.shape == (13, 13, 13) and "values (13, 13, 13)" in repr(grid)
+    assert grid.distance(np.array([[[0.0, 0, 30]]]))[0] == pytest.approx(5.0, abs=0.02)
+    assert grid != ball(4.0) and grid.take([0]).coefficients is grid.coefficients
+
+
+WRONG = {
+    "a file that is not there": ("ball.npz", "none.npz", "none.npz: file: no such file"),
+    "values of two axes": ("ball.npz", "flat.npz", "flat.npz: values: shape (13, 13); give (X, Y, Z)"),
+    "NaN": ("ball.npz", "hole.npz", "hole.npz: values: not finite"),
+    "an obstacle that is cut": ("ball.npz", "half.npz", "half.npz: values: -15 mm at the border"),
+    "no spacing": ("ball.npz", "dense.npz", "dense.npz: spacing: 0; give a positive length"),
+    "arrays that are missing": ("ball.npz", "bare.npz", "bare.npz: spacing: missing; store values, spacing, origin"),
+    "file and mesh": ("file", 'mesh = "ball.stl"\nfile', "obstacles[0].file: given beside mesh; give file or mesh"),
+    "neither": ('file = "ball.npz"', "", "obstacles[0].file: missing; give file or mesh"),
+    "a mesh without spacing": ("file", "mesh", "obstacles[0].spacing: missing beside mesh"),
+    "a file with spacing": ("file", "spacing = 1\nfile", "obstacles[0].spacing: given beside file; leave it out"),
+    "a negative spacing": ("file", "spacing = -1\nmesh", "obstacles[0].spacing: -1 is not allowed; give a number > 0"),
+    "no rotation": ("friction", "rotation = [[1, 0, 0], [0, 2, 0], [0, 0, 1]]\nfriction", "obstacles[0].rotation: off a"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_files_are_named_in_one_line(folder, case):
+    old, new, message = WRONG[case]
+    (folder / "table.toml").write_text(TABLE.replace(old, new, 1))
+    with pytest.raises(InputError, match=re.escape(message)) as error:
+        load_obstacles(folder / "table.toml")
+    assert "\n" not in str(error.value)
+
+
+def test_a_grid_that_ends_near_its_obstacle_is_refused():
+    rods, clamps = over_a_ball(1)
+    with pytest.raises(InputError, match="a grid ends 9 mm from its obstacle, less than a rod's diameter of 10 mm"):
+        relax(rods, Material(1e5, 1e5), clamps, obstacles=[ball(4.0)], radius=5.0)
+
+
+def test_without_trimesh_a_mesh_is_refused_in_one_line(monkeypatch):
+    monkeypatch.setitem(sys.modules, "trimesh", None)
+    with pytest.raises(InputError, match=re.escape("mesh: trimesh or rtree is not installed; pip install 'doo_ti[mesh]'")):
+        DistanceGrid.from_mesh("part.stl", 1.0)
+
+
+def test_a_grid_of_a_mesh(folder):
+    trimesh = pytest.importorskip("trimesh")
+    pytest.importorskip("rtree")
+    surface = trimesh.creation.icosphere(subdivisions=3, radius=BALL)
+    surface.export(folder / "ball.stl")
+    (folder / "table.toml").write_text(TABLE.replace('file = "ball.npz"', 'mesh = "ball.stl"\nspacing = 4\nmargin = 9'))
+    (grid,) = load_obstacles(folder / "table.toml")
+    points = np.random.default_rng(3).normal(scale=9.0, size=(1, 200, 3))
+    assert np.abs(grid.values - DistanceGrid.from_mesh((surface.vertices, surface.faces), 4.0, 9.0).values).max() < 1e-5
+    near = np.abs(np.linalg.norm(points, axis=-1) - BALL) < 3
+    off = grid.distance(points + [0, 0, 10])[0] - np.linalg.norm(points, axis=-1) + BALL
+    assert np.abs(off[near]).max() < 0.1, "the mesh is that far inside the ball"
+    whole = (folder / "ball.stl").read_bytes()
+    for name, content in (("half.stl", whole[: len(whole) // 2]), ("text.obj", b"v 0 0 \xff\xfe\x81"), ("ball.zip", b"PK")):
+        (folder / name).write_bytes(content)
+    for name, message in (("broken.stl", "broken.stl: "), ("half.stl", "half.stl: file: 32,042 bytes where its header says"),
+                          ("text.obj", "text.obj: file: no mesh ("), ("ball.zip", "suffix '.zip' is not"),
+                          ("none.stl", "none.stl: file: no such file")):
+        with pytest.raises(InputError, match=re.escape(message)) as caught:
+            DistanceGrid.from_mesh(folder / name, 1.0)
+        assert "charset" not in str(caught.value)
+    with pytest.raises(InputError, match="mesh: not a closed surface"):
+        DistanceGrid.from_mesh((surface.vertices, surface.faces[1:]), 4.0)
+    for arguments, message in (((0.0,), "spacing: 0; give"), ((1e-3,), "spacing: 0.001 mm makes"), ((4.0, -1.0), "margin: -1")):
+        with pytest.raises(InputError, match=re.escape(message)):
+            DistanceGrid.from_mesh((surface.vertices, surface.faces), *arguments)

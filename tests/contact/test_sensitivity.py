@@ -5,30 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import (
-    Clamp,
-    Configuration,
-    Itself,
-    Material,
-    Newton,
-    Plane,
-    PointLoads,
-    Sphere,
-    end_clamps,
-    end_loads,
-    overhand_knot,
-    pullback,
-    relax,
-    straight_rod,
-)
-from doo_ti.relaxation.sensitivity import sensitivity, tilt_axes
+from doo_ti import Clamp, Configuration, Itself, Material, Newton, Plane, PointLoads, Sphere, pullback, relax
+from doo_ti.relaxation.sensitivity import end_loads, sensitivity, tilt_axes
 from doo_ti.rod.frames import rotation_matrix
+from doo_ti.rod.shapes import end_clamps, overhand_knot, straight_rod
 from tests.contact.clutter import OBSTACLES, RADIUS, sagging
 from tests.references.rods import clamps_at
 from tests.relaxation.rods import with_kinds
 
-SHARP = Newton(tolerance=1e-11, max_iterations=2000, gap_tolerance=1e-10)
-"""So that differences of rods relaxed twice are exact."""
+SHARP = Newton(tolerance=1e-11, max_iterations=2000, gap_tolerance=1e-10)  # so that differences of rods relaxed twice are exact
 UP = np.array([0.1, 0.05, 1.0]) / np.linalg.norm([0.1, 0.05, 1.0])
 LOADS = ("start_force", "start_moment", "end_force", "end_moment")
 

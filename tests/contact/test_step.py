@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Clamp, Material, Newton, Plane, relax, straight_rod
-from doo_ti.relaxation.contact_layout import BENDING_LOADS, SOFT
+from doo_ti.relaxation.contact_table import BENDING_LOADS, SOFT
 from tests.oracle.algebra import spun_and_tilted
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import clamped_start, free_variables, moved, vertices_of

@@ -4,8 +4,7 @@ import numpy as np
 
 from doo_ti.rod.frames import total_twist
 
-FAR = 50.0
-"""Rod lengths to the points by which a rod is closed."""
+FAR = 50.0  # rod lengths to the points by which a rod is closed
 
 
 def closed(vertices: np.ndarray) -> np.ndarray:

@@ -3,14 +3,13 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from doo_ti import Clamp, Grippers, Stepping, simulate
-from doo_ti.dynamics.theta import MotionTheta, simulated
+from doo_ti import Clamp, Grippers, MotionTheta, Stepping, simulate
+from doo_ti.dynamics.theta import simulated
 from doo_ti.rod.frames import edge_frames
 from tests.references.rods import chain, stacked
 
 RATE = 100.0
-SETTLING = 60
-"""Instants for which the grippers rest before a simulated recording begins."""
+SETTLING = 60  # instants for which the grippers rest before a simulated recording begins
 
 
 def carried(rng, count: int, frames: int, markers: int, spacing: float = 40.0, speed: float = 600.0) -> np.ndarray:

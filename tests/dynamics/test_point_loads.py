@@ -3,21 +3,8 @@
 import numpy as np
 import pytest
 
-from doo_ti import (
-    Clamp,
-    Dynamics,
-    Grippers,
-    InputError,
-    Material,
-    PointLoads,
-    Springs,
-    Stepping,
-    end_clamps,
-    relax,
-    simulate,
-    straight_rod,
-)
-from doo_ti.dynamics.parameters import GRAVITY
+from doo_ti import Clamp, Grippers, InputError, Material, PointLoads, Springs, end_clamps, relax, simulate, straight_rod
+from doo_ti.dynamics.parameters import GRAVITY, Dynamics, Stepping
 
 LENGTH, EDGES = 200.0, 16
 ROD = straight_rod(LENGTH, EDGES)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from doo_ti.dynamics.recorded import FINE, GRIPPED, LOST, SWAPPED, RecordedMotion, elapsed_steps
+from doo_ti import InputError, RecordedMotion
+from doo_ti.dynamics.recorded import FINE, GRIPPED, LOST, SWAPPED, elapsed_steps
 from doo_ti.dynamics.rollouts import LARGEST_REACH, lay_out
-from doo_ti.system.errors import InputError
 from tests.dynamics.recordings import RATE, carried
 
 REFERENCE = np.array([0.0, 0.0, 1.0])

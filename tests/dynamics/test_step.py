@@ -1,17 +1,169 @@
-"""Steps of ``simulate`` against dense f64 linear algebra on the equations of motion."""
+"""Steps of ``simulate`` against dense f64 linear algebra on the equations of motion.
+
+A rod in motion by dense f64 linear algebra: each implicit step solves the equations of motion over all unknowns at once.
+
+With D u = (c0 u + c1 u1 + c2 u2)/h, u1 and u2 the values at the last two instants, the equations are, for every vertex i,
+
+    m_i D(D x)_i + (d_i + e_i |w_i|) (D x)_i + ∂E/∂x_i = 0,   w = 2 v1 − v2 the speed extrapolated to the end of the step,
+
+and in every joint, besides the elastic moments, τ B Dω of bending and likewise of twist; edges keep their lengths and clamps
+hold what they hold. The unknowns are the translation of vertex 0 and the body rotations of all frames.
+"""
+
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from doo_ti import Clamp, Dynamics, Grippers, Material, MovingStart, Newton, Springs, Status, Stepping, simulate
+from doo_ti import Dynamics, Grippers, MovingStart, Newton, Springs, Stepping, simulate
 from doo_ti.dynamics import simulate as simulation
 from doo_ti.rod.frames import quaternion_product, smallest_rotation
-from tests.dynamics.dense import Body, Instant, step
-from tests.oracle.algebra import directors
-from tests.oracle.chain_form import rod_of
-from tests.oracle.equilibrium import clamped_start, vertices_of
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
+from tests.oracle.algebra import body_rotated, directors, gradient_and_hessian, seeds
+from tests.oracle.chain_form import Rod, chain_derivatives, closure_gradient, linear_derivatives, rod_of
+from tests.oracle.equilibrium import State, clamped_start, free_variables, moved, vertices_of
+from tests.oracle.external import vertex_jacobian
+from tests.oracle.pair import quadratic, strains
 from tests.relaxation.rods import wandering
+
+GRAVITY = 9806.65
+COEFFICIENTS = {"euler": (1.0, -1.0, 0.0), "bdf2": (1.5, -2.0, 0.5)}
+
+
+@dataclass(frozen=True)
+class Body:
+    """What stays fixed while a rod moves.
+
+    mass (V,) energy s²/mm², that of point masses included; load (V,) their weight; drag (V,) energy s/mm²; drag_by_speed
+    (V,) energy s²/mm³; bend_damping, twist_damping s; spring_points (V, 3), spring_stiffness (V,).
+    """
+
+    rod: Rod
+    mass: np.ndarray
+    load: np.ndarray
+    drag: np.ndarray
+    drag_by_speed: np.ndarray
+    bend_damping: float
+    twist_damping: float
+    spring_points: np.ndarray
+    spring_stiffness: np.ndarray
+
+    @property
+    def is_round(self) -> bool:
+        """Whether the rod looks the same from all sides."""
+        bend = self.rod.bend
+        return bool((bend == bend[0, 0, 0] * np.eye(2)).all() and not self.rod.rest_curvature.any())
+
+    @classmethod
+    def of(cls, rod: Rod, density, point_mass, drag, quadratic_drag, bend_damping, twist_damping, spring_points,
+           spring_stiffness) -> "Body":
+        """From the numbers that the package takes; point_mass (V,) mm of rod."""
+        own = 2.0 * density / GRAVITY * rod.vertex_length / 2.0
+        point = np.broadcast_to(point_mass, own.shape)
+        return cls(rod, own + 2.0 * density / GRAVITY * point, 2.0 * rod.weight * point, drag * own, quadratic_drag * own,
+                   bend_damping, twist_damping, spring_points, spring_stiffness)
+
+
+@dataclass(frozen=True)
+class Instant:
+    """Positions (V, 3), velocities (V, 3) and frames (E, 4) of a rod at one time."""
+
+    x: np.ndarray
+    v: np.ndarray
+    q: np.ndarray
+
+
+def joint_strains(q: np.ndarray) -> np.ndarray:
+    """(5, E − 1) ω^left, ω^right and m of the joints of frames (E, 4)."""
+    left, right, turn = strains(list(q[:-1].T), list(q[1:].T))
+    return np.array([*left, *right, turn])
+
+
+def damping_derivatives(body: Body, q: np.ndarray, previous: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
+    """(3E,) gradient and (3E, 3E) Hessian of the potential of the damping moments, rate = c0/h; previous (5, E − 1) is where
+    the strains' derivative in time is zero."""
+    rod, joints = body.rod, body.rod.edges - 1
+    gradient, hessian = np.zeros(3 * rod.edges), np.zeros((3 * rod.edges, 3 * rod.edges))
+    w = seeds(6, like=1)
+    frames = [body_rotated([part[:, None, None] for part in frame.T], turn)
+              for frame, turn in ((q[:-1], w[:3]), (q[1:], w[3:]))]
+    left, right, turn = strains(*frames)
+    y = previous[:, :, None, None]
+    length = (rod.rest_length[:-1] + rod.rest_length[1:])[:, None, None]
+    bend = [b[:, None, None] for b in (rod.bend[:-1], rod.bend[1:])]
+    bending = sum(quadratic(b, [u[0] - at[0], u[1] - at[1]])
+                  for b, u, at in ((bend[0], left, y[:2]), (bend[1], right, y[2:4])))
+    twisting = (turn - y[4]) * (turn - y[4]) * rod.twist[:, None, None]
+    energy = (bending * (0.5 * body.bend_damping) + twisting * body.twist_damping) * (rate / length)
+    slopes, curvatures = gradient_and_hessian(energy, (joints,), 6)
+    for i in range(joints):
+        block = slice(3 * i, 3 * i + 6)
+        gradient[block] += slopes[i]
+        hessian[block, block] += curvatures[i]
+    return gradient, hessian
+
+
+def step(body: Body, last: Instant, before: Instant, clamps: Clamps, index: int, h: float,
+         scheme: str) -> tuple[Instant, np.ndarray]:
+    """(the rod a step after ``last``, force (3,) of the far clamp on it), its ends held by row ``index`` of ``clamps``."""
+    rod, (c0, c1, c2) = body.rod, COEFFICIENTS[scheme]
+    guess = Configuration(np.array([last.x[0]]), np.array([last.q]), rod.rest_length)
+    own = Clamps(np.broadcast_to(clamps.start, len(clamps.start_position))[index],
+                 np.broadcast_to(clamps.end, len(clamps.start_position))[index],
+                 *(getattr(clamps, name)[index : index + 1] for name in (
+                     "start_position", "end_position", "start_frame", "end_frame")))
+    state, ends = clamped_start(guess, own, 0)
+    free = free_variables(rod, ends)
+    if body.is_round and Clamp.FRAME not in (ends.start, ends.end):
+        free = free[free != 3]  # the spin about itself, which costs nothing
+    drag = body.drag + body.drag_by_speed * np.linalg.norm(2.0 * last.v - before.v, axis=1)
+    stiffness = body.mass * (c0 / h) ** 2 + drag * c0 / h + body.spring_stiffness
+    damped_to = -(c1 * joint_strains(last.q) + c2 * joint_strains(before.q)) / c0
+    force = np.zeros(3)
+    for _ in range(60):
+        x = vertices_of(rod, state)
+        v = (c0 * x + c1 * last.x + c2 * before.x) / h
+        pull = (body.mass[:, None] * (c0 * v + c1 * last.v + c2 * before.v) / h + drag[:, None] * v
+                + body.load[:, None] * rod.up + body.spring_stiffness[:, None] * (x - body.spring_points))
+        gradient, hessian = derivatives(body, state, pull, stiffness, damped_to, c0 / h)
+        rows, miss = np.zeros((0, len(free))), np.zeros(0)
+        if ends.end_position is not None:
+            rows = np.hstack([np.eye(3), closure_gradient(rod, state.quaternions)])[:, free]
+            miss = x[-1] - ends.end_position
+            hessian[3:, 3:] += linear_derivatives(rod, state.quaternions, force)[1]
+        matrix = np.block([[hessian[np.ix_(free, free)], rows.T], [rows, np.zeros((len(miss),) * 2)]])
+        # Unknowns in units of equal stiffness.
+        unit = 1.0 / np.sqrt(np.maximum(np.abs(np.diag(matrix)), 1e-30))
+        unit[len(free) :] = 1.0 / np.maximum(np.linalg.norm(rows * unit[: len(free)], axis=1), 1e-30)
+        right = -np.append(gradient[free], miss)
+        found = unit * np.linalg.solve(unit[:, None] * matrix * unit, unit * right)
+        turn, force = found[: len(free)], found[len(free) :] if len(miss) else force
+        largest = np.abs(turn[free >= 3]).max()
+        state = moved(state, free, turn * min(1.0, 0.3 / max(largest, 1e-300)))
+        if largest < 1e-13:
+            break
+    x = vertices_of(rod, state)
+    return Instant(x, (c0 * x + c1 * last.x + c2 * before.x) / h, state.quaternions), -force
+
+
+def derivatives(body: Body, state: State, pull, stiffness, damped_to, rate) -> tuple[np.ndarray, np.ndarray]:
+    """(3 + 3E,) gradient and Hessian of the step's energy, ``pull`` (V, 3) being its derivative in the vertices besides weight
+    and ``stiffness`` (V,) its second derivative there."""
+    rod = body.rod
+    jacobian = vertex_jacobian(rod, state.quaternions)
+    pull = pull + rod.weight * rod.vertex_length[:, None] * rod.up
+    gradient = np.einsum("ia,iak->k", pull, jacobian)
+    hessian = np.einsum("iak,i,ial->kl", jacobian, stiffness, jacobian, optimize=True)
+    behind = np.cumsum(pull[::-1], axis=0)[::-1][1:]
+    hessian[3:, 3:] += linear_derivatives(rod, state.quaternions, behind)[1]
+    weight = linear_derivatives(rod, state.quaternions, rod.gravity_force)
+    elastic = chain_derivatives(rod, state.quaternions)
+    damping = damping_derivatives(body, state.quaternions, damped_to, rate)
+    gradient[3:] += elastic[0] - weight[0] + damping[0]
+    hessian[3:, 3:] += elastic[1] - weight[1] + damping[1]
+    return gradient, hessian
+
 
 KINDS = (
     (Clamp.FRAME, Clamp.FREE), (Clamp.FRAME, Clamp.FRAME), (Clamp.FRAME, Clamp.TANGENT), (Clamp.POSITION, Clamp.FREE),

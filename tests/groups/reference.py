@@ -12,8 +12,7 @@ from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import State, clamped_start, free_variables, moved, vertices_of
 from tests.oracle.external import Springs, total_derivatives, vertex_jacobian
 
-STEPS, LONGEST, ENOUGH = 60, 0.3, 1e-9
-"""Of Newton's method, and rad: of a step at most, and at its end."""
+STEPS, LONGEST, ENOUGH = 60, 0.3, 1e-9  # of Newton's method, and rad: of a step at most, and at its end
 BALANCINGS, NEUTRAL = 30, 1e-11
 """Of the scales of a system's rows; and the share of its largest singular value below which a motion costs nothing."""
 

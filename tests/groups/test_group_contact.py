@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Group, Itself, Material, Plane, Tie, Touch, follow_group, relax_group, rod_along
-from doo_ti.rod.shapes import end_clamps, straight_rod
-from doo_ti.rod.types import Clamp, Configuration
+from doo_ti import Clamp, Configuration, Group, Itself, Material, Plane, Tie, Touch, follow_group, relax_group
+from doo_ti.rod.shapes import end_clamps, rod_along, straight_rod
 from tests.contact.topology import linking
 from tests.oracle.chain_form import chain_energy, rod_of
 

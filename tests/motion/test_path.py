@@ -8,8 +8,7 @@ from doo_ti import Clamp, Clamps, InputError, Material, relax
 from doo_ti.motion.path import LARGEST_TURN, carried_clamps, carry, motion_between
 from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about
 from tests.references.rods import bows, clamps_at
-from tests.relaxation.lab import vertex_distance
-from tests.relaxation.rods import assert_same
+from tests.relaxation.rods import assert_same, vertex_distance
 
 
 def clamps_of(rng, count: int, start=Clamp.FRAME, end=Clamp.FRAME) -> Clamps:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag
 
-from doo_ti.rod.types import Configuration, Material
+from doo_ti import Configuration, Material
 from tests.oracle.algebra import add, body_rotated, directors, scale
 from tests.oracle.pair import linear_gradient_hessian, pair_gradient_hessian, pair_parts
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from doo_ti.rod.types import Clamp, Clamps, Configuration
+from doo_ti import Clamp, Clamps, Configuration
 from tests.oracle.algebra import body_rotated, directors, transport
 from tests.oracle.chain_form import Rod, closure_gradient
 from tests.oracle.pair import pair_parts

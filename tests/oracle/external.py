@@ -15,8 +15,7 @@ from scipy.linalg import null_space
 from tests.oracle.chain_form import Rod, chain_derivatives, chain_energy, closure_gradient, linear_derivatives, rod_of
 from tests.oracle.equilibrium import Ends, State, clamped_start, closed, energy_of, free_variables, moved, vertices_of
 
-NEUTRAL = 1e-11
-"""Eigenvalues below this share of the largest are rounding: a motion at constant energy."""
+NEUTRAL = 1e-11  # eigenvalues below this share of the largest are rounding: a motion at constant energy
 LEAP, LONGEST_STEP = 0.05, 0.2  # rad: the first try off a saddle, and the largest component of one step's rotations
 TOLERANCE = 1e-10  # 1/mm, on the residual
 

@@ -5,8 +5,18 @@ Arrays come and go with any batch axes in front, written `...`; quaternions are 
 
 import numpy as np
 
-from tests.oracle.algebra import body_rotated, conjugate, directors, dot, product
-from tests.oracle.hyper_dual import angle, choose, gradient_and_hessian, real, seeds
+from tests.oracle.algebra import (
+    angle,
+    body_rotated,
+    choose,
+    conjugate,
+    directors,
+    dot,
+    gradient_and_hessian,
+    product,
+    real,
+    seeds,
+)
 
 
 def strains(q0, q1):

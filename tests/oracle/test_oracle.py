@@ -5,12 +5,11 @@ import pytest
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
-from doo_ti.rod.types import Clamp
-from tests.oracle.algebra import body_rotated, directors
+from doo_ti import Clamp
+from tests.oracle.algebra import body_rotated, directors, gradient_and_hessian, seeds
 from tests.oracle.chain_form import Rod, chain_derivatives, chain_energy
 from tests.oracle.equilibrium import Ends, State, closed, free_variables, moved, vertices_of
 from tests.oracle.external import Springs, minimum, total_energy
-from tests.oracle.hyper_dual import gradient_and_hessian, seeds
 from tests.oracle.vertex_form import vertex_energy
 
 

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from tests.oracle.algebra import cross, dot, normalise, scale, subtract, transport
-from tests.oracle.hyper_dual import angle, real, sqrt
+from tests.oracle.algebra import angle, cross, dot, normalise, real, scale, sqrt, subtract, transport
 
 
 def curvature_binormal(edge_before, edge_after):

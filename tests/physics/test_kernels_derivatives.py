@@ -10,7 +10,7 @@ import pytest
 import taichi as ti
 from scipy.spatial.transform import Rotation
 
-from doo_ti.physics import closure, pair, quaternion, vertex_form
+from doo_ti.physics import pair, quaternion, vertex_form
 from doo_ti.physics.number import Number
 from doo_ti.physics.quaternion import twist_angle_function
 from doo_ti.system import runtime
@@ -126,7 +126,7 @@ def test_linear_potential_on_packs_is_the_oracles(rng, number):
         t = quaternion.tangent(q)
         m1 = quaternion.first_director(q)
         m2 = quaternion.second_director(q)
-        return closure.linear_gradient(c, v[7], m1, m2) + (closure.linear_hessian(c, v[7], t),)
+        return pair.linear_gradient(c, v[7], m1, m2) + (pair.linear_hessian(c, v[7], t),)
 
     frames = Rotation.random(ROWS, random_state=rng).as_quat(scalar_first=True)
     force, length = rng.normal(size=(ROWS, 3)) * 1e4, rng.uniform(1, 5, ROWS)
@@ -145,7 +145,7 @@ def test_closing_rotation_moves_the_end_by_the_normal_matrix(rng):
     @ti.func
     def function(v: ti.template()):
         t = (v[0], v[1], v[2])
-        return closure.normal_matrix(v[3], t) + closure.closing_rotation(v[3], t, (v[4], v[5], v[6]))
+        return pair.normal_matrix(v[3], t) + pair.closing_rotation(v[3], t, (v[4], v[5], v[6]))
 
     t = Rotation.random(ROWS, random_state=rng).as_matrix()[:, 0]
     length, x = rng.uniform(1, 5, ROWS), rng.normal(size=(ROWS, 3))

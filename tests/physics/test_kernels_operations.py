@@ -1,6 +1,8 @@
 """Every operation the kernels use on a number per rod: an operation that packs lack aborts the whole process.
 
 For every kind of number, checked to the last bit against NumPy in the same precision.
+
+M = L D Lᵀ of symmetric 3×3 matrices, by products and pivot by pivot.
 """
 
 import numpy as np
@@ -8,6 +10,7 @@ import pytest
 import taichi as ti
 
 from doo_ti.physics import algebra, quaternion, tuples
+from doo_ti.physics.factors import factor, factor_in_turn
 from doo_ti.physics.number import Number
 from doo_ti.system import runtime
 from tests.physics.columns import ROWS, columns_kernel, every_number
@@ -229,3 +232,37 @@ def test_angles(rng, number):
         error = np.abs(applied(number, every, 3, values)[:, column] - expected).max()
         print(f"{name}, {number}: largest error {error:.1e} rad")
         assert error <= times * rounding
+
+
+UPPER = np.triu_indices(3)
+
+
+def product(f: np.ndarray) -> np.ndarray:
+    """(N, 6) entries of L D Lᵀ for factors (N, 7)."""
+    lower = np.tile(np.eye(3), (len(f), 1, 1))
+    lower[:, 1, 0], lower[:, 2, 0], lower[:, 2, 1] = f[:, 3:6].T
+    return np.einsum("nij,nj,nkj->nik", lower, 1.0 / f[:, :3], lower)[:, *UPPER]
+
+
+@pytest.mark.parametrize("number", [Number(1, 64), Number(8, 64)], ids=lambda number: f"{number.width} x f{number.bits}")
+def test_both_factor_and_only_the_second_keeps_small_pivots(rng, number):
+    runtime.start()
+
+    @ti.func
+    def both(v: ti.template()):
+        m = (v[0], v[1], v[2], v[3], v[4], v[5])
+        return factor(m, 1e-30) + factor_in_turn(m)
+
+    kernel = columns_kernel(number, 6, 14, both)
+    matrices = rng.normal(size=(ROWS, 6))
+    found = kernel(matrices)
+    for own in (found[:, :7], found[:, 7:]):
+        np.testing.assert_allclose(product(own), matrices, atol=1e-12)
+        full = np.zeros((ROWS, 3, 3))
+        full[:, *UPPER] = full.swapaxes(1, 2)[:, *UPPER] = matrices
+        np.testing.assert_array_equal(own[:, 6], (np.linalg.eigvalsh(full) < 0).sum(axis=1))
+    # A vertex that nothing but a plane holds.
+    slippery = np.tile([1e-16, 0.0, 0.0, 1e-16, 0.0, 0.3], (ROWS, 1))
+    by_products, in_turn = np.split(kernel(slippery), 2, axis=1)
+    np.testing.assert_allclose(in_turn[:, :3], [[1e16, 1e16, 1 / 0.3]] * ROWS, rtol=1e-12)
+    assert by_products[0, 2] < 1e-3

@@ -1,11 +1,13 @@
-"""The algebra of tuples on every kind of number against NumPy, and what may be assigned again."""
+"""The algebra of tuples on every kind of number against NumPy, and what may be assigned again. Scratch memory by name: the
+same numbers for all lanes, for one lane, by name and by place."""
 
 import numpy as np
 import pytest
 import taichi as ti
 
-from doo_ti.physics import tuples
-from doo_ti.physics.number import Number
+from doo_ti.physics import algebra, factors, tuples
+from doo_ti.physics.number import Layout, Number, Scratch, in_f64
+from doo_ti.physics.tuples import add, choose
 from doo_ti.system import runtime
 from tests.physics.columns import ROWS, columns_kernel, every_number
 
@@ -56,32 +58,32 @@ CASES = {
     "repeated": (lambda x: tuples.repeated(x[S], 4), lambda x: np.repeat(x[:, [S]], 4, axis=1)),
     "dot": (lambda x: (tuples.dot(x[A], x[B]),), lambda x: (x[:, A] * x[:, B]).sum(axis=1)[:, None]),
     "cross": (lambda x: tuples.cross(x[A], x[B]), lambda x: np.cross(x[:, A], x[:, B])),
-    "row": (lambda x: tuples.row(x[M], 1), lambda x: matrices(x, M)[:, 1]),
-    "transposed": (lambda x: tuples.transposed(x[M]), lambda x: matrices(x, M).swapaxes(1, 2)),
-    "identity": (lambda x: tuples.identity(0.0 * x[S]), lambda x: np.tile(np.eye(3), (len(x), 1, 1))),
-    "on_diagonal": (lambda x: tuples.on_diagonal(x[P], x[0]), lambda x: upper(symmetric(x) + x[:, 0, None, None] * np.eye(3))),
-    "shifted": (lambda x: tuples.shifted(x[P], x[0], x[1]), lambda x: upper(symmetric(x) + x[:, [0, 1, 1], None] * np.eye(3))),
-    "full": (lambda x: tuples.full(x[P]), symmetric),
-    "applied": (lambda x: tuples.applied(x[M], x[9:12]), lambda x: np.einsum("nij,nj->ni", matrices(x, M), x[:, 9:12])),
-    "times_transposed": (lambda x: tuples.times_transposed(x[M], x[N]),
+    "row": (lambda x: algebra.row(x[M], 1), lambda x: matrices(x, M)[:, 1]),
+    "transposed": (lambda x: algebra.transposed(x[M]), lambda x: matrices(x, M).swapaxes(1, 2)),
+    "identity": (lambda x: algebra.identity(0.0 * x[S]), lambda x: np.tile(np.eye(3), (len(x), 1, 1))),
+    "on_diagonal": (lambda x: algebra.on_diagonal(x[P], x[0]), lambda x: upper(symmetric(x) + x[:, 0, None, None] * np.eye(3))),
+    "shifted": (lambda x: algebra.shifted(x[P], x[0], x[1]), lambda x: upper(symmetric(x) + x[:, [0, 1, 1], None] * np.eye(3))),
+    "full": (lambda x: algebra.full(x[P]), symmetric),
+    "applied": (lambda x: algebra.applied(x[M], x[9:12]), lambda x: np.einsum("nij,nj->ni", matrices(x, M), x[:, 9:12])),
+    "times_transposed": (lambda x: algebra.times_transposed(x[M], x[N]),
                          lambda x: matrices(x, M) @ matrices(x, N).swapaxes(1, 2)),
-    "quadratic": (lambda x: (tuples.quadratic(x[P], x[A], x[B]),),
+    "quadratic": (lambda x: (algebra.quadratic(x[P], x[A], x[B]),),
                   lambda x: np.einsum("ni,nij,nj->n", x[:, A], symmetric(x), x[:, B])[:, None]),
-    "row_scaled": (lambda x: tuples.row_scaled(x[M], x[9:12]), lambda x: x[:, 9:12, None] * matrices(x, M)),
-    "column_scaled": (lambda x: tuples.column_scaled(x[M], x[9:12]), lambda x: matrices(x, M) * x[:, None, 9:12]),
-    "minus_combination": (lambda x: tuples.minus_combination(x[12:15], x[M], x[9:12]),
+    "row_scaled": (lambda x: algebra.row_scaled(x[M], x[9:12]), lambda x: x[:, 9:12, None] * matrices(x, M)),
+    "column_scaled": (lambda x: algebra.column_scaled(x[M], x[9:12]), lambda x: matrices(x, M) * x[:, None, 9:12]),
+    "minus_combination": (lambda x: factors.minus_combination(x[12:15], x[M], x[9:12]),
                           lambda x: x[:, 12:15] - np.einsum("nki,nk->ni", matrices(x, M), x[:, 9:12])),
-    "squared": (lambda x: (tuples.squared(x[F], x[A]),), lambda x: (x[:, F][:, :3] * x[:, A] ** 2).sum(axis=1)[:, None]),
-    "forward": (lambda x: tuples.forward(x[F], x[A]), lambda x: np.linalg.solve(lower(x), x[:, A, None])),
-    "forward_rows": (lambda x: tuples.forward_rows(x[F], x[M]),
+    "squared": (lambda x: (factors.squared(x[F], x[A]),), lambda x: (x[:, F][:, :3] * x[:, A] ** 2).sum(axis=1)[:, None]),
+    "forward": (lambda x: factors.forward(x[F], x[A]), lambda x: np.linalg.solve(lower(x), x[:, A, None])),
+    "forward_rows": (lambda x: factors.forward_rows(x[F], x[M]),
                      lambda x: np.linalg.solve(lower(x), matrices(x, M).swapaxes(1, 2)).swapaxes(1, 2)),
-    "backward": (lambda x: tuples.backward(x[F], x[A]),
+    "backward": (lambda x: factors.backward(x[F], x[A]),
                  lambda x: np.linalg.solve(lower(x).swapaxes(1, 2), inverse_diagonal(x) @ x[:, A, None])),
-    "gram": (lambda x: tuples.gram(x[F], x[M], x[N]),
+    "gram": (lambda x: factors.gram(x[F], x[M], x[N]),
              lambda x: matrices(x, M) @ inverse_diagonal(x) @ matrices(x, N).swapaxes(1, 2)),
-    "symmetric_gram": (lambda x: tuples.symmetric_gram(x[F], x[M]),
+    "symmetric_gram": (lambda x: factors.symmetric_gram(x[F], x[M]),
                        lambda x: upper(matrices(x, M) @ inverse_diagonal(x) @ matrices(x, M).swapaxes(1, 2))),
-    "against": (lambda x: tuples.against(x[F], x[M], x[9:12]),
+    "against": (lambda x: factors.against(x[F], x[M], x[9:12]),
                 lambda x: matrices(x, M) @ inverse_diagonal(x) @ x[:, 9:12, None]),
 }
 
@@ -150,7 +152,7 @@ def test_a_variable_takes_its_own_items_in_another_order(rng, number):
         for _ in range(2):
             a = (a[1], a[2], a[0])
             b = tuples.plus((b[1], b[2], b[0]), b)
-        m = tuples.transposed(m)
+        m = algebra.transposed(m)
         c = tuples.variable((v[0], v[1], v[2]))
         c = tuples.itemwise(c[0] + c[0], c[1], 3.0 * c[2])
         return a + b + m + c
@@ -239,3 +241,48 @@ def test_a_variable_takes_as_many_numbers_as_it_has():
 
     with pytest.raises(Exception, match="2 numbers for a variable of 3"):
         columns_kernel(Number(1, 64), 3, 3, function)(np.zeros((ROWS, 3)))
+
+
+PAIR = Layout(first=2, second=2)
+ROD = Layout(length=1, place=3, pair=PAIR, both=("length", 4))
+EDGES = 3
+
+
+def test_layouts_say_where_numbers_are():
+    assert (len(PAIR), len(ROD), ROD.at("place"), ROD.at("pair"), ROD.at("both")) == (4, 8, 1, 4, 0)
+    joined = PAIR + Layout(third=2, fourth=("third", 1))
+    assert (len(joined), joined.at("third"), joined.at("fourth")) == (6, 4, 4)
+
+
+@pytest.mark.parametrize("stride", [1, 4])
+@pytest.mark.parametrize("number", [Number(1, 64), Number(8, 64), Number(16, 32)], ids=str)
+def test_numbers_are_read_and_written_by_name(number, stride):
+    runtime.start()
+    memory, width = Scratch(number, stride), number.width
+
+    @ti.kernel
+    def work(array: ti.types.ndarray(dtype=number.type, ndim=1), seen: ti.types.ndarray(dtype=ti.f64, ndim=1)):
+        for thread in range(1):
+            head = memory.of_thread(array, thread, ROD, EDGES * ROD.size)
+            for e in range(EDGES):
+                edge = head.part(ROD, e * ROD.size)
+                for slot in range(width):
+                    lane = edge.lane(slot)
+                    lane.length, lane.place = 1.0 + e, (2.0, 3.0 + e, 4.0)
+                    lane[4], lane.pair.first[1], lane.pair.second = 5.0, 6.0, (7.0, 8.0)
+                edge.pair.first = edge.pair.second  # what is on the right is read first
+                add(edge, length=0.0 * edge.length + 10.0, place=edge.place)
+                choose(edge.pair, edge.length > 11.5, second=edge.pair.first)
+                before = edge.place
+                edge.place = (before[2], before[0], before[1])
+            last = head.part(ROD, (EDGES - 1) * ROD.size).lane(width - 1)
+            for k in range(ROD.size):
+                seen[k] = last[k]
+            place = in_f64(last.place)
+            for k in ti.static(range(3)):
+                seen[ROD.size + k] = place[k]
+
+    array = ti.ndarray(number.type, EDGES * len(ROD) * stride)
+    seen = np.zeros(len(ROD) + 3)
+    work(array, seen)
+    assert seen.tolist() == [13.0, 8.0, 4.0, 10.0, 7.0, 8.0, 7.0, 8.0, 8.0, 4.0, 10.0]

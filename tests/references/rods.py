@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from doo_ti import Clamp, Clamps, Configuration
 from doo_ti.rod.frames import bishop_frames, quaternion_from_matrix
-from doo_ti.rod.types import Clamp, Clamps, Configuration
 
 
 def chain(tangents, m1, rest_length, start=(0.0, 0.0, 0.0), spin=None) -> Configuration:

@@ -9,7 +9,7 @@ import pytest
 
 from doo_ti import RefinementOptions, Theta, load_observations, observation_clamps
 from doo_ti.refinement.folds import folds_of, refine_held_out
-from tests.relaxation.lab import SUTURES, lab
+from tests.relaxation.rods import SUTURES, lab
 
 CABLE = Theta(3.2e6 * np.eye(2), 3.2e6)
 

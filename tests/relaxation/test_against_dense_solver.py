@@ -2,16 +2,19 @@
 
 B differs from edge to edge with its off-diagonal, β from vertex to vertex; rods are curved at rest, their rest lengths
 uneven, and up is not z.
+
+The certificate: it detects saddles, agrees with the dense Hessian's eigenvalues, and F leaves detected saddles.
 """
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
-from doo_ti import Clamp, Material, Newton, relax
+from doo_ti import Clamp, Clamps, Configuration, Material, Newton, Springs, relax
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import State, clamped_start
 from tests.oracle.external import minimum, relaxed
-from tests.references.rods import clamps_at, jiggled
+from tests.references.rods import chain, clamps_at, jiggled, stacked
 from tests.relaxation.rods import PAIRS, definite, wandering, with_kinds
 
 EDGES = 6
@@ -71,3 +74,104 @@ def test_isotropic_rods_that_may_spin(rng):
     errors = [abs(solution.energy[row] / relaxed(start, material, clamps, row, up=UP).energy - 1) for row in range(3)]
     print(f"isotropic, spins free: energies within {max(errors):.1e}")
     assert max(errors) < 1e-9
+
+
+BOW_EDGES = 16
+
+
+def planar_bow(distance: float, side: float, edges: int = BOW_EDGES) -> Configuration:
+    """48 mm of rod between clamps on one line, both tangents along it, bowed in the vertical plane, down or up."""
+    length = 48.0 / edges
+    along = np.sin(2 * np.pi * np.arange(edges) / (edges - 1))
+    size = brentq(lambda a: length * np.cos(a * along).sum() - distance, 0, 2)
+    return chain(np.stack([np.cos(size * along), 0 * along, side * np.sin(size * along)], axis=1), [0, 1, 0], length)
+
+
+def dense(start: Configuration, material: Material, clamps: Clamps, solution, row: int):
+    """The oracle at what F returned for that rod, without moving it."""
+    rod = rod_of(start, material, row)
+    state = State(solution.configuration.start[row], solution.configuration.quaternions[row].astype(np.float64))
+    return minimum(rod, None, state, clamped_start(start, clamps, row)[1], max_iterations=0)
+
+
+PLANAR = [(distance, side) for distance in (24.0, 32.0, 40.0) for side in (-1.0, 1.0)]
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("precision", ["f64", "f32", "mixed"])
+def test_planar_rods_at_0_degrees_rest_on_saddles_and_leave_them(precision):
+    """No force acts out of their plane; with low twist stiffness, or standing, they have a lower minimum outside it."""
+    rods = stacked([planar_bow(*place) for place in PLANAR])
+    ratio = np.array([0.05, 0.2, 1.0, 5.0])
+    material = Material(1e5, 1e5 * ratio, 4.0)
+    rows = np.arange(len(PLANAR)).repeat(4), np.tile(np.arange(4), len(PLANAR))
+    index = {"configuration_index": rows[0], "material_index": rows[1], "precision": precision}
+    clamps = clamps_at(rods)
+    resting = relax(rods, material, clamps, Newton(max_escapes=0), **index)
+    saddles = ~resting.stable
+    assert resting.converged.all() and 6 <= saddles.sum() < len(saddles)
+    assert np.abs(resting.configuration.vertices[..., 1]).max() < 1e-3  # still planar
+    for rod in range(len(saddles)):
+        one = Material(1e5, material.twist[rows[1][rod]], 4.0)
+        place = [rows[0][rod]]
+        lone = Configuration(rods.start[place], resting.configuration.quaternions[[rod]], rods.rest_length[place])
+        state, ends = clamped_start(lone, clamps.take(place), 0)
+        here = minimum(rod_of(lone, one), None, state, ends, max_iterations=0)
+        assert (here.smallest_eigenvalue < 0) == saddles[rod]
+    left = relax(rods, material, clamps, **index)
+    gained = resting.energy - left.energy
+    least = (gained / np.abs(resting.energy))[saddles].min()
+    print(f"{precision}: {saddles.sum()} of {len(saddles)} planar rods rest on a saddle; leaving them gains at least "
+          f"{least:.1e} of the energy, in {left.iterations[saddles].max()} iterations")
+    assert left.converged.all() and left.stable.all()
+    rounding = 1e-9 if precision != "f32" else 1e-5
+    assert (gained[saddles] > rounding * np.abs(resting.energy[saddles])).all()
+    assert (np.abs(gained[~saddles]) <= rounding * np.abs(resting.energy[~saddles])).all()
+
+
+def test_certificate_is_the_sign_of_the_smallest_eigenvalue(rng):
+    """At every equilibrium that random rods end on, against dense eigenvalues."""
+    rods = wandering(rng, 12, 8, 3.0, wander=0.4, twist=0.4)
+    clamps = clamps_at(rods)
+    material = Material(definite(rng, 12), rng.uniform(2e4, 2e5, 12), 5.0)
+    start = jiggled(rods, rng, 0.3)
+    for solver in (Newton(max_escapes=0), Newton()):
+        solution = relax(start, material, clamps, solver)
+        assert solution.converged.all()
+        for row in range(12):
+            here = dense(start, material, clamps, solution, row)
+            assert here.residual < 1e-8
+            assert solution.stable[row] == (here.smallest_eigenvalue > 0), (row, here.eigenvalues[:3])
+
+
+def test_ribbons_bent_exactly_about_their_stiff_axis_turn_over():
+    """Planar at 0° with the stiff direction in the plane: every rod is at a saddle, and every rod leaves it."""
+    places = [(distance / 99 * 48, side) for distance in (42.0, 48.0, 54.0, 60.0, 66.0) for side in (-1.0, 1.0)]
+    short = stacked([planar_bow(*place, edges=33) for place in places])
+    rods = Configuration(short.start, short.quaternions, np.full(33, 3.0))
+    bend, ratio = (axis.ravel() for axis in np.meshgrid([5e4, 1.4e5, 4.2e5], [0.03, 0.1, 0.3]))
+    material = Material.diagonal(bend, 3 * bend, bend * ratio)
+    index = {"configuration_index": np.arange(10).repeat(9), "material_index": np.tile(np.arange(9), 10)}
+    resting = relax(rods, material, clamps_at(rods), Newton(max_escapes=0, tolerance=1e-6), **index)
+    assert resting.converged.all() and not resting.stable.any()
+    left = relax(rods, material, clamps_at(rods), **index)
+    print(f"{left.converged.sum()} of 90 converged; residuals of the others {left.residual[~left.converged]}")
+    assert (left.energy[left.converged] < resting.energy[left.converged]).all()
+    assert left.converged.all() and left.stable.all()
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("other", [Clamp.FREE, Clamp.FRAME])
+def test_an_upright_rod_under_springs_buckles_whatever_the_others_hold(other):
+    """60 mm upright with a free tip, of half the critical stiffness 2 μ L³/7.84: a saddle, also beside a rod held at both ends,
+    with which the kernel takes closure into account."""
+    upright = chain(np.tile([0.0, 0.0, 1.0], (20, 1)), [1, 0, 0], 3.0)
+    beside = chain(np.tile([1.0, 0.0, 0.0], (20, 1)), [0, 0, 1], 3.0, spin=0.05 * np.arange(20))
+    rods = stacked([upright, jiggled(beside, np.random.default_rng(0), 0.1)])
+    clamps = with_kinds(clamps_at(rods), [(Clamp.FRAME, Clamp.FREE), (Clamp.FRAME, other)])
+    springs = Springs(np.zeros((1, 21, 3)), np.zeros((1, 21)))
+    for bend, stands in ((8e4, True), (3e4, False)):
+        resting = relax(rods, Material(bend, 1e5), clamps, Newton(max_escapes=0), external=springs)
+        assert resting.converged[0] and resting.stable[0] == stands
+        left = relax(rods, Material(bend, 1e5), clamps, external=springs)
+        assert left.stable[0] and (abs(left.configuration.vertices[0, -1, 2] - 60.0) < 1e-6) == stands

@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from doo_ti import Clamp, Descent, Material, Newton, Status, relax
 from tests.references.rods import clamps_at, jiggled
-from tests.relaxation.lab import lab, vertex_distance
-from tests.relaxation.rods import PAIRS, definite, wandering, with_kinds
+from tests.relaxation.rods import PAIRS, definite, lab, vertex_distance, wandering, with_kinds
 
 SAME = 0.02  # mm
 

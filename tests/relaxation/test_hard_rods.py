@@ -5,13 +5,13 @@ from functools import cache
 import numpy as np
 import pytest
 
+from doo_ti import Clamp, Solution, Status
 from doo_ti.relaxation.newton import TOLERANCES
-from doo_ti.rod.types import Clamp, Solution, Status
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import State, clamped_start
 from tests.oracle.external import minimum
 from tests.relaxation.hard_rods import PRECISIONS, ROWS, Rods, edge_error, rods_of
-from tests.relaxation.lab import vertex_distance
+from tests.relaxation.rods import vertex_distance
 
 COUNT = 8
 SAME = 0.02  # mm, mean vertex distance of two rods in the same minimum

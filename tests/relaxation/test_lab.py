@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Clamp, Material, Newton, distance, load_observations, observation_clamps, relax, start_configuration
-from tests.relaxation.lab import RIBBON_WIDTH, lab
+from tests.relaxation.rods import RIBBON_WIDTH, lab
 
 BARS = {"nylon": 0.90, "vicryl": 0.85, "silk": 0.90}
 

@@ -7,23 +7,9 @@ import pytest
 from scipy.optimize import brentq
 from scipy.special import ellipeinc, ellipk, ellipkinc
 
-from doo_ti import (
-    Clamp,
-    Clamps,
-    Descent,
-    InputError,
-    Material,
-    Newton,
-    Plane,
-    PointLoads,
-    Springs,
-    end_clamps,
-    end_loads,
-    pullback,
-    relax,
-    sensitivity,
-    straight_rod,
-)
+from doo_ti import Descent, InputError, Newton, Plane, PointLoads, Springs, end_loads, pullback, relax, sensitivity
+from doo_ti.rod.shapes import end_clamps, straight_rod
+from doo_ti.rod.types import Clamp, Clamps, Material
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import State, clamped_start
 from tests.oracle.external import Springs as DenseSprings

@@ -1,12 +1,12 @@
-"""dΓ*/dΘ against dense linear algebra and against rods relaxed again; which rods have none."""
+"""dΓ*/dΘ against dense linear algebra and against rods relaxed again; which rods have none, here and in a pullback."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, InputError, Material, Newton, Springs, relax
-from doo_ti.relaxation.sensitivity import sensitivity, tilt_axes
+from doo_ti import Clamp, InputError, Material, Newton, Springs, pullback, relax, sensitivity
+from doo_ti.relaxation.sensitivity import PARAMETERS, tilt_axes
 from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import clamped_start, free_variables
@@ -105,32 +105,41 @@ def test_a_taut_rod_only_spins(rng):
     found = sensitivity(ribbon, ("length", "end_shift", "bend_1", "twist", "weight", "rest_curvature"))
     assert found.usable.all() and (found.vertices[..., 4:] == 0).all() and np.isnan(found.vertices[..., :4]).all()
     assert (found.rotations[:, :, 1:, 4:] == 0).all() and np.isfinite(found.rotations[..., 4:]).all()
+    pulled = pullback(ribbon, np.ones((1, 9, 3)), ("twist", "length", "end_shift"))
+    assert np.isnan(pulled["length"]).all() and np.isnan(pulled["end_shift"]).all() and pulled["twist"][0] == 0
 
 
 def test_rods_without_an_equilibrium_have_none(rng):
-    found = sensitivity(one_of_three_at_rest(rng))
-    assert found.usable.tolist() == [True, False, False]
-    assert np.isnan(found.vertices[1:]).all() and np.isnan(found.rotations[1:]).all()
-    assert np.isfinite(found.vertices[0]).all()
+    solution = one_of_three_at_rest(rng)
+    found = sensitivity(solution)
+    pulled = pullback(solution, solution.configuration.vertices, ("bend", "forces", "rest_curvature"))
+    assert found.usable.tolist() == pulled.usable.tolist() == [True, False, False] and np.isnan(found.rotations[1:]).all()
+    for value in (found.vertices, *pulled.gradient.values()):
+        assert np.isnan(value[1:]).all() and np.isfinite(value[0]).all()
 
 
 def test_a_rod_is_the_same_in_any_company(rng):
-    rods = wandering(rng, 30, 12)
+    rods, cotangent = wandering(rng, 30, 12), rng.normal(size=(30, 13, 3))
     solution = relax(rods, Material(np.geomspace(1e5, 3e5, 30), 1e5), clamps_at(rods))
     alone = relax(rods.take([7]), Material(np.geomspace(1e5, 3e5, 30)[[7]], 1e5), clamps_at(rods).take([7]))
     np.testing.assert_array_equal(sensitivity(solution).vertices[7], sensitivity(alone).vertices[0])
+    pulled, own = pullback(solution, cotangent, ("bend", "forces")), pullback(alone, cotangent[[7]], ("bend", "forces"))
+    for name in ("bend", "forces"):
+        np.testing.assert_array_equal(pulled[name][7], own[name][0])
 
 
 @pytest.mark.slow
 def test_the_layout_of_a_gpu_gives_the_same_bits(rng, monkeypatch):
     """Threads interleaved in scratch, here run on the processor."""
-    rods = wandering(rng, 5, 12)
+    rods, cotangent = wandering(rng, 5, 12), rng.normal(size=(5, 13, 3))
     solution = relax(rods, Material(np.geomspace(1e5, 3e5, 5), 1e5), clamps_at(rods))
-    own = sensitivity(solution, EVERY)
+    every = [name for name in PARAMETERS if name != "modes"]
+    own, pulled = sensitivity(solution, EVERY), pullback(solution, cotangent, every)
     monkeypatch.setattr("doo_ti.relaxation.sensitivity_kernel.runtime.start", lambda: "cuda")
-    there = sensitivity(solution, EVERY)
-    np.testing.assert_array_equal(own.vertices, there.vertices)
-    np.testing.assert_array_equal(own.rotations, there.rotations)
+    there, again = sensitivity(solution, EVERY), pullback(solution, cotangent, every)
+    for here, other in ((own.vertices, there.vertices), (own.rotations, there.rotations), *(
+            (pulled[name], again[name]) for name in every)):
+        np.testing.assert_array_equal(here, other)
 
 
 def test_tilt_axes_are_across_up():

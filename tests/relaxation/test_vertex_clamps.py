@@ -4,19 +4,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_bvp
 
-from doo_ti import (
-    Clamp,
-    Clamps,
-    Configuration,
-    Descent,
-    InputError,
-    Material,
-    end_clamps,
-    end_loads,
-    hanging,
-    relax,
-    straight_rod,
-)
+from doo_ti import Descent, InputError, end_clamps, end_loads, hanging, relax, straight_rod
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
 
 EI, LENGTH = 1e6, 300.0
 EDGES = (20, 40, 80, 160)

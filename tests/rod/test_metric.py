@@ -8,8 +8,7 @@ import pytest
 from doo_ti import Configuration, InputError, Observations, distance
 from tests.io.rods import twisted_frames, wavy_vertices
 from tests.oracle.metric import distance as defined
-from tests.relaxation.lab import RIBBON_WIDTH, lab
-from tests.relaxation.rods import wandering
+from tests.relaxation.rods import RIBBON_WIDTH, lab, wandering
 
 COUNT, EDGES = 7, 9
 

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from doo_ti import ClampPath, Material, Observations, load_observations, load_path
 from tests.conftest import SEED
 from tests.perception.twisted_rods import MATERIAL, twisted_rods
-from tests.relaxation.lab import lab
+from tests.relaxation.rods import lab
 from tools.studies import detection_study, group_study, picture_study
 from tools.studies.marks_study.rod import cross, equilibria, turned
 from tools.studies.marks_study.study import deviation

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import taichi as ti
 
-from doo_ti.physics.number import Number
-from doo_ti.physics.view import Scratch
+from doo_ti.physics.number import Number, Scratch
 from doo_ti.system import runtime
 
 NUMBERS = [Number(1, 64), Number(8, 64), Number(1, 32), Number(16, 32)]

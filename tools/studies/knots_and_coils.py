@@ -26,7 +26,7 @@ from scipy.interpolate import CubicSpline
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from doo_ti import Grippers, Itself, Newton, end_clamps, overhand_knot, relax, rod_along, simulate, straight_rod
-from doo_ti.contact.itself import smallest_self_gap
+from doo_ti.contact.surroundings import smallest_self_gap
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.rod.frames import turned_about_tangent
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution
