@@ -261,7 +261,7 @@ class ContactPlaces:
     def rub_vertex(self, rod, o, at, contact):
         """Add the friction of the vertex."""
         limit = self.limit(rod, o, contact.force)
-        rubbed = self.rubbed(rod, limit, contact.friction, contact.rubbed_normal, self.slid(rod, at, o))
+        rubbed = self.rubbed(rod, limit, contact.friction, contact.rubbed_normal, self.slid(rod, at, o), rod.contacts.stiffness)
         self.add_penalty(rod, rubbed.energy, dot(rubbed.pull, rubbed.pull) / rod.contacts.stiffness)
         add(rod.contacts, end_gradient=rubbed.pull, end_curvatures=rubbed.stiffness)
 
@@ -270,7 +270,7 @@ class ContactPlaces:
         zero = 0.0 * rod.total
         s, u = contact.rubbed_place, self.slid_between(rod, index, contact, o)
         limit = self.limit(rod, o, contact.force_between)
-        rubbed = self.rubbed(rod, limit, contact.friction_between, contact.rubbed_normal_between, u)
+        rubbed = self.rubbed(rod, limit, contact.friction_between, contact.rubbed_normal_between, u, rod.contacts.stiffness)
         pull, bent = chosen(counts, rubbed.pull, repeated(zero, 3)), chosen(counts, rubbed.stiffness, repeated(zero, 6))
         self.add_penalty(rod, ti.select(counts, rubbed.energy, zero), dot(pull, pull) / rod.contacts.stiffness)
         add(rod.contacts, gradient=pull, gradient_s=scaled(pull, s), curvatures=bent, curvatures_s=scaled(full(bent), s),
@@ -280,14 +280,9 @@ class ContactPlaces:
         """μ λ, the largest friction of a contact with obstacle ``o``."""
         return self.obstacle(rod, o).friction * force
 
-    def rubbed(self, rod, limit, friction, gradient, u):
-        """Friction of a contact that has moved by ``u``: its energy, its derivative and its stiffness.
-
-        Its penalty stiffness is κ, or less where that would turn a small friction round within the tolerance of gaps: Newton's
-        steps would jump to and fro across such a kink.
-        """
-        least = 1e-6 * rod.contacts.stiffness
-        stiffness = ti.min(rod.contacts.stiffness, ti.max(limit / rod.contacts.tolerance, least))
+    def rubbed(self, rod, limit, friction, gradient, u, stiffness):
+        """Friction of a contact that has moved by ``u``, with that penalty ``stiffness``: its energy, its derivative and its
+        stiffness."""
         normal = self.distance.unit(gradient)
         whole = plus(friction, scaled(u, stiffness))
         z = minus(whole, scaled(normal, dot(normal, whole)))

@@ -230,7 +230,8 @@ class ContactRounds(ContactEnergy):
         close = self.close_lanes(rod, contact.value)
         if self.some(close | (contact.force > 0.0), zero):
             limit = self.limit(rod, o, contact.force)
-            rubbed = self.rubbed(rod, limit, contact.friction, contact.rubbed_normal, self.slid(rod, at, o))
+            slid, stiffness = self.slid(rod, at, o), rod.contacts.stiffness
+            rubbed = self.rubbed(rod, limit, contact.friction, contact.rubbed_normal, slid, stiffness)
             change = self.keep_friction(contact.of("friction"), rubbed.pull, due)
             choose(contact, due & close, rubbed_normal=contact.normal)
         else:
@@ -238,7 +239,8 @@ class ContactRounds(ContactEnergy):
         active = contact.active > 0.5
         if index > 0 and self.some(active, zero):
             limit, u = self.limit(rod, o, contact.force_between), self.slid_between(rod, index, contact, o)
-            between = self.rubbed(rod, limit, contact.friction_between, contact.rubbed_normal_between, u)
+            stiffness, gradient = rod.contacts.stiffness, contact.rubbed_normal_between
+            between = self.rubbed(rod, limit, contact.friction_between, gradient, u, stiffness)
             pull = chosen(active, between.pull, repeated(zero, 3))
             change = largest_of(change, self.keep_friction(contact.of("friction_between"), pull, due))
             choose(contact, due & active, rubbed_normal_between=contact.normal_between, rubbed_place=contact.place_between)

@@ -266,8 +266,11 @@ class NewtonTrip:
                 part = part & ~(rod.contacts.expected > 0.5)
                 rod.contacts.expecting = ti.select(judged.uphill, one, zero)
             cap = ti.select(part, PART * cap, cap)
-            # Steps to and fro across a kink whose energy is rounding: ever shorter ones end on it.
-            cap = cap / (1.0 + ti.max(lane.idle_trips - fixed.PATIENCE_AT_KINK, zero))
+            if ti.static(self.sweep.contacts.itself):
+                # To and fro across a kink of friction, with like residuals on both sides: ever shorter steps end on it.
+                stays = (rod.contacts.largest > 0.0) & (lane.residual < 3.0 * lane.best)
+                across = ti.select(stays, lane.idle_trips - fixed.PATIENCE_AT_KINK, zero)
+                cap = cap / (1.0 + ti.max(across, zero))
         lane.heading = ti.select(searching, ti.select(slope > 0.0, 0.0 - one, one), lane.heading)
         leap = lane.heading * fixed.ESCAPE_ROTATION / ((1.0 + lane.rejects) * (1.0 + lane.rejects) * (lane.longest + 1e-30))
         lane.step_scale = ti.select(lane.trying > 0.5, ti.select(lane.escaping > 0.5, leap, cap), zero)

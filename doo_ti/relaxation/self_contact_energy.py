@@ -213,9 +213,14 @@ class SelfContactEnergy(Contacts):
         return minus(last, first)
 
     def rubbed_pair(self, rod, i, j, at):
-        """Friction of two edges, as :meth:`.ContactEnergy.rubbed`."""
-        limit = self.own(rod).coefficient * at.force
-        return self.rubbed(rod, limit, at.friction, at.rubbed_normal, self.moved_pair(rod, i, j, at))
+        """Friction of two edges, as :meth:`.ContactEnergy.rubbed`.
+
+        Its penalty stiffness is κ, or less where that would turn a small friction round within the tolerance of gaps: Newton's
+        steps would jump to and fro across such a kink.
+        """
+        limit, stiffness = self.own(rod).coefficient * at.force, rod.contacts.stiffness
+        softer = ti.min(stiffness, ti.max(limit / rod.contacts.tolerance, 1e-6 * stiffness))
+        return self.rubbed(rod, limit, at.friction, at.rubbed_normal, self.moved_pair(rod, i, j, at), softer)
 
     def rub_pair(self, rod, i, j, at):
         """Add the friction of two edges."""
