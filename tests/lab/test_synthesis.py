@@ -6,8 +6,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Clamps, InterruptedRunError, Material, distance, lab, observation_clamps, relax, start_configuration
+from doo_ti import Clamp, Clamps, InterruptedRunError, Material, distance, observation_clamps, relax, start_configuration
 from doo_ti.io.scene import Synthesis
+from doo_ti.lab import synthesis as lab
 from doo_ti.lab.synthesis import synthesise
 from doo_ti.rod.frames import quaternion_from_matrix
 from tests.io.rods import joint_twist
