@@ -9,8 +9,7 @@ and −2 ln of the evidence, without its constant, is
 
     F = r'ᵀWr' + (x̂ − x̄)ᵀA(x̂ − x̄) + ẑᵀS⁻¹ẑ + Σ n ln σ² + Σ_d (ln |M_d| + ln |S|) + ln |H| − ln |A|,
 
-with r' the residuals at the most probable x̂ and ẑ; less ln of what marks tell of directions that were not reported
-(:meth:`Evidence._known_directions`). It is Laplace's approximation of the evidence of the nonlinear model
+with r' the residuals at the most probable x̂ and ẑ. It is Laplace's approximation of the evidence of the nonlinear model
 (MacKay, *Bayesian Interpolation*, 1992).
 
 The sizes are found by BFGS with Powell's damping and projected steps (Nocedal and Wright, *Numerical Optimization*, 2006, §6.1
@@ -56,6 +55,14 @@ class Posterior:
     effects: np.ndarray  # (D, Q) ẑ
     value: float  # F
     gradient: np.ndarray  # (H,) of F by the logarithms of the sizes that are learned, priors included
+    directions: float  # what F is larger by because directions that a limp rod shows less are integrated out
+
+    @property
+    def level(self) -> float:
+        """F where directions of ends that were not reported count as equally probable where marks tell them apart equally well
+        (Jeffreys' prior of them, given the unknowns; Berger, Liseo and Wolpert, 1999). Between fits of one model F itself
+        leans towards limp rods, the more the more poses there are."""
+        return self.value - self.directions
 
 
 @dataclass(frozen=True)
@@ -103,8 +110,7 @@ class Evidence:
         crossed = passed @ covariance_x
         spread_z = np.einsum("dqq->dq", inner) + (crossed * passed).sum(axis=-1)
         gradient = dict.fromkeys(NAMES, 0.0)
-        value = self.constant + log_hessian - log_prior - float(share @ (
-            np.linalg.slogdet(inner)[1] + self._known_directions(scales)))
+        value = self.constant + log_hessian - log_prior - float(share @ np.linalg.slogdet(inner)[1])
         # Σ w · spread over all kinds: each unknown and effect counts one, less what the priors know of it.
         rods, each = float(share.sum()), effects.shape[1]
         free = len(self.offset) if self.basis is None else self.basis.shape[1]
@@ -127,15 +133,12 @@ class Evidence:
         self._prior_gradient(gradient, scales, np.outer(x, x) + covariance_x)
         extra, own = scales.prior()
         learned = np.array([gradient[name] for name, free in zip(NAMES, scales.learned, strict=True) if free])
-        return Posterior(step, covariance_x, effects, value + extra, learned + own)
+        directions = float(share @ self._known_directions(scales))
+        return Posterior(step, covariance_x, effects, value + extra, learned + own, directions)
 
     def _known_directions(self, scales: Scales) -> np.ndarray:
         """(D,) ln of what each observation knows of the directions of ends whose frames were not reported, marks being off by
-        their typical size.
-
-        Integrated over the angle, which a limp rod shows less, the evidence would favour limp rods, the more the more poses
-        there are. So directions count as equally probable where marks tell them apart equally well (Jeffreys' prior of them,
-        given the unknowns; Berger, Liseo and Wolpert, 1999)."""
+        their typical size."""
         at = [q for q, name in enumerate(effect_scales(self.unknowns)) if name == "any_turn"]
         if not at:
             return np.zeros(len(self.share))
