@@ -5,9 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from doo_ti import Observations, save_observations
+from doo_ti import Cylinder, Observations, save_observations
 from doo_ti.commands.cli import main
-from doo_ti.contact.surroundings import smallest_self_gap
+from doo_ti.commands.loading import inside_doubt, mesh_doubt
+from doo_ti.contact.surroundings import Surroundings, smallest_self_gap
 from tests.commands.calls import refused, written
 from tests.contact.topology import determinant
 
@@ -29,6 +30,16 @@ drag_per_s = 5.0
 time_s = 0.3
 start_position_mm = [-20, 0, 20]
 """
+
+
+def test_doubts_about_obstacles_are_said():
+    """Marks inside one, and edges that cannot lie on it."""
+    marks = np.stack([np.linspace(0.0, 100.0, 6), np.zeros(6), np.full(6, 3.0)], axis=1)[None]
+    seen = Observations(marks, labels=["low"])
+    beside = Surroundings([Cylinder((50, -40, -9), (50, 40, -9), 4.0)], 1.0)
+    assert inside_doubt(seen, beside) is None and "edges of 20 mm are too long" in mesh_doubt(seen, beside)
+    assert inside_doubt(seen, Surroundings([Cylinder((50, -40, 0), (50, 40, 0), 10.0)], 1.0)).startswith(
+        "the axis of observation low is 7 mm inside an obstacle")
 
 
 @pytest.fixture(scope="module")

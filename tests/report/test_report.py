@@ -17,11 +17,17 @@ from doo_ti.report import (
     motions_picture,
     quantity,
 )
-from doo_ti.report.canvas import fit_titles, new_figure
+from doo_ti.report.canvas import direction, fit_titles, new_figure
 from doo_ti.report.plane import LandscapePlane, cell_edges, valley_cells
 from tests.record import runs
 
 GREY = (154, 154, 154)
+
+
+@pytest.mark.parametrize("vector, text", [((1, 0, 0), "x"), ((0, -1, 0), "−y"), ((0.94, 0.34, 0), "0.94 x + 0.34 y"),
+                                          ((-0.6, 0, 0.8), "−0.6 x + 0.8 z"), ((0.8, -0.6, 0.001), "0.8 x − 0.6 y")])
+def test_directions_as_text(vector, text):
+    assert direction(np.array(vector, dtype=float)) == text
 
 
 def run() -> tuple[list, np.ndarray]:
