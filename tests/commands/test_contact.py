@@ -38,7 +38,7 @@ def test_doubts_about_obstacles_are_said():
     seen = Observations(marks, labels=["low"])
     beside = Surroundings([Cylinder((50, -40, -9), (50, 40, -9), 4.0)], 1.0)
     assert inside_doubt(seen, beside) is None and "edges of 20 mm are too long" in mesh_doubt(seen, beside)
-    assert inside_doubt(seen, Surroundings([Cylinder((50, -40, 0), (50, 40, 0), 10.0)], 1.0)).startswith(
+    assert inside_doubt(seen, Surroundings([Cylinder((40, -40, 0), (40, 40, 0), 10.0)], 1.0)).startswith(
         "the axis of observation low is 7 mm inside an obstacle")
 
 
