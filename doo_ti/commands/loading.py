@@ -243,7 +243,8 @@ def inside_doubt(observations: Observations, surroundings: Surroundings | None) 
     """That marks, or the lines between them, are inside an obstacle, or None: rods are moved out of it, to either side."""
     if not surroundings:
         return None
-    depth = -np.nan_to_num(surroundings.at(0).smallest_gap(observations.vertices)) - surroundings.radius
+    around = Surroundings(surroundings.at(0).bodies, surroundings.radius)
+    depth = -np.nan_to_num(around.smallest_gap(observations.vertices)) - surroundings.radius
     worst = int(depth.argmax())
     if depth[worst] <= 0:
         return None

@@ -184,7 +184,8 @@ def _task(options: Namespace, source: str, starts: int) -> Task:
     density = given.density(options)
     if os.path.isdir(source):
         observations, thetas, kinds, weight, around, landscape = _of_run(options, Path(source), starts)
-        density, grid = run_density(Path(source)) if density is None else density, landscape.grid
+        density = run_density(Path(source)) if density is None else density
+        grid = landscape.grid
     else:
         from doo_ti.refinement.search import theta_of_cell
 

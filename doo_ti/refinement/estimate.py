@@ -236,9 +236,9 @@ def _by_covariance(fitted: Fitted, direction: np.ndarray, wanted: float, farthes
 def interval(fit: Fit, fitted: Fitted, direction: np.ndarray, wanted: float) -> Interval:
     """The interval of ``direction`` (P,) · x by the profile: where the root of F's rise becomes ``wanted``."""
     error = float(np.sqrt(direction @ fitted.posterior.covariance @ direction))
-    least = fitted.evidence.holding(direction).posterior(fitted.state.scales).level
+    held = replace(fitted, posterior=fitted.evidence.holding(direction).posterior(fitted.state.scales))
     fit = replace(fit, rods=fitted.state.used, tolerance=OF_INTERVALS)
-    low, high = (_reach(fit, fitted, sign * direction, wanted, error, least) for sign in (-1.0, 1.0))
+    low, high = (_reach(fit, fitted, sign * direction, wanted, error, held.level) for sign in (-1.0, 1.0))
     return Interval(None if low is None else -low, high, error)
 
 
@@ -251,7 +251,7 @@ def _reach(fit: Fit, fitted: Fitted, direction: np.ndarray, wanted: float, error
         begun = fit.unknowns.offset(states[near].values, fit.origin)
         found = fit.run(states[near], STEPS, held=(direction, place - places[near]))
         reached = places[near] + float(direction @ (fit.unknowns.offset(found.state.values, fit.origin) - begun))
-        root = float(np.sqrt(max(found.posterior.level - least, 0.0)))
+        root = float(np.sqrt(max(found.level - least, 0.0)))
         places.append(reached)
         roots.append(root)
         states.append(found.state)

@@ -55,14 +55,6 @@ class Posterior:
     effects: np.ndarray  # (D, Q) ẑ
     value: float  # F
     gradient: np.ndarray  # (H,) of F by the logarithms of the sizes that are learned, priors included
-    directions: float  # what F is larger by because directions that a limp rod shows less are integrated out
-
-    @property
-    def level(self) -> float:
-        """F where directions of ends that were not reported count as equally probable where marks tell them apart equally well
-        (Jeffreys' prior of them, given the unknowns; Berger, Liseo and Wolpert, 1999). Between fits of one model F itself
-        leans towards limp rods, the more the more poses there are."""
-        return self.value - self.directions
 
 
 @dataclass(frozen=True)
@@ -133,18 +125,21 @@ class Evidence:
         self._prior_gradient(gradient, scales, np.outer(x, x) + covariance_x)
         extra, own = scales.prior()
         learned = np.array([gradient[name] for name, free in zip(NAMES, scales.learned, strict=True) if free])
-        directions = float(share @ self._known_directions(scales))
-        return Posterior(step, covariance_x, effects, value + extra, learned + own, directions)
+        return Posterior(step, covariance_x, effects, value + extra, learned + own)
 
-    def _known_directions(self, scales: Scales) -> np.ndarray:
-        """(D,) ln of what each observation knows of the directions of ends whose frames were not reported, marks being off by
-        their typical size."""
+    def of_directions(self, scales: Scales) -> float:
+        """What F is larger by because directions of ends that were not reported are integrated out: ln of what marks tell of
+        them, being off by their typical size.
+
+        A limp rod shows directions less. Between fits of one model F therefore leans towards limp rods, the more the more poses
+        there are; without this part all directions are equally probable that marks tell apart equally well (Jeffreys' prior of
+        them, given the unknowns; Berger, Liseo and Wolpert, 1999)."""
         at = [q for q, name in enumerate(effect_scales(self.unknowns)) if name == "any_turn"]
         if not at:
-            return np.zeros(len(self.share))
+            return 0.0
         marks = scales.typical[NAMES.index("marks")]
         known = self.moments[0].effects[:, at][:, :, at] / marks**2 + np.eye(len(at)) / scales["any_turn"] ** 2
-        return np.linalg.slogdet(known)[1]
+        return float(self.share @ np.linalg.slogdet(known)[1])
 
     def not_known(self, slope: np.ndarray) -> np.ndarray:
         """(P, P) the information that is missing because several rows may be the rod: the covariance of their slopes (D, P)

@@ -82,6 +82,11 @@ class Fitted:
         """Smaller for a better fit: one in which more rods count or, if as many do, a more probable one."""
         return -int(self.counted.sum()), self.posterior.value
 
+    @property
+    def level(self) -> float:
+        """F without what integrating directions adds: what intervals go by."""
+        return self.posterior.value - self.evidence.of_directions(self.state.scales)
+
     def after(self, before: "Fitted") -> "Fitted":
         """The same, with the steps of the fit that it continues counted too."""
         return replace(self, steps=before.steps + self.steps)

@@ -52,7 +52,8 @@ class Optimum:
     fitted: Fitted
 
     def behind(self, best: "Optimum") -> float:
-        """−2 ln of the evidence above that of ``best``, of the rods that count in both; infinite where there are none."""
+        """−2 ln of the evidence above that of ``best``, of the rods that count in both; where these are few,
+        infinite of the fit with fewer rods."""
         used = self.fitted.counted, best.fitted.counted
         if np.array_equal(*used):
             return self.fitted.posterior.value - best.fitted.posterior.value

@@ -27,7 +27,7 @@ COARSE_ROTATION = 0.2  # rad: while steps are larger, an external energy gives i
 PATIENCE = 25  # trips without progress
 PATIENCE_32 = 16  # the same in f32, after which f64 takes over
 NOTABLE = 1e-8  # of the energy's magnitude, which locked-in twist may dominate
-PATIENCE_AT_KINK = 10  # trips without progress in contact, after which steps get shorter
+PATIENCE_AT_KINK = 10  # trips without progress, after which steps of rods that touch each other get shorter
 PATIENCE_AT_SADDLE = 8  # trips without noteworthy progress where the inertia is wrong
 MOST_STRAYS = 24.0  # how often a rod leaves a saddle because of that; without a limit it could go on doing so
 

@@ -77,7 +77,12 @@ class Touched:
         """The line that says how large the arrows of contact forces are."""
         if not np.nan_to_num(self.force).any():
             return "no contact forces"
-        return f"contact forces (an arrow of 10 mm: {10 / self.arrow_scale:g} {'mm²/mm' if self.newtons is None else 'N'})"
+        return f"contact forces (an arrow of 10 mm: {10 / self.arrow_scale:g} {self._unit})"
+
+    @property
+    def _unit(self) -> str:
+        """Of forces, as they are shown."""
+        return "mm²/mm" if self.newtons is None else "N"
 
     @property
     def legend_at_end(self) -> str:
@@ -85,7 +90,7 @@ class Touched:
         if np.nan_to_num(self.force[:, -1]).any() or not np.nan_to_num(self.force).any():
             return f"blue, at the end: {self.legend}"
         most = np.linalg.norm(np.nan_to_num(self._shown).sum(axis=2), axis=-1).max()
-        return f"at the end nothing touches; before, {most:.3g} {'mm²/mm' if self.newtons is None else 'N'} in all at most"
+        return f"at the end nothing touches; before, {most:.3g} {self._unit} in all at most"
 
     def arrows(self, row: int, frame: int) -> tuple[np.ndarray, np.ndarray]:
         """Origins and vectors (N, 3) in mm of the forces on a rod at a frame."""

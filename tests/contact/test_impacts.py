@@ -120,7 +120,7 @@ def largest_rise(found) -> np.ndarray:
 
 
 @pytest.mark.parametrize("count, most", [pytest.param(24, 2e-6, marks=pytest.mark.thorough),
-                                         pytest.param(170, 2e-6, marks=pytest.mark.slow)])
+                                         pytest.param(170, 1e-6, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("scheme", ["bdf2", "euler"])
 @pytest.mark.parametrize("friction, damping, rate", [
     (0.0, 0.0, 100.0), (0.0, 0.02, 100.0), (0.3, 0.0, 100.0), pytest.param(0.0, 0.0, 400.0, marks=pytest.mark.slow)])
