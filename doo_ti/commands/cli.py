@@ -17,11 +17,8 @@ from doo_ti import __version__
 from doo_ti.commands import (
     cameras,
     group,
-    hidden,
     identify,
     machine,
-    nearest,
-    overview,
     perceive,
     plan,
     predict,
@@ -35,6 +32,7 @@ from doo_ti.commands import (
     track,
     twist,
 )
+from doo_ti.commands.help_text import hidden, nearest, overview
 from doo_ti.system.errors import InputError, InterruptedRunError
 from doo_ti.system.runtime import check_architecture
 from doo_ti.system.terminal import VisibleStream, visible

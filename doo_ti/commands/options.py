@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import FIRST, examples
+from doo_ti.commands.help_text import FIRST, examples
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.observation_files import checked_suffix
 from doo_ti.io.scene import CLAMPS, PRECISIONS

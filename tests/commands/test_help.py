@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doo_ti.commands import EXAMPLES, FIRST, GROUPS, OTHER_WORDS
 from doo_ti.commands.cli import _parser, main
+from doo_ti.commands.help_text import EXAMPLES, FIRST, GROUPS, OTHER_WORDS
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 COMMANDS = _parser().meanings()

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from doo_ti.commands import EXAMPLES
+from doo_ti.commands.help_text import EXAMPLES
 from tools.maintenance import mutations
 from tools.studies import reproduce
 from tools.studies.replication.criteria import CRITERIA
