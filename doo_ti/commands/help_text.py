@@ -11,60 +11,55 @@ GROUPS = {
     "Utilities": ("synth", "convert", "view", "bench", "warm"),
 }
 """Commands by what they are for, in the order of their use."""
-EXAMPLES = {
-    "sweep": (("sweep scenes/vicryl.toml --out runs/vicryl", "the virtual lab, 37 500 rods"),
-              ("sweep rope.npz --EI 1e-5:1e-3:25 --linear-density 50 --out runs/rope", "own marks, in N m² and g/m")),
-    "refine": (("refine runs/vicryl", "parameters with 95 % intervals, from the best cell of a sweep"),
-               ("refine runs/rope --linear-density 50 --json", "the same in N m², as JSON")),
-    "learn": (("learn runs/nylon runs/vicryl runs/silk --by material", "leave-one-out tables"),
-              ("learn runs/vicryl --by end-distance --out tables", "as text, CSV and Markdown")),
-    "plan": (("plan scenes/vicryl.toml --out plan", "which configurations to measure next"),
-             ("plan rope.npz --bend 4e5:8e5:5 --twist 6e5 --out plan", "of own observations")),
-    "figures": (("figures runs/nylon runs/vicryl --out figures", "landscapes, and a recording of all cells"),
-                ("figures runs/vicryl --by end-distance --out figures", "a landscape for each end distance")),
-    "relax": (("relax suture.npz --bend 6e5 --twist 8e5 --out relaxed.npz", "each observation as relaxed"),
-              ("relax rope.csv --EI 1e-4 --linear-density 50 --out relaxed.npz", "in physical units")),
-    "group": (("group scenes/groups/wire_harness.toml --out harness.npz --picture harness.png", "a harness"), (
-        "group scenes/groups/reef_knot.toml --out knot.npz --recording knot.rrd", "two ropes that are knotted")),
-    "predict": (("predict suture.npz --motion path.csv --bend 6e5 --twist 8e5 --out moved.npz", "poses in the world"),
-                ("predict scenes/motion/loop_pop_out.toml --out loop.npz --picture loop.png", "a scene of motion")),
-    "twist": (("twist suture.npz --bend 6e5 --twist 8e5 --out phi.npz --picture phi.png", "a twist angle each"),
-              ("twist rods.npz --bend 6e5 --twist 8e5 --observations 6 --out phi.npz", "six share one unknown angle")),
-    "calibrate": (("calibrate views.csv --board charuco:10x7:10:7 --out rig.yaml", "cameras from images of a board"),
-                  ("calibrate views.csv --board chessboard:9x6:25 --out rig.yaml", "the same from a chessboard")),
-    "triangulate": (("triangulate marks.csv --rig rig.yaml --out suture.npz", "labelled marks to observations"),
-                    ("triangulate marks.csv --rig rig.yaml --out suture.npz --json", "counts and outliers as JSON")),
-    "perceive": ((
-        "perceive --rig rig.yaml --sets sets.csv --rest-length 3:33 --bend 6e5 --twist 8e5 --out rods.npz", "many sets"), (
-        "perceive left.png right.png --rig rig.yaml --seed-pixel left:412,300 --out rod.npz", "one set, from a click")),
-    "track": ((
-        "track --rig rig.yaml --frames video.csv --rest-length 3:33 --bend 6e5 --twist 8e5 --out video.npz", "from a video"), (
-        "track --rig rig.yaml --frames video.csv --rest-length lengths.txt --bend 6e5 --twist 8e5 --out video.npz --json",
-        "with lengths of each edge")),
-    "steer": ((
-        "steer rope.npz --target goal.npz --EI 1e-4 --GJ 1e-4 --linear-density 50 --out path.csv", "both grippers' motion"), (
-        "steer rope.npz --target goal.npz --bend 6e5 --obstacles table.toml --radius 1 --out path.csv", "past obstacles")),
-    "servo": ((
-        "servo rope.npz --target goal.npz --rig rig.yaml --bend 6e5 --out run", "with a true rod as the model says"), (
-        "servo rope.npz --target goal.npz --rig rig.yaml --EI 1e-4 --GJ 1e-4 --linear-density 50 --true-EI 1.3e-4 --out run",
-        "with one that is stiffer")),
-    "simulate": ((
-        "simulate scenes/motion/hanging_cables.toml --out hanging.npz --animation hanging.gif", "eight cables"), (
-        "simulate marks.npz --motion poses.csv --theta theta.json --out moved.npz", "observed rods that grippers move")),
-    "identify": (("identify motion.npz --out theta.json", "a rod from recorded motion"),
-                 ("identify motion.npz --obstacles table.toml --radius 2 --fit friction,bend_damping --out theta.json",
-                  "of a rod that is moved on a table")),
-    "synth": (("synth scenes/vicryl.toml --out vicryl.npz", "simulated observations"),
-              ("synth scenes/vicryl.toml --images lab --rig scenes/rig.yaml", "rendered images, and the true rods")),
-    "convert": (("convert marks.csv marks.npz", "from a table to arrays"),
-                ("convert suture.npz suture.parquet", "to a table for other programs")),
-    "view": (("view runs/vicryl", "a recording in the viewer's window"),
-             ("view runs/vicryl --screenshot run.png", "as a picture, without a display")),
-    "warm": (("warm perceive track", "before the first images"), ("warm", "for all commands, in minutes")),
-    "bench": (("bench", "throughput and accuracy on this machine, as a table"),
-              ("bench --out bench", "and as files")),
-}
+EXAMPLES: dict[str, list[tuple[str, str]]] = {}
 """Of each command two examples with their meaning."""
+for _line in """
+sweep scenes/vicryl.toml --out runs/vicryl  # the virtual lab, 37 500 rods
+sweep rope.npz --EI 1e-5:1e-3:25 --linear-density 50 --out runs/rope  # own marks, in N m² and g/m
+refine runs/vicryl  # parameters with 95 % intervals, from the best cell of a sweep
+refine runs/rope --linear-density 50 --json  # the same in N m², as JSON
+learn runs/nylon runs/vicryl runs/silk --by material  # leave-one-out tables
+learn runs/vicryl --by end-distance --out tables  # as text, CSV and Markdown
+plan scenes/vicryl.toml --out plan  # which configurations to measure next
+plan rope.npz --bend 4e5:8e5:5 --twist 6e5 --out plan  # of own observations
+figures runs/nylon runs/vicryl --out figures  # landscapes, and a recording of all cells
+figures runs/vicryl --by end-distance --out figures  # a landscape for each end distance
+relax suture.npz --bend 6e5 --twist 8e5 --out relaxed.npz  # each observation as relaxed
+relax rope.csv --EI 1e-4 --linear-density 50 --out relaxed.npz  # in physical units
+group scenes/groups/wire_harness.toml --out harness.npz --picture harness.png  # a harness
+group scenes/groups/reef_knot.toml --out knot.npz --recording knot.rrd  # two ropes that are knotted
+predict suture.npz --motion path.csv --bend 6e5 --twist 8e5 --out moved.npz  # poses in the world
+predict scenes/motion/loop_pop_out.toml --out loop.npz --picture loop.png  # a scene of motion
+twist suture.npz --bend 6e5 --twist 8e5 --out phi.npz --picture phi.png  # a twist angle each
+twist rods.npz --bend 6e5 --twist 8e5 --observations 6 --out phi.npz  # six share one unknown angle
+calibrate views.csv --board charuco:10x7:10:7 --out rig.yaml  # cameras from images of a board
+calibrate views.csv --board chessboard:9x6:25 --out rig.yaml  # the same from a chessboard
+triangulate marks.csv --rig rig.yaml --out suture.npz  # labelled marks to observations
+triangulate marks.csv --rig rig.yaml --out suture.npz --json  # counts and outliers as JSON
+perceive --rig rig.yaml --sets sets.csv --rest-length 3:33 --bend 6e5 --twist 8e5 --out rods.npz  # many sets
+perceive left.png right.png --rig rig.yaml --seed-pixel left:412,300 --out rod.npz  # one set, from a click
+track --rig rig.yaml --frames video.csv --rest-length 3:33 --bend 6e5 --twist 8e5 --out video.npz  # from a video
+track --rig rig.yaml --frames video.csv --rest-length lengths.txt --EI 1e-5 --linear-density 3 --out video.npz  # of each edge
+steer rope.npz --target goal.npz --EI 1e-4 --GJ 1e-4 --linear-density 50 --out path.csv  # both grippers' motion
+steer rope.npz --target goal.npz --bend 6e5 --obstacles table.toml --radius 1 --out path.csv  # past obstacles
+servo rope.npz --target goal.npz --rig rig.yaml --bend 6e5 --out run  # with a true rod as the model says
+servo rope.npz --target goal.npz --rig rig.yaml --EI 1e-4 --linear-density 50 --true-EI 1.3e-4 --out run  # a stiffer one
+simulate scenes/motion/hanging_cables.toml --out hanging.npz --animation hanging.gif  # eight cables
+simulate marks.npz --motion poses.csv --theta theta.json --out moved.npz  # observed rods that grippers move
+identify motion.npz --out theta.json  # a rod from recorded motion
+identify motion.npz --obstacles table.toml --radius 2 --fit friction,bend_damping --out theta.json  # one on a table
+synth scenes/vicryl.toml --out vicryl.npz  # simulated observations
+synth scenes/vicryl.toml --images lab --rig scenes/rig.yaml  # rendered images, and the true rods
+convert marks.csv marks.npz  # from a table to arrays
+convert suture.npz suture.parquet  # to a table for other programs
+view runs/vicryl  # a recording in the viewer's window
+view runs/vicryl --screenshot run.png  # as a picture, without a display
+warm perceive track  # before the first images
+warm  # for all commands, in minutes
+bench  # throughput and accuracy on this machine, as a table
+bench --out bench  # and as files
+""".strip().splitlines():
+    EXAMPLES.setdefault(_line.split()[0], []).append(tuple(_line.split("  # ")))
 _MATERIAL, _FILES = ("--EI", "--GJ", "--linear-density"), ("--unit", "--columns", "--up")
 FIRST = {
     "sweep": (*_MATERIAL, *_FILES, "--rest-length", "--clamp-start", "--clamp-end", "--workers"),

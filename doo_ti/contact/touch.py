@@ -48,7 +48,8 @@ class Touch(IntEnum):
 class Contacts:
     """Contacts of R rods with the obstacles around them.
 
-    force         (R, V, 3) of obstacles on the vertices, mm (energy per mm); the force on an edge is divided between its ends
+    force         (R, V, 3) of obstacles on the vertices, mm (energy per mm): times ``material.newton`` N. That on an edge is
+                  divided between its ends
     vertices      (R, V, 3) mm
     surroundings  the obstacles and the rods' radius
     """

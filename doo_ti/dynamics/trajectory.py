@@ -43,7 +43,8 @@ class Trajectory:
                 estimated, infinite where no finer steps confirm the motion
     slopes      (R, F, P, V, 3) derivatives of positions along the ``directions`` of :func:`.simulate`, or None
     detail      frames, velocities and energies, if asked for, or None
-    contact_force  (R, F, V, 3) of obstacles on vertices, friction included, mm (energy per mm), or None without obstacles
+    contact_force  (R, F, V, 3) of obstacles on vertices, friction included, mm (energy per mm): times ``material.newton`` N;
+                None without obstacles
     friction_work  (R, F) energy that friction has taken since the start, mm²
     touch       (R, F, V) :class:`.Touch` of each vertex and the edge that ends there, or None without obstacles
     """

@@ -56,7 +56,8 @@ class Prediction:
     jumps         (T, R) jumps to another branch since the moment before
     end_rotation  (T, R) rad by which the far clamp has turned the rod about its tangent, whole turns included
     material, motion  (R,) rows
-    contact_force  (T, R, V, 3) of obstacles on the vertices, mm (energy per mm); None without obstacles
+    contact_force  (T, R, V, 3) of obstacles on the vertices, mm (energy per mm): times ``material.newton`` N; None without
+                  obstacles
     substeps      (R,) time steps from one moment to the next, of rods with inertia or friction; else None
     step_error    (R,) mm, estimated error of the time steps, where a tolerance was given; else None
     """

@@ -36,6 +36,7 @@ TURNED = 0.5  # factor of a step that leads back by more than this share of the 
 LEAST_SHARE = 2e-3  # share of a step: if no longer step helps, the fit stops
 FINE, OF_INTERVALS, ROUGH = (0.03, 0.01), (0.1, 0.1), (0.1, 0.5)  # a fit is done when a whole step would move Θ by fewer
 # standard errors and the last one lowered −2 ln of the posterior by less; ROUGH while several fits compete
+STOPPED = 30.0  # what F of a fit that stopped before an optimum counts more than that of one at its optimum
 SCALE_STEPS = 10  # of the search for the sizes, in each step
 EXACT, IMPROBABLE = 1e-12, 1e9  # mean square of residuals that is rounding; −ln of the density of a rod that does not count
 ODD = 9.0  # times the others' mean square, three times their size: a rod with such residuals is a misfit
@@ -80,7 +81,13 @@ class Fitted:
     @property
     def rank(self) -> tuple[int, float]:
         """Smaller for a better fit: one in which more rods count or, if as many do, a more probable one."""
-        return -int(self.counted.sum()), self.posterior.value
+        return -int(self.counted.sum()), self.value
+
+    @property
+    def value(self) -> float:
+        """F, and STOPPED above it where the fit reached no optimum: there its linear model is no guide, least of all beside a
+        shape that is about to snap."""
+        return self.posterior.value + STOPPED * (not self.converged)
 
     @property
     def level(self) -> float:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from doo_ti.refinement.evidence import integrated
-from doo_ti.refinement.fit import POSED, ROUGH, Fit, Fitted, State
+from doo_ti.refinement.fit import ODD, POSED, ROUGH, Fit, Fitted, State
 from doo_ti.refinement.residuals import Comparison
 from doo_ti.refinement.rolls import bent, rolled, swivelling
 from doo_ti.refinement.theta import Scales, Theta, common_rod
@@ -52,20 +52,21 @@ class Optimum:
     fitted: Fitted
 
     def behind(self, best: "Optimum") -> float:
-        """−2 ln of the evidence above that of ``best``, of the rods that count in both; where these are few,
-        infinite of the fit with fewer rods."""
+        """−2 ln of the evidence above that of ``best``. Where they count different rods it is that of the rods that count in
+        both, and each rod that one of them leaves out counts there as noise three times as large, with which rods become
+        misfits (:data:`doo_ti.refinement.fit.ODD`): a model may not win by fitting less."""
         used = self.fitted.counted, best.fitted.counted
         if np.array_equal(*used):
-            return self.fitted.posterior.value - best.fitted.posterior.value
+            return self.fitted.value - best.fitted.value
+        rod = self.fit.unknowns.rod
+        coordinates = rod.by_observation(self.fit.comparison.count)[:, 0]
         both = used[0] & used[1]
-        own, its = (int(one.fitted.counted.sum()) for one in (self, best))
-        if 2 * both.sum() < max(own, its):  # what one of them fits says nothing of the other
-            return -np.inf if own > its else np.inf
         values = []
-        for one in (self, best):  # of the observations that count in both alone
+        for one, counted in zip((self, best), used, strict=True):
             rods = np.repeat(both, one.fit.unknowns.rod.copies)
             state = replace(one.fitted.state, used=rods & one.fitted.state.used)
-            values.append(replace(one.fit, rods=rods).run(state, COMPARED).posterior.value)
+            value = replace(one.fit, rods=rods).run(state, COMPARED).posterior.value if both.any() else 0.0
+            values.append(value + np.log(ODD) * float(coordinates[~counted].sum()))
         return values[0] - values[1]
 
     def like(self, other: "Optimum") -> bool:
@@ -116,10 +117,7 @@ def _from_thetas(comparison: Comparison, thetas: Sequence[Theta], clip: np.ndarr
             last = error
     if not tried:
         raise last
-    if len(tried) == 1 and len(thetas) == 1:
-        return [Optimum(fit, tried[0])]
-    best = min(tried, key=lambda one: one.rank)
-    return [Optimum(fit, fit.run(best.state, options.iterations).after(best))]
+    return [Optimum(fit, tried[0])] if len(thetas) == 1 else _continued(fit, tried, options.iterations)[:1]
 
 
 def _from_twists(found: list[Optimum], scales: Scales, steps: int) -> list[Optimum]:
@@ -151,7 +149,7 @@ def _continued(fit: Fit, tried: list[Fitted], steps: int) -> list[Optimum]:
     """Those of ``tried`` that are near the best, each continued for ``steps``, the best first."""
     tried, found = sorted(tried, key=lambda one: one.rank), []
     for one in tried:
-        near = one.counted.sum() == tried[0].counted.sum() and one.posterior.value < tried[0].posterior.value + NEAR
+        near = one.counted.sum() == tried[0].counted.sum() and one.value < tried[0].value + NEAR
         if near and not any(Optimum(fit, one).like(other) for other in found):
             found.append(Optimum(fit, fit.run(one.state, steps).after(one)))
     return once(sorted(found, key=lambda one: one.fitted.rank))

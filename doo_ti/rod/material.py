@@ -143,7 +143,8 @@ class Material:
                         self.rest_curvature, self.weight_per_length)
 
     def __repr__(self) -> str:
-        bend, twist = (span_text(value, "mm³") for value in (self.bend[..., [0, 1], [0, 1]], self.twist))
+        bend, twist = (span_text(value, "mm³") + (" along the rod" if np.ptp(value, axis=1).any() else "")
+                       for value in (self.bend[..., [0, 1], [0, 1]], self.twist))
         rest = "" if self.rest_curvature is None else f", rest curvature up to {np.abs(self.rest_curvature).max():.3g} 1/mm"
         newton = "" if self.weight_per_length is None else f", {span_text(self.weight_per_length, 'N/m')}"
         return (f"Material({counted(self.count, 'material')}: bend {bend}, twist {twist}, weight {span_text(self.weight)}"

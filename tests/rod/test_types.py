@@ -71,8 +71,9 @@ def test_objects_are_printed_in_one_line(rng):
     solution = Solution(rods, numbers, numbers, numbers, status, status, flags, np.zeros((3, 3)), status + 64)
     loads = EndLoads(*(np.zeros((3, 3)) for _ in range(4)), True)
     seen = Observations(rods.vertices, rest_length=np.full(12, 3.0), name="rope")
-    assert [repr(thing) for thing in (material, rods, clamps_at(rods), solution, seen, loads)] == [
+    assert [repr(thing) for thing in (material, Material(2e5, [[1e5, 3e5]]), rods, clamps_at(rods), solution, seen, loads)] == [
         "Material(3 materials: bend 2e+05 to 6e+05 mm³, twist 2e+05 mm³, weight 1, 0.01 N/m)",
+        "Material(1 material: bend 2e+05 mm³, twist 1e+05 to 3e+05 mm³ along the rod, weight 1)",
         "Configuration(3 rods of 12 edges, 36 mm long)",
         "Clamps(3 rods: start frame, end frame)",
         "Solution(3 rods of 12 edges: 3 converged; 3 certified stable)",

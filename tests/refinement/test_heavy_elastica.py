@@ -1,0 +1,69 @@
+"""Planar elasticas under their own weight, from scipy's solver of boundary value problems, which shares nothing with the
+package: a cable of 600 mm between two level clips, marks with noise, and nothing reported of the clips' directions."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_bvp
+from scipy.optimize import brentq
+from scipy.special import j0
+
+from doo_ti.commands.cli import main
+
+LENGTH, EI, GRAMS_PER_METRE, NOISE = 0.6, 0.011, 32.0, 1.0  # m, N m², g/m, mm
+SPANS = (0.25, 0.30, 0.35, 0.40, 0.45, 0.50)  # m between the clips
+COMMAND = ["--linear-density", str(GRAMS_PER_METRE)]
+
+
+def hanging(span: float, marks: int) -> np.ndarray:
+    """(marks, 2) mm of a cable that leaves both clips level: x, y, θ with EI θ'' = w (L − s) cos θ − H sin θ + V cos θ."""
+    weight, s = GRAMS_PER_METRE * 1e-3 * 9.81, np.linspace(0, LENGTH, 401)
+    sag = brentq(lambda angle: j0(angle) - span / LENGTH, 0, 2.4)
+    angle = -sag * np.sin(2 * np.pi * s / LENGTH)
+    guess = np.array([np.cumsum(np.cos(angle)) * s[1], np.cumsum(np.sin(angle)) * s[1], angle, np.gradient(angle, s)])
+
+    def slope(s, y, force):
+        bending = weight * (LENGTH - s) * np.cos(y[2]) - force[0] * np.sin(y[2]) + force[1] * np.cos(y[2])
+        return np.array([np.cos(y[2]), np.sin(y[2]), y[3], bending / EI])
+
+    def ends(first, last, force):
+        return np.array([*first[:3], last[0] - span, last[1], last[2]])
+
+    found = solve_bvp(slope, ends, s, guess, p=[1.0, -weight * LENGTH / 2], tol=1e-7, max_nodes=20000)
+    assert found.success
+    return 1000 * found.sol(np.linspace(0, LENGTH, marks))[:2].T
+
+
+@pytest.fixture(scope="module", params=[2, 5])
+def marks(request, tmp_path_factory) -> str:
+    rng, lines = np.random.default_rng(request.param), ["observation,vertex,x,y,z"]
+    for row, span in enumerate(SPANS):
+        for mark, (along, up) in enumerate(hanging(span, 21)):
+            x, y, z = np.array([along, 0.0, up]) + NOISE * rng.normal(size=3)
+            lines.append(f"{row},{mark},{x},{y},{z}")
+    path = tmp_path_factory.mktemp("marks") / "marks.csv"
+    path.write_text("\n".join(lines))
+    return str(path)
+
+
+def interval(words: list[str], out) -> tuple[float, float]:
+    """The interval of EI that a refinement finds, N m²; an open side is infinite, or 0."""
+    assert main(["refine", *words, *COMMAND, "--no-models", "--out", str(out)]) == 0
+    _, low, high = json.loads(out.read_text())[0]["stiffness"]["EI_Nm2"]
+    return low or 0.0, high or np.inf
+
+
+@pytest.mark.thorough
+def test_the_interval_holds_the_truth(marks, tmp_path):
+    low, high = interval([marks, "--EI", "0.004"], tmp_path / "found.json")
+    assert low < EI < high
+
+
+@pytest.mark.thorough
+def test_bend_alone_from_a_sweep_holds_the_truth(marks, tmp_path):
+    """The sweep's best GJ is far off, as nothing shows it: it stays in proportion to EI."""
+    run = tmp_path / "run"
+    assert main(["sweep", marks, "--EI", "1e-3:1e-1:9", "--twist-ratio", "0.25:4:3", *COMMAND, "--out", str(run)]) == 0
+    low, high = interval([str(run), "--parameters", "bend"], tmp_path / "found.json")
+    assert low < EI < high
