@@ -35,6 +35,7 @@ CLICK_PX, END_PX = 30.0, 15.0  # A click is this near to the thread; an end this
 EPIPOLAR_PX = 8.0  # an end this near to the epipolar line of a click may be its image
 MOST_PLACES = 12
 SMOOTH = 1e3
+LONG_PX = 0.05  # cost of a curve e times as long: a long thread that looks short in all images is improbable
 FAR = 30.0  # distances between cameras: how far away a thread is thought to begin whose rays do not meet in front of them
 
 
@@ -112,13 +113,14 @@ def _choices(places: list[np.ndarray]):
 
 
 def _seed(rig: Rig, lines: Sequence[Chains], pixels: Sequence[np.ndarray]) -> tuple[float, np.ndarray] | None:
-    """(cost, point) of the rod that begins at ``pixels`` of the cameras; None where none does."""
+    """(cost in px, point) of the rod that begins at ``pixels`` of the cameras; None where none does."""
     paths = [paths_from(line, pixel, None, PATHS) for line, pixel in zip(lines, pixels, strict=True)]
     matches = best_matches(rig, paths, 1)
     if not matches:
         return None
     curve, _ = curve_of(rig, matches[0], _between_rays(rig, pixels), SMOOTH, held=0.0)
-    return matches[0].cost, curve[0]
+    length = float(np.linalg.norm(np.diff(curve, axis=0), axis=1).sum())
+    return matches[0].cost + LONG_PX * np.log(max(length, 1e-9)), curve[0]
 
 
 def _between_rays(rig: Rig, pixels: Sequence[np.ndarray]) -> np.ndarray:

@@ -73,6 +73,16 @@ def test_a_click_begins_a_thread_of_unknown_length(seen):
         seed_from_pixels(rig, images, {0: (5.0, 5.0)}, "test")
 
 
+@pytest.mark.parametrize(("angle", "height"), [(10.0, 10.0), (15.0, 25.0), (30.0, 10.0)])
+def test_a_level_arch_does_not_begin_at_its_other_end(angle, height, rng):
+    """Both ends lie on one epipolar line: a thread as far away as the rays of opposite ends meet looks the same."""
+    rig, s = cameras(angle, third=False), np.linspace(-1, 1, 2001)
+    points = np.stack([40 * s, -height * (1 - s**2), 8 * np.sin(1.5 * s)], axis=1)
+    images = [detection(view, points, 0.2, rng) for view in rig.cameras]
+    start = seed_from_pixels(rig, images, {0: rig.cameras[0].project(points[:1])[0]}, "test")
+    assert np.linalg.norm(start - points[0]) < 1.0
+
+
 def test_coverage_is_the_share_of_points_near_the_rod(seen):
     rig, curves, detections = seen
     halves = np.array([points[:: 20][: 51] for points in curves])
