@@ -54,12 +54,12 @@ LOST_PX = 3.0  # bound of the largest distance where no two cameras fit: a rod f
 class PerceptionVerdict(IntEnum):
     """How certain the best rod is, by its gap to the best runner-up and its distance to the detection.
 
-    CLEAR      a gap of at least 0.1 px, or no other rod: image evidence alone separates them. And the rod is within 1 px of the
-               detection, on average, in every camera, explains 95 % of the line detected in each, is as long as it, and its
-               vertices are certain to 1 mm. Never with one camera, which does not see depth
+    CLEAR      a gap of at least 0.1 px, or no other rod: image evidence alone separates them. And the rod is a certified
+               minimum, within 1 px of the detection, on average, in every camera, explains 95 % of the line detected in each, is
+               as long as it, and its vertices are certain to 1 mm. Never with one camera, which does not see depth
     LIKELY     a gap of at least 0.02 px: image evidence alone does not separate them, the rod's energy helps to decide. Or a
                wider gap, but the rod is further from the detection
-    AMBIGUOUS  a smaller gap: either may be the rod
+    AMBIGUOUS  a smaller gap: either may be the rod. Or the best rod has not converged
     NOT_FOUND  no rod was found that is within 1 px of the detection in two cameras, and it is 3 px off in one: images of other
                cameras, a wrong rig, seed or length
     """
@@ -127,7 +127,7 @@ class Perception:
     @property
     def verdict(self) -> np.ndarray:
         """(A,) PerceptionVerdict."""
-        clear = (self.gap >= CLEAR_PX) & (self.camera_error <= FITTING_PX).all(axis=1)
+        clear = self.sound & (self.gap >= CLEAR_PX) & (self.camera_error <= FITTING_PX).all(axis=1)
         clear &= ~(self.coverage < COVERED).any(axis=1) & ~(self.sigma > CERTAIN_MM).any(axis=1)
         length = self.configuration.rest_length.sum(axis=-1)
         clear &= self.camera_error.shape[1] > 1  # one camera does not see depth
@@ -138,7 +138,8 @@ class Perception:
         lost = (error[:, min(2, error.shape[1]) - 1] > FITTING_PX) & (error[:, -1] > LOST_PX)
         lost &= ~(self.coverage >= COVERED).all(axis=1)  # a rod that goes on beyond the thread is far off there
         kinds = PerceptionVerdict.NOT_FOUND, PerceptionVerdict.CLEAR, PerceptionVerdict.LIKELY
-        return np.select([lost, clear, self.gap >= AMBIGUOUS_PX], kinds, PerceptionVerdict.AMBIGUOUS).astype(np.int8)
+        likely = (self.status == Status.CONVERGED) & (self.gap >= AMBIGUOUS_PX)
+        return np.select([lost, clear, likely], kinds, PerceptionVerdict.AMBIGUOUS).astype(np.int8)
 
     @classmethod
     def joined(cls, parts: list["Perception"]) -> "Perception":
