@@ -63,9 +63,9 @@ def run(options: Namespace) -> int:
     motion = RecordedMotion.together(loading.recordings(options, options.motions), options.motions)
     up = given.world_up(options, motion.up)
     stills = _stills(options, motion, surroundings)
-    require_clear_grippers(motion, guesses(motion, chosen, bend, up)[0], chosen)
     if folds == 1 or folds > motion.count:
         raise InputError(given.SOURCE, "--folds", f"{folds} for {motion.count} recordings", "give 0, or from 2 to their number")
+    require_clear_grippers(motion, guesses(motion, chosen, bend, up)[0], chosen)
     with progress(keep=True) as bar:
         def fit(part, label):
             task = bar.add_task(label, total=chosen.rounds, unit="iterations")

@@ -52,7 +52,7 @@ def rig(options: Namespace) -> Rig:
     """The Rig of ``--rig``, as the other options say."""
     size = None
     if options.image_size is not None:
-        size = tuple(int(side) for side in given.numbers("--image-size", options.image_size))
+        size = given.whole_numbers("--image-size", options.image_size)
         if len(size) != 2:
             raise InputError(given.SOURCE, "--image-size", f"{len(size)} numbers", "give WIDTH,HEIGHT")
     turned = None if options.orientation is None else options.orientation == "apply"
@@ -80,12 +80,13 @@ def add_thread(parser: ArgumentParser) -> None:
                         help="part of a camera's images where the thread is; once for each camera")
 
 
-def by_camera(option: str, texts: Iterable[str] | None, names: tuple[str, ...], form: str) -> dict[str, tuple[float, ...]]:
+def by_camera(option: str, texts: Iterable[str] | None, names: tuple[str, ...], form: str, read=given.numbers
+              ) -> dict[str, tuple]:
     """The numbers of an option that is given once for each camera, as ``CAMERA:`` and ``form``, by the camera's name."""
     found = {}
     for text in texts or ():
         camera, _, numbers = text.rpartition(":")
-        values = given.numbers(option, numbers)
+        values = read(option, numbers)
         if camera not in names or len(values) != form.count(",") + 1:
             raise InputError(given.SOURCE, option, f"{text!r}",
                              f"give CAMERA:{form}; the rig has {', '.join(map(in_line, names))}")
@@ -95,22 +96,26 @@ def by_camera(option: str, texts: Iterable[str] | None, names: tuple[str, ...], 
 
 def sight(options: Namespace, sets, method: str = "ridge"):
     """The Sight that :func:`add_thread` describes, of the images in ``sets``."""
-    from doo_ti.vision.detect import Sight
+    from doo_ti.vision.detect import Sight, mask_of
     from doo_ti.vision.detection import DetectionOptions
 
     colour = None if options.colour is None else tuple(given.numbers("--colour", options.colour))
-    regions = {camera: tuple(map(int, box))
-               for camera, box in by_camera("--region", options.region, sets.rig.names, "X,Y,W,H").items()}
+    regions = by_camera("--region", options.region, sets.rig.names, "X,Y,W,H", given.whole_numbers)
     for region in regions.values():
         DetectionOptions(region=region)
     masks = None if options.masks is None else [Path(mask) for mask in options.masks]
     if masks is not None and len(masks) == 1 and masks[0].is_dir():
         masks = masks[0]
+        for images in sets.paths:
+            files = [mask_of(masks, image) for image in images]
+            if twice := next((file for file in files if files.count(file) > 1), None):
+                raise InputError(masks, twice.stem, "the mask of several cameras' images of this name",
+                                 "put masks into folders that are named as those of the images are")
     elif masks is not None:
         if sets.count > 1 or len(masks) != len(sets.rig.cameras):
             raise InputError(given.SOURCE, "--masks", f"{len(masks)} for {sets.count} sets of {len(sets.rig.cameras)} images",
                              "give one for each camera of a single set, or a folder")
-        masks = dict(zip(sets.paths[0], masks))
+        masks = dict(zip(sets.rig.names, masks, strict=True))
     width = given.positive("--width", options.width, "px")
     return Sight(DetectionOptions(method, options.polarity, width, colour=colour), regions, masks)
 

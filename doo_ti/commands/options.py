@@ -12,6 +12,7 @@ import numpy as np
 
 from doo_ti.commands.help_text import FIRST, examples
 from doo_ti.contact.surroundings import Surroundings
+from doo_ti.io.arrays import number_in
 from doo_ti.io.observation_files import checked_suffix
 from doo_ti.io.scene import CLAMPS, PRECISIONS
 from doo_ti.rod.grid import UNITS, Axis, Grid, parse_axes, parse_axis
@@ -239,10 +240,10 @@ def whole(option: str, text: str | None, minimum: int, most: int | None = None) 
     """A whole number from ``minimum`` up, to ``most`` where that is given, or None."""
     if text is None:
         return None
-    try:
-        value = int(text)
-    except ValueError:
-        raise InputError(SOURCE, option, f"{text!r} is not a whole number", f"give {minimum} or more") from None
+    value = number_in(text)
+    if not np.isfinite(value) or value != round(value):
+        raise InputError(SOURCE, option, f"{text!r} is not a whole number", f"give {minimum} or more")
+    value = int(value)
     if value < minimum or most is not None and value > most:
         raise InputError(SOURCE, option, f"{value} is {f'below {minimum}' if value < minimum else f'above {most}'}",
                          f"give {minimum} {'or more' if most is None else f'to {most}'}")
@@ -263,10 +264,7 @@ def _number(option: str, text: str | None, wanted: str, fits: Callable[[float], 
     """A finite number that ``fits``, or None."""
     if text is None:
         return None
-    try:
-        value = float(text)
-    except ValueError:
-        value = np.nan
+    value = number_in(text)
     if not (np.isfinite(value) and fits(value)):
         raise InputError(SOURCE, option, f"{text!r} is not {wanted}", f"give {wanted}")
     return value
@@ -280,6 +278,11 @@ def length(option: str, text: str | None) -> float | None:
 def numbers(option: str, text: str | None) -> tuple[float, ...]:
     """``30,54,78``: numbers between commas; none without text."""
     return () if text is None else tuple(_number(option, part, "a number, between commas") for part in text.split(","))
+
+
+def whole_numbers(option: str, text: str | None) -> tuple[int, ...]:
+    """``640,480``: whole numbers between commas; none without text."""
+    return () if text is None else tuple(whole(option, part, 0) for part in text.split(","))
 
 
 def rows(option: str, text: str | None, count: int) -> tuple[int, ...]:

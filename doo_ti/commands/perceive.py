@@ -68,7 +68,8 @@ def run(options: Namespace) -> int:
     out = given.output_file(options.out, RODS)
     task = perception_task(options)
     sources = [options.rig, options.sets, options.truth, *(path for line in task.sets.paths for path in line)]
-    for path in (out, *(given.output_file(out.with_suffix(suffix), suffix) for suffix in (".png", ".rrd"))):
+    beside = [suffix for suffix, left_out in ((".png", options.no_picture), (".rrd", options.no_recording)) if not left_out]
+    for path in (out, *(given.output_file(out.with_suffix(suffix), suffix) for suffix in beside)):
         given.refuse_overwriting(path, *sources)
     with progress() as bar:
         detected = _detected(task, bar)

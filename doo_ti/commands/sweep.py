@@ -161,7 +161,7 @@ def _lines(search: _Search, summary: dict, finished_before: bool, made_again: li
         lines.insert(2, f"  WARNING     {doubt}")
     clamps = observation_clamps(search.observations, search.options.clamp_start, search.options.clamp_end)
     rolls = search.grid.is_isotropic and Clamp.FRAME > min(clamps.start, clamps.end) and not search.options.spins
-    if search.density is not None:
+    if search.density is not None and summary["best"]["weight"] > 0:
         lines.append(_physical_line(search, summary["best"], rolls))
     if rolls:
         lines.append("  note        an end rolls freely, so nothing twists the rod: twist is not determined")

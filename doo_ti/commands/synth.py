@@ -13,6 +13,7 @@ from doo_ti.io.observation_files import read_curves, read_recording
 from doo_ti.io.scene import Scene, Synthesis, load_scene
 from doo_ti.io.toml_file import scene_file
 from doo_ti.rod.start import on_equal_edges
+from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line, progress
 
@@ -54,8 +55,7 @@ def run_convert(options: Namespace) -> int:
     given.refuse_overwriting(out, options.observations, option="OUT")
     edges = given.whole("--edges", options.edges, 2)
     if options.motion:
-        if edges is not None:
-            raise InputError(given.SOURCE, "--edges", "given with --motion", "leave one out")
+        given.refuse(options, ("edges", "complete", "rest_length"), "given with --motion", "leave one out")
         return _convert_motion(options, out)
     if options.rate is not None:
         raise InputError(given.SOURCE, "--rate", "given without --motion", "give both")
@@ -78,17 +78,23 @@ def run_convert(options: Namespace) -> int:
 
 
 def _convert_motion(options: Namespace, out: Path) -> int:
-    """Curves at the frames of a recording to positions_mm (T, V, 3) and rate_hz."""
+    """Curves at the frames of a recording, or of several, to positions_mm (T, V, 3) or (R, T, V, 3) and rate_hz."""
     if out.suffix != ".npz":
         raise InputError(given.SOURCE, "OUT", f"suffix {out.suffix!r}", "name a .npz file: a motion has a third axis")
     source = Path(options.observations)
     found = read_recording(source, options.unit, loading.columns(options), given.positive("--rate", options.rate, "per second"))
     up = given.world_up(options, found.up)
-    positions = found.positions[_selected(options.select, len(found.positions))]
-    save_arrays(out, {"positions_mm": positions, "rate_hz": np.float64(found.rate), "up": up})
+    frames = _selected(options.select, found.positions.shape[-3])
+    positions = found.positions[..., frames, _selected(options.marks, found.positions.shape[-2], "--marks"), :]
+    if not positions.size:
+        raise InputError(source, "positions_mm", "none is left", "select others")
+    rate = found.rate / (frames.step or 1)
+    names = {} if found.names is None else {"recording": np.array(found.names)}
+    save_arrays(out, {"positions_mm": positions, "rate_hz": np.float64(rate), "up": up} | names)
     gaps = int((~np.isfinite(positions)).any(axis=-1).sum())
-    print(f"{len(positions)} frames of {positions.shape[1]} markers at {found.rate:g}/s, {gaps} positions missing, written to "
-          f"{in_line(out)}; up is {','.join(f'{value:g}' for value in up)}")
+    several = f"{counted(len(positions), 'recording')} of " if positions.ndim == 4 else ""
+    print(f"{several}{positions.shape[-3]} frames of {positions.shape[-2]} markers at {rate:g}/s, {gaps} positions missing, "
+          f"written to {in_line(out)}; up is {','.join(f'{value:g}' for value in up)}")
     return 0
 
 

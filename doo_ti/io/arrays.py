@@ -196,7 +196,8 @@ class CsvTable:
             values = np.array([float(cell or "nan") if may_be_empty else float(cell) for cell in cells])
         except ValueError:
             values = None
-        if values is None or self.decimal != ".":  # the slower way, which accepts more spellings and stops at no cell
+        # The slower way, which accepts more spellings, but not Python's 1_000, and stops at no cell.
+        if values is None or self.decimal != "." or "_" in "".join(cells):
             values = np.array([_number(cell, may_be_empty, self.decimal) for cell in cells])
         allowed = np.isfinite(values) | (np.isnan(values) if may_be_empty else False)
         self.refuse(name, ~allowed, "is not a finite number", "give decimal numbers")
@@ -229,7 +230,7 @@ def number_in(cell: str, decimal: str = ".") -> float:
     if decimal != ".":
         cell = "" if "." in cell else cell.replace(decimal, ".")
     try:
-        return float(cell)
+        return np.inf if "_" in cell else float(cell)
     except ValueError:
         return np.inf
 

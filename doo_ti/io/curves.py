@@ -147,7 +147,7 @@ def read_motive(path: Path, content: bytes, names: list[str] | None = None) -> C
     rows, decimal = csv_rows(path, content, REMEDY)
     about = dict(zip(rows[0][1][::2], rows[0][1][1::2], strict=False))
     unit = _unit(path, "Length Units", MOTIVE_UNITS, about.get("Length Units", "Meters").strip().lower())
-    rate = _number(path, decimal, 1, about.get("Export Frame Rate") or about.get("Capture Frame Rate") or "")
+    rate = _rate(path, decimal, 1, about.get("Export Frame Rate") or about.get("Capture Frame Rate") or "")
     header = next((row for row, (_, cells) in enumerate(rows) if cells and cells[0].strip() == "Frame"), None)
     if header is None:
         raise InputError(path, "Frame", "no row begins with it", REMEDY)
@@ -173,7 +173,7 @@ def read_nexus(path: Path, content: bytes, names: list[str] | None = None) -> Cu
     begin = next((row for row, (_, cells) in enumerate(rows) if cells and cells[0].strip() == "Trajectories"), len(rows))
     if len(rows) < begin + 6:
         raise InputError(path, "Trajectories", "no rows below it", REMEDY)
-    rate = _number(path, decimal, rows[begin + 1][0], _cell(rows[begin + 1][1], 0))
+    rate = _rate(path, decimal, rows[begin + 1][0], _cell(rows[begin + 1][1], 0))
     labels, units = rows[begin + 2][1], rows[begin + 4][1]
     columns: dict[str, list[int]] = {}
     for column in range(2, len(labels)):
@@ -216,6 +216,12 @@ def _unit(path: Path, field: str, known: dict[str, str], name: str) -> float:
 
 def _cell(cells: list[str], column: int) -> str:
     return cells[column].strip() if column < len(cells) else ""
+
+
+def _rate(path: Path, decimal: str, line: int, cell: str) -> float | None:
+    """Frames per second, or None where the cell states none."""
+    rate = _number(path, decimal, line, cell)
+    return rate if rate > 0 else None
 
 
 def _number(path: Path, decimal: str, line: int, cell: str) -> float:

@@ -183,7 +183,7 @@ def draw(folder: Path, experiment: Experiment, overview: Overview, identity: str
     written = []
     if grid.varying:
         written.append("landscape.png")
-        known = linear_density is not None and all(axis.name != "weight" for axis in grid.varying)
+        known = linear_density is not None and theta["weight"] > 0 and all(axis.name != "weight" for axis in grid.varying)
         landscape_picture(folder / written[-1], plane, title=title, newton_per_bend=(
             stiffness(relative_stiffness(1.0, theta["weight"]), linear_density) if known else None))
     if not can_record():

@@ -14,7 +14,7 @@ from typing import Annotated
 
 import numpy as np
 
-from doo_ti.io.arrays import read_arrays
+from doo_ti.io.arrays import read_csv
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import held_spins, start_configuration, turn_hypotheses
 from doo_ti.rod.types import Clamp, Clamps, Configuration
@@ -114,24 +114,21 @@ def load_pairs(path: Path, observations: Observations) -> Pairs:
     """
     if Path(path).suffix != ".csv":
         raise InputError(path, "file", f"suffix {Path(path).suffix!r}", "name a .csv file")
-    columns = read_arrays(path, {name: ((), (name,)) for name in COLUMNS})
+    table = read_csv(Path(path), COLUMNS[:2], COLUMNS[2:], form="from,to[,weight][,rotation_deg]")
     ends = []
     for name in COLUMNS[:2]:
-        if name not in columns:
-            raise InputError(path, name, "the column is missing", "give the columns from,to[,weight][,rotation_deg]")
-        rows = columns[name]
-        wrong = np.flatnonzero(~((rows >= 0) & (rows < observations.count) & (rows == np.floor(rows))))
-        if len(wrong):
-            raise InputError(path, name, f"{rows[wrong[0]]:g} in line {wrong[0] + 2} is no observation",
-                             f"give whole numbers from 0 to {observations.count - 1}")
-        ends.append(rows.astype(np.int64))
+        rows = table.whole(name)
+        table.refuse(name, (rows < 0) | (rows >= observations.count), "is no observation",
+                     f"give whole numbers from 0 to {observations.count - 1}")
+        ends.append(rows)
     x, y = ends
+    weight, turn = (table.numbers(name) if name in table.columns else None for name in COLUMNS[2:])
     rotation = None
-    if "rotation_deg" in columns:
-        rotation = np.radians(columns["rotation_deg"])
+    if turn is not None:
+        rotation = np.radians(turn)
     elif observations.end_rotation is not None:
         rotation = np.radians(observations.end_rotation[y] - observations.end_rotation[x])
-    return Pairs(x, y, columns.get("weight", np.ones(len(x))), rotation, str(path))
+    return Pairs(x, y, np.ones(len(x)) if weight is None else weight, rotation, str(path))
 
 
 def save_pairs(path: Path, pairs: Pairs) -> None:

@@ -21,6 +21,7 @@ the inside of a narrow loop.
 """
 
 from dataclasses import dataclass, field, replace
+from glob import escape
 from pathlib import Path
 
 import cv2
@@ -312,6 +313,15 @@ def _roof(inside: np.ndarray) -> tuple[np.ndarray, float]:
         inside, scale = (cv2.pyrDown(255 * inside) > 127).astype(np.uint8), 2 * scale
 
 
+def mask_of(folder: Path, image: Path) -> Path:
+    """The mask of an image in a ``folder``, or in its folder of the name that the image's has. Raises InputError."""
+    for place in (folder / image.parent.name, folder):
+        same = [file for file in sorted(place.glob(f"{escape(image.stem)}.*")) if file.stem == image.stem]
+        if same:
+            return same[0]
+    raise InputError(folder, image.stem, "no mask of this name", "name masks as the images are")
+
+
 @dataclass(frozen=True)
 class Sight:
     """How threads are sought in images."""
@@ -319,20 +329,18 @@ class Sight:
     options: DetectionOptions = DetectionOptions()  # of the detection
     # by the name of a camera: the part of its images where the thread is, as ``options.region``
     regions: dict[str, tuple[int, ...]] = field(default_factory=dict)
-    # a folder with masks named as the images are, whatever their suffix; or a mask for each image, by its path; None: the
-    # image's alpha channel where it has one
-    masks: Path | dict[Path, Path] | None = None
+    # a folder with masks named as the images are, or as their folders and they are, whatever their suffix; or the mask of each
+    # camera's image, by the camera's name; None: the image's alpha channel where it has one
+    masks: Path | dict[str, Path] | None = None
 
     def detected(self, path: Path, camera: Camera) -> Detection:
         """The thread in the image that ``camera`` took. Raises InputError for files that are missing or do not fit."""
         options = replace(self.options, region=self.regions.get(camera.name, self.options.region))
         file = path
         if isinstance(self.masks, dict):
-            file = self.masks[path]
+            file = self.masks[camera.name]
         elif self.masks is not None:
-            file = next(iter(sorted(self.masks.glob(f"{path.stem}.*"))), None)
-            if file is None:
-                raise InputError(self.masks, path.stem, "no mask of this name", "name masks as the images are")
+            file = mask_of(self.masks, path)
         mask = read_mask(file, camera)
         if mask is None and self.masks is None:
             return detect(read_image(path, camera, colour=options.colour is not None), options)

@@ -61,6 +61,9 @@ def _of_jpeg(content: bytes) -> tuple[int, ...]:
         mark, length = struct.unpack(">HH", content[place : place + 4])
         if mark >> 8 != 0xFF:
             return ()
+        if mark == 0xFFFF:  # bytes that fill up to the next mark
+            place += 1
+            continue
         if 0xFFC0 <= mark <= 0xFFCF and mark not in (0xFFC4, 0xFFC8, 0xFFCC):
             return struct.unpack(">HH", content[place + 5 : place + 9])
         place += 2 + length

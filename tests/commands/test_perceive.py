@@ -236,3 +236,22 @@ def test_wrong_rigs_seeds_and_truths_are_reported(photographed, tmp_path, capsys
                        ({"vertices_mm": rods[:1]}, "1 rods for 2 sets")):
         np.savez(truth, **keys)
         refused(capsys, tmp_path, of_sets(folder, *out, "--truth", str(truth)), said)
+
+
+def test_one_mask_is_not_taken_for_two_cameras(photographed, tmp_path, capsys):
+    folder = photographed[0]
+    lines = (folder / "sets.csv").read_text().splitlines()
+    for camera in ("cam0", "cam1", "cam2"):
+        (tmp_path / camera).mkdir()
+    names = lines[0].split(",")
+    cells = lines[1].split(",")
+    for camera in ("cam0", "cam1", "cam2"):
+        source = folder / cells[names.index(camera)]
+        (tmp_path / camera / "first.png").write_bytes(source.read_bytes())
+        cells[names.index(camera)] = f"{camera}/first.png"
+    (tmp_path / "sets.csv").write_text(f"{lines[0]}\n{','.join(cells)}\n")
+    (tmp_path / "masks").mkdir()
+    (tmp_path / "masks" / "first.png").write_bytes(source.read_bytes())
+    argv = of_sets(folder, "--out", str(tmp_path / "new" / "f.npz"), "--masks", str(tmp_path / "masks"))
+    argv[argv.index("--sets") + 1] = str(tmp_path / "sets.csv")
+    refused(capsys, tmp_path, argv, "masks", "several cameras")

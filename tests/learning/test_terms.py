@@ -62,13 +62,13 @@ def test_files_are_read_and_written(tmp_path):
 
 
 @pytest.mark.parametrize("text, words", [
-    ("from,to\n0,6\n", "to: 6 in line 2 is no observation"), ("from,to\n0.5,1\n", "from: 0.5 in line 2"),
+    ("from,to\n0,6\n", "to: '6' in line 2 is no observation"), ("from,to\n0.5,1\n", "from: '0.5' in line 2 is not a whole"),
     ("from,to\n3,3\n", "from 3 to itself"), ("from,to\n0,1\n1,0\n0,1\n", "pair 0, 1 is given twice"),
     ("from,to,weight\n0,1,-1\n", "weight: -1 of pair 0"), ("from,to,weight\n0,1,nan\n", "weight: 'nan' in line 2"),
     ("from,to,weight\n0,1,0\n", "weight: all are zero"), ("from,to,rotation_deg\n0,1,inf\n", "rotation_deg: 'inf' in line 2"),
     ("from,to,rotation_deg\n0,1,1e6\n", "more than 100 turns"), ("from,to\n0\n", "line 2: 1 cells"),
     ("from,to\n0,x\n", "to: 'x' in line 2"), ("from\n0\n", "to: the column is missing"),
-    ("from,to,colour\n0,1,2\n", "colour: unknown column"), ("from,to\n", "no rows"), ("", "no rows"),
+    ("from,to,colour\n0,1,2\n", "colour: unknown column"), ("from,to\n", "no rows"), ("", "from: the column is missing"),
 ])
 def test_wrong_files(tmp_path, text, words):
     path = tmp_path / "pairs.csv"

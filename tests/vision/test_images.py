@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Camera, DetectionOptions, InputError
-from doo_ti.vision.detect import Sight
+from doo_ti.vision.detect import Sight, mask_of
 from doo_ti.vision.images import load_sets, orientation_tags, read_image, read_mask
 from tests.vision.boards import around
 
@@ -76,7 +76,7 @@ def test_alpha_channels_and_masks(tmp_path):
     for name, sight, method in (
             ("cut.png", Sight(), "mask"), ("plain.png", Sight(), "ridge"),
             ("plain.png", Sight(masks=tmp_path / "masks"), "mask"),
-            ("plain.png", Sight(masks={tmp_path / "plain.png": tmp_path / "cut.png"}), "mask"),
+            ("plain.png", Sight(masks={camera().name: tmp_path / "cut.png"}), "mask"),
             ("plain.png", Sight(DetectionOptions(colour=(40, 40, 40)), {"cam0": (10, 10, 60, 40)}), "ridge")):
         found = sight.detected(tmp_path / name, camera())
         assert found.method == method and found.count > 50
@@ -164,3 +164,20 @@ def test_wrong_lists_are_reported(tmp_path, text, word):
     (tmp_path / "sets.csv").write_text(text)
     with pytest.raises(InputError, match=word):
         load_sets(tmp_path / "sets.csv", around())
+
+
+def test_masks_of_images_of_the_same_name_lie_in_folders_of_the_same_names(tmp_path):
+    for folder in ("left", "right"):
+        (tmp_path / "masks" / folder).mkdir(parents=True)
+        (tmp_path / "masks" / folder / "a[1].png").write_bytes(b"")
+    for folder in ("left", "right"):
+        assert mask_of(tmp_path / "masks", tmp_path / folder / "a[1].jpg") == tmp_path / "masks" / folder / "a[1].png"
+    (tmp_path / "masks" / "b.left.png").write_bytes(b"")
+    with pytest.raises(InputError, match="b: no mask of this name"):
+        mask_of(tmp_path / "masks", tmp_path / "b.png")
+
+
+def test_a_jpeg_may_have_fill_bytes(tmp_path):
+    content = cv2.imencode(".jpg", picture())[1].tobytes()
+    (tmp_path / "filled.jpg").write_bytes(content[:2] + b"\xff\xff" + content[2:])
+    assert read_image(tmp_path / "filled.jpg").shape == picture().shape
