@@ -176,13 +176,14 @@ def _arrays(task: PerceptionTask, found) -> dict[str, np.ndarray]:
 
 
 def _sigma(task: PerceptionTask, found) -> np.ndarray:
-    """(S, V) mm. The first two vertices, which the seed gives, are as uncertain as a click where the seed was one."""
-    if task.sets.clicks is None:
-        return found.sigma
+    """(S, V) mm. The first two vertices, which the seed gives, are as uncertain as a click where the seed was one; the last one
+    is as uncertain along the rod as a length that was found, whose range is four standard deviations wide."""
     from doo_ti.perception.shape_uncertainty import point_sigma
 
     sigma = found.sigma.copy()
-    sigma[:, :2] = np.maximum(sigma[:, :2], point_sigma(task.sets.rig, found.vertices[:, :2], CLICK_PX))
+    if task.sets.clicks is not None:
+        sigma[:, :2] = np.maximum(sigma[:, :2], point_sigma(task.sets.rig, found.vertices[:, :2], CLICK_PX))
+    sigma[:, -1] = np.hypot(sigma[:, -1], np.nan_to_num(np.ptp(found.length_range, axis=1)) / 4 / np.sqrt(3))
     return sigma
 
 

@@ -22,6 +22,7 @@ from doo_ti.vision.paths import ImagePath
 from doo_ti.vision.triangulation import rays
 
 STEP_PX = 2.0  # between places that are compared
+FEWEST = 3  # places of a match: with fewer there is no curve
 FARTHEST_PX = 12.0  # distances saturate there
 SLIP = 0.15  # px: cost of a step along one path alone, over that of a step along both
 LEFT_OVER = 1.0  # cost of each step that is left of a path where the other ends
@@ -43,7 +44,8 @@ class Match:
 
 
 def best_matches(rig: Rig, paths: list[list[ImagePath]], most: int) -> list[Match]:
-    """Up to ``most`` matches of the paths in each camera (C lists), the best first; none where a camera has no path."""
+    """Up to ``most`` matches of the paths in each camera (C lists), the best first, of FEWEST places or more; none where a
+    camera has no path."""
     if not all(paths):
         return []
     first, others = paths[0], paths[1:]
@@ -58,6 +60,7 @@ def best_matches(rig: Rig, paths: list[list[ImagePath]], most: int) -> list[Matc
             choices += [[one[1]] for one in ranked[0][1:]]
         for choice in choices:
             matches.append(_joined(path, [(paths[c + 1][b], *found[a, c + 1, b]) for c, b in enumerate(choice)]))
+    matches = [match for match in matches if match.arcs.shape[1] >= FEWEST]
     return sorted(matches, key=lambda match: match.cost)[:most]
 
 

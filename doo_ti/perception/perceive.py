@@ -44,10 +44,11 @@ CLEAR_PX, AMBIGUOUS_PX = 0.1, 0.02
 """Bounds of the gap: the first is larger than the mean error of detected lines; the second is smaller than the difference of
 the rod's energy, which depends on an inexact Θ, between rods that fit the images equally."""
 FITTING_PX = 1.0  # bound of the distance to the detection; with more in any camera, something else was detected
-COVERED, CERTAIN_MM = 0.95, 1.0  # bounds of the share of the detected line that a rod explains, and of the vertices' sigma
-CERTAIN_LENGTH = 0.02
-"""Bound of the uncertainty of a length that was found, as a share of it. A rod that is too long by that may be off the thread
-along the line of sight by some hundredths of its length."""
+COVERED, LEAST_COVERED = 0.95, 0.5  # bounds of the share of the detected line that a clear and a likely rod explain
+CERTAIN_MM = 1.0  # bound of the vertices' sigma
+CERTAIN_LENGTH = 0.03
+"""Bound of the uncertainty of a length that was found, that of its ends included, as a share of it. A rod that is too long by
+that may be off the thread along the line of sight by some hundredths of its length."""
 LOST_PX = 3.0  # bound of the largest distance where no two cameras fit: a rod farther off is not the thread in the images
 
 
@@ -59,7 +60,8 @@ class PerceptionVerdict(IntEnum):
                each, is as long as it, and its vertices are certain to 1 mm. Never with one camera, which does not see depth
     LIKELY     a gap of at least 0.02 px: image evidence alone does not separate them, the rod's energy helps to decide. Or a
                wider gap, but the rod is further from the detection
-    AMBIGUOUS  a smaller gap: either may be the rod. Or the best rod has not converged
+    AMBIGUOUS  a smaller gap: either may be the rod. Or the best rod has not converged, or explains less than half of the line
+               detected in all cameras but one
     NOT_FOUND  no rod was found that is within 1 px of the detection in two cameras, and it is 3 px off in one: images of other
                cameras, a wrong rig, seed or length
     """
@@ -138,7 +140,10 @@ class Perception:
         lost = (error[:, min(2, error.shape[1]) - 1] > FITTING_PX) & (error[:, -1] > LOST_PX)
         lost &= ~(self.coverage >= COVERED).all(axis=1)  # a rod that goes on beyond the thread is far off there
         kinds = PerceptionVerdict.NOT_FOUND, PerceptionVerdict.CLEAR, PerceptionVerdict.LIKELY
+        explained = np.sort(np.nan_to_num(self.coverage, nan=1.0), axis=1)[:, -min(2, error.shape[1])]
         likely = (self.status == Status.CONVERGED) & (self.gap >= AMBIGUOUS_PX)
+        # Of a longer thread a rod explains a part.
+        likely &= explained >= LEAST_COVERED * np.fmin(1.0, length / self.thread_length)
         return np.select([lost, clear, likely], kinds, PerceptionVerdict.AMBIGUOUS).astype(np.int8)
 
     @classmethod

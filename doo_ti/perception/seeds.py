@@ -8,9 +8,10 @@ Threads of unknown length, from a seed to where they end in the images (docs/per
 
 Between cameras that are close together a rod that is too long folds along the line of sight, and explains the images as well
 as a shorter one: to end where the paths end does not determine its length. So it is chosen as everything else is, by E_vis
-with evidence from both sides. The best rods are relaxed again with lengths a little shorter and longer; between these E_vis is
-a parabola. Lengths whose E_vis exceeds the least one by less than what makes a runner-up ambiguous explain the images as well:
-they are the range of the thread's length. Within that, it is the one with which the best rod ends where its paths end.
+with evidence from both sides. The best rods are relaxed again with lengths a little shorter and longer. Lengths whose E_vis
+exceeds the least one by less than what makes a runner-up ambiguous explain the images as well: they are the range of the
+thread's length. Within that, it is the one with which the best rod ends where its paths end. The range is wider by what the
+ends of lines tell of those of threads, which may be cut or round.
 
 Axes: A image sets, R rods, L lengths.
 """
@@ -19,6 +20,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from doo_ti.perception.matching import best_matches, curve_of, epipolar_distance
 from doo_ti.perception.search import PerceptionOptions, evidence
@@ -138,7 +140,9 @@ def _between_rays(rig: Rig, pixels: Sequence[np.ndarray]) -> np.ndarray:
 
 EDGES = 120
 BEST = 3  # rods of a set that are tried with other lengths
-TIMES = np.array([0.88, 0.94, 0.97, 1.0, 1.03, 1.06])  # those lengths, over those with which rods end where their paths end
+TIMES = np.array([0.88, 0.94, 0.97, 0.985, 0.995, 1.0, 1.005, 1.015, 1.03, 1.06])
+"""Those lengths, over those with which rods end where their paths end: E_vis rises steeply on both sides."""
+FINE = 361  # lengths between the first and the last of them that are compared
 POINTS = 2  # places along an edge where a map is sampled
 ROUNDS = 3
 AMBIGUOUS_PX = 0.02  # E_vis over ν and the length of all detected lines, in px, by which a length is no worse than the best
@@ -175,10 +179,23 @@ def whole_threads(rig: Rig, detections: Sequence[Sequence[Detection]], point: np
         energy, found = evidence(rig, maps, tried.solution.configuration, tracing.of_set, *looked)
         energy, lengths = energy.reshape(-1, len(TIMES)), tried.length.reshape(-1, len(TIMES))
         slack = AMBIGUOUS_PX * options.nu * found.line[0].sum()
-        length[row], bounds[row] = _profiled(lengths, energy, slack)
-        nearest = np.argmin(np.where(energy <= energy.min() + slack, np.abs(lengths - length[row]), np.inf))
-        ways[row] = tried.solution.configuration.frames[nearest, 0, :, 0]
+        length[row], alike = _profiled(lengths, energy, slack)
+        nearest = int(np.argmin(np.where(energy <= energy.min() + slack, np.abs(lengths - length[row]), np.inf)))
+        rod = tried.solution.configuration.take([nearest])
+        bounds[row] = alike + _of_ends(rig, images, rod.vertices[0]) * np.array([-1.0, 1.0])
+        ways[row] = rod.frames[0, 0, :, 0]
     return WholeThreads(length, bounds, ways if direction is None else direction)
+
+
+def _of_ends(rig: Rig, images: Sequence[Detection], vertices: np.ndarray) -> float:
+    """mm by which the rod ``vertices`` (V, 3) may be longer or shorter, because in each image the line ends within half the
+    thread's width of where its axis does."""
+    half, total = 0.5 * np.array([detection.width_px for detection in images]), 0.0
+    for outer, inner in ((0, 1), (-1, -2)):
+        step = np.linalg.norm(vertices[outer] - vertices[inner])
+        seen = np.linalg.norm(rig.project(vertices[outer]) - rig.project(vertices[inner]), axis=-1) / step  # px per mm
+        total += float(np.nansum(half * seen) / max(np.nansum(seen**2), 1e-12))
+    return total
 
 
 def _profiled(length: np.ndarray, energy: np.ndarray, slack: float) -> tuple[float, tuple[float, float]]:
@@ -188,17 +205,13 @@ def _profiled(length: np.ndarray, energy: np.ndarray, slack: float) -> tuple[flo
     """
     fine, values = [], []
     for tried, found in zip(length, energy, strict=True):
-        k = int(np.clip(np.argmin(found), 1, len(tried) - 2))
-        here = slice(k - 1, k + 2)
-        if not np.isfinite(found[here]).all():
-            continue
-        between = np.linspace(tried[k - 1], tried[k + 1], 41)
-        fine.append(np.concatenate([tried, between]))
-        values.append(np.concatenate([found, np.polyval(np.polyfit(tried[here], found[here], 2), between)]))
+        if np.isfinite(found).all():
+            fine.append(np.linspace(tried[0], tried[-1], FINE))
+            values.append(PchipInterpolator(tried, found)(fine[-1]))  # monotone between the lengths: no minimum of its own
     if not fine:
         best = np.unravel_index(np.argmin(energy), energy.shape)
         return float(length[best]), (float(length.min()), float(length.max()))
-    every, least = np.concatenate(fine), np.concatenate(values)
+    every, least = np.concatenate([*fine, length.ravel()]), np.concatenate([*values, energy.ravel()])
     alike = every[least <= least.min() + slack]
     at_end = int(np.argmax(TIMES == 1.0))
     best = int(np.argmin(energy[:, at_end]))

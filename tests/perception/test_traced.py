@@ -1,5 +1,6 @@
 """Evidence from both sides: threads traced in images of cameras close together, which growth alone does not recover."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -81,6 +82,24 @@ def test_a_level_arch_does_not_begin_at_its_other_end(angle, height, rng):
     images = [detection(view, points, 0.2, rng) for view in rig.cameras]
     start = seed_from_pixels(rig, images, {0: rig.cameras[0].project(points[:1])[0]}, "test")
     assert np.linalg.norm(start - points[0]) < 1.0
+
+
+@pytest.mark.thorough
+def test_where_a_rod_is_clear_the_range_of_its_length_holds_the_thread_s(rng):
+    """A rod that is a hundredth too long folds in depth by more than its σ."""
+    rig, clear = cameras(30.0, third=False), 0
+    for _ in range(5):
+        points = curve(rng)
+        images = [detection(view, points, 0.1, rng) for view in rig.cameras]
+        start = seed_from_pixels(rig, images, {0: rig.cameras[0].project(points[:1])[0]}, "test")
+        whole = whole_threads(rig, [images], start[None], None, MATERIAL, UP)
+        lengths = np.full(EDGES, whole.length[0] / EDGES)
+        found = perceive(distance_maps([images]), rig, start[None], whole.direction, lengths, MATERIAL)
+        if replace(found, length_range=whole.range).verdict[0] == PerceptionVerdict.CLEAR:
+            clear += 1
+            assert whole.range[0, 0] <= LENGTH_MM <= whole.range[0, 1] < 1.04 * LENGTH_MM
+            assert abs(whole.length[0] / LENGTH_MM - 1) < 0.015 and errors(found, [points])[0] < 0.3
+    assert clear >= 4
 
 
 def test_coverage_is_the_share_of_points_near_the_rod(seen):
