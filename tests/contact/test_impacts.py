@@ -131,7 +131,6 @@ def test_no_step_raises_the_energy(rng, count, most, scheme, friction, damping, 
         rises.append(largest_rise(found))
         failed += np.sum(~found.converged)
     rises = np.concatenate(rises)
-    print(f"{len(rises)} rods, {failed} stop; the energy rises by {rises.max():.1e} of its range at most")
     assert rises.max() < most and failed <= 0.02 * len(rises)
 
 
