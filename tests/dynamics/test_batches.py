@@ -109,7 +109,6 @@ def test_the_estimated_error_holds_against_much_finer_steps(rng, scheme):
     tolerance = 0.02 if scheme == "bdf2" else 0.2
     found = simulate(rods, CURVED, grippers, dynamics, Stepping(RATE, scheme=scheme, tolerance=tolerance, most_substeps=256))
     error = largest(found.positions - finest.positions)
-    print(f"substeps {np.unique(found.substeps, return_counts=True)}, true over estimated error {np.sort(error / found.error)}")
     assert found.converged.all() and (found.error <= tolerance).all()
     assert len(np.unique(found.substeps)) > 1
     assert (error < 1.1 * found.error).all()
@@ -167,7 +166,6 @@ def test_mixed_precision_repeats_what_f32_stops(rng):
 
     exact, single, mixed = (simulated(precision=one) for one in ("f64", "f32", "mixed"))
     stopped = ~single.converged
-    print(f"{stopped.sum()} of 300 stop in f32")
     assert stopped.any() and (single.status[stopped, -1] == Status.STALLED).all() and mixed.converged.all()
     np.testing.assert_array_equal(mixed.positions[stopped], exact.positions[stopped])
     np.testing.assert_array_equal(mixed.positions[~stopped], single.positions[~stopped])

@@ -53,7 +53,6 @@ def test_energy_losses_and_work_balance(rng, start, end, scheme, order):
     coarse, fine = accounts(rods, CURVED, shaken(rods, start, end), LOSSES, scheme)
     left = [np.abs(one["unaccounted"]).max(axis=1) / np.abs(one["work"]).max(axis=1) for one in (coarse, fine)]
     found = np.log2(left[0] / left[1])
-    print(f"of the work unaccounted {left[0].max():.1e}, {left[1].max():.1e}; orders {found}")
     assert (found > order).all() and left[1].max() < (1e-3 if scheme == "bdf2" else 0.05)
     for name in ("drag", "bend_damping", "twist_damping"):
         assert (fine[name][:, -1] > 0).all() and (np.diff(fine[name], axis=1) >= 0).all()
@@ -67,7 +66,6 @@ def test_an_undamped_rod_keeps_its_energy(rng):
     coarse, fine = accounts(rods, CURVED, resting(rods, Clamp.FRAME, Clamp.FREE, INSTANTS), Dynamics(),
                             up=(0.0, 0.5, np.sqrt(0.75)))
     drift = [(np.abs(one["sum"] - one["sum"][:, :1]).max(axis=1) / one["kinetic"].max(axis=1)).max() for one in (coarse, fine)]
-    print(f"energy drifts by {drift} of the largest kinetic energy")
     assert np.abs(fine["work"]).max() < 1e-9 and (fine["dissipated"] == 0).all()
     np.testing.assert_allclose(fine["unaccounted"], fine["sum"][:, :1] - fine["sum"], atol=1e-9)
     assert drift[1] < 0.3 * drift[0] and drift[1] < 5e-3

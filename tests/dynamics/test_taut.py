@@ -195,7 +195,6 @@ def test_f32_is_near_f64_or_stalls(rate):
 
     exact, single, mixed = moved("f64"), moved("f32"), moved("mixed")
     good = single.converged
-    print(f"{rate:g} steps/s: {good.sum()} of {len(bends)} converge in f32")
     assert exact.converged.all() and mixed.converged.all() and good.any() == (rate < 400)
     assert (single.status[~good, -1] == Status.STALLED).all()
     moves = np.linalg.norm(exact.positions - rods.vertices, axis=-1).max()
@@ -227,7 +226,6 @@ def test_a_motion_comes_to_rest_where_the_scaled_solve_does(pose):
         ended = Configuration(motion.positions[row : row + 1, -1, 0], motion.memory.frames[row : row + 1], begun.rest_length)
         apart = ratios.resolved(SimpleNamespace(configuration=ended), materials[row], clamps) - ended.vertices[0]
         off.append(np.linalg.norm(apart, axis=-1).max() / ratios.LENGTH)
-    print(f"pose {pose}: {failed.sum()} of {len(cases)} failed and say so, the others are off by {max(off):.1e} of the length")
     assert max(off) < ratios.SHAPE
     assert not failed[np.array([ratio for _, ratio in cases]) <= 1e3].any()
     assert failed.mean() < 0.5
