@@ -2,6 +2,7 @@
 
 import os
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the commands set it, before NumPy reads it
@@ -11,6 +12,7 @@ import numpy as np  # noqa: E402
 import pytest  # noqa: E402
 
 from doo_ti.physics.number import Number  # noqa: E402
+from doo_ti.system.errors import InputError  # noqa: E402
 
 pytest.register_assert_rewrite("tests.commands.calls")
 SEED = 2011
@@ -61,6 +63,13 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log):
             return next(sharing, nodeid.partition("::")[0])
 
     return Scheduling(config, log)
+
+
+def check_refused(said: str, function: Callable, *given, **options) -> None:
+    """The call raises an InputError of one line, with a remedy, in which the regular expression ``said`` is found."""
+    with pytest.raises(InputError, match=said) as caught:
+        function(*given, **options)
+    assert caught.value.remedy and "\n" not in str(caught.value)
 
 
 @pytest.fixture

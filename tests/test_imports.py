@@ -14,24 +14,9 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "doo_ti"
 
 # From the bottom up: a module imports from layers below its own, never from beside it.
-LAYERS = [
-    {"system"},
-    {"physics"},
-    {"rod"},
-    {"io"},
-    {"contact"},
-    {"relaxation"},
-    {"vision", "dynamics"},
-    {"groups", "motion"},
-    {"lab", "report"},
-    {"manipulation"},
-    {"perception"},
-    {"record"},
-    {"learning"},
-    {"refinement"},
-    {"commands"},
-    {"__main__"},
-]
+LAYERS = [{"system"}, {"physics"}, {"rod"}, {"io"}, {"contact"}, {"relaxation"}, {"vision", "dynamics"}, {"groups", "motion"},
+          {"lab", "report"}, {"manipulation"}, {"perception"}, {"record"}, {"learning"}, {"refinement"}, {"commands"},
+          {"__main__"}]
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
 APART = {"learning", "perception"}
 ONLY = {"rerun": {"record"}, "matplotlib": {"report"}, "jax": set(), "cv2": {"vision"}, "yaml": {"io"},

@@ -1,4 +1,4 @@
-"""Calls of commands: small inputs, in a process of its own, and the check that wrong input is refused."""
+"""Calls of commands: small inputs, in a process of its own, and the checks that they succeed or refuse."""
 
 import subprocess
 import sys
@@ -42,6 +42,12 @@ def in_process(words: list[str]) -> subprocess.CompletedProcess:
 
 def tree(folder: Path) -> dict[str, bytes | None]:
     return {str(path): path.read_bytes() if path.is_file() else None for path in sorted(folder.rglob("*"))}
+
+
+def succeeded(capsys, argv: list[str]) -> str:
+    """Run the command, which has exit code 0: what it printed."""
+    assert main(argv) == 0
+    return capsys.readouterr().out
 
 
 def refused(capsys, folder: Path, argv: list[str], *words: str) -> None:

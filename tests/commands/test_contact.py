@@ -9,7 +9,7 @@ from doo_ti import Cylinder, Observations, save_observations
 from doo_ti.commands.cli import main
 from doo_ti.commands.loading import inside_doubt, mesh_doubt
 from doo_ti.contact.surroundings import Surroundings, smallest_self_gap
-from tests.commands.calls import refused, written
+from tests.commands.calls import refused, succeeded, written
 from tests.contact.topology import determinant
 
 PLANE = '[[obstacles]]\nkind = "plane"\npoint = [0, 0, 0]\nnormal = [0, 0, 1]\n'
@@ -73,8 +73,7 @@ def test_relax_writes_forces_and_gaps_and_counts_infeasible_rods(folder, tmp_pat
     assert np.isnan(found["distance_mm"]).tolist() == [False, False, True, False]
     assert (found["contact_force"][[0, 3], :, 2].max(axis=1) > 1).all() and not found["contact_force"][[1, 2]].any()
     assert abs(found["smallest_gap_mm"][0]) < 5e-4 and found["smallest_gap_mm"][1] > 10
-    assert main([*words, "--out", str(tmp_path / "f.npz"), "--json"]) == 0
-    summary = json.loads(capsys.readouterr().out)["contact"]
+    summary = json.loads(succeeded(capsys, [*words, "--out", str(tmp_path / "f.npz"), "--json"]))["contact"]
     assert summary["touching"] == 2 and summary["infeasible"] == 1 and abs(summary["smallest_gap_mm"]) < 5e-4
 
 
@@ -88,8 +87,7 @@ def test_a_radius_above_the_length_of_an_edge_is_allowed(folder, tmp_path):
 def test_predict_carries_rods_over_a_table(folder, tmp_path, capsys, table):
     words = ["predict", str(folder / "low.npz"), "--motion", str(folder / "move.npz"), *MATERIAL, "--obstacles",
              str(folder / table), "--radius", "2", "--out", str(tmp_path / "f.npz")]
-    assert main([*words, "--picture", str(tmp_path / "f.png"), "--recording", str(tmp_path / "f.rrd")]) == 0
-    printed = capsys.readouterr().out
+    printed = succeeded(capsys, [*words, "--picture", str(tmp_path / "f.png"), "--recording", str(tmp_path / "f.rrd")])
     assert "contact     1 of 1 rods touch" in printed and ("quasi-static steps" in printed) == (table == "rough.toml")
     found = written(tmp_path / "f.npz")
     assert found["followed"].all() and found["time_s"].tolist() == [0, 1, 3]
@@ -127,21 +125,18 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("case", REFUSED)
-def test_wrong_options_are_refused_in_one_line(folder, tmp_path, capsys, monkeypatch, case):
+SEEN = ["--rig", "rig.yaml", "--rest-length", "3:9", "--bend", "6e5", "--out", "f.npz"]
+COMMANDS = {"relax": ["rods.npz", *MATERIAL, "--out", "f.npz"], "sweep": ["rods.npz", "--bend", "1e5:1e6:3", "--out", "run"],
+            "perceive": ["a.png", *SEEN], "track": ["--frames", "frames.csv", *SEEN]}
+
+
+@pytest.mark.parametrize(("command", "case"), [*(("relax", case) for case in REFUSED),
+                                               *((command, "no radius") for command in COMMANDS if command != "relax")])
+def test_wrong_options_are_refused_in_one_line(folder, capsys, monkeypatch, command, case):
+    """Before anything else is read."""
     words, message = REFUSED[case]
     monkeypatch.chdir(folder)
-    refused(capsys, folder, ["relax", "rods.npz", *MATERIAL, *words, "--out", str(tmp_path / "f.npz")], message)
-
-
-SEEN = ["--rig", "rig.yaml", "--rest-length", "3:9", "--bend", "6e5", "--out", "f.npz"]
-
-
-@pytest.mark.parametrize("words", [["sweep", "rods.npz", "--bend", "1e5:1e6:3", "--out", "run"], ["perceive", "a.png", *SEEN],
-                                   ["track", "--frames", "frames.csv", *SEEN]])
-def test_sweep_perceive_and_track_check_obstacles_first(folder, capsys, monkeypatch, words):
-    monkeypatch.chdir(folder)
-    refused(capsys, folder, [*words, "--obstacles", "table.toml"], "--radius: missing beside --obstacles")
+    refused(capsys, folder, [command, *COMMANDS[command], *words], message)
 
 
 KNOT = """

@@ -7,7 +7,7 @@ import pytest
 
 from doo_ti import Status, follow_group
 from doo_ti.commands.cli import main
-from tests.commands.calls import refused, written
+from tests.commands.calls import refused, succeeded, written
 
 SCENE = """
 name = "two rods"
@@ -46,8 +46,7 @@ def scene(tmp_path):
 def test_places_forces_and_pictures_are_written(scene, tmp_path, capsys):
     words = ["group", str(scene), "--out", str(tmp_path / "f.npz"), "--picture", str(tmp_path / "f.png"), "--recording",
              str(tmp_path / "f.rrd")]
-    assert main([*words, "--json"]) == 0
-    summary = json.loads(capsys.readouterr().out)
+    summary = json.loads(succeeded(capsys, [*words, "--json"]))
     assert (summary["rods"], summary["edges"], summary["ties"], summary["moments"]) == (2, 12, 1, 3)
     assert summary["status"] == {"converged": 3} and summary["stable"] == 3
     found = written(tmp_path / "f.npz")
@@ -60,8 +59,7 @@ def test_places_forces_and_pictures_are_written(scene, tmp_path, capsys):
     np.testing.assert_allclose(found["start_force"][:, 0], [[0, 0, 2 * 0.5 * 120 + 2.0]] * 3, rtol=1e-6, atol=1e-6)
     for name in ("f.png", "f.rrd"):
         assert (tmp_path / name).stat().st_size > 10_000
-    assert main(words[:4]) == 0
-    text = capsys.readouterr().out
+    text = succeeded(capsys, words[:4])
     assert "two rods: 2 rods of 12 edges in all, 1 tie, 3 moments in 0.2 s" in text and "trunk, start 122 mm²/mm" in text
 
 

@@ -22,6 +22,7 @@ def test_every_command_is_in_one_group():
 
 @pytest.mark.parametrize("argv", [[], ["help"], ["--help"]])
 def test_the_program_alone_shows_its_commands(argv, capsys):
+    assert main(["--version"]) == 0 and capsys.readouterr().out.startswith("doo-ti ")
     assert main(argv) == 0
     out, err = capsys.readouterr()
     assert not err and all(f"\n  {name} " in out for name in COMMANDS) and all(f"\n{title}:" in out for title in GROUPS)
@@ -57,6 +58,7 @@ def test_help_shows_what_matters_and_help_all_the_rest(command, capsys):
 @pytest.mark.parametrize(("argv", "meant"), [
     (["swep"], "did you mean sweep?"), (["render"], "did you mean synth?"), (["xyzzy"], "see doo-ti help"),
     (["relax", "a.npz", "--out", "b.npz", "--bendd", "1"], "did you mean --bend?"),
+    (["relax", "a.npz", "--bend", "1", "--outt", "b.npz"], "doo-ti: relax: --outt: unknown option; did you mean --out?"),
     (["help", "relex"], "did you mean relax?")])
 def test_wrong_words_name_the_right_one(argv, meant, capsys):
     assert main(argv) == 2

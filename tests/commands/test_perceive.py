@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from doo_ti import Rig, load_observations
 from doo_ti.commands.cli import main
-from doo_ti.io.observation_files import load_observations
-from doo_ti.vision.cameras import Rig
 from doo_ti.vision.render import render_set
 from doo_ti.vision.rig_files import load_rig, save_rig
 from doo_ti.vision.tubes import smooth_curve
-from tests.commands.calls import refused, written
+from tests.commands.calls import refused, succeeded, written
 from tests.vision.scenes import curves, three_cameras
 
 EDGES = 14
@@ -70,8 +69,7 @@ def test_rods_are_found_and_written(photographed, perceived):
     line = next(line for line in printed.splitlines() if line.strip().startswith("second"))
     assert all(part in line for part in ("E_vis", "px off", "σ", "error 0.0"))
     assert found["name"].tolist() == ["first", "second"] and found["status"].tolist() == [0, 0]
-    off = np.linalg.norm(found["vertices_mm"] - rods, axis=-1)
-    assert off.mean() < 0.1
+    assert np.linalg.norm(found["vertices_mm"] - rods, axis=-1).mean() < 0.1
     shapes = {name: value.shape for name, value in found.items()}
     vertices, edges = EDGES + 1, EDGES
     assert shapes == {
@@ -104,8 +102,7 @@ def test_rods_begun_by_clicks_end_where_the_thread_ends(photographed, tmp_path, 
         assert cKDTree(smooth_curve(rod, 200)).query(marks)[0].max() < 0.2
     (tmp_path / "sets.csv").write_text("\n".join([*lines[:2], lines[2].replace(lines[2].split(",")[6], "9")]) + "\n")
     capfd.readouterr()
-    assert main(words) == 2
-    assert "sets.csv: second: --seed-pixel: 9," in capfd.readouterr().err
+    refused(capfd, tmp_path, words, "sets.csv: second: --seed-pixel: 9,")
 
 
 @pytest.mark.thorough
@@ -119,7 +116,7 @@ def test_other_commands_read_it(perceived, tmp_path, capsys):
 
 
 def test_recording_holds_the_first_set(perceived):
-    from tests.record.recordings import read
+    from tests.record.runs import read
 
     static, moving = read(perceived[0] / "f.rrd")
     assert moving["/world/set0_first/rods"]["edges"]["edges"] == list(range(2, EDGES + 2))
@@ -132,8 +129,7 @@ def test_recording_holds_the_first_set(perceived):
 def test_one_set_is_the_same_alone(photographed, perceived, tmp_path, capsys):
     folder, rods = photographed
     argv = of_images(folder, rods[0], "--out", str(tmp_path / "one.npz"), "--no-picture", "--no-recording", "--json")
-    assert main(argv) == 0
-    printed = json.loads(capsys.readouterr().out)
+    printed = json.loads(succeeded(capsys, argv))
     assert [path.name for path in tmp_path.iterdir()] == ["one.npz"] and printed["written"] == [str(tmp_path / "one.npz")]
     assert printed["sets"][0]["name"] == "first_cam0" and printed["status"] == {"converged": 1}
     assert printed["not_certified"] == 0
@@ -154,8 +150,7 @@ def test_stiffness_need_not_be_known(photographed, perceived, tmp_path, capsys):
     assert "runner_up_mm" in printed.err and "note" in printed.err
     found = load_observations(tmp_path / "one.csv").vertices[0]
     assert np.abs(found - perceived[1]["vertices_mm"][0]).max() < 0.01
-    error = np.linalg.norm(found - rods[0], axis=-1)
-    assert f"error {error.mean():.3f} mm" in printed.out
+    assert f"error {np.linalg.norm(found - rods[0], axis=-1).mean():.3f} mm" in printed.out
 
 
 @pytest.mark.thorough
@@ -167,8 +162,7 @@ def test_a_click_and_no_length(photographed, tmp_path, capsys):
     images = [str(folder / f"first_cam{index}.png") for index in range(3)]
     argv = ["perceive", *images, "--rig", str(folder / "rig.yaml"), "--seed-pixel", f"cam1:{click[0]:.1f},{click[1]:.1f}",
             "--edge", "3", "--no-picture", "--no-recording", "--json"]
-    assert main([*argv, "--out", str(tmp_path / "f.npz")]) == 0
-    printed = json.loads(capsys.readouterr().out)["sets"][0]
+    printed = json.loads(succeeded(capsys, [*argv, "--out", str(tmp_path / "f.npz")]))["sets"][0]
     found = written(tmp_path / "f.npz")
     assert np.linalg.norm(found["vertices_mm"][0][0] - rods[0][0]) < 1.2
     assert found["rest_length_mm"].sum() == pytest.approx(length, rel=0.05)

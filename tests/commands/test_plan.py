@@ -5,8 +5,7 @@ import json
 
 import pytest
 
-from doo_ti.commands.cli import main
-from tests.commands.calls import refused
+from tests.commands.calls import refused, succeeded
 
 SCENE = """
 name = "cord"
@@ -29,8 +28,7 @@ def scene(tmp_path):
 
 
 def test_a_scene(scene, tmp_path, capsys):
-    assert main(["plan", scene, "--picks", "3", "--out", str(tmp_path / "plan")]) == 0
-    out = capsys.readouterr().out
+    out = succeeded(capsys, ["plan", scene, "--picks", "3", "--out", str(tmp_path / "plan")])
     assert "4 configurations" in out and "6 cells" in out
     summary = json.loads((tmp_path / "plan" / "plan.json").read_text())
     assert summary["asked"] == ["bend", "twist"] and len(summary["order"]) == 3 and summary["sigma_mm"] == 0.12
@@ -41,8 +39,7 @@ def test_a_scene(scene, tmp_path, capsys):
 
 def test_other_clamps_than_the_scene_s(scene, capsys):
     words = ["plan", scene, "--end-distances", "50", "--end-rotations", "0,90,180", "--measured", "1", "--json"]
-    assert main(words) == 0
-    summary = json.loads(capsys.readouterr().out)
+    summary = json.loads(succeeded(capsys, words))
     assert summary["end_distance_mm"] == [50, 50, 50] and sorted(summary["order"]) == [0, 2]
 
 

@@ -18,11 +18,10 @@ from doo_ti.commands.cli import main
 from doo_ti.io.scene import Synthesis
 from doo_ti.lab.synthesis import synthesise
 from doo_ti.learning import sweeps
-from tests.commands.calls import refused
+from tests.commands.calls import refused, succeeded
 from tests.commands.test_commands import write_run
-from tests.learning.lab import DYNAMIC, GRID, small_lab
-from tests.learning.landscapes import dynamic, grid_of, static
-from tests.record.recordings import read
+from tests.learning.lab import DYNAMIC, GRID, dynamic, grid_of, small_lab, static
+from tests.record.runs import read
 
 LABELS = np.repeat([30.0, 54.0, 78.0], 6)
 PAIRS = [(6 * group + one, 6 * group + other) for group in range(3) for one in range(6) for other in range(6) if one != other]
@@ -41,8 +40,7 @@ def runs(monkeypatch, capsys, rng) -> None:
 
 
 def test_tables_of_the_paper(capsys, tmp_path, runs):
-    assert main(["learn", "nylon", "silk", "vicryl", "silk_moved", "--out", str(tmp_path / "new" / "tables")]) == 0
-    out = capsys.readouterr().out
+    out = succeeded(capsys, ["learn", "nylon", "silk", "vicryl", "silk_moved", "--out", str(tmp_path / "new" / "tables")])
     for words in ("Table I: leave-one-out error by material; static (Eq. 2)", "Table II: leave-one-out",
                   "Table III: leave-one-out error by objective and end distance; silk;",
                   "[ ] trained and tested on the same part", "What each training set chooses as a whole",
@@ -62,8 +60,7 @@ def test_tables_of_the_paper(capsys, tmp_path, runs):
 
 
 def test_json_says_what_the_files_say(capsys, tmp_path, runs):
-    assert main(["learn", "nylon", "silk", "--by", "material", "--out", str(tmp_path), "--json"]) == 0
-    printed = json.loads(capsys.readouterr().out)
+    printed = json.loads(succeeded(capsys, ["learn", "nylon", "silk", "--by", "material", "--out", str(tmp_path), "--json"]))
     assert printed == json.loads((tmp_path / "learn.json").read_text())
     assert [run["material"] for run in printed["runs"]] == ["nylon", "silk"]
     table, = printed["tables"]
@@ -75,9 +72,8 @@ def test_json_says_what_the_files_say(capsys, tmp_path, runs):
 
 
 def test_partitions_are_chosen(capsys, runs):
-    assert main(["learn", "nylon", "silk", "--by", "end-distance, material", "--by", "material",
-                 "--end-distances", "78,30"]) == 0
-    out = capsys.readouterr().out
+    out = succeeded(capsys, ["learn", "nylon", "silk", "--by", "end-distance, material", "--by", "material",
+                             "--end-distances", "78,30"])
     assert "nylon 30 mm" in out and "nylon 78 mm" in out and "54 mm" not in out
     assert out.index("Table II:") < out.index("Table I:")
     assert main(["learn", "silk"]) == 0
@@ -96,8 +92,7 @@ def test_refused_runs(capsys, tmp_path, runs):
 def test_runs_in_folders(capsys, tmp_path, rng):
     for name in ("nylon", "silk"):
         write_run(tmp_path / name, grid_of(4), rng.uniform(1, 2, (4, 5)), name)
-    assert main(["learn", str(tmp_path / "nylon"), str(tmp_path / "silk")]) == 0
-    out = capsys.readouterr().out
+    out = succeeded(capsys, ["learn", str(tmp_path / "nylon"), str(tmp_path / "silk")])
     assert "Table I:" in out and "Table II:" not in out, "without labels no table by end distance"
 
 
@@ -182,8 +177,7 @@ def test_a_ribbon_under_both_objectives_and_its_regimes(lab, tmp_path, capsys):
 
 
 def test_a_large_grid_is_thinned_and_that_is_reported(one_run, tmp_path, capsys):
-    assert main(["figures", str(one_run / "silk"), "--cells", "6", "--out", str(tmp_path)]) == 0
-    printed = capsys.readouterr().out
+    printed = succeeded(capsys, ["figures", str(one_run / "silk"), "--cells", "6", "--out", str(tmp_path)])
     assert "recorded    6 cells: " in printed and "of 4 values of bend" in printed and "--cells all" in printed
     landscape = read_landscape(one_run / "silk")
     _, moving = read(tmp_path / "cells.rrd")
@@ -212,8 +206,7 @@ def test_pairs_that_are_not_those_of_the_cells(lab, tmp_path, capsys):
     run = tmp_path / "dynamic"
     shutil.copytree(lab / "dynamic", run)
     (run / "pairs.csv").write_text("".join((run / "pairs.csv").read_text().splitlines(keepends=True)[:-1]))
-    assert main(["figures", str(run), "--out", str(tmp_path / "out")]) == 2
-    assert "the cells hold" in capsys.readouterr().err and not (tmp_path / "out").exists()
+    refused(capsys, tmp_path, ["figures", str(run), "--out", str(tmp_path / "out")], "the cells hold")
 
 
 @pytest.mark.thorough
@@ -266,8 +259,7 @@ def test_stored_cells_are_drawn_and_nothing_in_the_folder_changes(tmp_path, caps
     run = interrupted(tmp_path / "run", monkeypatch, 2, **given.get(case, {}))
     before = content(run)
     capsys.readouterr()
-    assert main(["view", str(run), "--out", str(tmp_path / "new" / "seen")]) == 0
-    out = capsys.readouterr().out
+    out = succeeded(capsys, ["view", str(run), "--out", str(tmp_path / "new" / "seen")])
     assert f"{cells} of 12 cells" in out and f"{100 * cells // 12} %" in out
     assert content(run) == before
     assert sorted(path.name for path in (tmp_path / "new" / "seen").iterdir()) == ["landscape.png", "run.rrd"]

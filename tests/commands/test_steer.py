@@ -7,7 +7,7 @@ import pytest
 
 from doo_ti import Observations, save_observations
 from doo_ti.commands.cli import main
-from tests.commands.calls import refused
+from tests.commands.calls import refused, succeeded
 from tools.studies.servo_tasks import BEND, tasks
 
 
@@ -35,8 +35,7 @@ def words(folder, own, target: str = "target.npz") -> list[str]:
 
 
 def test_predict_follows_the_path_to_the_target(folder, own, capsys):
-    assert main([*words(folder, own), "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
+    said = json.loads(succeeded(capsys, [*words(folder, own), "--json"]))
     assert said["reached"] and said["distance_mm"] < 0.5
     material = words(folder, own)[4:8]
     assert main(["predict", str(folder / "start.npz"), "--motion", str(folder / "path.csv"), *material, "--out",
@@ -57,21 +56,16 @@ def test_a_target_out_of_reach_is_said(folder, own, capsys):
     assert not json.loads(out)["reached"] and "not reached" in err and (folder / "path.csv").exists()
 
 
-@pytest.mark.parametrize("keys, said", [
-    ({"vertices": np.zeros((1, 34, 3))}, "vertices_mm: missing"),
-    ({"vertices_mm": np.zeros((1, 5, 3))}, "shape (1, 5, 3)"),
+@pytest.mark.parametrize("wrong, said", [
+    ({"vertices": np.zeros((1, 34, 3))}, "vertices_mm: missing"), ({"vertices_mm": np.zeros((1, 5, 3))}, "shape (1, 5, 3)"),
     ({"vertices_mm": np.full((1, 34, 3), np.nan)}, "NaN everywhere"),
     ({"vertices_mm": np.full((1, 34, 3), np.inf)}, "not finite"),
-])
-def test_wrong_targets_are_refused(folder, own, capsys, keys, said):
-    np.savez(folder / "wrong.npz", **keys)
-    refused(capsys, folder, words(folder, own, "wrong.npz"), "wrong.npz", said)
-
-
-@pytest.mark.parametrize("more, said", [
     (["--clamp-end", "free"], "--clamp-end"), (["--seconds", "1e9"], "--seconds"), (["--bend", "1e5:1e6:3"], "--bend"),
     (["--out", "path.npz"], "--out"), (["--target", "absent.npz"], "absent.npz"),
     (["--obstacles", "rubbing.toml", "--radius", "1"], "friction")])
-def test_wrong_options_are_refused(folder, own, capsys, monkeypatch, more, said):
+def test_wrong_targets_and_options_are_refused(folder, own, capsys, monkeypatch, wrong, said):
     monkeypatch.chdir(folder)
-    refused(capsys, folder, [*words(folder, own), *more], said)
+    if isinstance(wrong, dict):
+        np.savez("wrong.npz", **wrong)
+    named, more = ("wrong.npz", ["--target", "wrong.npz"]) if isinstance(wrong, dict) else ("", wrong)
+    refused(capsys, folder, [*words(folder, own), *more], named, said)

@@ -5,16 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doo_ti import Camera, load_observations
+from doo_ti import Camera, Rig, load_observations
 from doo_ti.commands.cli import main
 from doo_ti.io.scene import load_scene
 from doo_ti.lab.synthesis import synthesise
 from doo_ti.perception.virtual_lab import lab_rods
-from doo_ti.vision.cameras import Rig
 from doo_ti.vision.images import load_sets
 from doo_ti.vision.render import Photographs, RenderOptions
 from doo_ti.vision.rig_files import load_rig, save_rig
-from tests.commands.calls import refused
+from tests.commands.calls import refused, succeeded
 
 SCENE = ('name = "silk"\n[synthesis]\nseed = 4\nbend = 1.5e5\ntwist = 5e4\nend_distances_mm = [42, 66]\n'
          'end_rotations_deg = [0, -30]\n[grid]\nbend = 1e5\n')
@@ -43,8 +42,7 @@ def grey(path: Path) -> np.ndarray:
 @pytest.mark.thorough
 def test_images_with_all_that_is_known_of_them(tmp_path, capsys):
     out = tmp_path / "silk.npz"
-    assert main(prepared(tmp_path, "--seed", "7", "--out", str(out))) == 0
-    printed = capsys.readouterr().out
+    printed = succeeded(capsys, prepared(tmp_path, "--seed", "7", "--out", str(out)))
     folder = tmp_path / "new" / "images"
     assert "4 sets of 3 images" in printed and str(folder) in printed and "4 observations" in printed
 

@@ -8,8 +8,8 @@ import pytest
 
 from doo_ti.commands.cli import main
 from doo_ti.vision.rig_files import save_rig
-from tests.commands.calls import refused
-from tests.perception.videos import EDGES, FRAMES, LENGTH, far_motion, images, rods
+from tests.commands.calls import refused, succeeded
+from tests.perception.test_tracking import EDGES, FRAMES, LENGTH, far_motion, images, rods
 from tests.vision.scenes import three_cameras
 
 SEED = "seed_x,seed_y,seed_z,dir_x,dir_y,dir_z"
@@ -33,6 +33,7 @@ def filmed(tmp_path_factory):
     clamps = [far_motion().at(row / (FRAMES - 1)) for row in range(FRAMES)]
     np.savez(folder / "motion.npz", end_position_mm=np.array([held.end_position[0] for held in clamps]),
              end_frame=np.array([held.end_frame[0] for held in clamps]))
+    np.savez(folder / "short.npz", end_position_mm=np.zeros((3, 3)))
     return folder
 
 
@@ -49,8 +50,7 @@ def changed(folder, path, change) -> None:
 @pytest.mark.thorough
 def test_a_video_is_tracked_and_recorded(filmed, tmp_path, capsys):
     out = tmp_path / "new" / "f.npz"
-    assert main(of(filmed, out)) == 0
-    printed = capsys.readouterr().out
+    printed = succeeded(capsys, of(filmed, out))
     assert "16 frames of 3 images" in printed and "2 frames by Algorithm 1: 000, 006" in printed and "lost: 004, 005" in printed
     assert sorted(path.name for path in out.parent.iterdir()) == ["f.npz", "f.rrd"]
     found = dict(np.load(out, allow_pickle=False))
@@ -61,7 +61,7 @@ def test_a_video_is_tracked_and_recorded(filmed, tmp_path, capsys):
     assert "".join(map(str, found["how"])) == "1000221000000000"
     off = np.linalg.norm(found["vertices_mm"] - rods(), axis=-1).mean(axis=1)
     assert np.isnan(off[list(BLANK)]).all() and np.delete(off, BLANK).max() < 0.15
-    from tests.record.recordings import read
+    from tests.record.runs import read
 
     static, moving = read(out.with_suffix(".rrd"))
     assert moving["/world/rods"]["frame"]["frame"] == list(range(FRAMES))
@@ -113,12 +113,8 @@ def test_wrong_frames_are_reported(filmed, tmp_path, capsys, change, words):
 @pytest.mark.parametrize("change, words", [
     (("--bend", "1e5:1e6:5"), ("--bend", "grid")), (("--bend", "1e5,2e5"), ("--bend", "round")),
     (("--rest-length", "3:x"), ("--rest-length",)), (("--frames", "missing.csv"), ("missing.csv",)),
-    (("--bend-1", "1e5"), ("--bend-1", "unknown")), (("--motion", "missing.npz"), ("missing.npz",))])
-def test_wrong_options_are_reported(filmed, tmp_path, capsys, change, words):
+    (("--bend-1", "1e5"), ("--bend-1", "unknown")), (("--motion", "missing.npz"), ("missing.npz",)),
+    (("--motion", "short.npz"), ("short.npz", "3 moments for 16 frames"))])
+def test_wrong_options_are_reported(filmed, tmp_path, capsys, monkeypatch, change, words):
+    monkeypatch.chdir(filmed)
     refused(capsys, tmp_path, of(filmed, tmp_path / "new" / "f.npz", *change), *words)
-
-
-def test_a_motion_of_another_length_is_reported(filmed, tmp_path, capsys):
-    np.savez(filmed / "short.npz", end_position_mm=np.zeros((3, 3)))
-    argv = of(filmed, tmp_path / "new" / "f.npz", "--motion", str(filmed / "short.npz"))
-    refused(capsys, tmp_path, argv, "short.npz", "3 moments for 16 frames")

@@ -8,7 +8,7 @@ import pytest
 from doo_ti import Material, Observations, relax, save_observations
 from doo_ti.commands.cli import main
 from doo_ti.motion.predict import total_twist
-from tests.commands.calls import refused, written
+from tests.commands.calls import refused, succeeded, written
 from tests.references.rods import chain, clamps_at, stacked
 
 MATERIAL = ["--bend", "6e5", "--twist", "4e5"]
@@ -40,8 +40,7 @@ def files(tmp_path):
 def test_one_by_one(files, capsys):
     folder, twist = files
     words = ["twist", str(folder / "seen.npz"), *MATERIAL, "--out", str(folder / "phi.npz")]
-    assert main([*words, "--picture", str(folder / "phi.png")]) == 0
-    printed = capsys.readouterr().out
+    printed = succeeded(capsys, [*words, "--picture", str(folder / "phi.png")])
     assert "4 observations in 4 groups" in printed and "4 clear" in printed and "196 rods" in printed
     found = written(folder / "phi.npz")
     np.testing.assert_allclose(found["phi_deg"], np.degrees(twist), atol=1.0)
@@ -84,19 +83,14 @@ def test_offsets_and_grasps(files):
 @pytest.mark.parametrize("words, printed", [
     (["--observations", "2"], "end_frame"), (["--observations", "9"], "--observations"), (["--regrasp", "7"], "--regrasp"),
     (["--offsets", "none.csv"], "none.csv"), (["--bend", "1e5:1e6:3"], "grid"), (["--picture", "phi.jpg"], "ends in .png"),
+    ("offset_deg\n1\n2\n3\n1e6\n", "more than 100 turns"), ("offset_deg\n1\n2\n", "one for each"),
+    ("total_twist_deg\n1\n2\n3\n4\n", "end_frame"), ("colour\n1\n", "colour"),
 ])
 def test_wrong_input_is_one_line(files, capsys, words, printed):
+    """Words of the command line, or a file of offsets."""
     folder, _ = files
+    if isinstance(words, str):
+        (folder / "wrong.csv").write_text(words, encoding="utf-8")
+        words = ["--offsets", str(folder / "wrong.csv")]
     capsys.readouterr()
     refused(capsys, folder, ["twist", str(folder / "bare.npz"), *MATERIAL, "--out", str(folder / "phi.npz"), *words], printed)
-
-
-@pytest.mark.parametrize("text, printed", [
-    ("offset_deg\n1\n2\n3\n1e6\n", "more than 100 turns"),
-    ("offset_deg\n1\n2\n", "one for each"), ("total_twist_deg\n1\n2\n3\n4\n", "end_frame"), ("colour\n1\n", "colour"),
-])
-def test_wrong_offsets_are_named(files, capsys, text, printed):
-    folder, _ = files
-    (folder / "wrong.csv").write_text(text, encoding="utf-8")
-    words = ["twist", str(folder / "bare.npz"), *MATERIAL, "--out", str(folder / "phi.npz")]
-    refused(capsys, folder, [*words, "--offsets", str(folder / "wrong.csv")], printed)

@@ -13,6 +13,7 @@ from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.relaxation.time_loading import POSE_COLUMNS
 from doo_ti.rod.frames import matrix_from_quaternion, quaternion_of_turn
 from doo_ti.rod.shapes import end_clamps, hanging, straight_rod
+from tests.conftest import check_refused
 from tests.contact.clutter import gaps
 
 FLOOR = Plane((0, 0, -10), (0, 0, 1))
@@ -28,19 +29,16 @@ def simulated(count: int = 4, **around):
 @pytest.mark.parametrize("rows", [3, 6])
 def test_rows_that_do_not_match_the_rods(rows):
     spheres = Sphere(np.tile([0.0, 500.0, 0.0], (rows, 1)), 5.0)
-    with pytest.raises(InputError, match=f"obstacles: {rows} rows of Sphere for 4 rods"):
-        simulated(obstacles=[spheres], radius=1.0)
+    check_refused(f"obstacles: {rows} rows of Sphere for 4 rods", simulated, obstacles=[spheres], radius=1.0)
     with pytest.raises(InputError, match=f"obstacles: {rows} rows of Sphere for 4 rods"):
         simulated(obstacles=[Moving(spheres, np.zeros((3, 3)))], radius=1.0)
-    with pytest.raises(InputError, match=f"radius: {rows} for 4 rods"):
-        simulated(obstacles=[FLOOR], radius=np.ones(rows))
+    check_refused(f"radius: {rows} for 4 rods", simulated, obstacles=[FLOOR], radius=np.ones(rows))
 
 
 @pytest.mark.parametrize("obstacles", [[Itself()], [FLOOR], [Moving(FLOOR, np.zeros((3, 3)))]])
 @pytest.mark.parametrize("radius, problem", [(None, "missing beside obstacles"), (-1.0, "-1"), (np.nan, "nan")])
 def test_a_radius_that_is_none(obstacles, radius, problem):
-    with pytest.raises(InputError, match=f"radius: {problem}"):
-        simulated(obstacles=obstacles, radius=radius)
+    check_refused(f"radius: {problem}", simulated, obstacles=obstacles, radius=radius)
     rod = straight_rod(60.0, 10)
     if not isinstance(obstacles[0], Moving) and radius is None:
         with pytest.raises(InputError, match="radius: missing"):
@@ -55,8 +53,7 @@ def test_what_is_no_list_of_obstacles(wrong, problem):
     for call in (lambda: relax(rod, MATERIAL, held, obstacles=wrong, radius=1.0),
                  lambda: simulated(obstacles=wrong, radius=1.0),
                  lambda: relax_group(Group([rod], MATERIAL, [held]), obstacles=wrong, radius=1.0)):
-        with pytest.raises(InputError, match=f"obstacles: {problem}"):
-            call()
+        check_refused(f"obstacles: {problem}", call)
 
 
 def test_prediction_refuses_friction():
@@ -69,10 +66,8 @@ def test_prediction_refuses_friction():
 
 def test_reflections_are_no_rotations():
     mirror = np.diag([1.0, 1.0, -1.0])
-    with pytest.raises(InputError, match="rotation: a reflection"):
-        Box((0, 0, 0), (1, 1, 1), mirror)
-    with pytest.raises(InputError, match="rotation: a reflection"):
-        Moving(FLOOR, np.zeros((2, 3)), np.stack([np.eye(3), mirror]))
+    check_refused("rotation: a reflection", Box, (0, 0, 0), (1, 1, 1), mirror)
+    check_refused("rotation: a reflection", Moving, FLOOR, np.zeros((2, 3)), np.stack([np.eye(3), mirror]))
 
 
 def test_a_moving_capsule_of_which_one_end_has_rows():
@@ -153,8 +148,7 @@ def test_moving_planes_of_single_rods_count_where_these_are():
     own = Moving(Plane(begin - [0, 0, 60.0], (0, 0, 1)), np.zeros((3, 3)), tilt)
     assert obstacle_path(Surroundings([own], 1.0), Stepping(100.0), 3, rods).shape == (2, 3, 1, POSE_COLUMNS)
     shared = Moving(Plane((0, 0, -60.0), (0, 0, 1)), np.zeros((3, 3)), tilt)
-    with pytest.raises(InputError, match="a Plane moves by 4"):
-        obstacle_path(Surroundings([shared], 1.0), Stepping(100.0), 3, rods)
+    check_refused("a Plane moves by 4", obstacle_path, Surroundings([shared], 1.0), Stepping(100.0), 3, rods)
 
 
 @pytest.mark.parametrize("wire", [0.5, 0.275, 0.05])

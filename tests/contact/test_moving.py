@@ -5,13 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, ClampPath, Dynamics, Grippers, InputError, Material, Moving, Stepping, predict_moving, relax, simulate
+from doo_ti import Clamp, ClampPath, Dynamics, Grippers, Material, Moving, Stepping, predict_moving, relax, simulate
 from doo_ti.commands.cli import main
 from doo_ti.contact.obstacles import Capsule, Cylinder, Plane
 from doo_ti.contact.touch import GAP_TOLERANCE, Touch
 from doo_ti.dynamics.scene import load_motion_scene
 from doo_ti.rod.frames import rotation_matrix
 from doo_ti.rod.shapes import end_clamps, hanging, straight_rod
+from tests.commands.calls import refused
+from tests.conftest import check_refused
 
 RADIUS, INSTANTS = 2.0, 21
 TIME = np.linspace(0.0, 1.0, INSTANTS)
@@ -117,18 +119,14 @@ def test_wrong_motions_are_one_line():
     def moved(obstacle, stepping=Stepping(20.0, 3, "euler")):
         return simulate(rope, material, grippers, DYNAMICS, stepping, obstacles=[obstacle], radius=RADIUS)
 
-    with pytest.raises(InputError, match=r"a Cylinder moves by 5 mm in a time step.*give 1\d `substeps`"):
-        moved(Moving(PEG, fast))
-    with pytest.raises(InputError, match="moves at 5 instants, the grippers at 21"):
-        moved(Moving(PEG, np.zeros((5, 3))))
-    with pytest.raises(InputError, match="obstacles: a Moving"):
-        relax(rope, material, clamps, obstacles=[Moving(PEG, fast)], radius=RADIUS)
+    check_refused(r"a Cylinder moves by 5 mm in a time step.*give 1\d `substeps`", moved, Moving(PEG, fast))
+    check_refused("moves at 5 instants, the grippers at 21", moved, Moving(PEG, np.zeros((5, 3))))
+    check_refused("obstacles: a Moving", relax, rope, material, clamps, obstacles=[Moving(PEG, fast)], radius=RADIUS)
     for problem, arguments in (("shape", (PEG, np.zeros(3))), ("not finite", (PEG, np.full((4, 3), np.nan))),
                                ("instants", (PEG, np.zeros((4, 3)), np.broadcast_to(np.eye(3), (5, 3, 3)))),
                                ("off a rotation", (PEG, np.zeros((4, 3)), np.ones((4, 3, 3)))),
                                ("Moving: obstacle", ("a peg", np.zeros((4, 3))))):
-        with pytest.raises(InputError, match=problem):
-            Moving(*arguments)
+        check_refused(problem, Moving, *arguments)
 
 
 def test_predictions_have_obstacles_that_move():
@@ -184,8 +182,7 @@ def test_scenes_of_predict_state_motions(tmp_path, capsys):
         gap, height = found["smallest_gap_mm"][:, 0], found["vertices_mm"][:, 0, :, 2]
     assert gap.min() > -RADIUS * GAP_TOLERANCE - 1e-9 and (height[-1] - height[0]).max() > 15.0
     path.write_text(PREDICTED.replace("moments]]\ntime_s = 0.5", "moments]]\ntime_s = 1e30"), encoding="utf-8")
-    assert main(["predict", str(path), "--out", str(out)]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
+    refused(capsys, tmp_path, ["predict", str(path), "--out", str(out)])
 
 
 SCENE = """
@@ -224,5 +221,4 @@ def test_scenes_state_motions(tmp_path):
             ("shift =", "shifted =", "obstacles\\[0\\].moments\\[0\\].shifted"),
             ('kind = "capsule"\nstart = [50, 0, -20]\nend = [50, 0, -40]\nradius = 5.0', 'kind = "itself"', "the rod itself")):
         path.write_text(SCENE.replace(old, new), encoding="utf-8")
-        with pytest.raises(InputError, match=message):
-            load_motion_scene(path).surroundings()
+        check_refused(message, load_motion_scene(path).surroundings)

@@ -22,6 +22,7 @@ from doo_ti.rod.frames import (
 from doo_ti.rod.shapes import end_clamps, overhand_knot, rod_along, straight_rod
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
 from doo_ti.system import runtime
+from tests.conftest import check_refused
 from tests.contact.test_equilibrium import unbalanced
 from tests.contact.topology import determinant, link
 from tests.oracle.chain_form import chain_energy, rod_of
@@ -207,18 +208,15 @@ def test_a_rod_whose_ends_are_too_near_is_infeasible():
 
 
 def test_gaps_of_rods_without_places_and_of_short_ones():
-    gap = smallest_self_gap(np.full((1, 8, 3), np.nan), np.array([1.0]))
-    assert np.isnan(gap).all()
+    assert np.isnan(smallest_self_gap(np.full((1, 8, 3), np.nan), np.array([1.0]))).all()
     assert np.isinf(smallest_self_gap(straight_rod(10.0, 2).vertices, np.array([1.0]))).all()
 
 
 def test_wrong_knots_are_one_line():
-    with pytest.raises(InputError, match="length.*mm.*give more than"):
-        overhand_knot(20.0, 40, radius=1.0, loop=12.0)
+    check_refused("length.*mm.*give more than", overhand_knot, 20.0, 40, radius=1.0, loop=12.0)
     with pytest.raises(InputError, match="edges.*too long.*give at least 1[0-9][0-9], or another `finer`"):
         overhand_knot(6000.0, 100, radius=1.0, loop=400.0, finer=3.0)
-    with pytest.raises(InputError, match="edges.*too long.*give at least"):
-        overhand_knot(6000.0, 12, radius=1.0, loop=400.0)
+    check_refused("edges.*too long.*give at least", overhand_knot, 6000.0, 12, radius=1.0, loop=400.0)
 
 
 @pytest.mark.parametrize("loop, tail, edges", [
@@ -227,10 +225,8 @@ def test_a_knot_is_one_however_few_its_edges(loop, tail, edges):
     rod = overhand_knot(2.2 * np.pi * loop + tail * np.sqrt(2.0) * loop, edges, radius=RADIUS, loop=loop)
     assert determinant(rod.vertices[0]) == 3
     assert smallest_self_gap(rod.vertices, np.array([RADIUS]))[0] > -1.5 * RADIUS
-    with pytest.raises(InputError, match="edges"):
-        rod_along(np.eye(3), [1.0, -1.0, 2.0])
-    with pytest.raises(InputError, match="friction"):
-        Itself(friction=-0.1)
+    check_refused("edges", rod_along, np.eye(3), [1.0, -1.0, 2.0])
+    check_refused("friction", Itself, friction=-0.1)
 
 
 @pytest.mark.thorough

@@ -66,5 +66,4 @@ def test_a_step_is_that_of_dense_linear_algebra(stepped):
         assert np.abs(frames - same_sign * expected.quaternions).max() < 1e-9
         inside += int(pressed.sum())
         steps += 1
-    print(f"{steps} steps, {inside} vertices in contact")
     assert steps >= 6 and inside >= 30

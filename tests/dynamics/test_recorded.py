@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from doo_ti import InputError, RecordedMotion
+from doo_ti import RecordedMotion
 from doo_ti.dynamics.recorded import FINE, GRIPPED, LOST, SWAPPED, elapsed_steps
 from doo_ti.dynamics.rollouts import LARGEST_REACH, lay_out
+from tests.conftest import check_refused
 from tests.dynamics.recordings import RATE, carried
 
 REFERENCE = np.array([0.0, 0.0, 1.0])
@@ -94,28 +95,24 @@ def test_grippers_stay_within_reach(rng):
     lambda p: (p[:, :, [0, 0, 2, 3, 4, 5]], RATE), lambda p: (p * 1e6, RATE), lambda p: (_with(p, np.nan), RATE),
     lambda p: (_with(p, np.inf), RATE)])
 def test_recordings_that_are_refused(rng, change):
-    with pytest.raises(InputError):
-        RecordedMotion.of(*change(carried(rng, 2, 20, 8)))
+    check_refused(": ", RecordedMotion.of, *change(carried(rng, 2, 20, 8)))
 
 
 def test_files_and_gaps(rng, tmp_path):
     positions = carried(rng, 2, 30, 8)
     path = tmp_path / "motion.npz"
     np.savez(path, positions_mm=_with(positions, np.nan), rate_hz=RATE, recording=np.array(["a", "b"]))
-    with pytest.raises(InputError):
-        RecordedMotion.load(path)
+    check_refused(": ", RecordedMotion.load, path)
     filled = RecordedMotion.load(path, fill_gaps=True)
     assert filled.names == ("a", "b") and filled.rate == RATE
     middle = (positions[1, 9, 3] + positions[1, 11, 3]) / 2
     np.testing.assert_allclose(filled.positions[1, 10, 3], middle, atol=1e-9)
     np.savez(path, positions_mm=positions)
-    with pytest.raises(InputError):
-        RecordedMotion.load(path)
+    check_refused(": ", RecordedMotion.load, path)
     np.savez(path, positions_mm=positions[0], rate_hz=RATE)
     one = RecordedMotion.load(path)
     assert one.positions.shape == (1, 30, 8, 3)
-    with pytest.raises(InputError):
-        RecordedMotion.together([one, RecordedMotion.of(positions, 2 * RATE)], ["first", "second"])
+    check_refused(": ", RecordedMotion.together, [one, RecordedMotion.of(positions, 2 * RATE)], ["first", "second"])
     both = RecordedMotion.together([one, RecordedMotion.of(positions[:, :20], RATE)], ["first", "second"])
     assert both.positions.shape == (3, 20, 8, 3) and both.take([0, 2]).count == 2
     assert both.names == ("first", "second 0", "second 1")

@@ -5,29 +5,20 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from doo_ti import Clamp, Dynamics, Material, MovingStart, Springs, Stepping, simulate
-from tests.dynamics.motions import (
-    GRAVITY,
-    MASS_PER_LENGTH,
-    clamped_mode,
-    oscillation,
-    pinned_mode,
-    planar,
-    resting,
-    swinging_chain,
-)
+from tests.dynamics import motions
 
 
 @pytest.mark.parametrize("scheme", ["bdf2", "euler"])
 def test_free_fall(rng, scheme):
     """Both ends free, straight, thrown without turning: the parabola, of backward Euler that of its own sum."""
-    rods = planar(np.full(8, 0.3), 10.0, (5.0, 6.0, 7.0))
+    rods = motions.planar(np.full(8, 0.3), 10.0, (5.0, 6.0, 7.0))
     rate, thrown = 200.0, np.array([300.0, -200.0, 500.0])
     start = MovingStart(rods, np.broadcast_to(thrown, (1, 9, 3)))
-    found = simulate(start, Material(1e5, 1e5), resting(rods, Clamp.FREE, Clamp.FREE, 41), Dynamics(),
+    found = simulate(start, Material(1e5, 1e5), motions.resting(rods, Clamp.FREE, Clamp.FREE, 41), Dynamics(),
                      Stepping(rate, scheme=scheme))
     time = np.arange(1, 41)[:, None, None] / rate
     late = 0.0 if scheme == "bdf2" else 1.0 / rate
-    expected = rods.vertices[0] + time * thrown - 0.5 * GRAVITY * time * (time + late) * [0.0, 0.0, 1.0]
+    expected = rods.vertices[0] + time * thrown - 0.5 * motions.GRAVITY * time * (time + late) * [0.0, 0.0, 1.0]
     apart = np.abs(found.positions[0] - expected).max()
     print(f"falls {expected[0, 0, 2] - expected[-1, 0, 2]:.0f} mm, off by {apart:.1e} mm")
     assert found.converged.all() and apart < 1e-8
@@ -35,11 +26,11 @@ def test_free_fall(rng, scheme):
 
 def test_tumbling_rod_turns_as_a_rigid_body():
     """A stiff rod without weight, thrown spinning about its middle across itself: angle and speed of turning, order 2."""
-    rods, spin, apart = planar(np.zeros(6), 10.0), 20.0, []
+    rods, spin, apart = motions.planar(np.zeros(6), 10.0), 20.0, []
     middle = rods.vertices[0].mean(axis=0)
     velocity = np.cross([0.0, spin, 0.0], rods.vertices[0] - middle)[None]
     for substeps in (10, 20, 40):
-        found = simulate(MovingStart(rods, velocity), Material(1e7, 1e7, 0.0), resting(rods, Clamp.FREE, Clamp.FREE, 3),
+        found = simulate(MovingStart(rods, velocity), Material(1e7, 1e7, 0.0), motions.resting(rods, Clamp.FREE, Clamp.FREE, 3),
                          Dynamics(density=1.0), Stepping(10.0, substeps))
         turned = Rotation.from_rotvec([0.0, spin * 0.2, 0.0]).apply(rods.vertices[0] - middle) + middle
         apart.append(np.abs(found.positions[0, -1] - turned).max())
@@ -51,12 +42,12 @@ def test_tumbling_rod_turns_as_a_rigid_body():
 def test_swinging_chain():
     """A rod that hangs from a point, soft and let go from the side, against an integrator of order eight in its angles."""
     angles, length, bend, rate = np.array([-0.3, -0.2, 0.1, 0.4]), 25.0, 5e3, 50.0
-    rods, instants = planar(angles, length), 14
+    rods, instants = motions.planar(angles, length), 14
     times = np.arange(instants) / rate
-    expected = swinging_chain(angles, length, bend, times)[1:]
+    expected = motions.swinging_chain(angles, length, bend, times)[1:]
     found = []
     for substeps in (40, 80, 160):
-        moved = simulate(rods, Material(bend, bend), resting(rods, Clamp.POSITION, Clamp.FREE, instants), Dynamics(),
+        moved = simulate(rods, Material(bend, bend), motions.resting(rods, Clamp.POSITION, Clamp.FREE, instants), Dynamics(),
                          Stepping(rate, substeps))
         assert moved.converged.all()
         found.append(moved.positions[0])
@@ -76,23 +67,23 @@ def frequency(mode, k: int, start: Clamp, edges: int, steps: int, support: bool)
     span = 400.0 - held
     middles = (np.arange(edges) + 0.5) * length - held
     ratio, slopes = mode(k, middles / span)
-    rods = planar(size * slopes * (middles > 0.0) if held else size * slopes, length)
-    theory = (ratio / span) ** 2 * np.sqrt(bend / MASS_PER_LENGTH)
+    rods = motions.planar(size * slopes * (middles > 0.0) if held else size * slopes, length)
+    theory = (ratio / span) ** 2 * np.sqrt(bend / motions.MASS_PER_LENGTH)
     springs, every = None, max(1, steps // 20)
     if support:
         points, stiffness = np.zeros((1, edges + 1, 3)), np.zeros((1, edges + 1))
         points[0, -1], stiffness[0, -1] = [rods.vertices[0, -1, 0], 0.0, 0.0], 1e6 * bend / 400.0**3
         springs = Springs(points, stiffness)
     rate = steps / every * theory / (2 * np.pi)
-    found = simulate(rods, Material(bend, bend, 0.0), resting(rods, start, Clamp.FREE, 31), Dynamics(density=1.0),
+    found = simulate(rods, Material(bend, bend, 0.0), motions.resting(rods, start, Clamp.FREE, 31), Dynamics(density=1.0),
                      Stepping(rate, every), springs=springs)
     assert found.converged.all()
     values = found.positions[0, :, :, 2] @ rods.vertices[0, :, 2]
-    return oscillation(values, 1.0 / rate), theory
+    return motions.oscillation(values, 1.0 / rate), theory
 
 
-@pytest.mark.parametrize("name, mode, start", [("cantilever", clamped_mode, Clamp.FRAME),
-                                               ("pinned at both ends", pinned_mode, Clamp.POSITION)])
+@pytest.mark.parametrize("name, mode, start", [("cantilever", motions.clamped_mode, Clamp.FRAME),
+                                               ("pinned at both ends", motions.pinned_mode, Clamp.POSITION)])
 def test_natural_frequencies(name, mode, start):
     """The far pin is a stiff spring, so that the end may slide along the rod; the amplitude is small enough for no tension."""
     for k in range(3):
@@ -109,7 +100,7 @@ def test_natural_frequencies(name, mode, start):
 def test_frequency_is_of_second_order_in_the_edge_length():
     errors = []
     for edges in (10, 20, 40):
-        coarse, fine = (frequency(clamped_mode, 0, Clamp.FRAME, edges, steps, False) for steps in (120, 240))
+        coarse, fine = (frequency(motions.clamped_mode, 0, Clamp.FRAME, edges, steps, False) for steps in (120, 240))
         errors.append(abs((4.0 * fine[0] - coarse[0]) / 3.0 / fine[1] - 1.0))
     order = np.log2(np.array(errors[:-1]) / errors[1:])
     print("off by", errors, "order in l", order)

@@ -92,8 +92,7 @@ def damping_derivatives(body: Body, q: np.ndarray, previous: np.ndarray, rate: f
     y = previous[:, :, None, None]
     length = (rod.rest_length[:-1] + rod.rest_length[1:])[:, None, None]
     bend = [b[:, None, None] for b in (rod.bend[:-1], rod.bend[1:])]
-    bending = sum(quadratic(b, [u[0] - at[0], u[1] - at[1]])
-                  for b, u, at in ((bend[0], left, y[:2]), (bend[1], right, y[2:4])))
+    bending = sum(quadratic(b, [u[0] - at[0], u[1] - at[1]]) for b, u, at in ((bend[0], left, y[:2]), (bend[1], right, y[2:4])))
     twisting = (turn - y[4]) * (turn - y[4]) * rod.twist[:, None, None]
     energy = (bending * (0.5 * body.bend_damping) + twisting * body.twist_damping) * (rate / length)
     slopes, curvatures = gradient_and_hessian(energy, (joints,), 6)
@@ -201,8 +200,7 @@ def histories(rod, rods, grippers, velocity, row, acceleration, h) -> tuple[Inst
     tangents = np.diff(earlier, axis=0)
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
     back = smallest_rotation(np.array(directors(state.quaternions.T)[0]).T, tangents)
-    return Instant(x, v, state.quaternions), Instant(
-        earlier, v - h * acceleration, quaternion_product(back, state.quaternions))
+    return Instant(x, v, state.quaternions), Instant(earlier, v - h * acceleration, quaternion_product(back, state.quaternions))
 
 
 def dense_motion(rods, material, grippers, dynamics, velocity, springs, row, scheme, smooth):

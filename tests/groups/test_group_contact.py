@@ -161,7 +161,6 @@ def test_rods_that_are_drawn_over_others_stick_and_then_slip():
     moments = rubbing(coefficient, shifts, (90.0, 86.0))
     assert all(found.converged.all() for found in moments)
     ratios = np.array([[rest / pressed for pressed, rest, _ in (shares(found, rail) for rail in (0, 1))] for found in moments])
-    print(f"friction over force, by moment, rail and group: {ratios.round(4).tolist()}")
     assert ratios[0].max() < 5e-3  # there is none at first
     assert (np.diff(ratios[:3], axis=0) > 0.01).all() and ratios[:3].max() < 0.99 * coefficient
     np.testing.assert_allclose(ratios[3:], coefficient, rtol=2e-3)

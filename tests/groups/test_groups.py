@@ -223,8 +223,7 @@ def test_a_rod_between_two_nails_hangs_as_alone(material, end):
     assert group.energy[0] == pytest.approx(alone.energy[0], rel=1e-9)
     for shape in (lambda x: x[:, 2], lambda x: np.linalg.norm(x - x[0], axis=1)):  # neither knows of turns about the vertical
         one, other = shape(alone.configuration.vertices[0]), shape(group.rods[0].vertices[0])
-        apart = min(np.abs(one - other).max(), np.abs(one[::-1] - other).max())
-        assert apart < 1e-5 * 300.0
+        assert min(np.abs(one - other).max(), np.abs(one[::-1] - other).max()) < 1e-5 * 300.0
 
 
 def test_tied_ends_on_a_nail_are_the_same_loop():

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Grippers, Group, InputError, Newton, Plane, Tie, follow_group, relax_group, simulate
+from doo_ti import Clamp, Clamps, Grippers, Group, InputError, Material, Newton, Plane, Tie, follow_group, relax_group, simulate
 from doo_ti.dynamics.parameters import GRAVITY, Dynamics, MovingStart, Stepping, vertex_lengths
 from doo_ti.rod.shapes import end_clamps, straight_rod
-from doo_ti.rod.types import Clamp, Clamps, Material
 
 MATERIAL = Material(3e5, 2e5, rest_curvature=np.array([2e-3, -1e-3]))
 LOSSES = Dynamics(bend_damping=0.02, twist_damping=0.01, drag=0.3, quadratic_drag=1e-4, point_mass=2.0)

@@ -1,6 +1,7 @@
 """Leave-one-out against loops over fractions, and against landscapes whose answer is known; the rows and columns of tables; and
 that only cells compete whose rods all converged to certified minima: a rod that stalls at its observation scores best."""
 
+import re
 import statistics
 from dataclasses import replace
 from fractions import Fraction
@@ -15,7 +16,8 @@ from doo_ti.learning import cross_validation
 from doo_ti.learning.cross_validation import Part, Partition, chosen_cells, cross_validate, partition, usual_factors
 from doo_ti.learning.landscape import plane_of
 from doo_ti.learning.terms import Hypotheses, resolved
-from tests.learning.landscapes import dynamic, grid_of, static
+from tests.conftest import check_refused
+from tests.learning.lab import dynamic, grid_of, static
 
 PAIRS = list(product(range(5), repeat=2))
 PAIRS = [(x, y) for x, y in PAIRS if x != y][::2]
@@ -63,7 +65,6 @@ def assert_as_by_loops(found, parts):
 def test_loops_choose_the_same_cells_ties_and_gaps_included(rng, case):
     """Distances in eighths tie often; one in twelve is missing, one term everywhere, another but in one cell."""
     rng = np.random.default_rng(rng.integers(2**32) + case)
-    print(f"case {case}")
 
     def distances(count):
         values = rng.integers(4, 12, (9, count)) / 8
@@ -232,9 +233,7 @@ def test_tables_without_being_asked(runs, factors):
     ([lab("a", np.nan * LABELS)], ("end-distance",), (), "a_static: end_distance_mm: no observation has"),
 ])
 def test_runs_that_cannot_be_compared_are_reported(runs, by, distances, words):
-    with pytest.raises(InputError) as problem:
-        partition(runs, by, distances)
-    assert words in str(problem.value)
+    check_refused(re.escape(words), partition, runs, by, distances)
 
 
 # --- only cells whose rods all converged to certified minima compete ------------------------------------------------------

@@ -1,4 +1,5 @@
-"""A run of many rods: only sums over cells are kept, and a finished run is checked without reading its rods."""
+"""A run of many rods: only sums over cells are kept, and a finished run is checked without reading its rods; an even part of a
+large grid."""
 
 import shutil
 import tracemalloc
@@ -8,9 +9,11 @@ import pyarrow
 import pyarrow.parquet
 import pytest
 
-from doo_ti import Axis, Grid, InputError, Status, SweepOptions, sweep
+from doo_ti import Axis, Grid, Status, SweepOptions, sweep
 from doo_ti.learning import chunks
+from doo_ti.learning.figures import thinned
 from doo_ti.learning.landscape import gather_landscape, gather_overview
+from tests.conftest import check_refused
 from tests.learning.lab import DYNAMIC, GRID, small_lab
 
 CELLS_OF_A_FILE, OBSERVATIONS = 40, 100
@@ -75,8 +78,7 @@ def test_a_rod_that_is_there_twice_or_never_is_found(tmp_path, rng, damage):
                "elsewhere": rows.set_column(0, "bend_1", pyarrow.array(np.full(len(rows), 3.3e5))),
                "missing": rows.slice(1)}[damage]
     pyarrow.parquet.write_table(changed, path)
-    with pytest.raises(InputError, match="cell"):
-        gather_overview(tmp_path, grid, "silk", None)
+    check_refused("cell", gather_overview, tmp_path, grid, "silk", None)
 
 
 def test_cells_are_found_by_their_values():
@@ -99,5 +101,23 @@ def test_a_finished_sweep_reads_no_rods_and_overlooks_no_file(tmp_path, monkeypa
         assert sweep(tmp_path / "run", small_lab(), GRID, options=options) == summary
     chunk = min((tmp_path / "run" / "cells").glob("*.parquet"))
     shutil.copy(chunk, chunk.with_name("copy.parquet"))
-    with pytest.raises(InputError, match="once"):
-        sweep(tmp_path / "run", small_lab(), GRID, options=options)
+    check_refused("once", sweep, tmp_path / "run", small_lab(), GRID, options=options)
+
+
+@pytest.mark.parametrize("shape", [(25, 25, 1), (50, 50, 1), (7, 1, 1), (12, 9, 30, 2), (1, 1, 1)])
+@pytest.mark.parametrize("most", [1, 9, 100, 700, 10**6])
+def test_parts_are_even_and_hold_what_they_must(shape, most, rng):
+    kept = [tuple(int(rng.integers(size)) for size in shape) for _ in range(2)]
+    part = thinned(shape, most, kept)
+    counts = [len(indices) for indices in part]
+    for axis, (size, indices) in enumerate(zip(shape, part, strict=True)):
+        assert (np.diff(indices) > 0).all() and indices[0] >= 0 and indices[-1] < size
+        assert {cell[axis] for cell in kept} <= set(indices.tolist())
+        gaps = np.diff(indices)
+        assert len(gaps) == 0 or gaps.max() <= 2 * np.ceil((size - 1) / len(gaps))
+    smallest = np.prod([max(min(2, size), len({cell[axis] for cell in kept})) for axis, size in enumerate(shape)])
+    assert np.prod(counts) <= max(most, smallest)
+    if np.prod(shape) <= most:
+        assert counts == list(shape)
+    elif most > smallest:  # one value more on the longest axis would be too many
+        assert np.prod(counts) * (1 + 1 / max(counts)) > 0.8 * most

@@ -18,6 +18,7 @@ from doo_ti.learning import run_folder
 from doo_ti.learning.chunks import maker
 from doo_ti.learning.experiment import Experiment
 from doo_ti.learning.run_folder import claim
+from tests.conftest import check_refused
 from tests.learning.lab import DYNAMIC, GRID, small_lab
 
 
@@ -68,8 +69,7 @@ def test_a_folder_that_holds_something_else_is_left_alone(tmp_path, experiment):
         run = tmp_path / place.replace("/", "_")
         (run / place).parent.mkdir(parents=True)
         (run / place).write_text("mine")
-        with pytest.raises(InputError, match="something else"):
-            claim(run, "mine", experiment)
+        check_refused("something else", claim, run, "mine", experiment)
 
 
 def test_what_was_killed_holds_nothing_and_what_it_left_half_written_goes(tmp_path, experiment):
@@ -82,8 +82,7 @@ def test_what_was_killed_holds_nothing_and_what_it_left_half_written_goes(tmp_pa
         path.write_bytes(b"half")
     claim(tmp_path, "mine", experiment)
     assert not any(path.exists() for path in left)
-    with pytest.raises(InputError, match="another sweep"):
-        claim(tmp_path, "other", experiment)
+    check_refused("another sweep", claim, tmp_path, "other", experiment)
 
 
 # --- what differs from what a sweep wrote ---------------------------------------------------------------------------------
@@ -142,8 +141,7 @@ def test_values_that_no_sweep_finds(capsys, copy, run, column, value):
     folder = copy(run)
     with_column(folder, column, at_two(value))
     refused(capsys, ["learn", folder], column)
-    with pytest.raises(InputError):
-        read_landscape(folder)
+    check_refused(": ", read_landscape, folder)
 
 
 @pytest.mark.parametrize(("option", "value"), [
@@ -226,8 +224,7 @@ def test_a_flipped_bit_in_an_unfinished_run_is_named(copy):
     assert column.path_in_schema == "energy", "which nothing but the recording needs"
     begin = column.data_page_offset if column.dictionary_page_offset is None else column.dictionary_page_offset
     flipped(chunk, begin + column.total_compressed_size - 20, 6)
-    with pytest.raises(InputError, match=chunk.name):
-        sweep(folder, small_lab(), GRID)
+    check_refused(chunk.name, sweep, folder, small_lab(), GRID)
 
 
 @pytest.mark.thorough
@@ -239,8 +236,7 @@ def test_cells_and_summaries_of_another_run_are_not_taken(capsys, copy, tmp_path
     refused(capsys, ["learn", folder], chunk.name)
     refused(capsys, ["learn", folder], "belongs to another sweep")
     (folder / "summary.json").unlink()
-    with pytest.raises(InputError, match="sweep"):
-        sweep(folder, small_lab(), GRID)
+    check_refused("sweep", sweep, folder, small_lab(), GRID)
     shutil.rmtree(folder)
     folder = copy("static")
     shutil.copy(tmp_path / "other" / "summary.json", folder)
@@ -250,8 +246,7 @@ def test_cells_and_summaries_of_another_run_are_not_taken(capsys, copy, tmp_path
 def test_another_version_does_not_resume_a_run(copy, monkeypatch):
     folder = copy("static")
     monkeypatch.setattr(run_folder, "maker", lambda: maker() | {"doo_ti": "99.0"})
-    with pytest.raises(InputError, match=f"{maker()['doo_ti']}.*99.0"):
-        sweep(folder, small_lab(), GRID)
+    check_refused(f"{maker()['doo_ti']}.*99.0", sweep, folder, small_lab(), GRID)
 
 
 def test_a_chunk_says_who_made_it(runs):
@@ -272,9 +267,7 @@ def test_a_pipe_in_the_place_of_cells_is_not_waited_for(capsys, copy):
 def test_an_identity_that_is_none_is_refused(copy):
     path = copy("static") / "cells" / "identity.txt"
     path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match="another sweep"):
-        sweep(path.parents[1], small_lab(), GRID)
+    check_refused("another sweep", sweep, path.parents[1], small_lab(), GRID)
     path.unlink()
     path.symlink_to("/dev/zero")
-    with pytest.raises(InputError, match="a device"):
-        sweep(path.parents[1], small_lab(), GRID)
+    check_refused("a device", sweep, path.parents[1], small_lab(), GRID)

@@ -11,7 +11,7 @@ import pytest
 from doo_ti.learning.cross_validation import cross_validate, partition
 from doo_ti.learning.score_table import LISTED, comma_separated, entries, file_stem, markdown, notes, text
 from doo_ti.rod.grid import Axis, Grid
-from tests.learning.landscapes import static
+from tests.learning.lab import static
 
 LABELS = np.repeat([30.0, 54.0], 4)
 

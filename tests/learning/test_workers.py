@@ -15,6 +15,7 @@ from doo_ti import InputError, InterruptedRunError, SweepOptions, save_observati
 from doo_ti.learning import sweeps, workers
 from doo_ti.learning.chunks import maker
 from doo_ti.learning.workers import as_made, started_workers
+from tests.conftest import check_refused
 from tests.learning.lab import GRID, small_lab
 from tests.learning.test_sweep import assert_same_cells, small_chunks  # noqa: F401  a fixture
 
@@ -50,8 +51,7 @@ def test_a_failure_on_a_worker_is_reported_with_the_way_to_resume(tmp_path, sche
 
 def assert_refused(folder, scheduler: str, match: str = "scheduler: ") -> None:
     """In one line, and before anything is written."""
-    with pytest.raises(InputError, match=match):
-        sweep(folder / "run", small_lab(), GRID, options=SweepOptions(scheduler=scheduler))
+    check_refused(match, sweep, folder / "run", small_lab(), GRID, options=SweepOptions(scheduler=scheduler))
     assert not (folder / "run").exists()
 
 
@@ -104,8 +104,7 @@ def test_workers_of_another_version_are_refused(scheduler):
 
     with Client(scheduler, set_as_default=False) as client:
         workers.check_workers(client, maker())
-        with pytest.raises(InputError, match="tcp://.*sources 00000000"):
-            workers.check_workers(client, maker() | {"sources_sha256": "0" * 64})
+        check_refused("tcp://.*sources 00000000", workers.check_workers, client, maker() | {"sources_sha256": "0" * 64})
 
 
 @pytest.mark.thorough

@@ -47,7 +47,6 @@ def test_a_raised_middle_is_the_elastica_to_second_order():
         own = end_loads(half).end_force[0, [0, 2]] / IN_PLANE
         force = 2 * IN_PLANE * elastica(np.arctan2(tangents[:, 2], tangents[:, 0]), own)[1]
         off.append(abs(held.grip_loads().force[0, 0, 2] / force - 1))
-    print("relative errors", off)
     assert off[-1] < 1e-3 and off[0] / off[1] > 3.5 and off[1] / off[2] > 3.5
 
 

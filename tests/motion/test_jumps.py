@@ -83,7 +83,6 @@ def test_lab_rods_that_do_not_come_back_have_jumped(laboratory, name):
     jump is counted; many ribbons jump; nothing that does not come back is missed."""
     experiment, material = lab_rods(laboratory, name)
     apart, there, back = there_and_back(experiment, material)
-    print(f"{name}: {(apart > 0.05).sum()} of {len(apart)} do not come back, {(there > 0).sum()} jump on the way there")
     jumping = (there > 0).mean()
     assert jumping == 0 if name in ("nylon", "vicryl") else jumping < 0.1 if name == "silk" else 0.2 < jumping < 0.5
     assert not ((apart > 0.05) & (there + back == 0)).any()
@@ -97,9 +96,7 @@ def test_halving_the_sub_steps_changes_nothing_at_the_true_material(laboratory, 
     for degrees in (10.0, 5.0):
         experiment, material = lab_rods(laboratory, name, sub_step=np.radians(degrees))
         ends.append(carried(experiment, material)[0].configuration)
-    apart = vertex_distance(*ends)
-    print(f"{name}: {apart.max():.1e} mm at most")
-    assert (apart < 0.05).all()
+    assert (vertex_distance(*ends) < 0.05).all()
 
 
 def grid_of(name: str, count: int) -> Material:
@@ -283,7 +280,6 @@ def test_it_snaps_where_theory_says_and_comes_back_elsewhere(arch):
     jumps = np.flatnonzero(prediction.jumps[:, 0])
     assert len(jumps) == 2
     there, back = (0.5 * (angles[jump] + angles[jump - 1]) for jump in jumps)
-    print(f"snaps at {there:.1f}° and back at {back:.1f}°; theory {expected:.2f}°")
     assert there == pytest.approx(expected, rel=0.02) and back == pytest.approx(-expected, rel=0.02)
     middle = prediction.vertices[:, 0, EDGES // 2, 2]
     level = np.flatnonzero(angles == 0)

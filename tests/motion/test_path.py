@@ -8,7 +8,7 @@ from doo_ti import Clamp, Clamps, InputError, Material, relax
 from doo_ti.motion.path import LARGEST_TURN, carried_clamps, carry, motion_between
 from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about
 from tests.references.rods import bows, clamps_at
-from tests.relaxation.rods import assert_same, vertex_distance
+from tests.relaxation.rods import vertex_distance
 
 
 def clamps_of(rng, count: int, start=Clamp.FRAME, end=Clamp.FRAME) -> Clamps:
@@ -129,9 +129,7 @@ def test_halving_the_steps_changes_nothing(kind):
         assert (solution.converged & solution.stable).all()
         np.testing.assert_allclose(solution.configuration.vertices[:, -1], goal, atol=1e-9)
         ends.append(solution)
-    apart = vertex_distance(ends[0].configuration, ends[1].configuration).max()
-    print(f"{kind}: 48 steps end {apart:.1e} mm from 24")
-    assert apart < 1e-4
+    assert vertex_distance(ends[0].configuration, ends[1].configuration).max() < 1e-4
     np.testing.assert_allclose(ends[1].energy, ends[0].energy, rtol=1e-9)
 
 
@@ -158,14 +156,3 @@ def test_clamps_on_the_way():
         np.testing.assert_allclose(step.end_frame, spun(clamps.end_frame, np.radians(30.0 * k)), atol=1e-12)
         np.testing.assert_array_equal(step.start_frame, clamps.start_frame)
         np.testing.assert_array_equal(step.start_position, clamps.start_position)
-
-
-def test_a_rod_that_is_pulled_too_far_is_named_alone():
-    material = MATERIALS["round"]
-    at_rest, clamps = relaxed_bows(material)
-    goal = clamps.end_position + np.array([[0.0, 0, 0], [80.0, 0, 0], [0, 0, 0]])
-    solution, _ = carry(at_rest.configuration, material, carried_clamps(clamps, goal, turned(clamps, 20.0), 4))
-    near = carried_clamps(clamps, clamps.end_position, turned(clamps, 20.0), 4)
-    alone, _ = carry(at_rest.configuration, material, near)
-    assert solution.status.tolist() == [0, 4, 0]
-    assert_same(solution, [0, 2], alone, [0, 2])

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Detection, DistanceMaps, InputError, Material, Rig, Status, detect, distance_maps, load_rig, score
+from doo_ti import Detection, DistanceMaps, Material, Rig, Status, detect, distance_maps, load_rig, score
 from doo_ti.perception import search
 from doo_ti.perception.growth import rank_distinct, sampled_directions, select_hypotheses, suppress_similar
 from doo_ti.perception.perceive import Perception, PerceptionOptions, PerceptionVerdict, perceive
@@ -14,6 +14,7 @@ from doo_ti.perception.shape_uncertainty import bending_hessian, point_sigma, ve
 from doo_ti.rod.frames import unit_vectors
 from doo_ti.vision.images import load_sets, read_image
 from doo_ti.vision.tubes import smooth_curve
+from tests.conftest import check_refused
 from tests.vision.scenes import curves, drawn_maps, three_cameras
 from tools.studies.angle_study import cameras
 
@@ -262,14 +263,12 @@ def test_wrong_input_is_refused(scene, change, field):
     rig, rods, maps = scene
     arguments = {"point": rods[:, 0], "direction": rods[:, 1] - rods[:, 0], "rest_length": np.full(EDGES, 3.0),
              "material": MATERIAL}
-    with pytest.raises(InputError, match=field):
-        perceive(maps, rig, **(arguments | change))
+    check_refused(field, perceive, maps, rig, **arguments | change)
 
 
 @pytest.mark.parametrize("change", [{"nu": 0.0}, {"hypotheses": 0}, {"pieces": 0}, {"runners_up": -1}, {"sigma_px": np.nan}])
 def test_options_are_checked(change):
-    with pytest.raises(InputError, match=next(iter(change))):
-        PerceptionOptions(**change)
+    check_refused(next(iter(change)), PerceptionOptions, **change)
 
 
 # --- the stages of Algorithm 1 --------------------------------------------------------------------------------------------

@@ -7,13 +7,81 @@ from time import perf_counter
 import numpy as np
 import pytest
 
-from doo_ti import Detection, InputError, Material, Status, detect, distance_maps, perceive
+from doo_ti import (
+    Clamp,
+    Clamps,
+    Configuration,
+    Detection,
+    Material,
+    Motion,
+    Newton,
+    Status,
+    detect,
+    distance_maps,
+    perceive,
+    relax,
+)
 from doo_ti.motion.path import motion_between
 from doo_ti.perception.search import PerceptionOptions, Search
 from doo_ti.perception.tracking import How, TrackedFrame, Tracker, TrackingOptions, seen_vertices
-from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about
-from tests.perception.videos import FRAMES, MATERIAL, REST_LENGTH, far_motion, image, photographed, rods
+from doo_ti.rod.frames import across, bishop_frames, matrix_from_quaternion, quaternion_about, quaternion_from_matrix
+from doo_ti.vision.render import render_set
+from doo_ti.vision.tubes import smooth_curve
+from tests.conftest import check_refused
 from tests.vision.scenes import curves, three_cameras
+
+EDGES, LENGTH, FRAMES = 20, 3.0, 16
+MATERIAL = Material(2e5, 2e5)
+REST_LENGTH = np.full(EDGES, LENGTH)
+DIAMETER = 1.0
+
+
+@cache
+def _begin() -> Configuration:
+    """Near the first frame's rod."""
+    rod = curves(np.random.default_rng(8), 1, EDGES, turn=0.09)
+    tangents = np.diff(rod, axis=1) / LENGTH
+    return Configuration(rod[:, 0], quaternion_from_matrix(bishop_frames(tangents, across(tangents[:, 0]))), REST_LENGTH)
+
+
+@cache
+def far_motion() -> Motion:
+    """From the first frame to the last: the far end is led 40 mm and turned by 68°."""
+    rod = _begin()
+    frames, first, last = rod.frames, rod.vertices[:, 0], rod.vertices[:, -1]
+    along = (last - first) / np.linalg.norm(last - first)
+    return Motion(Clamps(Clamp.TANGENT, Clamp.TANGENT, first, last, frames[:, 0], frames[:, -1]),
+                  end_shift=-30 * along + 26 * across(along), end_turn=np.array([[0.4, -0.6, 0.95]]))
+
+
+@cache
+def rods() -> np.ndarray:
+    """(T, V, 3) mm: at rest without any image, each from the one before."""
+    rod, shapes = _begin(), []
+    for frame in range(FRAMES):
+        solution = relax(rod, MATERIAL, far_motion().at(frame / (FRAMES - 1)), Newton.careful())
+        assert solution.converged.all()
+        rod = solution.configuration
+        shapes.append(rod.vertices[0])
+    return np.array(shapes)
+
+
+def photographed(vertices: np.ndarray, first: int = 0) -> list[list[np.ndarray]]:
+    """T lists of C images of rods (T, V, 3), the first of which is that of frame ``first``."""
+    return [render_set(three_cameras(), smooth_curve(rod, 8), DIAMETER, seed=(4, frame))
+            for frame, rod in enumerate(vertices, first)]
+
+
+@cache
+def image(frame: int) -> list[np.ndarray]:
+    """C images."""
+    return photographed(rods()[frame : frame + 1], frame)[0]
+
+
+def images() -> list[list[np.ndarray]]:
+    """T lists of C images."""
+    return [image(frame) for frame in range(FRAMES)]
+
 
 NOTHING = Detection(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.nan, "", (480, 640), "ridge")
 
@@ -174,11 +242,9 @@ def test_vertices_that_two_cameras_show_are_seen():
     assert np.isnan(shown[10]).all() and (shown[[8, 12]] == rod[[8, 12]]).all()
     assert np.isnan(seen_vertices(frame, rig, [first[0], NOTHING, NOTHING])).all()
     assert np.isnan(seen_vertices(replace(frame, vertices=np.full_like(rod, np.nan)), rig, first)).all()
-    with pytest.raises(InputError, match="detected"):
-        seen_vertices(frame, rig, first[:2])
+    check_refused("detected", seen_vertices, frame, rig, first[:2])
 
 
 @pytest.mark.parametrize("change", [{"lost_px": 0.0}, {"worse_px": np.nan}])
 def test_options_are_checked(change):
-    with pytest.raises(InputError, match=next(iter(change))):
-        replace(TrackingOptions(), **change)
+    check_refused(next(iter(change)), replace, TrackingOptions(), **change)

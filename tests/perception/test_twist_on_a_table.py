@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from doo_ti import Material, end_offsets, save_observations
+from doo_ti import Material, TwistOptions, TwistVerdict, end_offsets, estimate_twist, save_observations
 from doo_ti.commands.cli import main
-from doo_ti.perception.twist import TwistOptions, TwistVerdict, estimate_twist
+from tests.commands.calls import refused
 from tools.studies.table_study import TABLE, specimen
 
 
@@ -21,7 +21,6 @@ def rope():
 def test_with_the_table_the_twist_is_found_and_without_it_not(rope):
     found = estimate_twist(*rope, TwistOptions(surroundings=TABLE))
     without = estimate_twist(*rope)
-    print(f"φ {np.degrees(found.phi[0]):.1f}°, {found.least[0]:.1f} mm; without the table {without.least[0]:.0f} mm")
     assert abs(found.phi[0]) < np.radians(10.0) and found.unsound.sum() == 0
     assert without.verdict == [TwistVerdict.AT_BORDER] and without.least[0] > 10 * found.least[0]
 
@@ -37,5 +36,4 @@ def test_the_command_takes_the_table(rope, tmp_path, capsys):
     with np.load(tmp_path / "twist.npz") as found:
         assert abs(found["phi_deg"][0]) < 10.0
     capsys.readouterr()
-    assert main(words) == 2
-    assert "--radius: missing beside --obstacles" in capsys.readouterr().err
+    refused(capsys, tmp_path, words, "--radius: missing beside --obstacles")

@@ -134,7 +134,6 @@ def test_linear_potential_on_packs_is_the_oracles(rng, number):
     gradient, hessian = linear_gradient_hessian(force, frames, length, spun_and_tilted)
     found = out[:, 2, None, None] * np.diag([0.0, 1.0, 1.0])
     errors = relative_error(np.pad(out[:, :2], ((0, 0), (1, 0))), gradient), relative_error(found, hessian)
-    print(f"linear potential, {number}: gradient {errors[0]:.1e}, Hessian {errors[1]:.1e}")
     assert max(errors) < (1e-14 if number.bits == 64 else 2e-6)
 
 
@@ -188,7 +187,6 @@ def test_curvature_binormal_and_transport_are_the_oracles(rng, number):
     kb = np.array(curvature_binormal(list(edges[:, 0].T), list(edges[:, 1].T))).T
     moved = np.array(oracle.transport(list(t[:, 0].T), list(t[:, 1].T), list(m1.T))).T
     errors = relative_error(out[:, :3], kb), relative_error(out[:, 3:6], moved)
-    print(f"vertex form, {number}: κb {errors[0]:.1e}, transport {errors[1]:.1e}")
     assert max(errors) < (1e-13 if number.bits == 64 else 2e-5)
 
 
@@ -254,7 +252,6 @@ def test_bend_force_is_the_slope_of_the_energy(rng, number):
             expected = defined_energy(edges + step, frames, bend, rest, total).imag / STEP
             found = np.sum(slope * across, axis=1)
             slope_error = max(slope_error, (np.abs(found - expected) / np.abs(slope).max(axis=1)).max())
-    print(f"bend force, {number}: energy {error:.1e}, slope {slope_error:.1e} of the largest entry")
     assert max(error, slope_error) < (1e-12 if number.bits == 64 else 1e-4)
 
 
@@ -285,7 +282,6 @@ def test_spin_derivatives(rng, number):
     first, second = slope(0.0), slope(1j * STEP * np.ones(ROWS)).imag / STEP
     scale = inverse * np.abs(bend).max(axis=(1, 2)) * np.sum(omega**2, axis=1)
     errors = (np.abs(out[:, 0] - first) / scale).max(), (np.abs(out[:, 1] - np.maximum(second, 0)) / scale).max()
-    print(f"spin derivatives, {number}: first {errors[0]:.1e}, second {errors[1]:.1e}")
     assert (second < 0).any() and (second > 0).any()
     assert max(errors) < (1e-14 if number.bits == 64 else 1e-5)
 

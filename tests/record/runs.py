@@ -1,4 +1,6 @@
-"""A small artificial run, with different sizes of all axes, so that swapped axes are detected."""
+"""A small artificial run, with different sizes of all axes, so that swapped axes are detected; and a recording, read back."""
+
+from collections import defaultdict
 
 import numpy as np
 
@@ -55,3 +57,23 @@ def relaxation(rng: np.random.Generator) -> dict:
 def sweep(rng: np.random.Generator) -> dict:
     """Arguments of `record_sweep`."""
     return relaxation(rng) | {"plane": plane(), "intervals": valley(grid(), landscape())}
+
+
+def read(path) -> tuple[dict, dict]:
+    """{entity: {column: rows}} of the static data, and {entity: {timeline: {column: rows}}} of the rest, as lists
+    in the order of the timeline."""
+    from rerun.chunk import RrdReader
+
+    static, moving = defaultdict(dict), defaultdict(lambda: defaultdict(lambda: defaultdict(list)))
+    for chunk in RrdReader(path).stream():
+        columns = chunk.to_record_batch().to_pydict()
+        if chunk.is_static:
+            static[chunk.entity_path].update(columns)
+        for timeline in () if chunk.is_static else chunk.timeline_names:
+            for name, rows in columns.items():
+                moving[chunk.entity_path][timeline][name] += rows
+    for timelines in moving.values():
+        for timeline, columns in timelines.items():
+            order = sorted(range(len(columns[timeline])), key=columns[timeline].__getitem__)
+            timelines[timeline] = {name: [rows[k] for k in order] for name, rows in columns.items()}
+    return static, moving

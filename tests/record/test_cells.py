@@ -8,7 +8,7 @@ from doo_ti.record import FAILED, CellsOfRun, Rods, record_cells
 from doo_ti.report import distance_colors
 from tests.conftest import SEED
 from tests.record import runs
-from tests.record.recordings import read
+from tests.record.runs import read
 
 CELLS, PANELS = 7, 2
 LABELS = {"end_distance_mm": np.repeat([30.0, 50.0, 70.0], 2), "end_rotation_deg": np.tile([0.0, 120.0], 3)}

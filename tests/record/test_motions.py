@@ -8,7 +8,7 @@ import pytest
 from doo_ti import Group, GroupSolution, Material, Plane, Status, Surroundings, Tie, end_clamps, straight_rod
 from doo_ti.record import FAILED, record_group, record_motion, record_ribbons
 from doo_ti.report import MovingRods, Ribbons, distinct_colors, ribbon_sides, ribbons_picture
-from tests.record.recordings import read
+from tests.record.runs import read
 
 
 def moving_rods(rng, moments: int = 4, count: int = 9) -> MovingRods:

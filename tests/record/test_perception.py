@@ -8,7 +8,7 @@ from doo_ti.perception.growth import GrowthStep, GrowthSteps
 from doo_ti.perception.search import Hypotheses
 from doo_ti.report import SeenRod, reprojections_picture
 from doo_ti.vision.tubes import smooth_curve
-from tests.record.recordings import read
+from tests.record.runs import read
 from tests.vision.scenes import curves, three_cameras
 
 EDGES = 5

@@ -16,7 +16,7 @@ from doo_ti import InputError, InterruptedRunError, LandscapePlane, Observed, St
 from doo_ti.record.viewer import DESCRIPTORS, recording
 from tests.conftest import SEED
 from tests.record import runs
-from tests.record.recordings import read
+from tests.record.runs import read
 
 ROOT = {"/world", "/world/observations", "/world/observations/marks", "/world/headings", "/world/rods", "/summary",
         "/curves/energy/mean", "/curves/energy/median", "/curves/residual/median", "/curves/residual/largest"}

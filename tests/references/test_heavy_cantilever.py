@@ -72,8 +72,7 @@ def test_certificate_flips_at_greenhills_column():
         for _ in range(3):
             ratios = np.linspace(low, high, 21)
             columns = stacked([rod] * len(ratios))
-            solution = relax(
-                columns, heavy(ratios), clamps_at(columns, Clamp.FRAME, Clamp.FREE), Newton(max_escapes=0))
+            solution = relax(columns, heavy(ratios), clamps_at(columns, Clamp.FRAME, Clamp.FREE), Newton(max_escapes=0))
             assert solution.converged.all()
             np.testing.assert_allclose(solution.configuration.vertices, columns.vertices, atol=1e-9)
             flip = np.flatnonzero(solution.stable)[-1]

@@ -10,6 +10,7 @@ from doo_ti import Axis, Clamp, Grid, InputError, Plane, RefinementOptions, Surr
 from doo_ti.commands.cli import main
 from doo_ti.refinement.plan import plan
 from doo_ti.rod.start import observation_clamps
+from tests.commands.calls import refused
 from tests.refinement.rods_between_clips import TRUTH, suture
 from tools.studies.table_study import GUESS, TABLE, specimen
 
@@ -61,9 +62,7 @@ def test_commands_take_the_table_and_the_run_of_a_sweep_keeps_it(rope, tmp_path,
     for words, field in (([*of_file, *radius], "--radius: "), ([*of_file, *obstacles], "--radius: "),
                          ([*of_file, *obstacles, "--radius", "40"], "inside a Plane"),
                          ([*of_run, *obstacles], "--obstacles: ")):
-        assert main(words) == 2
-        error = capsys.readouterr().err
-        assert field in error and error.count("\n") == 1
+        refused(capsys, tmp_path, words, field)
 
 
 def test_rods_inside_obstacles_are_refused():

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Axis, Clamp, Grid, InputError, Observations, Status, Theta, observation_clamps, relax
+from doo_ti import Axis, Clamp, Grid, Observations, RefinementOptions, Status, Theta, observation_clamps, refine, relax
 from doo_ti.refinement.folds import folds_of, refine_held_out
-from doo_ti.refinement.refine import RefinementOptions, refine
 from doo_ti.refinement.search import lowest_cells, theta_of_cell
 from doo_ti.rod.frames import rotation_matrix
+from tests.conftest import check_refused
 from tests.references.rods import clamps_at
 from tests.refinement.rods_between_clips import BEND, NOISE, TRUTH, TWIST, suture
 from tests.relaxation.rods import wandering
@@ -198,8 +198,7 @@ def test_rods_without_an_equilibrium_do_not_count(seen):
     out = refine(seen, replace(clamps, end_position=apart), BEGIN, QUICK)
     assert not out.used[2] and out.used.sum() == 11 and out.reasons == {"infeasible": 1}
     assert out.status[2] == Status.INFEASIBLE and np.isnan(out.distance[2]) and np.isfinite(out.mean_distance)
-    with pytest.raises(InputError, match="no rod is converged"):
-        refine(seen, replace(clamps, end_position=apart + [500.0, 0.0, 0.0]), BEGIN, QUICK)
+    check_refused("no rod is converged", refine, seen, replace(clamps, end_position=apart + [500.0, 0.0, 0.0]), BEGIN, QUICK)
 
 
 @pytest.mark.thorough
@@ -225,8 +224,7 @@ def test_folds_cut_no_group_apart():
     assert all(len(set(fold[groups == group])) == 1 for group in groups)
     assert sorted(np.bincount(fold).tolist()) == [3, 3, 4]
     for count in (1, 5):
-        with pytest.raises(InputError, match="give 2 to 4 folds"):
-            folds_of(groups, count)
+        check_refused("give 2 to 4 folds", folds_of, groups, count)
 
 
 @pytest.mark.thorough
@@ -274,8 +272,7 @@ def test_wrong_options_are_refused(seen):
                          (dict(edges=2), "edges"), (dict(intervals="none"), "intervals"),
                          (dict(frame_error=(0.0, 1.0)), "frame_error"),
                          (dict(frame_error=(1.0, 1.0), clamps="exact"), "frame_error"), (dict(clip=-1.0), "clip")):
-        with pytest.raises(InputError, match=word):
-            refine(seen, clamps, BEGIN, replace(QUICK, **change))
+        check_refused(word, refine, seen, clamps, BEGIN, replace(QUICK, **change))
 
 
 @pytest.mark.thorough

@@ -81,7 +81,6 @@ def test_the_corrected_mesh_is_close_to_a_very_fine_one():
     exact = finest.rod.marks(relaxed_on(finest, values, coarse, rod, solver), lengths)
     before = np.abs(rod.marks(coarse, lengths) - exact).max()
     after = np.abs(rod.marks(coarse, lengths) + mesh_correction(unknowns, values, coarse, solver) - exact).max()
-    print(f"off by {before:.4f} mm, corrected by {after:.4f} mm")
     assert 0.01 < before < 0.5 and after < 0.15 * before
 
 

@@ -58,7 +58,6 @@ def test_rods_at_rest_with_a_neutral_motion_have_converged(rng, kinds):
     rods = wandering(rng, 64, EDGES)
     material = Material(definite(rng, 64), 1e5, 0.0, 0.01 * rng.normal(size=(64, 2)))
     solution = relax(rods, material, with_kinds(clamps_at(rods), [kinds] * 64))
-    print(f"residuals up to {solution.residual.max():.1e}, {np.sum(~solution.converged)} of 64 not converged")
     assert solution.residual.max() < 1e-7 and np.abs(solution.energy).max() < 1e-6
     assert solution.converged.all()
 
@@ -72,7 +71,6 @@ def test_isotropic_rods_that_may_spin(rng):
     solution = relax(start, material, clamps, Newton(tolerance=1e-9), up=UP)
     assert solution.converged.all() and solution.stable.all()
     errors = [abs(solution.energy[row] / relaxed(start, material, clamps, row, up=UP).energy - 1) for row in range(3)]
-    print(f"isotropic, spins free: energies within {max(errors):.1e}")
     assert max(errors) < 1e-9
 
 
@@ -155,7 +153,6 @@ def test_ribbons_bent_exactly_about_their_stiff_axis_turn_over():
     resting = relax(rods, material, clamps_at(rods), Newton(max_escapes=0, tolerance=1e-6), **index)
     assert resting.converged.all() and not resting.stable.any()
     left = relax(rods, material, clamps_at(rods), **index)
-    print(f"{left.converged.sum()} of 90 converged; residuals of the others {left.residual[~left.converged]}")
     assert (left.energy[left.converged] < resting.energy[left.converged]).all()
     assert left.converged.all() and left.stable.all()
 

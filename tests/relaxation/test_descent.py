@@ -22,9 +22,6 @@ def test_lab_at_the_truth(laboratory, name, tolerance):
     newton = relax(rod.start, rod.material(), rod.clamps, Newton.careful())
     descent = relax(rod.start, rod.material(), rod.clamps, Descent(tolerance))
     apart = vertex_distance(newton.configuration, descent.configuration)
-    print(f"{name}: descent {np.bincount(descent.status, minlength=5)} by status, "
-          f"median {np.median(descent.iterations):.0f} iterations; largest distance from Newton's minimum "
-          f"{apart.max():.1e} mm; elsewhere: {np.flatnonzero(apart > SAME).tolist()}")
     assert newton.converged.all() and newton.stable.all()
     assert descent.converged.mean() >= 0.9
     assert (apart[descent.converged] <= SAME).mean() >= 0.9
@@ -73,7 +70,6 @@ def test_statuses(rng):
     short = relax(start, material, clamps, Descent(max_iterations=3))
     assert (short.status == Status.ITERATION_LIMIT).all() and not short.stable.any()
     single = relax(start, material, clamps, Descent(tolerance=1e-1), precision="f32")
-    print(f"f32: {np.bincount(single.status, minlength=5)} by status")
     assert single.converged.all()
     np.testing.assert_allclose(single.energy, loose.energy, rtol=1e-3)
 
@@ -89,7 +85,5 @@ def test_far_starts_are_closed_or_said_not_to_be(rng):
     assert newton.converged.all() and newton.closure.max() < 1e-12
     descent = relax(rods, Material(3e5, 2e5, 1.0), far, Descent(tolerance=1e-3, max_iterations=30_000))
     open_ended = descent.closure > 1e-12
-    print(f"{open_ended.sum()} of 40 not closed, by up to {descent.closure.max():.1e} of the length; "
-          f"{(open_ended & descent.converged).sum()} of them converged; {descent.stable.sum()} of 40 certified")
     assert not (open_ended & descent.converged).any()
     assert descent.converged.mean() > 0.9

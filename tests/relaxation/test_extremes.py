@@ -69,7 +69,6 @@ def test_whole_turns_of_twist(shape, turns, precision):
     clamps = clamps_at(bow) if shape == "bow" else shortened(clamps_at(rod), [80.0, 0.0, 0.0])
     solution = relax(rod, MATERIAL, clamps, precision=precision)
     well(solution, precision)
-    print(f"{shape}, {turns} turns, {precision}: {solution.energy[0]:.6g} in {solution.iterations[0]} iterations")
     untwisted = relax(straight(edges) if shape == "straight" else replace(bow, quaternions=chain(
         np.stack([np.cos(angle), 0 * angle, np.sin(angle)], axis=1), [0, 1, 0], 3.0).quaternions), MATERIAL, clamps)
     even = 5e5 * (2 * np.pi * turns) ** 2 / (2 * 96.0)
@@ -137,7 +136,6 @@ def test_standing_rods_fall_and_are_certified():
     rods = Configuration(np.zeros((count, 3)), np.repeat(rod.quaternions, count, axis=0), rod.rest_length)
     bend = np.geomspace(1e5, 1e9, count)
     solution = relax(rods, Material(bend, 0.8 * bend), end_clamps(rods, Clamp.FRAME, Clamp.FREE))
-    print(np.bincount(solution.status, minlength=5), solution.iterations.mean())
     assert solution.converged.mean() >= 0.98 and solution.stable[solution.converged].all()
     assert solution.iterations.mean() < 40
 

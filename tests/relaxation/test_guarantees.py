@@ -26,8 +26,7 @@ def test_layout_and_number_type_of_inputs_do_not_matter(rng):
     start, clamps, _ = rods_under_all_clamps(rng)
     material = Material(2e5, 1e5, 1.0)
     plain = relax(start, material, clamps)
-    strided = Configuration(
-        np.asfortranarray(start.start), start.quaternions[::-1][::-1], np.asfortranarray(start.rest_length))
+    strided = Configuration(np.asfortranarray(start.start), start.quaternions[::-1][::-1], np.asfortranarray(start.rest_length))
     turned = Clamps(list(clamps.start), list(clamps.end), np.asfortranarray(clamps.start_position),
                     np.asfortranarray(clamps.end_position), np.asfortranarray(clamps.start_frame),
                     np.asfortranarray(clamps.end_frame))
@@ -40,12 +39,10 @@ def test_edge_lengths_and_clamps_are_exact(rng, solver):
     solution = relax(start, Material(definite(rng, len(PAIRS)), 2e5, 1.0), clamps, SOLVERS[solver])
     vertices, frames = solution.configuration.vertices, solution.configuration.frames
     lengths = np.linalg.norm(np.diff(vertices, axis=1), axis=2)
-    print(f"{solver}: edge lengths within {np.abs(lengths - start.rest_length).max():.1e} mm")
     assert np.abs(lengths - start.rest_length).max() < 1e-10
     worst = 0.0
     for row, pair in enumerate(kinds):
-        ends = ((0, pair[0], clamps.start_position, clamps.start_frame),
-                (-1, pair[1], clamps.end_position, clamps.end_frame))
+        ends = ((0, pair[0], clamps.start_position, clamps.start_frame), (-1, pair[1], clamps.end_position, clamps.end_frame))
         for end, kind, position, frame in ends:
             if kind >= Clamp.POSITION:
                 worst = max(worst, np.linalg.norm(vertices[row, end] - position[row]))
@@ -53,7 +50,6 @@ def test_edge_lengths_and_clamps_are_exact(rng, solver):
                 assert np.abs(frames[row, end, :, 0] - frame[row, :, 0]).max() < 1e-14
             if kind == Clamp.FRAME:
                 assert np.abs(frames[row, end] - frame[row]).max() < 1e-14
-    print(f"{solver}: clamped ends within {worst:.1e} mm, closure up to {solution.closure.max():.1e} of the length")
     assert worst < 1e-9
     total = start.rest_length.sum(axis=1)
     closed = np.array([min(pair) >= Clamp.POSITION for pair in kinds])
@@ -74,7 +70,6 @@ def test_energy_is_that_of_the_returned_shape(rng, precision):
         state = State(solution.configuration.start[row], solution.configuration.quaternions[row].astype(np.float64))
         energy, size = energy_of(rod_of(start, material, row, up=up), state)
         errors.append(abs(solution.energy[row] - energy) / size)
-    print(f"{precision}: energies within {max(errors):.1e} of the sum of their terms")
     assert max(errors) < (1e-13 if precision == "f64" else 4e-6)
 
 

@@ -15,7 +15,6 @@ def test_sutures_at_the_truth(laboratory, name, precision):
     rod = lab(laboratory, name)
     solution = relax(rod.start, rod.material(), rod.clamps, up=rod.observations.up, precision=precision)
     mean = distance(solution.configuration, rod.observations).mean()
-    print(f"{name}, {precision}: {mean:.4f} mm (bar {BARS[name]}), {solution.iterations.mean():.1f} iterations")
     assert (solution.converged & solution.stable).all()
     assert mean <= BARS[name]
 

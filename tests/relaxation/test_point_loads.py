@@ -7,9 +7,10 @@ import pytest
 from scipy.optimize import brentq
 from scipy.special import ellipeinc, ellipk, ellipkinc
 
-from doo_ti import Descent, InputError, Newton, Plane, PointLoads, Springs, end_loads, pullback, relax, sensitivity
+from doo_ti import Descent, Newton, Plane, PointLoads, Springs, end_loads, pullback, relax, sensitivity
 from doo_ti.rod.shapes import end_clamps, straight_rod
 from doo_ti.rod.types import Clamp, Clamps, Material
+from tests.conftest import check_refused
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import State, clamped_start
 from tests.oracle.external import Springs as DenseSprings
@@ -186,9 +187,7 @@ def test_what_has_no_derivatives_is_refused(rng):
         (relax(rod, material, held, external=sprung), ("bend",), "solution"),
     ):
         for call in (lambda: sensitivity(solution, parameters), lambda: pullback(solution, None, parameters)):
-            with pytest.raises(InputError) as caught:
-                call()
-            assert caught.value.field == field and "\n" not in str(caught.value)
+            check_refused(f": {field}: ", call)
 
 
 def test_wrong_input_is_reported_in_one_sentence(rng):
@@ -208,6 +207,4 @@ def test_wrong_input_is_reported_in_one_sentence(rng):
         (lambda: relax(rod, replace(material, weight=0.0), loose, external=PointLoads(zero)), "clamps", "start, end"),
         (lambda: relax(rod, material, held, Descent(), external=PointLoads(zero)), "relax", "solver"),
     ):
-        with pytest.raises(InputError) as caught:
-            call()
-        assert (caught.value.source, caught.value.field) == (source, field) and "\n" not in str(caught.value)
+        check_refused(f"^{source}: {field}: ", call)

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Configuration, InputError, Material, Newton, Plane, PointLoads, Solution, Sphere, pullback, relax
+from doo_ti import Clamp, Configuration, Material, Newton, Plane, PointLoads, Solution, Sphere, pullback, relax
 from doo_ti.relaxation.sensitivity import PARAMETERS, sensitivity
+from tests.conftest import check_refused
 from tests.contact.clutter import OBSTACLES, RADIUS, sagging
 from tests.references.rods import clamps_at
 from tests.relaxation.rods import PAIRS, definite, wandering, with_kinds
@@ -125,6 +126,4 @@ def test_wrong_input_is_reported(rng):
                          ({"cotangent": None, "frames": np.zeros((2, 12, 3))}, "frames"),
                          ({"cotangent": None, "parameters": ("bent",)}, "parameters"),
                          ({"cotangent": None, "parameters": ("modes",)}, "modes")):
-        with pytest.raises(InputError) as caught:
-            pullback(solution, **given)
-        assert caught.value.source == "pullback" and caught.value.field == field and "\n" not in str(caught.value)
+        check_refused(f"^pullback: {field}: ", pullback, solution, **given)

@@ -1,23 +1,13 @@
-"""The landscape's picture: its elements and their places, for every shape of grid."""
+"""The landscape's picture: its elements and their places, for every shape of grid. The grid view: every observation at its own
+place, gravity down; subtracting the offset gives true coordinates."""
 
 import io
 
 import numpy as np
 import pytest
 
-from doo_ti.report import (
-    LandscapePanel,
-    MovingRods,
-    angle_curves_picture,
-    distance_colors,
-    landscape_colors,
-    landscape_image,
-    landscape_picture,
-    landscapes_picture,
-    motions_picture,
-    quantity,
-)
-from doo_ti.report.canvas import direction, fit_titles, new_figure
+from doo_ti import report
+from doo_ti.report.canvas import Observed, direction, fit_titles, grid_view, new_figure
 from doo_ti.report.plane import LandscapePlane, cell_edges, valley_cells
 from tests.record import runs
 
@@ -39,10 +29,10 @@ def run() -> tuple[list, np.ndarray]:
 def test_picture_and_image_are_one_drawing(tmp_path):
     from PIL import Image
 
-    landscape_picture(tmp_path / "landscape.png", runs.plane(), title="made up")
+    report.landscape_picture(tmp_path / "landscape.png", runs.plane(), title="made up")
     buffer = io.BytesIO()
-    landscape_picture(buffer, runs.plane(), title="made up")
-    image = landscape_image(runs.plane(), title="made up")
+    report.landscape_picture(buffer, runs.plane(), title="made up")
+    image = report.landscape_image(runs.plane(), title="made up")
     assert image.shape == (1200, 1600, 3)
     assert image.dtype == np.uint8
     for source in (tmp_path / "landscape.png", buffer):
@@ -51,7 +41,7 @@ def test_picture_and_image_are_one_drawing(tmp_path):
 
 def test_a_name_is_no_mathematics():
     """matplotlib parses text between dollar signs as mathematics, in which this is an error."""
-    landscape_picture(io.BytesIO(), runs.plane(), title="a$^{$ b")
+    report.landscape_picture(io.BytesIO(), runs.plane(), title="a$^{$ b")
 
 
 def test_titles_fit_into_the_picture():
@@ -70,11 +60,11 @@ def test_titles_fit_into_the_picture():
 @pytest.mark.thorough
 def test_names_in_titles_legends_and_panels_are_no_mathematics():
     name, vertices = "a$^{$ b", np.cumsum(np.ones((3, 1, 5, 3)), axis=2)
-    landscapes_picture(io.BytesIO(), [[LandscapePanel(name, runs.plane(), ((name, (0, 0)),))]], title=name)
-    rods = MovingRods(np.arange(3.0), vertices, [name], np.zeros((3, 1), int), np.ones((3, 1), bool))
-    motions_picture(io.BytesIO(), rods, title=name)
+    report.landscapes_picture(io.BytesIO(), [[report.LandscapePanel(name, runs.plane(), ((name, (0, 0)),))]], title=name)
+    rods = report.MovingRods(np.arange(3.0), vertices, [name], np.zeros((3, 1), int), np.ones((3, 1), bool))
+    report.motions_picture(io.BytesIO(), rods, title=name)
     angle = np.arange(0.0, 360.0, 90.0)
-    angle_curves_picture(io.BytesIO(), angle, angle[None], phi=[0.0], low=[0.0], high=[9.0], names=[name],
+    report.angle_curves_picture(io.BytesIO(), angle, angle[None], phi=[0.0], low=[0.0], high=[9.0], names=[name],
                          unsound=np.zeros((1, 4), bool), title=name)
 
 
@@ -83,7 +73,7 @@ def test_cells_not_evaluated_are_grey_and_unfinished_ones_hatched():
     axes, values = run()
 
     def image(values, unfinished=None):
-        return landscape_image(LandscapePlane.of(axes, values, (2, 1, 0), unfinished), title="made up")
+        return report.landscape_image(LandscapePlane.of(axes, values, (2, 1, 0), unfinished), title="made up")
 
     def grey(image):
         return (image == GREY).all(axis=-1).sum()
@@ -164,20 +154,20 @@ def test_surface_leaves_out_what_was_not_evaluated():
 
 def test_colors_are_the_picture_s_and_never_a_colour_for_nan():
     distance = np.array([0.4, 1.0, np.nan, 9.0])
-    for colors in (landscape_colors(distance, distance), distance_colors(distance)):
+    for colors in (report.landscape_colors(distance, distance), report.distance_colors(distance)):
         assert colors.shape == (4, 3)
         assert colors.dtype == np.uint8
         assert tuple(colors[2]) == GREY
         assert len({tuple(color) for color in colors}) == 4
-    assert distance_colors(np.full(3, np.nan)).tolist() == [list(GREY)] * 3
+    assert report.distance_colors(np.full(3, np.nan)).tolist() == [list(GREY)] * 3
 
 
 @pytest.mark.parametrize(("value", "text"), [
     (0, "0"), (0.7471, "0.747"), (14.07, "14.1"), (9999.9, "10⁴"), (123456, "1.23×10⁵"), (1e6, "10⁶"),
     (3.2e-5, "3.2×10⁻⁵"), (np.nan, "nan")])
 def test_quantities_are_written_for_people(value, text):
-    assert quantity(value) == text
-    assert quantity(value, "mm") == f"{text} mm"
+    assert report.quantity(value) == text
+    assert report.quantity(value, "mm") == f"{text} mm"
 
 
 def test_stiffness_stands_above_where_the_weight_is_known():
@@ -190,3 +180,65 @@ def test_stiffness_stands_above_where_the_weight_is_known():
     axes.figure.canvas.draw()
     assert np.allclose(np.array(axes.get_xlim()) * 2.45e-10, above.get_xlim())
     assert not draw_landscape(plane, "made up").axes[0].child_axes
+
+
+LABELS = {"end_distance_mm": np.repeat([30.0, 50.0, 70.0], 2), "end_rotation_deg": np.tile([120.0, 0.0], 3)}
+
+
+def boxes(vertices, sheet) -> tuple[np.ndarray, np.ndarray]:
+    """(D, 3) lowest and highest right, depth and up coordinate of each placed observation."""
+    local = (vertices + sheet.offset[:, None]) @ sheet.basis.T
+    return np.nanmin(local, axis=1), np.nanmax(local, axis=1)
+
+
+@pytest.mark.parametrize("labels", [LABELS, {}, {"end_distance_mm": np.arange(6.0)},
+                                    {"end_distance_mm": np.zeros(6), "end_rotation_deg": np.tile([0.0, 1.0], 3)},
+                                    {"end_distance_mm": np.arange(6.0), "end_rotation_deg": np.arange(6.0)}])
+def test_no_observation_overlaps_another(labels, rng):
+    vertices = runs.observations(rng)
+    vertices[3, 4], vertices[2, 0] = np.nan, np.nan
+    sheet = grid_view(Observed(vertices, labels))
+    low, high = boxes(vertices, sheet)
+    apart = ((low[:, None] > high[None]) | (low[None] > high[:, None]))[..., [0, 2]].any(axis=-1)
+    assert (apart | np.eye(len(vertices), dtype=bool)).all()
+    assert (sheet.offset[0] == 0).all()
+    corner = sheet.basis @ sheet.centre
+    assert (low[:, [0, 2]] > corner[[0, 2]] - sheet.extent / 2).all()
+    assert (high[:, [0, 2]] < corner[[0, 2]] + sheet.extent / 2).all()
+
+
+def test_labels_make_columns_and_rows(rng):
+    vertices = runs.observations(rng)
+    sheet = grid_view(Observed(vertices, LABELS))
+    low, high = boxes(vertices, sheet)
+    middle, floor = (0.5 * (low + high)[:, 0]).reshape(3, 2), low[:, 2].reshape(3, 2)
+    np.testing.assert_allclose(middle[:, 0], middle[:, 1], atol=1e-9)
+    assert (np.diff(middle[:, 0]) > 0).all()
+    np.testing.assert_allclose(floor, floor[:1].repeat(3, axis=0), atol=1e-9)
+    assert (floor[:, 0] < floor[:, 1]).all()  # 120° stands in the row below 0°
+    assert [text for text, _ in sheet.headings] == ["30 mm", "50 mm", "70 mm", "0°", "120°"]
+    assert sheet.meaning == "columns: end distance, rows: end rotation"
+
+
+@pytest.mark.parametrize("up", [(0, 0, 1), (0, -2, 0), (1, 1, 1)])
+def test_plane_is_upright_along_the_rods(up, rng):
+    right, depth, above = grid_view(Observed(runs.observations(rng), {}, up)).basis
+    np.testing.assert_allclose(above, np.array(up) / np.linalg.norm(up), atol=1e-12)
+    basis = np.stack([right, depth, above])
+    np.testing.assert_allclose(basis @ basis.T, np.eye(3), atol=1e-9)
+    assert np.linalg.det(basis) > 0
+    if up == (0, 0, 1):
+        assert right[0] > 0.99
+
+
+def test_one_observation_stays_where_it_is(rng):
+    vertices = runs.observations(rng)[2:3] + 100.0
+    sheet = grid_view(Observed(vertices))
+    assert (sheet.offset == 0).all()
+    assert sheet.headings == []
+
+
+def test_names_say_number_and_labels(rng):
+    vertices = runs.observations(rng)
+    assert Observed(vertices, LABELS).names[1] == "observation 1: 30 mm 0°"
+    assert Observed(vertices[:2]).names == ["observation 0", "observation 1"]

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Detection, InputError, detect
+from doo_ti import Detection, detect
 from doo_ti.vision.distance_map import COMPARED_PX, distance_maps
 from doo_ti.vision.render import RenderOptions, render_set
+from tests.conftest import check_refused
 from tests.vision.scenes import bow, small_rig
 
 
@@ -72,10 +73,7 @@ def test_windows_stay_within_the_image_and_do_not_depend_on_the_batch():
 
 def test_detections_without_a_map_are_refused():
     none = replace(circle(30.0), points=np.empty((0, 2)), direction=np.empty((0, 2)), strength=np.empty(0))
-    with pytest.raises(InputError, match="set 0, image 1: "):
-        distance_maps([[circle(30.0), none]])
+    check_refused("set 0, image 1: ", distance_maps, [[circle(30.0), none]])
     for sets in ([], [[]], [[circle(30.0)], [circle(30.0)] * 2]):
-        with pytest.raises(InputError, match="detections"):
-            distance_maps(sets)
-    with pytest.raises(InputError, match="margin"):
-        distance_maps([[circle(30.0)]], 1)
+        check_refused("detections", distance_maps, sets)
+    check_refused("margin", distance_maps, [[circle(30.0)]], 1)

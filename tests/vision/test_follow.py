@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from doo_ti import DetectionOptions, InputError, detect, detect_mask, follow
+from doo_ti import DetectionOptions, InputError, Rig, detect, detect_mask, follow, load_rig
 from doo_ti.io.scene import load_scene
 from doo_ti.perception.virtual_lab import lab_rods
-from doo_ti.vision.cameras import Rig
 from doo_ti.vision.render import render_set
-from doo_ti.vision.rig_files import load_rig
 from doo_ti.vision.tubes import smooth_curve
 
 SIZE = 400, 600

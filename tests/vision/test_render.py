@@ -8,9 +8,9 @@ import pytest
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates
 
-from doo_ti.system.errors import InputError
 from doo_ti.vision.render import RenderOptions, render_set
 from doo_ti.vision.tubes import Tube, draw, smooth_curve
+from tests.conftest import check_refused
 from tests.vision.scenes import bow, normals, small_rig
 
 EXACT = RenderOptions(noise=0, jpeg_quality=None, unevenness=0, shading=0)
@@ -87,8 +87,6 @@ def test_occluders_hide_about_the_share_that_was_asked_for():
 
 def test_what_cannot_be_drawn_is_refused():
     for change in ({"blur_px": -1}, {"jpeg_quality": 0}, {"light": (0, 0, 0)}, {"occluded_share": 2}):
-        with pytest.raises(InputError):
-            RenderOptions(**change)
+        check_refused(": ", RenderOptions, **change)
     for rod, diameter in ((bow()[:1], 1), (bow() * np.nan, 1), (bow()[[0, 0, 1]], 1), (bow(), 0)):
-        with pytest.raises(InputError):
-            render_set(small_rig(), rod, diameter)
+        check_refused(": ", render_set, small_rig(), rod, diameter)

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from doo_ti import InputError
 from doo_ti.vision.cameras import POSES, Camera, Rig, RigReading
 from doo_ti.vision.rig_files import load_rig, rational_of_fisheye, save_rig
+from tests.conftest import check_refused
 from tests.vision.boards import around
 
 
@@ -55,8 +55,7 @@ def test_a_bad_file_is_refused(tmp_path, spoil, word):
     save_rig(tmp_path / "rig.yaml", around())
     text = (tmp_path / "rig.yaml").read_text()
     (tmp_path / "bad.yaml").write_text(spoil(text))
-    with pytest.raises(InputError, match=word):
-        load_rig(tmp_path / "bad.yaml")
+    check_refused(word, load_rig, tmp_path / "bad.yaml")
 
 
 @pytest.mark.parametrize("change", [
@@ -66,14 +65,12 @@ def test_a_bad_file_is_refused(tmp_path, spoil, word):
     {"matrix": [[1e3, 0, 1e300], [0, 1e3, 0], [0, 0, 1]]}, {"matrix": np.eye(3) + 1j}, {"height": 10**11},
 ])
 def test_invalid_cameras_are_refused(change):
-    with pytest.raises(InputError):
-        replace(around().cameras[0], **change)
+    check_refused(": ", replace, around().cameras[0], **change)
 
 
 def test_cameras_by_name():
     assert around().only(["cam2", "cam0"]).names == ("cam2", "cam0")
-    with pytest.raises(InputError, match="no camera"):
-        around().only(["cam7"])
+    check_refused("no camera", around().only, ["cam7"])
 
 
 # --- rigs in the files of others ------------------------------------------------------------------------------------------
@@ -115,8 +112,7 @@ def test_opencv_s_stereo_files(tmp_path, names, coefficients):
 
 def test_the_size_may_be_given_and_extrinsics_lie_beside(tmp_path):
     stereo(tmp_path / "whole.yml", size=False)
-    with pytest.raises(InputError, match="--image-size"):
-        load_rig(tmp_path / "whole.yml")
+    check_refused("--image-size", load_rig, tmp_path / "whole.yml")
     text = (tmp_path / "whole.yml").read_text()
     head, body = text.split("---\n")
     at = body.index("R: ")
@@ -138,8 +134,7 @@ def test_fisheye_lenses(tmp_path):
     wanted = cv2.fisheye.projectPoints(rays[None], np.zeros(3), np.zeros(3), MATRIX, np.array(FISHEYE))[0][0]
     inside = ((wanted >= 0) & (wanted < SIZE)).all(axis=1)
     assert inside.sum() > 1000 and np.abs(camera.project(rays) - wanted)[inside].max() < 0.3
-    with pytest.raises(InputError, match="fisheye"):
-        rational_of_fisheye("rig", "dist", MATRIX, np.arange(5.0), *SIZE)
+    check_refused("fisheye", rational_of_fisheye, "rig", "dist", MATRIX, np.arange(5.0), *SIZE)
 
 
 LENSES = {
@@ -185,9 +180,7 @@ def test_damaged_models_are_refused_in_one_line(tmp_path, file, old, new):
     text = (tmp_path / file).read_text()
     assert old in text
     (tmp_path / file).write_text(text.replace(old, new, 1))
-    with pytest.raises(InputError) as caught:
-        load_rig(tmp_path)
-    assert "\n" not in str(caught.value)
+    check_refused(": ", load_rig, tmp_path)
 
 
 @pytest.mark.parametrize("spoil", [
@@ -198,9 +191,7 @@ def test_damaged_models_are_refused_in_one_line(tmp_path, file, old, new):
 def test_damaged_stereo_files_are_refused_in_one_line(tmp_path, spoil):
     stereo(tmp_path / "stereo.yml")
     (tmp_path / "stereo.yml").write_text(spoil((tmp_path / "stereo.yml").read_text()))
-    with pytest.raises(InputError) as caught:
-        load_rig(tmp_path / "stereo.yml")
-    assert "\n" not in str(caught.value)
+    check_refused(": ", load_rig, tmp_path / "stereo.yml")
 
 
 # --- what files leave open ------------------------------------------------------------------------------------------
@@ -229,5 +220,4 @@ def test_other_poses_and_units_are_read_and_recognised(tmp_path, poses, unit):
     doubtful = load_rig(tmp_path / "rig.yaml")
     if (poses, unit) == ("opencv", "mm"):
         return doubtful.check_sight(seen, "the seed")
-    with pytest.raises(InputError, match="--rig-unit m" if poses == "opencv" else f"--rig-poses {poses}"):
-        doubtful.check_sight(seen, "the seed")
+    check_refused("--rig-unit m" if poses == "opencv" else f"--rig-poses {poses}", doubtful.check_sight, seen, "the seed")

@@ -8,17 +8,7 @@ import pytest
 import taichi as ti
 
 from doo_ti import Camera, Rig
-from doo_ti.vision.sampling import (
-    CAMERA_COLUMNS,
-    WIDEST,
-    MapSampling,
-    Projection,
-    bent,
-    bent_curvature,
-    bent_slope,
-    bent_third,
-    camera_table,
-)
+from doo_ti.vision import sampling
 from tests.oracle.reprojection import STEP, Map, jacobian, project
 from tests.vision.device import every_number, row_kernel
 from tests.vision.scenes import three_cameras
@@ -29,7 +19,7 @@ CAMERA = 1
 @cache
 def point_kernel(number):
     """A point and a direction to (u, v, speed, seen, point and direction turned into the camera and back)."""
-    camera = Projection(number)
+    camera = sampling.Projection(number)
 
     @ti.func
     def function(scratch: ti.template(), numbers: ti.template(), values: ti.template()):
@@ -37,7 +27,7 @@ def point_kernel(number):
         d = camera.turned(numbers, CAMERA, (scratch[3], scratch[4], scratch[5]))
         lens = camera.lens(numbers, CAMERA)
         x0, x1, inverse, seen = camera.normalised(lens, y)
-        pixel, j = bent(lens, x0, x1), bent_slope(lens, x0, x1)
+        pixel, j = sampling.bent(lens, x0, x1), sampling.bent_slope(lens, x0, x1)
         zero = 0.0 * inverse
         back = camera.turned_back(numbers, CAMERA, d)
         return (pixel[0], pixel[1], camera.speed(lens, j, x0, x1, inverse, d), ti.select(seen, zero + 1.0, zero)) + back
@@ -48,13 +38,13 @@ def point_kernel(number):
 @cache
 def lens_kernel(number):
     """(X, Y) to the derivatives of the lens: three first, four second, five third."""
-    camera = Projection(number)
+    camera = sampling.Projection(number)
 
     @ti.func
     def function(scratch: ti.template(), numbers: ti.template(), values: ti.template()):
         lens = camera.lens(numbers, CAMERA)
         x, y = scratch[0], scratch[1]
-        return bent_slope(lens, x, y) + bent_curvature(lens, x, y) + bent_third(lens, x, y)
+        return sampling.bent_slope(lens, x, y) + sampling.bent_curvature(lens, x, y) + sampling.bent_third(lens, x, y)
 
     return row_kernel(number, 2, 12, function)
 
@@ -65,7 +55,7 @@ def test_pixels_and_their_speed(number, rng):
     rig = three_cameras()
     camera = rig.cameras[CAMERA]
     points, directions = rng.uniform(-60, 60, (37, 3)), rng.normal(size=(37, 3))
-    found = point_kernel(number)(np.concatenate([points, directions], axis=1), camera_table(rig)[None], np.zeros(1))
+    found = point_kernel(number)(np.concatenate([points, directions], axis=1), sampling.camera_table(rig)[None], np.zeros(1))
     exact = number.bits == 64
     np.testing.assert_allclose(found[:, :2], camera.project(points), atol=1e-9 if exact else 4e-4)
     np.testing.assert_allclose(found[:, :2], [project(camera, point) for point in points], atol=1e-9 if exact else 4e-4)
@@ -84,7 +74,7 @@ def test_derivatives_of_the_lens(number, rng):
     kernel = lens_kernel(number)
 
     def at(shift):
-        return kernel(places + shift, camera_table(rig)[None], np.zeros(1))
+        return kernel(places + shift, sampling.camera_table(rig)[None], np.zeros(1))
 
     step = 1e-5 if number.bits == 64 else 5e-3
     by_x, by_y = ((at(step * axis) - at(-step * axis)) / (2 * step) for axis in np.eye(2))
@@ -110,20 +100,21 @@ def test_points_behind_or_beyond_the_lens_are_not_seen(number):
     # 1e-3 mm in front; behind; 87° off the axis; not a number.
     offsets = [[0, 0, 1e-3], [3, 2, -50], [100, 0, 5], [np.nan, 0, 100], [0, 0, np.nan], [0, 0, 100]]
     points = np.array([camera.centre + camera.rotation.T @ np.array(offset, dtype=float) for offset in offsets])
-    found = point_kernel(number)(np.concatenate([points, np.ones((6, 3))], axis=1), camera_table(rig)[None], np.zeros(1))
+    table = sampling.camera_table(rig)[None]
+    found = point_kernel(number)(np.concatenate([points, np.ones((6, 3))], axis=1), table, np.zeros(1))
     assert found[:, 3].tolist() == [0, 0, 0, 0, 0, 1]
 
 
 def test_the_widest_a_lens_maps():
-    table = camera_table(three_cameras())
-    assert table.shape == (3, CAMERA_COLUMNS)
+    table = sampling.camera_table(three_cameras())
+    assert table.shape == (3, sampling.CAMERA_COLUMNS)
     for row, camera in zip(table, three_cameras().cameras):
         k1, k2, _, _, k3 = camera.distortion
-        square = np.linspace(0, row[WIDEST] * 0.999, 1000)
+        square = np.linspace(0, row[sampling.WIDEST] * 0.999, 1000)
         assert (1 + 3 * k1 * square + 5 * k2 * square**2 + 7 * k3 * square**3 > 0).all()
     plain = Camera("plain", 10, 10, np.diag([5.0, 5, 1]), np.zeros(5), np.eye(3), np.zeros(3))
     barrel = Camera("barrel", 10, 10, np.diag([5.0, 5, 1]), [-0.3, 0, 0, 0, 0], np.eye(3), np.zeros(3))
-    found = camera_table(Rig((plain, barrel)))[:, WIDEST]
+    found = sampling.camera_table(Rig((plain, barrel)))[:, sampling.WIDEST]
     assert found[0] == 100 and found[1] == pytest.approx(1 / 0.9)
 
 
@@ -132,14 +123,14 @@ def test_the_widest_a_lens_maps():
 @cache
 def sampling_kernel(number):
     """(set, u, v) to the value alone, and to the value with its derivatives."""
-    sampling = MapSampling(number, 0)
+    maps = sampling.MapSampling(number, 0)
 
     @ti.func
     def function(scratch: ti.template(), numbers: ti.template(), values: ti.template()):
-        frame = sampling.window(numbers, scratch[0], 0)
+        frame = maps.window(numbers, scratch[0], 0)
         pixel = (scratch[1], scratch[2])
-        alone = sampling.value(values, numbers, scratch[0], 0, frame, pixel)
-        value, gradient, second = sampling.derivatives(values, numbers, scratch[0], 0, frame, pixel)
+        alone = maps.value(values, numbers, scratch[0], 0, frame, pixel)
+        value, gradient, second = maps.derivatives(values, numbers, scratch[0], 0, frame, pixel)
         return (alone, value) + gradient + second
 
     return row_kernel(number, 3, 7, function)
