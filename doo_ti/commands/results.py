@@ -97,17 +97,7 @@ def save_json(out: Path, content) -> None:
 
 def plain(value):
     """``value`` as strict JSON holds it: no NumPy types, null for numbers that are not finite."""
-    if isinstance(value, dict):
-        return {str(key): plain(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(entry) for entry in value]
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if isinstance(value, np.generic):
-        return plain(value.item())
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value
+    return json.loads(json.dumps(value, default=lambda array: array.tolist()), parse_constant=lambda _: None)
 
 
 # --- standard output -----------------------------------------------------------------------------------------------------
