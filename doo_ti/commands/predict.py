@@ -14,6 +14,7 @@ from doo_ti.io.toml_file import scene_file
 from doo_ti.learning.landscape import status_counts
 from doo_ti.rod.frames import matrix_from_quaternion
 from doo_ti.rod.types import Clamp
+from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line, progress
 
@@ -160,8 +161,8 @@ def _lines(rods: HeldRods, stepping, prediction, result: dict) -> list[str]:
     how = f"{int(prediction.stable.sum())} of {count * moments} certified stable"
     if stepping is not None:
         how = f"{stepping.substeps} quasi-static steps between states"
-    lines = [f"{rods.name}: {count} rod{'s' * (count > 1)} of {rods.start.edges} edges at {moments} moments",
-             f"  status      {results.counted(status_counts(prediction.status))}; {how}",
+    lines = [f"{rods.name}: {counted(count, 'rod')} of {rods.start.edges} edges at {moments} moments",
+             f"  status      {results.status_text(status_counts(prediction.status))}; {how}",
              *results.contact_lines(_contact(rods, prediction, result), count), *results.force_lines(result, 1),
              f"  far clamp   at the end turned about the rod by {_range(result['end_rotation_deg'][-1])}, total twist "
              f"{_range(result['total_twist_deg'][-1])}"]

@@ -23,6 +23,7 @@ from doo_ti.io.pose_table import holds_poses
 from doo_ti.io.toml_file import scene_file
 from doo_ti.learning.landscape import status_counts
 from doo_ti.rod.types import Clamp, Status
+from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import busy, in_line, progress
 
@@ -263,10 +264,9 @@ def _results(found: _Simulated, out: Path) -> tuple[dict, dict]:
 
 def _lines(found: _Simulated, summary: dict, arrays: dict) -> list[str]:
     duration = (summary["frames"] - 1) / found.rate
-    rods = f"{summary['rods']} rod{'s' * (summary['rods'] > 1)}"
-    lines = [f"{in_line(found.name)}: {rods} of {summary['vertices'] - 1} edges, {duration:.3g} s at "
-             f"{found.rate:g} frames/s",
-             f"  status      {results.counted(summary['status'])} at the end"]
+    lines = [f"{in_line(found.name)}: {counted(summary['rods'], 'rod')} of {summary['vertices'] - 1} edges, {duration:.3g} s "
+             f"at {found.rate:g} frames/s",
+             f"  status      {results.status_text(summary['status'])} at the end"]
     if summary["failed"]:
         lines.append(f"  failed      {', '.join(map(in_line, summary['failed'][:MOST_LISTED]))}: no positions from there on")
         first = found.status.argmax(axis=1)

@@ -17,6 +17,7 @@ from doo_ti.commands.results import RODS, report, save_arrays
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.arrays import read_csv
 from doo_ti.rod.types import Clamp, Clamps, Material
+from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError, InterruptedRunError
 from doo_ti.system.terminal import can_record, in_line, progress
 
@@ -194,7 +195,7 @@ def _lines(summary: dict) -> list[str]:
     for key, words in (("seeded", "by Algorithm 1"), ("lost", "in which the rod is lost")):
         names = summary[key]
         listed = ", ".join(names[:MOST_LISTED]) + f" and {len(names) - MOST_LISTED} more" * (len(names) > MOST_LISTED)
-        lines.append(f"  {key:<11} {len(names)} frame{'s' * (len(names) != 1)} {words}{': ' * bool(len(names))}{listed}")
+        lines.append(f"  {key:<11} {counted(len(names), 'frame')} {words}{': ' * bool(len(names))}{listed}")
     if summary["camera_error_px"] is not None:
         off = summary["camera_error_px"]
         lines.append(f"  images      {f'{off:.2f}' if off >= LEAST_SHOWN else f'less than {LEAST_SHOWN}'} px off on average; "
