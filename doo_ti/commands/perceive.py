@@ -1,8 +1,6 @@
 """Rods from images (§IV-A, Alg. 1)."""
 
-import os
 from argparse import Namespace
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -86,26 +84,16 @@ def run(options: Namespace) -> int:
 
 def _detected(task: PerceptionTask, bar) -> list[list]:
     """A lists of C detections. Raises InputError for the first image that does not fit the rig or shows no thread."""
-
-    def found(path: Path, camera):
-        detection = task.sight.detected(path, camera)
-        if not detection.count:
-            raise InputError(path, "image", "no thread was found in it", "leave the set out, or give --polarity and --width")
-        return detection
-
-    cameras = task.sets.rig.cameras
-    images = [(path, camera) for line in task.sets.paths for path, camera in zip(line, cameras, strict=True)]
-    shown = bar.add_task("detection", total=len(images), unit="images")
-    detections = []
-    with ThreadPoolExecutor(os.cpu_count()) as threads:
-        waiting = [threads.submit(found, *image) for image in images]
-        try:
-            for one in waiting:
-                detections.append(one.result())
-                bar.advance(shown, 1)
-        finally:
-            threads.shutdown(cancel_futures=True)
-    return [detections[row : row + len(cameras)] for row in range(0, len(images), len(cameras))]
+    paths, cameras, detected = task.sets.paths, task.sets.rig.cameras, []
+    shown = bar.add_task("detection", total=len(paths) * len(cameras), unit="images")
+    for images, found in zip(paths, image_options.detections(task.sight, paths, cameras), strict=True):
+        for path, detection in zip(images, found, strict=True):
+            if not detection.count:
+                raise InputError(path, "image", "no thread was found in it",
+                                 "leave the set out, or give --polarity and --width")
+        detected.append(found)
+        bar.advance(shown, len(found))
+    return detected
 
 
 def _begun(task: PerceptionTask, detected: list[list]) -> tuple[PerceptionTask, np.ndarray]:
