@@ -8,9 +8,10 @@ import numpy as np
 
 from doo_ti.commands import image_options
 from doo_ti.commands import options as given
-from doo_ti.commands.results import counted, report, shortened
+from doo_ti.commands.results import report, shortened, status_text
 from doo_ti.io.observation_files import save_observations
 from doo_ti.rod.material import UNITS_IN_MM
+from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line, progress
 from doo_ti.vision.board import FORMS, Views, find_sightings, parse_board, read_views
@@ -191,8 +192,8 @@ def _unused_labels(marks: Marks, rig: Rig, points: Points, status: MarkStatus) -
 def _marks_lines(marks: Marks, summary: dict) -> list[str]:
     count, vertices = summary["observations"], summary["vertices"]
     rms = ", ".join(f"{name} {value:.2f}" for name, value in summary["rms_px"].items())
-    lines = [f"{count} observation{'s' * (count > 1)} of {vertices} vertices{', a ribbon' * marks.is_ribbon}",
-             f"  marks       {counted(summary['marks'])}; {summary['valid_vertices']} of {count * vertices} vertices valid",
+    lines = [f"{counted(count, 'observation')} of {vertices} vertices{', a ribbon' * marks.is_ribbon}",
+             f"  marks       {status_text(summary['marks'])}; {summary['valid_vertices']} of {count * vertices} vertices valid",
              f"  residual    {rms} px (rms)",
              f"  labels      their scatter is {summary['label_sigma_px']:.2g} px, {summary['sigma_px']:.2g} px were assumed",
              f"  sigma       median {summary['median_sigma_mm']:.3g} mm"]

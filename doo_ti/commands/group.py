@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from doo_ti.commands import options as given
-from doo_ti.commands.results import counted, in_newton, report, save_arrays
+from doo_ti.commands.results import in_newton, report, rows, save_arrays, status_text
 from doo_ti.contact.touch import Touch
 from doo_ti.io.toml_file import scene_file
 from doo_ti.learning.landscape import status_counts
 from doo_ti.rod.types import Status
+from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError, InterruptedRunError
 from doo_ti.system.terminal import in_line, progress
 
@@ -133,27 +134,23 @@ def _summary(scene: "GroupScene", moments: "list[GroupSolution]", out: Path) -> 
 
 
 def _lines(scene: "GroupScene", summary: dict) -> list[str]:
-    count, rods = summary["moments"], summary["rods"]
-    lines = [f"{in_line(scene.name)}: {rods} rod{'s' * (rods > 1)} of {summary['edges']} edges in all, {summary['ties']} tie"
-             f"{'s' * (summary['ties'] != 1)}" + f", {count} moments in {scene.time[-1]:.3g} s" * (count > 1),
-             f"  status      {counted(summary['status'])}; {summary['stable']} certified stable"]
-    if summary["failed_s"]:
-        failed = ", ".join(f"{time:g}" for time in summary["failed_s"][:MOST_LISTED])
-        lines.append(f"  failed at   {failed} s{' and later' * (len(summary['failed_s']) > MOST_LISTED)}")
-    if np.isfinite(summary["energy"]):
-        moving = f" and {summary['kinetic']:.4g} mm² kinetic" if scene.dynamics is not None else ""
-        lines.append(f"  energy      {summary['energy']:.6g} mm²{moving}" + " at the end" * (count > 1) + "; ties and ends "
-                     f"miss their places by at most {summary['closure']:.1e} of the longest rod")
-    if np.isfinite(summary["smallest_gap_mm"]):
-        lines.append(f"  contact     smallest gap {summary['smallest_gap_mm']:.2g} mm")
-    if scene.surroundings.rub:
-        lines.append(f"  friction    takes {summary['friction_work']:.3g} mm²; at the end {summary['sticks']} vertices stick, "
-                     f"{summary['slips']} slip")
+    several, failed, ties, gap = summary["moments"] > 1, summary["failed_s"], summary["ties"], summary["smallest_gap_mm"]
+    moving = f" and {summary['kinetic']:.4g} mm² kinetic" if scene.dynamics is not None else ""
     largest = sorted(summary["held_force"].items(), key=lambda pair: -pair[1])[:MOST_LISTED]
-    if largest:
-        held = "; ".join(f"{in_line(name)} {force:.4g}" for name, force in largest)
-        lines.append(f"  forces      of clamps: {held} mm²/mm")
-    if summary["ties"] and np.isfinite(summary["tie_force"]).all():
-        lines.append("  ties        " + "; ".join(f"{force:.4g}" for force in summary["tie_force"][:MOST_LISTED])
-                     + "; …" * (summary["ties"] > MOST_LISTED) + " mm²/mm")
-    return [*lines, f"  written to {in_line(summary['out'])}"]
+    return [
+        f"{in_line(scene.name)}: {counted(summary['rods'], 'rod')} of {summary['edges']} edges in all, {counted(ties, 'tie')}"
+        + f", {summary['moments']} moments in {scene.time[-1]:.3g} s" * several,
+        *rows(
+            ("status", f"{status_text(summary['status'])}; {summary['stable']} certified stable"),
+            ("failed at", failed and ", ".join(f"{time:g}" for time in failed[:MOST_LISTED]) + " s"
+                          + " and later" * (len(failed) > MOST_LISTED)),
+            ("energy", np.isfinite(summary["energy"]) and f"{summary['energy']:.6g} mm²{moving}" + " at the end" * several
+                       + f"; ties and ends miss their places by at most {summary['closure']:.1e} of the longest rod"),
+            ("contact", np.isfinite(gap) and f"smallest gap {gap:.2g} mm"),
+            ("friction", scene.surroundings.rub and f"takes {summary['friction_work']:.3g} mm²; at the end {summary['sticks']} "
+                                                    f"vertices stick, {summary['slips']} slip"),
+            ("forces", largest and "of clamps: " + "; ".join(f"{in_line(name)} {force:.4g}" for name, force in largest)
+                       + " mm²/mm"),
+            ("ties", ties and np.isfinite(summary["tie_force"]).all() and "; ".join(
+                f"{force:.4g}" for force in summary["tie_force"][:MOST_LISTED]) + "; …" * (ties > MOST_LISTED) + " mm²/mm")),
+        f"  written to {in_line(summary['out'])}"]

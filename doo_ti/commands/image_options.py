@@ -1,8 +1,10 @@
 """Options on cameras, their images, and how the rod looks in them, shared by commands; and the inputs of ``doo-ti perceive``,
 checked before any image is read."""
 
+import os
 from argparse import ArgumentParser, Namespace
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,6 +26,7 @@ from doo_ti.vision.cameras import LENSES, POSES, Rig, RigReading
 from doo_ti.vision.rig_files import load_rig
 
 MOST_HYPOTHESES = 100_000
+AHEAD = 16  # lines of images in which threads are detected while one is used
 RECORDED = 3  # sets in a recording
 EDGES = 33  # of a rod whose edges are not given
 GUESSED_BEND = 1e6
@@ -118,6 +121,21 @@ def sight(options: Namespace, sets, method: str = "ridge"):
         masks = dict(zip(sets.rig.names, masks, strict=True))
     width = given.positive("--width", options.width, "px")
     return Sight(DetectionOptions(method, options.polarity, width, colour=colour), regions, masks)
+
+
+def detections(sight, every_path: Sequence[Sequence[Path]], cameras: Sequence) -> Iterator[list]:
+    """Of each line of one image per camera its detections by the Sight ``sight``, found while others are used."""
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        def begun(paths: Sequence[Path]) -> list:
+            return [threads.submit(sight.detected, path, camera) for path, camera in zip(paths, cameras, strict=True)]
+
+        waiting = [begun(paths) for paths in every_path[:AHEAD]]
+        try:
+            for row in range(len(every_path)):
+                yield [image.result() for image in waiting.pop(0)]
+                waiting += [begun(paths) for paths in every_path[row + AHEAD : row + AHEAD + 1]]
+        finally:
+            threads.shutdown(cancel_futures=True)
 
 
 def orientation_note(paths: Iterable[Path], turned: bool) -> str | None:

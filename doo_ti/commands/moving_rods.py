@@ -76,25 +76,28 @@ class Moved(Action):
 
 @dataclass(frozen=True)
 class HeldRods:
-    """N rods that observations show, held by grippers, under G materials: R = G·N, material by material.
+    """N rods held by grippers that move, under G materials: R = G·N, material by material.
 
+    names       R of them
+    start       (R) the rods as they begin, or one for all; those of observations have the whole turns nearest to what was seen
     clamps      (N) how they are held at first
     path        where the grippers go: N paths, or one for all
-    start       (R) the rods as they begin: of several whole turns that fit, the one nearest to what was seen
-    theta       columns that state the G materials
-    names       R of them
+    material    G rows, which the columns of ``theta`` state
     newtons     (R,) N in the unit of force, or None
+    observations  (N) that show them, or None
     """
 
-    observations: Observations
+    name: str
+    names: list[str]
+    start: Configuration
     clamps: Clamps
     path: ClampPath
-    materials: Material
-    start: Configuration
+    material: Material
     theta: dict[str, np.ndarray]
-    names: list[str]
     newtons: np.ndarray | None
+    up: np.ndarray
     surroundings: Surroundings
+    observations: Observations | None = None
 
 
 def held_rods(options: Namespace, out: Path, kinds: tuple[Clamp | None, Clamp | None], moving: bool = False) -> HeldRods:
@@ -117,18 +120,18 @@ def held_rods(options: Namespace, out: Path, kinds: tuple[Clamp | None, Clamp | 
     path = path.relative_to(clamps) if options.relative else path
     check_reach(path, clamps, float(observations.rest_length.sum()))
     materials = curved(options, grid.materials(), observations.rest_length, moving)
-    cells, rows = np.divmod(np.arange(materials.count * observations.count), observations.count)
+    names = [f"cell {cell}, " * (materials.count > 1) + f"observation {label}"
+             for cell in range(materials.count) for label in observations.labels]
     newtons = given.newtons(options, materials.weight)
-    return HeldRods(observations, clamps, path, materials, settled(observations, clamps, materials, surroundings.at(0)),
-                    grid.cell_values(), [f"cell {cell}, " * (materials.count > 1) + f"observation {observations.labels[row]}"
-                                         for cell, row in zip(cells, rows, strict=True)],
-                    None if newtons is None else np.repeat(newtons, observations.count), surroundings)
+    return HeldRods(observations.name, names, settled(observations, clamps, materials, surroundings.at(0)), clamps, path,
+                    materials, grid.cell_values(), None if newtons is None else np.repeat(newtons, observations.count),
+                    observations.up, surroundings, observations)
 
 
 @dataclass(frozen=True)
-class MovedRods:
-    """What is to be simulated of R rods: arguments of :func:`doo_ti.dynamics.simulate.simulate`, and N in their unit of force,
-    or None."""
+class SimulatedRods:
+    """What is to be simulated of R rods: arguments of :func:`doo_ti.dynamics.simulate.simulate`, N in their unit of force, or
+    None, and (R, V, 3) the ``first_force`` of contact at the first instant, or one for all."""
 
     name: str
     names: list[str]
@@ -141,10 +144,11 @@ class MovedRods:
     pairs: tuple[np.ndarray, np.ndarray]
     surroundings: Surroundings
     newtons: np.ndarray | None
+    first_force: np.ndarray | float
 
 
-def moved_rods(options: Namespace, out: Path, changes: dict) -> tuple[MovedRods, np.ndarray | float]:
-    """Rods that observations show, at rest where their motion begins, and (R, V, 3) what they touch there.
+def simulated_rods(options: Namespace, out: Path, changes: dict) -> SimulatedRods:
+    """Rods that observations show, at rest where their motion begins.
 
     changes  fields of :class:`doo_ti.dynamics.parameters.Stepping`
     """
@@ -162,20 +166,20 @@ def moved_rods(options: Namespace, out: Path, changes: dict) -> tuple[MovedRods,
     if not path.timed:
         raise InputError(given.SOURCE, "--rate", "missing, and the motion has no times", "give its moments per second")
     options.theta_note = given.EVERYTHING
-    stepping, dynamics, seen = Stepping(rate_of(path), **changes), losses(options), held.observations
+    stepping, dynamics = Stepping(rate_of(path), **changes), losses(options)
     warn_of(held)
     with busy(f"relaxing {len(held.names)} rods (kernels are compiled once on a machine)"):
-        _, rows, (first, clamps, _) = begun(held.start, held.materials, held.clamps, path, LARGEST_TURN, seen.up, Newton(),
+        _, rows, (first, clamps, _) = begun(held.start, held.material, held.clamps, path, LARGEST_TURN, held.up, Newton(),
                                             "f64", held.surroundings.at(0))
     failed = np.flatnonzero(~first.converged)
     if len(failed):
         raise InputError(options.source, "vertices_mm", f"{held.names[failed[0]]} has no equilibrium where the motion begins",
                          "let the motion begin where the rod is held, within its length")
     each = np.arange(len(rows))
-    moved = MovedRods(seen.name, held.names, first.configuration, held.materials,
-                      grippers_along(path, clamps).take(each % seen.count), dynamics, stepping, seen.up, (each, rows),
-                      held.surroundings, held.newtons)
-    return moved, 0.0 if first.contact_force is None else first.contact_force
+    grippers = grippers_along(path, clamps).take(each % held.observations.count)
+    return SimulatedRods(held.name, held.names, first.configuration, held.material, grippers, dynamics, stepping, held.up,
+                         (each, rows), held.surroundings, held.newtons,
+                         0.0 if first.contact_force is None else first.contact_force)
 
 
 def _path(options: Namespace, up: np.ndarray) -> ClampPath:

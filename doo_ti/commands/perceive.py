@@ -1,8 +1,6 @@
 """Rods from images (§IV-A, Alg. 1)."""
 
-import os
 from argparse import Namespace
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,9 +9,10 @@ import numpy as np
 from doo_ti.commands import image_options, loading
 from doo_ti.commands import options as given
 from doo_ti.commands.image_options import GUESSED_BEND, RECORDED, PerceptionTask, perception_task
-from doo_ti.commands.results import RODS, counted, report, save_arrays, shortened
+from doo_ti.commands.results import RODS, report, save_arrays, shortened, status_text
 from doo_ti.learning.landscape import status_counts
 from doo_ti.rod.types import Status
+from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import can_record, in_line, progress
 
@@ -85,26 +84,16 @@ def run(options: Namespace) -> int:
 
 def _detected(task: PerceptionTask, bar) -> list[list]:
     """A lists of C detections. Raises InputError for the first image that does not fit the rig or shows no thread."""
-
-    def found(path: Path, camera):
-        detection = task.sight.detected(path, camera)
-        if not detection.count:
-            raise InputError(path, "image", "no thread was found in it", "leave the set out, or give --polarity and --width")
-        return detection
-
-    cameras = task.sets.rig.cameras
-    images = [(path, camera) for line in task.sets.paths for path, camera in zip(line, cameras, strict=True)]
-    shown = bar.add_task("detection", total=len(images), unit="images")
-    detections = []
-    with ThreadPoolExecutor(os.cpu_count()) as threads:
-        waiting = [threads.submit(found, *image) for image in images]
-        try:
-            for one in waiting:
-                detections.append(one.result())
-                bar.advance(shown, 1)
-        finally:
-            threads.shutdown(cancel_futures=True)
-    return [detections[row : row + len(cameras)] for row in range(0, len(images), len(cameras))]
+    paths, cameras, detected = task.sets.paths, task.sets.rig.cameras, []
+    shown = bar.add_task("detection", total=len(paths) * len(cameras), unit="images")
+    for images, found in zip(paths, image_options.detections(task.sight, paths, cameras), strict=True):
+        for path, detection in zip(images, found, strict=True):
+            if not detection.count:
+                raise InputError(path, "image", "no thread was found in it",
+                                 "leave the set out, or give --polarity and --width")
+        detected.append(found)
+        bar.advance(shown, len(found))
+    return detected
 
 
 def _begun(task: PerceptionTask, detected: list[list]) -> tuple[PerceptionTask, np.ndarray]:
@@ -286,15 +275,14 @@ def _lines(summary: dict) -> list[str]:
     width = max(len(entry["name"]) for entry in sets[:MOST_LISTED])
     guess = summary["guessed_bend_mm3"]
     return [
-        f"{len(sets)} set{'s' * (len(sets) > 1)} of {len(summary['cameras'])} images, rods of {summary['edges']} edges, "
-        f"{sets[0]['length_mm']:.4g} mm long; thread "
-        f"{summary['detected_width_px']:.1f} px wide",
+        f"{counted(len(sets), 'set')} of {len(summary['cameras'])} images, rods of {summary['edges']} edges, "
+        f"{sets[0]['length_mm']:.4g} mm long; thread {summary['detected_width_px']:.1f} px wide",
         *shortened([f"  {entry['name']:<{width}}  {_set_text(entry)}" for entry in sets], MOST_LISTED,
                    "  and {} more, which --json lists"),
-        f"  status      {counted(summary['status'])}; {summary['stable']} certified stable",
+        f"  status      {status_text(summary['status'])}; {summary['stable']} certified stable",
         f"  certified   {len(sets) - summary['not_certified']} of {len(sets)} rods converged to certified minima; "
         f"{summary['not_certified']} did not",
-        f"  verdicts    {counted(summary['verdicts'])} (docs/commands/perceive.md)",
+        f"  verdicts    {status_text(summary['verdicts'])} (docs/commands/perceive.md)",
         *([] if len(summary["cameras"]) > 1 else
           ["  one camera  depth is not determined by it: only by the rod's length and stiffness"]),
         *([] if guess is None else [f"  stiffness   none given: bend {guess:g} mm³ (docs/commands/perceive.md)"]),

@@ -1,7 +1,5 @@
 """``doo-ti plan``: which configurations to measure next."""
 
-import csv
-import io
 from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +13,7 @@ from doo_ti.io.scene import Synthesis, load_scene
 from doo_ti.io.toml_file import scene_file
 from doo_ti.rod.observations import Observations
 from doo_ti.system.errors import InputError
-from doo_ti.system.files import write_text
+from doo_ti.system.files import csv_text, write_text
 from doo_ti.system.terminal import in_line
 
 SIGMA_MM = 0.1  # label uncertainty where none is given
@@ -110,16 +108,13 @@ def _write(out: Path, configurations: Observations, found, summary: dict) -> Non
     save_json(out / "plan.json", summary)
     rank = np.full(configurations.count, 0)
     rank[found.order] = 1 + np.arange(len(found.order))
-    table = io.StringIO()
-    writer = csv.writer(table, lineterminator="\n")
-    writer.writerow(["configuration", "end_distance_mm", "end_rotation_deg", *(f"{name}_mm" for name in found.parameters),
-                     "all_mm", "cells_sensed", "rank"])
+    heads = ["configuration", "end_distance_mm", "end_rotation_deg", *(f"{name}_mm" for name in found.parameters), "all_mm",
+             "cells_sensed", "rank"]
     labels = (configurations.end_distance, configurations.end_rotation)
-    for row in range(configurations.count):
-        writer.writerow([row, *("" if values is None else f"{values[row]:g}" for values in labels),
-                         *(f"{value:.6g}" for value in (*found.strength[row], found.total[row])), found.sensed[row],
-                         rank[row] or ""])
-    write_text(out / "plan.csv", table.getvalue())
+    write_text(out / "plan.csv", csv_text(heads, (
+        [row, *("" if values is None else f"{values[row]:g}" for values in labels),
+         *(f"{value:.6g}" for value in (*found.strength[row], found.total[row])), found.sensed[row], rank[row] or ""]
+        for row in range(configurations.count))))
     identifiability_picture(out / "identifiability.png", found.parameters, found.strength, rank, configurations.end_distance,
                             configurations.end_rotation)
 

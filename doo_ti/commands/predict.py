@@ -2,21 +2,19 @@
 
 import hashlib
 from argparse import SUPPRESS, Namespace
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from doo_ti.commands import loading, results
 from doo_ti.commands import options as given
-from doo_ti.commands.moving_rods import OF_MOTIONS, Moved, add_motion, check_reach, held_rods, warn_of
-from doo_ti.contact.surroundings import Surroundings
-from doo_ti.io.motion_file import ClampPath
+from doo_ti.commands.moving_rods import OF_MOTIONS, HeldRods, Moved, add_motion, check_reach, held_rods, warn_of
 from doo_ti.io.scene import PRECISIONS
 from doo_ti.io.toml_file import scene_file
 from doo_ti.learning.landscape import status_counts
 from doo_ti.rod.frames import matrix_from_quaternion
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
+from doo_ti.rod.types import Clamp
+from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line, progress
 
@@ -25,33 +23,6 @@ LEAST_DEGREES, MOST_DEGREES = 1e-3, 30.0
 """Of a sub-step: rods that are carried further at once may leave their branch; smaller steps make no difference."""
 MOST_STEPS = 1000  # with friction, from one state to the next
 MOST_BYTES = 8 << 30  # of frames: predictions are held in memory
-
-
-@dataclass(frozen=True)
-class _Task:
-    """What to predict: N starts of rods, clamps and motions, or one for all, under G materials.
-
-    names  R of the rods, material by material
-    theta  columns of the file that state the G materials
-    marks  (N, V, 3) mm, observed; None where nothing was
-    loaded  lines about the observations
-    newtons  (R,) N in the unit of force, or None
-    """
-
-    name: str
-    start: Configuration
-    clamps: Clamps
-    path: ClampPath
-    material: Material
-    names: list[str]
-    theta: dict[str, np.ndarray]
-    between: int
-    up: np.ndarray
-    marks: np.ndarray | None = None
-    stepping: object = None  # quasi-static Stepping, where friction or moving obstacles need it
-    loaded: tuple[str, ...] = ()
-    newtons: np.ndarray | None = None
-    surroundings: Surroundings = Surroundings()
 
 
 def declare(add) -> None:
@@ -83,58 +54,62 @@ def run(options: Namespace) -> int:
     recording = given.output_file(options.recording, ".rrd", "--recording")
     between = given.whole("--steps-between", options.between, 1)
     sub_step = _sub_step(options)
-    task = _scene(options, between) if Path(options.source).suffix == ".toml" else _observed(options, out, between)
-    task = _with_history(task, sub_step)
-    rods, intervals = len(task.names), (task.path.moments - 1) * task.between
-    if rods * intervals * task.start.edges * 32 > MOST_BYTES:
-        raise InputError(given.SOURCE, "--steps-between", f"{rods} rods at {intervals + 1} moments are too many to hold",
+    if Path(options.source).suffix == ".toml":
+        rods, between = _scene(options, between)
+    else:
+        rods, between = held_rods(options, out, given.clamps(options)), between or 1
+        warn_of(rods)
+    stepping = _stepping(rods, between, sub_step)
+    count, intervals = len(rods.names), (rods.path.moments - 1) * between
+    if count * intervals * rods.start.edges * 32 > MOST_BYTES:
+        raise InputError(given.SOURCE, "--steps-between", f"{count} rods at {intervals + 1} moments are too many to hold",
                          "give fewer materials, observations or moments")
 
     with progress() as bar:
-        shown = bar.add_task(task.name, total=rods * intervals, unit="rods x moments")
-        prediction = _predicted(task, sub_step, options.precision, lambda done: bar.advance(shown, done))
-    result = _arrays(task, prediction)
+        shown = bar.add_task(rods.name, total=count * intervals, unit="rods x moments")
+        prediction = _predicted(rods, stepping, sub_step, options.precision, between=between, up=rods.up,
+                                advance=lambda done: bar.advance(shown, done), **rods.surroundings.arguments)
+    result = _arrays(rods, prediction)
     for path in filter(None, (picture, recording)):
         path.parent.mkdir(parents=True, exist_ok=True)
     results.save_arrays(out, result, ("moment", "rod"))
-    lines = _lines(task, prediction, result)
+    lines = _lines(rods, stepping, prediction, result)
     if picture or recording:
-        _draw(task, prediction, result, picture, recording, lines)
-    results.report(options, _summary(task, prediction, result, out),
-                   lambda: [*lines, *task.loaded, f"  written to {in_line(out)}"])
+        _draw(rods, prediction, result, picture, recording, lines)
+    loaded = [] if rods.observations is None else [loading.rod_line(rods.observations)]
+    results.report(options, _summary(rods, prediction, result, out),
+                   lambda: [*lines, *loaded, f"  written to {in_line(out)}"])
     return 0 if prediction.followed[-1].any() else 1
 
 
-def _predicted(task: _Task, sub_step: float, precision: str, advance):
-    inputs = {"between": task.between, "up": task.up, "advance": advance, **task.surroundings.arguments}
-    if task.stepping is not None:
+def _predicted(rods: HeldRods, stepping, sub_step: float, precision: str, **inputs):
+    if stepping is not None:
         from doo_ti.dynamics.parameters import Dynamics
         from doo_ti.motion.predict import predict_moving
 
-        return predict_moving(task.start, task.material, task.clamps, task.path, Dynamics(density=1.0), task.stepping, **inputs)
+        return predict_moving(rods.start, rods.material, rods.clamps, rods.path, Dynamics(density=1.0), stepping, **inputs)
     from doo_ti.motion.predict import predict
 
-    return predict(task.start, task.material, task.clamps, task.path, sub_step=sub_step, precision=precision, **inputs)
+    return predict(rods.start, rods.material, rods.clamps, rods.path, sub_step=sub_step, precision=precision, **inputs)
 
 
-def _with_history(task: _Task, sub_step: float) -> _Task:
-    """The task in quasi-static steps where an obstacle has friction, which depends on the step before, or moves: as many
-    between the returned states as its motion and that of the clamps need."""
-    if not (task.surroundings.rub or task.surroundings.moves):
-        return task
+def _stepping(rods: HeldRods, between: int, sub_step: float):
+    """Quasi-static Stepping where an obstacle has friction, which depends on the step before, or moves: as many steps between
+    the returned states as its motion and that of the clamps need. Else None."""
+    around, path = rods.surroundings, rods.path
+    if not (around.rub or around.moves):
+        return None
     from doo_ti.dynamics.grippers import needed_substeps
     from doo_ti.dynamics.parameters import LEAST_WAY, Stepping
     from doo_ti.motion.path import motion_between
 
-    motions = len(task.clamps.start_position)
-    parts = [motion_between(task.path.at(k, task.clamps), task.path.at(k + 1, task.clamps), task.path.rotation(k, motions))
-             for k in range(task.path.moments - 1)]
-    needed = max(np.maximum(part.needed_steps(task.start.rest_length, sub_step),
-                            task.surroundings.steps_for(part.start_shift)).max() for part in parts) / task.between
+    parts = [motion_between(path.at(k, rods.clamps), path.at(k + 1, rods.clamps), path.rotation(k, rods.clamps.count))
+             for k in range(path.moments - 1)]
+    needed = max(np.maximum(part.needed_steps(rods.start.rest_length, sub_step),
+                            around.steps_for(part.start_shift)).max() for part in parts) / between
     # Obstacles are measured along straight ways between the states; the cubics of substeps may be steeper.
-    needed = max(needed, 2 * needed_substeps(task.surroundings, LEAST_WAY, task.start))
-    stepping = Stepping(1.0, int(np.clip(np.ceil(needed), 1, MOST_STEPS)), "euler", quasi_static=True)
-    return replace(task, stepping=stepping)
+    needed = max(needed, 2 * needed_substeps(around, LEAST_WAY, rods.start))
+    return Stepping(1.0, int(np.clip(np.ceil(needed), 1, MOST_STEPS)), "euler", quasi_static=True)
 
 
 def _sub_step(options: Namespace) -> float:
@@ -146,77 +121,69 @@ def _sub_step(options: Namespace) -> float:
     return np.radians(given_degrees[0])
 
 
-def _scene(options: Namespace, between: int | None) -> _Task:
+def _scene(options: Namespace, between: int | None) -> tuple[HeldRods, int]:
+    """The rods of a scene, and how many states there are from one moment to the next."""
     from doo_ti.dynamics.scene import load_motion_scene
 
     given.refuse(options, (*OF_MOTIONS, "theta", *given.MATERIAL, "linear_density", "clamp_start", "clamp_end",
                            *loading.OF_OBSERVATIONS), "given, but the scene has it", "leave it out, or give observations")
-    scene, up = load_motion_scene(options.source), given.up(options)
+    scene = load_motion_scene(options.source)
     theta = {"material_name": np.array(scene.names), "bend": scene.material.bend[:, 0], "twist": scene.material.twist[:, 0],
              "weight": scene.material.weight}
     path = scene.path
     check_reach(path, scene.clamps, float(scene.start.rest_length.sum()))
     between = scene.between if between is None else between
     surroundings = given.scene_surroundings(options, scene.surroundings(between))
-    return _Task(scene.name, scene.start, scene.clamps, path, scene.material, list(scene.names), theta, between,
-                 np.array([0.0, 0.0, 1.0]) if up is None else up, surroundings=surroundings, newtons=scene.newtons)
+    return HeldRods(scene.name, list(scene.names), scene.start, scene.clamps, path, scene.material, theta, scene.newtons,
+                    given.world_up(options), surroundings), between
 
 
-def _observed(options: Namespace, out: Path, between: int | None) -> _Task:
-    held = held_rods(options, out, given.clamps(options))
-    warn_of(held)
-    observations = held.observations
-    return _Task(observations.name, held.start, held.clamps, held.path, held.materials, held.names, held.theta, between or 1,
-                 observations.up, np.where(observations.valid[..., None], observations.vertices, np.nan),
-                 loaded=(loading.rod_line(observations),), surroundings=held.surroundings, newtons=held.newtons)
-
-
-def _arrays(task: _Task, prediction) -> dict[str, np.ndarray]:
+def _arrays(rods: HeldRods, prediction) -> dict[str, np.ndarray]:
     """What the file holds; docs/commands/predict.md."""
-    per_material = {name: np.asarray(value)[prediction.material] for name, value in task.theta.items()}
-    if task.surroundings:
+    per_material = {name: np.asarray(value)[prediction.material] for name, value in rods.theta.items()}
+    if rods.surroundings:
         per_material |= {"contact_force": prediction.contact_force,
-                         "smallest_gap_mm": task.surroundings.smallest_gaps(prediction.vertices)}
+                         "smallest_gap_mm": rods.surroundings.smallest_gaps(prediction.vertices)}
     return results.in_newton({
         "time_s": prediction.time, "vertices_mm": prediction.vertices, "energy": prediction.energy, "status": prediction.status,
         "stable": prediction.stable, "followed": prediction.followed, "jumps": prediction.jumps,
         "iterations": prediction.iterations, "residual": prediction.residual, "end_force": prediction.end_force,
         "total_twist_deg": np.degrees(prediction.total_twist), "end_rotation_deg": np.degrees(prediction.end_rotation),
         "observation": prediction.motion, "rest_length_mm": prediction.rest_length, **per_material,
-    }, task.newtons, 1)
+    }, rods.newtons, 1)
 
 
-def _lines(task: _Task, prediction, result: dict) -> list[str]:
+def _lines(rods: HeldRods, stepping, prediction, result: dict) -> list[str]:
     """The result as lines of text."""
-    count, moments = len(task.names), len(prediction.time)
+    count, moments = len(rods.names), len(prediction.time)
     jumps = np.argwhere(prediction.jumps > 0)
     lost = np.flatnonzero(~prediction.followed[-1])
     how = f"{int(prediction.stable.sum())} of {count * moments} certified stable"
-    if task.stepping is not None:
-        how = f"{task.stepping.substeps} quasi-static steps between states"
-    lines = [f"{task.name}: {count} rod{'s' * (count > 1)} of {task.start.edges} edges at {moments} moments",
-             f"  status      {results.counted(status_counts(prediction.status))}; {how}",
-             *results.contact_lines(_contact(task, prediction, result), count), *results.force_lines(result, 1),
+    if stepping is not None:
+        how = f"{stepping.substeps} quasi-static steps between states"
+    lines = [f"{rods.name}: {counted(count, 'rod')} of {rods.start.edges} edges at {moments} moments",
+             f"  status      {results.status_text(status_counts(prediction.status))}; {how}",
+             *results.contact_lines(_contact(rods, prediction, result), count), *results.force_lines(result, 1),
              f"  far clamp   at the end turned about the rod by {_range(result['end_rotation_deg'][-1])}, total twist "
              f"{_range(result['total_twist_deg'][-1])}"]
-    rods = f"to another branch, {len(np.unique(jumps[:, 1]))} of {count} rods" if len(jumps) else "all stayed on their branch"
-    if task.stepping is None:
-        lines.append(f"  jumps       {int(prediction.jumps.sum())}, {rods}")
+    where = f"to another branch, {len(np.unique(jumps[:, 1]))} of {count} rods" if len(jumps) else "all stayed on their branch"
+    if stepping is None:
+        lines.append(f"  jumps       {int(prediction.jumps.sum())}, {where}")
     lines += results.shortened([
-        f"    {task.names[rod]}: between {prediction.time[max(moment - 1, 0)]:g} and {prediction.time[moment]:g} s; "
+        f"    {rods.names[rod]}: between {prediction.time[max(moment - 1, 0)]:g} and {prediction.time[moment]:g} s; "
         f"the far clamp is then turned about the rod by {result['end_rotation_deg'][moment, rod]:.1f}°"
         for moment, rod in jumps], MOST_LISTED, "    and {} more")
     if len(lost):
         lines.append(f"  lost        {len(lost)} of {count} rods cannot follow the motion to its end")
     return lines + results.shortened([
-        f"    {task.names[rod]}: no prediction from {prediction.time[int(np.argmin(prediction.followed[:, rod]))]:g} s on"
+        f"    {rods.names[rod]}: no prediction from {prediction.time[int(np.argmin(prediction.followed[:, rod]))]:g} s on"
         for rod in lost], MOST_LISTED, "    and {} more")
 
 
-def _contact(task: _Task, prediction, result: dict) -> dict:
-    if not task.surroundings:
+def _contact(rods: HeldRods, prediction, result: dict) -> dict:
+    if not rods.surroundings:
         return {}
-    return results.contact_summary(task.surroundings, *(np.swapaxes(value, 0, 1) for value in (
+    return results.contact_summary(rods.surroundings, *(np.swapaxes(value, 0, 1) for value in (
         result["contact_force"], result["smallest_gap_mm"], prediction.status)))
 
 
@@ -227,46 +194,47 @@ def _range(degrees: np.ndarray) -> str:
     return " to ".join(dict.fromkeys(f"{round(value, 1) + 0.0:.1f}°" for value in (finite.min(), finite.max())))
 
 
-def _summary(task: _Task, prediction, result: dict, out: Path) -> dict:
-    falls = [{"rod": int(rod), "name": task.names[rod], "from_s": prediction.time[max(moment - 1, 0)],
+def _summary(rods: HeldRods, prediction, result: dict, out: Path) -> dict:
+    falls = [{"rod": int(rod), "name": rods.names[rod], "from_s": prediction.time[max(moment - 1, 0)],
               "to_s": prediction.time[moment], "end_rotation_deg": result["end_rotation_deg"][moment, rod]}
              for moment, rod in np.argwhere(prediction.jumps > 0)]
     return {
-        "rods": len(task.names), "moments": len(prediction.time), "edges": task.start.edges,
+        "rods": len(rods.names), "moments": len(prediction.time), "edges": rods.start.edges,
         "status": status_counts(prediction.status), "stable": int(prediction.stable.sum()),
         "followed": int(prediction.followed[-1].sum()), "falls": falls, "end_rotation_deg": result["end_rotation_deg"][-1],
-        "total_twist_deg": result["total_twist_deg"][-1], "out": str(out), **_contact(task, prediction, result)}
+        "total_twist_deg": result["total_twist_deg"][-1], "out": str(out), **_contact(rods, prediction, result)}
 
 
-def _draw(task: _Task, prediction, arrays: dict[str, np.ndarray], picture: Path | None, recording: Path | None,
+def _draw(rods: HeldRods, prediction, arrays: dict[str, np.ndarray], picture: Path | None, recording: Path | None,
           lines: list[str]) -> None:
     """Write the picture and the recording that are asked for, of the file's ``arrays``; ``lines`` are the result as text."""
     from doo_ti.report import MovingRods, motions_picture
     from doo_ti.report.contact import Touched
 
-    marks = None if task.marks is None else task.marks[prediction.motion]
-    touched = None if not task.surroundings else Touched(task.surroundings, *(
-        np.swapaxes(arrays[name], 0, 1) for name in ("vertices_mm", "contact_force")), task.newtons)
-    rods = MovingRods(prediction.time, arrays["vertices_mm"], task.names, prediction.jumps, prediction.followed, task.up,
-                      _gripper_lines(task, prediction, arrays["vertices_mm"]), marks, touched)
+    seen = rods.observations
+    marks = None if seen is None else np.where(seen.valid[..., None], seen.vertices, np.nan)[prediction.motion]
+    touched = None if not rods.surroundings else Touched(rods.surroundings, *(
+        np.swapaxes(arrays[name], 0, 1) for name in ("vertices_mm", "contact_force")), rods.newtons)
+    moving = MovingRods(prediction.time, arrays["vertices_mm"], rods.names, prediction.jumps, prediction.followed, rods.up,
+                      _gripper_lines(rods, prediction, arrays["vertices_mm"]), marks, touched)
     if picture is not None:
-        motions_picture(picture, rods, title=task.name)
+        motions_picture(picture, moving, title=rods.name)
     if recording is not None:
         from doo_ti.record import record_motion
 
         force, unit = ("end_force_N", "N") if "end_force_N" in arrays else ("end_force", "mm")
         curves = {"Energy [mm²]": prediction.energy, "Total twist [°]": arrays["total_twist_deg"],
                   f"Force at the far clamp [{unit}]": np.linalg.norm(arrays[force], axis=-1)}
-        record_motion(recording, run_id=hashlib.sha256(rods.vertices.tobytes()).hexdigest()[:32], name=task.name,
-                      rods=rods, curves=curves, text="\n\n".join(line.strip() for line in lines))
+        record_motion(recording, run_id=hashlib.sha256(moving.vertices.tobytes()).hexdigest()[:32], name=rods.name,
+                      rods=moving, curves=curves, text="\n\n".join(line.strip() for line in lines))
 
 
-def _gripper_lines(task: _Task, prediction, vertices: np.ndarray) -> np.ndarray:
+def _gripper_lines(rods: HeldRods, prediction, vertices: np.ndarray) -> np.ndarray:
     """(T, R, 4, 2, 3) mm: at each end the edge that is held, and a bar across it along m1; NaN where an end is free."""
     lines = np.full((*vertices.shape[:2], 4, 2, 3), np.nan)
     half = 0.02 * prediction.rest_length.sum()
-    for first, edge, kind in ((0, 0, task.clamps.start), (2, -1, task.clamps.end)):
-        held = np.broadcast_to(np.asarray(kind) > Clamp.FREE, len(task.clamps.start_position))[prediction.motion]
+    for first, edge, kind in ((0, 0, rods.clamps.start), (2, -1, rods.clamps.end)):
+        held = np.broadcast_to(np.asarray(kind) > Clamp.FREE, rods.clamps.count)[prediction.motion]
         place = vertices[:, :, edge]
         across = half * matrix_from_quaternion(prediction.quaternions[:, :, edge])[..., 1]
         lines[:, held, first] = vertices[:, held][:, :, (0, 1) if edge == 0 else (-2, -1)]

@@ -5,7 +5,7 @@ from dataclasses import asdict
 import numpy as np
 
 from doo_ti.commands.loading import up_text
-from doo_ti.commands.results import counted
+from doo_ti.commands.results import rows, status_text
 from doo_ti.contact.obstacle_file import described
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.rod.material import relative_stiffness, stiffness
@@ -104,50 +104,42 @@ def _ends(parameter) -> list[float | None]:
 
 def summary_lines(summary: dict) -> list[str]:
     """The summary as lines of text."""
-    steps = f"{summary['iterations']} steps{'' if summary['converged'] else ', NOT converged: stopped'}"
-    lines = [f"{in_line(summary['material'])}: {summary['rods_used']} of {summary['observations']} observations, {steps}"]
-    lines += [_line(parameter["name"], interval_text(**{k: parameter[k] for k in ("value", "low", "high", "unit")}))
-              for parameter in summary["parameters"] if not parameter["name"].startswith("up[")]
-    if doubt := up_text(summary["other_up"]):
-        lines.insert(1, _line("WARNING", doubt))
-    if not summary["converged"]:
-        lines.insert(1, _line("stopped", "before its optimum: values and intervals may be far off. Begin elsewhere (--starts N "
-                              "of a run, else other --bend and --twist), or with fewer unknowns (--clip MM, --clamps exact, "
-                              "--rest-curvature none, fewer --parameters)"))
-    if "up[0]" in summary["unknowns"]:
-        x, y, z = summary["theta"]["up"]
-        lines.append(_line("up", f"({x:.4f}, {y:.4f}, {z:.4f}), tilted by {summary['tilt_deg']:.2g}° from the given direction"))
-    for name, (value, low, high) in summary["stiffness"].items():
-        label, unit = (name.removesuffix("_Nm2"), "N m²") if name.endswith("_Nm2") else (
-            f"{name.removesuffix('_over_weight_mm3')} over weight", "mm³")
-        lines.append(_line(label, interval_text(value, low, high, unit)))
-    if summary["linear_density_g_per_m"] is not None:
-        lines.append(_line("linear density", interval_text(*summary["linear_density_g_per_m"], "g/m")))
-    lines.append(_line("", "95 % intervals, with everything else fitted again"))
-    if summary["rivals"]:
-        others = ", ".join(f"{theta['bend_1']:.3g}" for theta in summary["rivals"])
-        lines.append(_line("as probable", f"other fits of the same marks, with bend {others} mm³: the intervals contain them"))
-    curvature = summary["rest_curvature_per_mm"]
-    if curvature["root_mean_square"]:
-        lines.append(_line("rest curvature", f"{curvature['root_mean_square']:.3g} 1/mm (root mean square), "
-                                             f"over a range of {curvature['range_mm']:.3g} mm"))
-    if summary["swivels"]:
-        lines.append(_line("ends", "fit best as free to roll in what holds them; if clips held them, give their frames"))
-    errors = summary["clamp_errors"]
-    if max(errors["turn_deg"]) > 0:
-        start, end = errors["turn_deg"]
-        lines.append(_line("frames", f"off by {start:.2g}° (start) and {end:.2g}° (end); {errors['turn_scatter_deg']:.2g}° "
-                                     "between observations"))
-    if summary["obstacles"] is not None:
-        touched = summary["obstacles"]
-        lines.append(_line("obstacles", f"{', '.join(touched['kinds'])}; rods of radius {touched['radius_mm']:g} mm"))
-    lines.append(_line("distance", f"mean {summary['mean_distance_mm']:.4g} mm (Eq. 1)"))
-    lines += [*_adequacy_lines(summary), *_rods_lines(summary), *_models_lines(summary)]
-    if summary["held_out"] is not None:
-        held = summary["held_out"]
-        lines.append(_line("held out", f"mean {held['mean_distance_mm']:.4g} ± {held['standard_error_mm']:.2g} mm over "
-                                       f"{held['sound']} rods in {len(held['theta'])} folds (Eq. 1)"))
-    return lines
+    curvature, errors = summary["rest_curvature_per_mm"], summary["clamp_errors"]
+    touched, held = summary["obstacles"], summary["held_out"]
+    (x, y, z), (start, end) = summary["theta"]["up"], errors["turn_deg"]
+    rivals = ", ".join(f"{theta['bend_1']:.3g}" for theta in summary["rivals"])
+    return [
+        f"{in_line(summary['material'])}: {summary['rods_used']} of {summary['observations']} observations, "
+        f"{summary['iterations']} steps{'' if summary['converged'] else ', NOT converged: stopped'}", *_rows(
+            ("stopped", not summary["converged"] and
+             "before its optimum: values and intervals may be far off. Begin elsewhere (--starts N of a run, else other --bend "
+             "and --twist), or with fewer unknowns (--clip MM, --clamps exact, --rest-curvature none, fewer --parameters)"),
+            ("WARNING", up_text(summary["other_up"])),
+            *((one["name"], interval_text(one["value"], one["low"], one["high"], one["unit"])) for one in summary["parameters"]
+              if not one["name"].startswith("up[")),
+            ("up", "up[0]" in summary["unknowns"] and
+             f"({x:.4f}, {y:.4f}, {z:.4f}), tilted by {summary['tilt_deg']:.2g}° from the given direction"),
+            *((name.removesuffix("_Nm2"), interval_text(*ends, "N m²")) if name.endswith("_Nm2") else
+              (f"{name.removesuffix('_over_weight_mm3')} over weight", interval_text(*ends, "mm³"))
+              for name, ends in summary["stiffness"].items()),
+            ("linear density", summary["linear_density_g_per_m"] and interval_text(*summary["linear_density_g_per_m"], "g/m")),
+            ("", "95 % intervals, with everything else fitted again"),
+            ("as probable", rivals and f"other fits of the same marks, with bend {rivals} mm³: the intervals contain them"),
+            ("rest curvature", curvature["root_mean_square"] and
+             f"{curvature['root_mean_square']:.3g} 1/mm (root mean square), over a range of {curvature['range_mm']:.3g} mm"),
+            ("ends", summary["swivels"] and
+             "fit best as free to roll in what holds them; if clips held them, give their frames"),
+            ("frames", max(start, end) > 0 and f"off by {start:.2g}° (start) and {end:.2g}° (end); "
+                                               f"{errors['turn_scatter_deg']:.2g}° between observations"),
+            ("obstacles", touched and f"{', '.join(touched['kinds'])}; rods of radius {touched['radius_mm']:g} mm"),
+            ("distance", f"mean {summary['mean_distance_mm']:.4g} mm (Eq. 1)")),
+        *_adequacy_lines(summary), *_rods_lines(summary), *_models_lines(summary), *_rows(
+            ("held out", held and f"mean {held['mean_distance_mm']:.4g} ± {held['standard_error_mm']:.2g} mm over "
+                                  f"{held['sound']} rods in {len(held['theta'])} folds (Eq. 1)"))]
+
+
+def _rows(*entries: tuple[str, str | object]) -> list[str]:
+    return rows(*entries, width=19)
 
 
 def interval_text(value: float, low: float | None, high: float | None, unit: str) -> str:
@@ -164,10 +156,6 @@ def interval_text(value: float, low: float | None, high: float | None, unit: str
     return f"{value:.4g} ({low:.4g} .. {high:.4g}) {unit}".rstrip() + wide
 
 
-def _line(label: str, text: str) -> str:
-    return f"  {label:<18} {text}"
-
-
 def _option(argument: str) -> str:
     """``rest_curvature=field`` as ``--rest-curvature field``."""
     name, _, value = argument.partition("=")
@@ -178,44 +166,40 @@ def _adequacy_lines(summary: dict) -> list[str]:
     from doo_ti.refinement.adequacy import EXCESS
 
     source = "stated" if summary["sigma_stated"] else "learned"
-    lines = [_line("noise", f"{summary['sigma_mm']:.3g} mm per coordinate ({source})")]
     if summary["reaches_noise"]:
-        lines.append(_line("residuals", "only noise is left"))
+        left = "only noise is left"
     elif summary["sigma_stated"] and summary["excess"] > EXCESS:
-        lines.append(_line("residuals", f"{summary['excess']:.3g} times the stated noise: it is larger, or the model lacks "
-                                        "something"))
+        left = f"{summary['excess']:.3g} times the stated noise: it is larger, or the model lacks something"
     else:
-        lines.append(_line("residuals", f"besides the noise the model is off by {summary['gap_mm']:.3g} mm, smoothly along the "
-                                        "rod; intervals are wider by that, as if it were independent in each observation"))
-    lines += [_line("try", f"{one['option']} ({one['meaning']}: twice the log evidence rises by {one['gain']:.3g})")
-              for one in summary["advice"][:2]]
-    if not summary["reaches_noise"] and not summary["advice"] and summary["other_up"] is None:
-        turns = ", total_twist_deg of rods that may be twisted by whole turns" * summary["turns_open"]
-        lines.append(_line("try", f"nothing that refine can learn explains it: check the misfits, --up, --sigma{turns}, and "
-                                  "how the marks were made"))
-    return lines
+        left = (f"besides the noise the model is off by {summary['gap_mm']:.3g} mm, smoothly along the rod; intervals are "
+                "wider by that, as if it were independent in each observation")
+    helpless = not summary["reaches_noise"] and not summary["advice"] and summary["other_up"] is None
+    turns = ", total_twist_deg of rods that may be twisted by whole turns" * summary["turns_open"]
+    return _rows(
+        ("noise", f"{summary['sigma_mm']:.3g} mm per coordinate ({source})"), ("residuals", left),
+        *(("try", f"{one['option']} ({one['meaning']}: twice the log evidence rises by {one['gain']:.3g})")
+          for one in summary["advice"][:2]),
+        ("try", helpless and f"nothing that refine can learn explains it: check the misfits, --up, --sigma{turns}, and how the "
+                             "marks were made"))
 
 
 def _rods_lines(summary: dict) -> list[str]:
     """The observations that were left out, those that do not fit, and those that a result rests on."""
-    lines = [_line("left out", counted(summary["left_out"]))] if summary["left_out"] else []
-    rows = summary["misfits"]
-    if len(rows):
-        more = f" and {len(rows) - LISTED} more" * (len(rows) > LISTED)
-        listed = ", ".join(map(str, rows[:LISTED]))
-        lines.append(_line("misfits", f"observations far from every equilibrium that was tried: {listed}{more}"))
-    lines += [_line("mislabelled", f"observation {one['observation']}: {one['why']}") for one in summary["mislabelled"]]
-    lines += [_line("sensitive", f"without observation {one['observation']} {one['parameter']} would be {one['factor']:.3g} "
-                                 "times as large: more than two standard errors away") for one in summary["sensitive"][:LISTED]]
-    return lines
+    misfits = summary["misfits"]
+    listed, more = ", ".join(map(str, misfits[:LISTED])), f" and {len(misfits) - LISTED} more" * (len(misfits) > LISTED)
+    return _rows(
+        ("left out", status_text(summary["left_out"])),
+        ("misfits", listed and f"observations far from every equilibrium that was tried: {listed}{more}"),
+        *(("mislabelled", f"observation {one['observation']}: {one['why']}") for one in summary["mislabelled"]),
+        *(("sensitive", f"without observation {one['observation']} {one['parameter']} would be {one['factor']:.3g} times as "
+                        "large: more than two standard errors away") for one in summary["sensitive"][:LISTED]))
 
 
 def _models_lines(summary: dict) -> list[str]:
-    lines = []
-    for k, score in enumerate(summary["models"]):
+    verdicts = []
+    for score in summary["models"]:
         clear = abs(score["difference"]) > max(2 * score["error"], CLEAR_ODDS)
         verdict = "predicts as well" if not clear else "predicts better" if score["difference"] > 0 else "predicts worse"
-        lines.append(_line("other models" if k == 0 else "",
-                           f"{verdict}: {MODELS[score['model']]} ({score['difference']:+.3g} ± "
-                           f"{score['error']:.2g}, leave-one-out log score)"))
-    return lines
+        verdicts.append(f"{verdict}: {MODELS[score['model']]} ({score['difference']:+.3g} ± {score['error']:.2g}, "
+                        "leave-one-out log score)")
+    return _rows(*zip(["other models"] + [""] * len(verdicts), verdicts))

@@ -14,6 +14,7 @@ from doo_ti.rod.grid import Grid
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
 from doo_ti.rod.types import Status
+from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import busy, in_line
 
@@ -101,10 +102,9 @@ def _summary(observations: Observations, grid: Grid, result: dict, out: Path) ->
 
 
 def _lines(observations: Observations, grid: Grid, result: dict, summary: dict) -> list[str]:
-    rods = f"{observations.count} rod{'s' * (observations.count != 1)}"
-    lines = [f"{observations.name}: {rods} of {observations.edges} edges",
+    lines = [f"{observations.name}: {counted(observations.count, 'rod')} of {observations.edges} edges",
              loading.rod_line(observations), f"  material    {results.theta_text(results.theta_of(grid), grid.is_isotropic)}",
-             f"  status      {results.counted(summary['status'])}; {summary['stable']} certified stable"]
+             f"  status      {results.status_text(summary['status'])}; {summary['stable']} certified stable"]
     if np.isfinite(summary["mean_distance_mm"]):
         lines.append(f"  distance    mean {summary['mean_distance_mm']:.4g} mm, largest {summary['largest_distance_mm']:.4g} "
                      f"mm at observation {observations.labels[np.nanargmax(result['distance_mm'])]} (Eq. 1)")

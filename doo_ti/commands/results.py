@@ -16,6 +16,7 @@ from doo_ti.io.scene import Scene, Synthesis
 from doo_ti.rod.grid import Grid, Interval
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.types import Status
+from doo_ti.system.arguments import counted
 from doo_ti.system.files import write_text, write_whole
 from doo_ti.system.terminal import in_line
 
@@ -37,8 +38,7 @@ def save(out: Path, observations: Observations) -> None:
     """Write observations, and print how many."""
     out.parent.mkdir(parents=True, exist_ok=True)
     save_observations(out, observations)
-    print(f"{observations.count} observation{'s' * (observations.count > 1)} of {observations.edges + 1} vertices written to "
-          f"{in_line(out)}")
+    print(f"{counted(observations.count, 'observation')} of {observations.edges + 1} vertices written to {in_line(out)}")
 
 
 RODS = (".npz", ".csv")  # suffixes of files of results
@@ -97,17 +97,7 @@ def save_json(out: Path, content) -> None:
 
 def plain(value):
     """``value`` as strict JSON holds it: no NumPy types, null for numbers that are not finite."""
-    if isinstance(value, dict):
-        return {str(key): plain(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(entry) for entry in value]
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if isinstance(value, np.generic):
-        return plain(value.item())
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value
+    return json.loads(json.dumps(value, default=lambda array: array.tolist()), parse_constant=lambda _: None)
 
 
 # --- standard output -----------------------------------------------------------------------------------------------------
@@ -137,7 +127,12 @@ def theta_of(grid: Grid, cell: int = 0) -> dict[str, float]:
     return {name: float(value[0]) for name, value in grid.cell_values([cell]).items()} | {"bend_12": grid.bend_12}
 
 
-def counted(counts: dict[str, int]) -> str:
+def rows(*entries: tuple[str, str | object], width: int = 12) -> list[str]:
+    """Lines of labels, padded to ``width`` characters, and their texts. What is not said has the text None, False or empty."""
+    return [f"  {label:<{width}}{text}" for label, text in entries if text]
+
+
+def status_text(counts: dict[str, int]) -> str:
     """``57 converged, 3 iteration limit``."""
     return ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items())
 
@@ -188,30 +183,24 @@ def peak_memory() -> int:
 
 def run_lines(result: dict) -> list[str]:
     """Lines of a sweep's overview, or of its summary."""
-    grid, rods, best = Grid.from_dict(result["grid"]), dict(result["rods"]), result["best"]
-    count, stable = rods.pop("count"), rods.pop("stable")
+    grid, statuses, best = Grid.from_dict(result["grid"]), dict(result["rods"]), result["best"]
+    count, stable = statuses.pop("count"), statuses.pop("stable")
     cells, terms = result["cells"], "observations" if result["objective"] == "static" else "pairs of observations (Eq. 3)"
     per_cell = count // cells
-    lines = [
-        f"{in_line(result['material'])}: {cells} cells x {per_cell} {terms}",
-        f"  best cell   {theta_text(best, grid.is_isotropic)}",
-        "              (best fit if the rod is straight at rest and clamped exactly as the marks say)",
-        f"  distance    mean {best['mean_distance_mm']:.4g} mm (Eq. 1)"]
-    lines += [f"  flatness    {interval}{' (at the border of the grid: widen it)' * interval.at_border}"
-              for interval in (Interval(**entry) for entry in result["intervals_within_5_percent"])]
-    lines += [
-        "              (cells within 5 % of the smallest error; this is not an uncertainty)",
-        f"  status      {counted(rods)}; {stable} certified stable",
-        f"  competing   {result['cells_competing']} of {cells} cells"]
-    if others := result["cells_not_competing"]:
-        lines[-1] += f"; in the other {others} some rod has no certified minimum"
-    if result["terms_left_out"]:
-        lines.append(f"              left out: {result['terms_left_out']} of {per_cell} {terms}, certified in no cell")
-    if "jumps" in result:
-        jumps = result["jumps"]
-        lines.append(f"  jumps       {jumps['rods_at_best']} of {per_cell} rods jumped to another branch on the way in the "
-                     f"best cell, {jumps['rods']} of {count} in all")
-    return lines
+    others, left_out, jumps = result["cells_not_competing"], result["terms_left_out"], result.get("jumps")
+    intervals = (Interval(**entry) for entry in result["intervals_within_5_percent"])
+    return [f"{in_line(result['material'])}: {cells} cells x {per_cell} {terms}", *rows(
+        ("best cell", theta_text(best, grid.is_isotropic)),
+        ("", "(best fit if the rod is straight at rest and clamped exactly as the marks say)"),
+        ("distance", f"mean {best['mean_distance_mm']:.4g} mm (Eq. 1)"),
+        *(("flatness", f"{interval}{' (at the border of the grid: widen it)' * interval.at_border}") for interval in intervals),
+        ("", "(cells within 5 % of the smallest error; this is not an uncertainty)"),
+        ("status", f"{status_text(statuses)}; {stable} certified stable"),
+        ("competing", f"{result['cells_competing']} of {cells} cells"
+                      + f"; in the other {others} some rod has no certified minimum" * bool(others)),
+        ("", left_out and f"left out: {left_out} of {per_cell} {terms}, certified in no cell"),
+        ("jumps", jumps and f"{jumps['rods_at_best']} of {per_cell} rods jumped to another branch on the way in the best cell, "
+                            f"{jumps['rods']} of {count} in all"))]
 
 
 def hypotheses_lines(summary: dict, labels: np.ndarray) -> list[str]:
@@ -220,13 +209,11 @@ def hypotheses_lines(summary: dict, labels: np.ndarray) -> list[str]:
     if found is None:
         return []
     kept, ambiguous = found["kept"], set(found["ambiguous"])
-    lines = [f"  hypotheses  {found['hypotheses']}; decided for {found['resolved']} observations; {len(ambiguous)} are "
-             "ambiguous and take the nearest in each cell"]
     pairs = zip(kept["observation"], kept["turns"], strict=True)
     settled = [turn for observation, turn in pairs if observation not in ambiguous]
-    if settled:
-        turns = ", ".join(f"{turn:+d}: {settled.count(turn)}" for turn in sorted(set(settled)))
-        lines.append(f"              observations by whole turns: {turns}; each one's is in summary.json")
-    if ambiguous:
-        lines.append(f"              ambiguous observations: {', '.join(map(str, labels[sorted(ambiguous)]))}")
-    return lines
+    turns = ", ".join(f"{turn:+d}: {settled.count(turn)}" for turn in sorted(set(settled)))
+    return rows(
+        ("hypotheses", f"{found['hypotheses']}; decided for {found['resolved']} observations; {len(ambiguous)} are ambiguous "
+                       "and take the nearest in each cell"),
+        ("", turns and f"observations by whole turns: {turns}; each one's is in summary.json"),
+        ("", ambiguous and f"ambiguous observations: {', '.join(map(str, labels[sorted(ambiguous)]))}"))

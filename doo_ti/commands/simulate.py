@@ -8,13 +8,22 @@ import numpy as np
 
 from doo_ti.commands import loading, results
 from doo_ti.commands import options as given
-from doo_ti.commands.moving_rods import LOSSES, OF_MOTIONS, MovedRods, add_losses, add_motion, moved_rods, require_length
+from doo_ti.commands.moving_rods import (
+    LOSSES,
+    OF_MOTIONS,
+    SimulatedRods,
+    add_losses,
+    add_motion,
+    require_length,
+    simulated_rods,
+)
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.contact.touch import Touch
 from doo_ti.io.pose_table import holds_poses
 from doo_ti.io.toml_file import scene_file
 from doo_ti.learning.landscape import status_counts
 from doo_ti.rod.types import Clamp, Status
+from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import busy, in_line, progress
 
@@ -95,7 +104,7 @@ def run(options: Namespace) -> int:
             raise InputError(options.source, "file", "holds poses of grippers, and no rods", "give observations of the "
                              "rods, and this file as --motion")
         found = _recorded(options, out, changes, up) if options.motion is None else _carried(
-            options, *moved_rods(options, out, changes))
+            options, simulated_rods(options, out, changes))
     for path in filter(None, (picture, recording, animation)):
         path.parent.mkdir(parents=True, exist_ok=True)
     arrays, summary = _results(found, out)
@@ -177,24 +186,24 @@ def _scene(options: Namespace, changes: dict, up: np.ndarray) -> _Simulated:
     surroundings = given.scene_surroundings(options, scene.surroundings())
     count = scene.material.count
     pairs = np.zeros(count, dtype=np.int64), np.arange(count)
-    start, first_force = scene.start, np.zeros((count, scene.start.edges + 1, 3))
+    start, first_force = scene.start, 0.0
     if scene.at_rest:
         if Clamp.FREE == grippers.start and Clamp.FREE == grippers.end:
             raise InputError(options.source, "rod.at_rest", "both ends are free", "let it begin straight, or clamp an end")
         with busy(f"relaxing {count} rods (kernels are compiled once on a machine)"):
             solution = relax(start, scene.material, grippers.at(0), up=up, configuration_index=pairs[0],
                              material_index=pairs[1], **surroundings.at(0).arguments)
-        first_force = first_force if solution.contact_force is None else solution.contact_force
+        first_force = 0.0 if solution.contact_force is None else solution.contact_force
         start, pairs = solution.configuration, (np.arange(count), np.arange(count))
     grippers = grippers.take(pairs[0] * 0) if start.count > 1 else grippers
-    moved = MovedRods(scene.name, list(scene.names), start, scene.material, grippers, scene.dynamics,
-                      replace(scene.stepping, **changes), up, pairs, surroundings,
-                      given.newtons(options, scene.material.weight) if scene.newtons is None else scene.newtons)
-    return _carried(options, moved, first_force)
+    newtons = given.newtons(options, scene.material.weight) if scene.newtons is None else scene.newtons
+    return _carried(options, SimulatedRods(
+        scene.name, list(scene.names), start, scene.material, grippers, scene.dynamics, replace(scene.stepping, **changes), up,
+        pairs, surroundings, newtons, first_force))
 
 
-def _carried(options: Namespace, moved: MovedRods, first_force) -> _Simulated:
-    """The rods at all instants; ``first_force`` is what they touch at the first."""
+def _carried(options: Namespace, moved: SimulatedRods) -> _Simulated:
+    """The rods at all instants."""
     from doo_ti.dynamics.simulate import simulate
 
     count, instants = len(moved.names), moved.grippers.instants
@@ -213,7 +222,7 @@ def _carried(options: Namespace, moved: MovedRods, first_force) -> _Simulated:
     contact = {}
     if moved.surroundings:
         work = np.pad(found.friction_work, ((0, 0), (1, 0)))
-        first = np.broadcast_to(first_force, found.contact_force[:, 0].shape)
+        first = np.broadcast_to(moved.first_force, found.contact_force[:, 0].shape)
         force = np.concatenate([first[:, None], found.contact_force], axis=1)
         contact = _contact(moved.surroundings, positions, force, work, np.pad(found.touch, ((0, 0), (1, 0), (0, 0))))
     return _Simulated(moved.name, moved.names, positions, status, stepping.rate, moved.up,
@@ -255,10 +264,9 @@ def _results(found: _Simulated, out: Path) -> tuple[dict, dict]:
 
 def _lines(found: _Simulated, summary: dict, arrays: dict) -> list[str]:
     duration = (summary["frames"] - 1) / found.rate
-    rods = f"{summary['rods']} rod{'s' * (summary['rods'] > 1)}"
-    lines = [f"{in_line(found.name)}: {rods} of {summary['vertices'] - 1} edges, {duration:.3g} s at "
-             f"{found.rate:g} frames/s",
-             f"  status      {results.counted(summary['status'])} at the end"]
+    lines = [f"{in_line(found.name)}: {counted(summary['rods'], 'rod')} of {summary['vertices'] - 1} edges, {duration:.3g} s "
+             f"at {found.rate:g} frames/s",
+             f"  status      {results.status_text(summary['status'])} at the end"]
     if summary["failed"]:
         lines.append(f"  failed      {', '.join(map(in_line, summary['failed'][:MOST_LISTED]))}: no positions from there on")
         first = found.status.argmax(axis=1)

@@ -3,11 +3,9 @@ virtual lab (§V-A): cameras render the true rod, a tracker sees it, and a servo
 grippers.
 """
 
-import csv
 from argparse import Namespace
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,7 +22,7 @@ from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import check_experiment, observation_clamps
 from doo_ti.rod.types import POSES, Clamp, Clamps, Material, Solution
 from doo_ti.system.errors import InputError, InterruptedRunError
-from doo_ti.system.files import write_text
+from doo_ti.system.files import csv_text, write_text
 from doo_ti.system.terminal import busy, can_record, in_line, progress, warn
 from doo_ti.vision.cameras import Rig
 
@@ -308,15 +306,11 @@ def _check_seen(vertices: np.ndarray, rig: Rig) -> None:
 
 def _table(steps: list[Step], unit: Stiffness) -> str:
     """The steps as CSV."""
-    text = StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     names = [f"{name}{bound}_{unit.unit}" for name in unit.names for bound in ("", "_low", "_high")]
-    writer.writerow(["step", "distance_mm", "estimated_mm", "status", "rod", "vertices_seen", "covered", *names])
-    for number, step in enumerate(steps, 1):
-        learned = [repr(float(value)) for row in unit.of(step.learned) for value in row]
-        writer.writerow([number, step.true_mm, step.estimated_mm, STATUSES[step.status], HOW[step.seen.frame.how],
-                         int(np.isfinite(step.seen.seen).all(axis=1).sum()), " ".join(step.seen.covered), *learned])
-    return text.getvalue()
+    return csv_text(["step", "distance_mm", "estimated_mm", "status", "rod", "vertices_seen", "covered", *names], (
+        [number, step.true_mm, step.estimated_mm, STATUSES[step.status], HOW[step.seen.frame.how],
+         np.isfinite(step.seen.seen).all(axis=1).sum(), " ".join(step.seen.covered),
+         *(value for row in unit.of(step.learned) for value in row)] for number, step in enumerate(steps, 1)))
 
 
 def _summary(steps: list[Step], unit: Stiffness, true: Material, written: list[Path]) -> dict:

@@ -2,8 +2,6 @@
 
 import os
 from argparse import Namespace
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,10 +15,10 @@ from doo_ti.commands.results import RODS, report, save_arrays
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.arrays import read_csv
 from doo_ti.rod.types import Clamp, Clamps, Material
+from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError, InterruptedRunError
 from doo_ti.system.terminal import can_record, in_line, progress
 
-AHEAD = 16  # frames whose thread is detected while one is tracked
 MOST_LISTED = 30
 LEAST_SHOWN = 0.01  # px: smaller errors are less than the noise of the smoothed images
 
@@ -132,7 +130,7 @@ def _tracked(task: TrackingTask) -> tuple[list, str | None]:
     try:
         with progress() as bar:
             shown = bar.add_task("tracking", total=frames.count, unit="frames")
-            for row, detected in enumerate(_detected(task)):
+            for row, detected in enumerate(image_options.detections(task.sight, frames.paths, frames.rig.cameras)):
                 far = None if task.far is None or row == 0 else task.far[row - 1]
                 found.append(tracker.see(detected, frames.point[row], frames.direction[row], far))
                 bar.advance(shown)
@@ -141,24 +139,6 @@ def _tracked(task: TrackingTask) -> tuple[list, str | None]:
             raise
         return found, str(problem) or "interrupted"
     return found, None
-
-
-def _detected(task: TrackingTask) -> Iterator[list]:
-    """C detections of each frame, found while others are tracked."""
-    cameras = task.frames.rig.cameras
-    with ThreadPoolExecutor(os.cpu_count()) as threads:
-        def detections_of(row: int) -> list:
-            return [threads.submit(task.sight.detected, path, camera)
-                    for path, camera in zip(task.frames.paths[row], cameras, strict=True)]
-
-        waiting = [detections_of(row) for row in range(min(AHEAD, task.frames.count))]
-        try:
-            for row in range(task.frames.count):
-                yield [image.result() for image in waiting.pop(0)]
-                if row + AHEAD < task.frames.count:
-                    waiting.append(detections_of(row + AHEAD))
-        finally:
-            threads.shutdown(cancel_futures=True)
 
 
 def _arrays(task: TrackingTask, found: list) -> dict[str, np.ndarray]:
@@ -194,7 +174,7 @@ def _lines(summary: dict) -> list[str]:
     for key, words in (("seeded", "by Algorithm 1"), ("lost", "in which the rod is lost")):
         names = summary[key]
         listed = ", ".join(names[:MOST_LISTED]) + f" and {len(names) - MOST_LISTED} more" * (len(names) > MOST_LISTED)
-        lines.append(f"  {key:<11} {len(names)} frame{'s' * (len(names) != 1)} {words}{': ' * bool(len(names))}{listed}")
+        lines.append(f"  {key:<11} {counted(len(names), 'frame')} {words}{': ' * bool(len(names))}{listed}")
     if summary["camera_error_px"] is not None:
         off = summary["camera_error_px"]
         lines.append(f"  images      {f'{off:.2f}' if off >= LEAST_SHOWN else f'less than {LEAST_SHOWN}'} px off on average; "

@@ -147,8 +147,8 @@ def _lines(observations: Observations, grid: Grid, estimate, summary: dict) -> l
         f"{observations.name}: {observations.count} observations in {summary['groups']} groups that share φ",
         loading.rod_line(observations),
         f"  material    {results.theta_text(results.theta_of(grid), grid.is_isotropic)}",
-        f"  verdicts    {results.counted(summary['verdicts'])}; {summary['unsound_rods']} of {rods} rods on the curves have no "
-        "certified minimum",
+        f"  verdicts    {results.status_text(summary['verdicts'])}; {summary['unsound_rods']} of {rods} rods on the curves "
+        "have no certified minimum",
         *results.shortened([_group_line(observations, estimate, k) for k in range(len(estimate.phi))], MOST_LISTED,
                            f"  and {{}} more, which {in_line(Path(summary['out']).name)} holds"),
         f"  written to {in_line(summary['out'])}"]

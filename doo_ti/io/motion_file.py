@@ -27,7 +27,6 @@ from doo_ti.io.pose_table import frame_of_quaternion, read_poses
 from doo_ti.rod.frames import (
     FRAME_TOLERANCE,
     angle_about,
-    handedness,
     matrix_from_quaternion,
     orthonormality_error,
     quaternion_from_matrix,
@@ -39,7 +38,7 @@ from doo_ti.rod.material import doubt_angle, mm_in
 from doo_ti.rod.types import POSES, Clamps
 from doo_ti.system.arguments import owning, short_repr, typed
 from doo_ti.system.errors import InputError, require_whole
-from doo_ti.system.files import read_content
+from doo_ti.system.files import csv_text, read_content
 
 SHAPES = {"time_s": (), "start_position_mm": (3,), "end_position_mm": (3,), "start_frame": (3, 3), "end_frame": (3, 3),
           "start_quaternion": (4,), "end_quaternion": (4,), "end_rotation_deg": ()}
@@ -170,7 +169,7 @@ class ClampPath:
             name: (turning if name.endswith("frame") else smooth)(getattr(self, name)) for name in POSES})
 
     def _check_frames(self, name: str, frames: np.ndarray) -> None:
-        bad = (orthonormality_error(frames) > FRAME_TOLERANCE) | (handedness(frames) < 0)
+        bad = (orthonormality_error(frames) > FRAME_TOLERANCE) | (np.linalg.det(frames) < 0)
         if bad.any():
             raise InputError(self.source, name, f"the frame of moment {np.argwhere(bad)[0, 0]} is not a rotation",
                              "give unit, orthogonal columns t, m1, m2 with m2 = t x m1")
@@ -304,4 +303,4 @@ def path_table(path: ClampPath) -> str:
         names += [f"{end}_{axis}_mm" for axis in AXES] + list(frame_columns(f"{end}_frame"))
         columns += [getattr(path, f"{end}_position")[:, 0], getattr(path, f"{end}_frame")[:, 0].reshape(path.moments, 9)]
     rows = np.concatenate(columns, axis=1)
-    return "\n".join([",".join(names), *(",".join(repr(float(value)) for value in row) for row in rows)]) + "\n"
+    return csv_text(names, rows)

@@ -4,12 +4,10 @@ An entry is mean ± standard error in mm. Text marks the best entry of a column 
 within one standard error of it with ``~``; Markdown sets them bold and italic. The diagonal is in brackets.
 """
 
-import csv
-import io
-
 import numpy as np
 
 from doo_ti.learning.cross_validation import Scores
+from doo_ti.system.files import csv_text
 
 NUMBERS = {("material",): "Table I", ("material", "end-distance"): "Table II", ("objective", "end-distance"): "Table III"}
 """The paper's number of each partition."""
@@ -53,11 +51,7 @@ def markdown(scores: Scores) -> str:
 def comma_separated(tables: list[Scores]) -> str:
     """The tables of the same factors as CSV, one line per entry, numbers in full."""
     lines = [line for scores in tables for line in entries(scores)]
-    buffer = io.StringIO()
-    writer = csv.DictWriter(buffer, list(lines[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(lines)
-    return buffer.getvalue()
+    return csv_text(lines[0], (line.values() for line in lines))
 
 
 def entries(scores: Scores) -> list[dict]:

@@ -20,7 +20,7 @@ from doo_ti.rod.start import held_spins, start_configuration, turn_hypotheses
 from doo_ti.rod.types import Clamp, Clamps, Configuration
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
-from doo_ti.system.files import write_whole
+from doo_ti.system.files import csv_text, write_text
 
 APART_DEG = 120.0  # difference of the end rotations of the paper's pairs (footnote 7)
 SAME = 1e-6  # labels closer than this, in mm or degrees, are the same
@@ -136,9 +136,7 @@ def save_pairs(path: Path, pairs: Pairs) -> None:
     columns = [pairs.from_index, pairs.to_index, pairs.weight]
     if pairs.rotation is not None:
         columns.append(np.degrees(pairs.rotation))
-    rows = [COLUMNS[:len(columns)], *zip(*(column.tolist() for column in columns), strict=True)]
-    text = "".join(",".join(map(str, row)) + "\n" for row in rows)
-    write_whole(Path(path), lambda file: file.write(text.encode()))
+    write_text(Path(path), csv_text(COLUMNS[: len(columns)], zip(*columns, strict=True)))
 
 
 def check_ways(pairs: Pairs, clamps: Clamps) -> None:

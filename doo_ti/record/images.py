@@ -21,6 +21,7 @@ from doo_ti.vision.images import read_image
 
 KEPT = (125, 170, 255)
 FRUSTUM_MM = 60.0
+MARGIN_PX = 40.0  # around the thread, in an image view when opened
 JPEG_QUALITY = 80
 FARTHEST_PX = 1e6  # points farther away are left out
 TRACKED_COLORS = np.array([(47, 123, 255), (255, 159, 28), (255, 46, 77)], dtype=np.uint8)
@@ -137,10 +138,10 @@ def _growth_layout(rig: Rig, places: list[str], rods: list[SeenRod], up: np.ndar
     return blueprint.Blueprint(body, *viewer.panels("edges"))
 
 
-def _bounds(detected: np.ndarray, margin: float = 40.0) -> blueprint.VisualBounds2D:
+def _bounds(detected: np.ndarray) -> blueprint.VisualBounds2D:
     """Limits of an image view when opened: those of the thread."""
     low, high = box(detected)
-    (left, top), (right, bottom) = low - margin, high + margin
+    (left, top), (right, bottom) = low - MARGIN_PX, high + MARGIN_PX
     return blueprint.VisualBounds2D(x_range=[left, right], y_range=[top, bottom])
 
 

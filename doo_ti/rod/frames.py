@@ -66,14 +66,6 @@ def orthonormality_error(frames: np.ndarray) -> np.ndarray:
     return np.maximum(np.abs(lengths), np.abs(angles)).max(axis=0)
 
 
-def handedness(frames: np.ndarray) -> np.ndarray:
-    """(...) m2 · (t × m1) of (..., 3, 3) frames: one for a rotation, minus one for a left-handed frame."""
-    f = frames
-    return (f[..., 0, 2] * (f[..., 1, 0] * f[..., 2, 1] - f[..., 2, 0] * f[..., 1, 1])
-            + f[..., 1, 2] * (f[..., 2, 0] * f[..., 0, 1] - f[..., 0, 0] * f[..., 2, 1])
-            + f[..., 2, 2] * (f[..., 0, 0] * f[..., 1, 1] - f[..., 1, 0] * f[..., 0, 1]))
-
-
 def quaternion_product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Hamilton product of (..., 4) quaternions."""
     a, b = np.asarray(left), np.asarray(right)

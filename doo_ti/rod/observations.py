@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.rod.frames import FRAME_TOLERANCE, handedness, orthonormality_error
+from doo_ti.rod.frames import FRAME_TOLERANCE, orthonormality_error
 from doo_ti.rod.material import doubt_angle
 from doo_ti.rod.types import LARGEST, Rows
 from doo_ti.system.arguments import counted, typed
@@ -278,7 +278,7 @@ class Observations:
     def _checked_frames(self, name: str, axes: tuple, size: dict[str, int]) -> np.ndarray:
         frames = self._finite(name, self._numbers(name, axes, size))
         for bad, problem in ((orthonormality_error(frames) > FRAME_TOLERANCE, "not orthonormal"),
-                             (handedness(frames) < 0, "left-handed")):
+                             (np.linalg.det(frames) < 0, "left-handed")):
             if bad.any():
                 at = tuple(np.argwhere(bad)[0].tolist())
                 raise self._error(name, f"the frame at {list(at)} is {problem}: {np.round(frames[at], 4).tolist()}",

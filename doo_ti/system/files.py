@@ -4,12 +4,14 @@ A file is written under a name of its own, ``.NAME.<random>.part`` beside it, an
 is written: parts without a lock were left by a process that was killed, and are removed when the file is written again.
 """
 
+import csv
 import glob
 import os
 import stat
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from errno import EEXIST
+from io import StringIO
 from pathlib import Path
 from secrets import token_hex
 from typing import BinaryIO
@@ -52,6 +54,13 @@ def write_text(path: Path, text: str) -> None:
     """Write ``text`` as UTF-8 to ``path``, completely or not at all; its folder is made where it is missing."""
     path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, lambda file: file.write(text.encode()))
+
+
+def csv_text(heads: Iterable, rows: Iterable[Iterable]) -> str:
+    """A table as CSV: a line of the columns' names, and one of each of the ``rows``."""
+    text = StringIO(newline="")
+    csv.writer(text, lineterminator="\n").writerows([heads, *rows])
+    return text.getvalue()
 
 
 @contextmanager

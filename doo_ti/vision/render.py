@@ -7,12 +7,10 @@ would have left them: images, SETS.csv and the rig.
 Axes: A sets, C cameras, V vertices of a rod, n points of a curve.
 """
 
-import csv
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
 from functools import partial
-from io import StringIO
 from pathlib import Path
 
 import cv2
@@ -20,7 +18,7 @@ import numpy as np
 
 from doo_ti.rod.types import LARGEST
 from doo_ti.system.errors import InputError
-from doo_ti.system.files import write_whole
+from doo_ti.system.files import csv_text, write_text, write_whole
 from doo_ti.vision.cameras import Camera, Rig
 from doo_ti.vision.images import SEED
 from doo_ti.vision.rig_files import save_rig
@@ -232,24 +230,19 @@ class Photographs:
         return render_set(self.rig, self.curves[index], self.diameter_mm, self.options, (self.seed, index))
 
 
-def save_photographs(folder: Path, photographs: Photographs, threads: int = 2,
-                     on_set: Callable[[], None] | None = None) -> None:
+def save_photographs(folder: Path, photographs: Photographs, on_set: Callable[[], None] | None = None) -> None:
     """Write all images, ``sets.csv`` and ``rig.yaml`` to ``folder``, which exists; ``on_set`` is called after each set.
 
     Images are JPEG of the options' quality, or PNG without one. ``sets.csv`` is written last: if it exists, all files do.
     """
-    with ThreadPoolExecutor(threads) as executor:  # OpenCV and NumPy release the interpreter's lock
+    with ThreadPoolExecutor(2) as executor:  # OpenCV and NumPy release the interpreter's lock
         for _ in executor.map(partial(_save_set, folder, photographs), range(len(photographs.names))):
             if on_set is not None:
                 on_set()
     save_rig(folder / RIG_FILE, photographs.rig)
-    text = StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(("name", *photographs.rig.names, *SEED))
-    for index, name in enumerate(photographs.names):
-        seed = np.concatenate([photographs.point[index], photographs.direction[index]]).round(12) + 0.0
-        writer.writerow((name, *_files(photographs, index), *seed.tolist()))
-    write_whole(folder / SETS_FILE, lambda file: file.write(text.getvalue().encode()))
+    seeds = np.concatenate([photographs.point, photographs.direction], axis=1).round(12) + 0.0
+    write_text(folder / SETS_FILE, csv_text(("name", *photographs.rig.names, *SEED), (
+        (name, *_files(photographs, index), *seeds[index]) for index, name in enumerate(photographs.names))))
 
 
 def _files(photographs: Photographs, index: int) -> list[str]:
