@@ -310,5 +310,6 @@ class NewtonTrip:
             lane.status = ti.select(blocked, self.constant(self.infeasible), lane.status)
             ended, undecided, lost = ended & ~blocked, undecided & ~blocked, lost | blocked
         lane.status = ti.select(ended | undecided, self.constant(self.converged), lane.status)
-        lane.stable = ti.select(place.at_minimum, one, zero)
+        # Under forces of contacts that still change, a minimum says nothing.
+        lane.stable = ti.select(place.at_minimum & (ended | undecided), one, zero)
         lane.finished = ti.select((ended | out_of_trips | stuck | lost) & (lane.active > 0.5), one, zero)
