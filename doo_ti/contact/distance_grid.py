@@ -129,12 +129,13 @@ class DistanceGrid(Obstacle):
         first = (cell[..., 0] * count_y + cell[..., 1]) * count_z + cell[..., 2]
         flat = self.coefficients.reshape(-1)
         value, slope = np.zeros(place.shape[:-1]), np.zeros(place.shape)
-        for i, j, k in np.ndindex(4, 4, 4):
-            c = flat[first + (i * count_y + j) * count_z + k]
-            x, y, z = weights[i, ..., 0], weights[j, ..., 1], weights[k, ..., 2]
-            dx, dy, dz = slopes[i, ..., 0], slopes[j, ..., 1], slopes[k, ..., 2]
-            value += c * x * y * z
-            slope += c[..., None] * np.stack([dx * y * z, x * dy * z, x * y * dz], axis=-1)
+        for i, j in np.ndindex(4, 4):
+            line = [flat[first + (i * count_y + j) * count_z + k] for k in range(4)]
+            here, ahead = (sum(c * along[k, ..., 2] for k, c in enumerate(line)) for along in (weights, slopes))
+            x, y, dx, dy = weights[i, ..., 0], weights[j, ..., 1], slopes[i, ..., 0], slopes[j, ..., 1]
+            value += here * x * y
+            for axis, part in enumerate((here * dx * y, here * x * dy, ahead * x * y)):
+                slope[..., axis] += part
         return value, slope
 
 

@@ -7,7 +7,7 @@ from fractions import Fraction
 import taichi as ti
 
 from doo_ti.physics.algebra import absolute
-from doo_ti.physics.tuples import cross, dot, plus, scaled
+from doo_ti.physics.tuples import cross, dot, plus, scaled, variable
 
 
 @ti.func
@@ -99,6 +99,17 @@ def transported(q, source, target):
     axis = cross(source, target)
     share = 2.0 / (1.0 + dot(source, target))
     return turned_in_world(q, scaled(axis, share))
+
+
+@ti.func
+def turned_to(q, target):
+    """q turned so that its tangent is the unit vector ``target``: by parallel transport, which keeps the spin, or where the two
+    are opposite by half a turn about its m2, but for what keeps a joint that is folded so from dividing by zero."""
+    source = tangent(q)
+    turned = variable(transported(q, source, target))
+    if 1.0 + dot(source, target) <= 1e-14:
+        turned = turned_in_world(q, scaled(second_director(q), 1e30))
+    return turned
 
 
 @ti.func

@@ -41,19 +41,18 @@ def run_newton(table: Tables, options: newton.Newton, bits: int, begin: Solution
     """
     frames = room(table.count, table.edges, 4)
     results = room(table.count, of.LOADED_RESULTS if table.loaded else of.RESULTS)
-    results[:, of.DRIFT:] = 0.0
     if len(table.rods) < table.count:
         infeasible = ~table.feasible[table.configuration_index]
         frames[infeasible], results[infeasible, : of.RESULTS] = np.nan, UNTOUCHED
     if begin is None:
+        results[:, of.DRIFT:] = 0.0
         _launch_newton(table, table.rods, options, bits, frames, results, moving)
     else:
         frames[...] = begin.configuration.quaternions
-        usable = begin.status == int(Status.CONVERGED)
         if table.loaded:
-            moved = usable & (table.clamp[table.configuration_index, of.LOOSE] > 0)
-            results[moved, of.DRIFT:] = (begin.configuration.start - table.anchor[table.configuration_index])[moved]
-        _launch_newton(table, table.continued(usable, np.arange(table.count)), options, bits, frames, results)
+            moved = begin.configuration.start - table.anchor[table.configuration_index]
+            results[:, of.DRIFT:] = np.where(table.clamp[table.configuration_index, of.LOOSE, None] > 0, moved, 0.0)
+        continue_newton(table, options, bits, frames, results, np.arange(table.count), begin.status == int(Status.CONVERGED))
     return frames, results
 
 

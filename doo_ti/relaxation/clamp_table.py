@@ -7,7 +7,7 @@ import taichi as ti
 
 from doo_ti.physics.algebra import absolute, larger, row, transposed
 from doo_ti.physics.number import Number, device_functions, read, write
-from doo_ti.physics.quaternion import from_matrix, normalised, tangent, transported, turned_in_world
+from doo_ti.physics.quaternion import from_matrix, normalised, tangent, turned_to
 from doo_ti.physics.tuples import cross, dot, minus, record, repeated, scaled, variable
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.kernel_factory import INDEX2, TABLE2, TABLE3, loop_kernel
@@ -60,22 +60,13 @@ def can_hold(kind, frame):
 
 @ti.func
 def held_frame(kind, frame, own):
-    """The frame of an end edge as its clamp holds it, ``frame`` row by row, or ``own`` where the clamp holds no direction; a
-    tangent clamp turns the edge by parallel transport, keeping its spin."""
+    """The frame of an end edge as its clamp holds it, ``frame`` row by row, or ``own`` where the clamp holds no direction."""
     q = variable(own)
     if kind == FRAME:
         q = from_matrix(frame)
     if kind == TANGENT:
         t = row(transposed(frame), 0)
-        old, new = tangent(own), scaled(t, 1.0 / ti.sqrt(dot(t, t)))
-        q = transported(own, old, new)
-        if 1.0 + dot(old, new) < 1e-14:
-            # There is no parallel transport from the opposite tangent: half a turn about some axis across.
-            far = ti.cast(1e30, ti.f64)
-            axis = variable((0.0 * far, far * old[2], 0.0 - far * old[1]))
-            if absolute(old[0]) > 0.9:
-                axis = (0.0 - far * old[2], 0.0 * far, far * old[0])
-            q = turned_in_world(own, axis)
+        q = turned_to(own, scaled(t, 1.0 / ti.sqrt(dot(t, t))))
     return q
 
 

@@ -92,8 +92,9 @@ class Contacts(ContactRounds):
                     choose(self.contact(at, o), once, remembered=repeated(zero, fixed.REMEMBERED_IN_MOTION))
             if ti.static(self.itself):
                 self.forget_pairs(rod, once)
-            choose(rod.contacts, once, phase=zero + fixed.ROUGH, update_stiffness=zero, updates=zero, change=zero + 1e30,
-                   stiffness=rod.contacts.first_stiffness, retried=zero + 1.0)
+            choose(rod.contacts, once, largest=zero)  # one that jammed would be jammed again
+            self.begin_rounds(rod, once)
+            choose(rod.contacts, once, retried=zero + 1.0)
         return once
 
     def load_motion(self, tables, slot, row, unit, inertia):

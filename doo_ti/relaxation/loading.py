@@ -3,8 +3,8 @@
 import taichi as ti
 
 from doo_ti.physics.number import device_functions, in_f64, read, write
-from doo_ti.physics.quaternion import normalised, tangent, transported
-from doo_ti.physics.tuples import dot, record, scaled
+from doo_ti.physics.quaternion import normalised, tangent, turned_to
+from doo_ti.physics.tuples import record, scaled, variable
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.newton_policy import MOST_SHIFT
@@ -131,14 +131,10 @@ class Loading:
     def load_end(self, clamp: ti.template(), s, end: ti.template(), source: ti.template(), place, edge):
         """What clamp s holds of the first frame or the last, which is at ``place`` of ``source``, into that edge of a lane."""
         if clamp[s, of.TILT_START + end] == 0.0:
-            held = read(clamp, s, of.ENDS + 4 * end, count=4)
+            held = variable(read(clamp, s, of.ENDS + 4 * end, count=4))
+            if clamp[s, of.SPIN_START + end] > 0.0:  # a tangent alone
+                held = turned_to(normalised(read(source, place, count=4)), tangent(held))
             edge.frame = held
-            if clamp[s, of.SPIN_START + end] > 0.0:
-                # A tangent alone: by parallel transport, which does not exist from the opposite tangent.
-                frame = normalised(read(source, place, count=4))
-                old, new = tangent(frame), tangent(held)
-                if 1.0 + dot(old, new) > 1e-14:
-                    edge.frame = transported(frame, old, new)
 
     def store_frames(self, tables, row, lane):
         """The lane's frames into row ``row`` of the results' frames."""

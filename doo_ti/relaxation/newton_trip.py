@@ -177,13 +177,19 @@ class NewtonTrip:
         lane.escaping = ti.select(judged.downhill, zero, lane.escaping)
         lane.trips = lane.trips + lane.active
 
-    def tolerance(self, tables, rod):
-        """The largest residual of a rod that has converged."""
-        given = ti.cast(tables.policy[fixed.TOLERANCE], self.scalar)
-        if ti.static(self.touches):
-            return self.sweep.contacts.tolerance(rod, self.constant(0.0) + given)
-        else:
+    def tolerance(self, tables, rod, final: ti.template() = False):
+        """The largest residual of a rod that has converged, in contact in the round that it is in, or in a ``final`` one."""
+        given = self.constant(0.0) + ti.cast(tables.policy[fixed.TOLERANCE], self.scalar)
+        return self.in_contact(rod, given, final)
+
+    def in_contact(self, rod, given, final: ti.template()):
+        """:meth:`tolerance` where that without contact is ``given``."""
+        if ti.static(not self.touches):
             return given
+        elif ti.static(final):
+            return self.sweep.contacts.final_tolerance(rod, given)
+        else:
+            return self.sweep.contacts.tolerance(rod, given)
 
     def judge_place(self, tables, rod, lane, inertia, step, judged):
         """Judge where the rod is: a record of flags. ``at_rest``: residual, closure and decrement are small; ``calm``: at rest,
@@ -299,8 +305,7 @@ class NewtonTrip:
         undecided = place.at_rest & place.resolved & (out_of_trips | stuck)
         if ti.static(self.touches):
             ready = (lane.trying > 0.5) & (lane.escaping < 0.5) & (lane.longest < EARLY_ROTATION) & ~lost
-            given = self.constant(0.0) + ti.cast(tables.policy[fixed.TOLERANCE], self.scalar)
-            final = lane.residual * rod.total <= self.sweep.contacts.final_tolerance(rod, given)
+            final = lane.residual * rod.total <= self.tolerance(tables, rod, True)
             updating, done = self.sweep.contacts.plan_update(rod, lane, ready, place.at_minimum & final)
             calm = place.calm & ~place.leaving & ~updating & ~done
             ended, undecided, stuck = ended & ~updating, undecided & ~updating, stuck & ~updating
@@ -310,5 +315,6 @@ class NewtonTrip:
             lane.status = ti.select(blocked, self.constant(self.infeasible), lane.status)
             ended, undecided, lost = ended & ~blocked, undecided & ~blocked, lost | blocked
         lane.status = ti.select(ended | undecided, self.constant(self.converged), lane.status)
-        lane.stable = ti.select(place.at_minimum, one, zero)
+        # Under forces of contacts that still change, a minimum says nothing.
+        lane.stable = ti.select(place.at_minimum & (ended | undecided), one, zero)
         lane.finished = ti.select((ended | out_of_trips | stuck | lost) & (lane.active > 0.5), one, zero)

@@ -41,17 +41,18 @@ def nearest_places(w, p, q, even):
     wp, wq, ww = dot(w, p) + 0.5 * even, dot(w, q) - 0.5 * even, dot(w, w) + 0.5 * even
     determinant = pp * qq - pq * pq
     s, t = (wp * qq - wq * pq) / determinant, (wp * pq - wq * pp) / determinant
-    inside = (s > 0.0) & (s < 1.0) & (t > 0.0) & (t < 1.0)
-    best = record(s=s, t=t, square=ti.select(inside, zero - 1.0, zero + 1e30))
-    for side in ti.static(range(4)):
-        # One place at an end of its edge, the other the nearest to it.
+    best = record(s=zero, t=zero, square=zero + 1e30)
+    # First both places within their edges: of parallel ones rounding decides if they are. Then one at an end of its edge, the
+    # other the nearest to it.
+    for side in ti.static(range(-1, 4)):
         end = zero + float(side % 2)
-        if ti.static(side < 2):
-            s, t = end, within((pq * end - wq) / qq)
-        else:
+        if ti.static(side >= 2):
             s, t = within((wp + pq * end) / pp), end
+        elif ti.static(side >= 0):
+            s, t = end, within((pq * end - wq) / qq)
+        inside = (s >= 0.0) & (s <= 1.0) & (t >= 0.0) & (t <= 1.0)
         square = ww + s * (s * pp - 2.0 * wp) + t * (t * qq + 2.0 * wq) - 2.0 * s * t * pq
-        nearer = square < best.square
+        nearer = inside & (square < best.square)
         best.s, best.t = ti.select(nearer, s, best.s), ti.select(nearer, t, best.t)
         best.square = ti.select(nearer, square, best.square)
     one = zero + 1.0

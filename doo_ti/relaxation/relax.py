@@ -13,6 +13,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.contact.distance_grid import DistanceGrid
 from doo_ti.contact.obstacles import Obstacle, Ring
 from doo_ti.contact.surroundings import Surroundings, obstacle_list
 from doo_ti.relaxation import batch
@@ -36,7 +37,7 @@ PRECISIONS = ("f32", "f64", "mixed")
 F32_ONLY = "f32 only"
 ITERATIONS_32 = 300  # after which f64 takes over from f32, which can repeat the same few steps without end
 INSIDE, CLOSE_PLACES = 1e-2, 29
-"""Radii by which an edge of a rod that has converged may be inside a ring; and places of it that are measured for that."""
+"""Radii by which an edge of a converged rod may be inside a body that is not convex, and places of it that are measured."""
 
 
 @typed
@@ -78,10 +79,10 @@ def relax(
     external_index         ``material_index``: by default one row for each rod, one for all, or as many rows as before, paired
                            as before
     obstacles, radius      what the rods may touch but not enter, and their radius in mm, one or (R,): the rod, edges of that
-                           thickness, ends outside all of them to 1e-5 of its radius (in f32 to 2e-6 of its length, if that is
-                           more), outside itself to 1e-3. Every obstacle has one row, or R. A start inside one is moved out of
-                           it first; a rod whose clamps are inside, or whose start cannot be moved out, is INFEASIBLE.
-                           Friction acts only in motions. See ``Solution.contact``
+                           thickness, ends outside all of them to 1e-5 of its radius, beside Itself to 2e-4 (in f32 to 2e-6 of
+                           its length, if that is more), outside itself to 1e-3. Every obstacle has one row, or R. A start
+                           inside one is moved out of it first; a rod whose clamps are inside, or whose start cannot be moved
+                           out, is INFEASIBLE. Friction acts only in motions. See ``Solution.contact``
 
     Clamped frames replace the first and last frame of the start. Results are float64; energies include the constant
     μ z_0 Σ l̄_i. Raises InputError for inputs that do not match; infeasible rods have the status INFEASIBLE, else NaN.
@@ -240,16 +241,22 @@ def _touch_themselves(table: Tables, solver: Newton, frames, results, bits) -> T
     return table
 
 
-def _cut_by_rings(table: Tables, configuration: Configuration, status: np.ndarray) -> np.ndarray:
-    """Rows of the converged rods that are inside a ring between two vertices: an edge that spans a ring's hole is near to the
-    ring twice, and only one place of an edge touches."""
+def _cut(table: Tables, configuration: Configuration, status: np.ndarray) -> np.ndarray:
+    """Rows of the converged rods that are inside a body between two vertices: an edge that spans a hole or a hollow of it is
+    near to it more than once, and only one place of an edge touches."""
     contact = table.contact
-    rings = [body for body in contact.surroundings.bodies if isinstance(body, Ring)]
-    rows = np.flatnonzero(contact.near & (status == CONVERGED)) if rings else np.zeros(0, dtype=np.int64)
-    if not len(rows):
-        return rows
-    around = Surroundings(rings, contact.radius).take(rows)
-    return rows[around.smallest_gap(configuration.take(rows).vertices, CLOSE_PLACES) < -INSIDE * around.radius]
+    hollow = [body for body in contact.surroundings.bodies if isinstance(body, Ring | DistanceGrid)]
+    rows = np.flatnonzero(contact.near & (status == CONVERGED)) if hollow else np.zeros(0, dtype=np.int64)
+    around, places = Surroundings(hollow, contact.radius).take(rows), configuration.take(rows).vertices
+    cut = np.zeros(len(rows), dtype=bool)
+    for body in around.obstacles:
+        distance, lengths = body.distance(places)[0], np.linalg.norm(np.diff(places, axis=1), axis=-1)
+        # The distance changes no faster than the place.
+        own, edge = np.nonzero(distance[:, :-1] + distance[:, 1:] < lengths + 2.0 * np.reshape(around.radius, (-1, 1)))
+        close = Surroundings([body], around.radius).take(own)
+        ends = np.stack([places[own, edge], places[own, edge + 1]], axis=1)
+        cut[own[close.smallest_gap(ends, CLOSE_PLACES) < -INSIDE * close.radius]] = True
+    return rows[cut]
 
 
 def _solution(table: Tables, frames: np.ndarray, results: np.ndarray, bits: np.ndarray) -> Solution:
@@ -290,7 +297,7 @@ def _solution(table: Tables, frames: np.ndarray, results: np.ndarray, bits: np.n
         ends = configuration.take(hanging).vertices[:, -1]
         start[hanging] = 2 * start[hanging] - ends
     if table.contact is not None:
-        cut = _cut_by_rings(table, configuration, status)
+        cut = _cut(table, configuration, status)
         status[cut], stable[cut] = Status.STALLED, False
     return Solution(
         configuration=configuration, energy=energy, residual=results[:, of.RESIDUAL], closure=results[:, of.CLOSURE],

@@ -11,8 +11,8 @@ from doo_ti.physics.quaternion import (
     rotated,
     second_director,
     tangent,
-    transported,
     turned_in_world,
+    turned_to,
 )
 from doo_ti.physics.tuples import cross, dot, minus, plus, record, repeated, scaled, variable
 from doo_ti.relaxation import tables as of
@@ -150,12 +150,7 @@ class MotionLoading(Loading):
         """Turn the edges that may tilt to the unit vector ``along``; their spins are kept by parallel transport."""
         for e in range(tables.rest_length.shape[1]):
             if self.tilts(tables, s, e) > 0.0:
-                q = in_f64(self.edge(own, e).frame)
-                old = tangent(q)
-                straight = variable(product(q, (0.0, 0.0, 0.0, 1.0)))  # half a turn
-                if 1.0 + dot(old, along) > 1e-14:
-                    straight = transported(q, old, along)
-                self.edge(own, e).frame = straight
+                self.edge(own, e).frame = turned_to(in_f64(self.edge(own, e).frame), along)
 
     def is_straight(self, tables, own, s, last: ti.template()):
         """Whether the edges that may tilt are in one straight line, at the last instant with ``last``."""
@@ -290,12 +285,7 @@ class MotionLoading(Loading):
             along = tangent(held)
             last = in_f64(edge.motion.frame_1)
             if tables.clamp[s, of.SPIN_START + end] > 0.0:
-                # A tangent alone: the frame goes with it, by parallel transport from where it was.
-                old, new = tangent(last), tangent(held)
-                if 1.0 + dot(old, new) > 1e-14:
-                    held = transported(last, old, new)
-                else:
-                    held = last
+                held = turned_to(last, along)  # a tangent alone
             if share < 1.0:
                 held = partway(last, held, share)
                 along = tangent(held)

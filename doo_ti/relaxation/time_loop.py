@@ -171,7 +171,7 @@ class TimeLoop(NewtonLoop):
                 tables.outcome[row, later, STATE] = status
         return again
 
-    def tolerance(self, tables, rod):
+    def tolerance(self, tables, rod, final: ti.template() = False):
         """The largest residual of a step: that of a rod at rest or, where its mass times the acceleration of gravity means
         smaller moments, that share of these; and what rounding makes of its stiffness and inertia. Negative, so that the step
         stalls, where that is too much."""
@@ -184,9 +184,7 @@ class TimeLoop(NewtonLoop):
         weight = ti.select(inertia > 0.0, weight, zero + 1.0)
         lever = ti.select(rod.loose > 0.5, rod.total, rod.longest)  # of the forces on a vertex 0 that is free, the rod's length
         rounding = ti.static(ROUNDING[self.number_bits]) * (rod.edges + moment * lever * rod.total * rod.length_unit)
-        given = given * ti.min(weight, zero + 1.0)
-        if ti.static(self.touches):
-            given = self.sweep.contacts.tolerance(rod, given)
+        given = self.in_contact(rod, given * ti.min(weight, zero + 1.0), final)
         return ti.select(rounding * rod.longest > ti.static(RESOLVED) * weight * lever, zero - 1.0, given + rounding)
 
     def multiplier(self, lane, fitted):

@@ -114,6 +114,24 @@ def test_a_rod_that_is_too_short_to_get_round_a_peg_is_stalled_before_its_forces
     found = relax(rod, Material(1e5, 1e5, 6.0), clamps, precision=precision, obstacles=[TABLE, peg], radius=1.0)
     assert found.status[0] == Status.STALLED and found.iterations[0] < 400
     assert np.isfinite(found.contact_force).all()
+    # Relaxed again it begins anew, without the forces that it has ended with.
+    assert relax(found, Material(1e5, 1e5, 6.0), precision=precision).iterations[0] > 20
+
+
+@pytest.mark.thorough
+def test_a_step_in_which_forces_overflow_is_tried_again_in_parts():
+    """A try that begins with what they have grown to would end at once; each of the tries takes dozens of trips."""
+    x = np.linspace(0.0, 96.0, 200)
+    rod = rod_along(np.stack([x, 12.0 * np.sin(np.pi * x / 96.0) ** 2, np.zeros(200)], axis=1), 33)
+    clamps, peg = clamps_at(rod, Clamp.POSITION, Clamp.POSITION), Capsule((48.0, 0.0, -50.0), (48.0, 0.0, 50.0), 4.0)
+    around = dict(obstacles=[peg], radius=1.0, up=(0.0, -1.0, 0.0))
+    rest = relax(rod, Material(1e5, 1e5, 1.0), clamps, **around)
+    far = np.array([96.0, 98.0, rod.rest_length.sum() - 0.5])[:, None] * [1.0, 0.0, 0.0]
+    held = np.zeros((1, 3, 3, 3))
+    grippers = Grippers(Clamp.POSITION, Clamp.POSITION, np.repeat(rod.start[:, None], 3, 1), rod.start + far[None], held, held)
+    moved = simulate(rest.configuration, Material(1e5, 1e5, 1.0), grippers, Dynamics(), Stepping(10.0, quasi_static=True),
+                     **around)
+    assert moved.status[0].tolist() == [Status.CONVERGED, Status.STALLED] and moved.iterations[0, 1] > 700
 
 
 @pytest.mark.thorough

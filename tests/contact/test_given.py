@@ -114,6 +114,17 @@ def test_obstacles_of_single_rods_are_as_shared_ones():
         np.testing.assert_array_equal(alone.configuration.vertices[0], both.configuration.vertices[0])
 
 
+def test_no_rod_is_stable_whose_forces_still_change():
+    """The trips run out at shapes that are minima under forces of which the rounds are not over."""
+    rod = straight_rod(100.0, 30, (0.0, 0.0, 1.5)).take([0] * 32)
+    held = end_clamps(rod, Clamp.FRAME, Clamp.POSITION)
+    held.end_position[:, 0] -= np.linspace(5.0, 40.0, 32)
+    around = dict(obstacles=[Plane((0, 0, 0), (0, 0, 1)), Capsule((50.0, 3.0, -5.0), (50.0, 3.0, 60.0), 2.0)], radius=1.0)
+    for most in (14, 16, 18):
+        found = relax(rod, Material(1e5, 1e5, 5.0), held, Newton(max_iterations=most), **around)
+        assert not found.converged.all() and not found.stable[~found.converged].any()
+
+
 @pytest.mark.parametrize("push", [1.0, 3.0, 12.0])
 def test_a_straight_start_has_room_in_a_channel(push):
     """Between four planes it is bowed in more and lower waves: no wide arch fits."""

@@ -71,6 +71,27 @@ def test_distance_of_edges(rng):
     assert (found <= places + 1e-12).all() and np.abs(found - places).max() < 0.02
 
 
+@pytest.mark.thorough
+def test_the_distance_of_parallel_edges_in_kernels(rng):
+    """Without the term that tells places of parallel edges apart, rounding decides whether both places are within."""
+    count = 20_000
+    w, direction = rng.normal(size=(2, count, 3))
+    p, q = (direction * rng.uniform(0.3, 3.0, (count, 1)) for _ in range(2))
+    p[: count // 4] = rng.normal(size=(count // 4, 3))
+    found = np.zeros(count)
+
+    @ti.kernel
+    def distance(ends: ti.types.ndarray(dtype=ti.f64, ndim=3), found: ti.types.ndarray(dtype=ti.f64, ndim=1)):
+        for n in range(found.shape[0]):
+            w, p = (ends[0, n, 0], ends[0, n, 1], ends[0, n, 2]), (ends[1, n, 0], ends[1, n, 1], ends[1, n, 2])
+            q = (ends[2, n, 0], ends[2, n, 1], ends[2, n, 2])
+            found[n] = pair_distance(w, p, q, ti.cast(0.0, ti.f64)).value
+
+    runtime.start()
+    distance(np.stack([w, p, q]), found)
+    assert np.abs(found - edge_distance(w, p, q)).max() < 1e-7
+
+
 def test_derivatives_of_the_distance_of_edges(rng):
     """The gradient of an energy of the distance, 1e-7, and its second derivatives, against differences; parallel edges too."""
 

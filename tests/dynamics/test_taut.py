@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from doo_ti import ClampPath, Direction, Dynamics, Grippers, Plane, Stepping, predict_moving, relax, simulate, straight_rod
+from doo_ti.rod.frames import matrix_from_quaternion, quaternion_of_turn
 from doo_ti.rod.types import Clamp, Configuration, Material, Status
 from tests.dynamics.motions import GRAVITY, planar, resting
 from tests.references.rods import clamps_at
@@ -49,6 +50,19 @@ def test_the_far_gripper_is_followed_into_and_out_of_taut_rods(kinds, quasi_stat
     lengths = np.linalg.norm(np.diff(motion.positions[0], axis=1), axis=-1)
     assert np.abs(lengths - LENGTH / EDGES).max() < 1e-9
     assert motion.positions[0, 3 * TIMES - 7, :, 2].min() < -20.0, "it hangs"
+
+
+@pytest.mark.parametrize("start", [0.0, 0.3])
+def test_a_tangent_that_flips_is_met_or_the_step_fails(start):
+    """There is no parallel transport to the opposite direction: the edge had stayed as it was, in steps that converged."""
+    still = Grippers.resting(clamps_at(ROD, Clamp.TANGENT, Clamp.FREE), 4)
+    turns = np.array([start, start + np.pi, start + np.pi])[:, None] * [0.0, 1.0, 0.0]
+    frames = still.start_frame.copy()
+    frames[:, 1:] = matrix_from_quaternion(quaternion_of_turn(turns))
+    motion = simulate(ROD, MATERIAL, replace(still, start_frame=frames), Dynamics(), Stepping(1.0, quasi_static=True))
+    along = np.diff(motion.positions[0], axis=1)[:, 0] / (LENGTH / EDGES)
+    done = motion.status[0] == Status.CONVERGED
+    assert np.abs(along - frames[0, 1:, :, 0])[done].max(initial=0.0) < 1e-9 and np.isfinite(along[done]).all()
 
 
 @pytest.mark.parametrize("kind", KINDS)
