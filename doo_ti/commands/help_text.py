@@ -39,7 +39,7 @@ triangulate marks.csv --rig rig.yaml --out suture.npz --json  # counts and outli
 perceive --rig rig.yaml --sets sets.csv --rest-length 3:33 --bend 6e5 --twist 8e5 --out rods.npz  # many sets
 perceive left.png right.png --rig rig.yaml --seed-pixel left:412,300 --out rod.npz  # one set, from a click
 track --rig rig.yaml --frames video.csv --rest-length 3:33 --bend 6e5 --twist 8e5 --out video.npz  # from a video
-track --rig rig.yaml --frames video.csv --rest-length lengths.txt --EI 1e-5 --linear-density 3 --out video.npz  # of each edge
+track --rig rig.yaml --frames video.csv --seed-pixel left:412,300 --out video.npz  # from a click in the first frame
 steer rope.npz --target goal.npz --EI 1e-4 --GJ 1e-4 --linear-density 50 --out path.csv  # both grippers' motion
 steer rope.npz --target goal.npz --bend 6e5 --obstacles table.toml --radius 1 --out path.csv  # past obstacles
 servo rope.npz --target goal.npz --rig rig.yaml --bend 6e5 --out run  # with a true rod as the model says
@@ -72,7 +72,7 @@ FIRST = {
     "simulate": ("--motion", "--theta", *_MATERIAL, "--tolerance", "--obstacles", "--radius", "--unit", "--rate", "--picture",
                  "--recording", "--animation"),
     "perceive": ("--sets", "--seed-pixel", "--edge", "--length", "--rest-length", *_MATERIAL, "--masks", "--colour"),
-    "track": ("--motion", *_MATERIAL, "--colour", "--masks", "--width", "--no-recording"),
+    "track": ("--seed-pixel", "--rest-length", "--motion", *_MATERIAL, "--colour", "--masks", "--width", "--no-recording"),
     "identify": ("--fit", "--still", "--obstacles", "--radius", *_FILES, "--rate", "--picture"),
     "plan": (*_MATERIAL, *_FILES, "--sigma", "--picks", "--measured"),
     "twist": (*_MATERIAL, *_FILES, "--observations", "--picture"),

@@ -17,11 +17,11 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.arrays import read_npz
 from doo_ti.io.observation_files import load_observations
 from doo_ti.io.toml_file import scene_file
-from doo_ti.rod.material import UNITS_IN_MM
+from doo_ti.rod.material import UNITS_IN_MM, likely_unit
 from doo_ti.rod.types import Material
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import read_content
-from doo_ti.system.terminal import in_line
+from doo_ti.system.terminal import in_line, warn
 from doo_ti.vision.cameras import LENSES, POSES, Rig, RigReading
 from doo_ti.vision.rig_files import load_rig
 
@@ -30,6 +30,7 @@ AHEAD = 16  # lines of images in which threads are detected while one is used
 RECORDED = 3  # sets in a recording
 EDGES = 33  # of a rod whose edges are not given
 GUESSED_BEND = 1e6
+ROUND = f"one number each; rods are round; without any, --bend {GUESSED_BEND:g}, which is near enough for most shapes"
 """mm³, of a rod in images whose stiffness is not given: E_vis takes the rod's energy relative to its stiffness, so that only
 its weight and twist against its bending depend on it."""
 
@@ -62,12 +63,17 @@ def rig(options: Namespace) -> Rig:
     return load_rig(options.rig, RigReading(options.rig_unit, options.rig_poses, options.rig_lens, turned, size))
 
 
-def add_seen_rod(parser: ArgumentParser, length_known: bool = True) -> None:
+def add_seen_rod(parser: ArgumentParser) -> None:
     """The cameras, and the known properties of the rod."""
     add_rig(parser)
-    parser.add_argument("--rest-length", required=length_known, metavar="MM:COUNT|FILE",
-                        help="lengths of the rod's edges: COUNT edges of MM each, a .npz with rest_length_mm, or a text file"
-                        + ("" if length_known else " (default: the rod ends where the thread ends in the images)"))
+    parser.add_argument("--rest-length", metavar="MM:COUNT|FILE",
+                        help="lengths of the rod's edges: COUNT edges of MM each, a .npz with rest_length_mm, or a text file "
+                        "(default: the rod ends where the thread ends in the images)")
+    parser.add_argument("--edge", metavar="MM", help="without --rest-length: length of the rod's edges; without it, a 33rd of "
+                        "the rod")
+    parser.add_argument("--length", metavar="MM|LOW:HIGH", help="without --rest-length: bounds of the rod's length")
+    parser.add_argument("--seed-pixel", action="append", metavar="CAMERA:U,V", help="where the rod begins, instead of "
+                        "a point in space: a pixel in one camera or, once for each, in several; the thread's end near it")
     given.add_up(parser, "0,0,1 in the rig's world")
 
 
@@ -138,6 +144,14 @@ def detections(sight, every_path: Sequence[Sequence[Path]], cameras: Sequence) -
             threads.shutdown(cancel_futures=True)
 
 
+def warn_of_length(options: Namespace, length: float) -> None:
+    """Print a warning where rods of ``length`` mm are so short or long that the rig's unit must be another one."""
+    unit = likely_unit(length)
+    if unit != "":
+        remedy = f"if the rig is in {unit}, give --rig-unit {unit}" if unit else "check --rig-unit and --rig-poses"
+        warn(f"{in_line(options.rig)}: rods of {length:.3g} mm; {remedy}")
+
+
 def orientation_note(paths: Iterable[Path], turned: bool) -> str | None:
     """What to say of images with orientation tags; None where there are none."""
     from doo_ti.vision.images import orientation_tags
@@ -182,11 +196,17 @@ class PerceptionTask:
     guessed: bool  # the stiffness is not given
 
 
-def perception_task(options: Namespace) -> PerceptionTask:
-    """Raises InputError naming the option or file at fault."""
+def guess_stiffness(options: Namespace) -> bool:
+    """Whether no stiffness is given; it is then GUESSED_BEND."""
     guessed = options.theta is None and all(getattr(options, name) is None for name in given.MATERIAL)
     if guessed:
         options.bend = repr(GUESSED_BEND)
+    return guessed
+
+
+def perception_task(options: Namespace) -> PerceptionTask:
+    """Raises InputError naming the option or file at fault."""
+    guessed = guess_stiffness(options)
     grid, up = given.round_cell(options, "perceived"), given.world_up(options)
     rest_length = None if options.rest_length is None else read_rest_length(options.rest_length)
     nu = given.positive("--nu", options.nu)
@@ -203,7 +223,7 @@ def perception_task(options: Namespace) -> PerceptionTask:
 
     chosen = {"nu": nu, "hypotheses": hypotheses, "evidence": options.evidence}
     search = PerceptionOptions(**{name: value for name, value in chosen.items() if value is not None})
-    return PerceptionTask(sets, rest_length, _extent(options), grid.materials(), search,
+    return PerceptionTask(sets, rest_length, extent(options), grid.materials(), search,
                           sight(options, sets, options.detector), up, truth,
                           0 if options.no_recording else recorded or RECORDED, surroundings, guessed)
 
@@ -227,6 +247,10 @@ def _sets(options: Namespace, rig):
     if len(options.images) != len(rig.cameras):
         raise InputError(given.SOURCE, "IMAGE", f"{len(options.images)} images, but the rig has {len(rig.cameras)} cameras",
                          f"give one of each, in this order: {', '.join(rig.names)}")
+    stems = tuple(Path(image).stem for image in options.images)
+    if stems != rig.names and sorted(stems) == sorted(rig.names):
+        raise InputError(given.SOURCE, "IMAGE", f"{', '.join(map(in_line, stems))} in another order than the rig's cameras",
+                         f"give them in this order: {', '.join(rig.names)}")
     seed = {}
     for name in ("--seed-point", "--seed-direction"):
         if not single[name]:
@@ -237,13 +261,18 @@ def _sets(options: Namespace, rig):
             raise InputError(given.SOURCE, name, f"{len(numbers)} numbers", "give X,Y,Z")
         seed[name] = np.array([numbers])
     paths = tuple(Path(image) for image in options.images)
-    clicks = {rig.names.index(camera): pixel
-              for camera, pixel in by_camera("--seed-pixel", options.seed_pixel, rig.names, "U,V").items()}
+    clicks = clicked(options, rig)
     return ImageSets((in_line(paths[0].stem),), (paths,), rig, seed["--seed-point"], seed["--seed-direction"], given.SOURCE,
                      (clicks,))
 
 
-def _extent(options: Namespace) -> Extent:
+def clicked(options: Namespace, rig: Rig) -> dict[int, tuple[float, float]]:
+    """The pixels of ``--seed-pixel`` by the numbers of their cameras."""
+    return {rig.names.index(camera): pixel
+            for camera, pixel in by_camera("--seed-pixel", options.seed_pixel, rig.names, "U,V").items()}
+
+
+def extent(options: Namespace) -> Extent:
     """What ``--edge`` and ``--length`` say."""
     edge, bounds = given.length("--edge", options.edge), (0.0, np.inf)
     if options.rest_length is not None:

@@ -28,20 +28,14 @@ MOST_LISTED = 60
 def declare(add) -> None:
     parser = given.command(add, "perceive", run, "recover rods from images (§IV-A, Algorithm 1)")
     parser.add_argument("images", nargs="*", metavar="IMAGE", help="for a single set: one image per camera of the rig")
-    image_options.add_seen_rod(parser, length_known=False)
-    parser.add_argument("--edge", metavar="MM", help="without --rest-length: length of the rod's edges; without it, a 33rd of "
-                        "the rod")
-    parser.add_argument("--length", metavar="MM|LOW:HIGH", help="without --rest-length: bounds of the rod's length")
+    image_options.add_seen_rod(parser)
     parser.add_argument("--sets", metavar="SETS.csv", help="many sets of images with their seeds, instead of IMAGEs")
     parser.add_argument("--seed-point", metavar="X,Y,Z", help="start v⁰ of the rod in a single set, mm")
     parser.add_argument("--seed-direction", metavar="X,Y,Z", help="direction e⁰ of the rod at its start in a single set "
                         "(default: as the thread goes on in the images)")
-    parser.add_argument("--seed-pixel", action="append", metavar="CAMERA:U,V", help="instead of a seed point: a pixel where "
-                        "the rod begins, in one camera or, once for each, in several; the thread's end near it is taken")
     parser.add_argument("--out", required=True, metavar="F.npz|F.csv",
                         help="file to write; F.png and F.rrd are written beside it")
-    given.add_material(parser, "one number each; perceived rods are round; without any, "
-                       f"--bend {GUESSED_BEND:g}, which is near enough for most shapes", round_rod=True)
+    given.add_material(parser, image_options.ROUND, round_rod=True)
     search = parser.add_argument_group("search")
     search.add_argument("--nu", metavar="NU", help="weight ν of the images against the rod's energy, in 1/(mm px²) "
                         "(default 0.005)")
@@ -75,6 +69,7 @@ def run(options: Namespace) -> int:
         task, length_range = _begun(task, detected)
         found, growth = _perceived(task, detected, bar)
         found = replace(found, length_range=np.broadcast_to(length_range, (task.sets.count, 2)))
+    image_options.warn_of_length(options, task.rest_length.sum())
     save_arrays(out, _arrays(task, found))
     written = [out, *_shown(options, task, detected, found, growth, out)]
     summary = _summary(task, detected, found, written)

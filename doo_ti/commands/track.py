@@ -25,11 +25,13 @@ LEAST_SHOWN = 0.01  # px: smaller errors are less than the noise of the smoothed
 
 @dataclass(frozen=True)
 class TrackingTask:
-    """The inputs of tracking: T frames with a seed for each, and the T − 1 motions of the far clamp between them, if known."""
+    """The inputs of tracking: T frames with a seed for each, or with clicks in some, and the T − 1 motions of the far clamp
+    between them, if known."""
 
     frames: object  # ImageSets
     time: np.ndarray | None
-    rest_length: np.ndarray
+    rest_length: np.ndarray | None  # None: that of the thread in the first frame, within ``extent``
+    extent: image_options.Extent
     material: Material
     sight: object  # Sight
     up: np.ndarray
@@ -41,9 +43,10 @@ def declare(add) -> None:
     parser = given.command(add, "track", run, "follow a rod through a video")
     image_options.add_seen_rod(parser)
     parser.add_argument("--frames", required=True, metavar="FRAMES.csv",
-                        help="columns frame, one of images per camera, time_s (optional), and the seed: seed_x … dir_z")
+                        help="columns frame, one of images per camera, time_s (optional), and where the rod begins: seed_x … "
+                        "dir_z, or CAMERA_u, CAMERA_v of a pixel, in the first frame and where it changes; or --seed-pixel")
     parser.add_argument("--out", required=True, metavar="F.npz|F.csv", help="file to write; F.rrd is written beside it")
-    given.add_material(parser, "one number each; tracked rods are round", round_rod=True)
+    given.add_material(parser, image_options.ROUND, round_rod=True)
     parser.add_argument("--motion", metavar="PATH", help="poses of the far clamp, one moment for each frame: .npz or .csv")
     image_options.add_thread(parser)
     given.add_obstacles(parser, "without friction; the first run compiles for minutes")
@@ -54,8 +57,9 @@ def run(options: Namespace) -> int:
     out = given.output_file(options.out, RODS)
     given.refuse_overwriting(out, options.frames, options.motion, options.rest_length)
     task = tracking_task(options)
-    found, problem = _tracked(task)
-    result = _arrays(task, found)
+    rest_length, found, problem = _tracked(task)
+    image_options.warn_of_length(options, rest_length.sum())
+    result = _arrays(task, rest_length, found)
     save_arrays(out, result)
     if problem is not None:
         raise InterruptedRunError(f"{problem}; {len(found)} of {task.frames.count} frames are kept in {out}; the same command "
@@ -75,36 +79,49 @@ def run(options: Namespace) -> int:
 
 def tracking_task(options: Namespace) -> TrackingTask:
     """Raises InputError naming the option or file at fault."""
+    image_options.guess_stiffness(options)
     grid, up = given.round_cell(options, "tracked"), given.world_up(options)
-    rest_length = read_rest_length(options.rest_length)
+    rest_length = None if options.rest_length is None else read_rest_length(options.rest_length)
     surroundings = given.surroundings(options)
-    frames, time = load_frames(Path(options.frames), image_options.rig(options))
-    frames.rig.check_sight(frames.point + rest_length.min() * frames.direction, "the first edge")
+    rig = image_options.rig(options)
+    frames, time = load_frames(Path(options.frames), rig, image_options.clicked(options, rig))
+    if rest_length is not None and frames.direction is not None:
+        frames.rig.check_sight(frames.point + rest_length.min() * frames.direction, "the first edge")
     far = None if options.motion is None else _far_motions(Path(options.motion), frames.count)
-    sight = image_options.sight(options, frames)
-    return TrackingTask(frames, time, rest_length, grid.materials(), sight, up, far, surroundings)
+    extent, sight = image_options.extent(options), image_options.sight(options, frames)
+    return TrackingTask(frames, time, rest_length, extent, grid.materials(), sight, up, far, surroundings)
 
 
-def load_frames(path: Path, rig):
-    """(ImageSets of the frames in their order, (T,) s or None). Frames without a seed keep the one before.
+def load_frames(path: Path, rig, clicks: dict | None = None):
+    """(ImageSets of the frames in their order, (T,) s or None). Frames without a seed keep the one before; ``clicks`` are
+    pixels in the first frame by the numbers of their cameras.
 
     Raises InputError naming line and column for whatever is missing or not a number, and for missing images.
     """
-    from doo_ti.vision.images import SEED, ImageSets, cameras_in, images_in
+    from doo_ti.vision.images import SEED, SEEDS, ImageSets, cameras_in, clicks_in, images_in, seed_columns
 
-    table = read_csv(path, ("frame", *SEED), form=f"frame, one per camera, {', '.join(SEED)}", short_lines=True)
-    cameras = cameras_in(table, rig, ("frame", "time_s", *SEED))
+    form = f"frame, one per camera, and {SEEDS}"
+    table = read_csv(path, ("frame",), form=form, short_lines=True)
+    clicked, seed = ([], ()) if clicks and not {*SEED} & {*table.columns} else seed_columns(table, rig, form)
+    if clicks and seed:
+        raise InputError(given.SOURCE, "--seed-pixel", f"given, but {path} has the column {seed[0]}", "give either")
+    cameras = cameras_in(table, rig, ("frame", "time_s", *seed))
     paths = images_in(table, cameras)
     for camera, name in enumerate(cameras):
         table.refuse(name, np.array([not os.path.isfile(images[camera]) for images in paths]), "is not a file",
                      "name an image, relative to this file")
-    seeded = np.array([row == 0 or any(table.columns[key][row] for key in SEED) for row in range(table.count)])
-    seeds = np.stack([table.rows(seeded).numbers(key) for key in SEED], axis=-1)[np.cumsum(seeded) - 1]
     time = table.numbers("time_s") if "time_s" in table.columns else None
     if time is not None and not (np.diff(time) > 0).all():
         raise InputError(path, "time_s", "does not rise", "give frames in their order")
-    return ImageSets(tuple(table.columns["frame"]), paths, rig.only(cameras) if cameras else rig, seeds[:, :3], seeds[:, 3:],
-                     str(path)), time
+    names, rig = tuple(table.columns["frame"]), rig.only(cameras) if cameras else rig
+    if seed == SEED:
+        seeded = np.array([row == 0 or any(table.columns[key][row] for key in SEED) for row in range(table.count)])
+        seeds = np.stack([table.rows(seeded).numbers(key) for key in SEED], axis=-1)[np.cumsum(seeded) - 1]
+        return ImageSets(names, paths, rig, seeds[:, :3], seeds[:, 3:], str(path)), time
+    clicks = clicks_in(table, clicked, rig) if clicked else (clicks, *({} for _ in names[1:]))
+    if not clicks[0]:
+        raise InputError(path, seed[0], "no pixel in the first frame", "give one where the rod begins")
+    return ImageSets(names, paths, rig, None, None, str(path), clicks), time
 
 
 def _far_motions(path: Path, frames: int) -> list:
@@ -121,33 +138,56 @@ def _far_motions(path: Path, frames: int) -> list:
     return [motion_between(motion.at(moment, rests), motion.at(moment + 1, rests)) for moment in range(frames - 1)]
 
 
-def _tracked(task: TrackingTask) -> tuple[list, str | None]:
-    """(Tracked frames, the error that ended tracking, or None). An error before the first frame is raised."""
+def _tracked(task: TrackingTask) -> tuple[np.ndarray, list, str | None]:
+    """(E,) mm, the tracked frames, and the error that ended tracking, or None. An error before the first frame is raised."""
     from doo_ti.perception.tracking import Tracker
 
-    frames, found = task.frames, []
-    tracker = Tracker(frames.rig, task.rest_length, task.material, up=task.up, surroundings=task.surroundings)
+    frames, rest_length, found = task.frames, task.rest_length, []
     try:
         with progress() as bar:
             shown = bar.add_task("tracking", total=frames.count, unit="frames")
             for row, detected in enumerate(image_options.detections(task.sight, frames.paths, frames.rig.cameras)):
+                if frames.point is not None or frames.clicks[row]:
+                    point, direction, length = _begun(task, row, detected)
+                if row == 0:
+                    rest_length = task.extent.rest_length(length) if rest_length is None else rest_length
+                    tracker = Tracker(frames.rig, rest_length, task.material, up=task.up, surroundings=task.surroundings)
                 far = None if task.far is None or row == 0 else task.far[row - 1]
-                found.append(tracker.see(detected, frames.point[row], frames.direction[row], far))
+                found.append(tracker.see(detected, point, direction, far))
                 bar.advance(shown)
     except (InputError, OSError, KeyboardInterrupt) as problem:
         if not found:
             raise
-        return found, str(problem) or "interrupted"
-    return found, None
+        return rest_length, found, str(problem) or "interrupted"
+    return rest_length, found, None
 
 
-def _arrays(task: TrackingTask, found: list) -> dict[str, np.ndarray]:
+def _begun(task: TrackingTask, row: int, detected: list) -> tuple[np.ndarray, np.ndarray, float]:
+    """Where the rod begins in a frame, in which direction, and how long the thread is from there on, mm; NaN where that need
+    not be known. Raises InputError where no thread can be followed."""
+    from doo_ti.perception.seeds import seed_from_pixels, whole_threads
+
+    frames, direction = task.frames, None
+    source = f"{frames.source}: {in_line(frames.names[row])}"
+    if frames.point is None:
+        point = seed_from_pixels(frames.rig, detected, frames.clicks[row], source)
+    else:
+        point, direction = frames.point[row], frames.direction[row : row + 1]
+        if row or task.rest_length is not None:
+            return point, direction[0], np.nan
+    thread = whole_threads(frames.rig, [detected], point[None], direction, task.material, task.up)
+    if np.isnan(thread.length[0]):
+        raise InputError(source, "seed", "no thread can be followed from it", "give another, or --rest-length")
+    return point, thread.direction[0], float(thread.length[0])
+
+
+def _arrays(task: TrackingTask, rest_length: np.ndarray, found: list) -> dict[str, np.ndarray]:
     """The arrays of the file; docs/commands/track.md."""
     fields = {"vertices_mm": "vertices", "energy_vis": "energy_vis", "camera_error_px": "camera_error", "status": "status",
             "stable": "stable", "how": "how"}
     time = {} if task.time is None else {"time_s": task.time[: len(found)]}
     return {
-        "name": np.array(task.frames.names[: len(found)]), **time, "rest_length_mm": task.rest_length, "up": task.up,
+        "name": np.array(task.frames.names[: len(found)]), **time, "rest_length_mm": rest_length, "up": task.up,
         **{key: np.array([getattr(frame, name) for frame in found]) for key, name in fields.items()},
         "sigma_mm": np.maximum([frame.sigma for frame in found], LEAST_SIGMA_MM),
     }
@@ -156,9 +196,9 @@ def _arrays(task: TrackingTask, found: list) -> dict[str, np.ndarray]:
 def _summary(task: TrackingTask, result: dict, written: list[Path]) -> dict:
     from doo_ti.perception.tracking import How
 
-    how, error = result["how"], result["camera_error_px"]
+    how, error, lengths = (result[name] for name in ("how", "camera_error_px", "rest_length_mm"))
     return {
-        "frames": len(how), "cameras": task.frames.rig.names, "edges": len(task.rest_length),
+        "frames": len(how), "cameras": task.frames.rig.names, "edges": len(lengths), "length_mm": lengths.sum(),
         **{each.name.lower(): result["name"][how == each] for each in How},
         "stable": result["stable"].sum(),
         "camera_error_px": error[np.isfinite(error)].mean() if (how < How.LOST).any() else None,
@@ -169,7 +209,8 @@ def _summary(task: TrackingTask, result: dict, written: list[Path]) -> dict:
 
 
 def _lines(summary: dict) -> list[str]:
-    lines = [f"{summary['frames']} frames of {len(summary['cameras'])} images, a rod of {summary['edges']} edges",
+    lines = [f"{summary['frames']} frames of {len(summary['cameras'])} images, a rod of {summary['edges']} edges, "
+             f"{summary['length_mm']:.4g} mm long",
              f"  tracked     {len(summary['tracked'])} frames, each from the one before"]
     for key, words in (("seeded", "by Algorithm 1"), ("lost", "in which the rod is lost")):
         names = summary[key]

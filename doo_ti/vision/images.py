@@ -98,6 +98,7 @@ def _stated_orientation(content: bytes) -> int:
 
 
 SEED = ("seed_x", "seed_y", "seed_z", "dir_x", "dir_y", "dir_z")
+SEEDS = f"{', '.join(SEED)}, or CAMERA_u, CAMERA_v of a pixel where the rod begins"
 MOST_PIXELS = 100_000_000  # of an image: while it is unpacked each takes up to eight bytes
 DEPTHS = (8, 10, 12, 14, 16)  # bits of cameras' levels, which files keep in 16
 
@@ -253,15 +254,9 @@ class ImageSets:
 
 def load_sets(path: str | os.PathLike[str], rig: Rig) -> ImageSets:
     """The sets of a CSV file. Raises InputError naming line and column for whatever is missing or not a number."""
-    path = Path(path)
-    form = f"name, one per camera, and {', '.join(SEED)}, or CAMERA_u, CAMERA_v of a pixel where the rod begins"
+    path, form = Path(path), f"name, one per camera, and {SEEDS}"
     table = read_csv(path, ("name",), form=form, short_lines=True)
-    pixels = {name: (f"{name}_u", f"{name}_v") for name in rig.names}
-    clicked = [name for name, pair in pixels.items() if any(one in table.columns for one in pair)]
-    seed = tuple(one for name in clicked for one in pixels[name]) or SEED
-    missing = next((one for one in seed if one not in table.columns), None)
-    if missing is not None:
-        raise InputError(path, missing, "the column is missing", f"give the columns {form}")
+    clicked, seed = seed_columns(table, rig, form)
     cameras = cameras_in(table, rig, ("name", *seed))
     names = table.columns["name"]
     if len(set(names)) < len(names):
@@ -270,13 +265,28 @@ def load_sets(path: str | os.PathLike[str], rig: Rig) -> ImageSets:
         table.refuse(name, np.array(table.columns[name]) == "", "is no image", "give one, or leave the camera's column out")
     rig = rig.only(cameras) if cameras else rig
     if clicked:
-        return ImageSets(tuple(names), images_in(table, cameras), rig, None, None, str(path), _clicks(table, clicked, rig))
+        clicks = clicks_in(table, clicked, rig)
+        table.refuse(f"{clicked[0]}_u", np.array([not pixels for pixels in clicks]), "and no other pixel",
+                     "give a pixel where the rod begins, in one camera or more")
+        return ImageSets(tuple(names), images_in(table, cameras), rig, None, None, str(path), clicks)
     seeds = np.stack([table.numbers(key) for key in SEED], axis=-1)
     return ImageSets(tuple(names), images_in(table, cameras), rig, seeds[:, :3], seeds[:, 3:], str(path))
 
 
-def _clicks(table: CsvTable, clicked: list[str], rig: Rig) -> tuple[dict[int, tuple[float, float]], ...]:
-    """For each row the pixels in the columns of the cameras ``clicked``."""
+def seed_columns(table: CsvTable, rig: Rig, form: str) -> tuple[list[str], tuple[str, ...]]:
+    """The cameras in which a table says where rods begin, none where it says that in space, and the columns that do. Raises
+    InputError for columns that are missing."""
+    pixels = {name: (f"{name}_u", f"{name}_v") for name in rig.names}
+    clicked = [name for name, pair in pixels.items() if any(one in table.columns for one in pair)]
+    seed = tuple(one for name in clicked for one in pixels[name]) or SEED
+    missing = next((one for one in seed if one not in table.columns), None)
+    if missing is not None:
+        raise InputError(table.path, missing, "the column is missing", f"give the columns {form}")
+    return clicked, seed
+
+
+def clicks_in(table: CsvTable, clicked: list[str], rig: Rig) -> tuple[dict[int, tuple[float, float]], ...]:
+    """For each row the pixels in the columns of the cameras ``clicked``, none where these are empty."""
     found = [{} for _ in range(table.count)]
     for name in clicked:
         u, v = (table.numbers(f"{name}_{axis}", may_be_empty=True) for axis in "uv")
@@ -286,8 +296,6 @@ def _clicks(table: CsvTable, clicked: list[str], rig: Rig) -> tuple[dict[int, tu
             raise InputError(table.path, f"{name}_u", f"the file has no images of {name}", f"give the column {name}")
         for row in np.flatnonzero(~np.isnan(u)):
             found[row][rig.names.index(name)] = float(u[row]), float(v[row])
-    table.refuse(f"{clicked[0]}_u", np.array([not pixels for pixels in found]), "and no other pixel",
-                 "give a pixel where the rod begins, in one camera or more")
     return tuple(found)
 
 

@@ -5,9 +5,11 @@ import json
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from doo_ti.commands.cli import main
 from doo_ti.vision.rig_files import save_rig
+from doo_ti.vision.tubes import smooth_curve
 from tests.commands.calls import refused, succeeded
 from tests.perception.test_tracking import EDGES, FRAMES, LENGTH, far_motion, images, rods
 from tests.vision.scenes import three_cameras
@@ -68,6 +70,21 @@ def test_a_video_is_tracked_and_recorded(filmed, tmp_path, capsys):
     drawn = [len(strips[0]) for strips in moving["/images/cam1/rods"]["frame"]["LineStrips2D:strips"]]
     assert [row for row, count in enumerate(drawn) if count == 0] == list(BLANK) and set(drawn) == {0, EDGES + 1}
     assert len(moving["/images/cam2"]["frame"]["frame"]) == FRAMES and "/world/cameras/cam0" in static
+
+
+def test_a_video_is_tracked_from_a_click(filmed, tmp_path, capsys):
+    """In two frames; neither length nor stiffness is stated."""
+    out, frames = tmp_path / "f.npz", filmed / "clicked.csv"
+    u, v = three_cameras().cameras[1].project(rods()[0, :1])[0]
+    changed(filmed, frames, lambda lines: [",".join(line.split(",")[:5]) for line in lines[:3]])
+    words = ["track", "--rig", str(filmed / "rig.yaml"), "--frames", str(frames), "--no-recording", "--out", str(out)]
+    succeeded(capsys, [*words, "--seed-pixel", f"cam1:{u + 3:.0f},{v - 2:.0f}"])
+    found = dict(np.load(out, allow_pickle=False))
+    assert found["how"].tolist() == [1, 0] and abs(found["rest_length_mm"].sum() / (LENGTH * EDGES) - 1) < 0.02
+    for rod, truth in zip(found["vertices_mm"], rods(), strict=False):
+        assert cKDTree(smooth_curve(truth, 20)).query(rod)[0].mean() < 0.3
+    refused(capsys, tmp_path, [*words[:-1], str(tmp_path / "new" / "f.npz")], "seed_x")
+    refused(capsys, tmp_path, [*of(filmed, tmp_path / "new" / "f.npz"), "--seed-pixel", "cam1:3,3"], "--seed-pixel", "seed_x")
 
 
 def test_a_known_motion_is_taken(filmed, tmp_path, capsys):
