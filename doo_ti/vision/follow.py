@@ -69,7 +69,8 @@ class Look:
 def follow(image: np.ndarray, pixel: tuple[float, float], options: DetectionOptions = DetectionOptions()) -> Detection:
     """The thread of which ``pixel`` (u, v) shows a part, in an image (H, W) grey or (H, W, 3) in OpenCV's order; others that it
     crosses are left out. Points are in order, a pixel apart, from one end to the other or to the border of the image or of
-    ``options.region``; ``strength`` is 0 where a gap was bridged. Without a thread there the detection has no points.
+    ``options.region``, which alone of the options counts: colour and width are those at the pixel. ``strength`` is 0 where a
+    gap was bridged. Without a thread there the detection has no points.
 
     Raises InputError for another image, and for a pixel outside.
     """
