@@ -227,7 +227,7 @@ def instants(source, rate: float, duration: float, most: int, called: str) -> np
     return np.arange(steps + 1) / rate
 
 
-def between_moments(source, name: str, rows: list, table: type[Table], first: Mapping[str, object],
+def interpolated(source, name: str, rows: list, table: type[Table], first: Mapping[str, object],
                     time: np.ndarray) -> dict[str, np.ndarray]:
     """The quantities of ``first``, as they are at time zero, at the instants ``time`` (T,) in s: (T, ...) each, on monotone
     cubics between the moments of ``rows``, called ``name`` in the file ``source``; after the last they stay.
@@ -296,13 +296,13 @@ def end_paths(source, key: str, rows: list, start: Configuration, time: np.ndarr
     start  the rod: where its ends are as long as no moment says otherwise
 
     While its direction changes, also from the rod's own to that of the first moment, an end turns about it only by its
-    ``turns``. Raises InputError as :func:`.between_moments` does, and where a direction reverses from one moment to the next.
+    ``turns``. Raises InputError as :func:`.interpolated` does, and where a direction reverses from one moment to the next.
     """
     rows = [_in_turns(source, f"{key}[{number}]", row) for number, row in enumerate(rows)]
     vertices, frames = start.vertices[0], start.frames[0]
     first = {"start_position_mm": vertices[0], "start_direction": frames[0, :, 0], "end_position_mm": vertices[-1],
              "end_direction": frames[-1, :, 0], "start_turns": 0.0, "end_turns": 0.0}
-    paths = between_moments(source, key, rows, Moment, first, time)
+    paths = interpolated(source, key, rows, Moment, first, time)
     held = {}
     for end, edge in (("start", 0), ("end", -1)):
         length = np.linalg.norm(paths[f"{end}_direction"], axis=-1, keepdims=True)
