@@ -298,13 +298,13 @@ def local_page(web: int, data: int) -> Iterator[int]:
         server.server_close()
 
 
-def save_screenshot(path: str | Path, picture: str | Path, size: tuple[int, int] = (1600, 900)) -> None:
+def save_screenshot(path: str | Path, picture: str | Path) -> None:
     """Write what the viewer shows of a run (its folder or the .rrd file) as a PNG; the software driver of Mesa suffices.
 
     Raises InputError where there is no recording, InterruptedRunError where the viewer does not start.
     """
     port = free_port()
-    with running_viewer(path, "--headless", "--port", str(port), "--window-size", "{}x{}".format(*size)) as viewer:
+    with running_viewer(path, "--headless", "--port", str(port), "--window-size", "1600x900") as viewer:
         client = _connect(viewer, port)
         client.run_command("ui.toggle_top_panel")
         time.sleep(12)  # until the viewer's notices disappear and its plots are drawn
