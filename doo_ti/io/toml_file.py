@@ -327,18 +327,12 @@ def _in_turns(source, key: str, row):
 
 def _transported(directions: np.ndarray, m1: np.ndarray) -> np.ndarray:
     """(T, 3, 3) frames along unit ``directions`` (T, 3), from one with that ``m1`` (3,) by the smallest rotation from each to
-    the next. Products are formed in √T parts of √T instants, all parts at once: there may be a million instants."""
-    count = len(directions)
-    size = int(np.ceil(np.sqrt(count)))
-    turn = np.zeros((size * size, 4))
-    turn[:, 0] = 1.0
-    turn[1:count] = smallest_rotation(directions[:-1], directions[1:])
-    parts = turn.reshape(size, size, 4)
-    for k in range(1, size):
-        parts[:, k] = quaternion_product(parts[:, k], parts[:, k - 1])
-    for k in range(1, size):
-        parts[k] = quaternion_product(parts[k], parts[k - 1, -1])
-    turn = turn[:count]
+    the next. The rotations of 2, then 4, 8, … successive instants are multiplied, as there may be a million instants."""
+    turn, together = np.tile([1.0, 0.0, 0.0, 0.0], (len(directions), 1)), 1
+    turn[1:] = smallest_rotation(directions[:-1], directions[1:])
+    while together < len(turn):
+        turn[together:] = quaternion_product(turn[together:], turn[:-together])
+        together *= 2
     across = matrix_from_quaternion(turn / np.linalg.norm(turn, axis=-1, keepdims=True)) @ m1
     across -= np.sum(across * directions, axis=-1, keepdims=True) * directions
     across /= np.linalg.norm(across, axis=-1, keepdims=True)
