@@ -165,7 +165,7 @@ def orientation_note(paths: Iterable[Path], turned: bool) -> str | None:
 
 
 @dataclass(frozen=True)
-class Extent:
+class LengthBounds:
     """How long a rod may be whose rest lengths are not given: mm, and mm of its edges, or None for EDGES of them."""
 
     least: float = 0.0
@@ -185,7 +185,7 @@ class PerceptionTask:
 
     sets: object  # ImageSets
     rest_length: np.ndarray | None
-    extent: Extent
+    length_bounds: LengthBounds
     material: Material
     search: object  # PerceptionOptions
     sight: object  # Sight
@@ -223,7 +223,7 @@ def perception_task(options: Namespace) -> PerceptionTask:
 
     chosen = {"nu": nu, "hypotheses": hypotheses, "evidence": options.evidence}
     search = PerceptionOptions(**{name: value for name, value in chosen.items() if value is not None})
-    return PerceptionTask(sets, rest_length, extent(options), grid.materials(), search,
+    return PerceptionTask(sets, rest_length, length_bounds(options), grid.materials(), search,
                           sight(options, sets, options.detector), up, truth,
                           0 if options.no_recording else recorded or RECORDED, surroundings, guessed)
 
@@ -272,7 +272,7 @@ def clicked(options: Namespace, rig: Rig) -> dict[int, tuple[float, float]]:
             for camera, pixel in by_camera("--seed-pixel", options.seed_pixel, rig.names, "U,V").items()}
 
 
-def extent(options: Namespace) -> Extent:
+def length_bounds(options: Namespace) -> LengthBounds:
     """What ``--edge`` and ``--length`` say."""
     edge, bounds = given.length("--edge", options.edge), (0.0, np.inf)
     if options.rest_length is not None:
@@ -282,7 +282,7 @@ def extent(options: Namespace) -> Extent:
         bounds = given.length("--length", low), given.length("--length", high if colon else low)
         if bounds[0] > bounds[1]:
             raise InputError(given.SOURCE, "--length", options.length, "give MM, or LOW:HIGH")
-    return Extent(*bounds, edge)
+    return LengthBounds(*bounds, edge)
 
 
 def _truth(options: Namespace, names: tuple[str, ...]) -> np.ndarray | None:

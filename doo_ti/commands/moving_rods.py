@@ -105,7 +105,7 @@ def held_rods(options: Namespace, out: Path, kinds: tuple[Clamp | None, Clamp | 
     inertia."""
     if options.motion is None:
         raise InputError(given.SOURCE, "--motion", "missing", "name a file of poses, or give a scene of motion")
-    grid, surroundings = given.grid(options), rubbed(options, given.surroundings(options))
+    grid, surroundings = given.grid(options), with_friction_of_theta(options, given.surroundings(options))
     observations = loading.load(options, options.source)
     given.refuse_overwriting(out, options.source, options.motion)
     path = _path(options, observations.up)
@@ -119,7 +119,7 @@ def held_rods(options: Namespace, out: Path, kinds: tuple[Clamp | None, Clamp | 
     check_experiment(observations, clamps, grid.axes[-1].values[-1], 0.0)
     path = path.relative_to(clamps) if options.relative else path
     check_reach(path, clamps, float(observations.rest_length.sum()))
-    materials = curved(options, grid.materials(), observations.rest_length, moving)
+    materials = with_rest_curvature(options, grid.materials(), observations.rest_length, moving)
     names = [f"cell {cell}, " * (materials.count > 1) + f"observation {label}"
              for cell in range(materials.count) for label in observations.labels]
     newtons = given.newtons(options, materials.weight)
@@ -270,7 +270,7 @@ def losses(options: Namespace):
     return replace(found, **own)
 
 
-def rubbed(options: Namespace, surroundings: Surroundings) -> Surroundings:
+def with_friction_of_theta(options: Namespace, surroundings: Surroundings) -> Surroundings:
     """The surroundings with the friction that ``--theta`` states, if it does."""
     if options.theta is None:
         return surroundings
@@ -292,7 +292,7 @@ def require_length(source, theta, length: float) -> None:
                          "give the theta of this rod, or the unit of the lengths")
 
 
-def curved(options: Namespace, material: Material, rest_length: np.ndarray, moving: bool = False) -> Material:
+def with_rest_curvature(options: Namespace, material: Material, rest_length: np.ndarray, moving: bool = False) -> Material:
     """The material with what ``--theta`` says of its rest curvature, at the joints of rods of ``rest_length`` (E,), and of rods
     that move of its own weight, that of markers apart. Raises InputError where the rod has another length."""
     if options.theta is None:

@@ -110,10 +110,10 @@ def _begun(task: PerceptionTask, detected: list[list]) -> tuple[PerceptionTask, 
     rest_length = task.rest_length
     if rest_length is None:  # one rod in all sets
         middle = float(np.nanmedian(threads.length))
-        rest_length = task.extent.rest_length(middle)
+        rest_length = task.length_bounds.rest_length(middle)
         # Of several sets the median is as much more certain as they are many.
         apart = (np.nanmedian(threads.range, axis=0) - middle) / np.sqrt(np.isfinite(threads.length).sum())
-        length_range = np.clip(middle + apart, task.extent.least, task.extent.most)
+        length_range = np.clip(middle + apart, task.length_bounds.least, task.length_bounds.most)
     return replace(task, sets=replace(sets, direction=threads.direction), rest_length=rest_length), length_range
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from doo_ti.commands import loading, results
 from doo_ti.commands import options as given
-from doo_ti.commands.moving_rods import curved
+from doo_ti.commands.moving_rods import with_rest_curvature
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.learning.landscape import status_counts
 from doo_ti.rod.grid import Grid
@@ -47,7 +47,7 @@ def run_relax(options: Namespace) -> int:
     from doo_ti.relaxation.relax import relax as relax_rods
     from doo_ti.rod.metric import distance
 
-    material = curved(options, grid.materials(), observations.rest_length)
+    material = with_rest_curvature(options, grid.materials(), observations.rest_length)
     index, turns = turn_hypotheses(observations, clamps)
     observed, held = observations.take(index), clamps.take(index)
     # Without a solver relax allows more iterations among obstacles.

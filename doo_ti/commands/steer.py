@@ -13,7 +13,7 @@ import numpy as np
 
 from doo_ti.commands import image_options, loading
 from doo_ti.commands import options as given
-from doo_ti.commands.moving_rods import curved, settled
+from doo_ti.commands.moving_rods import settled, with_rest_curvature
 from doo_ti.commands.results import report
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.motion_file import ClampPath, path_table
@@ -145,7 +145,7 @@ def steered_rod(options: Namespace, written: Iterable[Path]) -> SteeredRod:
         if (np.asarray(kind) < Clamp.TANGENT).any():
             raise InputError(given.SOURCE, f"--clamp-{end}", Clamp(int(np.max(kind))).name.lower(), "give tangent or frame")
     check_experiment(observations, clamps, grid.axes[-1].values[-1], 0.0)
-    material = curved(options, grid.materials(), observations.rest_length)
+    material = with_rest_curvature(options, grid.materials(), observations.rest_length)
     loading.warn(observations, surroundings)
     return SteeredRod(options.start, observations, clamps, material, surroundings, places)
 

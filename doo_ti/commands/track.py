@@ -30,8 +30,8 @@ class TrackingTask:
 
     frames: object  # ImageSets
     time: np.ndarray | None
-    rest_length: np.ndarray | None  # None: that of the thread in the first frame, within ``extent``
-    extent: image_options.Extent
+    rest_length: np.ndarray | None  # None: that of the thread in the first frame, within ``length_bounds``
+    length_bounds: image_options.LengthBounds
     material: Material
     sight: object  # Sight
     up: np.ndarray
@@ -88,8 +88,8 @@ def tracking_task(options: Namespace) -> TrackingTask:
     if rest_length is not None and frames.direction is not None:
         frames.rig.check_sight(frames.point + rest_length.min() * frames.direction, "the first edge")
     far = None if options.motion is None else _far_motions(Path(options.motion), frames.count)
-    extent, sight = image_options.extent(options), image_options.sight(options, frames)
-    return TrackingTask(frames, time, rest_length, extent, grid.materials(), sight, up, far, surroundings)
+    bounds, sight = image_options.length_bounds(options), image_options.sight(options, frames)
+    return TrackingTask(frames, time, rest_length, bounds, grid.materials(), sight, up, far, surroundings)
 
 
 def load_frames(path: Path, rig, clicks: dict | None = None):
@@ -150,7 +150,7 @@ def _tracked(task: TrackingTask) -> tuple[np.ndarray, list, str | None]:
                 if frames.point is not None or frames.clicks[row]:
                     point, direction, length = _begun(task, row, detected)
                 if row == 0:
-                    rest_length = task.extent.rest_length(length) if rest_length is None else rest_length
+                    rest_length = task.length_bounds.rest_length(length) if rest_length is None else rest_length
                     tracker = Tracker(frames.rig, rest_length, task.material, up=task.up, surroundings=task.surroundings)
                 far = None if task.far is None or row == 0 else task.far[row - 1]
                 found.append(tracker.see(detected, point, direction, far))

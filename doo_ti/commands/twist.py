@@ -8,7 +8,7 @@ import numpy as np
 
 from doo_ti.commands import loading, results
 from doo_ti.commands import options as given
-from doo_ti.commands.moving_rods import curved
+from doo_ti.commands.moving_rods import with_rest_curvature
 from doo_ti.io.observation_tables import write_columns
 from doo_ti.io.scene import PRECISIONS
 from doo_ti.rod.grid import Grid
@@ -65,7 +65,7 @@ def run_twist(options: Namespace) -> int:
         offset = end_offsets(observations, group)
     surroundings = given.surroundings(options)
     loading.warn(observations, surroundings)
-    material = curved(options, grid.materials(), observations.rest_length)
+    material = with_rest_curvature(options, grid.materials(), observations.rest_length)
     search = TwistOptions(precision=options.precision, surroundings=surroundings)
     with progress() as bar:
         task = bar.add_task("twist", total=observations.count * len(search.angles), unit="rods")

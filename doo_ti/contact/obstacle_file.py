@@ -53,8 +53,8 @@ from doo_ti.io.toml_file import (
     Rotation,
     Table,
     Vector,
-    between_moments,
     checked,
+    interpolated,
     read_toml,
     unit_direction,
 )
@@ -156,7 +156,7 @@ def _moving(source, key: str, obstacle: Obstacle, motion: _Motion, time: np.ndar
     """The obstacle with its motion."""
     axis = obstacle.placed[1][0, :, 2] if motion.turn_axis is None else unit_direction(
         source, f"{key}.turn_axis", motion.turn_axis)
-    path = between_moments(source, f"{key}.moments", motion.moments, _Moment, {"shift": np.zeros(3), "turns": 0.0}, time)
+    path = interpolated(source, f"{key}.moments", motion.moments, _Moment, {"shift": np.zeros(3), "turns": 0.0}, time)
     largest = np.abs(np.diff(path["turns"])).max()
     if largest >= 0.5:
         raise InputError(source, f"{key}.moments", f"{largest:.2g} turns between two frames",

@@ -227,7 +227,7 @@ def instants(source, rate: float, duration: float, most: int, called: str) -> np
     return np.arange(steps + 1) / rate
 
 
-def between_moments(source, name: str, rows: list, table: type[Table], first: Mapping[str, object],
+def interpolated(source, name: str, rows: list, table: type[Table], first: Mapping[str, object],
                     time: np.ndarray) -> dict[str, np.ndarray]:
     """The quantities of ``first``, as they are at time zero, at the instants ``time`` (T,) in s: (T, ...) each, on monotone
     cubics between the moments of ``rows``, called ``name`` in the file ``source``; after the last they stay.
@@ -296,13 +296,13 @@ def end_paths(source, key: str, rows: list, start: Configuration, time: np.ndarr
     start  the rod: where its ends are as long as no moment says otherwise
 
     While its direction changes, also from the rod's own to that of the first moment, an end turns about it only by its
-    ``turns``. Raises InputError as :func:`.between_moments` does, and where a direction reverses from one moment to the next.
+    ``turns``. Raises InputError as :func:`.interpolated` does, and where a direction reverses from one moment to the next.
     """
     rows = [_in_turns(source, f"{key}[{number}]", row) for number, row in enumerate(rows)]
     vertices, frames = start.vertices[0], start.frames[0]
     first = {"start_position_mm": vertices[0], "start_direction": frames[0, :, 0], "end_position_mm": vertices[-1],
              "end_direction": frames[-1, :, 0], "start_turns": 0.0, "end_turns": 0.0}
-    paths = between_moments(source, key, rows, Moment, first, time)
+    paths = interpolated(source, key, rows, Moment, first, time)
     held = {}
     for end, edge in (("start", 0), ("end", -1)):
         length = np.linalg.norm(paths[f"{end}_direction"], axis=-1, keepdims=True)
@@ -327,18 +327,12 @@ def _in_turns(source, key: str, row):
 
 def _transported(directions: np.ndarray, m1: np.ndarray) -> np.ndarray:
     """(T, 3, 3) frames along unit ``directions`` (T, 3), from one with that ``m1`` (3,) by the smallest rotation from each to
-    the next. Products are formed in √T parts of √T instants, all parts at once: there may be a million instants."""
-    count = len(directions)
-    size = int(np.ceil(np.sqrt(count)))
-    turn = np.zeros((size * size, 4))
-    turn[:, 0] = 1.0
-    turn[1:count] = smallest_rotation(directions[:-1], directions[1:])
-    parts = turn.reshape(size, size, 4)
-    for k in range(1, size):
-        parts[:, k] = quaternion_product(parts[:, k], parts[:, k - 1])
-    for k in range(1, size):
-        parts[k] = quaternion_product(parts[k], parts[k - 1, -1])
-    turn = turn[:count]
+    the next. The rotations of 2, then 4, 8, … successive instants are multiplied, as there may be a million instants."""
+    turn, together = np.tile([1.0, 0.0, 0.0, 0.0], (len(directions), 1)), 1
+    turn[1:] = smallest_rotation(directions[:-1], directions[1:])
+    while together < len(turn):
+        turn[together:] = quaternion_product(turn[together:], turn[:-together])
+        together *= 2
     across = matrix_from_quaternion(turn / np.linalg.norm(turn, axis=-1, keepdims=True)) @ m1
     across -= np.sum(across * directions, axis=-1, keepdims=True) * directions
     across /= np.linalg.norm(across, axis=-1, keepdims=True)

@@ -25,6 +25,7 @@ from doo_ti.rod.frames import (
     total_twist,
 )
 from doo_ti.rod.observations import Observations
+from doo_ti.rod.shapes import material_curvature
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution
 from doo_ti.system.errors import InterruptedRunError
 
@@ -182,12 +183,7 @@ def yielded(material: Material, shapes: Configuration, limit: float) -> Material
 
     material  one row for all, or R, with rest curvature
     """
-    frames = shapes.frames
-    t = frames[..., 0]
-    binormal = 2 * np.cross(t[:, :-1], t[:, 1:]) / (1 + np.sum(t[:, :-1] * t[:, 1:], axis=-1, keepdims=True))
-    middle = 0.5 * (frames[:, :-1] + frames[:, 1:])
-    omega = np.stack([np.sum(binormal * middle[..., 2], axis=-1), -np.sum(binormal * middle[..., 1], axis=-1)], axis=-1)
-    curvature = omega / (0.5 * (shapes.rest_length[..., :-1] + shapes.rest_length[..., 1:]))[..., None]
+    curvature = material_curvature(shapes)
     elastic = curvature - material.rest_curvature
     kept = np.minimum(1.0, limit / np.maximum(np.linalg.norm(elastic, axis=-1, keepdims=True), 1e-300))
     return Material(material.bend[0, 0], float(material.twist[0, 0]), float(material.weight[0]), curvature - kept * elastic)

@@ -296,7 +296,7 @@ def relax_hypotheses(experiment: Experiment, first: int, last: int) -> tuple[dic
     return columns, solution.configuration
 
 
-def settled(experiment: Experiment, cell: int) -> Experiment:
+def with_nearest_turns(experiment: Experiment, cell: int) -> Experiment:
     """The experiment with one hypothesis for each observation: the nearest in that cell."""
     if not experiment.hypotheses.are_several:
         return experiment

@@ -28,8 +28,8 @@ from doo_ti.learning.experiment import (
     load_kernels,
     relax_hypotheses,
     resolve,
-    settled,
     sub_steps,
+    with_nearest_turns,
 )
 from doo_ti.learning.landscape import Overview, gather_overview, gather_part, plane_of
 from doo_ti.learning.run_folder import claim, finished, identity_of, provenance, read_plan
@@ -209,7 +209,7 @@ def trajectory(experiment: Experiment, cell: int):
     sub-step by sub-step under Eq. 3, each observation under the hypothesis that is nearest in that cell."""
     from doo_ti.record import SweepTrajectory
 
-    experiment = settled(experiment, cell)
+    experiment = with_nearest_turns(experiment, cell)
     material = experiment.grid.materials(slice(cell, cell + 1))
     if experiment.pairs is None:
         index, moments = None, list(iterations(experiment, material, MOST_MOMENTS))

@@ -27,6 +27,7 @@ import numpy as np
 
 from doo_ti.manipulation.dense_kernels import inverses, normal_equations
 from doo_ti.manipulation.targets import ServoOptions
+from doo_ti.rod.shapes import material_curvature
 from doo_ti.rod.types import Configuration, Material
 
 BEND, RATIO, CLIP, JOINTS, CURVATURE = 0, 1, 2, 14, 15
@@ -237,10 +238,7 @@ class Belief:
 def elastic_curvature(rods: Configuration, material: Material) -> np.ndarray:
     """(B, 4) curvature from rest at the first and at the last joint, in the material frames of the joints, 1/mm; zero in rods
     that are not finite."""
-    bent = []
-    for pair in (slice(0, 2), slice(-2, None)):
-        own = Configuration(rods.start, rods.quaternions[:, pair], rods.rest_length[..., pair])
-        bend, middle = own.curvature_binormal[:, 0], own.frames.mean(axis=1)
-        bent += [np.sum(bend * middle[..., 2], axis=-1), -np.sum(bend * middle[..., 1], axis=-1)]
+    bent = [material_curvature(Configuration(rods.start, rods.quaternions[:, pair], rods.rest_length[..., pair]))[:, 0]
+            for pair in (slice(0, 2), slice(-2, None))]
     rest = 0.0 if material.rest_curvature is None else material.rest_curvature[:, [0, -1]].reshape(-1, 4)
-    return np.nan_to_num(np.stack(bent, axis=-1) - rest)
+    return np.nan_to_num(np.concatenate(bent, axis=-1) - rest)

@@ -150,13 +150,14 @@ def joined_states(parts: list[States]) -> States:
 
 
 @dataclass(frozen=True)
-class Ways:
-    """R ways in S states, one way after the other, without its first state."""
+class PathChecks:
+    """Quasi-static states of the rod along R candidate paths of the grippers: S of all paths, one path after the other, each
+    without its first state."""
 
     states: States  # S
     way: np.ndarray  # (S,) of which it is
     reach: np.ndarray  # (R,) states that follow each other continuously, stable and clear, from the first on
-    whole: np.ndarray  # (R,) bool: whether these are all
+    is_clear: np.ndarray  # (R,) bool: whether these are all, up to the path's end
 
     def rows(self, number: int) -> np.ndarray:
         """The continuous states of one way."""
@@ -223,7 +224,7 @@ class Equilibria:
         """(…) bool: whether shapes (…, V, 3) are those of one equilibrium."""
         return _travel(vertices, others) < SAME * self.length
 
-    def ways(self, begin: Configuration, end: Configuration) -> Ways:
+    def ways(self, begin: Configuration, end: Configuration) -> PathChecks:
         """From R rods at rest to R others; in contact where one of both is."""
         here, there, touching = self.shapes(begin), self.shapes(end), self.touch(begin) | self.touch(end)
         one = np.arange(begin.count)
@@ -242,7 +243,7 @@ class Equilibria:
         clear = np.zeros(len(way), dtype=bool)
         clear[going] = self._clear(before[going], after[going], np.isin(going, first))
         reach = np.add.reduceat(self._unbroken(sound & (clear | touching[way]), first, way), first)
-        return Ways(replace(states, touching=~clear), way, reach, reach == pieces)
+        return PathChecks(replace(states, touching=~clear), way, reach, reach == pieces)
 
     def _clear(self, before: np.ndarray, after: np.ndarray, first: np.ndarray) -> np.ndarray:
         """(S,) bool: whether rods keep clear from each state to the next; ``first`` (S,) of its way."""
@@ -298,7 +299,7 @@ class Tree:
         self.rods = Configuration.concatenate([self.rods, rods])
         self.parent = np.concatenate([self.parent, nodes[rows]])
         self.alive = np.concatenate([self.alive, self.alive[nodes[rows]]])
-        return found, ways.whole
+        return found, ways.is_clear
 
     def branch(self, node: int) -> list[int]:
         """The nodes from a root to ``node``."""

@@ -39,7 +39,7 @@ class Model:
         return Model(self.material.take(rods), self.clip[rods], self.up, self.surroundings.take(rods))
 
 
-class Rested:
+class EquilibriumCache:
     """Equilibria of B rods. That of a rod is a row of one of several solutions, or is missing."""
 
     def __init__(self, count: int):
@@ -96,8 +96,8 @@ def between_marks(values: np.ndarray, seen: np.ndarray) -> np.ndarray:
     return (1 - share) * known[rods, before] + share * known[rods, after]
 
 
-def drawn_to(rods: Configuration, material: Material, clamps: Clamps, places: np.ndarray, visible: np.ndarray, up: np.ndarray,
-             **around) -> Configuration:
+def pulled_by_springs_to(rods: Configuration, material: Material, clamps: Clamps, places: np.ndarray, visible: np.ndarray,
+                         up: np.ndarray, **around) -> Configuration:
     """The B rods drawn by springs to the ``places`` (B, V, 3) mm of the vertices that are ``visible`` (B, V)."""
     spacing = rods.rest_length.sum() / np.maximum(visible.sum(axis=1) - 1, 1)
     stiffness = PULL * material.bend[:, material.bend.shape[1] // 2, 0, 0] / spacing**3
@@ -107,12 +107,12 @@ def drawn_to(rods: Configuration, material: Material, clamps: Clamps, places: np
     return finite_rods(drawn.configuration, rods)
 
 
-def resynchronised(rods: Configuration, material: Material, clamps: Clamps, seen: np.ndarray, up: np.ndarray, **around
-                   ) -> Solution:
+def rebranched_to_observation(rods: Configuration, material: Material, clamps: Clamps, seen: np.ndarray, up: np.ndarray,
+                              **around) -> Solution:
     """The B rods at rest on the branch that is nearest to the marks ``seen`` (B, V, 3) mm, NaN where not seen: drawn to them by
     springs, then let go."""
     visible = np.isfinite(seen).all(axis=-1)
-    drawn = drawn_to(rods, material, clamps, np.where(visible[..., None], seen, 0.0), visible, up, **around)
+    drawn = pulled_by_springs_to(rods, material, clamps, np.where(visible[..., None], seen, 0.0), visible, up, **around)
     return relax(drawn, material, clamps, Newton.careful(), up=up, **around)
 
 

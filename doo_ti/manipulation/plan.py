@@ -154,7 +154,7 @@ class Search:
             if not len(pairs):
                 break
             ways = self._space.ways(states.rods.take(pairs[:, 0]), states.rods.take(pairs[:, 1]))
-            saved = np.where(ways.whole, pairs[:, 1] - pairs[:, 0] - ways.reach, 0)
+            saved = np.where(ways.is_clear, pairs[:, 1] - pairs[:, 0] - ways.reach, 0)
             best = int(np.argmax(saved))
             if saved[best] > 0:
                 first, last = pairs[best]

@@ -28,8 +28,8 @@ from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.manipulation.belief import CENTRE, CLIP, Belief, LearnedMaterial, elastic_curvature
 from doo_ti.manipulation.model import (
+    EquilibriumCache,
     Model,
-    Rested,
     between_marks,
     boxed,
     change_between,
@@ -39,7 +39,7 @@ from doo_ti.manipulation.model import (
     moved,
     put_rods,
     put_rows,
-    resynchronised,
+    rebranched_to_observation,
     slack,
     slack_gradient,
 )
@@ -114,7 +114,7 @@ class Servo:
         model = relax(rod, self._belief.material, clamps, Newton.careful(), up=self._up, **around.arguments)
         self._last, self._sound = finite_rods(model.configuration, rod), model.converged & model.stable
         self._shapes = self._last.vertices
-        self._rested, self._placed = Rested(count), clamps
+        self._rested, self._placed = EquilibriumCache(count), clamps
         self._offset = np.zeros((count, rod.edges + 1, 3))
         self._length = np.full(count, options.step_mm)
         self.status = np.full(count, int(ServoStatus.MOVING))
@@ -155,7 +155,7 @@ class Servo:
         visible = np.isfinite(seen).all(axis=-1)
         self._follow_snaps(seen, visible)
         if self.clamps is not self._placed:  # somebody has put the grippers elsewhere
-            self._rested = Rested(len(visible))
+            self._rested = EquilibriumCache(len(visible))
         missing = self._rested.missing
         if len(missing):
             rests = self._relaxed(missing)
@@ -187,7 +187,7 @@ class Servo:
         if not len(rods):
             return
         clamps = held(self.clamps, self._belief.clip).take(rods)
-        drawn = resynchronised(self._last.take(rods), self._belief.material.take(rods), clamps, seen[rods], self._up,
+        drawn = rebranched_to_observation(self._last.take(rods), self._belief.material.take(rods), clamps, seen[rods], self._up,
                                **self._around.take(rods).arguments)
         sound = drawn.converged & drawn.stable
         left = np.where(visible[rods][..., None], seen[rods] - drawn.configuration.vertices, 0.0)
@@ -211,7 +211,7 @@ class Servo:
         start = self.clamps
         here, self.distance = self._targets.distance(expected + self._offset), self.distance.copy()
         waiting = np.arange(len(usable))
-        self._rested = Rested(len(usable))
+        self._rested = EquilibriumCache(len(usable))
         refused = np.zeros(len(usable), dtype=bool)
         longest = np.where(usable, self._length, 0.0)
         gain = np.zeros(len(usable))

@@ -12,7 +12,7 @@ from typing import Annotated
 import numpy as np
 
 from doo_ti.manipulation.dense_kernels import damped_steps, normal_equations
-from doo_ti.manipulation.model import Model, drawn_to, finite_rods, held, moved, put_rods, put_rows, slack
+from doo_ti.manipulation.model import Model, finite_rods, held, moved, pulled_by_springs_to, put_rods, put_rows, slack
 from doo_ti.relaxation.sensitivity import GRIPPERS, sensitivity
 from doo_ti.rod.frames import (
     bishop_frames,
@@ -296,7 +296,7 @@ def _guesses(rods: Configuration, clamps: Clamps, model: Model, targets: Targets
     starts, ends = ({f"{end}_shift", f"{end}_turn"} <= set(options.free) for end in ("start", "end"))
     loose = replace(held(clamps, model.clip), start=Clamp.FREE if starts else clamps.start,
                     end=Clamp.FREE if ends else clamps.end)
-    shapes = drawn_to(rods, model.material, loose, targets.places, targets.shares > 0, model.up)
+    shapes = pulled_by_springs_to(rods, model.material, loose, targets.places, targets.shares > 0, model.up)
     first, tangents = clamps.start_frame, tangent_from_quaternion(shapes.quaternions)
     if starts:
         first = matrix_from_quaternion(smallest_rotation(first[..., 0], tangents[:, 0])) @ first

@@ -31,7 +31,7 @@ def record_motion(path, *, run_id: str, name: str, rods: MovingRods, curves: dic
     curves  title, with its unit: (T, R), a line for each of the first ``MOST_CURVES`` rods
     text    Markdown
     """
-    count, moments = len(rods.names), len(rods.time)
+    count = len(rods.names)
     when = [rerun.TimeColumn("time", duration=rods.time)]
     with viewer.recording(path, run_id, name, _motion_layout(rods, list(curves))) as stream:
         viewer.log_up(stream, "world", rods.basis[2])
@@ -43,9 +43,7 @@ def record_motion(path, *, run_id: str, name: str, rods: MovingRods, curves: dic
             _log_forces(stream, "world/forces", when, rods.touched, np.zeros((count, 3)))
         own = distinct_colors(count)
         colors = np.where(rods.sound[..., None], own, np.uint8(viewer.FAILED)).astype(np.uint8)
-        stream.send_columns("world/rods", when, rerun.LineStrips3D.columns(
-            strips=viewer.drawn_strips(rods.vertices.reshape(moments * count, *rods.vertices.shape[2:])),
-            colors=colors.reshape(-1, 3)).partition([count] * moments))
+        viewer.send_rods(stream, "world/rods", when, rods.vertices, colors=colors)
         for title, values in curves.items():
             _log_curves(stream, f"curves/{viewer.entity_name(title)}", when, values[:, :MOST_CURVES], rods.names[:MOST_CURVES],
                         own[:MOST_CURVES], 2.0)
@@ -67,12 +65,10 @@ def _log_curves(stream, entity: str, when: list[rerun.TimeColumn], values: np.nd
 def _log_held(stream, rods: MovingRods, when: list[rerun.TimeColumn]) -> None:
     """The grippers over time, and the marks, where they are known."""
     if rods.grippers is not None:
-        moments, count, lines = rods.grippers.shape[:3]
+        moments, _, _, *line = rods.grippers.shape
         stream.log("world/grippers", rerun.LineStrips3D.from_fields(
             colors=[GRIPPER], radii=rerun.Radius.ui_points(3.5)), static=True)
-        strips = viewer.drawn_strips(rods.grippers.reshape(-1, *rods.grippers.shape[3:]))
-        stream.send_columns("world/grippers", when, rerun.LineStrips3D.columns(
-            strips=strips).partition([count * lines] * moments))
+        viewer.send_rods(stream, "world/grippers", when, rods.grippers.reshape(moments, -1, *line))
     if rods.marks is not None:
         present = rods.marks[np.isfinite(rods.marks).all(axis=-1)].astype(np.float32)
         stream.log("world/observations/marks", rerun.Points3D(
@@ -111,7 +107,7 @@ def record_ribbons(path, *, run_id: str, name: str, ribbons: list[Ribbons], obse
     with viewer.recording(path, run_id, name, _ribbon_layout(ribbons, basis)) as stream:
         viewer.log_up(stream, "world", basis[2])
         for number, kind in enumerate(ribbons):
-            place, borders = f"world/ribbons/{number}", kind.sides.reshape(-1, marks, 3)
+            place = f"world/ribbons/{number}"
             if kind.filled:
                 # The mesh of a ribbon without a configuration is a point.
                 sides = np.where(np.isfinite(kind.sides).all(axis=(1, 2, 3), keepdims=True), kind.sides, 0.0).astype(np.float32)
@@ -122,8 +118,7 @@ def record_ribbons(path, *, run_id: str, name: str, ribbons: list[Ribbons], obse
             stream.log(f"{place}/borders", rerun.LineStrips3D.from_fields(
                 colors=[np.uint8(kind.color) // (2 if kind.filled else 1)], radii=rerun.Radius.ui_points(0.9),
                 labels=[kind.label] * 2, show_labels=False), static=True)
-            stream.send_columns(f"{place}/borders", times, rerun.LineStrips3D.columns(
-                strips=viewer.drawn_strips(borders)).partition([2] * count))
+            viewer.send_rods(stream, f"{place}/borders", times, kind.sides)
         stream.send_columns("summary", times, rerun.TextDocument.columns(text=texts, media_type=["text/markdown"] * count))
 
 
@@ -185,14 +180,12 @@ def record_rollout(path: Path, name: str, names: list[str], positions: np.ndarra
         for entity, shown, color, width in (("observations", seen, viewer.OBSERVED, 0.7), ("rods", rods, SIMULATED, 1.2)):
             if shown is None:
                 continue
-            placed = shown + grid.offset[:, None, None]
             # A rod that may touch something is as thick as it is.
             thick = touched is not None and shown is rods
             radius = float(np.min(touched.surroundings.radius)) if thick else rerun.Radius.ui_points(width)
             stream.log(f"world/{entity}", rerun.LineStrips3D.from_fields(
                 colors=color, radii=radius, labels=names[:MOST_RODS], show_labels=count <= 12), static=True)
-            strips = viewer.drawn_strips(placed.swapaxes(0, 1).reshape(-1, *rods.shape[2:]))
-            stream.send_columns(f"world/{entity}", when, rerun.LineStrips3D.columns(strips=strips).partition([count] * frames))
+            viewer.send_rods(stream, f"world/{entity}", when, (shown + grid.offset[:, None, None]).swapaxes(0, 1))
         if touched is not None:
             _log_obstacles(stream, "world/obstacles", when, touched, grid.offset)
             _log_forces(stream, "world/forces", when, touched, grid.offset)
@@ -228,9 +221,8 @@ def record_group(path: Path, moments: Sequence[GroupSolution], *, name: str, nam
         for rod, (own, color) in enumerate(zip(called, distinct_colors(count), strict=True)):
             place = f"world/rods/{own}"
             stream.log(place, rerun.LineStrips3D.from_fields(radii=_thick(radii[rod], 1.0, 1.2)), static=True)
-            strips = [strip for moment in seen.rods for strip in viewer.drawn_strips(moment[rod][None])]
-            stream.send_columns(place, when, rerun.LineStrips3D.columns(
-                strips=strips, colors=np.where(seen.sound[:, None], color, np.array(viewer.FAILED, dtype=color.dtype))))
+            viewer.send_rods(stream, place, when, np.stack([moment[rod] for moment in seen.rods])[:, None],
+                             colors=np.where(seen.sound[:, None], color, np.array(viewer.FAILED, dtype=color.dtype)))
         if len(seen.tied):
             thickest = None if seen.radii is None else max(radii)
             stream.log("world/ties", rerun.Points3D.from_fields(colors=TIE, radii=_thick(thickest, 1.3, 2.0)), static=True)

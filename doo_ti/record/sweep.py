@@ -86,13 +86,10 @@ def _log_rods(stream, grid: GridView, trajectory: SweepTrajectory, names: list[s
         rerun.AnyValues(offset_mm=viewer.vectors(grid.offset)), static=True)
     for start in range(0, len(trajectory.vertices), BLOCK):
         rods = trajectory.vertices[start:start + BLOCK] + grid.offset[:, None]
-        steps, rods_of_step, marks, _ = rods.shape
-        strips = viewer.drawn_strips(rods.reshape(-1, marks, 3))
-        stream.send_columns("world/rods", [rerun.TimeColumn("iteration", sequence=np.arange(start, start + steps))],
-                            rerun.LineStrips3D.columns(strips=strips).partition([rods_of_step] * steps))
+        times = [rerun.TimeColumn("iteration", sequence=np.arange(start, start + len(rods)))]
+        viewer.send_rods(stream, "world/rods", times, rods)
     if with_trials:  # so that the relaxed rods are also shown on the timeline of the cells
-        stream.send_columns("world/rods", [rerun.TimeColumn("trial", sequence=[0])],
-                            rerun.LineStrips3D.columns(strips=strips[-rods_of_step:]).partition([rods_of_step]))
+        viewer.send_rods(stream, "world/rods", [rerun.TimeColumn("trial", sequence=[0])], rods[-1:])
 
 
 def _log_curves(stream, trajectory: SweepTrajectory) -> None:

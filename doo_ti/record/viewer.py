@@ -136,6 +136,14 @@ def drawn_strips(rods: np.ndarray):
     return [rod if np.isfinite(rod).all() else rod[:0] for rod in rods]
 
 
+def send_rods(stream, entity: str, times: list[rerun.TimeColumn], rods: np.ndarray, **colors: np.ndarray) -> None:
+    """Rods or lines (T, N, V, 3) of the ``entity`` at T ``times``, and their ``colors`` (T, N, 3) where these change."""
+    moments, count = rods.shape[:2]
+    stream.send_columns(entity, times, rerun.LineStrips3D.columns(
+        strips=drawn_strips(rods.reshape(-1, *rods.shape[2:])),
+        **{name: values.reshape(-1, 3) for name, values in colors.items()}).partition([count] * moments))
+
+
 def vectors(array: np.ndarray) -> pyarrow.Array:
     """(N, 3) numbers as rerun stores them."""
     return pyarrow.FixedSizeListArray.from_arrays(pyarrow.array(array.astype(np.float32).reshape(-1)), 3)
@@ -290,13 +298,13 @@ def local_page(web: int, data: int) -> Iterator[int]:
         server.server_close()
 
 
-def save_screenshot(path: str | Path, picture: str | Path, size: tuple[int, int] = (1600, 900)) -> None:
+def save_screenshot(path: str | Path, picture: str | Path) -> None:
     """Write what the viewer shows of a run (its folder or the .rrd file) as a PNG; the software driver of Mesa suffices.
 
     Raises InputError where there is no recording, InterruptedRunError where the viewer does not start.
     """
     port = free_port()
-    with running_viewer(path, "--headless", "--port", str(port), "--window-size", "{}x{}".format(*size)) as viewer:
+    with running_viewer(path, "--headless", "--port", str(port), "--window-size", "1600x900") as viewer:
         client = _connect(viewer, port)
         client.run_command("ui.toggle_top_panel")
         time.sleep(12)  # until the viewer's notices disappear and its plots are drawn

@@ -107,6 +107,13 @@ def _turned_on(before: np.ndarray, last: np.ndarray) -> np.ndarray:
     return quaternion_product(turn / np.linalg.norm(turn, axis=-1, keepdims=True), last)
 
 
+def material_curvature(rods: Configuration) -> np.ndarray:
+    """(R, E−1, 2) curvature at the inner vertices, 1/mm, about m2 and −m1 half-way between the frames there, as materials state
+    the curvature at rest."""
+    binormal, middle = rods.curvature_binormal, 0.5 * (rods.frames[:, :-1] + rods.frames[:, 1:])
+    return np.stack([np.sum(binormal * middle[..., 2], axis=-1), -np.sum(binormal * middle[..., 1], axis=-1)], axis=-1)
+
+
 def _arc_angle(share: np.ndarray, edges: int) -> np.ndarray:
     """(R,) the angle a in [0, π] from the chord to the end tangents of a regular chain of ``edges`` whose span is that
     ``share`` (R,) of its length: sin a = share E sin(a/E)."""

@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.io.arrays import CsvTable, read_csv
-from doo_ti.rod.frames import matrix_from_quaternion, smallest_rotation
+from doo_ti.rod.frames import matrix_from_quaternion, smallest_rotation, unit_vectors
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import fill_missing
 from doo_ti.system.errors import InputError
@@ -186,11 +186,8 @@ def observe(marks: Marks, points: Points, rest_length: float | None = None, up=(
 
 def _ribbon_frames(observations: Observations, across: np.ndarray, marks: Marks) -> tuple[np.ndarray, np.ndarray]:
     """(D, E, 3, 3) frames of ribbons with ``across`` (D, V, 3) from left to right edge, and (D, E) where they are filled."""
-    edges = np.diff(fill_missing(observations), axis=1)
-    tangent = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
-    valid = observations.valid
-    unit = np.where(valid[..., None], across, 0.0)
-    unit = unit / np.maximum(np.linalg.norm(unit, axis=-1, keepdims=True), np.finfo(float).tiny)
+    tangent, valid = unit_vectors(np.diff(fill_missing(observations), axis=1)), observations.valid
+    unit = unit_vectors(np.where(valid[..., None], across, 0.0))
     director = unit[:, :-1] + unit[:, 1:]
     director = director - np.sum(director * tangent, axis=-1, keepdims=True) * tangent
     length = np.linalg.norm(director, axis=-1)

@@ -12,7 +12,7 @@ from doo_ti.commands.cli import main
 from doo_ti.dynamics.scene import load_motion_scene
 from doo_ti.groups.scene import load_group_scene
 from doo_ti.io.scene import Synthesis, load_scene
-from doo_ti.io.toml_file import NotNegative, Table, Vector, between_moments, scene_file
+from doo_ti.io.toml_file import NotNegative, Table, Vector, interpolated, scene_file
 from doo_ti.rod.material import STANDARD_GRAVITY
 from tests.conftest import check_refused
 
@@ -206,6 +206,6 @@ class Moment(Table):
     ([(0.0, 1.0), (1.0, 2.0), (1.5, None)], [1, None, 2, 2, 2])])  # what is left out stays as it was
 def test_quantities_between_moments(moments, first):
     rows = [{"time_s": time} | ({} if shift is None else {"shift": [shift, 0.0, 0.0]}) for time, shift in moments]
-    found = between_moments("scene.toml", "moments", rows, Moment, {"shift": np.zeros(3)}, np.linspace(0.0, 2.0, 5))
+    found = interpolated("scene.toml", "moments", rows, Moment, {"shift": np.zeros(3)}, np.linspace(0.0, 2.0, 5))
     for value, expected in zip(found["shift"][:, 0], first, strict=True):
         assert 1.0 < value < 2.0 if expected is None else np.isclose(value, expected)

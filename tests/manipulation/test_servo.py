@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import doo_ti as d
-from doo_ti.manipulation.model import held, resynchronised
+from doo_ti.manipulation.model import held, rebranched_to_observation
 from doo_ti.rod.shapes import with_end_edges
 from tools.studies.servo_tasks import BEND, Plant, Tasks, tasks
 
@@ -177,7 +177,7 @@ def test_shapes_are_found_again_from_marks():
     there = d.Simulation(own.rods, own.nominal, own.clamps).step(own.goal_clamps)
     rods = np.flatnonzero(there.converged & there.stable)
     marks = np.where(np.arange(34)[:, None] % 3 == 0, there.configuration.vertices, np.nan)[rods]
-    found = resynchronised(own.rods.take(rods), own.nominal.take(rods), own.goal_clamps.take(rods), marks,
+    found = rebranched_to_observation(own.rods.take(rods), own.nominal.take(rods), own.goal_clamps.take(rods), marks,
                             np.array([0, 0, 1.0]))
     off = np.linalg.norm(found.configuration.vertices - there.configuration.vertices[rods], axis=-1).max(axis=1)
     assert (off < 0.1).mean() > 0.9
