@@ -48,7 +48,7 @@ class ContactEnergy(ContactPlaces):
         at, before = self.vertex(rod, index), self.vertex(rod, index - 1)
         at.room_standing = at.room
         least = ti.min(at.least, before.least)
-        at.room = least - rod.contacts.radius
+        at.room = self.far_room(rod, least)
         some = 0
         if ti.static(self.rub):
             some = self.touched_by_all(rod, index, start, end)
@@ -57,6 +57,11 @@ class ContactEnergy(ContactPlaces):
                 some = self.touched_by_all(rod, index, start, end)
         self.note_forces(rod, at, some)
         return some
+
+    def far_room(self, rod, least):
+        """The room of an edge that is not close to an obstacle, of whose ends the nearer is ``least`` from it: of the edge some
+        place may be half its length nearer."""
+        return least - ti.max(rod.contacts.radius, 0.5 * rod.longest)
 
     def touched_by_all(self, rod, index, start, end):
         """The same, obstacle by obstacle."""
@@ -80,10 +85,9 @@ class ContactEnergy(ContactPlaces):
                     # It is nowhere nearer to the obstacle than at its ends.
                     least = ti.min(previous.value, contact.value)
                     deep = least + self.obstacle(rod, o).depth
-                    room = ti.min(room, ti.select(self.close_lanes(rod, least), deep, least - rod.contacts.radius))
+                    room = ti.min(room, ti.select(self.close_lanes(rod, least), deep, self.far_room(rod, least)))
             else:
-                value = ti.min(previous.value, contact.value)
-                room = ti.min(room, value - rod.contacts.radius)
+                room = ti.min(room, self.far_room(rod, ti.min(previous.value, contact.value)))
             if ti.static(self.rub):
                 # Friction stays as long as its round, however far the rod moves: without it the energy would jump.
                 active = contact.active > 0.5
@@ -190,7 +194,7 @@ class ContactEnergy(ContactPlaces):
             active = active | ((sagging > zero) & (seen.value < radius))
             contact.active = ti.select(active, zero + 1.0, contact.active)
             self.add_between(rod, contact, edge, seen, active)
-        return between, ti.select(close, low + depth, least - radius)
+        return between, ti.select(close, low + depth, self.far_room(rod, least))
 
     def push(self, rod, force, gap):
         """(force, stiffness) of a contact whose λ is ``force``, and its energy."""
