@@ -253,15 +253,15 @@ def stays_in_order(table: Tables, results: np.ndarray) -> np.ndarray:
 
 
 @runtime.exclusive
-def approach_in_relaxation(start: np.ndarray, start_row: np.ndarray, frames: np.ndarray, rest_length: np.ndarray,
-                           radius: np.ndarray, rods: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which of the rows ``rods`` may touch themselves between their start, row ``start_row`` (R,) of ``start`` (S, E, 4), and
-    their ``frames`` (R, E, 4), also those whose frames are not finite; and which others have turned by whole turns, which only
-    rods with an end that may turn do without passing through themselves."""
+def approach_in_relaxation(start: np.ndarray, frames: np.ndarray, rest_length: np.ndarray, radius: np.ndarray,
+                           rods: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which of the rows ``rods`` (N,) may touch themselves between their ``start`` (N, E, 4), unit quaternions held by the
+    clamps, and their ``frames`` (R, E, 4), also those whose frames are not finite; and which others have turned by whole turns,
+    which only rods with an end that may turn do without passing through themselves. rest_length (1 or N, E) mm."""
     if not len(rods):
         return rods, rods
     rows = np.empty((len(rods), 2), dtype=np.int32)
-    rows[:, START], rows[:, ROD] = start_row[rods], rods
+    rows[:, START], rows[:, ROD] = np.arange(len(rods)), rods
     flags = _approach(True, start, frames, rows, rest_length, radius, 0.0)
     found = np.flatnonzero(flags)
     touching = flags[found] == TOUCHING
