@@ -292,6 +292,7 @@ def test_rods_that_touch_on_their_way_are_found_and_no_others(rng, edges, radius
     rows = np.arange(COUNT)
     touching, turned = approach_in_relaxation(start, frames, lengths, own, rows)
     near = approach_in_motion(before, after, rows, lengths, own)
+    np.testing.assert_array_equal(approach_in_motion(before + 1e8, after + 1e8, rows, lengths, own), near)
     still = approach_in_motion(after, after, rows, lengths, own)
     found = np.isin(rows, touching)
     # Between two instants the distance may be less.
