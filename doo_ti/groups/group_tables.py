@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from doo_ti.contact.surroundings import LEAST_ARC, Itself, smallest_of_pairs
+from doo_ti.contact.surroundings import LEAST_ARC, Itself, Surroundings, smallest_of_pairs
 from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupTables
 from doo_ti.groups.ties import JOINT_ITEMS
@@ -126,10 +126,11 @@ def group_tables(group: Group, up: np.ndarray, obstacles, radius, contact: bool,
         raise InputError("relax_group", "radius", "missing beside obstacles", "give the rods' radius in mm")
     radii = group.radii(1.0 if radius is None else radius)
     require_margin(bodies, radii.max())
-    table = contact_table([*bodies, itself], radii.min(axis=1), group.count, lengths.shape[1], clamp, np.arange(group.count))
+    around = Surroundings.checked("contact", [*bodies, itself], radii.min(axis=1), group.count)
+    table = contact_table(around, group.count, lengths.shape[1], clamp, np.arange(group.count))
     thicker = group.at_vertices(radii - table.radius[:, None])
-    still = np.zeros((*burden.shape[:2], 4))  # no springs
-    burden = np.concatenate([burden, np.broadcast_to(thicker, burden.shape[:2])[..., None], still], axis=-1)
+    springs = np.zeros((*burden.shape[:2], 4))  # none
+    burden = np.concatenate([burden, np.broadcast_to(thicker, burden.shape[:2])[..., None], springs], axis=-1)
     touch = contact and radius is not None
     ties, targets = _ties(group, members)
     apart = edges_apart(group, lengths, begins, radii, touch)

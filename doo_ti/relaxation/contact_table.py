@@ -259,16 +259,11 @@ class ContactTable:
         self.memory[rows[self.near[rows]]] = 0.0
 
 
-def contact_table(obstacles: Sequence[Obstacle], radius, count: int, edges: int, clamp: np.ndarray, index: np.ndarray,
+def contact_table(surroundings: Surroundings, count: int, edges: int, clamp: np.ndarray, index: np.ndarray,
                   in_motion: bool = False) -> ContactTable:
     """The table of ``count`` rods of ``edges`` edges, whose rows of ``clamp`` are ``index``. ``in_motion``: the memory also
-    holds friction, and every rod counts as near.
-
-    Raises InputError where numbers of rows do not match or ``radius`` is missing or not positive.
-    """
-    surroundings = Surroundings.checked("contact", obstacles, radius, count)
-    radius = surroundings.radius
-    obstacles = surroundings.bodies
+    holds friction, and every rod counts as near. Raises InputError as :func:`require_margin` does."""
+    radius, obstacles = surroundings.radius, surroundings.bodies
     require_margin(obstacles, radius.max())
     # Grippers may carry any rod to an obstacle.
     near = np.ones(count, dtype=bool) if in_motion else _near(obstacles, radius, clamp, index)

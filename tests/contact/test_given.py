@@ -43,6 +43,9 @@ def test_a_radius_that_is_none(obstacles, radius, problem):
     with pytest.raises(InputError, match=f"radius: {problem}"):
         simulated(obstacles=obstacles, radius=radius)
     rod = straight_rod(60.0, 10)
+    if radius is not None:
+        with pytest.raises(InputError, match=f"radius: {problem}"):
+            relax(rod, MATERIAL, end_clamps(rod, Clamp.FRAME, Clamp.FREE), radius=radius)
     if not isinstance(obstacles[0], Moving) and radius is None:
         with pytest.raises(InputError, match="radius: missing"):
             relax_group(Group([rod], MATERIAL, [end_clamps(rod, Clamp.FRAME, Clamp.FREE)]), obstacles=obstacles)
