@@ -41,7 +41,8 @@ class GroupTables:
                  how much its rod is thicker than the thinnest, mm of radius; and of a spring its point, mm, and its stiffness,
                  energy over mm²
     rest         (1 or N, E, JOINT_ITEMS) rest curvature and twist besides the material's, of the joint where an edge begins
-    apart        (1 or N, pairs) int32: one where two edges may touch, pair j (j − 1)/2 + i of i < j
+    apart        (1 or N, pairs) int32: one where two edges are so far apart along the rods that they may touch, pair
+                 j (j − 1)/2 + i of i < j
     radii        (1 or N, G) mm
     feasible     (N,) bool
     """

@@ -80,7 +80,7 @@ class Chain(PairEnergy):
     length_unit             of all these lengths, mm; energies have a unit of their own (:meth:`.Loading.load`)
     numbers, field, coarse  of an external energy (see :class:`doo_ti.relaxation.external.ExternalFunctions`)
     contacts, kinds, obstacles  where the items of contacts begin, the kinds of the obstacles and how many these are
-                            (:class:`.Contacts`)
+                            (:class:`.RodContacts`)
 
     edge, rod: the layouts of both, by default what a rod without external energy needs.
     """

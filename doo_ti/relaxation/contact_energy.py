@@ -132,7 +132,8 @@ class ContactEnergy(ContactPlaces):
             rod.contacts.excesses = repeated(zero, 6)
 
     def known(self, whole, excess):
-        """Of three sums of an edge those of the forces that are known."""
+        """Of a gradient that sums up all pushes λ − κ g of an edge, the part of the forces λ that are known: the ``whole`` less
+        the ``excess``, −κ g, of steps that update forces."""
         if ti.static(self.updates_in_steps):
             return minus(whole, excess)
         else:

@@ -109,8 +109,8 @@ class ContactPlaces:
         at.lane(0).nearest_of_all = nearest_of_all
 
     def clearance(self, rod, index, distance):
-        """The ``distance`` of vertex ``index``, or of the edge that ends there, less what is added to RADIUS there: nothing for
-        one rod. Rods of a group may be thicker than the thinnest, whose radius RADIUS is."""
+        """The ``distance`` of vertex ``index``, or of the edge that ends there, less by how much the rod is thicker there than
+        ``rod.contacts.radius``: not at all for one rod; of a group that radius is the thinnest rod's."""
         return distance
 
     def close_lanes(self, rod, value):

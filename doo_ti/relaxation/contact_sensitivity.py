@@ -20,7 +20,7 @@ from doo_ti.physics.quaternion import first_director, second_director
 from doo_ti.physics.tuples import add, extended, minus, negated, picked, plus, products, record, repeated, scaled, variable
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_table import SOFT
-from doo_ti.relaxation.contacts import Contacts
+from doo_ti.relaxation.contacts import RodContacts
 from doo_ti.relaxation.external import Nothing
 from doo_ti.relaxation.loaded_elimination import LoadedElimination
 from doo_ti.relaxation.loading import Loading, length_unit
@@ -40,7 +40,7 @@ class Kept(Nothing):
 
 
 @device_functions
-class ContactsAtRest(Contacts):
+class ContactsAtRest(RodContacts):
     """The contacts of rods at rest, which push with their forces λ whatever their gaps."""
 
     def push(self, rod, force, gap):

@@ -15,7 +15,7 @@ from doo_ti.physics.number import Number, device_functions, in_f64, write
 from doo_ti.physics.tuples import choose, dot, record, repeated, scaled
 from doo_ti.relaxation import newton_policy as fixed
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contacts import Contacts
+from doo_ti.relaxation.contacts import RodContacts
 from doo_ti.relaxation.dense_elimination import DenseElimination
 from doo_ti.relaxation.elimination import Elimination
 from doo_ti.relaxation.kernel_factory import FIELD, INDEX1, INDEX2, SCRATCH, TABLE1, TABLE2, TABLE3, TABLE4, loop_kernel
@@ -264,7 +264,7 @@ def contact_kernel(number: Number, stride: int, block: int, isotropic: bool, ext
     if itself:
         sweep = DenseLoadedElimination(number, isotropic, stride, external, True, SelfContacts(number, obstacles))
     else:
-        sweep = LoadedElimination(number, isotropic, stride, external, True, Contacts(number, obstacles, expects=True))
+        sweep = LoadedElimination(number, isotropic, stride, external, True, RodContacts(number, obstacles, expects=True))
     loop = NewtonLoop(sweep, sweep.functions, external.has_coarse)
     kernel = loop_kernel("newton_in_contact", number, NEWTON | EXTERNAL | OBSTACLES, loop.work, block, brief=True)
     return kernel, sweep.items

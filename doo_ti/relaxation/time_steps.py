@@ -11,7 +11,7 @@ import taichi as ti
 from doo_ti.physics.number import Number
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.batch import Launch, laid_out, layout_for, policy_row
-from doo_ti.relaxation.contacts import Contacts
+from doo_ti.relaxation.contacts import RodContacts
 from doo_ti.relaxation.dense_elimination import DenseElimination
 from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, SCRATCH, TABLE1, TABLE2, TABLE3, TABLE4, loop_kernel
 from doo_ti.relaxation.newton import OBSTACLES, Newton
@@ -83,7 +83,7 @@ def time_contact_kernel(number: Number, stride: int, block: int, isotropic: bool
     if itself:
         sweep = DenseTimeSweep(number, isotropic, stride, SelfContacts(number, kinds, rub, moves))
     else:
-        sweep = TimeImpact(number, isotropic, stride, Contacts(number, kinds, rub, moves))
+        sweep = TimeImpact(number, isotropic, stride, RodContacts(number, kinds, rub, moves))
     given = STEPS | OBSTACLES | MOTIONS
     return loop_kernel("make_steps_in_contact", number, given, TimeLoop(sweep).work, block, brief=True), sweep.items
 
