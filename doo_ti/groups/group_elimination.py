@@ -77,7 +77,7 @@ class GroupElimination(DenseLoadedElimination):
         zero = 0.0 * scale
         none = repeated(zero, 3)
         stepping = (scale > 0.0) | (scale < 0.0)
-        self.contacts.stand_pairs(rod)
+        self.contacts.stand(rod)
         self.contacts.step_forces(rod, scale, stepping)
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)

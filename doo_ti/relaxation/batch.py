@@ -111,7 +111,7 @@ def _launch_kernel(table: Tables, isotropic: bool, any_ends: bool, rods, policy:
         more += contact.arguments(contact.forces, options.gap_tolerance)
         given = SimpleNamespace(rest_length=table.rest_length, kinds=contact.kinds)
         launch = laid_out(layout, lambda *layout: newton.contact_kernel(
-            *layout, isotropic, kind, contact.known, contact.itself), given)
+            *layout, isotropic, kind, contact.has_grid, contact.itself), given)
     kernel, threads, scratch, queue = launch
     kernel(table.start.reshape(-1), table.rest_length, table.clamp, table.material, rods, policy, threads, scratch, queue,
            frames.reshape(-1), results, *more)

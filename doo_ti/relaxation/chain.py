@@ -212,9 +212,6 @@ class Chain(PairEnergy):
         stepping = (scale > 0.0) | (scale < 0.0)
         reached, lost = variable(repeated(zero, 3)), variable(repeated(zero, 3))
         normal = variable(repeated(zero, 6))
-        if ti.static(self.touches):
-            if ti.static(self.contacts.itself):
-                self.contacts.stand_pairs(rod)
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)
             # In a lane that does not step the rotation is undefined and may be NaN.

@@ -36,8 +36,8 @@ class ContactEnergy(ContactPlaces):
     """The energy of the contacts of the rods in a pack, in a motion with friction if they ``rub``. ``expects``: steps that are
     refused are tried again with the contacts they have met."""
 
-    def __init__(self, number, kinds: frozenset[int], rub: bool = False, moves: bool = False, expects: bool = False):
-        super().__init__(number, kinds, moves)
+    def __init__(self, number, has_grid: bool, rub: bool = False, moves: bool = False, expects: bool = False):
+        super().__init__(number, has_grid, moves)
         self.rub, self.updates_in_steps, self.expects = rub, not rub, expects
 
     def touched(self, rod, index, start, end):

@@ -207,10 +207,9 @@ class ContactTable:
         return bool((self.obstacles[..., FRICTION] > 0).any()) or self.itself and bool((self.self_friction > 0).any())
 
     @property
-    def known(self) -> frozenset[int]:
-        """The kinds that a kernel is to know: all, so that a scene with other obstacles needs no other kernel, but grids only
-        where there are any, since kernels with them take longer to compile."""
-        return frozenset(range(GRID)) | frozenset(np.minimum(self.kinds, GRID).tolist())
+    def has_grid(self) -> bool:
+        """Whether an obstacle is a grid."""
+        return bool((self.kinds >= GRID).any())
 
     def arguments(self, forces: np.ndarray, tolerance: float | None, in_motion: bool = False) -> tuple:
         """What a kernel is given of contacts, which writes ``forces``; ``tolerance`` of gaps, None: the usual one."""

@@ -258,13 +258,13 @@ def newton_kernel(number: Number, stride: int, block: int, isotropic: bool, exte
 
 
 @cache
-def contact_kernel(number: Number, stride: int, block: int, isotropic: bool, external: type, obstacles: frozenset[int],
+def contact_kernel(number: Number, stride: int, block: int, isotropic: bool, external: type, has_grid: bool,
                    itself: bool):
-    """The same for rods that may touch obstacles of those kinds, or ``itself``, under an external energy."""
+    """The same for rods that may touch obstacles, with ``has_grid`` grids, or ``itself``, under an external energy."""
     if itself:
-        sweep = DenseLoadedElimination(number, isotropic, stride, external, True, SelfContacts(number, obstacles))
+        sweep = DenseLoadedElimination(number, isotropic, stride, external, True, SelfContacts(number, has_grid))
     else:
-        sweep = LoadedElimination(number, isotropic, stride, external, True, RodContacts(number, obstacles, expects=True))
+        sweep = LoadedElimination(number, isotropic, stride, external, True, RodContacts(number, has_grid, expects=True))
     loop = NewtonLoop(sweep, sweep.functions, external.has_coarse)
     kernel = loop_kernel("newton_in_contact", number, NEWTON | EXTERNAL | OBSTACLES, loop.work, block, brief=True)
     return kernel, sweep.items

@@ -19,8 +19,8 @@ from doo_ti.relaxation.pair_distance import pair_block, pair_distance, pair_slop
 class SelfContactEnergy(RodContacts):
     """The contacts with obstacles and the energy of those of the rod with itself."""
 
-    def __init__(self, number, kinds: frozenset[int], rub: bool = False, moves: bool = False):
-        super().__init__(number, kinds, rub, moves)
+    def __init__(self, number, has_grid: bool, rub: bool = False, moves: bool = False):
+        super().__init__(number, has_grid, rub, moves)
         self.updates_in_steps = False
 
     # --- views of scratch ---
@@ -107,6 +107,7 @@ class SelfContactEnergy(RodContacts):
                 # No two places are nearer than the middles less half of both edges.
                 bound = 0.5 * ti.sqrt(dot(away, away)) - rod.longest
                 counts = self.may_touch(rod, i, at, arc)
+                at.distance_standing = at.distance
                 at.distance = ti.select(counts, bound, zero + 1e30)
                 near = counts & (self.pair_clearance(rod, i, j, bound) < layout.REACH * radius)
                 if self.some(near, zero):
