@@ -59,13 +59,11 @@ def weights(t) -> tuple:
 
 @device_functions
 class Distance:
-    """φ, n and ∇∇φ for one kind of number, of obstacles among ``kinds``."""
+    """φ, n and ∇∇φ for one kind of number, of obstacles of all kinds, of grids only where ``has_grid``: kernels with them take
+    longer to compile."""
 
-    def __init__(self, number, kinds: frozenset[int]):
-        self.tiny = TINY
-        self.has_plane, self.has_box, self.has_capsule, self.has_ring, self.has_cylinder, self.has_grid = (
-            kind in kinds for kind in (PLANE, BOX, CAPSULE, RING, CYLINDER, GRID))
-        self.has_revolved = self.has_ring or self.has_cylinder
+    def __init__(self, number, has_grid: bool):
+        self.tiny, self.has_grid = TINY, has_grid
         self.lookup = GridLookup(number)
 
     def unit(self, normal):
@@ -81,22 +79,18 @@ class Distance:
         away = minus(x, own.point)
         zero = 0.0 * away[0]
         seen = record(value=zero, normal=repeated(zero, 3), curvature=repeated(zero, 6))
-        if ti.static(self.has_box):
-            if kind == ti.static(BOX):
-                self.box(own, away, seen)
-        if ti.static(self.has_plane):
-            if kind == ti.static(PLANE):
-                seen.normal = own.axis_3
-                seen.value = dot(away, seen.normal)
+        if kind == ti.static(BOX):
+            self.box(own, away, seen)
+        if kind == ti.static(PLANE):
+            seen.normal = own.axis_3
+            seen.value = dot(away, seen.normal)
         if ti.static(self.has_grid):
             if kind >= ti.static(GRID):
                 self.grid(own, grids, kind - GRID, away, seen)
-        if ti.static(self.has_capsule):
-            if kind == ti.static(CAPSULE):
-                self.capsule(own, away, seen)
-        if ti.static(self.has_revolved):
-            if kind == ti.static(RING) or kind == ti.static(CYLINDER):
-                self.revolved(own, kind, away, seen)
+        if kind == ti.static(CAPSULE):
+            self.capsule(own, away, seen)
+        if kind == ti.static(RING) or kind == ti.static(CYLINDER):
+            self.revolved(own, kind, away, seen)
         return seen
 
     def revolved(self, own, kind, away, seen):
@@ -109,23 +103,21 @@ class Distance:
         outward = scaled(flat, 1.0 / radial)
         a, b = own.sizes[0], own.sizes[1]
         profile = record(value=z, r=zero, z=one, bend=zero, around=zero)
-        if ti.static(self.has_ring):
-            if kind == ti.static(RING):
-                self.rim(profile, radial - a, z, radial)
-                profile.value = profile.value - b
-        if ti.static(self.has_cylinder):
-            if kind == ti.static(CYLINDER):
-                upward = ti.select(z < 0.0, 0.0 - one, one)
-                side, cap = radial - a, upward * z - b
-                self.rim(profile, side, cap, radial)
-                beyond = (side > 0.0) & (cap > 0.0)
-                lateral = side >= cap
-                r = ti.select(lateral, one, zero)
-                profile.value = ti.select(beyond, profile.value, ti.max(side, cap))
-                profile.r = ti.select(beyond, profile.r, r)
-                profile.z = upward * ti.select(beyond, profile.z, 1.0 - r)
-                profile.bend = ti.select(beyond, profile.bend, zero)
-                profile.around = profile.r / radial
+        if kind == ti.static(RING):
+            self.rim(profile, radial - a, z, radial)
+            profile.value = profile.value - b
+        if kind == ti.static(CYLINDER):
+            upward = ti.select(z < 0.0, 0.0 - one, one)
+            side, cap = radial - a, upward * z - b
+            self.rim(profile, side, cap, radial)
+            beyond = (side > 0.0) & (cap > 0.0)
+            lateral = side >= cap
+            r = ti.select(lateral, one, zero)
+            profile.value = ti.select(beyond, profile.value, ti.max(side, cap))
+            profile.r = ti.select(beyond, profile.r, r)
+            profile.z = upward * ti.select(beyond, profile.z, 1.0 - r)
+            profile.bend = ti.select(beyond, profile.bend, zero)
+            profile.around = profile.r / radial
         seen.value = profile.value
         seen.normal = plus(scaled(outward, profile.r), scaled(axis, profile.z))
         meridian = plus(outer(outward), outer(axis))

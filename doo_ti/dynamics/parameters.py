@@ -43,7 +43,8 @@ class Stepping:
                steps, which also gives the estimate (:mod:`doo_ti.dynamics.trajectory`); None: no error is estimated
     most_substeps  with a tolerance
     detailed   frames, velocities and energies are returned as well; every step is a launch of its own then
-    quasi_static   without inertia and drag: every step is an equilibrium, in which friction remembers where the rod was
+    quasi_static   without inertia, drag and damping: every step is an equilibrium, in which friction remembers where the rod
+                   was
     gap_tolerance  of a rod's radius: how far the gap at a contact may be off, as in :class:`.Newton`. The limit of friction is
                    as exact as the force of its contact. None: 4e-5, and 2e-4 for rods that may touch themselves
 

@@ -119,8 +119,8 @@ class _Motion:
         if dynamics.count not in (1, material.count):
             raise InputError("simulate", "dynamics", f"{dynamics.count} rows, material has {material.count}",
                              "give one, or as many")
-        self.start, self.material, self.dynamics, self.loads, self.up = start, material, dynamics, loads, up
         self.stepping, self.substeps, self.step = stepping, stepping.substeps, stepping.step
+        self.start, self.material, self.dynamics, self.loads, self.up = start, material, self._acting(dynamics), loads, up
         self.grippers = refined_within_reach(grippers, stepping.substeps, start.rest_length)
         self.pairs, self.surroundings, self.touching = pairs, surroundings, touching
         first = grippers.at(0)
@@ -130,6 +130,12 @@ class _Motion:
             self.poses = obstacle_path(surroundings, stepping, grippers.instants, start.take(pairs[0]))
         self.watched = surroundings.itself is not None and not touching
         self.relinked = np.zeros(0, dtype=bool)
+
+    def _acting(self, dynamics: Dynamics) -> Dynamics:
+        """What of it acts: damping does not in quasi-static steps, nor does what :meth:`numbers` leaves out."""
+        if not self.stepping.quasi_static:
+            return dynamics
+        return replace(dynamics, bend_damping=0.0 * dynamics.bend_damping, twist_damping=0.0 * dynamics.twist_damping)
 
     def table(self, rate: float) -> Tables:
         """The tables of the rods, at the ``rate`` a/h of a step."""
@@ -177,9 +183,9 @@ class _Motion:
             raise InputError("simulate", "directions", f"{material.count} and {dynamics.count} rows",
                              f"give as many as of material, {self.material.count}, and of dynamics, {self.dynamics.count}")
         other = copy(self)
-        other.material, other.dynamics = material, dynamics
+        other.material, other.dynamics = material, self._acting(dynamics)
         numbers, shares, _ = other.numbers(table, rate)
-        return under(table, stiffened(material, dynamics, rate)).material, numbers[..., :NUMBERS], shares
+        return under(table, stiffened(material, other.dynamics, rate)).material, numbers[..., :NUMBERS], shares
 
     def begin(self, start: MovingStart, directions: Sequence[Direction]) -> tuple[Memory, np.ndarray]:
         """The memory of rods that start so, and its derivatives.

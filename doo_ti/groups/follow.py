@@ -16,7 +16,7 @@ from doo_ti.dynamics.energies import Losses, damping_shares, joint_strains, stif
 from doo_ti.dynamics.parameters import GRAVITY, RATES, Dynamics, Stepping
 from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupTables
-from doo_ti.groups.relax_group import AtRest, GroupSolution, relaxed, weights_at_vertices
+from doo_ti.groups.relax_group import GroupSolution, relaxed, weights_at_vertices
 from doo_ti.groups.ties import JOINT_ITEMS, TWIST
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.newton import Newton
@@ -50,7 +50,7 @@ def follow_group(group: Group, clamps: Sequence[Sequence[Clamps]], solver: Newto
     if (dynamics is None) != (rate is None):
         missing, other = ("rate", "dynamics") if rate is None else ("dynamics", "rate")
         raise InputError("follow_group", missing, f"missing beside {other}", "give both, or neither")
-    motion = AtRest() if dynamics is None else MovingGroups(group, dynamics, Stepping(rate, scheme=scheme).step, scheme)
+    motion = None if dynamics is None else MovingGroups(group, dynamics, Stepping(rate, scheme=scheme).step, scheme)
     before = None
     for held in clamps:
         group = replace(group, clamps=held)
@@ -66,7 +66,7 @@ def _placed(old: Configuration, new: Configuration) -> Configuration:
                    quaternions=np.where(lost[:, None, None], old.quaternions, new.quaternions))
 
 
-class MovingGroups(AtRest):
+class MovingGroups:
     """N groups at their last two instants. The first that they remember is one at rest; before that they do not move.
 
     group     the groups, with their own materials

@@ -93,8 +93,8 @@ class GroupContacts(ties.Ties, SelfContacts):
             found = (ti.select(held > 0.5, ti.min(found[0], gap), found[0]),)
         return found[0]
 
-    def stand_pairs(self, rod):
-        SelfContacts.stand_pairs(self, rod)
+    def stand(self, rod):
+        """Keep where rods begin, and the forces of ties, before a step."""
         for g in range(rod.rods):
             at = self.member(rod, g)
             at.begin_standing = at.begin

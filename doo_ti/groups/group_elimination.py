@@ -32,7 +32,6 @@ from doo_ti.physics.algebra import (
     seen_from,
 )
 from doo_ti.physics.number import device_functions
-from doo_ti.physics.pair import closure_rows, linear_gradient, linear_hessian
 from doo_ti.physics.quaternion import first_director, product, relative_rotation, second_director, tangent, turned_in_body
 from doo_ti.physics.tuples import add, chosen, cross, dot, extended, minus, negated, plus, products, repeated, scaled, variable
 from doo_ti.relaxation.chain import Chain
@@ -77,7 +76,7 @@ class GroupElimination(DenseLoadedElimination):
         zero = 0.0 * scale
         none = repeated(zero, 3)
         stepping = (scale > 0.0) | (scale < 0.0)
-        self.contacts.stand_pairs(rod)
+        self.contacts.stand(rod)
         self.contacts.step_forces(rod, scale, stepping)
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)
@@ -152,19 +151,6 @@ class GroupElimination(DenseLoadedElimination):
         DenseLoadedElimination.assemble(self, rod, shift, search, multiplier, found)
         self.add_welds(rod)
         self.add_border(rod, search, found)
-
-    def pulled_edge(self, rod, e, edge, slope, bent, force, beyond):
-        """As of one rod, with what the welds of the edge add; weight is a force on vertices (:meth:`.GroupContacts.hang`)."""
-        q = edge.frame
-        t, m1, m2 = tangent(q), first_director(q), second_director(q)
-        length = edge.length
-        l1, l2 = linear_gradient(force, length, m1, m2)
-        straighten = linear_hessian(force, length, t)
-        welded = self.contacts.edge(rod, e).moment
-        g = plus((slope[0], slope[1] + l1, slope[2] + l2), welded)
-        # The second derivatives of welds are by rotation vectors: what spinning before tilting makes of them is added here.
-        h = (bent[0], bent[1] - 0.5 * welded[2], bent[2] + 0.5 * welded[1], bent[3] + straighten, bent[4], bent[5] + straighten)
-        return g, self.second_derivatives(rod, h, g), closure_rows(length, m1, m2)
 
     def assemble_begin(self, rod, line, free, shift, force, found):
         slope = products(free, force)

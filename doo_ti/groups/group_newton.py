@@ -41,7 +41,8 @@ class GroupTables:
                  how much its rod is thicker than the thinnest, mm of radius; and of a spring its point, mm, and its stiffness,
                  energy over mm²
     rest         (1 or N, E, JOINT_ITEMS) rest curvature and twist besides the material's, of the joint where an edge begins
-    apart        (1 or N, pairs) int32: one where two edges may touch, pair j (j − 1)/2 + i of i < j
+    apart        (1 or N, pairs) int32: one where two edges are so far apart along the rods that they may touch, pair
+                 j (j − 1)/2 + i of i < j
     radii        (1 or N, G) mm
     feasible     (N,) bool
     """
@@ -85,9 +86,9 @@ GROUPS = {
 
 
 @cache
-def group_kernel(number: Number, stride: int, block: int, obstacles: frozenset[int]):
-    """(The kernel, compiled on first use, for one kind of number and obstacles of those kinds, and :meth:`.Chain.items`.)"""
-    sweep = GroupElimination(number, stride, GroupContacts(number, obstacles, rub=True))
+def group_kernel(number: Number, stride: int, block: int, has_grid: bool):
+    """(The kernel, compiled on first use, for one kind of number, with ``has_grid`` for grids, and :meth:`.Chain.items`.)"""
+    sweep = GroupElimination(number, stride, GroupContacts(number, has_grid, rub=True))
     loop = NewtonLoop(sweep, sweep.functions)
     loop.trace = LARGE_TRACE
     given = NEWTON | EXTERNAL | OBSTACLES | GROUPS
@@ -97,15 +98,14 @@ def group_kernel(number: Number, stride: int, block: int, obstacles: frozenset[i
 @dataclass(frozen=True)
 class GroupState:
     """All that a launch changes, in place, N rows each: ``frames`` (N, E, 4) and ``results`` (N, LOADED_RESULTS), NaN and
-    UNTOUCHED of infeasible groups; ``places`` (N, G, 3) mm, where the rods begin; ``tie_forces`` (N, K, 6); the ``memory`` and
-    the ``forces`` (N, V, 3) of contacts, those of the table; the :class:`.Touch` of vertices (N, V); and the work of friction
+    UNTOUCHED of infeasible groups; ``places`` (N, G, 3) mm, where the rods begin; ``tie_forces`` (N, K, 6); the ``forces``
+    (N, V, 3) of contacts, those of the table; the :class:`.Touch` of vertices (N, V); and the work of friction
     (N,), energy in mm²."""
 
     frames: np.ndarray
     results: np.ndarray
     places: np.ndarray
     tie_forces: np.ndarray
-    memory: np.ndarray
     forces: np.ndarray
     touch: np.ndarray
     friction_work: np.ndarray
@@ -116,8 +116,8 @@ class GroupState:
         count, edges = table.start.shape[:2]
         results = np.zeros((count, of.LOADED_RESULTS))
         results[~table.feasible, : of.RESULTS] = UNTOUCHED
-        return cls(np.full((count, edges, 4), np.nan), results, table.begins_at.copy(), tie_forces, table.contact.memory,
-                   table.contact.forces, np.zeros((count, edges + 1), dtype=np.int32), np.zeros(count))
+        return cls(np.full((count, edges, 4), np.nan), results, table.begins_at.copy(), tie_forces, table.contact.forces,
+                   np.zeros((count, edges + 1), dtype=np.int32), np.zeros(count))
 
 
 @runtime.exclusive
@@ -130,7 +130,7 @@ def run_groups(table: GroupTables, options: Newton, state: GroupState, previous:
     given = SimpleNamespace(rest_length=table.rest_length, kinds=contact.kinds, places=state.places, ties=table.ties,
                             borders=table.borders)
     kernel, threads, scratch, queue = laid_out(
-        layout_for(len(rows), 64, True), lambda *layout: group_kernel(*layout, contact.known), given)
+        layout_for(len(rows), 64, True), lambda *layout: group_kernel(*layout, contact.has_grid), given)
     kernel(
         table.start.reshape(-1), table.rest_length, table.clamp, table.material, rods, policy_row(table.up, options, 64),
         threads, scratch, queue, state.frames.reshape(-1), state.results, joints.numbers(), joints.field(),

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from doo_ti.contact.surroundings import LEAST_ARC, Itself, smallest_of_pairs
+from doo_ti.contact.surroundings import LEAST_ARC, Itself, Surroundings, smallest_of_pairs
 from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupTables
 from doo_ti.groups.ties import JOINT_ITEMS
@@ -75,13 +75,13 @@ class Member:
         return self.material[:, of.WEIGHT, None] * both
 
     @property
-    def still(self) -> np.ndarray:
+    def clamped(self) -> np.ndarray:
         """(N, V) one where clamps hold a vertex."""
-        still = np.zeros((len(self.start), self.start.shape[1] + 1))
+        clamped = np.zeros((len(self.start), self.start.shape[1] + 1))
         for end, inner, kind, tilt in ((0, 1, 0, of.TILT_START), (-1, -2, 1, of.TILT_END)):
-            still[:, end] = self.held[:, kind]
-            still[:, inner] = np.maximum(still[:, inner], self.held[:, kind] * (1.0 - self.clamp[:, tilt]))
-        return still
+            clamped[:, end] = self.held[:, kind]
+            clamped[:, inner] = np.maximum(clamped[:, inner], self.held[:, kind] * (1.0 - self.clamp[:, tilt]))
+        return clamped
 
 
 def _bending_range(along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -126,10 +126,11 @@ def group_tables(group: Group, up: np.ndarray, obstacles, radius, contact: bool,
         raise InputError("relax_group", "radius", "missing beside obstacles", "give the rods' radius in mm")
     radii = group.radii(1.0 if radius is None else radius)
     require_margin(bodies, radii.max())
-    table = contact_table([*bodies, itself], radii.min(axis=1), group.count, lengths.shape[1], clamp, np.arange(group.count))
+    around = Surroundings.checked("contact", [*bodies, itself], radii.min(axis=1), group.count)
+    table = contact_table(around, group.count, lengths.shape[1], clamp, np.arange(group.count))
     thicker = group.at_vertices(radii - table.radius[:, None])
-    still = np.zeros((*burden.shape[:2], 4))  # no springs
-    burden = np.concatenate([burden, np.broadcast_to(thicker, burden.shape[:2])[..., None], still], axis=-1)
+    springs = np.zeros((*burden.shape[:2], 4))  # none
+    burden = np.concatenate([burden, np.broadcast_to(thicker, burden.shape[:2])[..., None], springs], axis=-1)
     touch = contact and radius is not None
     ties, targets = _ties(group, members)
     apart = edges_apart(group, lengths, begins, radii, touch)
@@ -208,9 +209,9 @@ def _materials(group: Group, members: list[Member]) -> tuple[np.ndarray, np.ndar
     head[:, of.WEIGHT] = np.maximum(head[:, of.WEIGHT], sum(tie.weight for tie in group.ties) / total)
     weight = np.broadcast_to(head[:, of.WEIGHT, None], pull.shape)
     lengths = np.divide(pull, weight, out=np.zeros_like(pull), where=weight > 0)
-    still = np.concatenate([member.still for member in members], axis=1)
+    clamped = np.concatenate([member.clamped for member in members], axis=1)
     stiffness = _joined([np.broadcast_to(part, (rows, *part.shape[1:])) for part in edges], 0.0)
-    burden = np.ascontiguousarray(np.stack([lengths, still], axis=-1))
+    burden = np.ascontiguousarray(np.stack([lengths, clamped], axis=-1))
     return np.concatenate([head, stiffness.reshape(rows, -1)], axis=1), burden
 
 

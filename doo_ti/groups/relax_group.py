@@ -86,24 +86,6 @@ class GroupSolution:
                 f"stable)")
 
 
-class AtRest:
-    """What the groups of a relaxation have besides their energy at rest: nothing. :class:`.MovingGroups` have inertia."""
-
-    moves = False  # whether this is a time step
-
-    def stiffened(self, group: Group) -> Group:
-        """The groups as they are relaxed."""
-        return group
-
-    def into(self, table: GroupTables) -> GroupTables:
-        """The tables of such groups with what a time step adds."""
-        return table
-
-    def reached(self, solution: GroupSolution, table: GroupTables) -> GroupSolution:
-        """The solution without what a time step adds."""
-        return solution
-
-
 @typed
 def relax_group(group: Group, solver: Newton | None = None, *, up: ArrayLike | None = None,
                 obstacles: Sequence[Obstacle] = (), radius: ArrayLike | None = None, contact: bool = True,
@@ -132,16 +114,17 @@ def relax_group(group: Group, solver: Newton | None = None, *, up: ArrayLike | N
 
 @runtime.exclusive
 def relaxed(group: Group, solver: Newton | None, up: ArrayLike | None, obstacles: Sequence[Obstacle], radius: ArrayLike | None,
-            contact: bool, before: GroupSolution | None, motion: AtRest = AtRest()) -> GroupSolution:
-    """:func:`relax_group`, or the first moment or a time step of groups in ``motion``."""
+            contact: bool, before: GroupSolution | None, motion=None) -> GroupSolution:
+    """:func:`relax_group`, or the first moment or a time step of groups in ``motion`` (:class:`.MovingGroups`)."""
     if not isinstance(group, Group):
         raise InputError("relax_group", "group", f"a {type(group).__name__}", "give a Group")
     if not isinstance(solver, Newton | None):
         raise InputError("relax_group", "solver", f"{solver!r}", "give Newton() or Newton.careful()")
     with np.errstate(all="ignore"):  # a group that is not finite has a status; NumPy need not warn
         up = unit_up((0.0, 0.0, 1.0) if up is None else up, "relax_group")
-        table = motion.into(group_tables(motion.stiffened(group), up, obstacle_list("relax_group", obstacles), radius, contact,
-                                         motion.moves))
+        table = group_tables(group if motion is None else motion.stiffened(group), up, obstacle_list("relax_group", obstacles),
+                             radius, contact, motion is not None and motion.moves)
+        table = table if motion is None else motion.into(table)
         tie_forces = np.zeros((group.count, len(table.ties), 6)) if before is None else _forces(group, before)
         state = GroupState.at_start(table, tie_forces)
         if before is None:  # friction acts on the way from there
@@ -152,7 +135,8 @@ def relaxed(group: Group, solver: Newton | None, up: ArrayLike | None, obstacles
             previous = np.ascontiguousarray(np.where(np.isfinite(then), then, now))
         solver = Newton(max_iterations=MOST_IN_CONTACT) if solver is None else solver
         _through_ratios(table, solver, state, previous, RATIOS if before is None else ())
-        return motion.reached(_solution(group, table, state), table)
+        solution = _solution(group, table, state)
+        return solution if motion is None else motion.reached(solution, table)
 
 
 def _through_ratios(table: GroupTables, solver: Newton, state: GroupState, previous: np.ndarray,

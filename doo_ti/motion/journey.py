@@ -38,18 +38,18 @@ EVERY = 4  # every fourth edge is compared: that suffices for the change of a sh
 class JumpCount:
     """Counts the jumps of R rods, sub-step by sub-step, and corrects sub-steps that skipped a branch.
 
-    frames  (R, E, 4) before the first sub-step
-    finely  function of rows (n,), their frames (n, E, 4), a sub-step, counted from zero, and a number of sub-steps: yields the
-            solution of the n rods after each part of these, with status and iterations since the first part
+    begin   the rods before the first sub-step
+    finely  function of rows (n,), these n rods before a sub-step, its number, counted from zero, and a number of sub-steps:
+            yields the solution of the rods after each part of these, with status and iterations since the first part
     watch   False: nothing is counted or corrected
     count   (R,) jumps so far
     """
 
-    def __init__(self, frames: np.ndarray, finely: Callable[..., Iterator[Solution]], watch: bool = True):
+    def __init__(self, begin: Configuration, finely: Callable[..., Iterator[Solution]], watch: bool = True):
         self.watch = watch
-        self.count = np.zeros(len(frames), dtype=np.int32)
+        self.count = np.zeros(begin.count, dtype=np.int32)
         self._finely = finely
-        self._states, self._before = [frames], None
+        self._states, self._before = [begin], None
         self._change = self._size = self._judged = None
         self._step = 0
 
@@ -58,7 +58,7 @@ class JumpCount:
         if not self.watch:
             return
         frames = solution.configuration.quaternions
-        change = _sample(frames) - _sample(self._states[-1])
+        change = _sample(frames) - _sample(self._states[-1].quaternions)
         size, judged = _size(change), np.zeros(len(frames), dtype=bool)
         if self._change is not None:
             larger = np.maximum(size, self._size)
@@ -69,17 +69,17 @@ class JumpCount:
                 if len(rows):
                     self._repeat(rows, steps, solution)
             rows = np.flatnonzero(judged)
-            change[rows] = _sample(frames[rows]) - _sample(self._states[-1][rows])
+            change[rows] = _sample(frames[rows]) - _sample(self._states[-1].quaternions[rows])
             size[rows] = _size(change[rows])
-        self._states, self._before = [self._states[-1], frames], solution
+        self._states, self._before = [self._states[-1], solution.configuration], solution
         self._change, self._size, self._judged = change, size, judged
         self._step += 1
 
     def _repeat(self, rows: np.ndarray, steps: int, solution: Solution) -> None:
         """Repeat the last ``steps`` sub-steps of some rods in parts, and count the jumps in them."""
-        before = self._states[-steps][rows]
-        sizes = []
-        for part, here in enumerate(self._finely(rows, before, self._step + 1 - steps, steps), 1):
+        begin = self._states[-steps].take(rows)
+        before, sizes = begin.quaternions, []
+        for part, here in enumerate(self._finely(rows, begin, self._step + 1 - steps, steps), 1):
             after = here.configuration.quaternions
             sizes.append(_size(_sample(after) - _sample(before)))
             before = after
@@ -152,7 +152,7 @@ class Journey:
         groups, ends, counts = list(self._groups()), [], []
         for rods, steps, group in groups:
             here = begin.take(rods)
-            jumps = JumpCount(here.quaternions, group._finely(steps), watch)
+            jumps = JumpCount(here, group._finely(steps), watch)
             ends.append(_last(group._states(here, steps, jumps)))
             counts.append(jumps.count)
         order = np.argsort(np.concatenate([rods for rods, _, _ in groups]))
@@ -182,7 +182,7 @@ class Journey:
 
     def _states(self, configuration: Configuration, steps: int, jumps: JumpCount | None = None) -> Iterator[Solution]:
         """The rods after each of ``steps`` sub-steps, and in ``precision`` at the end where sub-steps run in another one."""
-        jumps = jumps or JumpCount(configuration.quaternions, self._finely(steps))
+        jumps = jumps or JumpCount(configuration, self._finely(steps))
         rods = np.arange(configuration.count)
         for step in range(steps):
             solution = self._relaxed(rods, configuration, (step + 1) / steps, self._step_precision)
@@ -194,8 +194,7 @@ class Journey:
 
     def _finely(self, steps: int):
         """What :class:`JumpCount` calls to repeat sub-steps in smaller parts, of motions that take ``steps``."""
-        def repeated(rods: np.ndarray, frames: np.ndarray, step: int, repeats: int) -> Iterator[Solution]:
-            here = Configuration(self.motion.clamps.start_position[rods % self._motions], frames, self.rest_length)
+        def repeated(rods: np.ndarray, here: Configuration, step: int, repeats: int) -> Iterator[Solution]:
             status, iterations = np.zeros(len(rods), dtype=np.int8), np.zeros(len(rods), dtype=np.int32)
             for part in range(1, PARTS * repeats + 1):
                 solution = self._relaxed(rods, here, (step + part / PARTS) / steps, self._step_precision)

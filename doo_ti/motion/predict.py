@@ -96,7 +96,8 @@ class Prediction:
 
     @property
     def followed(self) -> np.ndarray:
-        """(T, R) bool: at every moment so far the rod converged to a certified minimum; else there is no prediction."""
+        """(T, R) bool: at every moment so far the rod converged to a certified minimum, or of a rod with inertia all steps
+        converged; else there is no prediction."""
         return np.logical_and.accumulate((self.status == Status.CONVERGED) & self.stable, axis=0)
 
     def at(self, moment: int) -> Configuration:

@@ -244,9 +244,8 @@ def half_turn_angle_function(number):
 def turned_about_own_tangent(p, q):
     """(cos φ, sin φ) of the angle φ about its tangent by which the frame q is turned against the frame p transported to q's
     tangent: that of the twist in p⁻¹ q, the rest of which is the transport."""
-    w = p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3]
-    x = p[0] * q[1] - p[1] * q[0] - p[2] * q[3] + p[3] * q[2]
-    return w * w - x * x, 2.0 * w * x
+    r = relative_rotation(p, q)
+    return r[0] * r[0] - r[1] * r[1], 2.0 * r[0] * r[1]
 
 
 @ti.func

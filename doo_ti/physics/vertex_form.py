@@ -20,7 +20,7 @@ def curvature_binormal(before, after, length_before, length_after):
 
 
 @ti.func
-def transported(source, target, vector):
+def transported_vector(source, target, vector):
     """P(vector), P the smallest rotation with P(source) = target for unit vectors (§III-C)."""
     axis = cross(source, target)
     once = cross(axis, vector)

@@ -111,7 +111,7 @@ def _launch_kernel(table: Tables, isotropic: bool, any_ends: bool, rods, policy:
         more += contact.arguments(contact.forces, options.gap_tolerance)
         given = SimpleNamespace(rest_length=table.rest_length, kinds=contact.kinds)
         launch = laid_out(layout, lambda *layout: newton.contact_kernel(
-            *layout, isotropic, kind, contact.known, contact.itself), given)
+            *layout, isotropic, kind, contact.has_grid, contact.itself), given)
     kernel, threads, scratch, queue = launch
     kernel(table.start.reshape(-1), table.rest_length, table.clamp, table.material, rods, policy, threads, scratch, queue,
            frames.reshape(-1), results, *more)
@@ -146,7 +146,9 @@ def run_descent(table: Tables, options: descent.Descent, bits: int):
     frames = _chain_form(positions, axes)
     certificate = newton.Newton(tolerance=options.tolerance, max_iterations=1, first_shift=0.0, max_escapes=0)
     certified = np.tile(UNTOUCHED, (table.count, 1))
-    continue_newton(table, certificate, 64, frames, certified, np.arange(table.count), np.isfinite(frames[:, 0, 0]))
+    finite = np.isfinite(frames[:, 0, 0])
+    continue_newton(table, certificate, 64, frames, certified, np.arange(table.count), finite)
+    frames[~finite], certified[~finite] = np.nan, UNTOUCHED  # not what the certificate has made of the start
     good = certified[:, of.STATUS] == Status.CONVERGED
     # A rod that converged by the criterion of descent but not by Newton's (its clamp is not reached, say) has stalled.
     own = np.where(results[:, of.STATUS] == Status.CONVERGED, Status.STALLED, results[:, of.STATUS])

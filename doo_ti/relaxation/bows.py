@@ -41,12 +41,12 @@ NONE = -1
 
 @device_functions
 class BowSearch:
-    """The search, one rod at a time, among obstacles of some ``kinds``. Its functions take the record ``tables`` of the
+    """The search, one rod at a time. Its functions take the record ``tables`` of the
     kernel's arguments, and a rod's row ``r`` in them."""
 
-    def __init__(self, kinds: frozenset[int]):
+    def __init__(self, has_grid: bool):
         number = Number(1, 32)
-        self.distance, self.scalar = Distance(number, kinds), number.scalar
+        self.distance, self.scalar = Distance(number, has_grid), number.scalar
         self.memory = Scratch(number, 1)
 
     def work(self, tables, thread):
@@ -158,9 +158,9 @@ ARGUMENTS = {
 
 
 @cache
-def bow_kernel(kinds: frozenset[int], block: int):
-    """The kernel for obstacles of some kinds; ``block`` as of :func:`.loop_kernel`."""
-    return loop_kernel("choose_bows", Number(1, 32), ARGUMENTS, BowSearch(kinds).work, block)
+def bow_kernel(has_grid: bool, block: int):
+    """The kernel, for grids where ``has_grid``; ``block`` as of :func:`.loop_kernel`."""
+    return loop_kernel("choose_bows", Number(1, 32), ARGUMENTS, BowSearch(has_grid).work, block)
 
 
 DOWN, SIDEWAYS, UPRIGHT = (False, 1.0), ((True, 1.0), (True, -1.0)), (False, -1.0)
@@ -251,7 +251,7 @@ def bowed_among(rods: Straight, obstacles: Sequence[Obstacle], beside_others: bo
         single = (np.ascontiguousarray(value, dtype=np.float32) for value in (
             rods.anchor, rods.tangents, rods.axis, rods.lengths, rods.place, rods.free, rods.slope, tries,
             obstacle_table(obstacles).reshape(-1)))
-        kernel = bow_kernel(frozenset(np.minimum(kinds, GRID).tolist()), 1 if runtime.start() == "cpu" else 64)
+        kernel = bow_kernel(bool((kinds >= GRID).any()), 1 if runtime.start() == "cpu" else 64)
         kernel(*single, kinds, grids, min(len(chosen), MOST_THREADS), chosen)
     return rods.bowed(tries[np.where(chosen == NONE, 0, chosen)])
 

@@ -80,7 +80,7 @@ class Chain(PairEnergy):
     length_unit             of all these lengths, mm; energies have a unit of their own (:meth:`.Loading.load`)
     numbers, field, coarse  of an external energy (see :class:`doo_ti.relaxation.external.ExternalFunctions`)
     contacts, kinds, obstacles  where the items of contacts begin, the kinds of the obstacles and how many these are
-                            (:class:`.Contacts`)
+                            (:class:`.RodContacts`)
 
     edge, rod: the layouts of both, by default what a rod without external energy needs.
     """
@@ -212,9 +212,6 @@ class Chain(PairEnergy):
         stepping = (scale > 0.0) | (scale < 0.0)
         reached, lost = variable(repeated(zero, 3)), variable(repeated(zero, 3))
         normal = variable(repeated(zero, 6))
-        if ti.static(self.touches):
-            if ti.static(self.contacts.itself):
-                self.contacts.stand_pairs(rod)
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)
             # In a lane that does not step the rotation is undefined and may be NaN.

@@ -158,7 +158,8 @@ class ClampReader:
         held_first = (1.0 - tilts[0]) * tables.rest_length[length, 0]
         held_last = (1.0 - tilts[1]) * tables.rest_length[length, edges - 1]
         free = minus(minus(line, scaled(tangent(first), held_first)), scaled(tangent(last), held_last))
-        slack = 1.0 - ti.sqrt(dot(free, free)) / (size.total - held_first - held_last)
+        span, reach = ti.sqrt(dot(free, free)), size.total - held_first - held_last
+        slack = 1.0 - span / reach
         found = SOUND
         # With at least two free edges the far point can move in three directions; an edge without length moves nothing.
         tilting = ti.cast(edges - 2, ti.f64)
@@ -166,7 +167,12 @@ class ClampReader:
             tilting += tilts[0]
         if tables.rest_length[length, edges - 1] > 0.0:
             tilting += tilts[1]
-        if (slack >= -ROUNDING) & (tilting >= 2.0):
+        longest = ti.cast(0.0, ti.f64)
+        for e in range(edges):
+            if ((e > 0) | (tilts[0] > 0.0)) & ((e < edges - 1) | (tilts[1] > 0.0)):
+                longest = ti.max(longest, tables.rest_length[length, e])
+        # Nor does one free edge reach back over all others and the line.
+        if (slack >= -ROUNDING) & (tilting >= 2.0) & (2.0 * longest <= (1.0 + ROUNDING) * (reach + span)):
             # Straight rods have their inner edges in line: comparing two of them excludes most other rods.
             inner, middle = frame_of(tables.start, s, ti.min(1, edges - 1)), frame_of(tables.start, s, edges // 2)
             apart = minus(tangent(inner), tangent(middle))

@@ -36,8 +36,8 @@ class ContactEnergy(ContactPlaces):
     """The energy of the contacts of the rods in a pack, in a motion with friction if they ``rub``. ``expects``: steps that are
     refused are tried again with the contacts they have met."""
 
-    def __init__(self, number, kinds: frozenset[int], rub: bool = False, moves: bool = False, expects: bool = False):
-        super().__init__(number, kinds, moves)
+    def __init__(self, number, has_grid: bool, rub: bool = False, moves: bool = False, expects: bool = False):
+        super().__init__(number, has_grid, moves)
         self.rub, self.updates_in_steps, self.expects = rub, not rub, expects
 
     def touched(self, rod, index, start, end):
@@ -48,7 +48,7 @@ class ContactEnergy(ContactPlaces):
         at, before = self.vertex(rod, index), self.vertex(rod, index - 1)
         at.room_standing = at.room
         least = ti.min(at.least, before.least)
-        at.room = least - rod.contacts.radius
+        at.room = self.far_room(rod, least)
         some = 0
         if ti.static(self.rub):
             some = self.touched_by_all(rod, index, start, end)
@@ -57,6 +57,11 @@ class ContactEnergy(ContactPlaces):
                 some = self.touched_by_all(rod, index, start, end)
         self.note_forces(rod, at, some)
         return some
+
+    def far_room(self, rod, least):
+        """The room of an edge that is not close to an obstacle, of whose ends the nearer is ``least`` from it: of the edge some
+        place may be half its length nearer."""
+        return least - ti.max(rod.contacts.radius, 0.5 * rod.longest)
 
     def touched_by_all(self, rod, index, start, end):
         """The same, obstacle by obstacle."""
@@ -80,10 +85,9 @@ class ContactEnergy(ContactPlaces):
                     # It is nowhere nearer to the obstacle than at its ends.
                     least = ti.min(previous.value, contact.value)
                     deep = least + self.obstacle(rod, o).depth
-                    room = ti.min(room, ti.select(self.close_lanes(rod, least), deep, least - rod.contacts.radius))
+                    room = ti.min(room, ti.select(self.close_lanes(rod, least), deep, self.far_room(rod, least)))
             else:
-                value = ti.min(previous.value, contact.value)
-                room = ti.min(room, value - rod.contacts.radius)
+                room = ti.min(room, self.far_room(rod, ti.min(previous.value, contact.value)))
             if ti.static(self.rub):
                 # Friction stays as long as its round, however far the rod moves: without it the energy would jump.
                 active = contact.active > 0.5
@@ -128,7 +132,8 @@ class ContactEnergy(ContactPlaces):
             rod.contacts.excesses = repeated(zero, 6)
 
     def known(self, whole, excess):
-        """Of three sums of an edge those of the forces that are known."""
+        """Of a gradient that sums up all pushes λ − κ g of an edge, the part of the forces λ that are known: the ``whole`` less
+        the ``excess``, −κ g, of steps that update forces."""
         if ti.static(self.updates_in_steps):
             return minus(whole, excess)
         else:
@@ -190,7 +195,7 @@ class ContactEnergy(ContactPlaces):
             active = active | ((sagging > zero) & (seen.value < radius))
             contact.active = ti.select(active, zero + 1.0, contact.active)
             self.add_between(rod, contact, edge, seen, active)
-        return between, ti.select(close, low + depth, least - radius)
+        return between, ti.select(close, low + depth, self.far_room(rod, least))
 
     def push(self, rod, force, gap):
         """(force, stiffness) of a contact whose λ is ``force``, and its energy."""

@@ -17,16 +17,16 @@ from doo_ti.relaxation.contact_table import CONTACT, CONTACTS, EVEN, OBSTACLE, S
 
 @device_functions
 class ContactPlaces:
-    """Where the rods in a pack are, seen from obstacles of some ``kinds``. Of the record ``rod`` it reads ``contacts``, the
+    """Where the rods in a pack are, seen from obstacles. Of the record ``rod`` it reads ``contacts``, the
     view of its numbers in scratch, ``kinds``, ``grids``, and ``obstacles``, how many there are. ``moves``: obstacles may move
     during a motion. ``itself``: rods may touch themselves, or each other (:class:`.SelfContacts`).
     """
 
     itself = False
 
-    def __init__(self, number, kinds: frozenset[int], moves: bool = False):
+    def __init__(self, number, has_grid: bool, moves: bool = False):
         self.largest, self.moves, self.bits = number.lanes().largest, moves, number.bits
-        self.distance = Distance(number, kinds)
+        self.distance = Distance(number, has_grid)
         # What the places of vertices are wrong by, as a share of the rod's length.
         self.rounding = 2e-7 if number.bits == 32 else 1e-13
         # And of the place on an edge, of its length: φ there is wrong by its square.
@@ -109,8 +109,8 @@ class ContactPlaces:
         at.lane(0).nearest_of_all = nearest_of_all
 
     def clearance(self, rod, index, distance):
-        """The ``distance`` of vertex ``index``, or of the edge that ends there, less what is added to RADIUS there: nothing for
-        one rod. Rods of a group may be thicker than the thinnest, whose radius RADIUS is."""
+        """The ``distance`` of vertex ``index``, or of the edge that ends there, less by how much the rod is thicker there than
+        ``rod.contacts.radius``: not at all for one rod; of a group that radius is the thinnest rod's."""
         return distance
 
     def close_lanes(self, rod, value):

@@ -13,14 +13,14 @@ import taichi as ti
 
 from doo_ti.contact.touch import GAP_TOLERANCE
 from doo_ti.physics.algebra import applied, full, transposed
-from doo_ti.physics.factors import against, forward, minus_combination, symmetric_gram
+from doo_ti.physics.factors import against, forward, minus_combination
 from doo_ti.physics.number import Layout, Number, device_functions
 from doo_ti.physics.pair import linear_gradient
 from doo_ti.physics.quaternion import first_director, second_director
 from doo_ti.physics.tuples import add, extended, minus, negated, picked, plus, products, record, repeated, scaled, variable
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_table import SOFT
-from doo_ti.relaxation.contacts import Contacts
+from doo_ti.relaxation.contacts import RodContacts
 from doo_ti.relaxation.external import Nothing
 from doo_ti.relaxation.loaded_elimination import LoadedElimination
 from doo_ti.relaxation.loading import Loading, length_unit
@@ -40,7 +40,7 @@ class Kept(Nothing):
 
 
 @device_functions
-class ContactsAtRest(Contacts):
+class ContactsAtRest(RodContacts):
     """The contacts of rods at rest, which push with their forces λ whatever their gaps."""
 
     def push(self, rod, force, gap):
@@ -54,11 +54,11 @@ class ContactsAtRest(Contacts):
 
 @device_functions
 class ContactSensitivity(SensitivityColumns, LoadedElimination):
-    """The columns of rods that touch obstacles of those ``kinds``, or whose vertex 0 is free among them."""
+    """The columns of rods that touch obstacles, or whose vertex 0 is free among them."""
 
-    def __init__(self, stride: int, kinds: frozenset[int]):
+    def __init__(self, stride: int, has_grid: bool):
         number = Number(1, 64)
-        super().__init__(number, False, stride, Kept, True, ContactsAtRest(number, kinds))
+        super().__init__(number, False, stride, Kept, True, ContactsAtRest(number, has_grid))
         self.loading = Loading(self, self.functions, in_millimetres=True)
 
     @picked
@@ -98,14 +98,6 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
         """Where vertex 0 is free no clamp moves it, and it is the far point that ``shift`` moves."""
         column.shift = plus(column.shift, scaled(column.move, rod.loose))
         column.move = scaled(column.move, 1.0 - rod.loose)
-
-    def schur_complement(self, rod):
-        """S = Σ W_λᵀ D⁻¹ W_λ, vertex 0 included where it is free."""
-        s = variable(symmetric_gram(rod.head.drift_pivots, rod.head.drift_border))
-        for e in range(rod.edges):
-            edge = self.edge(rod.head, e)
-            s = plus(s, symmetric_gram(edge.pivots, edge.force_border))
-        return s
 
     def pushes(self, edge, before, after):
         """K ξ of an edge whose ends move so: by the displacement of its start, and by that of its end beyond its start."""

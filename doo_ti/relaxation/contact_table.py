@@ -21,7 +21,7 @@ from doo_ti.system.errors import InputError
 
 ROD = Layout(
     radius=1, stiffness=1, tolerance=1, change=1, phase=1, reach=1, first_stiffness=1, work=1, retried=1, way_made=1, way=1,
-    multiplier=3, largest=1, viscosity=1, first_viscosity=1, eased=1, given=("radius", 9))
+    multiplier=3, largest=1, viscosity=1, first_viscosity=1, eased=1)
 """stiffness, first_stiffness       κ, and as it was at first
 tolerance, change, phase         of gaps; by how much the last round changed one; ROUGH or FINE
 reach                            how close to an obstacle a vertex is where more than its φ counts
@@ -48,8 +48,10 @@ some_expecting, longest_edge  one number for all rods of the pack: whether any i
 EDGE = Layout(
     gradient=3, gradient_s=3, curvatures=6, curvatures_s=9, curvatures_ss=6, between=("gradient", 27), excess=3, excess_s=3,
     excesses=("excess", 6), end_gradient=3, end_curvatures=6, end_excess=3, end=("end_gradient", 12))
-"""between  derivatives of the energy of the contacts of one edge between its ends, as :meth:`.LoadedElimination.load` has them
-excesses  how much of the first two is not of known forces
+"""Of the edge at hand: a rod has one such area.
+
+between  derivatives of the energy of the contacts of one edge between its ends, as :meth:`.LoadedElimination.load` has them
+excesses  of its first two, how much κ g has to do with: the gradient less that of the known forces λ
 end       derivatives by the place of the vertex where the edge ends of the energy of the contacts there"""
 CONTACTS = ROD + SUMS + STEP + EDGE  # of a rod; its obstacles follow, and then its vertices
 CARRIED_ON = tuple(map(CONTACTS.at, ("first_stiffness", "stiffness", "largest", "way", "work")))
@@ -205,10 +207,9 @@ class ContactTable:
         return bool((self.obstacles[..., FRICTION] > 0).any()) or self.itself and bool((self.self_friction > 0).any())
 
     @property
-    def known(self) -> frozenset[int]:
-        """The kinds that a kernel is to know: all, so that a scene with other obstacles needs no other kernel, but grids only
-        where there are any, since kernels with them take longer to compile."""
-        return frozenset(range(GRID)) | frozenset(np.minimum(self.kinds, GRID).tolist())
+    def has_grid(self) -> bool:
+        """Whether an obstacle is a grid."""
+        return bool((self.kinds >= GRID).any())
 
     def arguments(self, forces: np.ndarray, tolerance: float | None, in_motion: bool = False) -> tuple:
         """What a kernel is given of contacts, which writes ``forces``; ``tolerance`` of gaps, None: the usual one."""
@@ -259,16 +260,11 @@ class ContactTable:
         self.memory[rows[self.near[rows]]] = 0.0
 
 
-def contact_table(obstacles: Sequence[Obstacle], radius, count: int, edges: int, clamp: np.ndarray, index: np.ndarray,
+def contact_table(surroundings: Surroundings, count: int, edges: int, clamp: np.ndarray, index: np.ndarray,
                   in_motion: bool = False) -> ContactTable:
     """The table of ``count`` rods of ``edges`` edges, whose rows of ``clamp`` are ``index``. ``in_motion``: the memory also
-    holds friction, and every rod counts as near.
-
-    Raises InputError where numbers of rows do not match or ``radius`` is missing or not positive.
-    """
-    surroundings = Surroundings.checked("contact", obstacles, radius, count)
-    radius = surroundings.radius
-    obstacles = surroundings.bodies
+    holds friction, and every rod counts as near. Raises InputError as :func:`require_margin` does."""
+    radius, obstacles = surroundings.radius, surroundings.bodies
     require_margin(obstacles, radius.max())
     # Grippers may carry any rod to an obstacle.
     near = np.ones(count, dtype=bool) if in_motion else _near(obstacles, radius, clamp, index)

@@ -1,4 +1,4 @@
-"""Contacts from one instant to the next, into scratch and out of it (docs/contact.md)."""
+"""RodContacts from one instant to the next, into scratch and out of it (docs/contact.md)."""
 
 import taichi as ti
 
@@ -6,7 +6,7 @@ from doo_ti.contact.obstacles import DEPTH, OBSTACLE_COLUMNS, SIZES
 from doo_ti.contact.touch import HELD, Touch
 from doo_ti.physics.number import device_functions, in_f64, read
 from doo_ti.physics.tuples import choose, dot, repeated, scaled
-from doo_ti.relaxation import contact_table as fixed
+from doo_ti.relaxation import contact_table as layout
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_rounds import ContactRounds
 
@@ -14,14 +14,15 @@ NONE, STICKS, SLIPS = map(int, Touch)
 
 
 @device_functions
-class Contacts(ContactRounds):
+class RodContacts(ContactRounds):
     """The contacts from one instant to the next, and on their way into scratch and out of it."""
 
     # --- from one instant to the next ---
 
     def renew(self, rod, done, least, multiplier):
-        """Begin another step from where the rods are, in the lanes that are ``done``; returns those in which the clamps have
-        not made all their way to the next instant, of which they make ``least`` at once or more."""
+        """Begin another step from where the rods are, in the lanes that are ``done``. Returns those in which the step ends
+        before the next instant: the clamps have made a part of their way to it only, or the step had viscosity. The next part
+        of the way is twice as long, and at least ``least`` of the whole."""
         zero = 0.0 * rod.total
         one = zero + 1.0
         made = rod.contacts.way_made + rod.contacts.way
@@ -33,7 +34,7 @@ class Contacts(ContactRounds):
         # The clamps wait until the rod has come to rest without viscosity.
         further = ti.max(2.0 * rod.contacts.way, least)
         choose(rod.contacts, done, way=ti.select(eased, zero, ti.min(further, one - made)))
-        thinner = rod.contacts.viscosity / fixed.STIFFER
+        thinner = rod.contacts.viscosity / layout.STIFFER
         enough = thinner >= 0.5 * rod.contacts.first_viscosity  # rounding apart, the first one
         choose(rod.contacts, done, viscosity=ti.select(enough, thinner, zero), multiplier=multiplier)
         choose(rod.contacts, done & ~midway, eased=zero)
@@ -49,7 +50,7 @@ class Contacts(ContactRounds):
     def begin_rounds(self, rod, where):
         """Begin with the rounds of a step, from the forces that there are, in the lanes ``where``."""
         zero = 0.0 * rod.total
-        choose(rod.contacts, where, phase=zero + fixed.ROUGH, change=zero + 1e30, stiffness=rod.contacts.first_stiffness)
+        choose(rod.contacts, where, phase=zero + layout.ROUGH, change=zero + 1e30, stiffness=rod.contacts.first_stiffness)
         self.tighten(rod, where)
         choose(rod.contacts, where, retried=zero, update_stiffness=zero, updates=zero)
 
@@ -80,16 +81,16 @@ class Contacts(ContactRounds):
         again = failed & (rod.contacts.retried < 0.5) & (bowed | ~blocked) & (viscosity <= 0.0)
         quasi_static = least < 0.9
         shorter = failed & ~again & (rod.contacts.way > 1.5 * least) & quasi_static & ((viscosity <= 0.0) | blocked)
-        eased = failed & ~again & ~blocked & ~shorter & quasi_static & (rod.contacts.eased < fixed.MOST_TRIES)
+        eased = failed & ~again & ~blocked & ~shorter & quasi_static & (rod.contacts.eased < layout.MOST_TRIES)
         once = again | shorter | eased
         if self.some(once, zero):
             choose(rod.contacts, shorter, way=0.5 * rod.contacts.way)
-            choose(rod.contacts, eased, viscosity=ti.max(fixed.STIFFER * viscosity, rod.contacts.first_viscosity),
+            choose(rod.contacts, eased, viscosity=ti.max(layout.STIFFER * viscosity, rod.contacts.first_viscosity),
                    eased=1.0 + rod.contacts.eased)
             for v in range(rod.edges + 1):
                 at = self.vertex(rod, v)
                 for o in range(rod.obstacles):
-                    choose(self.contact(at, o), once, remembered=repeated(zero, fixed.REMEMBERED_IN_MOTION))
+                    choose(self.contact(at, o), once, remembered=repeated(zero, layout.REMEMBERED_IN_MOTION))
             if ti.static(self.itself):
                 self.forget_pairs(rod, once)
             choose(rod.contacts, once, largest=zero)  # one that jammed would be jammed again
@@ -103,13 +104,13 @@ class Contacts(ContactRounds):
         own = one.contacts
         for v in range(one.edges + 1):
             self.vertex(one, v).previous = scaled(read(tables.places, row, v, 0), 1.0 / unit)
-        # The first step of a motion knows no forces. All others continue as if no launch had ended before them.
+        # A contact has to stop a vertex with its inertia, too.
         stiffness = in_f64(own.stiffness) + inertia
-        own.stiffness, own.first_stiffness, own.phase, own.way = stiffness, stiffness, fixed.ROUGH, 1.0
+        own.stiffness, own.first_stiffness, own.phase, own.way = stiffness, stiffness, layout.ROUGH, 1.0
         own.work, own.largest, own.viscosity, own.eased, own.way_made = 0.0, 0.0, 0.0, 0.0, 0.0
-        if tables.rod_memory[row, 0] > 0.0:
-            for k in ti.static(range(len(fixed.CARRIED_ON))):
-                own[fixed.CARRIED_ON[k]] = tables.rod_memory[row, k]
+        if tables.rod_memory[row, 0] > 0.0:  # not the first launch: as if none had ended before
+            for k in ti.static(range(len(layout.CARRIED_ON))):
+                own[layout.CARRIED_ON[k]] = tables.rod_memory[row, k]
             if ti.static(self.itself):
                 self.load_carried_pairs(tables, slot, row)
         own.multiplier = read(tables.results, row, of.FORCE)
@@ -125,16 +126,18 @@ class Contacts(ContactRounds):
         own = ti.min(row, tables.obstacles.shape[0] - 1)
         vertices = one.edges + 1
         radius = tables.radius[ti.min(row, tables.radius.shape[0] - 1)] / unit
-        bending = ti.static(fixed.LOOP_LOADS if self.itself else fixed.BENDING_LOADS) * scale.bend / (scale.total * scale.total)
+        loads = ti.static(layout.LOOP_LOADS if self.itself else layout.BENDING_LOADS)
+        bending = loads * scale.bend / (scale.total * scale.total)
         force, whole = bending + scale.weight * scale.length, bending + scale.weight * scale.total
         thinnest = ti.cast(1e30, ti.f64)
         for o in range(count):
             thinnest = ti.min(thinnest, tables.obstacles[own, o, DEPTH] / unit)
-        stiffness = ti.max(force / (fixed.SOFT * radius), whole / (fixed.PRESSED_IN * (radius + thinnest)))
+        stiffness = ti.max(force / (layout.SOFT * radius), whole / (layout.PRESSED_IN * (radius + thinnest)))
         viscosity = whole / (scale.total * vertices * unit * unit)
         tolerance = ti.max(tables.tolerance * radius, 10.0 * self.rounding * scale.total)
-        reach = fixed.CLOSE * radius + 0.5 * scale.longest
-        base.given = (radius, stiffness, tolerance, 1e30, fixed.ROUGH, reach, stiffness, 0.0, 0.0)
+        reach = layout.CLOSE * radius + 0.5 * scale.longest
+        base.radius, base.tolerance, base.reach, base.first_stiffness = radius, tolerance, reach, stiffness
+        base.change, base.phase, base.work, base.retried = 1e30, layout.ROUGH, 0.0, 0.0
         base.first_viscosity, base.update_stiffness, base.updates, base.expecting = viscosity, 0.0, 0.0, 0.0
         for o in range(count):
             at = self.obstacle(one, o)
@@ -151,7 +154,7 @@ class Contacts(ContactRounds):
                 largest = ti.max(largest, self.load_contact(tables, self.contact(at, o), row, v, o))
         # A rod that begins with large forces would slip into the obstacle if κ gave way as if it had none.
         base.largest = largest
-        base.stiffness = ti.max(stiffness, largest / (fixed.PRESSED_IN * radius))
+        base.stiffness = ti.max(stiffness, largest / (layout.PRESSED_IN * radius))
         if ti.static(self.itself):
             self.load_pairs(tables, slot, row)
 
@@ -159,11 +162,12 @@ class Contacts(ContactRounds):
         """What memory has of a contact into a lane; returns the larger of its forces."""
         if ti.static(self.expects):
             contact.pushes, contact.pushes_between = 0.0, 0.0
-        for k in ti.static(range(fixed.REMEMBERED, fixed.REMEMBERED_IN_MOTION) if self.rub else (fixed.CONTACT.at("active"),)):
+        fresh = ti.static(range(layout.REMEMBERED, layout.REMEMBERED_IN_MOTION) if self.rub else (layout.CONTACT.at("active"),))
+        for k in ti.static(fresh):
             contact[k] = 0.0
         force, between = tables.memory[row, v, o, 0], tables.memory[row, v, o, 1]
         contact.force, contact.force_between = force, between
-        for k in range(fixed.REMEMBERED, tables.memory.shape[3]):
+        for k in range(layout.REMEMBERED, tables.memory.shape[3]):
             contact[k] = tables.memory[row, v, o, k]
         return ti.max(force, between)
 
@@ -209,16 +213,16 @@ class Contacts(ContactRounds):
         for v in range(one.edges + 1):
             for o in range(one.obstacles):
                 contact = self.contact(self.vertex(one, v), o)
-                for k in ti.static(range(fixed.REMEMBERED)):
+                for k in ti.static(range(layout.REMEMBERED)):
                     tables.memory[row, v, o, k] = contact[k]
-                for k in range(fixed.REMEMBERED, tables.memory.shape[3]):
+                for k in range(layout.REMEMBERED, tables.memory.shape[3]):
                     tables.memory[row, v, o, k] = contact[k]
 
     def unload_motion(self, tables, slot, row):
         """The same of a rod in motion, with what its next step begins with."""
         self.unload(tables, slot, row)
         own = tables.contacts.lane(slot)
-        for k in ti.static(range(len(fixed.CARRIED_ON))):
-            tables.rod_memory[row, k] = own[fixed.CARRIED_ON[k]]
+        for k in ti.static(range(len(layout.CARRIED_ON))):
+            tables.rod_memory[row, k] = own[layout.CARRIED_ON[k]]
         if ti.static(self.itself):
             self.carry_pairs(tables, slot, row)

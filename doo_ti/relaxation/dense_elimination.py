@@ -184,14 +184,22 @@ class DenseElimination(DenseFactors):
 
     def pulled_edge(self, rod, e, edge, slope, bent, force, beyond):
         """Of an edge whose bending and twisting has the gradient ``slope`` and second derivative ``bent``: these with what the
-        ``force`` on it and the weight of the length ``beyond`` it add, and the rows of A."""
+        ``force`` on it and the weight of the length ``beyond`` it add, and the rows of A. Of a group weight is a force on
+        vertices (:meth:`.GroupContacts.hang`), and the welds of the edge add to both."""
         q, length = edge.frame, edge.length
         t, m1, m2 = tangent(q), first_director(q), second_director(q)
-        pull = plus(scaled(rod.gravity, self.hanging_weight(rod, length, beyond)), force)
+        pull = variable(force)
+        if ti.static(not self.breaks):
+            pull = plus(scaled(rod.gravity, self.hanging_weight(rod, length, beyond)), force)
         l1, l2 = linear_gradient(pull, length, m1, m2)
         straighten = linear_hessian(pull, length, t)
-        g = (slope[0], slope[1] + l1, slope[2] + l2)
-        h = (bent[0], bent[1], bent[2], bent[3] + straighten, bent[4], bent[5] + straighten)
+        g = variable((slope[0], slope[1] + l1, slope[2] + l2))
+        h = variable((bent[0], bent[1], bent[2], bent[3] + straighten, bent[4], bent[5] + straighten))
+        if ti.static(self.breaks):
+            welded = self.contacts.edge(rod, e).moment
+            g = plus(g, welded)
+            # Their second derivatives are by rotation vectors: this is what spinning before tilting makes of them.
+            h = (h[0], h[1] - 0.5 * welded[2], h[2] + 0.5 * welded[1], h[3], h[4], h[5])
         return g, self.second_derivatives(rod, h, g), closure_rows(length, m1, m2)
 
     def assemble_edge(self, rod, e, edge, slope, bent, across, rows, given, found):

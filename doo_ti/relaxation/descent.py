@@ -18,7 +18,8 @@ from doo_ti.physics.number import Number, Scratch, device_functions
 from doo_ti.physics.tuples import chosen, picked, put_lane, record, repeated
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, SCRATCH, TABLE1, TABLE2, TABLE3, loop_kernel
-from doo_ti.relaxation.loading import LANES, NEXT, stiffness_scale
+from doo_ti.relaxation.loading import stiffness_scale
+from doo_ti.relaxation.newton import QueueLoop
 from doo_ti.relaxation.vertex_chain import VERTEX, VertexChain
 from doo_ti.rod.types import Status
 from doo_ti.system.arguments import typed
@@ -55,8 +56,8 @@ PATIENCE = 20_000  # iterations in which neither energy nor residual came down n
 
 
 @device_functions
-class DescentLoop:
-    """The work of a thread, until the queue is empty.
+class DescentLoop(QueueLoop):
+    """The loop of descent.
 
     Its functions share three records: ``tables``, the arrays and options that host and kernel share; ``rod``
     (:class:`.VertexChain`); and ``lane``, the state of each lane's rod:
@@ -85,28 +86,8 @@ class DescentLoop:
         return given.vertices.shape[1] * VERTEX.size
 
     def work(self, tables, thread):
-        """A thread's work, until the queue is empty."""
-        origin = self.memory.of_thread(tables.scratch, thread, VERTEX, self.items(tables))
-        lane = self.idle_lanes()
-        places = LANES + thread * self.width  # where the queue says which rods the lanes have
-        running = 1
-        while running == 1:
-            if self.largest(lane.finished) > 0.5:
-                for slot in range(self.width):
-                    if self.lane(lane.finished, slot) > 0.5:
-                        lane.finished = self.with_lane(lane.finished, slot, 0.0)
-                        if self.lane(lane.active, slot) > 0.5:
-                            row = tables.rods[tables.queue[places + slot], of.RESULT_ROW]
-                            self.store(tables, origin, slot, lane, row)
-                        lane.active = self.with_lane(lane.active, slot, 0.0)
-                        index = ti.atomic_add(tables.queue[NEXT], 1)
-                        if index < tables.rods.shape[0]:
-                            tables.queue[places + slot] = index
-                            self.load(tables, origin, slot, lane, index)
-            if self.largest(lane.active) < 0.5:
-                running = 0
-            else:
-                self.trip(tables, origin, lane)
+        """A thread's work with the arrays of its kernel."""
+        self.serve(tables, self.memory.of_thread(tables.scratch, thread, VERTEX, self.items(tables)), thread)
 
     def idle_lanes(self):
         """The record of lanes that have no rod yet."""
@@ -116,9 +97,12 @@ class DescentLoop:
             energy=zero, lowest=zero, mean=zero, count=zero, step=zero, residual=zero, best=one, fresh=zero, trips=zero,
             still=zero, status=zero, short=repeated(one, 3), active=zero, finished=one)
 
-    def store(self, tables, origin, slot, lane, place):
-        """The rod in lane ``slot`` into row ``place`` of the results."""
-        edges = tables.directors.shape[1]
+    def begin(self, tables, origin, lane):
+        lane.finished = self.constant(0.0)
+
+    def store(self, tables, origin, slot, lane, rod):
+        """Results of the rod in lane ``slot``, row ``rod`` of the rods."""
+        place, edges = tables.rods[rod, of.RESULT_ROW], tables.directors.shape[1]
         for v in range(edges + 1):
             at = self.sweep.vertex(origin.lane(slot), v)
             for k in ti.static(range(3)):
@@ -132,7 +116,7 @@ class DescentLoop:
         tables.results[place, of.STATUS] = self.lane(lane.status, slot)
         tables.results[place, of.STABLE] = 0.0
 
-    def load(self, tables, origin, slot, lane, index):
+    def take(self, tables, origin, slot, lane, index):
         """Row ``index`` of the rods into lane ``slot``."""
         s, g = tables.rods[index, of.CLAMP_ROW], tables.rods[index, of.MATERIAL_ROW]
         longest, shortest = self.sweep.load_rod(tables, origin.lane(slot), s, g)
@@ -147,9 +131,9 @@ class DescentLoop:
             lane, self.with_lane, slot, held=held, spin=(tables.clamp[s, of.SPIN_START], tables.clamp[s, of.SPIN_END]),
             gravity=(weight * tables.up[0], weight * tables.up[1], weight * tables.up[2]), length=longest, scale=scale,
             limit_move=tables.largest_move * shortest, count=0.0, step=0.0, residual=1e30, best=1e30, lowest=1e30,
-            short=(1e30, 1e30, 1e30), fresh=1.0, trips=0.0, still=0.0, active=1.0)
+            short=(1e30, 1e30, 1e30), fresh=1.0, trips=0.0, still=0.0)
 
-    def trip(self, tables, origin, lane):
+    def advance(self, tables, origin, lane):
         """One step of every lane's rod, and its judgement."""
         rod = record(origin=origin, edges=tables.directors.shape[1], held=lane.held, spin=lane.spin, gravity=lane.gravity)
         self.sweep.move(rod, lane.step)
@@ -217,7 +201,7 @@ ARGUMENTS = {
     "rods": INDEX2,  # [rod, ROD_COLUMNS]
     "tolerance": ti.f64, "max_iterations": ti.i32, "largest_move": ti.f64,
     "threads": ti.i32, "scratch": SCRATCH,
-    "queue": INDEX1,  # [NEXT, TRIPS (unused), LANES + thread · lane] zero
+    "queue": INDEX1,  # [NEXT, TRIPS, LANES + thread · lane] zero
     "positions": TABLE3,  # [rod, vertex, 3] out
     "material_axes": TABLE3,  # [rod, edge, 3] out: m1
     "results": TABLE2,  # [rod, RESULTS] out

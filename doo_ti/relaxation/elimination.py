@@ -137,9 +137,10 @@ class Elimination(Chain):
         return scaled(solved, rod.closed), positive_eigenvalues(minors)
 
     def substitute(self, rod, found):
-        """Back-substitution ω = L⁻ᵀ D⁻¹ (W_r − W_A δλ − W_U ω_next). Returns how large the step is for one that may be taken
-        whole, its size, here both the largest rotation, rad, and the Newton decrement ωᵀHω, twice the energy that the step is
-        expected to gain."""
+        """Back-substitution ω = L⁻ᵀ D⁻¹ (W_r − W_A δλ − W_U ω_next). Returns three numbers: what is compared with the largest
+        step that may be taken whole; the size of the step; and its Newton decrement ωᵀHω, twice the energy that it is expected
+        to gain. Here the first two are the largest rotation, rad; in contact the first is more (:meth:`.RodContacts.approach`).
+        """
         zero = 0.0 * rod.total
         w = variable(repeated(zero, 3))
         longest, decrement = (zero, zero)
@@ -169,7 +170,8 @@ class Elimination(Chain):
         """(right-hand side with the noise and the echo of ``search`` (noise, echo), slope along the echo).
 
         Inverse iterations from there lead towards the softest direction, off a saddle: the noise is a fixed perturbation, the
-        echo that many times the last step.
+        echo that many times the last step. The numbers from -2.5 to 3.5 only have to be the same each time and to have no
+        symmetry along the rod: remainders by the prime 7 run through all seven of them, in three orders.
         """
         noise, echo = search
         # In a lane without an echo the step is undefined and may be NaN.

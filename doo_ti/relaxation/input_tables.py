@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from doo_ti.contact.obstacles import Obstacle
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.bows import projectable
 from doo_ti.relaxation.clamp_table import INFEASIBLE, clamp_table
@@ -167,7 +168,8 @@ def tables(
     clamp, found = clamp_table(configuration, lengths, kinds, clamps)
     if (external is not None or obstacles) and (kinds[:, 0] == FREE).any():
         _loosen(clamp, kinds, configuration, clamps)
-    contact = contact_table(obstacles, radius, rods, edges, clamp, index_c, in_motion) if obstacles else None
+    around = Surroundings.checked("contact", obstacles, radius, rods)
+    contact = contact_table(around, rods, edges, clamp, index_c, in_motion) if around else None
     start = room(*configuration.quaternions.shape)
     start[...] = configuration.quaternions  # a copy: failed rods start from it again, whatever becomes of the caller's
     if not in_motion:  # there every instant is judged by itself

@@ -3,11 +3,14 @@
 import linecache
 from collections.abc import Callable
 
+import numpy as np
 import taichi as ti
 
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import record
+from doo_ti.relaxation import tables as of
 from doo_ti.system import runtime
+from doo_ti.system.errors import InputError
 
 TABLE1, TABLE2, TABLE3, TABLE4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))
 INDEX1, INDEX2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))
@@ -29,6 +32,8 @@ def loop_kernel(name: str, number: Number, arguments: dict, work: Callable, bloc
     block   threads in a block, 1 on a CPU
     serial  on a CPU, work on the caller's thread
     brief   see :func:`.runtime.compiled_briefly`: for kernels that otherwise take minutes to compile
+
+    A launch raises InputError for a table that is too large to be counted.
     """
     source = SOURCE.format(name=name, names=", ".join(arguments), fields=", ".join(f"{one}={one}" for one in arguments))
     file = f"<kernel {name}>"
@@ -39,4 +44,12 @@ def loop_kernel(name: str, number: Number, arguments: dict, work: Callable, bloc
     scratch = ti.types.ndarray(dtype=number.type, ndim=1)
     scope[name].__annotations__ = {one: scratch if kind is SCRATCH else kind for one, kind in arguments.items()}
     kernel = runtime.kernel(scope[name])
-    return runtime.compiled_briefly(kernel) if brief else kernel
+    compiled = runtime.compiled_briefly(kernel) if brief else kernel
+
+    def launch(*given) -> None:
+        for table, values in zip(arguments, given, strict=True):
+            if isinstance(values, np.ndarray) and values.size > of.MOST_NUMBERS:
+                raise InputError(name, table, f"{values.size:,} numbers in one call", "give fewer rods or edges at a time")
+        compiled(*given)
+
+    return launch

@@ -45,7 +45,7 @@ from doo_ti.physics.tuples import (
 )
 from doo_ti.relaxation.chain import edge_layout, rod_layout
 from doo_ti.relaxation.contact_table import CONTACTS
-from doo_ti.relaxation.contacts import Contacts
+from doo_ti.relaxation.contacts import RodContacts
 from doo_ti.relaxation.elimination import LooseStart, held_pivot
 from doo_ti.relaxation.newton_policy import INERTIA_OF_A_MINIMUM
 
@@ -66,7 +66,8 @@ class LoadedElimination(LooseStart):
     left out. ``contacts`` with obstacles, if rods may touch any, come on top.
     """
 
-    def __init__(self, number, isotropic: bool, stride: int, external: type, any_ends: bool, contacts: Contacts | None = None):
+    def __init__(self, number, isotropic: bool, stride: int, external: type, any_ends: bool,
+                 contacts: RodContacts | None = None):
         super().__init__(number, isotropic, stride, edge_layout(isotropic, external.layout, any_ends),
                          rod_layout(external.start_layout if any_ends else None))
         self.functions = external.functions(number)
@@ -159,9 +160,9 @@ class LoadedElimination(LooseStart):
             if ti.static(self.moves_start):
                 self.eliminate_border(edge, self.freedom(rod, e), border, rows, f, wr, wz, wu)
             h, g = h_before, g_before
-        return self.closed(rod, shift, miss, beyond, border, found)
+        return self.finish(rod, shift, miss, beyond, border, found)
 
-    def closed(self, rod, shift, miss, beyond, border, found):
+    def finish(self, rod, shift, miss, beyond, border, found):
         """The result of :meth:`eliminate`, from what edge 0 passes on: vertex 0 and closure are eliminated here."""
         zero = 0.0 * rod.total
         change = variable(repeated(zero, 3))
@@ -267,6 +268,14 @@ class LoadedElimination(LooseStart):
             x = plus(x, change)
             size = self.longer(size, w)
         return ti.sqrt(largest_of(longest, size)), ti.sqrt(size), decrement
+
+    def schur_complement(self, rod):
+        """S = Σ W_λᵀ D⁻¹ W_λ, vertex 0 included where it is free."""
+        s = variable(symmetric_gram(rod.head.drift_pivots, rod.head.drift_border))
+        for e in range(rod.edges):
+            edge = self.edge(rod.head, e)
+            s = plus(s, symmetric_gram(edge.pivots, edge.force_border))
+        return s
 
     def without_multiplier(self, edge, change):
         """W_r − W_λ δλ of an edge."""

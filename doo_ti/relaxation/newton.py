@@ -15,7 +15,7 @@ from doo_ti.physics.number import Number, device_functions, in_f64, write
 from doo_ti.physics.tuples import choose, dot, record, repeated, scaled
 from doo_ti.relaxation import newton_policy as fixed
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contacts import Contacts
+from doo_ti.relaxation.contacts import RodContacts
 from doo_ti.relaxation.dense_elimination import DenseElimination
 from doo_ti.relaxation.elimination import Elimination
 from doo_ti.relaxation.kernel_factory import FIELD, INDEX1, INDEX2, SCRATCH, TABLE1, TABLE2, TABLE3, TABLE4, loop_kernel
@@ -28,18 +28,12 @@ from doo_ti.system.errors import InputError, require_number, require_whole
 
 
 @device_functions
-class NewtonLoop(NewtonTrip):
-    """The work of a thread, until the queue is empty."""
+class QueueLoop:
+    """The work of a thread with a pack of rods, until the queue is empty. A class that derives from it has ``idle_lanes``,
+    ``store``, ``take``, which loads a rod, ``begin``, which clears ``finished``, and ``advance``."""
 
-    def __init__(self, sweep: Elimination, functions=None, has_coarse: bool = False):
-        super().__init__(sweep, has_coarse)
-        self.width = sweep.number.width
-        self.loading = Loading(sweep, functions)
-
-    def work(self, given, thread):
-        """A thread's work with the arrays of its kernel, until the queue is empty."""
-        tables = self.sweep.completed(given, thread)
-        head = self.sweep.head(tables.scratch, thread, tables.rest_length.shape[1])
+    def serve(self, tables, head, thread):
+        """All rods that the thread gets."""
         # Rods taken from the queue at a time: with fewer, threads wait for each other at the queue; with more, some end early.
         batch = ti.max(1, ti.min(16, tables.rods.shape[0] // (16 * tables.threads * self.width)))
         lane = self.idle_lanes()
@@ -68,6 +62,34 @@ class NewtonLoop(NewtonTrip):
                 if self.lane(lane.active, slot) > 0.5:
                     self.store(tables, head, slot, lane, tables.queue[supply.places + slot])
                 self.refill(tables, head, slot, lane, supply)
+
+    def refill(self, tables, head, slot, lane, supply):
+        """The next rod of the queue into lane ``slot``, if there is one; ``supply`` are the rods taken from it already."""
+        lane.active = self.with_lane(lane.active, slot, 0.0)
+        if supply.next == supply.end:
+            supply.next = ti.atomic_add(tables.queue[NEXT], supply.batch)
+            supply.end = ti.min(supply.next + supply.batch, tables.rods.shape[0])
+        if supply.next < supply.end:
+            rod = supply.next
+            supply.next += 1
+            tables.queue[supply.places + slot] = rod
+            self.take(tables, head, slot, lane, rod)
+            lane.active = self.with_lane(lane.active, slot, 1.0)
+
+
+@device_functions
+class NewtonLoop(QueueLoop, NewtonTrip):
+    """The loop of Newton's method."""
+
+    def __init__(self, sweep: Elimination, functions=None, has_coarse: bool = False):
+        NewtonTrip.__init__(self, sweep, has_coarse)
+        self.width = sweep.number.width
+        self.loading = Loading(sweep, functions)
+
+    def work(self, given, thread):
+        """A thread's work with the arrays of its kernel."""
+        tables = self.sweep.completed(given, thread)
+        self.serve(tables, self.sweep.head(tables.scratch, thread, tables.rest_length.shape[1]), thread)
 
     def idle_lanes(self):
         """The record of lanes that have no rod yet."""
@@ -121,19 +143,10 @@ class NewtonLoop(NewtonTrip):
         tables.results[row, of.STATUS] = status
         tables.results[row, of.STABLE] = self.lane(lane.stable, slot)
 
-    def refill(self, tables, head, slot, lane, supply):
-        """The next rod of the queue into lane ``slot``, if there is one; ``supply`` are the rods taken from it already."""
-        lane.active = self.with_lane(lane.active, slot, 0.0)
-        if supply.next == supply.end:
-            supply.next = ti.atomic_add(tables.queue[NEXT], supply.batch)
-            supply.end = ti.min(supply.next + supply.batch, tables.rods.shape[0])
-        if supply.next < supply.end:
-            rod = supply.next
-            supply.next += 1
-            tables.queue[supply.places + slot] = rod
-            self.loading.load(tables, head, slot, rod, self.lane(lane.lengths_known, slot))
-            lane.lengths_known = self.with_lane(lane.lengths_known, slot, 1.0)
-            lane.active = self.with_lane(lane.active, slot, 1.0)
+    def take(self, tables, head, slot, lane, rod):
+        """Row ``rod`` of the rods into lane ``slot``."""
+        self.loading.load(tables, head, slot, rod, self.lane(lane.lengths_known, slot))
+        lane.lengths_known = self.with_lane(lane.lengths_known, slot, 1.0)
 
     def begin(self, tables, head, lane):
         """Initialise the lanes that were refilled."""
@@ -258,13 +271,13 @@ def newton_kernel(number: Number, stride: int, block: int, isotropic: bool, exte
 
 
 @cache
-def contact_kernel(number: Number, stride: int, block: int, isotropic: bool, external: type, obstacles: frozenset[int],
+def contact_kernel(number: Number, stride: int, block: int, isotropic: bool, external: type, has_grid: bool,
                    itself: bool):
-    """The same for rods that may touch obstacles of those kinds, or ``itself``, under an external energy."""
+    """The same for rods that may touch obstacles, with ``has_grid`` grids, or ``itself``, under an external energy."""
     if itself:
-        sweep = DenseLoadedElimination(number, isotropic, stride, external, True, SelfContacts(number, obstacles))
+        sweep = DenseLoadedElimination(number, isotropic, stride, external, True, SelfContacts(number, has_grid))
     else:
-        sweep = LoadedElimination(number, isotropic, stride, external, True, Contacts(number, obstacles, expects=True))
+        sweep = LoadedElimination(number, isotropic, stride, external, True, RodContacts(number, has_grid, expects=True))
     loop = NewtonLoop(sweep, sweep.functions, external.has_coarse)
     kernel = loop_kernel("newton_in_contact", number, NEWTON | EXTERNAL | OBSTACLES, loop.work, block, brief=True)
     return kernel, sweep.items

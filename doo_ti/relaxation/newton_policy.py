@@ -12,7 +12,7 @@ MOST_SHIFT = 1e3  # times what is stiff at an edge: no shift is larger there
 DECAY, NEGLIGIBLE = 1 / 16, 1e-5  # each accepted step multiplies the shift by DECAY, below NEGLIGIBLE it is zero;
 DECAY_TROUBLED, NEGLIGIBLE_TROUBLED = 1 / 4, 1e-6  # the same once a step was refused or the inertia was wrong
 CUT = 0.1  # a step of which a smaller share may be taken does not make the shift smaller
-STILL, BY_ROUNDING = 1e-10, 1e3  # rad: a smaller step is rounding, and by how much the residual then may exceed its tolerance
+ROUNDED_STEP, BY_ROUNDING = 1e-10, 1e3  # rad: a smaller step is rounding; how much more than tolerated the residual then may be
 FAR_FROM_REST = 1e-3  # residual, above which frames spin before they tilt
 # Eigenvalues that are smaller, over H's largest diagonal entry, are neutral motions. Contact needs the larger number, and so do
 # all rods once they are at rest; before, what is added to the diagonal makes steps less exact.

@@ -47,12 +47,13 @@ class NewtonTrip:
         single = number.bits == 32
         self.rounding = 2e-6 if single else 1e-10
         self.closure_rounding = 0.0 if single else 1e-15  # of a rod's length
-        self.still = 0.0 if single else fixed.STILL
+        self.rounded_step = 0.0 if single else fixed.ROUNDED_STEP
         self.shape_tolerance = fixed.SHAPE_TOLERANCE_32 if single else 1e30
         self.closure_tolerance = 1e-7 if single else 1e-12
         # Neutral motions, a weightless bow about its chord, have an eigenvalue that is rounding of either sign: a small part of
-        # H's scale on the diagonal makes it positive, in contact a larger one, since κ makes rounding larger. f32 cannot
-        # distinguish them from soft saddles and leaves them to f64.
+        # H's scale on the diagonal makes it positive, among obstacles and in groups a larger one, since κ makes rounding
+        # larger; rods that touch themselves have that at rest only. f32 cannot distinguish them from soft saddles and leaves
+        # them to f64.
         self.among_obstacles = self.touches and not sweep.contacts.itself
         self.expects = self.touches and sweep.contacts.expects
         self.patience = fixed.PATIENCE_32 if single else fixed.PATIENCE
@@ -203,7 +204,7 @@ class NewtonTrip:
         balanced = lane.residual * rod.total <= tolerance
         if ti.static(self.touches):
             # Large forces on a limp rod: rounding limits the residual, and the next step bounds the error of the shape.
-            still = (size <= self.still) & (lane.shift <= 0.0)
+            still = (size <= self.rounded_step) & (lane.shift <= 0.0)
             balanced = balanced | (still & (lane.residual * rod.total <= fixed.BY_ROUNDING * tolerance))
         if ti.static(self.by_decrement):
             # The residual is measured by the stiffest part of a rod: what the next step would gain bounds the error of others.

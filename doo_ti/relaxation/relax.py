@@ -24,7 +24,7 @@ from doo_ti.relaxation.external import External
 from doo_ti.relaxation.input_tables import RATIOS, evened, tables, under
 from doo_ti.relaxation.newton import MOST_IN_CONTACT, Newton
 from doo_ti.relaxation.self_approach import approach_in_relaxation, stays_in_order
-from doo_ti.relaxation.tables import Tables
+from doo_ti.relaxation.tables import Tables, whole_start
 from doo_ti.rod.types import Clamps, Configuration, Material, Solution, Status, unit_up
 from doo_ti.system import runtime
 from doo_ti.system.arguments import typed
@@ -231,7 +231,10 @@ def _touch_themselves(table: Tables, solver: Newton, frames, results, bits) -> T
         contact.forces[~contact.near] = 0.0
     index = table.configuration_index
     rods = np.flatnonzero(~stays_in_order(table, results))
-    rows, turned = approach_in_relaxation(table.start, index, frames, table.rest_length, contact.radius, rods)
+    of_start = index[rods]
+    start, lengths = whole_start(table.start[of_start], table.clamp[of_start]), table.rest_length
+    lengths = lengths if len(lengths) == 1 else lengths[of_start]
+    rows, turned = approach_in_relaxation(start, frames, lengths, contact.radius, rods)
     if len(turned):
         rows = np.sort(np.append(rows, turned[table.spins_held[index[turned]]]))
     rows = rows[results[rows, of.STATUS] != INFEASIBLE]

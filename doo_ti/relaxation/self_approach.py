@@ -133,15 +133,14 @@ class SelfApproach:
         return rod.turns
 
     def load_places(self, tables, starts, own, head):
-        """The vertices of rods that are given by places, from where the first one is before."""
+        """The vertices of rods that are given by places."""
         size, arc = (tables.edges + 1) * 3, self.constant(0.0)
-        first = self.numbers(tables.before, own, size, 0, 3)
         for v in range(tables.edges + 1):
             old, new = self.numbers(tables.before, own, size, v * 3, 3), self.numbers(tables.after, own, size, v * 3, 3)
             if v > 0:
                 arc = arc + self.length(tables, starts, v - 1)
             vertex = self.vertex(head, v)
-            vertex.before, vertex.after, vertex.arc = minus(old, first), minus(new, first), arc
+            vertex.before, vertex.after, vertex.arc = old, new, arc
 
     # --- bounds ---
 
@@ -199,7 +198,7 @@ class SelfApproach:
 
 
 ARGUMENTS = {
-    "before": TABLE1,  # [start · edge · 4] frames, or [rod · vertex · 3] mm
+    "before": TABLE1,  # [start · edge · 4] frames, or [rod · vertex · 3] mm from the first vertex before
     "after": TABLE1,  # [rod · edge · 4] or [rod · vertex · 3]
     "rows": INDEX2,  # [place, (START, ROD)]: START is also that of lengths that differ
     "lengths": TABLE1,  # [1 or row · edge] mm
@@ -253,15 +252,15 @@ def stays_in_order(table: Tables, results: np.ndarray) -> np.ndarray:
 
 
 @runtime.exclusive
-def approach_in_relaxation(start: np.ndarray, start_row: np.ndarray, frames: np.ndarray, rest_length: np.ndarray,
-                           radius: np.ndarray, rods: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which of the rows ``rods`` may touch themselves between their start, row ``start_row`` (R,) of ``start`` (S, E, 4), and
-    their ``frames`` (R, E, 4), also those whose frames are not finite; and which others have turned by whole turns, which only
-    rods with an end that may turn do without passing through themselves."""
+def approach_in_relaxation(start: np.ndarray, frames: np.ndarray, rest_length: np.ndarray, radius: np.ndarray,
+                           rods: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which of the rows ``rods`` (N,) may touch themselves between their ``start`` (N, E, 4), unit quaternions held by the
+    clamps, and their ``frames`` (R, E, 4), also those whose frames are not finite; and which others have turned by whole turns,
+    which only rods with an end that may turn do without passing through themselves. rest_length (1 or N, E) mm."""
     if not len(rods):
         return rods, rods
     rows = np.empty((len(rods), 2), dtype=np.int32)
-    rows[:, START], rows[:, ROD] = start_row[rods], rods
+    rows[:, START], rows[:, ROD] = np.arange(len(rods)), rods
     flags = _approach(True, start, frames, rows, rest_length, radius, 0.0)
     found = np.flatnonzero(flags)
     touching = flags[found] == TOUCHING
@@ -280,7 +279,8 @@ def approach_in_motion(before: np.ndarray, after: np.ndarray, length_row: np.nda
     if not len(after):
         return np.zeros(0, dtype=bool)
     rows = np.stack([length_row, np.arange(len(after))], axis=1).astype(np.int32)
-    before, after = np.ascontiguousarray(before), np.ascontiguousarray(after)
+    origin = before[:, :1]  # from there, since kernels count in f32
+    before, after = np.ascontiguousarray(before - origin), np.ascontiguousarray(after - origin)
     more = BENT * np.sqrt(((after - before) ** 2).sum(axis=-1).max(axis=1))
     flags = _approach(False, before, after, rows, rest_length, radius, more)
     return (flags == TOUCHING) & np.isfinite(after[:, 0, 0]) & np.isfinite(before[:, 0, 0])

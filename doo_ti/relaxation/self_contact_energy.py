@@ -10,17 +10,17 @@ from doo_ti.contact.surroundings import LEAST_ARC
 from doo_ti.physics.algebra import full, largest_of, row
 from doo_ti.physics.number import NUMBERS, device_functions
 from doo_ti.physics.tuples import add, chosen, dot, minus, picked, plus, record, repeated, scaled, variable
-from doo_ti.relaxation import contact_table as fixed
-from doo_ti.relaxation.contacts import Contacts
+from doo_ti.relaxation import contact_table as layout
+from doo_ti.relaxation.contacts import RodContacts
 from doo_ti.relaxation.pair_distance import pair_block, pair_distance, pair_slopes, pair_weights
 
 
 @device_functions
-class SelfContactEnergy(Contacts):
+class SelfContactEnergy(RodContacts):
     """The contacts with obstacles and the energy of those of the rod with itself."""
 
-    def __init__(self, number, kinds: frozenset[int], rub: bool = False, moves: bool = False):
-        super().__init__(number, kinds, rub, moves)
+    def __init__(self, number, has_grid: bool, rub: bool = False, moves: bool = False):
+        super().__init__(number, has_grid, rub, moves)
         self.updates_in_steps = False
 
     # --- views of scratch ---
@@ -28,16 +28,16 @@ class SelfContactEnergy(Contacts):
     @picked
     def items(self, tables):
         edges = tables.rest_length.shape[1]
-        return fixed.contact_items(edges, tables.kinds.shape[0]) + fixed.pair_items(edges) + fixed.matrix_items(edges + 1)
+        return layout.contact_items(edges, tables.kinds.shape[0]) + layout.pair_items(edges) + layout.matrix_items(edges + 1)
 
     @picked
     def own(self, rod):
         """That of the rod's contact with itself."""
-        return rod.contacts.part(fixed.ITSELF, fixed.contact_items(rod.edges, rod.obstacles))
+        return rod.contacts.part(layout.ITSELF, layout.contact_items(rod.edges, rod.obstacles))
 
     @picked
     def own_vertex(self, rod, index):
-        return self.own(rod).part(fixed.ITSELF_VERTEX, len(fixed.ITSELF) + index * len(fixed.ITSELF_VERTEX))
+        return self.own(rod).part(layout.ITSELF_VERTEX, len(layout.ITSELF) + index * len(layout.ITSELF_VERTEX))
 
     @picked
     def pair(self, rod, i, j):
@@ -46,13 +46,13 @@ class SelfContactEnergy(Contacts):
 
     @picked
     def numbered_pair(self, rod, number):
-        before = len(fixed.ITSELF) + (rod.edges + 1) * len(fixed.ITSELF_VERTEX)
-        return self.own(rod).part(fixed.PAIR, before + number * len(fixed.PAIR))
+        before = len(layout.ITSELF) + (rod.edges + 1) * len(layout.ITSELF_VERTEX)
+        return self.own(rod).part(layout.PAIR, before + number * len(layout.PAIR))
 
     @picked
     def matrix(self, rod):
         """The dense matrix."""
-        return self.own(rod).part(NUMBERS, fixed.pair_items(rod.edges))
+        return self.own(rod).part(NUMBERS, layout.pair_items(rod.edges))
 
     @picked
     def block(self, rod, row, column, r: int):
@@ -107,8 +107,9 @@ class SelfContactEnergy(Contacts):
                 # No two places are nearer than the middles less half of both edges.
                 bound = 0.5 * ti.sqrt(dot(away, away)) - rod.longest
                 counts = self.may_touch(rod, i, at, arc)
+                at.distance_standing = at.distance
                 at.distance = ti.select(counts, bound, zero + 1e30)
-                near = counts & (self.pair_clearance(rod, i, j, bound) < fixed.REACH * radius)
+                near = counts & (self.pair_clearance(rod, i, j, bound) < layout.REACH * radius)
                 if self.some(near, zero):
                     self.touch(rod, i, j, at, near, minus(start, first), minus(last, first), minus(end, start))
                 if ti.static(self.rub):
@@ -124,19 +125,19 @@ class SelfContactEnergy(Contacts):
         return arc > self.own_vertex(rod, i + 1).arc
 
     def pair_clearance(self, rod, i, j, distance):
-        """The ``distance`` of two edges, less what is added to RADIUS on both (:meth:`clearance`)."""
+        """The ``distance`` of two edges, less by how much the rod is thicker at both (:meth:`clearance`)."""
         return self.clearance(rod, j + 1, self.clearance(rod, i + 1, distance))
 
     def touch(self, rod, i, j, at, near, w, p, q):
         """The same of two edges p and q, with w from the start of the first to that of the second, in the lanes where they are
         ``near`` to each other."""
         zero, radius = 0.0 * rod.total, rod.contacts.radius
-        seen = pair_distance(w, p, q, fixed.ROUNDED * radius * radius)
+        seen = pair_distance(w, p, q, layout.ROUNDED * radius * radius)
         at.nearest = (seen.s, seen.t) + seen.normal
         at.distance = ti.select(near, seen.value, at.distance)
         self.note_depth(rod, at, near, seen.value)
         gap = ti.select(near, self.pair_clearance(rod, i, j, seen.value) - 2.0 * radius, zero + 1e30)
-        depth = ti.select(near, seen.value - fixed.LEAST_DISTANCE * radius, zero + 1e30)
+        depth = ti.select(near, seen.value - layout.LEAST_DISTANCE * radius, zero + 1e30)
         held = (self.held_edge(rod, i) > 0.5) & (self.held_edge(rod, j) > 0.5)
         rod.contacts.deepest = ti.min(rod.contacts.deepest, depth)
         own = self.own(rod)
@@ -195,7 +196,7 @@ class SelfContactEnergy(Contacts):
         """Note that the step is refused where it brings two edges nearer than :data:`DEEPEST_STEP`, in the lanes where they are
         ``near``: the distance is a little too large there, so that they could pass through each other."""
         zero = 0.0 * value
-        nearer = near & (value < fixed.DEEPEST_STEP * rod.contacts.radius) & (value < at.distance_standing)
+        nearer = near & (value < layout.DEEPEST_STEP * rod.contacts.radius) & (value < at.distance_standing)
         rod.contacts.crossing = largest_of(rod.contacts.crossing, ti.select(nearer, zero + 1.0, zero))
 
     def shift(self, rod, index):

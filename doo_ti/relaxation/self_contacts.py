@@ -19,14 +19,8 @@ class SelfContacts(SelfContactEnergy):
 
     # --- steps ---
 
-    def stand_pairs(self, rod):
-        """Keep the distances of edges from each other before a step."""
-        for number in range(rod.edges * (rod.edges - 1) // 2):
-            at = self.numbered_pair(rod, number)
-            at.distance_standing = at.distance
-
     def restore_pairs(self, rod, lost):
-        """Restore them in the lanes that reject the step."""
+        """Restore the distances of edges before a step in the lanes that reject it."""
         for number in range(rod.edges * (rod.edges - 1) // 2):
             at = self.numbered_pair(rod, number)
             choose(at, lost > 0.5, distance=at.distance_standing)

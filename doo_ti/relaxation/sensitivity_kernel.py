@@ -145,9 +145,9 @@ def _launch(table: Tables, first: int, last: int, rows: np.ndarray, contact: Con
     if not len(rods):
         return
     rods[:, of.RESULT_ROW] -= first
-    given, kinds, more = SimpleNamespace(rest_length=table.rest_length), (), ()
+    given, known, more = SimpleNamespace(rest_length=table.rest_length), (), ()
     if contact is not None:
-        given.kinds, kinds = contact.kinds, (contact.known,)
+        given.kinds, known = contact.kinds, (contact.has_grid,)
         obstacles, radius = (array if len(array) == 1 else array[first:last] for array in (contact.obstacles, contact.radius))
         loads = np.zeros((1, 1, 3)) if table.external is None else point_loads(table)[first:last]
         more = (obstacles, contact.kinds, contact.grids, radius, contact.memory[first:last], loads)
@@ -155,7 +155,7 @@ def _launch(table: Tables, first: int, last: int, rows: np.ndarray, contact: Con
         layout = layout_for(len(rods), 64) if packed else (Number(1, 64), min(len(rods), runtime.thread_count()), 1, 1)
     else:
         layout = layout_of_gpu(len(rods), 64, MOST_THREADS_ON_A_GPU)
-    kernel, threads, scratch, _ = laid_out(layout, lambda *layout: kernel_for(*layout, *kinds), given)
+    kernel, threads, scratch, _ = laid_out(layout, lambda *layout: kernel_for(*layout, *known), given)
     kernel(
         table.start.reshape(-1), table.rest_length, table.clamp, table.material, np.array(table.up, dtype=np.float64), rods,
         *state, threads, scratch, *arrays, *more)
@@ -208,15 +208,15 @@ CONTACTS_AT_REST = {name: OBSTACLES[name] for name in ("obstacles", "kinds", "gr
 
 def kernels_at_rest(name: str, results: dict, alone: type, touching: type) -> tuple[Callable, Callable]:
     """What :func:`run_at_rest` takes as ``kernels``, made as by :func:`.newton_kernel` of these sweeps: for rods that touch
-    nothing, and for those that touch obstacles of some kinds. They write ``results``."""
+    nothing, and for those that touch obstacles. They write ``results``."""
     @cache
     def kernel(number: Number, stride: int, block: int):
         sweep = alone(number, stride)
         return loop_kernel(name, number, AT_REST | results, sweep.work, block), sweep.items
 
     @cache
-    def in_contact(number: Number, stride: int, block: int, known: frozenset[int]):
-        sweep = touching(stride, known)
+    def in_contact(number: Number, stride: int, block: int, has_grid: bool):
+        sweep = touching(stride, has_grid)
         given = AT_REST | results | CONTACTS_AT_REST
         return loop_kernel(f"{name}_in_contact", number, given, sweep.work, block, brief=True), sweep.items
 

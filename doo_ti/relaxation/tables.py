@@ -52,8 +52,8 @@ FROM_RESULTS = -1
 ENERGY, RESIDUAL, CLOSURE, ITERATIONS, STATUS, STABLE, FORCE, ALONG, RESULTS = 0, 1, 2, 3, 4, 5, 6, 9, 10
 DRIFT, LOADED_RESULTS = RESULTS, RESULTS + 3
 """FORCE  −λ, which holds the far end
-ALONG  the smallest cosine of an edge to the line through the rod's ends, at the start and at the end of the relaxation, or on
-       the way where it is negative there
+ALONG  min over all edges of t·n, n the unit vector from one end to the other: the smaller of those at the start and at the
+       end of the relaxation; where an edge has pointed backwards on the way, t·n < 0, the smallest on the way
 DRIFT  under an external energy, how far vertex 0 has moved from the anchor, mm: in where a rod starts, and out"""
 
 MOST_NUMBERS = 2**31 - 1  # a table has no more entries: the kernels count them with 32 bits

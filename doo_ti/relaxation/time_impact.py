@@ -30,7 +30,7 @@ class TimeImpact(TimeSweep):
         rise = self.rise(rod, time, up)
         weight = 2.0 * ti.sqrt(dot(rod.gravity, rod.gravity)) * rod.total
         slight = ti.static(SLIGHT[self.number.bits]) * (rise.slow + rise.fast + weight * rod.contacts.radius)
-        still = (rod.head.still > 0.5) & (rise.mass > 0.0)
+        still = (rod.head.unmoved > 0.5) & (rise.mass > 0.0)
         raised = still & (rise.energy > slight)
         impact = still & (rise.energy > IMPACT * (rise.slow + rise.fast) + weight * rod.contacts.tolerance)
         kept = ti.sqrt(ti.max(rise.fast - rise.energy, 0.0 * one) / ti.max(rise.fast, 1e-30 * one))

@@ -265,7 +265,7 @@ class MotionLoading(Loading):
                 row = tables.rods[rod, of.RESULT_ROW]
                 self.next_poses(tables, slot, row, step, share, unit)
                 still *= self.rest_of_poses(tables, row, step)
-            own.still = still
+            own.unmoved = still
         return self.load_reach(tables, own, slot, s, line, first, last)
 
     def share_of_way(self, tables, slot):

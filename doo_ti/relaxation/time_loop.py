@@ -178,7 +178,9 @@ class TimeLoop(NewtonLoop):
         zero = self.constant(0.0)
         given = zero + ti.cast(tables.policy[TOLERANCE], self.scalar)
         inertia = rod.head.inertia
-        moment = inertia * rod.length_unit * rod.total  # of a force that moves the rod by 1 mm in the step, over its lever
+        # Without a unit, like the residual: a force κ d, κ the sum of the inertia of all vertices over the square of the step,
+        # has the moment ``moment`` times d, mm, over a lever of 1; ``weight`` is that of gravity, g h² of way, on an edge.
+        moment = inertia * rod.length_unit * rod.total
         interval = tables.time[STEP] / tables.time[RATE]
         weight = ti.cast(ti.static(1e3 * STANDARD_GRAVITY) * interval * interval, self.scalar) * moment * rod.longest
         weight = ti.select(inertia > 0.0, weight, zero + 1.0)

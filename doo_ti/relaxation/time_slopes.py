@@ -9,7 +9,7 @@ that a clamp holds do not depend on p. The lanes of a pack make their steps toge
 import taichi as ti
 
 from doo_ti.physics import pair
-from doo_ti.physics.factors import against, backward, forward, minus_combination, symmetric_gram
+from doo_ti.physics.factors import against, backward, forward, minus_combination
 from doo_ti.physics.number import Layout, device_functions, in_f64
 from doo_ti.physics.quaternion import first_director, second_director, tangent
 from doo_ti.physics.tuples import dot, extended, minus, negated, picked, plus, products, repeated, scaled, variable
@@ -78,7 +78,8 @@ class TimeSlopes(TimeSweep):
 
     def differentiate(self, rod, blocks, count, time, up):
         """The derivatives of the step that has converged, by ``count`` parameters."""
-        schur = self.share(rod, blocks, time)
+        self.share(rod, blocks, time)
+        schur = self.schur_complement(rod)
         for parameter in range(count):
             right = self.eliminate_slope(rod, blocks, parameter, time, up)
             change, positive = self.bordered(rod, schur, right)
@@ -87,10 +88,9 @@ class TimeSlopes(TimeSweep):
     # --- what all parameters share ---
 
     def share(self, rod, blocks, time):
-        """Fill the shared blocks; returns the Schur complement Σ W_λᵀ D⁻¹ W_λ."""
+        """Fill the shared blocks."""
         place = variable(plus(rod.anchor, rod.head.drift))
         self.share_vertex(rod, self.shared(blocks, 0), rod.head.vertex, place, time)
-        schur = variable(symmetric_gram(rod.head.drift_pivots, rod.head.drift_border))
         for e in range(rod.edges):
             edge, block = self.edge(rod.head, e), self.shared(blocks, e + 1)
             q = edge.frame
@@ -100,8 +100,6 @@ class TimeSlopes(TimeSweep):
             block.lever_1, block.lever_2 = scaled(first_director(q), length), scaled(second_director(q), length)
             if e > 0:
                 self.share_joint(block, self.edge(rod.head, e - 1), edge, time)
-            schur = plus(schur, symmetric_gram(edge.pivots, edge.force_border))
-        return schur
 
     def share_vertex(self, rod, block, vertex, place, time):
         """Fill the vertex part of the shared block for a ``vertex`` at ``place``."""

@@ -11,7 +11,7 @@ import taichi as ti
 from doo_ti.physics.number import Number
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.batch import Launch, laid_out, layout_for, policy_row
-from doo_ti.relaxation.contacts import Contacts
+from doo_ti.relaxation.contacts import RodContacts
 from doo_ti.relaxation.dense_elimination import DenseElimination
 from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, SCRATCH, TABLE1, TABLE2, TABLE3, TABLE4, loop_kernel
 from doo_ti.relaxation.newton import OBSTACLES, Newton
@@ -76,14 +76,14 @@ def time_kernel(number: Number, stride: int, block: int, isotropic: bool):
 
 
 @cache
-def time_contact_kernel(number: Number, stride: int, block: int, isotropic: bool, kinds: frozenset[int], rub: bool,
+def time_contact_kernel(number: Number, stride: int, block: int, isotropic: bool, has_grid: bool, rub: bool,
                         itself: bool, moves: bool):
-    """The same for rods that may touch obstacles of some ``kinds``, or ``itself``, with friction if they ``rub``, and for
-    obstacles that move if ``moves``."""
+    """The same for rods that may touch obstacles, with ``has_grid`` grids, or ``itself``, with friction if they ``rub``, and
+    for obstacles that move if ``moves``."""
     if itself:
-        sweep = DenseTimeSweep(number, isotropic, stride, SelfContacts(number, kinds, rub, moves))
+        sweep = DenseTimeSweep(number, isotropic, stride, SelfContacts(number, has_grid, rub, moves))
     else:
-        sweep = TimeImpact(number, isotropic, stride, Contacts(number, kinds, rub, moves))
+        sweep = TimeImpact(number, isotropic, stride, RodContacts(number, has_grid, rub, moves))
     given = STEPS | OBSTACLES | MOTIONS
     return loop_kernel("make_steps_in_contact", number, given, TimeLoop(sweep).work, block, brief=True), sweep.items
 
@@ -233,7 +233,7 @@ def _laid_out(table: Tables, isotropic: bool, rods: int, bits: int, slopes: Slop
     contact, given = table.contact, SimpleNamespace(rest_length=table.rest_length)
     layout = layout_for(rods, bits, contact is not None and contact.itself)
     if contact is not None:
-        given.kinds, known = contact.kinds, (contact.known, contact.rubs, contact.itself, moves)
+        given.kinds, known = contact.kinds, (contact.has_grid, contact.rubs, contact.itself, moves)
         return laid_out(layout, lambda *layout: time_contact_kernel(*layout, isotropic, *known), given)
     if slopes is not None:
         given.number_slopes = slopes.numbers

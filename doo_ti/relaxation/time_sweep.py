@@ -23,7 +23,7 @@ from doo_ti.physics.quaternion import (
     turned_about_own_tangent,
 )
 from doo_ti.physics.tuples import choose, chosen, dot, minus, plus, record, repeated, scaled, variable
-from doo_ti.relaxation.contacts import Contacts
+from doo_ti.relaxation.contacts import RodContacts
 from doo_ti.relaxation.external import PointLoads
 from doo_ti.relaxation.loaded_elimination import LoadedElimination
 
@@ -39,12 +39,12 @@ VERTEX_ITEMS = len(VERTEX)
 MOTION = VERTEX + Layout(frame_1=4, frame_2=4, rest_left=2, rest_right=2, rest_twist=1)
 """Of an edge, with the vertex where it ends: its frames at the last two instants; for the step being made, of the joint where
 it begins, the rest curvature of its left and its right frame and its rest twist."""
-ROD = Layout(bend_share=1, twist_share=1, inertia=1, relinked=1, reach=1, euler=1, still=1, vertex=VERTEX)
+ROD = Layout(bend_share=1, twist_share=1, inertia=1, relinked=1, reach=1, euler=1, unmoved=1, vertex=VERTEX)
 """bend_share, twist_share  of the rest curvature and twist, what damping makes
 inertia                  the sum of κ of all vertices
 relinked                 by how much the rod's link has changed
 reach                    how its clamps reach (:mod:`.clamp_table`)
-euler, still             one where the step is one of backward Euler though others are not; where no clamp or obstacle moves
+euler, unmoved           one where the step is one of backward Euler though others are not; where no clamp or obstacle moves
 vertex                   vertex 0"""
 
 STEP, RATE, EXTRAPOLATION, LEAST_WAY, WATCHED, TIME_COLUMNS = 0, 1, 2, 3, 4, 5
@@ -62,7 +62,7 @@ class TimeSweep(LoadedElimination):
     Its functions take a record ``time`` of the lanes' steps (:meth:`steps_of`).
     """
 
-    def __init__(self, number, isotropic: bool, stride: int, contacts: Contacts | None = None):
+    def __init__(self, number, isotropic: bool, stride: int, contacts: RodContacts | None = None):
         super().__init__(number, isotropic, stride, PointLoads, any_ends=True, contacts=contacts)
         self.joints_rest = not isotropic
         self.edge_layout, self.rod_layout = self.edge_layout + Layout(motion=MOTION), self.rod_layout + ROD

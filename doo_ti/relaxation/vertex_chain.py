@@ -80,7 +80,7 @@ class VertexChain:
             at, after = self.vertex(rod.origin, v), self.vertex(rod.origin, v + 1)
             old = direction(minus(after.position, at.position))
             new = direction(minus(after.trial_position, at.trial_position))
-            m1 = vertex_form.transported(old, new, at.director)
+            m1 = vertex_form.transported_vector(old, new, at.director)
             at.trial_director = vertex_form.across(m1, new)
 
     def eliminate_lengths(self, rod, of_gradient: ti.template()):
@@ -214,7 +214,7 @@ class VertexChain:
         left, right = self.edge(rod, e), self.edge(rod, e + 1)
         inverse = after.inverse_length
         binormal, bottom = vertex_form.curvature_binormal(left.e, right.e, left.length, right.length)
-        reference = vertex_form.transported(left.t, right.t, left.m1)
+        reference = vertex_form.transported_vector(left.t, right.t, left.m1)
         rest = after.rest
         omega_left = vertex_form.material_curvature(binormal, left.m1, left.m2)
         omega_right = vertex_form.material_curvature(binormal, right.m1, right.m2)

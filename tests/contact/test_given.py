@@ -12,7 +12,8 @@ from doo_ti.dynamics.grippers import Grippers, obstacle_path
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.relaxation.time_loading import POSE_COLUMNS
 from doo_ti.rod.frames import matrix_from_quaternion, quaternion_of_turn
-from doo_ti.rod.shapes import end_clamps, hanging, straight_rod
+from doo_ti.rod.shapes import end_clamps, hanging, rod_along, straight_rod
+from doo_ti.rod.types import Configuration
 from tests.conftest import check_refused
 from tests.contact.clutter import gaps
 
@@ -40,6 +41,9 @@ def test_rows_that_do_not_match_the_rods(rows):
 def test_a_radius_that_is_none(obstacles, radius, problem):
     check_refused(f"radius: {problem}", simulated, obstacles=obstacles, radius=radius)
     rod = straight_rod(60.0, 10)
+    if radius is not None:
+        with pytest.raises(InputError, match=f"radius: {problem}"):
+            relax(rod, MATERIAL, end_clamps(rod, Clamp.FRAME, Clamp.FREE), radius=radius)
     if not isinstance(obstacles[0], Moving) and radius is None:
         with pytest.raises(InputError, match="radius: missing"):
             relax_group(Group([rod], MATERIAL, [end_clamps(rod, Clamp.FRAME, Clamp.FREE)]), obstacles=obstacles)
@@ -172,3 +176,22 @@ def test_limp_ropes_over_a_wire_of_any_thickness(rng, wire):
     found = relax(rope, Material(10 ** rng.uniform(2.5, 4, count), 1e5), end_clamps(rope, Clamp.FRAME, Clamp.FREE),
                   obstacles=[Capsule((50, -300, 0), (50, 300, 0), wire)], radius=0.55 - wire)
     assert found.converged.all() and (found.contact_force != 0).any(axis=(1, 2)).mean() > 0.5
+
+
+@pytest.mark.thorough
+def test_long_edges_do_not_pass_through_thin_pegs(rng):
+    """Of 10 mm, a hundred times as long as the pegs are thick, over which the rods begin."""
+    count, x = 400, np.linspace(0.0, 1.0, 200)
+    height, place = rng.uniform(5.0, 25.0, count), rng.uniform(30.0, 60.0, count)
+    rods = Configuration.concatenate([
+        rod_along(np.stack([90.0 * x, 0.0 * x, high * np.sin(np.pi * x)], axis=1), 12) for high in height])
+    point = np.stack([place, 0.0 * place, rng.uniform(-20.0, 0.6 * height)], axis=1)
+    pegs = Capsule(point - [0, 50, 0], point + [0, 50, 0], np.full(count, 0.05))
+    held = end_clamps(rods, Clamp.POSITION, Clamp.POSITION)
+    found = relax(rods, Material(1e4, 1e4, 1.0), held, obstacles=[pegs], radius=0.05)
+
+    def above(vertices):
+        return np.array([np.interp(at[0], one[:, 0], one[:, 2]) - at[2] for at, one in zip(point, vertices, strict=True)])
+
+    over = found.converged & (above(rods.vertices) > 0.1)
+    assert over.sum() > 100 and (above(found.configuration.vertices)[over] > 0.0).all()

@@ -12,6 +12,7 @@ from doo_ti.contact.surroundings import Itself, edge_distance, smallest_self_gap
 from doo_ti.physics.tuples import record
 from doo_ti.relaxation.pair_distance import pair_block, pair_distance, pair_slopes, pair_weights
 from doo_ti.relaxation.self_approach import approach_in_motion, approach_in_relaxation, stays_in_order
+from doo_ti.relaxation.tables import whole_start
 from doo_ti.rod.frames import (
     matrix_from_quaternion,
     quaternion_about,
@@ -285,8 +286,9 @@ def test_rods_that_touch_on_their_way_are_found_and_no_others(rng, edges, radius
     shares = np.linspace(0.0, 1.0, INSTANTS)
     gap = np.min([smallest_self_gap(before + share * (after - before), own) for share in shares], axis=0)
     rows = np.arange(COUNT)
-    touching, turned = approach_in_relaxation(start, rows, frames, lengths, own, rows)
+    touching, turned = approach_in_relaxation(start, frames, lengths, own, rows)
     near = approach_in_motion(before, after, rows, lengths, own)
+    np.testing.assert_array_equal(approach_in_motion(before + 1e8, after + 1e8, rows, lengths, own), near)
     still = approach_in_motion(after, after, rows, lengths, own)
     found = np.isin(rows, touching)
     # Between two instants the distance may be less.
@@ -304,7 +306,7 @@ def test_rods_that_are_not_finite_are_found_after_relaxations_and_not_in_motions
     frames = np.tile([1.0, 0.0, 0.0, 0.0], (2, 10, 1))
     lost = frames.copy()
     lost[1, 4] = np.nan
-    np.testing.assert_array_equal(approach_in_relaxation(frames, rows, lost, lengths, radius, rows)[0], [1])
+    np.testing.assert_array_equal(approach_in_relaxation(frames, lost, lengths, radius, rows)[0], [1])
     places = vertices_from_quaternions(np.zeros(3), frames, lengths)
     gone = places.copy()
     gone[1] = np.nan
@@ -334,8 +336,24 @@ def test_rods_that_stay_in_order_are_apart_and_have_not_turned(rng, edges, radiu
     solution = relax(start, material, clamps, obstacles=[Itself()], radius=radius, precision=precision)
     table, in_order = seen[0]
     assert 0.1 < in_order.mean() < 0.9, in_order.mean()
-    every, index = np.arange(COUNT), table.configuration_index
+    every, whole = np.arange(COUNT), whole_start(table.start, table.clamp)
     touching, turned = approach_in_relaxation(
-        table.start, index, solution.configuration.quaternions, table.rest_length, table.contact.radius, every)
+        whole, solution.configuration.quaternions, table.rest_length, table.contact.radius, every)
     assert not in_order[touching].any() and not in_order[turned].any()
     assert (solution.contact.gap[in_order] > 0.0).all()
+
+
+@pytest.mark.thorough
+def test_starts_of_any_length_are_held_by_their_clamps_where_rods_touch_on_their_way(rng):
+    """Quaternions need not be normalised, nor have the frames at the ends that the clamps hold."""
+    edges, radius = 20, 3.0
+    lengths = np.full(edges, 100.0 / edges)
+    start = Configuration(np.zeros((COUNT, 3)), bent(rng, edges), lengths)
+    clamps = end_clamps(start.take(rng.permutation(COUNT)), Clamp.FRAME, Clamp.FREE)
+    scaled = start.quaternions * rng.uniform(0.5, 2.0, (COUNT, edges, 1))
+    scaled[:, 0] = [1.0, 0.0, 0.0, 0.0]
+    few = Newton(max_iterations=40)
+    found, other = (relax(rods, Material(1e5, 1e5, 1.0), clamps, few, obstacles=[Itself()], radius=radius)
+                    for rods in (start, replace(start, quaternions=scaled)))
+    np.testing.assert_array_equal(found.iterations, other.iterations)
+    np.testing.assert_allclose(found.configuration.vertices, other.configuration.vertices, atol=1e-6)

@@ -68,7 +68,7 @@ def test_a_tangent_that_flips_is_met_or_the_step_fails(start):
 @pytest.mark.parametrize("kind", KINDS)
 def test_quasi_static_steps_out_of_taut_end_where_statics_does(kind):
     grippers = along(kind, kind, ways(0.0, 60.0))
-    motion = simulate(ROD, MATERIAL, grippers, Dynamics(), Stepping(10.0, quasi_static=True))
+    motion = simulate(ROD, MATERIAL, grippers, Dynamics(None, 0.5, 0.3, 5.0), Stepping(10.0, quasi_static=True))
     before = Configuration(motion.positions[:, -1, 0], motion.memory.frames, ROD.rest_length)
     still = relax(before, MATERIAL, grippers.at(TIMES), precision="f64")
     assert np.abs(still.configuration.vertices - motion.positions[:, -1]).max() < 1e-4

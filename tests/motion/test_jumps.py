@@ -10,10 +10,12 @@ at μ = 1.7818 (Gomez, Moulton, Vella, Nature Physics 13, 2017).
 import numpy as np
 import pytest
 
-from doo_ti import Axis, Clamp, ClampPath, Clamps, Configuration, Grid, Material, Motion, Newton, Status, predict, relax
+from doo_ti import Axis, Clamp, ClampPath, Clamps, Configuration, Grid, Material, Motion, Newton, Plane, Status, predict, relax
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.learning.experiment import Experiment, carried, journey, relaxed
 from doo_ti.motion.journey import Journey
 from doo_ti.rod.frames import quaternion_from_matrix
+from doo_ti.rod.shapes import end_clamps, straight_rod
 from tests.learning.lab import DYNAMIC, lab_rods
 from tests.relaxation.rods import vertex_distance
 
@@ -295,3 +297,22 @@ def test_a_coarse_path_jumps_once_too(arch):
     assert prediction.followed.all() and prediction.jumps[:, 0].tolist() == [0, 1]
     short = predict(rod, ARCH, clamps, tilted(np.radians([0.0, 9.5])))
     assert short.jumps.sum() == 0
+
+
+@pytest.mark.thorough
+def test_sub_steps_repeated_in_parts_begin_where_a_free_end_was(monkeypatch):
+    """The place that its clamp states is not used, and may be anything."""
+    rod = straight_rod(200.0, 20, (0.0, 0.0, 30.0))
+    held = end_clamps(rod, Clamp.FREE, Clamp.FRAME)
+    held.start_position[:] = np.nan
+    around = Surroundings([Plane((0, 0, 0), (0, 0, 1))], 2.0)
+    rest = relax(rod, STRIP, held, **around.arguments)
+    motion = Motion(held, end_turn=np.array([[0.0, 0.9, 0.0]]))
+    plain, repeated = [], []
+    for found, least in ((plain, 0.5), (repeated, 0.01)):
+        monkeypatch.setattr("doo_ti.motion.journey.OUT_OF_PROPORTION", least)
+        way = Journey(motion, STRIP, np.radians(20), rod.rest_length, precision="f64", surroundings=around)
+        found.extend(way.follow(rest.configuration))
+    assert all(state.converged.all() for state in plain + repeated)
+    for one, other in zip(plain, repeated, strict=True):
+        assert vertex_distance(one.configuration, other.configuration).max() < 1e-4

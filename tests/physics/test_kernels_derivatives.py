@@ -178,7 +178,7 @@ def test_curvature_binormal_and_transport_are_the_oracles(rng, number):
         kb, bottom = vertex_form.curvature_binormal((v[0], v[1], v[2]), (v[3], v[4], v[5]), v[6], v[7])
         source = (v[8], v[9], v[10])
         target = (v[11], v[12], v[13])
-        return kb + vertex_form.transported(source, target, (v[14], v[15], v[16])) + (bottom,)
+        return kb + vertex_form.transported_vector(source, target, (v[14], v[15], v[16])) + (bottom,)
 
     edges, frames, lengths = vertices(rng)
     t, m1 = frames[..., 0], frames[:, 0, :, 1]

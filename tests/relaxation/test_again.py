@@ -4,7 +4,7 @@ memory while they are referenced; later results reuse it afterwards."""
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Descent, Material, Springs, Status, relax
+from doo_ti import Clamp, Descent, InputError, Material, Plane, Springs, Status, relax, straight_rod
 from doo_ti.relaxation import tables
 from doo_ti.relaxation import tables as of
 from tests.conftest import check_refused
@@ -140,3 +140,13 @@ def test_too_many_rods_for_one_call_are_refused(rng, monkeypatch):
     monkeypatch.setattr(tables, "MOST_NUMBERS", 12 * 4 * 10)
     relaxed(rng, 10, 1e5)
     check_refused(" 10 ", relaxed, rng, 11, 1e5)
+
+
+def test_tables_of_contacts_that_cannot_be_counted_are_refused(monkeypatch):
+    """All tables that kernels are given, not only those of frames: here those of the forces of contacts."""
+    rods = straight_rod(60.0, 10).take([0] * 4)
+    clamps = clamps_at(rods, Clamp.FRAME, Clamp.FREE)
+    monkeypatch.setattr(tables, "MOST_NUMBERS", 4 * 10 * 4)
+    assert relax(rods, Material(1e5, 1e5, 1.0), clamps).converged.all()
+    with pytest.raises(InputError, match="memory: 352 numbers"):
+        relax(rods, Material(1e5, 1e5, 1.0), clamps, obstacles=[Plane((0, 0, -20), (0, 0, 1))] * 4, radius=1.0)

@@ -1,10 +1,12 @@
 """Every status, and the results of a rod that ends with it. The precision ladder: f32, f64 and mixed end in the same minima;
 ``precision`` says which arithmetic ended a rod."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Clamps, Descent, Material, Newton, Status, relax
+from doo_ti import Clamp, Clamps, Descent, Material, Newton, Status, relax, straight_rod
 from doo_ti.relaxation.newton import TOLERANCES
 from tests.references.rods import clamps_at, jiggled
 from tests.relaxation.rods import definite, vertex_distance, wandering
@@ -55,6 +57,14 @@ def test_infeasible_by_a_hair(rng, precision, solver):
         solution = relax(start, MATERIAL, pulled(clamps, excess, 36.0), solver, precision=precision)
         assert (solution.status == Status.INFEASIBLE).all(), excess
         assert np.isnan(solution.energy).all() and not solution.stable.any() and (solution.iterations == 0).all()
+
+
+@pytest.mark.parametrize("far, status", [(5.0, Status.INFEASIBLE), (29.0, Status.INFEASIBLE), (31.0, Status.CONVERGED)])
+def test_an_edge_that_is_longer_than_the_others_and_the_line_together(far, status):
+    """Clamps can be too near to each other, too."""
+    rod = replace(straight_rod(90.0, 4), rest_length=np.array([10.0, 60.0, 10.0, 10.0]))
+    clamps = replace(clamps_at(rod, Clamp.POSITION, Clamp.POSITION), end_position=np.array([[far, 0.0, 0.0]]))
+    assert relax(rod, MATERIAL, clamps).status[0] == status
 
 
 @pytest.mark.parametrize("precision", ["f64", "f32", "mixed"])
