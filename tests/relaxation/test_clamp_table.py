@@ -64,7 +64,10 @@ def test_against_the_definitions(rng, edges, shared):
     np.testing.assert_allclose(ends, wanted, atol=1e-12)
     fixed = each[:, [0, -1]] * ~tilts
     span = np.linalg.norm(target - (fixed[..., None] * wanted[..., 0]).sum(axis=1), axis=1)
-    reaches = ~closed | ((span < total - fixed.sum(axis=1)) & (edges - (~tilts).sum(axis=1) >= 2))
+    free = each.copy()
+    free[:, [0, -1]] *= tilts
+    within = (span < free.sum(axis=1)) & (2 * free.max(axis=1) <= free.sum(axis=1) + span)  # no side of a polygon is too long
+    reaches = ~closed | (within & (edges - (~tilts).sum(axis=1) >= 2))
     np.testing.assert_array_equal(found != INFEASIBLE, reaches)
     assert 0 < reaches.sum() < count
 
