@@ -124,7 +124,7 @@ class GroupContacts(ties.Ties, SelfContacts):
 
     # --- rounds ---
 
-    def tolerance(self, rod, given):
+    def tolerance(self, rod, given, final: ti.template()):
         """As of one rod, but without the rougher rounds: with these, ties would change their forces before the rods have
         followed the last change. It is at least what rounding of places makes of the forces."""
         stiffness = rod.contacts.stiffness + self.group(rod).stiffness
