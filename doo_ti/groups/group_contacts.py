@@ -72,11 +72,12 @@ class GroupContacts(ties.Ties, SelfContacts):
         return distance - self.group_vertex(rod, index).thicker
 
     def pinched(self, rod, miss):
-        """Whether clamps hold a vertex in an obstacle or two edges in each other; of ends, which ties hold, places count."""
+        """Whether clamps hold a vertex in an obstacle, or the edge between two, or two edges in each other; of ends, which ties
+        hold, places count."""
         least = 0.0 * rod.total
-        for index in range(rod.edges + 1):
-            place = self.vertex(rod, index).place
-            least = self.sunk(rod, index, place, self.held(rod, index), least)
+        for index in range(1, rod.edges + 1):
+            if rod.begins[index - 1] == 0:
+                least = self.sunk_edge(rod, index, self.vertex(rod, index - 1).place, self.vertex(rod, index).place, least)
         for k in range(rod.ties.shape[0]):
             at = self.tie(rod, k)
             if rod.ties[k, 1] < 0:
@@ -123,7 +124,7 @@ class GroupContacts(ties.Ties, SelfContacts):
 
     # --- rounds ---
 
-    def tolerance(self, rod, given):
+    def tolerance(self, rod, given, final: ti.template()):
         """As of one rod, but without the rougher rounds: with these, ties would change their forces before the rods have
         followed the last change. It is at least what rounding of places makes of the forces."""
         stiffness = rod.contacts.stiffness + self.group(rod).stiffness

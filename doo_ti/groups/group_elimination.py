@@ -160,10 +160,6 @@ class GroupElimination(DenseLoadedElimination):
         self.store_diagonal(rod, line, held_pivot(shifted, free))
         self.store_side(rod, line, negated(slope), repeated(0.0 * rod.total, 9))
 
-    def begin_at(self, rod, e, step):
-        """Keep the ``step`` of the place behind the break ``e``."""
-        self.contacts.member(rod, rod.begins[e]).begin_step = step
-
     def substitute(self, rod, found):
         longest, size, decrement = DenseLoadedElimination.substitute(self, rod, found)
         return longest, size, decrement + self.keep_forces(rod)

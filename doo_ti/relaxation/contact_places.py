@@ -166,31 +166,37 @@ class ContactPlaces:
     def pinched(self, rod, miss):
         """Whether a clamp holds a vertex of an end edge in an obstacle, or the edge between them; a far end is taken where it
         is held, not where it still misses that place by ``miss``."""
-        zero = 0.0 * rod.total
-        least = zero
+        least = 0.0 * rod.total
         for end in range(2):
-            index = ti.select(end == 0, 0, rod.edges - 1)
-            start = variable(self.vertex(rod, index).place)
-            stop = variable(self.vertex(rod, index + 1).place)
+            index = ti.select(end == 0, 1, rod.edges)
+            start = variable(self.vertex(rod, index - 1).place)
+            stop = variable(self.vertex(rod, index).place)
             if end == 1:
                 start, stop = minus(start, miss), minus(stop, miss)
-            held_start, held_stop = self.held(rod, index) > 0.5, self.held(rod, index + 1) > 0.5
-            edge = minus(stop, start)
-            for o in range(rod.obstacles):
-                obstacle, kind = self.obstacle(rod, o), rod.kinds[o]
-                first = self.distance.measure(obstacle, rod.grids, kind, start)
-                last = self.distance.measure(obstacle, rod.grids, kind, stop)
-                value = ti.min(ti.select(held_start, first.value, zero + 1e30), ti.select(held_stop, last.value, zero + 1e30))
-                ends = (dot(first.normal, edge), dot(last.normal, edge))
-                bridging = held_start & held_stop & (ends[0] < 0.0) & (ends[1] > 0.0)
-                if self.some(bridging, zero):
-                    between = self.nearest(rod, o, index + 1, start, edge, ends, bridging)
-                    value = ti.min(value, ti.select(bridging, between.value, value))
-                least = ti.min(least, value - rod.contacts.radius)
+            least = self.sunk_edge(rod, index, start, stop, least)
         pinched = least < 0.0 - rod.contacts.tolerance
         if ti.static(self.itself):
             pinched = pinched | self.pinched_pairs(rod)
         return pinched
+
+    def sunk_edge(self, rod, index, start, stop, least):
+        """``least``, or the least gap of the edge from ``start`` to ``stop``, where vertex ``index`` is: of the ends that are
+        held and, where both are, between them."""
+        zero, edge, found = 0.0 * rod.total, minus(stop, start), variable((least,))
+        held_start, held_stop = self.held(rod, index - 1) > 0.5, self.held(rod, index) > 0.5
+        for o in range(rod.obstacles):
+            obstacle, kind = self.obstacle(rod, o), rod.kinds[o]
+            first = self.distance.measure(obstacle, rod.grids, kind, start)
+            last = self.distance.measure(obstacle, rod.grids, kind, stop)
+            value = ti.min(ti.select(held_start, first.value, zero + 1e30), ti.select(held_stop, last.value, zero + 1e30))
+            value = self.clearance(rod, index, value)
+            ends = (dot(first.normal, edge), dot(last.normal, edge))
+            bridging = held_start & held_stop & (ends[0] < 0.0) & (ends[1] > 0.0)
+            if self.some(bridging, zero):
+                between = self.nearest(rod, o, index, start, edge, ends, bridging)
+                value = ti.min(value, ti.select(bridging, between.value, value))
+            found = (ti.min(found[0], value - rod.contacts.radius),)
+        return found[0]
 
     def nearest(self, rod, o, index, start, edge, ends, wanted):
         """The point of the edge to vertex ``index`` that is nearest to an obstacle in the lanes where it is ``wanted``, by

@@ -52,15 +52,13 @@ class ContactRounds(ContactEnergy):
 
     # --- rounds ---
 
-    def tolerance(self, rod, given):
+    def tolerance(self, rod, given, final: ti.template()):
         """The residual that a rod is to reach where ``given`` is that of one without contact: more while its rounds are rough,
-        and at least what rounding of places makes of the forces."""
-        rough = ti.max(given, 0.0 * given + ROUGHER)
-        return self.final_tolerance(rod, ti.select(self.is_fine(rod), given, rough))
-
-    def final_tolerance(self, rod, given):
-        """That of a rod in its final rounds."""
-        return given + self.rounding * rod.contacts.stiffness * rod.longest * rod.total * rod.total
+        unless the ``final`` one is meant, and at least what rounding of places makes of the forces."""
+        least = variable((given,))
+        if ti.static(not final):
+            least = (ti.select(self.is_fine(rod), given, ti.max(given, 0.0 * given + ROUGHER)),)
+        return least[0] + self.rounding * rod.contacts.stiffness * rod.longest * rod.total * rod.total
 
     def is_fine(self, rod):
         """The lanes whose rods are in their final rounds."""

@@ -267,7 +267,7 @@ class DenseElimination(DenseFactors):
             if ti.static(self.breaks):
                 if self.begins(rod, e) > 0:
                     before, after = w, w
-                    self.begin_at(rod, e, w)
+                    self.contacts.member(rod, self.begins(rod, e)).begin_step = w
                     size = largest_of(size, dot(w, w) / (rod.total * rod.total))
                     w = repeated(0.0 * size, 3)
             edge.rotation = w

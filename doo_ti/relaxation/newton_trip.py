@@ -181,16 +181,9 @@ class NewtonTrip:
     def tolerance(self, tables, rod, final: ti.template() = False):
         """The largest residual of a rod that has converged, in contact in the round that it is in, or in a ``final`` one."""
         given = self.constant(0.0) + ti.cast(tables.policy[fixed.TOLERANCE], self.scalar)
-        return self.in_contact(rod, given, final)
-
-    def in_contact(self, rod, given, final: ti.template()):
-        """:meth:`tolerance` where that without contact is ``given``."""
-        if ti.static(not self.touches):
-            return given
-        elif ti.static(final):
-            return self.sweep.contacts.final_tolerance(rod, given)
-        else:
-            return self.sweep.contacts.tolerance(rod, given)
+        if ti.static(self.touches):
+            given = self.sweep.contacts.tolerance(rod, given, final)
+        return given
 
     def judge_place(self, tables, rod, lane, inertia, step, judged):
         """Judge where the rod is: a record of flags. ``at_rest``: residual, closure and decrement are small; ``calm``: at rest,

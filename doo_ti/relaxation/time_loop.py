@@ -186,7 +186,9 @@ class TimeLoop(NewtonLoop):
         weight = ti.select(inertia > 0.0, weight, zero + 1.0)
         lever = ti.select(rod.loose > 0.5, rod.total, rod.longest)  # of the forces on a vertex 0 that is free, the rod's length
         rounding = ti.static(ROUNDING[self.number_bits]) * (rod.edges + moment * lever * rod.total * rod.length_unit)
-        given = self.in_contact(rod, given * ti.min(weight, zero + 1.0), final)
+        given = given * ti.min(weight, zero + 1.0)
+        if ti.static(self.touches):
+            given = self.sweep.contacts.tolerance(rod, given, final)
         return ti.select(rounding * rod.longest > ti.static(RESOLVED) * weight * lever, zero - 1.0, given + rounding)
 
     def multiplier(self, lane, fitted):

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Capsule, ClampPath, Dynamics, Grippers, InputError, Newton, Plane, Stepping, relax, simulate
+from doo_ti import Capsule, ClampPath, Dynamics, Grippers, Group, InputError, Newton, Plane, Stepping, relax, simulate
+from doo_ti.groups.relax_group import relax_group
 from doo_ti.motion.predict import predict, predict_step
 from doo_ti.rod.shapes import end_clamps, rod_along, straight_rod
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution, Status
@@ -99,8 +100,10 @@ def test_a_clamp_that_holds_the_middle_of_an_edge_in_a_peg_is_infeasible(clamp, 
     clamps.end_position[:, 0] -= 6.0
     peg = Capsule((1.5, -4.95, -50.0), (1.5, -4.95, 50.0), 4.0)
     assert peg.distance(rod.vertices[:, :2])[0].min() > 1.0
-    found = relax(rod, Material(1e5, 1e5), clamps, up=(0.0, 1.0, 0.0), obstacles=[peg], radius=1.0)
-    assert found.status[0] == status
+    around = dict(up=(0.0, 1.0, 0.0), obstacles=[peg], radius=1.0)
+    found = relax(rod, Material(1e5, 1e5), clamps, **around)
+    group = relax_group(Group([rod], Material(1e5, 1e5), [clamps]), **around)
+    assert found.status[0] == group.status[0] == status
 
 
 @pytest.mark.parametrize("precision", ["f64", pytest.param("f32", marks=pytest.mark.thorough)])
