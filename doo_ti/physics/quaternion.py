@@ -199,45 +199,20 @@ def arctangent_function(number):
     return arctangent
 
 
-def signed_angle_function(number):
-    """The angle in (−π, π] of the direction (cosine, sine), of any length."""
-    half_angle = half_turn_angle_function(number)
-    scalar = number.scalar
-
-    @ti.func
-    def signed_angle(cosine, sine):
-        none = 0.0 * sine
-        half_turn = ti.select(sine < 0.0, none - scalar(math.pi), none + scalar(math.pi))
-        return half_angle(cosine, sine) + ti.select(cosine < 0.0, half_turn, none)
-
-    return signed_angle
-
-
 def twist_angle_function(number):
     """m = 2 atan(q1/q0) in (−π, π] of a relative rotation, of either sign."""
-    half_angle = half_turn_angle_function(number)
-
-    @ti.func
-    def twist_angle(q):
-        return 2.0 * half_angle(q[0], q[1])
-
-    return twist_angle
-
-
-def half_turn_angle_function(number):
-    """The angle in (−π/2, π/2] of the line through (cosine, sine): that of the direction or of its opposite."""
     arctangent = arctangent_function(number)
     scalar = number.scalar
 
     @ti.func
-    def half_turn_angle(cosine, sine):
-        none = 0.0 * sine
-        steep = sine * sine > cosine * cosine
-        quarter = ti.select(cosine * sine < 0.0, none - scalar(0.5 * math.pi), none + scalar(0.5 * math.pi))
-        ratio = ti.select(steep, 0.0 - cosine, sine) / ti.select(steep, sine, cosine)
-        return arctangent(ratio) + ti.select(steep, quarter, none)
+    def twist_angle(q):
+        none = 0.0 * q[1]
+        steep = q[1] * q[1] > q[0] * q[0]
+        quarter = ti.select(q[0] * q[1] < 0.0, none - scalar(0.5 * math.pi), none + scalar(0.5 * math.pi))
+        ratio = ti.select(steep, 0.0 - q[0], q[1]) / ti.select(steep, q[1], q[0])
+        return 2.0 * (arctangent(ratio) + ti.select(steep, quarter, none))
 
-    return half_turn_angle
+    return twist_angle
 
 
 @ti.func

@@ -17,7 +17,7 @@ from doo_ti.relaxation.external import Nothing
 from doo_ti.relaxation.loading import LANES, TRIPS
 from doo_ti.relaxation.newton_policy import CLOSING_DISTANCE
 from doo_ti.relaxation.tables import Tables, room, whole_start
-from doo_ti.rod.frames import matrix_from_quaternion, quaternion_from_matrix, vertices_from_quaternions
+from doo_ti.rod.frames import vertices_from_quaternions
 from doo_ti.rod.types import Solution, Status
 from doo_ti.system import runtime
 
@@ -134,16 +134,17 @@ def run_descent(table: Tables, options: descent.Descent, bits: int):
     projection = newton.Newton(max_iterations=PROJECTIONS)
     closed, _ = run_newton(table, projection, 64, moving=False)
     table = table.restarted(closed)
-    vertices, directors = _vertex_form(table)
+    start = whole_start(table.start, table.clamp)
+    vertices = vertices_from_quaternions(np.zeros((len(start), 3)), start, table.rest_length)
+    vertices = np.where(table.released[:, None, None], vertices - vertices[:, -1:], vertices)
     kernel, threads, scratch, queue = laid_out(
         layout_for(len(table.rods), bits), descent.descent_kernel, SimpleNamespace(vertices=vertices))
-    positions = np.full((table.count, table.edges + 1, 3), np.nan)
-    axes = np.full((table.count, table.edges, 3), np.nan)
+    frames = np.full((table.count, table.edges, 4), np.nan)
     results = np.tile(UNTOUCHED, (table.count, 1))
     up = np.array(table.up, dtype=np.float64)
-    kernel(vertices, directors, table.rest_length, table.clamp, table.material, up, table.rods, options.tolerance,
-           options.max_iterations, options.largest_move, threads, scratch, queue, positions, axes, results)
-    frames = _chain_form(positions, axes)
+    kernel(np.ascontiguousarray(vertices), np.ascontiguousarray(start), table.rest_length, table.clamp, table.material, up,
+           table.rods, options.tolerance, options.max_iterations, options.largest_move, threads, scratch, queue, frames,
+           results)
     certificate = newton.Newton(tolerance=options.tolerance, max_iterations=1, first_shift=0.0, max_escapes=0)
     certified = np.tile(UNTOUCHED, (table.count, 1))
     finite = np.isfinite(frames[:, 0, 0])
@@ -155,23 +156,6 @@ def run_descent(table: Tables, options: descent.Descent, bits: int):
     certified[:, of.STATUS] = np.where(good, Status.CONVERGED, own)
     certified[:, of.ITERATIONS] = results[:, of.ITERATIONS]
     return frames, certified
-
-
-def _vertex_form(table: Tables) -> tuple[np.ndarray, np.ndarray]:
-    """Starts as vertices from the anchor (S, V, 3) and m1 (S, E, 3)."""
-    start = whole_start(table.start, table.clamp)
-    vertices = vertices_from_quaternions(np.zeros((len(start), 3)), start, table.rest_length)
-    vertices = np.where(table.released[:, None, None], vertices - vertices[:, -1:], vertices)
-    return np.ascontiguousarray(vertices), np.ascontiguousarray(matrix_from_quaternion(start)[..., 1])
-
-
-def _chain_form(vertices: np.ndarray, first_directors: np.ndarray) -> np.ndarray:
-    """(R, E, 4) frames from vertices and m1."""
-    edges = np.diff(vertices, axis=1)
-    tangents = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
-    m1 = first_directors - np.sum(first_directors * tangents, axis=-1, keepdims=True) * tangents
-    m1 /= np.linalg.norm(m1, axis=-1, keepdims=True)
-    return quaternion_from_matrix(np.stack([tangents, m1, np.cross(tangents, m1)], axis=-1))
 
 
 def layout_for(rods: int, bits: int, alone: bool = False) -> tuple[Number, int, int, int]:

@@ -2,7 +2,7 @@
 
     x ← x − h (g + Jᵀ λ)        g = ∂E/∂x with the twist angles held, λ = −(J Jᵀ)⁻¹ J g the constraints' multipliers
     x ← x − Jᵀ (J Jᵀ)⁻¹ c(x)    fast projection onto fixed edge lengths, twice (:meth:`.VertexChain.eliminate_lengths`)
-    m1 ← P(m1)                  material frames follow their tangents by parallel transport
+    Q ← P(Q)                    material frames follow their tangents by parallel transport
     θ ← argmin_θ E              one Newton step, exact for isotropic rods (:meth:`.VertexChain.minimise_twist`)
 
 The step length h is spectral (Barzilai–Borwein), limited to a small fraction of an edge so that the path stays close to
@@ -14,7 +14,7 @@ from functools import cache
 
 import taichi as ti
 
-from doo_ti.physics.number import Number, Scratch, device_functions
+from doo_ti.physics.number import Number, Scratch, device_functions, write
 from doo_ti.physics.tuples import chosen, picked, put_lane, record, repeated
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, SCRATCH, TABLE1, TABLE2, TABLE3, loop_kernel
@@ -102,13 +102,9 @@ class DescentLoop(QueueLoop):
 
     def store(self, tables, origin, slot, lane, rod):
         """Results of the rod in lane ``slot``, row ``rod`` of the rods."""
-        place, edges = tables.rods[rod, of.RESULT_ROW], tables.directors.shape[1]
-        for v in range(edges + 1):
-            at = self.sweep.vertex(origin.lane(slot), v)
-            for k in ti.static(range(3)):
-                tables.positions[place, v, k] = at.position[k]
-                if v < edges:
-                    tables.material_axes[place, v, k] = at.director[k]
+        place = tables.rods[rod, of.RESULT_ROW]
+        for e in range(tables.start.shape[1]):
+            write(tables.frames, place, e, 0, values=self.sweep.vertex(origin.lane(slot), e).frame)
         tables.results[place, of.ENERGY] = self.lane(lane.energy, slot)
         tables.results[place, of.RESIDUAL] = self.lane(lane.residual, slot)
         tables.results[place, of.CLOSURE] = 0.0
@@ -135,7 +131,7 @@ class DescentLoop(QueueLoop):
 
     def advance(self, tables, origin, lane):
         """One step of every lane's rod, and its judgement."""
-        rod = record(origin=origin, edges=tables.directors.shape[1], held=lane.held, spin=lane.spin, gravity=lane.gravity)
+        rod = record(origin=origin, edges=tables.start.shape[1], held=lane.held, spin=lane.spin, gravity=lane.gravity)
         self.sweep.move(rod, lane.step)
         self.sweep.minimise_twist(rod)
         found = self.sweep.evaluate(rod)
@@ -193,7 +189,7 @@ class DescentLoop(QueueLoop):
 
 ARGUMENTS = {
     "vertices": TABLE3,  # [configuration, vertex, 3] mm from the anchor
-    "directors": TABLE3,  # [configuration, edge, 3] m1
+    "start": TABLE3,  # [configuration, edge, 4] frames
     "rest_length": TABLE2,  # [1 or configuration, edge] mm
     "clamp": TABLE2,  # [configuration, CLAMP_COLUMNS]
     "material": TABLE2,  # [material, STIFFNESS + 1 or edge · STIFFNESS_COLUMNS]
@@ -202,8 +198,7 @@ ARGUMENTS = {
     "tolerance": ti.f64, "max_iterations": ti.i32, "largest_move": ti.f64,
     "threads": ti.i32, "scratch": SCRATCH,
     "queue": INDEX1,  # [NEXT, TRIPS, LANES + thread · lane] zero
-    "positions": TABLE3,  # [rod, vertex, 3] out
-    "material_axes": TABLE3,  # [rod, edge, 3] out: m1
+    "frames": TABLE3,  # [rod, edge, 4] out
     "results": TABLE2,  # [rod, RESULTS] out
 }
 

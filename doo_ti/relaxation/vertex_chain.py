@@ -1,20 +1,22 @@
 """A rod in the paper's own variables, vertices and material frames, in scratch: the step and the fast projection (§III-D), its
 energy and gradient, and its twist angles minimised (§III-C).
 
-The counterpart of :mod:`doo_ti.relaxation.chain` for :mod:`doo_ti.relaxation.descent`.
+The counterpart of :mod:`doo_ti.relaxation.chain` for :mod:`doo_ti.relaxation.descent`. Where a vertex moves while the twist
+angles are held, a frame follows its edge e by parallel transport, that is by a tilt alone: with ∂E/∂w = g of the frame, of all
+its joints (:mod:`doo_ti.physics.pair`), ∂E/∂e = (g_3 m1 − g_2 m2)/|e|. Along the edge ∂E/∂e may be anything: the projection
+removes that part.
 """
 
 import taichi as ti
 
-from doo_ti.physics import vertex_form
+from doo_ti.physics import pair, quaternion
 from doo_ti.physics.algebra import absolute, larger
 from doo_ti.physics.number import Layout, device_functions, read
-from doo_ti.physics.quaternion import signed_angle_function
-from doo_ti.physics.tuples import choose, cross, dot, minus, picked, plus, record, repeated, scaled, variable
+from doo_ti.physics.tuples import choose, dot, minus, picked, plus, record, repeated, scaled, variable
 from doo_ti.relaxation.loading import load_stiffness
 
-VERTEX = Layout(position=3, director=3, force=3, state=("position", 9), trial_position=3, trial_director=3, trial_force=3,
-                trial=("trial_position", 9), ratio=1, right=1, length=1, inverse_length=1, bend=3, twist=1, rest=2)
+VERTEX = Layout(position=3, frame=4, force=3, state=("position", 10), trial_position=3, trial_frame=4, trial_force=3,
+                trial=("trial_position", 10), ratio=1, right=1, length=1, inverse_length=1, bend=3, twist=1, rest=2)
 """What scratch has of a vertex and the edge that leaves it; ``force``: the projected gradient; ``ratio``, ``right``: factor and
 right-hand side of the tridiagonal systems."""
 PROJECTION_ROUNDS = 2
@@ -26,8 +28,15 @@ def direction(v):
     return scaled(v, 1.0 / ti.sqrt(dot(v, v)))
 
 
+@ti.func
+def edge_force(gradient, frame, length):
+    """∂E/∂e of an edge, across it, from the gradient of its frame: (g_3 m1 − g_2 m2)/|e|."""
+    of_m1 = scaled(quaternion.first_director(frame), gradient[2] / length)
+    return minus(of_m1, scaled(quaternion.second_director(frame), gradient[1] / length))
+
+
 @device_functions
-class VertexChain:
+class VertexChain(pair.PairEnergy):
     """The sweeps over vertices, for one kind of number; materials are always general.
 
     Its functions take a record ``rod`` of the rods in one pack:
@@ -40,8 +49,7 @@ class VertexChain:
     """
 
     def __init__(self, number):
-        self.number = number
-        self.signed_angle = signed_angle_function(number)
+        self.isotropic, self.twist_angle = False, quaternion.twist_angle_function(number)
 
     @picked
     def vertex(self, origin, v):
@@ -78,10 +86,9 @@ class VertexChain:
             self.apply_lengths(rod, False)
         for v in range(rod.edges):
             at, after = self.vertex(rod.origin, v), self.vertex(rod.origin, v + 1)
-            old = direction(minus(after.position, at.position))
             new = direction(minus(after.trial_position, at.trial_position))
-            m1 = vertex_form.transported_vector(old, new, at.director)
-            at.trial_director = vertex_form.across(m1, new)
+            frame = at.frame
+            at.trial_frame = quaternion.transported(frame, quaternion.tangent(frame), new)
 
     def eliminate_lengths(self, rod, of_gradient: ti.template()):
         """Fast projection, the forward half (§III-D; Goldenthal 2007):
@@ -174,7 +181,7 @@ class VertexChain:
 
     def load_rod(self, tables, origin, s, g):
         """Start s and material g into a lane, whose vertex 0 is ``origin``; returns (longest edge, shortest edge)."""
-        edges = tables.directors.shape[1]
+        edges = tables.start.shape[1]
         row = ti.min(s, tables.rest_length.shape[0] - 1)
         longest, shortest = (ti.cast(0.0, ti.f64), ti.cast(1e30, ti.f64))
         for v in range(edges + 1):
@@ -184,59 +191,18 @@ class VertexChain:
                 longest = ti.max(longest, tables.rest_length[row, v])
                 shortest = ti.min(shortest, tables.rest_length[row, v])
                 at.length = tables.rest_length[row, v]
-                at.director = read(tables.directors, s, v, 0)
+                at.frame = read(tables.start, s, v, 0, count=4)
                 load_stiffness(at, tables.material, g, tables.rest_length, row, v, 1.0)
                 if v > 0:
                     at.inverse_length = 1.0 / (tables.rest_length[row, v - 1] + tables.rest_length[row, v])
         return longest, shortest
 
-    # --- the energy of the trial vertices and directors ---
+    # --- the energy of the trial vertices and frames ---
 
-    def edge(self, rod, index):
-        """The record of an edge: e, |e|, t, m1, m2 and B."""
-        at, after = self.vertex(rod.origin, index), self.vertex(rod.origin, index + 1)
-        e = minus(after.trial_position, at.trial_position)
-        t, m1 = direction(e), at.trial_director
-        length, bend = at.length, at.bend
-        return record(e=e, length=length, t=t, m1=m1, m2=cross(t, m1), bend=bend)
-
-    def joint(self, rod, e):
-        """The record of the vertex between edge ``e`` and the one after it:
-
-        left, right              the edges (:meth:`edge`)
-        binormal, bottom         κb and its denominator
-        omega_left, omega_right  ω as either frame sees it; moment_left, moment_right  B (ω − u̅)/l̄
-        rest                     u̅ = ω̄ l̄/2
-        inverse, twist           1/l̄, and the angle of twist
-        stiffness                β/l̄
-        """
-        after = self.vertex(rod.origin, e + 1)
-        left, right = self.edge(rod, e), self.edge(rod, e + 1)
-        inverse = after.inverse_length
-        binormal, bottom = vertex_form.curvature_binormal(left.e, right.e, left.length, right.length)
-        reference = vertex_form.transported_vector(left.t, right.t, left.m1)
-        rest = after.rest
-        omega_left = vertex_form.material_curvature(binormal, left.m1, left.m2)
-        omega_right = vertex_form.material_curvature(binormal, right.m1, right.m2)
-        return record(
-            left=left, right=right, binormal=binormal, bottom=bottom, omega_left=omega_left, omega_right=omega_right,
-            moment_left=vertex_form.bend_moment(left.bend, omega_left, rest, inverse),
-            moment_right=vertex_form.bend_moment(right.bend, omega_right, rest, inverse), rest=rest, inverse=inverse,
-            twist=self.signed_angle(dot(reference, right.m1), dot(cross(reference, right.m1), right.t)),
-            stiffness=after.twist * inverse)
-
-    def spins(self, joint):
-        """First and second derivatives of a joint's bend energy by the spins of its frames: ((first, second) of the left frame,
-        of the right one)."""
-        left = vertex_form.spin_derivatives(joint.left.bend, joint.moment_left, joint.omega_left, joint.inverse)
-        right = vertex_form.spin_derivatives(joint.right.bend, joint.moment_right, joint.omega_right, joint.inverse)
-        return left, right
-
-    def bend_force(self, joint):
-        """Derivatives of a joint's bend energy by the edge before and the edge after."""
-        left, right = joint.left, joint.right
-        return vertex_form.bend_force(joint.moment_left, joint.moment_right, left.m1, left.m2, right.m1, right.m2,
-                                      joint.binormal, joint.bottom, left.e, right.e)
+    def joint(self, left, right):
+        """(X, Y, 1/s, m, e^{im}) and the stiffness of the joint between two neighbouring edges."""
+        x, y, inverse, turn, relative = pair.curvature(left.trial_frame, right.trial_frame)
+        return (x, y, inverse, self.twist_angle(relative), turn), self.stiffness(left, right, 0)
 
     def minimise_twist(self, rod):
         """One Newton round on the twist angles, the vertices held: a scalar tridiagonal system."""
@@ -250,11 +216,12 @@ class VertexChain:
             gradient, curvature = (zero, zero)
             b2 = zero
             if e < rod.edges - 1:
-                joint = self.joint(rod, e)
-                b2 = 2.0 * joint.stiffness
-                of_left, of_right = self.spins(joint)
-                g, h = g + of_left[0] - b2 * joint.twist, h + of_left[1] + b2
-                gradient, curvature = of_right[0] + b2 * joint.twist, of_right[1] + b2
+                bent, stiffness = self.joint(at, self.vertex(rod.origin, e + 1))
+                of_left, of_right, h_left, h_right, h_across = self.derivatives(bent, stiffness)
+                # Of bending without its negative part, so that a step never climbs.
+                b2 = 2.0 * stiffness[3]
+                g, h = g + of_left[0], h + ti.max(h_left[0], b2)
+                gradient, curvature = of_right[0], ti.max(h_right[0], b2)
             free, after_free = (one, one)
             if e == 0:
                 free = rod.spin[0]
@@ -272,16 +239,15 @@ class VertexChain:
         self.spin_frames(rod)
 
     def spin_frames(self, rod):
-        """Turn the trial directors by the angles of :meth:`minimise_twist`, half a radian at most."""
+        """Turn the trial frames about their tangents by the angles of :meth:`minimise_twist`, half a radian at most."""
         angle = 0.0 * rod.spin[0]
         for back in range(rod.edges):
             e = rod.edges - 1 - back
-            at, after = self.vertex(rod.origin, e), self.vertex(rod.origin, e + 1)
+            at = self.vertex(rod.origin, e)
             angle = at.right - at.ratio * angle
-            t = direction(minus(after.trial_position, at.trial_position))
-            m1 = at.trial_director
-            turn = ti.min(ti.max(angle, 0.0 * angle - 0.5), 0.0 * angle + 0.5)
-            at.trial_director = vertex_form.spun(m1, cross(t, m1), turn)
+            zero = 0.0 * angle
+            turn = ti.min(ti.max(angle, zero - 0.5), zero + 0.5)
+            at.trial_frame = quaternion.turned_in_body(at.trial_frame, (turn, zero, zero), zero)
 
     def evaluate(self, rod):
         """The record of ``energy``, its ``magnitude`` (sum of absolute terms) and ``spin``, the largest moment of spin; the
@@ -291,8 +257,8 @@ class VertexChain:
         """
         zero = 0.0 * rod.spin[0]
         found = record(energy=zero, magnitude=zero, spin=zero)
-        potential, before, carried = (zero, zero, zero)
-        n = variable(repeated(zero, 3))
+        potential, before = (zero, zero)
+        n, carried = variable(repeated(zero, 3)), variable(repeated(zero, 3))  # of the edge before, and of the joint with it
         for v in range(rod.edges + 1):
             at = self.vertex(rod.origin, v)
             length = zero
@@ -304,33 +270,21 @@ class VertexChain:
             potential = potential + height
             found.magnitude = found.magnitude + absolute(height)
             f = plus(n, scaled(rod.gravity, weight))
-            # Take the next edge's derivative: what the vertex before left for it, and the joint after it.
             n = repeated(zero, 3)
             if v < rod.edges:
-                if v > 0:
-                    n = at.trial_force
-                moment = carried
-                carried = zero
+                gradient = variable(carried)
                 if v < rod.edges - 1:
-                    joint = self.joint(rod, v)
-                    left, right = joint.left, joint.right
-                    torque = joint.stiffness * joint.twist
-                    found.energy = (found.energy + torque * joint.twist
-                                    + vertex_form.bend_energy(joint.moment_left, joint.omega_left, joint.rest)
-                                    + vertex_form.bend_energy(joint.moment_right, joint.omega_right, joint.rest))
-                    of_left, of_right = self.bend_force(joint)
-                    # Holonomy: δm = ½ κb·(δe⁻/|e⁻| + δe⁺/|e⁺|).
-                    n = plus(plus(n, of_left), scaled(joint.binormal, torque / left.length))
-                    after = self.vertex(rod.origin, v + 1)
-                    after.trial_force = plus(of_right, scaled(joint.binormal, torque / right.length))
-                    spin_left, spin_right = self.spins(joint)
-                    moment = moment + spin_left[0] - 2.0 * torque
-                    carried = spin_right[0] + 2.0 * torque
+                    bent, stiffness = self.joint(at, self.vertex(rod.origin, v + 1))
+                    found.energy = found.energy + self.energy_of(bent, stiffness)
+                    of_left, of_right = self.gradient_of(bent, stiffness)
+                    gradient, carried = plus(gradient, of_left), of_right
+                moment = gradient[0]
                 if v == 0:
                     moment = moment * rod.spin[0]
                 if v == rod.edges - 1:
                     moment = moment * rod.spin[1]
                 found.spin = larger(found.spin, absolute(moment))
+                n = edge_force(gradient, at.trial_frame, at.length)
             at.trial_force = minus(f, n)
         found.magnitude = found.energy + found.magnitude
         found.energy = found.energy + potential
