@@ -60,21 +60,22 @@ class BowSearch:
         own = self.memory.view(tables.obstacles, (row * tables.kinds.shape[0] + o) * OBSTACLE_COLUMNS, COLUMNS)
         return self.distance.measure(own, tables.grids, tables.kinds[o], x).value
 
-    def nears(self, tables, r, o, start, end, both, least):
-        """Whether the line between two places, whose φ is ``both`` together, comes nearer to an obstacle than ``least``."""
-        along, room, nearer = minus(end, start), both - 2.0 * least, False
+    def passes(self, tables, r, o, start, end, length, share):
+        """Whether the line between two places comes nearer to an obstacle than half of ``length`` and than that ``share`` of
+        the distance at its start. To a plane no line does whose ends do not."""
+        last = self.value(tables, r, o, end)
+        nearer = last < 0.0
         # φ grows no faster than the place: a short line stays away.
-        if room < 0.0 or dot(along, along) > room * room:
-            for k in range(1, PLACES):
-                if not nearer:
-                    nearer = self.value(tables, r, o, plus(start, scaled(along, k / PLACES))) < least
+        if tables.kinds[o] != ti.static(PLANE) and (share > 0.0 or last < length):
+            first, along = self.value(tables, r, o, start), minus(end, start)
+            least = ti.min(0.5 * length, share * first)
+            room = first + last - 2.0 * least
+            nearer = last < least
+            if room < 0.0 or dot(along, along) > room * room:
+                for k in range(1, PLACES):
+                    if not nearer:
+                        nearer = self.value(tables, r, o, plus(start, scaled(along, k / PLACES))) < least
         return nearer
-
-    def passes(self, tables, r, o, start, end, length):
-        """Whether a vertex on its way comes so near to an obstacle that an edge of that ``length`` may pass through it."""
-        first, last = self.value(tables, r, o, start), self.value(tables, r, o, end)
-        least = ti.min(0.5 * length, FROM_THERE * first)
-        return last < least or self.nears(tables, r, o, start, end, first + last, least)
 
     def bent(self, tables, r, e, half_waves, slope, across):
         """An edge of a bow, whose edges turn in the plane of the line and of ``across``."""
@@ -107,23 +108,14 @@ class BowSearch:
                     way.midway = plus(way.midway, self.bent(tables, r, e, half_waves, MIDWAY * slope, across))
             o = 0
             while o < tables.kinds.shape[0] and fine:
-                fine = self.is_outside(tables, r, o, way.last, way.end, length)
+                fine = not self.passes(tables, r, o, way.last, way.end, length, 0.0)
                 if fine and followed:
-                    fine = self.is_outside(tables, r, o, way.last_midway, way.midway, length)
-                    if fine and v > 0 and tables.kinds[o] != ti.static(PLANE):
-                        fine = not (self.passes(tables, r, o, way.line, way.midway, length)
-                                    or self.passes(tables, r, o, way.midway, way.end, length))
+                    fine = not (self.passes(tables, r, o, way.last_midway, way.midway, length, 0.0)
+                                or self.passes(tables, r, o, way.line, way.midway, length, FROM_THERE)
+                                or self.passes(tables, r, o, way.midway, way.end, length, FROM_THERE))
                 o += 1
             v += 1
         return fine
-
-    def is_outside(self, tables, r, o, last, x, length):
-        """Whether vertex ``x`` and the edge of that ``length`` from the ``last`` one are."""
-        value = self.value(tables, r, o, x)
-        outside = value >= 0.0
-        if outside and value < length and tables.kinds[o] != ti.static(PLANE):
-            outside = not self.nears(tables, r, o, last, x, value + self.value(tables, r, o, last), 0.0)
-        return outside
 
     def search(self, tables, r):
         """The first try that fits, or NONE."""
