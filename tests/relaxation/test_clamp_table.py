@@ -64,7 +64,11 @@ def test_against_the_definitions(rng, edges, shared):
     np.testing.assert_allclose(ends, wanted, atol=1e-12)
     fixed = each[:, [0, -1]] * ~tilts
     span = np.linalg.norm(target - (fixed[..., None] * wanted[..., 0]).sum(axis=1), axis=1)
-    reaches = ~closed | ((span < total - fixed.sum(axis=1)) & (edges - (~tilts).sum(axis=1) >= 2))
+    # And no free edge may be longer than the others and that span together.
+    free = each.copy()
+    free[:, [0, -1]] -= fixed
+    bridged = (span < free.sum(axis=1)) & (2.0 * free.max(axis=1) <= free.sum(axis=1) + span)
+    reaches = ~closed | (bridged & (edges - (~tilts).sum(axis=1) >= 2))
     np.testing.assert_array_equal(found != INFEASIBLE, reaches)
     assert 0 < reaches.sum() < count
 

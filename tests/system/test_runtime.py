@@ -185,7 +185,7 @@ def test_lines_of_kernels_functions_are_those_of_inspect():
         raise AssertionError(f"{function} is not found by its line")
 
     lines, found = _lines_of(otherwise), 0
-    for kind in (chain.Chain, contacts.Contacts, newton_trip.NewtonTrip):
+    for kind in (chain.Chain, contacts.RodContacts, newton_trip.NewtonTrip):
         for function in vars(kind).values():
             if hasattr(function, "_is_taichi_function"):
                 assert lines(function) == inspect.getsourcelines(function)
