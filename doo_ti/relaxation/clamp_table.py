@@ -167,10 +167,12 @@ class ClampReader:
             tilting += tilts[0]
         if tables.rest_length[length, edges - 1] > 0.0:
             tilting += tilts[1]
-        longest = ti.cast(0.0, ti.f64)
-        for e in range(edges):
-            if ((e > 0) | (tilts[0] > 0.0)) & ((e < edges - 1) | (tilts[1] > 0.0)):
-                longest = ti.max(longest, tables.rest_length[length, e])
+        longest = size.longest
+        if 2.0 * longest > reach + span:  # as of few rods: it may be an edge that a clamp holds
+            longest = 0.0
+            for e in range(edges):
+                if ((e > 0) | (tilts[0] > 0.0)) & ((e < edges - 1) | (tilts[1] > 0.0)):
+                    longest = ti.max(longest, tables.rest_length[length, e])
         # Nor does one free edge reach back over all others and the line.
         if (slack >= -ROUNDING) & (tilting >= 2.0) & (2.0 * longest <= (1.0 + ROUNDING) * (reach + span)):
             # Straight rods have their inner edges in line: comparing two of them excludes most other rods.
