@@ -262,12 +262,13 @@ def _sets(options: Namespace, rig):
         seed[name] = np.array([numbers])
     paths = tuple(Path(image) for image in options.images)
     clicks = clicked(options, rig)
-    return ImageSets((in_line(paths[0].stem),), (paths,), rig, seed["--seed-point"], seed["--seed-direction"], given.SOURCE,
+    name = paths[0].absolute().parent.name if stems == rig.names else stems[0]  # a camera's name is none of a set
+    return ImageSets((in_line(name),), (paths,), rig, seed["--seed-point"], seed["--seed-direction"], given.SOURCE,
                      (clicks,))
 
 
 def clicked(options: Namespace, rig: Rig) -> dict[int, tuple[float, float]]:
-    """The pixels of ``--seed-pixel`` by the numbers of their cameras."""
+    """The pixels of ``--seed-pixel`` by the numbers of their cameras in ``rig``."""
     return {rig.names.index(camera): pixel
             for camera, pixel in by_camera("--seed-pixel", options.seed_pixel, rig.names, "U,V").items()}
 

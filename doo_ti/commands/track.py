@@ -84,7 +84,7 @@ def tracking_task(options: Namespace) -> TrackingTask:
     rest_length = None if options.rest_length is None else read_rest_length(options.rest_length)
     surroundings = given.surroundings(options)
     rig = image_options.rig(options)
-    frames, time = load_frames(Path(options.frames), rig, image_options.clicked(options, rig))
+    frames, time = load_frames(Path(options.frames), rig, lambda rig: image_options.clicked(options, rig))
     if rest_length is not None and frames.direction is not None:
         frames.rig.check_sight(frames.point + rest_length.min() * frames.direction, "the first edge")
     far = None if options.motion is None else _far_motions(Path(options.motion), frames.count)
@@ -92,9 +92,9 @@ def tracking_task(options: Namespace) -> TrackingTask:
     return TrackingTask(frames, time, rest_length, bounds, grid.materials(), sight, up, far, surroundings)
 
 
-def load_frames(path: Path, rig, clicks: dict | None = None):
-    """(ImageSets of the frames in their order, (T,) s or None). Frames without a seed keep the one before; ``clicks`` are
-    pixels in the first frame by the numbers of their cameras.
+def load_frames(path: Path, rig, clicks_of=lambda rig: {}):
+    """(ImageSets of the frames in their order, (T,) s or None). Frames without a seed keep the one before; ``clicks_of`` a rig
+    are pixels in the first frame by the numbers of its cameras.
 
     Raises InputError naming line and column for whatever is missing or not a number, and for missing images.
     """
@@ -102,8 +102,9 @@ def load_frames(path: Path, rig, clicks: dict | None = None):
 
     form = f"frame, one per camera, and {SEEDS}"
     table = read_csv(path, ("frame",), form=form, short_lines=True)
-    clicked, seed = ([], ()) if clicks and not {*SEED} & {*table.columns} else seed_columns(table, rig, form)
-    if clicks and seed:
+    given_clicks = bool(clicks_of(rig))
+    clicked, seed = ([], ()) if given_clicks and not {*SEED} & {*table.columns} else seed_columns(table, rig, form)
+    if given_clicks and seed:
         raise InputError(given.SOURCE, "--seed-pixel", f"given, but {path} has the column {seed[0]}", "give either")
     cameras = cameras_in(table, rig, ("frame", "time_s", *seed))
     paths = images_in(table, cameras)
@@ -118,7 +119,7 @@ def load_frames(path: Path, rig, clicks: dict | None = None):
         seeded = np.array([row == 0 or any(table.columns[key][row] for key in SEED) for row in range(table.count)])
         seeds = np.stack([table.rows(seeded).numbers(key) for key in SEED], axis=-1)[np.cumsum(seeded) - 1]
         return ImageSets(names, paths, rig, seeds[:, :3], seeds[:, 3:], str(path)), time
-    clicks = clicks_in(table, clicked, rig) if clicked else (clicks, *({} for _ in names[1:]))
+    clicks = clicks_in(table, clicked, rig) if clicked else (clicks_of(rig), *({} for _ in names[1:]))
     if not clicks[0]:
         raise InputError(path, seed[0], "no pixel in the first frame", "give one where the rod begins")
     return ImageSets(names, paths, rig, None, None, str(path), clicks), time
