@@ -30,9 +30,9 @@ AHEAD = 16  # lines of images in which threads are detected while one is used
 RECORDED = 3  # sets in a recording
 EDGES = 33  # of a rod whose edges are not given
 GUESSED_BEND = 1e6
-ROUND = f"one number each; rods are round; without any, --bend {GUESSED_BEND:g}, which is near enough for most shapes"
 """mm³, of a rod in images whose stiffness is not given: E_vis takes the rod's energy relative to its stiffness, so that only
 its weight and twist against its bending depend on it."""
+ROUND = f"one number each; rods are round; without any, --bend {GUESSED_BEND:g}, which is near enough for most shapes"
 
 
 def add_rig(parser: ArgumentParser) -> None:

@@ -216,7 +216,7 @@ def _draw(rods: HeldRods, prediction, arrays: dict[str, np.ndarray], picture: Pa
     touched = None if not rods.surroundings else Touched(rods.surroundings, *(
         np.swapaxes(arrays[name], 0, 1) for name in ("vertices_mm", "contact_force")), rods.newtons)
     moving = MovingRods(prediction.time, arrays["vertices_mm"], rods.names, prediction.jumps, prediction.followed, rods.up,
-                      _gripper_lines(rods, prediction, arrays["vertices_mm"]), marks, touched)
+                        _gripper_lines(rods, prediction, arrays["vertices_mm"]), marks, touched)
     if picture is not None:
         motions_picture(picture, moving, title=rods.name)
     if recording is not None:

@@ -41,8 +41,8 @@ NONE = -1
 
 @device_functions
 class BowSearch:
-    """The search, one rod at a time. Its functions take the record ``tables`` of the
-    kernel's arguments, and a rod's row ``r`` in them."""
+    """The search, one rod at a time. Its functions take the record ``tables`` of the kernel's arguments, and a rod's row ``r``
+    in them."""
 
     def __init__(self, has_grid: bool):
         number = Number(1, 32)

@@ -17,9 +17,9 @@ from doo_ti.relaxation.contact_table import CONTACT, CONTACTS, EVEN, OBSTACLE, S
 
 @device_functions
 class ContactPlaces:
-    """Where the rods in a pack are, seen from obstacles. Of the record ``rod`` it reads ``contacts``, the
-    view of its numbers in scratch, ``kinds``, ``grids``, and ``obstacles``, how many there are. ``moves``: obstacles may move
-    during a motion. ``itself``: rods may touch themselves, or each other (:class:`.SelfContacts`).
+    """Where the rods in a pack are, seen from obstacles. Of the record ``rod`` it reads ``contacts``, the view of
+    its numbers in scratch, ``kinds``, ``grids``, and ``obstacles``, how many there are. ``moves``: obstacles may move during
+    a motion. ``itself``: rods may touch themselves, or each other (:class:`.SelfContacts`).
     """
 
     itself = False

@@ -1,4 +1,4 @@
-"""RodContacts from one instant to the next, into scratch and out of it (docs/contact.md)."""
+"""The contacts of rods from one instant to the next, into scratch and out of it (docs/contact.md)."""
 
 import taichi as ti
 
