@@ -65,56 +65,95 @@ def run(options: Namespace) -> int:
     for path in (out, *(given.output_file(out.with_suffix(suffix), suffix) for suffix in beside)):
         given.refuse_overwriting(path, *sources)
     with progress() as bar:
-        detected = _detected(task, bar)
-        task, length_range = _begun(task, detected)
-        found, growth = _perceived(task, detected, bar)
-        found = replace(found, length_range=np.broadcast_to(length_range, (task.sets.count, 2)))
-    image_options.warn_of_length(options, task.rest_length.sum())
-    save_arrays(out, _arrays(task, found))
-    written = [out, *_shown(options, task, detected, found, growth, out)]
-    summary = _summary(task, detected, found, written)
+        detected, failed = _detected(task, bar)
+        begun, rows, length_range = _begun(task, detected, failed)
+        detected = [detected[row] for row in rows]
+        found, growth = _perceived(begun, detected, bar)
+        found = replace(found, length_range=np.broadcast_to(length_range, (len(rows), 2)))
+    image_options.warn_of_length(options, begun.rest_length.sum())
+    task, every = replace(task, rest_length=begun.rest_length), found.among(rows, task.sets.count)
+    save_arrays(out, _arrays(task, every))
+    written = [out, *_shown(options, begun, detected, found, growth, out)]
+    summary = _summary(task, detected, every, failed, written)
     report(options, summary, lambda: _lines(summary))
     return 0 if summary["found"] else 1
 
 
-def _detected(task: PerceptionTask, bar) -> list[list]:
-    """A lists of C detections. Raises InputError for the first image that does not fit the rig or shows no thread."""
-    paths, cameras, detected = task.sets.paths, task.sets.rig.cameras, []
+def _detected(task: PerceptionTask, bar) -> tuple[list[list], dict[int, InputError]]:
+    """A lists of C detections, and by their rows the sets in which an image shows no thread. Raises InputError for the first
+    image that does not fit the rig."""
+    paths, cameras, detected, failed = task.sets.paths, task.sets.rig.cameras, [], {}
     shown = bar.add_task("detection", total=len(paths) * len(cameras), unit="images")
-    for images, found in zip(paths, image_options.detections(task.sight, paths, cameras), strict=True):
-        for path, detection in zip(images, found, strict=True):
-            if not detection.count:
-                raise InputError(path, "image", "no thread was found in it",
-                                 "leave the set out, or give --polarity and --width")
+    for row, (images, found) in enumerate(zip(paths, image_options.detections(task.sight, paths, cameras), strict=True)):
+        empty = next((path for path, detection in zip(images, found, strict=True) if not detection.count), None)
+        if empty is not None:
+            failed[row] = InputError(empty, "image", "no thread was found in it",
+                                     "leave the set out, or give --polarity and --width")
         detected.append(found)
         bar.advance(shown, len(found))
-    return detected
+    return detected, failed
 
 
-def _begun(task: PerceptionTask, detected: list[list]) -> tuple[PerceptionTask, np.ndarray]:
-    """The task with seeds and rest lengths that are not given found in the images, and (2,) mm between which the length is, NaN
-    where it is given. Raises InputError where none are found."""
-    sets, length_range = task.sets, np.full(2, np.nan)
-    if task.rest_length is not None and sets.direction is not None:
-        return task, length_range
-    from doo_ti.perception.seeds import seed_from_pixels, whole_threads
+def _begun(task: PerceptionTask, detected: list[list], failed: dict[int, InputError]
+           ) -> tuple[PerceptionTask, np.ndarray, np.ndarray]:
+    """The sets in which a rod can begin, with seeds and rest lengths that are not given found in the images; their rows; and
+    (2,) mm between which the length is, NaN where it is given.
 
-    if sets.point is None:
-        sources = [f"{sets.source}: {in_line(name)}" if sets.count > 1 else sets.source for name in sets.names]
-        sets = replace(sets, point=np.array([seed_from_pixels(sets.rig, *one) for one in zip(detected, sets.clicks, sources)]))
-    threads = whole_threads(sets.rig, detected, sets.point, sets.direction, task.material, task.up, task.search)
-    lost = np.flatnonzero(np.isnan(threads.direction).any(axis=1) if task.rest_length is not None else np.isnan(threads.length))
-    if len(lost) and (task.rest_length is None and len(lost) == sets.count or sets.direction is None):
-        raise InputError(sets.source, in_line(sets.names[lost[0]]), "no thread can be followed from the seed",
-                         "give another seed, or --rest-length and a seed with a direction")
-    rest_length = task.rest_length
+    failed  why other sets have no rod, by their rows; those are added here in which nothing can be followed
+
+    Raises InputError where no set is left.
+    """
+    length_range, rest_length = np.full(2, np.nan), task.rest_length
+    points = task.sets.point if task.sets.point is not None else _clicked_points(task.sets, detected, failed)
+    rows = _left(task.sets, failed)
+    sets = replace(task.sets.take(rows), point=points[rows])
+    if rest_length is None or sets.direction is None:
+        from doo_ti.perception.seeds import whole_threads
+
+        threads = whole_threads(sets.rig, [detected[row] for row in rows], sets.point, sets.direction, task.material, task.up,
+                                task.search)
+        lost = np.isnan(threads.direction).any(axis=1)
+        if rest_length is None and np.isnan(threads.length).all():
+            lost[:] = True
+        for row in rows[lost]:
+            failed[int(row)] = InputError(_source(task.sets, row), "seed", "no thread can be followed from it",
+                                          "give another, or --rest-length and a seed with a direction")
+        rows = _left(task.sets, failed)
+        sets = replace(sets, direction=threads.direction).take(np.flatnonzero(~lost))
     if rest_length is None:  # one rod in all sets
         middle = float(np.nanmedian(threads.length))
         rest_length = task.length_bounds.rest_length(middle)
         # Of several sets the median is as much more certain as they are many.
         apart = (np.nanmedian(threads.range, axis=0) - middle) / np.sqrt(np.isfinite(threads.length).sum())
         length_range = np.clip(middle + apart, task.length_bounds.least, task.length_bounds.most)
-    return replace(task, sets=replace(sets, direction=threads.direction), rest_length=rest_length), length_range
+    truth = None if task.truth is None else task.truth[rows]
+    return replace(task, sets=sets, rest_length=rest_length, truth=truth), rows, length_range
+
+
+def _clicked_points(sets, detected: list[list], failed: dict[int, InputError]) -> np.ndarray:
+    """(A, 3) mm where the rods of the clicks begin; NaN where none does, which ``failed`` gets the reason of."""
+    from doo_ti.perception.seeds import seed_from_pixels
+
+    points = np.full((sets.count, 3), np.nan)
+    for row in range(sets.count):
+        try:
+            if row not in failed:
+                points[row] = seed_from_pixels(sets.rig, detected[row], sets.clicks[row], _source(sets, row))
+        except InputError as error:
+            failed[row] = error
+    return points
+
+
+def _source(sets, row: int) -> str:
+    """How messages name a set."""
+    return f"{sets.source}: {in_line(sets.names[row])}" if sets.count > 1 else sets.source
+
+
+def _left(sets, failed: dict[int, InputError]) -> np.ndarray:
+    """The rows of the sets that have not ``failed``. Raises the first of these errors where there are none."""
+    if len(failed) == sets.count:
+        raise failed[min(failed)]
+    return np.setdiff1d(np.arange(sets.count), list(failed)).astype(int)
 
 
 def _perceived(task: PerceptionTask, detected: list[list], bar):
@@ -216,7 +255,7 @@ def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found
     return written
 
 
-def _summary(task: PerceptionTask, detected: list[list], found, written: list[Path]) -> dict:
+def _summary(task: PerceptionTask, detected: list[list], found, failed: dict[int, InputError], written: list[Path]) -> dict:
     """The content of ``--json``, from which the lines of text are made."""
     from doo_ti.perception.perceive import PerceptionVerdict
 
@@ -229,6 +268,7 @@ def _summary(task: PerceptionTask, detected: list[list], found, written: list[Pa
         "length_range_mm": found.length_range[row], "outside": found.outside[row],
         "unsupported_mm": task.rest_length[found.unsupported[row]].sum(),
         "mean_sigma_mm": found.sigma[row].mean() if found.sound[row] else None, **_errors(task, found, row),
+        "failed": str(failed[row]) if row in failed else None,
     } for row, name in enumerate(task.sets.names)]
     return {
         "sets": sets, "cameras": task.sets.rig.names, "edges": len(task.rest_length),
@@ -287,6 +327,8 @@ def _lines(summary: dict) -> list[str]:
 
 def _set_text(entry: dict) -> str:
     """One set as text."""
+    if entry["failed"] is not None:
+        return f"no rod: {entry['failed']}"
     pixels = " ".join(f"{value:.2f}" if np.isfinite(value) else "unseen" for value in entry["camera_error_px"])
     rival = f"gap {entry['gap_px']:.2g} px" if np.isfinite(entry["gap_px"]) else "no rival"
     parts = [f"E_vis {entry['energy_vis']:.3g}/mm", f"{pixels} px off", f"{entry['verdict']} ({rival})",

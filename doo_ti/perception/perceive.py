@@ -154,6 +154,21 @@ class Perception:
                   if name != "configuration"}
         return cls(configuration=whole, **values)
 
+    def among(self, rows: np.ndarray, count: int) -> "Perception":
+        """The same as ``rows`` of ``count`` sets. In the others there is no rod: NaN, with the status INFEASIBLE."""
+        def spread(values: np.ndarray, missing) -> np.ndarray:
+            every = np.full((count, *values.shape[1:]), missing, dtype=values.dtype)
+            every[rows] = values
+            return every
+
+        missing = {"status": Status.INFEASIBLE, "stable": False, "unsupported": False}
+        values = {name: spread(getattr(self, name), missing.get(name, np.nan)) for name in self.__dataclass_fields__
+                  if name != "configuration"}
+        own = self.configuration
+        lengths = own.rest_length if own.rest_length.ndim == 1 else spread(own.rest_length, np.nan)
+        return Perception(configuration=Configuration(spread(own.start, np.nan), spread(own.quaternions, np.nan), lengths),
+                          **values)
+
 
 @typed
 def perceive(

@@ -251,6 +251,13 @@ class ImageSets:
     def count(self) -> int:
         return len(self.names)
 
+    def take(self, rows: np.ndarray) -> "ImageSets":
+        """The sets of those ``rows``."""
+        names, paths = (tuple(values[row] for row in rows) for values in (self.names, self.paths))
+        point, direction = (None if values is None else values[rows] for values in (self.point, self.direction))
+        clicks = None if self.clicks is None else tuple(self.clicks[row] for row in rows)
+        return ImageSets(names, paths, self.rig, point, direction, self.source, clicks)
+
 
 def load_sets(path: str | os.PathLike[str], rig: Rig) -> ImageSets:
     """The sets of a CSV file. Raises InputError naming line and column for whatever is missing or not a number."""

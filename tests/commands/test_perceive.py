@@ -100,9 +100,33 @@ def test_rods_begun_by_clicks_end_where_the_thread_ends(photographed, tmp_path, 
     assert abs(found.rest_length.sum() / 29 * 33 / (3 * EDGES) - 1) < 0.05
     for marks, rod in zip(found.vertices, rods, strict=True):
         assert cKDTree(smooth_curve(rod, 200)).query(marks)[0].max() < 0.2
-    (tmp_path / "sets.csv").write_text("\n".join([*lines[:2], lines[2].replace(lines[2].split(",")[6], "9")]) + "\n")
+    wrong = lines[2].replace(lines[2].split(",")[6], "9")
+    (tmp_path / "sets.csv").write_text("\n".join([lines[0], wrong]) + "\n")
     capfd.readouterr()
-    refused(capfd, tmp_path, words, "sets.csv: second: --seed-pixel: 9,")
+    refused(capfd, tmp_path, words, "sets.csv: --seed-pixel: 9,")
+
+
+@pytest.mark.thorough
+def test_sets_without_a_rod_do_not_end_the_others(photographed, perceived, tmp_path, capsys):
+    """One with a click beside the thread, one with a blank image: their rows say so, and the others are as without them."""
+    folder, rods = photographed
+    u, v = load_rig(folder / "rig.yaml").cameras[0].project(rods[1][:1])[0]
+    images = [[str(folder / f"{name}_cam{index}.png") for index in range(3)] for name in ("first", "second")]
+    cv2.imwrite(str(tmp_path / "blank.png"), np.full((480, 640), 255, dtype=np.uint8))
+    rows = [["beside", *images[0], "9", "9"], ["second", *images[1], f"{u:.0f}", f"{v:.0f}"],
+            ["blank", *images[1][:2], str(tmp_path / "blank.png"), f"{u:.0f}", f"{v:.0f}"]]
+    found, text = {}, {}
+    for name, kept in (("all", rows), ("one", rows[1:2])):
+        sets = tmp_path / f"{name}.csv"
+        sets.write_text("\n".join(["name,cam0,cam1,cam2,cam0_u,cam0_v", *map(",".join, kept)]) + "\n")
+        words = ["perceive", "--rig", str(folder / "rig.yaml"), "--sets", str(sets), *MATERIAL[:6], "--no-recording"]
+        text[name] = succeeded(capsys, [*words, "--out", str(tmp_path / f"{name}.npz")])
+        found[name] = written(tmp_path / f"{name}.npz")
+    assert all(part in text["all"] for part in ("beside  no rod: ", "click on the thread", "blank.png: image: no thread"))
+    every, one = found["all"], found["one"]
+    assert every["name"].tolist() == ["beside", "second", "blank"] and every["status"].tolist() == [4, 0, 4]
+    assert every["verdict"].tolist() == [3, one["verdict"][0], 3] and not every["valid"][[0, 2]].any()
+    np.testing.assert_array_equal(every["vertices_mm"][1], one["vertices_mm"][0])
 
 
 @pytest.mark.thorough
