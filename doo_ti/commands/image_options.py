@@ -14,13 +14,11 @@ from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.loading import MOST_EDGES, read_rest_length
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.io.arrays import read_npz
 from doo_ti.io.observation_files import load_observations
 from doo_ti.io.toml_file import scene_file
 from doo_ti.rod.material import UNITS_IN_MM, likely_unit
 from doo_ti.rod.types import Material
 from doo_ti.system.errors import InputError
-from doo_ti.system.files import read_content
 from doo_ti.system.terminal import in_line, warn
 from doo_ti.vision.cameras import LENSES, POSES, Rig, RigReading
 from doo_ti.vision.rig_files import load_rig
@@ -292,16 +290,13 @@ def _truth(options: Namespace, names: tuple[str, ...]) -> np.ndarray | None:
     if path is None:
         given.refuse(options, loading.OF_FILES, "given without --truth", "give both")
         return None
-    vertices = load_observations(path, None, options.unit, loading.columns(options)).vertices
-    named = read_npz(Path(path), read_content(Path(path)), ("name", "names")) if Path(path).suffix == ".npz" else {}
-    known = next(iter(named.values()), None)
-    if known is None:
+    true = load_observations(path, None, options.unit, loading.columns(options))
+    vertices = true.vertices
+    if true.labels.dtype.kind != "U":
         if len(vertices) != len(names):
             raise InputError(path, "vertices_mm", f"{len(vertices)} rods for {len(names)} sets", "give one for each set")
         return vertices
-    if known.shape != (len(vertices),):
-        raise InputError(path, "name", f"shape {known.shape} for {len(vertices)} rods", "give one name for each")
-    row = {str(name): index for index, name in enumerate(known)}
+    row = {str(name): index for index, name in enumerate(true.labels)}
     missing = next((name for name in names if name not in row), None)
     if missing is not None:
         raise InputError(path, "name", f"no rod is called {missing!r}", "name rods as the sets")

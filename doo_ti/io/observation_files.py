@@ -38,6 +38,7 @@ TABLES = (".csv", ".parquet")
 OWN = (".npz", *TABLES)  # suffixes of files that the package also writes
 OF_OTHERS = {".txt": read_polylines, ".xyz": read_polylines, ".xml": read_mujoco,
              ".usd": read_usd, ".usda": read_usd, ".usdc": read_usd}
+NAMES = ("name", "names")  # keys of an npz that name its observations, as those of perceive do
 MOST_CSV_BYTES = 1 << 28  # reading CSV takes about fifteen times as much memory
 MOST_LEFT_OUT = 10  # frames of a recording in all for each that is there
 
@@ -63,8 +64,14 @@ def read_keys(path: Path, columns=None) -> tuple[bytes, dict[str, np.ndarray]]:
     if path.suffix == ".npz":
         if columns is not None:
             raise InputError(path, "columns", "an npz has keys", "leave `columns` out")
-        return content, read_npz(path, content, (*KEYS_IN_TABLES, LABELS))
+        return content, _labelled(read_npz(path, content, (*KEYS_IN_TABLES, LABELS, *NAMES)))
     return content, read_table(path, content, _renamed(path, columns))
+
+
+def _labelled(keys: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """``keys`` of an npz, in which a list of names in NAMES is what messages call its observations."""
+    lists = [names for names in (keys.pop(key) for key in NAMES if key in keys) if names.dtype.kind == "U" and names.ndim == 1]
+    return {LABELS: lists[0]} | keys if lists else keys
 
 
 def read_curves(path: Path, columns=None) -> Curves | None:

@@ -250,7 +250,7 @@ def test_wrong_rigs_seeds_and_truths_are_reported(photographed, tmp_path, capsys
                                "cam0:100,100", *MATERIAL, *out], "one camera", "--seed-point")
     truth = tmp_path / "truth.npz"
     for keys, said in (({"vertices_mm": rods, "name": np.array(["first", "third"])}, "second"),
-                       ({"vertices_mm": rods, "name": np.array(["first", "second", "third"])}, "shape (3,) for 2 rods"),
+                       ({"vertices_mm": rods, "name": np.array(["first", "second", "third"])}, "shape (3,)"),
                        ({"vertices_mm": rods[:1]}, "1 rods for 2 sets")):
         np.savez(truth, **keys)
         refused(capsys, tmp_path, of_sets(folder, *out, "--truth", str(truth)), said)

@@ -117,6 +117,8 @@ def test_names_of_observations(tmp_path, suffix):
     assert found.labels.tolist() == names
     (tmp_path / "x.csv").write_text(text.replace(names[0], "7"))
     check_refused(f"observation: '{names[1]}' in line", load_observations, tmp_path / "x.csv")
+    np.savez(tmp_path / "seen.npz", vertices_mm=MARKS, name=np.array(names))  # as perceive writes them
+    assert load_observations(tmp_path / "seen.npz").labels.tolist() == names
 
 
 def test_marks_numbered_from_one(tmp_path):
