@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from doo_ti import Clamp, Configuration, Dynamics, Grippers, Material, Stepping, end_clamps, simulate, straight_rod
 from doo_ti.contact.obstacles import Box, Capsule, Cylinder, Plane, Sphere
+from doo_ti.contact.touch import GAP_TOLERANCE_IN_MOTION
 from doo_ti.rod.frames import across, bishop_frames, quaternion_from_matrix, unit_vectors
 from tests.contact.clutter import gaps
 from tests.references.rods import clamps_at
@@ -114,17 +115,20 @@ def test_a_rod_that_swings_into_a_wall_stays_there(scheme, speed):
 
 
 def largest_rise(found) -> np.ndarray:
-    """(R,) of the energy in a step, over its range."""
+    """(R,) of the energy in a step, over its range, less the work of the forces of contact on the way by which gaps and places
+    that stick may be off: what a step took there, the next may give back."""
     energy = found.detail.energies["sum"]
-    return np.nanmax(np.diff(energy, axis=1), axis=1) / (np.nanmax(energy, axis=1) - np.nanmin(energy, axis=1))
+    radius = 0.01 * np.linalg.norm(np.diff(found.positions[:, 0], axis=1), axis=-1).sum(axis=-1)
+    force = np.linalg.norm(found.contact_force, axis=-1).sum(axis=-1)
+    rises = np.diff(energy, axis=1) - GAP_TOLERANCE_IN_MOTION * radius[:, None] * force
+    return np.nanmax(rises, axis=1) / (np.nanmax(energy, axis=1) - np.nanmin(energy, axis=1))
 
 
-@pytest.mark.parametrize("count, most", [pytest.param(24, 2e-6, marks=pytest.mark.thorough),
-                                         pytest.param(170, 1e-6, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [pytest.param(24, marks=pytest.mark.thorough), pytest.param(170, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("scheme", ["bdf2", "euler"])
 @pytest.mark.parametrize("friction, damping, rate", [
     (0.0, 0.0, 100.0), (0.0, 0.02, 100.0), (0.3, 0.0, 100.0), pytest.param(0.0, 0.0, 400.0, marks=pytest.mark.slow)])
-def test_no_step_raises_the_energy(rng, count, most, scheme, friction, damping, rate):
+def test_no_step_raises_the_energy(rng, count, scheme, friction, damping, rate):
     rises, failed = [], 0
     for scene in SCENES:
         found = moved(rng, scene, count, friction, damping, rate, scheme=scheme, detailed=True)
@@ -132,7 +136,7 @@ def test_no_step_raises_the_energy(rng, count, most, scheme, friction, damping, 
         failed += np.sum(~found.converged)
     rises = np.concatenate(rises)
     print(f"{len(rises)} rods, {failed} stop; the energy rises by {rises.max():.1e} of its range at most")
-    assert rises.max() < most and failed <= 0.02 * len(rises)
+    assert rises.max() < 1e-9 and failed <= 0.02 * len(rises)
 
 
 @pytest.mark.thorough
