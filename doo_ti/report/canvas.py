@@ -5,6 +5,7 @@ Axes: D observations, V vertices.
 """
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -208,7 +209,7 @@ class Observed:
     labels    {"end_distance_mm": (D,), "end_rotation_deg": (D,)}, those that are known: the first makes the columns of the grid
               view, the second its rows
     up        (3,) direction against gravity
-    numbers   (D,) what the file calls the observations, or None: 0, 1, …
+    numbers   (D,) numbers or names, what the file calls the observations, or None: 0, 1, …
     """
 
     __repr__ = short_repr
@@ -216,7 +217,7 @@ class Observed:
     vertices: Annotated[np.ndarray, "D V 3"]
     labels: dict[str, np.ndarray] = field(default_factory=dict)
     up: Annotated[np.ndarray, "3"] = (0.0, 0.0, 1.0)
-    numbers: Annotated[np.ndarray | None, "D"] = None
+    numbers: np.ndarray | Sequence[str] | None = None
 
     @classmethod
     @typed

@@ -6,7 +6,7 @@ import io
 import numpy as np
 import pytest
 
-from doo_ti import report
+from doo_ti import Observations, report
 from doo_ti.report.canvas import Observed, direction, fit_titles, grid_view, new_figure
 from doo_ti.report.plane import LandscapePlane, cell_edges, valley_cells
 from tests.record import runs
@@ -205,6 +205,13 @@ def test_no_observation_overlaps_another(labels, rng):
     corner = sheet.basis @ sheet.centre
     assert (low[:, [0, 2]] > corner[[0, 2]] - sheet.extent / 2).all()
     assert (high[:, [0, 2]] < corner[[0, 2]] + sheet.extent / 2).all()
+
+
+def test_observations_are_called_what_their_file_calls_them(rng):
+    vertices = runs.observations(rng)
+    names = [f"trial {d}" for d in range(len(vertices))]
+    seen = Observations(vertices, labels=names, end_distance=np.full(len(vertices), 30.0))
+    assert Observed.of(seen).names[1] == "observation trial 1: 30 mm"
 
 
 def test_labels_make_columns_and_rows(rng):
