@@ -24,7 +24,7 @@ from doo_ti.refinement.estimate import Estimate, estimated, within_reach
 from doo_ti.refinement.fit import FINE
 from doo_ti.refinement.held_rod import HeldRod
 from doo_ti.refinement.residuals import mark_distance
-from doo_ti.refinement.rolls import most_probable
+from doo_ti.refinement.rolls import bent, most_probable
 from doo_ti.refinement.search import Optimum, once, searched, turns_chosen_again
 from doo_ti.refinement.theta import Scales, Theta, typical_scales
 from doo_ti.refinement.unknowns import Unknowns, Values
@@ -166,11 +166,27 @@ def refine(observations: Observations, clamps: Clamps, theta: Theta | Sequence[T
     left.
     """
     thetas = (theta,) if isinstance(theta, Theta) else tuple(theta)
-    best, *others = within_reach(optima(observations, clamps, thetas, options), MARGIN)
-    to_its_end = _corrected if options.edges is None else finished
-    best, *others = (to_its_end(one, options) for one in (best, *others))
-    best, *rivals = once(within_reach([best, *others]))
+    best, *rivals = once(within_reach(_at_their_ends(optima(observations, clamps, thetas, options), options)))
     return _refinement(best, rivals, options)
+
+
+def _at_their_ends(found: list[Optimum], options: RefinementOptions) -> list[Optimum]:
+    """The best of the optima and those near to it, to the tolerance FINE.
+
+    Not while there are others: those that lose rods on the way, which are about to snap there, and rods that roll freely and
+    have become straight, which roll to anywhere. The derivatives of both mean little, and so does their evidence."""
+    to_its_end, lost = _corrected if options.edges is None else finished, []
+    while found:
+        near = within_reach(found, MARGIN)
+        ended = [to_its_end(one, options) for one in near]
+        kept = [now for before, now in zip(near, ended, strict=True)
+                if now.fitted.counted.sum() >= before.fitted.counted.sum()
+                and (not now.fit.unknowns.rod.swivels or bent(now.fit, [now.fitted]))]
+        if kept:
+            return kept
+        lost += ended
+        found = [one for one in found if not any(one is other for other in near)]
+    return within_reach(sorted(lost, key=lambda one: one.fitted.rank))
 
 
 def unknowns_of(rod: HeldRod, options: RefinementOptions) -> Unknowns:
