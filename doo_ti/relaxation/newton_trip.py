@@ -254,10 +254,10 @@ class NewtonTrip:
         lane.trying = ti.select(waits, zero, one)
         lane.troubled = ti.select(judged.uphill | (place.wrong & (lane.closing < 0.5)), one, lane.troubled)
         floor = ti.select(lane.escaping > 0.5, fixed.NEGLIGIBLE_TROUBLED * lane.scale, fixed.SHIFT_WRONG_INERTIA * lane.scale)
-        # Beyond a saddle that it has left, a rod follows a soft mode: there a shift that is just large enough makes long steps.
+        # Where the inertia is wrong again and again, as along a soft mode beside a saddle, a shift that is just large enough
+        # makes long steps.
         lane.sufficient = ti.select(place.right & (lane.shift > 0.0), lane.shift, lane.sufficient)
-        beyond = (lane.escapes + lane.strays > 0.5) & (lane.sufficient > 0.0)
-        floor = ti.select(beyond, ti.min(floor, fixed.SUFFICIENT * lane.sufficient), floor)
+        floor = ti.select(lane.sufficient > 0.0, ti.min(floor, fixed.SUFFICIENT * lane.sufficient), floor)
         lane.shift = ti.select(place.wrong & (lane.closing < 0.5), ti.max(fixed.GROWTH * lane.shift, floor), lane.shift)
         lane.shift = ti.select(place.certify, zero, lane.shift)
         if ti.static(self.has_coarse):
