@@ -87,7 +87,7 @@ def least_distance(obstacle: Obstacle, vertices: np.ndarray, places: int) -> np.
     start, edge = vertices[:, :-1], np.diff(vertices, axis=1)
     share, apart = np.linspace(0.0, 1.0, places), 1.0 / (places - 1)
     points = start[:, :, None] + share[:, None] * edge[:, :, None]
-    distance = obstacle.distance(points.reshape(len(vertices), -1, 3))[0].reshape(points.shape[:3])
+    distance = obstacle.distance(points.reshape(len(vertices), points.shape[1] * places, 3))[0].reshape(points.shape[:3])
     least = distance.min(axis=(1, 2))
     # The distance changes no faster than the place.
     rows, edges = np.nonzero(distance.min(axis=2) - 0.5 * apart * np.linalg.norm(edge, axis=-1) < least[:, None])
