@@ -37,7 +37,6 @@ MEASURED = 0.02  # relative error of a length between marks that somebody measur
 MOST_OFF = 1.5
 """Stated length of the rod over that of arcs through its marks, or the inverse, above which one of both is wrong."""
 DOUBTFUL = 1.05  # the same, above which a warning is printed: arcs are off by up to 2 % on rods of ten marks or more
-COARSE = 2.0  # length of an edge, over the radii of the thinnest obstacle and of the rod, above which it is too long
 MOST_UNEVEN = 20.0  # longest edge over the median one, above which the marks may be of several rods
 OF_FILES = ("unit", "columns")  # options that only files of marks have a use for
 OF_OBSERVATIONS = (*OF_FILES, "rest_length")  # options that only files of observations have a use for
@@ -190,9 +189,17 @@ def warn(observations: Observations, surroundings: Surroundings | None = None) -
     """Print a warning where the rod is implausible, or too coarse for what is around it. To be called once everything is
     checked, so that wrong input is reported in one line."""
     for doubt in (unit_doubt(observations), order_doubt(observations), length_doubt(observations),
-                  mesh_doubt(observations, surroundings), inside_doubt(observations, surroundings)):
+                  inside_doubt(observations, surroundings)):
         if doubt is not None:
             terminal.warn(f"{in_line(observations.source)}: {doubt}")
+    warn_of_mesh(observations.source, observations.rest_length, surroundings)
+
+
+def warn_of_mesh(source, rest_length: np.ndarray, surroundings: Surroundings | None) -> None:
+    """Print a warning where rods of ``source`` with edges of ``rest_length`` are too coarse for what is around them."""
+    doubt = mesh_doubt(rest_length, surroundings)
+    if doubt is not None:
+        terminal.warn(f"{in_line(source)}: {doubt}")
 
 
 def up_text(other: dict | None) -> str | None:
@@ -223,20 +230,20 @@ def unit_doubt(observations: Observations) -> str | None:
     return f"a rod {length:.4g} mm long; {remedy}"
 
 
-def mesh_doubt(observations: Observations, surroundings: Surroundings | None) -> str | None:
-    """Why the rod's edges may be too long to lie on what is around it, or None: one is longer than COARSE times the radii of
-    the thinnest obstacle and of the rod together."""
+def mesh_doubt(rest_length: np.ndarray, surroundings: Surroundings | None) -> str | None:
+    """Why a rod's edges (E,) may be too long for what is around it, or None: one is longer than the radii of the thinnest
+    obstacle and of the rod together, the radius of a bend around it. Forces of a rod bent so are then 4 % too small."""
     if not surroundings:
         return None
-    longest = observations.rest_length.max()
+    longest = rest_length.max()
     bodies = [getattr(body, "obstacle", body) for body in surroundings.bodies]
     thinnest = min((body.placed[3].min() for body in bodies), default=np.inf)
     radius = thinnest + np.min(surroundings.radius)
-    if longest <= COARSE * radius:
+    if longest <= radius:
         return None
-    edges = int(np.ceil(observations.rest_length.sum() / radius))
-    return (f"edges of {longest:.3g} mm are too long to lie on an obstacle of {thinnest:.3g} mm "
-            f"radius: the rod may slip off it; make them shorter: doo-ti convert IN OUT --edges {edges}")
+    return (f"edges of {longest:.3g} mm are too long to bend around an obstacle of {thinnest:.3g} mm radius: forces come out "
+            f"too small, and the rod may slip off; give {np.ceil(rest_length.sum() / radius):.0f} edges (doo-ti convert IN OUT "
+            "--edges N, or edges of a scene)")
 
 
 def inside_doubt(observations: Observations, surroundings: Surroundings | None) -> str | None:

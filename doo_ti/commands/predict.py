@@ -134,6 +134,7 @@ def _scene(options: Namespace, between: int | None) -> tuple[HeldRods, int]:
     check_reach(path, scene.clamps, float(scene.start.rest_length.sum()))
     between = scene.between if between is None else between
     surroundings = given.scene_surroundings(options, scene.surroundings(between))
+    loading.warn_of_mesh(options.source, scene.start.rest_length, surroundings)
     return HeldRods(scene.name, list(scene.names), scene.start, scene.clamps, path, scene.material, theta, scene.newtons,
                     given.world_up(options), surroundings), between
 

@@ -116,6 +116,8 @@ def run(options: Namespace) -> int:
         chosen = _refinement_options(options, task)
         with busy(f"refining {task.observations.name} (kernels are compiled once on a machine)"):
             found = refine(task.observations, task.clamps, task.thetas, chosen)
+        mesh = np.full(found.mesh_edges, task.observations.rest_length.sum() / found.mesh_edges)
+        loading.warn_of_mesh(task.observations.source, mesh, task.surroundings)
         held_out = None
         if split is not None:
             with busy(f"cross-validating {task.observations.name} in {folds} folds"):

@@ -73,21 +73,24 @@ def in_newton(arrays: dict[str, np.ndarray], newtons: np.ndarray | None, axis: i
 
 
 def force_lines(arrays: dict[str, np.ndarray], axis: int) -> list[str]:
-    """How hard the far clamps pull, and obstacles push, in several moments, of ``arrays`` with forces in N."""
+    """The forces of far clamps and obstacles on rods in several moments, of ``arrays`` with forces in N."""
     if "end_force_N" not in arrays:
         return []
     lines = []
     if "contact_force_N" in arrays:
         push = np.linalg.norm(np.nan_to_num(np.moveaxis(arrays["contact_force_N"], axis, 0)).sum(axis=-2), axis=-1)
         if push.max() > 0:
-            lines = [f"  force       obstacles push a rod with {push.max():.3g} N in all at most, at moment "
-                     f"{np.unravel_index(push.argmax(), push.shape)[1]}; with {push[:, -1].max():.3g} N at the end"]
-    pull = np.linalg.norm(np.moveaxis(arrays["end_force_N"], axis, 0), axis=-1)
-    last = pull[:, -1][np.isfinite(pull[:, -1])]
-    if not last.size or not last.max() > 0:
+            lines = [f"  force       obstacles exert {push.max():.3g} N on a rod in all at most, at moment "
+                     f"{np.unravel_index(push.argmax(), push.shape)[1]}; {push[:, -1].max():.3g} N at the end"]
+    force = np.moveaxis(arrays["end_force_N"], axis, 0)
+    size, last = np.linalg.norm(force, axis=-1), force[:, -1][np.isfinite(force[:, -1]).all(axis=-1)]
+    if not last.any():
         return lines
-    ends = f"{last.min():.3g}" + (f" to {last.max():.3g}" if len(last) > 1 else "")
-    return [f"  force       the far clamp pulls with {ends} N at the end, {np.nanmax(pull):.3g} N at most", *lines]
+    if len(last) == 1:
+        ends = f"{np.linalg.norm(last):.3g} N ({', '.join(f'{value + 0:.3g}' for value in last[0])})"
+    else:
+        ends = " to ".join(f"{end(np.linalg.norm(last, axis=-1)):.3g}" for end in (np.min, np.max)) + " N"
+    return [f"  force       the far clamp exerts {ends} on the rod at the end, {np.nanmax(size):.3g} N at most", *lines]
 
 
 def save_json(out: Path, content) -> None:
