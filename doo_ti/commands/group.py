@@ -47,7 +47,7 @@ def run(options: Namespace) -> int:
     recording = given.output_file(options.recording, ".rrd", "--recording")
     up = given.world_up(options)
     scene = load_group_scene(options.scene)
-    loading.warn_of_mesh(options.scene, max((rod.rest_length for rod in scene.group.rods), key=np.max), scene.surroundings)
+    loading.warn_of_rod(options.scene, max((rod.rest_length for rod in scene.group.rods), key=np.max), scene.surroundings)
     moments = []
     with progress() as bar:
         task = bar.add_task(f"{scene.name} (kernels are compiled once on a machine)", total=len(scene.time), unit="moments")

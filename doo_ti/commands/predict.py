@@ -58,7 +58,7 @@ def run(options: Namespace) -> int:
         rods, between = _scene(options, between)
     else:
         rods, between = held_rods(options, out, given.clamps(options)), between or 1
-        warn_of(rods)
+        warn_of(rods, options)
     stepping = _stepping(rods, between, sub_step)
     count, intervals = len(rods.names), (rods.path.moments - 1) * between
     if count * intervals * rods.start.edges * 32 > MOST_BYTES:
@@ -134,7 +134,8 @@ def _scene(options: Namespace, between: int | None) -> tuple[HeldRods, int]:
     check_reach(path, scene.clamps, float(scene.start.rest_length.sum()))
     between = scene.between if between is None else between
     surroundings = given.scene_surroundings(options, scene.surroundings(between))
-    loading.warn_of_mesh(options.source, scene.start.rest_length, surroundings)
+    loading.warn_of_rod(options.source, scene.start.rest_length, surroundings,
+                        **loading.stated_in_scene(scene.material, scene.newtons))
     return HeldRods(scene.name, list(scene.names), scene.start, scene.clamps, path, scene.material, theta, scene.newtons,
                     given.world_up(options), surroundings), between
 

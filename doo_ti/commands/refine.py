@@ -109,7 +109,7 @@ def run(options: Namespace) -> int:
 
     for task in tasks:
         if task.landscape is None:
-            loading.warn(task.observations)
+            loading.warn(task.observations, **loading.stated(options))
     splits = [None if folds is None else folds_of(group, folds) for group in groups]
     summaries = []
     for task, split in zip(tasks, splits, strict=True):
@@ -117,7 +117,8 @@ def run(options: Namespace) -> int:
         with busy(f"refining {task.observations.name} (kernels are compiled once on a machine)"):
             found = refine(task.observations, task.clamps, task.thetas, chosen)
         mesh = np.full(found.mesh_edges, task.observations.rest_length.sum() / found.mesh_edges)
-        loading.warn_of_mesh(task.observations.source, mesh, task.surroundings)
+        if doubt := loading.mesh_doubt(mesh, task.surroundings):
+            warn(f"{in_line(task.observations.source)}: {doubt}")
         held_out = None
         if split is not None:
             with busy(f"cross-validating {task.observations.name} in {folds} folds"):

@@ -41,7 +41,7 @@ def run_relax(options: Namespace) -> int:
     clamps = observation_clamps(observations, *given.clamps(options))
     check_experiment(observations, clamps, grid.axes[-1].values[-1], frame_weight)
     given.refuse_overwriting(out, options.observations)
-    loading.warn(observations, surroundings)
+    loading.warn(observations, surroundings, **loading.stated(options))
 
     from doo_ti.learning.experiment import SOLVERS
     from doo_ti.relaxation.relax import relax as relax_rods

@@ -63,7 +63,12 @@ def test_scenes_too_coarse_for_an_obstacle_are_warned_of(tmp_path, monkeypatch, 
 
     monkeypatch.setattr(loading.terminal, "warn", warn)
     file = tmp_path / "thin.toml"
-    file.write_text((GROUP if command == "group" else SCENE) + '[[obstacles]]\nkind = "cylinder"\nstart = [9, -40, -9]\nend = [9, 40, -9]\nradius = 16\n')
+    file.write_text((GROUP if command == "group" else SCENE) + """[[obstacles]]
+kind = "cylinder"
+start = [9, -40, -9]
+end = [9, 40, -9]
+radius = 16
+""")
     assert main([command, str(file), "--out", str(tmp_path / "f.npz")]) == 1
     assert all(words in said[0] for words in ("edges of 20 mm", "give 12 edges", str(file)))
 
