@@ -125,7 +125,8 @@ def run(options: Namespace) -> int:
                 begin = replace(found.theta, rest_curvature=None)
                 held_out = refine_held_out(task.observations, task.clamps, begin, split, chosen)
         summary = summary_of(task.observations, task.surroundings, found, held_out, task.density, task.loads is not None)
-        summaries.append(summary | {"other_up": _other_up(task, found.theta)})
+        summaries.append(summary | {"other_up": _other_up(task, found.theta),
+                                    "of_run": task.landscape is not None})
         written = [] if task.landscape is None else _kept(task.landscape, found, summaries[-1])
         if not options.json:
             first, *rest = summary_lines(summaries[-1])
