@@ -15,8 +15,9 @@ from doo_ti.io.observation_tables import write_rod_table
 from doo_ti.io.scene import Scene, Synthesis
 from doo_ti.rod.grid import Grid, Interval
 from doo_ti.rod.observations import Observations
-from doo_ti.rod.types import Status
+from doo_ti.rod.types import Clamps, Configuration, Status
 from doo_ti.system.arguments import counted
+from doo_ti.system.errors import InputError
 from doo_ti.system.files import write_text, write_whole
 from doo_ti.system.terminal import in_line
 
@@ -161,6 +162,18 @@ def contact_summary(surroundings: Surroundings, force: np.ndarray, gap: np.ndarr
         "touching": int(pressed.reshape(rods, -1).any(axis=1).sum()), **at_end,
         "smallest_gap_mm": finite.min() if len(finite) else np.nan,
         "infeasible": int(infeasible.reshape(rods, -1).any(axis=1).sum())}}
+
+
+def inside_reason(surroundings: Surroundings, clamps: Clamps, start: Configuration, number: np.ndarray) -> str | None:
+    """What of infeasible rods of that ``number`` (R,) is inside an obstacle, and by how much; None where nothing is."""
+    from doo_ti.relaxation.contact_table import require_clear
+
+    if surroundings and len(number):
+        try:
+            require_clear("relax", surroundings, clamps, start, number)
+        except InputError as error:
+            return error.problem
+    return None
 
 
 def contact_lines(summary: dict, rods: int) -> list[str]:

@@ -157,7 +157,7 @@ class _Array(Rule):
             except (TypeError, ValueError, OverflowError):
                 raise Mismatch("rows of different lengths, or not numbers", self.wanted) from None
         if array.dtype.kind not in self.arrays and (array.size or array.dtype.kind not in NUMERIC):
-            problem = _shown(value) if array.dtype.kind == "O" else f"dtype {array.dtype}"
+            problem = _shown(value) if array.dtype.kind == "O" or not array.ndim else f"dtype {array.dtype}"
             raise Mismatch(problem, {int: "whole numbers", bool: "flags"}.get(self.kind, self.wanted))
         return array
 

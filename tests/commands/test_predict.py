@@ -218,6 +218,15 @@ def test_times_of_a_motion_are_kept_and_forces_are_in_newton(folder, capsys):
     assert "0.5 N (-0.5, 0, 0) on the rod" in found, "a clamp that pushes"
 
 
+def test_clamps_inside_an_obstacle_are_said(folder, capsys):
+    """Of a plane whose normal points the wrong way."""
+    (folder / "under.toml").write_text('[[obstacles]]\nkind = "plane"\npoint = [0, 0, -900]\nnormal = [0, 0, -1]\n')
+    np.savez(folder / "still.npz", time_s=[0.0, 1.0], end_position_mm=np.load(folder / "seen.npz")["vertices_mm"][0, [-1, -1]])
+    assert main(["predict", str(folder / "seen.npz"), "--motion", str(folder / "still.npz"), "--bend", "1e5", "--obstacles",
+                 str(folder / "under.toml"), "--radius", "1", "--out", str(folder / "f.npz")]) == 1
+    assert "mm inside a Plane" in capsys.readouterr().out
+
+
 def test_rest_curvature_of_a_theta(folder, capsys):
     """relax uses it at the joints of the observed rods; a theta of another length is refused."""
     command = ["relax", str(folder / "seen.npz"), "--theta", str(theta_file(folder)), "--out", str(folder / "r.npz")]

@@ -134,6 +134,7 @@ def test_rods_that_one_end_holds(observed, capsys):
     ([], "--EI: missing"),
     (["--bend", "1e4:1e5:3"], "refine the run of a sweep"),
     (["--bend", "1e4", "--parameters", "bent"], "'bent' is unknown"),
+    (["--EI", "1e-6:1e-5:3", "--linear-density", "1"], "--EI: a grid of 3 cells"),
     (["--bend", "1e4,2e4"], "give bend_1 and bend_2"),
     (["--bend", "1e4", "--folds", "1"], "--folds: 1 is below 2"),
     (["--bend", "1e4", "--folds", "30"], "give 2 to 16 folds"),
