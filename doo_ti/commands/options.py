@@ -197,7 +197,7 @@ def up(options: Namespace) -> np.ndarray | None:
     try:
         return unit_up(numbers("--up", options.up), SOURCE)
     except InputError as error:
-        raise InputError(SOURCE, "--up", error.problem, "give x, y, z, -x, -y, -z, or three numbers, not all zero") from None
+        raise InputError(SOURCE, "--up", error.problem, "give a direction: x, y, z, -x, -y, -z, or three numbers") from None
 
 
 def world_up(options: Namespace, otherwise: np.ndarray | None = None) -> np.ndarray:
