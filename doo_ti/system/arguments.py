@@ -160,7 +160,7 @@ def _readable(found: Signature) -> Signature:
     """The signature with ``ArrayLike`` where the union stands that it is in some NumPy, and takes lines to print."""
     changed = []
     for one in found.parameters.values():
-        parts = get_args(one.annotation)
+        parts = get_args(getattr(one.annotation, "__origin__", None)) or get_args(one.annotation)  # the first of Annotated
         if all(part in parts for part in ARRAY_PARTS):
             names = ("None" if part is NoneType else part.__name__ for part in parts if part not in ARRAY_PARTS)
             one = one.replace(annotation=_Printed(" | ".join(["ArrayLike", *names])))
