@@ -15,6 +15,8 @@ from doo_ti.system.errors import InputError, real_array
 
 ITSELF = -1  # its kind. Kernels do not meet it: they have a code of their own for it.
 LEAST_ARC = np.pi  # radii: parts of a rod with less of it between them do not touch, since it cannot bend that much
+LEAST_SQUARE = 1e-30  # mm²
+CLOSER = 4  # times that places about the least distance are looked at, each time four times as close
 PAIRS_AT_ONCE = 2_000_000  # of edges, whose distances are measured together
 
 
@@ -63,6 +65,7 @@ def smallest_of_pairs(vertices: np.ndarray, early: np.ndarray, late: np.ndarray,
 def edge_distance(w: np.ndarray, p: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Least distance of the edges 0 … p and w … w + q, all (..., 3)."""
     pp, qq, pq, wp, wq, ww = ((a * b).sum(axis=-1) for a, b in ((p, p), (q, q), (p, q), (w, p), (w, q), (w, w)))
+    pp, qq = np.maximum(pp, LEAST_SQUARE), np.maximum(qq, LEAST_SQUARE)  # edges may have no length
 
     def square(s, t):
         return ww + s * (s * pp - 2.0 * wp) + t * (t * qq + 2.0 * wq) - 2.0 * s * t * pq
@@ -76,6 +79,25 @@ def edge_distance(w: np.ndarray, p: np.ndarray, q: np.ndarray) -> np.ndarray:
             least = np.minimum(least, square(end, np.clip((pq * end - wq) / qq, 0.0, 1.0)))
             least = np.minimum(least, square(np.clip((wp + pq * end) / pp, 0.0, 1.0), end))
     return np.sqrt(np.maximum(least, 0.0))
+
+
+def least_distance(obstacle: Obstacle, vertices: np.ndarray, places: int) -> np.ndarray:
+    """(R,) mm from the centreline of each rod (R, V, 3) to an obstacle: the least of ``places`` along each edge, and of ever
+    closer ones about it on the edges that may have a smaller one."""
+    start, edge = vertices[:, :-1], np.diff(vertices, axis=1)
+    share, apart = np.linspace(0.0, 1.0, places), 1.0 / (places - 1)
+    points = start[:, :, None] + share[:, None] * edge[:, :, None]
+    distance = obstacle.distance(points.reshape(len(vertices), -1, 3))[0].reshape(points.shape[:3])
+    least = distance.min(axis=(1, 2))
+    # The distance changes no faster than the place.
+    rows, edges = np.nonzero(distance.min(axis=2) - 0.5 * apart * np.linalg.norm(edge, axis=-1) < least[:, None])
+    start, edge, around = start[rows, edges], edge[rows, edges], share[distance[rows, edges].argmin(axis=1)]
+    for _ in range(CLOSER):
+        closer = np.clip(around[:, None] + apart * np.linspace(-1.0, 1.0, 9), 0.0, 1.0)
+        distance = obstacle.take(rows).distance(start[:, None] + closer[..., None] * edge[:, None])[0]
+        around, apart = closer[np.arange(len(rows)), distance.argmin(axis=1)], apart / 4
+        np.minimum.at(least, rows, distance.min(axis=1))
+    return least
 
 
 @typed
@@ -293,13 +315,10 @@ class Surroundings:
 
     def smallest_gap(self, vertices: np.ndarray, places: int = PLACES) -> np.ndarray:
         """(R,) mm between the surface of each rod (R, V, 3) and the nearest obstacle, itself if it is one, the least along the
-        rod, measured at ``places`` of each edge; negative inside an obstacle, NaN for a rod without places."""
-        share = np.linspace(0.0, 1.0, places)[:, None]
-        points = vertices[:, :-1, None] + share * np.diff(vertices, axis=1)[:, :, None]
-        points = points.reshape(len(vertices), places * (vertices.shape[1] - 1), 3)
+        rod, looked for from ``places`` of each edge; negative inside an obstacle, NaN for a rod without places."""
         least = np.full(len(vertices), np.inf)
         for obstacle in self.bodies:
-            least = np.minimum(least, obstacle.distance(points)[0].min(axis=1))
+            least = np.minimum(least, least_distance(obstacle, vertices, places))
         radius = np.zeros(1) if self.radius is None else np.asarray(self.radius, dtype=np.float64).reshape(-1)
         least = least - radius
         return least if self.itself is None else np.minimum(least, smallest_self_gap(vertices, radius))

@@ -29,7 +29,8 @@ from doo_ti.system.errors import InputError
 @typed
 def follow_group(group: Group, clamps: Sequence[Sequence[Clamps]], solver: Newton | None = None, *, up: ArrayLike | None = None,
                  obstacles: Sequence[Obstacle] = (), radius: ArrayLike | None = None, contact: bool = True,
-                 dynamics: Dynamics | Sequence[Dynamics] | None = None, rate: float | None = None, scheme: str = "bdf2"
+                 dynamics: Dynamics | Sequence[Dynamics] | None = None, rate: float | None = None,
+                 scheme: str | None = None
                  ) -> Iterator[GroupSolution]:
     """The solutions of groups at every moment of a motion, as they are found.
 
@@ -37,7 +38,7 @@ def follow_group(group: Group, clamps: Sequence[Sequence[Clamps]], solver: Newto
     dynamics  mass, damping and drag of the rods, one for all or one for each: they have inertia then, and begin at rest at
               their minimum at the first moment. None: every moment is a minimum
     rate      moments per second, where the rods have inertia. The way from each to the next is one time step
-    scheme    "bdf2", of second order, or "euler"
+    scheme    "bdf2", of second order, or "euler"; None: the first, but "euler" among obstacles, off which groups else bounce
     the others as :func:`.relax_group` has them
 
     Friction acts from the first moment on, at which there is none. The rods of a group are drawn from one moment to the next
@@ -50,6 +51,7 @@ def follow_group(group: Group, clamps: Sequence[Sequence[Clamps]], solver: Newto
     if (dynamics is None) != (rate is None):
         missing, other = ("rate", "dynamics") if rate is None else ("dynamics", "rate")
         raise InputError("follow_group", missing, f"missing beside {other}", "give both, or neither")
+    scheme = scheme or ("euler" if len(obstacles) else "bdf2")
     motion = None if dynamics is None else MovingGroups(group, dynamics, Stepping(rate, scheme=scheme).step, scheme)
     before = None
     for held in clamps:

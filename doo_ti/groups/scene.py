@@ -57,7 +57,7 @@ class GroupScene:
     rate: float  # moments per second
     surroundings: Surroundings  # the obstacles, and the radius of the rods, one or (1, G), where they touch each other
     dynamics: list[Dynamics] | None = None  # G of them, or None without inertia
-    scheme: str = "bdf2"  # of the time steps
+    scheme: str | None = None  # of the time steps, as :func:`.follow_group` takes it
     newton: float | None = None  # N in the unit of force, where the materials state their mass per length, or None
 
     @property
@@ -75,7 +75,7 @@ class _File(Table):
     rate_hz: Positive | None = None
     duration_s: Positive | None = None
     dynamic: bool = False
-    scheme: Literal["bdf2", "euler"] = "bdf2"
+    scheme: Literal["bdf2", "euler"] | None = None
     ties: list = []
     obstacles: list = []
 

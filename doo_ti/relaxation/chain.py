@@ -55,6 +55,7 @@ def rod_layout(external_start: Layout | None = None) -> Layout:
 
 STAND_INS = {"start": "frames", "numbers": "material", "field": "material", "kinds": "rods", "grids": "material"}
 """What stands in for an array that a kernel does not take: Taichi's functions must be given one, and nothing reads it."""
+REGULAR_LOOSE = 1e-6  # share of AᵀA's trace that is added to it
 EASILY_TWISTED = 1e-2  # β over α, below which twisting is much easier than bending
 
 
@@ -231,14 +232,15 @@ class Chain(PairEnergy):
             moving = self.step_start(rod, scale, moving, reached, goal)
             reached = plus(reached, rod.head.drift)
         miss = scaled(minus(reached, goal), rod.closed)
-        # Made regular where all free edges are parallel, or none may tilt.
-        share = self.regular + self.regular_open * (1.0 - rod.closed)
+        # Made regular where all free edges are parallel, or none may tilt. A rod with a loose start only begins with the
+        # multiplier that follows.
+        share = self.regular + self.regular_open * (1.0 - rod.closed) + REGULAR_LOOSE * rod.loose
         normal = on_diagonal(normal, share * (normal[0] + normal[3] + normal[5]) + self.least)
         x, minors = solve_symmetric(normal, miss)
         # x·miss is the sum of the squared rotations: keep their root mean square below 0.15 rad in one projection.
         size = ti.sqrt(ti.max(dot(x, miss), zero) / ti.cast(rod.edges, self.number.scalar)) + 1e-30
-        shrink = moving * ti.min(0.0 * size + 1.0, 0.15 / size)
-        return scaled(x, shrink), normal
+        # Where nothing moves x may be NaN: AᵀA of parallel edges is regular but for rounding.
+        return chosen(moving > 0.0, scaled(x, moving * ti.min(0.0 * size + 1.0, 0.15 / size)), repeated(zero, 3)), normal
 
     def close(self, rod, x, normal):
         """Turn the stepped frames onto closure by the minimum-norm rotation of :meth:`step`, and evaluate them.
@@ -296,7 +298,9 @@ class Chain(PairEnergy):
         moment = minus(plus(moment, scaled(lever1, carry2)), scaled(lever2, carry1))
         if ti.static(self.moves_start):
             reached = plus(reached, rod.head.drift)
-            potential = potential + 2.0 * rod.total * dot(rod.gravity, rod.head.drift)
+            height = 2.0 * rod.total * dot(rod.gravity, rod.head.drift)
+            potential = potential + height
+            magnitude = magnitude + absolute(height)
         miss = scaled(minus(reached, rod.target), rod.closed)
         fit, minors = solve_symmetric(normal, moment)
         return energy + potential, energy + magnitude, miss, negated(scaled(fit, rod.closed)), (unclosed, closed)

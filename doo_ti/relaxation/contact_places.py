@@ -235,7 +235,7 @@ class ContactPlaces:
         """Where the nearest point of an edge is, exactly where the obstacle's section along the edge is round: φ_s is then the
         sine of an angle whose tangent is linear."""
         zero = 0.0 * ends[0]
-        square = dot(edge, edge)
+        square = dot(edge, edge) + 1e-30  # an edge may have no length
         before = 0.0 - ends[0] / ti.sqrt(ti.max(square - ends[0] * ends[0], 1e-12 * square))
         beyond = ends[1] / ti.sqrt(ti.max(square - ends[1] * ends[1], 1e-12 * square))
         end = ti.select(ends[0] < 0.0, zero + 1.0, zero)

@@ -54,11 +54,12 @@ class ContactRounds(ContactEnergy):
 
     def tolerance(self, rod, given, final: ti.template()):
         """The residual that a rod is to reach where ``given`` is that of one without contact: more while its rounds are rough,
-        unless the ``final`` one is meant, and at least what rounding of places makes of the forces."""
+        unless the ``final`` one is meant, and where a contact pushes at least what rounding of places makes of its force."""
         least = variable((given,))
         if ti.static(not final):
             least = (ti.select(self.is_fine(rod), given, ti.max(given, 0.0 * given + ROUGHER)),)
-        return least[0] + self.rounding * rod.contacts.stiffness * rod.longest * rod.total * rod.total
+        pushing = ti.select(rod.contacts.penalty > 0.0, rod.contacts.stiffness, 0.0 * given)
+        return least[0] + self.rounding * pushing * rod.longest * rod.total * rod.total
 
     def is_fine(self, rod):
         """The lanes whose rods are in their final rounds."""

@@ -257,7 +257,7 @@ class DenseElimination(DenseFactors):
         rod.head.drift_step = x
         self.contacts.own_vertex(rod, 0).move = x
         size = dot(x, x) / (rod.total * rod.total)
-        longest = 0.0 * size
+        longest = self.contacts.approach(rod, 0, x, x)
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)
             w = variable(self.solution(rod, e + 1))

@@ -260,7 +260,7 @@ class LooseStart(Elimination):
         energy, gradient, curvature = self.functions.evaluate_start(
             rod.head.external, scaled(plus(rod.anchor, rod.head.drift), rod.length_unit))
         found.energy = found.energy + rod.loose * energy
-        found.magnitude = found.magnitude + rod.loose * energy
+        found.magnitude = found.magnitude + rod.loose * absolute(energy)
         return scaled(gradient, rod.length_unit), scaled(curvature, rod.length_unit * rod.length_unit)
 
     def shift_of_start(self, rod, shift):

@@ -256,6 +256,8 @@ class LoadedElimination(LooseStart):
             start, decrement = self.solved_start(rod, found.change)
             x = start
             size = dot(x, x) / (rod.total * rod.total)
+            if ti.static(self.touches):
+                longest = self.contacts.approach(rod, 0, x, x)
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)
             right = variable(self.without_multiplier(edge, found.change))

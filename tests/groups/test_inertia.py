@@ -188,3 +188,17 @@ def test_what_does_not_match_is_named():
             ({"dynamics": Dynamics(point_mass=np.ones((1, 5))), "rate": 10.0}, "5 vertices")):
         with pytest.raises(InputError, match=message):
             list(follow_group(group, moments, **options))
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("tilt", [0.0, 0.3])
+def test_groups_do_not_bounce_off_obstacles(tilt):
+    rod, moments = straight_rod(60.0, 12, (0.0, 0.0, 12.0), (1.0, 0.0, tilt)), 40
+    held, free = (end_clamps(rod, start, Clamp.FREE) for start in (Clamp.FRAME, Clamp.FREE))
+    found = list(follow_group(Group([rod], [Material(1e6, 1e6)], [held]), [[held]] + [[free]] * (moments - 1),
+                              obstacles=[Plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))], radius=1.0, contact=False,
+                              dynamics=Dynamics(density=1.0), rate=200.0))
+    energy = np.array([moment.energy[0] + moment.kinetic[0] for moment in found[1:]])
+    assert all(moment.converged.all() for moment in found)
+    assert np.diff(energy).max() < 1e-6 * np.ptp(energy)
+    assert np.abs(found[-1].rods[0].vertices[..., 2] - 1.0).max() < 1e-3
