@@ -101,7 +101,6 @@ DOUBTFUL = {
     "a knot in metres": (lambda: overhand_knot(0.5, 150, radius=1e-3, loop=0.012), "overhand_knot: length"),
     "kg/m of a heavy cable in mg/m": (lambda: Material.from_physical(1e-3, 1e-3, 5e4), "weight_per_length: 50000 N/m; .* kg/m"),
     "N mm²": (lambda: Material.from_physical(2e6, 2e6, 0.5), "EI, weight_per_length: .* N m²"),
-    "a stiffness of no material": (lambda: Material.from_physical(4e3, 4e3, 0.5), "4000 N m² at 51 g/m, .* N m²"),
     "a path in degrees": (lambda: ClampPath([0, 1], end_rotation=[[0], [90]]), "end_rotation: 90 rad .* 1.571"),
     "a twist in degrees": (lambda: Observations(ROPE.vertices, total_twist=[180]), "total_twist: 180 rad .* 3.142"),
     "a turn in degrees": (lambda: predict_step(ROPE, MATERIAL, CLAMPS, CLAMPS, rotation=90), "rotation: 90 rad .* 1.571")}
