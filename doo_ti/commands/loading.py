@@ -259,8 +259,8 @@ def mesh_doubt(rest_length: np.ndarray, surroundings: Surroundings | None) -> st
     radius = thinnest + np.min(surroundings.radius)
     if longest <= radius:
         return None
-    return (f"edges of {longest:.3g} mm are too long to bend around an obstacle of {thinnest:.3g} mm radius: forces come out "
-            f"too small, and the rod may slip off; give {np.ceil(rest_length.sum() / radius):.0f} edges (doo-ti convert IN OUT "
+    return (f"edges of {longest:.3g} mm are too long to bend around an obstacle of {thinnest:.3g} mm radius: forces may come "
+            f"out too small, and the rod slip off; give {np.ceil(rest_length.sum() / radius):.0f} edges (doo-ti convert IN OUT "
             "--edges N, or edges of a scene)")
 
 
