@@ -26,6 +26,8 @@ def declare(add) -> None:
                         help="also observations of the same rod at rest: .npz, .csv or .parquet, marked from the same end")
     parser.add_argument("--still-noise", metavar="MM",
                         help="standard deviation of a coordinate of their marks (default: the file's, else from the residuals)")
+    parser.add_argument("--clip", metavar="MM", help="length of rod that a gripper holds, from its outer marker on; up to the "
+                        "distance to the inner one (default: half of that)")
     parser.add_argument("--modes", default="7", metavar="K",
                         help="Legendre modes of the rest curvature in each direction; 0: straight at rest (default 7)")
     parser.add_argument("--fit", metavar="NAME,…", default=",".join(FITTED[:4]),
@@ -57,7 +59,7 @@ def run(options: Namespace) -> int:
     chosen = IdentifyOptions(given.whole("--modes", options.modes, 0, 12), fitted,
                              delta=given.length("--robust", options.robust),
                              substeps=given.whole("--substeps", options.substeps, 1, 1000), surroundings=surroundings,
-                             smoothing=loading.smoothing(options))
+                             smoothing=loading.smoothing(options), clip=given.not_negative("--clip", options.clip, "mm"))
     folds = given.whole("--folds", options.folds, 0)
     bend = given.positive("--bend", options.bend, "mm³")
     motion = RecordedMotion.together(loading.recordings(options, options.motions), options.motions)

@@ -45,6 +45,8 @@ class IdentifyOptions:
     surroundings  what the rods touch, with one row for all recordings or one for each; nothing that moves
     smoothing     odd number of frames through which parabolas are fitted for the start and the grippers; 1: as recorded; None:
                   among obstacles those of 0.09 s, else 1
+    clip          mm of the rod that a gripper holds, from its outer marker on: there the rod begins to bend; None: half of the
+                  way to the inner marker
 
     Raises InputError for numbers out of range, unknown parameters, obstacles that move, friction without any, and an even
     number of frames.
@@ -60,6 +62,7 @@ class IdentifyOptions:
     end: Clamp = Clamp.FRAME
     surroundings: Surroundings = Surroundings()
     smoothing: int | None = None
+    clip: float | None = None
 
     def __post_init__(self) -> None:
         require_whole("IdentifyOptions", "modes", self.modes, 0)
@@ -71,6 +74,8 @@ class IdentifyOptions:
             raise InputError("IdentifyOptions", "horizons", f"{self.horizons}", "give numbers of frames, 1 or more")
         if not self.delta > 0:
             raise InputError("IdentifyOptions", "delta", f"{self.delta}", "give mm above zero")
+        if self.clip is not None and not self.clip >= 0:
+            raise InputError("IdentifyOptions", "clip", f"{self.clip}", "give mm, zero or more")
         if self.surroundings.moves:
             raise InputError("IdentifyOptions", "surroundings", "a Moving obstacle", "give obstacles that rest")
         if "friction" in self.fitted and not self.surroundings.bodies:
@@ -152,7 +157,7 @@ def identify(motion: RecordedMotion, begin: MotionTheta, options: IdentifyOption
 
 def guesses(motion: RecordedMotion, options: IdentifyOptions, bend: float | None, up: ArrayLike) -> list[MotionTheta]:
     """Θ to begin with: several values of bend stiffness, or ``bend``, with several of friction where that is fitted."""
-    lengths, reference, up = motion.edge_lengths(), roll_reference(motion), np.asarray(up, dtype=np.float64)
+    lengths, reference, up = motion.rest_length(options.clip), roll_reference(motion), np.asarray(up, dtype=np.float64)
     bends = [bend] if bend is not None else [share * lengths.sum() ** 3 for share in BENDS]
     frictions = FRICTIONS if "friction" in options.fitted else (None,)
     return [MotionTheta(guess, 1.0, 0.03, 0.2, 1e-5, 0.0, np.zeros((2, 0)), lengths, reference, up, friction)
@@ -176,7 +181,8 @@ def identify_from_guesses(motion: RecordedMotion, options: IdentifyOptions, bend
     """:func:`identify` from the best of the :func:`guesses` on the shortest horizon."""
     thetas = guesses(motion, options, bend, up)
     begin = thetas[0]
-    at_rest = [Stills.of(one, begin.reference, begin.rest_length.sum(), options.surroundings) for one in stills]
+    length = float(motion.edge_lengths().sum())
+    at_rest = [Stills.of(one, begin.reference, length, options.surroundings) for one in stills]
     best = 0
     if len(thetas) > 1:
         part = motion.until(min(options.horizons) + 2)

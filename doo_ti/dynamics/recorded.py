@@ -23,6 +23,7 @@ LARGEST_TURN = np.radians(60.0)  # a gripper that seems to turn by more in one f
 FINE, SWAPPED, LOST = 0, 1, 2
 MOST_CONFUSED = 50  # frames after which such a turn is taken as real
 LEAST_MM, MOST_MM = 1e-6, 1e6  # between neighbouring markers, and from the origin
+LEAST_HELD = 5e-3  # of an end edge that a gripper holds to its inner marker: half of what is left of it
 GRIPPED = (0, 1, -2, -1)  # vertices of the first and last edge
 
 
@@ -167,6 +168,20 @@ class RecordedMotion:
     def edge_lengths(self) -> np.ndarray:
         """(E,) median lengths of the edges, mm."""
         return np.median(np.linalg.norm(np.diff(self.positions, axis=2), axis=-1), axis=(0, 1))
+
+    def rest_length(self, clip: float | None = None) -> np.ndarray:
+        """(E,) mm of the rod's edges, whose first and last, or first alone, grippers hold: as long as between the markers or,
+        where a gripper holds ``clip`` mm from its outer marker on, so long that their middle, in which a clamp acts, is there.
+        Raises InputError for a clip that ends beyond the inner marker."""
+        lengths = self.edge_lengths()
+        if clip is None:
+            return lengths
+        ends = [0] if self.free_end else [0, -1]
+        if clip > lengths[ends].min():
+            raise InputError("motion", "clip", f"{clip:g} mm; a gripper's inner marker is at {lengths[ends].min():.4g} mm",
+                             "leave out the outer marker, so that the next two are the gripper's")
+        lengths[ends] = 2.0 * np.maximum(lengths[ends] - clip, LEAST_HELD * lengths[ends])
+        return lengths
 
     def glitches(self) -> list[str]:
         """What is wrong with the recordings, one line each."""

@@ -74,13 +74,14 @@ def lay_out(motion: RecordedMotion, rest_length: np.ndarray, reference: np.ndarr
             smoothing: int = 1) -> Layout:
     """Lay out the recordings of ``motion`` for :func:`doo_ti.dynamics.simulate.simulate`.
 
-    rest_length  (E,) mm
+    rest_length  (E,) mm; the first and the last edge are as long, from the inner marker of a gripper on
     reference    (3,) direction towards which m1 of the first edge points at frame 1
     end          what the far gripper holds, if there is one
     smoothing    odd number of frames through which parabolas are fitted for the start and the grippers; 1: as recorded
     """
     end = Clamp.FREE if motion.free_end else end
     believed = _believable(motion.positions[:, :, motion.gripped], motion.confused, motion.elapsed)
+    believed = _from_inner(believed, rest_length)
     expanded, steps = _with_missing(believed[:, 1:], motion.elapsed[:, 1:])
     if smoothing > 1:
         expanded = _smoothed(expanded, smoothing)
@@ -250,6 +251,16 @@ def _believable(held: np.ndarray, confused: np.ndarray, elapsed: np.ndarray) -> 
             for marker, axis in np.ndindex(2, 3):
                 column = result[r, :, 2 * end + marker, axis]
                 result[r, :, 2 * end + marker, axis] = np.interp(instants[r], instants[r, good], column[good])
+    return result
+
+
+def _from_inner(held: np.ndarray, rest_length: np.ndarray) -> np.ndarray:
+    """Gripper markers (R, T, 4, 3), or of one gripper, with the outer ones as far from the inner ones as the rod's end edges
+    are long: in the middle of these a clamp acts."""
+    result = held.copy()
+    for outer, inner, length in ((0, 1, rest_length[0]), (3, 2, rest_length[-1]))[: held.shape[2] // 2]:
+        edge = held[:, :, outer] - held[:, :, inner]
+        result[:, :, outer] = held[:, :, inner] + edge * (length / np.linalg.norm(edge, axis=-1, keepdims=True))
     return result
 
 

