@@ -98,8 +98,9 @@ class NewtonLoop(QueueLoop, NewtonTrip):
             energy=zero, magnitude=zero, miss=repeated(zero, 3), multiplier=repeated(zero, 3), residual=zero,
             change=repeated(zero, 3), longest=one, shift=zero, scale=one, step_scale=zero, coarse=zero, fresh=zero,
             trying=zero, closing=zero, returned=zero, troubled=zero, escaping=zero, escapes=zero, rounds=zero,
-            heading=one, best=zero, idle_trips=zero, aimless=zero, rejects=zero, trips=zero, status=zero, stable=zero,
-            lengths_known=zero, along=zero, begun=zero, arrived=zero, spins_first=zero, strays=zero, active=zero, finished=one)
+            heading=one, best=zero, sufficient=zero, idle_trips=zero, aimless=zero, rejects=zero, trips=zero, status=zero,
+            stable=zero, lengths_known=zero, along=zero, begun=zero, arrived=zero, spins_first=zero, strays=zero, active=zero,
+            finished=one)
 
     def store(self, tables, head, slot, lane, rod):
         """Results of the rod in lane ``slot``, row ``rod`` of the rods."""
@@ -155,8 +156,8 @@ class NewtonLoop(QueueLoop, NewtonTrip):
         lane.scale = ti.select(begun, head.scale, lane.scale)
         shift = ti.cast(tables.policy[fixed.FIRST_SHIFT], self.scalar) * lane.scale
         choose(
-            lane, begun, shift=shift, fresh=one, best=self.constant(1e30), step_scale=zero, trips=zero, idle_trips=zero,
-            aimless=zero, rejects=zero, trying=zero, closing=zero, returned=zero, troubled=zero, escaping=zero,
+            lane, begun, shift=shift, fresh=one, best=self.constant(1e30), step_scale=zero, trips=zero, sufficient=zero,
+            idle_trips=zero, aimless=zero, rejects=zero, trying=zero, closing=zero, returned=zero, troubled=zero, escaping=zero,
             escapes=zero, strays=zero, along=self.constant(1e30))
         lane.finished = zero
 

@@ -6,6 +6,7 @@ SHAPE_TOLERANCE_32 = 1e-4  # rad: in f32 the next Newton step has to be smaller 
 
 # The policy's fixed numbers (shifts are over the largest diagonal entry of H).
 SHIFT_WRONG_INERTIA = 0.01
+SUFFICIENT = 1 / 3  # of the last shift under which the inertia was right, where it is wrong again (Wächter and Biegler, 2006)
 SHIFT_REJECTED, GROWTH = 1e-5, 4.0  # the least one after a refused step, and by how much it grows there (in contact by
 # SHIFT_GROWTH) and where the inertia is wrong
 MOST_SHIFT = 1e3  # times what is stiff at an edge: no shift is larger there

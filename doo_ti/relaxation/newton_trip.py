@@ -24,6 +24,7 @@ class NewtonTrip:
     change, longest                      δλ, and the largest turn of an edge in the step, rad, or if that is more the largest
                                          share of a gap or of the way to the middle of an obstacle (ContactRounds.approach)
     shift, scale                         added to the diagonal of H, and H's largest diagonal entry
+    sufficient                           the last shift under which the inertia was right
     step_scale                           share of the step that is taken
     fresh, trying, closing, escaping     flags: the rod has just been loaded; the step is judged by its energy; it only closes;
                                          it leaves a saddle
@@ -253,6 +254,10 @@ class NewtonTrip:
         lane.trying = ti.select(waits, zero, one)
         lane.troubled = ti.select(judged.uphill | (place.wrong & (lane.closing < 0.5)), one, lane.troubled)
         floor = ti.select(lane.escaping > 0.5, fixed.NEGLIGIBLE_TROUBLED * lane.scale, fixed.SHIFT_WRONG_INERTIA * lane.scale)
+        # Where the inertia is wrong again and again, as along a soft mode beside a saddle, a shift that is just large enough
+        # makes long steps.
+        lane.sufficient = ti.select(place.right & (lane.shift > 0.0), lane.shift, lane.sufficient)
+        floor = ti.select(lane.sufficient > 0.0, ti.min(floor, fixed.SUFFICIENT * lane.sufficient), floor)
         lane.shift = ti.select(place.wrong & (lane.closing < 0.5), ti.max(fixed.GROWTH * lane.shift, floor), lane.shift)
         lane.shift = ti.select(place.certify, zero, lane.shift)
         if ti.static(self.has_coarse):
