@@ -68,6 +68,7 @@ def run(options: Namespace) -> int:
     if folds == 1 or folds > motion.count:
         raise InputError(given.SOURCE, "--folds", f"{folds} for {motion.count} recordings", "give 0, or from 2 to their number")
     require_clear_grippers(motion, guesses(motion, chosen, bend, up)[0], chosen)
+    loading.warn_of_rod(options.motions[0], motion.edge_lengths(), surroundings)
     with progress(keep=True) as bar:
         def fit(part, label):
             task = bar.add_task(label, total=chosen.rounds, unit="iterations")

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from doo_ti.commands import options as given
 from doo_ti.commands.results import observed
@@ -19,10 +20,12 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.arrays import checked_arrays, decoded, read_npz
 from doo_ti.io.observation_files import load_observations
 from doo_ti.io.scene import Scene, Synthesis
-from doo_ti.rod.material import UNITS_IN_MM, likely_unit
+from doo_ti.rod.frames import unit_vectors
+from doo_ti.rod.grid import parse_axis
+from doo_ti.rod.material import UNITS_IN_MM, density_doubt, likely_unit, stiffness_doubt, weight_per_length
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import observation_clamps, reachable
-from doo_ti.rod.types import Clamp
+from doo_ti.rod.types import Clamp, Material
 from doo_ti.system import terminal
 from doo_ti.system.arguments import counted, span_text
 from doo_ti.system.errors import InputError
@@ -37,7 +40,7 @@ MEASURED = 0.02  # relative error of a length between marks that somebody measur
 MOST_OFF = 1.5
 """Stated length of the rod over that of arcs through its marks, or the inverse, above which one of both is wrong."""
 DOUBTFUL = 1.05  # the same, above which a warning is printed: arcs are off by up to 2 % on rods of ten marks or more
-COARSE = 2.0  # length of an edge, over the radii of the thinnest obstacle and of the rod, above which it is too long
+MOST_TURN = 60.0  # degrees at the median mark, of the line through the marks: they are on no curve in their order
 MOST_UNEVEN = 20.0  # longest edge over the median one, above which the marks may be of several rods
 OF_FILES = ("unit", "columns")  # options that only files of marks have a use for
 OF_OBSERVATIONS = (*OF_FILES, "rest_length")  # options that only files of observations have a use for
@@ -186,13 +189,36 @@ def with_ends_in_reach(observations: Observations, start: Clamp | None, end: Cla
     return observations.take(np.flatnonzero(within))
 
 
-def warn(observations: Observations, surroundings: Surroundings | None = None) -> None:
-    """Print a warning where the rod is implausible, or too coarse for what is around it. To be called once everything is
-    checked, so that wrong input is reported in one line."""
-    for doubt in (unit_doubt(observations), order_doubt(observations), length_doubt(observations),
-                  mesh_doubt(observations, surroundings), inside_doubt(observations, surroundings)):
+def stated(options: Namespace) -> dict[str, float | None]:
+    """The ``weight`` in N/m and ``stiffness`` EI in N m², of a range the least, that options state."""
+    density, stiff = given.density(options), options.EI
+    return {"weight": None if density is None else weight_per_length(density),
+            "stiffness": None if stiff is None else parse_axis("--EI", stiff, given.SOURCE).values[0]}
+
+
+def stated_in_scene(material: Material, newtons: np.ndarray | None) -> dict[str, np.ndarray]:
+    """The same of the materials (G) of a scene whose unit of force is ``newtons`` (G,) N."""
+    return {} if newtons is None else {"weight": 2e3 * material.weight * newtons,
+                                       "stiffness": 1e-6 * material.bend[:, 0].max(axis=(1, 2)) * newtons}
+
+
+def warn(observations: Observations, surroundings: Surroundings | None = None, **material) -> None:
+    """Print a warning where the rod is implausible, or too coarse for what is around it; ``material`` as :func:`stated`. To be
+    called once everything is checked, so that wrong input is reported in one line."""
+    for doubt in (order_doubt(observations), length_doubt(observations), inside_doubt(observations, surroundings)):
         if doubt is not None:
             terminal.warn(f"{in_line(observations.source)}: {doubt}")
+    warn_of_rod(observations.source, observations.rest_length, surroundings, **material)
+
+
+def warn_of_rod(source, rest_length: np.ndarray, surroundings: Surroundings | None, weight: ArrayLike | None = None,
+                stiffness: ArrayLike | None = None) -> None:
+    """The same of a rod of ``source`` with edges of ``rest_length`` (E,)."""
+    length = float(rest_length.sum())
+    for doubt in (unit_doubt(length), mesh_doubt(rest_length, surroundings), density_doubt(length, weight),
+                  stiffness_doubt(stiffness, weight)):
+        if doubt is not None:
+            terminal.warn(f"{in_line(source)}: {doubt}")
 
 
 def up_text(other: dict | None) -> str | None:
@@ -213,9 +239,8 @@ def rod_line(observations: Observations) -> str:
             f"up {','.join(f'{value + 0:.3g}' for value in observations.up)}")
 
 
-def unit_doubt(observations: Observations) -> str | None:
-    """Why the unit of the lengths may be another one than stated, or None."""
-    length = float(observations.rest_length.sum())
+def unit_doubt(length: float) -> str | None:
+    """Why the unit of a rod's ``length``, in mm, may be another one than stated, or None."""
     likely = likely_unit(length)
     if likely == "":
         return None
@@ -223,20 +248,20 @@ def unit_doubt(observations: Observations) -> str | None:
     return f"a rod {length:.4g} mm long; {remedy}"
 
 
-def mesh_doubt(observations: Observations, surroundings: Surroundings | None) -> str | None:
-    """Why the rod's edges may be too long to lie on what is around it, or None: one is longer than COARSE times the radii of
-    the thinnest obstacle and of the rod together."""
+def mesh_doubt(rest_length: np.ndarray, surroundings: Surroundings | None) -> str | None:
+    """Why a rod's edges (E,) may be too long for what is around it, or None: one is longer than the radii of the thinnest
+    obstacle and of the rod together, the radius of a bend around it. Forces of a rod bent so are then 4 % too small."""
     if not surroundings:
         return None
-    longest = observations.rest_length.max()
+    longest = rest_length.max()
     bodies = [getattr(body, "obstacle", body) for body in surroundings.bodies]
     thinnest = min((body.placed[3].min() for body in bodies), default=np.inf)
     radius = thinnest + np.min(surroundings.radius)
-    if longest <= COARSE * radius:
+    if longest <= radius:
         return None
-    edges = int(np.ceil(observations.rest_length.sum() / radius))
-    return (f"edges of {longest:.3g} mm are too long to lie on an obstacle of {thinnest:.3g} mm "
-            f"radius: the rod may slip off it; make them shorter: doo-ti convert IN OUT --edges {edges}")
+    return (f"edges of {longest:.3g} mm are too long to bend around an obstacle of {thinnest:.3g} mm radius: forces may come "
+            f"out too small, and the rod slip off; give {np.ceil(rest_length.sum() / radius):.0f} edges (doo-ti convert IN OUT "
+            "--edges N, or edges of a scene)")
 
 
 def inside_doubt(observations: Observations, surroundings: Surroundings | None) -> str | None:
@@ -254,6 +279,12 @@ def inside_doubt(observations: Observations, surroundings: Surroundings | None) 
 
 def order_doubt(observations: Observations) -> str | None:
     """Why the marks may not be those of one rod in their order, or None."""
+    edges = unit_vectors(np.diff(np.where(observations.valid[..., None], observations.vertices, np.nan), axis=1))
+    cosine = np.sum(edges[:, 1:] * edges[:, :-1], axis=-1)
+    cosine = cosine[np.isfinite(cosine)]
+    if len(cosine) and np.median(cosine) < np.cos(np.radians(MOST_TURN)):
+        return (f"the line through the marks turns by {np.degrees(np.arccos(np.median(cosine))):.0f}° at half of them; are the "
+                "columns observation and vertex swapped, or the marks not in their order along the rod?")
     lengths = observations.rest_length
     longest, usual = lengths.max(), np.median(lengths)
     if longest <= MOST_UNEVEN * usual:

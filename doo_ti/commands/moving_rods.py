@@ -167,7 +167,7 @@ def simulated_rods(options: Namespace, out: Path, changes: dict) -> SimulatedRod
         raise InputError(given.SOURCE, "--rate", "missing, and the motion has no times", "give its moments per second")
     options.theta_note = given.EVERYTHING
     stepping, dynamics = Stepping(rate_of(path), **changes), losses(options)
-    warn_of(held)
+    warn_of(held, options)
     with busy(f"relaxing {len(held.names)} rods (kernels are compiled once on a machine)"):
         _, rows, (first, clamps, _) = begun(held.start, held.material, held.clamps, path, LARGEST_TURN, held.up, Newton(),
                                             "f64", held.surroundings.at(0))
@@ -241,10 +241,10 @@ def check_reach(path: ClampPath, clamps: Clamps, length: float) -> None:
                              f"{length:.4g} mm long", "correct the positions")
 
 
-def warn_of(held: HeldRods) -> None:
+def warn_of(held: HeldRods, options: Namespace) -> None:
     """Print a warning where a rod is implausible, and where its path begins farther from its clamps than :data:`FAR_OFF` of it:
     displacements, perhaps, or the path of another rod. To be called once everything is checked."""
-    loading.warn(held.observations, held.surroundings)
+    loading.warn(held.observations, held.surroundings, **loading.stated(options))
     first = held.path.at(0, held.clamps)
     for name in ("start_position", "end_position"):
         off = np.linalg.norm(getattr(first, name) - getattr(held.clamps, name), axis=-1)

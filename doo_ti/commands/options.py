@@ -165,8 +165,10 @@ def single_cell(options: Namespace, remedy: str = "give one number") -> Grid:
     """The axes given, as :func:`grid` reads them. Raises InputError, with that remedy, where they are more than one Θ."""
     found = grid(options)
     if found.size > 1:
-        option = f"--{found.varying[0].name.replace('_', '-')}"
-        raise InputError(SOURCE, option, f"a grid of {found.size} cells", remedy)
+        name = found.varying[0].name
+        physical = {"bend": "EI", "twist": "GJ"}.get(name)
+        option = physical if physical and getattr(options, physical) is not None else name.replace("_", "-")
+        raise InputError(SOURCE, f"--{option}", f"a grid of {found.size} cells", remedy)
     return found
 
 
@@ -189,10 +191,13 @@ def up(options: Namespace) -> np.ndarray | None:
     """(3,) unit vector against gravity, or None."""
     if options.up is None:
         return None
-    axis = options.up.lower().removeprefix("-")
+    axis = options.up.lower().lstrip("+-")
     if axis in tuple("xyz"):
         return np.where(np.array(tuple("xyz")) == axis, -1.0 if options.up.startswith("-") else 1.0, 0.0)
-    return unit_up(numbers("--up", options.up), SOURCE)
+    try:
+        return unit_up(numbers("--up", options.up), SOURCE)
+    except InputError as error:
+        raise InputError(SOURCE, "--up", error.problem, "give a direction: x, y, z, -x, -y, -z, or three numbers") from None
 
 
 def world_up(options: Namespace, otherwise: np.ndarray | None = None) -> np.ndarray:

@@ -51,10 +51,10 @@ def run_plan(options: Namespace) -> int:
 
     from doo_ti.refinement.plan import plan
 
-    clamp_start, clamp_end = given.clamps(options)
+    (clamp_start, clamp_end), surroundings = given.clamps(options), given.surroundings(options)
     found = plan(configurations, grid, sigma=sigma, picks=picks, clamp_start=clamp_start, clamp_end=clamp_end,
-                 measured=measured, surroundings=given.surroundings(options))
-    loading.warn(configurations)
+                 measured=measured, surroundings=surroundings)
+    loading.warn(configurations, surroundings, **loading.stated(options))
     summary = _summary(configurations, found, sigma)
     if out is not None:
         _write(out, configurations, found, summary)

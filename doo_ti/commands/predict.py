@@ -13,7 +13,7 @@ from doo_ti.io.scene import PRECISIONS
 from doo_ti.io.toml_file import scene_file
 from doo_ti.learning.landscape import status_counts
 from doo_ti.rod.frames import matrix_from_quaternion
-from doo_ti.rod.types import Clamp
+from doo_ti.rod.types import Clamp, Status
 from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line, progress
@@ -58,7 +58,7 @@ def run(options: Namespace) -> int:
         rods, between = _scene(options, between)
     else:
         rods, between = held_rods(options, out, given.clamps(options)), between or 1
-        warn_of(rods)
+        warn_of(rods, options)
     stepping = _stepping(rods, between, sub_step)
     count, intervals = len(rods.names), (rods.path.moments - 1) * between
     if count * intervals * rods.start.edges * 32 > MOST_BYTES:
@@ -134,6 +134,8 @@ def _scene(options: Namespace, between: int | None) -> tuple[HeldRods, int]:
     check_reach(path, scene.clamps, float(scene.start.rest_length.sum()))
     between = scene.between if between is None else between
     surroundings = given.scene_surroundings(options, scene.surroundings(between))
+    loading.warn_of_rod(options.source, scene.start.rest_length, surroundings,
+                        **loading.stated_in_scene(scene.material, scene.newtons))
     return HeldRods(scene.name, list(scene.names), scene.start, scene.clamps, path, scene.material, theta, scene.newtons,
                     given.world_up(options), surroundings), between
 
@@ -163,7 +165,8 @@ def _lines(rods: HeldRods, stepping, prediction, result: dict) -> list[str]:
         how = f"{stepping.substeps} quasi-static steps between states"
     lines = [f"{rods.name}: {counted(count, 'rod')} of {rods.start.edges} edges at {moments} moments",
              f"  status      {results.status_text(status_counts(prediction.status))}; {how}",
-             *results.contact_lines(_contact(rods, prediction, result), count), *results.force_lines(result, 1),
+             *results.contact_lines(_contact(rods, prediction, result), count),
+             *results.rows(("infeasible", _inside(rods, prediction))), *results.force_lines(result, 1),
              f"  far clamp   at the end turned about the rod by {_range(result['end_rotation_deg'][-1])}, total twist "
              f"{_range(result['total_twist_deg'][-1])}"]
     where = f"to another branch, {len(np.unique(jumps[:, 1]))} of {count} rods" if len(jumps) else "all stayed on their branch"
@@ -178,6 +181,14 @@ def _lines(rods: HeldRods, stepping, prediction, result: dict) -> list[str]:
     return lines + results.shortened([
         f"    {rods.names[rod]}: no prediction from {prediction.time[int(np.argmin(prediction.followed[:, rod]))]:g} s on"
         for rod in lost], MOST_LISTED, "    and {} more")
+
+
+def _inside(rods: HeldRods, prediction) -> str | None:
+    """What of rods that fail where their motion begins is inside an obstacle."""
+    failed = np.flatnonzero(prediction.status[0] != Status.CONVERGED)
+    motion = prediction.motion[failed]
+    start = rods.start.take(motion if rods.start.count == rods.clamps.count else failed)
+    return results.inside_reason(rods.surroundings.at(0).take(motion), rods.path.at(0, rods.clamps).take(motion), start, failed)
 
 
 def _contact(rods: HeldRods, prediction, result: dict) -> dict:

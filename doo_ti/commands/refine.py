@@ -109,20 +109,24 @@ def run(options: Namespace) -> int:
 
     for task in tasks:
         if task.landscape is None:
-            loading.warn(task.observations)
+            loading.warn(task.observations, **loading.stated(options))
     splits = [None if folds is None else folds_of(group, folds) for group in groups]
     summaries = []
     for task, split in zip(tasks, splits, strict=True):
         chosen = _refinement_options(options, task)
         with busy(f"refining {task.observations.name} (kernels are compiled once on a machine)"):
             found = refine(task.observations, task.clamps, task.thetas, chosen)
+        mesh = np.full(found.mesh_edges, task.observations.rest_length.sum() / found.mesh_edges)
+        if doubt := loading.mesh_doubt(mesh, task.surroundings):
+            warn(f"{in_line(task.observations.source)}: {doubt}")
         held_out = None
         if split is not None:
             with busy(f"cross-validating {task.observations.name} in {folds} folds"):
                 begin = replace(found.theta, rest_curvature=None)
                 held_out = refine_held_out(task.observations, task.clamps, begin, split, chosen)
         summary = summary_of(task.observations, task.surroundings, found, held_out, task.density, task.loads is not None)
-        summaries.append(summary | {"other_up": _other_up(task, found.theta)})
+        summaries.append(summary | {"other_up": _other_up(task, found.theta),
+                                    "of_run": task.landscape is not None})
         written = [] if task.landscape is None else _kept(task.landscape, found, summaries[-1])
         if not options.json:
             first, *rest = summary_lines(summaries[-1])

@@ -13,7 +13,8 @@ from doo_ti.rod.observations import Observations
 from doo_ti.system.terminal import in_line
 
 LISTED = 6  # observations named individually
-CLEAR_ODDS = 3.0  # ln of the odds, about 20 to 1: models closer than that predict as well
+CLEAR_ODDS = 1.0  # ln of the odds, about 3 to 1: models closer than that predict as well
+STRAIGHT = 1e-6  # 1/mm: a radius of a kilometre
 SYMBOLS = {"bend": "EI", "bend_1": "EI_1", "bend_2": "EI_2", "twist": "GJ"}
 MODELS = {
     "straight": "straight at rest",
@@ -107,16 +108,20 @@ def summary_lines(summary: dict) -> list[str]:
     curvature, errors = summary["rest_curvature_per_mm"], summary["clamp_errors"]
     touched, held = summary["obstacles"], summary["held_out"]
     (x, y, z), (start, end) = summary["theta"]["up"], errors["turn_deg"]
-    rivals = ", ".join(f"{theta['bend_1']:.3g}" for theta in summary["rivals"])
+    own, *bends = (f"{theta['bend_1']:.3g}" for theta in (summary["theta"], *summary["rivals"]))
+    rivals = ", ".join(bend for bend in dict.fromkeys(bends) if bend != own)
+    curved = _curved(summary)
+    elsewhere = "at more cells (--starts N)" if summary["of_run"] else "at the run of a sweep (doo-ti sweep first)"
     return [
         f"{in_line(summary['material'])}: {summary['rods_used']} of {summary['observations']} observations, "
         f"{summary['iterations']} steps{'' if summary['converged'] else ', NOT converged: stopped'}", *_rows(
             ("stopped", not summary["converged"] and
-             "before its optimum: values and intervals may be far off. Begin elsewhere (--starts N of a run, else other --bend "
-             "and --twist), or with fewer unknowns (--clip MM, --clamps exact, --rest-curvature none, fewer --parameters)"),
+             f"before its optimum: values and intervals may be far off. Begin {elsewhere}, or with fewer unknowns (--clip MM, "
+             "--clamps exact, --rest-curvature none, fewer --parameters)"),
             ("WARNING", up_text(summary["other_up"])),
-            *((one["name"], interval_text(one["value"], one["low"], one["high"], one["unit"])) for one in summary["parameters"]
-              if not one["name"].startswith("up[")),
+            *((one["name"], interval_text(one["value"], one["low"], one["high"], one["unit"])
+               + "  (negative: outside the outer mark)" * (one["name"].startswith("clip") and (one["low"] or 0) < 0))
+              for one in summary["parameters"] if not one["name"].startswith("up[")),
             ("up", "up[0]" in summary["unknowns"] and
              f"({x:.4f}, {y:.4f}, {z:.4f}), tilted by {summary['tilt_deg']:.2g}° from the given direction"),
             *((name.removesuffix("_Nm2"), interval_text(*ends, "N m²")) if name.endswith("_Nm2") else
@@ -125,8 +130,11 @@ def summary_lines(summary: dict) -> list[str]:
             ("linear density", summary["linear_density_g_per_m"] and interval_text(*summary["linear_density_g_per_m"], "g/m")),
             ("", "95 % intervals, with everything else fitted again"),
             ("as probable", rivals and f"other fits of the same marks, with bend {rivals} mm³: the intervals contain them"),
-            ("rest curvature", curvature["root_mean_square"] and
-             f"{curvature['root_mean_square']:.3g} 1/mm (root mean square), over a range of {curvature['range_mm']:.3g} mm"),
+            ("rest curvature", curvature["root_mean_square"] and (
+                f"{curvature['root_mean_square']:.3g} 1/mm (root mean square), over a range of {curvature['range_mm']:.3g} mm"
+                if curved else "none: straight at rest")),
+            ("caution", curved and "twist" not in summary["unknowns"] and
+             "bend stiffness of a curved rod depends on twist stiffness, which was not learned: --parameters bend,twist"),
             ("ends", summary["swivels"] and
              "fit best as free to roll in what holds them; if clips held them, give their frames"),
             ("frames", max(start, end) > 0 and f"off by {start:.2g}° (start) and {end:.2g}° (end); "
@@ -136,6 +144,11 @@ def summary_lines(summary: dict) -> list[str]:
         *_adequacy_lines(summary), *_rods_lines(summary), *_models_lines(summary), *_rows(
             ("held out", held and f"mean {held['mean_distance_mm']:.4g} ± {held['standard_error_mm']:.2g} mm over "
                                   f"{held['sound']} rods in {len(held['theta'])} folds (Eq. 1)"))]
+
+
+def _curved(summary: dict) -> bool:
+    """Whether the rod was found to be curved at rest."""
+    return summary["rest_curvature_per_mm"]["root_mean_square"] >= STRAIGHT
 
 
 def _rows(*entries: tuple[str, str | object]) -> list[str]:
@@ -198,6 +211,8 @@ def _rods_lines(summary: dict) -> list[str]:
 def _models_lines(summary: dict) -> list[str]:
     verdicts = []
     for score in summary["models"]:
+        if score["model"] == "straight" and not _curved(summary):
+            continue  # as fitted
         clear = abs(score["difference"]) > max(2 * score["error"], CLEAR_ODDS)
         verdict = "predicts as well" if not clear else "predicts better" if score["difference"] > 0 else "predicts worse"
         verdicts.append(f"{verdict}: {MODELS[score['model']]} ({score['difference']:+.3g} ± {score['error']:.2g}, "

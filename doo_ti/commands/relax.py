@@ -8,14 +8,12 @@ import numpy as np
 from doo_ti.commands import loading, results
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import with_rest_curvature
-from doo_ti.contact.surroundings import Surroundings
 from doo_ti.learning.landscape import status_counts
 from doo_ti.rod.grid import Grid
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
 from doo_ti.rod.types import Status
 from doo_ti.system.arguments import counted
-from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import busy, in_line
 
 WRITTEN = ("energy", "status", "iterations", "residual", "stable", "end_force")
@@ -41,7 +39,7 @@ def run_relax(options: Namespace) -> int:
     clamps = observation_clamps(observations, *given.clamps(options))
     check_experiment(observations, clamps, grid.axes[-1].values[-1], frame_weight)
     given.refuse_overwriting(out, options.observations)
-    loading.warn(observations, surroundings)
+    loading.warn(observations, surroundings, **loading.stated(options))
 
     from doo_ti.learning.experiment import SOLVERS
     from doo_ti.relaxation.relax import relax as relax_rods
@@ -71,23 +69,11 @@ def run_relax(options: Namespace) -> int:
         result["smallest_gap_mm"] = surroundings.smallest_gap(result["vertices_mm"])
         contact = results.contact_summary(surroundings, result["contact_force"], result["smallest_gap_mm"], result["status"])
     results.save_arrays(out, results.in_newton(result, given.newtons(options, material.weight), 0))
-    inside = _inside(surroundings, held, start, index, infeasible)
+    inside = results.inside_reason(surroundings.take(infeasible), *(one.take(infeasible) for one in (held, start)),
+                                   index[infeasible])
     summary = _summary(observations, grid, result, out) | contact | {"infeasible_reason": inside}
     results.report(options, summary, lambda: _lines(observations, grid, result, summary))
     return 0 if (result["status"] == Status.CONVERGED).any() else 1
-
-
-def _inside(surroundings: Surroundings, clamps, start, index: np.ndarray, rows: np.ndarray) -> str | None:
-    """What of the first of the ``rows`` is inside an obstacle, and by how much; None where nothing is."""
-    from doo_ti.relaxation.contact_table import require_clear
-
-    if not surroundings or not len(rows):
-        return None
-    try:
-        require_clear("relax", surroundings.take(rows), clamps.take(rows), start.take(rows), index[rows])
-    except InputError as error:
-        return error.problem
-    return None
 
 
 def _summary(observations: Observations, grid: Grid, result: dict, out: Path) -> dict:

@@ -15,8 +15,9 @@ from doo_ti.io.observation_tables import write_rod_table
 from doo_ti.io.scene import Scene, Synthesis
 from doo_ti.rod.grid import Grid, Interval
 from doo_ti.rod.observations import Observations
-from doo_ti.rod.types import Status
+from doo_ti.rod.types import Clamps, Configuration, Status
 from doo_ti.system.arguments import counted
+from doo_ti.system.errors import InputError
 from doo_ti.system.files import write_text, write_whole
 from doo_ti.system.terminal import in_line
 
@@ -73,21 +74,24 @@ def in_newton(arrays: dict[str, np.ndarray], newtons: np.ndarray | None, axis: i
 
 
 def force_lines(arrays: dict[str, np.ndarray], axis: int) -> list[str]:
-    """How hard the far clamps pull, and obstacles push, in several moments, of ``arrays`` with forces in N."""
+    """The forces of far clamps and obstacles on rods in several moments, of ``arrays`` with forces in N."""
     if "end_force_N" not in arrays:
         return []
     lines = []
     if "contact_force_N" in arrays:
         push = np.linalg.norm(np.nan_to_num(np.moveaxis(arrays["contact_force_N"], axis, 0)).sum(axis=-2), axis=-1)
         if push.max() > 0:
-            lines = [f"  force       obstacles push a rod with {push.max():.3g} N in all at most, at moment "
-                     f"{np.unravel_index(push.argmax(), push.shape)[1]}; with {push[:, -1].max():.3g} N at the end"]
-    pull = np.linalg.norm(np.moveaxis(arrays["end_force_N"], axis, 0), axis=-1)
-    last = pull[:, -1][np.isfinite(pull[:, -1])]
-    if not last.size or not last.max() > 0:
+            lines = [f"  force       obstacles exert {push.max():.3g} N on a rod in all at most, at moment "
+                     f"{np.unravel_index(push.argmax(), push.shape)[1]}; {push[:, -1].max():.3g} N at the end"]
+    force = np.moveaxis(arrays["end_force_N"], axis, 0)
+    size, last = np.linalg.norm(force, axis=-1), force[:, -1][np.isfinite(force[:, -1]).all(axis=-1)]
+    if not last.any():
         return lines
-    ends = f"{last.min():.3g}" + (f" to {last.max():.3g}" if len(last) > 1 else "")
-    return [f"  force       the far clamp pulls with {ends} N at the end, {np.nanmax(pull):.3g} N at most", *lines]
+    if len(last) == 1:
+        ends = f"{np.linalg.norm(last):.3g} N ({', '.join(f'{value + 0:.3g}' for value in last[0])})"
+    else:
+        ends = " to ".join(f"{end(np.linalg.norm(last, axis=-1)):.3g}" for end in (np.min, np.max)) + " N"
+    return [f"  force       the far clamp exerts {ends} on the rod at the end, {np.nanmax(size):.3g} N at most", *lines]
 
 
 def save_json(out: Path, content) -> None:
@@ -158,6 +162,18 @@ def contact_summary(surroundings: Surroundings, force: np.ndarray, gap: np.ndarr
         "touching": int(pressed.reshape(rods, -1).any(axis=1).sum()), **at_end,
         "smallest_gap_mm": finite.min() if len(finite) else np.nan,
         "infeasible": int(infeasible.reshape(rods, -1).any(axis=1).sum())}}
+
+
+def inside_reason(surroundings: Surroundings, clamps: Clamps, start: Configuration, number: np.ndarray) -> str | None:
+    """What of infeasible rods of that ``number`` (R,) is inside an obstacle, and by how much; None where nothing is."""
+    from doo_ti.relaxation.contact_table import require_clear
+
+    if surroundings and len(number):
+        try:
+            require_clear("relax", surroundings, clamps, start, number)
+        except InputError as error:
+            return error.problem
+    return None
 
 
 def contact_lines(summary: dict, rods: int) -> list[str]:

@@ -146,7 +146,7 @@ def steered_rod(options: Namespace, written: Iterable[Path]) -> SteeredRod:
             raise InputError(given.SOURCE, f"--clamp-{end}", Clamp(int(np.max(kind))).name.lower(), "give tangent or frame")
     check_experiment(observations, clamps, grid.axes[-1].values[-1], 0.0)
     material = with_rest_curvature(options, grid.materials(), observations.rest_length)
-    loading.warn(observations, surroundings)
+    loading.warn(observations, surroundings, **loading.stated(options))
     return SteeredRod(options.start, observations, clamps, material, surroundings, places)
 
 

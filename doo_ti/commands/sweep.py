@@ -70,7 +70,7 @@ class _Search:
 def run_sweep(options: Namespace) -> int:
     searches = _searches(options)
     for search in searches:
-        loading.warn(search.observations, search.options.surroundings)
+        loading.warn(search.observations, search.options.surroundings, **loading.stated(options))
 
     from doo_ti.learning.sweeps import sweep
 

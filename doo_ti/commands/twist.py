@@ -64,7 +64,7 @@ def run_twist(options: Namespace) -> int:
     if offset is None and (together > 1 or options.offset):
         offset = end_offsets(observations, group)
     surroundings = given.surroundings(options)
-    loading.warn(observations, surroundings)
+    loading.warn(observations, surroundings, **loading.stated(options))
     material = with_rest_curvature(options, grid.materials(), observations.rest_length)
     search = TwistOptions(precision=options.precision, surroundings=surroundings)
     with progress() as bar:

@@ -52,6 +52,7 @@ SYMBOLS = {
 FEW_COLORS = ((45, 212, 191), (253, 231, 37), (125, 170, 255), (255, 159, 28), (198, 120, 221), (152, 195, 121))
 """Of a few rods on a dark ground."""
 SMALLEST_FONT = 4.0
+FILLED = 0.95  # of the width that a title has room in
 MISSING = "#9a9a9a"
 """Colour where there is no distance."""
 
@@ -89,7 +90,7 @@ def save_figure(figure, path_or_buffer) -> None:
 
 
 def fit_titles(figure) -> None:
-    """Make titles that reach out of the figure smaller until they fit; this also lays the figure out."""
+    """Make titles that fill the figure's width smaller until they fit; this also lays the figure out."""
     from matplotlib.text import Text
 
     figure.canvas.draw()
@@ -98,8 +99,8 @@ def fit_titles(figure) -> None:
         box = title.get_window_extent()
         middle = 0.5 * (box.x0 + box.x1)
         room = width - box.x0 if title.get_horizontalalignment() == "left" else 2 * min(middle, width - middle)
-        if title.get_text() and box.width > room > 0:
-            title.set_fontsize(max(SMALLEST_FONT, 0.97 * room / box.width * title.get_fontsize()))
+        if title.get_text() and box.width > FILLED * room > 0:
+            title.set_fontsize(max(SMALLEST_FONT, 0.97 * FILLED * room / box.width * title.get_fontsize()))
 
 
 def pixels(figure) -> np.ndarray:

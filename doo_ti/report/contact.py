@@ -1,7 +1,7 @@
 """Contact in pictures and recordings: obstacles and the forces they exert on rods; and groups of rods, as thick as they are,
 with the forces that hold them. Axes: R rods, T frames or moments, V vertices."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -19,9 +19,9 @@ if TYPE_CHECKING:  # it brings the solvers, and Taichi with them
 
 PLANE_COLOR, OBSTACLE, FORCE = "#eceef2", "#c9ced8", "#1d4ed8"
 FAINT = 0.25  # of an obstacle that has moved on
-LONG, MOST_SHORTER, LONGEST = 0.2, 0.95, 0.3
-"""Of the size of the scene: the length of an arrow; that share of all forces has shorter ones; and the most at the last frame,
-which pictures show."""
+LONG, MOST_SHORTER = 0.2, 0.95
+"""Of the size of the scene: the length of an arrow; and that share of all forces, and those at the last frame, which pictures
+show, have shorter ones."""
 
 
 @dataclass(frozen=True)
@@ -67,8 +67,8 @@ class Touched:
         force = np.linalg.norm(self._shown, axis=-1)
         if not (force > 0).any():
             return 1.0
-        wanted = self._box[1] * min(LONG / np.quantile(force[force > 0], MOST_SHORTER),
-                                    LONGEST / max(np.nanmax(force[:, -1], initial=0.0), 1e-300))
+        wanted = self._box[1] * LONG / max(np.quantile(force[force > 0], MOST_SHORTER),
+                                           np.nanmax(force[:, -1], initial=0.0))
         power = 10.0 ** np.floor(np.log10(wanted))
         return float(power * max(step for step in (1.0, 2.0, 5.0) if step * power <= wanted * (1 + 1e-9)))
 
@@ -97,6 +97,10 @@ class Touched:
         force, places = self._shown[row, frame], self.positions[row, frame]
         shown = np.isfinite(places).all(axis=-1) & (np.nan_to_num(force) != 0).any(axis=-1)
         return places[shown], self.arrow_scale * force[shown]
+
+    def tips(self, rows: Iterable[int], frame: int) -> np.ndarray:
+        """(N, 3) mm, where the arrows of the forces on some rods end at a frame."""
+        return np.concatenate([np.add(*self.arrows(row, frame)) for row in rows])
 
     def draw(self, plot, row: int, view: np.ndarray, frames: list[int]) -> None:
         """The obstacles around a rod, and the forces on it at some frames, in a plot with the axes ``view`` (2, 3)."""
@@ -192,7 +196,8 @@ def save_group(path: Path, moments: "Sequence[GroupSolution]", *, name: str, nam
     basis = upright_basis(seen.vertices.reshape(1, -1, 3), up)
     # Rows right, into the picture and up.
     views = {"from the side": basis, "from above": np.stack([basis[0], -basis[2], basis[1]])}
-    limits = [limits_around(seen.vertices @ view[[0, 2]].T, 0.55, 0.1) for view in views.values()]
+    places = np.concatenate([seen.vertices.reshape(-1, 3), seen.touched.tips([0], -1)])
+    limits = [limits_around(places @ view[[0, 2]].T, 0.55, 0.1) for view in views.values()]
     heights = [min(HIGHEST, WIDTH * np.ptp(limit[1]) / np.ptp(limit[0])) for limit in limits]
     heights += [CURVES] * (len(moments) > 1)
     figure = new_figure((WIDTH + 1.0, sum(heights) + 0.5 * len(heights) + 0.8))

@@ -86,6 +86,8 @@ def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray,
         plot = figure.add_subplot(grid[k // columns, k % columns])
         _draw_stills(plot, axes, positions[row, frames], None if recorded is None else recorded[row, frames])
         if touched is not None:
+            plot.update_datalim(touched.tips([row], frames[-1]) @ axes.T)
+            plot.autoscale_view()
             for frame in frames[:-1]:
                 touched.draw_moving(plot, row, axes, frame, faint=True)
             touched.draw(plot, row, axes, frames[-1:])
@@ -268,7 +270,10 @@ def motions_picture(path_or_buffer, rods: MovingRods, *, title: str) -> None:
     vertices, jumps = rods.vertices[:, :shown], rods.jumps[:, :shown]
     moments = np.unique(np.linspace(0, len(time) - 1, MOMENTS).round().astype(int))
     views = [rods.basis[[0, 2]], rods.basis[:2]]
-    limits = [limits_around(vertices @ view.T, 0.55, 0.18) for view in views]
+    places = vertices.reshape(-1, 3)
+    if rods.touched is not None:
+        places = np.concatenate([places, rods.touched.tips(range(shown), -1)])
+    limits = [limits_around(places @ view.T, 0.55, 0.18) for view in views]
     heights = [np.ptp(limit[1]) / np.ptp(limit[0]) for limit in limits]
     columns, blocks = min(shown, COLUMNS), -(-shown // COLUMNS)
     figure = new_figure((3.4 * columns + 0.8, blocks * (3.2 * sum(heights) + 0.8) + 0.8))

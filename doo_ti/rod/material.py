@@ -113,7 +113,8 @@ class Material:
     @typed
     def from_physical(cls, EI: ArrayLike, GJ: ArrayLike, weight_per_length: ArrayLike) -> "Material":  # noqa: N803
         """The round rods of stiffness EI and GJ in N m² that weigh ``weight_per_length`` in N/m, scalars or (R,); μ is 1.
-        Forces and moments of these rods come out in N and N m (:func:`doo_ti.relaxation.sensitivity.end_loads`).
+        Forces and moments of these rods come out in N and N m (:func:`doo_ti.relaxation.sensitivity.end_loads`). A ribbon:
+        ``Material(2e9 / w * np.diag([EI_1, EI_2]), 2e9 / w * GJ, weight_per_length=w)``.
 
         Raises InputError as the class does, and for a rod without weight, which has no stiffness relative to it.
         """
@@ -246,6 +247,10 @@ LEAST_MM, MOST_MM = 10.0, 20_000.0  # lengths of rods that raise no doubt about 
 LEAST_NEWTON, MOST_NEWTON = 1e-6, 1e3  # N/m: the finest suture weighs 1e-5, a steel bar 40 mm thick 100
 LEAST_RISE_MM, MOST_RISE_MM = 0.1, 1e5
 """(EI/w)^(1/3), the length over which its weight bends a rod: 10 mm of a hair, 6 m of that bar."""
+MOST_STIFF = 3e6
+"""4 π EI over the square of the mass per length, E/ρ² of a solid round rod in SI: 3e3 of steel, 1.5e5 of carbon fibre, and of a
+tube of it with walls of a tenth of its radius ten times as much."""
+LEAST_SLENDER, MOST_SLENDER = 3.0, 1500.0  # length over the diameter of a solid rod as dense as water
 NEAR = 0.02  # distance of neighbouring marks over the rod between them, below which they are hardly in mm
 LEAST_IN_DEGREES = 10.0  # of an angle's number, from which on a whole one is more likely in degrees
 _OURS = str(Path(__file__).parents[1]), "<string>"
@@ -288,6 +293,29 @@ def doubt_angle(source: str, field: str, angle: ArrayLike | None) -> None:
               f"{np.radians(most):.4g}")
 
 
+def density_doubt(length: float, weight: ArrayLike | None) -> str | None:
+    """Why rods ``length`` mm long may not weigh that ``weight`` in N/m, or None."""
+    for density in () if weight is None else np.ravel(weight)[np.ravel(weight) > 0] * 1e3 / STANDARD_GRAVITY:
+        thick = np.sqrt(4 * density / np.pi)  # 1 g/m of water is 1 mm²
+        if not LEAST_SLENDER <= length / thick <= MOST_SLENDER:
+            return (f"a rod {length:.4g} mm long of {density:.3g} g/m is {thick:.2g} mm thick if as dense as water; give g/m, "
+                    "which is kg/m times 1000")
+    return None
+
+
+def stiffness_doubt(stiffness: ArrayLike | None, weight: ArrayLike | None) -> str | None:
+    """Why rods of that ``weight`` in N/m may not be as stiff as EI, ``stiffness`` in N m², or None."""
+    if stiffness is None or weight is None:
+        return None
+    density = np.asarray(weight) / STANDARD_GRAVITY  # kg/m
+    ratio, stiff, grams = np.broadcast_arrays(4 * np.pi * np.asarray(stiffness) / density**2, stiffness, 1e3 * density)
+    worst = np.argmax(ratio)
+    if not ratio.flat[worst] > MOST_STIFF:
+        return None
+    return (f"EI of {stiff.flat[worst]:g} N m² at {grams.flat[worst]:.3g} g/m, stiffer than any material; give EI in N m², "
+            "of which one is 1e6 N mm², and g/m")
+
+
 def doubt_weight(source: str, stiffness: np.ndarray, weight: np.ndarray) -> None:
     """Warn of rods of that ``stiffness`` EI in N m² whose ``weight`` in N/m is implausible, or beside the other."""
     rise = np.cbrt(1e9 * stiffness / weight)
@@ -298,7 +326,7 @@ def doubt_weight(source: str, stiffness: np.ndarray, weight: np.ndarray) -> None
     elif rise.min() < LEAST_RISE_MM or rise.max() > MOST_RISE_MM:
         short = rise.min() < LEAST_RISE_MM
         _warn(source, "EI, weight_per_length", f"a rod that its weight bends over {rise.min() if short else rise.max():.3g} mm",
-              "give EI in N m², which is 1e-6 N mm², and N/m")
+              "give EI in N m², of which one is 1e6 N mm², and N/m")
 
 
 def _warn(source: str, field: str, problem: str, remedy: str) -> None:

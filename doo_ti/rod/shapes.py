@@ -31,7 +31,8 @@ LEAST_ACROSS = 1e-6  # of the direction against gravity, across a chord: below, 
 @typed
 def straight_rod(length: float, edges: int, start: ArrayLike = (0.0, 0.0, 0.0),
                  direction: ArrayLike = (1.0, 0.0, 0.0), *, vertex_clamps: bool = False) -> Configuration:
-    """One straight rod without twist, ``length`` mm long, from ``start`` (3,) mm in ``direction`` (3,) of any length.
+    """One straight rod without twist, ``length`` mm long, from ``start`` (3,) mm in ``direction`` (3,) of any length. m1 is the
+    coordinate axis least along the rod, made orthogonal (y of a rod along x, x of one along z), and m2 = t × m1.
 
     vertex_clamps  with an edge of length zero before the first of the ``edges`` and after the last: clamps of both ends then
                    act at the end vertices, not half an edge further in (:class:`~doo_ti.rod.types.Clamps`)

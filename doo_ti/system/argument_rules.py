@@ -20,7 +20,7 @@ NUMERIC = KINDS[None]
 MOST_SHOWN = 40  # characters of a value in a message
 INDEX_BITS = 63
 
-_ARRAY = set(get_args(ArrayLike)) or {ArrayLike}  # a union before NumPy 2.5, a name for one since
+ARRAY_PARTS = set(get_args(ArrayLike)) or {ArrayLike}  # a union before NumPy 2.5, a name for one since
 _WORDS = {bool: "True or False", int: "a whole number", float: "a number", str: "text", NoneType: "None", Mapping: "a dict",
           Callable: "a function"}
 
@@ -157,7 +157,7 @@ class _Array(Rule):
             except (TypeError, ValueError, OverflowError):
                 raise Mismatch("rows of different lengths, or not numbers", self.wanted) from None
         if array.dtype.kind not in self.arrays and (array.size or array.dtype.kind not in NUMERIC):
-            problem = _shown(value) if array.dtype.kind == "O" else f"dtype {array.dtype}"
+            problem = _shown(value) if array.dtype.kind == "O" or not array.ndim else f"dtype {array.dtype}"
             raise Mismatch(problem, {int: "whole numbers", bool: "flags"}.get(self.kind, self.wanted))
         return array
 
@@ -216,8 +216,9 @@ def rule_of(annotation: Any) -> Rule | None:
         return _shaped(rule_of(parts[0]), parts[1].split("|"), *parts[2:])
     if origin in (Union, UnionType):
         every = set(parts)
-        rules = [_Array()] if every >= _ARRAY or np.ndarray in every else []
-        plain = [rule_of(part) for part in parts if part is not np.ndarray and (part not in _ARRAY or not every >= _ARRAY)]
+        rules = [_Array()] if every >= ARRAY_PARTS or np.ndarray in every else []
+        plain = [rule_of(part) for part in parts
+                 if part is not np.ndarray and (part not in ARRAY_PARTS or not every >= ARRAY_PARTS)]
         return None if None in plain else _Either([rule for rule in plain if rule is not None] + rules)
     if annotation in (np.ndarray, ArrayLike) or origin is np.ndarray:
         return _Array()

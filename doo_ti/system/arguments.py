@@ -18,12 +18,13 @@ and shapes that need more than one object to judge, are for the function itself 
 from collections.abc import Callable
 from dataclasses import fields
 from functools import wraps
-from inspect import Parameter, signature
-from typing import Any, TypeVar, get_type_hints
+from inspect import Parameter, Signature, signature
+from types import NoneType
+from typing import Any, TypeVar, get_args, get_type_hints
 
 import numpy as np
 
-from doo_ti.system.argument_rules import Mismatch, Rule, rule_of, shape_of
+from doo_ti.system.argument_rules import ARRAY_PARTS, Mismatch, Rule, rule_of, shape_of
 from doo_ti.system.errors import InputError
 
 MOST_REMEMBERED = 1000  # sets of shapes of a function
@@ -73,6 +74,7 @@ class _Checked:
                 _own_arrays(arguments[0])
             return result
 
+        wrapped.__signature__ = _readable(signature(call))  # type: ignore[attr-defined]
         self.wrapped = wrapped
 
     def read(self) -> None:
@@ -142,6 +144,28 @@ def _short(value: object) -> str:
         return f"{value.shape}" if value.ndim else f"{value:g}"
     text = repr(value)
     return text if len(text) <= 60 else f"{len(value)} entries" if hasattr(value, "__len__") else type(value).__name__
+
+
+class _Printed:
+    """An annotation that is printed as this text."""
+
+    def __init__(self, text: str):
+        self.text = text
+
+    def __repr__(self) -> str:
+        return self.text
+
+
+def _readable(found: Signature) -> Signature:
+    """The signature with ``ArrayLike`` where the union stands that it is in some NumPy, and takes lines to print."""
+    changed = []
+    for one in found.parameters.values():
+        parts = get_args(getattr(one.annotation, "__origin__", None)) or get_args(one.annotation)  # the first of Annotated
+        if all(part in parts for part in ARRAY_PARTS):
+            names = ("None" if part is NoneType else part.__name__ for part in parts if part not in ARRAY_PARTS)
+            one = one.replace(annotation=_Printed(" | ".join(["ArrayLike", *names])))
+        changed.append(one)
+    return found.replace(parameters=changed)
 
 
 def span_text(values: np.ndarray, unit: str = "") -> str:

@@ -85,6 +85,7 @@ OPTIONS = {
     "twist below numbers": (["--twist", "1e-300"], "--twist", "below 1e-30"),
     "frame weight negative": (["--frame-weight", "-6.7"], "--frame-weight", "from zero up"),
     "up no number": (["--up", "0,0,z"], "--up", "'z'"),
+    "up no axis": (["--up", "w"], "--up", "x, y, z, -x, -y, -z"),
     "up too short": (["--up", "-1,0"], "--up", "direction"),
     "clamp": (["--clamp-start", "glued"], "--clamp-start", "'glued'"),
     "unknown option": (["--stretch", "3"], "--stretch", "unknown option"),

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Cylinder, Observations, save_observations
+from doo_ti.commands import loading
 from doo_ti.commands.cli import main
 from doo_ti.commands.loading import inside_doubt, mesh_doubt
 from doo_ti.contact.surroundings import Surroundings, smallest_self_gap
@@ -37,9 +38,39 @@ def test_doubts_about_obstacles_are_said():
     marks = np.stack([np.linspace(0.0, 100.0, 6), np.zeros(6), np.full(6, 3.0)], axis=1)[None]
     seen = Observations(marks, labels=["low"])
     beside = Surroundings([Cylinder((50, -40, -9), (50, 40, -9), 4.0)], 1.0)
-    assert inside_doubt(seen, beside) is None and "edges of 20 mm are too long" in mesh_doubt(seen, beside)
+    assert inside_doubt(seen, beside) is None and "edges of 20 mm are too long" in mesh_doubt(seen.rest_length, beside)
     assert inside_doubt(seen, Surroundings([Cylinder((40, -40, 0), (40, 40, 0), 10.0)], 1.0)).startswith(
         "the axis of observation low is 7 mm inside an obstacle")
+
+
+GROUP = """
+radius_mm = 2.0
+[materials.rope]
+bend = 4e5
+[rods.one]
+edges = 10
+length_mm = 200.0
+"""
+
+
+@pytest.mark.parametrize("command", ["simulate", "predict", "group"])
+def test_scenes_too_coarse_for_an_obstacle_are_warned_of(tmp_path, monkeypatch, command):
+    said = []
+
+    def warn(text):
+        said.append(text)
+        raise KeyboardInterrupt  # nothing need be computed
+
+    monkeypatch.setattr(loading.terminal, "warn", warn)
+    file = tmp_path / "thin.toml"
+    file.write_text((GROUP if command == "group" else SCENE) + """[[obstacles]]
+kind = "cylinder"
+start = [9, -40, -9]
+end = [9, 40, -9]
+radius = 16
+""")
+    assert main([command, str(file), "--out", str(tmp_path / "f.npz")]) == 1
+    assert all(words in said[0] for words in ("edges of 20 mm", "give 12 edges", str(file)))
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,7 @@
 mesh through marks."""
 
 import json
+from argparse import Namespace
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from doo_ti import Observations, load_observations
 from doo_ti.commands.cli import main
-from doo_ti.commands.loading import length_doubt
+from doo_ti.commands.loading import length_doubt, stated, warn_of_rod
 from doo_ti.commands.results import hypotheses_lines
 from tests.commands.calls import refused, succeeded
 from tests.io.test_formats import CABLE, MARKS, motive, table
@@ -55,6 +56,26 @@ def test_several_rods_taken_for_one_are_warned_of(tmp_path, metres, capfd):
     (tmp_path / "x.csv").write_text(table(marks.reshape(1, -1, 3), "x,y,z", number=False))
     assert main(["convert", str(tmp_path / "x.csv"), str(tmp_path / "out.npz")]) == 0
     assert "--columns observation=NAME" in capfd.readouterr().err
+
+
+def test_columns_that_are_swapped_are_warned_of(tmp_path, capfd):
+    """Marks of many poses, each taken for a pose of many marks."""
+    poses = np.random.default_rng(0).normal(0, 30, (8, 1, 3)) + np.linspace(0, 200, 12)[:, None] * (1.0, 0, 0)
+    (tmp_path / "x.csv").write_text(table(poses, "observation,vertex,x,y,z"))
+    words = ["convert", str(tmp_path / "x.csv"), str(tmp_path / "out.npz")]
+    assert main(words) == 0 and capfd.readouterr().err == ""
+    assert main([*words, "--columns", "observation=vertex,vertex=observation"]) == 0
+    assert "observation and vertex swapped" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(("density", "stiffness", "words"), [
+    ("10", "1e-4", ()), ("0.01", "1e-4", ("0.01 g/m", "kg/m")), ("50", "4e3", ("4000 N m²", "g/m")), ("10", "1e-4:1e5:9", ())])
+def test_masses_and_stiffnesses_of_no_rod_are_warned_of(tmp_path, capfd, density, stiffness, words):
+    """At 500 mm; of a range the least counts."""
+    options = Namespace(EI=stiffness, linear_density=density)
+    warn_of_rod("rod", np.full(10, 50.0), None, **stated(options))
+    said = capfd.readouterr().err
+    assert all(word in said for word in words) and bool(said) == bool(words)
 
 
 def test_columns_that_others_call_otherwise_are_asked_for(tmp_path, capfd):

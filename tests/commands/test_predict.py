@@ -9,7 +9,7 @@ import pytest
 
 from doo_ti import Material, Observations, load_observations, observation_clamps, relax, save_observations, start_configuration
 from doo_ti.commands.cli import main
-from doo_ti.commands.results import plain
+from doo_ti.commands.results import force_lines, plain
 from doo_ti.dynamics.theta import MotionTheta, load_theta, save_form
 from doo_ti.rod.frames import quaternion_from_matrix
 from tests.commands.calls import refused, succeeded, written
@@ -213,7 +213,18 @@ def test_times_of_a_motion_are_kept_and_forces_are_in_newton(folder, capsys):
     found, out = np.load(folder / "f.npz"), capsys.readouterr().out
     newton = 0.01 * 9.80665 / 2 / 1000  # half the weight of a millimetre
     np.testing.assert_allclose(found["end_force_N"], newton * found["end_force"], rtol=1e-9)
-    assert f"{np.linalg.norm(found['end_force_N'][-1], axis=-1).min():.3g}" in out and " N at the end" in out
+    assert f"{np.linalg.norm(found['end_force_N'][-1], axis=-1).min():.3g}" in out and " N on the rod at the end" in out
+    found, = force_lines({"end_force_N": np.array([[[0, 0, 0.1]], [[-0.5, 0, 0]]])}, 1)
+    assert "0.5 N (-0.5, 0, 0) on the rod" in found, "a clamp that pushes"
+
+
+def test_clamps_inside_an_obstacle_are_said(folder, capsys):
+    """Of a plane whose normal points the wrong way."""
+    (folder / "under.toml").write_text('[[obstacles]]\nkind = "plane"\npoint = [0, 0, -900]\nnormal = [0, 0, -1]\n')
+    np.savez(folder / "still.npz", time_s=[0.0, 1.0], end_position_mm=np.load(folder / "seen.npz")["vertices_mm"][0, [-1, -1]])
+    assert main(["predict", str(folder / "seen.npz"), "--motion", str(folder / "still.npz"), "--bend", "1e5", "--obstacles",
+                 str(folder / "under.toml"), "--radius", "1", "--out", str(folder / "f.npz")]) == 1
+    assert "mm inside a Plane" in capsys.readouterr().out
 
 
 def test_rest_curvature_of_a_theta(folder, capsys):

@@ -9,6 +9,7 @@ import pytest
 
 from doo_ti import Material, Observations, load_observations, relax, save_observations
 from doo_ti.commands.cli import main
+from doo_ti.commands.refine_text import summary_lines
 from tests.commands.calls import refused, succeeded
 from tests.references.rods import chain, clamps_at, stacked
 from tests.relaxation.rods import wandering
@@ -63,6 +64,28 @@ def test_observations_for_a_person(observed, capsys):
     assert "N m²" not in out and "--out F.json" in out
 
 
+def summary(rivals, difference, curvature, unknowns=("bend", "twist")) -> dict:
+    """What the text needs of a fit with bend 1.11e7, its other optima and the model that is straight at rest."""
+    theta = {"bend_1": 1.11e7, "up": (0, 0, 1)}
+    return {"material": "rod", "rods_used": 3, "observations": 3, "iterations": 2, "converged": True, "of_run": False,
+            "theta": theta, "rivals": [theta | {"bend_1": bend} for bend in rivals], "unknowns": unknowns, "stiffness": {},
+            "parameters": [{"name": "clip_start", "value": 1.0, "low": -2.0, "high": 4.0, "unit": "mm"}],
+            "rest_curvature_per_mm": {"root_mean_square": curvature, "range_mm": 30.0}, "linear_density_g_per_m": None,
+            "clamp_errors": {"turn_deg": (0, 0), "turn_scatter_deg": 0}, "swivels": False, "obstacles": None,
+            "mean_distance_mm": 0.1, "sigma_mm": 0.1, "sigma_stated": False, "reaches_noise": True, "advice": [],
+            "other_up": None, "turns_open": False, "left_out": {}, "misfits": [], "mislabelled": [], "sensitive": [],
+            "models": [{"model": "straight", "difference": difference, "error": 0.56}], "held_out": None}
+
+
+def test_what_is_printed_agrees_with_itself():
+    text = "\n".join(summary_lines(summary([1.1102e7], -2.28, 1e-3)))
+    assert "as probable" not in text and "predicts worse" in text and "negative" in text and "twist" not in text
+    text = "\n".join(summary_lines(summary([1.1102e7, 2e7, 2e7], -0.9, 1e-3, ["bend"])))
+    assert "with bend 2e+07 mm³" in text and "predicts as well" in text and "--parameters bend,twist" in text
+    text = "\n".join(summary_lines(summary([], -2.28, 4.6e-11)))
+    assert "e-11" not in text and "straight" in text and "predicts" not in text
+
+
 @pytest.mark.thorough
 def test_a_fit_that_stopped_says_what_to_do(observed, capsys, monkeypatch):
     """After a single step it has not converged."""
@@ -71,7 +94,7 @@ def test_a_fit_that_stopped_says_what_to_do(observed, capsys, monkeypatch):
     monkeypatch.setattr(fit.Fit, "run", partialmethod(_few_steps, fit.Fit.run))
     argv = ["refine", str(observed), "--bend", "4e5", "--twist", "2e3", "--clip", "2", "--no-models"]
     out = succeeded(capsys, [*argv, "--rest-curvature", "none", "--clamps", "exact"])
-    assert "NOT converged" in out and "--starts N" in out and "--clamps exact" in out
+    assert "NOT converged" in out and "doo-ti sweep" in out and "--clamps exact" in out
 
 
 def _few_steps(fit, run, state, steps, held=None):
@@ -111,6 +134,7 @@ def test_rods_that_one_end_holds(observed, capsys):
     ([], "--EI: missing"),
     (["--bend", "1e4:1e5:3"], "refine the run of a sweep"),
     (["--bend", "1e4", "--parameters", "bent"], "'bent' is unknown"),
+    (["--EI", "1e-6:1e-5:3", "--linear-density", "1"], "--EI: a grid of 3 cells"),
     (["--bend", "1e4,2e4"], "give bend_1 and bend_2"),
     (["--bend", "1e4", "--folds", "1"], "--folds: 1 is below 2"),
     (["--bend", "1e4", "--folds", "30"], "give 2 to 16 folds"),

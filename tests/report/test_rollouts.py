@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Plane, Surroundings
+from doo_ti.report import MovingRods, motions, motions_picture
 from doo_ti.report.contact import Touched
 from doo_ti.report.motions import _view, save_animation, save_rollout
 
@@ -52,3 +53,21 @@ def test_arrows_of_forces_are_in_newton_where_the_weight_is_known():
     np.testing.assert_allclose(length, np.array([[0.04], [0.02]]) * np.ones(5))
     shown = float(known.legend.split("10 mm: ")[1].split()[0])
     np.testing.assert_allclose(np.linalg.norm(known.arrows(0, 0)[1], axis=-1), 10 * 0.04 / shown)
+
+
+def test_whole_arrows_are_in_pictures(tmp_path, monkeypatch):
+    """Of a rod that hangs over an edge: the limits hold the tips, a fifth of the picture above it at most."""
+    limits = []
+    monkeypatch.setattr(motions, "save_figure", lambda figure, path: limits.append(figure.axes[0].get_ylim()))
+    x = np.linspace(0, 100, 9)
+    positions = np.tile(np.stack([x, 0 * x, -0.3 * np.abs(x - 50)], axis=-1), (1, 3, 1, 1))
+    force = np.zeros_like(positions)
+    force[0, :2, 4, 2], force[0, 2, 4, 2] = 1.0, 30.0
+    touched = Touched(Surroundings([Plane((0, 0, 0), (0, 0, 1))], 1.0), positions, force)
+    tip = np.linalg.norm(touched.arrows(0, 2)[1], axis=-1).max()
+    assert 8 <= tip <= 20
+    moving = MovingRods(np.arange(3.0), positions.swapaxes(0, 1), ["a"], np.zeros((3, 1), int), np.ones((3, 1), bool),
+                        np.array([0.0, 0, 1]), touched=touched)
+    motions_picture(tmp_path / "f.png", moving, title="flat")
+    save_rollout(tmp_path / "g.png", "flat", ["a"], positions, None, 10.0, np.array([0.0, 0, 1]), touched=touched)
+    assert min(high for _, high in limits) >= tip, (limits, tip)

@@ -131,6 +131,7 @@ def test_usual_numbers_raise_no_doubt():
     (lambda: Material.from_physical(1e-3, 1e-3, -0.5), "weight_per_length", "-0.5 N/m"),
     (lambda: Material.diagonal(1e5, -1.0, 1e5), "bend_2", "-1 mm³"),
     (lambda: Material(-5.0, 1e5), "bend", "-5 "),
+    (lambda: relax(ROPE, MATERIAL, CLAMPS, up="y"), "up", "'y'"),
     (lambda: predict_step(ROPE, MATERIAL, CLAMPS, CLAMPS, sub_step=5), "sub_step", "5 rad")])
 def test_what_was_given_is_named(call, field, value):
     check_refused(f": {field}: {value}", call)

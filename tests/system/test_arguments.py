@@ -145,7 +145,7 @@ def test_nothing_of_a_call_outlives_its_result():
 def test_array_like_is_a_name_since_numpy_2_5(monkeypatch):
     named = NewType("ArrayLike", object)  # as opaque as NumPy's ``type ArrayLike = …``, which Python 3.11 cannot write
     monkeypatch.setattr(argument_rules, "ArrayLike", named)
-    monkeypatch.setattr(argument_rules, "_ARRAY", {named})
+    monkeypatch.setattr(argument_rules, "ARRAY_PARTS", {named})
     for annotation in (named, named | None, Annotated[named | None, "3"]):
         rule = argument_rules.rule_of(annotation)
         assert list(rule.take([1.0, 2.0, 3.0])) == [1.0, 2.0, 3.0]
