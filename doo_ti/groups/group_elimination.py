@@ -173,6 +173,7 @@ class GroupElimination(DenseLoadedElimination):
         """Store A, ε and the right-hand side. Inverse iterations, the ``search`` off a saddle, leave forces as they are."""
         zero = 0.0 * rod.total
         head = self.contacts.group(rod)
+        self.contacts.begin_ties(rod)
         head.stepping = ti.select(search[0] + search[1] > 0.0, zero, zero + 1.0)
         for b in range(rod.borders.shape[0]):
             k, line = rod.borders[b, 0], rod.edges + 1 + b

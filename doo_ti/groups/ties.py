@@ -52,7 +52,7 @@ GIVE, NO_BORDER = 1e-8, 1e8
 MOST_GROWTH, NOTABLE_MISS = 10.0, 1e-2
 """By steps forces of ties grow to at most so many times the largest at the end of such a round, and what κ makes of a miss of
 that share of the length."""
-TIE_TOLERANCE = 1e-10  # of the longest rod: how far tied points may be apart
+TIE_TOLERANCE, CLOSED = 1e-10, 1e-6  # of the longest rod: how far tied points may be apart, in the end and in a closed start
 
 
 @picked
@@ -195,6 +195,14 @@ class Ties:
         """The lanes in which ties draw points together without changing their forces: those of a first round."""
         head = self.group(rod)
         return head.give * head.stiffness > 1.0
+
+    def begin_ties(self, rod):
+        """Where rods may touch and all ties are closed at the start forces change from the first step on: nothing has to be
+        drawn together, and refused steps of contacts and stiff ties do not go together well."""
+        head = self.group(rod)
+        closed = self.draws(rod) & (head.bound <= 0.0) & (self.miss(rod) <= CLOSED) & ~self.is_fine(rod)
+        bound = (MOST_GROWTH * NOTABLE_MISS) * rod.total * head.stiffness
+        choose(head, closed, bound=bound, give=GIVE / head.stiffness)
 
     def update_ties(self, rod, due):
         """New forces of the ties in the lanes in which they draw points together, and a larger κ where they had to do so again.

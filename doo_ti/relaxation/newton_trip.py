@@ -55,7 +55,8 @@ class NewtonTrip:
         # H's scale on the diagonal makes it positive, among obstacles and in groups a larger one, since κ makes rounding
         # larger; rods that touch themselves have that at rest only. f32 cannot distinguish them from soft saddles and leaves
         # them to f64.
-        self.among_obstacles = self.touches and not sweep.contacts.itself
+        self.itself = self.touches and sweep.contacts.itself
+        self.among_obstacles = self.touches and not self.itself
         self.expects = self.touches and sweep.contacts.expects
         self.patience = fixed.PATIENCE_32 if single else fixed.PATIENCE
         self.trace = 0.0 if single else fixed.LARGE_TRACE if self.among_obstacles else fixed.TRACE
@@ -254,10 +255,11 @@ class NewtonTrip:
         lane.trying = ti.select(waits, zero, one)
         lane.troubled = ti.select(judged.uphill | (place.wrong & (lane.closing < 0.5)), one, lane.troubled)
         floor = ti.select(lane.escaping > 0.5, fixed.NEGLIGIBLE_TROUBLED * lane.scale, fixed.SHIFT_WRONG_INERTIA * lane.scale)
-        # Where the inertia is wrong again and again, as along a soft mode beside a saddle, a shift that is just large enough
-        # makes long steps.
-        lane.sufficient = ti.select(place.right & (lane.shift > 0.0), lane.shift, lane.sufficient)
-        floor = ti.select(lane.sufficient > 0.0, ti.min(floor, fixed.SUFFICIENT * lane.sufficient), floor)
+        if ti.static(not self.itself):  # there long steps cross ties and strands
+            # Where the inertia is wrong again and again, as along a soft mode beside a saddle, a shift that is just large
+            # enough makes long steps.
+            lane.sufficient = ti.select(place.right & (lane.shift > 0.0), lane.shift, lane.sufficient)
+            floor = ti.select(lane.sufficient > 0.0, ti.min(floor, fixed.SUFFICIENT * lane.sufficient), floor)
         lane.shift = ti.select(place.wrong & (lane.closing < 0.5), ti.max(fixed.GROWTH * lane.shift, floor), lane.shift)
         lane.shift = ti.select(place.certify, zero, lane.shift)
         if ti.static(self.has_coarse):
@@ -271,7 +273,7 @@ class NewtonTrip:
                 part = part & ~(rod.contacts.expected > 0.5)
                 rod.contacts.expecting = ti.select(judged.uphill, one, zero)
             cap = ti.select(part, PART * cap, cap)
-            if ti.static(self.sweep.contacts.itself):
+            if ti.static(self.itself):
                 # To and fro across a kink of friction, with like residuals on both sides: ever shorter steps end on it.
                 stays = (rod.contacts.largest > 0.0) & (lane.residual < 3.0 * lane.best)
                 across = ti.select(stays, lane.idle_trips - fixed.PATIENCE_AT_KINK, zero)

@@ -172,7 +172,7 @@ def test_stills_of_another_rod_are_refused(rng):
 @pytest.mark.parametrize("clip", [None, 20.0])
 def test_a_beam_vibrates_as_theory_says(clip):
     """The first mode of a clamped beam by Euler and Bernoulli, EI/w = 1e10 mm³, that bends from half-way between its gripper's
-    markers or, exactly held, from the inner one. Taken for the other one, its stiffness is off by a tenth and more."""
+    markers or, exactly held, from the inner one. Taken for the other one, its stiffness is off by a twentieth and more."""
     bending, spacing, markers, rate = 1e10, 20.0, 21, 4000.0
     begins = spacing * (0.5 if clip is None else 1.0)
     place, root = spacing * np.arange(markers) - begins, 1.8751040687
@@ -189,5 +189,5 @@ def test_a_beam_vibrates_as_theory_says(clip):
         return identify_from_guesses(motion, IdentifyOptions(modes=0, fitted=("bend_damping",), clip=own), 1e10).theta.bend / 2
 
     assert abs(found(clip) / bending - 1) < (0.04 if clip is None else 0.02)
-    assert abs(found(spacing if clip is None else None) / bending - 1) > 0.1
+    assert abs(found(spacing if clip is None else None) / bending - 1) > 0.05
     check_refused("clip: 21 mm; a gripper's inner marker is at 20 mm", motion.rest_length, 21.0)
