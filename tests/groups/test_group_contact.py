@@ -9,6 +9,7 @@ from doo_ti import Clamp, Configuration, Group, Itself, Material, Plane, Tie, To
 from doo_ti.rod.shapes import end_clamps, rod_along, straight_rod
 from tests.contact.topology import linking
 from tests.oracle.chain_form import chain_energy, rod_of
+from tests.relaxation.rods import wandering
 
 RADIUS, STIFFNESS = 1.0, 1e5
 WEIGHTLESS = Material(STIFFNESS, STIFFNESS, 0.0)
@@ -177,3 +178,20 @@ def test_a_group_rubs_alone_as_among_others():
     both, one = rubbing(0.2, (0.0, 1.5), (90.0, 86.0)), rubbing(0.2, (0.0, 1.5), (86.0,))
     np.testing.assert_array_equal(both[1].rods[2].vertices[1], one[1].rods[2].vertices[0])
     assert both[1].friction_work[1] == one[1].friction_work[0]
+
+
+@pytest.mark.thorough
+def test_ties_that_are_closed_at_the_start_take_no_round(rng):
+    """Of two ropes of any stiffness, tied where they start and held at an end each: their forces change from the first step."""
+    iterations = []
+    for _ in range(40):
+        first, second = wandering(rng, 1, 12, 12.0, wander=0.25), wandering(rng, 1, 16, 10.0, wander=0.25)
+        apart = first.vertices[0, 6] - second.vertices[0, 4]
+        second = Configuration(second.start + apart, second.quaternions, second.rest_length)
+        bend = 150.0**3 * 10 ** rng.uniform(-2.0, 0.0, 2)
+        clamps = [end_clamps(first, Clamp.FRAME, Clamp.FREE), end_clamps(second, Clamp.FREE, Clamp.POSITION)]
+        materials = [Material(own, own) for own in bend]
+        found = relax_group(Group([first, second], materials, clamps, [Tie((0, 6), (1, 4))]), radius=0.5)
+        iterations.append(found.iterations[0])
+        assert found.converged[0] and found.stable[0]
+    assert np.median(iterations) < 33
