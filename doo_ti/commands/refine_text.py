@@ -14,6 +14,7 @@ from doo_ti.system.terminal import in_line
 
 LISTED = 6  # observations named individually
 CLEAR_ODDS = 1.0  # ln of the odds, about 3 to 1: models closer than that predict as well
+DECISIVE = 30.0  # rise of twice the log evidence
 STRAIGHT = 1e-6  # 1/mm: a radius of a kilometre
 SYMBOLS = {"bend": "EI", "bend_1": "EI_1", "bend_2": "EI_2", "twist": "GJ"}
 MODELS = {
@@ -42,7 +43,7 @@ def summary_of(observations: Observations, surroundings: Surroundings, found, he
         "unknowns": names, "covariance": estimate.covariance, "correlation": estimate.correlation,
         "degrees_of_freedom": estimate.degrees, "not_determined": estimate.left_open,
         "stiffness": _stiffness(estimate, density, loaded),
-        "linear_density_g_per_m": _learned_density(estimate, density) if loaded else None,
+        "linear_density_g_per_m": None if density is None else _density(estimate, density, loaded),
         "rest_curvature_per_mm": {"spread": scales["curvature"], "range_mm": scales["range"],
                                   "root_mean_square": 0.0 if rest is None else float(np.sqrt((np.asarray(rest) ** 2).mean()))},
         "clamp_errors": {"turn_deg": np.degrees(np.linalg.norm(constant, axis=-1)).max(axis=0),
@@ -92,10 +93,10 @@ def _stiffness(estimate, density: float | None, loaded: bool) -> dict:
     return result
 
 
-def _learned_density(estimate, density: float) -> list[float | None] | None:
-    """The rod's mass per length in g/m with its interval, where it was learned."""
-    if "weight" not in estimate.names:
-        return None
+def _density(estimate, density: float, loaded: bool) -> list[float | None]:
+    """The rod's mass per length in g/m, as it was given or, with its interval, learned."""
+    if not loaded or "weight" not in estimate.names:
+        return [density] * 3
     return [None if end is None else density * end for end in _ends(estimate.parameter("weight"))]
 
 
@@ -118,7 +119,7 @@ def summary_lines(summary: dict) -> list[str]:
             ("stopped", not summary["converged"] and
              f"before its optimum: values and intervals may be far off. Begin {elsewhere}, or with fewer unknowns (--clip MM, "
              "--clamps exact, --rest-curvature none, fewer --parameters)"),
-            ("WARNING", up_text(summary["other_up"])),
+            ("WARNING", up_text(summary["other_up"])), ("WARNING", _unround(summary)),
             *((one["name"], interval_text(one["value"], one["low"], one["high"], one["unit"])
                + "  (negative: outside the outer mark)" * (one["name"].startswith("clip") and (one["low"] or 0) < 0))
               for one in summary["parameters"] if not one["name"].startswith("up[")),
@@ -127,7 +128,8 @@ def summary_lines(summary: dict) -> list[str]:
             *((name.removesuffix("_Nm2"), interval_text(*ends, "N m²")) if name.endswith("_Nm2") else
               (f"{name.removesuffix('_over_weight_mm3')} over weight", interval_text(*ends, "mm³"))
               for name, ends in summary["stiffness"].items()),
-            ("linear density", summary["linear_density_g_per_m"] and interval_text(*summary["linear_density_g_per_m"], "g/m")),
+            ("linear density", "weight" in summary["unknowns"] and summary["linear_density_g_per_m"] and
+             interval_text(*summary["linear_density_g_per_m"], "g/m")),
             ("", "95 % intervals, with everything else fitted again"),
             ("as probable", rivals and f"other fits of the same marks, with bend {rivals} mm³: the intervals contain them"),
             ("rest curvature", curvature["root_mean_square"] and (
@@ -144,6 +146,14 @@ def summary_lines(summary: dict) -> list[str]:
         *_adequacy_lines(summary), *_rods_lines(summary), *_models_lines(summary), *_rows(
             ("held out", held and f"mean {held['mean_distance_mm']:.4g} ± {held['standard_error_mm']:.2g} mm over "
                                   f"{held['sound']} rods in {len(held['theta'])} folds (Eq. 1)"))]
+
+
+def _unround(summary: dict) -> str | None:
+    """What to say of a rod that is not round, where the marks say so; None else."""
+    from doo_ti.refinement.adequacy import UNROUND
+
+    found = next((one for one in summary["advice"] if one["meaning"] == UNROUND and one["gain"] > DECISIVE), None)
+    return found and f"{UNROUND} explains the marks far better; the intervals are those of a round rod: give {found['option']}"
 
 
 def _curved(summary: dict) -> bool:

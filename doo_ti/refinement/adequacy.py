@@ -33,6 +33,7 @@ from doo_ti.rod.types import Clamp
 NOTABLE = 0.5  # times the noise: smaller gaps are not reported
 EXCESS = 1.5  # times the stated σ: if residuals are larger, σ is too small or the model is wrong
 WORTH = 6.0  # −2 ln of the evidence: an extension that lowers it by more is worth trying
+UNROUND = "a section that is not round"
 STEPS = 10
 ERRORS = 2.0  # standard errors by which a parameter moves without an observation that it is said to rest on
 MOST_MISFITS = 8  # misfits that are tried, the first of them
@@ -128,7 +129,7 @@ def _extensions(unknowns: Unknowns):
         yield learning("the direction of gravity", *names, "up")
     if "bend" in names and _held_by_frames(unknowns):
         others = (name for name in names if name != "bend")
-        yield learning("a section that is not round", "bend_1", "bend_2", "bend_12", *others)
+        yield learning(UNROUND, "bend_1", "bend_2", "bend_12", *others)
     if not unknowns.clips and rod.clamped.any():
         yield "clip=unknown", "clips of another length", replace(unknowns, clips=True)
     if unknowns.curvature != "field":
