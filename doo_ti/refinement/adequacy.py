@@ -106,6 +106,8 @@ def _correlation(rows: np.ndarray, counts: np.ndarray) -> float:
 
 def _influences(fit: Fit, fitted: Fitted) -> tuple[Influence, ...]:
     found, names = fitted.posterior, fit.unknowns.names
+    if fitted.counted.sum() < 2:  # all rests on it
+        return ()
     moved = fitted.evidence.without_each(fitted.linear, fitted.state.scales) - found.step
     errors = np.sqrt(np.diag(found.covariance))
     pairs = [(row, k) for k, name in enumerate(names[: fit.unknowns.theta_count]) if name in LOGARITHMIC
