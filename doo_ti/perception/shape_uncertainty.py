@@ -75,18 +75,6 @@ def vertex_sigma(rig: Rig, vertices: np.ndarray, sigma_px: float, correlation_px
     return np.sqrt(np.maximum(variance, 0.0) / 3)
 
 
-def point_sigma(rig: Rig, points: np.ndarray, sigma_px: float) -> np.ndarray:
-    """(...) mm: standard deviation of ``points`` (..., 3) that each camera sees with an error of ``sigma_px``, root mean square
-    over the coordinates; infinite where one camera alone sees them."""
-    ahead = STEP_MM * np.eye(3)
-    points = np.asarray(points)[..., None, :]
-    jacobian = (rig.project(points + ahead) - rig.project(points - ahead)) / (2 * STEP_MM)  # (C, ..., 3, 2)
-    information = np.nan_to_num(np.einsum("c...xu,c...yu->...xy", jacobian, jacobian)) / sigma_px**2
-    sizes = np.linalg.eigvalsh(information)
-    variance = (1.0 / np.maximum(sizes, 1e-100)).mean(axis=-1)
-    return np.where(sizes[..., 0] > 1e-12 * sizes[..., -1], np.sqrt(variance), np.inf)
-
-
 def _vertex_movement(turns: np.ndarray, length: np.ndarray) -> np.ndarray:
     """(A, V, 3, P) mm per rad: derivative of each vertex by turns of the edges."""
     rods, edges = length.shape
