@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 
 from doo_ti import InputError, Material, PerceptionOptions, PerceptionVerdict, Rig, detect, distance_maps, load_rig, perceive
 from doo_ti.perception.seeds import seed_from_pixels, whole_threads
+from doo_ti.perception.shape_uncertainty import detected_places, vertex_sigma
 from doo_ti.vision.distance_map import coverage
 from doo_ti.vision.images import load_sets, read_image
 from tools.studies.angle_study import EDGES, LENGTH_MM, apart, cameras, curve, dense, detection
@@ -208,3 +209,16 @@ def test_sigma_is_as_large_as_the_errors(noise):
     error = np.array([cKDTree(points).query(rod)[0][2:] for rod, points in zip(found.vertices, curves, strict=True)])
     ratio = np.sqrt((error**2).mean(axis=1) / (3 * found.sigma[:, 2:] ** 2).mean(axis=1))
     assert 0.5 < np.sqrt(np.mean(ratio**2)) < 2
+
+
+def test_where_nothing_was_detected_sigma_is_large(rng):
+    """A third of the thread is hidden from both cameras: a rod that is there is known by its stiffness alone."""
+    rig, points = cameras(40.0, third=False), curve(np.random.default_rng(7))
+    images = [detection(view, points, 0.1, rng) for view in rig.cameras]
+    gap = [replace(found, points=found.points[kept], direction=found.direction[kept], strength=found.strength[kept])
+           for found in images for kept in [np.abs(np.linspace(-1, 1, found.count)) > 0.3]]
+    marks = points[:: 50]
+    whole, hidden = (vertex_sigma(rig, marks[None, ::4], 0.1, 5.0, 0.0, detected_places(rig, marks[None], 4, [found]))[0]
+                     for found in (images, gap))
+    assert whole == pytest.approx(vertex_sigma(rig, marks[None, ::4], 0.1, 5.0)[0])
+    assert hidden[5] > 1.8 * whole[5] and hidden[1:3] == pytest.approx(whole[1:3], rel=0.3)
