@@ -14,7 +14,7 @@ from doo_ti.learning.landscape import status_counts
 from doo_ti.rod.types import Status
 from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError
-from doo_ti.system.terminal import can_record, in_line, progress
+from doo_ti.system.terminal import can_record, in_line, progress, warn
 
 MARGIN_PX = 60  # of the distance maps around what was detected
 MOST_MAP_BYTES = 1 << 29  # of the distance maps held at once
@@ -143,6 +143,8 @@ def _clicked_points(sets, detected: list[list], failed: dict[int, InputError]
             if row not in failed:
                 seed = seed_from_pixels(sets.rig, detected[row], sets.clicks[row], _source(sets, row))
                 points[row], sigma[row] = seed.point, seed.sigma
+                if seed.inside:
+                    warn(f"{_source(sets, row)}: no end of the thread is near the pixel: the rod begins within the thread")
         except InputError as error:
             failed[row] = error
     return points, sigma
@@ -238,18 +240,15 @@ def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found
 
         picture = out.with_suffix(".png")
         rods = [seen(row) for row in there[:MOST_SETS]]
-        left_out = task.sets.count - len(rods)
-        reprojections_picture(picture, rig, rods, up=task.up, left_out=left_out)
+        reprojections_picture(picture, rig, rods, up=task.up, left_out=task.sets.count - len(rods))
         written.append(picture)
     if (there < task.recorded).any() and can_record():
         from doo_ti.record import record_perception
 
         recording = out.with_suffix(".rrd")
         rows = there[there < task.recorded]
-        rods = [seen(row) for row in rows]
-        record_perception(recording, run_id=f"perceive {out.name}", name=out.stem, rig=rig, rods=rods,
-                          growth=[growth.of(row, task.sets.point[row], task.rest_length) for row in rows],
-                          up=task.up)
+        record_perception(recording, run_id=f"perceive {out.name}", name=out.stem, rig=rig, rods=[seen(row) for row in rows],
+                          growth=[growth.of(row, task.sets.point[row], task.rest_length) for row in rows], up=task.up)
         written.append(recording)
     return written
 
@@ -263,7 +262,8 @@ def _summary(task: PerceptionTask, detected: list[list], found, failed: dict[int
         "stable": found.stable[row], "energy_vis": found.energy_vis[row], "camera_error_px": found.camera_error[row],
         "gap_px": found.gap[row], "verdict": _word(found.verdict[row]), "unsupported_edges": found.unsupported[row].sum(),
         "coverage": found.coverage[row], "thread_length_mm": found.thread_length[row], "left_over_mm": found.left_over[row],
-        "length_range_mm": found.length_range[row], "outside": found.outside[row], "hidden": found.hidden[row],
+        "length_range_mm": found.length_range[row], "bounded": task.length_bounds.limits(task.rest_length),
+        "outside": found.outside[row], "hidden": found.hidden[row],
         "unsupported_mm": task.rest_length[found.unsupported[row]].sum(),
         "mean_sigma_mm": found.sigma[row].mean() if found.sound[row] else None, **_errors(task, found, row),
         "failed": str(failed[row]) if row in failed else None,
@@ -336,7 +336,7 @@ def _set_text(entry: dict, cameras: tuple[str, ...]) -> str:
     parts += [f"{100 * share:.0f} % of the rod hidden from {name}" for name, share in zip(cameras, entry["hidden"], strict=True)
               if share > OUTSIDE]
     if np.isfinite(entry["length_range_mm"]).all():
-        parts.append("length found, {:.4g} to {:.4g} mm".format(*entry["length_range_mm"]))
+        parts.append("length found, {:.4g} to {:.4g} mm".format(*entry["length_range_mm"]) + " at a bound" * entry["bounded"])
     if np.isfinite(entry["thread_length_mm"]):
         parts.append(f"the thread is {entry['thread_length_mm']:.4g} mm long")
     if entry["left_over_mm"] > LEFT_OVER * entry["length_mm"]:

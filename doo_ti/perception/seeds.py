@@ -55,6 +55,7 @@ class Seed:
 
     point: np.ndarray  # (3,) mm
     sigma: float  # mm: its standard deviation, root mean square over the coordinates
+    inside: bool  # no end of the thread is near the click
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,7 @@ def seed_from_pixels(rig: Rig, detections: Sequence[Detection], clicks: Mapping[
         raise InputError(source, "--seed-pixel", "no thread can be followed from there", "give another pixel, or --seed-point")
     least, best = min(tried, key=lambda one: one[0])
     apart = max(np.linalg.norm(seed.point - best.point) * np.exp(-(((cost - least) / ALIKE_COST) ** 2)) for cost, seed in tried)
-    return Seed(best.point, float(np.hypot(best.sigma, apart / np.sqrt(3))))
+    return replace(best, sigma=float(np.hypot(best.sigma, apart / np.sqrt(3))))
 
 
 def _clicked(detection: Detection, line: Chains, click: np.ndarray, source: str) -> _Place:
@@ -105,8 +106,9 @@ def _clicked(detection: Detection, line: Chains, click: np.ndarray, source: str)
     apart = np.linalg.norm(points - click, axis=1)
     nearest = int(apart.argmin())
     if apart[nearest] > CLICK_PX:
-        raise InputError(source, "--seed-pixel", f"{click[0]:g},{click[1]:g}: the nearest thread is "
-                         f"{apart[nearest]:.0f} px away", "click on the thread")
+        raise InputError(source, "--seed-pixel", f"{click[0]:g},{click[1]:g}: nothing was detected there, the nearest thread "
+                         f"is {apart[nearest]:.0f} px away", "if it is on the thread, help the detection: --colour, --polarity, "
+                         "--width or --masks")
     ends = _ends(detection, line)
     off = [np.linalg.norm(end.pixel - click) for end in ends]
     if min(off, default=np.inf) <= END_PX:
@@ -194,7 +196,8 @@ def _settled(rig: Rig, seen: Sequence[_Place], curve: np.ndarray, spread: float)
                 information = information + np.outer(row, row) / sigma**2
                 slope = slope + row * (way @ (place.pixel - image[0])) / sigma**2
         point = point + np.linalg.solve(information, slope)
-    return Seed(point, float(np.sqrt(np.trace(np.linalg.inv(information)) / 3)))
+    sigma = float(np.sqrt(np.trace(np.linalg.inv(information)) / 3))
+    return Seed(point, sigma, seen[0].along == INSIDE_PX)
 
 
 def _depth(rig: Rig, seen: Sequence[_Place]) -> tuple[np.ndarray, float, float]:

@@ -71,7 +71,7 @@ def test_a_click_begins_a_thread_of_unknown_length(seen):
         assert np.linalg.norm(start - points[0]) < 3.0
         assert abs(whole.length[0] / LENGTH_MM - 1) < 0.03
         assert whole.range[0, 0] <= whole.length[0] <= whole.range[0, 1] < 1.1 * LENGTH_MM
-    with pytest.raises(InputError, match="--seed-pixel: 5,5: the nearest thread is"):
+    with pytest.raises(InputError, match="--seed-pixel: 5,5: nothing was detected there"):
         seed_from_pixels(rig, images, {0: (5.0, 5.0)}, "test")
 
 
