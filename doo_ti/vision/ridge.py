@@ -289,8 +289,8 @@ def likeness(image: np.ndarray, table: np.ndarray) -> np.ndarray:
 def between_edges(image: np.ndarray, point: np.ndarray, tangent: np.ndarray, width: float
                   ) -> tuple[np.ndarray, float]:
     """(N, 2) points of a line about ``width`` px wide with ``tangent`` (N, 2), each moved across to the middle between the
-    line's edges in an image (H, W, 3) uint8, and px between these: those in the channel of Lab, and of the polarity, in which they are
-    most distinct. Of a thread lit from one side, only that side may be alike in colour."""
+    line's edges in an image (H, W, 3) uint8, and px between these: those in the channel of Lab, and of the polarity, in which
+    they are most distinct. Of a thread lit from one side, only that side may be alike in colour."""
     normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
     channels = [gradient(np.ascontiguousarray(part)) for part in cv2.split(lab(image))]
     found = [edges_across(slopes, point, normal, sign, 1.25 * width + 2) for slopes in channels for sign in ("dark", "light")]
