@@ -122,7 +122,7 @@ def test_sets_without_a_rod_do_not_end_the_others(photographed, perceived, tmp_p
         words = ["perceive", "--rig", str(folder / "rig.yaml"), "--sets", str(sets), *MATERIAL[:6], "--no-recording"]
         text[name] = succeeded(capsys, [*words, "--out", str(tmp_path / f"{name}.npz")])
         found[name] = written(tmp_path / f"{name}.npz")
-    assert all(part in text["all"] for part in ("beside  no rod: ", "nothing was detected there", "blank.png: image: no thread"))
+    assert all(part in text["all"] for part in ("beside  no rod: ", "nothing was detected", "blank.png: image: no thread"))
     every, one = found["all"], found["one"]
     assert every["name"].tolist() == ["beside", "second", "blank"] and every["status"].tolist() == [4, 0, 4]
     assert every["verdict"].tolist() == [3, one["verdict"][0], 3] and not every["valid"][[0, 2]].any()
