@@ -176,6 +176,10 @@ class LengthBounds:
         edges = EDGES if self.edge is None else int(np.clip(round(length / self.edge), 4, MOST_EDGES))
         return np.full(edges, length / edges)
 
+    def limits(self, rest_length: np.ndarray) -> bool:
+        """Whether rods are as long as one of the bounds."""
+        return bool(np.isclose(rest_length.sum(), [self.least, self.most]).any())
+
 
 @dataclass(frozen=True)
 class PerceptionTask:

@@ -14,11 +14,10 @@ from doo_ti.learning.landscape import status_counts
 from doo_ti.rod.types import Status
 from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError
-from doo_ti.system.terminal import can_record, in_line, progress
+from doo_ti.system.terminal import can_record, in_line, progress, warn
 
 MARGIN_PX = 60  # of the distance maps around what was detected
 MOST_MAP_BYTES = 1 << 29  # of the distance maps held at once
-CLICK_PX = 1.0  # standard deviation of where a thread ends in an image
 LEAST_SIGMA_MM = 1e-3  # stated for vertices that the seed gives: no observation is exact
 LEFT_OVER = 0.02  # share of the rod's length; less is not mentioned
 OUTSIDE = 0.01  # share of the thread outside the other images that is worth saying
@@ -66,10 +65,10 @@ def run(options: Namespace) -> int:
         given.refuse_overwriting(path, *sources)
     with progress() as bar:
         detected, failed = _detected(task, bar)
-        begun, rows, length_range = _begun(task, detected, failed)
+        begun, rows, length_range, seed_sigma = _begun(task, detected, failed)
         detected = [detected[row] for row in rows]
         found, growth = _perceived(begun, detected, bar)
-        found = replace(found, length_range=np.broadcast_to(length_range, (len(rows), 2)))
+        found = found.begun_uncertainly(seed_sigma, length_range)
     image_options.warn_of_length(options, begun.rest_length.sum())
     task, every = replace(task, rest_length=begun.rest_length), found.among(rows, task.sets.count)
     save_arrays(out, _arrays(task, every))
@@ -95,16 +94,18 @@ def _detected(task: PerceptionTask, bar) -> tuple[list[list], dict[int, InputErr
 
 
 def _begun(task: PerceptionTask, detected: list[list], failed: dict[int, InputError]
-           ) -> tuple[PerceptionTask, np.ndarray, np.ndarray]:
-    """The sets in which a rod can begin, with seeds and rest lengths that are not given found in the images; their rows; and
-    (2,) mm between which the length is, NaN where it is given.
+           ) -> tuple[PerceptionTask, np.ndarray, np.ndarray, np.ndarray]:
+    """The sets in which a rod can begin, with seeds and rest lengths that are not given found in the images; their rows; (2,)
+    mm between which the length is, NaN where it is given; and (R,) mm how uncertain seeds are, zero where they are given.
 
     failed  why other sets have no rod, by their rows; those are added here in which nothing can be followed
 
     Raises InputError where no set is left.
     """
     length_range, rest_length = np.full(2, np.nan), task.rest_length
-    points = task.sets.point if task.sets.point is not None else _clicked_points(task.sets, detected, failed)
+    points, sigma = task.sets.point, np.zeros(task.sets.count)
+    if points is None:
+        points, sigma = _clicked_points(task.sets, detected, failed)
     rows = _left(task.sets, failed)
     sets = replace(task.sets.take(rows), point=points[rows])
     if rest_length is None or sets.direction is None:
@@ -127,21 +128,26 @@ def _begun(task: PerceptionTask, detected: list[list], failed: dict[int, InputEr
         apart = (np.nanmedian(threads.range, axis=0) - middle) / np.sqrt(np.isfinite(threads.length).sum())
         length_range = np.clip(middle + apart, task.length_bounds.least, task.length_bounds.most)
     truth = None if task.truth is None else task.truth[rows]
-    return replace(task, sets=sets, rest_length=rest_length, truth=truth), rows, length_range
+    return replace(task, sets=sets, rest_length=rest_length, truth=truth), rows, length_range, sigma[rows]
 
 
-def _clicked_points(sets, detected: list[list], failed: dict[int, InputError]) -> np.ndarray:
-    """(A, 3) mm where the rods of the clicks begin; NaN where none does, which ``failed`` gets the reason of."""
+def _clicked_points(sets, detected: list[list], failed: dict[int, InputError]
+                    ) -> tuple[np.ndarray, np.ndarray]:
+    """(A, 3) mm where the rods of the clicks begin, and (A,) mm how uncertain that is; NaN where none does, which ``failed``
+    gets the reason of."""
     from doo_ti.perception.seeds import seed_from_pixels
 
-    points = np.full((sets.count, 3), np.nan)
+    points, sigma = np.full((sets.count, 3), np.nan), np.full(sets.count, np.nan)
     for row in range(sets.count):
         try:
             if row not in failed:
-                points[row] = seed_from_pixels(sets.rig, detected[row], sets.clicks[row], _source(sets, row))
+                seed = seed_from_pixels(sets.rig, detected[row], sets.clicks[row], _source(sets, row))
+                points[row], sigma[row] = seed.point, seed.sigma
+                if seed.inside:
+                    warn(f"{_source(sets, row)}: no end of the thread is near the pixel: the rod begins within the thread")
         except InputError as error:
             failed[row] = error
-    return points
+    return points, sigma
 
 
 def _source(sets, row: int) -> str:
@@ -189,23 +195,18 @@ def _arrays(task: PerceptionTask, found) -> dict[str, np.ndarray]:
     return {
         "name": np.array(task.sets.names), "vertices_mm": found.vertices, "rest_length_mm": task.rest_length, "up": task.up,
         "valid": sound & np.isfinite(found.vertices).all(axis=-1),
-        "sigma_mm": np.where(sound, np.maximum(_sigma(task, found), LEAST_SIGMA_MM), np.nan),
+        "sigma_mm": np.where(sound, np.maximum(_sigma(found), LEAST_SIGMA_MM), np.nan),
         "energy_vis": found.energy_vis, "status": found.status, "stable": found.stable,
         "camera_error_px": found.camera_error, "coverage": found.coverage, "thread_length_mm": found.thread_length,
         "left_over_mm": found.left_over, "length_range_mm": found.length_range, "outside": found.outside,
-        "verdict": found.verdict, "gap_px": found.gap, "unsupported": found.unsupported,
+        "hidden": found.hidden, "verdict": found.verdict, "gap_px": found.gap, "unsupported": found.unsupported,
         "runner_up_mm": found.runner_up, "runner_up_energy_vis": found.runner_up_energy,
     }
 
 
-def _sigma(task: PerceptionTask, found) -> np.ndarray:
-    """(S, V) mm. The first two vertices, which the seed gives, are as uncertain as a click where the seed was one; the last one
-    is as uncertain along the rod as a length that was found, whose range is four standard deviations wide."""
-    from doo_ti.perception.shape_uncertainty import point_sigma
-
+def _sigma(found) -> np.ndarray:
+    """(S, V) mm. The last vertex is uncertain along the rod as its length is, whose range is four standard deviations wide."""
     sigma = found.sigma.copy()
-    if task.sets.clicks is not None:
-        sigma[:, :2] = np.maximum(sigma[:, :2], point_sigma(task.sets.rig, found.vertices[:, :2], CLICK_PX))
     sigma[:, -1] = np.hypot(sigma[:, -1], np.nan_to_num(np.ptp(found.length_range, axis=1)) / 4 / np.sqrt(3))
     return sigma
 
@@ -239,18 +240,15 @@ def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found
 
         picture = out.with_suffix(".png")
         rods = [seen(row) for row in there[:MOST_SETS]]
-        left_out = task.sets.count - len(rods)
-        reprojections_picture(picture, rig, rods, up=task.up, left_out=left_out)
+        reprojections_picture(picture, rig, rods, up=task.up, left_out=task.sets.count - len(rods))
         written.append(picture)
     if (there < task.recorded).any() and can_record():
         from doo_ti.record import record_perception
 
         recording = out.with_suffix(".rrd")
         rows = there[there < task.recorded]
-        rods = [seen(row) for row in rows]
-        record_perception(recording, run_id=f"perceive {out.name}", name=out.stem, rig=rig, rods=rods,
-                          growth=[growth.of(row, task.sets.point[row], task.rest_length) for row in rows],
-                          up=task.up)
+        record_perception(recording, run_id=f"perceive {out.name}", name=out.stem, rig=rig, rods=[seen(row) for row in rows],
+                          growth=[growth.of(row, task.sets.point[row], task.rest_length) for row in rows], up=task.up)
         written.append(recording)
     return written
 
@@ -261,11 +259,11 @@ def _summary(task: PerceptionTask, detected: list[list], found, failed: dict[int
 
     sets = [{
         "name": name, "length_mm": task.rest_length.sum(), "status": Status(found.status[row]).name.lower(),
-        "stable": found.stable[row],
-        "energy_vis": found.energy_vis[row], "camera_error_px": found.camera_error[row], "gap_px": found.gap[row],
-        "verdict": _word(found.verdict[row]), "unsupported_edges": found.unsupported[row].sum(),
+        "stable": found.stable[row], "energy_vis": found.energy_vis[row], "camera_error_px": found.camera_error[row],
+        "gap_px": found.gap[row], "verdict": _word(found.verdict[row]), "unsupported_edges": found.unsupported[row].sum(),
         "coverage": found.coverage[row], "thread_length_mm": found.thread_length[row], "left_over_mm": found.left_over[row],
-        "length_range_mm": found.length_range[row], "outside": found.outside[row],
+        "length_range_mm": found.length_range[row], "bounded": task.length_bounds.limits(task.rest_length),
+        "outside": found.outside[row], "hidden": found.hidden[row],
         "unsupported_mm": task.rest_length[found.unsupported[row]].sum(),
         "mean_sigma_mm": found.sigma[row].mean() if found.sound[row] else None, **_errors(task, found, row),
         "failed": str(failed[row]) if row in failed else None,
@@ -273,10 +271,8 @@ def _summary(task: PerceptionTask, detected: list[list], found, failed: dict[int
     return {
         "sets": sets, "cameras": task.sets.rig.names, "edges": len(task.rest_length),
         "detected_width_px": np.median([detection.width_px for line in detected for detection in line]),
-        "status": status_counts(found.status),
-        "stable": found.stable.sum(),
-        "not_certified": (~found.sound).sum(),
-        "found": _found(found).sum(),
+        "status": status_counts(found.status), "stable": found.stable.sum(),
+        "not_certified": (~found.sound).sum(), "found": _found(found).sum(),
         "verdicts": {_word(verdict): (found.verdict == verdict).sum() for verdict in PerceptionVerdict},
         "guessed_bend_mm3": GUESSED_BEND if task.guessed else None,
         "orientation": image_options.orientation_note(
@@ -312,7 +308,7 @@ def _lines(summary: dict) -> list[str]:
     return [
         f"{counted(len(sets), 'set')} of {len(summary['cameras'])} images, rods of {summary['edges']} edges, "
         f"{sets[0]['length_mm']:.4g} mm long; thread {summary['detected_width_px']:.1f} px wide",
-        *shortened([f"  {entry['name']:<{width}}  {_set_text(entry)}" for entry in sets], MOST_LISTED,
+        *shortened([f"  {entry['name']:<{width}}  {_set_text(entry, summary['cameras'])}" for entry in sets], MOST_LISTED,
                    "  and {} more, which --json lists"),
         f"  status      {status_text(summary['status'])}; {summary['stable']} certified stable",
         f"  certified   {len(sets) - summary['not_certified']} of {len(sets)} rods converged to certified minima; "
@@ -325,8 +321,8 @@ def _lines(summary: dict) -> list[str]:
         *(f"  written to  {in_line(path)}" for path in summary["written"])]
 
 
-def _set_text(entry: dict) -> str:
-    """One set as text."""
+def _set_text(entry: dict, cameras: tuple[str, ...]) -> str:
+    """One set of images of the ``cameras`` as text."""
     if entry["failed"] is not None:
         return f"no rod: {entry['failed']}"
     pixels = " ".join(f"{value:.2f}" if np.isfinite(value) else "unseen" for value in entry["camera_error_px"])
@@ -337,8 +333,10 @@ def _set_text(entry: dict) -> str:
         parts.append(f"explains {100 * min(entry['coverage']):.0f} % of the thread")
     if max(entry["outside"]) > OUTSIDE:
         parts.append(f"{100 * max(entry['outside']):.0f} % of the thread outside the other images, not seen there")
+    parts += [f"{100 * share:.0f} % of the rod hidden from {name}" for name, share in zip(cameras, entry["hidden"], strict=True)
+              if share > OUTSIDE]
     if np.isfinite(entry["length_range_mm"]).all():
-        parts.append("length found, {:.4g} to {:.4g} mm".format(*entry["length_range_mm"]))
+        parts.append("length found, {:.4g} to {:.4g} mm".format(*entry["length_range_mm"]) + " at a bound" * entry["bounded"])
     if np.isfinite(entry["thread_length_mm"]):
         parts.append(f"the thread is {entry['thread_length_mm']:.4g} mm long")
     if entry["left_over_mm"] > LEFT_OVER * entry["length_mm"]:

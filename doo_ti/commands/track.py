@@ -103,9 +103,10 @@ def load_frames(path: Path, rig, clicks_of=lambda rig: {}):
     form = f"frame, one per camera, and {SEEDS}"
     table = read_csv(path, ("frame",), form=form, short_lines=True)
     given_clicks = bool(clicks_of(rig))
-    clicked, seed = ([], ()) if given_clicks and not {*SEED} & {*table.columns} else seed_columns(table, rig, form)
-    if given_clicks and seed:
-        raise InputError(given.SOURCE, "--seed-pixel", f"given, but {path} has the column {seed[0]}", "give either")
+    places = [*SEED, *(f"{name}_{axis}" for name in rig.names for axis in "uv")]
+    if given_clicks and (beside := [name for name in places if name in table.columns]):
+        raise InputError(given.SOURCE, "--seed-pixel", f"given, but {path} has the column {beside[0]}", "give either")
+    clicked, seed = ([], ()) if given_clicks else seed_columns(table, rig, form)
     cameras = cameras_in(table, rig, ("frame", "time_s", *seed))
     paths = images_in(table, cameras)
     for camera, name in enumerate(cameras):
@@ -149,12 +150,13 @@ def _tracked(task: TrackingTask) -> tuple[np.ndarray, list, str | None]:
             shown = bar.add_task("tracking", total=frames.count, unit="frames")
             for row, detected in enumerate(image_options.detections(task.sight, frames.paths, frames.rig.cameras)):
                 if frames.point is not None or frames.clicks[row]:
-                    point, direction, length = _begun(task, row, detected)
+                    point, sigma, direction, length = _begun(task, row, detected)
                 if row == 0:
                     rest_length = task.length_bounds.rest_length(length) if rest_length is None else rest_length
                     tracker = Tracker(frames.rig, rest_length, task.material, up=task.up, surroundings=task.surroundings)
                 far = None if task.far is None or row == 0 else task.far[row - 1]
-                found.append(tracker.see(detected, point, direction, far))
+                frame, off = tracker.see(detected, point, direction, far), _off_thread(frames.rig, detected, point)
+                found.append(frame.begun_uncertainly(*((0.0, 0.0) if frames.point is not None else (sigma, off))))
                 bar.advance(shown)
     except (InputError, OSError, KeyboardInterrupt) as problem:
         if not found:
@@ -163,23 +165,31 @@ def _tracked(task: TrackingTask) -> tuple[np.ndarray, list, str | None]:
     return rest_length, found, None
 
 
-def _begun(task: TrackingTask, row: int, detected: list) -> tuple[np.ndarray, np.ndarray, float]:
-    """Where the rod begins in a frame, in which direction, and how long the thread is from there on, mm; NaN where that need
-    not be known. Raises InputError where no thread can be followed."""
+def _off_thread(rig, detected: list, point: np.ndarray) -> float:
+    """mm by which ``point`` (3,) is off the detected thread in two cameras or more."""
+    off = [np.linalg.norm(found.points - camera.project(point), axis=1).min(initial=np.inf) * camera.depth(point)
+           / camera.lens[:2].mean() for camera, found in zip(rig.cameras, detected, strict=True)]
+    return float(np.sort(off)[min(2, len(off)) - 1])
+
+
+def _begun(task: TrackingTask, row: int, detected: list) -> tuple[np.ndarray, float, np.ndarray, float]:
+    """Where the rod begins in a frame, mm by which that is uncertain, in which direction, and how long the thread is from there
+    on, mm; NaN where that need not be known. Raises InputError where no thread can be followed."""
     from doo_ti.perception.seeds import seed_from_pixels, whole_threads
 
-    frames, direction = task.frames, None
+    frames, direction, sigma = task.frames, None, 0.0
     source = f"{frames.source}: {in_line(frames.names[row])}"
     if frames.point is None:
-        point = seed_from_pixels(frames.rig, detected, frames.clicks[row], source)
+        seed = seed_from_pixels(frames.rig, detected, frames.clicks[row], source)
+        point, sigma = seed.point, seed.sigma
     else:
         point, direction = frames.point[row], frames.direction[row : row + 1]
         if row or task.rest_length is not None:
-            return point, direction[0], np.nan
+            return point, sigma, direction[0], np.nan
     thread = whole_threads(frames.rig, [detected], point[None], direction, task.material, task.up)
     if np.isnan(thread.length[0]):
         raise InputError(source, "seed", "no thread can be followed from it", "give another, or --rest-length")
-    return point, thread.direction[0], float(thread.length[0])
+    return point, sigma, thread.direction[0], float(thread.length[0])
 
 
 def _arrays(task: TrackingTask, rest_length: np.ndarray, found: list) -> dict[str, np.ndarray]:
@@ -195,13 +205,14 @@ def _arrays(task: TrackingTask, rest_length: np.ndarray, found: list) -> dict[st
 
 
 def _summary(task: TrackingTask, result: dict, written: list[Path]) -> dict:
+    from doo_ti.perception.perceive import CERTAIN_MM
     from doo_ti.perception.tracking import How
 
     how, error, lengths = (result[name] for name in ("how", "camera_error_px", "rest_length_mm"))
     return {
         "frames": len(how), "cameras": task.frames.rig.names, "edges": len(lengths), "length_mm": lengths.sum(),
         **{each.name.lower(): result["name"][how == each] for each in How},
-        "stable": result["stable"].sum(),
+        "stable": result["stable"].sum(), "uncertain": result["name"][result["sigma_mm"][:, 0] > CERTAIN_MM],
         "camera_error_px": error[np.isfinite(error)].mean() if (how < How.LOST).any() else None,
         "orientation": image_options.orientation_note(
             (path for line in task.frames.paths for path in line), task.frames.rig.cameras[0].turned),
@@ -210,12 +221,17 @@ def _summary(task: TrackingTask, result: dict, written: list[Path]) -> dict:
 
 
 def _lines(summary: dict) -> list[str]:
+    from doo_ti.perception.perceive import CERTAIN_MM
+
     lines = [f"{summary['frames']} frames of {len(summary['cameras'])} images, a rod of {summary['edges']} edges, "
              f"{summary['length_mm']:.4g} mm long",
              f"  tracked     {len(summary['tracked'])} frames, each from the one before"]
-    for key, words in (("seeded", "by Algorithm 1"), ("lost", "in which the rod is lost")):
+    for key, words in (("seeded", "by Algorithm 1"), ("lost", "in which the rod is lost"),
+                       ("uncertain", f"whose start is uncertain by {CERTAIN_MM:g} mm or off the thread; click there, too")):
         names = summary[key]
         listed = ", ".join(names[:MOST_LISTED]) + f" and {len(names) - MOST_LISTED} more" * (len(names) > MOST_LISTED)
+        if key == "uncertain" and not len(names):
+            continue
         lines.append(f"  {key:<11} {counted(len(names), 'frame')} {words}{': ' * bool(len(names))}{listed}")
     if summary["camera_error_px"] is not None:
         off = summary["camera_error_px"]

@@ -153,10 +153,12 @@ def epipolar_distance(rig: Rig, a: int, b: int, one: np.ndarray, other: np.ndarr
 
 # --- depth ----------------------------------------------------------------------------------------------------------------
 
-def curve_of(rig: Rig, match: Match, start: np.ndarray, smooth: float, held: float = HELD) -> tuple[np.ndarray, np.ndarray]:
-    """(K, 3) mm: the curve from ``start`` (3,) along the rays of the first camera, and (C, K) px where it is along the paths.
+def curve_of(rig: Rig, match: Match, start: np.ndarray, smooth: float, known: float | None = None
+             ) -> tuple[np.ndarray, np.ndarray, float]:
+    """(K, 3) mm: the curve from ``start`` (3,) along the rays of the first camera, (C, K) px where it is along the paths, and
+    the standard deviation of the logarithm of its first depth for 1 px of the places' distances.
 
-    held    information that the depth of ``start`` is right, over the median
+    known   information of the logarithm of the depth of ``start``, for 1 px of the places' distances; None: it is right
     smooth  weight of the squared second differences of ln depth, over the median information that the images hold of it
     """
     camera, arcs = rig.cameras[0], match.arcs.copy()
@@ -183,10 +185,12 @@ def curve_of(rig: Rig, match: Match, start: np.ndarray, smooth: float, held: flo
                 information += np.where(sound, weight * share * rate**2, 0.0)
                 slope += np.where(sound, weight * share * rate * miss, 0.0)
         scale = max(float(np.median(information)), 1e-9)
-        information[0] += held * scale
-        slope[0] += held * scale * (np.log(max(camera.depth(start), 1e-6)) - depth[0])
+        held = HELD * scale if known is None else known
+        information[0] += held
+        slope[0] += held * (np.log(max(camera.depth(start), 1e-6)) - depth[0])
         depth = np.clip(depth + _smooth_step(information, slope, depth, smooth * scale), -13.0, 16.0)
-    return centre + np.exp(depth)[:, None] * world, arcs
+    first = _smooth_step(information, np.eye(1, len(depth))[0], np.zeros(len(depth)), smooth * scale)[0]
+    return centre + np.exp(depth)[:, None] * world, arcs, float(np.sqrt(max(first, 0.0)))
 
 
 def _smooth_step(information: np.ndarray, slope: np.ndarray, value: np.ndarray, weight: float) -> np.ndarray:

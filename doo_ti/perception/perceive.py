@@ -23,7 +23,7 @@ Axes: A image sets, C cameras, N hypotheses of all sets, E edges, V vertices, K 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -81,7 +81,9 @@ class Perception:
     vertices          (A, V, 3) mm: the best rod of each set at its marks, a certified minimum if there is one
     configuration     the same rod with every edge in pieces, as it was relaxed
     energy_vis        (A,) its E_vis, 1/mm
-    camera_error      (A, C) px: its distance to the detection, mean along it, in each camera; 0 is a perfect fit
+    camera_error      (A, C) px: its distance to the detection, mean along what is not hidden of it, in each camera; 0 is a
+                      perfect fit
+    hidden            (A, C) share of its image that is far from the detection there, while two other cameras see it
     status            (A,) Status of its last relaxation
     stable            (A,) bool: certified to be a minimum of E_vis
     sigma             (A, V) mm: uncertainty of its vertices by noise in the detection
@@ -107,6 +109,7 @@ class Perception:
     configuration: Configuration
     energy_vis: np.ndarray
     camera_error: np.ndarray
+    hidden: np.ndarray
     status: np.ndarray
     stable: np.ndarray
     sigma: np.ndarray
@@ -153,6 +156,13 @@ class Perception:
         values = {name: np.concatenate([getattr(part, name) for part in parts]) for name in cls.__dataclass_fields__
                   if name != "configuration"}
         return cls(configuration=whole, **values)
+
+    def begun_uncertainly(self, seed_sigma: np.ndarray, length_range: np.ndarray) -> "Perception":
+        """The same with rods whose first two vertices are as uncertain as the seeds (A,) mm, and (2,) mm between which their
+        length is."""
+        sigma = self.sigma.copy()
+        sigma[:, :2] = np.maximum(sigma[:, :2], seed_sigma[:, None])
+        return replace(self, sigma=sigma, length_range=np.broadcast_to(length_range, self.length_range.shape))
 
     def among(self, rows: np.ndarray, count: int) -> "Perception":
         """The same as ``rows`` of ``count`` sets. In the others there is no rod: NaN, with the status INFEASIBLE."""
@@ -260,6 +270,9 @@ def _result(search: Search, kept: Hypotheses) -> Perception:
     rods = final.configuration.take(best)
     with np.errstate(invalid="ignore"):  # a rod that is not finite is data
         edge_error, image_length = _reprojected(search, rods.vertices)
+        near = edge_error <= options.unsupported
+        hidden = ~near & (near.sum(axis=1, keepdims=True) >= 2)
+        seen_length = np.where(hidden, 0.0, image_length)
         worse = runner_up_energy.min(axis=1, initial=np.inf) - final.energy_vis[best]
         sigma = search.sigma(rods)
     both = search.maps.detections is not None and options.evidence == "both"
@@ -269,7 +282,8 @@ def _result(search: Search, kept: Hypotheses) -> Perception:
         configuration=rods,
         energy_vis=final.energy_vis[best],
         # The distance is smoothed near lines, whose mean effect is subtracted: on the line itself it can be -0.01.
-        camera_error=np.maximum(np.einsum("ace,ace->ac", edge_error, image_length) / image_length.sum(axis=2), 0.0),
+        camera_error=np.maximum(np.einsum("ace,ace->ac", edge_error, seen_length) / seen_length.sum(axis=2), 0.0),
+        hidden=1 - seen_length.sum(axis=2) / image_length.sum(axis=2),
         status=final.status[best],
         stable=final.certified[best],
         sigma=sigma,

@@ -16,7 +16,7 @@ import numpy as np
 
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.perception.growth import Hypotheses, sampled_directions, select_hypotheses, suppress_similar
-from doo_ti.perception.shape_uncertainty import line_scatter, vertex_sigma
+from doo_ti.perception.shape_uncertainty import detected_places, line_scatter, vertex_sigma
 from doo_ti.perception.traced import SAME_LENGTH, whole_rods
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
@@ -195,8 +195,11 @@ class Search:
     def sigma(self, rods: Configuration) -> np.ndarray:
         """(A, V) mm: uncertainty of the marks of one rod of each set, whose edges are cut into pieces."""
         detections, marks = self.maps.detections, rods.vertices[:, :: self.options.pieces]
-        scatter = 0.0 if detections is None else line_scatter(self.rig, rods.vertices, detections)
-        return vertex_sigma(self.rig, marks, self.options.sigma_px, self.options.correlation_px, scatter)
+        noise = self.options.sigma_px, self.options.correlation_px
+        if detections is None:
+            return vertex_sigma(self.rig, marks, *noise)
+        detected = detected_places(self.rig, rods.vertices, self.options.pieces, detections)
+        return vertex_sigma(self.rig, marks, *noise, line_scatter(self.rig, rods.vertices, detections), detected)
 
     def seen(self, points: int, nu: float, cap: float) -> Reprojection:
         """ν Σ E_proj in the units of the rod's energy."""

@@ -1,8 +1,9 @@
 """Where a rod begins, found in the images: from a clicked pixel, or from two (docs/perception.md).
 
 A click names the end of the detected line that is nearest, or a place on it. In a camera without a click the rod begins at an
-end, or else at a place, of the detected line near the epipolar line of the click. Of several the one is taken whose paths from
-there on belong together best. The curve along these paths says where the rod begins in depth.
+end, or at a place, of the detected line near the epipolar line of the click. Of several choices the one is taken whose rays
+meet and whose paths from there on belong together best. The rod begins on the curve along these paths, where the ends, or
+clicks, are, each as far as it is certain. Of three cameras or more some may not see where the rod begins.
 
 Threads of unknown length, from a seed to where they end in the images (docs/perception.md).
 
@@ -35,15 +36,39 @@ from doo_ti.vision.triangulation import rays
 
 CLICK_PX, END_PX = 30.0, 15.0  # A click is this near to the thread; an end this near to a click is meant
 EPIPOLAR_PX = 8.0  # an end this near to the epipolar line of a click may be its image
-MOST_PLACES = 12
-SMOOTH = 1e3
+MOST_PLACES, MOST_CHOICES = 12, 24
+LINE_PX, ENDS_PX, INSIDE_PX = 0.8, 1.5, 3.0
+"""Standard deviations of a place: across the line, and along it where an end of the line is meant or the inside of it. Ends may
+be cut or round: of wide threads they are less exact, by ROUND of their width."""
+ROUND = 0.3
+SMOOTH, TANGENT = 100.0, 5  # of the curve; its places between which it has a direction
 LONG_PX = 0.05  # cost of a curve e times as long: a long thread that looks short in all images is improbable
+MISSED_PX = 0.2  # cost of rays that miss each other by as much as their places are uncertain along the line, times that
+INSIDE_COST, HIDDEN_COST = 0.5, 0.5  # px, of a place that is no end of a line, and of a camera that sees no start
+ALIKE_COST = 0.06  # px: standard deviation, over √½, of the cost of a choice that belongs together
 FAR = 30.0  # distances between cameras: how far away a thread is thought to begin whose rays do not meet in front of them
 
 
-def seed_from_pixels(rig: Rig, detections: Sequence[Detection], clicks: Mapping[int, Sequence[float]], source: str
-                     ) -> np.ndarray:
-    """(3,) mm where the rod begins.
+@dataclass(frozen=True)
+class Seed:
+    """Where a rod begins."""
+
+    point: np.ndarray  # (3,) mm
+    sigma: float  # mm: its standard deviation, root mean square over the coordinates
+    inside: bool  # no end of the thread is near the click
+
+
+@dataclass(frozen=True)
+class _Place:
+    """A place on a line where the rod may begin."""
+
+    pixel: np.ndarray  # (2,) px
+    tangent: np.ndarray  # (2,) unit vector along the line
+    along: float  # px: its standard deviation along the line; infinite where only another camera says where it is
+
+
+def seed_from_pixels(rig: Rig, detections: Sequence[Detection], clicks: Mapping[int, Sequence[float]], source: str) -> Seed:
+    """Where the rod begins.
 
     detections  of the C cameras
     clicks      camera: (u, v) px; one or more
@@ -56,73 +81,143 @@ def seed_from_pixels(rig: Rig, detections: Sequence[Detection], clicks: Mapping[
     lines = [Chains.of(detection) for detection in detections]
     given = {camera: _clicked(detections[camera], lines[camera], np.asarray(click, dtype=float), source)
              for camera, click in clicks.items()}
-    known = min(given)
-    places = [given[camera] if camera in given else _across(rig, known, camera, given[known][0], *one)
-              for camera, one in enumerate(zip(detections, lines, strict=True))]
-    if not all(len(there) for there in places):
-        camera = next(camera for camera, there in enumerate(places) if not len(there))
-        raise InputError(source, "--seed-pixel", f"nothing in the image of {rig.names[camera]} belongs to the pixel",
+    known = min(given, key=lambda camera: (given[camera].along, camera))
+    order = [known, *(camera for camera in range(len(lines)) if camera != known)]
+    places: list[list] = [[given[camera]] if camera in given else _across(rig, known, camera, given[known], detections[camera],
+                                                                         lines[camera]) for camera in order]
+    if sum(map(bool, places)) < 2:
+        raise InputError(source, "--seed-pixel", f"nothing in the image of {rig.names[order[1]]} belongs to the pixel",
                          "give a pixel in that camera, too")
-    best = None
-    for choice in _choices(places):
-        found = _seed(rig, lines, choice)
-        if found is not None and (best is None or found[0] < best[0]):
-            best = found
-    if best is None:
+    ordered, tried = Rig(tuple(rig.cameras[camera] for camera in order)), []
+    for miss, choice in _choices(ordered, places, {order.index(camera) for camera in given}):
+        found = _seed(ordered, [lines[camera] for camera in order], choice)
+        if found is not None:
+            tried.append((found[0] + miss, found[1]))
+    if not tried:
         raise InputError(source, "--seed-pixel", "no thread can be followed from there", "give another pixel, or --seed-point")
-    return best[1]
+    least, best = min(tried, key=lambda one: one[0])
+    apart = max(np.linalg.norm(seed.point - best.point) * np.exp(-(((cost - least) / ALIKE_COST) ** 2)) for cost, seed in tried)
+    return replace(best, sigma=float(np.hypot(best.sigma, apart / np.sqrt(3))))
 
 
-def _clicked(detection: Detection, line: Chains, click: np.ndarray, source: str) -> np.ndarray:
-    """(1, 2) px: the end near the click, else the place of the line nearest to it."""
-    points = thinned(detection)[0]
-    nearest = points[np.linalg.norm(points - click, axis=1).argmin()]
-    if np.linalg.norm(nearest - click) > CLICK_PX:
-        raise InputError(source, "--seed-pixel", f"{click[0]:g},{click[1]:g}: the nearest thread is "
-                         f"{np.linalg.norm(nearest - click):.0f} px away", "click on the thread")
-    ends = line.free_ends
-    if len(ends):
-        apart = np.linalg.norm(ends - click, axis=1)
-        if apart.min() <= END_PX:
-            return ends[[int(apart.argmin())]]
-    return nearest[None]
+def _clicked(detection: Detection, line: Chains, click: np.ndarray, source: str) -> _Place:
+    """The end near the click, else the place of the line nearest to it."""
+    points, direction = thinned(detection)
+    apart = np.linalg.norm(points - click, axis=1)
+    nearest = int(apart.argmin())
+    if apart[nearest] > CLICK_PX:
+        raise InputError(source, "--seed-pixel", f"{click[0]:g},{click[1]:g}: nothing was detected there, the nearest thread "
+                         f"is {apart[nearest]:.0f} px away", "if it is on the thread, help the detection: --colour, "
+                         "--polarity, --width or --masks")
+    ends = _ends(detection, line)
+    off = [np.linalg.norm(end.pixel - click) for end in ends]
+    if min(off, default=np.inf) <= END_PX:
+        return ends[int(np.argmin(off))]
+    return _Place(points[nearest], direction[nearest], INSIDE_PX)
 
 
-def _across(rig: Rig, known: int, camera: int, pixel: np.ndarray, detection: Detection, line: Chains) -> np.ndarray:
-    """(K, 2) px in ``camera`` that may belong to ``pixel`` of the camera ``known``: ends near its epipolar line, else places of
+def _ends(detection: Detection, line: Chains) -> list[_Place]:
+    """The free ends of a line."""
+    ends, (points, direction) = line.free_ends, thinned(detection)
+    along = max(ENDS_PX, ROUND * detection.width_px)
+    return [_Place(end, direction[np.linalg.norm(points - end, axis=1).argmin()], along) for end in ends]
+
+
+def _across(rig: Rig, known: int, camera: int, place: _Place, detection: Detection, line: Chains) -> list[_Place]:
+    """Those in ``camera`` that may belong to the ``place`` in the camera ``known``: ends near its epipolar line, and places of
     the line on it."""
-    ends, points = line.free_ends, thinned(detection)[0]
-    if len(ends):
-        apart = epipolar_distance(rig, known, camera, pixel[None], ends)[0]
-        near = np.flatnonzero(apart <= EPIPOLAR_PX)
-        if len(near):
-            return ends[near[np.argsort(apart[near], kind="stable")]][:MOST_PLACES]
-    apart = epipolar_distance(rig, known, camera, pixel[None], points)[0]
-    kept: list[np.ndarray] = []
-    for place in points[np.argsort(apart, kind="stable")][apart.min() + 1.0 >= np.sort(apart)]:
-        if len(kept) < MOST_PLACES and all(np.linalg.norm(place - other) > END_PX for other in kept):
-            kept.append(place)
-    return np.array(kept).reshape(-1, 2)
+    if not detection.count:
+        return []
+    kept, (points, direction) = _ends(detection, line), thinned(detection)
+    if kept:
+        apart = epipolar_distance(rig, known, camera, place.pixel[None], np.array([end.pixel for end in kept]))[0]
+        kept = [kept[k] for k in np.argsort(apart, kind="stable") if apart[k] <= EPIPOLAR_PX]
+    apart = epipolar_distance(rig, known, camera, place.pixel[None], points)[0]
+    for k in np.argsort(apart, kind="stable")[: np.count_nonzero(apart <= apart.min() + 1.0)]:
+        if len(kept) < MOST_PLACES and all(np.linalg.norm(points[k] - other.pixel) > END_PX for other in kept):
+            kept.append(_Place(points[k], direction[k], np.inf))
+    return kept[:MOST_PLACES]
 
 
-def _choices(places: list[np.ndarray]):
-    """One place of each camera: the first of most cameras, each of those of every camera in turn."""
-    first = [there[0] for there in places]
-    yield first
-    for camera, there in enumerate(places):
-        for other in there[1:]:
-            yield [*first[:camera], other, *first[camera + 1 :]]
+def _choices(rig: Rig, places: Sequence[list[_Place]], clicked: set[int]) -> list[tuple[float, list]]:
+    """(cost in px, a place in each camera, or None in one that does not see where the rod begins): those of least cost of rays
+    that miss each other. Cameras that are ``clicked`` see it."""
+    found = [(0.0, [places[0][0]])]
+    for camera, there in enumerate(places[1:], start=1):
+        hidden = [None] if len(places) > 2 and camera not in clicked else []
+        longer = [[*choice, place] for _, choice in found for place in [*there, *hidden]]
+        found = sorted(((_missed(rig, choice), choice) for choice in longer), key=lambda one: one[0])[:MOST_CHOICES]
+    return [(cost, choice) for cost, choice in found if sum(place is not None for place in choice) > 1]
 
 
-def _seed(rig: Rig, lines: Sequence[Chains], pixels: Sequence[np.ndarray]) -> tuple[float, np.ndarray] | None:
-    """(cost in px, point) of the rod that begins at ``pixels`` of the cameras; None where none does."""
-    paths = [paths_from(line, pixel, None, PATHS) for line, pixel in zip(lines, pixels, strict=True)]
+def _missed(rig: Rig, choice: Sequence) -> float:
+    """px: what it costs that rays miss each other, that a place is no end of a line, and that a camera sees no start."""
+    seen = [place for place in choice if place is not None]
+    inside = sum(np.isinf(place.along) for place in seen) if seen[0].along < INSIDE_PX else 0  # an end is one in all cameras
+    cost = HIDDEN_COST * (len(choice) - len(seen)) + INSIDE_COST * inside
+    if len(seen) < 2:
+        return cost
+    return cost + MISSED_PX * _depth(*_seeing(rig, choice))[2]
+
+
+def _seeing(rig: Rig, choice: Sequence) -> tuple[Rig, list[_Place]]:
+    """The cameras that see where the rod begins, and where."""
+    kept = [camera for camera, place in enumerate(choice) if place is not None]
+    return Rig(tuple(rig.cameras[camera] for camera in kept)), [choice[camera] for camera in kept]
+
+
+def _seed(rig: Rig, lines: Sequence[Chains], choice: Sequence) -> tuple[float, Seed] | None:
+    """(cost in px, seed) of the rod that begins at the places ``choice`` of the cameras; None where none does."""
+    paths = [paths_from(line, place.pixel, None, PATHS) for line, place in zip(lines, choice, strict=True) if place is not None]
+    rig, seen = _seeing(rig, choice)
     matches = best_matches(rig, paths, 1)
     if not matches:
         return None
-    curve, _ = curve_of(rig, matches[0], _between_rays(rig, pixels), SMOOTH, held=0.0)
+    start, information, _ = _depth(rig, seen)
+    curve, _, spread = curve_of(rig, matches[0], start, SMOOTH, LINE_PX**2 * information)
     length = float(np.linalg.norm(np.diff(curve, axis=0), axis=1).sum())
-    return matches[0].cost + LONG_PX * np.log(max(length, 1e-9)), curve[0]
+    return matches[0].cost + LONG_PX * np.log(max(length, 1e-9)), _settled(rig, seen, curve, LINE_PX * spread)
+
+
+def _settled(rig: Rig, seen: Sequence[_Place], curve: np.ndarray, spread: float) -> Seed:
+    """Where the rod begins by the places ``seen`` and by the beginning of a ``curve`` (K, 3), whose depth in the first camera
+    is uncertain by the share ``spread``: along it, only the places say where."""
+    sight, tangent = curve[0] - rig.cameras[0].centre, curve[min(TANGENT, len(curve) - 1)] - curve[0]
+    tangent = tangent / max(np.linalg.norm(tangent), 1e-12)
+    aside = sight - (sight @ tangent) * tangent  # across the curve, mm that all of its depth is
+    held = np.outer(aside, aside) / max(spread * (aside @ aside), 1e-12) ** 2
+    point = curve[0]
+    for _ in range(ROUNDS):
+        information, slope = held + 1e-12 * np.eye(3), held @ (curve[0] - point)
+        for place, view in zip(seen, rig.cameras, strict=True):
+            image, by_point, _ = view.project_with_jacobian(point[None])
+            for way, sigma in ((np.array([-place.tangent[1], place.tangent[0]]), LINE_PX), (place.tangent, place.along)):
+                row = way @ by_point[0] @ view.rotation
+                information = information + np.outer(row, row) / sigma**2
+                slope = slope + row * (way @ (place.pixel - image[0])) / sigma**2
+        point = point + np.linalg.solve(information, slope)
+    sigma = float(np.sqrt(np.trace(np.linalg.inv(information)) / 3))
+    return Seed(point, sigma, seen[0].along == INSIDE_PX)
+
+
+def _depth(rig: Rig, seen: Sequence[_Place]) -> tuple[np.ndarray, float, float]:
+    """(3,) mm on the ray of the first place where it is nearest to the other ones, information of the logarithm of its depth
+    from where these are along their lines, and how far they miss it, root mean square, over what is expected."""
+    point, centre = _between_rays(rig, [place.pixel for place in seen]), rig.cameras[0].centre
+    for _ in range(ROUNDS):
+        information, slope, known, misses = 0.0, 0.0, 0.0, []
+        for place, view in zip(seen[1:], rig.cameras[1:], strict=True):
+            image, by_point, _ = view.project_with_jacobian(point[None])
+            motion, off = by_point[0] @ view.rotation @ (point - centre), place.pixel - image[0]
+            along = 1 / (place.along**2 + seen[0].along**2)
+            ways = (np.array([-place.tangent[1], place.tangent[0]]), LINE_PX**-2), (place.tangent, along)
+            information += sum(weight * (way @ motion) ** 2 for way, weight in ways)
+            slope += sum(weight * (way @ motion) * (way @ off) for way, weight in ways)
+            known += along * (place.tangent @ motion) ** 2
+            misses.append(off @ off * along if along > 0 else 0.0)
+        step = slope / information if information > 0 else 0.0
+        point = centre + (point - centre) * np.exp(np.clip(np.nan_to_num(step), -0.5, 0.5))
+    return point, float(np.nan_to_num(known)), float(np.nan_to_num(np.sqrt(np.mean(misses)), nan=np.inf))
 
 
 def _between_rays(rig: Rig, pixels: Sequence[np.ndarray]) -> np.ndarray:
@@ -145,6 +240,9 @@ TIMES = np.array([0.88, 0.94, 0.97, 0.985, 0.995, 1.0, 1.005, 1.015, 1.03, 1.06]
 FINE = 361  # lengths between the first and the last of them that are compared
 POINTS = 2  # places along an edge where a map is sampled
 ROUNDS = 3
+BLUR_PX, FORESHORTENED = 1.0, 0.2
+"""By how much lines end beyond a thread, and the least length of an image, over that in the camera where it is longest, that
+says where a rod ends."""
 AMBIGUOUS_PX = 0.02  # E_vis over ν and the length of all detected lines, in px, by which a length is no worse than the best
 
 
@@ -189,12 +287,13 @@ def whole_threads(rig: Rig, detections: Sequence[Sequence[Detection]], point: np
 
 def _of_ends(rig: Rig, images: Sequence[Detection], vertices: np.ndarray) -> float:
     """mm by which the rod ``vertices`` (V, 3) may be longer or shorter, because in each image the line ends within half the
-    thread's width of where its axis does."""
-    half, total = 0.5 * np.array([detection.width_px for detection in images]), 0.0
+    thread's width, and the blur of the image, of where its axis does. The rod ends where the lines do on average, but for
+    images that hardly show how far it reaches."""
+    half, total = 0.5 * np.array([detection.width_px for detection in images]) + BLUR_PX, 0.0
     for outer, inner in ((0, 1), (-1, -2)):
         step = np.linalg.norm(vertices[outer] - vertices[inner])
         seen = np.linalg.norm(rig.project(vertices[outer]) - rig.project(vertices[inner]), axis=-1) / step  # px per mm
-        total += float(np.nansum(half * seen) / max(np.nansum(seen**2), 1e-12))
+        total += float(np.nanmean(half / np.maximum(seen, max(FORESHORTENED * np.nanmax(seen), 1e-9))))
     return total
 
 

@@ -41,17 +41,19 @@ STEP_MM = 1e-3  # step of the difference quotients of the projection
 ROUNDS, FREE = 6, 0.2  # rounds in which N and γ are found, and the least share of sections that a rod does not follow
 SECTION_PX = 20.0  # L
 FEWEST = 10  # points in a section that counts
+LIKELY = 8  # points near a place that are looked at: other strands cross there
 ALONG = 0.8  # least cosine between the directions of a point and of the image there: other strands cross it
 
 
 def vertex_sigma(rig: Rig, vertices: np.ndarray, sigma_px: float, correlation_px: float,
-                 scatter: np.ndarray | float = 0.0) -> np.ndarray:
+                 scatter: np.ndarray | float = 0.0, detected: np.ndarray | None = None) -> np.ndarray:
     """(A, V) mm: standard deviation of each vertex, root mean square over its three coordinates; zero for the first two
     vertices, which are given.
 
     vertices                   (A, V, 3) mm: rods at minima of E_vis / B, isotropic and straight at rest
     sigma_px, correlation_px   σ and ℓ of the detection, at least
     scatter                    (A,) px³: Q of :func:`line_scatter`
+    detected                   (A, C S) bool: places of the images where the thread was detected; None: all
     """
     edges = np.diff(vertices, axis=1)
     length = np.linalg.norm(edges, axis=-1)
@@ -59,6 +61,8 @@ def vertex_sigma(rig: Rig, vertices: np.ndarray, sigma_px: float, correlation_px
     first = across(tangents)
     turns = np.stack([first, np.cross(tangents, first)], axis=-1)  # (A, E, 3, 2)
     seen, image_length = _movement_across(rig, vertices, turns, length)
+    if detected is not None:
+        image_length = np.where(detected, image_length, 0.0)
     seen_once = np.swapaxes(seen, -1, -2) @ (image_length[..., None] * seen)
     bending = (np.linalg.norm(np.diff(tangents, axis=1), axis=-1) ** 2 * 2.0 / (length[:, :-1] + length[:, 1:])).sum(axis=1)
     temperature = np.maximum(2.0 * bending / seen_once.shape[-1], LEAST_BENDING / length.sum(axis=1))
@@ -73,18 +77,6 @@ def vertex_sigma(rig: Rig, vertices: np.ndarray, sigma_px: float, correlation_px
     moved = _vertex_movement(turns, length)  # (A, V, 3, P)
     variance = np.einsum("avxp,apq,avxq->av", moved, covariance, moved, optimize=True)
     return np.sqrt(np.maximum(variance, 0.0) / 3)
-
-
-def point_sigma(rig: Rig, points: np.ndarray, sigma_px: float) -> np.ndarray:
-    """(...) mm: standard deviation of ``points`` (..., 3) that each camera sees with an error of ``sigma_px``, root mean square
-    over the coordinates; infinite where one camera alone sees them."""
-    ahead = STEP_MM * np.eye(3)
-    points = np.asarray(points)[..., None, :]
-    jacobian = (rig.project(points + ahead) - rig.project(points - ahead)) / (2 * STEP_MM)  # (C, ..., 3, 2)
-    information = np.nan_to_num(np.einsum("c...xu,c...yu->...xy", jacobian, jacobian)) / sigma_px**2
-    sizes = np.linalg.eigvalsh(information)
-    variance = (1.0 / np.maximum(sizes, 1e-100)).mean(axis=-1)
-    return np.where(sizes[..., 0] > 1e-12 * sizes[..., -1], np.sqrt(variance), np.inf)
 
 
 def _vertex_movement(turns: np.ndarray, length: np.ndarray) -> np.ndarray:
@@ -116,6 +108,27 @@ def _movement_across(rig: Rig, vertices: np.ndarray, turns: np.ndarray, length: 
     blind = ~(np.isfinite(across_image).all(axis=-1) & np.isfinite(share))
     across_image[blind], share[blind] = 0.0, 0.0
     return across_image.reshape(rods, -1, across_image.shape[-1]), share.reshape(rods, -1)
+
+
+def detected_places(rig: Rig, vertices: np.ndarray, pieces: int, detections: Sequence[Sequence[Detection]]) -> np.ndarray:
+    """(A, C S) bool: places of the images of rods ``vertices`` (A, V, 3), whose edges are cut into ``pieces``, that have a
+    detected point of like direction near them."""
+    image = rig.project(vertices)
+    edge = np.arange((vertices.shape[1] - 1) // pieces)[:, None]
+    place = pieces * (edge + np.array(PLACES)).ravel()
+    before = np.minimum(place.astype(int), vertices.shape[1] - 2)
+    found = np.zeros((len(vertices), len(rig.cameras), len(place)), dtype=bool)
+    for row, c in np.ndindex(found.shape[:2]):
+        points, direction = thinned(detections[row][c])
+        if not len(points):
+            continue
+        step = np.diff(image[c, row], axis=0)[before]
+        at = np.nan_to_num(image[c, row][before] + (place - before)[:, None] * step, nan=-1e6)
+        apart, nearest = cKDTree(points).query(at, LIKELY)
+        along = np.abs((direction[np.minimum(nearest, len(points) - 1)] * step[:, None]).sum(axis=-1))
+        alike = along >= ALONG * np.linalg.norm(step, axis=-1)[:, None]
+        found[row, c] = ((apart <= NEAR_PX) & alike).any(axis=1)
+    return found.reshape(len(vertices), -1)
 
 
 def bending_hessian(turns: np.ndarray, length: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ Axes: A image sets, R rods of all sets, C cameras, N edges of a rod, K places al
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution
 from doo_ti.vision.cameras import Rig
 from doo_ti.vision.detection import Detection
 from doo_ti.vision.image_energy import AssignedPoints
-from doo_ti.vision.paths import Chains, paths_from
+from doo_ti.vision.paths import Chains, ImagePath, paths_from
 
 PATHS, MATCHES = 4, 3  # paths of each image, and matches of each set, that are tried
 SMOOTHNESS = (30.0, 1e3, 3e4)
@@ -41,6 +42,9 @@ SAME_LENGTH = 0.05
 length of a thread is no more certain than that."""
 
 
+HIDDEN = ImagePath(np.zeros((2, 2)), np.zeros(2, dtype=bool), 0.0, 0.0)  # of a camera that a match leaves out
+
+
 def whole_rods(rig: Rig, detections: Sequence[Sequence[Detection]], point: np.ndarray, direction: np.ndarray | None,
                shares: np.ndarray, material: Material, up: np.ndarray) -> tuple["Tracing", "TracedShapes | None"]:
     """Rods along paths from the seeds on, that end where these end; None where no set has any.
@@ -52,12 +56,10 @@ def whole_rods(rig: Rig, detections: Sequence[Sequence[Detection]], point: np.nd
     of_set, begun, matches = [], [], []
     for row, images in enumerate(detections):
         way = None if direction is None else direction[row]
-        for match in best_matches(rig, _paths(rig, images, point[row], way), MATCHES):
-            for smooth in SMOOTHNESS:
-                curve, arcs = curve_of(rig, match, point[row], smooth)
-                of_set.append(row)
-                begun.append(_begun(curve, arcs, way, shares))
-                matches.append(match)
+        for match, curve, arcs in _curves(rig, _paths(rig, images, point[row], way), point[row]):
+            of_set.append(row)
+            begun.append(_begun(curve, arcs, way, shares))
+            matches.append(match)
     rows = np.array(of_set, dtype=np.int64)
     tracing = Tracing(rig, rows, matches, point[rows], None if direction is None else direction[rows], shares, material, up)
     if not begun:
@@ -66,13 +68,29 @@ def whole_rods(rig: Rig, detections: Sequence[Sequence[Detection]], point: np.nd
     return tracing, tracing.freely_long(TracedShapes(quaternions, arcs, length))
 
 
+def _curves(rig: Rig, paths: list[list[ImagePath]], point: np.ndarray):
+    """(match, curve (K, 3) mm, its places (C, K) along the paths) of the best matches of all cameras, and of all but one: the
+    thread may be hidden there."""
+    every = tuple(range(len(rig.cameras)))
+    for kept in (every, *(combinations(every, len(every) - 1) if len(every) > 2 else ())):
+        some = Rig(tuple(rig.cameras[camera] for camera in kept))
+        for match in best_matches(some, [paths[camera] for camera in kept], MATCHES):
+            for smooth in SMOOTHNESS:
+                curve, arcs, _ = curve_of(some, match, point, smooth)
+                there = np.zeros((len(every), arcs.shape[1]))
+                there[list(kept)] = arcs
+                along = dict(zip(kept, match.paths, strict=True))
+                yield replace(match, paths=tuple(along.get(camera, HIDDEN) for camera in every), arcs=there), curve, there
+
+
 def _paths(rig: Rig, images: list[Detection], point: np.ndarray, direction: np.ndarray | None):
-    """The paths of each camera from where it sees ``point``."""
+    """The paths of each camera from where it sees ``point``; none of one that does not."""
     found = []
     for camera, detection in zip(rig.cameras, images, strict=True):
         at = camera.project(point)
         if not np.isfinite(at).all():
-            return []
+            found.append([])
+            continue
         ahead = None if direction is None else camera.project(point + AHEAD_MM * direction) - at
         found.append(paths_from(Chains.of(detection), at, ahead, PATHS))
     return found
@@ -200,8 +218,8 @@ class Tracing:
                 at = np.maximum.accumulate(at)
                 over = float((np.nan_to_num(ends[c, r]) - path.points[-1]) @ path.tangents[-1])
                 covered = at[-1] + 0.5 * (at[-1] - at[-2]) if at[-1] < path.length - 2 else path.length + over
-                reach[r, c] = covered / max(path.length, 1.0)
+                reach[r, c] = covered / max(path.length, 1.0) if path.seen.any() else np.nan
                 if together[r] and 1 - 2 * SAME_LENGTH < reach[r, c] < 1:
                     at = at / reach[r, c]
                 found[r, c] = np.clip(at, 0.0, path.length).reshape(found[r, c].shape)
-        return found, reach.mean(axis=1)
+        return found, np.nanmean(reach, axis=1)

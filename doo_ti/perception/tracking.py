@@ -91,6 +91,11 @@ class TrackedFrame:
     stable: bool
     how: How
 
+    def begun_uncertainly(self, sigma: float, off: float) -> "TrackedFrame":
+        """The same with a rod whose first two vertices are uncertain by ``sigma`` and ``off`` mm from the thread."""
+        both = np.full(2, np.hypot(sigma, off))
+        return replace(self, sigma=np.concatenate([np.maximum(self.sigma[:2], both), self.sigma[2:]]))
+
 
 @typed
 def seen_vertices(frame: TrackedFrame, rig: Rig, detected: list[Detection], within_px: float = TrackingOptions.lost_px

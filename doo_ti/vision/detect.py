@@ -52,6 +52,7 @@ from doo_ti.vision.ridge import (
     Ridges,
     appearance,
     as_colour,
+    between_edges,
     edges_across,
     gradient,
     lab,
@@ -122,12 +123,14 @@ def detect(image: np.ndarray, options: DetectionOptions = DetectionOptions()) ->
         grey = part if part.ndim == 2 else cv2.cvtColor(as_colour(part), cv2.COLOR_BGR2GRAY)
         line, polarity = grey.astype(np.float32), options.polarity
     look = appearance(line, polarity, options.width_px, options.least_contrast)
-    points, direction, strength = np.empty((0, 2)), np.empty((0, 2)), np.empty(0)
+    points, direction, strength, width = np.empty((0, 2)), np.empty((0, 2)), np.empty(0), np.nan
     if look is not None:
         left, top, right, bottom = look.box
         points, direction, strength = _line(line[top:bottom, left:right], look, options)
-        points = points + (left, top)
-    found = Detection(points, direction, strength, look.width_px if len(points) else np.nan,
+        points, width = points + (left, top), look.width_px
+        if options.colour is not None and len(points):
+            points, width = between_edges(as_colour(part), points, direction, width)
+    found = Detection(points, direction, strength, width if len(points) else np.nan,
                       look.polarity if len(points) else "", image.shape[:2], options.method)
     return moved(found, corner)
 

@@ -15,7 +15,8 @@ How the thread looks, dark or light, how wide, how distinct, and roughly where, 
 images: a line stands out as a ridge at the level that fits its width.
 
 Likeness to the thread's colours is exp(−(d/τ)²) of the distance d in CIE Lab to the nearest of them, 255 where equal. A thread
-becomes a light line on dark, whatever its background.
+becomes a light line on dark, whatever its background. Where it is lit from one side likeness is largest on one side of it: so
+likeness says which line is the thread, and the edges in the image itself where it is.
 """
 
 from collections.abc import Sequence
@@ -23,6 +24,7 @@ from dataclasses import dataclass, fields, replace
 
 import cv2
 import numpy as np
+from scipy.spatial import cKDTree
 
 REACH_PX = 0.75  # pixels this near to a line give a point of it, so that points are at most a pixel apart in any direction
 FIRST_REACH_PX, FIRST_REACH = 2.0, 0.5
@@ -282,6 +284,23 @@ def likeness(image: np.ndarray, table: np.ndarray) -> np.ndarray:
     """(H, W) float32 likeness of an image (H, W, 3) uint8 in OpenCV's order, by a table of :func:`likeness_table`."""
     blue, green, red = (image[..., channel] // (256 // _STEPS) for channel in range(3))
     return table[blue, green, red]
+
+
+def between_edges(image: np.ndarray, point: np.ndarray, tangent: np.ndarray, width: float
+                  ) -> tuple[np.ndarray, float]:
+    """(N, 2) points of a line about ``width`` px wide with ``tangent`` (N, 2), each moved across to the middle between the
+    line's edges in an image (H, W, 3) uint8, and px between these: those in the channel of Lab, and of the polarity, in which
+    they are most distinct. Of a thread lit from one side, only that side may be alike in colour."""
+    normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
+    channels = [gradient(np.ascontiguousarray(part)) for part in cv2.split(lab(image))]
+    found = [edges_across(slopes, point, normal, sign, 1.25 * width + 2) for slopes in channels for sign in ("dark", "light")]
+    edges = found[int(np.argmax([np.median(one.slope) for one in found]))]
+    sound = (edges.balance > LEAST_BALANCE) & (edges.width > width / 2) & (edges.width < 2.5 * width + 1)
+    if 2 * sound.sum() < len(point):
+        return point, width
+    # Where something hides an edge the line is moved as beside that.
+    nearest = np.flatnonzero(sound)[cKDTree(point[sound]).query(point)[1]]
+    return point + edges.shift[nearest, None] * normal[nearest], float(np.median(edges.width[sound]))
 
 
 def as_colour(image: np.ndarray) -> np.ndarray:

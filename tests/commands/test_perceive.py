@@ -76,7 +76,7 @@ def test_rods_are_found_and_written(photographed, perceived):
         "name": (2,), "vertices_mm": (2, vertices, 3), "rest_length_mm": (edges,), "up": (3,), "valid": (2, vertices),
         "sigma_mm": (2, vertices), "energy_vis": (2,), "status": (2,), "stable": (2,), "camera_error_px": (2, 3),
         "coverage": (2, 3), "thread_length_mm": (2,), "left_over_mm": (2,), "length_range_mm": (2, 2), "outside": (2, 3),
-        "verdict": (2,), "gap_px": (2,),
+        "hidden": (2, 3), "verdict": (2,), "gap_px": (2,),
         "unsupported": (2, edges), "runner_up_mm": (2, 4, vertices, 3), "runner_up_energy_vis": (2, 4)}
     assert (out / "f.png").read_bytes()[:4] == b"\x89PNG"
 
@@ -122,7 +122,7 @@ def test_sets_without_a_rod_do_not_end_the_others(photographed, perceived, tmp_p
         words = ["perceive", "--rig", str(folder / "rig.yaml"), "--sets", str(sets), *MATERIAL[:6], "--no-recording"]
         text[name] = succeeded(capsys, [*words, "--out", str(tmp_path / f"{name}.npz")])
         found[name] = written(tmp_path / f"{name}.npz")
-    assert all(part in text["all"] for part in ("beside  no rod: ", "click on the thread", "blank.png: image: no thread"))
+    assert all(part in text["all"] for part in ("beside  no rod: ", "nothing was detected", "blank.png: image: no thread"))
     every, one = found["all"], found["one"]
     assert every["name"].tolist() == ["beside", "second", "blank"] and every["status"].tolist() == [4, 0, 4]
     assert every["verdict"].tolist() == [3, one["verdict"][0], 3] and not every["valid"][[0, 2]].any()
@@ -196,7 +196,11 @@ def test_a_click_and_no_length(photographed, tmp_path, capsys):
     assert main([*argv[:-1], "--length", "28", "--out", str(tmp_path / "g.npz")]) == 0
     with np.load(tmp_path / "g.npz") as file:
         assert file["left_over_mm"][0] == pytest.approx(length - 28, abs=3.0)
-    assert "of thread left over" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "of thread left over" in said and "28 to 28 mm at a bound" in said
+    middle = rig.cameras[1].project(rods[0][[EDGES // 2]])[0]
+    main([*argv[:-1], "--seed-pixel", f"cam1:{middle[0]:.0f},{middle[1]:.0f}", "--out", str(tmp_path / "h.npz")])
+    assert "begins within the thread" in capsys.readouterr().err
     for change, words in ((["--seed-pixel", "cam9:1,2"], ("cam9", "cam0, cam1, cam2")), (["--length", "9:5"], ("--length",)),
                           (["--rest-length", "3:14"], ("--edge", "--rest-length")),
                           (["--seed-point", "0,0,0"], ("--seed-point",)),

@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from doo_ti import Status, detect
 from doo_ti.commands.cli import main
+from doo_ti.commands.track import _off_thread
+from doo_ti.perception.tracking import How, TrackedFrame
 from doo_ti.vision.rig_files import save_rig
 from doo_ti.vision.tubes import smooth_curve
 from tests.commands.calls import refused, succeeded
@@ -80,11 +83,26 @@ def test_a_video_is_tracked_from_a_click(filmed, tmp_path, capsys):
     words = ["track", "--rig", str(filmed / "rig.yaml"), "--frames", str(frames), "--no-recording", "--out", str(out)]
     succeeded(capsys, [*words, "--seed-pixel", f"cam1:{u + 3:.0f},{v - 2:.0f}"])
     found = dict(np.load(out, allow_pickle=False))
-    assert found["how"].tolist() == [1, 0] and abs(found["rest_length_mm"].sum() / (LENGTH * EDGES) - 1) < 0.02
+    assert found["how"].tolist() == [1, 0] and abs(found["rest_length_mm"].sum() / (LENGTH * EDGES) - 1) < 0.03
+    assert (found["sigma_mm"][:, 0] > 0.05).all(), "a click is no exact seed"
     for rod, truth in zip(found["vertices_mm"], rods(), strict=False):
         assert cKDTree(smooth_curve(truth, 20)).query(rod)[0].mean() < 0.3
+    assert "uncertain" not in capsys.readouterr().out
+    click = ["--seed-pixel", f"cam1:{u + 3:.0f},{v - 2:.0f}"]
+    beside = filmed / "beside.csv"
+    changed(filmed, beside, lambda lines: [f"{line},{own}" for line, own in zip(frames.read_text().split(), ("cam1_u", "3"))])
+    argv = [*words[:-1], str(tmp_path / "new" / "f.npz")]
+    refused(capsys, tmp_path, [*argv, *click, "--frames", str(beside)], "cam1_u", "either")
     refused(capsys, tmp_path, [*words[:-1], str(tmp_path / "new" / "f.npz")], "seed_x")
     refused(capsys, tmp_path, [*of(filmed, tmp_path / "new" / "f.npz"), "--seed-pixel", "cam1:3,3"], "--seed-pixel", "seed_x")
+
+
+def test_a_start_that_the_thread_has_left_is_uncertain():
+    rig, rod = three_cameras(), smooth_curve(rods()[0], 20)
+    seen = [detect(image) for image in images()[0]]
+    assert _off_thread(rig, seen, rod[0]) < 0.5 < 3.0 < _off_thread(rig, seen, rod[0] - 5 * (rod[40] - rod[0]))
+    frame = TrackedFrame(rod, np.zeros(len(rod)), 0.0, np.zeros(3), Status.CONVERGED, True, How.TRACKED)
+    assert frame.begun_uncertainly(0.3, 4.0).sigma[:3] == pytest.approx([np.hypot(0.3, 4.0)] * 2 + [0.0])
 
 
 def test_a_known_motion_is_taken(filmed, tmp_path, capsys):

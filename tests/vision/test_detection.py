@@ -51,6 +51,21 @@ def test_a_thread_lit_from_the_side_is_found_between_its_edges():
     assert complete > 0.95 and np.median(np.abs(error)) < 0.15
 
 
+@pytest.mark.parametrize("way", [1, -1])
+def test_a_colour_selects_a_thread_lit_from_the_side_and_its_edges_say_where_it_is(way):
+    """Only its lit side has the colour."""
+    row, column = np.mgrid[:200, :300]
+    off = row - (100 + 30 * np.sin(column / 60))
+    around = np.clip(off / 6, -1, 1)
+    shade = np.clip(0.3 + 0.7 * (0.6 * np.sqrt(1 - around**2) - 0.8 * way * around), 0.3, 1.0)[..., None]
+    inside = np.clip(6.5 - np.abs(off), 0, 1)[..., None]
+    image = (inside * shade * [50, 60, 210] + (1 - inside) * [225, 230, 235]).round().astype(np.uint8)
+    found = detect(cv2.GaussianBlur(image, (0, 0), 0.8), DetectionOptions(colour=(190, 55, 45)))
+    x, y = found.points.T
+    error = (y - (100 + 30 * np.sin(x / 60))) / np.hypot(1, 0.5 * np.cos(x / 60))
+    assert len(x) > 250 and abs(np.median(error)) < 0.2 and found.width_px == pytest.approx(11, abs=1.5)
+
+
 def test_the_papers_way_is_as_exact_as_pixels():
     error, complete, false, found = errors(PLAIN, 1.3, DetectionOptions(method="canny"))
     assert abs(error.mean()) < 0.1 and np.quantile(np.abs(error), 0.95) < 0.9 and complete > 0.95 and false < 0.01
