@@ -286,8 +286,7 @@ class Chain(PairEnergy):
             remaining = remaining - length
             pull = scaled(rod.gravity, self.hanging_weight(rod, length, remaining))
             height = length * dot(pull, t)
-            potential = potential + height
-            magnitude = magnitude + absolute(height)
+            potential, magnitude = (potential + height, magnitude + absolute(height))
             # Where the edge may not tilt these are zero, and so is its share of Aᵀg.
             l1, l2 = linear_gradient(pull, levers, m1, m2)
             carry1, carry2 = (right1 + l1, right2 + l2)
@@ -299,8 +298,7 @@ class Chain(PairEnergy):
         if ti.static(self.moves_start):
             reached = plus(reached, rod.head.drift)
             height = 2.0 * rod.total * dot(rod.gravity, rod.head.drift)
-            potential = potential + height
-            magnitude = magnitude + absolute(height)
+            potential, magnitude = (potential + height, magnitude + absolute(height))
         miss = scaled(minus(reached, rod.target), rod.closed)
         fit, minors = solve_symmetric(normal, moment)
         return energy + potential, energy + magnitude, miss, negated(scaled(fit, rod.closed)), (unclosed, closed)
