@@ -155,8 +155,10 @@ def _tracked(task: TrackingTask) -> tuple[np.ndarray, list, str | None]:
                     rest_length = task.length_bounds.rest_length(length) if rest_length is None else rest_length
                     tracker = Tracker(frames.rig, rest_length, task.material, up=task.up, surroundings=task.surroundings)
                 far = None if task.far is None or row == 0 else task.far[row - 1]
-                frame, off = tracker.see(detected, point, direction, far), _off_thread(frames.rig, detected, point)
-                found.append(frame.begun_uncertainly(*((0.0, 0.0) if frames.point is not None else (sigma, off))))
+                frame = tracker.see(detected, point, direction, far)
+                if frames.point is None:
+                    frame = frame.begun_uncertainly(sigma, _off_thread(frames.rig, detected, point))
+                found.append(frame)
                 bar.advance(shown)
     except (InputError, OSError, KeyboardInterrupt) as problem:
         if not found:

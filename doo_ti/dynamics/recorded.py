@@ -23,7 +23,7 @@ LARGEST_TURN = np.radians(60.0)  # a gripper that seems to turn by more in one f
 FINE, SWAPPED, LOST = 0, 1, 2
 MOST_CONFUSED = 50  # frames after which such a turn is taken as real
 LEAST_MM, MOST_MM = 1e-6, 1e6  # between neighbouring markers, and from the origin
-LEAST_HELD = 5e-3  # of an end edge that a gripper holds to its inner marker: half of what is left of it
+LEAST_HELD = 5e-3  # of an end edge: half the length of the edge that stands for it where a gripper holds all of it
 GRIPPED = (0, 1, -2, -1)  # vertices of the first and last edge
 
 

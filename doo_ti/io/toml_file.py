@@ -228,7 +228,7 @@ def instants(source, rate: float, duration: float, most: int, called: str) -> np
 
 
 def interpolated(source, name: str, rows: list, table: type[Table], first: Mapping[str, object],
-                    time: np.ndarray) -> dict[str, np.ndarray]:
+                 time: np.ndarray) -> dict[str, np.ndarray]:
     """The quantities of ``first``, as they are at time zero, at the instants ``time`` (T,) in s: (T, ...) each, on monotone
     cubics between the moments of ``rows``, called ``name`` in the file ``source``; after the last they stay.
 

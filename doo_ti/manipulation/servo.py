@@ -188,7 +188,7 @@ class Servo:
             return
         clamps = held(self.clamps, self._belief.clip).take(rods)
         drawn = rebranched_to_observation(self._last.take(rods), self._belief.material.take(rods), clamps, seen[rods], self._up,
-                               **self._around.take(rods).arguments)
+                                          **self._around.take(rods).arguments)
         sound = drawn.converged & drawn.stable
         left = np.where(visible[rods][..., None], seen[rods] - drawn.configuration.vertices, 0.0)
         better = sound & (lost[rods] | (_size(left, visible[rods]) < 0.5 * error[rods]))

@@ -41,7 +41,7 @@ STEP_MM = 1e-3  # step of the difference quotients of the projection
 ROUNDS, FREE = 6, 0.2  # rounds in which N and γ are found, and the least share of sections that a rod does not follow
 SECTION_PX = 20.0  # L
 FEWEST = 10  # points in a section that counts
-LIKELY = 8  # points near a place that are looked at: other strands cross there
+NEIGHBOURS = 8  # points nearest to a place that are looked at: the nearest may be of a strand that crosses there
 ALONG = 0.8  # least cosine between the directions of a point and of the image there: other strands cross it
 
 
@@ -124,7 +124,7 @@ def detected_places(rig: Rig, vertices: np.ndarray, pieces: int, detections: Seq
             continue
         step = np.diff(image[c, row], axis=0)[before]
         at = np.nan_to_num(image[c, row][before] + (place - before)[:, None] * step, nan=-1e6)
-        apart, nearest = cKDTree(points).query(at, LIKELY)
+        apart, nearest = cKDTree(points).query(at, NEIGHBOURS)
         along = np.abs((direction[np.minimum(nearest, len(points) - 1)] * step[:, None]).sum(axis=-1))
         alike = along >= ALONG * np.linalg.norm(step, axis=-1)[:, None]
         found[row, c] = ((apart <= NEAR_PX) & alike).any(axis=1)
