@@ -31,20 +31,22 @@ from numpy.typing import ArrayLike
 
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.perception.growth import rank_distinct
-from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search, finalists, left_over
+from doo_ti.perception.search import Finalists, Hypotheses, PerceptionOptions, Search, evidence, finalists, left_over
+from doo_ti.perception.sharpening import COVERED
 from doo_ti.perception.traced import SAME_LENGTH
 from doo_ti.rod.types import LARGEST, Configuration, Material, Status, unit_up
 from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras import Rig
-from doo_ti.vision.distance_map import DistanceMaps, outside_others
+from doo_ti.vision.distance_map import DistanceMaps, unexplained
 from doo_ti.vision.score import score
 
 CLEAR_PX, AMBIGUOUS_PX = 0.1, 0.02
 """Bounds of the gap: the first is larger than the mean error of detected lines; the second is smaller than the difference of
 the rod's energy, which depends on an inexact Θ, between rods that fit the images equally."""
 FITTING_PX = 1.0  # bound of the distance to the detection; with more in any camera, something else was detected
-COVERED, LEAST_COVERED = 0.95, 0.5  # bounds of the share of the detected line that a clear and a likely rod explain
+LEAST_COVERED = 0.5  # bound of the share of the detected line that a likely rod explains; of a clear one it is COVERED
+MOST_SKIPPED = 3.0  # bound of the length of a line that a clear rod leaves unexplained, over its width
 CERTAIN_MM = 1.0  # bound of the vertices' sigma
 CERTAIN_LENGTH = 0.03
 """Bound of the uncertainty of a length that was found, that of its ends included, as a share of it. A rod that is too long by
@@ -57,7 +59,8 @@ class PerceptionVerdict(IntEnum):
 
     CLEAR      a gap of at least 0.1 px, or no other rod: image evidence alone separates them. And the rod is a certified
                minimum, within 1 px of the detection, on average, in every camera, explains 95 % of the line detected in
-               each, is as long as it, and its vertices are certain to 1 mm. Never with one camera, which does not see depth
+               each and leaves no piece of it out that is three times as long as wide, is as long as it, and its vertices are
+               certain to 1 mm. Never with one camera, which does not see depth
     LIKELY     a gap of at least 0.02 px: image evidence alone does not separate them, the rod's energy helps to decide. Or a
                wider gap, but the rod is further from the detection
     AMBIGUOUS  a smaller gap: either may be the rod. Or the best rod has not converged, or explains less than half of the line
@@ -97,6 +100,8 @@ class Perception:
     coverage          (A, C) share of the line detected in each camera that the rod explains, of what lies in two images; NaN
                       where detections are unknown
     outside           (A, C) share of the line detected in each camera that lies outside all other images: no rod is there
+    skipped           (A, C) longest piece of the line detected in each camera that the rod leaves unexplained between its ends,
+                      over the width of the thread there
     thread_length     (A,) mm from the seed to where the thread ends in the images; NaN where rods were not traced. With rods of
                       another length, the best is part of the thread, or goes on beyond it
     left_over         (A,) mm of thread that the rod does not explain: beyond its end or, where rods were not traced, in the
@@ -120,6 +125,7 @@ class Perception:
     unsupported: np.ndarray
     coverage: np.ndarray
     outside: np.ndarray
+    skipped: np.ndarray
     thread_length: np.ndarray
     left_over: np.ndarray
     length_range: np.ndarray
@@ -133,6 +139,7 @@ class Perception:
     def verdict(self) -> np.ndarray:
         """(A,) PerceptionVerdict."""
         clear = self.sound & (self.gap >= CLEAR_PX) & (self.camera_error <= FITTING_PX).all(axis=1)
+        clear &= ~(self.skipped > MOST_SKIPPED).any(axis=1)
         clear &= ~(self.coverage < COVERED).any(axis=1) & ~(self.sigma > CERTAIN_MM).any(axis=1)
         length = self.configuration.rest_length.sum(axis=-1)
         clear &= self.camera_error.shape[1] > 1  # one camera does not see depth
@@ -267,18 +274,20 @@ def _result(search: Search, kept: Hypotheses) -> Perception:
     others = ranked[:, 1:]
     found = others >= 0
     runner_up_energy = np.where(found, final.energy_vis[others], np.inf)
+    worse = runner_up_energy.min(axis=1, initial=np.inf) - final.energy_vis[best]
+    final = _sharpened(search, final, best)
     rods = final.configuration.take(best)
     with np.errstate(invalid="ignore"):  # a rod that is not finite is data
         edge_error, image_length = _reprojected(search, rods.vertices)
         near = edge_error <= options.unsupported
         hidden = ~near & (near.sum(axis=1, keepdims=True) >= 2)
         seen_length = np.where(hidden, 0.0, image_length)
-        worse = runner_up_energy.min(axis=1, initial=np.inf) - final.energy_vis[best]
         sigma = search.sigma(rods)
     both = search.maps.detections is not None and options.evidence == "both"
-    outside = outside_others(search.rig, rods.vertices, search.maps.detections) if both else np.zeros(image_length.shape[:2])
+    nothing = np.zeros(image_length.shape[:2])
+    outside, skipped = unexplained(search.rig, rods.vertices, search.maps.detections) if both else (nothing, nothing)
     return Perception(
-        vertices=marks[best],
+        vertices=rods.vertices[:, :: options.pieces],
         configuration=rods,
         energy_vis=final.energy_vis[best],
         # The distance is smoothed near lines, whose mean effect is subtracted: on the line itself it can be -0.01.
@@ -294,10 +303,28 @@ def _result(search: Search, kept: Hypotheses) -> Perception:
         unsupported=(edge_error > options.unsupported).all(axis=1),
         coverage=final.coverage[best] / (1 - outside),
         outside=outside,
+        skipped=skipped,
         thread_length=final.thread[best],
         left_over=left_over(final, best, image_length.sum(axis=2), search.rest_length.sum()),
         length_range=np.full((len(best), 2), np.nan),
     )
+
+
+def _sharpened(search: Search, final: Finalists, best: np.ndarray) -> Finalists:
+    """``final`` with the rods ``best`` (A), one of each set, on the detected points themselves."""
+    rods, sound = search.sharpened(final.configuration.take(best))
+    if not sound.any():
+        return final
+    energy, found = evidence(search.rig, search.maps, rods, final.of_set[best], search.material, search.up, search.options,
+                             search.piece_points)
+    changed, quaternions = best[sound], final.configuration.quaternions.copy()
+    quaternions[best] = rods.quaternions
+    energy_vis, status, certified, share = (values.copy() for values in (final.energy_vis, final.status, final.certified,
+                                                                         final.coverage))
+    energy_vis[changed], share[changed] = energy[sound], found.share[sound]
+    status[changed], certified[changed] = Status.CONVERGED, True
+    return replace(final, configuration=replace(final.configuration, quaternions=quaternions), energy_vis=energy_vis,
+                   status=status, certified=certified, coverage=share)
 
 
 def _reprojected(search: Search, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

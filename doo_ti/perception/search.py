@@ -17,7 +17,8 @@ import numpy as np
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.perception.growth import Hypotheses, sampled_directions, select_hypotheses, suppress_similar
 from doo_ti.perception.shape_uncertainty import detected_places, line_scatter, vertex_sigma
-from doo_ti.perception.traced import SAME_LENGTH, whole_rods
+from doo_ti.perception.sharpening import sharpened
+from doo_ti.perception.traced import NU_BACK, SAME_LENGTH, whole_rods
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import (
@@ -191,6 +192,13 @@ class Search:
         """(N, i + 1, 3) mm, of rods whose edges are whole."""
         edges = hypotheses.quaternions.shape[1]
         return Configuration(self.point[hypotheses.of_set], hypotheses.quaternions, self.rest_length[:edges]).vertices
+
+    def sharpened(self, rods: Configuration) -> tuple[Configuration, np.ndarray]:
+        """One rod of each set, whose edges are cut into pieces, on the detected points themselves; and (A,) bool: which are.
+        None is where detections are unknown, and with evidence as the paper has it."""
+        if self.maps.detections is None or self.options.evidence == "rod":
+            return rods, np.zeros(len(rods.start), dtype=bool)
+        return sharpened(rods, self.rig, self.maps.detections, self.material, self.up, NU_BACK * self.scale, self.surroundings)
 
     def sigma(self, rods: Configuration) -> np.ndarray:
         """(A, V) mm: uncertainty of the marks of one rod of each set, whose edges are cut into pieces."""

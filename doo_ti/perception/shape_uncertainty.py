@@ -30,6 +30,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
+from doo_ti.perception.sharpening import ALIKE, lines_at
 from doo_ti.rod.frames import across
 from doo_ti.vision.cameras import Rig
 from doo_ti.vision.detection import Detection, thinned
@@ -41,8 +42,6 @@ STEP_MM = 1e-3  # step of the difference quotients of the projection
 ROUNDS, FREE = 6, 0.2  # rounds in which N and γ are found, and the least share of sections that a rod does not follow
 SECTION_PX = 20.0  # L
 FEWEST = 10  # points in a section that counts
-NEIGHBOURS = 8  # points nearest to a place that are looked at: the nearest may be of a strand that crosses there
-ALONG = 0.8  # least cosine between the directions of a point and of the image there: other strands cross it
 
 
 def vertex_sigma(rig: Rig, vertices: np.ndarray, sigma_px: float, correlation_px: float,
@@ -113,22 +112,13 @@ def _movement_across(rig: Rig, vertices: np.ndarray, turns: np.ndarray, length: 
 def detected_places(rig: Rig, vertices: np.ndarray, pieces: int, detections: Sequence[Sequence[Detection]]) -> np.ndarray:
     """(A, C S) bool: places of the images of rods ``vertices`` (A, V, 3), whose edges are cut into ``pieces``, that have a
     detected point of like direction near them."""
-    image = rig.project(vertices)
+    image = np.nan_to_num(rig.project(vertices).swapaxes(0, 1), nan=-1e6)
     edge = np.arange((vertices.shape[1] - 1) // pieces)[:, None]
     place = pieces * (edge + np.array(PLACES)).ravel()
     before = np.minimum(place.astype(int), vertices.shape[1] - 2)
-    found = np.zeros((len(vertices), len(rig.cameras), len(place)), dtype=bool)
-    for row, c in np.ndindex(found.shape[:2]):
-        points, direction = thinned(detections[row][c])
-        if not len(points):
-            continue
-        step = np.diff(image[c, row], axis=0)[before]
-        at = np.nan_to_num(image[c, row][before] + (place - before)[:, None] * step, nan=-1e6)
-        apart, nearest = cKDTree(points).query(at, NEIGHBOURS)
-        along = np.abs((direction[np.minimum(nearest, len(points) - 1)] * step[:, None]).sum(axis=-1))
-        alike = along >= ALONG * np.linalg.norm(step, axis=-1)[:, None]
-        found[row, c] = ((apart <= NEAR_PX) & alike).any(axis=1)
-    return found.reshape(len(vertices), -1)
+    step = np.diff(image, axis=2)[:, :, before]
+    at = image[:, :, before] + (place - before)[:, None] * step
+    return lines_at(at, step, detections)[2].reshape(len(vertices), -1)
 
 
 def bending_hessian(turns: np.ndarray, length: np.ndarray) -> np.ndarray:
@@ -168,7 +158,7 @@ def _section_means(image: np.ndarray, detection: Detection) -> np.ndarray:
     nearest = cKDTree(begin + 0.5 * step).query(points)[1]
     off = points - begin[nearest]
     along, aside = (off * way[nearest]).sum(axis=1), way[nearest, 0] * off[:, 1] - way[nearest, 1] * off[:, 0]
-    near = (np.abs(aside) <= NEAR_PX) & (np.abs((way[nearest] * direction).sum(axis=1)) >= ALONG)
+    near = (np.abs(aside) <= NEAR_PX) & (np.abs((way[nearest] * direction).sum(axis=1)) >= ALIKE)
     near &= (along >= -NEAR_PX) & (along <= length[nearest] + NEAR_PX)
     section = np.maximum((first[nearest] + along)[near] // SECTION_PX, 0).astype(np.int64)
     count = np.bincount(section)

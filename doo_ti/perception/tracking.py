@@ -237,12 +237,11 @@ class Tracker:
             now, before = (self._whole(one) for one in (rod, self._last))
             turn = quaternion_product(now.quaternions[0], conjugate(before.quaternions[0]))
         self._turn, self._last, self._usual = turn, rod, min(self._usual, rod.camera_error.mean())
-        marks = rod.configuration.vertices[:, :: search.options.pieces]
+        shape, _ = search.sharpened(rod.configuration)
         error = np.full(len(self._rig.cameras), np.nan)
         error[[self._rig.names.index(name) for name in search.rig.names]] = rod.camera_error
-        sigma = search.sigma(rod.configuration)
-        return TrackedFrame(marks[0], sigma[0], rod.energy_vis, np.maximum(error, 0.0), Status(rod.status), bool(rod.stable),
-                            how)
+        vertices, sigma = shape.vertices[0, :: search.options.pieces], search.sigma(shape)[0]
+        return TrackedFrame(vertices, sigma, rod.energy_vis, np.maximum(error, 0.0), Status(rod.status), bool(rod.stable), how)
 
     def _lost(self) -> TrackedFrame:
         """The rod is lost: the next frame begins with Algorithm 1."""

@@ -22,6 +22,9 @@ from typing import Annotated
 
 import numpy as np
 import taichi as ti
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from doo_ti.system import runtime
 from doo_ti.system.arguments import short_repr, typed
@@ -192,6 +195,7 @@ def _search(
 # --- how much of the line a rod explains -----------------------------------------------------------------------------------
 
 NEAR_PX = 3.0  # A detected point this near to the rod's image is explained
+BESIDE_PX = 2.0  # distance of points that follow each other along a line
 
 
 @dataclass(frozen=True)
@@ -217,24 +221,48 @@ def coverage(rig: Rig, vertices: np.ndarray, of_set: np.ndarray, detections: lis
     return Coverage(result[..., 0] / np.maximum(lengths, 1), result[..., 1].astype(np.float64), lengths.astype(np.float64))
 
 
-def outside_others(rig: Rig, vertices: np.ndarray, detections: list[list[Detection]]) -> np.ndarray:
-    """(A, C) share of the line detected in each camera that one rod of each set, ``vertices`` (A, V, 3) mm, leaves unexplained
-    because no other camera's image shows it: at the depth of the nearest vertex it is outside all of these."""
-    found = np.zeros((len(vertices), len(rig.cameras)))
+def unexplained(rig: Rig, vertices: np.ndarray, detections: list[list[Detection]]) -> tuple[np.ndarray, np.ndarray]:
+    """What one rod of each set, ``vertices`` (A, V, 3) mm, leaves of the line detected in each camera. (A, C): the share that
+    no other camera's image shows, which at the depth of the nearest vertex is outside all of these; and the longest piece
+    of the others between the rod's ends, over the width of the thread."""
+    outside, longest = np.zeros((2, len(vertices), len(rig.cameras)))
     for row, rod in enumerate(vertices):
         if not np.isfinite(rod).all():
             continue
         for c, camera in enumerate(rig.cameras):
             points = thinned(detections[row][c])[0]
-            apart = np.linalg.norm(points[:, None] - np.nan_to_num(camera.project(rod), nan=1e9), axis=-1)
+            image = np.nan_to_num(camera.project(rod), nan=1e9)
+            place, far = _nearest_place(points, image)
+            between = (place > 0) & (place < len(rod) - 1)  # beyond its ends the rod leaves out nothing
             ray = rays(camera, points)
-            there = camera.centre + ray * (camera.depth(rod)[apart.argmin(axis=1)] / (ray @ camera.rotation[2]))[:, None]
-            alone = apart.min(axis=1) > NEAR_PX
+            there = camera.centre + ray * (camera.depth(rod)[place.astype(int)] / (ray @ camera.rotation[2]))[:, None]
+            alone = np.full(len(points), len(rig.cameras) > 1)
             for other in rig.cameras[:c] + rig.cameras[c + 1 :]:
                 middle = 0.5 * np.array([other.width - 1, other.height - 1])
                 alone &= ~((np.abs(other.project(there) - middle) <= middle + 0.5).all(axis=1))
-            found[row, c] = alone.mean() if len(rig.cameras) > 1 else 0.0
-    return found
+            outside[row, c] = (far & alone).mean()
+            longest[row, c] = _longest_piece(points[far & ~alone & between]) / detections[row][c].width_px
+    return outside, longest
+
+
+def _nearest_place(points: np.ndarray, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(P,) the place of a rod's ``image`` (V, 2) nearest to each point, in edges from its start, and whether it is farther than
+    NEAR_PX."""
+    step = np.diff(image, axis=0)
+    off = points[:, None] - image[:-1]
+    along = np.clip((off * step).sum(axis=-1) / np.maximum((step**2).sum(axis=-1), 1e-12), 0.0, 1.0)
+    apart = np.linalg.norm(off - along[..., None] * step, axis=-1)
+    edge = apart.argmin(axis=1)
+    return edge + along[np.arange(len(points)), edge], apart.min(axis=1) > NEAR_PX
+
+
+def _longest_piece(points: np.ndarray) -> int:
+    """The largest number of points, about one for each pixel of line, that follow each other."""
+    if not len(points):
+        return 0
+    pairs = cKDTree(points).query_pairs(BESIDE_PX, output_type="ndarray")
+    graph = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(points), len(points)))
+    return int(np.bincount(connected_components(graph, directed=False)[1]).max())
 
 
 @runtime.kernel

@@ -51,6 +51,26 @@ def test_cameras_close_together_see_the_whole_thread(seen):
     assert (np.abs(found.thread_length / LENGTH_MM - 1) < 0.03).all()
 
 
+def test_where_a_thread_runs_along_its_epipolar_lines_the_rod_is_on_it():
+    """There a tenth of a pixel beside the line is a millimetre of depth."""
+    rng = np.random.default_rng(3)
+    rig, curves = cameras(30.0, third=False), [curve(rng) for _ in range(4)]
+    found = recovered((rig, curves, [[detection(view, points, 0.05, rng) for view in rig.cameras] for points in curves]))
+    off = [cKDTree(dense(points)).query(rod)[0].max() for points, rod in zip(curves, found.vertices, strict=True)]
+    assert max(off) < 0.25 and (found.verdict == PerceptionVerdict.CLEAR).all()
+
+
+def test_a_rod_that_leaves_a_piece_of_the_thread_out_is_not_clear(seen):
+    """It may be a short cut, as where strands cross."""
+    rig, curves, detections = seen
+    piece = detections[0][0].points[200] + np.arange(8, 40)[:, None] * [0.6, 0.8]
+    images = [[with_more(detections[0][0], piece, np.array([0.6, 0.8])), detections[0][1]]]
+    found, whole = (recovered((rig, curves[:1], some)) for some in (images, detections[:1]))
+    assert found.coverage.min() > 0.95 and errors(found, curves[:1])[0] < 0.6
+    assert (found.verdict[0], whole.verdict[0]) == (PerceptionVerdict.LIKELY, PerceptionVerdict.CLEAR)
+    assert whole.skipped.max() < 1 and 20 < found.skipped[0, 0] * images[0][0].width_px < 40 and found.skipped[0, 1] == 0
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("share", [0.8, 1.15])
 def test_a_rod_of_another_length_lies_where_the_thread_is(seen, share):

@@ -1,0 +1,94 @@
+"""The last step of perception: the rod found, on the detected points themselves (docs/perception.md).
+
+Distance maps have a value for each pixel, and their valley lies up to 0.2 px beside the line, now to this side and now to that.
+Where the thread runs along its epipolar lines, that is millimetres of depth. So the rod found is relaxed again, under E/B and
+
+    E_back = Σ_c Σ_k w_k ρ(n·(p(x_k) − q_k))                    doo_ti.vision.image_energy
+
+with q_k the middle of the detected points around the image of place k, and n across the line there. Along the line a place is
+free, as which point is whose is found anew after each relaxation. Places without points of their direction near them have no
+weight: the rod's stiffness alone bridges gaps.
+
+Axes: A rods of as many image sets, C cameras, E edges, K places along an edge.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from doo_ti.contact.surroundings import Surroundings
+from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.relax import relax
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
+from doo_ti.vision.cameras import Rig
+from doo_ti.vision.detection import Detection, thinned
+from doo_ti.vision.distance_map import NEAR_PX, coverage
+from doo_ti.vision.image_energy import AssignedPoints
+
+ROUNDS, STILL_MM = 20, 0.01  # relaxations, until no vertex moves by more
+PLACES = 2  # along an edge, for the energy
+NEIGHBOURS = 8  # points nearest to a place that are looked at: the nearest may be of a strand that crosses there
+ALIKE = 0.8  # least cosine between the directions of a point and of the image there: other strands cross it
+COVERED = 0.95  # share of a detected line with which a rod is one of the whole thread
+FREE = 1e-3  # share that counts of a distance along the line
+
+
+def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detection]], material: Material, up: np.ndarray,
+              nu: float, surroundings: Surroundings) -> tuple[Configuration, np.ndarray]:
+    """``rods`` (A) relaxed under E + ν E_back, held at their first edges; and (A,) bool: those that are certified minima and
+    still explain the lines. The others stay as they were.
+
+    nu  ν, mm² per px³
+    """
+    every = np.arange(len(rods.start))
+    quaternions, sound, moving = rods.quaternions.copy(), np.zeros(len(every), dtype=bool), every
+    for _ in range(ROUNDS):
+        here = Configuration(rods.start, quaternions, rods.rest_length).take(moving)
+        places, ways = _images_of_places(rig, here.vertices)
+        points, tangents, found = lines_at(places, ways, [detections[row] for row in moving])
+        weight = np.where(found, np.linalg.norm(ways, axis=-1) / PLACES, 0.0)
+        first = here.frames[:, 0]
+        solution = relax(here, material, Clamps(Clamp.TANGENT, Clamp.FREE, here.start, here.start, first, first), Newton(),
+                         up=up, precision="mixed", external=AssignedPoints(rig, points, tangents, weight, nu, FREE),
+                         external_index=np.arange(len(moving)), **surroundings.arguments)
+        quaternions[moving] = solution.configuration.quaternions
+        sound[moving] = (solution.status == Status.CONVERGED) & solution.stable
+        moved = np.abs(solution.configuration.vertices - here.vertices).max(axis=(1, 2))
+        moving = moving[sound[moving] & (moved > STILL_MM)]
+        if not len(moving):
+            break
+    new = Configuration(rods.start, quaternions, rods.rest_length)
+    before, after = (coverage(rig, shape.vertices, every, detections, NEAR_PX).share for shape in (rods, new))
+    sound &= (after >= np.minimum(before, COVERED)).all(axis=1)
+    return Configuration(rods.start, np.where(sound[:, None, None], quaternions, rods.quaternions), rods.rest_length), sound
+
+
+def _images_of_places(rig: Rig, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(A, C, E, K, 2) px: where cameras see the places, and the images of their edges."""
+    image = np.nan_to_num(rig.project(vertices).swapaxes(0, 1), nan=-1e6)
+    edge = np.diff(image, axis=2)[:, :, :, None]
+    return image[:, :, :-1, None] + ((np.arange(PLACES) + 0.5) / PLACES)[:, None] * edge, np.repeat(edge, PLACES, axis=3)
+
+
+def lines_at(places: np.ndarray, ways: np.ndarray, detections: Sequence[Sequence[Detection]]
+             ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The detected line at ``places`` (A, C, …, 2) px of images that run along ``ways`` there: its point and unit tangent
+    (A, C, …, 2), zero where there is none, and (A, C, …) bool: whether a point of like direction is near."""
+    points, tangents = np.zeros((2, *places.shape))
+    found = np.zeros(places.shape[:-1], dtype=bool)
+    for row, c in np.ndindex(places.shape[:2]):
+        seen, direction = thinned(detections[row][c])
+        if not len(seen):
+            continue
+        way = ways[row, c][..., None, :]
+        apart, nearest = cKDTree(seen).query(places[row, c], NEIGHBOURS)
+        nearest = np.minimum(nearest, len(seen) - 1)
+        cosine = (direction[nearest] * way).sum(axis=-1)
+        alike = (apart <= NEAR_PX) & (np.abs(cosine) >= ALIKE * np.linalg.norm(way, axis=-1))
+        share = (alike / np.maximum(alike.sum(axis=-1, keepdims=True), 1))[..., None]
+        along = (share * np.sign(cosine)[..., None] * direction[nearest]).sum(axis=-2)
+        points[row, c] = (share * seen[nearest]).sum(axis=-2)
+        tangents[row, c] = along / np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-9)
+        found[row, c] = alike.any(axis=-1) & along.any(axis=-1)
+    return points, tangents, found
