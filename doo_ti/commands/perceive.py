@@ -67,8 +67,8 @@ def run(options: Namespace) -> int:
         detected, failed = _detected(task, bar)
         begun, rows, length_range, seed_sigma = _begun(task, detected, failed)
         detected = [detected[row] for row in rows]
-        found, growth = _perceived(begun, detected, bar)
-        found = found.begun_uncertainly(seed_sigma, length_range)
+        found, growth = _perceived(begun, detected, seed_sigma, bar)
+        found = replace(found, length_range=np.broadcast_to(length_range, found.length_range.shape))
     image_options.warn_of_length(options, begun.rest_length.sum())
     task, every = replace(task, rest_length=begun.rest_length), found.among(rows, task.sets.count)
     save_arrays(out, _arrays(task, every))
@@ -162,7 +162,7 @@ def _left(sets, failed: dict[int, InputError]) -> np.ndarray:
     return np.setdiff1d(np.arange(sets.count), list(failed)).astype(int)
 
 
-def _perceived(task: PerceptionTask, detected: list[list], bar):
+def _perceived(task: PerceptionTask, detected: list[list], seed_sigma: np.ndarray, bar):
     """(Perception of all sets, GrowthSteps of those that are recorded): in groups whose maps fit into memory."""
     from doo_ti.perception.growth import GrowthSteps
     from doo_ti.perception.perceive import Perception, perceive
@@ -185,7 +185,7 @@ def _perceived(task: PerceptionTask, detected: list[list], bar):
         maps = distance_maps(detected[rows], MARGIN_PX)
         found.append(perceive(maps, sets.rig, sets.point[rows], sets.direction[rows], task.rest_length, task.material,
                               up=task.up, options=task.search, on_step=advance(first, len(maps.window)),
-                              surroundings=task.surroundings))
+                              surroundings=task.surroundings, start_sigma=seed_sigma[rows]))
     return Perception.joined(found), growth
 
 

@@ -164,13 +164,6 @@ class Perception:
                   if name != "configuration"}
         return cls(configuration=whole, **values)
 
-    def begun_uncertainly(self, seed_sigma: np.ndarray, length_range: np.ndarray) -> "Perception":
-        """The same with rods whose first two vertices are as uncertain as the seeds (A,) mm, and (2,) mm between which their
-        length is."""
-        sigma = self.sigma.copy()
-        sigma[:, :2] = np.maximum(sigma[:, :2], seed_sigma[:, None])
-        return replace(self, sigma=sigma, length_range=np.broadcast_to(length_range, self.length_range.shape))
-
     def among(self, rows: np.ndarray, count: int) -> "Perception":
         """The same as ``rows`` of ``count`` sets. In the others there is no rod: NaN, with the status INFEASIBLE."""
         def spread(values: np.ndarray, missing) -> np.ndarray:
@@ -192,7 +185,7 @@ def perceive(
     maps: DistanceMaps, rig: Rig, point: ArrayLike, direction: ArrayLike, rest_length: ArrayLike, material: Material, *,
     up: ArrayLike = (0.0, 0.0, 1.0),
     options: PerceptionOptions = PerceptionOptions(), on_step: Callable[[int, Hypotheses, Hypotheses], None] | None = None,
-    surroundings: Surroundings = Surroundings(),
+    surroundings: Surroundings = Surroundings(), start_sigma: ArrayLike = 0.0,
 ) -> Perception:
     """Recover the rods in A sets of images (Alg. 1).
 
@@ -205,6 +198,8 @@ def perceive(
     up           (3,) direction against gravity; any length
     on_step      called with the number of edges, the hypotheses kept and those pruned, after each step
     surroundings obstacles that all rods may touch but not enter, and their radius
+    start_sigma  (A,) mm: standard deviation of each ``point``, root mean square over the coordinates, which counts in
+                 that of the rod; 0: point and direction are exact
 
     Raises InputError for shapes that do not match, fewer than two edges, more than one material, and seeds inside an obstacle.
     """
@@ -218,7 +213,7 @@ def perceive(
         kept = grown.take(rows)
         if on_step is not None:
             on_step(edges, kept, grown.take(np.setdiff1d(np.arange(len(grown.of_set)), rows)))
-    return _result(search, kept)
+    return _result(search, kept, np.broadcast_to(np.asarray(start_sigma, dtype=np.float64), len(point)))
 
 
 def checked_seeds(function: str, point: ArrayLike, direction: ArrayLike, sets: int) -> tuple[np.ndarray, np.ndarray]:
@@ -260,7 +255,7 @@ def check_seeds(surroundings: Surroundings, point: np.ndarray) -> Surroundings:
     return surroundings
 
 
-def _result(search: Search, kept: Hypotheses) -> Perception:
+def _result(search: Search, kept: Hypotheses, start_sigma: np.ndarray) -> Perception:
     """The finalists of each set relaxed until they converge, ranked."""
     options = search.options
     candidates = rank_distinct(kept.energy_vis, search.vertices(kept), kept.of_set, options.finalists, options.similar_distance)
@@ -274,15 +269,15 @@ def _result(search: Search, kept: Hypotheses) -> Perception:
     others = ranked[:, 1:]
     found = others >= 0
     runner_up_energy = np.where(found, final.energy_vis[others], np.inf)
-    worse = runner_up_energy.min(axis=1, initial=np.inf) - final.energy_vis[best]
-    final = _sharpened(search, final, best)
-    rods = final.configuration.take(best)
     with np.errstate(invalid="ignore"):  # a rod that is not finite is data
+        worse = runner_up_energy.min(axis=1, initial=np.inf) - final.energy_vis[best]
+        final = _sharpened(search, final, best)
+        rods = final.configuration.take(best)
         edge_error, image_length = _reprojected(search, rods.vertices)
         near = edge_error <= options.unsupported
         hidden = ~near & (near.sum(axis=1, keepdims=True) >= 2)
         seen_length = np.where(hidden, 0.0, image_length)
-        sigma = search.sigma(rods)
+        sigma = search.sigma(rods, start_sigma)
     both = search.maps.detections is not None and options.evidence == "both"
     nothing = np.zeros(image_length.shape[:2])
     outside, skipped = unexplained(search.rig, rods.vertices, search.maps.detections) if both else (nothing, nothing)

@@ -200,14 +200,16 @@ class Search:
             return rods, np.zeros(len(rods.start), dtype=bool)
         return sharpened(rods, self.rig, self.maps.detections, self.material, self.up, NU_BACK * self.scale, self.surroundings)
 
-    def sigma(self, rods: Configuration) -> np.ndarray:
-        """(A, V) mm: uncertainty of the marks of one rod of each set, whose edges are cut into pieces."""
+    def sigma(self, rods: Configuration, start_sigma: np.ndarray | float = 0.0) -> np.ndarray:
+        """(A, V) mm: uncertainty of the marks of one rod of each set, whose edges are cut into pieces, and whose start is as
+        uncertain as ``start_sigma`` (A,) mm."""
         detections, marks = self.maps.detections, rods.vertices[:, :: self.options.pieces]
         noise = self.options.sigma_px, self.options.correlation_px
         if detections is None:
-            return vertex_sigma(self.rig, marks, *noise)
+            return vertex_sigma(self.rig, marks, *noise, start_sigma=start_sigma)
         detected = detected_places(self.rig, rods.vertices, self.options.pieces, detections)
-        return vertex_sigma(self.rig, marks, *noise, line_scatter(self.rig, rods.vertices, detections), detected)
+        scatter = line_scatter(self.rig, rods.vertices, detections)
+        return vertex_sigma(self.rig, marks, *noise, scatter, detected, start_sigma)
 
     def seen(self, points: int, nu: float, cap: float) -> Reprojection:
         """ν Σ E_proj in the units of the rod's energy."""

@@ -1,6 +1,6 @@
 """Uncertainty of the vertices of a perceived rod: the Laplace approximation of E_vis around its minimum (§IV-A).
 
-    cov = (∫ a aᵀ ds / N + H_E / T)⁻¹,        N = σ² ℓ,        T = 2 E / P
+    cov = (∫ a aᵀ ds / N + H_E / T)⁻¹,        N = σ² ℓ,        T = E / J
 
 Detected points have errors of σ px across the line, equal within a length ℓ of the line; the movement of places of the image
 across the image, per parameter, is a. Where the line is off the rod by more than that, N is measured. What moves a rod is not
@@ -13,16 +13,16 @@ for a rod whose images determine γ of its parameters follows as many sections (
 the rod off the line: glints, cameras that disagree about where the thread is, bends that are too sharp for the rod.
 
 H_E is the Hessian of the rod's bending energy E over its stiffness. How strongly rods of this kind bend is taken from the rod
-itself: with P parameters of a Gaussian density e^{−E/T} the mean of E is P T/2. Where images say little, as of the depth where
-cameras are close together, the rod's stiffness is all that is known, and sigma is large. Rest lengths and seed count as exact,
-and the rig does where its errors do not keep the rod off the lines.
+itself: with J joints the mean of E is J T in a Gaussian density e^{−E/T}. Where images say little, as of the depth where
+cameras are close together, the rod's stiffness is all that is known, and sigma is large. Rest lengths count as exact, as do a
+seed whose σ is not given, and the rig where its errors do not keep the rod off the lines.
 
 Sensor noise alone moves detected points by about 0.02 px, over about 4 px of line; the default σ and ℓ of
 :class:`doo_ti.perception.search.PerceptionOptions` are larger, so that sigma is as large as the errors measured on renderings
 of known rods.
 
-Axes: A rods of as many image sets, C cameras, E edges, V vertices, S places along a rod, P = 2 (E − 1) parameters: turns of
-all edges but the first.
+Axes: A rods of as many image sets, C cameras, E edges, V vertices, S places along a rod, P = 3 + 2 E parameters: the place of
+the first vertex, and turns of the edges.
 """
 
 from collections.abc import Sequence
@@ -38,21 +38,23 @@ from doo_ti.vision.distance_map import NEAR_PX
 
 PLACES = (0.25, 0.75)  # places along an edge where its image is evaluated
 LEAST_BENDING = 1e-4  # T of a rod that looks straight, times its length
+EXACT = 1e-8  # mm² and rad²: variance of a start that is given
 STEP_MM = 1e-3  # step of the difference quotients of the projection
 ROUNDS, FREE = 6, 0.2  # rounds in which N and γ are found, and the least share of sections that a rod does not follow
 SECTION_PX = 20.0  # L
 FEWEST = 10  # points in a section that counts
 
 
-def vertex_sigma(rig: Rig, vertices: np.ndarray, sigma_px: float, correlation_px: float,
-                 scatter: np.ndarray | float = 0.0, detected: np.ndarray | None = None) -> np.ndarray:
-    """(A, V) mm: standard deviation of each vertex, root mean square over its three coordinates; zero for the first two
-    vertices, which are given.
+def vertex_sigma(rig: Rig, vertices: np.ndarray, sigma_px: float, correlation_px: float, scatter: np.ndarray | float = 0.0,
+                 detected: np.ndarray | None = None, start_sigma: np.ndarray | float = 0.0) -> np.ndarray:
+    """(A, V) mm: standard deviation of each vertex, root mean square over its three coordinates.
 
     vertices                   (A, V, 3) mm: rods at minima of E_vis / B, isotropic and straight at rest
     sigma_px, correlation_px   σ and ℓ of the detection, at least
     scatter                    (A,) px³: Q of :func:`line_scatter`
     detected                   (A, C S) bool: places of the images where the thread was detected; None: all
+    start_sigma                (A,) mm: the same of the first vertex, before the images are looked at. Where it is zero the
+                               first edge is given
     """
     edges = np.diff(vertices, axis=1)
     length = np.linalg.norm(edges, axis=-1)
@@ -64,8 +66,11 @@ def vertex_sigma(rig: Rig, vertices: np.ndarray, sigma_px: float, correlation_px
         image_length = np.where(detected, image_length, 0.0)
     seen_once = np.swapaxes(seen, -1, -2) @ (image_length[..., None] * seen)
     bending = (np.linalg.norm(np.diff(tangents, axis=1), axis=-1) ** 2 * 2.0 / (length[:, :-1] + length[:, 1:])).sum(axis=1)
-    temperature = np.maximum(2.0 * bending / seen_once.shape[-1], LEAST_BENDING / length.sum(axis=1))
+    temperature = np.maximum(bending / (length.shape[1] - 1), LEAST_BENDING / length.sum(axis=1))
     stiff = bending_hessian(turns, length) / temperature[:, None, None]
+    start = np.broadcast_to(start_sigma, len(vertices))[:, None]
+    stiff[:, range(3), range(3)] += 1 / np.maximum(3 * start**2, EXACT)
+    stiff[:, [3, 4], [3, 4]] += np.where(start == 0, 1 / EXACT, 1.0)  # else its direction is known to a radian
     noise, sections = np.full(len(vertices), sigma_px**2 * correlation_px), image_length.sum(axis=1) / SECTION_PX
     for _ in range(ROUNDS):
         covariance = np.linalg.inv(seen_once / noise[:, None, None] + stiff)
@@ -79,12 +84,13 @@ def vertex_sigma(rig: Rig, vertices: np.ndarray, sigma_px: float, correlation_px
 
 
 def _vertex_movement(turns: np.ndarray, length: np.ndarray) -> np.ndarray:
-    """(A, V, 3, P) mm per rad: derivative of each vertex by turns of the edges."""
+    """(A, V, 3, P) mm, or mm per rad: derivative of each vertex by the place of the first one and by turns of the edges."""
     rods, edges = length.shape
     each = length[..., None, None] * turns
     before = np.tri(edges + 1, edges, -1)
     moved = before[None, :, :, None, None] * each[:, None]
-    return np.moveaxis(moved[:, :, 1:], 2, 3).reshape(rods, edges + 1, 3, 2 * (edges - 1))
+    turned = np.moveaxis(moved, 2, 3).reshape(rods, edges + 1, 3, 2 * edges)
+    return np.concatenate([np.broadcast_to(np.eye(3), (*turned.shape[:3], 3)), turned], axis=-1)
 
 
 def _movement_across(rig: Rig, vertices: np.ndarray, turns: np.ndarray, length: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -122,7 +128,7 @@ def detected_places(rig: Rig, vertices: np.ndarray, pieces: int, detections: Seq
 
 
 def bending_hessian(turns: np.ndarray, length: np.ndarray) -> np.ndarray:
-    """(A, P, P) 1/mm: second derivative of Σ |κb|²/l̄, with κb as the difference of tangents."""
+    """(A, P, P) 1/mm: second derivative of Σ |κb|²/l̄, with κb as the difference of tangents. The first vertex has no part."""
     rods, edges = length.shape
     joint = 2.0 / (length[:, :-1] + length[:, 1:])
     diagonal, beside = np.zeros((rods, edges)), -joint
@@ -134,7 +140,7 @@ def bending_hessian(turns: np.ndarray, length: np.ndarray) -> np.ndarray:
     product = beside[..., None, None] * np.swapaxes(turns[:, :-1], -1, -2) @ turns[:, 1:]
     blocks[:, every[:-1], :, every[1:], :] = np.moveaxis(product, 1, 0)
     blocks[:, every[1:], :, every[:-1], :] = np.moveaxis(np.swapaxes(product, -1, -2), 1, 0)
-    return blocks[:, 1:, :, 1:].reshape(rods, 2 * (edges - 1), 2 * (edges - 1))
+    return np.pad(blocks.reshape(rods, 2 * edges, 2 * edges), ((0, 0), (3, 0), (3, 0)))
 
 
 def line_scatter(rig: Rig, vertices: np.ndarray, detections: Sequence[Sequence[Detection]]) -> np.ndarray:

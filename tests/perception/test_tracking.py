@@ -96,9 +96,9 @@ def video() -> list[list[Detection]]:
     return [seen(frame) for frame in range(FRAMES)]
 
 
-def tracked(video, truth, material=MATERIAL, far=None):
+def tracked(video, truth, material=MATERIAL, far=None, search=PerceptionOptions()):
     """Every frame, and the mean distance of its vertices to the truth."""
-    tracker = Tracker(three_cameras(), REST_LENGTH, material)
+    tracker = Tracker(three_cameras(), REST_LENGTH, material, search=search)
     found = [tracker.see(frame, rod[0], rod[1] - rod[0], None if far is None or row == 0 else far[row - 1])
              for row, (frame, rod) in enumerate(zip(video, truth, strict=True))]
     return found, np.linalg.norm([frame.vertices for frame in found] - truth, axis=-1).mean(axis=1)
@@ -121,10 +121,10 @@ def test_a_rod_is_followed(frames):
 @pytest.mark.thorough
 def test_a_tracked_rod_is_the_one_that_algorithm_1_finds(video):
     """The last frame of fifteen that each began with the one before, against a search that knows none of them."""
-    found, _ = tracked(video, rods())
+    options = PerceptionOptions(evidence="rod")
+    found, _ = tracked(video, rods(), search=options)
     rod, rig = rods()[-1], three_cameras()
-    alone = perceive(distance_maps(video[-1:]), rig, rod[0], rod[1] - rod[0], REST_LENGTH, MATERIAL,
-                     options=PerceptionOptions(evidence="rod"))
+    alone = perceive(distance_maps(video[-1:]), rig, rod[0], rod[1] - rod[0], REST_LENGTH, MATERIAL, options=options)
     np.testing.assert_allclose(found[-1].vertices, alone.vertices[0], atol=1e-4)
     assert found[-1].energy_vis == pytest.approx(alone.energy_vis[0], rel=1e-6)
     np.testing.assert_allclose(found[-1].camera_error, alone.camera_error[0], rtol=1e-4)
