@@ -6,7 +6,8 @@ Where the thread runs along its epipolar lines, that is millimetres of depth. So
     E_back = Σ_c Σ_k w_k ρ(n·(p(x_k) − q_k))                    doo_ti.vision.image_energy
 
 with q_k the middle of the detected points around the image of place k, and n across the line there. Along the line a place is
-free, as which point is whose is found anew after each relaxation. Places without points of their direction near them have no
+free, as which point is whose is found anew after each relaxation; but the last place of the rod stays where it was along its
+line, else rods would fold in depth between cameras close together. Places without points of their direction near them have no
 weight: the rod's stiffness alone bridges gaps.
 
 Axes: A rods of as many image sets, C cameras, E edges, K places along an edge.
@@ -43,10 +44,12 @@ def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detec
     """
     every = np.arange(len(rods.start))
     quaternions, sound, moving = rods.quaternions.copy(), np.zeros(len(every), dtype=bool), every
+    ends = _images_of_places(rig, rods.vertices)[0][:, :, -1, -1]
     for _ in range(ROUNDS):
         here = Configuration(rods.start, quaternions, rods.rest_length).take(moving)
         places, ways = _images_of_places(rig, here.vertices)
         points, tangents, found = lines_at(places, ways, [detections[row] for row in moving])
+        points[:, :, -1, -1], tangents[:, :, -1, -1] = ends[moving], tangents[:, :, -1, -1, ::-1] * [1.0, -1.0]
         weight = np.where(found, np.linalg.norm(ways, axis=-1) / PLACES, 0.0)
         first = here.frames[:, 0]
         solution = relax(here, material, Clamps(Clamp.TANGENT, Clamp.FREE, here.start, here.start, first, first), Newton(),
