@@ -16,7 +16,7 @@ from doo_ti.learning.experiment import Experiment, carried, journey, relaxed
 from doo_ti.motion.journey import Journey
 from doo_ti.rod.frames import quaternion_from_matrix
 from doo_ti.rod.shapes import end_clamps, straight_rod
-from tests.learning.lab import DYNAMIC, lab_rods
+from tests.learning.lab import lab_rods
 from tests.relaxation.rods import vertex_distance
 
 STRIP = Material.diagonal(1e5, 2e6, 1e5)
@@ -97,20 +97,6 @@ def test_halving_the_sub_steps_changes_nothing_at_the_true_material(laboratory, 
         experiment, material = lab_rods(laboratory, name, sub_step=np.radians(degrees))
         ends.append(carried(experiment, material)[0].configuration)
     assert (vertex_distance(*ends) < 0.05).all()
-
-
-@pytest.mark.thorough
-def test_rods_alone_jump_as_in_company(laboratory):
-    experiment, material = lab_rods(laboratory, "ribbon")
-    together, jumps, off = carried(experiment, material)
-    pairs = experiment.pairs
-    few = np.flatnonzero(jumps)[:3].tolist() + np.flatnonzero(jumps == 0)[:2].tolist()
-    part = type(pairs)(pairs.from_index[few], pairs.to_index[few], pairs.weight[few], pairs.rotation[few])
-    alone, fewer, near = carried(Experiment(experiment.observations, experiment.grid, DYNAMIC, part), material)
-    np.testing.assert_array_equal(fewer, jumps[few])
-    np.testing.assert_array_equal(near, off[few])
-    np.testing.assert_array_equal(alone.configuration.quaternions, together.configuration.quaternions[few])
-    np.testing.assert_array_equal(alone.iterations, together.iterations[few])
 
 
 def test_an_infeasible_motion_affects_no_other():
@@ -251,16 +237,6 @@ def test_it_snaps_where_theory_says_and_comes_back_elsewhere(arch):
     level = np.flatnonzero(angles == 0)
     # Hysteresis: the clamp is level again, and the arch is on the other side.
     assert middle[level[0]] < -3 and middle[level[1]] > 3
-
-
-@pytest.mark.thorough
-def test_a_coarse_path_jumps_once_too(arch):
-    """Two moments, sub-steps of 5°: the jump is detected with any sub-steps."""
-    rod, clamps = arch
-    prediction = predict(rod, ARCH, clamps, tilted(np.radians([0.0, 12.0])))
-    assert prediction.followed.all() and prediction.jumps[:, 0].tolist() == [0, 1]
-    short = predict(rod, ARCH, clamps, tilted(np.radians([0.0, 9.5])))
-    assert short.jumps.sum() == 0
 
 
 @pytest.mark.thorough
