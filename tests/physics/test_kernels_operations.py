@@ -1,10 +1,11 @@
-"""The largest lane of a pack and literals in its precision; M = L D Lᵀ of symmetric 3×3 matrices, by products and pivot by
-pivot."""
+"""The larger of two numbers, the largest lane of a pack, and literals in its precision; M = L D Lᵀ of symmetric 3×3 matrices,
+by products and pivot by pivot."""
 
 import numpy as np
 import pytest
 import taichi as ti
 
+from doo_ti.physics.algebra import larger
 from doo_ti.physics.factors import factor, factor_in_turn
 from doo_ti.physics.number import Number
 from doo_ti.system import runtime
@@ -34,6 +35,19 @@ def test_the_largest_lane_is_that_of_numbers_and_literals_are_exact(rng, number)
     np.testing.assert_array_equal(found[:, 0], np.repeat(np.nanmax(values.reshape(-1, width), axis=1), width))
     exact = np.array(LITERALS, dtype=np.float32 if number.bits == 32 else np.float64)
     assert (np.abs(found[:, 1:] - exact) <= np.spacing(np.abs(exact))).all()
+
+
+@every_number
+def test_the_larger_number_is_nan_where_either_is(number):
+    runtime.start()
+
+    @ti.func
+    def function(v: ti.template()):
+        return (larger(v[0], v[1]),)
+
+    values = np.tile([[1.0, np.nan], [np.nan, 1.0], [2.0, 1.0], [1.0, 2.0]], (ROWS // 4, 1))
+    found = columns_kernel(number, 2, 1, function)(values)[:, 0]
+    np.testing.assert_array_equal(found, np.tile([np.nan, np.nan, 2.0, 2.0], ROWS // 4))
 
 
 UPPER = np.triu_indices(3)
