@@ -126,21 +126,9 @@ def test_predict_carries_rods_over_a_table(folder, tmp_path, capsys, table):
     assert (np.abs(found["contact_force"][-1, ..., :2]).max() > 1e-3) == (table == "rough.toml")
 
 
-@pytest.mark.slow
-def test_simulate_reads_obstacles_of_a_scene(folder, tmp_path, capsys):
-    words = ["simulate", str(folder / "scene.toml"), "--out", str(tmp_path / "f.npz")]
-    assert main([*words, "--picture", str(tmp_path / "f.png"), "--recording", str(tmp_path / "f.rrd")]) == 0
-    assert "contact     1 of 1 rods touch" in (printed := capsys.readouterr().out) and "friction    takes" in printed
-    found = written(tmp_path / "f.npz")
-    assert found["contact_force"].shape == (1, 16, 11, 3) and not found["contact_force"][0, 0].any()
-    assert found["smallest_gap_mm"].min() > -5e-4 and found["friction_work"][0, -1] > 0
-    assert (tmp_path / "f.png").stat().st_size > 10_000 and (tmp_path / "f.rrd").stat().st_size > 1_000
-    assert main([*words, "--obstacles", str(folder / "table.toml"), "--radius", "2"]) == 2
-    assert "--obstacles: given, but the scene has its own" in capsys.readouterr().err
-    (tmp_path / "bare.toml").write_text(SCENE)
-    words[1] = str(tmp_path / "bare.toml")
-    assert main([*words, "--obstacles", str(folder / "rough.toml"), "--radius", "2", "--quasi-static"]) in (0, 1)
-    assert "contact_force" in written(tmp_path / "f.npz")
+def test_a_scene_of_motion_has_its_own_obstacles(folder, capsys):
+    words = ["simulate", str(folder / "scene.toml"), "--out", str(folder / "f.npz")]
+    refused(capsys, folder, [*words, "--obstacles", str(folder / "table.toml"), "--radius", "2"], "the scene has its own")
 
 
 REFUSED = {

@@ -1,6 +1,5 @@
-"""Invariances of a rod: rigid motion with the vertical, reading it from its other end, a common factor, units."""
+"""Invariances of a rod: rigid motion with the vertical, reading it from its other end, a common factor."""
 
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -82,16 +81,3 @@ def test_common_factor_of_the_parameters(problem):
     before, after = relaxed(problem), relaxed((start, scaled, clamps, up))
     np.testing.assert_allclose(after.configuration.vertices, before.configuration.vertices, atol=1e-8)
     assert after.energy[0] == pytest.approx(700 * before.energy[0], rel=1e-11)
-
-
-def test_metres_for_millimetres(problem):
-    """Stiffness over weight is a length cubed, an energy over weight a length squared, a residual one over a length."""
-    start, material, clamps, up = problem
-    metres = (
-        replace(start, start=1e-3 * start.start, rest_length=1e-3 * start.rest_length),
-        Material(1e-9 * material.bend, 1e-9 * material.twist, material.weight, 1e3 * material.rest_curvature),
-        moved_clamps(clamps, lambda x: 1e-3 * x, lambda f: f), up,
-    )
-    before, after = relaxed(problem), relaxed(metres, tolerance=1e-8)
-    np.testing.assert_allclose(1e3 * after.configuration.vertices, before.configuration.vertices, atol=1e-7)
-    assert 1e6 * after.energy[0] == pytest.approx(before.energy[0], rel=1e-10)
