@@ -13,7 +13,7 @@ from doo_ti import Clamp, Rig, load_observations, observation_clamps, start_conf
 from doo_ti.commands.cli import main
 from doo_ti.vision.board import Board
 from doo_ti.vision.rig_files import load_rig, save_rig
-from tests.commands.calls import in_process, refused, succeeded
+from tests.commands.calls import refused, succeeded
 from tests.conftest import SEED
 from tests.io.rods import wavy_vertices
 from tests.vision.boards import around, look, poses
@@ -116,18 +116,6 @@ def test_wrong_options(capsys, pictures, tmp_path, case):
     words, *expected = OPTIONS[case]
     argv = ["calibrate", str(pictures / "views.csv"), "--board", TEXT, "--out", str(tmp_path / "rig.yaml"), *words]
     refused(capsys, tmp_path, argv, *expected)
-
-
-@pytest.mark.thorough
-def test_a_broken_image_is_reported_in_one_line(pictures, tmp_path):
-    """Image libraries write to the standard error themselves."""
-    whole = (pictures / "0_cam0.png").read_bytes()
-    (tmp_path / "half.png").write_bytes(whole[: len(whole) // 2])
-    (tmp_path / "views.csv").write_text("view,cam0,cam1\none,half.png,half.png\n")
-    argv = ["calibrate", str(tmp_path / "views.csv"), "--board", TEXT, "--out", str(tmp_path / "rig.yaml")]
-    done = in_process(argv)
-    assert done.returncode == 2 and done.stdout == ""
-    assert done.stderr.count("\n") == 1 and "half.png: file: cannot be read as an image" in done.stderr
 
 
 def rows_of(marks: np.ndarray, rng, noise: float = 0.3) -> list[list]:

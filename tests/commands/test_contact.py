@@ -9,9 +9,8 @@ from doo_ti import Cylinder, Observations, save_observations
 from doo_ti.commands import loading
 from doo_ti.commands.cli import main
 from doo_ti.commands.loading import inside_doubt, mesh_doubt
-from doo_ti.contact.surroundings import Surroundings, smallest_self_gap
+from doo_ti.contact.surroundings import Surroundings
 from tests.commands.calls import refused, succeeded, written
-from tests.contact.topology import determinant
 
 PLANE = '[[obstacles]]\nkind = "plane"\npoint = [0, 0, 0]\nnormal = [0, 0, 1]\n'
 MATERIAL = ["--bend", "6e5", "--precision", "f64", "--clamp-end", "free"]
@@ -127,21 +126,9 @@ def test_predict_carries_rods_over_a_table(folder, tmp_path, capsys, table):
     assert (np.abs(found["contact_force"][-1, ..., :2]).max() > 1e-3) == (table == "rough.toml")
 
 
-@pytest.mark.slow
-def test_simulate_reads_obstacles_of_a_scene(folder, tmp_path, capsys):
-    words = ["simulate", str(folder / "scene.toml"), "--out", str(tmp_path / "f.npz")]
-    assert main([*words, "--picture", str(tmp_path / "f.png"), "--recording", str(tmp_path / "f.rrd")]) == 0
-    assert "contact     1 of 1 rods touch" in (printed := capsys.readouterr().out) and "friction    takes" in printed
-    found = written(tmp_path / "f.npz")
-    assert found["contact_force"].shape == (1, 16, 11, 3) and not found["contact_force"][0, 0].any()
-    assert found["smallest_gap_mm"].min() > -5e-4 and found["friction_work"][0, -1] > 0
-    assert (tmp_path / "f.png").stat().st_size > 10_000 and (tmp_path / "f.rrd").stat().st_size > 1_000
-    assert main([*words, "--obstacles", str(folder / "table.toml"), "--radius", "2"]) == 2
-    assert "--obstacles: given, but the scene has its own" in capsys.readouterr().err
-    (tmp_path / "bare.toml").write_text(SCENE)
-    words[1] = str(tmp_path / "bare.toml")
-    assert main([*words, "--obstacles", str(folder / "rough.toml"), "--radius", "2", "--quasi-static"]) in (0, 1)
-    assert "contact_force" in written(tmp_path / "f.npz")
+def test_a_scene_of_motion_has_its_own_obstacles(folder, capsys):
+    words = ["simulate", str(folder / "scene.toml"), "--out", str(folder / "f.npz")]
+    refused(capsys, folder, [*words, "--obstacles", str(folder / "table.toml"), "--radius", "2"], "the scene has its own")
 
 
 REFUSED = {
@@ -194,23 +181,6 @@ friction = 0.1
 time_s = 0.25
 start_position_mm = [-2.0, 0, 0]
 """
-
-
-@pytest.mark.slow
-def test_a_knot_is_pulled_tight(tmp_path, capsys):
-    (tmp_path / "knot.toml").write_text(KNOT)
-    words = ["simulate", str(tmp_path / "knot.toml"), "--out", str(tmp_path / "k.npz"), "--picture", str(tmp_path / "k.png"),
-             "--recording", str(tmp_path / "k.rrd")]
-    assert main(words) == 0
-    assert "1 converged at the end" in capsys.readouterr().out
-    assert (tmp_path / "k.png").stat().st_size > 5_000 and (tmp_path / "k.rrd").stat().st_size > 5_000
-    found = written(tmp_path / "k.npz")
-    positions, force = found["positions_mm"][0], found["contact_force"][0]
-    assert [determinant(x) for x in positions] == [3] * len(positions)
-    assert np.abs(smallest_self_gap(positions, np.array([0.8]))).max() < 1e-3 * 0.8
-    assert np.allclose(found["smallest_gap_mm"][0], smallest_self_gap(positions, np.array([0.8])))
-    assert (np.diff(found["friction_work"][0]) > 0).all(), "its strands slide along each other in every step"
-    assert np.abs(force.sum(axis=1)).max() < 1e-8 * np.abs(force).max()
 
 
 @pytest.mark.parametrize(("old", "new", "words"), [

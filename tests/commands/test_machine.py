@@ -2,12 +2,7 @@
 file, and options that are wrong."""
 
 import json
-import os
 import re
-import subprocess
-import sys
-import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,8 +12,6 @@ from doo_ti.commands.cli import _parser, main
 from doo_ti.commands.machine import percent
 from doo_ti.lab import cases, workload
 from tests.commands.calls import refused, succeeded
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.parametrize("command", machine.STEPS)
@@ -38,19 +31,6 @@ def test_each_step_is_run_and_a_failure_is_reported(monkeypatch, capsys):
     assert "absent.npz" in found["failed"]["relax"]
     assert main(["warm", "twist"]) == 0
     assert "twist" in capsys.readouterr().out
-
-
-@pytest.mark.slow
-def test_kernels_are_kept(tmp_path):
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "TI_OFFLINE_CACHE_FILE_PATH": str(tmp_path / "kernels")}
-    kept, seconds = [], []
-    for _ in range(2):
-        began = time.monotonic()
-        subprocess.run([sys.executable, "-m", "doo_ti", "warm", "relax", "twist"], cwd=tmp_path, env=environment, check=True)
-        seconds.append(time.monotonic() - began)
-        kept.append(sorted(path.name for path in (tmp_path / "kernels").glob("*.tic")))
-    assert len(kept[0]) > 2 and kept[0] == kept[1]
-    print(f"{seconds[0]:.0f} s, then {seconds[1]:.0f} s")
 
 
 @pytest.fixture(autouse=True)

@@ -246,12 +246,3 @@ def test_the_friction_of_theta_is_named(folder, capsys):
                "--out", str(folder / "f.npz")]
     assert main(command) == 0
     assert "markers are ignored; its friction of 0.3 is ignored without obstacles" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_the_friction_of_theta_is_that_of_all_obstacles(folder, capsys):
-    (folder / "far.toml").write_text('[[obstacles]]\nkind = "plane"\npoint = [0, -900, 0]\nnormal = [0, 1, 0]\n')
-    assert main(["predict", str(folder / "seen.npz"), "--motion", str(folder / "marks.npz"), "--theta",
-                 str(theta_file(folder, friction=0.3)), "--obstacles", str(folder / "far.toml"), "--radius", "1", "--out",
-                 str(folder / "f.npz")]) == 0
-    assert "its friction of 0.3 is that of all obstacles" in capsys.readouterr().err

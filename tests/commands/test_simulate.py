@@ -202,17 +202,3 @@ def test_pictures_and_animations(recording, theta, tmp_path):
     parts = [energy[f"energy_{name}"] for name in ("kinetic", "gravity", "bending", "twist")]
     np.testing.assert_allclose(energy["energy_sum"], sum(parts))
     assert (energy["energy_dissipated"][:, -1] > 0).all() and (energy["energy_work"][:, -1] != 0).all()
-
-
-@pytest.mark.slow
-def test_steps_are_chosen_by_a_tolerance(recording, theta, tmp_path, capsys):
-    command = ["simulate", str(recording / "recorded.npz"), "--theta", str(theta), "--out", str(tmp_path / "f.npz")]
-    shown = ["--picture", str(tmp_path / "f.png"), "--recording", str(tmp_path / "f.rrd")]
-    assert main([*command, "--precision", "mixed", "--tolerance", "0.5", *shown]) == 0
-    found = np.load(tmp_path / "f.npz")
-    assert found["substeps"].shape == found["step_error_mm"].shape == found["status"].shape[:1]
-    assert (found["substeps"] >= 2).all() and (found["step_error_mm"] <= 0.5).all()
-    assert np.isnan(found["energy_twist"][:, 0]).all() and np.isfinite(found["energy_twist"][:, 1:]).all()
-    assert "estimated error" in capsys.readouterr().out
-    for wrong in ("--tolerance 0", "--most-substeps 8", "--tolerance 1 --substeps 4 --most-substeps 4"):
-        assert main([*command, *wrong.split()]) == 2

@@ -200,15 +200,3 @@ def test_a_rod_out_of_reach_that_f32_cannot_finish_is_finished():
     found = relax(rod, Material(1e6, 1e6), clamps, Newton(max_iterations=1), precision="f32", obstacles=[FAR], radius=1.0)
     bare = relax(rod, Material(1e6, 1e6), clamps, Newton(max_iterations=1), precision="f32")
     assert np.array_equal(found.status, bare.status) and np.array_equal(found.iterations, bare.iterations)
-
-
-@pytest.mark.slow
-def test_grippers_carry_a_rod_to_an_obstacle_that_it_could_not_reach():
-    rod, clamps = out_of_reach()
-    still = Grippers.resting(clamps, 60)
-    lowered = replace(still, start_position=still.start_position - np.linspace(0.0, 107.5, 60)[:, None] * [0.0, 0.0, 1.0])
-    moved = simulate(rod, Material(3e5, 3e5), lowered, Dynamics(drag=5.0, bend_damping=0.02), Stepping(50.0), obstacles=[FAR],
-                     radius=1.0)
-    assert moved.converged.all()
-    assert FAR.distance(moved.positions[0])[0].min() > 1.0 - 1e-3
-    assert moved.contact_force[0, -1, :, 2].sum() > 0

@@ -139,25 +139,6 @@ def test_no_step_raises_the_energy(rng, count, scheme, friction, damping, rate):
     assert rises.max() < 1e-9 and failed <= 0.02 * len(rises)
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("damping", [0.0, 0.02])
-def test_impacts_are_the_same_in_several_launches_and_alone(damping):
-    """What a step makes of an impact, the steps of later launches remember."""
-    def motion(**more):
-        return moved(np.random.default_rng(5), "table", 9, damping=damping, **more)
-
-    whole, parts = motion(), motion(detailed=True)
-    np.testing.assert_array_equal(whole.positions, parts.positions)
-    np.testing.assert_array_equal(whole.iterations, parts.iterations)
-
-
-@pytest.mark.thorough
-def test_energies_balance_across_impacts(rng):
-    """What an impact takes is unaccounted, never gained."""
-    energies = moved(rng, "table", 20, damping=0.02, detailed=True, rate=400.0).detail.energies
-    assert (energies["unaccounted"] > -1e-3 * np.ptp(energies["sum"], axis=1)[:, None]).all()
-
-
 # --- edges that lie flat on a face or across a rim: the point of an edge that touches is unique there ---
 
 ROPES, DOWN = 20, 30

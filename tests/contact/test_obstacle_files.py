@@ -15,7 +15,6 @@ from doo_ti.contact.obstacles import Box, Capsule, Cylinder, Plane, Ring, Sphere
 from doo_ti.dynamics.scene import load_motion_scene
 from doo_ti.rod.shapes import end_clamps
 from tests.conftest import check_refused
-from tests.contact import test_friction
 from tests.contact.clutter import differences, gaps
 
 ALL = """
@@ -179,20 +178,6 @@ def test_rods_on_a_ball_given_by_a_grid_are_as_on_the_ball(rng):
     assert more > 30 * off, "more than second order in the spacing"
     assert np.allclose(found.contact_force.sum(axis=1), exact.contact_force.sum(axis=1), rtol=1e-2, atol=1.0)
     assert found.contact.gap.min() > -1e-3 * RADIUS
-
-
-@pytest.mark.slow
-def test_a_block_slides_on_a_slab_given_by_a_grid(monkeypatch):
-    """Its friction is along the surface although the gradient of a grid is not quite of unit length. It begins in contact: an
-    impact would cost half a step's acceleration."""
-    slab = Box((40, 20, -10), (150, 70, 20))
-    monkeypatch.setattr(test_friction, "Plane", lambda point, normal, friction: sampled(
-        slab, 2.5, [-50.0, -30.0, -35.0], [130.0, 70.0, 15.0], friction=friction, position=(0, 0, -0.0022)))
-    # So stiff a block bears on the ripples of a grid's surface: its forces need gaps that are closed further.
-    moved = test_friction.on_slope([0.0, 0.2, 0.5], replace(test_friction.STEPPING, gap_tolerance=5e-6))
-    test_friction.test_it_slides_as_a_block_does(moved)
-    test_friction.test_it_stays_where_friction_is_large_enough(moved)
-    assert np.allclose(-moved.contact_force[1, -1].sum(0)[0], 0.2 * moved.contact_force[1, -1].sum(0)[2], rtol=1e-2)
 
 
 def test_the_drawn_surface_is_that_of_the_obstacle():

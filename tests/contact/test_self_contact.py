@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import taichi as ti
 
-from doo_ti import Dynamics, Grippers, InputError, Newton, Stepping, relax, simulate
+from doo_ti import InputError, Newton, relax
 from doo_ti.contact.surroundings import Itself, edge_distance, smallest_self_gap
 from doo_ti.physics.tuples import record
 from doo_ti.relaxation.pair_distance import pair_block, pair_distance, pair_slopes, pair_weights
@@ -157,15 +157,6 @@ def test_rods_keep_their_distance_and_their_link(coiled):
 
 
 @pytest.mark.thorough
-def test_a_rod_relaxes_alone_as_among_others(coiled):
-    rods, clamps, solution = coiled
-    for row in (2, 4):
-        alone = relax(rods.take([row]), Material(STIFFNESS, STIFFNESS), clamps.take([row]), PATIENT,
-                      obstacles=[Itself()], radius=RADIUS)
-        assert (alone.configuration.quaternions[0] == solution.configuration.quaternions[row]).all()
-
-
-@pytest.mark.thorough
 def test_a_knot_stays_and_its_forces_balance(knotted):
     clamps, solution = knotted
     assert solution.converged.all() and solution.stable.all()
@@ -177,22 +168,6 @@ def test_a_knot_stays_and_its_forces_balance(knotted):
     residual, pull = unbalanced(shape, Material(STIFFNESS, STIFFNESS, 0.0), clamps, force)
     assert residual * 160.0 / STIFFNESS < 1e-7
     assert np.allclose(pull, solution.end_force[0], rtol=1e-6, atol=1e-6 * np.abs(pull).max())
-
-
-@pytest.mark.slow
-def test_a_knot_is_pulled_in_one_launch_as_in_many(knotted):
-    """Every step in a launch of its own, as ``detailed`` makes them: the same bits, with friction."""
-    clamps, knot = knotted
-    material = Material(STIFFNESS, STIFFNESS, 1.0)
-    still = Grippers.resting(clamps, 6)
-    way = 2.0 * np.linspace(0.0, 1.0, 6)[:, None] * clamps.start_frame[:, None, :, 0]
-    grippers = replace(still, start_position=still.start_position - way, end_position=still.end_position + way)
-    once, often = (simulate(knot.configuration, material, grippers, Dynamics(density=1.0), stepping,
-                            obstacles=[Itself(friction=0.1)], radius=RADIUS)
-                   for stepping in (Stepping(10.0, quasi_static=True, detailed=detailed) for detailed in (False, True)))
-    assert once.converged.all() and once.friction_work[0, -1] > 0.0
-    for name in ("positions", "iterations", "contact_force", "friction_work", "touch"):
-        np.testing.assert_array_equal(getattr(once, name), getattr(often, name), err_msg=name)
 
 
 @pytest.mark.thorough

@@ -141,14 +141,6 @@ def test_point_loads_stiffen_rods_in_contact():
         np.testing.assert_allclose(pulled, (cotangent * found).sum(axis=(1, 2)), rtol=1e-6)
 
 
-def test_rods_that_touch_nothing_are_as_without_obstacles():
-    start, material, clamps = sagging(np.random.default_rng(5), 16)
-    here = sensitivity(relax(start, material, clamps))
-    below = sensitivity(relax(start, material, clamps, obstacles=[Plane((0, 0, -500), (0, 0, 1))], radius=RADIUS))
-    np.testing.assert_array_equal(here.vertices, below.vertices)
-    assert here.usable.any()
-
-
 def test_rods_that_touch_themselves_have_none():
     knot = overhand_knot(200.0, 100, radius=1.0, loop=12.0)
     clamps = end_clamps(knot, Clamp.TANGENT, Clamp.TANGENT)

@@ -157,25 +157,6 @@ def test_rods_that_fail_or_never_agree_are_reported(rng):
     assert np.isinf(found.error[1]) and (found.error[[0, 2, 3]] > 1e-9).all()
 
 
-@pytest.mark.slow
-def test_mixed_precision_repeats_what_f32_stops(rng):
-    rods, grippers = swung(rng, 300)
-    bend = np.where(np.arange(300) % 100 == 7, 1e10, 3e4)  # the stiff ones outweigh what f32 resolves of their weight
-
-    def simulated(**stepping):
-        return simulate(rods, Material(bend, bend), grippers, DYNAMICS, Stepping(RATE, **stepping))
-
-    exact, single, mixed = (simulated(precision=one) for one in ("f64", "f32", "mixed"))
-    stopped = ~single.converged
-    print(f"{stopped.sum()} of 300 stop in f32")
-    assert stopped.any() and (single.status[stopped, -1] == Status.STALLED).all() and mixed.converged.all()
-    np.testing.assert_array_equal(mixed.positions[stopped], exact.positions[stopped])
-    np.testing.assert_array_equal(mixed.positions[~stopped], single.positions[~stopped])
-    refined, expected = (simulated(precision=one, tolerance=0.5) for one in ("mixed", "f64"))
-    assert refined.converged.all()
-    np.testing.assert_allclose(refined.error, expected.error, rtol=0.1, atol=0.01)
-
-
 def test_what_cannot_be_is_refused(rng):
     for wrong in ({"tolerance": 0.0}, {"tolerance": np.nan}, {"tolerance": 1.0, "most_substeps": 1}):
         with pytest.raises(InputError):

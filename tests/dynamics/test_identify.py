@@ -67,19 +67,6 @@ def test_theta_is_found_from_recordings_with_noise(rng):
 
 
 @pytest.mark.thorough
-def test_intervals_of_parameters_are_those_of_the_vector(rng):
-    found = identify(rolled_out(rng, 4, 0.1), GUESS, replace(OPTIONS, horizons=(20,)))
-    rows = {row["name"]: row for row in found.parameters()}
-    assert list(rows) == found.unknowns.names
-    for name in ("bend", "bend_damping", "drag", "quadratic_drag"):
-        row = rows[name]
-        assert row["value"] == pytest.approx(getattr(found.theta, name), abs=1e-15)
-        assert (row["low"] is None or row["low"] <= row["value"]) and row["value"] <= row["high"]
-    np.testing.assert_allclose([rows[f"rest_curvature_{1 + k // 2}_{k % 2}"]["value"] for k in range(4)],
-                               found.theta.rest.ravel(), rtol=1e-12)
-
-
-@pytest.mark.thorough
 def test_theta_is_found_of_rods_with_a_free_end(rng):
     """From recordings that one gripper shakes; the last two markers count as well."""
     free = RecordedMotion.of(recorded(rng, TRUE, 4, 80, 0.0), RATE, free_end=True)

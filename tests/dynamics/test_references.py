@@ -95,13 +95,3 @@ def test_natural_frequencies(name, mode, start):
               f"{speeds[2] / theory - 1:+.2e}")
         assert abs(limit / theory - 1) < 5e-3
         assert 1.8 < order < 2.2
-
-
-def test_frequency_is_of_second_order_in_the_edge_length():
-    errors = []
-    for edges in (10, 20, 40):
-        coarse, fine = (frequency(motions.clamped_mode, 0, Clamp.FRAME, edges, steps, False) for steps in (120, 240))
-        errors.append(abs((4.0 * fine[0] - coarse[0]) / 3.0 / fine[1] - 1.0))
-    order = np.log2(np.array(errors[:-1]) / errors[1:])
-    print("off by", errors, "order in l", order)
-    assert order[-1] > 1.6

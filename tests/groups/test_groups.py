@@ -35,20 +35,6 @@ def a_y(count: int = 1, length: float = 60.0):
 
 
 @pytest.mark.thorough
-def test_rods_that_do_nothing_to_each_other_relax_as_alone():
-    starts, clamps = two_hanging()
-    together = relax_group(Group(starts, [MATERIAL, Material(2e5, 1e5, 0.5)], clamps), EXACT)
-    assert together.converged.all() and together.stable.all()
-    energy = 0.0
-    for number, (start, held, material) in enumerate(zip(starts, clamps, (MATERIAL, Material(2e5, 1e5, 0.5)), strict=True)):
-        alone = relax(start, material, held, EXACT)
-        assert np.abs(alone.configuration.vertices - together.rods[number].vertices).max() < 1e-9 * 100.0
-        assert np.allclose(alone.end_force[0], together.end_force[0, number], rtol=1e-7, atol=1e-5)
-        energy += alone.energy[0]
-    assert abs(energy - together.energy[0]) < 1e-9 * abs(energy)
-
-
-@pytest.mark.thorough
 def test_a_rod_cut_in_two_and_tied():
     """The tie is a hinge: against the reference, to a millionth of the length."""
     whole, held = hanging(100.0, 36, (0, 0, 0), (70, 0, 0), clamp=Clamp.FRAME)
@@ -151,18 +137,6 @@ def test_points_apart_are_drawn_together_as_far_as_they_can_be():
                    end_position=clamps[1].end_position + [0.0, 500.0, 0.0])
     apart = relax_group(Group([starts[0], away], MATERIAL, [clamps[0], held], [Tie((0, 10), (1, 8))]))
     assert not apart.converged[0] and apart.closure[0] > 0.1
-
-
-@pytest.mark.slow  # the kernel for packs of groups takes 40 s to compile
-def test_a_group_relaxes_alone_as_among_others():
-    group = a_y(20, 50.0)
-    together = relax_group(group, radius=0.5)
-    assert together.converged.all() and together.stable.all()
-    for row in (0, 7, 19):
-        alone = relax_group(group.take([row]), radius=0.5)
-        assert alone.energy[0] == together.energy[row]
-        for one, every in zip(alone.rods, together.rods, strict=True):
-            assert (one.quaternions[0] == every.quaternions[row]).all() and (one.start[0] == every.start[row]).all()
 
 
 @pytest.mark.thorough

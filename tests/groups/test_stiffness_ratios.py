@@ -86,14 +86,6 @@ def test_what_is_soft_is_resolved_beside_what_is_stiff(kind):
     assert found[sure].max() < SHAPE and sure.sum() >= POSES // 2 and np.isfinite(found).sum() >= POSES - 1
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS[1:])
-def test_the_whole_table(kind):
-    every = [off(kind, ratio) for ratio in RATIOS]
-    assert max(found[sure].max(initial=0.0) for found, sure in every) < SHAPE
-    assert np.mean([np.isfinite(found) for found, _ in every]) > (0.75 if kind == "net" else 0.98)
-
-
 @pytest.mark.thorough
 @pytest.mark.parametrize("ratio", RATIOS[::-3])
 def test_rods_that_nothing_ties_are_those_alone(ratio):

@@ -40,7 +40,6 @@ def test_one_start_and_three_materials():
     ends = prediction.vertices[-1]
     np.testing.assert_allclose(ends[:, [0, -1]], np.broadcast_to(ends[0, [0, -1]], (3, 2, 3)), atol=1e-6)
     apart = [np.linalg.norm(ends[i] - ends[j], axis=1).max() for i, j in ((0, 1), (0, 2), (1, 2))]
-    print("vertices apart by up to", np.round(apart, 1), "mm; jumps", prediction.jumps.sum(axis=0))
     assert min(apart) > 10
 
 
@@ -52,7 +51,6 @@ def test_a_loop_is_thrown_and_pops_out():
     assert len(jumps) == 2
     thrown, popped = prediction.time[jumps]
     rotation = np.degrees(prediction.end_rotation[:, 0])
-    print(f"thrown at {thrown:.2f} s, popped at {popped:.2f} s, the end turned by {rotation[jumps[1]]:.0f}°")
     assert 2 < thrown <= 4 < popped < 7
     # While the loop is there a turn of writhe is, too: twist is a whole turn short of what the clamp did.
     short = rotation - np.degrees(prediction.total_twist[:, 0])

@@ -148,19 +148,6 @@ def test_best_and_near_in_each_column():
     assert found.is_near.tolist() == [[False, False, False], [True, False, False], [False, False, False]]
 
 
-def test_own_parameters_predict_best(rng):
-    """Landscapes with a minimum at each material's truth: the diagonal is best, also with leave-one-out."""
-    cell = np.arange(40)[:, None]
-
-    def bowl(name, at):
-        return static(name, 0.5 + (0.1 * (cell - rng.normal(at, 2, 30))) ** 2)
-
-    found = scores(bowl("a", 8), bowl("b", 20), bowl("c", 32))
-    assert found.is_best.tolist() == np.eye(3, dtype=bool).tolist()
-    np.testing.assert_allclose(found.best, [8, 20, 32], atol=2)
-    assert (np.diag(found.mean) >= found.training).all(), "leaving out cannot help"
-
-
 # --- rows and columns ------------------------------------------------------------------------------------------------------
 
 LABELS = np.tile([54.0, 30.0, 78.0], 4)
@@ -177,12 +164,6 @@ def moved(name: str, labels=LABELS):
 
 def rows(found) -> dict[str, list[int]]:
     return {part.label: part.terms.tolist() for part in found.parts}
-
-
-def test_by_material():
-    found, = partition([lab("silk"), lab("nylon")], ("material",))
-    assert (found.by, found.within, found.unlabelled) == (("material",), "static", 0)
-    assert rows(found) == {"silk": list(range(12)), "nylon": list(range(12))}
 
 
 def test_by_material_and_end_distance_in_whatever_order_it_is_asked_for():

@@ -1,63 +1,16 @@
-"""Sweeps over rods that lie on a table: with the table they find the true stiffness, without it they do not."""
+"""Sweeps among obstacles: their identity, what is read back of them, and rods inside them."""
 
 import numpy as np
-import pytest
 
-from doo_ti import Axis, Descent, DistanceGrid, Grid, InputError, Observations, Pairs, Surroundings, hanging, relax, sweep
+from doo_ti import Axis, Descent, DistanceGrid, Grid, Surroundings
 from doo_ti.contact.obstacles import Plane, Ring, Sphere
 from doo_ti.learning.experiment import Experiment, SweepOptions
-from doo_ti.learning.run_folder import claim, identity_of, read_experiment, read_plan
-from doo_ti.rod.types import Clamp, Material
+from doo_ti.learning.run_folder import claim, identity_of, read_plan
 from tests.conftest import check_refused
 from tests.learning.lab import small_lab
 
 TRUE, RADIUS, HEIGHT = 2e5, 2.0, 25.0
-TABLE = Surroundings([Plane((0, 0, 0), (0, 0, 1))], RADIUS)
 GRID = Grid((Axis("bend", [5e4, 1e5, 2e5, 4e5]), Axis("twist", [TRUE])))
-ON_TABLE = SweepOptions(precision="f64", surroundings=TABLE)
-
-
-@pytest.fixture(scope="module")
-def lying() -> Observations:
-    """Rods of 240 mm between level clamps above the table, which lie down on it sideways."""
-    span = np.array([170.0, 190.0, 205.0, 225.0])
-    start, end = np.zeros((4, 3)), np.zeros((4, 3))
-    start[:, 2] = end[:, 2] = HEIGHT
-    end[:, 0] = span
-    rods, clamps = hanging(240.0, 24, start, end, clamp=Clamp.FRAME)
-    clamps.start_frame[:], clamps.end_frame[:] = np.eye(3), np.eye(3)
-    bowed = relax(rods, Material(TRUE, TRUE), clamps, up=(0, -1, -0.3)).configuration
-    found = relax(bowed, Material(TRUE, TRUE), clamps, **TABLE.arguments)
-    assert found.converged.all() and found.contact.touching.any(axis=1).all()
-    frames = found.configuration.frames
-    return Observations(found.configuration.vertices, rest_length=rods.rest_length, start_frame=frames[:, 0],
-                        end_frame=frames[:, -1], name="rope", end_distance=span, end_rotation=np.zeros(4))
-
-
-@pytest.mark.slow
-def test_with_the_table_a_sweep_finds_the_true_stiffness_and_without_it_not(tmp_path, lying):
-    with_table = sweep(tmp_path / "with", lying, GRID, options=ON_TABLE)
-    without = sweep(tmp_path / "without", lying, GRID, options=SweepOptions(precision="f64"))
-    assert with_table["best"]["bend_1"] == TRUE and with_table["best"]["mean_distance_mm"] < 1e-3
-    assert without["best"]["mean_distance_mm"] > 5.0 and without["best"]["bend_1"] != TRUE
-    assert with_table["provenance"]["options"]["obstacles"]["kinds"] == ["plane"]
-    # The folder alone gives the same experiment, and resuming it with another table is refused.
-    kept = read_experiment(tmp_path / "with").options.surroundings
-    assert (kept.obstacles[0].normal == TABLE.obstacles[0].normal).all() and kept.radius == RADIUS
-    lower = Surroundings([Plane((0, 0, -1), (0, 0, 1))], RADIUS)
-    with pytest.raises(InputError, match="holds another sweep"):
-        sweep(tmp_path / "with", lying, GRID, options=SweepOptions(precision="f64", surroundings=lower))
-    (tmp_path / "with" / "obstacles.npz").write_bytes(b"")
-    with pytest.raises(InputError, match="obstacles.npz: file"):
-        read_experiment(tmp_path / "with")
-
-
-@pytest.mark.slow
-def test_eq_3_over_a_table(tmp_path, lying):
-    one = Grid((Axis("bend", [1e5, TRUE, 4e5]), Axis("twist", [TRUE])))
-    found = sweep(tmp_path / "run", lying, one, pairs=Pairs([0, 1, 3], [1, 2, 2], [1.0, 1.0, 1.0]),
-                  options=SweepOptions(precision="f64", objective="dynamic", surroundings=TABLE))
-    assert found["best"]["bend_1"] == TRUE and found["best"]["mean_distance_mm"] < 0.1
 
 
 def experiment(*obstacles, radius=RADIUS, **options) -> Experiment:

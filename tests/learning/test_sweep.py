@@ -221,13 +221,3 @@ def test_another_set_of_pairs_is_another_sweep(tmp_path):
     with pytest.raises(InputError, match="end_rotation_deg: "):
         sweep(tmp_path / "none", replace(observations, end_rotation=None), GRID, options=DYNAMIC)
     assert not (tmp_path / "static").exists() and not (tmp_path / "none").exists()
-
-
-@pytest.mark.thorough
-def test_the_recording_shows_the_way(tmp_path):
-    from rerun.chunk import RrdReader
-
-    sweep(tmp_path / "run", small_lab(), GRID, options=DYNAMIC)
-    moments = sum(chunk.num_rows for chunk in RrdReader(tmp_path / "run" / "run.rrd").stream()
-                  if chunk.entity_path == "/world/rods" and "iteration" in chunk.timeline_names)
-    assert moments == 18, "where they set out, after 16 sub-steps, and at the end"

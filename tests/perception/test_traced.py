@@ -200,25 +200,6 @@ def test_stereo_pairs_that_others_rendered(group):
     assert (error < 3.0).all() and np.median(error) < 1.5 and not ((found.verdict == 0) & (error > 2.0)).any()
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(not PAIRS.exists(), reason="stereo pairs of a suture that others took are not here")
-@pytest.mark.parametrize("number", [59, 99, 116, 159, 187])
-def test_stereo_pairs_of_a_suture(number):
-    """Shiny threads with needles, in grey images of an endoscope. One begins outside of the left image."""
-    folder = PAIRS.parent / "real"
-    with np.load(folder / "centre_lines.npz") as file:
-        given = {name: file[f"{name}_{number}"] for name in ("left_px", "right_px", "seed_mm", "seed_direction")}
-    rig = load_rig(folder / "rig.yaml")
-    images = [detect(read_image(next(folder.glob(f"*_{camera.name}_{number}_final.png")), camera)) for camera in rig.cameras]
-    start, way = given["seed_mm"][None], given["seed_direction"][None] / np.linalg.norm(given["seed_direction"])
-    length = whole_threads(rig, [images], start, way, MATERIAL, UP).length[0]
-    found = perceive(distance_maps([images]), rig, start, way, np.full(33, length / 33), MATERIAL)
-    for camera, outside in zip(rig.cameras, found.outside[0], strict=True):
-        near = cKDTree(camera.project(dense(found.vertices[0]))).query(given[f"{camera.name}_px"])[0] <= 3.0
-        assert near.mean() / (1 - outside) > 0.95
-        assert outside == 0 or (number, camera.name) == (99, "right")
-
-
 @pytest.mark.thorough
 @pytest.mark.parametrize("noise", [0.1, 0.5])
 def test_sigma_is_as_large_as_the_errors(noise):

@@ -1,8 +1,7 @@
-"""Known rods tracked through videos: followed, lost, found again, and faster than by Algorithm 1."""
+"""Known rods tracked through videos: followed, lost, and found again."""
 
 from dataclasses import replace
 from functools import cache
-from time import perf_counter
 
 import numpy as np
 import pytest
@@ -212,21 +211,6 @@ def test_a_clamp_out_of_reach_does_no_harm(video):
     far = [motion_between(place, replace(place, end_position=place.end_position + 500.0))] * 2
     found, error = tracked(video[:3], rods()[:3], far=far)
     assert all(frame.how == How.TRACKED for frame in found[1:]) and error.max() < 0.15
-
-
-@pytest.mark.slow
-def test_tracking_is_faster_than_algorithm_1(video):
-    """Median over the frames; maps and uncertainties are in both."""
-    rig, seconds = three_cameras(), []
-    tracker = Tracker(rig, REST_LENGTH, MATERIAL)
-    for frame, rod in zip(video, rods(), strict=True):
-        begin = perf_counter()
-        tracker.see(frame, rod[0], rod[1] - rod[0])
-        middle = perf_counter()
-        perceive(distance_maps([frame]), rig, rod[0], rod[1] - rod[0], REST_LENGTH, MATERIAL)
-        seconds.append((middle - begin, perf_counter() - middle))
-    ours, theirs = np.median(seconds[1:], axis=0)
-    assert ours < theirs
 
 
 def test_vertices_that_two_cameras_show_are_seen():

@@ -1,142 +1,21 @@
-"""The algebra of tuples on every kind of number against NumPy, and what may be assigned again. Scratch memory by name: the
-same numbers for all lanes, for one lane, by name and by place."""
+"""What of tuples may be assigned again, on every kind of number. Scratch memory by name: the same numbers for all lanes, for
+one lane, by name and by place."""
 
 import numpy as np
 import pytest
 import taichi as ti
 
-from doo_ti.physics import algebra, factors, tuples
+from doo_ti.physics import algebra, tuples
 from doo_ti.physics.number import Layout, Number, Scratch, in_f64
 from doo_ti.physics.tuples import add, choose
 from doo_ti.system import runtime
 from tests.physics.columns import ROWS, columns_kernel, every_number
-
-SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
-UPPER = np.triu_indices(3)
-INPUTS = 25
-
-# Of the columns x of a table: vectors, a number, matrices, a symmetric matrix, and factors.
-A, B, S, M, N, P, F = slice(0, 3), slice(3, 6), 24, slice(0, 9), slice(9, 18), slice(18, 24), slice(18, 24)
-
-
-def matrices(x, place) -> np.ndarray:
-    """(ROWS, 3, 3)"""
-    return x[:, place].reshape(-1, 3, 3)
-
-
-def symmetric(x) -> np.ndarray:
-    """(ROWS, 3, 3)"""
-    return x[:, P][:, SYMMETRIC]
-
-
-def lower(x) -> np.ndarray:
-    """(ROWS, 3, 3) L of the factors."""
-    f = x[:, F]
-    result = np.tile(np.eye(3), (len(x), 1, 1))
-    result[:, 1, 0], result[:, 2, 0], result[:, 2, 1] = f[:, 3:].T
-    return result
-
-
-def inverse_diagonal(x) -> np.ndarray:
-    """(ROWS, 3, 3) D⁻¹ of the factors."""
-    return x[:, F][:, :3, None] * np.eye(3)
-
-
-def upper(m) -> np.ndarray:
-    """(ROWS, 6) of symmetric matrices."""
-    return m[:, *UPPER]
-
-
-# Name: (the function on the numbers of a row, what NumPy makes of all rows), both as rows of numbers.
-CASES = {
-    "plus": (lambda x: tuples.plus(x[A], x[B]), lambda x: x[:, A] + x[:, B]),
-    "minus": (lambda x: tuples.minus(x[A], x[B]), lambda x: x[:, A] - x[:, B]),
-    "negated": (lambda x: tuples.negated(x[A]), lambda x: -x[:, A]),
-    "scaled": (lambda x: tuples.scaled(x[A], x[S]), lambda x: x[:, A] * x[:, [S]]),
-    "products": (lambda x: tuples.products(x[A], x[B]), lambda x: x[:, A] * x[:, B]),
-    "chosen": (lambda x: tuples.chosen(x[S] > 0.0, x[A], x[B]), lambda x: np.where(x[:, [S]] > 0, x[:, A], x[:, B])),
-    "repeated": (lambda x: tuples.repeated(x[S], 4), lambda x: np.repeat(x[:, [S]], 4, axis=1)),
-    "dot": (lambda x: (tuples.dot(x[A], x[B]),), lambda x: (x[:, A] * x[:, B]).sum(axis=1)[:, None]),
-    "cross": (lambda x: tuples.cross(x[A], x[B]), lambda x: np.cross(x[:, A], x[:, B])),
-    "row": (lambda x: algebra.row(x[M], 1), lambda x: matrices(x, M)[:, 1]),
-    "transposed": (lambda x: algebra.transposed(x[M]), lambda x: matrices(x, M).swapaxes(1, 2)),
-    "identity": (lambda x: algebra.identity(0.0 * x[S]), lambda x: np.tile(np.eye(3), (len(x), 1, 1))),
-    "on_diagonal": (lambda x: algebra.on_diagonal(x[P], x[0]), lambda x: upper(symmetric(x) + x[:, 0, None, None] * np.eye(3))),
-    "shifted": (lambda x: algebra.shifted(x[P], x[0], x[1]), lambda x: upper(symmetric(x) + x[:, [0, 1, 1], None] * np.eye(3))),
-    "full": (lambda x: algebra.full(x[P]), symmetric),
-    "applied": (lambda x: algebra.applied(x[M], x[9:12]), lambda x: np.einsum("nij,nj->ni", matrices(x, M), x[:, 9:12])),
-    "times_transposed": (lambda x: algebra.times_transposed(x[M], x[N]),
-                         lambda x: matrices(x, M) @ matrices(x, N).swapaxes(1, 2)),
-    "quadratic": (lambda x: (algebra.quadratic(x[P], x[A], x[B]),),
-                  lambda x: np.einsum("ni,nij,nj->n", x[:, A], symmetric(x), x[:, B])[:, None]),
-    "row_scaled": (lambda x: algebra.row_scaled(x[M], x[9:12]), lambda x: x[:, 9:12, None] * matrices(x, M)),
-    "column_scaled": (lambda x: algebra.column_scaled(x[M], x[9:12]), lambda x: matrices(x, M) * x[:, None, 9:12]),
-    "minus_combination": (lambda x: factors.minus_combination(x[12:15], x[M], x[9:12]),
-                          lambda x: x[:, 12:15] - np.einsum("nki,nk->ni", matrices(x, M), x[:, 9:12])),
-    "squared": (lambda x: (factors.squared(x[F], x[A]),), lambda x: (x[:, F][:, :3] * x[:, A] ** 2).sum(axis=1)[:, None]),
-    "forward": (lambda x: factors.forward(x[F], x[A]), lambda x: np.linalg.solve(lower(x), x[:, A, None])),
-    "forward_rows": (lambda x: factors.forward_rows(x[F], x[M]),
-                     lambda x: np.linalg.solve(lower(x), matrices(x, M).swapaxes(1, 2)).swapaxes(1, 2)),
-    "backward": (lambda x: factors.backward(x[F], x[A]),
-                 lambda x: np.linalg.solve(lower(x).swapaxes(1, 2), inverse_diagonal(x) @ x[:, A, None])),
-    "gram": (lambda x: factors.gram(x[F], x[M], x[N]),
-             lambda x: matrices(x, M) @ inverse_diagonal(x) @ matrices(x, N).swapaxes(1, 2)),
-    "symmetric_gram": (lambda x: factors.symmetric_gram(x[F], x[M]),
-                       lambda x: upper(matrices(x, M) @ inverse_diagonal(x) @ matrices(x, M).swapaxes(1, 2))),
-    "against": (lambda x: factors.against(x[F], x[M], x[9:12]),
-                lambda x: matrices(x, M) @ inverse_diagonal(x) @ x[:, 9:12, None]),
-}
 
 
 def sampled(rng, number: Number, columns: int) -> np.ndarray:
     """(ROWS, columns) of about one, exact in ``number``."""
     values = rng.uniform(-1, 1, (ROWS, columns))
     return values.astype(np.float32).astype(np.float64) if number.bits == 32 else values
-
-
-@ti.func
-def numbers(v: ti.template()):
-    """The columns of a row as a tuple."""
-    return (v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8], v[9], v[10], v[11], v[12], v[13], v[14], v[15], v[16],
-            v[17], v[18], v[19], v[20], v[21], v[22], v[23], v[24])
-
-
-def batches(sizes: dict[str, int], most: int) -> list[list[str]]:
-    """The names in order, in as few lists as hold ``most`` numbers each."""
-    result = [[]]
-    for name, size in sizes.items():
-        if sum(sizes[other] for other in result[-1]) + size > most:
-            result.append([])
-        result[-1].append(name)
-    return result
-
-
-@every_number
-def test_every_function_is_numpys(rng, number):
-    """Several of them in one kernel: it takes long to compile one for each, and Taichi warns of more than 32 results."""
-    runtime.start()
-    values = sampled(rng, number, INPUTS)
-    expected = {name: reference(values).reshape(ROWS, -1) for name, (_, reference) in CASES.items()}
-    sizes = {name: array.shape[1] for name, array in expected.items()}
-    for names in batches(sizes, 32):
-        found = columns_kernel(number, INPUTS, sum(sizes[name] for name in names), together(names))(values)
-        array = np.hstack([expected[name] for name in names])
-        rounding = np.finfo(np.float32 if number.bits == 32 else np.float64).eps
-        np.testing.assert_allclose(found, array, rtol=0, atol=30 * rounding, err_msg=", ".join(names))
-
-
-def together(names: list[str]):
-    """The Taichi function of a row that gives the results of the functions ``names``."""
-
-    @tuples.picked
-    def every(x):
-        return sum((tuple(CASES[name][0](x)) for name in names), ())
-
-    @ti.func
-    def function(v: ti.template()):
-        return every(numbers(v))
-
-    return function
 
 
 @every_number

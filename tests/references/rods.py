@@ -1,4 +1,4 @@
-"""Rods to start from, the clamps that hold them, and measured orders of convergence."""
+"""Rods to start from, the clamps that hold them, and orders of convergence."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -50,11 +50,3 @@ def jiggled(configuration: Configuration, rng: np.random.Generator, size: float)
 def orders(edges, errors) -> np.ndarray:
     """Orders p of errors ~ edges^−p between successive refinements."""
     return -np.diff(np.log(np.asarray(errors))) / np.diff(np.log(np.asarray(edges, dtype=float)))
-
-
-def show(title: str, edges, errors) -> None:
-    """The table of a convergence test, on standard output (pytest -s)."""
-    rates = ["", *(f"{rate:.2f}" for rate in orders(edges, errors))]
-    print(f"\n{title}")
-    for count, error, rate in zip(edges, errors, rates, strict=True):
-        print(f"  {count:5d} joints  error {error:.3e}  order {rate}")

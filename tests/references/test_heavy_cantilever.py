@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 from scipy.special import jv
 
 from doo_ti import Clamp, Material, Newton, relax
-from tests.references.rods import chain, clamps_at, orders, show, stacked
+from tests.references.rods import chain, clamps_at, orders, stacked
 
 ALPHA, BETA, LENGTH = 6e5, 4e5, 100.0
 
@@ -23,7 +23,7 @@ def heavy(ratio: float) -> Material:
 
 
 def drooping(ratio: float):
-    """(x, z) of the continuum rod at s in [0, 1], lengths in L, for a horizontal clamp; loaded in steps."""
+    """(θ, θ', x, z) of the continuum rod at s in [0, 1], lengths in L, for a horizontal clamp; loaded in steps."""
     s = np.linspace(0, 1, 200) ** 2  # finer at the clamp, where a limp rod bends
     state = np.stack([0 * s, 0 * s, s, 0 * s])
     for load in np.geomspace(0.1, ratio, 8):
@@ -34,7 +34,7 @@ def drooping(ratio: float):
         )
         assert answer.success
         state = answer.sol(s)
-    return lambda at: answer.sol(at)[2:]
+    return answer.sol
 
 
 @pytest.mark.parametrize("ratio", [0.1, 1.0, 10.0, 100.0])
@@ -45,20 +45,10 @@ def test_drooping_cantilever_converges_to_the_elastica(ratio):
         rod = chain(np.tile([1.0, 0.0, 0.0], (count, 1)), [0, 1, 0], length, start=(-length / 2, 0, 0))
         solution = relax(rod, heavy(ratio), clamps_at(rod, Clamp.FRAME, Clamp.FREE), Newton(tolerance=1e-10))
         assert solution.converged.all() and solution.stable.all()
-        x, z = curve((np.arange(1, count + 1) - 0.5) / (count - 0.5))
+        x, z = curve((np.arange(1, count + 1) - 0.5) / (count - 0.5))[2:]
         away = solution.configuration.vertices[0, 1:] / LENGTH - np.stack([x, 0 * x, z], axis=1)
         errors.append(np.linalg.norm(away, axis=1).max() / np.abs(z).max())
-    show(f"cantilever, wL³/EI = {ratio:g}: largest vertex error over the droop", edges, errors)
     assert (orders(edges, errors) > 1.8).all() and errors[-1] < 2e-3
-
-
-def test_small_droop_is_that_of_the_linear_beam():
-    """wL⁴/8EI at the tip, to first order in a small load."""
-    count, ratio = 80, 1e-3
-    length = LENGTH / (count - 0.5)
-    rod = chain(np.tile([1.0, 0.0, 0.0], (count, 1)), [0, 1, 0], length)
-    solution = relax(rod, heavy(ratio), clamps_at(rod, Clamp.FRAME, Clamp.FREE), Newton(tolerance=1e-11))
-    assert -solution.configuration.vertices[0, -1, 2] / LENGTH == pytest.approx(ratio / 8, rel=1e-3)
 
 
 def test_certificate_flips_at_greenhills_column():
@@ -79,7 +69,6 @@ def test_certificate_flips_at_greenhills_column():
             assert solution.stable[: flip + 1].all() and flip < 20
             low, high = ratios[flip], ratios[flip + 1]
         errors.append(abs(0.5 * (low + high) / threshold - 1))
-    show("Greenhill's column", edges, errors)
     assert (orders(edges, errors) > 1.8).all() and errors[-1] < 2e-3
 
 

@@ -64,12 +64,6 @@ def interval(words: list[str], out) -> tuple[float, float]:
 
 
 @pytest.mark.thorough
-def test_the_interval_holds_the_truth(marks, tmp_path):
-    low, high = interval([marks, "--EI", "0.004"], tmp_path / "found.json")
-    assert low < EI < high
-
-
-@pytest.mark.thorough
 def test_bend_alone_from_a_sweep_holds_the_truth(marks, tmp_path):
     """The sweep's best GJ is far off, as nothing shows it: it stays in proportion to EI."""
     run = tmp_path / "run"

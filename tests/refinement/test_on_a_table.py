@@ -30,7 +30,6 @@ def test_the_intervals_contain_the_truth(rope):
     assert found.converged and found.used.all() and found.mean_distance < 0.2
     for name, value in truth.items():
         parameter = found.estimate.parameter(name)
-        print(f"{name}: {parameter.low:.4g} .. {parameter.high:.4g}, true {value:.4g}")
         assert parameter.low < value < parameter.high < 1.4 * parameter.low
 
 

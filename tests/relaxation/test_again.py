@@ -1,5 +1,5 @@
 """F from a solution: the same equilibria as from other starts nearby; the first solution is not changed. Results own their
-memory while they are referenced; later results reuse it afterwards."""
+memory while they are referenced."""
 
 import numpy as np
 import pytest
@@ -120,20 +120,6 @@ def test_referenced_results_are_never_overwritten(rng):
         relaxed(rng, 400, 3e6)
     for array, copy in zip(held, copies, strict=True):
         np.testing.assert_array_equal(array, copy)
-
-
-@pytest.mark.slow
-def test_memory_that_nobody_holds_is_used_again_and_bounded(rng, monkeypatch):
-    monkeypatch.setattr(tables, "pool", [])  # not what earlier tests have left
-    for _ in range(3):
-        relaxed(rng, 500, 1e5)
-    before = len(tables.pool)
-    for _ in range(20):
-        relaxed(rng, 500, 1e5)
-    assert len(tables.pool) == before
-    monkeypatch.setattr(tables, "POOLED_BYTES", 500_000)
-    kept = [relaxed(rng, 500, 1e5) for _ in range(8)]
-    assert sum(array.nbytes for array in tables.pool) <= 500_000 and len(kept) == 8
 
 
 def test_too_many_rods_for_one_call_are_refused(rng, monkeypatch):

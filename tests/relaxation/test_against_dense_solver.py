@@ -44,7 +44,6 @@ def test_every_pair_of_clamps(rng, weight):
         names = " - ".join(kind.name.lower() for kind in kinds)
         scale = abs(here.energy) + 1e-3 * np.abs(rod.bend).max() / rod.rest_length.sum()
         softest = here.smallest_eigenvalue / here.eigenvalues[-1]
-        print(f"{weight}, {names}: energy {here.energy:.6g}, residual {here.residual:.1e}, softest eigenvalue {softest:.1e}")
         assert solution.status[row] == 0, names
         assert abs(solution.energy[row] - here.energy) < 1e-12 * (abs(here.energy) + scale), names
         assert here.residual < 1e-10 and here.closure < 1e-12, names
@@ -74,15 +73,11 @@ def test_isotropic_rods_that_may_spin(rng):
     assert max(errors) < 1e-9
 
 
-BOW_EDGES = 16
-
-
-def planar_bow(distance: float, side: float, edges: int = BOW_EDGES) -> Configuration:
-    """48 mm of rod between clamps on one line, both tangents along it, bowed in the vertical plane, down or up."""
-    length = 48.0 / edges
-    along = np.sin(2 * np.pi * np.arange(edges) / (edges - 1))
-    size = brentq(lambda a: length * np.cos(a * along).sum() - distance, 0, 2)
-    return chain(np.stack([np.cos(size * along), 0 * along, side * np.sin(size * along)], axis=1), [0, 1, 0], length)
+def planar_bow(distance: float, side: float) -> Configuration:
+    """99 mm of rod between clamps on one line, both tangents along it, bowed in the vertical plane, down or up."""
+    along = np.sin(2 * np.pi * np.arange(33) / 32)
+    size = brentq(lambda a: 3.0 * np.cos(a * along).sum() - distance, 0, 2)
+    return chain(np.stack([np.cos(size * along), 0 * along, side * np.sin(size * along)], axis=1), [0, 1, 0], 3.0)
 
 
 def dense(start: Configuration, material: Material, clamps: Clamps, solution, row: int):
@@ -90,41 +85,6 @@ def dense(start: Configuration, material: Material, clamps: Clamps, solution, ro
     rod = rod_of(start, material, row)
     state = State(solution.configuration.start[row], solution.configuration.quaternions[row].astype(np.float64))
     return minimum(rod, None, state, clamped_start(start, clamps, row)[1], max_iterations=0)
-
-
-PLANAR = [(distance, side) for distance in (24.0, 32.0, 40.0) for side in (-1.0, 1.0)]
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("precision", ["f64", "f32", "mixed"])
-def test_planar_rods_at_0_degrees_rest_on_saddles_and_leave_them(precision):
-    """No force acts out of their plane; with low twist stiffness, or standing, they have a lower minimum outside it."""
-    rods = stacked([planar_bow(*place) for place in PLANAR])
-    ratio = np.array([0.05, 0.2, 1.0, 5.0])
-    material = Material(1e5, 1e5 * ratio, 4.0)
-    rows = np.arange(len(PLANAR)).repeat(4), np.tile(np.arange(4), len(PLANAR))
-    index = {"configuration_index": rows[0], "material_index": rows[1], "precision": precision}
-    clamps = clamps_at(rods)
-    resting = relax(rods, material, clamps, Newton(max_escapes=0), **index)
-    saddles = ~resting.stable
-    assert resting.converged.all() and 6 <= saddles.sum() < len(saddles)
-    assert np.abs(resting.configuration.vertices[..., 1]).max() < 1e-3  # still planar
-    for rod in range(len(saddles)):
-        one = Material(1e5, material.twist[rows[1][rod]], 4.0)
-        place = [rows[0][rod]]
-        lone = Configuration(rods.start[place], resting.configuration.quaternions[[rod]], rods.rest_length[place])
-        state, ends = clamped_start(lone, clamps.take(place), 0)
-        here = minimum(rod_of(lone, one), None, state, ends, max_iterations=0)
-        assert (here.smallest_eigenvalue < 0) == saddles[rod]
-    left = relax(rods, material, clamps, **index)
-    gained = resting.energy - left.energy
-    least = (gained / np.abs(resting.energy))[saddles].min()
-    print(f"{precision}: {saddles.sum()} of {len(saddles)} planar rods rest on a saddle; leaving them gains at least "
-          f"{least:.1e} of the energy, in {left.iterations[saddles].max()} iterations")
-    assert left.converged.all() and left.stable.all()
-    rounding = 1e-9 if precision != "f32" else 1e-5
-    assert (gained[saddles] > rounding * np.abs(resting.energy[saddles])).all()
-    assert (np.abs(gained[~saddles]) <= rounding * np.abs(resting.energy[~saddles])).all()
 
 
 def test_certificate_is_the_sign_of_the_smallest_eigenvalue(rng):
@@ -142,14 +102,15 @@ def test_certificate_is_the_sign_of_the_smallest_eigenvalue(rng):
             assert solution.stable[row] == (here.smallest_eigenvalue > 0), (row, here.eigenvalues[:3])
 
 
-def test_ribbons_bent_exactly_about_their_stiff_axis_turn_over():
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("precision", ["f64", "f32", "mixed"])
+def test_ribbons_bent_exactly_about_their_stiff_axis_turn_over(precision):
     """Planar at 0° with the stiff direction in the plane: every rod is at a saddle, and every rod leaves it."""
-    places = [(distance / 99 * 48, side) for distance in (42.0, 48.0, 54.0, 60.0, 66.0) for side in (-1.0, 1.0)]
-    short = stacked([planar_bow(*place, edges=33) for place in places])
-    rods = Configuration(short.start, short.quaternions, np.full(33, 3.0))
+    rods = stacked([planar_bow(distance, side) for distance in (42.0, 48.0, 54.0, 60.0, 66.0) for side in (-1.0, 1.0)])
     bend, ratio = (axis.ravel() for axis in np.meshgrid([5e4, 1.4e5, 4.2e5], [0.03, 0.1, 0.3]))
     material = Material.diagonal(bend, 3 * bend, bend * ratio)
-    index = {"configuration_index": np.arange(10).repeat(9), "material_index": np.tile(np.arange(9), 10)}
+    rows = {"configuration_index": np.arange(10).repeat(9), "material_index": np.tile(np.arange(9), 10)}
+    index = {**rows, "precision": precision}
     resting = relax(rods, material, clamps_at(rods), Newton(max_escapes=0, tolerance=1e-6), **index)
     assert resting.converged.all() and not resting.stable.any()
     left = relax(rods, material, clamps_at(rods), **index)

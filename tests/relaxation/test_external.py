@@ -59,16 +59,6 @@ def test_any_ends_may_be_held(rng, isotropic):
             np.testing.assert_allclose(-solution.end_force[row], here.force, atol=1e-8 * np.abs(here.force).max())
 
 
-@pytest.mark.slow
-def test_precisions_agree_with_any_ends(rng):
-    start, clamps, material, springs = rods_under_springs(rng, 2, True, ends=ALL_ENDS)
-    exact, single, mixed = (relax(start, material, clamps, Newton.careful(), up=UP, external=springs, precision=precision)
-                            for precision in ("f64", "f32", "mixed"))
-    for other, bound in ((single, 2e-3), (mixed, 1e-5)):
-        assert other.converged.all()
-        assert np.abs(other.configuration.vertices - exact.configuration.vertices).max() < bound
-
-
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("isotropic", [True, False], ids=["isotropic", "general"])
 def test_one_step_is_the_dense_one(rng, isotropic):

@@ -99,8 +99,6 @@ def test_coarse_rods_that_swing_about_their_chord(rng, edges):
     """Bowed any way between two positions they swing down under their weight, a long way round for few edges."""
     rods = wandering(rng, 128, edges)
     solution = relax(rods, MATERIAL, clamps_at(rods, Clamp.POSITION, Clamp.POSITION))
-    stuck = ~solution.converged
-    print(f"{edges} edges: {stuck.sum()} of 128 stalled, closure up to {solution.closure.max():.1e} of the length")
     well(solution)
 
 
@@ -115,7 +113,6 @@ def test_limp_and_stiff_with_any_bend_matrix(seed):
     rods = wandering(rng, 12, 33)
     material = Material(definite(rng, 13, scale=1.0) * DECADES[:, None, None], DECADES, 1.0)
     solution = relax(rods, material, clamps_at(rods), Newton(max_iterations=600), **EVERY_PAIR)
-    print(f"seed {seed}: stalled at bend {DECADES[EVERY_PAIR['material_index'][~solution.converged]]}")
     well(solution)
 
 

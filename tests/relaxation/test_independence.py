@@ -2,7 +2,6 @@
 per thread, as on a GPU: the same source with scalars, and scratch laid out item by item across the threads."""
 
 import hashlib
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -64,7 +63,6 @@ def compare(rng, count: int, kind: str, precision: str, batches) -> None:
     given = rods(rng, count, 1 if kind in ("round", "descent") else 4)
     options = surroundings(kind, count, rng) | {"precision": precision}
     whole = call(given, np.arange(count), **options)
-    print(f"{kind} {precision}: {np.bincount(whole.status, minlength=5)}, {whole.stable.sum()} stable")
     for size, number in batches:
         order = rng.permutation(count)
         for first in range(0, min(count, size * number), size):
@@ -113,7 +111,6 @@ def test_one_thread_and_all_threads():
                            cwd=Path(__file__).resolve().parents[2])
     assert alone.returncode == 0, alone.stderr
     runtime.start()
-    print(f"{runtime.thread_count()} threads of {os.cpu_count()} processors against one")
     assert alone.stdout.split()[-1] == digest()
 
 

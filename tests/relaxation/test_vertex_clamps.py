@@ -2,31 +2,19 @@
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_bvp
 
 from doo_ti import Clamp, Clamps, Configuration, Descent, Material, end_clamps, end_loads, hanging, relax, straight_rod
 from tests.conftest import check_refused
+from tests.references.test_heavy_cantilever import drooping
 
 EI, LENGTH = 1e6, 300.0
 EDGES = (20, 40, 80, 160)
 
 
-def cantilever() -> tuple[float, float]:
-    """Droop of the tip, mm, and moment at the clamp, mm², of a heavy elastica of unit μ, whose weight per length is two."""
-    s, y = np.linspace(0, LENGTH, 401), np.zeros((4, 401))
-    y[0] = s
-    for weight in np.linspace(0.1, 2.0, 20):
-        found = solve_bvp(
-            lambda s, y, w=weight: np.array([np.cos(y[2]), np.sin(y[2]), y[3], w * np.cos(y[2]) * (LENGTH - s) / EI]),
-            lambda a, b: np.array([a[0], a[1], a[2], b[3]]), s, y, tol=1e-10, max_nodes=100_000)
-        s, y = found.x, found.y
-    return abs(y[1, -1]), EI * abs(y[3, 0])
-
-
 @pytest.mark.thorough
 def test_a_cantilever_is_held_at_its_vertex():
-    tip, moment = cantilever()
-    errors = []
+    elastica, errors = drooping(2 * LENGTH**3 / EI), []  # of unit μ, whose weight per length is two
+    tip, moment = -LENGTH * elastica(1.0)[3], EI / LENGTH * abs(elastica(0.0)[1])
     for edges in EDGES:
         rod = straight_rod(LENGTH, edges, vertex_clamps=True)
         solution = relax(rod, Material(EI, 0.8 * EI), end_clamps(rod, Clamp.FRAME, Clamp.FREE))

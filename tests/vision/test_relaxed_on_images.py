@@ -115,13 +115,6 @@ def test_a_rod_does_not_depend_on_the_others(scene, rng):
         assert_same(together, rows, relaxed(scene, sets[rows], start.take(rows)), slice(None))
 
 
-@pytest.mark.thorough
-def test_no_weight_on_the_images_leaves_the_rod_to_itself(scene, rng):
-    _, start = starts(rng, scene[1], 6, 0.05)
-    other = relax(start, MATERIAL, held(start))
-    np.testing.assert_allclose(relaxed(scene, np.zeros(6, dtype=int), start, 0.0).energy, other.energy, rtol=1e-9)
-
-
 def test_wrong_input_is_refused(scene, rng):
     sets, start = starts(rng, scene[1], 5, 0.05)
     with pytest.raises(InputError, match="external_index"):

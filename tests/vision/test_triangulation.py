@@ -100,18 +100,6 @@ def test_outliers_are_found_and_left_out(rng, cameras):
     assert np.isnan(found.position[wrong[~named]]).all() and np.isnan(found.covariance[wrong[~named]]).all()
 
 
-@pytest.mark.thorough
-def test_two_outliers_of_five(rng):
-    rig, points, pixels = seen(rng, 40, around(count=5))
-    pixels[0] += [15, 8]
-    pixels[3] += [-9, 21]
-    found = triangulate(rig, pixels, SURE)
-    named = found.status == MarkStatus.OUTLIER_LEFT_OUT
-    assert named.mean() > 0.8
-    assert not found.used[np.ix_([0, 3], named)].any() and found.used[np.ix_([1, 2, 4], named)].all()
-    assert off(found, points, named).max() < 25
-
-
 def test_two_labels_that_contradict_each_other(rng):
     rig, _, pixels = seen(rng, 3, Rig(around().cameras[:2]))
     pixels[0, 1] += [0, 30]
