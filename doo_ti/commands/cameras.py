@@ -135,7 +135,6 @@ def run_triangulate(options: Namespace) -> int:
     points = triangulate(rig, marks.pixels.reshape(len(rig.cameras), -1, 2), chosen)
     _check_reading(rig, marks, points, chosen)
     rods = observe(marks, points, rest_length, **({} if up is None else {"up": up}), name=out.stem, **labels)
-    out.parent.mkdir(parents=True, exist_ok=True)
     save_observations(out, rods.observations)
     summary = _marks_summary(marks, rig, points, rods, chosen, out)
     report(options, summary, lambda: _marks_lines(marks, summary))

@@ -102,8 +102,6 @@ def _draw(moments: "list[GroupSolution]", picture: Path | None, recording: Path 
         print(f"doo-ti: note: {' and '.join(map(in_line, wanted))} not written: the rods have no place at any moment",
               file=sys.stderr)
         return
-    for path in wanted:
-        path.parent.mkdir(parents=True, exist_ok=True)
     if picture is not None:
         from doo_ti.report.contact import save_group
 

@@ -181,7 +181,6 @@ def _draw(picture: Path, found, rollouts) -> None:
     from doo_ti.report.contact import Touched
     from doo_ti.report.motions import save_rollout
 
-    picture.parent.mkdir(parents=True, exist_ok=True)
     motion, surroundings = rollouts.motion, rollouts.surroundings
     positions, _, _, simulation = rollouts.simulated(found.theta)
     touched = Touched(surroundings, positions, simulation.contact_force) if surroundings else None

@@ -70,8 +70,6 @@ def run(options: Namespace) -> int:
         prediction = _predicted(rods, stepping, sub_step, options.precision, between=between, up=rods.up,
                                 advance=lambda done: bar.advance(shown, done), **rods.surroundings.arguments)
     result = _arrays(rods, prediction)
-    for path in filter(None, (picture, recording)):
-        path.parent.mkdir(parents=True, exist_ok=True)
     results.save_arrays(out, result, ("moment", "rod"))
     lines = _lines(rods, stepping, prediction, result)
     if picture or recording:

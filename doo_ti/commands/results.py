@@ -37,7 +37,6 @@ def observed(scene: Scene, up: np.ndarray | None) -> Observations:
 
 def save(out: Path, observations: Observations) -> None:
     """Write observations, and print how many."""
-    out.parent.mkdir(parents=True, exist_ok=True)
     save_observations(out, observations)
     print(f"{counted(observations.count, 'observation')} of {observations.edges + 1} vertices written to {in_line(out)}")
 
@@ -51,7 +50,6 @@ def save_arrays(out: Path, arrays: dict[str, np.ndarray], axes: tuple[str, ...] 
 
     axes  names of the leading axes of the positions
     """
-    out.parent.mkdir(parents=True, exist_ok=True)
     left_out: list[str] = []
     if out.suffix == ".npz":
         write_whole(out, lambda file: np.savez_compressed(file, **arrays))

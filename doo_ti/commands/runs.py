@@ -189,7 +189,6 @@ def _show(options: Namespace, recording: Path, picture: Path | None) -> int:
     from doo_ti.record import open_viewer, save_screenshot, serve_viewer
 
     if picture is not None:
-        picture.parent.mkdir(parents=True, exist_ok=True)
         with busy("drawing"):
             save_screenshot(recording, picture)
         print(f"written to {in_line(picture)}")
@@ -211,5 +210,4 @@ def _draw_unfinished(run: Path, folder: Path) -> None:
     print(f"  best so far {theta_text(theta_of(overview.grid, overview.best), overview.grid.is_isotropic)}")
     print(f"  distance    mean {overview.mean_distance[overview.best]:.4g} mm (Eq. 1)")
     with busy("drawing"):
-        folder.mkdir(parents=True, exist_ok=True)
         found.draw(folder)

@@ -105,8 +105,6 @@ def run(options: Namespace) -> int:
                              "rods, and this file as --motion")
         found = _recorded(options, out, changes, up) if options.motion is None else _carried(
             options, simulated_rods(options, out, changes))
-    for path in filter(None, (picture, recording, animation)):
-        path.parent.mkdir(parents=True, exist_ok=True)
     arrays, summary = _results(found, out)
     whole = arrays
     if found.alone:

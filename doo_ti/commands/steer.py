@@ -75,7 +75,6 @@ def run_steer(options: Namespace) -> int:
         start, held = rod.at_rest()
         path = plan_manipulation(start.configuration, rod.material, held, Targets(rod.places), chosen, up=rod.observations.up,
                                  **rod.surroundings.arguments)
-    out.parent.mkdir(parents=True, exist_ok=True)
     write_text(out, path_table(path))
     if not path.reached:
         warn(f"{in_line(options.target)}: the target is not reached; the path ends {path.distance:.3g} mm from it, at the "
@@ -201,7 +200,6 @@ def run_servo(options: Namespace) -> int:
 
     from doo_ti.report.motions import servo_picture
 
-    folder.mkdir(parents=True, exist_ok=True)
     held = [begin, *(step.clamps for step in steps)]
     write_text(folder / PATH, path_table(ClampPath(np.arange(len(held), dtype=float), **{
         name: np.stack([getattr(clamps, name) for clamps in held]) for name in POSES})))

@@ -144,7 +144,6 @@ def _photograph(options: Namespace, scene: Scene) -> None:
 
     rods = lab_rods(scene.observations)
     photographs = Photographs(rods.names, rods.curve, rods.point, rods.direction, diameter, rig, look, seed)
-    folder.mkdir(parents=True, exist_ok=True)
     save_truth(folder / "truth.npz", rods, diameter)
     with progress() as bar:
         shown = bar.add_task("photographs", total=len(rods.names), unit="sets")

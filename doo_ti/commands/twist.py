@@ -80,7 +80,6 @@ def run_twist(options: Namespace) -> int:
     if out.suffix == ".npz":
         results.save_arrays(out, result)
     else:
-        out.parent.mkdir(parents=True, exist_ok=True)
         write_whole(out, lambda file: write_columns(file, _columns(observations, result)))
     if picture is not None:
         _draw(picture, observations, estimate)
@@ -119,7 +118,6 @@ def _draw(path: Path, observations: Observations, estimate) -> None:
 
     names = [f"{_rows(observations, estimate, k)}: {np.degrees(estimate.phi[k]):.0f}°, {_word(estimate.verdict[k])}"
              for k in range(min(MOST_CURVES, len(estimate.phi)))]
-    path.parent.mkdir(parents=True, exist_ok=True)
     angle_curves_picture(
         path, np.degrees(estimate.angles), estimate.objective, phi=np.degrees(estimate.phi), low=np.degrees(estimate.low),
         high=np.degrees(estimate.high), names=names, unsound=estimate.unsound, title=f"{observations.name}: Eq. 4")

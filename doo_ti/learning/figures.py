@@ -123,7 +123,6 @@ def _in_rows(panels: list[LandscapePanel]) -> list[list[LandscapePanel]]:
 def draw_landscapes(study: Study, out: Path) -> list[dict]:
     """Write landscapes.png and, with end distances, end_distances.png into the folder ``out``; returns path, bytes and
     seconds of each file."""
-    out.mkdir(parents=True, exist_ok=True)
     began, path = time.monotonic(), out / "landscapes.png"
     own_scale = ", each on a colour scale of its own" if len(study.landscapes) > 1 else ""
     landscapes_picture(path, [study.panels], title=f"{study.title}{own_scale}")
