@@ -226,7 +226,7 @@ def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found
     there = np.flatnonzero(np.isfinite(found.vertices).all(axis=(1, 2)))
 
     def seen(row: int):
-        from doo_ti.report import SeenRod
+        from doo_ti.report.figures import SeenRod
 
         images = [read_image(path, camera) for path, camera in zip(task.sets.paths[row], rig.cameras, strict=True)]
         marks = [detection.points for detection in detected[row]]
@@ -243,7 +243,7 @@ def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found
         reprojections_picture(picture, rig, rods, up=task.up, left_out=task.sets.count - len(rods))
         written.append(picture)
     if (there < task.recorded).any() and can_record():
-        from doo_ti.record import record_perception
+        from doo_ti.record.images import record_perception
 
         recording = out.with_suffix(".rrd")
         rows = there[there < task.recorded]

@@ -103,7 +103,7 @@ def _summary(configurations: Observations, found, sigma: float) -> dict:
 
 def _write(out: Path, configurations: Observations, found, summary: dict) -> None:
     """plan.json, plan.csv and identifiability.png."""
-    from doo_ti.report import identifiability_picture
+    from doo_ti.report.figures import identifiability_picture
 
     save_json(out / "plan.json", summary)
     rank = np.full(configurations.count, 0)

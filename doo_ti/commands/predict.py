@@ -217,8 +217,8 @@ def _summary(rods: HeldRods, prediction, result: dict, out: Path) -> dict:
 def _draw(rods: HeldRods, prediction, arrays: dict[str, np.ndarray], picture: Path | None, recording: Path | None,
           lines: list[str]) -> None:
     """Write the picture and the recording that are asked for, of the file's ``arrays``; ``lines`` are the result as text."""
-    from doo_ti.report import MovingRods, motions_picture
     from doo_ti.report.contact import Touched
+    from doo_ti.report.motions import MovingRods, motions_picture
 
     seen = rods.observations
     marks = None if seen is None else np.where(seen.valid[..., None], seen.vertices, np.nan)[prediction.motion]
@@ -229,7 +229,7 @@ def _draw(rods: HeldRods, prediction, arrays: dict[str, np.ndarray], picture: Pa
     if picture is not None:
         motions_picture(picture, moving, title=rods.name)
     if recording is not None:
-        from doo_ti.record import record_motion
+        from doo_ti.record.motions import record_motion
 
         force, unit = ("end_force_N", "N") if "end_force_N" in arrays else ("end_force", "mm")
         curves = {"Energy [mm²]": prediction.energy, "Total twist [°]": arrays["total_twist_deg"],

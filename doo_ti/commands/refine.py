@@ -168,7 +168,7 @@ def _kept(landscape, found, summary: dict) -> list[Path]:
 def _draw(landscape, found, path: Path) -> Path | None:
     """The landscape with the joint 95 % region; none where the grid has not two of the learned parameters."""
     from doo_ti.learning.landscape import plane_of
-    from doo_ti.report import landscape_picture
+    from doo_ti.report.landscapes import landscape_picture
 
     grid, estimate = landscape.grid, found.estimate
     free = [axis.name for axis in grid.axes if len(axis) > 1]

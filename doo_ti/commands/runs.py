@@ -186,7 +186,7 @@ def run_view(options: Namespace) -> int:
 
 def _show(options: Namespace, recording: Path, picture: Path | None) -> int:
     """The viewer as the options ask for it."""
-    from doo_ti.record import open_viewer, save_screenshot, serve_viewer
+    from doo_ti.record.viewer import open_viewer, save_screenshot, serve_viewer
 
     if picture is not None:
         with busy("drawing"):

@@ -209,7 +209,7 @@ def run_servo(options: Namespace) -> int:
                   rod.observations.up)
     written = [folder / name for name in (PATH, TABLE, PICTURE)]
     if not options.no_recording and can_record():
-        from doo_ti.record import record_servo
+        from doo_ti.record.images import record_servo
 
         written.append(folder / RECORDING)
         record_servo(written[-1], run_id=f"servo {folder.name}", name=rod.observations.name, rig=rig,

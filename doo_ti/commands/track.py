@@ -67,7 +67,7 @@ def run(options: Namespace) -> int:
                                   "seed in its first line")
     written = [out]
     if not options.no_recording and can_record():
-        from doo_ti.record import record_track
+        from doo_ti.record.images import record_track
 
         written.append(out.with_suffix(".rrd"))
         record_track(written[-1], run_id=f"track {out.name}", name=out.stem, rig=task.frames.rig, paths=task.frames.paths,

@@ -113,8 +113,7 @@ def _rows(observations: Observations, estimate, group: int) -> str:
 
 
 def _draw(path: Path, observations: Observations, estimate) -> None:
-    from doo_ti.report import angle_curves_picture
-    from doo_ti.report.figures import MOST_CURVES
+    from doo_ti.report.figures import MOST_CURVES, angle_curves_picture
 
     names = [f"{_rows(observations, estimate, k)}: {np.degrees(estimate.phi[k]):.0f}°, {_word(estimate.verdict[k])}"
              for k in range(min(MOST_CURVES, len(estimate.phi)))]

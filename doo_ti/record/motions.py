@@ -14,9 +14,10 @@ import rerun.blueprint as blueprint
 from doo_ti.contact.surroundings import Moving, Surroundings, since_first
 from doo_ti.groups.relax_group import GroupSolution
 from doo_ti.record import viewer
-from doo_ti.report import MovingRods, Ribbons, distinct_colors
-from doo_ti.report.canvas import Observed, box, facing, grid_view, widest
+from doo_ti.report.canvas import Observed, box, distinct_colors, facing, grid_view, widest
 from doo_ti.report.contact import GroupMotion, Touched
+from doo_ti.report.figures import Ribbons
+from doo_ti.report.motions import MovingRods
 
 GRIPPER = (120, 120, 130)
 MOST_CURVES = 12

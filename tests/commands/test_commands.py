@@ -137,7 +137,7 @@ def test_view_opens_the_recording(tmp_path, monkeypatch):
     def otherwise(path, *more):
         opened.append(path)
 
-    monkeypatch.setitem(sys.modules, "doo_ti.record", types.SimpleNamespace(
+    monkeypatch.setitem(sys.modules, "doo_ti.record.viewer", types.SimpleNamespace(
         open_viewer=open_viewer, save_screenshot=otherwise, serve_viewer=otherwise))
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.setenv("DISPLAY", ":0")
