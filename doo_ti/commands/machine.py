@@ -27,10 +27,11 @@ MOST_RODS = 1 << 22  # four times as many are relaxed at once to measure the mem
 
 def declare(add) -> None:
     parser = given.command(add, "bench", run_bench, "measure throughput and accuracy on this machine, in one table")
-    parser.add_argument("--rods", metavar="N", help=f"rods in the large batches (default {RODS})")
-    parser.add_argument("--threads", metavar="N", help="threads of the kernels (default: one per processor)")
-    parser.add_argument("--rounds", metavar="N", help=f"number of measurements; their median is printed (default {ROUNDS})")
-    parser.add_argument("--out", metavar="FOLDER", help="folder for bench.json (default: not written)")
+    given.add(parser, "--rods", "N", given.whole(1, MOST_RODS), "rods in the large batches", RODS)
+    given.add(parser, "--threads", "N", given.whole(1, os.cpu_count() or 1), "threads of the kernels (default: one per "
+              "processor)")
+    given.add(parser, "--rounds", "N", given.whole(1, MOST_ROUNDS), "number of measurements; their median is printed", ROUNDS)
+    given.add(parser, "--out", "FOLDER", given.FOLDER, "folder for bench.json (default: not written)")
     parser = given.command(add, "warm", run_warm, "compile the kernels of commands now, so that their first use does not wait")
     parser.add_argument("commands", nargs="*", metavar="COMMAND",
                         help=f"those whose kernels to compile: {', '.join(STEPS)} (default: all); those of obstacles depend "
@@ -38,16 +39,11 @@ def declare(add) -> None:
 
 
 def run_bench(options: Namespace) -> int:
-    rods = given.whole("--rods", options.rods, 1, MOST_RODS) or RODS
-    threads = given.whole("--threads", options.threads, 1, os.cpu_count() or 1)
-    rounds = given.whole("--rounds", options.rounds, 1, MOST_ROUNDS) or ROUNDS
-    out = given.output_folder(options.out)
-
     from doo_ti.lab.cases import benchmark
 
-    summary = benchmark(rods, rounds, threads)
-    if out is not None:
-        save_json(out / "bench.json", summary)
+    summary = benchmark(options.rods, options.rounds, options.threads)
+    if options.out is not None:
+        save_json(options.out / "bench.json", summary)
     report(options, summary, lambda: [text(summary)])
     return 0
 

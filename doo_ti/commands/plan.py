@@ -26,24 +26,22 @@ def declare(add) -> None:
     parser.add_argument("source", metavar="SCENE.toml|OBS", type=scene_file,
                         help="a scene whose [synthesis] lists the possible clamp poses, or observations that have them")
     given.add_material(parser, "a number or LO:HI:N[:log|:lin], the prior range; overrides the scene's axis")
-    parser.add_argument("--end-distances", metavar="MM,MM,…", help="end distances, instead of the scene's")
-    parser.add_argument("--end-rotations", metavar="DEG,DEG,…", help="end rotations, instead of the scene's")
-    parser.add_argument("--sigma", metavar="MM", help=f"label uncertainty (default: the source's, else {SIGMA_MM:g})")
-    parser.add_argument("--picks", metavar="K", help=f"how many configurations to rank (default {PICKS})")
+    given.add(parser, "--end-distances", "MM,MM,…", given.NUMBERS, "end distances, instead of the scene's")
+    given.add(parser, "--end-rotations", "DEG,DEG,…", given.NUMBERS, "end rotations, instead of the scene's")
+    given.add(parser, "--sigma", "MM", given.LENGTH, f"label uncertainty (default: the source's, else {SIGMA_MM:g})")
+    given.add(parser, "--picks", "K", given.COUNT, "how many configurations to rank", PICKS)
     parser.add_argument("--measured", metavar="I,I,…", help="row numbers, from 0, of the configurations already measured")
     given.add_clamps(parser)
     given.add_obstacles(parser, "without friction; the rods of a scene begin where they would be without obstacles")
     loading.add_loading(parser)
-    parser.add_argument("--out", metavar="FOLDER",
-                        help="folder for plan.csv, plan.json and identifiability.png (default: not written)")
+    given.add(parser, "--out", "FOLDER", given.FOLDER, "folder for plan.csv, plan.json and identifiability.png (default: not "
+              "written)")
 
 
 def run_plan(options: Namespace) -> int:
     scene = load_scene(options.source) if Path(options.source).suffix == ".toml" else None
     grid = given.grid(options, scene.grid if scene else None)
-    out = given.output_folder(options.out)
-    picks = given.whole("--picks", options.picks, 1) or PICKS
-    sigma = given.length("--sigma", options.sigma)
+    sigma, out = options.sigma, options.out
     configurations = _configurations(options, scene)
     measured = given.rows("--measured", options.measured, configurations.count)
     if sigma is None:
@@ -52,7 +50,7 @@ def run_plan(options: Namespace) -> int:
     from doo_ti.refinement.plan import plan
 
     (clamp_start, clamp_end), surroundings = given.clamps(options), given.surroundings(options)
-    found = plan(configurations, grid, sigma=sigma, picks=picks, clamp_start=clamp_start, clamp_end=clamp_end,
+    found = plan(configurations, grid, sigma=sigma, picks=options.picks, clamp_start=clamp_start, clamp_end=clamp_end,
                  measured=measured, surroundings=surroundings)
     loading.warn(configurations, surroundings, **loading.stated(options))
     summary = _summary(configurations, found, sigma)
@@ -65,8 +63,7 @@ def run_plan(options: Namespace) -> int:
 
 def _configurations(options: Namespace, scene) -> Observations:
     """The candidate configurations: the scene's recipe at the given distances and rotations, or the observations."""
-    distances = given.numbers("--end-distances", options.end_distances)
-    rotations = given.numbers("--end-rotations", options.end_rotations)
+    distances, rotations = options.end_distances, options.end_rotations
     recipe = scene.observations if scene and isinstance(scene.observations, Synthesis) else None
     if recipe is None:
         if distances or rotations:

@@ -29,31 +29,27 @@ def declare(add) -> None:
     parser = given.command(add, "predict", run, "predict the shapes of rods whose clamps move (§III-D)")
     parser.add_argument("source", metavar="OBS|SCENE.toml", type=scene_file,
                         help=f"observations the rods start from: {loading.FORMATS}; or a scene of motion")
-    parser.add_argument("--out", required=True, metavar="F.npz|F.csv", help="file to write")
+    given.add_out(parser, "F.npz|F.csv")
     given.add_material(parser, "a number or LO:HI:N[:log|:lin]: all materials of the grid at once", given.SHAPE_ONLY,
                        "for --EI, --GJ and forces in N")
     add_motion(parser)
-    parser.add_argument("--steps-between", dest="between", metavar="N",
-                        help="predicted steps from one moment of the motion to the next (default: 1, or the scene's)")
+    given.add(parser, "--steps-between", "N", given.COUNT, "predicted steps from one moment of the motion to the next "
+              "(default: 1, or the scene's)", dest="between")
     given.add_old_name(parser, "--between", "between")
-    parser.add_argument("--sub-step", metavar="DEG",
-                        help="largest rotation of a clamp in one sub-step; rods are relaxed after each (default 5)")
+    given.add(parser, "--sub-step", "DEG", given.Value(_sub_step), "largest rotation of a clamp in one sub-step; rods are "
+              "relaxed after each (default 5)")
     given.add_clamps(parser)
     loading.add_loading(parser, "OBS and PATH")
     parser.add_argument("--dynamic", action=Moved, nargs=0, help=SUPPRESS)
     given.add_obstacles(parser, "with friction, where an obstacle has any, from one step to the next")
     parser.add_argument("--precision", choices=PRECISIONS, default="mixed",
                         help="floating-point arithmetic of the stored steps (default mixed)")
-    parser.add_argument("--picture", metavar="F.png", help="also draw the motion (default: no)")
-    parser.add_argument("--recording", metavar="F.rrd", help="also record it for the viewer (default: no)")
+    given.add_file(parser, "--picture", "F.png", "also draw the motion (default: no)")
+    given.add_file(parser, "--recording", "F.rrd", "also record it for the viewer (default: no)")
 
 
 def run(options: Namespace) -> int:
-    out = given.output_file(options.out, results.RODS)
-    picture = given.output_file(options.picture, ".png", "--picture")
-    recording = given.output_file(options.recording, ".rrd", "--recording")
-    between = given.whole("--steps-between", options.between, 1)
-    sub_step = _sub_step(options)
+    out, between, sub_step = options.out, options.between, options.sub_step or np.radians(5.0)
     if Path(options.source).suffix == ".toml":
         rods, between = _scene(options, between)
     else:
@@ -72,8 +68,8 @@ def run(options: Namespace) -> int:
     result = _arrays(rods, prediction)
     results.save_arrays(out, result, ("moment", "rod"))
     lines = _lines(rods, stepping, prediction, result)
-    if picture or recording:
-        _draw(rods, prediction, result, picture, recording, lines)
+    if options.picture or options.recording:
+        _draw(rods, prediction, result, options.picture, options.recording, lines)
     loaded = [] if rods.observations is None else [loading.rod_line(rods.observations)]
     results.report(options, _summary(rods, prediction, result, out),
                    lambda: [*lines, *loaded, f"  written to {in_line(out)}"])
@@ -110,13 +106,13 @@ def _stepping(rods: HeldRods, between: int, sub_step: float):
     return Stepping(1.0, int(np.clip(np.ceil(needed), 1, MOST_STEPS)), "euler", quasi_static=True)
 
 
-def _sub_step(options: Namespace) -> float:
+def _sub_step(option: str, text: str) -> float:
     """The largest turn of a sub-step, rad."""
-    given_degrees = given.numbers("--sub-step", options.sub_step) or (5.0,)
-    if len(given_degrees) > 1 or not LEAST_DEGREES <= given_degrees[0] <= MOST_DEGREES:
-        raise InputError(given.SOURCE, "--sub-step", f"{options.sub_step!r} is out of range",
+    degrees = given.NUMBERS(text, option)
+    if len(degrees) > 1 or not LEAST_DEGREES <= degrees[0] <= MOST_DEGREES:
+        raise InputError(given.SOURCE, option, f"{text!r} is out of range",
                          f"give one number of degrees from {LEAST_DEGREES:g} to {MOST_DEGREES:g}")
-    return np.radians(given_degrees[0])
+    return np.radians(degrees[0])
 
 
 def _scene(options: Namespace, between: int | None) -> tuple[HeldRods, int]:

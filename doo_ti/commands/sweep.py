@@ -36,7 +36,7 @@ def declare(add) -> None:
     parser.add_argument("sources", nargs="+", metavar="SCENE.toml|OBS", type=scene_file,
                         help=f"scenes, or observations: {loading.FORMATS}; each "
                         "of several gets a folder of its name below RUN")
-    parser.add_argument("--out", required=True, metavar="RUN", help="folder to write; an unfinished run in it is resumed")
+    given.add(parser, "--out", "RUN", given.FOLDER, "folder to write; an unfinished run in it is resumed", required=True)
     given.add_material(parser, "a number or LO:HI:N[:log|:lin]; overrides the scene's axis",
                        density="for --EI, --GJ and results in N m²")
     given.add_relaxation(parser, None)
@@ -45,11 +45,11 @@ def declare(add) -> None:
     parser.add_argument("--objective", choices=OBJECTIVES, help="static: Eq. 2 (default), dynamic: Eq. 3")
     parser.add_argument("--pairs", metavar="FILE.csv", help="pairs of observations for Eq. 3, columns "
                         "from,to[,weight][,rotation_deg] (default: those of the paper, from the labels)")
-    parser.add_argument("--roll-hypotheses", dest="spins", metavar="N",
-                        help="roll angles to try for clamps whose roll was not measured (default 0: these clamps roll freely)")
+    given.add(parser, "--roll-hypotheses", "N", given.whole(0, MOST_ROLLS), "roll angles to try for clamps whose roll was not "
+              "measured (default 0: these clamps roll freely)", dest="spins")
     given.add_old_name(parser, "--spins", "spins")
-    parser.add_argument("--seed", metavar="N", help="seed of all random numbers (default: the scene's, else 0)")
-    parser.add_argument("--workers", metavar="N", help="number of processes (default: one)")
+    given.add(parser, "--seed", "N", given.FROM_ZERO, "seed of all random numbers (default: the scene's, else 0)")
+    given.add(parser, "--workers", "N", given.whole(1, MOST_WORKERS), "number of processes (default: one)")
     parser.add_argument("--dask", dest="scheduler", metavar="ADDRESS",
                         help="compute on the workers of a Dask cluster: its scheduler's address, tcp://HOST:8786")
 
@@ -105,7 +105,7 @@ def _stamps(run: Path) -> dict[str, int]:
 
 def _searches(options: Namespace) -> list[_Search]:
     """The sweeps to run, all checked before the first one starts; each of several sources gets a folder below --out."""
-    out = given.output_folder(options.out)
+    out = options.out
     searches = [_search(options, source, out) for source in options.sources]
     if len(searches) == 1:
         return searches
@@ -125,9 +125,9 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
         scene = load_scene(source)
     else:
         scene = Scene(in_line(Path(source).stem), Path(source), given.grid(options))
-    grid, frame_weight = given.grid(options, scene.grid), given.frame_weight(options, scene.frame_weight)
-    seed, workers = given.whole("--seed", options.seed, 0), given.whole("--workers", options.workers, 1, MOST_WORKERS)
-    if options.scheduler and workers:
+    grid, seed = given.grid(options, scene.grid), options.seed
+    frame_weight = scene.frame_weight if options.frame_weight is None else options.frame_weight
+    if options.scheduler and options.workers:
         raise InputError(given.SOURCE, "--dask", "given beside --workers", "give one of the two")
     if isinstance(scene.observations, Synthesis):
         seed = scene.observations.seed if seed is None else seed
@@ -140,7 +140,6 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
         observations = loading.with_ends_in_reach(observations, clamp_start, clamp_end)
     clamps = observation_clamps(observations, clamp_start, clamp_end)
     check_experiment(observations, clamps, grid.axes[-1].values[-1], frame_weight)
-    spins = given.whole("--roll-hypotheses", options.spins, 0, MOST_ROLLS)
     pairs = _pairs(options, scene, observations, objective)
 
     from doo_ti.learning.experiment import SOLVERS, SweepOptions
@@ -148,10 +147,9 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
     chosen = SweepOptions(
         frame_weight=frame_weight, clamp_start=clamp_start, clamp_end=clamp_end, solver=SOLVERS[options.solver](),
         precision=options.precision or scene.precision, objective=objective,
-        spins=scene.roll_hypotheses if spins is None else spins, seed=seed or 0, surroundings=given.surroundings(options),
-        workers=workers, scheduler=options.scheduler)
-    density = given.density(options)
-    return _Search(scene, observations, grid, chosen, pairs, run, density)
+        spins=scene.roll_hypotheses if options.spins is None else options.spins, seed=seed or 0,
+        surroundings=given.surroundings(options), workers=options.workers, scheduler=options.scheduler)
+    return _Search(scene, observations, grid, chosen, pairs, run, options.linear_density)
 
 
 def _lines(search: _Search, summary: dict, finished_before: bool, made_again: list[str]) -> list[str]:

@@ -11,7 +11,7 @@ from doo_ti.commands import image_options
 from doo_ti.commands import options as given
 from doo_ti.commands.loading import read_rest_length
 from doo_ti.commands.perceive import LEAST_SIGMA_MM
-from doo_ti.commands.results import RODS, report, save_arrays
+from doo_ti.commands.results import report, save_arrays
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.arrays import read_csv
 from doo_ti.rod.types import Clamp, Clamps, Material
@@ -45,7 +45,7 @@ def declare(add) -> None:
     parser.add_argument("--frames", required=True, metavar="FRAMES.csv",
                         help="columns frame, one of images per camera, time_s (optional), and where the rod begins: seed_x … "
                         "dir_z, or CAMERA_u, CAMERA_v of a pixel, in the first frame and where it changes; or --seed-pixel")
-    parser.add_argument("--out", required=True, metavar="F.npz|F.csv", help="file to write; F.rrd is written beside it")
+    given.add_out(parser, "F.npz|F.csv", "file to write; F.rrd is written beside it")
     given.add_material(parser, image_options.ROUND, round_rod=True)
     parser.add_argument("--motion", metavar="PATH", help="poses of the far clamp, one moment for each frame: .npz or .csv")
     image_options.add_thread(parser)
@@ -54,7 +54,7 @@ def declare(add) -> None:
 
 
 def run(options: Namespace) -> int:
-    out = given.output_file(options.out, RODS)
+    out = options.out
     given.refuse_overwriting(out, options.frames, options.motion, options.rest_length)
     task = tracking_task(options)
     rest_length, found, problem = _tracked(task)

@@ -24,7 +24,7 @@ def declare(add) -> None:
     parser = given.command(add, "twist", run_twist, "estimate the twist of rods from their shapes (Eq. 4)")
     parser.add_argument("observations", metavar="OBS",
                         help=f"observations, or a file that perceive wrote: {loading.FORMATS}")
-    parser.add_argument("--out", required=True, metavar="F.npz|F.csv", help="file to write")
+    given.add_out(parser, "F.npz|F.csv")
     given.add_material(parser, "one number each", given.SHAPE_ONLY)
     parser.add_argument("--observations", dest="together", metavar="D",
                         help="each D consecutive observations share one angle φ "
@@ -34,7 +34,7 @@ def declare(add) -> None:
                         "with offset_deg or end_frame (default: from the observations' end_frame)")
     parser.add_argument("--regrasp", nargs="+", action="extend", default=[], metavar="INDEX",
                         help="observations before which the rod was released and grasped again; each starts a new φ")
-    parser.add_argument("--picture", metavar="F.png", help="also draw the curves (default: no)")
+    given.add_file(parser, "--picture", "F.png", "also draw the curves (default: no)")
     given.add_obstacles(parser, "without friction")
     loading.add_loading(parser)
     parser.add_argument("--precision", choices=PRECISIONS, default="f32",
@@ -44,8 +44,7 @@ def declare(add) -> None:
 def run_twist(options: Namespace) -> int:
     """Eq. 4 for each group of observations that share φ; writes φ and the whole curve, and prints ambiguous groups."""
     grid = given.single_cell(options)
-    out = given.output_file(options.out, results.RODS)
-    picture = given.output_file(options.picture, ".png", "--picture")
+    out = options.out
     observations = loading.load(options, options.observations)
     given.refuse_overwriting(out, options.observations)
 
@@ -56,9 +55,9 @@ def run_twist(options: Namespace) -> int:
     if options.offset is not None:
         observations, offset = load_offsets(Path(options.offset), observations)
     regrasps = given.rows("--regrasp", ",".join(options.regrasp) or None, observations.count)
-    together = given.whole("--observations", options.together, 1, observations.count)
-    if together is None:
-        together = observations.count if options.offset or regrasps else 1
+    together = observations.count if options.offset or regrasps else 1
+    if options.together is not None:
+        together = given.whole(1, observations.count)(options.together, "--observations")
     group = consecutive_groups(observations.count, together, regrasps)
     check_experiment(replace(observations, frames=None), observation_clamps(observations), grid.axes[-1].values[-1], 0.0)
     if offset is None and (together > 1 or options.offset):
@@ -81,8 +80,8 @@ def run_twist(options: Namespace) -> int:
         results.save_arrays(out, result)
     else:
         write_whole(out, lambda file: write_columns(file, _columns(observations, result)))
-    if picture is not None:
-        _draw(picture, observations, estimate)
+    if options.picture is not None:
+        _draw(options.picture, observations, estimate)
     summary = _summary(observations, grid, estimate, result, out)
     results.report(options, summary, lambda: _lines(observations, grid, estimate, summary))
     return 0 if np.isfinite(estimate.phi).any() else 1

@@ -165,7 +165,7 @@ def test_a_command_that_is_stopped_says_whether_it_starts_from_the_beginning(cap
         raise failure
 
     monkeypatch.setattr(f"doo_ti.commands.{work}", fail)
-    assert main([command, "source", "--out", "F"]) == 1
+    assert main([command, "source", "--out", "F.json"]) == 1
     out, err = capsys.readouterr()
     assert out == "" and err.count("\n") == 1 and f"; the same command {way}" in err
 
