@@ -35,8 +35,8 @@ ROUND = f"one number each; rods are round; without any, --bend {GUESSED_BEND:g},
 
 def add_rig(parser: ArgumentParser) -> None:
     """The cameras, and what their file leaves open; :func:`rig` reads them."""
-    parser.add_argument("--rig", required=True, metavar="RIG", type=scene_file, help="the calibrated cameras "
-                        "(docs/cameras.md): OpenCV FileStorage YAML, OpenCV's stereo file, or COLMAP's cameras.txt")
+    given.add(parser, "--rig", "RIG", scene_file, "the calibrated cameras (docs/cameras.md): OpenCV FileStorage YAML, OpenCV's "
+              "stereo file, or COLMAP's cameras.txt", required=True)
     parser.add_argument("--rig-unit", choices=tuple(UNITS_IN_MM), help="unit of lengths in RIG (default mm)")
     parser.add_argument("--rig-poses", choices=tuple(POSES), help="what R and t in RIG are: world to camera, camera to world, "
                         "or R and the camera's centre; axes of OpenCV (z forward) or OpenGL (y up) (default opencv)")
@@ -60,9 +60,8 @@ def rig(options: Namespace) -> Rig:
 def add_seen_rod(parser: ArgumentParser) -> None:
     """The cameras, and the known properties of the rod."""
     add_rig(parser)
-    parser.add_argument("--rest-length", metavar="MM:COUNT|FILE",
-                        help="lengths of the rod's edges: COUNT edges of MM each, a .npz with rest_length_mm, or a text file "
-                        "(default: the rod ends where the thread ends in the images)")
+    given.add(parser, "--rest-length", "MM:COUNT|FILE", str, "lengths of the rod's edges: COUNT edges of MM each, a .npz with "
+              "rest_length_mm, or a text file (default: the rod ends where the thread ends in the images)")
     given.add(parser, "--edge", "MM", given.LENGTH, "without --rest-length: length of the rod's edges; without it, a 33rd of "
               "the rod")
     given.add(parser, "--length", "MM|LOW:HIGH", given.Value(_bounds), "without --rest-length: bounds of the rod's length")

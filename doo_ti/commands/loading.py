@@ -57,9 +57,9 @@ def add_loading(parser: ArgumentParser, of: str = "OBS") -> None:
 
 
 def add_rest_length(group) -> None:
-    group.add_argument("--rest-length", metavar="MM|FILE", help="length of the rod from the first mark to the last, along it; "
-                       "or a .npz with rest_length_mm, or a text file, of the lengths between the marks (default: as the file "
-                       "states, else arcs through the marks)")
+    given.add(group, "--rest-length", "MM|FILE", str, "length of the rod from the first mark to the last, along it; or a .npz "
+              "with rest_length_mm, or a text file, of the lengths between the marks (default: as the file states, else arcs "
+              "through the marks)")
 
 
 def add_files(group, of: str) -> None:

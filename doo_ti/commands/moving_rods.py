@@ -45,14 +45,14 @@ def add_losses(parser) -> None:
 
 def add_motion(parser) -> None:
     """The path of the grippers of observed rods, and how its file states it."""
-    parser.add_argument("--motion", metavar="PATH", help="poses of the clamps over time: .npz, or .csv such as a robot's log")
+    given.add(parser, "--motion", "PATH", str, "poses of the clamps over time: .npz, or .csv such as a robot's log")
     parser.add_argument("--relative", action="store_true",
                         help="apply the motion relative to each observation's own clamps, instead of as absolute poses")
     group = parser.add_argument_group("the motion's file", "docs/motions.md")
-    group.add_argument("--motion-columns", metavar="time=NAME,…", help="in a .csv: the column of the time, and what the "
-                       "columns of the grippers begin with, as in start=left,end=right")
-    group.add_argument("--motion-axis", metavar="AXIS|AXIS,AXIS", help="the axis, x, y, z, -x, -y or -z, of the tools at the "
-                       "start and at the end that points along the rod, where orientations are stated (default x)")
+    given.add(group, "--motion-columns", "time=NAME,…", str, "in a .csv: the column of the time, and what the columns of the "
+              "grippers begin with, as in start=left,end=right")
+    given.add(group, "--motion-axis", "AXIS|AXIS,AXIS", str, "the axis, x, y, z, -x, -y or -z, of the tools at the start and "
+              "at the end that points along the rod, where orientations are stated (default x)")
     group.add_argument("--motion-unit", choices=tuple(UNITS_IN_MM), help="unit of all lengths in PATH (default: --unit, else "
                        "as its columns state, else mm)")
     given.add(group, "--motion-up", "X,Y,Z", given.NUMBERS, "direction against gravity in PATH, which is turned about the "

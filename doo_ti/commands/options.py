@@ -65,19 +65,19 @@ def add_material(parser: ArgumentParser, form: str, theta: str = STIFFNESS_ONLY,
     parser.set_defaults(theta_note=theta)
     group = parser.add_argument_group("material", form)
     others = "" if round_rod else " of a round rod, or the matrix of another one, A1,A2[,A12]"
-    group.add_argument("--EI", metavar="NM2", help="bend stiffness of a round rod in N m²; needs --linear-density")
-    group.add_argument("--GJ", metavar="NM2", help="twist stiffness in N m²; needs --linear-density")
+    add(group, "--EI", "NM2", str, "bend stiffness of a round rod in N m²; needs --linear-density")
+    add(group, "--GJ", "NM2", str, "twist stiffness in N m²; needs --linear-density")
     add(group, "--linear-density", "G_PER_M", positive("g/m"), f"mass per length of the rod in g/m, {density}")
-    group.add_argument("--bend", metavar="A", help=f"instead of --EI, bend stiffness α in mm³{others}")
+    add(group, "--bend", "A", str, f"instead of --EI, bend stiffness α in mm³{others}")
     if round_rod:
         parser.set_defaults(bend_1=None, bend_2=None)
     else:
-        group.add_argument("--bend-1", metavar="A1", help="stiffness against bending about m2")
-        group.add_argument("--bend-2", metavar="A2", help="stiffness against bending about m1")
-    group.add_argument("--twist", metavar="B", help="instead of --GJ, twist stiffness β in mm³")
-    group.add_argument("--twist-ratio", metavar="R", help=f"β divided by α{'' if round_rod else ', or by A1'} (default 1)")
-    group.add_argument("--weight", metavar="M", help="half the weight per length, relative (default 1)")
-    group.add_argument("--theta", metavar="THETA.json", help=f"the rod as doo-ti identify wrote it: {theta}")
+        add(group, "--bend-1", "A1", str, "stiffness against bending about m2")
+        add(group, "--bend-2", "A2", str, "stiffness against bending about m1")
+    add(group, "--twist", "B", str, "instead of --GJ, twist stiffness β in mm³")
+    add(group, "--twist-ratio", "R", str, f"β divided by α{'' if round_rod else ', or by A1'} (default 1)")
+    add(group, "--weight", "M", str, "half the weight per length, relative (default 1)")
+    add(group, "--theta", "THETA.json", str, f"the rod as doo-ti identify wrote it: {theta}")
 
 
 def add_clamps(parser: ArgumentParser, default: str = CLAMP_DEFAULT) -> None:
@@ -104,9 +104,9 @@ def add_relaxation(parser: ArgumentParser, precision: str | None) -> None:
                         help=f"floating-point arithmetic (default: {stated})")
 
 
-def add(parser, option: str, metavar: str, kind: "Value", meaning: str, default=None, **more) -> None:
-    """An option with a value of that ``kind``; its ``default`` is stated."""
-    stated = "" if default is None else f" (default {default:g})"
+def add(parser, option: str, metavar: str, kind: Callable, meaning: str, default=None, **more) -> None:
+    """An option with a value of that ``kind``, the ``type`` of argparse; its ``default`` is stated."""
+    stated = "" if default is None else f" (default {default if isinstance(default, str) else f'{default:g}'})"
     parser.add_argument(option, metavar=metavar, type=kind, help=meaning + stated, default=default, **more)
 
 
@@ -123,8 +123,8 @@ def add_out(parser: ArgumentParser, metavar: str, meaning: str = "file to write"
 def add_obstacles(parser: ArgumentParser, friction: str) -> None:
     """``friction`` says what the command makes of the friction of obstacles."""
     group = parser.add_argument_group("contact", f"obstacles that rods touch but do not enter (docs/obstacles.md); {friction}")
-    group.add_argument("--obstacles", metavar="FILE.toml",
-                       help="[[obstacles]], each a plane, sphere, capsule, cylinder, ring, box, grid or the rod itself; in mm")
+    add(group, "--obstacles", "FILE.toml", str, "[[obstacles]], each a plane, sphere, capsule, cylinder, ring, box, grid or "
+        "the rod itself; in mm")
     add(group, "--radius", "MM", LENGTH, "radius of the rods, needed with --obstacles")
 
 

@@ -28,7 +28,7 @@ def declare(add) -> None:
     parser = given.command(add, "perceive", run, "recover rods from images (§IV-A, Algorithm 1)")
     parser.add_argument("images", nargs="*", metavar="IMAGE", help="for a single set: one image per camera of the rig")
     image_options.add_seen_rod(parser)
-    parser.add_argument("--sets", metavar="SETS.csv", help="many sets of images with their seeds, instead of IMAGEs")
+    given.add(parser, "--sets", "SETS.csv", str, "many sets of images with their seeds, instead of IMAGEs")
     given.add(parser, "--seed-point", "X,Y,Z", given.numbers("X,Y,Z"), "start v⁰ of the rod in a single set, mm")
     given.add(parser, "--seed-direction", "X,Y,Z", given.numbers("X,Y,Z"), "direction e⁰ of the rod at its start in a single "
               "set (default: as the thread goes on in the images)")
@@ -46,8 +46,8 @@ def declare(add) -> None:
     image_options.add_thread(search)
     given.add_obstacles(parser, "without friction; the first run compiles for minutes")
     shown = parser.add_argument_group("pictures and recording")
-    shown.add_argument("--truth", metavar="OBS", help="true rods to draw, and to compare with where they have as "
-                       "many marks: observations, matched by the names in an .npz, else in the order of the sets")
+    given.add(shown, "--truth", "OBS", str, "true rods to draw, and to compare with where they have as many marks: "
+              "observations, matched by the names in an .npz, else in the order of the sets")
     loading.add_files(shown, "--truth")
     shown.add_argument("--no-picture", action="store_true", help="do not write F.png")
     shown.add_argument("--no-recording", action="store_true", help="do not write F.rrd")

@@ -30,7 +30,7 @@ def declare(add) -> None:
     given.add(parser, "--end-rotations", "DEG,DEG,…", given.NUMBERS, "end rotations, instead of the scene's")
     given.add(parser, "--sigma", "MM", given.LENGTH, f"label uncertainty (default: the source's, else {SIGMA_MM:g})")
     given.add(parser, "--picks", "K", given.COUNT, "how many configurations to rank", PICKS)
-    parser.add_argument("--measured", metavar="I,I,…", help="row numbers, from 0, of the configurations already measured")
+    given.add(parser, "--measured", "I,I,…", str, "row numbers, from 0, of the configurations already measured")
     given.add_clamps(parser)
     given.add_obstacles(parser, "without friction; the rods of a scene begin where they would be without obstacles")
     loading.add_loading(parser)

@@ -40,9 +40,8 @@ def declare(add) -> None:
                         f"observations: {loading.FORMATS}")
     given.add_material(parser, "one number each: the start of the fit where observations are given",
                        density="for --EI, --GJ and results in N m²")
-    parser.add_argument("--parameters", metavar="A,B", default="bend,twist",
-                        help="material parameters to learn, of bend, bend-1, "
-                        "bend-2, bend-12, twist, weight, and up, the direction against gravity (default bend,twist)")
+    given.add(parser, "--parameters", "A,B", str, "material parameters to learn, of bend, bend-1, bend-2, bend-12, twist, "
+              "weight, and up, the direction against gravity", "bend,twist")
     given.add(parser, "--starts", "N", given.COUNT, "number of best cells of a run to start from", STARTS)
     given.add(parser, "--spacing-error", "SHARE", given.not_negative("a share"), "how far each length between marks may be "
               "off, as 0.02: these are learned with that prior (default: the file's; lengths that it states are exact, those "
@@ -67,14 +66,13 @@ def declare(add) -> None:
               "changes little (default: learned)")
     parser.add_argument("--no-models", action="store_true", help="do not compare with other models")
     given.add(parser, "--folds", "N", given.whole(2), "also cross-validate in N folds")
-    parser.add_argument("--groups", metavar="FILE:KEY",
-                        help="a number per observation; those with the same number stay in one fold")
+    given.add(parser, "--groups", "FILE:KEY", str, "a number per observation; those with the same number stay in one fold")
     given.add_clamps(parser, "the run's, else frame where the file gives one, else tangent")
     given.add_frame_weight(parser, "the run's, else 0")
     given.add_obstacles(parser, "without friction; the run's, where it has any")
-    parser.add_argument("--mass", metavar="MARK:G,…|FILE", help="bodies of known mass in g that hang at these marks, counted "
-                        "from 0, in every observation, or a .npz with mass_g (D, V); with --parameters bend,twist,weight the "
-                        "rod's own mass is learned too, from --linear-density on")
+    given.add(parser, "--mass", "MARK:G,…|FILE", str, "bodies of known mass in g that hang at these marks, counted from 0, in "
+              "every observation, or a .npz with mass_g (D, V); with --parameters bend,twist,weight the rod's own mass is "
+              "learned too, from --linear-density on")
     loading.add_loading(parser)
     given.add_file(parser, "--out", "F.json",
                    f"file for the results of all sources (default: those of a run in RUN/{REFINED} only)")

@@ -124,8 +124,8 @@ class SteeredRod:
 def add_steered(parser) -> None:
     """START, TARGET, and the options of the rod."""
     parser.add_argument("start", metavar="START.npz", help=f"the rod as it is, in row 0: {loading.FORMATS}")
-    parser.add_argument("--target", required=True, metavar="TARGET.npz",
-                        help="vertices_mm (1, V, 3), where vertices shall be; NaN where nothing is asked")
+    given.add(parser, "--target", "TARGET.npz", str, "vertices_mm (1, V, 3), where vertices shall be; NaN where nothing is "
+              "asked", required=True)
     given.add_material(parser, "one number each", given.SHAPE_ONLY, round_rod=True)
     given.add_clamps(parser)
     given.add_obstacles(parser, "without friction")

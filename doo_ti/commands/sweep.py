@@ -43,15 +43,15 @@ def declare(add) -> None:
     loading.add_loading(parser)
     given.add_obstacles(parser, "without friction, which acts in simulate and predict")
     parser.add_argument("--objective", choices=OBJECTIVES, help="static: Eq. 2 (default), dynamic: Eq. 3")
-    parser.add_argument("--pairs", metavar="FILE.csv", help="pairs of observations for Eq. 3, columns "
-                        "from,to[,weight][,rotation_deg] (default: those of the paper, from the labels)")
+    given.add(parser, "--pairs", "FILE.csv", str, "pairs of observations for Eq. 3, columns from,to[,weight][,rotation_deg] "
+              "(default: those of the paper, from the labels)")
     given.add(parser, "--roll-hypotheses", "N", given.whole(0, MOST_ROLLS), "roll angles to try for clamps whose roll was not "
               "measured (default 0: these clamps roll freely)", dest="spins")
     given.add_old_name(parser, "--spins", "spins")
     given.add(parser, "--seed", "N", given.FROM_ZERO, "seed of all random numbers (default: the scene's, else 0)")
     given.add(parser, "--workers", "N", given.whole(1, MOST_WORKERS), "number of processes (default: one)")
-    parser.add_argument("--dask", dest="scheduler", metavar="ADDRESS",
-                        help="compute on the workers of a Dask cluster: its scheduler's address, tcp://HOST:8786")
+    given.add(parser, "--dask", "ADDRESS", str, "compute on the workers of a Dask cluster: its scheduler's address, "
+              "tcp://HOST:8786", dest="scheduler")
 
 
 @dataclass(frozen=True)

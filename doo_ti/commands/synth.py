@@ -25,10 +25,10 @@ def declare(add) -> None:
     parser.add_argument("observations", metavar="IN", help=loading.FORMATS)
     given.add(parser, "out", "OUT", given.OBSERVATIONS, ".npz, .csv or .parquet")
     loading.add_loading(parser)
-    parser.add_argument("--select", metavar="FROM:TO[:STEP]", help="only these observations, numbered from 0 (default: all; "
-                        "with --complete those of one mark or none are not counted)")
-    parser.add_argument("--marks", metavar="FROM:TO[:STEP]", help="only these marks of each, numbered from 0, or from the end "
-                        "where negative: 2:-2 leaves out two at either end (default: all)")
+    given.add(parser, "--select", "FROM:TO[:STEP]", str, "only these observations, numbered from 0 (default: all; with "
+              "--complete those of one mark or none are not counted)")
+    given.add(parser, "--marks", "FROM:TO[:STEP]", str, "only these marks of each, numbered from 0, or from the end where "
+              "negative: 2:-2 leaves out two at either end (default: all)")
     given.add(parser, "--edges", "N", given.whole(2), "the curves through the marks on N equal edges: a finer mesh for relax, "
               "predict, simulate, steer, for instance past thin obstacles")
     parser.add_argument("--complete", action="store_true", help="leave out observations with a missing mark")
@@ -41,8 +41,7 @@ def declare(add) -> None:
     given.add(parser, "--out", "OBS", given.OBSERVATIONS, "file for the observations: .npz, .csv or .parquet")
     images = parser.add_argument_group("images", "rendered images of the rods; label noise has no effect on them")
     given.add(images, "--images", "FOLDER", given.FOLDER, "folder for the images, sets.csv, rig.yaml and truth.npz")
-    images.add_argument("--rig", metavar="RIG", type=scene_file,
-                        help="the cameras: OpenCV FileStorage YAML, such as scenes/rig.yaml")
+    given.add(images, "--rig", "RIG", scene_file, "the cameras: OpenCV FileStorage YAML, such as scenes/rig.yaml")
     given.add(images, "--diameter", "MM", given.LENGTH, f"diameter of the thread (default {DIAMETER_MM:g})")
     given.add(images, "--seed", "N", given.FROM_ZERO, "seed of all random numbers for the images (default 0)")
     images.add_argument("--render", metavar="NAME=VALUE", action="append", default=[],

@@ -42,12 +42,12 @@ class TrackingTask:
 def declare(add) -> None:
     parser = given.command(add, "track", run, "follow a rod through a video")
     image_options.add_seen_rod(parser)
-    parser.add_argument("--frames", required=True, metavar="FRAMES.csv",
-                        help="columns frame, one of images per camera, time_s (optional), and where the rod begins: seed_x … "
-                        "dir_z, or CAMERA_u, CAMERA_v of a pixel, in the first frame and where it changes; or --seed-pixel")
+    given.add(parser, "--frames", "FRAMES.csv", str, "columns frame, one of images per camera, time_s (optional), and where "
+              "the rod begins: seed_x … dir_z, or CAMERA_u, CAMERA_v of a pixel, in the first frame and where it changes; or "
+              "--seed-pixel", required=True)
     given.add_out(parser, "F.npz|F.csv", "file to write; F.rrd is written beside it")
     given.add_material(parser, image_options.ROUND, round_rod=True)
-    parser.add_argument("--motion", metavar="PATH", help="poses of the far clamp, one moment for each frame: .npz or .csv")
+    given.add(parser, "--motion", "PATH", str, "poses of the far clamp, one moment for each frame: .npz or .csv")
     image_options.add_thread(parser)
     given.add_obstacles(parser, "without friction; the first run compiles for minutes")
     parser.add_argument("--no-recording", action="store_true", help="do not write F.rrd")

@@ -26,12 +26,10 @@ def declare(add) -> None:
                         help=f"observations, or a file that perceive wrote: {loading.FORMATS}")
     given.add_out(parser, "F.npz|F.csv")
     given.add_material(parser, "one number each", given.SHAPE_ONLY)
-    parser.add_argument("--observations", dest="together", metavar="D",
-                        help="each D consecutive observations share one angle φ "
-                        "(default 1; with --offsets all of one grasp)")
-    parser.add_argument("--offsets", dest="offset", metavar="FILE",
-                        help="angles between the observations' end frames: .npz or .csv "
-                        "with offset_deg or end_frame (default: from the observations' end_frame)")
+    given.add(parser, "--observations", "D", str, "each D consecutive observations share one angle φ (default 1; with "
+              "--offsets all of one grasp)", dest="together")
+    given.add(parser, "--offsets", "FILE", str, "angles between the observations' end frames: .npz or .csv with offset_deg or "
+              "end_frame (default: from the observations' end_frame)", dest="offset")
     parser.add_argument("--regrasp", nargs="+", action="extend", default=[], metavar="INDEX",
                         help="observations before which the rod was released and grasped again; each starts a new φ")
     given.add_file(parser, "--picture", "F.png", "also draw the curves (default: no)")
