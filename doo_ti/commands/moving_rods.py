@@ -1,7 +1,7 @@
 """Rods that observations show, held by grippers along a path: where they begin, and what ``--theta`` and the options of losses
 say of rest curvature, friction, damping and drag."""
 
-from argparse import Action, Namespace
+from argparse import Namespace
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -61,14 +61,6 @@ def add_motion(parser) -> None:
 
 OF_MOTIONS = ("motion", "motion_columns", "motion_axis", "motion_unit", "motion_up", "relative")
 """Options that only paths of grippers have a use for."""
-
-
-class Moved(Action):
-    """An option that another command has now."""
-
-    def __call__(self, parser, namespace, values, option_string=None):
-        raise InputError(given.SOURCE, option_string, "rods with inertia are simulated by doo-ti simulate now",
-                         "call that with the same options but this one")
 
 
 # --- rods ----------------------------------------------------------------------------------------------------------------

@@ -1,14 +1,14 @@
 """Where rods go when their clamps are moved (§III-D)."""
 
 import hashlib
-from argparse import SUPPRESS, Namespace
+from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
 
 from doo_ti.commands import loading, results
 from doo_ti.commands import options as given
-from doo_ti.commands.moving_rods import OF_MOTIONS, HeldRods, Moved, add_motion, check_reach, held_rods, warn_of
+from doo_ti.commands.moving_rods import OF_MOTIONS, HeldRods, add_motion, check_reach, held_rods, warn_of
 from doo_ti.io.scene import PRECISIONS
 from doo_ti.io.toml_file import scene_file
 from doo_ti.learning.landscape import status_counts
@@ -40,7 +40,6 @@ def declare(add) -> None:
               "relaxed after each (default 5)")
     given.add_clamps(parser)
     loading.add_loading(parser, "OBS and PATH")
-    parser.add_argument("--dynamic", action=Moved, nargs=0, help=SUPPRESS)
     given.add_obstacles(parser, "with friction, where an obstacle has any, from one step to the next")
     parser.add_argument("--precision", choices=PRECISIONS, default="mixed",
                         help="floating-point arithmetic of the stored steps (default mixed)")
