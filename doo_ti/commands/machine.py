@@ -59,24 +59,22 @@ def text(summary: dict) -> str:
 
 def _table(cases: dict[str, dict]) -> str:
     """One line per case, columns aligned; a dash where a figure does not apply."""
-    heads = ["case", "per second", "ratio ·10⁶", "converged", "stable", "iterations", "residual", "lanes busy", "of peak"]
+    heads = ["case", "per second", "ratio ·10⁶", "converged", "stable", "iterations", "residual", "lanes busy"]
     lines = [[name, f"{case['per_second']:,.0f} {case['unit']}", f"{1e6 * case['ratio']:.4g}", percent(case["converged"]),
               percent(case["stable"]), f"{case['iterations']:.1f}" if case["iterations"] else "–",
-              "–" if case["residual"] is None else f"{case['residual']:.0e} /mm", percent(case["busy"]),
-              percent(case["share_of_peak"])] for name, case in cases.items()]
+              "–" if case["residual"] is None else f"{case['residual']:.0e} /mm", percent(case["busy"])]
+             for name, case in cases.items()]
     widths = [max(map(len, column)) for column in zip(heads, *lines, strict=True)]
     rows = [heads, ["-" * width for width in widths], *lines]
     return "\n".join("| " + " | ".join(map(str.ljust, row, widths)) + " |" for row in rows)
 
 
 def _notes(summary: dict) -> list[str]:
-    """What ratio and peak are, and the accuracy."""
-    accuracy, peak = summary["f32_against_f64"], summary["peak_gflops"]
+    """What the ratio is, and the accuracy."""
+    accuracy = summary["f32_against_f64"]
     return [
         "- ratio: to the multiply-adds per second of NumPy's dot products in the same round; compare this one where other work "
         "shares the machine",
-        "- of peak: operations that the kernels executed, those of idle lanes too, beside multiplications and additions in "
-        "registers: " + (", ".join(f"{rate:,.0f} GFlop/s {name}" for name, rate in peak.items()) or "–"),
         f"- f32 against f64: {percent(accuracy['same_minimum'])} of {accuracy['rods']} rods in the same minimum, there "
         f"{accuracy['median_mm']:.1e} mm apart (median), {accuracy['percentile_99_mm']:.1e} mm (99th percentile)"]
 

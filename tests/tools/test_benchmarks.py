@@ -4,10 +4,9 @@ import json
 
 import pytest
 
-from doo_ti.lab.cases import OPERATIONS, Measurement
+from doo_ti.lab.cases import Measurement
 from tools.bench import contact, relaxation, scoring
 from tools.bench.baseline import regressions, table
-from tools.bench.operations import counted
 
 OLD = {"cases": {"newton": {"ratio": 1.0, "converged": 1.0}}}
 
@@ -40,9 +39,3 @@ def test_a_baseline_of_its_own(bench, items, few, case, tmp_path, capsys, monkey
     with pytest.raises(SystemExit) as stop:
         bench.main([f"--{items}", str(few // 2), "--baseline", str(file)])
     assert stop.value.code == 2 and f"{few} {items}" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", OPERATIONS)
-def test_the_package_counts_what_the_kernels_execute(kind):
-    assert counted(kind) == pytest.approx(OPERATIONS[kind], rel=0.03)
