@@ -76,17 +76,15 @@ def run_sweep(options: Namespace) -> int:
 
     began, summaries, relaxed = time.monotonic(), [], []
     for search in searches:
-        before = _stamps(search.run)
+        before = _stamp(search.run)
         summary = sweep(search.run, search.observations, search.grid, options=search.options, pairs=search.pairs,
                         command=options.words, linear_density=search.density)
         summaries.append(summary)
-        now = _stamps(search.run)
-        finished_before = now[SUMMARY] == before.get(SUMMARY)
+        finished_before = _stamp(search.run) == before
         if not finished_before:
             relaxed.append(summary)
         if not options.json:
-            made_again = [name for name in now if now[name] != before.get(name, now[name])]
-            print("\n".join(_lines(search, summary, finished_before, made_again)))
+            print("\n".join(_lines(search, summary, finished_before)))
         if doubt := loading.up_text(summary.get("other_up")):
             warn(f"{in_line(search.observations.source)}: {doubt}")
     if options.json:
@@ -97,10 +95,9 @@ def run_sweep(options: Namespace) -> int:
     return 0
 
 
-def _stamps(run: Path) -> dict[str, int]:
-    """The times at which the files of a run, except its cells, were written."""
-    paths = [path for path in (*run.glob("*.*"), *run.glob("cells/*.*")) if path.suffix != ".parquet" and path.is_file()]
-    return {path.relative_to(run).as_posix(): path.stat().st_mtime_ns for path in sorted(paths)}
+def _stamp(run: Path) -> int | None:
+    """The time at which the summary of a run was written."""
+    return (run / SUMMARY).stat().st_mtime_ns if (run / SUMMARY).exists() else None
 
 
 def _searches(options: Namespace) -> list[_Search]:
@@ -152,7 +149,7 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
     return _Search(scene, observations, grid, chosen, pairs, run, options.linear_density)
 
 
-def _lines(search: _Search, summary: dict, finished_before: bool, made_again: list[str]) -> list[str]:
+def _lines(search: _Search, summary: dict, finished_before: bool) -> list[str]:
     first, *rest = run_lines(summary)
     lines = [first, loading.rod_line(search.observations), *rest, *hypotheses_lines(summary, search.observations.labels)]
     if doubt := loading.up_text(summary.get("other_up")):
@@ -170,8 +167,6 @@ def _lines(search: _Search, summary: dict, finished_before: bool, made_again: li
     if isinstance(search.scene.observations, Synthesis):
         recipe = search.scene.observations
         lines.append(f"  true Θ      {_true_theta(recipe)} (the virtual lab's, seed {recipe.seed})")
-    if made_again:
-        lines.append(f"  made again  {', '.join(made_again)}")
     lines.append(f"  {'finished before in' if finished_before else 'written to'} {in_line(search.run)}")
     if search.options.objective == "static" and not search.options.spins and not search.options.surroundings:
         swivels = rolls and Clamp.TANGENT > min(clamps.start, clamps.end)
