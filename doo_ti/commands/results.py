@@ -185,16 +185,6 @@ def contact_lines(summary: dict, rods: int) -> list[str]:
             "infeasible"]
 
 
-def peak_memory() -> int:
-    """Peak memory of this process in bytes; 0 where the system does not report it."""
-    try:
-        import resource
-    except ImportError:  # Windows
-        return 0
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if sys.platform == "darwin" else 1024 * peak
-
-
 def run_lines(result: dict) -> list[str]:
     """Lines of a sweep's overview, or of its summary."""
     grid, statuses, best = Grid.from_dict(result["grid"]), dict(result["rods"]), result["best"]

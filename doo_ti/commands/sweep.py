@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from doo_ti.commands import loading
 from doo_ti.commands import options as given
-from doo_ti.commands.results import hypotheses_lines, note_theta, peak_memory, plain, run_lines, theta_text
+from doo_ti.commands.results import hypotheses_lines, note_theta, plain, run_lines, theta_text
 from doo_ti.io.scene import MOST_ROLLS, OBJECTIVES, Scene, Synthesis, load_scene
 from doo_ti.io.toml_file import scene_file
 from doo_ti.learning.chunks import SUMMARY
@@ -188,7 +188,7 @@ def _effort(summaries: list[dict], seconds: float) -> str:
     rods, loading, relaxing = (sum(summary["timing"][name] for summary in summaries)
                                for name in ("relaxed_rods", "loading_s", "relaxation_s"))
     work = f": {loading:.1f} s to load the kernels, {relaxing:.1f} s to relax ({rods / relaxing:,.0f} rods/s)" if rods else ""
-    return f"{rods:,} rods in {seconds:.1f} s{work}; {peak_memory() / 2**20:,.0f} MB of memory at most"
+    return f"{rods:,} rods in {seconds:.1f} s{work}"
 
 
 def _pairs(options: Namespace, scene: Scene, observations: Observations, objective: str) -> Pairs | None:

@@ -102,7 +102,7 @@ def test_sweep_of_several_sources(capsys, tmp_path, swept):
     assert main(argv) == 0
     assert [call[0] for call in swept] == [tmp_path / "runs" / "good", tmp_path / "runs" / "silk"]
     out = capsys.readouterr().out
-    assert "100 rods in" in out and "0.4 s to load" in out and "100 rods/s" in out and "MB of memory" in out
+    assert "100 rods in" in out and "0.4 s to load" in out and "100 rods/s" in out
     assert main([*argv[:-1], str(tmp_path / "again"), "--json"]) == 0
     assert len(json.loads(capsys.readouterr().out)) == 2
     refused(capsys, tmp_path, ["sweep", sources[0], *argv[1:]], "two of the name 'good'")
