@@ -9,7 +9,7 @@ import numpy as np
 from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.results import observed, save, save_arrays
-from doo_ti.io.observation_files import read_curves, read_recording
+from doo_ti.io.observation_files import read_recording
 from doo_ti.io.scene import Scene, Synthesis, load_scene
 from doo_ti.io.toml_file import scene_file
 from doo_ti.rod.start import on_equal_edges
@@ -67,9 +67,6 @@ def run_convert(options: Namespace) -> int:
         raise InputError(options.observations, "observations", "none is left", "select others, or leave --complete out")
     loading.warn(observations)
     print(" ".join(loading.rod_line(observations).split()))
-    if Path(options.observations).suffix == ".xml":
-        facts = read_curves(Path(options.observations), options.columns).facts
-        print(f"the model states {facts}" if facts else "the model states no stiffness")
     observations = observations.take(rows)
     save(out, observations if edges is None else on_equal_edges(observations, edges))
     return 0

@@ -12,8 +12,8 @@ from doo_ti import Observations, load_observations
 from doo_ti.commands.cli import main
 from doo_ti.commands.loading import length_doubt, stated, warn_of_rod
 from doo_ti.commands.results import hypotheses_lines
-from tests.commands.calls import refused, succeeded
-from tests.io.test_formats import CABLE, MARKS, motive, table
+from tests.commands.calls import refused
+from tests.io.test_formats import MARKS, motive, table
 
 
 @pytest.fixture
@@ -22,12 +22,6 @@ def metres(tmp_path):
     path = tmp_path / "cable.csv"
     path.write_text(table(MARKS[..., [0, 2, 1]] / 1000, "shot,marker,east,height,north"))
     return path
-
-
-def test_the_stiffness_that_a_model_states_is_printed(tmp_path, capfd):
-    (tmp_path / "cable.xml").write_text(CABLE)
-    printed = succeeded(capfd, ["convert", str(tmp_path / "cable.xml"), str(tmp_path / "out.npz"), "--columns", "a"])
-    assert "--EI 0.9817 --GJ 0.4909 --linear-density 86.39" in printed and "1 observation of 7 marks" in printed
 
 
 def test_a_csv_in_metres_with_y_up(tmp_path, metres, capfd):
