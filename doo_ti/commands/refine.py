@@ -66,7 +66,6 @@ def declare(add) -> None:
               "changes little (default: learned)")
     parser.add_argument("--no-models", action="store_true", help="do not compare with other models")
     given.add(parser, "--folds", "N", given.whole(2), "also cross-validate in N folds")
-    given.add(parser, "--groups", "FILE:KEY", str, "a number per observation; those with the same number stay in one fold")
     given.add_clamps(parser, "the run's, else frame where the file gives one, else tangent")
     given.add_frame_weight(parser, "the run's, else 0")
     given.add_obstacles(parser, "without friction; the run's, where it has any")
@@ -119,7 +118,6 @@ def run(options: Namespace) -> int:
     """Θ of least χ² for each source, the best of several starts, and how well the observations determine it."""
     out, folds = options.out, options.folds
     tasks = [_task(options, source) for source in options.sources]
-    groups = [read_groups(options.groups, task.observations) for task in tasks]
 
     from doo_ti.refinement.folds import folds_of, refine_held_out
     from doo_ti.refinement.refine import refine
@@ -127,7 +125,7 @@ def run(options: Namespace) -> int:
     for task in tasks:
         if task.landscape is None:
             loading.warn(task.observations, **loading.stated(options))
-    splits = [None if folds is None else folds_of(group, folds) for group in groups]
+    splits = [None if folds is None else folds_of(np.arange(task.observations.count), folds) for task in tasks]
     summaries = []
     for task, split in zip(tasks, splits, strict=True):
         chosen = _refinement_options(options, task)
@@ -220,9 +218,8 @@ def _task(options: Namespace, source: str) -> Task:
     loads = None if options.mass is None else _loads(options.mass, observations, density)
     kinds = tuple(kind if own is None else own for own, kind in zip(given.clamps(options), kinds, strict=True))
     exact = "exact" in (options.clamps, options.frames)
-    if options.groups is None:
-        every, observations = observations.labels, loading.with_ends_in_reach(observations, *kinds, exact)
-        loads = None if loads is None else loads[np.isin(every, observations.labels)]
+    every, observations = observations.labels, loading.with_ends_in_reach(observations, *kinds, exact)
+    loads = None if loads is None else loads[np.isin(every, observations.labels)]
     clamps = observation_clamps(observations, *kinds)
     check_experiment(observations, clamps, max(theta.weight for theta in thetas), weight, exact)
     task = Task(observations, clamps, thetas, weight, around, density, landscape, loads,
@@ -316,21 +313,3 @@ def _check_model(chosen, task: Task) -> None:
     rod = HeldRod(task.observations, task.clamps, FEWEST_EDGES)
     unknowns = unknowns_of(rod, chosen)
     unknowns.begun(task.thetas[0], unknowns.clip_prior)
-
-
-def read_groups(text: str | None, observations: Observations) -> np.ndarray:
-    """(D,) the group of each observation; by default each is a group of its own."""
-    if text is None:
-        return np.arange(observations.count)
-    path, _, key = text.rpartition(":")
-    if not path:
-        raise InputError(given.SOURCE, "--groups", f"{text!r} names no key", "give FILE.npz:KEY")
-    content = read_content(Path(path), remedy="name a readable .npz file")
-    groups = read_npz(Path(path), content, (key,)).get(key)
-    if groups is None:
-        raise InputError(path, key, "the key is missing", "name one that the file has")
-    if groups.dtype.kind not in "biufU" or groups.dtype.kind == "f" and not np.isfinite(groups).all():
-        raise InputError(path, key, f"dtype {groups.dtype}, or not finite", "give a number for each observation")
-    if groups.shape != (observations.count,):
-        raise InputError(path, key, f"shape {groups.shape}", f"give ({observations.count},), one per observation")
-    return groups
