@@ -27,7 +27,6 @@ if TYPE_CHECKING:  # it reads Parquet
 
 REFINED = "refined.json"  # in the folder of a run, with its picture beside it
 STARTS = 3
-LEAST = 1e-6  # least spread and range of a rest curvature, in 1/mm and mm; the largest is the inverse
 CURVATURES = ("auto", "field", "uniform", "none")
 OLD_CURVATURES = {"rest_curvature": "uniform", "rest_curvature_per_joint": "field"}
 """Old names in --parameters for a rest curvature."""
@@ -60,10 +59,6 @@ def declare(add) -> None:
               "--clamps exact, or the standard deviations of their places and directions (default: learned)")
     given.add(model, "--edges", "N", given.whole(6), "edges of the mesh (default: twice those between marks, with a correction "
               "for the mesh error)")
-    given.add(model, "--curvature-spread", "1/MM", given.Value(_curvature), "standard deviation of the rest curvature "
-              "(default: learned)")
-    given.add(model, "--curvature-range", "MM", given.Value(_curvature), "length along the rod over which the rest curvature "
-              "changes little (default: learned)")
     parser.add_argument("--no-models", action="store_true", help="do not compare with other models")
     given.add(parser, "--folds", "N", given.whole(2), "also cross-validate in N folds")
     given.add_clamps(parser, "the run's, else frame where the file gives one, else tangent")
@@ -89,13 +84,6 @@ def _frames(option: str, text: str) -> str | tuple[float, float]:
     if len(error) != 2 or min(error) <= 0:
         raise InputError(given.SOURCE, option, f"{text!r}", "give exact, or two positive numbers: mm,degrees")
     return error[0], float(np.radians(error[1]))
-
-
-def _curvature(option: str, text: str) -> float:
-    value = given.positive("1/mm" if option.endswith("spread") else "mm")(text, option)
-    if not LEAST <= value <= 1 / LEAST:
-        raise InputError(given.SOURCE, option, f"{value:g}", f"give {LEAST:g} to {1 / LEAST:g}")
-    return value
 
 
 @dataclass(frozen=True)
@@ -299,8 +287,7 @@ def _refinement_options(options: Namespace, task: Task):
     exact = "exact" in (options.clamps, options.frames)
     return RefinementOptions(
         tuple(names), options.clip, curvature or "auto", "exact" if exact else "loose",
-        None if options.frames == "exact" else options.frames, task.frame_weight,
-        curvature_spread=options.curvature_spread, curvature_range=options.curvature_range, edges=options.edges,
+        None if options.frames == "exact" else options.frames, task.frame_weight, edges=options.edges,
         models=not options.no_models, surroundings=task.surroundings, loads=task.loads, twist_follows=task.twist_follows)
 
 

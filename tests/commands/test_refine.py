@@ -142,7 +142,6 @@ def test_rods_that_one_end_holds(observed, capsys):
     (["--bend", "1e4", "--folds", "1"], "--folds: 1 is below 2"),
     (["--bend", "1e4", "--folds", "30"], "give 2 to 16 folds"),
     (["--bend", "1e4", "--clip", "20"], "below a quarter"),
-    (["--bend", "1e4", "--curvature-spread", "1e-300"], "--curvature-spread: 1e-300; give 1e-06"),
     (["--bend", "1e4", "--frame-weight", "3"], "a frame weight is given"),
     (["--bend", "1e4", "--out", "found.txt"], "ends in .json"),
 ])
