@@ -26,7 +26,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from doo_ti.io.arrays import AXES, check_unpacked, first_line, frame_columns, given_columns, parse_csv
+from doo_ti.io.arrays import AXES, check_unpacked, first_line, frame_columns, given_columns, read_csv
 from doo_ti.rod.material import UNITS_IN_MM
 from doo_ti.system.errors import InputError
 
@@ -151,7 +151,7 @@ def _named(path: Path, names, renamed: dict[str, str]) -> dict[str, tuple[str, f
 def _csv_columns(path: Path, content: bytes, renamed) -> tuple[dict[str, np.ndarray], Callable[[int], str], float]:
     """The known columns as (N,) f64, NaN where a cell is empty, or texts of names; how a message names a row; and mm in the
     unit of positions."""
-    table = parse_csv(path, content, ())
+    table = read_csv(path, (), content=content)
     named = _named(path, table.columns, renamed)
     names = table.texts(named["observation"][0]) if "observation" in named else None
     columns = {name: factor * table.numbers(column, may_be_empty=True) for name, (column, factor) in named.items()
