@@ -12,7 +12,6 @@ from doo_ti.commands.results import report, save_json
 from doo_ti.io.scene import Synthesis, load_scene
 from doo_ti.io.toml_file import scene_file
 from doo_ti.rod.observations import Observations
-from doo_ti.system.errors import InputError
 from doo_ti.system.files import csv_text, write_text
 from doo_ti.system.terminal import in_line
 
@@ -26,8 +25,6 @@ def declare(add) -> None:
     parser.add_argument("source", metavar="SCENE.toml|OBS", type=scene_file,
                         help="a scene whose [synthesis] lists the possible clamp poses, or observations that have them")
     given.add_material(parser, "a number or LO:HI:N[:log|:lin], the prior range; overrides the scene's axis")
-    given.add(parser, "--end-distances", "MM,MM,…", given.NUMBERS, "end distances, instead of the scene's")
-    given.add(parser, "--end-rotations", "DEG,DEG,…", given.NUMBERS, "end rotations, instead of the scene's")
     given.add(parser, "--sigma", "MM", given.LENGTH, f"label uncertainty (default: the source's, else {SIGMA_MM:g})")
     given.add(parser, "--picks", "K", given.COUNT, "how many configurations to rank", PICKS)
     given.add(parser, "--measured", "I,I,…", str, "row numbers, from 0, of the configurations already measured")
@@ -62,20 +59,13 @@ def run_plan(options: Namespace) -> int:
 
 
 def _configurations(options: Namespace, scene) -> Observations:
-    """The candidate configurations: the scene's recipe at the given distances and rotations, or the observations."""
-    distances, rotations = options.end_distances, options.end_rotations
+    """The candidate configurations: those of the scene's recipe, or the observations."""
     recipe = scene.observations if scene and isinstance(scene.observations, Synthesis) else None
     if recipe is None:
-        if distances or rotations:
-            raise InputError(given.SOURCE, "--end-distances" if distances else "--end-rotations",
-                             "given for observations, whose clamps are fixed", "plan with a scene that has [synthesis]")
         return loading.of_scene(options, scene) if scene else loading.load(options, options.source)
 
     from doo_ti.refinement.plan import planned
 
-    changed = {"end_distances_mm": distances} if distances else {}
-    changed |= {"end_rotations_deg": rotations} if rotations else {}
-    recipe = replace(recipe, **changed)
     return replace(planned(recipe), sigma=np.array(recipe.label_noise_mm) if recipe.label_noise_mm > 0 else None)
 
 
