@@ -29,7 +29,7 @@ def declare(add) -> None:
     parser = given.command(add, "calibrate", run_calibrate, "calibrate a rig of cameras from images of a board")
     parser.add_argument("views", metavar="VIEWS.csv", help="columns view,cam0,cam1,…: images, relative to the file")
     parser.add_argument("--board", required=True, metavar="BOARD", help=FORMS)
-    parser.add_argument("--out", required=True, metavar="RIG.yaml", help="file to write")
+    given.add_out(parser, "RIG.yaml")
     parser.add_argument("--world", choices=WORLDS, default=WORLDS[0],
                         help="axes of the world (default first-board, those of the first view's board: x along a row, y up the "
                         "page, z out of it)")
@@ -40,11 +40,11 @@ def declare(add) -> None:
     parser.add_argument("marks", metavar="MARKS.csv",
                         help="columns observation,camera,mark,u_px,v_px; ribbons have marks 0L, 0R, 1L …")
     image_options.add_rig(parser)
-    parser.add_argument("--out", required=True, metavar="OBS", help="file to write: .npz, .csv or .parquet")
-    parser.add_argument("--labels", metavar="LABELS.csv",
-                        help="columns observation and any of end_distance_mm, end_rotation_deg, total_twist_deg")
-    parser.add_argument("--rest-length", metavar="MM",
-                        help="length of rod from each mark to the next (default: the median observed)")
+    given.add(parser, "--out", "OBS", given.OBSERVATIONS, "file to write: .npz, .csv or .parquet", required=True)
+    given.add(parser, "--labels", "LABELS.csv", str, "columns observation and any of end_distance_mm, end_rotation_deg, "
+              "total_twist_deg")
+    given.add(parser, "--rest-length", "MM", given.LENGTH, "length of rod from each mark to the next (default: the median "
+              "observed)")
     parser.add_argument("--sigma-px", type=float, default=0.5, metavar="PX", help="standard deviation of a label (default 0.5)")
     parser.add_argument("--threshold", type=float, default=5.0, metavar="SIGMAS",
                         help="labels further from the others than this many standard deviations are outliers (default 5)")
@@ -56,7 +56,7 @@ def declare(add) -> None:
 
 def run_calibrate(options: Namespace) -> int:
     """Corners in all images, then intrinsics and extrinsics; writes the rig and prints how well each image agrees."""
-    board, out = parse_board(options.board), given.output_file(options.out, ".yaml")
+    board = parse_board(options.board)
     views = read_views(Path(options.views))
     turned = options.orientation == "apply"
     with progress() as bar:
@@ -64,8 +64,8 @@ def run_calibrate(options: Namespace) -> int:
         sightings, sizes = find_sightings(views, board, lambda: bar.advance(task), turned)
     chosen = CalibrationOptions(world=options.world, distortion=options.distortion)
     calibration = calibrate(board.points, sightings, sizes, len(views.names), chosen, views.source)
-    save_rig(out, Rig(tuple(replace(camera, turned=turned) for camera in calibration.rig.cameras)))
-    summary = _calibration_summary(views, calibration, out)
+    save_rig(options.out, Rig(tuple(replace(camera, turned=turned) for camera in calibration.rig.cameras)))
+    summary = _calibration_summary(views, calibration, options.out)
     summary["orientation"] = image_options.orientation_note(views.images.values(), turned)
     report(options, summary, lambda: _calibration_lines(views, calibration, summary))
     return 0
@@ -123,8 +123,7 @@ def _calibration_lines(views: Views, calibration: Calibration, summary: dict) ->
 def run_triangulate(options: Namespace) -> int:
     """Triangulate all marks; writes observations and names the labels that contradict the others."""
     chosen = TriangulationOptions(options.sigma_px, options.threshold)
-    rest_length, up, out = given.length("--rest-length", options.rest_length), given.up(options), given.output_file(options.out)
-    given.refuse_overwriting(out, options.marks)
+    given.refuse_overwriting(options.out, options.marks)
     rig = image_options.rig(options)
     if len(rig.cameras) < 2:
         raise InputError(options.rig, "cameras", "one camera", "triangulation needs two or more")
@@ -134,10 +133,10 @@ def run_triangulate(options: Namespace) -> int:
         labels["total_twist"] = np.radians(labels["total_twist"])
     points = triangulate(rig, marks.pixels.reshape(len(rig.cameras), -1, 2), chosen)
     _check_reading(rig, marks, points, chosen)
-    rods = observe(marks, points, rest_length, **({} if up is None else {"up": up}), name=out.stem, **labels)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    save_observations(out, rods.observations)
-    summary = _marks_summary(marks, rig, points, rods, chosen, out)
+    up = {} if options.up is None else {"up": options.up}
+    rods = observe(marks, points, options.rest_length, **up, name=options.out.stem, **labels)
+    save_observations(options.out, rods.observations)
+    summary = _marks_summary(marks, rig, points, rods, chosen, options.out)
     report(options, summary, lambda: _marks_lines(marks, summary))
     return 0
 

@@ -33,6 +33,7 @@ from doo_ti.commands import (
     twist,
 )
 from doo_ti.commands.help_text import hidden, nearest, overview
+from doo_ti.commands.options import Value
 from doo_ti.system.errors import InputError, InterruptedRunError
 from doo_ti.system.runtime import check_architecture
 from doo_ti.system.terminal import VisibleStream, visible
@@ -49,6 +50,12 @@ class _Parser(argparse.ArgumentParser):
         option = (found or missing)["option"].split("/")[0] if found or missing else "arguments"
         problem = found["problem"] if found else "missing" if missing else message
         raise InputError(self.prog, option, problem, f"see {self.prog} --help")
+
+    def _get_value(self, action: argparse.Action, text: str):
+        if not isinstance(action.type, Value):
+            return super()._get_value(action, text)
+        first = next(other for other in self._actions if other.dest == action.dest)  # of an old name the new one
+        return action.type(text, (first.option_strings or [first.metavar])[0])
 
     def in_options(self, error: InputError) -> InputError:
         """``error`` with the options of this command in place of the library's arguments: as its field, where its source is no

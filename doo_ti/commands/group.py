@@ -32,19 +32,16 @@ def declare(add) -> None:
     parser = given.command(add, "group", run, "relax rods that touch each other or are tied together, grippers moving or not")
     parser.add_argument("scene", metavar="SCENE.toml", type=scene_file,
                         help="rods, ties, obstacles and clamps (docs/scenes.md)")
-    parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
+    given.add_out(parser, "F.npz")
     given.add_up(parser, "0,0,1")
-    parser.add_argument("--picture", metavar="F.png", help="also draw the rods, and forces over time (default: no)")
-    parser.add_argument("--recording", metavar="F.rrd", help="also record the rods for the viewer (default: no)")
+    given.add_file(parser, "--picture", "F.png", "also draw the rods, and forces over time (default: no)")
+    given.add_file(parser, "--recording", "F.rrd", "also record the rods for the viewer (default: no)")
 
 
 def run(options: Namespace) -> int:
     from doo_ti.groups.follow import follow_group
     from doo_ti.groups.scene import load_group_scene
 
-    out = given.output_file(options.out, ".npz")
-    picture = given.output_file(options.picture, ".png", "--picture")
-    recording = given.output_file(options.recording, ".rrd", "--recording")
     up = given.world_up(options)
     scene = load_group_scene(options.scene)
     loading.warn_of_rod(options.scene, max((rod.rest_length for rod in scene.group.rods), key=np.max), scene.surroundings)
@@ -62,14 +59,14 @@ def run(options: Namespace) -> int:
         except KeyboardInterrupt:
             if not moments:
                 raise
-            save_arrays(out, _arrays(scene, moments))
-            raise InterruptedRunError(f"interrupted: {len(moments)} of {len(scene.time)} moments are in {in_line(out)}; the "
-                                      "same command starts from the beginning") from None
-    save_arrays(out, _arrays(scene, moments))
+            save_arrays(options.out, _arrays(scene, moments))
+            raise InterruptedRunError(f"interrupted: {len(moments)} of {len(scene.time)} moments are in "
+                                      f"{in_line(options.out)}; the same command starts from the beginning") from None
+    save_arrays(options.out, _arrays(scene, moments))
     about = {"name": scene.name, "names": scene.names, "surroundings": scene.surroundings, "rate": scene.rate, "up": up,
              "newton": scene.newton}
-    _draw(moments, picture, recording, about)
-    summary = _summary(scene, moments, out)
+    _draw(moments, options.picture, options.recording, about)
+    summary = _summary(scene, moments, options.out)
     report(options, summary, lambda: _lines(scene, summary))
     return 0 if moments[-1].converged[0] else 1
 
@@ -102,8 +99,6 @@ def _draw(moments: "list[GroupSolution]", picture: Path | None, recording: Path 
         print(f"doo-ti: note: {' and '.join(map(in_line, wanted))} not written: the rods have no place at any moment",
               file=sys.stderr)
         return
-    for path in wanted:
-        path.parent.mkdir(parents=True, exist_ok=True)
     if picture is not None:
         from doo_ti.report.contact import save_group
 

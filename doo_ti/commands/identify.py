@@ -21,73 +21,67 @@ def declare(add) -> None:
     parser.add_argument("motions", nargs="+", metavar="MOTION",
                         help=f"recorded markers of one rod: {loading.RECORDINGS}; the first and last edges are the grippers, "
                         "or with --free-end the first")
-    parser.add_argument("--out", required=True, metavar="THETA.json", help="file to write")
+    given.add_out(parser, "THETA.json")
     parser.add_argument("--still", nargs="+", default=[], metavar="OBS",
                         help="also observations of the same rod at rest: .npz, .csv or .parquet, marked from the same end")
-    parser.add_argument("--still-noise", metavar="MM",
-                        help="standard deviation of a coordinate of their marks (default: the file's, else from the residuals)")
-    parser.add_argument("--clip", metavar="MM", help="length of rod that a gripper holds, from its outer marker on; up to the "
-                        "distance to the inner one (default: half of that)")
-    parser.add_argument("--modes", default="7", metavar="K",
-                        help="Legendre modes of the rest curvature in each direction; 0: straight at rest (default 7)")
+    given.add(parser, "--still-noise", "MM", given.LENGTH, "standard deviation of a coordinate of their marks (default: the "
+              "file's, else from the residuals)")
+    given.add(parser, "--clip", "MM", given.not_negative("mm"), "length of rod that a gripper holds, from its outer marker on; "
+              "up to the distance to the inner one (default: half of that)")
+    given.add(parser, "--modes", "K", given.whole(0, 12), "Legendre modes of the rest curvature in each direction; 0: straight "
+              "at rest", 7)
     parser.add_argument("--fit", metavar="NAME,…", default=",".join(FITTED[:4]),
                         help="parameters besides bend and rest curvature: some of "
                         f"{', '.join(FITTED)} (default: the first four)")
-    parser.add_argument("--bend", metavar="A", help="bend stiffness α to begin with, mm³ (default: several are tried)")
-    parser.add_argument("--folds", metavar="N", default="0",
-                        help="also fit N times, each without one N-th of the recordings, and report the error on "
-                        "those (default 0)")
-    parser.add_argument("--robust", metavar="MM", default="5", help="differences beyond count linearly (default 5)")
-    parser.add_argument("--substeps", metavar="N", default="1", help="time steps from one frame to the next (default 1)")
+    given.add(parser, "--bend", "A", given.positive("mm³"), "bend stiffness α to begin with, mm³ (default: several are tried)")
+    given.add(parser, "--folds", "N", given.FROM_ZERO, "also fit N times, each without one N-th of the recordings, and report "
+              "the error on those", 0)
+    given.add(parser, "--robust", "MM", given.LENGTH, "differences beyond count linearly", 5.0)
+    given.add(parser, "--substeps", "N", given.whole(1, 1000), "time steps from one frame to the next", 1)
     given.add_obstacles(parser, "with friction, the file's or, with --fit friction, one coefficient for all of them")
     loading.add_recordings(parser, "the file's, else 0,0,1")
-    parser.add_argument("--picture", metavar="F.png", help="also draw predictions and errors over time (default: no)")
+    given.add_file(parser, "--picture", "F.png", "also draw predictions and errors over time (default: no)")
 
 
 def run(options: Namespace) -> int:
     from doo_ti.dynamics.identify import IdentifyOptions, guesses, identify_from_guesses, require_clear_grippers
     from doo_ti.dynamics.recorded import RecordedMotion
 
-    out = given.output_file(options.out, ".json")
-    picture = given.output_file(options.picture, ".png", "--picture")
     fitted = tuple(filter(None, options.fit.split(",")))
     if unknown := next((name for name in fitted if name not in FITTED), None):
         raise InputError(given.SOURCE, "--fit", f"{unknown!r} is unknown", f"give some of {', '.join(FITTED)}")
     surroundings = given.surroundings(options)
     if "friction" in fitted and not surroundings.bodies:
         raise InputError(given.SOURCE, "--fit", "friction without obstacles", "give --obstacles and --radius, or leave it out")
-    chosen = IdentifyOptions(given.whole("--modes", options.modes, 0, 12), fitted,
-                             delta=given.length("--robust", options.robust),
-                             substeps=given.whole("--substeps", options.substeps, 1, 1000), surroundings=surroundings,
-                             smoothing=loading.smoothing(options), clip=given.not_negative("--clip", options.clip, "mm"))
-    folds = given.whole("--folds", options.folds, 0)
-    bend = given.positive("--bend", options.bend, "mm³")
+    chosen = IdentifyOptions(options.modes, fitted, delta=options.robust, substeps=options.substeps, surroundings=surroundings,
+                             smoothing=options.smoothing, clip=options.clip)
     motion = RecordedMotion.together(loading.recordings(options, options.motions), options.motions)
     up = given.world_up(options, motion.up)
     stills = _stills(options, motion, surroundings)
-    if folds == 1 or folds > motion.count:
-        raise InputError(given.SOURCE, "--folds", f"{folds} for {motion.count} recordings", "give 0, or from 2 to their number")
-    require_clear_grippers(motion, guesses(motion, chosen, bend, up)[0], chosen)
+    if options.folds == 1 or options.folds > motion.count:
+        raise InputError(given.SOURCE, "--folds", f"{options.folds} for {motion.count} recordings",
+                         "give 0, or from 2 to their number")
+    require_clear_grippers(motion, guesses(motion, chosen, options.bend, up)[0], chosen)
     loading.warn_of_rod(options.motions[0], motion.edge_lengths(), surroundings)
     with progress(keep=True) as bar:
         def fit(part, label):
             task = bar.add_task(label, total=chosen.rounds, unit="iterations")
             def advance(horizon, k, error):
                 bar.update(task, advance=1, rate=f"{horizon} frames: {error:.3g} mm")
-            found = identify_from_guesses(part, chosen, bend, up, advance, stills)
+            found = identify_from_guesses(part, chosen, options.bend, up, advance, stills)
             bar.update(task, completed=chosen.rounds)
             return found
-        held_out = _held_out(motion, folds, chosen, fit) if folds else None
+        held_out = _held_out(motion, options.folds, chosen, fit) if options.folds else None
         found = fit(motion, "all recordings")
     if found.failed.all():
         raise RuntimeError(f"no recording could be rolled out, from {len(motion.names)}; give a higher --bend to begin with")
     rollouts = chosen.rollouts(motion, found.theta)
-    summary = _summary(found, motion, held_out, rollouts, out)
-    save_json(out, {"doo_ti": "theta", **summary["theta"], **{key: summary[key] for key in (
+    summary = _summary(found, motion, held_out, rollouts, options.out)
+    save_json(options.out, {"doo_ti": "theta", **summary["theta"], **{key: summary[key] for key in (
         "parameters", "error_mm", "mean_error_mm", "median_error_mm", "smoothing", "failed", "inside_mm", "held_out", "stills",
         "glitches")}})
-    if picture is not None:
-        _draw(picture, found, rollouts)
+    if options.picture is not None:
+        _draw(options.picture, found, rollouts)
     report(options, summary, lambda: _lines(summary, motion))
     return 0
 
@@ -98,10 +92,10 @@ def _stills(options: Namespace, motion, surroundings) -> list:
     from doo_ti.dynamics.theta import Stills
     from doo_ti.io.observation_files import load_observations
 
-    noise = given.length("--still-noise", options.still_noise)
+    noise = options.still_noise
     if noise is not None and not options.still:
         raise InputError(given.SOURCE, "--still-noise", "given without --still", "give both")
-    found = [load_observations(path, given.up(options)) for path in options.still]
+    found = [load_observations(path, options.up) for path in options.still]
     for one in found:
         Stills.of(one, roll_reference(motion), motion.edge_lengths().sum(), surroundings)
     return found if noise is None else [replace(one, sigma=np.array(noise)) for one in found]
@@ -181,7 +175,6 @@ def _draw(picture: Path, found, rollouts) -> None:
     from doo_ti.report.contact import Touched
     from doo_ti.report.motions import save_rollout
 
-    picture.parent.mkdir(parents=True, exist_ok=True)
     motion, surroundings = rollouts.motion, rollouts.surroundings
     positions, _, _, simulation = rollouts.simulated(found.theta)
     touched = Touched(surroundings, positions, simulation.contact_force) if surroundings else None

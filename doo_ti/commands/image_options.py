@@ -35,13 +35,14 @@ ROUND = f"one number each; rods are round; without any, --bend {GUESSED_BEND:g},
 
 def add_rig(parser: ArgumentParser) -> None:
     """The cameras, and what their file leaves open; :func:`rig` reads them."""
-    parser.add_argument("--rig", required=True, metavar="RIG", type=scene_file, help="the calibrated cameras "
-                        "(docs/cameras.md): OpenCV FileStorage YAML, OpenCV's stereo file, or COLMAP's cameras.txt")
+    given.add(parser, "--rig", "RIG", scene_file, "the calibrated cameras (docs/cameras.md): OpenCV FileStorage YAML, OpenCV's "
+              "stereo file, or COLMAP's cameras.txt", required=True)
     parser.add_argument("--rig-unit", choices=tuple(UNITS_IN_MM), help="unit of lengths in RIG (default mm)")
     parser.add_argument("--rig-poses", choices=tuple(POSES), help="what R and t in RIG are: world to camera, camera to world, "
                         "or R and the camera's centre; axes of OpenCV (z forward) or OpenGL (y up) (default opencv)")
     parser.add_argument("--rig-lens", choices=LENSES, default="opencv", help="model of the lenses in RIG (default opencv)")
-    parser.add_argument("--image-size", metavar="WIDTH,HEIGHT", help="size of the images, where RIG does not state it")
+    given.add(parser, "--image-size", "WIDTH,HEIGHT", given.numbers("WIDTH,HEIGHT", given.FROM_ZERO), "size of the images, "
+              "where RIG does not state it")
     add_orientation(parser, "RIG's, else ignore")
 
 
@@ -52,24 +53,18 @@ def add_orientation(parser: ArgumentParser, default: str) -> None:
 
 def rig(options: Namespace) -> Rig:
     """The Rig of ``--rig``, as the other options say."""
-    size = None
-    if options.image_size is not None:
-        size = given.whole_numbers("--image-size", options.image_size)
-        if len(size) != 2:
-            raise InputError(given.SOURCE, "--image-size", f"{len(size)} numbers", "give WIDTH,HEIGHT")
     turned = None if options.orientation is None else options.orientation == "apply"
-    return load_rig(options.rig, RigReading(options.rig_unit, options.rig_poses, options.rig_lens, turned, size))
+    return load_rig(options.rig, RigReading(options.rig_unit, options.rig_poses, options.rig_lens, turned, options.image_size))
 
 
 def add_seen_rod(parser: ArgumentParser) -> None:
     """The cameras, and the known properties of the rod."""
     add_rig(parser)
-    parser.add_argument("--rest-length", metavar="MM:COUNT|FILE",
-                        help="lengths of the rod's edges: COUNT edges of MM each, a .npz with rest_length_mm, or a text file "
-                        "(default: the rod ends where the thread ends in the images)")
-    parser.add_argument("--edge", metavar="MM", help="without --rest-length: length of the rod's edges; without it, a 33rd of "
-                        "the rod")
-    parser.add_argument("--length", metavar="MM|LOW:HIGH", help="without --rest-length: bounds of the rod's length")
+    given.add(parser, "--rest-length", "MM:COUNT|FILE", str, "lengths of the rod's edges: COUNT edges of MM each, a .npz with "
+              "rest_length_mm, or a text file (default: the rod ends where the thread ends in the images)")
+    given.add(parser, "--edge", "MM", given.LENGTH, "without --rest-length: length of the rod's edges; without it, a 33rd of "
+              "the rod")
+    given.add(parser, "--length", "MM|LOW:HIGH", given.Value(_bounds), "without --rest-length: bounds of the rod's length")
     parser.add_argument("--seed-pixel", action="append", metavar="CAMERA:U,V", help="where the rod begins, instead of "
                         "a point in space: a pixel in one camera or, once for each, in several; the thread's end near it")
     given.add_up(parser, "0,0,1 in the rig's world")
@@ -79,21 +74,21 @@ def add_thread(parser: ArgumentParser) -> None:
     """How the rod looks in images; ``parser`` may be a group of arguments."""
     parser.add_argument("--polarity", choices=("dark", "light"), help="whether the thread is darker or lighter than the "
                         "background (default: decided per image)")
-    parser.add_argument("--width", metavar="PX", help="width of the thread in the images (default: measured)")
-    parser.add_argument("--colour", metavar="R,G,B", help="colour of the thread, 0 to 255 each, instead of --polarity")
+    given.add(parser, "--width", "PX", given.positive("px"), "width of the thread in the images (default: measured)")
+    given.add(parser, "--colour", "R,G,B", given.NUMBERS, "colour of the thread, 0 to 255 each, instead of --polarity")
     parser.add_argument("--masks", nargs="+", metavar="MASK|FOLDER", help="segmented images, instead of detection: one for "
                         "each camera, or a folder with masks named as the images are (default: alpha channels of the images)")
     parser.add_argument("--region", action="append", metavar="CAMERA:X,Y,W,H",
                         help="part of a camera's images where the thread is; once for each camera")
 
 
-def by_camera(option: str, texts: Iterable[str] | None, names: tuple[str, ...], form: str, read=given.numbers
+def by_camera(option: str, texts: Iterable[str] | None, names: tuple[str, ...], form: str, each: given.Value = given.NUMBERS
               ) -> dict[str, tuple]:
     """The numbers of an option that is given once for each camera, as ``CAMERA:`` and ``form``, by the camera's name."""
     found = {}
     for text in texts or ():
         camera, _, numbers = text.rpartition(":")
-        values = read(option, numbers)
+        values = each(numbers, option)
         if camera not in names or len(values) != form.count(",") + 1:
             raise InputError(given.SOURCE, option, f"{text!r}",
                              f"give CAMERA:{form}; the rig has {', '.join(map(in_line, names))}")
@@ -106,8 +101,7 @@ def sight(options: Namespace, sets, method: str = "ridge"):
     from doo_ti.vision.detect import Sight, mask_of
     from doo_ti.vision.detection import DetectionOptions
 
-    colour = None if options.colour is None else tuple(given.numbers("--colour", options.colour))
-    regions = by_camera("--region", options.region, sets.rig.names, "X,Y,W,H", given.whole_numbers)
+    regions = by_camera("--region", options.region, sets.rig.names, "X,Y,W,H", given.numbers(None, given.FROM_ZERO))
     for region in regions.values():
         DetectionOptions(region=region)
     masks = None if options.masks is None else [Path(mask) for mask in options.masks]
@@ -123,8 +117,7 @@ def sight(options: Namespace, sets, method: str = "ridge"):
             raise InputError(given.SOURCE, "--masks", f"{len(masks)} for {sets.count} sets of {len(sets.rig.cameras)} images",
                              "give one for each camera of a single set, or a folder")
         masks = dict(zip(sets.rig.names, masks, strict=True))
-    width = given.positive("--width", options.width, "px")
-    return Sight(DetectionOptions(method, options.polarity, width, colour=colour), regions, masks)
+    return Sight(DetectionOptions(method, options.polarity, options.width, colour=options.colour), regions, masks)
 
 
 def detections(sight, every_path: Sequence[Sequence[Path]], cameras: Sequence) -> Iterator[list]:
@@ -211,9 +204,6 @@ def perception_task(options: Namespace) -> PerceptionTask:
     guessed = guess_stiffness(options)
     grid, up = given.round_cell(options, "perceived"), given.world_up(options)
     rest_length = None if options.rest_length is None else read_rest_length(options.rest_length)
-    nu = given.positive("--nu", options.nu)
-    hypotheses = given.whole("--hypotheses", options.hypotheses, 1, MOST_HYPOTHESES)
-    recorded = given.whole("--recorded-sets", options.recorded, 1)
     surroundings = given.surroundings(options)
 
     sets = _sets(options, rig(options))
@@ -223,11 +213,11 @@ def perception_task(options: Namespace) -> PerceptionTask:
 
     from doo_ti.perception.perceive import PerceptionOptions
 
-    chosen = {"nu": nu, "hypotheses": hypotheses, "evidence": options.evidence}
+    chosen = {"nu": options.nu, "hypotheses": options.hypotheses, "evidence": options.evidence}
     search = PerceptionOptions(**{name: value for name, value in chosen.items() if value is not None})
     return PerceptionTask(sets, rest_length, length_bounds(options), grid.materials(), search,
                           sight(options, sets, options.detector), up, truth,
-                          0 if options.no_recording else recorded or RECORDED, surroundings, guessed)
+                          0 if options.no_recording else options.recorded, surroundings, guessed)
 
 
 def _sets(options: Namespace, rig):
@@ -253,20 +243,12 @@ def _sets(options: Namespace, rig):
     if stems != rig.names and sorted(stems) == sorted(rig.names):
         raise InputError(given.SOURCE, "IMAGE", f"{', '.join(map(in_line, stems))} in another order than the rig's cameras",
                          f"give them in this order: {', '.join(rig.names)}")
-    seed = {}
-    for name in ("--seed-point", "--seed-direction"):
-        if not single[name]:
-            seed[name] = None
-            continue
-        numbers = given.numbers(name, single[name])
-        if len(numbers) != 3:
-            raise InputError(given.SOURCE, name, f"{len(numbers)} numbers", "give X,Y,Z")
-        seed[name] = np.array([numbers])
+    point, direction = (None if value is None else np.array([value])
+                        for value in (options.seed_point, options.seed_direction))
     paths = tuple(Path(image) for image in options.images)
     clicks = clicked(options, rig)
     name = paths[0].absolute().parent.name if stems == rig.names else stems[0]  # a camera's name is none of a set
-    return ImageSets((in_line(name),), (paths,), rig, seed["--seed-point"], seed["--seed-direction"], given.SOURCE,
-                     (clicks,))
+    return ImageSets((in_line(name),), (paths,), rig, point, direction, given.SOURCE, (clicks,))
 
 
 def clicked(options: Namespace, rig: Rig) -> dict[int, tuple[float, float]]:
@@ -277,15 +259,18 @@ def clicked(options: Namespace, rig: Rig) -> dict[int, tuple[float, float]]:
 
 def length_bounds(options: Namespace) -> LengthBounds:
     """What ``--edge`` and ``--length`` say."""
-    edge, bounds = given.length("--edge", options.edge), (0.0, np.inf)
     if options.rest_length is not None:
         given.refuse(options, ("edge", "length"), "given beside --rest-length", "give the one or the other")
-    if options.length is not None:
-        low, colon, high = options.length.partition(":")
-        bounds = given.length("--length", low), given.length("--length", high if colon else low)
-        if bounds[0] > bounds[1]:
-            raise InputError(given.SOURCE, "--length", options.length, "give MM, or LOW:HIGH")
-    return LengthBounds(*bounds, edge)
+    return LengthBounds(*options.length or (0.0, np.inf), options.edge)
+
+
+def _bounds(option: str, text: str) -> tuple[float, float]:
+    """``300``, or ``250:350``, in mm."""
+    low, colon, high = text.partition(":")
+    bounds = given.LENGTH(low, option), given.LENGTH(high if colon else low, option)
+    if bounds[0] > bounds[1]:
+        raise InputError(given.SOURCE, option, text, "give MM, or LOW:HIGH")
+    return bounds
 
 
 def _truth(options: Namespace, names: tuple[str, ...]) -> np.ndarray | None:
@@ -294,7 +279,7 @@ def _truth(options: Namespace, names: tuple[str, ...]) -> np.ndarray | None:
     if path is None:
         given.refuse(options, loading.OF_FILES, "given without --truth", "give both")
         return None
-    true = load_observations(path, None, options.unit, loading.columns(options))
+    true = load_observations(path, None, options.unit, options.columns)
     vertices = true.vertices
     if true.labels.dtype.kind != "U":
         if len(vertices) != len(names):

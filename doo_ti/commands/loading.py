@@ -57,17 +57,17 @@ def add_loading(parser: ArgumentParser, of: str = "OBS") -> None:
 
 
 def add_rest_length(group) -> None:
-    group.add_argument("--rest-length", metavar="MM|FILE", help="length of the rod from the first mark to the last, along it; "
-                       "or a .npz with rest_length_mm, or a text file, of the lengths between the marks (default: as the file "
-                       "states, else arcs through the marks)")
+    given.add(group, "--rest-length", "MM|FILE", str, "length of the rod from the first mark to the last, along it; or a .npz "
+              "with rest_length_mm, or a text file, of the lengths between the marks (default: as the file states, else arcs "
+              "through the marks)")
 
 
 def add_files(group, of: str) -> None:
     """How the files ``of`` some option or argument state the marks."""
     group.add_argument("--unit", choices=tuple(UNITS_IN_MM), help=f"unit of all lengths in {of} (default: as the file states, "
                        "else mm)")
-    group.add_argument("--columns", metavar="x=NAME,…|A,B,C", help="columns of a table that hold x, y, z, observation, vertex; "
-                       "of other files, names of markers or curves in their order along the rod")
+    given.add(group, "--columns", "x=NAME,…|A,B,C", given.Value(_columns), "columns of a table that hold x, y, z, observation, "
+              "vertex; of other files, names of markers or curves in their order along the rod")
 
 
 def add_recordings(parser: ArgumentParser, default_up: str) -> None:
@@ -79,48 +79,44 @@ def add_recordings(parser: ArgumentParser, default_up: str) -> None:
     group.add_argument("--fill-gaps", action="store_true",
                        help="take markers that were not seen from lines between the frames around")
     parser.add_argument("--free-end", action="store_true", help="no gripper holds the last edge of a recording")
-    parser.add_argument("--smoothing", metavar="FRAMES", help="odd number of frames through which parabolas are fitted for the "
-                        "start and the grippers; 1: as recorded (default: 1, among obstacles those of 0.09 s)")
+    given.add(parser, "--smoothing", "FRAMES", given.Value(_smoothing), "odd number of frames through which parabolas are "
+              "fitted for the start and the grippers; 1: as recorded (default: 1, among obstacles those of 0.09 s)")
 
 
-def smoothing(options: Namespace) -> int | None:
-    """The number of frames that ``--smoothing`` states."""
+def _smoothing(option: str, text: str) -> int:
     from doo_ti.dynamics.rollouts import require_smoothing
 
-    frames = given.whole("--smoothing", options.smoothing, 1, 999)
-    if frames is not None:
-        require_smoothing(given.SOURCE, "--smoothing", frames)
+    frames = given.whole(1, 999)(text, option)
+    require_smoothing(given.SOURCE, option, frames)
     return frames
 
 
 def add_rate(parser) -> None:
     """``--rate`` of a recording."""
-    parser.add_argument("--rate", metavar="HZ", help="frames per second of a recording (default: as the file states; tables do "
-                        "not)")
+    given.add(parser, "--rate", "HZ", given.positive("frames per second"), "frames per second of a recording (default: as the "
+              "file states; tables do not)")
 
 
 def recordings(options: Namespace, sources: list[str]) -> list["RecordedMotion"]:
     """The recorded motion of each of the files."""
     from doo_ti.dynamics.recorded import RecordedMotion
 
-    rate, named = given.positive("--rate", options.rate, "frames per second"), columns(options)
-    return [RecordedMotion.load(path, options.fill_gaps, options.unit, named, rate, options.free_end) for path in sources]
+    return [RecordedMotion.load(path, options.fill_gaps, options.unit, options.columns, options.rate, options.free_end)
+            for path in sources]
 
 
-def columns(options: Namespace) -> dict[str, str] | list[str] | None:
-    """The value of ``--columns``: by name, or in order."""
-    if options.columns is None:
-        return None
-    parts = [part.strip() for part in options.columns.split(",")]
+def _columns(option: str, text: str) -> dict[str, str] | list[str]:
+    """Columns by name, or names in order."""
+    parts = [part.strip() for part in text.split(",")]
     pairs = [part.partition("=") for part in parts]
     if not all(parts) or len({bool(sign) for _, sign, _ in pairs}) > 1:
-        raise InputError(given.SOURCE, "--columns", f"{options.columns!r}", "give NAME=COLUMN,… or names between commas")
+        raise InputError(given.SOURCE, option, f"{text!r}", "give NAME=COLUMN,… or names between commas")
     return {name: column for name, _, column in pairs} if pairs[0][1] else parts
 
 
 def load(options: Namespace, source: str, without_lost: bool = False) -> Observations:
     """The observations of ``source``, all or without those of one mark or none."""
-    observations = load_observations(source, given.up(options), options.unit, columns(options), without_lost)
+    observations = load_observations(source, options.up, options.unit, options.columns, without_lost)
     return observations if options.rest_length is None else _measured(observations, options.rest_length)
 
 
@@ -129,7 +125,7 @@ def _measured(observations: Observations, text: str) -> Observations:
     if Path(text).suffix in (".npz", ".txt", ".csv"):
         lengths = read_rest_length(text)
     else:
-        lengths = observations.rest_length * (given.length("--rest-length", text) / observations.rest_length.sum())
+        lengths = observations.rest_length * (given.LENGTH(text, "--rest-length") / observations.rest_length.sum())
     measured, arcs = replace(observations, rest_length=lengths, spacing_error=MEASURED), observations.arcs.sum()
     if not 1 / MOST_OFF < lengths.sum() / arcs < MOST_OFF:
         raise InputError(given.SOURCE, "--rest-length", f"{lengths.sum():.4g} mm, but arcs through the marks are {arcs:.4g} mm "
@@ -162,7 +158,7 @@ def of_scene(options: Namespace, scene: Scene) -> Observations:
     """A scene's observations, loaded or synthesised, under the scene's name."""
     if isinstance(scene.observations, Synthesis):
         given.refuse(options, OF_OBSERVATIONS, "given, but the scene is simulated", "leave it out")
-        return observed(scene, given.up(options))
+        return observed(scene, options.up)
     return replace(load(options, scene.observations), name=scene.name)
 
 
@@ -191,7 +187,7 @@ def with_ends_in_reach(observations: Observations, start: Clamp | None, end: Cla
 
 def stated(options: Namespace) -> dict[str, float | None]:
     """The ``weight`` in N/m and ``stiffness`` EI in N m², of a range the least, that options state."""
-    density, stiff = given.density(options), options.EI
+    density, stiff = options.linear_density, options.EI
     return {"weight": None if density is None else weight_per_length(density),
             "stiffness": None if stiff is None else parse_axis("--EI", stiff, given.SOURCE).values[0]}
 
@@ -311,7 +307,7 @@ def read_rest_length(text: str) -> np.ndarray:
     option, remedy = "--rest-length", "give MM:COUNT, such as 3:33, or a file of lengths in mm"
     length, _, count = text.partition(":")
     if count and not os.path.exists(text):
-        edges, each = given.whole(option, count, 2, MOST_EDGES), given.length(option, length)
+        edges, each = given.whole(2, MOST_EDGES)(count, option), given.LENGTH(length, option)
         if not LEAST_MM <= each <= MOST_MM:
             raise InputError(given.SOURCE, option, f"edges of {each:g} mm", f"give {LEAST_MM:g} to {MOST_MM:g} mm")
         return np.full(edges, each)

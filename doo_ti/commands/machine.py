@@ -9,11 +9,9 @@ import subprocess
 import sys
 import time
 from argparse import Namespace
-from dataclasses import dataclass, field
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from tempfile import TemporaryDirectory
-
-import numpy as np
 
 from doo_ti.commands import options as given
 from doo_ti.commands.results import report, save_json
@@ -29,10 +27,11 @@ MOST_RODS = 1 << 22  # four times as many are relaxed at once to measure the mem
 
 def declare(add) -> None:
     parser = given.command(add, "bench", run_bench, "measure throughput and accuracy on this machine, in one table")
-    parser.add_argument("--rods", metavar="N", help=f"rods in the large batches (default {RODS})")
-    parser.add_argument("--threads", metavar="N", help="threads of the kernels (default: one per processor)")
-    parser.add_argument("--rounds", metavar="N", help=f"number of measurements; their median is printed (default {ROUNDS})")
-    parser.add_argument("--out", metavar="FOLDER", help="folder for bench.json (default: not written)")
+    given.add(parser, "--rods", "N", given.whole(1, MOST_RODS), "rods in the large batches", RODS)
+    given.add(parser, "--threads", "N", given.whole(1, os.cpu_count() or 1), "threads of the kernels (default: one per "
+              "processor)")
+    given.add(parser, "--rounds", "N", given.whole(1, MOST_ROUNDS), "number of measurements; their median is printed", ROUNDS)
+    given.add(parser, "--out", "FOLDER", given.FOLDER, "folder for bench.json (default: not written)")
     parser = given.command(add, "warm", run_warm, "compile the kernels of commands now, so that their first use does not wait")
     parser.add_argument("commands", nargs="*", metavar="COMMAND",
                         help=f"those whose kernels to compile: {', '.join(STEPS)} (default: all); those of obstacles depend "
@@ -40,16 +39,11 @@ def declare(add) -> None:
 
 
 def run_bench(options: Namespace) -> int:
-    rods = given.whole("--rods", options.rods, 1, MOST_RODS) or RODS
-    threads = given.whole("--threads", options.threads, 1, os.cpu_count() or 1)
-    rounds = given.whole("--rounds", options.rounds, 1, MOST_ROUNDS) or ROUNDS
-    out = given.output_folder(options.out)
-
     from doo_ti.lab.cases import benchmark
 
-    summary = benchmark(rods, rounds, threads)
-    if out is not None:
-        save_json(out / "bench.json", summary)
+    summary = benchmark(options.rods, options.rounds, options.threads)
+    if options.out is not None:
+        save_json(options.out / "bench.json", summary)
     report(options, summary, lambda: [text(summary)])
     return 0
 
@@ -65,24 +59,22 @@ def text(summary: dict) -> str:
 
 def _table(cases: dict[str, dict]) -> str:
     """One line per case, columns aligned; a dash where a figure does not apply."""
-    heads = ["case", "per second", "ratio ·10⁶", "converged", "stable", "iterations", "residual", "lanes busy", "of peak"]
+    heads = ["case", "per second", "ratio ·10⁶", "converged", "stable", "iterations", "residual", "lanes busy"]
     lines = [[name, f"{case['per_second']:,.0f} {case['unit']}", f"{1e6 * case['ratio']:.4g}", percent(case["converged"]),
               percent(case["stable"]), f"{case['iterations']:.1f}" if case["iterations"] else "–",
-              "–" if case["residual"] is None else f"{case['residual']:.0e} /mm", percent(case["busy"]),
-              percent(case["share_of_peak"])] for name, case in cases.items()]
+              "–" if case["residual"] is None else f"{case['residual']:.0e} /mm", percent(case["busy"])]
+             for name, case in cases.items()]
     widths = [max(map(len, column)) for column in zip(heads, *lines, strict=True)]
     rows = [heads, ["-" * width for width in widths], *lines]
     return "\n".join("| " + " | ".join(map(str.ljust, row, widths)) + " |" for row in rows)
 
 
 def _notes(summary: dict) -> list[str]:
-    """What ratio and peak are, and the accuracy."""
-    accuracy, peak = summary["f32_against_f64"], summary["peak_gflops"]
+    """What the ratio is, and the accuracy."""
+    accuracy = summary["f32_against_f64"]
     return [
         "- ratio: to the multiply-adds per second of NumPy's dot products in the same round; compare this one where other work "
         "shares the machine",
-        "- of peak: operations that the kernels executed, those of idle lanes too, beside multiplications and additions in "
-        "registers: " + (", ".join(f"{rate:,.0f} GFlop/s {name}" for name, rate in peak.items()) or "–"),
         f"- f32 against f64: {percent(accuracy['same_minimum'])} of {accuracy['rods']} rods in the same minimum, there "
         f"{accuracy['median_mm']:.1e} mm apart (median), {accuracy['percentile_99_mm']:.1e} mm (99th percentile)"]
 
@@ -95,17 +87,16 @@ def percent(share: float | None) -> str:
 # --- warm ----------------------------------------------------------------------------------------------------------------
 
 AT_ONCE = 2  # processes. Taichi compiles in one thread, and what two compile at the same time both compile
-POLL_SECONDS = 0.1
 MATERIAL = "--bend 4e5 --twist 4e5"
 LAB, SEEN = "synth lab.toml --out lab.npz", f"--rig images/rig.yaml --rest-length 3:33 {MATERIAL} --no-recording"
-IMAGES = "synth seen.toml --images images --rig rig.yaml"
+IMAGES = "synth seen.toml --images images --rig scenes/rig.yaml"
 STEPS = {
     "relax": (LAB, f"relax lab.npz {MATERIAL} --out many.npz", "convert lab.npz one.npz --select 0:1",
               f"relax one.npz {MATERIAL} --out one_relaxed.npz"),
     "perceive": (IMAGES, f"perceive {SEEN} --sets images/sets.csv --no-picture --out rods.npz"),
     "sweep": (LAB, "sweep lab.npz --bend 2e5:8e5:3 --out run"),
-    "group": ("group group.toml --out group.npz",),
-    "refine": (LAB, f"refine lab.npz {MATERIAL} --rest-curvature none --clip 1.5 --clamps exact --no-models"),
+    "group": ("group hooked_slings --out group.npz",),
+    "refine": (LAB, f"refine lab.npz {MATERIAL} --rest-curvature none --clip 1.5 --frames exact --no-models"),
     "simulate": ("simulate moving.toml --out moved.npz",),
     "track": (IMAGES, f"track {SEEN} --frames frames.csv --out video.npz"),
     "identify": ("simulate moving.toml --out moved.npz", "identify moved.npz --bend 1e6 --modes 1 --fit drag --out theta.json"),
@@ -151,109 +142,51 @@ end_position_mm = [400.0, 0.0, 0.0]
 time_s = 0.4
 end_position_mm = [420.0, 0.0, 0.0]
 """,
-    "group.toml": """radius_mm = 2.0
-rate_hz = 5
-duration_s = 0.4
-[materials.rope]
-bend = 4e4
-twist = 3e4
-[rods.one]
-edges = 16
-points_mm = [[-80, 0, 0], [0, 0, 10], [80, 0, 0]]
-start = "tangent"
-end = "tangent"
-[rods.other]
-edges = 16
-points_mm = [[0, -80, 20], [0, 0, 30], [0, 80, 20]]
-start = "tangent"
-end = "tangent"
-[[obstacles]]
-kind = "itself"
-""",
-    "frames.csv": """frame,top,side,seed_x,seed_y,seed_z,dir_x,dir_y,dir_z
-1,images/seen_66mm_060deg_top.jpg,images/seen_66mm_060deg_side.jpg,0,0,0,0.94,0,0.34
-2,images/seen_66mm_060deg_top.jpg,images/seen_66mm_060deg_side.jpg,,,,,,
+    "frames.csv": """frame,front,left,seed_x,seed_y,seed_z,dir_x,dir_y,dir_z
+1,images/seen_66mm_060deg_front.jpg,images/seen_66mm_060deg_left.jpg,0,0,0,0.94,0,0.34
+2,images/seen_66mm_060deg_front.jpg,images/seen_66mm_060deg_left.jpg,,,,,,
 """,
     "motion.csv": "time_s,end_x,end_y,end_z\n0,0,0,0\n1,1,0,0\n",
 }
-
-
-@dataclass
-class _Job:
-    """A command whose kernels are being compiled: the steps left, in a folder of its own, and the process of the present."""
-
-    name: str
-    folder: Path
-    left: list[str] = field(default_factory=list)
-    process: subprocess.Popen | None = None
-    began: float = 0.0
-    seconds: float = 0.0
-    problem: str | None = None
-
-    def go_on(self) -> bool:
-        """Start the next step where one has ended; False once all have."""
-        if self.process is not None:
-            if self.process.poll() is None:
-                return True
-            if self.process.returncode:
-                lines = (self.folder / "log.txt").read_text(errors="replace").splitlines()
-                self.problem, self.left = lines[-1] if lines else f"exit code {self.process.returncode}", []
-        self.seconds = time.monotonic() - self.began
-        if not self.left:
-            return False
-        with (self.folder / "log.txt").open("w") as log, kept_from_children():
-            self.process = subprocess.Popen([sys.executable, "-m", "doo_ti", *self.left.pop(0).split()], cwd=self.folder,
-                                            stdout=log, stderr=log, env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)})
-        return True
 
 
 def run_warm(options: Namespace) -> int:
     if unknown := next((name for name in options.commands if name not in STEPS), None):
         raise InputError(given.SOURCE, "COMMAND", f"{unknown!r} has no kernels", f"give some of {', '.join(STEPS)}")
     names = [name for name in STEPS if not options.commands or name in options.commands]
-    with TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-        jobs = [_prepared(name, Path(folder) / name) for name in names]
-        _done(jobs)
-    failed = {job.name: job.problem for job in jobs if job.problem is not None}
-    summary = {"seconds": {job.name: job.seconds for job in jobs}, "failed": failed}
-    report(options, summary, lambda: [
-        f"  {job.name:<11} {job.seconds:.1f} s{'' if job.problem is None else f', FAILED: {in_line(job.problem)}'}"
-        for job in jobs])
+    seconds, failed, processes = {}, {}, []
+    with (TemporaryDirectory(ignore_cleanup_errors=True) as folder, progress() as bar, ThreadPoolExecutor(AT_ONCE) as threads):
+        task = bar.add_task("compiling", total=len(names), unit="commands")
+        found = threads.map(lambda name: _warmed(name, Path(folder) / name, processes), names)
+        try:
+            for name, (taken, problem) in zip(names, found, strict=True):
+                seconds[name] = taken
+                if problem is not None:
+                    failed[name] = problem
+                bar.advance(task)
+        finally:
+            threads.shutdown(wait=False, cancel_futures=True)
+            for process in processes:
+                ended(process)
+    report(options, {"seconds": seconds, "failed": failed}, lambda: [
+        f"  {name:<11} {taken:.1f} s{f', FAILED: {in_line(failed[name])}' if name in failed else ''}"
+        for name, taken in seconds.items()])
     return 1 if failed else 0
 
 
-def _done(jobs: list[_Job]) -> None:
-    """Run the jobs, some at once."""
-    waiting, running = list(jobs), []
-    with progress() as bar:
-        task = bar.add_task("compiling", total=len(jobs), unit="commands")
-        try:
-            while waiting or running:
-                while waiting and len(running) < AT_ONCE:
-                    running.append(waiting.pop(0))
-                    running[-1].began = time.monotonic()
-                    bar.update(task, description=f"compiling for {', '.join(job.name for job in running)}")
-                for job in [job for job in running if not job.go_on()]:
-                    running.remove(job)
-                    bar.advance(task, 1)
-                time.sleep(POLL_SECONDS)
-        finally:
-            for job in running:
-                if job.process is not None:
-                    ended(job.process)
-
-
-def _prepared(name: str, folder: Path) -> _Job:
-    """The job of a command, its input in ``folder``."""
-    from doo_ti.vision.cameras import Camera, Rig
-    from doo_ti.vision.rig_files import save_rig
-
-    folder.mkdir()
-    for file, text in INPUTS.items():
-        write_text(folder / file, text)
-    matrix, none = [[900.0, 0.0, 320.0], [0.0, 900.0, 240.0], [0.0, 0.0, 1.0]], np.zeros(5)
-    beside = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-    cameras = [Camera(camera, 640, 480, matrix, none, turn, [-33.0, 0.0, 300.0])
-               for camera, turn in (("top", np.eye(3)), ("side", beside))]
-    save_rig(folder / "rig.yaml", Rig(tuple(cameras)))
-    return _Job(name, folder, list(STEPS[name]))
+def _warmed(name: str, folder: Path, processes: list[subprocess.Popen]) -> tuple[float, str | None]:
+    """Run the steps of a command in ``folder``, a process each, which are added to ``processes``: how long they took, in s, and
+    why one failed."""
+    began = time.monotonic()
+    for file, content in INPUTS.items():
+        write_text(folder / file, content)
+    for step in STEPS[name]:
+        with (folder / "log.txt").open("w+") as log:
+            with kept_from_children():
+                processes.append(process := subprocess.Popen(
+                    [sys.executable, "-m", "doo_ti", *step.split()], cwd=folder, stdout=log, stderr=log,
+                    env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}))
+            if process.wait():
+                log.seek(0)
+                return time.monotonic() - began, [f"exit code {process.returncode}", *log.read().splitlines()][-1]
+    return time.monotonic() - began, None

@@ -1,7 +1,7 @@
 """Rods that observations show, held by grippers along a path: where they begin, and what ``--theta`` and the options of losses
 say of rest curvature, friction, damping and drag."""
 
-from argparse import Action, Namespace
+from argparse import Namespace
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from doo_ti.dynamics.grippers import Grippers
     from doo_ti.dynamics.parameters import Dynamics, Stepping
 
-LOSSES = {"bend_damping": "s", "twist_damping": "s", "drag": "1/s", "quadratic_drag": "1/mm"}
+LOSSES = ("bend_damping", "twist_damping", "drag", "quadratic_drag")
 MOST_STRETCH = 0.1  # by which the rod's length may differ from that of THETA.json
 MOST_LENGTHS = 100.0  # of a rod, between its clamps
 FAR_OFF = 0.05  # of the rod's length, from a clamp to where its motion begins: more is no error of measurement
@@ -37,38 +37,30 @@ FAR_OFF = 0.05  # of the rod's length, from a clamp to where its motion begins: 
 def add_losses(parser) -> None:
     """Damping and drag of rods with inertia."""
     group = parser.add_argument_group("losses", "of rods that observations show (docs/dynamics.md)")
-    group.add_argument("--bend-damping", metavar="S", help="bending at the rate ω̇ is resisted by S B ω̇ (default 0)")
-    group.add_argument("--twist-damping", metavar="S", help="the same of twist (default 0)")
-    group.add_argument("--drag", metavar="C", help="force −C v on each unit of mass, 1/s (default 0)")
-    group.add_argument("--quadratic-drag", metavar="C2", help="force −C2 |v| v, 1/mm (default 0)")
+    given.add(group, "--bend-damping", "S", given.not_negative("s"), "bending at the rate ω̇ is resisted by S B ω̇ (default 0)")
+    given.add(group, "--twist-damping", "S", given.not_negative("s"), "the same of twist (default 0)")
+    given.add(group, "--drag", "C", given.not_negative("1/s"), "force −C v on each unit of mass, 1/s (default 0)")
+    given.add(group, "--quadratic-drag", "C2", given.not_negative("1/mm"), "force −C2 |v| v, 1/mm (default 0)")
 
 
 def add_motion(parser) -> None:
     """The path of the grippers of observed rods, and how its file states it."""
-    parser.add_argument("--motion", metavar="PATH", help="poses of the clamps over time: .npz, or .csv such as a robot's log")
+    given.add(parser, "--motion", "PATH", str, "poses of the clamps over time: .npz, or .csv such as a robot's log")
     parser.add_argument("--relative", action="store_true",
                         help="apply the motion relative to each observation's own clamps, instead of as absolute poses")
     group = parser.add_argument_group("the motion's file", "docs/motions.md")
-    group.add_argument("--motion-columns", metavar="time=NAME,…", help="in a .csv: the column of the time, and what the "
-                       "columns of the grippers begin with, as in start=left,end=right")
-    group.add_argument("--motion-axis", metavar="AXIS|AXIS,AXIS", help="the axis, x, y, z, -x, -y or -z, of the tools at the "
-                       "start and at the end that points along the rod, where orientations are stated (default x)")
+    given.add(group, "--motion-columns", "time=NAME,…", str, "in a .csv: the column of the time, and what the columns of the "
+              "grippers begin with, as in start=left,end=right")
+    given.add(group, "--motion-axis", "AXIS|AXIS,AXIS", str, "the axis, x, y, z, -x, -y or -z, of the tools at the start and "
+              "at the end that points along the rod, where orientations are stated (default x)")
     group.add_argument("--motion-unit", choices=tuple(UNITS_IN_MM), help="unit of all lengths in PATH (default: --unit, else "
                        "as its columns state, else mm)")
-    group.add_argument("--motion-up", metavar="X,Y,Z", help="direction against gravity in PATH, which is turned about the "
-                       "origin so that it becomes that of OBS (default: both have the same coordinates)")
+    given.add(group, "--motion-up", "X,Y,Z", given.NUMBERS, "direction against gravity in PATH, which is turned about the "
+              "origin so that it becomes that of OBS (default: both have the same coordinates)")
 
 
 OF_MOTIONS = ("motion", "motion_columns", "motion_axis", "motion_unit", "motion_up", "relative")
 """Options that only paths of grippers have a use for."""
-
-
-class Moved(Action):
-    """An option that another command has now."""
-
-    def __call__(self, parser, namespace, values, option_string=None):
-        raise InputError(given.SOURCE, option_string, "rods with inertia are simulated by doo-ti simulate now",
-                         "call that with the same options but this one")
 
 
 # --- rods ----------------------------------------------------------------------------------------------------------------
@@ -160,7 +152,7 @@ def simulated_rods(options: Namespace, out: Path, changes: dict) -> SimulatedRod
     given.refuse(options, ("fill_gaps", "smoothing"), "given, but the motion has no markers", "leave it out")
     start, end = given.clamps(options)
     held = held_rods(options, out, (start, Clamp.FREE if options.free_end else end), True)
-    rate = given.positive("--rate", options.rate, "per second")
+    rate = options.rate
     path = held.path if rate is None else held.path.resampled(rate) if held.path.timed else replace(
         held.path, time=held.path.time / rate, timed=True)
     if not path.timed:
@@ -197,7 +189,7 @@ def _path(options: Namespace, up: np.ndarray) -> ClampPath:
         known = ", ".join(TOOL_AXES)
         raise InputError(given.SOURCE, "--motion-axis", f"{options.motion_axis!r}", f"give one or two of {known}")
     if options.motion_up is not None:
-        own = unit_up(given.numbers("--motion-up", options.motion_up), given.SOURCE)
+        own = unit_up(options.motion_up, given.SOURCE)
         turn = matrix_from_quaternion(smallest_rotation(own, up))
     return load_path(Path(options.motion), options.motion_unit or options.unit, named, tuple(axes), turn)
 
@@ -265,9 +257,7 @@ def losses(options: Namespace):
     found = Dynamics()
     if options.theta is not None:
         found = simulated([load_theta(options.theta)])[1]
-    own = {name: given.not_negative(f"--{name.replace('_', '-')}", getattr(options, name), unit)
-           for name, unit in LOSSES.items() if getattr(options, name) is not None}
-    return replace(found, **own)
+    return replace(found, **{name: getattr(options, name) for name in LOSSES if getattr(options, name) is not None})
 
 
 def with_friction_of_theta(options: Namespace, surroundings: Surroundings) -> Surroundings:

@@ -6,6 +6,7 @@ Raises InputError naming the option, its value and the remedy.
 import os
 from argparse import SUPPRESS, Action, ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -53,7 +54,8 @@ def command(add, name: str, run: Callable[[Namespace], int], meaning: str, *, js
 
 def add_old_name(parser: ArgumentParser, old: str, argument: str) -> None:
     """Accept the ``old`` name of the option for ``argument``, without showing it."""
-    parser.add_argument(old, dest=argument, default=SUPPRESS, help=SUPPRESS)
+    kind = next(action.type for action in parser._actions if action.dest == argument)
+    parser.add_argument(old, dest=argument, type=kind, default=SUPPRESS, help=SUPPRESS)
 
 
 def add_material(parser: ArgumentParser, form: str, theta: str = STIFFNESS_ONLY, density: str = "for --EI and --GJ",
@@ -63,19 +65,19 @@ def add_material(parser: ArgumentParser, form: str, theta: str = STIFFNESS_ONLY,
     parser.set_defaults(theta_note=theta)
     group = parser.add_argument_group("material", form)
     others = "" if round_rod else " of a round rod, or the matrix of another one, A1,A2[,A12]"
-    group.add_argument("--EI", metavar="NM2", help="bend stiffness of a round rod in N m²; needs --linear-density")
-    group.add_argument("--GJ", metavar="NM2", help="twist stiffness in N m²; needs --linear-density")
-    group.add_argument("--linear-density", metavar="G_PER_M", help=f"mass per length of the rod in g/m, {density}")
-    group.add_argument("--bend", metavar="A", help=f"instead of --EI, bend stiffness α in mm³{others}")
+    add(group, "--EI", "NM2", str, "bend stiffness of a round rod in N m²; needs --linear-density")
+    add(group, "--GJ", "NM2", str, "twist stiffness in N m²; needs --linear-density")
+    add(group, "--linear-density", "G_PER_M", positive("g/m"), f"mass per length of the rod in g/m, {density}")
+    add(group, "--bend", "A", str, f"instead of --EI, bend stiffness α in mm³{others}")
     if round_rod:
         parser.set_defaults(bend_1=None, bend_2=None)
     else:
-        group.add_argument("--bend-1", metavar="A1", help="stiffness against bending about m2")
-        group.add_argument("--bend-2", metavar="A2", help="stiffness against bending about m1")
-    group.add_argument("--twist", metavar="B", help="instead of --GJ, twist stiffness β in mm³")
-    group.add_argument("--twist-ratio", metavar="R", help=f"β divided by α{'' if round_rod else ', or by A1'} (default 1)")
-    group.add_argument("--weight", metavar="M", help="half the weight per length, relative (default 1)")
-    group.add_argument("--theta", metavar="THETA.json", help=f"the rod as doo-ti identify wrote it: {theta}")
+        add(group, "--bend-1", "A1", str, "stiffness against bending about m2")
+        add(group, "--bend-2", "A2", str, "stiffness against bending about m1")
+    add(group, "--twist", "B", str, "instead of --GJ, twist stiffness β in mm³")
+    add(group, "--twist-ratio", "R", str, f"β divided by α{'' if round_rod else ', or by A1'} (default 1)")
+    add(group, "--weight", "M", str, "half the weight per length, relative (default 1)")
+    add(group, "--theta", "THETA.json", str, f"the rod as doo-ti identify wrote it: {theta}")
 
 
 def add_clamps(parser: ArgumentParser, default: str = CLAMP_DEFAULT) -> None:
@@ -84,12 +86,12 @@ def add_clamps(parser: ArgumentParser, default: str = CLAMP_DEFAULT) -> None:
 
 
 def add_up(parser: ArgumentParser, default: str = "the file's, else 0,0,1") -> None:
-    parser.add_argument("--up", metavar="X,Y,Z|AXIS", help="direction against gravity: three numbers, or x, y, z, -x, -y or "
-                        f"-z (default: {default})")
+    add(parser, "--up", "X,Y,Z|AXIS", Value(direction), "direction against gravity: three numbers, or x, y, z, -x, -y or "
+        f"-z (default: {default})")
 
 
 def add_frame_weight(parser: ArgumentParser, default: str) -> None:
-    parser.add_argument("--frame-weight", metavar="MM", help=f"weight w_m of material frames in Eq. 1 (default: {default})")
+    add(parser, "--frame-weight", "MM", FRAME_WEIGHT, f"weight w_m of material frames in Eq. 1 (default: {default})")
 
 
 def add_relaxation(parser: ArgumentParser, precision: str | None) -> None:
@@ -102,12 +104,28 @@ def add_relaxation(parser: ArgumentParser, precision: str | None) -> None:
                         help=f"floating-point arithmetic (default: {stated})")
 
 
+def add(parser, option: str, metavar: str, kind: Callable, meaning: str, default=None, **more) -> None:
+    """An option with a value of that ``kind``, the ``type`` of argparse; its ``default`` is stated."""
+    stated = "" if default is None else f" (default {default if isinstance(default, str) else f'{default:g}'})"
+    parser.add_argument(option, metavar=metavar, type=kind, help=meaning + stated, default=default, **more)
+
+
+def add_file(parser, option: str, metavar: str, meaning: str, **more) -> None:
+    """An option of a file to write, whose suffix is one of those in ``metavar``."""
+    suffixes = tuple(f".{name.rpartition('.')[2]}" for name in metavar.split("|"))
+    parser.add_argument(option, metavar=metavar, type=Value(partial(output_file, suffixes=suffixes)), help=meaning, **more)
+
+
+def add_out(parser: ArgumentParser, metavar: str, meaning: str = "file to write") -> None:
+    add_file(parser, "--out", metavar, meaning, required=True)
+
+
 def add_obstacles(parser: ArgumentParser, friction: str) -> None:
     """``friction`` says what the command makes of the friction of obstacles."""
     group = parser.add_argument_group("contact", f"obstacles that rods touch but do not enter (docs/obstacles.md); {friction}")
-    group.add_argument("--obstacles", metavar="FILE.toml",
-                       help="[[obstacles]], each a plane, sphere, capsule, cylinder, ring, box, grid or the rod itself; in mm")
-    group.add_argument("--radius", metavar="MM", help="radius of the rods, needed with --obstacles")
+    add(group, "--obstacles", "FILE.toml", str, "[[obstacles]], each a plane, sphere, capsule, cylinder, ring, box, grid or "
+        "the rod itself; in mm")
+    add(group, "--radius", "MM", LENGTH, "radius of the rods, needed with --obstacles")
 
 
 # --- reading -------------------------------------------------------------------------------------------------------------
@@ -140,25 +158,18 @@ def _physical_axes(options: Namespace) -> list[Axis]:
         if text is None:
             continue
         refuse(options, others, f"given beside --{physical}", "give one of the two")
-        per_length = density(options)
-        if per_length is None:
+        if options.linear_density is None:
             raise InputError(SOURCE, "--linear-density", f"missing beside --{physical}", "give the rod's in g/m")
         axis = parse_axis(f"--{physical}", text, SOURCE)
-        axes.append(Axis(name, bend_or_twist(axis.values, weight_per_length(per_length)), axis.log))
+        axes.append(Axis(name, bend_or_twist(axis.values, weight_per_length(options.linear_density)), axis.log))
     return axes
-
-
-def density(options: Namespace) -> float | None:
-    """The linear density in g/m, or None."""
-    return positive("--linear-density", options.linear_density, "g/m")
 
 
 def newtons(options: Namespace, weight) -> np.ndarray | None:
     """N in the unit of force of rods of ``weight`` (G,), by ``--linear-density``; None without it."""
-    per_length = density(options)
-    if per_length is None or not np.all(np.asarray(weight) > 0):
+    if options.linear_density is None or not np.all(np.asarray(weight) > 0):
         return None
-    return force_in_newton(1.0, weight_per_length(per_length), weight)
+    return force_in_newton(1.0, weight_per_length(options.linear_density), weight)
 
 
 def single_cell(options: Namespace, remedy: str = "give one number") -> Grid:
@@ -180,30 +191,9 @@ def round_cell(options: Namespace, rods: str) -> Grid:
     return found
 
 
-def frame_weight(options: Namespace, default: float = 0.0) -> float:
-    """w_m of Eq. 1, mm."""
-    found = _number("--frame-weight", options.frame_weight, f"a number of mm from zero up to {LARGEST:g}",
-                    lambda weight: 0 <= weight <= LARGEST)
-    return default if found is None else found
-
-
-def up(options: Namespace) -> np.ndarray | None:
-    """(3,) unit vector against gravity, or None."""
-    if options.up is None:
-        return None
-    axis = options.up.lower().lstrip("+-")
-    if axis in tuple("xyz"):
-        return np.where(np.array(tuple("xyz")) == axis, -1.0 if options.up.startswith("-") else 1.0, 0.0)
-    try:
-        return unit_up(numbers("--up", options.up), SOURCE)
-    except InputError as error:
-        raise InputError(SOURCE, "--up", error.problem, "give a direction: x, y, z, -x, -y, -z, or three numbers") from None
-
-
 def world_up(options: Namespace, otherwise: np.ndarray | None = None) -> np.ndarray:
     """(3,) unit vector against gravity; without ``--up`` the one of a file, ``otherwise``, else z."""
-    found = (direction for direction in (up(options), otherwise) if direction is not None)
-    return next(found, np.array([0.0, 0.0, 1.0]))
+    return next((found for found in (options.up, otherwise) if found is not None), np.array([0.0, 0.0, 1.0]))
 
 
 def clamps(options: Namespace) -> tuple[Clamp | None, Clamp | None]:
@@ -213,18 +203,17 @@ def clamps(options: Namespace) -> tuple[Clamp | None, Clamp | None]:
 
 def surroundings(options: Namespace) -> Surroundings:
     """What ``--obstacles`` and ``--radius`` give."""
-    radius = length("--radius", options.radius)
     if options.obstacles is None:
-        if radius is not None:
+        if options.radius is not None:
             raise InputError(SOURCE, "--radius", "given without --obstacles", "give both, or neither")
         return Surroundings()
     from doo_ti.contact.obstacle_file import load_obstacles
 
-    if radius is None:
+    if options.radius is None:
         raise InputError(SOURCE, "--radius", "missing beside --obstacles", "give the radius of the rods in mm")
     if getattr(options, "solver", "newton") != "newton":
         raise InputError(SOURCE, "--solver", f"{options.solver} given beside --obstacles", "leave it out")
-    return Surroundings(load_obstacles(options.obstacles), radius)
+    return Surroundings(load_obstacles(options.obstacles), options.radius)
 
 
 def scene_surroundings(options: Namespace, found: Surroundings) -> Surroundings:
@@ -237,84 +226,8 @@ def scene_surroundings(options: Namespace, found: Surroundings) -> Surroundings:
 def refuse(options: Namespace, names: Iterable[str], problem: str, remedy: str) -> None:
     """Raise InputError, with that problem and remedy, for the first of the options ``names`` that is given."""
     for name in names:
-        if getattr(options, name, None) not in (None, False):
+        if (value := getattr(options, name, None)) is not None and value is not False:
             raise InputError(SOURCE, f"--{name.replace('_', '-')}", problem, remedy)
-
-
-def whole(option: str, text: str | None, minimum: int, most: int | None = None) -> int | None:
-    """A whole number from ``minimum`` up, to ``most`` where that is given, or None."""
-    if text is None:
-        return None
-    value = number_in(text)
-    if not np.isfinite(value) or value != round(value):
-        raise InputError(SOURCE, option, f"{text!r} is not a whole number", f"give {minimum} or more")
-    value = int(value)
-    if value < minimum or most is not None and value > most:
-        raise InputError(SOURCE, option, f"{value} is {f'below {minimum}' if value < minimum else f'above {most}'}",
-                         f"give {minimum} {'or more' if most is None else f'to {most}'}")
-    return value
-
-
-def positive(option: str, text: str | None, unit: str = "") -> float | None:
-    """A positive number, or None."""
-    return _number(option, text, f"a positive number{' of ' * bool(unit)}{unit}", lambda value: 0 < value)
-
-
-def not_negative(option: str, text: str | None, unit: str = "") -> float | None:
-    """A number from zero up, or None."""
-    return _number(option, text, f"a number{' of ' * bool(unit)}{unit} from zero up", lambda value: 0 <= value)
-
-
-def _number(option: str, text: str | None, wanted: str, fits: Callable[[float], bool] = lambda value: True) -> float | None:
-    """A finite number that ``fits``, or None."""
-    if text is None:
-        return None
-    value = number_in(text)
-    if not (np.isfinite(value) and fits(value)):
-        raise InputError(SOURCE, option, f"{text!r} is not {wanted}", f"give {wanted}")
-    return value
-
-
-def length(option: str, text: str | None) -> float | None:
-    """A positive number of mm, or None."""
-    return positive(option, text, "mm")
-
-
-def numbers(option: str, text: str | None) -> tuple[float, ...]:
-    """``30,54,78``: numbers between commas; none without text."""
-    return () if text is None else tuple(_number(option, part, "a number, between commas") for part in text.split(","))
-
-
-def whole_numbers(option: str, text: str | None) -> tuple[int, ...]:
-    """``640,480``: whole numbers between commas; none without text."""
-    return () if text is None else tuple(whole(option, part, 0) for part in text.split(","))
-
-
-def rows(option: str, text: str | None, count: int) -> tuple[int, ...]:
-    """``0,3,7``: different row numbers below ``count`` between commas; none without text."""
-    found = () if text is None else tuple(whole(option, part, 0, count - 1) for part in text.split(","))
-    if len(set(found)) < len(found):
-        raise InputError(SOURCE, option, f"{text!r} names a row twice", "name each once")
-    return found
-
-
-def output_file(text: str | Path | None, suffix: str | tuple[str, ...] | None = None, option: str = "--out") -> Path | None:
-    """The file to write, with this suffix, or one of them, or with that of a format of observations; None without text."""
-    if text is None:
-        return None
-    path, wanted = Path(text), (suffix,) if isinstance(suffix, str) else suffix
-    if wanted is None:
-        checked_suffix(path)
-    elif path.suffix not in wanted:
-        raise InputError(SOURCE, option, f"suffix {path.suffix!r} of {path}", f"name a file that ends in {' or '.join(wanted)}")
-    if option == "--recording":
-        require_recorder(option)
-    if os.path.isdir(path):
-        raise InputError(SOURCE, option, f"{path} is a folder", "name a file")
-    if len(os.fsencode(path.name)) > LONGEST_NAME:
-        raise InputError(SOURCE, option, f"{path.name[:20]}… is too long a name", f"name a file in {LONGEST_NAME} bytes")
-    _check_folder(path.parent, option)
-    return path
 
 
 def require_recorder(name: str) -> None:
@@ -330,20 +243,115 @@ def refuse_overwriting(out: Path, *sources: str | None, option: str = "--out") -
             raise InputError(SOURCE, option, f"{out} is the input itself", "name another file")
 
 
-def output_folder(text: str | None, option: str = "--out") -> Path | None:
-    """The folder to write, which need not exist yet, or None."""
-    if text is None:
-        return None
+# --- the texts of options ------------------------------------------------------------------------------------------------
+
+
+class Value:
+    """The ``type`` of an option: ``read(option, text)`` makes its value, and names the option where it refuses the text."""
+
+    def __init__(self, read: Callable[[str, str], object]):
+        self.read = read
+
+    def __call__(self, text: str, option: str = "option"):
+        return self.read(option, text)
+
+
+def whole(minimum: int, most: int | None = None) -> Value:
+    """A whole number from ``minimum`` up, to ``most`` where that is given."""
+    def read(option: str, text: str) -> int:
+        value = number_in(text)
+        if not np.isfinite(value) or value != round(value):
+            raise InputError(SOURCE, option, f"{text!r} is not a whole number", f"give {minimum} or more")
+        if value < minimum or most is not None and value > most:
+            problem = f"{value:.0f} is {f'below {minimum}' if value < minimum else f'above {most}'}"
+            raise InputError(SOURCE, option, problem, f"give {minimum} {'or more' if most is None else f'to {most}'}")
+        return int(value)
+    return Value(read)
+
+
+def _number(wanted: str, fits: Callable[[float], bool] = lambda value: True) -> Value:
+    """A finite number that ``fits``."""
+    def read(option: str, text: str) -> float:
+        value = number_in(text)
+        if not (np.isfinite(value) and fits(value)):
+            raise InputError(SOURCE, option, f"{text!r} is not {wanted}", f"give {wanted}")
+        return value
+    return Value(read)
+
+
+def positive(unit: str = "") -> Value:
+    return _number(f"a positive number{' of ' * bool(unit)}{unit}", lambda value: 0 < value)
+
+
+def not_negative(unit: str = "") -> Value:
+    return _number(f"a number{' of ' * bool(unit)}{unit} from zero up", lambda value: 0 <= value)
+
+
+def numbers(form: str | None = None, each: Value = _number("a number, between commas")) -> Value:
+    """``30,54,78``: numbers between commas, as many as in the ``form``, such as X,Y,Z, where there is one."""
+    def read(option: str, text: str) -> tuple[float, ...]:
+        found = tuple(each(part, option) for part in text.split(","))
+        if form is not None and len(found) != form.count(",") + 1:
+            raise InputError(SOURCE, option, f"{len(found)} numbers", f"give {form}")
+        return found
+    return Value(read)
+
+
+def rows(option: str, text: str | None, count: int) -> tuple[int, ...]:
+    """``0,3,7``: different row numbers below ``count`` between commas; none without text."""
+    found = () if text is None else tuple(whole(0, count - 1)(part, option) for part in text.split(","))
+    if len(set(found)) < len(found):
+        raise InputError(SOURCE, option, f"{text!r} names a row twice", "name each once")
+    return found
+
+
+def direction(option: str, text: str) -> np.ndarray:
+    """(3,) unit vector of ``-y`` or ``0,-1,0``."""
+    axis = text.lower().lstrip("+-")
+    if axis in tuple("xyz"):
+        return np.where(np.array(tuple("xyz")) == axis, -1.0 if text.startswith("-") else 1.0, 0.0)
+    try:
+        return unit_up(NUMBERS(text, option), SOURCE)
+    except InputError as error:
+        raise InputError(SOURCE, option, error.problem, "give a direction: x, y, z, -x, -y, -z, or three numbers") from None
+
+
+def output_file(option: str, text: str | Path, suffixes: tuple[str, ...] = ()) -> Path:
+    """The file to write, with one of these suffixes, or without any with that of a format of observations."""
+    path = Path(text)
+    if not suffixes:
+        checked_suffix(path)
+    elif path.suffix not in suffixes:
+        raise InputError(SOURCE, option, f"suffix {path.suffix!r} of {path}",
+                         f"name a file that ends in {' or '.join(suffixes)}")
+    if option == "--recording":
+        require_recorder(option)
+    if os.path.isdir(path):
+        raise InputError(SOURCE, option, f"{path} is a folder", "name a file")
+    if len(os.fsencode(path.name)) > LONGEST_NAME:
+        raise InputError(SOURCE, option, f"{path.name[:20]}… is too long a name", f"name a file in {LONGEST_NAME} bytes")
+    _check_folder(path.parent, option)
+    return path
+
+
+def output_folder(option: str, text: str) -> Path:
+    """The folder to write, which need not exist yet."""
     if not text.strip():
         raise InputError(SOURCE, option, f"{text!r} is not a folder", "name one, such as . for the current one")
     _check_folder(Path(text), option)
     return Path(text)
 
 
-def _check_folder(folder: Path, option: str = "--out") -> None:
+def _check_folder(folder: Path, option: str) -> None:
     """Raise InputError unless files can be written in ``folder``, which may not exist yet."""
     existing = next(path for path in (folder, *folder.absolute().parents) if os.path.lexists(path))
     if not os.path.isdir(existing):
         raise InputError(SOURCE, option, f"{existing} is a file, not a folder", "name another folder")
     if not os.access(existing, os.W_OK | os.X_OK):
         raise InputError(SOURCE, option, f"{existing} is not writable", "name another folder")
+
+
+LENGTH, COUNT, FROM_ZERO, NUMBERS = positive("mm"), whole(1), whole(0), numbers()
+FRAME_WEIGHT = _number(f"a number of mm from zero up to {LARGEST:g}", lambda weight: 0 <= weight <= LARGEST)
+OBSERVATIONS, FOLDER = Value(output_file), Value(output_folder)
+"""Those that several commands take."""

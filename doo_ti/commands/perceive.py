@@ -8,8 +8,8 @@ import numpy as np
 
 from doo_ti.commands import image_options, loading
 from doo_ti.commands import options as given
-from doo_ti.commands.image_options import GUESSED_BEND, RECORDED, PerceptionTask, perception_task
-from doo_ti.commands.results import RODS, report, save_arrays, shortened, status_text
+from doo_ti.commands.image_options import GUESSED_BEND, MOST_HYPOTHESES, RECORDED, PerceptionTask, perception_task
+from doo_ti.commands.results import report, save_arrays, shortened, status_text
 from doo_ti.learning.landscape import status_counts
 from doo_ti.rod.types import Status
 from doo_ti.system.arguments import counted
@@ -28,17 +28,17 @@ def declare(add) -> None:
     parser = given.command(add, "perceive", run, "recover rods from images (§IV-A, Algorithm 1)")
     parser.add_argument("images", nargs="*", metavar="IMAGE", help="for a single set: one image per camera of the rig")
     image_options.add_seen_rod(parser)
-    parser.add_argument("--sets", metavar="SETS.csv", help="many sets of images with their seeds, instead of IMAGEs")
-    parser.add_argument("--seed-point", metavar="X,Y,Z", help="start v⁰ of the rod in a single set, mm")
-    parser.add_argument("--seed-direction", metavar="X,Y,Z", help="direction e⁰ of the rod at its start in a single set "
-                        "(default: as the thread goes on in the images)")
-    parser.add_argument("--out", required=True, metavar="F.npz|F.csv",
-                        help="file to write; F.png and F.rrd are written beside it")
+    given.add(parser, "--sets", "SETS.csv", str, "many sets of images with their seeds, instead of IMAGEs")
+    given.add(parser, "--seed-point", "X,Y,Z", given.numbers("X,Y,Z"), "start v⁰ of the rod in a single set, mm")
+    given.add(parser, "--seed-direction", "X,Y,Z", given.numbers("X,Y,Z"), "direction e⁰ of the rod at its start in a single "
+              "set (default: as the thread goes on in the images)")
+    given.add_out(parser, "F.npz|F.csv", "file to write; F.png and F.rrd are written beside it")
     given.add_material(parser, image_options.ROUND, round_rod=True)
     search = parser.add_argument_group("search")
-    search.add_argument("--nu", metavar="NU", help="weight ν of the images against the rod's energy, in 1/(mm px²) "
-                        "(default 0.005)")
-    search.add_argument("--hypotheses", metavar="H", help="hypotheses kept for each set and step (default 40)")
+    given.add(search, "--nu", "NU", given.positive(), "weight ν of the images against the rod's energy, in 1/(mm px²) (default "
+              "0.005)")
+    given.add(search, "--hypotheses", "H", given.whole(1, MOST_HYPOTHESES), "hypotheses kept for each set and step (default "
+              "40)")
     search.add_argument("--evidence", choices=("both", "rod"), default="both", help="both: from the rod to the images and "
                         "back, with rods traced along the detected lines (default); rod: the paper's E_proj alone")
     search.add_argument("--detector", choices=("ridge", "canny"), default="ridge",
@@ -46,22 +46,20 @@ def declare(add) -> None:
     image_options.add_thread(search)
     given.add_obstacles(parser, "without friction; the first run compiles for minutes")
     shown = parser.add_argument_group("pictures and recording")
-    shown.add_argument("--truth", metavar="OBS", help="true rods to draw, and to compare with where they have as "
-                       "many marks: observations, matched by the names in an .npz, else in the order of the sets")
+    given.add(shown, "--truth", "OBS", str, "true rods to draw, and to compare with where they have as many marks: "
+              "observations, matched by the names in an .npz, else in the order of the sets")
     loading.add_files(shown, "--truth")
     shown.add_argument("--no-picture", action="store_true", help="do not write F.png")
     shown.add_argument("--no-recording", action="store_true", help="do not write F.rrd")
-    shown.add_argument("--recorded-sets", dest="recorded", metavar="N",
-                       help=f"record the first N sets in F.rrd (default {RECORDED})")
+    given.add(shown, "--recorded-sets", "N", given.COUNT, "record the first N sets in F.rrd", RECORDED, dest="recorded")
     given.add_old_name(parser, "--recorded", "recorded")
 
 
 def run(options: Namespace) -> int:
-    out = given.output_file(options.out, RODS)
-    task = perception_task(options)
+    out, task = options.out, perception_task(options)
     sources = [options.rig, options.sets, options.truth, *(path for line in task.sets.paths for path in line)]
     beside = [suffix for suffix, left_out in ((".png", options.no_picture), (".rrd", options.no_recording)) if not left_out]
-    for path in (out, *(given.output_file(out.with_suffix(suffix), suffix) for suffix in beside)):
+    for path in (out, *(given.output_file("--out", out.with_suffix(suffix), (suffix,)) for suffix in beside)):
         given.refuse_overwriting(path, *sources)
     with progress() as bar:
         detected, failed = _detected(task, bar)
@@ -226,7 +224,7 @@ def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found
     there = np.flatnonzero(np.isfinite(found.vertices).all(axis=(1, 2)))
 
     def seen(row: int):
-        from doo_ti.report import SeenRod
+        from doo_ti.report.figures import SeenRod
 
         images = [read_image(path, camera) for path, camera in zip(task.sets.paths[row], rig.cameras, strict=True)]
         marks = [detection.points for detection in detected[row]]
@@ -243,7 +241,7 @@ def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found
         reprojections_picture(picture, rig, rods, up=task.up, left_out=task.sets.count - len(rods))
         written.append(picture)
     if (there < task.recorded).any() and can_record():
-        from doo_ti.record import record_perception
+        from doo_ti.record.images import record_perception
 
         recording = out.with_suffix(".rrd")
         rows = there[there < task.recorded]

@@ -12,7 +12,6 @@ from doo_ti.commands.results import report, save_json
 from doo_ti.io.scene import Synthesis, load_scene
 from doo_ti.io.toml_file import scene_file
 from doo_ti.rod.observations import Observations
-from doo_ti.system.errors import InputError
 from doo_ti.system.files import csv_text, write_text
 from doo_ti.system.terminal import in_line
 
@@ -26,24 +25,20 @@ def declare(add) -> None:
     parser.add_argument("source", metavar="SCENE.toml|OBS", type=scene_file,
                         help="a scene whose [synthesis] lists the possible clamp poses, or observations that have them")
     given.add_material(parser, "a number or LO:HI:N[:log|:lin], the prior range; overrides the scene's axis")
-    parser.add_argument("--end-distances", metavar="MM,MM,…", help="end distances, instead of the scene's")
-    parser.add_argument("--end-rotations", metavar="DEG,DEG,…", help="end rotations, instead of the scene's")
-    parser.add_argument("--sigma", metavar="MM", help=f"label uncertainty (default: the source's, else {SIGMA_MM:g})")
-    parser.add_argument("--picks", metavar="K", help=f"how many configurations to rank (default {PICKS})")
-    parser.add_argument("--measured", metavar="I,I,…", help="row numbers, from 0, of the configurations already measured")
+    given.add(parser, "--sigma", "MM", given.LENGTH, f"label uncertainty (default: the source's, else {SIGMA_MM:g})")
+    given.add(parser, "--picks", "K", given.COUNT, "how many configurations to rank", PICKS)
+    given.add(parser, "--measured", "I,I,…", str, "row numbers, from 0, of the configurations already measured")
     given.add_clamps(parser)
     given.add_obstacles(parser, "without friction; the rods of a scene begin where they would be without obstacles")
     loading.add_loading(parser)
-    parser.add_argument("--out", metavar="FOLDER",
-                        help="folder for plan.csv, plan.json and identifiability.png (default: not written)")
+    given.add(parser, "--out", "FOLDER", given.FOLDER, "folder for plan.csv, plan.json and identifiability.png (default: not "
+              "written)")
 
 
 def run_plan(options: Namespace) -> int:
     scene = load_scene(options.source) if Path(options.source).suffix == ".toml" else None
     grid = given.grid(options, scene.grid if scene else None)
-    out = given.output_folder(options.out)
-    picks = given.whole("--picks", options.picks, 1) or PICKS
-    sigma = given.length("--sigma", options.sigma)
+    sigma, out = options.sigma, options.out
     configurations = _configurations(options, scene)
     measured = given.rows("--measured", options.measured, configurations.count)
     if sigma is None:
@@ -52,7 +47,7 @@ def run_plan(options: Namespace) -> int:
     from doo_ti.refinement.plan import plan
 
     (clamp_start, clamp_end), surroundings = given.clamps(options), given.surroundings(options)
-    found = plan(configurations, grid, sigma=sigma, picks=picks, clamp_start=clamp_start, clamp_end=clamp_end,
+    found = plan(configurations, grid, sigma=sigma, picks=options.picks, clamp_start=clamp_start, clamp_end=clamp_end,
                  measured=measured, surroundings=surroundings)
     loading.warn(configurations, surroundings, **loading.stated(options))
     summary = _summary(configurations, found, sigma)
@@ -64,21 +59,13 @@ def run_plan(options: Namespace) -> int:
 
 
 def _configurations(options: Namespace, scene) -> Observations:
-    """The candidate configurations: the scene's recipe at the given distances and rotations, or the observations."""
-    distances = given.numbers("--end-distances", options.end_distances)
-    rotations = given.numbers("--end-rotations", options.end_rotations)
+    """The candidate configurations: those of the scene's recipe, or the observations."""
     recipe = scene.observations if scene and isinstance(scene.observations, Synthesis) else None
     if recipe is None:
-        if distances or rotations:
-            raise InputError(given.SOURCE, "--end-distances" if distances else "--end-rotations",
-                             "given for observations, whose clamps are fixed", "plan with a scene that has [synthesis]")
         return loading.of_scene(options, scene) if scene else loading.load(options, options.source)
 
     from doo_ti.refinement.plan import planned
 
-    changed = {"end_distances_mm": distances} if distances else {}
-    changed |= {"end_rotations_deg": rotations} if rotations else {}
-    recipe = replace(recipe, **changed)
     return replace(planned(recipe), sigma=np.array(recipe.label_noise_mm) if recipe.label_noise_mm > 0 else None)
 
 
@@ -103,7 +90,7 @@ def _summary(configurations: Observations, found, sigma: float) -> dict:
 
 def _write(out: Path, configurations: Observations, found, summary: dict) -> None:
     """plan.json, plan.csv and identifiability.png."""
-    from doo_ti.report import identifiability_picture
+    from doo_ti.report.figures import identifiability_picture
 
     save_json(out / "plan.json", summary)
     rank = np.full(configurations.count, 0)

@@ -1,14 +1,14 @@
 """Where rods go when their clamps are moved (§III-D)."""
 
 import hashlib
-from argparse import SUPPRESS, Namespace
+from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
 
 from doo_ti.commands import loading, results
 from doo_ti.commands import options as given
-from doo_ti.commands.moving_rods import OF_MOTIONS, HeldRods, Moved, add_motion, check_reach, held_rods, warn_of
+from doo_ti.commands.moving_rods import OF_MOTIONS, HeldRods, add_motion, check_reach, held_rods, warn_of
 from doo_ti.io.scene import PRECISIONS
 from doo_ti.io.toml_file import scene_file
 from doo_ti.learning.landscape import status_counts
@@ -29,31 +29,26 @@ def declare(add) -> None:
     parser = given.command(add, "predict", run, "predict the shapes of rods whose clamps move (§III-D)")
     parser.add_argument("source", metavar="OBS|SCENE.toml", type=scene_file,
                         help=f"observations the rods start from: {loading.FORMATS}; or a scene of motion")
-    parser.add_argument("--out", required=True, metavar="F.npz|F.csv", help="file to write")
+    given.add_out(parser, "F.npz|F.csv")
     given.add_material(parser, "a number or LO:HI:N[:log|:lin]: all materials of the grid at once", given.SHAPE_ONLY,
                        "for --EI, --GJ and forces in N")
     add_motion(parser)
-    parser.add_argument("--steps-between", dest="between", metavar="N",
-                        help="predicted steps from one moment of the motion to the next (default: 1, or the scene's)")
+    given.add(parser, "--steps-between", "N", given.COUNT, "predicted steps from one moment of the motion to the next "
+              "(default: 1, or the scene's)", dest="between")
     given.add_old_name(parser, "--between", "between")
-    parser.add_argument("--sub-step", metavar="DEG",
-                        help="largest rotation of a clamp in one sub-step; rods are relaxed after each (default 5)")
+    given.add(parser, "--sub-step", "DEG", given.Value(_sub_step), "largest rotation of a clamp in one sub-step; rods are "
+              "relaxed after each (default 5)")
     given.add_clamps(parser)
     loading.add_loading(parser, "OBS and PATH")
-    parser.add_argument("--dynamic", action=Moved, nargs=0, help=SUPPRESS)
     given.add_obstacles(parser, "with friction, where an obstacle has any, from one step to the next")
     parser.add_argument("--precision", choices=PRECISIONS, default="mixed",
                         help="floating-point arithmetic of the stored steps (default mixed)")
-    parser.add_argument("--picture", metavar="F.png", help="also draw the motion (default: no)")
-    parser.add_argument("--recording", metavar="F.rrd", help="also record it for the viewer (default: no)")
+    given.add_file(parser, "--picture", "F.png", "also draw the motion (default: no)")
+    given.add_file(parser, "--recording", "F.rrd", "also record it for the viewer (default: no)")
 
 
 def run(options: Namespace) -> int:
-    out = given.output_file(options.out, results.RODS)
-    picture = given.output_file(options.picture, ".png", "--picture")
-    recording = given.output_file(options.recording, ".rrd", "--recording")
-    between = given.whole("--steps-between", options.between, 1)
-    sub_step = _sub_step(options)
+    out, between, sub_step = options.out, options.between, options.sub_step or np.radians(5.0)
     if Path(options.source).suffix == ".toml":
         rods, between = _scene(options, between)
     else:
@@ -70,12 +65,10 @@ def run(options: Namespace) -> int:
         prediction = _predicted(rods, stepping, sub_step, options.precision, between=between, up=rods.up,
                                 advance=lambda done: bar.advance(shown, done), **rods.surroundings.arguments)
     result = _arrays(rods, prediction)
-    for path in filter(None, (picture, recording)):
-        path.parent.mkdir(parents=True, exist_ok=True)
     results.save_arrays(out, result, ("moment", "rod"))
     lines = _lines(rods, stepping, prediction, result)
-    if picture or recording:
-        _draw(rods, prediction, result, picture, recording, lines)
+    if options.picture or options.recording:
+        _draw(rods, prediction, result, options.picture, options.recording, lines)
     loaded = [] if rods.observations is None else [loading.rod_line(rods.observations)]
     results.report(options, _summary(rods, prediction, result, out),
                    lambda: [*lines, *loaded, f"  written to {in_line(out)}"])
@@ -112,13 +105,13 @@ def _stepping(rods: HeldRods, between: int, sub_step: float):
     return Stepping(1.0, int(np.clip(np.ceil(needed), 1, MOST_STEPS)), "euler", quasi_static=True)
 
 
-def _sub_step(options: Namespace) -> float:
+def _sub_step(option: str, text: str) -> float:
     """The largest turn of a sub-step, rad."""
-    given_degrees = given.numbers("--sub-step", options.sub_step) or (5.0,)
-    if len(given_degrees) > 1 or not LEAST_DEGREES <= given_degrees[0] <= MOST_DEGREES:
-        raise InputError(given.SOURCE, "--sub-step", f"{options.sub_step!r} is out of range",
+    degrees = given.NUMBERS(text, option)
+    if len(degrees) > 1 or not LEAST_DEGREES <= degrees[0] <= MOST_DEGREES:
+        raise InputError(given.SOURCE, option, f"{text!r} is out of range",
                          f"give one number of degrees from {LEAST_DEGREES:g} to {MOST_DEGREES:g}")
-    return np.radians(given_degrees[0])
+    return np.radians(degrees[0])
 
 
 def _scene(options: Namespace, between: int | None) -> tuple[HeldRods, int]:
@@ -219,8 +212,8 @@ def _summary(rods: HeldRods, prediction, result: dict, out: Path) -> dict:
 def _draw(rods: HeldRods, prediction, arrays: dict[str, np.ndarray], picture: Path | None, recording: Path | None,
           lines: list[str]) -> None:
     """Write the picture and the recording that are asked for, of the file's ``arrays``; ``lines`` are the result as text."""
-    from doo_ti.report import MovingRods, motions_picture
     from doo_ti.report.contact import Touched
+    from doo_ti.report.motions import MovingRods, motions_picture
 
     seen = rods.observations
     marks = None if seen is None else np.where(seen.valid[..., None], seen.vertices, np.nan)[prediction.motion]
@@ -231,7 +224,7 @@ def _draw(rods: HeldRods, prediction, arrays: dict[str, np.ndarray], picture: Pa
     if picture is not None:
         motions_picture(picture, moving, title=rods.name)
     if recording is not None:
-        from doo_ti.record import record_motion
+        from doo_ti.record.motions import record_motion
 
         force, unit = ("end_force_N", "N") if "end_force_N" in arrays else ("end_force", "mm")
         curves = {"Energy [mm²]": prediction.energy, "Total twist [°]": arrays["total_twist_deg"],

@@ -27,10 +27,7 @@ if TYPE_CHECKING:  # it reads Parquet
 
 REFINED = "refined.json"  # in the folder of a run, with its picture beside it
 STARTS = 3
-LEAST = 1e-6  # least spread and range of a rest curvature, in 1/mm and mm; the largest is the inverse
 CURVATURES = ("auto", "field", "uniform", "none")
-OLD_CURVATURES = {"rest_curvature": "uniform", "rest_curvature_per_joint": "field"}
-"""Old names in --parameters for a rest curvature."""
 
 
 def declare(add) -> None:
@@ -40,45 +37,48 @@ def declare(add) -> None:
                         f"observations: {loading.FORMATS}")
     given.add_material(parser, "one number each: the start of the fit where observations are given",
                        density="for --EI, --GJ and results in N m²")
-    parser.add_argument("--parameters", metavar="A,B", default="bend,twist",
-                        help="material parameters to learn, of bend, bend-1, "
-                        "bend-2, bend-12, twist, weight, and up, the direction against gravity (default bend,twist)")
-    parser.add_argument("--starts", metavar="N", help=f"number of best cells of a run to start from (default {STARTS})")
-    parser.add_argument("--spacing-error", metavar="SHARE",
-                        help="how far each length between marks may be off, as 0.02: these are learned with that prior "
-                        "(default: the file's; lengths that it states are exact, those of --rest-length are off by "
-                        f"{loading.MEASURED:g}, others by {UNKNOWN_SPACING:g})")
-    parser.add_argument("--sigma", metavar="MM", help="label uncertainty (default: the file's, else learned)")
+    given.add(parser, "--parameters", "A,B", str, "material parameters to learn, of bend, bend-1, bend-2, bend-12, twist, "
+              "weight, and up, the direction against gravity", "bend,twist")
+    given.add(parser, "--starts", "N", given.COUNT, "number of best cells of a run to start from", STARTS)
+    given.add(parser, "--spacing-error", "SHARE", given.not_negative("a share"), "how far each length between marks may be "
+              "off, as 0.02: these are learned with that prior (default: the file's; lengths that it states are exact, those "
+              "of --rest-length are off by " f"{loading.MEASURED:g}, others by {UNKNOWN_SPACING:g})")
+    given.add(parser, "--sigma", "MM", given.LENGTH, "label uncertainty (default: the file's, else learned)")
     model = parser.add_argument_group("the model of the experiment")
-    model.add_argument("--clip", metavar="MM|unknown", default="unknown",
-                       help="length of rod that a clip holds, from the outer mark on; 0: it ends at that mark "
-                       "(default: unknown, which is learned)")
-    model.add_argument("--rest-curvature", choices=CURVATURES, default=None,
-                       help="curvature of the unloaded rod: field, a smooth function along it; uniform; none; auto, field "
+    given.add(model, "--clip", "MM|unknown", given.Value(_clip), "length of rod that a clip holds, from the outer mark on; 0: "
+              "it ends at that mark (default: unknown, which is learned)")
+    model.add_argument("--rest-curvature", choices=CURVATURES, default="auto",
+                       help="curvature of the unloaded rod: field, a smooth function along it; uniform; none; auto: field "
                        "unless frames are missing and the evidence is for a straight rod (default)")
-    model.add_argument("--clamps", choices=("auto", "loose", "exact"), default="loose",
-                       help="loose: errors of reported frames are learned, and what is not reported is unknown in each "
-                       "observation (default); auto: the same; exact: all is as reported, and as the outer marks say")
-    model.add_argument("--frames", metavar="exact|MM,DEG", help="how well the reported frames are known: exactly, as --clamps "
-                       "exact, or the standard deviations of their places and directions (default: learned)")
-    model.add_argument("--edges", metavar="N",
-                       help="edges of the mesh (default: twice those between marks, with a correction for the mesh error)")
-    model.add_argument("--curvature-spread", metavar="1/MM", help="standard deviation of the rest curvature (default: learned)")
-    model.add_argument("--curvature-range", metavar="MM",
-                       help="length along the rod over which the rest curvature changes little (default: learned)")
+    given.add(model, "--frames", "exact|MM,DEG", given.Value(_frames), "how well the reported frames are known: exactly, "
+              "with what the outer marks say, or the standard deviations of their places and directions (default: learned)")
+    given.add(model, "--edges", "N", given.whole(6), "edges of the mesh (default: twice those between marks, with a correction "
+              "for the mesh error)")
     parser.add_argument("--no-models", action="store_true", help="do not compare with other models")
-    parser.add_argument("--folds", metavar="N", help="also cross-validate in N folds")
-    parser.add_argument("--groups", metavar="FILE:KEY",
-                        help="a number per observation; those with the same number stay in one fold")
+    given.add(parser, "--folds", "N", given.whole(2), "also cross-validate in N folds")
     given.add_clamps(parser, "the run's, else frame where the file gives one, else tangent")
     given.add_frame_weight(parser, "the run's, else 0")
     given.add_obstacles(parser, "without friction; the run's, where it has any")
-    parser.add_argument("--mass", metavar="MARK:G,…|FILE", help="bodies of known mass in g that hang at these marks, counted "
-                        "from 0, in every observation, or a .npz with mass_g (D, V); with --parameters bend,twist,weight the "
-                        "rod's own mass is learned too, from --linear-density on")
+    given.add(parser, "--mass", "MARK:G,…|FILE", str, "bodies of known mass in g that hang at these marks, counted from 0, in "
+              "every observation, or a .npz with mass_g (D, V); with --parameters bend,twist,weight the rod's own mass is "
+              "learned too, from --linear-density on")
     loading.add_loading(parser)
-    parser.add_argument("--out", metavar="F.json",
-                        help=f"file for the results of all sources (default: those of a run in RUN/{REFINED} only)")
+    given.add_file(parser, "--out", "F.json",
+                   f"file for the results of all sources (default: those of a run in RUN/{REFINED} only)")
+
+
+def _clip(option: str, text: str) -> float | None:
+    return None if text == "unknown" else given.not_negative("mm")(text, option)
+
+
+def _frames(option: str, text: str) -> str | tuple[float, float]:
+    """``exact``, or standard deviations in mm and rad."""
+    if text == "exact":
+        return text
+    error = given.NUMBERS(text, option)
+    if len(error) != 2 or min(error) <= 0:
+        raise InputError(given.SOURCE, option, f"{text!r}", "give exact, or two positive numbers: mm,degrees")
+    return error[0], float(np.radians(error[1]))
 
 
 @dataclass(frozen=True)
@@ -99,10 +99,8 @@ class Task:
 
 def run(options: Namespace) -> int:
     """Θ of least χ² for each source, the best of several starts, and how well the observations determine it."""
-    out = given.output_file(options.out, ".json")
-    starts, folds = given.whole("--starts", options.starts, 1) or STARTS, given.whole("--folds", options.folds, 2)
-    tasks = [_task(options, source, starts) for source in options.sources]
-    groups = [read_groups(options.groups, task.observations) for task in tasks]
+    out, folds = options.out, options.folds
+    tasks = [_task(options, source) for source in options.sources]
 
     from doo_ti.refinement.folds import folds_of, refine_held_out
     from doo_ti.refinement.refine import refine
@@ -110,7 +108,7 @@ def run(options: Namespace) -> int:
     for task in tasks:
         if task.landscape is None:
             loading.warn(task.observations, **loading.stated(options))
-    splits = [None if folds is None else folds_of(group, folds) for group in groups]
+    splits = [None if folds is None else folds_of(np.arange(task.observations.count), folds) for task in tasks]
     summaries = []
     for task, split in zip(tasks, splits, strict=True):
         chosen = _refinement_options(options, task)
@@ -168,7 +166,7 @@ def _kept(landscape, found, summary: dict) -> list[Path]:
 def _draw(landscape, found, path: Path) -> Path | None:
     """The landscape with the joint 95 % region; none where the grid has not two of the learned parameters."""
     from doo_ti.learning.landscape import plane_of
-    from doo_ti.report import landscape_picture
+    from doo_ti.report.landscapes import landscape_picture
 
     grid, estimate = landscape.grid, found.estimate
     free = [axis.name for axis in grid.axes if len(axis) > 1]
@@ -183,11 +181,11 @@ def _draw(landscape, found, path: Path) -> Path | None:
     return path
 
 
-def _task(options: Namespace, source: str, starts: int) -> Task:
+def _task(options: Namespace, source: str) -> Task:
     """The task of ``source``, a run's folder or a file of observations, checked."""
-    density = given.density(options)
+    density = options.linear_density
     if os.path.isdir(source):
-        observations, thetas, kinds, weight, around, landscape = _of_run(options, Path(source), starts)
+        observations, thetas, kinds, weight, around, landscape = _of_run(options, Path(source))
         density = run_density(Path(source)) if density is None else density
         grid = landscape.grid
     else:
@@ -195,19 +193,16 @@ def _task(options: Namespace, source: str, starts: int) -> Task:
 
         observations, around, landscape = loading.load(options, source).along_arcs(), given.surroundings(options), None
         grid = given.single_cell(options, "give one, or refine the run of a sweep")
-        thetas, kinds, weight = (theta_of_cell(grid, 0, observations.up),), (None, None), given.frame_weight(options)
-    sigma = given.length("--sigma", options.sigma)
-    if sigma is not None:
-        observations = replace(observations, sigma=np.array(sigma))
-    error = given.not_negative("--spacing-error", options.spacing_error, "a share")
-    if error is not None:
-        observations = replace(observations, spacing_error=error)
+        thetas, kinds, weight = (theta_of_cell(grid, 0, observations.up),), (None, None), options.frame_weight or 0.0
+    if options.sigma is not None:
+        observations = replace(observations, sigma=np.array(options.sigma))
+    if options.spacing_error is not None:
+        observations = replace(observations, spacing_error=options.spacing_error)
     loads = None if options.mass is None else _loads(options.mass, observations, density)
     kinds = tuple(kind if own is None else own for own, kind in zip(given.clamps(options), kinds, strict=True))
-    exact = "exact" in (options.clamps, options.frames)
-    if options.groups is None:
-        every, observations = observations.labels, loading.with_ends_in_reach(observations, *kinds, exact)
-        loads = None if loads is None else loads[np.isin(every, observations.labels)]
+    exact = options.frames == "exact"
+    every, observations = observations.labels, loading.with_ends_in_reach(observations, *kinds, exact)
+    loads = None if loads is None else loads[np.isin(every, observations.labels)]
     clamps = observation_clamps(observations, *kinds)
     check_experiment(observations, clamps, max(theta.weight for theta in thetas), weight, exact)
     task = Task(observations, clamps, thetas, weight, around, density, landscape, loads,
@@ -230,8 +225,8 @@ def _loads(text: str, observations: Observations, density: float | None) -> np.n
         mass = np.zeros((count, marks))
         for part in text.split(","):
             mark, _, grams = part.partition(":")
-            at = given.whole("--mass", mark, 0, marks - 1)
-            mass[:, at] = given.not_negative("--mass", grams, "g")
+            at = given.whole(0, marks - 1)(mark, "--mass")
+            mass[:, at] = given.not_negative("g")(grams, "--mass")
     if not (np.isfinite(mass) & (mass >= 0)).all():
         raise InputError(text, "mass_g", "not finite, or negative", "give grams, zero where nothing hangs")
     return 2e3 * mass / density
@@ -245,7 +240,7 @@ def run_density(run: Path) -> float | None:
     return float(density) if isinstance(density, (int, float)) and 0 < density < np.inf else None
 
 
-def _of_run(options: Namespace, run: Path, starts: int):
+def _of_run(options: Namespace, run: Path):
     """(observations, the Θ of the lowest cells, kinds of clamps, frame weight, obstacles, landscape) of a run's folder."""
     from doo_ti.learning.landscape import read_landscape
     from doo_ti.learning.run_folder import read_experiment
@@ -260,47 +255,30 @@ def _of_run(options: Namespace, run: Path, starts: int):
     if experiment.options.objective != "static" or experiment.options.spins:
         raise InputError(run, "objective", "a sweep of Eq. 3, or with roll hypotheses",
                          "name a static sweep without --roll-hypotheses")
-    up = given.up(options)
-    observations = experiment.observations if up is None else replace(experiment.observations, up=up)
+    observations = experiment.observations if options.up is None else replace(experiment.observations, up=options.up)
     height = landscape.mean_distance
     if np.isnan(height).all():  # no cell has all its rods certified: start from those that have most of them
         few = landscape.unsound == landscape.unsound.min()
         height = np.where(few, landscape.sums.distance_of_sound, np.nan)
-    cells = lowest_cells(experiment.grid, height, starts)
+    cells = lowest_cells(experiment.grid, height, options.starts)
     if not len(cells):
         raise InputError(run, "distance_mm", "no cell has an error", "look at the rods' status in cells/")
     thetas = tuple(theta_of_cell(experiment.grid, cell, observations.up) for cell in cells)
     thetas += (common_rod(thetas[0]),)  # the best cells of rods taken for straight may all be wrong in twist
-    return (observations, thetas, (experiment.options.clamp_start, experiment.options.clamp_end),
-            given.frame_weight(options, experiment.options.frame_weight), experiment.options.surroundings, landscape)
+    own = experiment.options
+    return (observations, thetas, (own.clamp_start, own.clamp_end),
+            own.frame_weight if options.frame_weight is None else options.frame_weight, own.surroundings, landscape)
 
 
 def _refinement_options(options: Namespace, task: Task):
     from doo_ti.refinement.refine import RefinementOptions
 
     names = [name.strip().replace("-", "_") for name in options.parameters.split(",") if name.strip()]
-    curvature = options.rest_curvature
-    for name, own in OLD_CURVATURES.items():
-        if name in names:
-            names.remove(name)
-            curvature = curvature or own
-    spread = given.positive("--curvature-spread", options.curvature_spread, "1/mm")
-    reach = given.length("--curvature-range", options.curvature_range)
-    for option, value in (("--curvature-spread", spread), ("--curvature-range", reach)):
-        if value is not None and not LEAST <= value <= 1 / LEAST:
-            raise InputError(given.SOURCE, option, f"{value:g}", f"give {LEAST:g} to {1 / LEAST:g}")
-    exact, error = options.clamps == "exact" or options.frames == "exact", None
-    if options.frames not in (None, "exact"):
-        error = given.numbers("--frames", options.frames)
-        if len(error) != 2 or min(error) <= 0:
-            raise InputError(given.SOURCE, "--frames", f"{options.frames!r}", "give exact, or two positive numbers: mm,degrees")
-        error = error[0], float(np.radians(error[1]))
-    clip = None if options.clip == "unknown" else given.not_negative("--clip", options.clip, "mm")
+    exact = options.frames == "exact"
     return RefinementOptions(
-        tuple(names), clip, curvature or "auto", "exact" if exact else "loose", error, task.frame_weight,
-        curvature_spread=spread, curvature_range=reach,
-        edges=given.whole("--edges", options.edges, 6), models=not options.no_models, surroundings=task.surroundings,
-        loads=task.loads, twist_follows=task.twist_follows)
+        tuple(names), options.clip, options.rest_curvature, "exact" if exact else "loose",
+        None if exact else options.frames, task.frame_weight, edges=options.edges,
+        models=not options.no_models, surroundings=task.surroundings, loads=task.loads, twist_follows=task.twist_follows)
 
 
 def _check_model(chosen, task: Task) -> None:
@@ -312,21 +290,3 @@ def _check_model(chosen, task: Task) -> None:
     rod = HeldRod(task.observations, task.clamps, FEWEST_EDGES)
     unknowns = unknowns_of(rod, chosen)
     unknowns.begun(task.thetas[0], unknowns.clip_prior)
-
-
-def read_groups(text: str | None, observations: Observations) -> np.ndarray:
-    """(D,) the group of each observation; by default each is a group of its own."""
-    if text is None:
-        return np.arange(observations.count)
-    path, _, key = text.rpartition(":")
-    if not path:
-        raise InputError(given.SOURCE, "--groups", f"{text!r} names no key", "give FILE.npz:KEY")
-    content = read_content(Path(path), remedy="name a readable .npz file")
-    groups = read_npz(Path(path), content, (key,)).get(key)
-    if groups is None:
-        raise InputError(path, key, "the key is missing", "name one that the file has")
-    if groups.dtype.kind not in "biufU" or groups.dtype.kind == "f" and not np.isfinite(groups).all():
-        raise InputError(path, key, f"dtype {groups.dtype}, or not finite", "give a number for each observation")
-    if groups.shape != (observations.count,):
-        raise InputError(path, key, f"shape {groups.shape}", f"give ({observations.count},), one per observation")
-    return groups

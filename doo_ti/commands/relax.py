@@ -23,7 +23,7 @@ def declare(add) -> None:
     parser = given.command(add, "relax", run_relax,
                            "relax each observed rod under one material and compare it with its observation (Eq. 1)")
     parser.add_argument("observations", metavar="OBS", help=f"observations: {loading.FORMATS}")
-    parser.add_argument("--out", required=True, metavar="F.npz|F.csv", help="file to write")
+    given.add_out(parser, "F.npz|F.csv")
     given.add_material(parser, "one number each", given.SHAPE_ONLY)
     given.add_relaxation(parser, "f64")
     loading.add_loading(parser)
@@ -33,7 +33,7 @@ def declare(add) -> None:
 def run_relax(options: Namespace) -> int:
     """F on each observation (§III-D), to one npz; of several whole-turn hypotheses the one nearest to the observation."""
     grid = given.single_cell(options, "give one number, or use sweep")
-    frame_weight, out = given.frame_weight(options), given.output_file(options.out, results.RODS)
+    frame_weight, out = options.frame_weight or 0.0, options.out
     surroundings = given.surroundings(options)
     observations = loading.load(options, options.observations)
     clamps = observation_clamps(observations, *given.clamps(options))

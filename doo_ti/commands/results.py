@@ -37,7 +37,6 @@ def observed(scene: Scene, up: np.ndarray | None) -> Observations:
 
 def save(out: Path, observations: Observations) -> None:
     """Write observations, and print how many."""
-    out.parent.mkdir(parents=True, exist_ok=True)
     save_observations(out, observations)
     print(f"{counted(observations.count, 'observation')} of {observations.edges + 1} vertices written to {in_line(out)}")
 
@@ -51,7 +50,6 @@ def save_arrays(out: Path, arrays: dict[str, np.ndarray], axes: tuple[str, ...] 
 
     axes  names of the leading axes of the positions
     """
-    out.parent.mkdir(parents=True, exist_ok=True)
     left_out: list[str] = []
     if out.suffix == ".npz":
         write_whole(out, lambda file: np.savez_compressed(file, **arrays))
@@ -185,16 +183,6 @@ def contact_lines(summary: dict, rods: int) -> list[str]:
     at_end = f", {found['touching_at_end']} at the end" if "touching_at_end" in found else ""
     return [f"  contact     {found['touching']} of {rods} rods touch an obstacle{at_end}{gap}; {found['infeasible']} "
             "infeasible"]
-
-
-def peak_memory() -> int:
-    """Peak memory of this process in bytes; 0 where the system does not report it."""
-    try:
-        import resource
-    except ImportError:  # Windows
-        return 0
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if sys.platform == "darwin" else 1024 * peak
 
 
 def run_lines(result: dict) -> list[str]:

@@ -28,30 +28,33 @@ def declare(add) -> None:
     parser.add_argument("--by", action="append", metavar="FACTORS",
                         help=f"a table by one or more of {', '.join(FACTORS)}, joined by commas; repeat for further tables "
                              "(default: those of the paper that the runs allow)")
-    parser.add_argument("--end-distances", metavar="MM,MM",
-                        help="end distances to compare in tables by end distance (default: all)")
-    parser.add_argument("--out", metavar="FOLDER",
-                        help="folder for learn.json and the tables as .csv and .md (default: not written)")
+    given.add(parser, "--end-distances", "MM,MM", given.NUMBERS, "end distances to compare in tables by end distance (default: "
+              "all)")
+    given.add(parser, "--out", "FOLDER", given.FOLDER, "folder for learn.json and the tables as .csv and .md (default: not "
+              "written)")
     parser = given.command(add, "figures", run_figures, "draw and record the landscapes of finished sweeps")
     parser.add_argument("runs", nargs="+", metavar="RUN", help="folders that sweep wrote, over one grid")
-    parser.add_argument("--out", required=True, metavar="FOLDER", help="folder to write")
+    given.add(parser, "--out", "FOLDER", given.FOLDER, "folder to write", required=True)
     parser.add_argument("--by", choices=("end-distance",), dest="by_end_distance",
                         help="also draw a landscape for each end distance")
-    parser.add_argument("--cells", metavar="all|N",
+    parser.add_argument("--cells", metavar="all|N", type=given.Value(_cells), default=MOST_CELLS,
                         help=f"how many cells of the grid to record, evenly spread (default: at most {MOST_CELLS})")
-    parser.add_argument("--observation", metavar="N",
-                        help="the observation whose ribbon is drawn in each regime (default: the one "
-                        "where the regimes differ most)")
+    given.add(parser, "--observation", "N", given.FROM_ZERO, "the observation whose ribbon is drawn in each regime (default: "
+              "the one where the regimes differ most)")
     parser = given.command(add, "view", run_view, "open a run's recording in the rerun viewer", json=False)
     parser.add_argument("recording", metavar="RUN", help="folder of a run, finished or not, or an .rrd file")
-    parser.add_argument("--out", metavar="FOLDER",
-                        help="for an unfinished sweep: folder for landscape.png and run.rrd of the cells "
-                        "so far, instead of a window")
+    given.add(parser, "--out", "FOLDER", given.FOLDER, "for an unfinished sweep: folder for landscape.png and run.rrd of the "
+              "cells so far, instead of a window")
     shown = parser.add_mutually_exclusive_group()
     shown.add_argument("--web", action="store_true",
                        help="serve the viewer to a browser on this machine until Ctrl-C, instead of opening a window")
-    shown.add_argument("--screenshot", metavar="FILE.png",
-                       help="save a picture of the viewer, without a display (needs a Vulkan driver: docs/recording.md)")
+    given.add_file(shown, "--screenshot", "FILE.png",
+                   "save a picture of the viewer, without a display (needs a Vulkan driver: docs/recording.md)")
+
+
+def _cells(option: str, text: str) -> int | None:
+    """How many cells to record at most; None: all."""
+    return None if text == "all" else given.COUNT(text, option)
 
 
 # --- learn ---------------------------------------------------------------------------------------------------------------
@@ -59,8 +62,7 @@ def declare(add) -> None:
 
 def run_learn(options: Namespace) -> int:
     """The best Θ of each run with the ranges that fit nearly as well (§III-E), then leave-one-out tables of all runs."""
-    out = given.output_folder(options.out)
-    distances = given.numbers("--end-distances", options.end_distances)
+    out, distances = options.out, options.end_distances or ()
     asked = [tuple(factor.strip() for factor in by.split(",")) for by in options.by or []]
     with busy("reading runs"):
         landscapes = [read_landscape(Path(run)) for run in options.runs]
@@ -117,21 +119,16 @@ def _write(out: Path, summary: dict, tables: dict[tuple[str, ...], list[Scores]]
 def run_figures(options: Namespace) -> int:
     """Pictures of the landscapes, a recording with one step per cell, and for ribbons one of each regime."""
     given.require_recorder("figures")
-    out = given.output_folder(options.out)
-    whole_grid = options.cells == "all"
-    most = None if whole_grid else given.whole("--cells", options.cells, 1) or MOST_CELLS
-    observation = given.whole("--observation", options.observation, 0)
-
     from doo_ti.learning.figures import draw_landscapes, draw_ribbons, read, record_cells
 
     with busy("reading runs"):
         study = read([Path(run) for run in options.runs], by_end_distance=options.by_end_distance is not None,
-                           observation=observation, most_cells=most)
+                     observation=options.observation, most_cells=options.cells)
     with busy("drawing landscapes"):
-        files = draw_landscapes(study, out)
-    files += record_cells(study, out)
+        files = draw_landscapes(study, options.out)
+    files += record_cells(study, options.out)
     with busy("drawing ribbons"):
-        files += draw_ribbons(study, out)
+        files += draw_ribbons(study, options.out)
     _report_figures(options, study, files)
     return 0
 
@@ -162,7 +159,7 @@ def run_view(options: Namespace) -> int:
         problem = "not a recording" if os.path.exists(path) else "no such file or directory"
         raise InputError(path, "run", problem, "name the folder of a run, or an .rrd file")
     unfinished = path.is_dir() and not (path / RECORDING).exists() and (path / PLAN).exists()
-    out = given.output_folder(options.out)
+    out, picture = options.out, options.screenshot
     if out is not None:
         if not unfinished:
             raise InputError(path, "--out", "given, but there is a recording", "leave --out out, or copy the recording")
@@ -172,7 +169,6 @@ def run_view(options: Namespace) -> int:
         print(f"  written to  {in_line(out)}")
         return 0
     given.require_recorder("view")
-    picture = given.output_file(options.screenshot, ".png", "--screenshot")
     if not (options.web or picture) and sys.platform == "linux" and not (
             os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         instead = "--out FOLDER writes the pictures so far" if unfinished else "--screenshot FILE.png saves a picture"
@@ -186,10 +182,9 @@ def run_view(options: Namespace) -> int:
 
 def _show(options: Namespace, recording: Path, picture: Path | None) -> int:
     """The viewer as the options ask for it."""
-    from doo_ti.record import open_viewer, save_screenshot, serve_viewer
+    from doo_ti.record.viewer import open_viewer, save_screenshot, serve_viewer
 
     if picture is not None:
-        picture.parent.mkdir(parents=True, exist_ok=True)
         with busy("drawing"):
             save_screenshot(recording, picture)
         print(f"written to {in_line(picture)}")
@@ -211,5 +206,4 @@ def _draw_unfinished(run: Path, folder: Path) -> None:
     print(f"  best so far {theta_text(theta_of(overview.grid, overview.best), overview.grid.is_isotropic)}")
     print(f"  distance    mean {overview.mean_distance[overview.best]:.4g} mm (Eq. 1)")
     with busy("drawing"):
-        folder.mkdir(parents=True, exist_ok=True)
         found.draw(folder)

@@ -62,11 +62,12 @@ def declare(add) -> None:
     parser.add_argument("source", metavar="RECORDING|SCENE.toml|OBS", type=scene_file,
                         help=f"recorded markers, the first and last edges on the grippers: {loading.RECORDINGS}; or a scene; "
                         f"or, with --motion, observations the rods start from: {loading.FORMATS}")
-    parser.add_argument("--out", required=True, metavar="F.npz|F.csv", help="file to write")
-    parser.add_argument("--substeps", metavar="N", help="time steps from one frame to the next (default: 1, or the scene's)")
-    parser.add_argument("--tolerance", metavar="MM", help="estimate the error of the time steps, and double them for each rod "
-                        "until it is below this in all frames (default: fixed steps, no estimate)")
-    parser.add_argument("--most-substeps", metavar="N", help="with --tolerance, at most (default 64)")
+    given.add_out(parser, "F.npz|F.csv")
+    given.add(parser, "--substeps", "N", given.whole(1, 1000), "time steps from one frame to the next (default: 1, or the "
+              "scene's)")
+    given.add(parser, "--tolerance", "MM", given.LENGTH, "estimate the error of the time steps, and double them for each rod "
+              "until it is below this in all frames (default: fixed steps, no estimate)")
+    given.add(parser, "--most-substeps", "N", given.whole(2, 4096), "with --tolerance, at most (default 64)")
     parser.add_argument("--scheme", choices=("bdf2", "euler"),
                         help="of time steps: second order, or backward Euler (default bdf2)")
     parser.add_argument("--precision", choices=("f32", "f64", "mixed"), default="f64",
@@ -83,18 +84,13 @@ def declare(add) -> None:
     loading.add_rest_length(parser)
     given.add_obstacles(parser, "with friction")
     loading.add_recordings(parser, "the file's, else the one in THETA.json, else 0,0,1")
-    parser.add_argument("--picture", metavar="F.png", help="also draw rods and errors over time (default: no)")
-    parser.add_argument("--recording", metavar="F.rrd", help="also record the motion for the viewer (default: no)")
-    parser.add_argument("--animation", metavar="F.gif|F.webp", help="also write a short animation (default: no)")
+    given.add_file(parser, "--picture", "F.png", "also draw rods and errors over time (default: no)")
+    given.add_file(parser, "--recording", "F.rrd", "also record the motion for the viewer (default: no)")
+    given.add_file(parser, "--animation", "F.gif|F.webp", "also write a short animation (default: no)")
 
 
 def run(options: Namespace) -> int:
-    out = given.output_file(options.out, results.RODS)
-    changes = _stepping(options)
-    picture = given.output_file(options.picture, ".png", "--picture")
-    recording = given.output_file(options.recording, ".rrd", "--recording")
-    animation = given.output_file(options.animation, (".gif", ".webp"), "--animation")
-    up = given.world_up(options)
+    out, changes, up = options.out, _stepping(options), given.world_up(options)
     if Path(options.source).suffix == ".toml":
         found = _scene(options, changes, up)
     else:
@@ -105,8 +101,6 @@ def run(options: Namespace) -> int:
                              "rods, and this file as --motion")
         found = _recorded(options, out, changes, up) if options.motion is None else _carried(
             options, simulated_rods(options, out, changes))
-    for path in filter(None, (picture, recording, animation)):
-        path.parent.mkdir(parents=True, exist_ok=True)
     arrays, summary = _results(found, out)
     whole = arrays
     if found.alone:
@@ -114,18 +108,17 @@ def run(options: Namespace) -> int:
                    *found.contact, "end_force", "end_force_N", "contact_force_N"}
         arrays = {key: value[0] if key in per_rod else value for key, value in arrays.items()}
     results.save_arrays(out, arrays, ("frame",) if found.alone else ("rod", "frame"))
-    _draw(found, picture, recording, animation)
+    _draw(found, options.picture, options.recording, options.animation)
     results.report(options, summary, lambda: _lines(found, summary, whole))
     return 0 if (found.status[:, -1] == Status.CONVERGED).any() else 1
 
 
 def _stepping(options: Namespace) -> dict:
     """The fields of :class:`doo_ti.dynamics.parameters.Stepping` that the options give."""
-    most = given.whole("--most-substeps", options.most_substeps, 2, 4096)
-    if most is not None and options.tolerance is None:
+    if options.most_substeps is not None and options.tolerance is None:
         raise InputError(given.SOURCE, "--most-substeps", "given without --tolerance", "give both, or --substeps")
-    found = {"substeps": given.whole("--substeps", options.substeps, 1, 1000), "scheme": options.scheme,
-             "precision": options.precision, "tolerance": given.length("--tolerance", options.tolerance), "most_substeps": most,
+    found = {"substeps": options.substeps, "scheme": options.scheme, "precision": options.precision,
+             "tolerance": options.tolerance, "most_substeps": options.most_substeps,
              "quasi_static": options.quasi_static or None}
     return {name: value for name, value in found.items() if value is not None}
 
@@ -153,7 +146,7 @@ def _recorded(options: Namespace, out: Path, changes: dict, up: np.ndarray) -> _
     stepping = Stepping(motion.rate, **changes)
     with progress() as bar:
         task = bar.add_task("simulating", total=motion.count * (motion.positions.shape[1] - 2), unit="rods x frames")
-        rollouts = Rollouts.of(motion, theta, stepping, IdentifyOptions.end, surroundings, loading.smoothing(options))
+        rollouts = Rollouts.of(motion, theta, stepping, IdentifyOptions.end, surroundings, options.smoothing)
         positions, status, energies, found = rollouts.simulated(
             theta, progress=lambda done: bar.update(task, completed=motion.count * done))
     return _Simulated(Path(options.source).stem, list(motion.names), positions, status, motion.rate, theta.up,

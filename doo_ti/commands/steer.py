@@ -31,51 +31,54 @@ if TYPE_CHECKING:
     from doo_ti.perception.virtual_lab import SeenMoment, VirtualCameras
 
 MOST_SECONDS = 3600.0  # of a search
+SEED = given.whole(0, 2**31 - 1)
 PLANNED = 2.0  # mm, default distance to the target at which it is reached
 
 
 def declare(add) -> None:
     parser = given.command(add, "steer", run_steer, "plan a motion of both grippers that brings a rod to a shape (§VI)")
     add_steered(parser)
-    parser.add_argument("--out", required=True, metavar="PATH.csv", help="file to write, which predict --motion reads")
-    parser.add_argument("--reached", metavar="MM", help=f"distance at which the target is reached (default {PLANNED:g})")
-    parser.add_argument("--seconds", metavar="S", help="longest search (default 10)")
-    parser.add_argument("--seed", metavar="N", help="of the search's random numbers (default 0)")
+    given.add_out(parser, "PATH.csv", "file to write, which predict --motion reads")
+    given.add(parser, "--reached", "MM", given.LENGTH, "distance at which the target is reached", PLANNED)
+    given.add(parser, "--seconds", "S", given.Value(_seconds), "longest search", 10.0)
+    given.add(parser, "--seed", "N", SEED, "of the search's random numbers", 0)
     parser = given.command(add, "servo", run_servo,
                            "bring a rod to a shape by what cameras see of it, in the virtual lab (§VI)")
     add_steered(parser)
     image_options.add_rig(parser)
-    parser.add_argument("--out", required=True, metavar="DIR", help=f"folder for {PATH}, {TABLE}, {PICTURE} and {RECORDING}")
+    given.add(parser, "--out", "DIR", given.FOLDER, f"folder for {PATH}, {TABLE}, {PICTURE} and {RECORDING}", required=True)
     lab = parser.add_argument_group("virtual lab", "the true rod and its images")
-    lab.add_argument("--true-EI", metavar="NM2", help="bend stiffness of the true rod in N m² (default: the model's)")
-    lab.add_argument("--true-GJ", metavar="NM2", help="its twist stiffness in N m² (default: the model's)")
-    lab.add_argument("--diameter", metavar="MM", help="diameter of the rod in the images (default 2)")
-    lab.add_argument("--noise", metavar="GREY", help="noise of the images, grey levels (default 3)")
+    given.add(lab, "--true-EI", "NM2", given.positive("N m²"), "bend stiffness of the true rod in N m² (default: the model's)")
+    given.add(lab, "--true-GJ", "NM2", given.positive("N m²"), "its twist stiffness in N m² (default: the model's)")
+    given.add(lab, "--diameter", "MM", given.LENGTH, "diameter of the rod in the images", 2.0)
+    given.add(lab, "--noise", "GREY", given.not_negative(), "noise of the images, grey levels (default 3)")
     lab.add_argument("--occlude", metavar="CAMERA:SHARE", action="append",
                      help="share of the steps in which something covers a camera; once for each camera")
-    lab.add_argument("--seed", metavar="N", help="of all random numbers (default 0)")
-    parser.add_argument("--steps", metavar="N", help=f"most steps (default {STEPS})")
-    parser.add_argument("--reached", metavar="MM", help=f"distance at which the target is reached (default {REACHED:g})")
+    given.add(lab, "--seed", "N", SEED, "of all random numbers", 0)
+    given.add(parser, "--steps", "N", given.whole(1, MOST_STEPS), "most steps", STEPS)
+    given.add(parser, "--reached", "MM", given.LENGTH, "distance at which the target is reached", REACHED)
     parser.add_argument("--no-recording", action="store_true", help=f"do not write {RECORDING}")
 
 
+def _seconds(option: str, text: str) -> float:
+    seconds = given.positive("s")(text, option)
+    if seconds > MOST_SECONDS:
+        raise InputError(given.SOURCE, option, text, f"give at most {MOST_SECONDS:g}")
+    return seconds
+
+
 def run_steer(options: Namespace) -> int:
-    out = given.output_file(options.out, ".csv")
-    reached, seconds = given.length("--reached", options.reached), given.positive("--seconds", options.seconds, "s")
-    if seconds is not None and seconds > MOST_SECONDS:
-        raise InputError(given.SOURCE, "--seconds", f"{options.seconds}", f"give at most {MOST_SECONDS:g}")
-    seed = given.whole("--seed", options.seed, 0, 2**31 - 1)
+    out = options.out
     rod = steered_rod(options, [out])
 
     from doo_ti.manipulation.plan import PlanOptions, plan_manipulation
     from doo_ti.manipulation.targets import Targets
 
-    chosen = PlanOptions(reached_mm=reached or PLANNED, seconds=seconds or PlanOptions.seconds, seed=seed or 0)
+    chosen = PlanOptions(reached_mm=options.reached, seconds=options.seconds, seed=options.seed)
     with busy("planning (kernels are compiled once on a machine)"):
         start, held = rod.at_rest()
         path = plan_manipulation(start.configuration, rod.material, held, Targets(rod.places), chosen, up=rod.observations.up,
                                  **rod.surroundings.arguments)
-    out.parent.mkdir(parents=True, exist_ok=True)
     write_text(out, path_table(path))
     if not path.reached:
         warn(f"{in_line(options.target)}: the target is not reached; the path ends {path.distance:.3g} mm from it, at the "
@@ -121,8 +124,8 @@ class SteeredRod:
 def add_steered(parser) -> None:
     """START, TARGET, and the options of the rod."""
     parser.add_argument("start", metavar="START.npz", help=f"the rod as it is, in row 0: {loading.FORMATS}")
-    parser.add_argument("--target", required=True, metavar="TARGET.npz",
-                        help="vertices_mm (1, V, 3), where vertices shall be; NaN where nothing is asked")
+    given.add(parser, "--target", "TARGET.npz", str, "vertices_mm (1, V, 3), where vertices shall be; NaN where nothing is "
+              "asked", required=True)
     given.add_material(parser, "one number each", given.SHAPE_ONLY, round_rod=True)
     given.add_clamps(parser)
     given.add_obstacles(parser, "without friction")
@@ -190,18 +193,14 @@ class Stiffness:
 
 
 def run_servo(options: Namespace) -> int:
-    folder = given.output_folder(options.out)
-    rig = image_options.rig(options)
-    reached = given.length("--reached", options.reached) or REACHED
-    most = given.whole("--steps", options.steps, 1, MOST_STEPS) or STEPS
+    folder, rig, reached = options.out, image_options.rig(options), options.reached
     rod = steered_rod(options, [folder / name for name in (PATH, TABLE, PICTURE, RECORDING)])
     unit = _unit(options, rod.material)
     true, cameras = _true(options, rod.material, unit), _cameras(options, rig, rod)
-    begin, steps, end = _steps(rod, true, cameras, rig, most, reached)
+    begin, steps, end = _steps(rod, true, cameras, rig, options.steps, reached)
 
     from doo_ti.report.motions import servo_picture
 
-    folder.mkdir(parents=True, exist_ok=True)
     held = [begin, *(step.clamps for step in steps)]
     write_text(folder / PATH, path_table(ClampPath(np.arange(len(held), dtype=float), **{
         name: np.stack([getattr(clamps, name) for clamps in held]) for name in POSES})))
@@ -211,7 +210,7 @@ def run_servo(options: Namespace) -> int:
                   rod.observations.up)
     written = [folder / name for name in (PATH, TABLE, PICTURE)]
     if not options.no_recording and can_record():
-        from doo_ti.record import record_servo
+        from doo_ti.record.images import record_servo
 
         written.append(folder / RECORDING)
         record_servo(written[-1], run_id=f"servo {folder.name}", name=rod.observations.name, rig=rig,
@@ -227,7 +226,7 @@ def run_servo(options: Namespace) -> int:
 
 
 def _unit(options: Namespace, material: Material) -> Stiffness:
-    density = given.density(options)
+    density = options.linear_density
     if density is None:
         if missing := next((name for name in ("EI", "GJ") if getattr(options, f"true_{name}") is not None), None):
             raise InputError(given.SOURCE, "--linear-density", f"missing beside --true-{missing}", "give the rod's in g/m")
@@ -238,14 +237,14 @@ def _unit(options: Namespace, material: Material) -> Stiffness:
 
 def _true(options: Namespace, material: Material, unit: Stiffness) -> Material:
     """The material of the true rod."""
-    bend, twist = (given.positive(f"--true-{name}", getattr(options, f"true_{name}"), "N m²") for name in ("EI", "GJ"))
-    return Material(material.bend[0, 0, 0, 0] if bend is None else bend / unit.factor,
-                    material.twist[0, 0] if twist is None else twist / unit.factor, material.weight, material.rest_curvature)
+    return Material(material.bend[0, 0, 0, 0] if options.true_EI is None else options.true_EI / unit.factor,
+                    material.twist[0, 0] if options.true_GJ is None else options.true_GJ / unit.factor, material.weight,
+                    material.rest_curvature)
 
 
 def _cameras(options: Namespace, rig: Rig, rod: SteeredRod) -> "VirtualCameras":
     """What looks at the true rod."""
-    from doo_ti.perception.virtual_lab import DIAMETER_MM, VirtualCameras
+    from doo_ti.perception.virtual_lab import VirtualCameras
     from doo_ti.vision.render import RenderOptions, check_diameter
 
     covered = {name: share for name, (share,) in image_options.by_camera(
@@ -253,13 +252,11 @@ def _cameras(options: Namespace, rig: Rig, rod: SteeredRod) -> "VirtualCameras":
     for name, share in covered.items():
         if not 0 <= share <= 1:
             raise InputError(given.SOURCE, "--occlude", f"{share:g} for {in_line(name)}", "give a share of the steps, 0 to 1")
-    diameter = given.length("--diameter", options.diameter) or DIAMETER_MM
-    check_diameter(diameter, given.SOURCE, "--diameter")
-    noise, seed = given.not_negative("--noise", options.noise), given.whole("--seed", options.seed, 0, 2**31 - 1) or 0
-    look = RenderOptions() if noise is None else replace(RenderOptions(), noise=noise)
+    check_diameter(options.diameter, given.SOURCE, "--diameter")
+    look = RenderOptions() if options.noise is None else replace(RenderOptions(), noise=options.noise)
     material = replace(rod.material, rest_curvature=None)
-    return VirtualCameras(rig, rod.observations.rest_length, material, up=rod.observations.up, diameter_mm=diameter, look=look,
-                          covered=covered, seed=seed)
+    return VirtualCameras(rig, rod.observations.rest_length, material, up=rod.observations.up, diameter_mm=options.diameter,
+                          look=look, covered=covered, seed=options.seed)
 
 
 def _steps(rod: SteeredRod, true: Material, cameras: "VirtualCameras", rig: Rig, most: int, reached: float

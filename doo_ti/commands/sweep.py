@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from doo_ti.commands import loading
 from doo_ti.commands import options as given
-from doo_ti.commands.results import hypotheses_lines, note_theta, peak_memory, plain, run_lines, theta_text
+from doo_ti.commands.results import hypotheses_lines, note_theta, plain, run_lines, theta_text
 from doo_ti.io.scene import MOST_ROLLS, OBJECTIVES, Scene, Synthesis, load_scene
 from doo_ti.io.toml_file import scene_file
 from doo_ti.learning.chunks import SUMMARY
@@ -36,22 +36,22 @@ def declare(add) -> None:
     parser.add_argument("sources", nargs="+", metavar="SCENE.toml|OBS", type=scene_file,
                         help=f"scenes, or observations: {loading.FORMATS}; each "
                         "of several gets a folder of its name below RUN")
-    parser.add_argument("--out", required=True, metavar="RUN", help="folder to write; an unfinished run in it is resumed")
+    given.add(parser, "--out", "RUN", given.FOLDER, "folder to write; an unfinished run in it is resumed", required=True)
     given.add_material(parser, "a number or LO:HI:N[:log|:lin]; overrides the scene's axis",
                        density="for --EI, --GJ and results in N m²")
     given.add_relaxation(parser, None)
     loading.add_loading(parser)
     given.add_obstacles(parser, "without friction, which acts in simulate and predict")
     parser.add_argument("--objective", choices=OBJECTIVES, help="static: Eq. 2 (default), dynamic: Eq. 3")
-    parser.add_argument("--pairs", metavar="FILE.csv", help="pairs of observations for Eq. 3, columns "
-                        "from,to[,weight][,rotation_deg] (default: those of the paper, from the labels)")
-    parser.add_argument("--roll-hypotheses", dest="spins", metavar="N",
-                        help="roll angles to try for clamps whose roll was not measured (default 0: these clamps roll freely)")
+    given.add(parser, "--pairs", "FILE.csv", str, "pairs of observations for Eq. 3, columns from,to[,weight][,rotation_deg] "
+              "(default: those of the paper, from the labels)")
+    given.add(parser, "--roll-hypotheses", "N", given.whole(0, MOST_ROLLS), "roll angles to try for clamps whose roll was not "
+              "measured (default 0: these clamps roll freely)", dest="spins")
     given.add_old_name(parser, "--spins", "spins")
-    parser.add_argument("--seed", metavar="N", help="seed of all random numbers (default: the scene's, else 0)")
-    parser.add_argument("--workers", metavar="N", help="number of processes (default: one)")
-    parser.add_argument("--dask", dest="scheduler", metavar="ADDRESS",
-                        help="compute on the workers of a Dask cluster: its scheduler's address, tcp://HOST:8786")
+    given.add(parser, "--seed", "N", given.FROM_ZERO, "seed of all random numbers (default: the scene's, else 0)")
+    given.add(parser, "--workers", "N", given.whole(1, MOST_WORKERS), "number of processes (default: one)")
+    given.add(parser, "--dask", "ADDRESS", str, "compute on the workers of a Dask cluster: its scheduler's address, "
+              "tcp://HOST:8786", dest="scheduler")
 
 
 @dataclass(frozen=True)
@@ -76,17 +76,15 @@ def run_sweep(options: Namespace) -> int:
 
     began, summaries, relaxed = time.monotonic(), [], []
     for search in searches:
-        before = _stamps(search.run)
+        before = _stamp(search.run)
         summary = sweep(search.run, search.observations, search.grid, options=search.options, pairs=search.pairs,
                         command=options.words, linear_density=search.density)
         summaries.append(summary)
-        now = _stamps(search.run)
-        finished_before = now[SUMMARY] == before.get(SUMMARY)
+        finished_before = _stamp(search.run) == before
         if not finished_before:
             relaxed.append(summary)
         if not options.json:
-            made_again = [name for name in now if now[name] != before.get(name, now[name])]
-            print("\n".join(_lines(search, summary, finished_before, made_again)))
+            print("\n".join(_lines(search, summary, finished_before)))
         if doubt := loading.up_text(summary.get("other_up")):
             warn(f"{in_line(search.observations.source)}: {doubt}")
     if options.json:
@@ -97,15 +95,14 @@ def run_sweep(options: Namespace) -> int:
     return 0
 
 
-def _stamps(run: Path) -> dict[str, int]:
-    """The times at which the files of a run, except its cells, were written."""
-    paths = [path for path in (*run.glob("*.*"), *run.glob("cells/*.*")) if path.suffix != ".parquet" and path.is_file()]
-    return {path.relative_to(run).as_posix(): path.stat().st_mtime_ns for path in sorted(paths)}
+def _stamp(run: Path) -> int | None:
+    """The time at which the summary of a run was written."""
+    return (run / SUMMARY).stat().st_mtime_ns if (run / SUMMARY).exists() else None
 
 
 def _searches(options: Namespace) -> list[_Search]:
     """The sweeps to run, all checked before the first one starts; each of several sources gets a folder below --out."""
-    out = given.output_folder(options.out)
+    out = options.out
     searches = [_search(options, source, out) for source in options.sources]
     if len(searches) == 1:
         return searches
@@ -125,9 +122,9 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
         scene = load_scene(source)
     else:
         scene = Scene(in_line(Path(source).stem), Path(source), given.grid(options))
-    grid, frame_weight = given.grid(options, scene.grid), given.frame_weight(options, scene.frame_weight)
-    seed, workers = given.whole("--seed", options.seed, 0), given.whole("--workers", options.workers, 1, MOST_WORKERS)
-    if options.scheduler and workers:
+    grid, seed = given.grid(options, scene.grid), options.seed
+    frame_weight = scene.frame_weight if options.frame_weight is None else options.frame_weight
+    if options.scheduler and options.workers:
         raise InputError(given.SOURCE, "--dask", "given beside --workers", "give one of the two")
     if isinstance(scene.observations, Synthesis):
         seed = scene.observations.seed if seed is None else seed
@@ -140,7 +137,6 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
         observations = loading.with_ends_in_reach(observations, clamp_start, clamp_end)
     clamps = observation_clamps(observations, clamp_start, clamp_end)
     check_experiment(observations, clamps, grid.axes[-1].values[-1], frame_weight)
-    spins = given.whole("--roll-hypotheses", options.spins, 0, MOST_ROLLS)
     pairs = _pairs(options, scene, observations, objective)
 
     from doo_ti.learning.experiment import SOLVERS, SweepOptions
@@ -148,13 +144,12 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
     chosen = SweepOptions(
         frame_weight=frame_weight, clamp_start=clamp_start, clamp_end=clamp_end, solver=SOLVERS[options.solver](),
         precision=options.precision or scene.precision, objective=objective,
-        spins=scene.roll_hypotheses if spins is None else spins, seed=seed or 0, surroundings=given.surroundings(options),
-        workers=workers, scheduler=options.scheduler)
-    density = given.density(options)
-    return _Search(scene, observations, grid, chosen, pairs, run, density)
+        spins=scene.roll_hypotheses if options.spins is None else options.spins, seed=seed or 0,
+        surroundings=given.surroundings(options), workers=options.workers, scheduler=options.scheduler)
+    return _Search(scene, observations, grid, chosen, pairs, run, options.linear_density)
 
 
-def _lines(search: _Search, summary: dict, finished_before: bool, made_again: list[str]) -> list[str]:
+def _lines(search: _Search, summary: dict, finished_before: bool) -> list[str]:
     first, *rest = run_lines(summary)
     lines = [first, loading.rod_line(search.observations), *rest, *hypotheses_lines(summary, search.observations.labels)]
     if doubt := loading.up_text(summary.get("other_up")):
@@ -172,8 +167,6 @@ def _lines(search: _Search, summary: dict, finished_before: bool, made_again: li
     if isinstance(search.scene.observations, Synthesis):
         recipe = search.scene.observations
         lines.append(f"  true Θ      {_true_theta(recipe)} (the virtual lab's, seed {recipe.seed})")
-    if made_again:
-        lines.append(f"  made again  {', '.join(made_again)}")
     lines.append(f"  {'finished before in' if finished_before else 'written to'} {in_line(search.run)}")
     if search.options.objective == "static" and not search.options.spins and not search.options.surroundings:
         swivels = rolls and Clamp.TANGENT > min(clamps.start, clamps.end)
@@ -195,7 +188,7 @@ def _effort(summaries: list[dict], seconds: float) -> str:
     rods, loading, relaxing = (sum(summary["timing"][name] for summary in summaries)
                                for name in ("relaxed_rods", "loading_s", "relaxation_s"))
     work = f": {loading:.1f} s to load the kernels, {relaxing:.1f} s to relax ({rods / relaxing:,.0f} rods/s)" if rods else ""
-    return f"{rods:,} rods in {seconds:.1f} s{work}; {peak_memory() / 2**20:,.0f} MB of memory at most"
+    return f"{rods:,} rods in {seconds:.1f} s{work}"
 
 
 def _pairs(options: Namespace, scene: Scene, observations: Observations, objective: str) -> Pairs | None:

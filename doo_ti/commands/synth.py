@@ -9,7 +9,7 @@ import numpy as np
 from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.results import observed, save, save_arrays
-from doo_ti.io.observation_files import read_curves, read_recording
+from doo_ti.io.observation_files import read_recording
 from doo_ti.io.scene import Scene, Synthesis, load_scene
 from doo_ti.io.toml_file import scene_file
 from doo_ti.rod.start import on_equal_edges
@@ -23,14 +23,14 @@ DIAMETER_MM = 0.5
 def declare(add) -> None:
     parser = given.command(add, "convert", run_convert, "convert observations from one file format to another", json=False)
     parser.add_argument("observations", metavar="IN", help=loading.FORMATS)
-    parser.add_argument("out", metavar="OUT", help=".npz, .csv or .parquet")
+    given.add(parser, "out", "OUT", given.OBSERVATIONS, ".npz, .csv or .parquet")
     loading.add_loading(parser)
-    parser.add_argument("--select", metavar="FROM:TO[:STEP]", help="only these observations, numbered from 0 (default: all; "
-                        "with --complete those of one mark or none are not counted)")
-    parser.add_argument("--marks", metavar="FROM:TO[:STEP]", help="only these marks of each, numbered from 0, or from the end "
-                        "where negative: 2:-2 leaves out two at either end (default: all)")
-    parser.add_argument("--edges", metavar="N", help="the curves through the marks on N equal edges: a finer mesh for relax, "
-                        "predict, simulate, steer, for instance past thin obstacles")
+    given.add(parser, "--select", "FROM:TO[:STEP]", str, "only these observations, numbered from 0 (default: all; with "
+              "--complete those of one mark or none are not counted)")
+    given.add(parser, "--marks", "FROM:TO[:STEP]", str, "only these marks of each, numbered from 0, or from the end where "
+              "negative: 2:-2 leaves out two at either end (default: all)")
+    given.add(parser, "--edges", "N", given.whole(2), "the curves through the marks on N equal edges: a finer mesh for relax, "
+              "predict, simulate, steer, for instance past thin obstacles")
     parser.add_argument("--complete", action="store_true", help="leave out observations with a missing mark")
     parser.add_argument("--motion", action="store_true", help="write a recording as one motion, positions_mm and rate_hz, with "
                         "the frames that --select names")
@@ -38,22 +38,20 @@ def declare(add) -> None:
     parser = given.command(add, "synth", run, "simulate a scene's observations, or render images of its rods (the virtual lab)",
                            json=False)
     parser.add_argument("scene", metavar="SCENE.toml", type=scene_file, help="a scene with [synthesis]")
-    parser.add_argument("--out", metavar="OBS", help="file for the observations: .npz, .csv or .parquet")
+    given.add(parser, "--out", "OBS", given.OBSERVATIONS, "file for the observations: .npz, .csv or .parquet")
     images = parser.add_argument_group("images", "rendered images of the rods; label noise has no effect on them")
-    images.add_argument("--images", metavar="FOLDER", help="folder for the images, sets.csv, rig.yaml and truth.npz")
-    images.add_argument("--rig", metavar="RIG", type=scene_file,
-                        help="the cameras: OpenCV FileStorage YAML, such as scenes/rig.yaml")
-    images.add_argument("--diameter", metavar="MM", help=f"diameter of the thread (default {DIAMETER_MM:g})")
-    images.add_argument("--seed", metavar="N", help="seed of all random numbers for the images (default 0)")
+    given.add(images, "--images", "FOLDER", given.FOLDER, "folder for the images, sets.csv, rig.yaml and truth.npz")
+    given.add(images, "--rig", "RIG", scene_file, "the cameras: OpenCV FileStorage YAML, such as scenes/rig.yaml")
+    given.add(images, "--diameter", "MM", given.LENGTH, f"diameter of the thread (default {DIAMETER_MM:g})")
+    given.add(images, "--seed", "N", given.FROM_ZERO, "seed of all random numbers for the images (default 0)")
     images.add_argument("--render", metavar="NAME=VALUE", action="append", default=[],
                         help="a property of the images, may be repeated: clutter=3, occluders=2, noise=5, jpeg_quality=none …")
 
 
 def run_convert(options: Namespace) -> int:
     """Observations from one format to another; keys that observations do not have are dropped."""
-    out = given.output_file(options.out, option="OUT")
+    out, edges = options.out, options.edges
     given.refuse_overwriting(out, options.observations, option="OUT")
-    edges = given.whole("--edges", options.edges, 2)
     if options.motion:
         given.refuse(options, ("edges", "complete", "rest_length"), "given with --motion", "leave one out")
         return _convert_motion(options, out)
@@ -69,9 +67,6 @@ def run_convert(options: Namespace) -> int:
         raise InputError(options.observations, "observations", "none is left", "select others, or leave --complete out")
     loading.warn(observations)
     print(" ".join(loading.rod_line(observations).split()))
-    if Path(options.observations).suffix == ".xml":
-        facts = read_curves(Path(options.observations), loading.columns(options)).facts
-        print(f"the model states {facts}" if facts else "the model states no stiffness")
     observations = observations.take(rows)
     save(out, observations if edges is None else on_equal_edges(observations, edges))
     return 0
@@ -82,7 +77,7 @@ def _convert_motion(options: Namespace, out: Path) -> int:
     if out.suffix != ".npz":
         raise InputError(given.SOURCE, "OUT", f"suffix {out.suffix!r}", "name a .npz file: a motion has a third axis")
     source = Path(options.observations)
-    found = read_recording(source, options.unit, loading.columns(options), given.positive("--rate", options.rate, "per second"))
+    found = read_recording(source, options.unit, options.columns, options.rate)
     up = given.world_up(options, found.up)
     frames = _selected(options.select, found.positions.shape[-3])
     positions = found.positions[..., frames, _selected(options.marks, found.positions.shape[-2], "--marks"), :]
@@ -116,23 +111,21 @@ def run(options: Namespace) -> int:
     if options.out is None and options.images is None:
         raise InputError(given.SOURCE, "--out", "missing", "give --out OBS, or --images FOLDER --rig RIG, or both")
     of_images = {"--rig": options.rig, "--diameter": options.diameter, "--seed": options.seed, "--render": options.render}
-    alone = next((name for name, value in of_images.items() if value), None)
+    alone = next((name for name, value in of_images.items() if value not in (None, [])), None)
     if options.images is None and alone is not None:
         raise InputError(given.SOURCE, alone, "given without --images", "give --images FOLDER too, or leave it out")
-    out = given.output_file(options.out)
     scene = load_scene(options.scene)
     if options.images is not None:
         _photograph(options, scene)
-    if out is not None:
-        save(out, observed(scene, None))
+    if options.out is not None:
+        save(options.out, observed(scene, None))
     return 0
 
 
 def _photograph(options: Namespace, scene: Scene) -> None:
     """Render images; options are checked before the first rod is computed, views before the first image is written."""
-    folder = given.output_folder(options.images, "--images")
-    rig, look, seed = _rig(options, folder), _look(options.render), given.whole("--seed", options.seed, 0) or 0
-    diameter = given.length("--diameter", options.diameter) or DIAMETER_MM
+    folder, look, seed = options.images, _look(options.render), options.seed or 0
+    rig, diameter = _rig(options, folder), options.diameter or DIAMETER_MM
     if not isinstance(scene.observations, Synthesis):
         raise InputError(scene.source, "observations", "a file, which does not say how the rods lie between their marks",
                          "give a scene with [synthesis]")
@@ -144,7 +137,6 @@ def _photograph(options: Namespace, scene: Scene) -> None:
 
     rods = lab_rods(scene.observations)
     photographs = Photographs(rods.names, rods.curve, rods.point, rods.direction, diameter, rig, look, seed)
-    folder.mkdir(parents=True, exist_ok=True)
     save_truth(folder / "truth.npz", rods, diameter)
     with progress() as bar:
         shown = bar.add_task("photographs", total=len(rods.names), unit="sets")

@@ -11,7 +11,7 @@ from doo_ti.commands import image_options
 from doo_ti.commands import options as given
 from doo_ti.commands.loading import read_rest_length
 from doo_ti.commands.perceive import LEAST_SIGMA_MM
-from doo_ti.commands.results import RODS, report, save_arrays
+from doo_ti.commands.results import report, save_arrays
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.arrays import read_csv
 from doo_ti.rod.types import Clamp, Clamps, Material
@@ -42,19 +42,19 @@ class TrackingTask:
 def declare(add) -> None:
     parser = given.command(add, "track", run, "follow a rod through a video")
     image_options.add_seen_rod(parser)
-    parser.add_argument("--frames", required=True, metavar="FRAMES.csv",
-                        help="columns frame, one of images per camera, time_s (optional), and where the rod begins: seed_x … "
-                        "dir_z, or CAMERA_u, CAMERA_v of a pixel, in the first frame and where it changes; or --seed-pixel")
-    parser.add_argument("--out", required=True, metavar="F.npz|F.csv", help="file to write; F.rrd is written beside it")
+    given.add(parser, "--frames", "FRAMES.csv", str, "columns frame, one of images per camera, time_s (optional), and where "
+              "the rod begins: seed_x … dir_z, or CAMERA_u, CAMERA_v of a pixel, in the first frame and where it changes; or "
+              "--seed-pixel", required=True)
+    given.add_out(parser, "F.npz|F.csv", "file to write; F.rrd is written beside it")
     given.add_material(parser, image_options.ROUND, round_rod=True)
-    parser.add_argument("--motion", metavar="PATH", help="poses of the far clamp, one moment for each frame: .npz or .csv")
+    given.add(parser, "--motion", "PATH", str, "poses of the far clamp, one moment for each frame: .npz or .csv")
     image_options.add_thread(parser)
     given.add_obstacles(parser, "without friction; the first run compiles for minutes")
     parser.add_argument("--no-recording", action="store_true", help="do not write F.rrd")
 
 
 def run(options: Namespace) -> int:
-    out = given.output_file(options.out, RODS)
+    out = options.out
     given.refuse_overwriting(out, options.frames, options.motion, options.rest_length)
     task = tracking_task(options)
     rest_length, found, problem = _tracked(task)
@@ -67,7 +67,7 @@ def run(options: Namespace) -> int:
                                   "seed in its first line")
     written = [out]
     if not options.no_recording and can_record():
-        from doo_ti.record import record_track
+        from doo_ti.record.images import record_track
 
         written.append(out.with_suffix(".rrd"))
         record_track(written[-1], run_id=f"track {out.name}", name=out.stem, rig=task.frames.rig, paths=task.frames.paths,

@@ -24,17 +24,15 @@ def declare(add) -> None:
     parser = given.command(add, "twist", run_twist, "estimate the twist of rods from their shapes (Eq. 4)")
     parser.add_argument("observations", metavar="OBS",
                         help=f"observations, or a file that perceive wrote: {loading.FORMATS}")
-    parser.add_argument("--out", required=True, metavar="F.npz|F.csv", help="file to write")
+    given.add_out(parser, "F.npz|F.csv")
     given.add_material(parser, "one number each", given.SHAPE_ONLY)
-    parser.add_argument("--observations", dest="together", metavar="D",
-                        help="each D consecutive observations share one angle φ "
-                        "(default 1; with --offsets all of one grasp)")
-    parser.add_argument("--offsets", dest="offset", metavar="FILE",
-                        help="angles between the observations' end frames: .npz or .csv "
-                        "with offset_deg or end_frame (default: from the observations' end_frame)")
+    given.add(parser, "--observations", "D", str, "each D consecutive observations share one angle φ (default 1; with "
+              "--offsets all of one grasp)", dest="together")
+    given.add(parser, "--offsets", "FILE", str, "angles between the observations' end frames: .npz or .csv with offset_deg or "
+              "end_frame (default: from the observations' end_frame)", dest="offset")
     parser.add_argument("--regrasp", nargs="+", action="extend", default=[], metavar="INDEX",
                         help="observations before which the rod was released and grasped again; each starts a new φ")
-    parser.add_argument("--picture", metavar="F.png", help="also draw the curves (default: no)")
+    given.add_file(parser, "--picture", "F.png", "also draw the curves (default: no)")
     given.add_obstacles(parser, "without friction")
     loading.add_loading(parser)
     parser.add_argument("--precision", choices=PRECISIONS, default="f32",
@@ -44,8 +42,7 @@ def declare(add) -> None:
 def run_twist(options: Namespace) -> int:
     """Eq. 4 for each group of observations that share φ; writes φ and the whole curve, and prints ambiguous groups."""
     grid = given.single_cell(options)
-    out = given.output_file(options.out, results.RODS)
-    picture = given.output_file(options.picture, ".png", "--picture")
+    out = options.out
     observations = loading.load(options, options.observations)
     given.refuse_overwriting(out, options.observations)
 
@@ -56,9 +53,9 @@ def run_twist(options: Namespace) -> int:
     if options.offset is not None:
         observations, offset = load_offsets(Path(options.offset), observations)
     regrasps = given.rows("--regrasp", ",".join(options.regrasp) or None, observations.count)
-    together = given.whole("--observations", options.together, 1, observations.count)
-    if together is None:
-        together = observations.count if options.offset or regrasps else 1
+    together = observations.count if options.offset or regrasps else 1
+    if options.together is not None:
+        together = given.whole(1, observations.count)(options.together, "--observations")
     group = consecutive_groups(observations.count, together, regrasps)
     check_experiment(replace(observations, frames=None), observation_clamps(observations), grid.axes[-1].values[-1], 0.0)
     if offset is None and (together > 1 or options.offset):
@@ -80,10 +77,9 @@ def run_twist(options: Namespace) -> int:
     if out.suffix == ".npz":
         results.save_arrays(out, result)
     else:
-        out.parent.mkdir(parents=True, exist_ok=True)
         write_whole(out, lambda file: write_columns(file, _columns(observations, result)))
-    if picture is not None:
-        _draw(picture, observations, estimate)
+    if options.picture is not None:
+        _draw(options.picture, observations, estimate)
     summary = _summary(observations, grid, estimate, result, out)
     results.report(options, summary, lambda: _lines(observations, grid, estimate, summary))
     return 0 if np.isfinite(estimate.phi).any() else 1
@@ -114,12 +110,10 @@ def _rows(observations: Observations, estimate, group: int) -> str:
 
 
 def _draw(path: Path, observations: Observations, estimate) -> None:
-    from doo_ti.report import angle_curves_picture
-    from doo_ti.report.figures import MOST_CURVES
+    from doo_ti.report.figures import MOST_CURVES, angle_curves_picture
 
     names = [f"{_rows(observations, estimate, k)}: {np.degrees(estimate.phi[k]):.0f}°, {_word(estimate.verdict[k])}"
              for k in range(min(MOST_CURVES, len(estimate.phi)))]
-    path.parent.mkdir(parents=True, exist_ok=True)
     angle_curves_picture(
         path, np.degrees(estimate.angles), estimate.objective, phi=np.degrees(estimate.phi), low=np.degrees(estimate.low),
         high=np.degrees(estimate.high), names=names, unsound=estimate.unsound, title=f"{observations.name}: Eq. 4")

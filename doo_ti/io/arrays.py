@@ -24,7 +24,7 @@ from collections import Counter
 from dataclasses import dataclass
 from difflib import get_close_matches
 from io import StringIO
-from itertools import pairwise
+from itertools import pairwise, zip_longest
 from pathlib import Path
 from tokenize import TokenError
 
@@ -236,8 +236,8 @@ def number_in(cell: str, decimal: str = ".") -> float:
 
 
 def read_csv(path: Path, needed: tuple[str, ...], optional: tuple[str, ...] | None = None, *, form: str | None = None,
-             short_lines: bool = False) -> CsvTable:
-    """The table in a CSV file; lines without any text are left out.
+             short_lines: bool = False, content: bytes | None = None) -> CsvTable:
+    """The table in a CSV file, or in its ``content`` where that has been read; lines without any text are left out.
 
     needed       columns that must be there
     optional     columns that may be there, any other is an error; None: other columns are read too
@@ -248,8 +248,27 @@ def read_csv(path: Path, needed: tuple[str, ...], optional: tuple[str, ...] | No
     lines with more or fewer cells than the header, for cells that hold a line break, as after a quote that is not closed, and
     for a file without rows.
     """
-    return parse_csv(path, read_content(path, MOST_TEXT_BYTES, "name a readable CSV file"), needed, optional, form=form,
-                     short_lines=short_lines)
+    remedy = f"give the columns {form or ', '.join(needed)}"
+    content = read_content(path, MOST_TEXT_BYTES, "name a readable CSV file") if content is None else content
+    lines, decimal = csv_rows(path, content, remedy)
+    rows = [(line, row) for line, row in lines if any(row) and any(map(str.strip, row))]
+    names = [name.strip() for name in rows[0][1]] if rows else []
+    for name in needed:
+        if name not in names:
+            raise InputError(path, name, "the column is missing", remedy)
+    for name, count in Counter(names).items():
+        if count > 1:
+            raise InputError(path, name or "header", f"the column {name!r} is there twice", "keep one of them")
+        if optional is not None and name not in (*needed, *optional):
+            raise InputError(path, name or "header", f"unknown column {name!r}", remedy)
+    if len(rows) < 2:
+        raise InputError(path, "file", "holds no rows", "write one line or more below the names of the columns")
+    for line, row in rows[1:]:
+        if len(row) > len(names) or len(row) < len(names) and not short_lines:
+            raise InputError(path, f"line {line}", f"{len(row)} cells under {len(names)} columns", "give one for each column")
+    columns = zip_longest(*(row for _, row in rows), fillvalue="")
+    return CsvTable(path, {name.strip(): [cell.strip() for cell in cells] for name, *cells in columns},
+                    [line for line, _ in rows[1:]], decimal)
 
 
 def decoded(content: bytes, errors: str = "strict") -> str:
@@ -288,31 +307,3 @@ def _separator(text: str) -> str:
         if any(sign in unquoted for sign in SEPARATORS):
             return max(SEPARATORS, key=unquoted.count)
     return ","
-
-
-def parse_csv(path: Path, content: bytes, needed: tuple[str, ...], optional: tuple[str, ...] | None = None, *,
-              form: str | None = None, short_lines: bool = False) -> CsvTable:
-    """The table in the bytes of a CSV file, as :func:`read_csv` reads it; ``path`` names it in messages."""
-    remedy = f"give the columns {form or ', '.join(needed)}"
-    lines, decimal = csv_rows(path, content, remedy)
-    rows = [(line, row) for line, row in lines if any(row) and any(map(str.strip, row))]
-    names = [name.strip() for name in rows[0][1]] if rows else []
-    for name in needed:
-        if name not in names:
-            raise InputError(path, name, "the column is missing", remedy)
-    for name, count in Counter(names).items():
-        if count > 1:
-            raise InputError(path, name or "header", f"the column {name!r} is there twice", "keep one of them")
-        if optional is not None and name not in (*needed, *optional):
-            raise InputError(path, name or "header", f"unknown column {name!r}", remedy)
-    if len(rows) < 2:
-        raise InputError(path, "file", "holds no rows", "write one line or more below the names of the columns")
-    for line, row in rows[1:]:
-        if len(row) > len(names) or len(row) < len(names) and not short_lines:
-            raise InputError(path, f"line {line}", f"{len(row)} cells under {len(names)} columns", "give one for each column")
-        if len(row) < len(names):
-            row += [""] * (len(names) - len(row))
-    columns = {name: list(cells) for name, cells in zip(names, zip(*(row for _, row in rows[1:]), strict=True), strict=True)}
-    if any(byte in content for byte in (b" ", b"\t")):
-        columns = {name: [cell.strip() for cell in cells] for name, cells in columns.items()}
-    return CsvTable(path, columns, [line for line, _ in rows[1:]], decimal)

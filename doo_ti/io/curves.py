@@ -35,14 +35,12 @@ class Curves:
     up      (3,) direction against gravity in the coordinates of the file
     rate    frames per second, where the curves are the frames of one recording, else None
     labels  (D,) whole numbers that the file gives the curves, or None
-    facts   what else the file states about the rod, for the user: ``EI 0.98 N m²``
     """
 
     points: np.ndarray
     unit: float = 1.0
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
     rate: float | None = None
-    facts: str = ""
     labels: np.ndarray | None = None
 
     def keys(self) -> dict[str, np.ndarray]:

@@ -3,8 +3,7 @@
 **MuJoCo**: cables, ``<composite type="cable">`` and ``<flexcomp dim="1" type="grid">``, in their shape in the model. A
 composite states its points as ``vertex``, or as a ``curve``: with i = 0 … N − 1 along the cable and sizes (a, b, c), the word
 ``s`` means a i/(N − 1), ``cos(s)`` b cos(π c i/(N − 1)), ``sin(s)`` the same with sin, and ``0`` zero. Poses of the element
-and of the bodies around it are applied. The stiffness is that of the elasticity plug-in's moduli for a round cross-section.
-Lengths are in metres, z points up.
+and of the bodies around it are applied. Lengths are in metres, z points up.
 
 **USD**: the points of every ``BasisCurves`` and ``NurbsCurves``, in order, where transforms put them; points with time samples
 give a curve for each. Control points of cubic curves are taken as points of the rod, which they are only for interpolating
@@ -25,7 +24,6 @@ from doo_ti.system.errors import InputError
 
 OTHER_ROTATIONS = ("euler", "axisangle", "xyaxes", "zaxis")
 REMEDY = "give a model with a cable, as MuJoCo's documentation describes it"
-DENSITY = 1000.0  # kg/m³, MuJoCo's default
 MOST_POINTS = 200_000  # of all cables that are stated by their count: a few characters of the file
 
 
@@ -36,18 +34,16 @@ def read_mujoco(path: Path, content: bytes, names: list[str] | None = None) -> C
         root = ElementTree.fromstring(content, ElementTree.XMLParser(target=_Tree()))
     except (ElementTree.ParseError, ValueError, LookupError) as error:  # LookupError: an unknown encoding
         raise InputError(path, "file", f"is not XML ({error})", REMEDY) from None
-    found: dict[str, tuple] = {}
+    found: dict[str, np.ndarray] = {}
     for world in root.iter("worldbody"):
         _gather(path, world, found)
     if not found:
         raise InputError(path, "worldbody", "has no cable", REMEDY)
     chosen = [found[name] for name in chosen_names(path, "prefix", list(found), names)]
-    sizes = {len(points) for points, _ in chosen}
+    sizes = {len(points) for points in chosen}
     if len(sizes) > 1:
         raise InputError(path, "count", f"cables of {min(sizes)} to {max(sizes)} points", "name cables that have equally many")
-    facts = {fact for _, fact in chosen if fact}
-    return Curves(checked_points(path, np.stack([points for points, _ in chosen])), 1000.0,
-                  facts=facts.pop() if len(facts) == 1 else "")
+    return Curves(checked_points(path, np.stack(chosen)), 1000.0)
 
 
 class _Tree(ElementTree.TreeBuilder):
@@ -58,7 +54,7 @@ class _Tree(ElementTree.TreeBuilder):
 
 
 def _gather(path: Path, world, found: dict) -> None:
-    """Add the cables (points (V, 3), facts) of a model by name."""
+    """Add the cables (V, 3) of a model by name."""
     elements = [(child, np.zeros(3), np.eye(3)) for child in reversed(world)]  # with the poses of the bodies around them
     while elements:
         child, position, rotation = elements.pop()
@@ -75,7 +71,7 @@ def _gather(path: Path, world, found: dict) -> None:
         if name in found:
             raise InputError(path, name, "the cable is there twice", "give each a prefix or a name of its own")
         points = _of_composite(path, child, found) if child.tag == "composite" else _of_flex(path, child, found)
-        found[name] = here + points @ turned.T, _facts(path, child)
+        found[name] = here + points @ turned.T
 
 
 def _pose(path: Path, child, position: np.ndarray, rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -93,7 +89,7 @@ def _pose(path: Path, child, position: np.ndarray, rotation: np.ndarray) -> tupl
 def _count(path: Path, element, default: str, found: dict) -> int:
     """The number of points of a cable beside those ``found``."""
     count = _vector(path, element, "count", default, None)[0]
-    before = sum(len(points) for points, _ in found.values())
+    before = sum(map(len, found.values()))
     if not 3 <= count <= MOST_POINTS - before:
         beside = f" beside {before:,} of other cables" if before else ""
         raise InputError(path, "count", f"{count:.0f} points{beside}", f"give three or more, at most {MOST_POINTS:,} in all")
@@ -124,21 +120,6 @@ def _of_flex(path: Path, element, found: dict) -> np.ndarray:
     count = _count(path, element, "10 1 1", found)
     spacing = _vector(path, element, "spacing", "0.02 0.02 0.02", None)[0]
     return np.outer((np.arange(count) - (count - 1) / 2) * spacing, [1.0, 0.0, 0.0])
-
-
-def _facts(path: Path, element) -> str:
-    """EI, GJ and linear density of a composite with the elasticity plug-in and round geoms, as text."""
-    config = {entry.get("key"): entry.get("value", "") for entry in element.iter("config")}
-    geom = element.find("geom")
-    if geom is None or not geom.get("size") or not {"bend", "twist"} <= config.keys():
-        return ""
-    radius = _vector(path, geom, "size", "", None)[0]
-    density = _vector(path, geom, "density", str(DENSITY), 1)[0]
-    try:
-        bend, twist = (float(config[key]) * np.pi * radius**4 / share for key, share in (("bend", 4), ("twist", 2)))
-    except ValueError:
-        return ""
-    return f"--EI {bend:.4g} --GJ {twist:.4g} --linear-density {1e3 * density * np.pi * radius**2:.4g}"
 
 
 def _vector(path: Path, element, name: str, default: str, size: int | None) -> np.ndarray:

@@ -26,7 +26,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from doo_ti.io.arrays import AXES, check_unpacked, first_line, frame_columns, given_columns, parse_csv
+from doo_ti.io.arrays import AXES, check_unpacked, first_line, frame_columns, given_columns, read_csv
 from doo_ti.rod.material import UNITS_IN_MM
 from doo_ti.system.errors import InputError
 
@@ -110,19 +110,8 @@ def write_table(file: BinaryIO, suffix: str, keys: dict[str, np.ndarray]) -> Non
     labels = keys.get(LABELS, np.arange(count))
     if len(np.unique(labels)) < count:
         labels = np.arange(count)
-    columns = {"observation": np.repeat(labels, marks), "vertex": np.tile(np.arange(marks), count)}
-    for key, (owner, value_shape, names) in KEYS_IN_TABLES.items():
-        if key not in keys:
-            continue
-        lead = _lead(owner, (count, marks))
-        value = np.broadcast_to(keys[key], (*lead, *value_shape)).reshape(*lead, len(names))
-        if owner == "observation":
-            value = np.repeat(value[:, None], marks, axis=1)
-        elif owner == "edge":
-            value = np.concatenate([value, np.full_like(value[:, :1], np.nan)], axis=1)
-        for place, name in enumerate(names):
-            columns[name] = value[..., place].ravel()
-    write_columns(file, columns, suffix)
+    columns, _ = _of_vertices({key: keys[key] for key in KEYS_IN_TABLES if key in keys}, ("observation",))
+    write_columns(file, columns | {"observation": np.repeat(labels, marks)}, suffix)
 
 
 def _counted(labels: np.ndarray) -> np.ndarray:
@@ -162,7 +151,7 @@ def _named(path: Path, names, renamed: dict[str, str]) -> dict[str, tuple[str, f
 def _csv_columns(path: Path, content: bytes, renamed) -> tuple[dict[str, np.ndarray], Callable[[int], str], float]:
     """The known columns as (N,) f64, NaN where a cell is empty, or texts of names; how a message names a row; and mm in the
     unit of positions."""
-    table = parse_csv(path, content, ())
+    table = read_csv(path, (), content=content)
     named = _named(path, table.columns, renamed)
     names = table.texts(named["observation"][0]) if "observation" in named else None
     columns = {name: factor * table.numbers(column, may_be_empty=True) for name, (column, factor) in named.items()
@@ -289,6 +278,13 @@ def write_rod_table(file: BinaryIO, arrays: dict[str, np.ndarray], axes: tuple[s
 
     axes  names of the leading axes of the positions, such as ("moment", "rod")
     """
+    columns, left_out = _of_vertices(arrays, axes)
+    write_columns(file, columns)
+    return left_out
+
+
+def _of_vertices(arrays: dict[str, np.ndarray], axes: tuple[str, ...]) -> tuple[dict[str, np.ndarray], list[str]]:
+    """The columns of a table with a row for each vertex, and the names of arrays that have no place in it."""
     shape = next(arrays[name] for name in POSITIONS if name in arrays).shape[:-1]  # (*rods, V)
     index = np.indices(shape)
     columns = {name: index[place].ravel() for place, name in enumerate((*axes, "vertex"))}
@@ -301,8 +297,7 @@ def write_rod_table(file: BinaryIO, arrays: dict[str, np.ndarray], axes: tuple[s
         inner = spread.shape[len(shape) :]
         spread = spread.reshape(index[0].size, -1)
         columns |= {column: spread[:, place] for place, column in enumerate(_names(name, inner))}
-    write_columns(file, columns)
-    return left_out
+    return columns, left_out
 
 
 def write_columns(file: BinaryIO, columns: dict[str, np.ndarray], suffix: str = ".csv") -> None:

@@ -25,10 +25,6 @@ from doo_ti.system.terminal import progress
 
 COARSE, FINE = Newton(tolerance=1e-4), Newton(tolerance=1e-7)
 CLOSE = Newton(tolerance=1e-4, first_shift=0.0)
-OPERATIONS = {"isotropic": (962, 254), "general": (1538, 245), "springs": (1242, 198)}
-"""Additions, multiplications, divisions and roots that a trip through Newton's loop executes for every rod: in the loops over
-free edges, for each of these, and outside. Counted in the compiled code by ``tools/bench/operations.py``."""
-HELD_EDGES = 2
 BATCH = 256
 ROUND_SECONDS = 0.3  # a round repeats its case for about this long, so that a short interruption does not decide it
 
@@ -42,7 +38,6 @@ class Outcome:
     residual    the largest of the rods that converged, without a unit; None where nothing is relaxed
     iterations  (R,) of the rods, empty where nothing is relaxed
     trips       through the kernels' loops, those of all lanes added up; 0 where they are not counted
-    operations  floating-point operations that the kernels executed, by precision
     """
 
     amount: float
@@ -51,7 +46,6 @@ class Outcome:
     residual: float | None = None
     iterations: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     trips: int = 0
-    operations: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -70,7 +64,6 @@ class Measurement:
     per_second  of the case's unit
     ratio       that rate to the NumPy workload's of the same round
     iterations  mean over the rods
-    gflops      10⁹ operations per second that the kernels executed, by precision
     busy        share of the lanes' trips that were iterations of a rod, None where trips are not counted
     histogram   number of rods that took 0, 1, 2, … iterations
     """
@@ -82,15 +75,8 @@ class Measurement:
     iterations: float
     stable: float | None = None
     residual: float | None = None
-    gflops: dict[str, float] = field(default_factory=dict)
     busy: float | None = None
     histogram: tuple[int, ...] = ()
-
-    def share_of(self, peak: dict[str, float]) -> float | None:
-        """The time that the operations take at ``peak`` (10⁹ per second, by precision) as a share of the time that they took;
-        None where one of them is unknown."""
-        known = self.gflops and self.gflops.keys() <= peak.keys()
-        return sum(rate / peak[name] for name, rate in self.gflops.items()) if known else None
 
 
 class Specimens:
@@ -157,36 +143,31 @@ def relaxed(batches: list[Rods], solver: Newton, precision: str) -> Outcome:
     calls = []
     for rods in batches:
         solution = rods.relaxed(solver, precision)
-        calls.append((solution, *executed(rods, solution, precision)))
+        calls.append((solution, trips(solution, precision)))
     return converged(*calls)
 
 
 def followed(rods: Specimens) -> Outcome:
     """All rods from their solution, under materials near those it is for."""
     solution = relax(rods.relaxed, rods.near, solver=CLOSE, precision="f32")
-    return converged((solution, *executed(rods.many, solution, "f32")))
+    return converged((solution, trips(solution, "f32")))
 
 
-def executed(rods: Rods, solution: Solution, precision: str) -> tuple[int, dict[str, float]]:
-    """(trips of all lanes, operations by precision) of the call just made: of a launch in f32 unless f64 was asked for, and of
-    one in f64 where that ended any rod."""
-    kind = "springs" if rods.springs else "isotropic" if rods.material.is_isotropic else "general"
-    each, besides = OPERATIONS[kind]
-    per_trip = each * (rods.starts.edges - HELD_EDGES) + besides
+def trips(solution: Solution, precision: str) -> int:
+    """Trips of all lanes of the call just made: of a launch in f32 unless f64 was asked for, and of one in f64 where that ended
+    any rod."""
     launches = [32] * (precision != "f64") + [64] * bool((solution.precision == 64).any())
-    trips = {f"f{bits}": int(np.prod(batch.pack_trips(bits))) for bits in launches}
-    return sum(trips.values()), {name: float(count * per_trip) for name, count in trips.items()}
+    return sum(int(np.prod(batch.pack_trips(bits))) for bits in launches)
 
 
-def converged(*calls: tuple[Solution, int, dict[str, float]]) -> Outcome:
-    """Calls as one outcome. Only rods that converged count."""
-    solutions, trips, operations = zip(*calls, strict=True)
+def converged(*calls: tuple[Solution, int]) -> Outcome:
+    """Calls, and the trips of their lanes, as one outcome. Only rods that converged count."""
+    solutions, made = zip(*calls, strict=True)
     done, stable, residual, iterations = (
         np.concatenate([getattr(solution, name) for solution in solutions])
         for name in ("converged", "stable", "residual", "iterations"))
-    names = sorted({name for counted in operations for name in counted})
     return Outcome(float(done.sum()), float(done.mean()), float(stable.mean()), float(np.max(residual[done], initial=0.0)),
-                   iterations, sum(trips), {name: sum(counted.get(name, 0.0) for counted in operations) for name in names})
+                   iterations, sum(made))
 
 
 def measure(case: Case, reference: workload.Reference, rounds: int) -> Measurement:
@@ -203,8 +184,7 @@ def measure(case: Case, reference: workload.Reference, rounds: int) -> Measureme
     rate, iterations = median(rates), outcome.iterations
     return Measurement(
         case.unit, rate, median(ratios), outcome.converged, float(iterations.mean()) if len(iterations) else 0.0,
-        outcome.stable, outcome.residual, {name: 1e-9 * count * rate / outcome.amount for name, count in
-                                           outcome.operations.items()} if outcome.amount else {},
+        outcome.stable, outcome.residual,
         float(iterations.sum()) / outcome.trips if outcome.trips else None, tuple(np.bincount(iterations).tolist()),
     )
 
@@ -216,23 +196,19 @@ SAME_MM = 0.02  # two rods are in the same minimum where the mean distance betwe
 def benchmark(count: int, rounds: int, threads: int | None) -> dict:
     """What ``doo-ti bench`` measures, with its progress on standard error: the content of ``bench.json``."""
     architecture, rods = runtime.start(threads=threads), Specimens(count)
-    reference, chosen, measured, peak = workload.Reference(runtime.thread_count()), cases(rods), {}, {}
+    reference, chosen, measured = workload.Reference(runtime.thread_count()), cases(rods), {}
     with progress(keep=True) as bar:
-        task = bar.add_task("", total=len(chosen) + 2, unit="steps", rate="")
+        task = bar.add_task("", total=len(chosen) + 1, unit="steps", rate="")
         for case in chosen:
             bar.update(task, description=case.name)
-            peak = workload.peak_gflops(peak)  # before each case, and once after them: the most counts
             found = measured[case.name] = measure(case, reference, rounds)
             bar.update(task, rate=f"{found.per_second:,.0f} {found.unit}", advance=1)
-        bar.update(task, description="peak")
-        peak = workload.peak_gflops(peak)
-        bar.update(task, rate=", ".join(f"{value:,.0f} GFlop/s" for value in peak.values()), advance=1)
         bar.update(task, description="f32 against f64")
         accuracy = f32_against_f64(rods)
         bar.update(task, rate=f"{accuracy['median_mm']:.1e} mm", advance=1)
     return {"machine": {**workload.machine(), "threads": runtime.thread_count(), "architecture": architecture},
-            "versions": workload.versions(), "rods": count, "rounds": rounds, "peak_gflops": peak,
-            "cases": {name: {**asdict(found), "share_of_peak": found.share_of(peak)} for name, found in measured.items()},
+            "versions": workload.versions(), "rods": count, "rounds": rounds,
+            "cases": {name: asdict(found) for name, found in measured.items()},
             "f32_against_f64": accuracy}
 
 

@@ -112,7 +112,6 @@ def write_rows(path: Path, table) -> None:
     """Write a pyarrow table of a chunk's rows, with its metadata."""
     import pyarrow.parquet
 
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, lambda file: pyarrow.parquet.write_table(table, file, write_page_checksum=True))
 
 

@@ -12,13 +12,15 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti import record
 from doo_ti.learning.cross_validation import check_comparable
 from doo_ti.learning.experiment import Experiment, relax_cells
 from doo_ti.learning.landscape import Landscape, plane_of, read_landscape
 from doo_ti.learning.run_folder import read_experiment
-from doo_ti.report import LandscapePanel, Ribbons, cells_image, landscapes_picture, ribbon_sides, ribbons_picture
+from doo_ti.record import sweep
+from doo_ti.record.motions import record_ribbons
 from doo_ti.report.canvas import Observed, quantity, upright_basis, values_text
+from doo_ti.report.figures import Ribbons, ribbon_sides, ribbons_picture
+from doo_ti.report.landscapes import LandscapePanel, cells_image, landscapes_picture
 from doo_ti.report.plane import REGIMES, regime
 from doo_ti.rod.grid import Axis, Grid
 from doo_ti.rod.types import Configuration, Status
@@ -123,7 +125,6 @@ def _in_rows(panels: list[LandscapePanel]) -> list[list[LandscapePanel]]:
 def draw_landscapes(study: Study, out: Path) -> list[dict]:
     """Write landscapes.png and, with end distances, end_distances.png into the folder ``out``; returns path, bytes and
     seconds of each file."""
-    out.mkdir(parents=True, exist_ok=True)
     began, path = time.monotonic(), out / "landscapes.png"
     own_scale = ", each on a colour scale of its own" if len(study.landscapes) > 1 else ""
     landscapes_picture(path, [study.panels], title=f"{study.title}{own_scale}")
@@ -146,8 +147,8 @@ def record_cells(study: Study, out: Path) -> list[dict]:
     runs = []
     for name, experiment, landscape, panels in zip(study.names, study.experiments, landscapes, rows, strict=True):
         picture, boxes = cells_image(panels, cells.index, marks=MARKS, relative=sum(map(len, panels)) > 1)
-        runs.append(record.CellsOfRun(name, Observed.of(experiment.observations), landscape.observation, landscape.distance,
-                                      picture, boxes))
+        runs.append(sweep.CellsOfRun(name, Observed.of(experiment.observations), landscape.observation, landscape.distance,
+                                     picture, boxes))
     mean = np.stack([landscape.mean_distance[cells.cell] for landscape in landscapes])
     # Each run's errors are taken relative to its smallest, so that all runs count alike; cells without an error come first.
     smallest = np.array([landscape.mean_distance[landscape.best] for landscape in landscapes])
@@ -156,9 +157,9 @@ def record_cells(study: Study, out: Path) -> list[dict]:
     with progress(keep=True) as bar:
         rods = sum(experiment.terms for experiment in study.experiments) * cells.grid.size
         task = bar.add_task("recording", total=rods, unit="rods")
-        record.record_cells(path, run_id=_run_id([cells.cell, *(landscape.distance for landscape in landscapes)]),
-                            name=study.title, runs=runs, cells=cells.cell, rank=rank, texts=_cell_texts(study),
-                            rods=_relaxed(study, advance=lambda done: bar.update(task, advance=done)))
+        sweep.record_cells(path, run_id=_run_id([cells.cell, *(landscape.distance for landscape in landscapes)]),
+                           name=study.title, runs=runs, cells=cells.cell, rank=rank, texts=_cell_texts(study),
+                           rods=_relaxed(study, advance=lambda done: bar.update(task, advance=done)))
     return [_file(path, began)]
 
 
@@ -197,7 +198,7 @@ def _spread(size: int, count: int, needed: list[int]) -> np.ndarray:
     return np.sort(found)
 
 
-def _relaxed(study: Study, advance: Callable[[int], None]) -> Iterator[record.Rods]:
+def _relaxed(study: Study, advance: Callable[[int], None]) -> Iterator[sweep.Rods]:
     """The rods of all runs, some cells at a time; ``advance`` is called with the number of rods relaxed since the last call."""
     grid = study.cells.grid
     for run, experiment in enumerate(study.experiments):
@@ -207,8 +208,8 @@ def _relaxed(study: Study, advance: Callable[[int], None]) -> Iterator[record.Ro
             columns, configuration = relax_cells(part, first, last)
             sound = (columns["status"] == Status.CONVERGED) & columns["stable"]
             vertices = configuration.vertices
-            yield record.Rods(run, first, vertices.reshape(last - first, -1, *vertices.shape[1:]),
-                              columns["distance_mm"].reshape(last - first, -1), sound.reshape(last - first, -1))
+            yield sweep.Rods(run, first, vertices.reshape(last - first, -1, *vertices.shape[1:]),
+                             columns["distance_mm"].reshape(last - first, -1), sound.reshape(last - first, -1))
             advance(len(vertices))
 
 
@@ -308,9 +309,9 @@ def draw_regimes(stem: Path, name: str, experiment: Experiment, landscape: Lands
         title += f"\nno certified minimum in regime {', '.join(lost)}"
     picture, recording = stem.with_suffix(".png"), stem.with_suffix(".rrd")
     ribbons_picture(picture, ribbons, term, basis=basis, title=title)
-    record.record_ribbons(recording, run_id=_run_id(list(shapes)), name=f"{name}: regimes",
-                          ribbons=ribbons, observation=seen, rank=rank, basis=basis,
-                          texts=[_regime_text(names[k], regimes, k) for k in range(len(seen))])
+    record_ribbons(recording, run_id=_run_id(list(shapes)), name=f"{name}: regimes",
+                   ribbons=ribbons, observation=seen, rank=rank, basis=basis,
+                   texts=[_regime_text(names[k], regimes, k) for k in range(len(seen))])
     return [picture, recording]
 
 

@@ -58,7 +58,6 @@ def claim(run: Path, identity: str, experiment: Experiment) -> None:
     if not os.path.exists(path):
         if not _is_free(run) and not path.exists():  # checked again: another process may have claimed and filled it
             raise InputError(run, "run", "the folder holds something else than a sweep", "name another folder")
-        path.parent.mkdir(parents=True, exist_ok=True)
         with suppress(FileExistsError):  # another process was faster: the identity is compared below
             write_whole(path, lambda file: file.write(f"{identity}\n{made}\n".encode()), first=True)
     found, _, by = read_content(path, MOST_TEXT_BYTES, "name another folder").decode(errors="replace").strip().partition("\n")

@@ -172,7 +172,7 @@ def draw(folder: Path, experiment: Experiment, overview: Overview, identity: str
          linear_density: float | None = None) -> list[str]:
     """Write landscape.png and, where rerun is installed, run.rrd into ``folder``; their title ends with ``remark``, and EI is
     shown where the ``linear_density`` in g/m is known. Returns the names of those that were written."""
-    from doo_ti.report import landscape_picture
+    from doo_ti.report.landscapes import landscape_picture
 
     observations, grid, sums, best = experiment.observations, experiment.grid, overview.sums, overview.best
     static = experiment.pairs is None
@@ -188,7 +188,7 @@ def draw(folder: Path, experiment: Experiment, overview: Overview, identity: str
             stiffness(relative_stiffness(1.0, theta["weight"]), linear_density) if known else None))
     if not can_record():
         return written
-    from doo_ti.record import record_sweep
+    from doo_ti.record.sweep import record_sweep
     from doo_ti.report.canvas import Observed
 
     record_sweep(
@@ -205,9 +205,9 @@ def draw(folder: Path, experiment: Experiment, overview: Overview, identity: str
 
 
 def trajectory(experiment: Experiment, cell: int):
-    """A :class:`doo_ti.record.SweepTrajectory`: the relaxation of a cell's rods, iteration by iteration under Eq. 2,
+    """A :class:`doo_ti.record.sweep.SweepTrajectory`: the relaxation of a cell's rods, iteration by iteration under Eq. 2,
     sub-step by sub-step under Eq. 3, each observation under the hypothesis that is nearest in that cell."""
-    from doo_ti.record import SweepTrajectory
+    from doo_ti.record.sweep import SweepTrajectory
 
     experiment = with_nearest_turns(experiment, cell)
     material = experiment.grid.materials(slice(cell, cell + 1))

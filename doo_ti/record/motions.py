@@ -14,9 +14,10 @@ import rerun.blueprint as blueprint
 from doo_ti.contact.surroundings import Moving, Surroundings, since_first
 from doo_ti.groups.relax_group import GroupSolution
 from doo_ti.record import viewer
-from doo_ti.report import MovingRods, Ribbons, distinct_colors
-from doo_ti.report.canvas import Observed, box, facing, grid_view, widest
+from doo_ti.report.canvas import Observed, box, distinct_colors, facing, grid_view, widest
 from doo_ti.report.contact import GroupMotion, Touched
+from doo_ti.report.figures import Ribbons
+from doo_ti.report.motions import MovingRods
 
 GRIPPER = (120, 120, 130)
 MOST_CURVES = 12
@@ -39,8 +40,8 @@ def record_motion(path, *, run_id: str, name: str, rods: MovingRods, curves: dic
             radii=rerun.Radius.ui_points(2.0), labels=rods.names, show_labels=count <= MOST_CURVES), static=True)
         _log_held(stream, rods, when)
         if rods.touched is not None:
-            _log_obstacles(stream, "world/obstacles", when, rods.touched, np.zeros((1, 3)))
-            _log_forces(stream, "world/forces", when, rods.touched, np.zeros((count, 3)))
+            _log_obstacles(stream, when, rods.touched, np.zeros((1, 3)))
+            _log_forces(stream, when, rods.touched, np.zeros((count, 3)))
         own = distinct_colors(count)
         colors = np.where(rods.sound[..., None], own, np.uint8(viewer.FAILED)).astype(np.uint8)
         viewer.send_rods(stream, "world/rods", when, rods.vertices, colors=colors)
@@ -187,8 +188,8 @@ def record_rollout(path: Path, name: str, names: list[str], positions: np.ndarra
                 colors=color, radii=radius, labels=names[:MOST_RODS], show_labels=count <= 12), static=True)
             viewer.send_rods(stream, f"world/{entity}", when, (shown + grid.offset[:, None, None]).swapaxes(0, 1))
         if touched is not None:
-            _log_obstacles(stream, "world/obstacles", when, touched, grid.offset)
-            _log_forces(stream, "world/forces", when, touched, grid.offset)
+            _log_obstacles(stream, when, touched, grid.offset)
+            _log_forces(stream, when, touched, grid.offset)
         if seen is not None:
             _log_curves(stream, "curves/error", when, np.abs(rods - seen).mean(axis=(2, 3)).T, names[:MOST_RODS],
                         distinct_colors(count), 1.0)
@@ -228,8 +229,8 @@ def record_group(path: Path, moments: Sequence[GroupSolution], *, name: str, nam
             stream.log("world/ties", rerun.Points3D.from_fields(colors=TIE, radii=_thick(thickest, 1.3, 2.0)), static=True)
             stream.send_columns("world/ties", when, rerun.Points3D.columns(
                 positions=seen.vertices[:, seen.tied].reshape(-1, 3)).partition([len(seen.tied)] * frames))
-        _log_obstacles(stream, "world/obstacles", when, seen.touched, np.zeros((1, 3)))
-        _log_forces(stream, "world/forces", when, seen.touched, np.zeros((1, 3)))
+        _log_obstacles(stream, when, seen.touched, np.zeros((1, 3)))
+        _log_forces(stream, when, seen.touched, np.zeros((1, 3)))
 
 
 def _thick(radius: float | None, share: float, points: float):
@@ -242,12 +243,11 @@ def _thick(radius: float | None, share: float, points: float):
 OBSTACLE, FORCE = (130, 138, 150, 255), (110, 160, 255)
 
 
-def _log_obstacles(stream, entity: str, when: list, touched: Touched, offset: np.ndarray) -> None:
-    """The obstacles around each rod, moved by the rod's ``offset`` (R, 3), below ``entity``; those that move at the T times
-    ``when``."""
+def _log_obstacles(stream, when: list, touched: Touched, offset: np.ndarray) -> None:
+    """The obstacles around each rod, moved by the rod's ``offset`` (R, 3); those that move at the T times ``when``."""
     for row, move in enumerate(offset):
         for number, (given, _, vertices, triangles, normals) in enumerate(touched.meshes(row, 0)):
-            own, corners = f"{entity}/{row}/{number}", _outward(vertices[triangles], normals).reshape(-1, 3)
+            own, corners = f"world/obstacles/{row}/{number}", _outward(vertices[triangles], normals).reshape(-1, 3)
             if isinstance(given, Moving):
                 rotation, shift = since_first(*given.path)
                 stream.send_columns(own, when, rerun.Transform3D.columns(mat3x3=rotation[0], translation=shift[0] + move))
@@ -266,7 +266,7 @@ def _outward(corners: np.ndarray, normals: np.ndarray) -> np.ndarray:
     return np.where(turned[:, None, None], corners[:, ::-1], corners)
 
 
-def _log_forces(stream, entity: str, when: list, touched: Touched, offset: np.ndarray) -> None:
+def _log_forces(stream, when: list, touched: Touched, offset: np.ndarray) -> None:
     """Contact forces on the rods that have an ``offset`` (R, 3), as arrows at the T times ``when``."""
     places, vectors, counts = [], [], []
     for frame in range(touched.force.shape[1]):
@@ -274,6 +274,6 @@ def _log_forces(stream, entity: str, when: list, touched: Touched, offset: np.nd
         places += [origin + move for (origin, _), move in zip(found, offset, strict=True)]
         vectors += [vector for _, vector in found]
         counts.append(sum(len(origin) for origin, _ in found))
-    stream.log(entity, rerun.Arrows3D.from_fields(colors=FORCE, radii=rerun.Radius.ui_points(0.8)), static=True)
-    stream.send_columns(entity, when, rerun.Arrows3D.columns(
+    stream.log("world/forces", rerun.Arrows3D.from_fields(colors=FORCE, radii=rerun.Radius.ui_points(0.8)), static=True)
+    stream.send_columns("world/forces", when, rerun.Arrows3D.columns(
         origins=np.concatenate(places), vectors=np.concatenate(vectors)).partition(counts))

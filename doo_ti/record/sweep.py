@@ -14,9 +14,10 @@ import numpy as np
 import rerun
 import rerun.blueprint as blueprint
 
-from doo_ti import report
 from doo_ti.record import viewer
+from doo_ti.report import canvas
 from doo_ti.report.canvas import GridView, Observed, grid_view
+from doo_ti.report.landscapes import landscape_image
 from doo_ti.report.plane import LandscapePlane
 from doo_ti.rod.grid import UNITS, Interval
 from doo_ti.rod.types import Status
@@ -58,7 +59,7 @@ def record_sweep(path: str | os.PathLike[str], *, run_id: str, name: str, observ
     properties  {name: number or text}: in the summary and as properties of the recording
     plane       the landscape; None for a single relaxation
     intervals   of the parameters, as `grid.valley` finds them, for the summary
-    region      as `report.landscape_picture` takes it
+    region      as :func:`doo_ti.report.landscapes.landscape_picture` takes it
     """
     properties = {key: value if isinstance(value, (int, float, str)) else str(value) for key, value in properties.items()}
     grid = grid_view(observed)
@@ -69,7 +70,7 @@ def record_sweep(path: str | os.PathLike[str], *, run_id: str, name: str, observ
         _log_rods(stream, grid, trajectory, observed.names, with_trials=plane is not None)
         _log_curves(stream, trajectory)
         if plane is not None:
-            stream.log("landscape/picture", rerun.Image(report.landscape_image(plane, title=name, region=region)), static=True)
+            stream.log("landscape/picture", rerun.Image(landscape_image(plane, title=name, region=region)), static=True)
             log_surface(stream, plane)
             log_cells(stream, plane)
         text = _summary(name, intervals, observed.names, trajectory, properties)
@@ -79,8 +80,8 @@ def record_sweep(path: str | os.PathLike[str], *, run_id: str, name: str, observ
 def _log_rods(stream, grid: GridView, trajectory: SweepTrajectory, names: list[str], with_trials: bool) -> None:
     """One entity for all rods, one instance per rod: an entity per rod makes files large and the viewer slow."""
     status, distance = trajectory.status, trajectory.distance
-    colors = np.where((status == Status.CONVERGED)[:, None], report.distance_colors(distance), viewer.FAILED)
-    labels = [f"{name}: {report.quantity(d, 'mm')}, {ENDINGS[s]}" for name, d, s in zip(names, distance, status, strict=True)]
+    colors = np.where((status == Status.CONVERGED)[:, None], canvas.distance_colors(distance), viewer.FAILED)
+    labels = [f"{name}: {canvas.quantity(d, 'mm')}, {ENDINGS[s]}" for name, d, s in zip(names, distance, status, strict=True)]
     stream.log("world/rods", rerun.LineStrips3D.from_fields(
         colors=colors.astype(np.uint8), radii=rerun.Radius.ui_points(1.7), labels=labels, show_labels=False),
         rerun.AnyValues(offset_mm=viewer.vectors(grid.offset)), static=True)
@@ -125,11 +126,11 @@ def log_surface(stream, plane: LandscapePlane) -> None:
     if len(triangles):
         stream.log("landscape/surface", rerun.Mesh3D(
             vertex_positions=points[inside], triangle_indices=triangles,
-            vertex_colors=report.landscape_colors(plane.values, plane.values)[inside]), static=True)
+            vertex_colors=canvas.landscape_colors(plane.values, plane.values)[inside]), static=True)
     _log_surface_axes(stream, plane)
     if plane.minimum is not None:
         stream.log("landscape/surface/minimum", rerun.Points3D(
-            [points[plane.minimum]], labels=[report.quantity(plane.values[plane.minimum], "mm")], show_labels=True,
+            [points[plane.minimum]], labels=[canvas.quantity(plane.values[plane.minimum], "mm")], show_labels=True,
             colors=MINIMUM, radii=rerun.Radius.ui_points(6)), static=True)
 
 
@@ -139,10 +140,10 @@ def _log_surface_axes(stream, plane: LandscapePlane) -> None:
     texts, places = [], []
     ends = (((0.08, -0.1, 0), (0.5, -0.16, 0), (0.9, -0.1, 0)), ((1.1, 0.1, 0), (1.2, 0.5, 0), (1.1, 0.92, 0)))
     for axis, three_places in zip(plane.axes, ends, strict=False):
-        texts += [report.quantity(axis[1][0]), report.axis_label(axis), report.quantity(axis[1][-1])]
+        texts += [canvas.quantity(axis[1][0]), canvas.axis_label(axis), canvas.quantity(axis[1][-1])]
         places += three_places
     if np.isfinite(plane.values).any():
-        texts += ["0 mm", "mean distance " + report.quantity(np.nanmax(plane.values), "mm")]
+        texts += ["0 mm", "mean distance " + canvas.quantity(np.nanmax(plane.values), "mm")]
         places += [(-0.08, -0.04, 0), (0, 0, plane.HEIGHT + 0.05)]
     stream.log("landscape/surface/axes", rerun.LineStrips3D(
         strips, colors=viewer.TEXT, radii=rerun.Radius.ui_points(0.7)), static=True)
@@ -167,8 +168,8 @@ def log_cells(stream, plane: LandscapePlane) -> None:
     points = np.stack([x[first], y[second], plane.height(values[trial])], axis=-1)
     stream.log("landscape/cells", rerun.Points3D.from_fields(radii=rerun.Radius.ui_points(2.5)), static=True)
     stream.send_columns("landscape/cells", [rerun.TimeColumn("trial", sequence=trial)], rerun.Points3D.columns(
-        positions=points.astype(np.float32), colors=report.landscape_colors(values[trial], plane.values),
-        labels=[report.quantity(value, "mm") for value in values[trial]], show_labels=np.zeros(len(trial), bool)))
+        positions=points.astype(np.float32), colors=canvas.landscape_colors(values[trial], plane.values),
+        labels=[canvas.quantity(value, "mm") for value in values[trial]], show_labels=np.zeros(len(trial), bool)))
 
 
 def _layout(grid: GridView, plane: LandscapePlane | None) -> blueprint.Blueprint:
@@ -200,15 +201,15 @@ def _summary(name: str, intervals: tuple[Interval, ...], names: list[str], traje
     lines, finite = [f"**{name}**"], np.isfinite(distance)
     if finite.any():
         worst = int(np.nanargmax(distance))
-        mean, median, largest = (report.quantity(value, "mm") for value in (
+        mean, median, largest = (canvas.quantity(value, "mm") for value in (
             np.mean(distance[finite]), np.median(distance[finite]), distance[worst]))
         lines[0] += (f": mean distance (Eq. 1) **{mean}** over {finite.sum()} of {len(distance)} rods, median "
                      f"{median}, largest {largest} ({names[worst]})")
     if intervals:
         lines += ["", "| Θ | best | within 5 % of the minimum |", "|---|---|---|"]
-        lines += [f"| {report.SYMBOLS[i.name]} | **{report.quantity(i.best, UNITS[i.name])}** "
-                  f"| {'≤ ' * i.low_is_open}{report.quantity(i.low)} … "
-                  f"{'≥ ' * i.high_is_open}{report.quantity(i.high, UNITS[i.name])} |" for i in intervals]
+        lines += [f"| {canvas.SYMBOLS[i.name]} | **{canvas.quantity(i.best, UNITS[i.name])}** "
+                  f"| {'≤ ' * i.low_is_open}{canvas.quantity(i.low)} … "
+                  f"{'≥ ' * i.high_is_open}{canvas.quantity(i.high, UNITS[i.name])} |" for i in intervals]
     counts = [f"{np.sum(status == kind)} {ENDINGS[kind]}" for kind in Status if (status == kind).any()]
     lines += ["", f"Rods: {', '.join(counts)}. Coloured by distance, teal the smallest, yellow the largest; red: not "
               "converged.", ""]
@@ -310,7 +311,7 @@ def _log_cell_rods(stream, run: CellsOfRun, grid: GridView, piece: Rods, times: 
     """One entity for all rods of a run, one instance per rod, one row per cell."""
     steps, count, marks, _ = piece.vertices.shape
     strips = viewer.drawn_strips((piece.vertices + grid.offset[run.observation][:, None]).reshape(-1, marks, 3))
-    colors = np.where(piece.sound[..., None], report.distance_colors(piece.distance, run.distance), viewer.FAILED)
+    colors = np.where(piece.sound[..., None], canvas.distance_colors(piece.distance, run.distance), viewer.FAILED)
     place, lengths = f"world/{run.entity}/rods", [count] * steps
     stream.send_columns(place, times, [
         *rerun.LineStrips3D.columns(strips=strips, colors=colors.reshape(-1, 3).astype(np.uint8)).partition(lengths),

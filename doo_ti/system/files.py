@@ -51,8 +51,7 @@ def write_whole(path: Path, write: Callable[[BinaryIO], object], first: bool = F
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write ``text`` as UTF-8 to ``path``, completely or not at all; its folder is made where it is missing."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    """Write ``text`` as UTF-8 to ``path``, completely or not at all."""
     write_whole(path, lambda file: file.write(text.encode()))
 
 
@@ -65,11 +64,13 @@ def csv_text(heads: Iterable, rows: Iterable[Iterable]) -> str:
 
 @contextmanager
 def whole_file(path: Path, first: bool = False) -> Iterator[BinaryIO]:
-    """An empty file, whose ``name`` is its path, that is renamed to ``path`` if the block ends without an error, else removed.
+    """An empty file, whose ``name`` is its path, that is renamed to ``path`` if the block ends without an error, else removed;
+    the folder of ``path`` is made where it is missing.
 
     first  False: an existing file is replaced, at the end. True: it is never replaced; of several processes one writes
            ``path``, the others get FileExistsError
     """
+    path.parent.mkdir(parents=True, exist_ok=True)
     remove_leftovers(path.parent, path.name)
     file = _new_part(path)
     try:

@@ -231,7 +231,7 @@ class Photographs:
 
 
 def save_photographs(folder: Path, photographs: Photographs, on_set: Callable[[], None] | None = None) -> None:
-    """Write all images, ``sets.csv`` and ``rig.yaml`` to ``folder``, which exists; ``on_set`` is called after each set.
+    """Write all images, ``sets.csv`` and ``rig.yaml`` to ``folder``; ``on_set`` is called after each set.
 
     Images are JPEG of the options' quality, or PNG without one. ``sets.csv`` is written last: if it exists, all files do.
     """

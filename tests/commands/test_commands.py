@@ -102,7 +102,7 @@ def test_sweep_of_several_sources(capsys, tmp_path, swept):
     assert main(argv) == 0
     assert [call[0] for call in swept] == [tmp_path / "runs" / "good", tmp_path / "runs" / "silk"]
     out = capsys.readouterr().out
-    assert "100 rods in" in out and "0.4 s to load" in out and "100 rods/s" in out and "MB of memory" in out
+    assert "100 rods in" in out and "0.4 s to load" in out and "100 rods/s" in out
     assert main([*argv[:-1], str(tmp_path / "again"), "--json"]) == 0
     assert len(json.loads(capsys.readouterr().out)) == 2
     refused(capsys, tmp_path, ["sweep", sources[0], *argv[1:]], "two of the name 'good'")
@@ -137,7 +137,7 @@ def test_view_opens_the_recording(tmp_path, monkeypatch):
     def otherwise(path, *more):
         opened.append(path)
 
-    monkeypatch.setitem(sys.modules, "doo_ti.record", types.SimpleNamespace(
+    monkeypatch.setitem(sys.modules, "doo_ti.record.viewer", types.SimpleNamespace(
         open_viewer=open_viewer, save_screenshot=otherwise, serve_viewer=otherwise))
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.setenv("DISPLAY", ":0")
@@ -165,7 +165,7 @@ def test_a_command_that_is_stopped_says_whether_it_starts_from_the_beginning(cap
         raise failure
 
     monkeypatch.setattr(f"doo_ti.commands.{work}", fail)
-    assert main([command, "source", "--out", "F"]) == 1
+    assert main([command, "source", "--out", "F.json"]) == 1
     out, err = capsys.readouterr()
     assert out == "" and err.count("\n") == 1 and f"; the same command {way}" in err
 

@@ -37,15 +37,14 @@ def test_a_scene(scene, tmp_path, capsys):
     assert (tmp_path / "plan" / "identifiability.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_other_clamps_than_the_scene_s(scene, capsys):
-    words = ["plan", scene, "--end-distances", "50", "--end-rotations", "0,90,180", "--measured", "1", "--json"]
-    summary = json.loads(succeeded(capsys, words))
-    assert summary["end_distance_mm"] == [50, 50, 50] and sorted(summary["order"]) == [0, 2]
+def test_what_is_measured_is_not_ranked(scene, capsys):
+    summary = json.loads(succeeded(capsys, ["plan", scene, "--measured", "1", "--json"]))
+    assert summary["end_distance_mm"] == [42, 66, 42, 66] and sorted(summary["order"]) == [0, 2, 3]
 
 
 @pytest.mark.parametrize("words, option", [
     (["--sigma", "0"], "--sigma"), (["--measured", "9"], "--measured"), (["--measured", "1,1"], "--measured"),
-    (["--end-distances", "200"], "end_distances_mm"), (["--bend", "1e6", "--twist", "1e6"], "single cell"),
+    (["--bend", "1e6", "--twist", "1e6"], "single cell"),
     (["--weight", "1:2:2"], "ratios"),
 ])
 def test_wrong_input_is_one_line(scene, tmp_path, capsys, words, option):

@@ -269,11 +269,11 @@ def test_stored_cells_are_drawn_and_nothing_in_the_folder_changes(tmp_path, caps
 
 @pytest.mark.thorough
 def test_a_window_shows_it_and_its_files_go_afterwards(tmp_path, capsys, monkeypatch):
-    from doo_ti import record
+    from doo_ti.record import viewer
 
     run, seen = interrupted(tmp_path / "run", monkeypatch, 1), []
     monkeypatch.setenv("DISPLAY", ":0")
-    monkeypatch.setattr(record, "open_viewer", lambda folder: seen.append((folder, entities(f"{folder}/run.rrd"))))
+    monkeypatch.setattr(viewer, "open_viewer", lambda folder: seen.append((folder, entities(f"{folder}/run.rrd"))))
     before = content(run)
     assert main(["view", str(run)]) == 0
     (folder, shown), = seen

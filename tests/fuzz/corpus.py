@@ -3,7 +3,7 @@
 scene.toml dynamic.toml file.toml          scenes: of the virtual lab, under Eq. 3, of a file
 loop.toml                                  a scene of motion
 rods.npz .csv .parquet, ribbons.npz, labs.npz   observations: with frames, on ribbons, of marks alone
-groups.npz pairs.csv offsets.npz .csv      what goes with them
+pairs.csv offsets.npz .csv      what goes with them
 path.npz path.csv marks_path.npz           motions
 tied.toml                                  a scene of a group
 swing.toml recorded.npz theta.json         rods in motion: a scene, a recording of two rods, what identify makes of it
@@ -49,7 +49,7 @@ time_s = 0.0
 end_position_mm = [22.0, 0, 0]
 [[moments]]
 time_s = 1.0
-end_rotation_deg = 20.0
+end_turns = 0.05555555555555555
 [[moments]]
 time_s = 2.0
 end_position_mm = [20.0, 1.0, 0]
@@ -154,7 +154,6 @@ def _observations() -> None:
     vertices = keys["vertices_mm"]
     np.savez("labs.npz", vertices_mm=vertices, valid=np.ones(vertices.shape[:2], bool), sigma_mm=np.array(0.12),
              up=np.array([0.0, 0.0, 1.0]))
-    np.savez("groups.npz", group=np.arange(count) // 2)
     np.savez("offsets.npz", offset_deg=120.0 * (np.arange(count) // 2))
     Path("offsets.csv").write_text("offset_deg\n" + "".join(f"{120 * (row // 2)}\n" for row in range(count)))
 

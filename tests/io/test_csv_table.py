@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from doo_ti.commands.loading import read_rest_length
-from doo_ti.io.arrays import parse_csv, read_csv
+from doo_ti.io.arrays import read_csv
 from tests.conftest import check_refused
 
 
@@ -19,12 +19,12 @@ def test_cells_are_read_as_written(tmp_path):
 
 
 def test_missing_numbers_and_truth(tmp_path):
-    table = parse_csv(tmp_path / "x.csv", b"x\n1.5\nNA\ntrue\nFalse\nNaN\n", ("x",))
+    table = read_csv(tmp_path / "x.csv", ("x",), content=b"x\n1.5\nNA\ntrue\nFalse\nNaN\n")
     np.testing.assert_array_equal(table.numbers("x", may_be_empty=True), [1.5, np.nan, 1, 0, np.nan])
 
 
 def test_short_lines_where_they_are_allowed(tmp_path):
-    assert parse_csv(tmp_path / "x.csv", b"a,b\n1\n", ("a",), short_lines=True).columns == {"a": ["1"], "b": [""]}
+    assert read_csv(tmp_path / "x.csv", ("a",), short_lines=True, content=b"a,b\n1\n").columns == {"a": ["1"], "b": [""]}
 
 
 SPREADSHEET = "name;x;maße\nsilk;1,5;-2e-3\n\"a;b\";-,25;3,0\n"
@@ -35,7 +35,7 @@ SPREADSHEET = "name;x;maße\nsilk;1,5;-2e-3\n\"a;b\";-,25;3,0\n"
     b"sep=;\r\n" + SPREADSHEET.encode("cp1252"), SPREADSHEET.replace(";", "\t").replace("a\tb", "a;b").encode("utf-16")])
 def test_spreadsheets_with_decimal_commas(tmp_path, content):
     """As they are written where decimals are behind a comma: cells between semicolons or tabs, in several encodings."""
-    table = parse_csv(tmp_path / "x.csv", content, ("name", "x", "maße"))
+    table = read_csv(tmp_path / "x.csv", ("name", "x", "maße"), content=content)
     assert table.columns["name"] == ["silk", "a;b"]
     np.testing.assert_array_equal(table.numbers("x"), [1.5, -0.25])
     np.testing.assert_array_equal(table.rows(np.array([False, True])).numbers("maße"), [3.0])
@@ -43,9 +43,9 @@ def test_spreadsheets_with_decimal_commas(tmp_path, content):
 
 def test_points_and_commas_before_decimals_are_not_mixed(tmp_path):
     """1.234 beside 1,5 is one thousand, or a mistake."""
-    table = parse_csv(tmp_path / "x.csv", b"x;y\n1,5;1.234\n", ("x", "y"))
+    table = read_csv(tmp_path / "x.csv", ("x", "y"), content=b"x;y\n1,5;1.234\n")
     check_refused("y: '1.234' in line 2", table.numbers, "y")
-    np.testing.assert_array_equal(parse_csv(tmp_path / "x.csv", b"x;y\n1.5;1.234\n", ("x",)).numbers("y"), [1.234])
+    np.testing.assert_array_equal(read_csv(tmp_path / "x.csv", ("x",), content=b"x;y\n1.5;1.234\n").numbers("y"), [1.234])
 
 
 WRONG = {
@@ -59,17 +59,17 @@ WRONG = {
 @pytest.mark.parametrize("case", WRONG)
 def test_wrong_files_are_named(tmp_path, case):
     content, field = WRONG[case]
-    check_refused(f"x.csv: {field}: ", parse_csv, tmp_path / "x.csv", content, ("a", "b"), ("c",))
+    check_refused(f"x.csv: {field}: ", read_csv, tmp_path / "x.csv", ("a", "b"), ("c",), content=content)
 
 
 @pytest.mark.parametrize("cell", ["", "x", "nan", "inf", "1,5"])
 def test_a_cell_that_is_no_number_is_named_with_its_line(tmp_path, cell):
-    table = parse_csv(tmp_path / "x.csv", f'a\n1\n\n"{cell}"\n'.encode() if cell else b"a,b\n1,\n\n,2\n", ("a",))
+    table = read_csv(tmp_path / "x.csv", ("a",), content=f'a\n1\n\n"{cell}"\n'.encode() if cell else b"a,b\n1,\n\n,2\n")
     check_refused(f": a: {cell!r}.* line 4", table.numbers, "a")
 
 
 def test_incomplete_rows_are_named(tmp_path):
-    check_refused("'1.5' in line 3", parse_csv(tmp_path / "x.csv", b"a\n1\n1.5\n", ("a",)).whole, "a")
+    check_refused("'1.5' in line 3", read_csv(tmp_path / "x.csv", ("a",), content=b"a\n1\n1.5\n").whole, "a")
 
 
 def test_lengths_with_decimal_commas_are_not_taken_for_two(tmp_path):

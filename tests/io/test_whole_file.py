@@ -10,10 +10,9 @@ import pytest
 
 from doo_ti import Observations, relax_group, save_observations
 from doo_ti.commands.results import save_arrays, save_json
-from doo_ti.record import record_motion
-from doo_ti.report import MovingRods, motions_picture
+from doo_ti.record.motions import record_motion
 from doo_ti.report.contact import save_group
-from doo_ti.report.motions import save_animation, save_rollout
+from doo_ti.report.motions import MovingRods, motions_picture, save_animation, save_rollout
 from doo_ti.system.files import whole_file, write_whole
 from tests.first_use import group
 

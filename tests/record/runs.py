@@ -38,7 +38,7 @@ def plane(**more) -> LandscapePlane:
 
 def relaxation(rng: np.random.Generator) -> dict:
     """Arguments of `record_sweep` for a relaxation without a landscape."""
-    from doo_ti.record import SweepTrajectory
+    from doo_ti.record.sweep import SweepTrajectory
 
     vertices = observations(rng)
     decay = np.exp(-np.arange(ITERATIONS))

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from doo_ti import InputError, Observed
-from doo_ti.record import FAILED, CellsOfRun, Rods, record_cells
-from doo_ti.report import distance_colors
+from doo_ti.record.sweep import CellsOfRun, Rods, record_cells
+from doo_ti.record.viewer import FAILED
+from doo_ti.report.canvas import distance_colors
 from tests.conftest import SEED
 from tests.record import runs
 from tests.record.runs import read

@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from doo_ti import Group, GroupSolution, Material, Plane, Status, Surroundings, Tie, end_clamps, straight_rod
-from doo_ti.record import FAILED, record_group, record_motion, record_ribbons
-from doo_ti.report import MovingRods, Ribbons, distinct_colors, ribbon_sides, ribbons_picture
+from doo_ti.record.motions import record_group, record_motion, record_ribbons
+from doo_ti.record.viewer import FAILED
+from doo_ti.report.canvas import distinct_colors
+from doo_ti.report.figures import Ribbons, ribbon_sides, ribbons_picture
+from doo_ti.report.motions import MovingRods
 from tests.record.runs import read
 
 

@@ -6,7 +6,7 @@ from PIL import Image
 
 from doo_ti.perception.growth import GrowthStep, GrowthSteps
 from doo_ti.perception.search import Hypotheses
-from doo_ti.report import SeenRod, reprojections_picture
+from doo_ti.report.figures import SeenRod, reprojections_picture
 from doo_ti.vision.tubes import smooth_curve
 from tests.record.runs import read
 from tests.vision.scenes import curves, three_cameras
@@ -31,7 +31,7 @@ def steps(rod: np.ndarray) -> list[GrowthStep]:
 
 
 def test_recording_shows_growth_and_pruning(tmp_path, seen):
-    from doo_ti.record import record_perception
+    from doo_ti.record.images import record_perception
 
     rig, growth = three_cameras(), steps(seen.truth)
     record_perception(tmp_path / "r.rrd", run_id="r", name="made up", rig=rig, rods=[seen], growth=[growth])

@@ -25,7 +25,7 @@ LANDSCAPE = {"/landscape/picture", "/landscape/surface", "/landscape/surface/axe
 
 
 def written(tmp_path, run) -> tuple[dict, dict]:
-    from doo_ti.record import record_sweep
+    from doo_ti.record.sweep import record_sweep
 
     record_sweep(tmp_path / "run.rrd", **run)
     assert [entry.name for entry in tmp_path.iterdir()] == ["run.rrd"]
@@ -81,7 +81,7 @@ def test_rods_are_instances_of_one_entity_and_lie_on_their_observations(swept):
 
 @pytest.mark.thorough
 def test_a_rod_that_is_nan_is_not_drawn_and_keeps_its_place(tmp_path, rng):
-    from doo_ti.record import FAILED
+    from doo_ti.record.viewer import FAILED
 
     run = runs.sweep(rng)
     rods = run["trajectory"]
@@ -181,7 +181,7 @@ def test_same_run_same_recording(tmp_path, swept):
 
 @pytest.mark.parametrize("path", ["", "missing"])
 def test_viewing_a_folder_without_recording_is_an_input_error(tmp_path, path):
-    from doo_ti.record import open_viewer
+    from doo_ti.record.viewer import open_viewer
 
     with pytest.raises(InputError, match="run.rrd: there is no recording"):
         open_viewer(tmp_path / path)
@@ -217,7 +217,8 @@ def test_viewer_listens_on_this_machine_only_and_reports_nothing(tmp_path, monke
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have one display, which is there")
 def test_a_viewer_without_a_window_is_an_error(tmp_path, rng, monkeypatch, capfd):
     """A display is named, but does not answer."""
-    from doo_ti.record import open_viewer, record_sweep
+    from doo_ti.record.sweep import record_sweep
+    from doo_ti.record.viewer import open_viewer
 
     record_sweep(tmp_path / "run.rrd", **runs.sweep(rng))
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)

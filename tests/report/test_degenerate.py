@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from doo_ti import LandscapePlane, Plane, Surroundings, report
+from doo_ti import LandscapePlane, Plane, Surroundings
 from doo_ti.report.canvas import Observed, box, deviations, facing, grid_view, limits_around, widest
 from doo_ti.report.contact import Touched
-from doo_ti.report.motions import save_animation, save_rollout
+from doo_ti.report.figures import Ribbons, SeenRod, reprojections_picture, ribbons_picture
+from doo_ti.report.landscapes import LandscapePanel, landscapes_picture
+from doo_ti.report.motions import MovingRods, motions_picture, save_animation, save_rollout
 from tests.vision.scenes import three_cameras
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -27,9 +29,9 @@ def alone_and_beside_another(rod: np.ndarray) -> list[np.ndarray]:
     return [rod[None], np.stack([ARCH, rod])]
 
 
-def moving(positions: np.ndarray) -> report.MovingRods:
+def moving(positions: np.ndarray) -> MovingRods:
     count, moments = positions.shape[:2]
-    return report.MovingRods(np.arange(1.0 * moments), positions.swapaxes(0, 1), [str(row) for row in range(count)],
+    return MovingRods(np.arange(1.0 * moments), positions.swapaxes(0, 1), [str(row) for row in range(count)],
                       np.zeros((moments, count), int), np.ones((moments, count), bool))
 
 
@@ -71,9 +73,9 @@ def test_motions_are_drawn(tmp_path, rod):
         touched = Touched(around, positions, np.where(np.isfinite(positions), UP, 0.0))
         save_rollout(tmp_path / "rods.png", "rods", names, positions, positions, 10.0, UP, None, touched)
         save_animation(tmp_path / "rods.gif", "rods", names, positions, positions, 10.0, UP, touched)
-        report.motions_picture(tmp_path / "moments.png", moving(positions), title="rods")
-        ribbons = [report.Ribbons("a", (255, 0, 0), np.stack([rods, rods], axis=1))]
-        report.ribbons_picture(tmp_path / "ribbons.png", ribbons, len(rods) - 1, basis=np.eye(3), title="ribbons")
+        motions_picture(tmp_path / "moments.png", moving(positions), title="rods")
+        ribbons = [Ribbons("a", (255, 0, 0), np.stack([rods, rods], axis=1))]
+        ribbons_picture(tmp_path / "ribbons.png", ribbons, len(rods) - 1, basis=np.eye(3), title="ribbons")
         for name in ("rods.png", "rods.gif", "moments.png", "ribbons.png"):
             with Image.open(tmp_path / name) as picture:
                 assert min(picture.size) > 50 and max(picture.size) < 5000
@@ -82,8 +84,8 @@ def test_motions_are_drawn(tmp_path, rod):
 @pytest.mark.thorough
 def test_motions_are_recorded(tmp_path, rod):
     rerun = pytest.importorskip("rerun")
-    from doo_ti.record import record_motion, record_ribbons, record_sweep
-    from doo_ti.record.motions import record_rollout
+    from doo_ti.record.motions import record_motion, record_ribbons, record_rollout
+    from doo_ti.record.sweep import record_sweep
     from tests.record import runs
     from tests.record.runs import read
 
@@ -97,7 +99,7 @@ def test_motions_are_recorded(tmp_path, rod):
         trajectory = type(run["trajectory"])(positions.swapaxes(0, 1), *np.ones((2, 3, count)), *np.ones((2, count)))
         record_sweep(tmp_path / "sweep.rrd", **run | {"observed": Observed(rods), "trajectory": trajectory})
         record_ribbons(tmp_path / "ribbons.rrd", run_id="r", name="ribbons", basis=np.eye(3), texts=[""] * count,
-                       ribbons=[report.Ribbons("a", (255, 0, 0), np.stack([rods, rods], axis=1))], observation=np.arange(count),
+                       ribbons=[Ribbons("a", (255, 0, 0), np.stack([rods, rods], axis=1))], observation=np.arange(count),
                        rank=np.arange(count))
         for name in ("rods", "motion", "sweep", "ribbons"):
             assert read(tmp_path / f"{name}.rrd")
@@ -107,12 +109,12 @@ def test_motions_are_recorded(tmp_path, rod):
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", ["upright", "across", "a point"])
 def test_rods_in_images_without_a_detection_are_drawn(tmp_path, name):
-    from doo_ti.record import record_perception
+    from doo_ti.record.images import record_perception
 
     rig = three_cameras()
     images = [np.full((camera.height, camera.width), 180, np.uint8) for camera in rig.cameras]
-    seen = report.SeenRod("none", images, [np.empty((0, 2))] * len(images), RODS[name], None, None, "not found")
-    report.reprojections_picture(tmp_path / "rods.png", rig, [seen], up=UP)
+    seen = SeenRod("none", images, [np.empty((0, 2))] * len(images), RODS[name], None, None, "not found")
+    reprojections_picture(tmp_path / "rods.png", rig, [seen], up=UP)
     record_perception(tmp_path / "rods.rrd", run_id="r", name="none", rig=rig, rods=[seen], growth=[[]])
     assert (tmp_path / "rods.rrd").stat().st_size > 0
 
@@ -122,5 +124,5 @@ def test_rods_in_images_without_a_detection_are_drawn(tmp_path, name):
 def test_landscapes_whose_smallest_error_is_zero_share_a_scale(values):
     axes = [("bend", np.geomspace(1e5, 1e7, 3), True, "mm³"), ("twist_ratio", np.geomspace(0.5, 2, 2), True, "")]
     plane = LandscapePlane.of(axes, values, None if np.isnan(values).all() else (0, 0))
-    panels = [report.LandscapePanel("a", plane), report.LandscapePanel("b", plane)]
-    report.landscapes_picture(io.BytesIO(), [panels], title="", relative=True)
+    panels = [LandscapePanel("a", plane), LandscapePanel("b", plane)]
+    landscapes_picture(io.BytesIO(), [panels], title="", relative=True)

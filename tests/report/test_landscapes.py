@@ -6,7 +6,9 @@ import re
 import numpy as np
 import pytest
 
-from doo_ti import report
+from doo_ti.report import landscapes
+from doo_ti.report.canvas import landscape_colors
+from doo_ti.report.landscapes import LandscapePanel
 from doo_ti.report.plane import MOST_DRAWN, LandscapePlane, cell_edges, regime
 from tests.record import runs
 from tests.record.runs import read
@@ -28,10 +30,10 @@ def ribbon(count: int = 6, twist=(5e5,)) -> tuple[list, np.ndarray]:
 @pytest.mark.thorough
 @pytest.mark.parametrize("relative", [False, True])
 def test_boxes_lie_on_the_cells_they_are_of(relative, rng):
-    panels = [report.LandscapePanel("one", plane(rng)), report.LandscapePanel("two", plane(rng), (("", (0, 0)), ("x", (4, 3)))),
-              report.LandscapePanel("three", plane(rng))]
+    panels = [LandscapePanel("one", plane(rng)), LandscapePanel("two", plane(rng), (("", (0, 0)), ("x", (4, 3)))),
+              LandscapePanel("three", plane(rng))]
     index = np.unravel_index(np.arange(runs.BENDS * runs.RATIOS), runs.grid().shape)
-    image, boxes = report.cells_image([panels[:2], panels[2:]], index, relative=relative)
+    image, boxes = landscapes.cells_image([panels[:2], panels[2:]], index, relative=relative)
     assert boxes.shape == (runs.BENDS * runs.RATIOS, 3, 4)
     for panel, places in zip(panels, boxes.swapaxes(0, 1), strict=True):
         values = panel.plane.values / (np.nanmin(panel.plane.values) if relative else 1.0)
@@ -41,7 +43,7 @@ def test_boxes_lie_on_the_cells_they_are_of(relative, rng):
             brightness = seen.sum(axis=-1)
             assert brightness.flat[np.argmax(values)] > brightness.flat[np.argmin(values)]
         else:
-            right = np.abs(seen - report.landscape_colors(values, values).astype(int)).max(axis=-1) <= 2
+            right = np.abs(seen - landscape_colors(values, values).astype(int)).max(axis=-1) <= 2
             assert right.mean() > 0.8
         assert (places[:, 2:] > 3).all()
 
@@ -59,7 +61,7 @@ def test_cells_of_hidden_axes_lie_where_the_others_put_them(rng):
 def test_a_line_s_boxes_are_as_high_as_its_axes(rng):
     axes = [("bend", np.geomspace(1e5, 1e7, 5), True, "mm³"), ("weight", np.ones(1), True, "")]
     line = LandscapePlane.of(axes, rng.uniform(1, 2, (5, 1)), (0, 0))
-    _, boxes = report.cells_image([[report.LandscapePanel("line", line)]], (np.arange(5), np.zeros(5, int)), relative=True)
+    _, boxes = landscapes.cells_image([[LandscapePanel("line", line)]], (np.arange(5), np.zeros(5, int)), relative=True)
     np.testing.assert_allclose(boxes[1:, 0, 0], boxes[:-1, 0, 0] + boxes[:-1, 0, 2], atol=1e-6)
     assert np.ptp(boxes[..., 3]) < 1e-9 and boxes[0, 0, 3] > 100
 
@@ -81,7 +83,7 @@ def test_regimes_and_region_are_drawn():
     axes, values = ribbon()
 
     def image(axes, region=None):
-        return report.landscape_image(LandscapePlane.of(axes, values, (0, 0, 0, 0)), title="made up", region=region)
+        return landscapes.landscape_image(LandscapePlane.of(axes, values, (0, 0, 0, 0)), title="made up", region=region)
 
     plain = image(axes)
     angle = np.linspace(0, 2 * np.pi, 60, endpoint=False)
@@ -93,7 +95,7 @@ def test_regimes_and_region_are_drawn():
     without[2] = ("twist_ratio", np.ones(1), True, "")
     assert (image(without) != plain).mean() > 0.001
     buffer = io.BytesIO()
-    report.landscape_picture(buffer, LandscapePlane.of(axes, values, (0, 0, 0, 0)), title="made up", region=ellipse)
+    landscapes.landscape_picture(buffer, LandscapePlane.of(axes, values, (0, 0, 0, 0)), title="made up", region=ellipse)
     assert buffer.getvalue().startswith(b"\x89PNG")
 
 
@@ -106,8 +108,8 @@ def test_every_panel_and_key_is_inside_the_picture(rng):
     counts[1, 1], values[2, 2] = 4, np.nan
     whole = LandscapePlane.of(axes, values, (0, 0, 0, 0), counts)
     lost = LandscapePlane.of(axes, np.full(values.shape, np.nan))
-    rows = [[report.LandscapePanel(f"ribbon {k}", whole, (("30, 42", (5, 5)), ("54", (4, 5)))) for k in range(5)],
-            [report.LandscapePanel("nothing", lost)]]
+    rows = [[LandscapePanel(f"ribbon {k}", whole, (("30, 42", (5, 5)), ("54", (4, 5)))) for k in range(5)],
+            [LandscapePanel("nothing", lost)]]
     for relative in (False, True):
         figure, drawn = draw_panels(rows, "made up", "others", relative)
         figure.canvas.draw()
@@ -163,14 +165,13 @@ def test_a_small_landscape_stays_as_it_is():
 def test_a_picture_of_many_cells(shape):
     axes, values, minimum, unfinished = large(shape)
     file = io.BytesIO()
-    report.landscape_picture(file, LandscapePlane.of(axes, values, minimum, unfinished), title="many")
+    landscapes.landscape_picture(file, LandscapePlane.of(axes, values, minimum, unfinished), title="many")
     assert file.getvalue()[:8] == b"\x89PNG\r\n\x1a\n"
 
 
 @pytest.mark.thorough
 def test_a_recording_of_many_cells(tmp_path, rng):
-    from doo_ti.record import record_sweep
-    from doo_ti.record.sweep import MOST_POINTS
+    from doo_ti.record.sweep import MOST_POINTS, record_sweep
 
     axes, values, minimum, unfinished = large((900, 800))
     run = runs.sweep(rng) | {"plane": LandscapePlane.of(axes, values, minimum, unfinished)}

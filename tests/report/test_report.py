@@ -6,8 +6,20 @@ import io
 import numpy as np
 import pytest
 
-from doo_ti import Observations, report
-from doo_ti.report.canvas import Observed, direction, fit_titles, grid_view, new_figure
+from doo_ti import Observations
+from doo_ti.report.canvas import (
+    Observed,
+    direction,
+    distance_colors,
+    fit_titles,
+    grid_view,
+    landscape_colors,
+    new_figure,
+    quantity,
+)
+from doo_ti.report.figures import angle_curves_picture
+from doo_ti.report.landscapes import LandscapePanel, landscape_image, landscape_picture, landscapes_picture
+from doo_ti.report.motions import MovingRods, motions_picture
 from doo_ti.report.plane import LandscapePlane, cell_edges, valley_cells
 from tests.record import runs
 
@@ -29,10 +41,10 @@ def run() -> tuple[list, np.ndarray]:
 def test_picture_and_image_are_one_drawing(tmp_path):
     from PIL import Image
 
-    report.landscape_picture(tmp_path / "landscape.png", runs.plane(), title="made up")
+    landscape_picture(tmp_path / "landscape.png", runs.plane(), title="made up")
     buffer = io.BytesIO()
-    report.landscape_picture(buffer, runs.plane(), title="made up")
-    image = report.landscape_image(runs.plane(), title="made up")
+    landscape_picture(buffer, runs.plane(), title="made up")
+    image = landscape_image(runs.plane(), title="made up")
     assert image.shape == (1200, 1600, 3)
     assert image.dtype == np.uint8
     for source in (tmp_path / "landscape.png", buffer):
@@ -41,7 +53,7 @@ def test_picture_and_image_are_one_drawing(tmp_path):
 
 def test_a_name_is_no_mathematics():
     """matplotlib parses text between dollar signs as mathematics, in which this is an error."""
-    report.landscape_picture(io.BytesIO(), runs.plane(), title="a$^{$ b")
+    landscape_picture(io.BytesIO(), runs.plane(), title="a$^{$ b")
 
 
 def test_titles_fit_into_the_picture():
@@ -60,11 +72,11 @@ def test_titles_fit_into_the_picture():
 @pytest.mark.thorough
 def test_names_in_titles_legends_and_panels_are_no_mathematics():
     name, vertices = "a$^{$ b", np.cumsum(np.ones((3, 1, 5, 3)), axis=2)
-    report.landscapes_picture(io.BytesIO(), [[report.LandscapePanel(name, runs.plane(), ((name, (0, 0)),))]], title=name)
-    rods = report.MovingRods(np.arange(3.0), vertices, [name], np.zeros((3, 1), int), np.ones((3, 1), bool))
-    report.motions_picture(io.BytesIO(), rods, title=name)
+    landscapes_picture(io.BytesIO(), [[LandscapePanel(name, runs.plane(), ((name, (0, 0)),))]], title=name)
+    rods = MovingRods(np.arange(3.0), vertices, [name], np.zeros((3, 1), int), np.ones((3, 1), bool))
+    motions_picture(io.BytesIO(), rods, title=name)
     angle = np.arange(0.0, 360.0, 90.0)
-    report.angle_curves_picture(io.BytesIO(), angle, angle[None], phi=[0.0], low=[0.0], high=[9.0], names=[name],
+    angle_curves_picture(io.BytesIO(), angle, angle[None], phi=[0.0], low=[0.0], high=[9.0], names=[name],
                          unsound=np.zeros((1, 4), bool), title=name)
 
 
@@ -73,7 +85,7 @@ def test_cells_not_evaluated_are_grey_and_unfinished_ones_hatched():
     axes, values = run()
 
     def image(values, unfinished=None):
-        return report.landscape_image(LandscapePlane.of(axes, values, (2, 1, 0), unfinished), title="made up")
+        return landscape_image(LandscapePlane.of(axes, values, (2, 1, 0), unfinished), title="made up")
 
     def grey(image):
         return (image == GREY).all(axis=-1).sum()
@@ -154,20 +166,20 @@ def test_surface_leaves_out_what_was_not_evaluated():
 
 def test_colors_are_the_picture_s_and_never_a_colour_for_nan():
     distance = np.array([0.4, 1.0, np.nan, 9.0])
-    for colors in (report.landscape_colors(distance, distance), report.distance_colors(distance)):
+    for colors in (landscape_colors(distance, distance), distance_colors(distance)):
         assert colors.shape == (4, 3)
         assert colors.dtype == np.uint8
         assert tuple(colors[2]) == GREY
         assert len({tuple(color) for color in colors}) == 4
-    assert report.distance_colors(np.full(3, np.nan)).tolist() == [list(GREY)] * 3
+    assert distance_colors(np.full(3, np.nan)).tolist() == [list(GREY)] * 3
 
 
 @pytest.mark.parametrize(("value", "text"), [
     (0, "0"), (0.7471, "0.747"), (14.07, "14.1"), (9999.9, "10⁴"), (123456, "1.23×10⁵"), (1e6, "10⁶"),
     (3.2e-5, "3.2×10⁻⁵"), (np.nan, "nan")])
 def test_quantities_are_written_for_people(value, text):
-    assert report.quantity(value) == text
-    assert report.quantity(value, "mm") == f"{text} mm"
+    assert quantity(value) == text
+    assert quantity(value, "mm") == f"{text} mm"
 
 
 def test_stiffness_stands_above_where_the_weight_is_known():

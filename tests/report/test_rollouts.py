@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from doo_ti import Plane, Surroundings
-from doo_ti.report import MovingRods, motions, motions_picture
+from doo_ti.report import motions
 from doo_ti.report.contact import Touched
-from doo_ti.report.motions import _view, save_animation, save_rollout
+from doo_ti.report.motions import MovingRods, _view, motions_picture, save_animation, save_rollout
 
 
 @pytest.mark.parametrize(("height", "view"), [(2.0, "from above"), (60.0, "from the side")])

@@ -3,12 +3,12 @@ the one asked for: a warning at the caller's line that names argument, value and
 
 import re
 import warnings
-from argparse import ArgumentParser
 
 import numpy as np
 import pytest
 
 from doo_ti import Clamp, ClampPath, Material, Observations, predict_step, relax
+from doo_ti.commands.cli import _Parser
 from doo_ti.commands.options import add_material, grid
 from doo_ti.rod.grid import parse_axis
 from doo_ti.rod.material import stiffness, weight_per_length
@@ -51,7 +51,7 @@ def test_a_rod_without_weight_has_no_relative_stiffness():
 
 def options(**given):
     """What the parser makes of a material's options."""
-    parser = ArgumentParser()
+    parser = _Parser()
     add_material(parser, "")
     return parser.parse_args([part for name, value in given.items() for part in (f"--{name.replace('_', '-')}", value)])
 
@@ -88,7 +88,7 @@ def test_rows_of_materials_keep_their_weight_per_length():
     (dict(EI="1e-6", GJ="1e-6", linear_density="0"), "--linear-density"),
 ])
 def test_wrong_units_are_one_line(given, field):
-    check_refused(field, grid, options(**given))
+    check_refused(field, lambda: grid(options(**given)))
 
 
 ROPE, CLAMPS = hanging(500.0, 12, (0, 0, 0), (300, 0, 0), clamp=Clamp.FRAME)

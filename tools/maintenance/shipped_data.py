@@ -35,7 +35,6 @@ def recipe(name: str) -> Synthesis:
 
 def write_laboratory(folder: Path) -> None:
     """Observations, the same without label noise, and the materials."""
-    folder.mkdir(parents=True, exist_ok=True)
     materials = {}
     for name in RODS:
         made = recipe(name)
@@ -49,7 +48,6 @@ def write_laboratory(folder: Path) -> None:
 
 def write_images(folder: Path) -> None:
     """Images of the rods in SEEN, their sets, the rig and the true shapes."""
-    folder.mkdir(parents=True, exist_ok=True)
     parts = []
     for name, places in SEEN.items():
         rods = lab_rods(recipe(name))

@@ -73,7 +73,6 @@ def make(source: Path, out: Path) -> None:
     with STILL.open(encoding="utf-8", newline="") as file:
         still = [(row["cable"], int(row["recording"]), int(row["frame"])) for row in csv.DictReader(file)]
     folder = out / "cables"
-    (folder / "motion").mkdir(parents=True, exist_ok=True)
     for cable in CABLES:
         positions, names = read_recordings(source / cable.upper() / "train")
         write_whole(folder / "motion" / f"{cable}_train.npz", lambda file: np.savez_compressed(

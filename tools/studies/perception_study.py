@@ -17,7 +17,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from doo_ti import Detection, DetectionOptions, DistanceMaps, Material, Rig, detect, distance_maps, load_rig
-from doo_ti.commands.results import counted
+from doo_ti.commands.results import status_text
 from doo_ti.io.scene import Synthesis
 from doo_ti.learning.landscape import status_counts
 from doo_ti.perception.perceive import Perception, PerceptionVerdict, perceive
@@ -183,7 +183,7 @@ def report(what: str, case: Case, options: PerceptionOptions = OPTIONS, before: 
     """One row of the table, and a line for each of the first sets that are not correct; ``before``: seconds to add."""
     found, off, seconds = recovered(case, options)
     good, missing = off < CORRECT_MM, case.unseen().mean(axis=(1, 2))
-    status = counted(status_counts(found.status))
+    status = status_text(status_counts(found.status))
     errors = f"{off[good].mean():.3f}, {off[good].max():.3f}" if good.any() else "none"
     verdicts = " | ".join(f"{(good & these).sum()} of {these.sum()}"
                           for these in (found.verdict == kind for kind in PerceptionVerdict))

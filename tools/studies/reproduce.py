@@ -67,7 +67,6 @@ def main(words: list[str] | None = None) -> int:
             outcomes.append(outcome)  # kept at once: a run that is ended keeps the items that were done
             write_text(kept, json.dumps({**run, "outcomes": [asdict(one) for one in outcomes]}, default=bool) + "\n")
     text = report(outcomes, run["command"], run["machine"], options.note, size)
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, text)
     print(text)
     failures = [failure for outcome in outcomes for failure in outcome.failures]

@@ -122,7 +122,6 @@ def main(words: list[str] | None = None) -> int:
     double, single = measured("f64", [STATICS, MOTION]), measured("f32", [STATICS])
     text = "\n".join(report(double, single)) + "\n"
     print(text)
-    options.out.mkdir(parents=True, exist_ok=True)
     write_text(options.out / "validation.md", text)
     write_whole(options.out / "validation.png", lambda file: picture(file, double, single))
     return int(not all(double.results.values()))
