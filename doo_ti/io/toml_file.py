@@ -28,6 +28,8 @@ kind, and the clamps of a rod's ends.
     end_direction = [0, 0, -1]
     start_turns = 0.0                  # about its direction, since the beginning (0)
     end_turns = 2.5
+
+``end_rotation_deg``, what end_turns was in scenes of ``predict``, is read too.
 """
 
 import re
@@ -45,6 +47,7 @@ from doo_ti.rod.material import bend_or_twist, force_in_newton, weight_per_lengt
 from doo_ti.rod.types import LARGEST, Configuration
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import MOST_TEXT_BYTES, read_content
+from doo_ti.system.terminal import warn
 
 Finite = Annotated[float, msgspec.Meta(ge=-LARGEST, le=LARGEST)]
 Positive = Annotated[float, msgspec.Meta(gt=0, le=LARGEST)]
@@ -271,6 +274,7 @@ class Moment(Table):
     end_direction: Vector | None = None
     start_turns: Finite | None = None
     end_turns: Finite | None = None
+    end_rotation_deg: Finite | None = None
 
 
 @dataclass(frozen=True)
@@ -294,6 +298,7 @@ def end_paths(source, key: str, rows: list, start: Configuration, time: np.ndarr
     While its direction changes, also from the rod's own to that of the first moment, an end turns about it only by its
     ``turns``. Raises InputError as :func:`.interpolated` does, and where a direction reverses from one moment to the next.
     """
+    rows = [_in_turns(source, f"{key}[{number}]", row) for number, row in enumerate(rows)]
     vertices, frames = start.vertices[0], start.frames[0]
     first = {"start_position_mm": vertices[0], "start_direction": frames[0, :, 0], "end_position_mm": vertices[-1],
              "end_direction": frames[-1, :, 0], "start_turns": 0.0, "end_turns": 0.0}
@@ -309,6 +314,15 @@ def end_paths(source, key: str, rows: list, start: Configuration, time: np.ndarr
         held[end] = turned_about_tangent(along, 2 * np.pi * paths[f"{end}_turns"])
     return EndPaths(paths["start_position_mm"], paths["end_position_mm"], held["start"], held["end"],
                     2 * np.pi * paths["end_turns"])
+
+
+def _in_turns(source, key: str, row):
+    """The moment ``row`` with ``end_turns`` for ``end_rotation_deg``, if it has that."""
+    if not isinstance(row, dict) or "end_rotation_deg" not in row:
+        return row
+    turns = checked(source, key, row, Moment).end_rotation_deg / 360.0
+    warn(f"{source}: {key}.end_rotation_deg is called end_turns now: {turns:g}")
+    return {name: value for name, value in row.items() if name != "end_rotation_deg"} | {"end_turns": turns}
 
 
 def _transported(directions: np.ndarray, m1: np.ndarray) -> np.ndarray:

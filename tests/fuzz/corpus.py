@@ -49,7 +49,7 @@ time_s = 0.0
 end_position_mm = [22.0, 0, 0]
 [[moments]]
 time_s = 1.0
-end_turns = 0.05555555555555555
+end_rotation_deg = 20.0
 [[moments]]
 time_s = 2.0
 end_position_mm = [20.0, 1.0, 0]

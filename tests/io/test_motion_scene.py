@@ -21,7 +21,7 @@ twist = 5e5
 end_position_mm = [50, 0, 0]
 [[moments]]
 time_s = 1
-end_turns = 0.125
+end_rotation_deg = 30
 """
 
 
@@ -72,13 +72,13 @@ def test_omitted_quantities_stay_as_they_were(tmp_path):
     assert scene.name == "scene" and scene.between == 1 and scene.start.edges == 20
     np.testing.assert_allclose(scene.path.end_position[:, 0], [[50, 0, 0], [50, 0, 0]])
     np.testing.assert_allclose(scene.clamps.end_position, [[60, 0, 0]])
-    np.testing.assert_allclose(np.degrees(scene.path.end_rotation[:, 0]), [0, 45])
+    np.testing.assert_allclose(np.degrees(scene.path.end_rotation[:, 0]), [0, 30])
 
 
 def test_one_scene_is_for_predict_and_simulate(tmp_path):
     """At the instants of a rate, smooth between moments; without one the moments themselves, which simulate does not take."""
     file = tmp_path / "scene.toml"
-    file.write_text("rate_hz = 4\nduration_s = 1\n" + GOOD.replace("end_turns = 0.125", "end_turns = 0.25"))
+    file.write_text("rate_hz = 4\nduration_s = 1\n" + GOOD.replace("end_rotation_deg = 30", "end_turns = 0.25"))
     scene = load_motion_scene(file)
     np.testing.assert_allclose(np.degrees(scene.path.end_rotation[:, 0]), 90 * np.array([0, 0.25, 0.5, 0.75, 1]), atol=1e-9)
     np.testing.assert_array_equal(scene.path.end_frame[:, 0], scene.grippers.end_frame[0])
@@ -100,8 +100,8 @@ def test_a_clamp_that_turns_along_the_material_has_a_frame(tmp_path):
     ("[rod]", "[rods]", "rod"), ("edges = 20", "edges = 2", "rod.edges"), ("= 60.0", "= -1", "rod.length_mm"),
     ("[materials.cord]", "[materials]", "materials"), ("bend = 1e6", "bend = [1, 2]", "bend"),
     ("bend = 1e6", "bend = -1e6", "positive definite"), ("time_s = 1", "", "time_s"), ("time_s = 1", "time_s = 0", "rise"),
-    ("[50, 0, 0]", "[50, 0]", "end_position_mm"), ("end_turns = 0.125", "end_direction = [0, 0, 0]", "end_direction"),
-    ("end_turns = 0.125", "colour = 3", "moments\\[1\\].colour"), ("length_mm", "length = [", "TOML"),
+    ("[50, 0, 0]", "[50, 0]", "end_position_mm"), ("end_rotation_deg = 30", "end_direction = [0, 0, 0]", "end_direction"),
+    ("end_rotation_deg = 30", "colour = 3", "moments\\[1\\].colour"), ("length_mm", "length = [", "TOML"),
 ])
 def test_wrong_scenes_are_named(tmp_path, old, new, word):
     file = tmp_path / "scene.toml"
