@@ -96,7 +96,7 @@ STEPS = {
     "perceive": (IMAGES, f"perceive {SEEN} --sets images/sets.csv --no-picture --out rods.npz"),
     "sweep": (LAB, "sweep lab.npz --bend 2e5:8e5:3 --out run"),
     "group": ("group hooked_slings --out group.npz",),
-    "refine": (LAB, f"refine lab.npz {MATERIAL} --rest-curvature none --clip 1.5 --frames exact --no-models"),
+    "refine": (LAB, f"refine lab.npz {MATERIAL} --rest-curvature none --clip 1.5 --clamps exact --no-models"),
     "simulate": ("simulate moving.toml --out moved.npz",),
     "track": (IMAGES, f"track {SEEN} --frames frames.csv --out video.npz"),
     "identify": ("simulate moving.toml --out moved.npz", "identify moved.npz --bend 1e6 --modes 1 --fit drag --out theta.json"),

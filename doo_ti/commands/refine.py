@@ -50,8 +50,11 @@ def declare(add) -> None:
     model.add_argument("--rest-curvature", choices=CURVATURES, default="auto",
                        help="curvature of the unloaded rod: field, a smooth function along it; uniform; none; auto: field "
                        "unless frames are missing and the evidence is for a straight rod (default)")
-    given.add(model, "--frames", "exact|MM,DEG", given.Value(_frames), "how well the reported frames are known: exactly, "
-              "with what the outer marks say, or the standard deviations of their places and directions (default: learned)")
+    model.add_argument("--clamps", choices=("auto", "loose", "exact"), default="loose",
+                       help="loose: errors of reported frames are learned, and what is not reported is unknown in each "
+                       "observation (default); auto: the same; exact: all is as reported, and as the outer marks say")
+    given.add(model, "--frames", "exact|MM,DEG", given.Value(_frames), "how well the reported frames are known: exactly, as "
+              "--clamps exact, or the standard deviations of their places and directions (default: learned)")
     given.add(model, "--edges", "N", given.whole(6), "edges of the mesh (default: twice those between marks, with a correction "
               "for the mesh error)")
     parser.add_argument("--no-models", action="store_true", help="do not compare with other models")
@@ -200,7 +203,7 @@ def _task(options: Namespace, source: str) -> Task:
         observations = replace(observations, spacing_error=options.spacing_error)
     loads = None if options.mass is None else _loads(options.mass, observations, density)
     kinds = tuple(kind if own is None else own for own, kind in zip(given.clamps(options), kinds, strict=True))
-    exact = options.frames == "exact"
+    exact = "exact" in (options.clamps, options.frames)
     every, observations = observations.labels, loading.with_ends_in_reach(observations, *kinds, exact)
     loads = None if loads is None else loads[np.isin(every, observations.labels)]
     clamps = observation_clamps(observations, *kinds)
@@ -274,10 +277,10 @@ def _refinement_options(options: Namespace, task: Task):
     from doo_ti.refinement.refine import RefinementOptions
 
     names = [name.strip().replace("-", "_") for name in options.parameters.split(",") if name.strip()]
-    exact = options.frames == "exact"
+    exact = "exact" in (options.clamps, options.frames)
     return RefinementOptions(
         tuple(names), options.clip, options.rest_curvature, "exact" if exact else "loose",
-        None if exact else options.frames, task.frame_weight, edges=options.edges,
+        None if options.frames == "exact" else options.frames, task.frame_weight, edges=options.edges,
         models=not options.no_models, surroundings=task.surroundings, loads=task.loads, twist_follows=task.twist_follows)
 
 

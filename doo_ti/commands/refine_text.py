@@ -118,7 +118,7 @@ def summary_lines(summary: dict) -> list[str]:
         f"{summary['iterations']} steps{'' if summary['converged'] else ', NOT converged: stopped'}", *_rows(
             ("stopped", not summary["converged"] and
              f"before its optimum: values and intervals may be far off. Begin {elsewhere}, or with fewer unknowns (--clip MM, "
-             "--frames exact, --rest-curvature none, fewer --parameters)"),
+             "--clamps exact, --rest-curvature none, fewer --parameters)"),
             ("WARNING", up_text(summary["other_up"])), ("WARNING", _unround(summary)),
             *((one["name"], interval_text(one["value"], one["low"], one["high"], one["unit"])
                + "  (negative: outside the outer mark)" * (one["name"].startswith("clip") and (one["low"] or 0) < 0))

@@ -96,8 +96,8 @@ def test_a_fit_that_stopped_says_what_to_do(observed, capsys, monkeypatch):
 
     monkeypatch.setattr(fit.Fit, "run", partialmethod(_few_steps, fit.Fit.run))
     argv = ["refine", str(observed), "--bend", "4e5", "--twist", "2e3", "--clip", "2", "--no-models"]
-    out = succeeded(capsys, [*argv, "--rest-curvature", "none", "--frames", "exact"])
-    assert "NOT converged" in out and "doo-ti sweep" in out and "--frames exact" in out
+    out = succeeded(capsys, [*argv, "--rest-curvature", "none", "--clamps", "exact"])
+    assert "NOT converged" in out and "doo-ti sweep" in out and "--clamps exact" in out
 
 
 def _few_steps(fit, run, state, steps, held=None):
@@ -192,7 +192,7 @@ def test_data_recorded_y_up_and_read_as_z_up_are_found_out(tmp_path, capsys):
     assert "--up y" in out and "--up y" in err
     other = json.loads((run / "summary.json").read_text())["other_up"]
     assert other["up"] == [0, 1, 0] and other["misfit_mm"] < 0.3 * other["given_misfit_mm"]
-    assert main(["refine", str(run), "--parameters", "bend,up", "--no-models", "--frames", "exact", "--clip", "0",
+    assert main(["refine", str(run), "--parameters", "bend,up", "--no-models", "--clamps", "exact", "--clip", "0",
                  "--rest-curvature", "none"]) == 0
     out, err = capsys.readouterr()
     assert "--up y" in out and "--up y" in err and "nothing that refine can learn" not in out

@@ -47,7 +47,7 @@ def test_commands_take_the_table_and_the_run_of_a_sweep_keeps_it(rope, tmp_path,
     save_observations(tmp_path / "rope.npz", observations)
     (tmp_path / "table.toml").write_text(TABLE_FILE)
     obstacles, radius = ["--obstacles", str(tmp_path / "table.toml")], ["--radius", "2"]
-    model = ["--rest-curvature", "none", "--frames", "exact", "--no-models"]
+    model = ["--rest-curvature", "none", "--clamps", "exact", "--no-models"]
     assert main(["sweep", path, "--bend", "5e4:2e5:3", "--twist", "5e4", *obstacles, *radius, "--out", run, "--precision",
                  "f64"]) == 0
     of_file, of_run = ["refine", path, "--bend", "3e5", "--twist", "3e5", *model], ["refine", run, "--starts", "1", *model]
