@@ -28,6 +28,8 @@ if TYPE_CHECKING:  # it reads Parquet
 REFINED = "refined.json"  # in the folder of a run, with its picture beside it
 STARTS = 3
 CURVATURES = ("auto", "field", "uniform", "none")
+OLD_CURVATURES = {"rest_curvature": "uniform", "rest_curvature_per_joint": "field"}
+"""Old names in --parameters for a rest curvature."""
 
 
 def declare(add) -> None:
@@ -47,8 +49,8 @@ def declare(add) -> None:
     model = parser.add_argument_group("the model of the experiment")
     given.add(model, "--clip", "MM|unknown", given.Value(_clip), "length of rod that a clip holds, from the outer mark on; 0: "
               "it ends at that mark (default: unknown, which is learned)")
-    model.add_argument("--rest-curvature", choices=CURVATURES, default="auto",
-                       help="curvature of the unloaded rod: field, a smooth function along it; uniform; none; auto: field "
+    model.add_argument("--rest-curvature", choices=CURVATURES, default=None,
+                       help="curvature of the unloaded rod: field, a smooth function along it; uniform; none; auto, field "
                        "unless frames are missing and the evidence is for a straight rod (default)")
     model.add_argument("--clamps", choices=("auto", "loose", "exact"), default="loose",
                        help="loose: errors of reported frames are learned, and what is not reported is unknown in each "
@@ -277,9 +279,14 @@ def _refinement_options(options: Namespace, task: Task):
     from doo_ti.refinement.refine import RefinementOptions
 
     names = [name.strip().replace("-", "_") for name in options.parameters.split(",") if name.strip()]
+    curvature = options.rest_curvature
+    for name, own in OLD_CURVATURES.items():
+        if name in names:
+            names.remove(name)
+            curvature = curvature or own
     exact = "exact" in (options.clamps, options.frames)
     return RefinementOptions(
-        tuple(names), options.clip, options.rest_curvature, "exact" if exact else "loose",
+        tuple(names), options.clip, curvature or "auto", "exact" if exact else "loose",
         None if options.frames == "exact" else options.frames, task.frame_weight, edges=options.edges,
         models=not options.no_models, surroundings=task.surroundings, loads=task.loads, twist_follows=task.twist_follows)
 

@@ -55,7 +55,7 @@ def test_observations_for_a_machine(observed, tmp_path, capsys):
 
 
 def test_observations_for_a_person(observed, capsys):
-    argv = ["refine", str(observed), "--bend", "4e4", "--twist", "2e4", "--rest-curvature", "field",
+    argv = ["refine", str(observed), "--bend", "4e4", "--twist", "2e4", "--parameters", "bend,twist,rest-curvature-per-joint",
             "--clip", "2", "--folds", "2", "--no-models"]
     out = succeeded(capsys, argv)
     for words in ("rod: 16 of 16 observations", "95 % intervals", "rest curvature", "noise", "EI over weight", "held out"):
