@@ -27,6 +27,7 @@ from numpy.typing import ArrayLike
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.manipulation.belief import CENTRE, CLIP, Belief, LearnedMaterial, elastic_curvature
+from doo_ti.manipulation.damped_steps import DampedSteps
 from doo_ti.manipulation.model import (
     EquilibriumCache,
     Model,
@@ -43,7 +44,14 @@ from doo_ti.manipulation.model import (
     slack,
     slack_gradient,
 )
-from doo_ti.manipulation.targets import DampedSteps, ServoOptions, ServoStatus, Targets, nearest_goal, require_matching
+from doo_ti.manipulation.targets import (
+    ServoOptions,
+    ServoStatus,
+    Targets,
+    nearest_goal,
+    require_matching,
+    steps_towards,
+)
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.relaxation.sensitivity import GRIPPERS
@@ -172,7 +180,7 @@ class Servo:
         expected = model + (columns @ change[..., None]).reshape(model.shape)
         left = (1 - GAIN) * self._offset + GAIN * between_marks(seen - expected, visible)
         self._offset = np.where(visible.any(axis=1)[:, None, None], left, self._offset)
-        steps = DampedSteps.towards(self._targets, expected + self._offset, derivatives, OF_GRIPPERS.start, self._options)
+        steps = steps_towards(self._targets, expected + self._offset, derivatives[..., OF_GRIPPERS], self._options)
         self._move(expected, columns, steps, usable)
         self._placed = self.clamps
         return self.clamps
