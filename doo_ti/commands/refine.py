@@ -27,7 +27,6 @@ if TYPE_CHECKING:  # it reads Parquet
 
 REFINED = "refined.json"  # in the folder of a run, with its picture beside it
 STARTS = 3
-LEAST = 1e-6  # least spread and range of a rest curvature, in 1/mm and mm; the largest is the inverse
 CURVATURES = ("auto", "field", "uniform", "none")
 OLD_CURVATURES = {"rest_curvature": "uniform", "rest_curvature_per_joint": "field"}
 """Old names in --parameters for a rest curvature."""
@@ -63,9 +62,6 @@ def declare(add) -> None:
                        "exact, or the standard deviations of their places and directions (default: learned)")
     model.add_argument("--edges", metavar="N",
                        help="edges of the mesh (default: twice those between marks, with a correction for the mesh error)")
-    model.add_argument("--curvature-spread", metavar="1/MM", help="standard deviation of the rest curvature (default: learned)")
-    model.add_argument("--curvature-range", metavar="MM",
-                       help="length along the rod over which the rest curvature changes little (default: learned)")
     parser.add_argument("--no-models", action="store_true", help="do not compare with other models")
     given.add_clamps(parser, "the run's, else frame where the file gives one, else tangent")
     given.add_frame_weight(parser, "the run's, else 0")
@@ -272,11 +268,6 @@ def _refinement_options(options: Namespace, task: Task):
         if name in names:
             names.remove(name)
             curvature = curvature or own
-    spread = given.positive("--curvature-spread", options.curvature_spread, "1/mm")
-    reach = given.length("--curvature-range", options.curvature_range)
-    for option, value in (("--curvature-spread", spread), ("--curvature-range", reach)):
-        if value is not None and not LEAST <= value <= 1 / LEAST:
-            raise InputError(given.SOURCE, option, f"{value:g}", f"give {LEAST:g} to {1 / LEAST:g}")
     exact, error = options.clamps == "exact" or options.frames == "exact", None
     if options.frames not in (None, "exact"):
         error = given.numbers("--frames", options.frames)
@@ -286,7 +277,6 @@ def _refinement_options(options: Namespace, task: Task):
     clip = None if options.clip == "unknown" else given.not_negative("--clip", options.clip, "mm")
     return RefinementOptions(
         tuple(names), clip, curvature or "auto", "exact" if exact else "loose", error, task.frame_weight,
-        curvature_spread=spread, curvature_range=reach,
         edges=given.whole("--edges", options.edges, 6), models=not options.no_models, surroundings=task.surroundings,
         loads=task.loads, twist_follows=task.twist_follows)
 
