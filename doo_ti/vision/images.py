@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from threading import Lock
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 
@@ -41,14 +42,16 @@ def _stated(content: bytes) -> tuple[tuple[int, ...], int]:
                b"P": PpmImagePlugin.PpmImageFile}
     tags = Image.Exif()
     try:
-        if content[:4] in TIFF:  # of which OpenCV reads more kinds
-            tags.load(content)
-            size = tuple(tags[tag] for tag in (_WIDTH, _HEIGHT) if tag in tags)
-        else:
-            image = next(reader for beginning, reader in readers.items() if content.startswith(beginning))(BytesIO(content))
-            size = image.size
-            tags.load(image.info.get("exif"))
-        orientation = tags.get(_ORIENTATION, UPRIGHT)
+        with _changing, catch_warnings():  # warnings are of all threads
+            simplefilter("ignore")
+            if content[:4] in TIFF:  # of which OpenCV reads more kinds
+                tags.load(content)
+                size = tuple(tags[tag] for tag in (_WIDTH, _HEIGHT) if tag in tags)
+            else:
+                image = next(reader for beginning, reader in readers.items() if content.startswith(beginning))(BytesIO(content))
+                size = image.size
+                tags.load(image.info.get("exif"))
+            orientation = tags.get(_ORIENTATION, UPRIGHT)
     except Exception:  # whatever a reader says to a damaged file
         return (), UPRIGHT
     return size, orientation if 1 < orientation <= 8 else UPRIGHT
