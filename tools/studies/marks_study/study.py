@@ -108,7 +108,7 @@ def left_out(recipe: Recipe, folder: Path, whole: dict) -> list[dict]:
     for row, pose in enumerate(observations.labels.tolist()):
         others = observations.take(np.delete(np.arange(observations.count), row))
         without = refine(others, observation_clamps(others, *kinds), begin, RefinementOptions(intervals="covariance")).theta
-        rows.append({"pose": pose, "EI": [found["EI"][0] * without.bend[0, 0] / theta["bend_1"]],
+        rows.append({"pose": pose, "EI": [float(found["EI"][0] * without.bend[0, 0] / theta["bend_1"])],
                      "GJ": [found["GJ"][0] * without.twist / theta["twist"]]})
     return rows
 
