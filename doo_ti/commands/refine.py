@@ -63,6 +63,9 @@ def declare(add) -> None:
     model.add_argument("--edges", metavar="N",
                        help="edges of the mesh (default: twice those between marks, with a correction for the mesh error)")
     parser.add_argument("--no-models", action="store_true", help="do not compare with other models")
+    parser.add_argument("--folds", metavar="N", help="also cross-validate in N folds")
+    parser.add_argument("--groups", metavar="FILE:KEY",
+                        help="a number per observation; those with the same number stay in one fold")
     given.add_clamps(parser, "the run's, else frame where the file gives one, else tangent")
     given.add_frame_weight(parser, "the run's, else 0")
     given.add_obstacles(parser, "without friction; the run's, where it has any")
@@ -93,23 +96,31 @@ class Task:
 def run(options: Namespace) -> int:
     """Θ of least χ² for each source, the best of several starts, and how well the observations determine it."""
     out = given.output_file(options.out, ".json")
-    starts = given.whole("--starts", options.starts, 1) or STARTS
+    starts, folds = given.whole("--starts", options.starts, 1) or STARTS, given.whole("--folds", options.folds, 2)
     tasks = [_task(options, source, starts) for source in options.sources]
+    groups = [read_groups(options.groups, task.observations) for task in tasks]
 
+    from doo_ti.refinement.folds import folds_of, refine_held_out
     from doo_ti.refinement.refine import refine
 
     for task in tasks:
         if task.landscape is None:
             loading.warn(task.observations, **loading.stated(options))
+    splits = [None if folds is None else folds_of(group, folds) for group in groups]
     summaries = []
-    for task in tasks:
+    for task, split in zip(tasks, splits, strict=True):
         chosen = _refinement_options(options, task)
         with busy(f"refining {task.observations.name} (kernels are compiled once on a machine)"):
             found = refine(task.observations, task.clamps, task.thetas, chosen)
         mesh = np.full(found.mesh_edges, task.observations.rest_length.sum() / found.mesh_edges)
         if doubt := loading.mesh_doubt(mesh, task.surroundings):
             warn(f"{in_line(task.observations.source)}: {doubt}")
-        summary = summary_of(task.observations, task.surroundings, found, task.density, task.loads is not None)
+        held_out = None
+        if split is not None:
+            with busy(f"cross-validating {task.observations.name} in {folds} folds"):
+                begin = replace(found.theta, rest_curvature=None)
+                held_out = refine_held_out(task.observations, task.clamps, begin, split, chosen)
+        summary = summary_of(task.observations, task.surroundings, found, held_out, task.density, task.loads is not None)
         summaries.append(summary | {"other_up": _other_up(task, found.theta),
                                     "of_run": task.landscape is not None})
         written = [] if task.landscape is None else _kept(task.landscape, found, summaries[-1])
@@ -190,8 +201,9 @@ def _task(options: Namespace, source: str, starts: int) -> Task:
     loads = None if options.mass is None else _loads(options.mass, observations, density)
     kinds = tuple(kind if own is None else own for own, kind in zip(given.clamps(options), kinds, strict=True))
     exact = "exact" in (options.clamps, options.frames)
-    every, observations = observations.labels, loading.with_ends_in_reach(observations, *kinds, exact)
-    loads = None if loads is None else loads[np.isin(every, observations.labels)]
+    if options.groups is None:
+        every, observations = observations.labels, loading.with_ends_in_reach(observations, *kinds, exact)
+        loads = None if loads is None else loads[np.isin(every, observations.labels)]
     clamps = observation_clamps(observations, *kinds)
     check_experiment(observations, clamps, max(theta.weight for theta in thetas), weight, exact)
     task = Task(observations, clamps, thetas, weight, around, density, landscape, loads,
@@ -290,3 +302,21 @@ def _check_model(chosen, task: Task) -> None:
     rod = HeldRod(task.observations, task.clamps, FEWEST_EDGES)
     unknowns = unknowns_of(rod, chosen)
     unknowns.begun(task.thetas[0], unknowns.clip_prior)
+
+
+def read_groups(text: str | None, observations: Observations) -> np.ndarray:
+    """(D,) the group of each observation; by default each is a group of its own."""
+    if text is None:
+        return np.arange(observations.count)
+    path, _, key = text.rpartition(":")
+    if not path:
+        raise InputError(given.SOURCE, "--groups", f"{text!r} names no key", "give FILE.npz:KEY")
+    content = read_content(Path(path), remedy="name a readable .npz file")
+    groups = read_npz(Path(path), content, (key,)).get(key)
+    if groups is None:
+        raise InputError(path, key, "the key is missing", "name one that the file has")
+    if groups.dtype.kind not in "biufU" or groups.dtype.kind == "f" and not np.isfinite(groups).all():
+        raise InputError(path, key, f"dtype {groups.dtype}, or not finite", "give a number for each observation")
+    if groups.shape != (observations.count,):
+        raise InputError(path, key, f"shape {groups.shape}", f"give ({observations.count},), one per observation")
+    return groups

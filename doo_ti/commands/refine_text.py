@@ -24,12 +24,13 @@ MODELS = {
 }
 
 
-def summary_of(observations: Observations, surroundings: Surroundings, found, density: float | None, loaded: bool = False
-               ) -> dict:
+def summary_of(observations: Observations, surroundings: Surroundings, found, held_out, density: float | None,
+               loaded: bool = False) -> dict:
     """A :class:`doo_ti.refinement.refine.Refinement` as JSON holds it.
 
-    density  of the rod in g/m, or None
-    loaded   whether bodies of known mass hang at the marks: then ``density`` is that of the weight one
+    held_out  a :class:`doo_ti.refinement.folds.HeldOut`, or None
+    density   of the rod in g/m, or None
+    loaded    whether bodies of known mass hang at the marks: then ``density`` is that of the weight one
     """
     estimate, scales = found.estimate, found.estimate.scales
     names, rest = estimate.names, found.theta.rest_curvature
@@ -65,6 +66,10 @@ def summary_of(observations: Observations, surroundings: Surroundings, found, de
         "swivels": found.swivels, "rivals": [_theta(theta) for theta in estimate.rivals], "converged": found.converged,
         "iterations": found.steps,
         "regions": [{"parameters": pair, "outline": estimate.region(*pair)} for pair in pairs],
+        "held_out": None if held_out is None else {
+            "fold": held_out.fold, "distance_mm": held_out.distance, "mean_distance_mm": held_out.mean_distance,
+            "standard_error_mm": held_out.standard_error, "sound": int(held_out.sound.sum()),
+            "theta": [_theta(one.theta) for one in held_out.refinements]},
     }
 
 
@@ -102,7 +107,7 @@ def _ends(parameter) -> list[float | None]:
 def summary_lines(summary: dict) -> list[str]:
     """The summary as lines of text."""
     curvature, errors = summary["rest_curvature_per_mm"], summary["clamp_errors"]
-    touched = summary["obstacles"]
+    touched, held = summary["obstacles"], summary["held_out"]
     (x, y, z), (start, end) = summary["theta"]["up"], errors["turn_deg"]
     own, *bends = (f"{theta['bend_1']:.3g}" for theta in (summary["theta"], *summary["rivals"]))
     rivals = ", ".join(bend for bend in dict.fromkeys(bends) if bend != own)
@@ -138,7 +143,9 @@ def summary_lines(summary: dict) -> list[str]:
                                                f"{errors['turn_scatter_deg']:.2g}° between observations"),
             ("obstacles", touched and f"{', '.join(touched['kinds'])}; rods of radius {touched['radius_mm']:g} mm"),
             ("distance", f"mean {summary['mean_distance_mm']:.4g} mm (Eq. 1)")),
-        *_adequacy_lines(summary), *_rods_lines(summary), *_models_lines(summary)]
+        *_adequacy_lines(summary), *_rods_lines(summary), *_models_lines(summary), *_rows(
+            ("held out", held and f"mean {held['mean_distance_mm']:.4g} ± {held['standard_error_mm']:.2g} mm over "
+                                  f"{held['sound']} rods in {len(held['theta'])} folds (Eq. 1)"))]
 
 
 def _unround(summary: dict) -> str | None:

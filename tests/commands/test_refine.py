@@ -27,6 +27,7 @@ def observed(tmp_path, rng):
     path = tmp_path / "rod.npz"
     save_observations(path, Observations(vertices, rest_length=np.full(12, 3.0), start_frame=clamps.start_frame,
                                          end_frame=clamps.end_frame, total_twist=np.zeros(16)))
+    np.savez(tmp_path / "groups.npz", recording=np.arange(16) // 3)
     return path
 
 
@@ -34,7 +35,7 @@ def observed(tmp_path, rng):
 def test_observations_for_a_machine(observed, tmp_path, capsys):
     out = tmp_path / "new" / "found.json"
     argv = ["refine", str(observed), "--bend", "4e4", "--twist", "2e4", "--sigma", "0.02", "--linear-density", "2",
-            "--out", str(out), "--json"]
+            "--folds", "3", "--groups", f"{tmp_path / 'groups.npz'}:recording", "--out", str(out), "--json"]
     (found,) = json.loads(succeeded(capsys, argv))
     assert found == json.loads(out.read_text())[0]
     bend, twist, ratio = found["parameters"][:3]
@@ -50,13 +51,15 @@ def test_observations_for_a_machine(observed, tmp_path, capsys):
     (region,) = found["regions"]
     outline = np.array(region["outline"])
     assert region["parameters"] == ["bend", "twist"] and outline[:, 0].min() < bend["value"] < outline[:, 0].max()
+    held = found["held_out"]
+    assert len(held["theta"]) == 3 and len(set(held["fold"][:3])) == 1 and held["mean_distance_mm"] < 0.2
 
 
 def test_observations_for_a_person(observed, capsys):
     argv = ["refine", str(observed), "--bend", "4e4", "--twist", "2e4", "--parameters", "bend,twist,rest-curvature-per-joint",
-            "--clip", "2", "--no-models"]
+            "--clip", "2", "--folds", "2", "--no-models"]
     out = succeeded(capsys, argv)
-    for words in ("rod: 16 of 16 observations", "95 % intervals", "rest curvature", "noise", "EI over weight"):
+    for words in ("rod: 16 of 16 observations", "95 % intervals", "rest curvature", "noise", "EI over weight", "held out"):
         assert words in out
     assert "N m²" not in out and "--out F.json" in out
 
@@ -137,12 +140,19 @@ def test_rods_that_one_end_holds(observed, capsys):
     (["--bend", "1e4", "--parameters", "bent"], "'bent' is unknown"),
     (["--EI", "1e-6:1e-5:3", "--linear-density", "1"], "--EI: a grid of 3 cells"),
     (["--bend", "1e4,2e4"], "give bend_1 and bend_2"),
+    (["--bend", "1e4", "--folds", "1"], "--folds: 1 is below 2"),
+    (["--bend", "1e4", "--folds", "30"], "give 2 to 16 folds"),
     (["--bend", "1e4", "--clip", "20"], "below a quarter"),
+    (["--bend", "1e4", "--curvature-spread", "1e-300"], "--curvature-spread: 1e-300; give 1e-06"),
+    (["--bend", "1e4", "--groups", "nothing"], "names no key"),
+    (["--bend", "1e4", "--groups", "groups.npz:other"], "the key is missing"),
+    (["--bend", "1e4", "--groups", "nan.npz:recording"], "not finite"),
     (["--bend", "1e4", "--frame-weight", "3"], "a frame weight is given"),
     (["--bend", "1e4", "--out", "found.txt"], "ends in .json"),
 ])
 def test_wrong_input_is_reported_in_a_line_and_nothing_is_written(observed, tmp_path, capsys, monkeypatch, more, message):
     monkeypatch.chdir(tmp_path)
+    np.savez("nan.npz", recording=np.full(16, np.nan))
     capsys.readouterr()
     refused(capsys, tmp_path, ["refine", str(observed), *more], message)
 

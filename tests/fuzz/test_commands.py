@@ -64,8 +64,8 @@ _LINES = (
     "learn run --by end-distance --out out/tables",
     "refine run --starts 1 --no-models --rest-curvature none --parameters bend --edges 8",
     f"refine rods.npz {MADE_OF} --no-models --rest-curvature none --parameters bend --edges 8 --out out/F.json",
-    f"refine rods.npz {MADE_OF} --no-models --rest-curvature none --parameters bend "
-    "--edges 8 --json",
+    f"refine rods.npz {MADE_OF} --no-models --rest-curvature none --parameters bend --folds 2 --groups "
+    "groups.npz:group --edges 8 --json",
     f"predict rods.npz --motion path.npz --relative {MADE_OF} --sub-step 30 --out out/F.npz",
     f"predict rods.npz --motion path.csv {MADE_OF} --sub-step 30 --out out/F.npz --json",
     f"predict rods.npz --motion marks_path.npz {MADE_OF} --sub-step 30 --out out/F.npz",

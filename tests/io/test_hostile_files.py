@@ -171,6 +171,7 @@ def damaged(content: bytes, rng) -> bytes:
 def readers() -> dict[str, list]:
     """Whatever reads a file with that suffix."""
     from doo_ti.commands.loading import read_rest_length
+    from doo_ti.commands.refine import read_groups
     from doo_ti.commands.track import load_frames
     from doo_ti.contact.distance_grid import DistanceGrid
     from doo_ti.contact.obstacle_file import load_obstacles
@@ -197,7 +198,8 @@ def readers() -> dict[str, list]:
         ".csv": [*curves, load_path, lambda path: read_marks(path, rig), lambda path: read_labels(path, ("a",)), read_views,
                  lambda path: load_sets(path, rig), lambda path: load_frames(path, rig), lambda path: load_pairs(path, seen),
                  lambda path: load_offsets(path, seen)],
-        ".npz": [*curves, load_path, lambda path: read_rest_length(str(path)), lambda path: load_offsets(path, seen)],
+        ".npz": [*curves, load_path, lambda path: read_rest_length(str(path)), lambda path: load_offsets(path, seen),
+                 lambda path: read_groups(f"{path}:vertices_mm", seen)],
         **dict.fromkeys((".png", ".jpg", ".gif", ".bmp", ".tif", ".ras", ".pgm", ".pfm", ".hdr"), [read_image]),
         ".json": [load_theta, read_table], ".yaml": [load_rig],
         ".toml": [load_scene, read_motion_scene, load_group_scene, load_obstacles],

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Axis, Clamp, Grid, Observations, RefinementOptions, Status, Theta, observation_clamps, refine, relax
+from doo_ti.refinement.folds import folds_of, refine_held_out
 from doo_ti.refinement.search import lowest_cells, theta_of_cell
 from doo_ti.rod.frames import rotation_matrix
 from tests.conftest import check_refused
@@ -215,6 +216,28 @@ def test_lowest_cells_are_those_no_neighbour_is_below():
     assert not len(lowest_cells(grid, np.full(12, np.nan), 2))
     theta = theta_of_cell(grid, 8, [0.0, 1.0, 0.0])
     assert (theta.bend[0, 0], theta.twist, theta.up.tolist()) == (grid.axes[0].values[2], 1e7, [0, 1, 0])
+
+
+def test_folds_cut_no_group_apart():
+    groups = np.array([4, 4, 4, 1, 1, 2, 9, 9, 9, 9])
+    fold = folds_of(groups, 3)
+    assert all(len(set(fold[groups == group])) == 1 for group in groups)
+    assert sorted(np.bincount(fold).tolist()) == [3, 3, 4]
+    for count in (1, 5):
+        check_refused("give 2 to 4 folds", folds_of, groups, count)
+
+
+@pytest.mark.thorough
+def test_held_out_errors_are_those_of_rods_the_fit_did_not_see(seen):
+    fold = folds_of(np.arange(12), 3)
+    out = refine_held_out(seen, observation_clamps(seen), TRUTH, fold, QUICK)
+    inside = np.flatnonzero(fold != 1)
+    alone = refine(seen.take(inside), observation_clamps(seen.take(inside)), TRUTH, QUICK)
+    np.testing.assert_array_equal(out.refinements[1].theta.bend, alone.theta.bend)
+    assert out.sound.all() and len(out.refinements) == 3
+    # Eq. 1 of marks that are NOISE off in each coordinate: √(8/π) of that, of the marks that are noisy.
+    assert out.mean_distance == pytest.approx(NOISE * np.sqrt(8 / np.pi) * 31 / 33, rel=0.2)
+    assert 0 < out.standard_error < 0.05
 
 
 @pytest.mark.thorough

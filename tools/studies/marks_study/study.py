@@ -25,10 +25,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti import RefinementOptions, Theta, observation_clamps, refine
 from doo_ti.commands.cli import main as doo_ti
-from doo_ti.commands.loading import with_ends_in_reach
-from doo_ti.learning.run_folder import read_experiment
 from tools.studies.marks_study.specimens import FAMILIES, SOMETIMES, Recipe, drawn, specimen
 
 GRIDS = {"cable": "1e-5:1e-1:25", "suture": "1e-9:1e-5:17"}  # N m², of EI
@@ -98,18 +95,19 @@ def fit(recipe: Recipe, folder: Path) -> dict:
 
 
 def left_out(recipe: Recipe, folder: Path, whole: dict) -> list[dict]:
-    """EI and GJ without each pose, of the specimen in ``folder`` whose fit is ``whole``."""
-    found, theta = whole, json.loads((folder / "out.json").read_text())[0]["theta"]
-    begin = Theta(np.diag([theta["bend_1"], theta["bend_2"]]), theta["twist"], theta["weight"], up=theta["up"])
-    experiment = read_experiment(folder / "run")
-    kinds = experiment.options.clamp_start, experiment.options.clamp_end
-    observations = with_ends_in_reach(experiment.observations, *kinds)
+    """EI and GJ without each pose, of the specimen in ``folder`` whose fit is ``whole``: as many folds as poses."""
+    poses = [pose for pose in range(recipe.poses) if f"observation {pose} is left out" not in whole["warned"]]
+    code, text = command("refine", folder / "run", "--no-models", "--folds", len(poses), "--out", folder / "folds.json")
+    if code:
+        return [{"code": code, "text": text}]
+    found = json.loads((folder / "folds.json").read_text())[0]
+    folds, all_poses = found["held_out"], found["theta"]
     rows = []
-    for row, pose in enumerate(observations.labels.tolist()):
-        others = observations.take(np.delete(np.arange(observations.count), row))
-        without = refine(others, observation_clamps(others, *kinds), begin, RefinementOptions(intervals="covariance")).theta
-        rows.append({"pose": pose, "EI": [float(found["EI"][0] * without.bend[0, 0] / theta["bend_1"])],
-                     "GJ": [found["GJ"][0] * without.twist / theta["twist"]]})
+    for pose, fold in zip(poses, folds["fold"], strict=True):
+        rows.append({"pose": pose})
+        for name, key in (("EI", "bend_1"), ("GJ", "twist")):
+            value = found["stiffness"][f"{name}_Nm2"][0]
+            rows[-1][name] = [value * folds["theta"][fold][key] / all_poses[key]]
     return rows
 
 
