@@ -264,7 +264,7 @@ def _of_run(options: Namespace, run: Path):
     height = landscape.mean_distance
     if np.isnan(height).all():  # no cell has all its rods certified: start from those that have most of them
         few = landscape.unsound == landscape.unsound.min()
-        height = np.where(few, landscape.sums.distance_of_sound, np.nan)
+        height = np.where(few, landscape.distance_of_sound, np.nan)
     cells = lowest_cells(experiment.grid, height, options.starts)
     if not len(cells):
         raise InputError(run, "distance_mm", "no cell has an error", "look at the rods' status in cells/")

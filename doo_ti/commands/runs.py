@@ -201,9 +201,9 @@ def _draw_unfinished(run: Path, folder: Path) -> None:
 
     with busy("reading cells"):
         found = read_unfinished(run)
-    overview = found.overview
-    print(f"{in_line(overview.name)}: {found.done} stored, the last of them {found.age:,.0f} s ago")
-    print(f"  best so far {theta_text(theta_of(overview.grid, overview.best), overview.grid.is_isotropic)}")
-    print(f"  distance    mean {overview.mean_distance[overview.best]:.4g} mm (Eq. 1)")
+    landscape = found.landscape
+    print(f"{in_line(landscape.name)}: {found.done} stored, the last of them {found.age:,.0f} s ago")
+    print(f"  best so far {theta_text(theta_of(landscape.grid, landscape.best), landscape.grid.is_isotropic)}")
+    print(f"  distance    mean {landscape.mean_distance[landscape.best]:.4g} mm (Eq. 1)")
     with busy("drawing"):
         found.draw(folder)

@@ -169,7 +169,7 @@ def _look(words: list[str]):
         name, _, text = word.partition("=")
         if name not in known or not text:
             raise InputError(given.SOURCE, "--render", f"{word!r}", f"give NAME=VALUE, NAME one of {', '.join(known)}")
-        changes[name] = _value(word, text, known[name], name in ("jpeg_quality", "mark_spacing_mm"))
+        changes[name] = _value(word, text, known[name], name == "jpeg_quality")
     return replace(look, **changes)
 
 

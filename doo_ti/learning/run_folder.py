@@ -18,7 +18,6 @@ from contextlib import suppress
 from dataclasses import fields, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -67,25 +66,14 @@ def claim(run: Path, identity: str, experiment: Experiment) -> None:
                              "resume it with that version, or name another folder")
         raise InputError(run, "cells", "holds another sweep (other observations, grid or options)",
                          "name another folder, or delete this one")
-    _save_once(run / OBSERVATIONS, save_observations, experiment.observations)
+    save_observations(run / OBSERVATIONS, experiment.observations)
     if experiment.pairs is not None:
-        _save_once(run / PAIRS, save_pairs, experiment.pairs)
+        save_pairs(run / PAIRS, experiment.pairs)
     if experiment.options.surroundings:
-        _save_once(run / OBSTACLES, save_surroundings, experiment.options.surroundings)
+        save_surroundings(run / OBSTACLES, experiment.options.surroundings)
     plan = {"material": experiment.observations.name, "grid": experiment.grid.as_dict(), "hypotheses": None,
             "provenance": {**_inputs(experiment), "sweep_sha256": identity}}
-    _save_once(path.with_name(PLAN), write_text, json.dumps(plan, indent=2) + "\n")
-
-
-def _save_once(path: Path, save, content) -> None:
-    """Have ``save`` write ``content``, unless the file holds exactly that: an incomplete or changed file is replaced."""
-    if os.path.isfile(path):
-        with TemporaryDirectory() as folder:
-            own = Path(folder) / path.name
-            save(own, content)
-            if own.stat().st_size == path.stat().st_size and own.read_bytes() == path.read_bytes():
-                return
-    save(path, content)
+    write_text(path.with_name(PLAN), json.dumps(plan, indent=2) + "\n")
 
 
 def _is_free(run: Path) -> bool:

@@ -31,7 +31,7 @@ from doo_ti.learning.experiment import (
     sub_steps,
     with_nearest_turns,
 )
-from doo_ti.learning.landscape import Overview, gather_overview, gather_part, plane_of
+from doo_ti.learning.landscape import Landscape, gather_landscape, plane_of
 from doo_ti.learning.run_folder import claim, finished, identity_of, provenance, read_plan
 from doo_ti.learning.terms import Hypotheses, Pairs
 from doo_ti.learning.up_axes import other_up
@@ -49,7 +49,7 @@ from doo_ti.system.terminal import can_record, progress
 
 CHUNK_BYTES = 32 << 20
 """Memory for the frames of a chunk's rods, the larger part of what a sweep holds: 31 000 rods of 33 edges."""
-MOST_RODS = 1_000_000_000
+MOST_RODS = 100_000_000
 MOST_MOMENTS = 60  # iterations, or sub-steps, evenly chosen, that are recorded
 
 
@@ -100,19 +100,19 @@ def _swept(run: Path, experiment: Experiment, workers: ThisProcess | Workers, co
         if part == "hypotheses":
             resolution = resolve(run, experiment, chunks)
             experiment = replace(experiment, hypotheses=Hypotheses.from_dict(resolution["kept"]))
-        overview = gather_overview(run, grid, observations.name, identity)
-        if not overview.has_best:
+        landscape = gather_landscape(run, grid, observations.name, identity)
+        if not landscape.has_best:
             raise InterruptedRunError(f"{run}: no cell has an error, in none did all rods converge to certified minima; "
                                       "look at status and stable in cells/")
         summary = {
-            **overview.as_dict(), "observations": observations.count,
+            **landscape.as_dict(), "observations": observations.count,
             **({} if experiment.pairs is None else {"pairs": experiment.pairs.count}), "hypotheses": resolution,
             **({} if linear_density is None else {DENSITY: linear_density}), "other_up": _other_up(experiment),
             "timing": {"relaxed_rods": rods * sum(last - first for first, last in left), "loading_s": loading,
                        "relaxation_s": seconds},
             "provenance": provenance(experiment, identity, command),
         }
-        summary["shown"] = draw(run, experiment, overview, identity, linear_density=linear_density)
+        summary["shown"] = draw(run, experiment, landscape, identity, linear_density=linear_density)
         summary["timing"]["total_s"] = time.monotonic() - began
         write_text(run / SUMMARY, json.dumps(summary, indent=2) + "\n")
         return summary
@@ -168,17 +168,17 @@ def _relax_chunks(
 # --- picture and recording ------------------------------------------------------------------------------------------------
 
 
-def draw(folder: Path, experiment: Experiment, overview: Overview, identity: str, remark: str = "",
+def draw(folder: Path, experiment: Experiment, landscape: Landscape, identity: str, remark: str = "",
          linear_density: float | None = None) -> list[str]:
     """Write landscape.png and, where rerun is installed, run.rrd into ``folder``; their title ends with ``remark``, and EI is
     shown where the ``linear_density`` in g/m is known. Returns the names of those that were written."""
     from doo_ti.report.landscapes import landscape_picture
 
-    observations, grid, sums, best = experiment.observations, experiment.grid, overview.sums, overview.best
+    observations, grid, best = experiment.observations, experiment.grid, landscape.best
     static = experiment.pairs is None
     terms = f"{observations.count} observations" if static else f"{experiment.pairs.count} pairs"
-    title = f"{observations.name}: {overview.objective} error over {terms}{remark}"
-    plane = plane_of(overview)
+    title = f"{observations.name}: {landscape.objective} error over {terms}{remark}"
+    plane = plane_of(landscape)
     theta = {name: float(value[0]) for name, value in grid.cell_values(np.array([best])).items()}
     written = []
     if grid.varying:
@@ -194,11 +194,13 @@ def draw(folder: Path, experiment: Experiment, overview: Overview, identity: str
     record_sweep(
         folder / "run.rrd", run_id=identity[:32], name=title,
         observed=Observed.of(observations if static else observations.take(experiment.pairs.to_index)),
-        trajectory=trajectory(experiment, best), plane=plane, intervals=overview.intervals,
+        trajectory=trajectory(experiment, best), plane=plane, intervals=landscape.intervals,
         properties={"bend_1_mm3": theta["bend_1"], "bend_2_mm3": theta["bend_2"], "twist_mm3": theta["twist"],
-                    "weight": theta["weight"], "mean_distance_mm": float(overview.mean_distance[best]),
-                    "rods": int(sums.count.sum()), "cells_competing": overview.competition["cells_competing"],
-                    "rods_converged": int(sums.status[Status.CONVERGED]), "rods_stable": sums.stable,
+                    "weight": theta["weight"], "mean_distance_mm": float(landscape.mean_distance[best]),
+                    "rods": int((landscape.status >= 0).sum()),
+                    "cells_competing": landscape.competition["cells_competing"],
+                    "rods_converged": int((landscape.status == Status.CONVERGED).sum()),
+                    "rods_stable": int(landscape.stable.sum()),
                     "recorded_iterations": "those of Newton" if static else "sub-steps of the motion"},
     )
     return [*written, "run.rrd"]
@@ -231,18 +233,18 @@ class Unfinished:
 
     experiment: Experiment  # observations, grid and options
     identity: str  # of the sweep
-    overview: Overview  # results of the stored cells
+    landscape: Landscape  # of the stored cells
     age: float  # seconds since the last of them were stored
 
     @property
     def done(self) -> str:
         """``1,300 of 5,200 cells (25 %)``."""
-        cells, stored = self.experiment.grid.size, int((self.overview.sums.count > 0).sum())
+        cells, stored = self.experiment.grid.size, int(self.landscape.stored.sum())
         return f"{stored:,} of {cells:,} cells ({100 * stored // cells} %)"
 
     def draw(self, folder: Path) -> None:
         """Write landscape.png and run.rrd of the stored cells into ``folder``."""
-        draw(folder, self.experiment, self.overview, self.identity, f", so far {self.done}")
+        draw(folder, self.experiment, self.landscape, self.identity, f", so far {self.done}")
 
 
 def read_unfinished(run: Path) -> Unfinished:
@@ -253,9 +255,9 @@ def read_unfinished(run: Path) -> Unfinished:
     written = [path.stat().st_mtime for path in (run / part).glob("*.parquet")]
     if not written:
         raise InterruptedRunError(f"view: {run}: none of {experiment.grid.size:,} cells is stored yet; try again later")
-    overview = gather_part(run, experiment.grid, experiment.observations.name, identity, part)
-    unfinished = Unfinished(experiment, identity, overview, max(0.0, time.time() - max(written)))
-    if not overview.has_best:
+    landscape = gather_landscape(run, experiment.grid, experiment.observations.name, identity, part, whole=False)
+    unfinished = Unfinished(experiment, identity, landscape, max(0.0, time.time() - max(written)))
+    if not landscape.has_best:
         raise InterruptedRunError(f"view: {run}: {unfinished.done} are stored, but in none of them did all rods converge to "
                                   "certified minima; look again later, or look at status and stable in cells/")
     return unfinished

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.manipulation.dense_kernels import inverses, normal_equations
+from doo_ti.manipulation.damped_steps import normal_equations
 from doo_ti.manipulation.targets import ServoOptions
 from doo_ti.rod.shapes import material_curvature
 from doo_ti.rod.types import Configuration, Material
@@ -192,7 +192,7 @@ class Belief:
         count = 3 * visible.sum(axis=1)
         number = np.maximum(count, 1)
         apart, across = np.where(visible[..., None], residual, 0.0), np.swapaxes(transform, 1, 2)
-        normal, right = normal_equations(columns, 0, columns.shape[-1], visible.astype(np.float64), apart)
+        normal, right = normal_equations(columns, visible.astype(np.float64), apart)
         # JᵀJ (B, P, P), Jᵀr (B, P) and |r|² (B,), J = columns · transform
         normal, right, square = (across @ (normal @ transform), (across @ right[..., None])[..., 0],
                                  np.einsum("bvk,bvk->b", apart, apart))
@@ -203,7 +203,7 @@ class Belief:
         self._information *= keep
         self._information += normal / variance[:, None, None]
         self._vector = keep * self._vector + (right + (normal @ before[..., None])[..., 0]) / variance[:, None]
-        self._covariance = inverses(np.eye(len(self.learned)) + self._information)
+        self._covariance = np.linalg.inv(np.eye(len(self.learned)) + self._information)
         after = np.clip((self._covariance @ self._vector[..., None])[..., 0], self._least, self._most)
         step = after - before
         left = square - 2 * np.sum(step * right, axis=1) + np.sum(step * (normal @ step[..., None])[..., 0], axis=1)

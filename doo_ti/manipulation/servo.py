@@ -27,8 +27,8 @@ from numpy.typing import ArrayLike
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.manipulation.belief import CENTRE, CLIP, Belief, LearnedMaterial, elastic_curvature
+from doo_ti.manipulation.damped_steps import DampedSteps
 from doo_ti.manipulation.model import (
-    EquilibriumCache,
     Model,
     between_marks,
     boxed,
@@ -43,10 +43,17 @@ from doo_ti.manipulation.model import (
     slack,
     slack_gradient,
 )
-from doo_ti.manipulation.targets import DampedSteps, ServoOptions, ServoStatus, Targets, nearest_goal, require_matching
+from doo_ti.manipulation.targets import (
+    ServoOptions,
+    ServoStatus,
+    Targets,
+    nearest_goal,
+    require_matching,
+    steps_towards,
+)
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.relaxation.sensitivity import GRIPPERS
+from doo_ti.relaxation.sensitivity import GRIPPERS, sensitivity
 from doo_ti.rod.material import doubt_marks
 from doo_ti.rod.shapes import with_end_edges
 from doo_ti.rod.types import Clamps, Configuration, Material, Solution, unit_up
@@ -114,7 +121,6 @@ class Servo:
         model = relax(rod, self._belief.material, clamps, Newton.careful(), up=self._up, **around.arguments)
         self._last, self._sound = finite_rods(model.configuration, rod), model.converged & model.stable
         self._shapes = self._last.vertices
-        self._rested, self._placed = EquilibriumCache(count), clamps
         self._offset = np.zeros((count, rod.edges + 1, 3))
         self._length = np.full(count, options.step_mm)
         self.status = np.full(count, int(ServoStatus.MOVING))
@@ -154,16 +160,11 @@ class Servo:
         seen = _padded(seen) if self._padded else seen
         visible = np.isfinite(seen).all(axis=-1)
         self._follow_snaps(seen, visible)
-        if self.clamps is not self._placed:  # somebody has put the grippers elsewhere
-            self._rested = EquilibriumCache(len(visible))
-        missing = self._rested.missing
-        if len(missing):
-            rests = self._relaxed(missing)
-            self._rested.put(missing, rests, np.arange(len(missing)), rests.configuration.vertices)
-        model, derivatives, usable = self._rested.derivatives(
-            PARAMETERS + ("modes",) * self._belief.uneven, self._belief.modes if self._belief.uneven else None)
-        derivatives[~usable] = 0.0
-        model = np.where(usable[:, None, None], model, self._shapes)
+        rests, modes = self._relaxed(np.arange(len(visible))), self._belief.modes if self._belief.uneven else None
+        found = sensitivity(rests, PARAMETERS + ("modes",) * self._belief.uneven, modes, rotations=False, loads=False)
+        usable = found.usable & np.isfinite(found.vertices[:, -1]).all(axis=(1, 2))  # none of taut rods
+        derivatives = np.where(usable[:, None, None, None], found.vertices, 0.0)
+        model = np.where(usable[:, None, None], rests.configuration.vertices, self._shapes)
         visible = visible & usable[:, None]
         frames = np.stack([self.clamps.start_frame] * 2 + [self.clamps.end_frame] * 2)
         transform = self._belief.transform(frames, elastic_curvature(self._last, self._belief.material))
@@ -172,9 +173,8 @@ class Servo:
         expected = model + (columns @ change[..., None]).reshape(model.shape)
         left = (1 - GAIN) * self._offset + GAIN * between_marks(seen - expected, visible)
         self._offset = np.where(visible.any(axis=1)[:, None, None], left, self._offset)
-        steps = DampedSteps.towards(self._targets, expected + self._offset, derivatives, OF_GRIPPERS.start, self._options)
+        steps = steps_towards(self._targets, expected + self._offset, derivatives[..., OF_GRIPPERS], self._options)
         self._move(expected, columns, steps, usable)
-        self._placed = self.clamps
         return self.clamps
 
     def _follow_snaps(self, seen: np.ndarray, visible: np.ndarray) -> None:
@@ -198,7 +198,6 @@ class Servo:
             self._belief.forget(rods)
             self.snaps[rods] += 1
             self._put(rods, drawn.configuration.take(np.flatnonzero(better)))
-            self._rested.forget(rods)
 
     def _put(self, rods: np.ndarray, models: Configuration, shapes: np.ndarray | None = None) -> None:
         """Take ``models`` with the vertices ``shapes`` for where the ``rods`` are."""
@@ -211,7 +210,6 @@ class Servo:
         start = self.clamps
         here, self.distance = self._targets.distance(expected + self._offset), self.distance.copy()
         waiting = np.arange(len(usable))
-        self._rested = EquilibriumCache(len(usable))
         refused = np.zeros(len(usable), dtype=bool)
         longest = np.where(usable, self._length, 0.0)
         gain = np.zeros(len(usable))
@@ -248,7 +246,6 @@ class Servo:
             done = waiting[good]
             rows = np.flatnonzero(good)
             self._put(done, model.configuration.take(rows), shapes[rows])
-            self._rested.put(done, model, rows, shapes[rows])
             self.distance[done], gain[done] = distance[good], (here[waiting] - distance)[good]
             if attempt == 0:
                 self._length[done] = np.minimum(2 * np.maximum(size[good], 1.0), self._options.step_mm)

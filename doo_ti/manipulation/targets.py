@@ -11,7 +11,7 @@ from typing import Annotated
 
 import numpy as np
 
-from doo_ti.manipulation.dense_kernels import damped_steps, normal_equations
+from doo_ti.manipulation.damped_steps import DampedSteps, normal_equations
 from doo_ti.manipulation.model import Model, finite_rods, held, moved, pulled_by_springs_to, put_rods, put_rows, slack
 from doo_ti.relaxation.sensitivity import GRIPPERS, sensitivity
 from doo_ti.rod.frames import (
@@ -200,30 +200,12 @@ LONGEST = 40.0  # mm, of a step of that fit, shifts in mm and turns times the le
 SHRINK, GROW = 0.3, 2.0  # of a step's length after it has been refused, and taken
 
 
-@dataclass(frozen=True)
-class DampedSteps:
-    """Steps u of damped least squares (Levenberg, Marquardt): min |e − J u|² + λ |u|², λ so large that |u| ≤ a given length."""
-
-    normal: np.ndarray  # (B, K, K) JᵀJ
-    gradient: np.ndarray  # (B, K) Jᵀe
-
-    @classmethod
-    def towards(cls, targets: Targets, shapes: np.ndarray, columns: np.ndarray, first: int, options: ServoOptions
-                ) -> "DampedSteps":
-        """Steps of the grippers, in mm, that bring ``shapes`` (B, V, 3) to their targets; the twelve ``columns`` (B, V, 3, C)
-        from ``first`` on are the derivatives of the shapes by the grippers' coordinates."""
-        normal, gradient = normal_equations(columns, first, len(options.scale), targets.shares, targets.places - shapes)
-        unit = options.moves / options.scale
-        return cls(normal * np.outer(unit, unit), gradient * unit)
-
-    def within(self, length: np.ndarray) -> np.ndarray:
-        """(B, K) the steps of at most ``length`` (B,), zero where that is."""
-        return damped_steps(self.normal, self.gradient, length, np.zeros_like(self.gradient), np.zeros_like(length))
-
-    def below(self, length: np.ndarray, across: np.ndarray, room: np.ndarray) -> np.ndarray:
-        """(B, K) the steps of at most ``length`` (B,) whose product with ``across`` (B, K) is at most ``room`` (B,): where that
-        of :meth:`within` is more, the best of those that have just that (one active constraint)."""
-        return damped_steps(self.normal, self.gradient, length, across, room)
+def steps_towards(targets: Targets, shapes: np.ndarray, columns: np.ndarray, options: ServoOptions) -> DampedSteps:
+    """Steps of the grippers, in mm, that bring ``shapes`` (B, V, 3) to their targets; ``columns`` (B, V, 3, 12) are the
+    derivatives of the shapes by the grippers' coordinates."""
+    normal, gradient = normal_equations(columns, targets.shares, targets.places - shapes)
+    unit = options.moves / options.scale
+    return DampedSteps(normal * np.outer(unit, unit), gradient * unit)
 
 
 @dataclass(frozen=True)
@@ -274,7 +256,7 @@ def fit(rods: Configuration, clamps: Clamps, model: Model, targets: Targets, opt
         columns = np.nan_to_num(sensitivity(solution, GRIPPERS, rotations=False, loads=False).vertices)
         vertices = solution.configuration.vertices
         shapes = np.where(np.isfinite(vertices), vertices, asked.places)
-        step = DampedSteps.towards(asked, shapes, columns, 0, options).within(length[rows])
+        step = steps_towards(asked, shapes, columns, options).within(length[rows])
         there = moved(here, step / options.scale)
         tried = own.relaxed(rods.take(rows), there)
         nearer = _distance(tried, asked)

@@ -8,6 +8,7 @@ Every stage handles all image sets at once.
 Axes: A image sets, N hypotheses of all sets, n of one set, M sampled directions, K kept ones, i edges of a hypothesis.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -50,18 +51,8 @@ def suppress_similar(error: np.ndarray, directions: np.ndarray, separation: floa
     Greedy, as in the paper: the best is taken, all within the angle are removed, and so on. Of equal errors the first column is
     taken; infinite ones are never taken.
     """
-    left = np.array(error, dtype=np.float64)
     near = directions @ directions.T > np.cos(separation)
-    rows = np.arange(len(left))
-    chosen = np.full((len(left), most), -1)
-    for place in range(most):
-        best = np.argmin(left, axis=1)
-        found = np.isfinite(left[rows, best])
-        if not found.any():
-            return chosen[:, :place]
-        chosen[found, place] = best[found]
-        left[near[best]] = np.inf
-    return chosen
+    return _best_that_differ(np.array(error, dtype=np.float64), most, lambda best: near[best])
 
 
 def select_hypotheses(
@@ -75,32 +66,17 @@ def select_hypotheses(
     of_set     (N,) image set, in increasing order
     distance, angle   mm and rad: of two hypotheses that are within both, the better one suppresses the other (Alg. 1)
     """
-    sets, first, count = np.unique(of_set, return_index=True, return_counts=True)
-    width = count.max()
-    column = np.arange(len(of_set)) - np.repeat(first, count)
-    place = (np.repeat(np.arange(len(sets)), count), column)
-    left = np.full((len(sets), width), np.inf)
-    left[place] = np.where(np.isfinite(score), score, np.inf)
-    tips, directions = np.zeros((2, *left.shape, 3))
-    tips[place], directions[place] = tip, direction
-    kept = np.full((len(sets), most), -1)
-    rows = np.arange(len(sets))
-    cosine = np.cos(angle)
-    for turn in range(most):
-        best = np.argmin(left, axis=1)
-        found = np.isfinite(left[rows, best])
-        if not found.any():
-            break
-        kept[found, turn] = (first + best)[found]
-        apart = np.sum((tips - tips[rows, best][:, None]) ** 2, axis=-1)
-        aligned = np.sum(directions * directions[rows, best][:, None], axis=-1)
-        left[(apart < distance**2) & (aligned > cosine)] = np.inf
-        left[rows, best] = np.inf
+    def alike(one: np.ndarray, others: np.ndarray) -> np.ndarray:
+        apart = np.sum((tip[others] - tip[one]) ** 2, axis=-1)
+        return (apart < distance**2) & (np.sum(direction[others] * direction[one], axis=-1) > np.cos(angle))
+
+    kept = _of_each_set(np.where(np.isfinite(score), score, np.inf), of_set, most, alike)
     return kept[kept >= 0]
 
 
 def rank_distinct(
-    score: np.ndarray, vertices: np.ndarray, of_set: np.ndarray, most: int, distance: float, certified: np.ndarray | None = None
+    score: np.ndarray, vertices: np.ndarray, of_set: np.ndarray, most: int, distance: float,
+    certified: np.ndarray | None = None,
 ) -> np.ndarray:
     """(A, K) rows of each set's rods, the best first, without those that are close to a better one; then −1.
 
@@ -113,21 +89,36 @@ def rank_distinct(
                meaning; None: all
     """
     certified = np.ones(len(score), dtype=bool) if certified is None else certified
-    sets, first, count = np.unique(of_set, return_index=True, return_counts=True)
-    ranked = np.full((len(sets), most), -1)
-    taken = np.zeros(len(sets), dtype=np.int64)
-    finite = np.isfinite(score)
-    order = np.lexsort((np.where(finite, score, np.inf), ~certified, of_set))
-    # In each round the next best of every set, unless a better one is close to it.
-    for turn in range(count.max()):
-        here = np.flatnonzero((turn < count) & (taken < most))
-        rows = order[first[here] + turn]
-        better = ranked[here]
-        apart = np.linalg.norm(vertices[rows][:, None] - vertices[better], axis=-1).mean(axis=-1)
-        new = finite[rows] & ~((apart < distance) & (better >= 0)).any(axis=1)
-        ranked[here[new], taken[here[new]]] = rows[new]
-        taken[here[new]] += 1
-    return ranked
+    rank = np.where(np.isfinite(score), np.argsort(np.lexsort((score, ~certified))), np.inf)
+    return _of_each_set(rank, of_set, most, lambda one, others: np.linalg.norm(
+        vertices[others] - vertices[one], axis=-1).mean(axis=-1) < distance)
+
+
+def _of_each_set(score: np.ndarray, of_set: np.ndarray, most: int, alike: Callable[[np.ndarray, np.ndarray], np.ndarray]
+                 ) -> np.ndarray:
+    """(A, K) rows of each set, those of least ``score`` (N,) first; then −1. Left out are rows ``others`` (A, W) that are
+    ``alike`` to a better ``one`` (A, 1)."""
+    _, first, count = np.unique(of_set, return_index=True, return_counts=True)
+    column = np.arange(count.max())
+    rows = np.minimum(first[:, None] + column, len(of_set) - 1)
+    left = np.where(column < count[:, None], score[rows], np.inf)
+    chosen = _best_that_differ(left, most, lambda best: alike(np.take_along_axis(rows, best[:, None], axis=1), rows))
+    return np.where(chosen >= 0, np.take_along_axis(rows, np.maximum(chosen, 0), axis=1), -1)
+
+
+def _best_that_differ(left: np.ndarray, most: int, alike: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """(N, K) columns of ``left`` (N, M), which is changed, the smallest first; then −1. When columns (N,) are taken, those
+    ``alike`` (N, M) are removed."""
+    rows, chosen = np.arange(len(left)), np.full((len(left), most), -1)
+    for place in range(most):
+        best = np.argmin(left, axis=1)
+        found = np.isfinite(left[rows, best])
+        if not found.any():
+            break
+        chosen[found, place] = best[found]
+        left[alike(best)] = np.inf
+        left[rows, best] = np.inf
+    return chosen
 
 
 # --- the steps, recorded for pictures -------------------------------------------------------------------------------------

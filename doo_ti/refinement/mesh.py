@@ -82,8 +82,7 @@ class Mesh:
 
     def nearest_two(self, place: np.ndarray) -> np.ndarray:
         """(X, N + 1) shares of the vertices on either side in what hangs at arc lengths ``place`` (X,)."""
-        u = np.clip((place - self.place[0]) / self.edge, 0.0, len(self.place) - 1.0)
-        return np.maximum(1.0 - np.abs(u[:, None] - np.arange(len(self.place))), 0.0)
+        return values_at(place, self.place)[0]
 
     def slide(self, place: np.ndarray) -> np.ndarray:
         """(X, GEOMETRY) derivative of u = (s − s_0)/h at given arc lengths s."""

@@ -63,8 +63,6 @@ class RefinementOptions:
     frame_error       standard deviations of a reported frame's place over the outer mark's, mm, and of its direction in each
                       observation, rad; None: learned
     frame_weight      w_m of Eq. 1 in mm; where it is positive measured frames are compared too
-    curvature_spread  standard deviation of the rest curvature, 1/mm; None: learned
-    curvature_range   distance over which it is correlated, mm; None: learned
     edges             of the mesh, without correction for their length; None: as many as the noise requires, corrected
     solver            of the relaxations from the observations
     iterations        largest number of steps
@@ -84,8 +82,6 @@ class RefinementOptions:
     clamps: str = "loose"
     frame_error: tuple[float, float] | None = None
     frame_weight: float = 0.0
-    curvature_spread: float | None = None
-    curvature_range: float | None = None
     edges: int | None = None
     solver: Newton = Newton()
     iterations: int = 60
@@ -258,8 +254,7 @@ def _scales(unknowns: Unknowns, options: RefinementOptions) -> Scales:
     if options.frame_weight > 0:
         learned.add("frames")
     place, turn = options.frame_error or (None, None)
-    for name, value in (("curvature", options.curvature_spread), ("range", options.curvature_range), ("any_shift", place),
-                        ("turn", turn), ("turn_scatter", turn)):
+    for name, value in (("any_shift", place), ("turn", turn), ("turn_scatter", turn)):
         if value is not None:
             fixed[name] = value
     learned |= unknowns.scale_names - set(fixed)

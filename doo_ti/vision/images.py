@@ -10,14 +10,14 @@ the world, or from a pixel in one camera or more; the cells of the others are em
 """
 
 import os
-import re
-import struct
 import sys
 from collections.abc import Iterable
 from contextlib import contextmanager
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from threading import Lock
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 
@@ -26,75 +26,35 @@ from doo_ti.system.errors import InputError
 from doo_ti.system.files import read_content
 from doo_ti.vision.cameras import MOST_SIDE, Camera, Rig
 
-PNG, JPEG, BMP = b"\x89PNG", b"\xff\xd8", b"BM"
-PNM = re.compile(rb"P[1-6]\s+(?:#[^\n]*\n\s*)*(\d{1,9})\s+(?:#[^\n]*\n\s*)*(\d{1,9})\s")
+PNG = b"\x89PNG"
 KNOWN = "PNG, JPEG, TIFF, BMP, PGM or PPM"
-TIFF = {b"II*\0": "<", b"MM\0*": ">"}  # beginnings of files, and the order of bytes
+TIFF = b"II*\0", b"MM\0*"  # beginnings of files
 _WIDTH, _HEIGHT, _ORIENTATION = 256, 257, 274  # tags of TIFF, and of the Exif data of other files, which are in its form
-SEARCHED = 1 << 16  # bytes of a file's beginning in which the orientation of one that is no TIFF is stated
 UPRIGHT = 1
 
 
-def stated_size(content: bytes) -> tuple[int, ...]:
-    """Width and height of an image file of a format that is :data:`KNOWN`, or its height and width; nothing for other and
-    damaged files."""
+def _stated(content: bytes) -> tuple[tuple[int, ...], int]:
+    """What an image file of a format that is :data:`KNOWN` states: width and height, and its orientation tag, 1 to 8 as Exif
+    numbers them, 1, upright, where there is none. No size of other and damaged files."""
+    from PIL import BmpImagePlugin, Image, JpegImagePlugin, PngImagePlugin, PpmImagePlugin
+
+    readers = {PNG: PngImagePlugin.PngImageFile, b"\xff\xd8": JpegImagePlugin.JpegImageFile, b"BM": BmpImagePlugin.BmpImageFile,
+               b"P": PpmImagePlugin.PpmImageFile}
+    tags = Image.Exif()
     try:
-        if content.startswith(PNG):
-            return struct.unpack(">II", content[16:24])
-        if content.startswith(JPEG):
-            return _of_jpeg(content)
-        if content.startswith(BMP):
-            return tuple(map(abs, struct.unpack("<ii", content[18:26])))
-        if stated := PNM.match(content[:1000]):
-            return tuple(map(int, stated.groups()))
-        if content[:4] in TIFF:
-            tags = _tags(content, TIFF[content[:4]])
-            return tuple(tags[tag] for tag in (_WIDTH, _HEIGHT) if tag in tags)
-    except struct.error:  # it ends before
-        pass
-    return ()
-
-
-def _of_jpeg(content: bytes) -> tuple[int, ...]:
-    place = 2
-    while place < len(content):
-        mark, length = struct.unpack(">HH", content[place : place + 4])
-        if mark >> 8 != 0xFF:
-            return ()
-        if mark == 0xFFFF:  # bytes that fill up to the next mark
-            place += 1
-            continue
-        if 0xFFC0 <= mark <= 0xFFCF and mark not in (0xFFC4, 0xFFC8, 0xFFCC):
-            return struct.unpack(">HH", content[place + 5 : place + 9])
-        place += 2 + length
-    return ()
-
-
-def _tags(content: bytes, order: str) -> dict[int, int]:
-    """The first numbers of the first directory of a TIFF file."""
-    first, = struct.unpack(f"{order}I", content[4:8])
-    count, = struct.unpack(f"{order}H", content[first : first + 2])
-    found = {}
-    for entry in range(first + 2, first + 2 + 12 * count, 12):
-        tag, kind = struct.unpack(f"{order}HH", content[entry : entry + 4])
-        form = struct.Struct(f"{order}{'H' if kind == 3 else 'I'}")
-        found[tag], = form.unpack(content[entry + 8 : entry + 8 + form.size])
-    return found
-
-
-def _stated_orientation(content: bytes) -> int:
-    """The orientation tag of an image file: 1 to 8, as Exif numbers them; 1, upright, where there is none."""
-    beginning, marks = content[:SEARCHED], (b"Exif\0\0", b"eXIf")  # of JPEG and of PNG
-    places = [place + len(mark) for mark in marks if (place := beginning.find(mark)) >= 0]
-    try:
-        for place in [0, *places]:
-            order = TIFF.get(content[place : place + 4])
-            tag = _tags(content[place:], order).get(_ORIENTATION, UPRIGHT) if order else UPRIGHT
-            if 1 < tag <= 8:
-                return tag
-    except struct.error:  # it ends before
-        pass
-    return UPRIGHT
+        with _changing, catch_warnings():  # warnings are of all threads
+            simplefilter("ignore")
+            if content[:4] in TIFF:  # of which OpenCV reads more kinds
+                tags.load(content)
+                size = tuple(tags[tag] for tag in (_WIDTH, _HEIGHT) if tag in tags)
+            else:
+                image = next(reader for beginning, reader in readers.items() if content.startswith(beginning))(BytesIO(content))
+                size = image.size
+                tags.load(image.info.get("exif"))
+            orientation = tags.get(_ORIENTATION, UPRIGHT)
+    except Exception:  # whatever a reader says to a damaged file
+        return (), UPRIGHT
+    return size, orientation if 1 < orientation <= 8 else UPRIGHT
 
 
 SEED = ("seed_x", "seed_y", "seed_z", "dir_x", "dir_y", "dir_z")
@@ -138,13 +98,7 @@ def read_mask(path: str | os.PathLike[str], camera: Camera | None = None) -> np.
 
 def orientation_tags(paths: Iterable[Path]) -> int:
     """How many of these image files, which were read before, have tags that say to turn them."""
-    count = 0
-    for path in paths:
-        with path.open("rb") as file:
-            content = file.read(SEARCHED)  # images are large; a TIFF may state its tags at its end
-            content += file.read() if content[:4] in TIFF else b""
-        count += _stated_orientation(content) != UPRIGHT
-    return count
+    return sum(_stated(path.read_bytes())[1] != UPRIGHT for path in paths)
 
 
 def _decoded(path: Path, camera: Camera | None, flags: int) -> np.ndarray:
@@ -154,7 +108,7 @@ def _decoded(path: Path, camera: Camera | None, flags: int) -> np.ndarray:
     if hasattr(cv2, "setLogLevel"):
         cv2.setLogLevel(0)  # the caller reports on damaged files; OpenCV shall not do so as well
     stored = np.frombuffer(read_content(path, remedy="name a readable image"), dtype=np.uint8)
-    sides = stated_size(stored.tobytes())
+    sides, _ = _stated(stored.tobytes())
     _check_side(path, *sides)  # before it is unpacked: a few bytes may state one that fills the memory
     try:
         with _silenced():

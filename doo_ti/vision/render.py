@@ -28,7 +28,7 @@ PIXEL_BLUR_PX = 12**-0.5  # standard deviation of a pixel's square, over which t
 MOST_THINGS = 1000  # largest number of objects of each kind beside the thread; the memory for an image grows with them
 MOST_GREY = 1e4
 MOST_BLUR_PX = 100.0
-LEAST_MM, MOST_MM = 1e-3, 1e3  # bounds of diameters, and of marks and the distance between them
+LEAST_MM, MOST_MM = 1e-3, 1e3  # bounds of diameters
 BLOB_PX = 120  # size of the background's uneven patches
 
 
@@ -53,10 +53,6 @@ class RenderOptions:
     occluded_share: float = 0.2
     occluder: float = 120.0  # their brightness
     clutter: int = 0  # number of other lines, of 0.3 to 3 thread diameters, as bright as the thread or less distinct
-    specks: int = 0  # number of specks
-    mark_spacing_mm: float | None = None  # distance between marks painted on the thread, from its start on, or None: no marks
-    mark_length_mm: float = 0.6  # their length along the thread
-    mark: float = 150.0  # their brightness
     smooth: bool = True  # draw a smooth curve through the vertices, else straight edges between them
 
     def __post_init__(self) -> None:
@@ -69,15 +65,12 @@ class RenderOptions:
                 raise InputError("rendering", name, f"{value:g}", f"give at most {most:g}")
         if self.jpeg_quality is not None and not 1 <= self.jpeg_quality <= 100:
             raise InputError("rendering", "jpeg_quality", f"{self.jpeg_quality}", "give 1 to 100, or none")
-        if self.mark_spacing_mm is not None and self.mark_spacing_mm < LEAST_MM:
-            raise InputError("rendering", "mark_spacing_mm", f"{self.mark_spacing_mm:g}", f"give {LEAST_MM:g} mm or more")
         if np.shape(self.light) != (3,) or not (np.abs(self.light) <= LARGEST).all() or not np.linalg.norm(self.light) > 0:
             raise InputError("rendering", "light", f"{self.light}", "give a direction of three numbers, not all zero")
 
 
 # Largest values of options; MOST_GREY for all others.
-MOST = {"occluders": MOST_THINGS, "clutter": MOST_THINGS, "specks": MOST_THINGS, "blur_px": MOST_BLUR_PX, "occluded_share": 1,
-        "mark_spacing_mm": MOST_MM, "mark_length_mm": MOST_MM}
+MOST = {"occluders": MOST_THINGS, "clutter": MOST_THINGS, "blur_px": MOST_BLUR_PX, "occluded_share": 1}
 
 
 def render_set(rig: Rig, rod: np.ndarray, diameter_mm: float, options: RenderOptions = RenderOptions(),
@@ -119,13 +112,9 @@ def _samples(rig: Rig, rod: np.ndarray) -> int:
 def _scene(rig: Rig, curve: np.ndarray, diameter: float, options: RenderOptions, random: np.random.Generator) -> list[Tube]:
     """The thread and all other objects."""
     place = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
-    brightness = np.full(len(curve), options.thread)
-    if options.mark_spacing_mm is not None:
-        phase = (place / options.mark_spacing_mm + 0.5) % 1 - 0.5
-        brightness[np.abs(phase) * options.mark_spacing_mm <= options.mark_length_mm / 2] = options.mark
     toward = np.mean([camera.centre for camera in rig.cameras], axis=0) - curve.mean(axis=0)
     toward /= np.linalg.norm(toward)
-    return [Tube(curve, diameter / 2, brightness)] + _occluders(curve, place, toward, diameter, options, random) \
+    return [Tube(curve, diameter / 2, options.thread)] + _occluders(curve, place, toward, diameter, options, random) \
         + _clutter(curve, place[-1], diameter, options, random)
 
 
@@ -146,18 +135,17 @@ def _occluders(curve, place, toward, diameter: float, options: RenderOptions, ra
 
 
 def _clutter(curve, length: float, diameter: float, options: RenderOptions, random: np.random.Generator) -> list[Tube]:
-    """Bent lines and specks in a ball around the thread's middle."""
+    """Bent lines in a ball around the thread's middle."""
     found = []
-    for index in range(options.clutter + options.specks):
-        line = index < options.clutter
+    for _ in range(options.clutter):
         direction = random.normal(size=3)
         middle = curve.mean(axis=0) + 0.6 * length * random.uniform() ** (1 / 3) * direction / np.linalg.norm(direction)
         run = random.normal(size=3)
         run /= np.linalg.norm(run)
-        reach = random.uniform(0.1, 0.3) * length if line else 1e-3 * diameter
-        step = np.linspace(-1, 1, 65 if line else 2)[:, None]
+        reach = random.uniform(0.1, 0.3) * length
+        step = np.linspace(-1, 1, 65)[:, None]
         bend = random.uniform(-0.4, 0.4) * _perpendicular(run, random)
-        radius = diameter * (np.exp(random.uniform(np.log(0.15), np.log(1.5))) if line else random.uniform(0.1, 0.5))
+        radius = diameter * np.exp(random.uniform(np.log(0.15), np.log(1.5)))
         brightness = options.background + random.uniform(0.3, 1.0) * (options.thread - options.background)
         found.append(Tube(middle + reach * (step * run + step**2 * bend), radius, brightness))
     return found

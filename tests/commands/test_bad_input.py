@@ -198,7 +198,6 @@ LIMITS = {
     "a plan over twist that rides on bend": (["plan", "GOOD", "--bend", "1e5:1e6:3", "--out", "OUT"], "twist", "--twist-ratio"),
     "label uncertainty": (["plan", "SCENE", "--sigma", "1e-300"], "sigma", "1e-09 to 1e+06"),
     "occluders": (["synth", "SCENE", "--images", "OUT", "--rig", "RIG", "--render", "occluders=1000000"], "occluders", "1000"),
-    "marks": (["synth", "SCENE", "--images", "OUT", "--rig", "RIG", "--render", "mark_spacing_mm=1e-300"], "mark_spacing_mm"),
     "diameter": (["synth", "SCENE", "--images", "OUT", "--rig", "RIG", "--diameter", "1e300"], "--diameter", "1000"),
     "distortion": (["synth", "SCENE", "--images", "OUT", "--rig", "WRONG_RIG"], "dist", "1,000,000"),
     "positions": (["predict", "GOOD", "--motion", "FAR", *MATERIAL, "--out", "OUT"], "start_position", "1e+06 mm"),

@@ -14,7 +14,7 @@ import pytest
 
 from doo_ti import Clamp, Grid, InterruptedRunError, Observations, Status, load_observations, save_observations
 from doo_ti.commands.cli import main
-from doo_ti.learning.landscape import gather_overview
+from doo_ti.learning.landscape import gather_landscape
 from doo_ti.rod.frames import bishop_frames
 from tests.commands.calls import MATERIAL, in_process, npz_bytes, refused, succeeded
 from tests.learning.lab import small_lab
@@ -55,7 +55,7 @@ def swept(monkeypatch) -> list:
     def sweep(run, observations, grid, *, options, pairs, command, linear_density):
         calls.append((run, observations, grid, options, command))
         write_run(run, grid, np.linspace(2, 1, grid.size)[:, None] + np.zeros(observations.count), observations.name)
-        return {**gather_overview(run, grid, observations.name, None).as_dict(), "gaps": [np.nan], "hypotheses": None,
+        return {**gather_landscape(run, grid, observations.name, None).as_dict(), "gaps": [np.nan], "hypotheses": None,
                 "timing": {"relaxed_rods": 50, "loading_s": 0.2, "relaxation_s": 0.5}}
 
     monkeypatch.setitem(sys.modules, "doo_ti.learning.sweeps", types.SimpleNamespace(sweep=sweep))

@@ -24,7 +24,7 @@ from doo_ti import InputError, Observations, load_observations, save_observation
 from doo_ti.io import arrays
 from doo_ti.io.observation_files import read_recording
 from doo_ti.system.files import read_content
-from doo_ti.vision.images import load_sets, read_image, stated_size
+from doo_ti.vision.images import _stated, load_sets, read_image
 from tests.conftest import check_refused
 from tests.io.test_formats import MARKS
 
@@ -249,9 +249,9 @@ def test_images_longer_than_any_camera_takes(tmp_path, size):
 @pytest.mark.parametrize("suffix", ["jpg", "tiff", "png", "bmp", "ppm"])
 def test_the_size_that_an_image_states_is_known_before_it_is_unpacked(tmp_path, suffix):
     content = cv2.imencode(f".{suffix}", np.zeros((20, 30, 3), dtype=np.uint8))[1].tobytes()
-    assert sorted(stated_size(content)) == [20, 30]
+    assert sorted(_stated(content)[0]) == [20, 30]
     for short in range(0, len(content), 7):
-        assert len(stated_size(content[:short])) in (0, 1, 2)
+        assert len(_stated(content[:short])[0]) in (0, 1, 2)
     if suffix == "jpg":
         at = content.index(b"\xff\xc0") + 5
         (tmp_path / "huge.jpg").write_bytes(content[:at] + struct.pack(">HH", 60_000, 60_000) + content[at + 4 :])

@@ -1,8 +1,7 @@
-"""A run of many rods: only sums over cells are kept, and a finished run is checked without reading its rods; an even part of a
-large grid."""
+"""A run of many rods: its sums over cells, and a finished run is checked without reading its rods; an even part of a large
+grid."""
 
 import shutil
-import tracemalloc
 
 import numpy as np
 import pyarrow
@@ -12,7 +11,7 @@ import pytest
 from doo_ti import Axis, Grid, Status, SweepOptions, sweep
 from doo_ti.learning import chunks
 from doo_ti.learning.figures import thinned
-from doo_ti.learning.landscape import gather_landscape, gather_overview
+from doo_ti.learning.landscape import gather_landscape
 from tests.conftest import check_refused
 from tests.learning.lab import DYNAMIC, GRID, small_lab
 
@@ -36,36 +35,16 @@ def written(run, files: int, rng) -> Grid:
     return grid
 
 
-def peak(work) -> int:
-    """Bytes that NumPy and Python hold at most during ``work``."""
-    tracemalloc.start()
-    try:
-        work()
-        return tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
-
-
-@pytest.mark.thorough
-def test_memory_does_not_grow_with_rods(tmp_path, rng):
-    grids = {files: written(tmp_path / str(files), files, rng) for files in (5, 45)}
-    grown = {}
-    for gather in (gather_overview, gather_landscape):
-        small, large = (peak(lambda: gather(tmp_path / str(files), grid, "silk", None)) for files, grid in grids.items())
-        grown[gather] = (large - small) / (40 * CELLS_OF_A_FILE * OBSERVATIONS)
-    assert grown[gather_overview] < 2 and 9 < grown[gather_landscape], "bytes a rod"
-
-
 def test_sums_are_those_of_all_rods(tmp_path, rng):
     grid = written(tmp_path, 6, rng)
-    overview, landscape = (gather(tmp_path, grid, "silk", None) for gather in (gather_overview, gather_landscape))
-    assert overview.as_dict() == landscape.as_dict() and not overview.sums.compared[7]
+    landscape = gather_landscape(tmp_path, grid, "silk", None)
     compared = landscape.sound.any(axis=0)
+    assert not landscape.compared[7]
     whole = landscape.sound[:, compared].all(axis=1)
     # Term by term, as a column of a table is added up: to the last bit, whatever the order in the files.
     mean = np.cumsum(landscape.distance[:, compared], axis=1)[:, -1] / compared.sum()
-    np.testing.assert_array_equal(overview.mean_distance, np.where(whole, mean, np.nan))
-    np.testing.assert_array_equal(overview.unsound, (~landscape.sound[:, compared]).sum(axis=1))
+    np.testing.assert_array_equal(landscape.mean_distance, np.where(whole, mean, np.nan))
+    np.testing.assert_array_equal(landscape.unsound, (~landscape.sound[:, compared]).sum(axis=1))
     assert 0 < whole.sum() < grid.size
 
 
@@ -78,7 +57,7 @@ def test_a_rod_that_is_there_twice_or_never_is_found(tmp_path, rng, damage):
                "elsewhere": rows.set_column(0, "bend_1", pyarrow.array(np.full(len(rows), 3.3e5))),
                "missing": rows.slice(1)}[damage]
     pyarrow.parquet.write_table(changed, path)
-    check_refused("cell", gather_overview, tmp_path, grid, "silk", None)
+    check_refused("cell", gather_landscape, tmp_path, grid, "silk", None)
 
 
 def test_cells_are_found_by_their_values():

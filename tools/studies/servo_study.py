@@ -21,8 +21,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from doo_ti import Camera, Newton, Rig, Servo, ServoOptions, Targets, gripper_jacobian, relax
+from doo_ti.manipulation.damped_steps import DampedSteps
 from doo_ti.manipulation.model import held, moved
-from doo_ti.manipulation.targets import DampedSteps
 from doo_ti.perception.virtual_lab import TRACKED_NOISE, VirtualCameras
 from tests.vision.scenes import looking
 from tools.studies.servo_tasks import BEND, LENGTH, Plant, Tasks, tasks
