@@ -197,7 +197,7 @@ def _arrays(task: PerceptionTask, found) -> dict[str, np.ndarray]:
         "energy_vis": found.energy_vis, "status": found.status, "stable": found.stable,
         "camera_error_px": found.camera_error, "coverage": found.coverage, "thread_length_mm": found.thread_length,
         "left_over_mm": found.left_over, "length_range_mm": found.length_range, "outside": found.outside,
-        "hidden": found.hidden, "skipped": found.skipped, "verdict": found.verdict, "gap_px": found.gap,
+        "hidden": found.hidden, "skipped": found.skipped, "wider": found.wider, "verdict": found.verdict, "gap_px": found.gap,
         "unsupported": found.unsupported, "runner_up_mm": found.runner_up, "runner_up_energy_vis": found.runner_up_energy,
     }
 
@@ -261,7 +261,7 @@ def _summary(task: PerceptionTask, detected: list[list], found, failed: dict[int
         "gap_px": found.gap[row], "verdict": _word(found.verdict[row]), "unsupported_edges": found.unsupported[row].sum(),
         "coverage": found.coverage[row], "thread_length_mm": found.thread_length[row], "left_over_mm": found.left_over[row],
         "length_range_mm": found.length_range[row], "bounded": task.length_bounds.limits(task.rest_length),
-        "outside": found.outside[row], "hidden": found.hidden[row], "skipped": found.skipped[row],
+        "outside": found.outside[row], "hidden": found.hidden[row], "skipped": found.skipped[row], "wider": found.wider[row],
         "unsupported_mm": task.rest_length[found.unsupported[row]].sum(),
         "mean_sigma_mm": found.sigma[row].mean() if found.sound[row] else None, **_errors(task, found, row),
         "failed": str(failed[row]) if row in failed else None,
@@ -329,7 +329,8 @@ def _set_text(entry: dict, cameras: tuple[str, ...]) -> str:
              "σ unknown" if entry["mean_sigma_mm"] is None else f"σ {entry['mean_sigma_mm']:.2g} mm"]
     if np.isfinite(entry["coverage"]).all():
         piece = max(entry["skipped"])
-        but = f", not a piece {piece:.0f} times as long as wide" if piece > 1 else ""
+        but = f", but leaves out or doubles a piece {piece:.0f} times as long as wide" if piece > 1 else ""
+        but += f", and something far wider ({max(entry['wider']):.0f} times as long)" if max(entry["wider"]) > 1 else ""
         parts.append(f"explains {100 * min(entry['coverage']):.0f} % of the thread{but}")
     if max(entry["outside"]) > OUTSIDE:
         parts.append(f"{100 * max(entry['outside']):.0f} % of the thread outside the other images, not seen there")

@@ -38,15 +38,16 @@ from doo_ti.rod.types import LARGEST, Configuration, Material, Status, unit_up
 from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras import Rig
-from doo_ti.vision.distance_map import DistanceMaps, unexplained
+from doo_ti.vision.distance_map import DistanceMaps, Misread, misread
 from doo_ti.vision.score import score
 
 CLEAR_PX, AMBIGUOUS_PX = 0.1, 0.02
 """Bounds of the gap: the first is larger than the mean error of detected lines; the second is smaller than the difference of
 the rod's energy, which depends on an inexact Θ, between rods that fit the images equally."""
 FITTING_PX = 1.0  # bound of the distance to the detection; with more in any camera, something else was detected
-LEAST_COVERED = 0.5  # bound of the share of the detected line that a likely rod explains; of a clear one it is COVERED
-MOST_SKIPPED = 3.0  # bound of the length of a line that a clear rod leaves unexplained, over its width
+LEAST_COVERED = 0.5, 0.25  # bounds of the share of the detected line that a likely rod explains, and one that is shorter
+MOST_SKIPPED = 3.0  # bound of the piece of line that a clear or likely rod leaves out, over its width; others may cut corners
+UNCERTAIN = 0.1  # bound of the vertices' sigma of a likely rod, over its length
 CERTAIN_MM = 1.0  # bound of the vertices' sigma
 CERTAIN_LENGTH = 0.03
 """Bound of the uncertainty of a length that was found, that of its ends included, as a share of it. A rod that is too long by
@@ -59,12 +60,12 @@ class PerceptionVerdict(IntEnum):
 
     CLEAR      a gap of at least 0.1 px, or no other rod: image evidence alone separates them. And the rod is a certified
                minimum, within 1 px of the detection, on average, in every camera, explains 95 % of the line detected in
-               each and leaves no piece of it out that is three times as long as wide, is as long as it, and its vertices are
-               certain to 1 mm. Never with one camera, which does not see depth
+               each, leaves no piece of it out and follows nothing wider for three times its width, is as long as it, and its
+               vertices are certain to 1 mm. Never with one camera, which does not see depth
     LIKELY     a gap of at least 0.02 px: image evidence alone does not separate them, the rod's energy helps to decide. Or a
                wider gap, but the rod is further from the detection
-    AMBIGUOUS  a smaller gap: either may be the rod. Or the best rod has not converged, or explains less than half of the line
-               detected in all cameras but one
+    AMBIGUOUS  a smaller gap: either may be the rod. Or the best rod has not converged, or in all cameras but one explains less
+               than half of the line detected or leaves a piece of it out, or a vertex is uncertain by a tenth of its length
     NOT_FOUND  no rod was found that is within 1 px of the detection in two cameras, and it is 3 px off in one: images of other
                cameras, a wrong rig, seed or length
     """
@@ -100,8 +101,10 @@ class Perception:
     coverage          (A, C) share of the line detected in each camera that the rod explains, of what lies in two images; NaN
                       where detections are unknown
     outside           (A, C) share of the line detected in each camera that lies outside all other images: no rod is there
-    skipped           (A, C) longest piece of the line detected in each camera that the rod leaves unexplained between its ends,
-                      over the width of the thread there
+    skipped           (A, C) longest piece of the line detected in each camera that the rod leaves out between its ends, or
+                      passes along twice, over the width of the thread there
+    wider             (A, C) longest piece of line along the rod that is far wider than the thread, over that width: a needle
+                      or what holds it
     thread_length     (A,) mm from the seed to where the thread ends in the images; NaN where rods were not traced. With rods of
                       another length, the best is part of the thread, or goes on beyond it
     left_over         (A,) mm of thread that the rod does not explain: beyond its end or, where rods were not traced, in the
@@ -126,6 +129,7 @@ class Perception:
     coverage: np.ndarray
     outside: np.ndarray
     skipped: np.ndarray
+    wider: np.ndarray
     thread_length: np.ndarray
     left_over: np.ndarray
     length_range: np.ndarray
@@ -139,7 +143,8 @@ class Perception:
     def verdict(self) -> np.ndarray:
         """(A,) PerceptionVerdict."""
         clear = self.sound & (self.gap >= CLEAR_PX) & (self.camera_error <= FITTING_PX).all(axis=1)
-        clear &= ~(self.skipped > MOST_SKIPPED).any(axis=1)
+        astray = np.sort(np.nan_to_num(self.skipped), axis=1) > MOST_SKIPPED
+        clear &= ~astray.any(axis=1) & ~(self.wider > MOST_SKIPPED).any(axis=1)
         clear &= ~(self.coverage < COVERED).any(axis=1) & ~(self.sigma > CERTAIN_MM).any(axis=1)
         length = self.configuration.rest_length.sum(axis=-1)
         clear &= self.camera_error.shape[1] > 1  # one camera does not see depth
@@ -153,7 +158,9 @@ class Perception:
         explained = np.sort(np.nan_to_num(self.coverage, nan=1.0), axis=1)[:, -min(2, error.shape[1])]
         likely = (self.status == Status.CONVERGED) & (self.gap >= AMBIGUOUS_PX)
         # Of a longer thread a rod explains a part.
-        likely &= explained >= LEAST_COVERED * np.fmin(1.0, length / self.thread_length)
+        whole, part = LEAST_COVERED
+        likely &= explained >= np.maximum(whole * np.fmin(1.0, length / self.thread_length), part)
+        likely &= ~astray[:, min(2, error.shape[1]) - 1] & ~(self.sigma.max(axis=1) > UNCERTAIN * length)
         return np.select([lost, clear, likely], kinds, PerceptionVerdict.AMBIGUOUS).astype(np.int8)
 
     @classmethod
@@ -279,8 +286,9 @@ def _result(search: Search, kept: Hypotheses, start_sigma: np.ndarray) -> Percep
         seen_length = np.where(hidden, 0.0, image_length)
         sigma = search.sigma(rods, start_sigma)
     both = search.maps.detections is not None and options.evidence == "both"
-    nothing = np.zeros(image_length.shape[:2])
-    outside, skipped = unexplained(search.rig, rods.vertices, search.maps.detections) if both else (nothing, nothing)
+    errors = Misread(*np.zeros((3, *image_length.shape[:2])))
+    if both:
+        errors = misread(search.rig, rods.vertices, search.maps.detections)
     return Perception(
         vertices=rods.vertices[:, :: options.pieces],
         configuration=rods,
@@ -296,9 +304,10 @@ def _result(search: Search, kept: Hypotheses, start_sigma: np.ndarray) -> Percep
         gap=worse / (options.nu * image_length.sum(axis=(1, 2))),
         edge_error=edge_error,
         unsupported=(edge_error > options.unsupported).all(axis=1),
-        coverage=final.coverage[best] / (1 - outside),
-        outside=outside,
-        skipped=skipped,
+        coverage=final.coverage[best] / (1 - errors.outside),
+        outside=errors.outside,
+        skipped=errors.skipped,
+        wider=errors.wider,
         thread_length=final.thread[best],
         left_over=left_over(final, best, image_length.sum(axis=2), search.rest_length.sum()),
         length_range=np.full((len(best), 2), np.nan),

@@ -30,11 +30,11 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from doo_ti.perception.sharpening import ALIKE, lines_at
+from doo_ti.perception.sharpening import lines_at
 from doo_ti.rod.frames import across
 from doo_ti.vision.cameras import Rig
 from doo_ti.vision.detection import Detection, thinned
-from doo_ti.vision.distance_map import NEAR_PX
+from doo_ti.vision.distance_map import ALIKE, NEAR_PX
 
 PLACES = (0.25, 0.75)  # places along an edge where its image is evaluated
 LEAST_BENDING = 1e-4  # T of a rod that looks straight, times its length

@@ -24,14 +24,14 @@ from doo_ti.relaxation.relax import relax
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
 from doo_ti.vision.cameras import Rig
 from doo_ti.vision.detection import Detection, thinned
-from doo_ti.vision.distance_map import NEAR_PX, coverage
+from doo_ti.vision.distance_map import ALIKE, NEAR_PX, coverage
 from doo_ti.vision.image_energy import AssignedPoints
 
 ROUNDS, STILL_MM = 20, 0.01  # relaxations, until no vertex moves by more
 PLACES = 2  # along an edge, for the energy
 NEIGHBOURS = 8  # points nearest to a place that are looked at: the nearest may be of a strand that crosses there
-ALIKE = 0.8  # least cosine between the directions of a point and of the image there: other strands cross it
 COVERED = 0.95  # share of a detected line with which a rod is one of the whole thread
+END = 0.1  # share of its weight with which the last place stays: with 0.02 rods fold, with 1 their ends are as far off as before
 FREE = 1e-3  # share that counts of a distance along the line
 
 
@@ -51,6 +51,7 @@ def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detec
         points, tangents, found = lines_at(places, ways, [detections[row] for row in moving])
         points[:, :, -1, -1], tangents[:, :, -1, -1] = ends[moving], tangents[:, :, -1, -1, ::-1] * [1.0, -1.0]
         weight = np.where(found, np.linalg.norm(ways, axis=-1) / PLACES, 0.0)
+        weight[:, :, -1, -1] *= END
         first = here.frames[:, 0]
         solution = relax(here, material, Clamps(Clamp.TANGENT, Clamp.FREE, here.start, here.start, first, first), Newton(),
                          up=up, precision="mixed", external=AssignedPoints(rig, points, tangents, weight, nu, FREE),

@@ -69,7 +69,7 @@ STEEPEST = 8000  # slope of the thread's edges in the whole numbers that Canny t
 
 
 def _canny_line(image: np.ndarray, look: Appearance, least_contrast: float, shortest_px: float) -> tuple[np.ndarray, ...]:
-    """(N, 2) pixels of the centre line in an image (H, W) float32, their (N, 2) directions and (N,) strengths.
+    """(N, 2) pixels of the centre line in an image (H, W) float32, their (N, 2) directions, (N,) strengths and widths.
 
     "A Canny edge detector with a blurred, offset Gaussian kernel" (§IV-A): every edge pixel votes for the place half a thread's
     width along the gradient towards the thread's middle; votes are blurred. The centre line lies where votes of both edges
@@ -98,7 +98,8 @@ def _canny_line(image: np.ndarray, look: Appearance, least_contrast: float, shor
     ridges = Curvature(meeting, VOTE_BLUR_PX).ridges("light", 1e-3)
     ridges = ridges[(meeting[ridges.row, ridges.column] >= MEETING) & (np.abs(ridges.offset) <= REACH_PX)]
     ridges = ridges[pieces(ridges, 0.0, shortest_px) > 0]
-    return np.stack([ridges.column, ridges.row], axis=1).astype(np.float64), ridges.tangent, look.slope * ridges.strength
+    return (np.stack([ridges.column, ridges.row], axis=1).astype(np.float64), ridges.tangent, look.slope * ridges.strength,
+            np.full(len(ridges.row), look.width_px))
 
 
 SIGMA_PER_WIDTH, SMALLEST_SIGMA = 0.35, 0.8  # px of smoothing: a bar gets a single ridge, and neighbouring strands stay apart
@@ -123,27 +124,28 @@ def detect(image: np.ndarray, options: DetectionOptions = DetectionOptions()) ->
         grey = part if part.ndim == 2 else cv2.cvtColor(as_colour(part), cv2.COLOR_BGR2GRAY)
         line, polarity = grey.astype(np.float32), options.polarity
     look = appearance(line, polarity, options.width_px, options.least_contrast)
-    points, direction, strength, width = np.empty((0, 2)), np.empty((0, 2)), np.empty(0), np.nan
+    points, direction, strength, each, width = np.empty((0, 2)), np.empty((0, 2)), np.empty(0), None, np.nan
     if look is not None:
         left, top, right, bottom = look.box
-        points, direction, strength = _line(line[top:bottom, left:right], look, options)
+        points, direction, strength, each = _line(line[top:bottom, left:right], look, options)
         points, width = points + (left, top), look.width_px
         if options.colour is not None and len(points):
             points, width = between_edges(as_colour(part), points, direction, width)
     found = Detection(points, direction, strength, width if len(points) else np.nan,
-                      look.polarity if len(points) else "", image.shape[:2], options.method)
+                      look.polarity if len(points) else "", image.shape[:2], options.method, each)
     return moved(found, corner)
 
 
 def _line(image: np.ndarray, look: Appearance, options: DetectionOptions) -> tuple[np.ndarray, ...]:
-    """(N, 2) points, (N, 2) directions and (N,) strengths in an image (H, W) float32, halved for wide threads."""
+    """(N, 2) points, (N, 2) directions, (N,) strengths and widths in an image (H, W) float32, halved for wide threads."""
     halvings = max(0, int(np.ceil(np.log2(look.width_px / WIDEST_PX))))
     for _ in range(halvings):
         image = cv2.pyrDown(image)
     scale = 2.0**halvings
     look = replace(look, width_px=look.width_px / scale, slope=look.slope * scale)
     find = {"ridge": _ridge_line, "canny": _canny_line}[options.method]
-    return in_whole_pixels(scale, *find(image, look, options.least_contrast, options.shortest_px / scale))
+    points, direction, strength, width = find(image, look, options.least_contrast, options.shortest_px / scale)
+    return in_whole_pixels(scale, points, direction, strength, scale * width)
 
 
 def _ridge_line(image: np.ndarray, look: Appearance, least_contrast: float, shortest_px: float) -> tuple[np.ndarray, ...]:
@@ -161,7 +163,7 @@ def _ridge_line(image: np.ndarray, look: Appearance, least_contrast: float, shor
     piece = pieces(ridges, max(certain, STRONG * typical), max(shortest_px, look.width_px))
     kept = np.flatnonzero(piece)
     kept = kept[_alike(piece[kept], width[kept], ridges.strength[kept])]
-    return _continued(image, look, ridges[kept])
+    return _continued(image, look, ridges[kept], width[kept])
 
 
 def _alike(piece: np.ndarray, width: np.ndarray, strength: np.ndarray) -> np.ndarray:
@@ -183,11 +185,11 @@ LEAST_STRENGTH = 0.4  # least strength over that of a line as dark as the thread
 PART = 1.0  # least widths of a line that goes on: strands that touch are shorter
 
 
-def _continued(image: np.ndarray, look: Appearance, ridges: Ridges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(M, 2) points, (M, 2) directions and (M,) strengths of the thread in an image (H, W) float32: the ``ridges`` found at its
-    usual width, and what goes on from their ends."""
-    found = ridges.point, ridges.tangent, ridges.strength
-    own = chains_of(_as_detection(*found, look, image.shape))
+def _continued(image: np.ndarray, look: Appearance, ridges: Ridges, width: np.ndarray) -> tuple[np.ndarray, ...]:
+    """(M, 2) points, (M, 2) directions, (M,) strengths and widths of the thread in an image (H, W) float32: the ``ridges`` that
+    were found at its usual width, and what goes on from their ends."""
+    found = ridges.point, ridges.tangent, ridges.strength, width
+    own = chains_of(_as_detection(*found[:3], look, image.shape))
     if not own:
         return found
     contrast = float(np.median(ridges.strength)) / BAR
@@ -201,7 +203,7 @@ def _continued(image: np.ndarray, look: Appearance, ridges: Ridges) -> tuple[np.
         if added:
             beside = _edges_of(found[0], own, added, width)
             found = tuple(np.concatenate([array[~beside], *new]) for array, new in zip(found, zip(*added), strict=True))
-            own = chains_of(_as_detection(*found, look, image.shape))
+            own = chains_of(_as_detection(*found[:3], look, image.shape))
     return found
 
 
@@ -232,7 +234,8 @@ def _wide_lines(dark: np.ndarray, width: float, own: np.ndarray, usual: float) -
 
 
 def _joined(line: Detection, own: list[np.ndarray], width: float, dark: np.ndarray) -> list[tuple[np.ndarray, ...]]:
-    """Points, directions and strengths of the parts of a ``line`` that go on from ends of the chains ``own``, or of those."""
+    """Points, directions, strengths and widths of the parts of a ``line`` that go on from ends of the chains ``own``, or of
+    these parts."""
     waiting, parts = [chain for chain in chains_of(line) if chain_length(chain) >= PART * width], []
     tree, known = cKDTree(line.points) if line.count else None, list(own)
     while True:
@@ -241,7 +244,7 @@ def _joined(line: Detection, own: list[np.ndarray], width: float, dark: np.ndarr
             return parts
         chain = waiting.pop(ready)
         at = tree.query(chain)[1]
-        parts.append((chain, line.direction[at], line.strength[at]))
+        parts.append((chain, line.direction[at], line.strength[at], np.full(len(chain), width)))
         known.append(chain)
 
 

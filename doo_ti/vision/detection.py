@@ -99,7 +99,7 @@ class Detection:
     polarity   "dark" or "light", "" without a thread
     shape      (height, width) of the image
     method     of :class:`DetectionOptions`, or "mask", "follow"
-    width      (N,) px: the thread's width at each point, where it is known: of masks; else None
+    width      (N,) px: the thread's width at each point, or None: not known
     """
 
     points: Annotated[np.ndarray, "N 2"]

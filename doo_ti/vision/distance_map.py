@@ -196,6 +196,11 @@ def _search(
 
 NEAR_PX = 3.0  # A detected point this near to the rod's image is explained
 BESIDE_PX = 2.0  # distance of points that follow each other along a line
+ALIKE = 0.8  # least cosine between directions of a line: other strands cross it
+WIDER = 1.75  # times its width a thread is not: what it is tied to, or held by, may be
+SAME_PX, FAR_PX, MOST_IMAGE_PX = 1.5, 12, 1e5
+"""A rod's image passes along itself where parts are so near to each other, and so far along it; and the longest image that is
+looked at: rods behind a camera have no end."""
 
 
 @dataclass(frozen=True)
@@ -221,17 +226,24 @@ def coverage(rig: Rig, vertices: np.ndarray, of_set: np.ndarray, detections: lis
     return Coverage(result[..., 0] / np.maximum(lengths, 1), result[..., 1].astype(np.float64), lengths.astype(np.float64))
 
 
-def unexplained(rig: Rig, vertices: np.ndarray, detections: list[list[Detection]]) -> tuple[np.ndarray, np.ndarray]:
-    """What one rod of each set, ``vertices`` (A, V, 3) mm, leaves of the line detected in each camera. (A, C): the share that
-    no other camera's image shows, which at the depth of the nearest vertex is outside all of these; and the longest piece
-    of the others between the rod's ends, over the width of the thread."""
-    outside, longest = np.zeros((2, len(vertices), len(rig.cameras)))
+@dataclass(frozen=True)
+class Misread:
+    """What one rod of each of A sets makes of the line detected in each camera (A, C)."""
+
+    outside: np.ndarray  # share that no other camera's image shows, at the depth of the nearest vertex
+    skipped: np.ndarray  # longest piece of the rest that the rod leaves out between its ends, or passes along twice, and …
+    wider: np.ndarray  # … longest piece that it explains but is not as wide as the thread, both over the thread's width
+
+
+def misread(rig: Rig, vertices: np.ndarray, detections: list[list[Detection]]) -> Misread:
+    """Of rods ``vertices`` (A, V, 3) mm."""
+    outside, skipped, wider = np.zeros((3, len(vertices), len(rig.cameras)))
     for row, rod in enumerate(vertices):
         if not np.isfinite(rod).all():
             continue
         for c, camera in enumerate(rig.cameras):
-            points = thinned(detections[row][c])[0]
-            image = np.nan_to_num(camera.project(rod), nan=1e9)
+            detection, image = detections[row][c], np.nan_to_num(camera.project(rod), nan=1e9)
+            points = thinned(detection)[0]
             place, far = _nearest_place(points, image)
             between = (place > 0) & (place < len(rod) - 1)  # beyond its ends the rod leaves out nothing
             ray = rays(camera, points)
@@ -241,8 +253,10 @@ def unexplained(rig: Rig, vertices: np.ndarray, detections: list[list[Detection]
                 middle = 0.5 * np.array([other.width - 1, other.height - 1])
                 alone &= ~((np.abs(other.project(there) - middle) <= middle + 0.5).all(axis=1))
             outside[row, c] = (far & alone).mean()
-            longest[row, c] = _longest_piece(points[far & ~alone & between]) / detections[row][c].width_px
-    return outside, longest
+            skipped[row, c] = max(_longest_piece(points[far & ~alone & between]), _passed_twice(image)) / detection.width_px
+            wide = np.unique(np.rint(detection.points[detection.widths > WIDER * detection.width_px]), axis=0)
+            wider[row, c] = _longest_piece(wide[~_nearest_place(wide, image)[1]]) / detection.width_px
+    return Misread(outside, skipped, wider)
 
 
 def _nearest_place(points: np.ndarray, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -254,6 +268,23 @@ def _nearest_place(points: np.ndarray, image: np.ndarray) -> tuple[np.ndarray, n
     apart = np.linalg.norm(off - along[..., None] * step, axis=-1)
     edge = apart.argmin(axis=1)
     return edge + along[np.arange(len(points)), edge], apart.min(axis=1) > NEAR_PX
+
+
+def _passed_twice(image: np.ndarray) -> float:
+    """px of a rod's ``image`` (V, 2) that lie on another part of it, and along it."""
+    step = np.linalg.norm(np.diff(image, axis=0), axis=1)
+    if step.sum() > MOST_IMAGE_PX:
+        return 0.0
+    arc = np.concatenate([[0.0], np.cumsum(step)])
+    points = np.stack([np.interp(np.arange(arc[-1]), arc, column) for column in image.T], axis=1)
+    if len(points) < FAR_PX:
+        return 0.0
+    one, other = cKDTree(points).query_pairs(SAME_PX, output_type="ndarray").T
+    way = np.gradient(points, axis=0)
+    alike = np.abs((way[one] * way[other]).sum(axis=1)) > ALIKE * np.linalg.norm(way[one], axis=1) * np.linalg.norm(
+        way[other], axis=1)
+    twice = alike & (np.abs(other - one) > FAR_PX)
+    return len(np.unique([one[twice], other[twice]])) / 2
 
 
 def _longest_piece(points: np.ndarray) -> int:

@@ -52,12 +52,14 @@ def test_cameras_close_together_see_the_whole_thread(seen):
 
 
 def test_where_a_thread_runs_along_its_epipolar_lines_the_rod_is_on_it():
-    """There a tenth of a pixel beside the line is a millimetre of depth."""
-    rng = np.random.default_rng(3)
-    rig, curves = cameras(30.0, third=False), [curve(rng) for _ in range(4)]
-    found = recovered((rig, curves, [[detection(view, points, 0.05, rng) for view in rig.cameras] for points in curves]))
-    off = [cKDTree(dense(points)).query(rod)[0].max() for points, rod in zip(curves, found.vertices, strict=True)]
-    assert max(off) < 0.25 and (found.verdict == PerceptionVerdict.CLEAR).all()
+    """There a tenth of a pixel beside the line is a millimetre of depth. Arches, level at their tops."""
+    rng, s = np.random.default_rng(3), np.linspace(-1, 1, 2001)
+    rig = cameras(40.0, third=False)
+    arches = [np.stack([40 * s, -25 * (1 - s**2) * np.cos(turn * s), 8 * np.sin(1.5 * s + turn)], axis=1) for turn in range(4)]
+    arches = [points * LENGTH_MM / np.linalg.norm(np.diff(points, axis=0), axis=1).sum() for points in arches]
+    found = recovered((rig, arches, [[detection(view, points, 0.05, rng) for view in rig.cameras] for points in arches]))
+    off = [cKDTree(dense(points)).query(rod)[0][:-3].max() for points, rod in zip(arches, found.vertices, strict=True)]
+    assert max(off) < 0.2 and (found.verdict == PerceptionVerdict.CLEAR).all()
 
 
 def test_a_rod_that_leaves_a_piece_of_the_thread_out_is_not_clear(seen):
@@ -67,7 +69,7 @@ def test_a_rod_that_leaves_a_piece_of_the_thread_out_is_not_clear(seen):
     images = [[with_more(detections[0][0], piece, np.array([0.6, 0.8])), detections[0][1]]]
     found, whole = (recovered((rig, curves[:1], some)) for some in (images, detections[:1]))
     assert found.coverage.min() > 0.95 and errors(found, curves[:1])[0] < 0.6
-    assert (found.verdict[0], whole.verdict[0]) == (PerceptionVerdict.LIKELY, PerceptionVerdict.CLEAR)
+    assert (found.verdict[0], whole.verdict[0]) == (PerceptionVerdict.AMBIGUOUS, PerceptionVerdict.CLEAR)
     assert whole.skipped.max() < 1 and 15 < found.skipped[0, 0] * images[0][0].width_px < 40 and found.skipped[0, 1] == 0
 
 
