@@ -158,11 +158,12 @@ def run_descent(table: Tables, options: descent.Descent, bits: int):
     return frames, certified
 
 
-def layout_for(rods: int, bits: int, alone: bool = False) -> tuple[Number, int, int, int]:
+def layout_for(rods: int, bits: int, alone: bool = False, width: int | None = None) -> tuple[Number, int, int, int]:
     """(kind of number, threads, stride, block) that suit the architecture Taichi runs on; ``alone``: rods that take long enough
-    for a few of them to be worth a thread each."""
+    for a few of them to be worth a thread each; ``width``: of packs on a CPU, where they are not to be the widest."""
     if runtime.start() == "cpu":
-        number = Number(1 if alone and rods <= 2 * runtime.thread_count() else 16 if bits == 32 else 8, bits)
+        widest = 1 if alone and rods <= 2 * runtime.thread_count() else 16 if bits == 32 else 8
+        number = Number(width or widest, bits)
         return number, max(1, min(runtime.thread_count(), -(-rods // number.width))), 1, 1
     return layout_of_gpu(rods, bits)
 
