@@ -65,14 +65,6 @@ def continue_newton(table: Tables, options: newton.Newton, bits: int, frames, re
     _launch_newton(table, table.continued(usable, rows), options, bits, frames, results)
 
 
-def relax_touching(table: Tables, options: newton.Newton, frames, results, rows) -> Tables:
-    """Relax the rods ``rows`` once more, from their starts and as rods that may touch themselves, in place. Returns the tables
-    with their forces."""
-    table = replace(table, contact=table.contact.touching(rows))
-    continue_newton(table, options, 64, frames, results, rows, np.zeros(table.count, dtype=bool))
-    return replace(table, contact=replace(table.contact, itself=False))
-
-
 def pack_trips(bits: int) -> tuple[int, int]:
     """(trips through Newton's loop, all threads together, and rods in a pack) of the last launch in that precision."""
     number, queue = _last[bits]

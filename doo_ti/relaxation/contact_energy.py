@@ -68,12 +68,11 @@ class ContactEnergy(ContactPlaces):
         zero, some = 0.0 * end[0], 0
         at, before, edge = self.vertex(rod, index), self.vertex(rod, index - 1), minus(end, start)
         room = zero + 1e30
+        rod.contacts.end = repeated(zero, 12)
         for o in range(rod.obstacles):
             contact, previous = self.contact(at, o), self.contact(before, o)
             if self.is_edge_close(rod, index, o):
-                if some == 0:
-                    rod.contacts.end = repeated(zero, 12)
-                    some = 1
+                some = ti.max(some, 1)
                 if self.is_close(rod, contact):
                     self.add_vertex(rod, o, contact)
                 if self.is_curved(rod, o):
@@ -92,8 +91,6 @@ class ContactEnergy(ContactPlaces):
                 # Friction stays as long as its round, however far the rod moves: without it the energy would jump.
                 active = contact.active > 0.5
                 if self.some((contact.force > 0.0) | active, zero):
-                    if some == 0:
-                        rod.contacts.end = repeated(zero, 12)
                     if some < 2:
                         self.clear_between(rod, zero)
                     some = 2
@@ -107,19 +104,16 @@ class ContactEnergy(ContactPlaces):
         at, zero, some = self.vertex(rod, index), 0.0 * rod.total, 0
         at.room_standing = at.room
         at.room = zero + 1e30
+        rod.contacts.end = repeated(zero, 12)
         for o in range(rod.obstacles):
             contact = self.contact(at, o)
             value = contact.value
             if self.is_close(rod, contact):
-                if some == 0:
-                    rod.contacts.end = repeated(zero, 12)
-                    some = 1
+                some = 1
                 self.add_vertex(rod, o, contact)
             if ti.static(self.rub):
                 if self.some(contact.force > 0.0, zero):
-                    if some == 0:
-                        rod.contacts.end = repeated(zero, 12)
-                        some = 1
+                    some = 1
                     self.rub_vertex(rod, o, at, contact)
             at.room = ti.min(at.room, value + self.obstacle(rod, o).depth)
         self.note_forces(rod, at, some)

@@ -135,7 +135,10 @@ class SelfContactEnergy(RodContacts):
         seen = pair_distance(w, p, q, layout.ROUNDED * radius * radius)
         at.nearest = (seen.s, seen.t) + seen.normal
         at.distance = ti.select(near, seen.value, at.distance)
-        self.note_depth(rod, at, near, seen.value)
+        # The step is refused where it brings two edges nearer than that: the distance is a little too large there, so that they
+        # could pass through each other.
+        nearer = near & (seen.value < layout.DEEPEST_STEP * radius) & (seen.value < at.distance_standing)
+        rod.contacts.crossing = largest_of(rod.contacts.crossing, ti.select(nearer, zero + 1.0, zero))
         gap = ti.select(near, self.pair_clearance(rod, i, j, seen.value) - 2.0 * radius, zero + 1e30)
         depth = ti.select(near, seen.value - layout.LEAST_DISTANCE * radius, zero + 1e30)
         held = (self.held_edge(rod, i) > 0.5) & (self.held_edge(rod, j) > 0.5)
@@ -191,13 +194,6 @@ class SelfContactEnergy(RodContacts):
                 most = largest_of(most, dot(shift, shift))
         before = at.distance_standing
         rod.contacts.crossing = largest_of(rod.contacts.crossing, most / (before * before + 1e-20))
-
-    def note_depth(self, rod, at, near, value):
-        """Note that the step is refused where it brings two edges nearer than :data:`DEEPEST_STEP`, in the lanes where they are
-        ``near``: the distance is a little too large there, so that they could pass through each other."""
-        zero = 0.0 * value
-        nearer = near & (value < layout.DEEPEST_STEP * rod.contacts.radius) & (value < at.distance_standing)
-        rod.contacts.crossing = largest_of(rod.contacts.crossing, ti.select(nearer, zero + 1.0, zero))
 
     def shift(self, rod, index):
         """How far a vertex has moved in this step."""
