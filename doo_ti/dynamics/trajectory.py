@@ -99,7 +99,10 @@ def adapted(run: Callable[..., Trajectory], count: int, stepping: Stepping,
         steps *= 2
         fine = _moved(run, stepping, steps, rows)
         apart = _apart(coarse, fine)
-        estimate = apart / (_gain(before, apart, MOST_GAIN[stepping.scheme]) - 1.0)
+        most = MOST_GAIN[stepping.scheme]  # and as assumed where the gain was not measured before
+        known = np.isfinite(before) & np.isfinite(apart)
+        gain = np.where(known, before, most) / np.where(known, np.maximum(apart, 1e-300), 1.0)
+        estimate = apart / (np.clip(gain, LEAST_GAIN, most) - 1.0)
         # A motion that fails only with finer steps is kept as it was.
         better = fine.converged | ~found.converged[rows]
         put(found, rows[better], fine, better)
@@ -133,13 +136,6 @@ def _apart(coarse: Trajectory, fine: Trajectory) -> np.ndarray:
     both = coarse.converged & fine.converged
     square = ((coarse.positions - fine.positions) ** 2).sum(axis=-1).max(axis=(1, 2))
     return np.where(both, np.sqrt(square), np.inf)
-
-
-def _gain(before: np.ndarray, apart: np.ndarray, most: float) -> np.ndarray:
-    """(n,) times by which the distance has become smaller; as assumed where it was not measured before."""
-    known = np.isfinite(before) & np.isfinite(apart)
-    ratio = np.where(known, before, most) / np.where(known, np.maximum(apart, 1e-300), 1.0)
-    return np.clip(ratio, LEAST_GAIN, most)
 
 
 def put(into, rows: np.ndarray, other, of: np.ndarray | slice) -> None:

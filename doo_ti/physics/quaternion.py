@@ -27,6 +27,12 @@ def second_director(q):
 
 
 @ti.func
+def directors(q):
+    """t, m1 and m2."""
+    return tangent(q), first_director(q), second_director(q)
+
+
+@ti.func
 def relative_rotation(p, q):
     """conj(p) q, of either sign: the rotation between neighbouring frames."""
     return (

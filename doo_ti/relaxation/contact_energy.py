@@ -146,19 +146,18 @@ class ContactEnergy(ContactPlaces):
             at.force_end, at.force_start = negated(on_end), on_start
             at.lane(0).pushed = ti.select(some > 0, 1.0, 0.0)
 
-    def take_vertex(self, rod, load):
-        """Add the sums over the contacts of a vertex to the derivatives of an edge's energy."""
+    def take(self, rod, load, some):
+        """Add the sums over the contacts of a vertex, and of the edge that ends there, to the derivatives of that edge's
+        energy, as :meth:`touched` found ``some``."""
         own = rod.contacts
-        whole, bent, known = own.end_gradient, own.end_curvatures, self.known(own.end_gradient, own.end_excess)
-        add(load, known=known, known_s=known, gradient=whole, gradient_s=whole, curvature=bent, curvature_ss=bent,
-            curvature_s=full(bent))
-
-    def take_between(self, rod, load):
-        """Add those of the edge between its ends."""
-        own = rod.contacts
-        add(load, known=self.known(own.gradient, own.excess), known_s=self.known(own.gradient_s, own.excess_s),
-            gradient=own.gradient, gradient_s=own.gradient_s, curvature=own.curvatures, curvature_s=own.curvatures_s,
-            curvature_ss=own.curvatures_ss)
+        if some > 0:
+            whole, bent, known = own.end_gradient, own.end_curvatures, self.known(own.end_gradient, own.end_excess)
+            add(load, known=known, known_s=known, gradient=whole, gradient_s=whole, curvature=bent, curvature_ss=bent,
+                curvature_s=full(bent))
+        if some > 1:
+            add(load, known=self.known(own.gradient, own.excess), known_s=self.known(own.gradient_s, own.excess_s),
+                gradient=own.gradient, gradient_s=own.gradient_s, curvature=own.curvatures, curvature_s=own.curvatures_s,
+                curvature_ss=own.curvatures_ss)
 
     def touched_between(self, rod, o, index, start, edge, some):
         """The same of the edge between its ends, of which one is close to obstacle ``o`` in some lane: whether it has contacts

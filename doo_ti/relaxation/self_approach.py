@@ -147,7 +147,11 @@ class ClosestApproach:
             while j < rod.edges and not touching:
                 ahead = 1
                 if self.arc(rod, i + 1, j) > rod.least_arc:
-                    room = self.room_of_middles(rod, i, j)
+                    # By how much the middles of two edges stay too far apart on the way for the edges to touch.
+                    before = scaled(plus(self.apart(rod, i, j, 0.0), self.apart(rod, i + 1, j + 1, 0.0)), 0.5)
+                    change = scaled(plus(self.moved(rod, i, j), self.moved(rod, i + 1, j + 1)), 0.5)
+                    halves = 0.5 * (self.arc(rod, i, i + 1) + self.arc(rod, j, j + 1))
+                    room = least_distance(before, change) - halves - rod.near
                     if room > 0.0:
                         # A place further along the rod is nearer by no more than it is further along.
                         ahead += ti.cast(ti.min(room / longest, 1e6), ti.i32)
@@ -156,12 +160,6 @@ class ClosestApproach:
                 j += ahead
             i += 1
         return touching
-
-    def room_of_middles(self, rod, i, j):
-        """By how much the middles of two edges stay too far apart on the way for the edges to touch."""
-        before = scaled(plus(self.apart(rod, i, j, 0.0), self.apart(rod, i + 1, j + 1, 0.0)), 0.5)
-        change = scaled(plus(self.moved(rod, i, j), self.moved(rod, i + 1, j + 1)), 0.5)
-        return least_distance(before, change) - 0.5 * (self.arc(rod, i, i + 1) + self.arc(rod, j, j + 1)) - rod.near
 
     def edges_touch(self, rod, i, j):
         """Whether edges i and j touch on their way, or are not finite."""

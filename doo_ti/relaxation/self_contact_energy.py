@@ -75,30 +75,25 @@ class SelfContactEnergy(RodContacts):
         add(self.block(rod, line, line, 1), two=(values[3], values[4]))
         add(self.block(rod, line, line, 2), three=row(values, 2))
 
-    def measure_arc(self, rod):
-        """Note how much of the rod lies before each vertex."""
-        arc = 0.0 * rod.total
-        before = variable(repeated(arc, 3))
-        for v in range(rod.edges + 1):
-            place = self.vertex(rod, v).place
-            if v > 0:
-                edge = minus(place, before)
-                arc = arc + ti.sqrt(dot(edge, edge))
-            before = place
-            self.own_vertex(rod, v).pull = repeated(0.0 * arc, 3)
-            self.own_vertex(rod, v).arc = arc
-
     # --- the energy ---
 
     def touch_itself(self, rod):
         """Measure the distances of all edges from each other, where the rod is, and add the energy of their contacts to the
         sums, its gradient to the vertices and its second derivative to the matrix."""
         zero, radius = 0.0 * rod.total, rod.contacts.radius
-        self.measure_arc(rod)
+        arc, before = zero, variable(repeated(zero, 3))
+        for v in range(rod.edges + 1):  # how much of the rod lies before each vertex
+            place = self.vertex(rod, v).place
+            if v > 0:
+                edge = minus(place, before)
+                arc = arc + ti.sqrt(dot(edge, edge))
+            before = place
+            self.own_vertex(rod, v).pull = repeated(zero, 3)
+            self.own_vertex(rod, v).arc = arc
         self.own(rod).pinched = zero
         for j in range(2, rod.edges):
             start, end = self.vertex(rod, j).place, self.vertex(rod, j + 1).place
-            arc = self.own_vertex(rod, j).arc - LEAST_ARC * radius
+            least_arc = self.own_vertex(rod, j).arc - LEAST_ARC * radius
             for i in range(j - 1):
                 at = self.pair(rod, i, j)
                 self.note_crossing(rod, i, j, at)
@@ -106,7 +101,7 @@ class SelfContactEnergy(RodContacts):
                 away = minus(plus(start, end), plus(first, last))
                 # No two places are nearer than the middles less half of both edges.
                 bound = 0.5 * ti.sqrt(dot(away, away)) - rod.longest
-                counts = self.may_touch(rod, i, at, arc)
+                counts = self.may_touch(rod, i, at, least_arc)
                 at.distance_standing = at.distance
                 at.distance = ti.select(counts, bound, zero + 1e30)
                 near = counts & (self.pair_clearance(rod, i, j, bound) < layout.REACH * radius)
