@@ -187,6 +187,8 @@ def sampled(mesh, spacing: float, margin: float | None) -> tuple[np.ndarray, flo
     if not spacing > 0:
         raise InputError("DistanceGrid", "spacing", f"{spacing:g}", "give a positive length in mm")
     surface, name = _surface(mesh)
+    from trimesh.proximity import signed_distance
+
     low, high = surface.bounds
     if margin is None:
         margin = MARGIN * (high - low).max() + MARGIN_SPACINGS * spacing
@@ -199,15 +201,9 @@ def sampled(mesh, spacing: float, margin: float | None) -> tuple[np.ndarray, flo
     counts = counts.astype(np.int64)
     first = 0.5 * (low + high) - 0.5 * spacing * (counts - 1)
     points = first + spacing * np.indices(counts).reshape(3, -1).T
-    return _distances(surface, points).reshape(counts), spacing, first
-
-
-def _distances(surface, points: np.ndarray) -> np.ndarray:
-    """(N,) signed distances, negative inside."""
-    from trimesh.proximity import signed_distance
-
     parts = np.split(points, np.arange(CHUNK, len(points), CHUNK))
-    return -np.concatenate([signed_distance(surface, part) for part in parts])
+    values = -np.concatenate([signed_distance(surface, part) for part in parts])  # trimesh has them positive inside
+    return values.reshape(counts), spacing, first
 
 
 def _surface(mesh):

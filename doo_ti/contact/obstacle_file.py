@@ -45,19 +45,9 @@ import numpy as np
 from doo_ti.contact.distance_grid import DistanceGrid
 from doo_ti.contact.obstacles import Box, Capsule, Cylinder, Obstacle, Plane, Ring, Sphere
 from doo_ti.contact.surroundings import Itself, Moving, Surroundings
+from doo_ti.io import toml_file
 from doo_ti.io.arrays import read_npz
-from doo_ti.io.toml_file import (
-    Finite,
-    NotNegative,
-    Positive,
-    Rotation,
-    Table,
-    Vector,
-    checked,
-    interpolated,
-    read_toml,
-    unit_direction,
-)
+from doo_ti.io.toml_file import Finite, NotNegative, Positive, Rotation, Table, Vector, checked, read_toml, unit_direction
 from doo_ti.rod.frames import rotation_matrix
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
@@ -156,7 +146,7 @@ def _moving(source, key: str, obstacle: Obstacle, motion: _Motion, time: np.ndar
     """The obstacle with its motion."""
     axis = obstacle.placed[1][0, :, 2] if motion.turn_axis is None else unit_direction(
         source, f"{key}.turn_axis", motion.turn_axis)
-    path = interpolated(source, f"{key}.moments", motion.moments, _Moment, {"shift": np.zeros(3), "turns": 0.0}, time)
+    path = toml_file.interpolated(source, f"{key}.moments", motion.moments, _Moment, {"shift": np.zeros(3), "turns": 0.0}, time)
     largest = np.abs(np.diff(path["turns"])).max()
     if largest >= 0.5:
         raise InputError(source, f"{key}.moments", f"{largest:.2g} turns between two frames",

@@ -74,14 +74,11 @@ class Losses:
         """(R, E − 1) l̄ of the joints."""
         return self.length[:, :-1] + self.length[:, 1:]
 
-    def bending(self, left: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """B κ of the left edges and of the right ones, (R, E − 1, 2) each."""
-        bend = np.broadcast_to(self.bend, (len(self.bend), self.length.shape[1], 2, 2))
-        return np.einsum("rjab,rjb->rja", bend[:, :-1], left), np.einsum("rjab,rjb->rja", bend[:, 1:], right)
-
     def stresses(self, strains: np.ndarray) -> np.ndarray:
         """(R, E − 1, 5) derivatives of the elastic energy by ``strains``, less the rest's: B κ/l̄ twice and 2 β m/l̄."""
-        left, right = self.bending(strains[..., :2], strains[..., 2:4])
+        bend = np.broadcast_to(self.bend, (len(self.bend), self.length.shape[1], 2, 2))
+        left, right = (np.einsum("rjab,rjb->rja", b, bent) for b, bent in (
+            (bend[:, :-1], strains[..., :2]), (bend[:, 1:], strains[..., 2:4])))
         turn = 2.0 * self.twist * strains[..., 4]
         return np.concatenate([left, right, turn[..., None]], axis=-1) / self.pair_length[..., None]
 

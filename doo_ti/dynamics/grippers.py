@@ -14,15 +14,8 @@ from doo_ti.contact.distance_grid import CORNERS
 from doo_ti.contact.obstacles import BOX, GRID, PLANE, Obstacle
 from doo_ti.contact.surroundings import SHALLOW, Moving, Surroundings, about, since_first
 from doo_ti.dynamics.parameters import Stepping
-from doo_ti.relaxation.time_loading import (
-    PATH_ANCHOR,
-    PATH_COLUMNS,
-    PATH_ENDS,
-    PATH_STILL,
-    PATH_TARGET,
-    POSE_COLUMNS,
-    POSE_SHIFT,
-)
+from doo_ti.relaxation import time_loading
+from doo_ti.relaxation.time_loading import PATH_ANCHOR, PATH_COLUMNS, PATH_ENDS, PATH_TARGET, POSE_COLUMNS, POSE_SHIFT
 from doo_ti.rod.frames import (
     FRAME_TOLERANCE,
     matrix_from_quaternion,
@@ -162,7 +155,7 @@ def clamp_path(grippers: Grippers, start: Configuration, steps: slice) -> np.nda
     for column, kind, frames in ((PATH_ENDS, kinds[0], grippers.start_frame), (PATH_ENDS + 4, kinds[1], grippers.end_frame)):
         if (kind >= Clamp.TANGENT).any():
             path[..., column : column + 4] = _frames(frames[:, after], kind)
-    path[..., PATH_STILL] = _still(grippers, steps)
+    path[..., time_loading.PATH_STILL] = _still(grippers, steps)
     return path
 
 
@@ -231,7 +224,11 @@ def obstacle_path(surroundings: Surroundings, stepping: Stepping, instants: int,
                 raise InputError("simulate", "obstacles", f"a {name} moves at {body.instants} instants, the grippers at "
                                  f"{instants}", "give the same instants")
             rotation, shift = _refined(body, stepping.substeps)
-            _check_speed(body.obstacle, _largest_move(body.obstacle, rotation, shift, start), surroundings, stepping)
+            move, most = _largest_move(body.obstacle, rotation, shift, start), _most_move(surroundings, stepping.least_way)
+            if move > most:
+                raise InputError("simulate", "obstacles", f"a {type(body.obstacle).__name__} moves by {move:.3g} mm in a time "
+                                 f"step; rods of radius {np.min(surroundings.radius):g} mm allow {most:.3g} mm",
+                                 f"give {int(np.ceil(stepping.substeps * move / most))} `substeps`")
             turned, moved = since_first(rotation, shift)
             poses[:, :, number, :POSE_SHIFT], poses[:, :, number, POSE_SHIFT:] = quaternion_from_matrix(turned), moved
     return poses
@@ -273,15 +270,6 @@ def _largest_move(obstacle: Obstacle, rotation: np.ndarray, shift: np.ndarray, s
         places = (rotation[:, :, None] @ _outline(obstacle)[:, None, :, :, None])[..., 0] + shift[:, :, None]
         moved = np.linalg.norm(np.diff(places, axis=1), axis=-1)
     return float(moved.max())
-
-
-def _check_speed(obstacle: Obstacle, move: float, surroundings: Surroundings, stepping: Stepping) -> None:
-    """Raise InputError where an obstacle moves too far in one step."""
-    most = _most_move(surroundings, stepping.least_way)
-    if move > most:
-        raise InputError("simulate", "obstacles", f"a {type(obstacle).__name__} moves by {move:.3g} mm in a time step; "
-                         f"rods of radius {np.min(surroundings.radius):g} mm allow {most:.3g} mm",
-                         f"give {int(np.ceil(stepping.substeps * move / most))} `substeps`")
 
 
 def _outline(obstacle: Obstacle) -> np.ndarray:

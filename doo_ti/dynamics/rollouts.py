@@ -83,8 +83,11 @@ def lay_out(motion: RecordedMotion, rest_length: np.ndarray, reference: np.ndarr
     believed = _believable(motion.positions[:, :, motion.gripped], motion.confused, motion.elapsed)
     believed = _from_inner(believed, rest_length)
     expanded, steps = _with_missing(believed[:, 1:], motion.elapsed[:, 1:])
-    if smoothing > 1:
-        expanded = _smoothed(expanded, smoothing)
+    width = min(smoothing, expanded.shape[1] - 1 + expanded.shape[1] % 2)  # or as many frames as there are
+    if width > 2:
+        from scipy.signal import savgol_filter
+
+        expanded = savgol_filter(expanded, width, 2, axis=1)
     if not motion.free_end:
         expanded = _within_reach(expanded, rest_length)
     first = edge_frames(expanded[:, :, 1] - expanded[:, :, 0], np.broadcast_to(reference, (motion.count, 3)))
@@ -286,14 +289,6 @@ def _first_state(positions: np.ndarray, elapsed: np.ndarray, rate: float, smooth
     fitted = np.linalg.pinv(since) @ positions[:, :smoothing].reshape(*since.shape[:2], -1)
     place, slope = (fitted[:, k].reshape(-1, *positions.shape[2:]) for k in range(2))
     return place, slope * rate
-
-
-def _smoothed(path: np.ndarray, frames: int) -> np.ndarray:
-    """The parabolas through so many ``frames`` around each one of ``path`` (R, steps, 4, 3), or as many as there are."""
-    from scipy.signal import savgol_filter
-
-    width = min(frames, path.shape[1] - 1 + path.shape[1] % 2)
-    return savgol_filter(path, width, 2, axis=1) if width > 2 else path
 
 
 def _fitted_tangents(markers: np.ndarray, rest_length: np.ndarray, first: np.ndarray, free_end: bool) -> np.ndarray:

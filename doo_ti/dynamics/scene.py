@@ -22,26 +22,9 @@ from doo_ti.contact.obstacle_file import obstacles_of
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Dynamics, Stepping
+from doo_ti.io import toml_file
 from doo_ti.io.motion_file import MOST_MOMENTS, ClampPath
-from doo_ti.io.toml_file import (
-    ClampName,
-    EndPaths,
-    Finite,
-    MaterialKeys,
-    Moment,
-    NotNegative,
-    Positive,
-    StatedMaterial,
-    Table,
-    Vector,
-    checked,
-    end_paths,
-    instants,
-    newtons,
-    read_toml,
-    stated_material,
-    unit_direction,
-)
+from doo_ti.io.toml_file import ClampName, Finite, MaterialKeys, Moment, NotNegative, Positive, Table, Vector, checked
 from doo_ti.rod.frames import quaternion_product, smallest_rotation
 from doo_ti.rod.shapes import end_clamps, overhand_knot, with_end_edges
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
@@ -70,7 +53,7 @@ class MotionScene:
     at_rest: bool
     clamps: Clamps
     time: np.ndarray
-    held: EndPaths
+    held: toml_file.EndPaths
     between: int
     source: str
     obstacles: list
@@ -159,7 +142,7 @@ class _Circle(Table):
 def load_motion_scene(path: str | Path) -> MotionScene:
     """The scene of a TOML file. Raises InputError for unreadable files, unknown keys, wrong types and values."""
     path = Path(path)
-    file = checked(path, "", read_toml(path)[0], _File)
+    file = checked(path, "", toml_file.read_toml(path)[0], _File)
     rod, kinds = checked(path, "rod", file.rod, _Rod), checked(path, "clamps", file.clamps, _Clamps)
     if file.obstacles and rod.radius_mm is None:
         raise InputError(path, "rod.radius_mm", "missing beside obstacles", "give the radius of the rod")
@@ -182,7 +165,7 @@ def stated_instants(path: Path, file, most: int, called: str) -> np.ndarray | No
     if (file.rate_hz is None) != (file.duration_s is None):
         missing, other = ("rate_hz", "duration_s") if file.rate_hz is None else ("duration_s", "rate_hz")
         raise InputError(path, missing, f"missing beside {other}", "give both, or neither")
-    return None if file.rate_hz is None else instants(path, file.rate_hz, file.duration_s, most, called)
+    return None if file.rate_hz is None else toml_file.instants(path, file.rate_hz, file.duration_s, most, called)
 
 
 def _times(path: Path, file: _File) -> np.ndarray:
@@ -202,7 +185,7 @@ def _start(path: Path, rod: _Rod, file: _File) -> Configuration:
         first = checked(path, "moments[0]", file.moments[0], Moment)
         position = first.start_position_mm or position
         direction, key = (first.start_direction, "moments[0].start_direction") if first.start_direction else (direction, key)
-    direction = unit_direction(path, key, direction)
+    direction = toml_file.unit_direction(path, key, direction)
     if rod.knot_loop_mm is None:
         return Configuration.straight(position, direction, rod.length_mm, rod.edges)
     if rod.radius_mm is None:
@@ -220,15 +203,15 @@ def _start(path: Path, rod: _Rod, file: _File) -> Configuration:
 def _materials(path: Path, file: _File) -> tuple[tuple[str, ...], Material, Dynamics | None, np.ndarray | None]:
     keys = {f"materials.{name}": checked(path, f"materials.{name}", values, InertiaKeys)
             for name, values in file.materials.items()}
-    found = [stated_material(path, key, one) for key, one in keys.items()]
+    found = [toml_file.stated_material(path, key, one) for key, one in keys.items()]
     for (key, one), own in zip(keys.items(), found, strict=True):
         checked_material(path, key, one, own)
     material = Material(*(np.array([getattr(one, field) for one in found]) for field in ("bend", "twist", "weight")))
     return (tuple(map(in_line, file.materials)), material,
-            None if file.rate_hz is None else _dynamics(path, keys, found), newtons(found))
+            None if file.rate_hz is None else _dynamics(path, keys, found), toml_file.newtons(found))
 
 
-def checked_material(path: Path, key: str, keys: MaterialKeys, stated: StatedMaterial) -> Material:
+def checked_material(path: Path, key: str, keys: MaterialKeys, stated: toml_file.StatedMaterial) -> Material:
     """The material of the table ``key``. Raises InputError, naming its key, for one that no rod has."""
     try:
         return Material(stated.bend[None], stated.twist, stated.weight)
@@ -237,7 +220,7 @@ def checked_material(path: Path, key: str, keys: MaterialKeys, stated: StatedMat
         raise InputError(path, f"{key}.{field}", error.problem, error.remedy) from None
 
 
-def _dynamics(path: Path, keys: dict[str, InertiaKeys], found: list[StatedMaterial]) -> Dynamics:
+def _dynamics(path: Path, keys: dict[str, InertiaKeys], found: list[toml_file.StatedMaterial]) -> Dynamics:
     """Of rods with inertia, which are round."""
     for key, one in keys.items():
         if isinstance(one.bend, tuple) or isinstance(one.EI, tuple):
@@ -247,8 +230,8 @@ def _dynamics(path: Path, keys: dict[str, InertiaKeys], found: list[StatedMateri
         "density", "bend_damping", "twist_damping", "drag", "quadratic_drag")))
 
 
-def _held(path: Path, file: _File, start: Configuration, time: np.ndarray) -> EndPaths:
-    held = end_paths(path, "moments", file.moments, start, time)
+def _held(path: Path, file: _File, start: Configuration, time: np.ndarray) -> toml_file.EndPaths:
+    held = toml_file.end_paths(path, "moments", file.moments, start, time)
     if file.circle is None:
         return held
     circle = checked(path, "circle", file.circle, _Circle)

@@ -6,7 +6,7 @@ are simulated beside it. Axes: R rods, F frames, V vertices, E edges, P paramete
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, is_dataclass, replace
 
 import numpy as np
 
@@ -99,7 +99,10 @@ def adapted(run: Callable[..., Trajectory], count: int, stepping: Stepping,
         steps *= 2
         fine = _moved(run, stepping, steps, rows)
         apart = _apart(coarse, fine)
-        estimate = apart / (_gain(before, apart, MOST_GAIN[stepping.scheme]) - 1.0)
+        most = MOST_GAIN[stepping.scheme]  # and as assumed where the gain was not measured before
+        known = np.isfinite(before) & np.isfinite(apart)
+        gain = np.where(known, before, most) / np.where(known, np.maximum(apart, 1e-300), 1.0)
+        estimate = apart / (np.clip(gain, LEAST_GAIN, most) - 1.0)
         # A motion that fails only with finer steps is kept as it was.
         better = fine.converged | ~found.converged[rows]
         put(found, rows[better], fine, better)
@@ -135,26 +138,14 @@ def _apart(coarse: Trajectory, fine: Trajectory) -> np.ndarray:
     return np.where(both, np.sqrt(square), np.inf)
 
 
-def _gain(before: np.ndarray, apart: np.ndarray, most: float) -> np.ndarray:
-    """(n,) times by which the distance has become smaller; as assumed where it was not measured before."""
-    known = np.isfinite(before) & np.isfinite(apart)
-    ratio = np.where(known, before, most) / np.where(known, np.maximum(apart, 1e-300), 1.0)
-    return np.clip(ratio, LEAST_GAIN, most)
-
-
-def put(into: Trajectory, rows: np.ndarray, other: Trajectory, of: np.ndarray | slice) -> None:
-    """Write the rods ``of`` of another trajectory into those ``rows``."""
-    for name in ("positions", "status", "iterations", "residual", "end_force", "substeps", "contact_force", "friction_work",
-                 "touch"):
-        if getattr(other, name) is not None:
-            getattr(into, name)[rows] = getattr(other, name)[of]
-    for entry in fields(Memory):
-        getattr(into.memory, entry.name)[rows] = getattr(other.memory, entry.name)[of]
-    if into.detail is not None and other.detail is not None:
-        for name in ("quaternions", "velocities"):
-            getattr(into.detail, name)[rows] = getattr(other.detail, name)[of]
-        for name, energy in into.detail.energies.items():
-            energy[rows] = other.detail.energies[name][of]
+def put(into, rows: np.ndarray, other, of: np.ndarray | slice) -> None:
+    """Write the rods ``of`` of another trajectory, or of a part of it, into those ``rows``, as far as both have them."""
+    parts = (vars(value) if is_dataclass(value) else value for value in (into, other))
+    for mine, its in zip(*(dict(part).values() for part in parts), strict=True):
+        if isinstance(mine, np.ndarray) and its is not None:
+            mine[rows] = its[of]
+        elif isinstance(mine, dict) or is_dataclass(mine) and its is not None:
+            put(mine, rows, its, of)
 
 
 def _detail(run: Callable[..., Trajectory], fixed: Stepping, found: Trajectory) -> Detail:

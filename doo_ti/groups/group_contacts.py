@@ -5,7 +5,7 @@ import taichi as ti
 from doo_ti.groups import ties
 from doo_ti.physics.algebra import absolute, identity, largest_of
 from doo_ti.physics.number import NUMBERS, device_functions, in_f64, read, write
-from doo_ti.physics.tuples import add, choose, dot, extended, minus, picked, plus, scaled, variable
+from doo_ti.physics.tuples import add, choose, dot, extended, minus, picked, plus, scaled
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_table import FINE, contact_items, pair_items
 from doo_ti.relaxation.loading import stiffness_scale
@@ -81,32 +81,33 @@ class GroupContacts(ties.Ties, SelfContacts):
         for k in range(rod.ties.shape[0]):
             at = self.tie(rod, k)
             if rod.ties[k, 1] < 0:
-                place = at.target
-                least = self.sunk(rod, rod.ties[k, 0], place, at.active, least)
+                for o in range(rod.obstacles):
+                    seen = self.distance.measure(self.obstacle(rod, o), rod.grids, rod.kinds[o], at.target)
+                    gap = self.clearance(rod, rod.ties[k, 0], seen.value) - rod.contacts.radius
+                    least = ti.select(at.active > 0.5, ti.min(least, gap), least)
         return (least < 0.0 - rod.contacts.tolerance) | self.pinched_pairs(rod)
-
-    def sunk(self, rod, index, place, held, least):
-        """``least``, or the least gap of vertex ``index`` at a ``place`` where it is ``held``."""
-        found = variable((least,))
-        for o in range(rod.obstacles):
-            seen = self.distance.measure(self.obstacle(rod, o), rod.grids, rod.kinds[o], place)
-            gap = self.clearance(rod, index, seen.value) - rod.contacts.radius
-            found = (ti.select(held > 0.5, ti.min(found[0], gap), found[0]),)
-        return found[0]
 
     def stand(self, rod):
         """Keep where rods begin, and the forces of ties, before a step."""
         for g in range(rod.rods):
             at = self.member(rod, g)
             at.begin_standing = at.begin
-        self.stand_forces(rod)
+        head = self.group(rod)
+        head.work_standing = head.work
+        for b in range(rod.borders.shape[0]):
+            force = self.bordered_force(rod, b)
+            force.standing = force.now
 
     def restore_pairs(self, rod, lost):
         SelfContacts.restore_pairs(self, rod, lost)
         for g in range(rod.rods):
             at = self.member(rod, g)
             choose(at, lost > 0.5, begin=at.begin_standing)
-        self.restore_forces(rod, lost)
+        head = self.group(rod)
+        choose(head, lost > 0.5, work=head.work_standing)
+        for b in range(rod.borders.shape[0]):
+            force = self.bordered_force(rod, b)
+            choose(force, lost > 0.5, now=force.standing)
 
     # --- weight and springs ---
 
@@ -153,7 +154,12 @@ class GroupContacts(ties.Ties, SelfContacts):
         tied, head = tables.ties.shape[0], self.group(one)
         if tables.touching == 0:
             one.contacts.phase = FINE
-        self.load_apart(tables, one, row)
+        for v in range(one.edges + 1):  # no edge ends where a rod begins, so that none sags there
+            for o in range(one.obstacles):
+                self.contact(self.vertex(one, v), o).sagging = 0.0
+        own = ti.min(row, tables.apart.shape[0] - 1)
+        for number in range(tables.apart.shape[1]):
+            self.numbered_pair(one, number).may_touch = ti.cast(tables.apart[own, number], ti.f64)
         stiffness = ties.STIFFNESS_OF_TIES / (scale.total * scale.total * scale.total)
         head.stiffness, head.work, head.unit = stiffness, 0.0, unit
         divisor = stiffness_scale(tables.material, tables.clamp, tables.rods[rod, of.MATERIAL_ROW],
@@ -190,15 +196,6 @@ class GroupContacts(ties.Ties, SelfContacts):
         bound = ties.MOST_GROWTH * (most + ties.NOTABLE_MISS * scale.total * stiffness)
         head.bound = ti.select(most > 0.0, bound, 0.0 * bound)
         head.give = ti.select(most > 0.0, ties.GIVE, ties.NO_BORDER) / stiffness
-
-    def load_apart(self, tables, one, row):
-        """Which edges may touch; and no edge ends where a rod begins, so that none sags there."""
-        for v in range(one.edges + 1):
-            for o in range(one.obstacles):
-                self.contact(self.vertex(one, v), o).sagging = 0.0
-        own = ti.min(row, tables.apart.shape[0] - 1)
-        for number in range(tables.apart.shape[1]):
-            self.numbered_pair(one, number).may_touch = ti.cast(tables.apart[own, number], ti.f64)
 
     def unload_forces(self, tables, slot, place, force_unit):
         """Forces on vertices and of ties, what sticks and slips, friction's work and where rods begin, into row ``place``."""

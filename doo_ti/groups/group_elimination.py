@@ -20,19 +20,10 @@ import taichi as ti
 
 from doo_ti.groups.group_contacts import GroupContacts
 from doo_ti.groups.ties import JointRest
-from doo_ti.physics.algebra import (
-    absolute,
-    against_columns,
-    column_scaled,
-    full,
-    mixed_block,
-    on_diagonal,
-    own_block,
-    row_scaled,
-    seen_from,
-)
+from doo_ti.physics import algebra
+from doo_ti.physics.algebra import absolute, column_scaled, full, on_diagonal, scaled_both
 from doo_ti.physics.number import device_functions
-from doo_ti.physics.quaternion import first_director, product, relative_rotation, second_director, tangent, turned_in_body
+from doo_ti.physics.quaternion import directors, product, relative_rotation, tangent, turned_in_body
 from doo_ti.physics.tuples import add, chosen, cross, dot, extended, minus, negated, plus, products, repeated, scaled, variable
 from doo_ti.relaxation.chain import Chain
 from doo_ti.relaxation.elimination import held_pivot
@@ -211,7 +202,7 @@ class GroupElimination(DenseLoadedElimination):
         rest = at.rest
         after = (s, 0.0 - v[2], v[1], v[2], s, 0.0 - v[0], 0.0 - v[1], v[0], s)
         before = (0.0 - s, 0.0 - v[2], v[1], v[2], 0.0 - s, 0.0 - v[0], 0.0 - v[1], v[0], 0.0 - s)
-        turned = against_columns(after, (tangent(rest), first_director(rest), second_director(rest)))
+        turned = algebra.against_columns(after, directors(rest))
         self.contacts.add_block(rod, line, late + 1, scaled(column_scaled(before, self.freedom(rod, late)), sign))
         self.contacts.add_block(rod, line, early + 1, scaled(column_scaled(turned, self.freedom(rod, early)), sign))
 
@@ -252,14 +243,14 @@ class GroupElimination(DenseLoadedElimination):
         at.turned = u
         work, stretch = dot(moment, u), 0.5 * stiffness * dot(u, u)
         self.contacts.add_penalty(rod, work + stretch, absolute(work) + stretch)
-        columns = (tangent(rest), first_director(rest), second_director(rest))
+        columns = directors(rest)
         before, after = plus(scaled(p, s), cross(v, p)), minus(scaled(p, s), cross(v, p))
         add(self.contacts.edge(rod, late), moment=negated(before))
         add(self.contacts.edge(rod, early), moment=(dot(columns[0], after), dot(columns[1], after), dot(columns[2], after)))
-        own = own_block(v, stiffness, 0.0 - 0.25 * dot(p, u))
+        own = algebra.own_block(v, stiffness, 0.0 - 0.25 * dot(p, u))
         at.of_late = own
-        at.of_early = seen_from(columns, own)
-        at.mixed = against_columns(mixed_block(s, v, p, stiffness), columns)
+        at.of_early = algebra.seen_from(columns, own)
+        at.mixed = algebra.against_columns(algebra.mixed_block(s, v, p, stiffness), columns)
 
     def add_welds(self, rod):
         """Add the second derivatives of all welds to H."""
@@ -268,6 +259,6 @@ class GroupElimination(DenseLoadedElimination):
             if late >= 0:
                 at = self.contacts.tie(rod, k)
                 free, other = self.freedom(rod, late), self.freedom(rod, early)
-                self.contacts.add_diagonal(rod, late + 1, column_scaled(row_scaled(full(at.of_late), free), free))
-                self.contacts.add_diagonal(rod, early + 1, column_scaled(row_scaled(full(at.of_early), other), other))
-                self.contacts.add_block(rod, late + 1, early + 1, column_scaled(row_scaled(at.mixed, free), other))
+                self.contacts.add_diagonal(rod, late + 1, scaled_both(free, full(at.of_late), free))
+                self.contacts.add_diagonal(rod, early + 1, scaled_both(other, full(at.of_early), other))
+                self.contacts.add_block(rod, late + 1, early + 1, scaled_both(free, at.mixed, other))

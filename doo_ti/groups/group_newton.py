@@ -12,7 +12,7 @@ from doo_ti.groups.group_elimination import GroupElimination
 from doo_ti.groups.ties import JointRest
 from doo_ti.physics.number import Number
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.batch import UNTOUCHED, laid_out, layout_for, policy_row
+from doo_ti.relaxation.batch import laid_out, layout_for, policy_row
 from doo_ti.relaxation.contact_table import ContactTable
 from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, TABLE1, TABLE3, loop_kernel
 from doo_ti.relaxation.newton import EXTERNAL, NEWTON, OBSTACLES, Newton, NewtonLoop
@@ -109,15 +109,6 @@ class GroupState:
     forces: np.ndarray
     touch: np.ndarray
     friction_work: np.ndarray
-
-    @classmethod
-    def at_start(cls, table: GroupTables, tie_forces: np.ndarray) -> "GroupState":
-        """That of groups at their start, with these forces of their ties."""
-        count, edges = table.start.shape[:2]
-        results = np.zeros((count, of.LOADED_RESULTS))
-        results[~table.feasible, : of.RESULTS] = UNTOUCHED
-        return cls(np.full((count, edges, 4), np.nan), results, table.begins_at.copy(), tie_forces, table.contact.forces,
-                   np.zeros((count, edges + 1), dtype=np.int32), np.zeros(count))
 
 
 @runtime.exclusive

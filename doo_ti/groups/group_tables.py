@@ -49,7 +49,10 @@ class Member:
         fixed = self.held[:, 0] & ~away
         self.begin[fixed] = self.places[fixed, 0]
         self.loose = 1.0 - fixed
-        self.material = _edge_by_edge(input_tables.material_table(material, start.edges), start.edges)
+        table = input_tables.material_table(material, start.edges)
+        along = table[:, of.STIFFNESS:].reshape(len(table), -1, of.STIFFNESS_COLUMNS)  # once, or edge by edge
+        along = np.broadcast_to(along, (len(table), start.edges, of.STIFFNESS_COLUMNS)).reshape(len(table), -1)
+        self.material = np.concatenate([table[:, : of.STIFFNESS], along], axis=1)
 
     @property
     def free(self) -> np.ndarray:
@@ -87,13 +90,6 @@ class Member:
 def _bending_range(along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(-, E) each, the smaller and the larger bending stiffness of every edge of ``along`` (-, E, STIFFNESS_COLUMNS)."""
     return input_tables.bending_range(along[..., of.BEND], along[..., of.BEND + 1], along[..., of.BEND + 2])
-
-
-def _edge_by_edge(table: np.ndarray, edges: int) -> np.ndarray:
-    """A table of materials with the stiffness of every edge."""
-    along = table[:, of.STIFFNESS:].reshape(len(table), -1, of.STIFFNESS_COLUMNS)
-    along = np.broadcast_to(along, (len(table), edges, of.STIFFNESS_COLUMNS))
-    return np.concatenate([table[:, : of.STIFFNESS], along.reshape(len(table), -1)], axis=1)
 
 
 def group_tables(group: Group, up: np.ndarray, obstacles, radius, contact: bool, moving: bool = False) -> GroupTables:

@@ -19,6 +19,7 @@ from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupState, GroupTables, run_groups
 from doo_ti.groups.group_tables import evened_group, group_tables, smallest_gap
 from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.batch import UNTOUCHED
 from doo_ti.relaxation.input_tables import RATIOS
 from doo_ti.relaxation.newton import MOST_IN_CONTACT, Newton
 from doo_ti.rod.frames import matrix_from_quaternion
@@ -126,7 +127,10 @@ def relaxed(group: Group, solver: Newton | None, up: ArrayLike | None, obstacles
                              radius, contact, motion is not None and motion.moves)
         table = table if motion is None else motion.into(table)
         tie_forces = np.zeros((group.count, len(table.ties), 6)) if before is None else _forces(group, before)
-        state = GroupState.at_start(table, tie_forces)
+        results, edges = np.zeros((group.count, of.LOADED_RESULTS)), table.start.shape[1]
+        results[~table.feasible, : of.RESULTS] = UNTOUCHED
+        state = GroupState(np.full((group.count, edges, 4), np.nan), results, table.begins_at.copy(), tie_forces,
+                           table.contact.forces, np.zeros((group.count, edges + 1), dtype=np.int32), np.zeros(group.count))
         if before is None:  # friction acts on the way from there
             table, previous = replace(table, contact=table.contact.smooth), np.zeros_like(state.forces)
         else:

@@ -20,19 +20,8 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.parameters import Dynamics
 from doo_ti.dynamics.scene import InertiaKeys, checked_material, stated_instants
 from doo_ti.groups.group import Group, Tie
-from doo_ti.io.toml_file import (
-    ClampName,
-    NotNegative,
-    Positive,
-    Table,
-    Vector,
-    checked,
-    end_paths,
-    newtons,
-    read_toml,
-    stated_material,
-    unit_direction,
-)
+from doo_ti.io import toml_file
+from doo_ti.io.toml_file import ClampName, NotNegative, Positive, Table, Vector, checked, stated_material, unit_direction
 from doo_ti.rod.shapes import rod_along, with_end_edges
 from doo_ti.rod.types import LARGEST, Clamp, Clamps, Configuration, Material
 from doo_ti.system.errors import InputError
@@ -105,7 +94,7 @@ class _Tie(Table):
 def load_group_scene(path: str | Path) -> GroupScene:
     """The scene of a TOML file. Raises InputError for unreadable files, unknown keys and names, wrong types and values."""
     path = Path(path)
-    values = read_toml(path)[0]
+    values = toml_file.read_toml(path)[0]
     if "rods" not in values and {"rod", "grid", "clamps"} & values.keys():
         raise InputError(path, "rods", "missing: this is a scene of another command",
                          "give it to doo-ti simulate, predict or sweep")
@@ -170,7 +159,7 @@ def _materials(path: Path, tables: dict, moves: bool) -> tuple[dict[str, tuple[M
     found = {name: (checked_material(path, f"materials.{name}", keys[name], one),
                     keys[name].dynamics(path, f"materials.{name}", one.weight) if moves else None)
              for name, one in stated.items()}
-    units = newtons(list(stated.values()))
+    units = toml_file.newtons(list(stated.values()))
     if units is not None and np.ptp(units) > SAME_UNIT * units[0]:
         raise InputError(path, "materials", "weights and linear densities that are not proportional", "correct them")
     return found, None if units is None else float(units[0])
@@ -211,7 +200,7 @@ def _curve(path: Path, key: str, rod: _Rod) -> np.ndarray:
 
 def _clamps(path: Path, key: str, rod: _Rod, start: Configuration, time: np.ndarray) -> list[Clamps]:
     """Those of a rod at each of T moments."""
-    held = end_paths(path, f"{key}.moments", rod.moments, start, time)
+    held = toml_file.end_paths(path, f"{key}.moments", rod.moments, start, time)
     kinds = Clamp[rod.start.upper()], Clamp[rod.end.upper()]
     places = (held.start_position, held.end_position, held.start_frame, held.end_frame)
     return [Clamps(*kinds, *(values[moment][None] for values in places)) for moment in range(len(time))]

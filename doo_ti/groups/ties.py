@@ -148,14 +148,6 @@ class Ties:
 
     # --- their forces ---
 
-    def stand_forces(self, rod):
-        """Keep the forces of ties before a step."""
-        head = self.group(rod)
-        head.work_standing = head.work
-        for b in range(rod.borders.shape[0]):
-            at = self.bordered_force(rod, b)
-            at.standing = at.now
-
     def step_forces(self, rod, scale, stepping):
         """Take the step of the forces of ties. What this does to the energy, λ · d of the misses before, is no way downhill.
 
@@ -182,14 +174,6 @@ class Ties:
             unit = self.lever(rod, b) * self.tie(rod, rod.borders[b, 0]).scale
             most = largest_of(most, dot(force, force) / (unit * unit))
         return ti.sqrt(most)
-
-    def restore_forces(self, rod, lost):
-        """Restore them in the lanes that reject the step."""
-        head = self.group(rod)
-        choose(head, lost > 0.5, work=head.work_standing)
-        for b in range(rod.borders.shape[0]):
-            at = self.bordered_force(rod, b)
-            choose(at, lost > 0.5, now=at.standing)
 
     def draws(self, rod):
         """The lanes in which ties draw points together without changing their forces: those of a first round."""

@@ -8,17 +8,7 @@ import numpy as np
 
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.rod.frames import (
-    angle_about,
-    conjugate,
-    matrix_from_quaternion,
-    quaternion_about,
-    quaternion_from_matrix,
-    quaternion_product,
-    rotation_vector,
-    smallest_rotation,
-    turn_between,
-)
+from doo_ti.rod import frames
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution, sticky
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
@@ -128,9 +118,9 @@ def rotation_about_rod(motion: Motion) -> np.ndarray:
     """(N,) rad by which a motion turns the far frame about its tangent, beyond the parallel transport of the frame; whole turns
     are those of the motion's own rotation vector and roll."""
     before, after = motion.clamps.end_frame, motion.at(1.0).end_frame
-    carried = matrix_from_quaternion(smallest_rotation(before[..., 0], after[..., 0]))
+    carried = frames.matrix_from_quaternion(frames.smallest_rotation(before[..., 0], after[..., 0]))
     m1 = np.einsum("nij,nj->ni", carried, before[..., 1])
-    angle = angle_about(after[..., 0], m1, after[..., 1])
+    angle = frames.angle_about(after[..., 0], m1, after[..., 1])
     spin = 0.0 if motion.end_spin is None else motion.end_spin
     along = 0.0 if motion.end_turn is None else np.sum(motion.end_turn * before[..., 0], axis=-1)
     held = np.broadcast_to(np.asarray(motion.clamps.end) == Clamp.FRAME, len(angle))
@@ -144,15 +134,15 @@ def _shifted(position: np.ndarray, shift: np.ndarray | None, share: np.ndarray) 
 def _turned(frame: np.ndarray, turn: np.ndarray | None, spin: np.ndarray | None, share: np.ndarray) -> np.ndarray:
     if turn is None and spin is None:
         return frame
-    quaternion = quaternion_from_matrix(frame)
+    quaternion = frames.quaternion_from_matrix(frame)
     if turn is not None:
         angle = np.linalg.norm(turn, axis=-1)
         axis = turn / np.maximum(angle, 1e-300)[:, None]
-        quaternion = quaternion_product(quaternion_about(axis, share[..., 0] * angle), quaternion)
+        quaternion = frames.quaternion_product(frames.quaternion_about(axis, share[..., 0] * angle), quaternion)
     if spin is not None:
         own = np.broadcast_to([1.0, 0.0, 0.0], (len(spin), 3))
-        quaternion = quaternion_product(quaternion, quaternion_about(own, share[..., 0] * spin))
-    return matrix_from_quaternion(quaternion)
+        quaternion = frames.quaternion_product(quaternion, frames.quaternion_about(own, share[..., 0] * spin))
+    return frames.matrix_from_quaternion(quaternion)
 
 
 def _size(vector: np.ndarray | None) -> np.ndarray:
@@ -163,17 +153,17 @@ def _size(vector: np.ndarray | None) -> np.ndarray:
 def _frame_turn(frame: np.ndarray, goal: np.ndarray, kind) -> np.ndarray:
     """(R, 3) the shortest rotation vector from frames to goals, between tangents where only these are held; else zero."""
     kind = np.broadcast_to(kind, len(frame))[:, None]
-    swing = rotation_vector(smallest_rotation(frame[..., 0], goal[..., 0]))
-    return np.where(kind == Clamp.FRAME, turn_between(frame, goal), np.where(kind == Clamp.TANGENT, swing, 0.0))
+    swing = frames.rotation_vector(frames.smallest_rotation(frame[..., 0], goal[..., 0]))
+    return np.where(kind == Clamp.FRAME, frames.turn_between(frame, goal), np.where(kind == Clamp.TANGENT, swing, 0.0))
 
 
 def _swing_and_spin(frame: np.ndarray, goal: np.ndarray, kind, rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The rotation vector (R, 3) that brings the tangents to their goals, and the remaining turn (R,) about them."""
     kind = np.broadcast_to(kind, len(frame))
-    swing = smallest_rotation(frame[..., 0], goal[..., 0])
-    swung = quaternion_product(swing, quaternion_from_matrix(frame))
-    rest = quaternion_product(conjugate(swung), quaternion_from_matrix(goal))
+    swing = frames.smallest_rotation(frame[..., 0], goal[..., 0])
+    swung = frames.quaternion_product(swing, frames.quaternion_from_matrix(frame))
+    rest = frames.quaternion_product(frames.conjugate(swung), frames.quaternion_from_matrix(goal))
     angle = 2 * np.arctan2(rest[..., 1], rest[..., 0])
     spin = np.where(kind == Clamp.FRAME, angle + 2 * np.pi * np.round((rotation - angle) / (2 * np.pi)), rotation)
     held = kind >= Clamp.TANGENT
-    return np.where(held[:, None], rotation_vector(swing), 0.0), np.where(held, spin, 0.0)
+    return np.where(held[:, None], frames.rotation_vector(swing), 0.0), np.where(held, spin, 0.0)

@@ -144,20 +144,16 @@ def predict(
         for part in range(between):
             leg = _part(motion, part / between, (part + 1) / between)
             solution, jumps = go(here, leg)
-            here, held = _finite(solution.configuration, here), leg.at(1.0)
+            there, lost = solution.configuration, ~np.isfinite(solution.configuration.quaternions).all(axis=(1, 2))
+            here = replace(there, start=np.where(lost[:, None], here.start, there.start),
+                           quaternions=np.where(lost[:, None, None], here.quaternions, there.quaternions))
+            held = leg.at(1.0)
             moments.append((solution, jumps, moments[-1][2] + np.tile(rotation_about_rod(leg), len(rods) // motions)))
             advance(len(rods))
     solutions, jumps, rotation = zip(*moments, strict=True)
     return Prediction(time=time, rest_length=configuration.rest_length.copy(), jumps=np.stack(jumps),
                       end_rotation=np.stack(rotation), material=rods, motion=np.arange(len(rods)) % motions,
                       **_reported(solutions))
-
-
-def _finite(shape: Configuration, before: Configuration) -> Configuration:
-    """``shape``, but rods that are not finite as they were ``before``."""
-    lost = ~np.isfinite(shape.quaternions).all(axis=(1, 2))
-    return Configuration(np.where(lost[:, None], before.start, shape.start),
-                         np.where(lost[:, None, None], before.quaternions, shape.quaternions), shape.rest_length)
 
 
 def _reported(solutions: Sequence[Solution]) -> dict[str, np.ndarray]:

@@ -126,6 +126,12 @@ def row_scaled(m, s) -> tuple:
 
 
 @traced
+def scaled_both(s, m, t) -> tuple:
+    """diag(s) M diag(t)."""
+    return tuple(s[k // 3] * m[k] * t[k % 3] for k in range(9))
+
+
+@traced
 def column_scaled(m, s) -> tuple:
     """M diag(s)."""
     return tuple(m[k] * s[k % 3] for k in range(9))

@@ -2,7 +2,6 @@
 functions, which packs of lanes do not have."""
 
 import math
-from fractions import Fraction
 
 import taichi as ti
 
@@ -25,6 +24,12 @@ def first_director(q):
 def second_director(q):
     """m2."""
     return (2.0 * (q[1] * q[3] + q[0] * q[2]), 2.0 * (q[2] * q[3] - q[0] * q[1]), 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2]))
+
+
+@ti.func
+def directors(q):
+    """t, m1 and m2."""
+    return tangent(q), first_director(q), second_director(q)
 
 
 @ti.func
@@ -140,36 +145,16 @@ def from_matrix(m):
 # --- angles ---
 
 
-def _arctangent_coefficients(terms: int) -> tuple[float, ...]:
-    """c_k of atan(t) = t Σ c_k t^{2k} on [−1, 1]: Chebyshev interpolation of atan(√s)/√s on s in [0, 1].
-
-    Its weights need every digit, and the polynomials T_k(2s − 1) have huge integer coefficients: both are summed exactly.
-    """
-    angles = [math.pi * (j + 0.5) / terms for j in range(terms)]
-    roots = [math.cos(0.5 * angle) for angle in angles]  # s = (1 + cos θ)/2
-    values = [math.atan(root) / root for root in roots]
-    weights = [
-        (2 if k else 1) / terms * math.fsum(v * math.cos(k * a) for v, a in zip(values, angles, strict=True))
-        for k in range(terms)
-    ]
-    total = [Fraction(0)] * terms
-    before, here = [Fraction(1)], [Fraction(-1), Fraction(2)]
-    for weight in weights:
-        for power, coefficient in enumerate(before):
-            total[power] += Fraction(weight) * coefficient
-        # T_{k+1} = 2 (2s − 1) T_k − T_{k−1}
-        after = [Fraction(0)] * (len(here) + 1)
-        for power, coefficient in enumerate(here):
-            after[power] -= 2 * coefficient
-            after[power + 1] += 4 * coefficient
-        for power, coefficient in enumerate(before):
-            after[power] -= coefficient
-        before, here = here, after
-    return tuple(float(coefficient) for coefficient in total)
-
-
-ARCTANGENT_32 = _arctangent_coefficients(9)
-ARCTANGENT_64 = _arctangent_coefficients(20)
+# c_k of atan(t) = t Σ c_k t^{2k} on [−1, 1], to the rounding of f32 and of f64: Chebyshev interpolation of atan(√s)/√s on
+# s in [0, 1].
+ARCTANGENT_32 = (
+    0.9999999817886561, -0.3333303670929785, 0.1999187202936523, -0.14197797796103093, 0.10618370644642738,
+    -0.07456854841877827, 0.04213762377106965, -0.01573124923103841, 0.0027662835283182277)
+ARCTANGENT_64 = (
+    0.9999999999999992, -0.33333333333327675, 0.19999999999551873, -0.14285714246575537, 0.11111109675041028,
+    -0.0909088137348786, 0.0769197669262008, -0.06663983020101555, 0.058667190121604505, -0.05195258167679075,
+    0.04536417919528809, -0.037645220867725884, 0.028064421244298553, -0.017415735311806204, 0.008034231327474118,
+    -0.0020977132022380832, -0.00019510388374328604, 0.00041359663009643555, -0.0001514434814453125, 2.0599365234375e-05)
 
 
 def arctangent_function(number):

@@ -65,14 +65,6 @@ def continue_newton(table: Tables, options: newton.Newton, bits: int, frames, re
     _launch_newton(table, table.continued(usable, rows), options, bits, frames, results)
 
 
-def relax_touching(table: Tables, options: newton.Newton, frames, results, rows) -> Tables:
-    """Relax the rods ``rows`` once more, from their starts and as rods that may touch themselves, in place. Returns the tables
-    with their forces."""
-    table = replace(table, contact=table.contact.touching(rows))
-    continue_newton(table, options, 64, frames, results, rows, np.zeros(table.count, dtype=bool))
-    return replace(table, contact=replace(table.contact, itself=False))
-
-
 def pack_trips(bits: int) -> tuple[int, int]:
     """(trips through Newton's loop, all threads together, and rods in a pack) of the last launch in that precision."""
     number, queue = _last[bits]
@@ -158,11 +150,12 @@ def run_descent(table: Tables, options: descent.Descent, bits: int):
     return frames, certified
 
 
-def layout_for(rods: int, bits: int, alone: bool = False) -> tuple[Number, int, int, int]:
+def layout_for(rods: int, bits: int, alone: bool = False, width: int | None = None) -> tuple[Number, int, int, int]:
     """(kind of number, threads, stride, block) that suit the architecture Taichi runs on; ``alone``: rods that take long enough
-    for a few of them to be worth a thread each."""
+    for a few of them to be worth a thread each; ``width``: of packs on a CPU, where they are not to be the widest."""
     if runtime.start() == "cpu":
-        number = Number(1 if alone and rods <= 2 * runtime.thread_count() else 16 if bits == 32 else 8, bits)
+        widest = 1 if alone and rods <= 2 * runtime.thread_count() else 16 if bits == 32 else 8
+        number = Number(width or widest, bits)
         return number, max(1, min(runtime.thread_count(), -(-rods // number.width))), 1, 1
     return layout_of_gpu(rods, bits)
 

@@ -11,14 +11,7 @@ from taichi.lang.impl import subscript
 from doo_ti.physics.algebra import absolute, on_diagonal, solve_symmetric
 from doo_ti.physics.number import Layout, Scratch, device_functions
 from doo_ti.physics.pair import PairEnergy, closing_rotation, curvature, linear_gradient, normal_matrix
-from doo_ti.physics.quaternion import (
-    first_director,
-    second_director,
-    tangent,
-    turned_in_body,
-    turned_in_world,
-    twist_angle_function,
-)
+from doo_ti.physics.quaternion import directors, tangent, turned_in_body, turned_in_world, twist_angle_function
 from doo_ti.physics.tuples import chosen, dot, extended, minus, negated, picked, plus, record, repeated, scaled, variable
 from doo_ti.relaxation.newton_policy import UP
 
@@ -281,7 +274,7 @@ class Chain(PairEnergy):
                 left, right = self.gradient_of(bent, s)
                 moment = minus(plus(moment, scaled(lever1, carry2 + left[2])), scaled(lever2, carry1 + left[1]))
                 right1, right2 = (right[1], right[2])
-            t, m1, m2 = tangent(q), first_director(q), second_director(q)
+            t, m1, m2 = directors(q)
             lever1, lever2 = scaled(m1, levers), scaled(m2, levers)
             remaining = remaining - length
             pull = scaled(rod.gravity, self.hanging_weight(rod, length, remaining))

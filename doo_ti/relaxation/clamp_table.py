@@ -110,7 +110,12 @@ class ClampReader:
         kind_start, kind_end = tables.states[s, KIND_START], tables.states[s, KIND_END]
         closed = (kind_start >= POSITION) & (kind_end >= POSITION)
         released = (kind_start < POSITION) & (kind_end >= POSITION)
-        self.read_flags(tables.clamp, s, kind_start, kind_end, closed, released)
+        tables.clamp[s, of.CLOSED], tables.clamp[s, of.RELEASED] = ti.cast(closed, ti.f64), ti.cast(released, ti.f64)
+        tables.clamp[s, of.SPIN_START] = ti.cast(kind_start < FRAME, ti.f64)
+        tables.clamp[s, of.SPIN_END] = ti.cast(kind_end < FRAME, ti.f64)
+        tables.clamp[s, of.TILT_START] = ti.cast(kind_start < TANGENT, ti.f64)
+        tables.clamp[s, of.TILT_END] = ti.cast(kind_end < TANGENT, ti.f64)
+        tables.clamp[s, of.TILT_INNER], tables.clamp[s, of.LOOSE] = 1.0, 0.0
         anchor = variable(read(tables.given, s, ORIGIN))
         if kind_start >= POSITION:
             anchor = read(tables.given, s, START_POSITION)
@@ -140,14 +145,6 @@ class ClampReader:
         if not can_hold(kind_start, frame_start):
             frames = NOT_THE_FIRST
         tables.states[s, OF_FRAMES] = frames
-
-    def read_flags(self, clamp: ti.template(), s, kind_start, kind_end, closed, released):
-        """Columns of row s that are one or zero."""
-        clamp[s, of.CLOSED], clamp[s, of.RELEASED] = ti.cast(closed, ti.f64), ti.cast(released, ti.f64)
-        clamp[s, of.SPIN_START], clamp[s, of.SPIN_END] = ti.cast(kind_start < FRAME, ti.f64), ti.cast(kind_end < FRAME, ti.f64)
-        clamp[s, of.TILT_START] = ti.cast(kind_start < TANGENT, ti.f64)
-        clamp[s, of.TILT_END] = ti.cast(kind_end < TANGENT, ti.f64)
-        clamp[s, of.TILT_INNER], clamp[s, of.LOOSE] = 1.0, 0.0
 
     def reached(self, tables, size, s, line, first, last):
         """The finding about a start whose vertex 0 and far end are held, ``line`` apart, with these frames at its ends."""

@@ -35,52 +35,39 @@ def move_out(table: Tables, frames: np.ndarray, results: np.ndarray) -> np.ndarr
     bodies = table.contact.surroundings.bodies
     if not len(rows) or not bodies:
         return rows[:0]
-    before = results[rows]
-    springs = _Springs(table, rows, Surroundings(bodies, table.contact.radius).take(rows))
-    frames[rows] = whole_start(table.start[springs.of_start], table.clamp[springs.of_start])
+    around, of_start = Surroundings(bodies, table.contact.radius).take(rows), table.configuration_index[rows]
+    lengths = np.broadcast_to(table.rest_length, (len(table.start), table.edges))[of_start]
+    index = np.zeros(table.count, dtype=np.int64)
+    index[rows] = np.arange(len(rows))
+    material = Material(1.0, 1.0, 0.0)
+    limp = replace(table, contact=None, external_index=index, material=material_table(material, table.edges),
+                   isotropic=material.isotropic, material_index=np.zeros(table.count, dtype=np.int64))
+    before, stuck, usable = results[rows], np.ones(len(rows), dtype=bool), np.ones(table.count, dtype=bool)
+    frames[rows] = whole_start(table.start[of_start], table.clamp[of_start])
     results[rows, of.DRIFT:] = 0.0
-    stuck = np.ones(len(rows), dtype=bool)
+    least = (LEAST - 1.0) * np.reshape(around.radius, -1)  # the centreline is inside, or hardly outside
+
+    def vertices() -> np.ndarray:
+        start = table.anchor[of_start] + results[rows, of.DRIFT:]
+        return vertices_from_quaternions(start, frames[rows], lengths)
+
     for number in range(ROUNDS):
-        springs.pull(frames, results, stuck, CLEARANCE + FURTHER * number)
-        least = (LEAST - 1.0) * np.reshape(springs.around.radius, -1)  # the centreline is inside, or hardly outside
-        stuck &= ~(springs.around.smallest_gap(springs.vertices(frames, results)) > least)
+        springs = _springs(vertices(), around, CLEARANCE + FURTHER * number, lengths)
+        batch.continue_newton(replace(limp, external=springs), Newton(tolerance=1e-5), 64, frames, results, rows[stuck], usable)
+        stuck &= ~(around.smallest_gap(vertices()) > least)
         if not stuck.any():
             break
     results[rows[stuck]], frames[rows[stuck]] = before[stuck], np.nan
     return rows[~stuck]
 
 
-class _Springs:
-    """The rods ``rows`` of ``table`` as limp rods under springs, and the obstacles ``around`` them."""
-
-    def __init__(self, table: Tables, rows: np.ndarray, around: Surroundings):
-        self.rows, self.around = rows, around
-        self.of_start = table.configuration_index[rows]
-        self.anchor = table.anchor[self.of_start]
-        self.lengths = np.broadcast_to(table.rest_length, (len(table.start), table.edges))[self.of_start]
-        self.stiffness = 1.0 / self.lengths.mean(axis=1) ** 3
-        index = np.zeros(table.count, dtype=np.int64)
-        index[rows] = np.arange(len(rows))
-        limp = Material(1.0, 1.0, 0.0)
-        self.limp = replace(
-            table, contact=None, external_index=index, material=material_table(limp, table.edges), isotropic=limp.isotropic,
-            material_index=np.zeros(table.count, dtype=np.int64))
-
-    def vertices(self, frames: np.ndarray, results: np.ndarray) -> np.ndarray:
-        """(N, V, 3) mm."""
-        start = self.anchor + results[self.rows, of.DRIFT:]
-        return vertices_from_quaternions(start, frames[self.rows], self.lengths)
-
-    def pull(self, frames: np.ndarray, results: np.ndarray, stuck: np.ndarray, clearance: float) -> None:
-        """Relax the rods that are ``stuck`` (N,), in place, under springs to the nearest places outside, so many radii away."""
-        places = self.vertices(frames, results)
-        away = clearance * np.reshape(self.around.radius, (-1, 1))
-        pushed = np.zeros(places.shape[:2], dtype=bool)
-        for obstacle in self.around.bodies:
-            distance, normal = obstacle.distance(places)
-            pushed |= distance < away
-            places = places + np.maximum(away - distance, 0.0)[..., None] * normal
-        stiffness = self.stiffness[:, None] * np.where(pushed, PUSHING, HOLDING)
-        limp = replace(self.limp, external=Springs(places, stiffness))
-        usable = np.ones(limp.count, dtype=bool)
-        batch.continue_newton(limp, Newton(tolerance=1e-5), 64, frames, results, self.rows[stuck], usable)
+def _springs(places: np.ndarray, around: Surroundings, clearance: float, lengths: np.ndarray) -> Springs:
+    """Of rods with vertices at ``places`` (N, V, 3), to the nearest places outside all obstacles, so many radii away."""
+    away = clearance * np.reshape(around.radius, (-1, 1))
+    pushed = np.zeros(places.shape[:2], dtype=bool)
+    for obstacle in around.bodies:
+        distance, normal = obstacle.distance(places)
+        pushed |= distance < away
+        places = places + np.maximum(away - distance, 0.0)[..., None] * normal
+    stiffness = 1.0 / lengths.mean(axis=1, keepdims=True) ** 3
+    return Springs(places, stiffness * np.where(pushed, PUSHING, HOLDING))

@@ -68,12 +68,11 @@ class ContactEnergy(ContactPlaces):
         zero, some = 0.0 * end[0], 0
         at, before, edge = self.vertex(rod, index), self.vertex(rod, index - 1), minus(end, start)
         room = zero + 1e30
+        rod.contacts.end = repeated(zero, 12)
         for o in range(rod.obstacles):
             contact, previous = self.contact(at, o), self.contact(before, o)
             if self.is_edge_close(rod, index, o):
-                if some == 0:
-                    rod.contacts.end = repeated(zero, 12)
-                    some = 1
+                some = ti.max(some, 1)
                 if self.is_close(rod, contact):
                     self.add_vertex(rod, o, contact)
                 if self.is_curved(rod, o):
@@ -92,8 +91,6 @@ class ContactEnergy(ContactPlaces):
                 # Friction stays as long as its round, however far the rod moves: without it the energy would jump.
                 active = contact.active > 0.5
                 if self.some((contact.force > 0.0) | active, zero):
-                    if some == 0:
-                        rod.contacts.end = repeated(zero, 12)
                     if some < 2:
                         self.clear_between(rod, zero)
                     some = 2
@@ -107,19 +104,16 @@ class ContactEnergy(ContactPlaces):
         at, zero, some = self.vertex(rod, index), 0.0 * rod.total, 0
         at.room_standing = at.room
         at.room = zero + 1e30
+        rod.contacts.end = repeated(zero, 12)
         for o in range(rod.obstacles):
             contact = self.contact(at, o)
             value = contact.value
             if self.is_close(rod, contact):
-                if some == 0:
-                    rod.contacts.end = repeated(zero, 12)
-                    some = 1
+                some = 1
                 self.add_vertex(rod, o, contact)
             if ti.static(self.rub):
                 if self.some(contact.force > 0.0, zero):
-                    if some == 0:
-                        rod.contacts.end = repeated(zero, 12)
-                        some = 1
+                    some = 1
                     self.rub_vertex(rod, o, at, contact)
             at.room = ti.min(at.room, value + self.obstacle(rod, o).depth)
         self.note_forces(rod, at, some)
@@ -152,19 +146,18 @@ class ContactEnergy(ContactPlaces):
             at.force_end, at.force_start = negated(on_end), on_start
             at.lane(0).pushed = ti.select(some > 0, 1.0, 0.0)
 
-    def take_vertex(self, rod, load):
-        """Add the sums over the contacts of a vertex to the derivatives of an edge's energy."""
+    def take(self, rod, load, some):
+        """Add the sums over the contacts of a vertex, and of the edge that ends there, to the derivatives of that edge's
+        energy, as :meth:`touched` found ``some``."""
         own = rod.contacts
-        whole, bent, known = own.end_gradient, own.end_curvatures, self.known(own.end_gradient, own.end_excess)
-        add(load, known=known, known_s=known, gradient=whole, gradient_s=whole, curvature=bent, curvature_ss=bent,
-            curvature_s=full(bent))
-
-    def take_between(self, rod, load):
-        """Add those of the edge between its ends."""
-        own = rod.contacts
-        add(load, known=self.known(own.gradient, own.excess), known_s=self.known(own.gradient_s, own.excess_s),
-            gradient=own.gradient, gradient_s=own.gradient_s, curvature=own.curvatures, curvature_s=own.curvatures_s,
-            curvature_ss=own.curvatures_ss)
+        if some > 0:
+            whole, bent, known = own.end_gradient, own.end_curvatures, self.known(own.end_gradient, own.end_excess)
+            add(load, known=known, known_s=known, gradient=whole, gradient_s=whole, curvature=bent, curvature_ss=bent,
+                curvature_s=full(bent))
+        if some > 1:
+            add(load, known=self.known(own.gradient, own.excess), known_s=self.known(own.gradient_s, own.excess_s),
+                gradient=own.gradient, gradient_s=own.gradient_s, curvature=own.curvatures, curvature_s=own.curvatures_s,
+                curvature_ss=own.curvatures_ss)
 
     def touched_between(self, rod, o, index, start, edge, some):
         """The same of the edge between its ends, of which one is close to obstacle ``o`` in some lane: whether it has contacts

@@ -123,8 +123,11 @@ class ContactRounds(ContactEnergy):
                     self.update_vertex(rod, contact, due, found)
                     if self.is_curved(rod, o):
                         self.update_edge(rod, v, o, contact, due, found)
-                else:
-                    self.update_far(rod, contact, due, found)
+                else:  # in no lane a vertex, or the edge that ends there, is close
+                    self.update_vertex(rod, contact, due, found)
+                    self.note_change(found, contact.force_between, zero)
+                    choose(contact, due, force_between=zero, active=zero)
+                    contact.sagging = zero
                 if ti.static(self.rub):
                     found.rubbed = largest_of(found.rubbed, self.update_friction(rod, v, o, due))
         if ti.static(self.itself):
@@ -181,14 +184,6 @@ class ContactRounds(ContactEnergy):
     def updated_force(self, rod, old, gap):
         """max(0, λ − κ g)."""
         return ti.max(old - rod.contacts.stiffness * gap, 0.0 * gap)
-
-    def update_far(self, rod, contact, due, found):
-        """New forces where neither a vertex nor the edge that ends there is close to the obstacle in any lane."""
-        zero = 0.0 * rod.total
-        self.update_vertex(rod, contact, due, found)
-        self.note_change(found, contact.force_between, zero)
-        choose(contact, due, force_between=zero, active=zero)
-        contact.sagging = zero
 
     def note_change(self, found, old, new):
         """Take the change of a contact's force into ``found``."""

@@ -136,19 +136,16 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
         rod.head.drift_step = wb
         right = plus(right, against(d, rod.head.drift_border, wb))
         change, positive = self.bordered(rod, schur, right)
-        self.substitute_column(rod, change)
-        return change
-
-    def substitute_column(self, rod, change):
-        """Back-substitution from vertex 0 on. The turns of held edges are prescribed: they do not count as displacements."""
-        w = variable(repeated(0.0 * rod.total, 3))
+        # Back-substitution from vertex 0 on. The turns of held edges are prescribed: they do not count as displacements.
+        w = variable(repeated(zero, 3))
         start, decrement = self.solved_start(rod, change)
         x = variable(start)
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)
-            right = minus_combination(self.without_multiplier(edge, change), edge.border, x)
-            w = products(self.freedom(rod, e), self.solved_edge(edge, right, w))
-            x = self.end_of_turned(edge, x, w, 0.0 * rod.total)
+            without = minus_combination(self.without_multiplier(edge, change), edge.border, x)
+            w = products(self.freedom(rod, e), self.solved_edge(edge, without, w))
+            x = self.end_of_turned(edge, x, w, zero)
+        return change
 
     def started(self, rod, column):
         """What vertex 0 moves by."""

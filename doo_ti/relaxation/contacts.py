@@ -112,7 +112,7 @@ class RodContacts(ContactRounds):
             for k in ti.static(range(len(layout.CARRIED_ON))):
                 own[layout.CARRIED_ON[k]] = tables.rod_memory[row, k]
             if ti.static(self.itself):
-                self.load_carried_pairs(tables, slot, row)
+                self.carry_pairs(tables, slot, row, True)
         own.multiplier = read(tables.results, row, of.FORCE)
 
     # --- a rod into a lane and out of it ---
@@ -165,11 +165,9 @@ class RodContacts(ContactRounds):
         fresh = ti.static(range(layout.REMEMBERED, layout.REMEMBERED_IN_MOTION) if self.rub else (layout.CONTACT.at("active"),))
         for k in ti.static(fresh):
             contact[k] = 0.0
-        force, between = tables.memory[row, v, o, 0], tables.memory[row, v, o, 1]
-        contact.force, contact.force_between = force, between
-        for k in range(layout.REMEMBERED, tables.memory.shape[3]):
+        for k in range(tables.memory.shape[3]):
             contact[k] = tables.memory[row, v, o, k]
-        return ti.max(force, between)
+        return ti.max(tables.memory[row, v, o, 0], tables.memory[row, v, o, 1])
 
     def unload_forces(self, tables, slot, place, force_unit):
         """The forces on the lane's vertices into row ``place``."""
@@ -213,9 +211,7 @@ class RodContacts(ContactRounds):
         for v in range(one.edges + 1):
             for o in range(one.obstacles):
                 contact = self.contact(self.vertex(one, v), o)
-                for k in ti.static(range(layout.REMEMBERED)):
-                    tables.memory[row, v, o, k] = contact[k]
-                for k in range(layout.REMEMBERED, tables.memory.shape[3]):
+                for k in range(tables.memory.shape[3]):
                     tables.memory[row, v, o, k] = contact[k]
 
     def unload_motion(self, tables, slot, row):
@@ -225,4 +221,4 @@ class RodContacts(ContactRounds):
         for k in ti.static(range(len(layout.CARRIED_ON))):
             tables.rod_memory[row, k] = own[layout.CARRIED_ON[k]]
         if ti.static(self.itself):
-            self.carry_pairs(tables, slot, row)
+            self.carry_pairs(tables, slot, row, False)

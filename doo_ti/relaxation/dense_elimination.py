@@ -15,21 +15,10 @@ its unknown is the place ξ of the vertex behind it, where sums over vertices be
 
 import taichi as ti
 
-from doo_ti.physics.algebra import (
-    applied,
-    column_scaled,
-    full,
-    identity,
-    largest_of,
-    on_diagonal,
-    row,
-    row_scaled,
-    shifted,
-    transposed,
-)
+from doo_ti.physics.algebra import applied, full, identity, largest_of, on_diagonal, row, scaled_both, shifted, transposed
 from doo_ti.physics.number import device_functions
 from doo_ti.physics.pair import closure_rows, linear_gradient, linear_hessian, shift_of_end
-from doo_ti.physics.quaternion import first_director, second_director, tangent
+from doo_ti.physics.quaternion import directors, first_director, second_director, tangent
 from doo_ti.physics.tuples import dot, minus, negated, plus, products, repeated, scaled, traced, variable
 from doo_ti.relaxation.dense_factors import DenseFactors
 from doo_ti.relaxation.elimination import held_pivot
@@ -187,7 +176,7 @@ class DenseElimination(DenseFactors):
         ``force`` on it and the weight of the length ``beyond`` it add, and the rows of A. Of a group weight is a force on
         vertices (:meth:`.GroupContacts.hang`), and the welds of the edge add to both."""
         q, length = edge.frame, edge.length
-        t, m1, m2 = tangent(q), first_director(q), second_director(q)
+        t, m1, m2 = directors(q)
         pull = variable(force)
         if ti.static(not self.breaks):
             pull = plus(scaled(rod.gravity, self.hanging_weight(rod, length, beyond)), force)
@@ -233,7 +222,7 @@ class DenseElimination(DenseFactors):
             sums = plus(sums, self.load_block(rod, line, q))
             block = variable(turned_block(own, sums, self.levers(rod, q)))
             if back == 0 and q > 0:
-                block = plus(block, column_scaled(row_scaled(transposed(across), free), self.freedom(rod, q - 1)))
+                block = plus(block, scaled_both(free, transposed(across), self.freedom(rod, q - 1)))
             self.store_block(rod, line, q, block)
 
     def assemble_begin(self, rod, line, free, shift, force, found):

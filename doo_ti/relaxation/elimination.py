@@ -15,32 +15,11 @@ chain, so that no rotation has to.
 
 import taichi as ti
 
-from doo_ti.physics.algebra import (
-    absolute,
-    column_scaled,
-    largest_of,
-    on_diagonal,
-    positive_eigenvalues,
-    row_scaled,
-    shifted,
-    solve_symmetric,
-    transposed,
-)
-from doo_ti.physics.factors import (
-    against,
-    backward,
-    factor,
-    factor_in_turn,
-    forward,
-    forward_rows,
-    gram,
-    minus_combination,
-    squared,
-    symmetric_gram,
-)
+from doo_ti.physics import algebra, factors
+from doo_ti.physics.algebra import absolute, largest_of, on_diagonal, row_scaled, scaled_both, shifted, transposed
 from doo_ti.physics.number import device_functions
 from doo_ti.physics.pair import closure_rows, linear_gradient, linear_hessian
-from doo_ti.physics.quaternion import first_director, second_director, tangent
+from doo_ti.physics.quaternion import directors
 from doo_ti.physics.tuples import chosen, dot, minus, negated, plus, products, record, repeated, scaled, variable
 from doo_ti.relaxation.chain import Chain
 
@@ -78,7 +57,7 @@ class Elimination(Chain):
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)
             q, length = edge.frame, edge.length
-            t, m1, m2 = tangent(q), first_director(q), second_director(q)
+            t, m1, m2 = directors(q)
             remaining = remaining - length
             c = plus(self.edge_pull(rod, edge, self.hanging_weight(rod, length, remaining)), multiplier)
             l1, l2 = linear_gradient(c, length, m1, m2)
@@ -106,14 +85,14 @@ class Elimination(Chain):
                 free, after = self.freedom(rod, e), self.freedom(rod, e + 1)
                 g, b, a = products(free, g), products(free, b), row_scaled(a, free)
                 h = (free[0] * h[0], h[1], h[2], free[1] * h[3], h[4], free[2] * h[5])
-                d, u = held_pivot(d, free), column_scaled(row_scaled(u, free), after)
+                d, u = held_pivot(d, free), scaled_both(free, u, after)
             self.observe(found, g, h)
-            f = factor(d, self.tiny)
+            f = factors.factor(d, self.tiny)
             found.negative = found.negative + f[6]
-            wr, wu, wa = forward(f, b), forward_rows(f, transposed(u)), forward_rows(f, transposed(a))
+            wr, wu, wa = factors.forward(f, b), factors.forward_rows(f, transposed(u)), factors.forward_rows(f, transposed(a))
             self.store_eliminated(edge, f, wr, wu, wa)
-            s, z = plus(s, symmetric_gram(f, wa)), plus(z, against(f, wa, wr))
-            ee, ea, er = symmetric_gram(f, wu), gram(f, wu, wa), against(f, wu, wr)
+            s, z = plus(s, factors.symmetric_gram(f, wa)), plus(z, factors.against(f, wa, wr))
+            ee, ea, er = factors.symmetric_gram(f, wu), factors.gram(f, wu, wa), factors.against(f, wu, wr)
             h, g = h_next, g_next
         change, positive = self.bordered(rod, s, plus(z, miss))
         return self.result(found, change, positive)
@@ -133,8 +112,8 @@ class Elimination(Chain):
 
     def bordered(self, rod, s, z):
         """(δλ = S⁻¹ z, positive eigenvalues of S). Without closure S is the identity: λ stays zero and three are counted."""
-        solved, minors = solve_symmetric(on_diagonal(s, 1.0 - rod.closed), z)
-        return scaled(solved, rod.closed), positive_eigenvalues(minors)
+        solved, minors = algebra.solve_symmetric(on_diagonal(s, 1.0 - rod.closed), z)
+        return scaled(solved, rod.closed), algebra.positive_eigenvalues(minors)
 
     def substitute(self, rod, found):
         """Back-substitution ω = L⁻ᵀ D⁻¹ (W_r − W_A δλ − W_U ω_next). Returns three numbers: what is compared with the largest
@@ -148,7 +127,7 @@ class Elimination(Chain):
             e = rod.edges - 1 - back
             edge = self.edge(rod.head, e)
             right = self.without_border(edge, edge.border, found.change)
-            decrement = decrement + squared(edge.pivots, right)
+            decrement = decrement + factors.squared(edge.pivots, right)
             w = self.solved_edge(edge, right, w)
             longest = self.longer(longest, w)
         size = ti.sqrt(longest)
@@ -187,11 +166,11 @@ class Elimination(Chain):
 
     def without_border(self, edge, columns, border):
         """W_r − W_border border of an edge, whose W_border has these ``columns``."""
-        return minus_combination(edge.rotation, columns, border)
+        return factors.minus_combination(edge.rotation, columns, border)
 
     def solved_edge(self, edge, right, w):
         """ω = L⁻ᵀ D⁻¹ (``right`` − W_U ω_neighbour) of an edge, into its place."""
-        rotation = backward(edge.pivots, minus_combination(right, edge.neighbour, w))
+        rotation = factors.backward(edge.pivots, factors.minus_combination(right, edge.neighbour, w))
         edge.rotation = rotation
         return rotation
 
@@ -246,12 +225,12 @@ class LooseStart(Elimination):
         self.observe_moment(found, moment)
         d = on_diagonal(beyond.cc, self.shift_of_start(rod, shift))
         stiff = (self.at_least_held(rod, d[0]), d[1], d[2], self.at_least_held(rod, d[3]), d[4], self.at_least_held(rod, d[5]))
-        f = factor_in_turn(held_pivot(stiff, free))
+        f = factors.factor_in_turn(held_pivot(stiff, free))
         found.negative = found.negative + f[6]
-        wr = forward(f, scaled(negated(c), loose))
-        wa = forward_rows(f, scaled(border.c, loose))
-        border.schur = plus(border.schur, symmetric_gram(f, wa))
-        border.right = plus(border.right, against(f, wa, wr))
+        wr = factors.forward(f, scaled(negated(c), loose))
+        wa = factors.forward_rows(f, scaled(border.c, loose))
+        border.schur = plus(border.schur, factors.symmetric_gram(f, wa))
+        border.right = plus(border.right, factors.against(f, wa, wr))
         rod.head.drift_step, rod.head.drift_border = wr, wa
         rod.head.drift_pivots = (f[0], f[1], f[2], f[3], f[4], f[5])
 
@@ -274,8 +253,8 @@ class LooseStart(Elimination):
 
     def solved_start(self, rod, change):
         """(ξ = L⁻ᵀ D⁻¹ (W_c − W_λ δλ) of vertex 0, also into its place; its part in the Newton decrement)."""
-        y = minus_combination(rod.head.drift_step, rod.head.drift_border, change)
+        y = factors.minus_combination(rod.head.drift_step, rod.head.drift_border, change)
         f = rod.head.drift_pivots
-        shift = backward(f, y)
+        shift = factors.backward(f, y)
         rod.head.drift_step = shift
-        return shift, squared(f, y)
+        return shift, factors.squared(f, y)

@@ -248,14 +248,9 @@ def put_extremes(table: np.ndarray, bend: tuple[np.ndarray, np.ndarray], twist: 
     """Into a table of materials the largest and smallest stiffness along the rods, which have the range ``bend`` (G, 1 or E)
     each and ``twist`` (G, 1 or joints)."""
     smallest, largest = bend
-    table[:, of.LARGEST_BEND] = _along(np.maximum, largest)
-    table[:, of.STIFFEST] = np.maximum(table[:, of.LARGEST_BEND], _along(np.maximum, twist))
-    table[:, of.SOFTEST] = np.minimum(_along(np.minimum, smallest), _along(np.minimum, twist))
-
-
-def _along(chosen: np.ufunc, values: np.ndarray) -> np.ndarray:
-    """(R,) the one of ``values`` (R, 1 or joints) along each rod that is ``chosen``; single ones without a slow reduction."""
-    return values[:, 0] if values.shape[1] == 1 else chosen.reduce(values, axis=1)
+    table[:, of.LARGEST_BEND] = largest.max(axis=1)
+    table[:, of.STIFFEST] = np.maximum(table[:, of.LARGEST_BEND], twist.max(axis=1))
+    table[:, of.SOFTEST] = np.minimum(smallest.min(axis=1), twist.min(axis=1))
 
 
 def bending_range(first: np.ndarray, second: np.ndarray, mixed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -13,36 +13,13 @@ border of closure.
 
 import taichi as ti
 
-from doo_ti.physics.algebra import (
-    absolute,
-    applied,
-    column_scaled,
-    full,
-    identity,
-    largest_of,
-    quadratic,
-    row,
-    times_transposed,
-    transposed,
-)
+from doo_ti.physics import algebra, tuples
+from doo_ti.physics.algebra import absolute, applied, column_scaled, full, largest_of, quadratic, row, transposed
 from doo_ti.physics.factors import against, factor, forward, forward_rows, gram, minus_combination, squared, symmetric_gram
 from doo_ti.physics.number import device_functions
 from doo_ti.physics.pair import closure_rows, linear_gradient, linear_hessian, shift_of_end
-from doo_ti.physics.quaternion import first_director, second_director, tangent
-from doo_ti.physics.tuples import (
-    dot,
-    extended,
-    minus,
-    negated,
-    picked,
-    plus,
-    products,
-    record,
-    repeated,
-    scaled,
-    traced,
-    variable,
-)
+from doo_ti.physics.quaternion import directors, first_director, second_director, tangent
+from doo_ti.physics.tuples import dot, minus, negated, picked, plus, products, record, repeated, scaled, traced, variable
 from doo_ti.relaxation.chain import edge_layout, rod_layout
 from doo_ti.relaxation.contact_table import CONTACTS
 from doo_ti.relaxation.contacts import RodContacts
@@ -82,7 +59,7 @@ class LoadedElimination(LooseStart):
         if not self.touches:
             return tables
         edges, numbers = given.rest_length.shape[1], self.contacts.items(given)
-        return extended(tables, contacts=self.behind(given.scratch, given.threads, thread, edges, numbers, CONTACTS))
+        return tuples.extended(tables, contacts=self.behind(given.scratch, given.threads, thread, edges, numbers, CONTACTS))
 
     @picked
     def items(self, given):
@@ -116,7 +93,7 @@ class LoadedElimination(LooseStart):
             e = rod.edges - 1 - back
             edge = self.edge(rod.head, e)
             q, length = edge.frame, edge.length
-            t, m1, m2 = tangent(q), first_director(q), second_director(q)
+            t, m1, m2 = directors(q)
             start = minus(end, scaled(t, length))
             load = self.load(rod, edge, e, start, end, found)
             end = start
@@ -180,7 +157,7 @@ class LoadedElimination(LooseStart):
             z=repeated(zero, 9), length=zero)
         if ti.static(self.moves_start):
             beyond.force, beyond.c = multiplier, multiplier
-        return beyond, record(c=scaled(identity(zero), rod.closed), f=repeated(zero, 9), schur=repeated(zero, 6),
+        return beyond, record(c=scaled(algebra.identity(zero), rod.closed), f=repeated(zero, 9), schur=repeated(zero, 6),
                               right=repeated(zero, 3))
 
     def load(self, rod, edge, e, start, end, found):
@@ -202,11 +179,7 @@ class LoadedElimination(LooseStart):
             load.curvature, load.curvature_s = scaled(curvature, square), scaled(curvature_s, square)
             load.curvature_ss = scaled(curvature_ss, square)
         if ti.static(self.touches):
-            some = self.contacts.touched(rod, e + 1, start, end)
-            if some > 0:
-                self.contacts.take_vertex(rod, load)
-            if some > 1:
-                self.contacts.take_between(rod, load)
+            self.contacts.take(rod, load, self.contacts.touched(rod, e + 1, start, end))
         return load
 
     def condensed(self, h, shifts, beyond, a1, a2):
@@ -229,7 +202,7 @@ class LoadedElimination(LooseStart):
     def eliminate_border(self, edge, free, border, rows, f, wr, wz, wu):
         """The edge's part in closure: of each component of λ the columns c_λ and f_λ that the edge before is given, and the
         Schur complement."""
-        wa = forward_rows(f, column_scaled(plus(border.f, times_transposed(border.c, rows)), free))
+        wa = forward_rows(f, column_scaled(plus(border.f, algebra.times_transposed(border.c, rows)), free))
         edge.force_border = wa
         border.c = minus(border.c, gram(f, wa, wz))
         border.f = negated(gram(f, wa, wu))

@@ -1,8 +1,8 @@
-"""A rod's start, clamps and material into one lane of a pack in scratch, and its frames out of it (§III-A, §III-B)."""
+"""A rod's start, clamps and material into one lane of a pack in scratch (§III-A, §III-B)."""
 
 import taichi as ti
 
-from doo_ti.physics.number import device_functions, in_f64, read, write
+from doo_ti.physics.number import device_functions, in_f64, read
 from doo_ti.physics.quaternion import normalised, tangent, turned_to
 from doo_ti.physics.tuples import record, scaled, variable
 from doo_ti.relaxation import chain
@@ -56,7 +56,7 @@ def load_stiffness(view, material: ti.template(), g, rest_length: ti.template(),
 
 @device_functions
 class Loading:
-    """Loading of rods into lanes of ``sweep`` (:class:`.Chain`), and storing of their frames.
+    """Loading of rods into lanes of ``sweep`` (:class:`.Chain`).
 
     ``tables`` is a record of the arrays that host and kernels share: start, rest_length, clamp, material, up, rods, frames,
     results, and ``numbers`` of the external energy (see :mod:`doo_ti.relaxation.tables`). ``functions`` are that energy's, or
@@ -135,12 +135,6 @@ class Loading:
             if clamp[s, of.SPIN_START + end] > 0.0:  # a tangent alone
                 held = turned_to(normalised(read(source, place, count=4)), tangent(held))
             edge.frame = held
-
-    def store_frames(self, tables, row, lane):
-        """The lane's frames into row ``row`` of the results' frames."""
-        edges = tables.rest_length.shape[1]
-        for e in range(edges):
-            write(tables.frames, (row * edges + e) * 4, values=self.edge(lane, e).frame)
 
     def force_unit(self, lane):
         """The lane's unit of force, energy per mm."""

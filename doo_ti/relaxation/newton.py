@@ -104,8 +104,9 @@ class NewtonLoop(QueueLoop, NewtonTrip):
 
     def store(self, tables, head, slot, lane, rod):
         """Results of the rod in lane ``slot``, row ``rod`` of the rods."""
-        row, own = tables.rods[rod, of.RESULT_ROW], head.lane(slot)
-        self.loading.store_frames(tables, row, own)
+        row, own, edges = tables.rods[rod, of.RESULT_ROW], head.lane(slot), tables.rest_length.shape[1]
+        for e in range(edges):
+            write(tables.frames, (row * edges + e) * 4, values=self.sweep.edge(own, e).frame)
         if ti.static(self.touches):
             self.sweep.contacts.unload(tables, slot, row)
             self.sweep.contacts.unload_forces(tables, slot, row, self.loading.force_unit(own))

@@ -1,5 +1,4 @@
-"""The distance of two straight edges inside kernels, a function of their four ends with two derivatives, and whether a rod
-touches itself on the straight way of its vertices from one shape to another (docs/contact.md).
+"""The distance of two straight edges inside kernels, a function of their four ends with two derivatives (docs/contact.md).
 
 With the ends x_i, x_i + p of one edge and x_j, x_j + q of the other, w = x_j − x_i and ε a small square of a length,
 
@@ -8,15 +7,11 @@ With the ends x_i, x_i + p of one edge and x_j, x_j + q of the other, w = x_j �
 The term with ε makes the minimum unique, and D smooth, where the edges are parallel. With r = w + t q − s p at the minimum
 and c = (s − 1, −s, 1 − t, t), the gradient of D by the ends is c_k r/D, and the second derivatives of D² are those at fixed s
 and t, 2 c_k c_l I, less what s and t give by moving along.
-
-The way is followed for every pair of edges that may come near to each other, from one instant to the first at which the two
-could touch: their distance then, less that at which they touch, over the largest change of any distance between them.
 """
 
 import taichi as ti
 
-from doo_ti.physics.number import Layout, device_functions, in_f64
-from doo_ti.physics.tuples import dot, minus, picked, plus, record, scaled, traced
+from doo_ti.physics.tuples import dot, minus, plus, record, scaled, traced
 
 
 @traced
@@ -102,100 +97,3 @@ def pair_block(own, other, seen, push, stiffness) -> tuple:
             entry = outer * seen.normal[a] * seen.normal[b] + share * moved
             block.append(entry - both * share if a == b else entry)
     return tuple(block)
-
-
-WAY = Layout(before=3, after=3, arc=1)  # of a vertex: its place before and after, and the length of rod up to it
-ENOUGH = 1e-3  # radii, nearer than which two edges touch
-
-
-@ti.func
-def least_distance(before, change):
-    """The least distance of two places on straight ways: ``before`` from one to the other at first, and by its ``change``."""
-    share = within((0.0 - dot(before, change)) / (dot(change, change) + 1e-30))
-    nearest = plus(before, scaled(change, share))
-    return ti.sqrt(dot(nearest, nearest))
-
-
-@device_functions
-class ClosestApproach:
-    """The ways of rods.
-
-    A ``rod`` is a record of ``head``, the view of its vertex 0 in a lane of scratch, its ``edges``, the distance ``near`` at
-    which two of them touch, to within ``enough``, and the length ``least_arc`` of rod that is between any two that count, mm.
-    """
-
-    @picked
-    def vertex(self, head, v):
-        """The view of vertex ``v``."""
-        return head.part(WAY, v * len(WAY))
-
-    def arc(self, rod, first, last):
-        """The length of rod between two vertices."""
-        return in_f64(self.vertex(rod.head, last).arc) - in_f64(self.vertex(rod.head, first).arc)
-
-    def apart(self, rod, first, last, share):
-        """From one vertex to another when both have gone that ``share`` of their ways."""
-        old = minus(in_f64(self.vertex(rod.head, last).before), in_f64(self.vertex(rod.head, first).before))
-        return plus(old, scaled(self.moved(rod, first, last), share))
-
-    def moved(self, rod, first, last):
-        """The displacement of a vertex against another."""
-        one, other = self.vertex(rod.head, first), self.vertex(rod.head, last)
-        return minus(minus(in_f64(other.after), in_f64(other.before)), minus(in_f64(one.after), in_f64(one.before)))
-
-    def touches(self, rod):
-        """Whether any two edges touch on their way, or are not finite."""
-        longest = ti.cast(0.0, ti.f64)
-        for e in range(rod.edges):
-            longest = ti.max(longest, self.arc(rod, e, e + 1))
-        touching, i = False, 0
-        while i < rod.edges - 2 and not touching:
-            j = i + 2
-            while j < rod.edges and not touching:
-                ahead = 1
-                if self.arc(rod, i + 1, j) > rod.least_arc:
-                    room = self.room_of_middles(rod, i, j)
-                    if room > 0.0:
-                        # A place further along the rod is nearer by no more than it is further along.
-                        ahead += ti.cast(ti.min(room / longest, 1e6), ti.i32)
-                    else:
-                        touching = self.edges_touch(rod, i, j)
-                j += ahead
-            i += 1
-        return touching
-
-    def room_of_middles(self, rod, i, j):
-        """By how much the middles of two edges stay too far apart on the way for the edges to touch."""
-        before = scaled(plus(self.apart(rod, i, j, 0.0), self.apart(rod, i + 1, j + 1, 0.0)), 0.5)
-        change = scaled(plus(self.moved(rod, i, j), self.moved(rod, i + 1, j + 1)), 0.5)
-        return least_distance(before, change) - 0.5 * (self.arc(rod, i, i + 1) + self.arc(rod, j, j + 1)) - rod.near
-
-    def edges_touch(self, rod, i, j):
-        """Whether edges i and j touch on their way, or are not finite."""
-        fastest = ti.cast(0.0, ti.f64)
-        for a in ti.static(range(2)):
-            for b in ti.static(range(2)):
-                change = self.moved(rod, i + a, j + b)
-                fastest = ti.max(fastest, ti.sqrt(dot(change, change)))
-        share, touching = ti.cast(0.0, ti.f64), False
-        while share < 1.0 and not touching:
-            w, p, q = self.apart(rod, i, j, share), self.apart(rod, i, i + 1, share), self.apart(rod, j, j + 1, share)
-            found = nearest_places(w, p, q, 0.0 * share)
-            across = plus(minus(w, scaled(p, found.s)), scaled(q, found.t))
-            room = ti.sqrt(dot(across, across)) - rod.near
-            if room > rod.enough:
-                share += room / (fastest + 1e-30)
-            else:
-                # Edges shorten on the way where they turn far. Enough of the rod has to be between two that touch.
-                missing, change = self.missing_arc(rod, i + 1, j, share)
-                touching = not missing > rod.enough
-                share += missing / (change + 1e-30)
-        return touching
-
-    def missing_arc(self, rod, first, last, share):
-        """How much too little of the rod is between two vertices at that ``share`` of the way; by how much it may change."""
-        missing, most = rod.least_arc, ti.cast(0.0, ti.f64)
-        for e in range(first, last):
-            edge, change = self.apart(rod, e, e + 1, share), self.moved(rod, e, e + 1)
-            missing, most = missing - ti.sqrt(dot(edge, edge)), most + ti.sqrt(dot(change, change))
-        return missing, most

@@ -76,14 +76,6 @@ class ParameterGradient(chain.Chain):
             kept = self.edge(rod.head, joint).external.pair
             kept.left, kept.right, kept.h_left, kept.h_right, kept.across = derivatives
 
-    def keep_gradients(self, rod):
-        """Keep only the gradients of these pairs, which needs no elimination."""
-        for end in range(2):
-            joint = end * (rod.edges - 2)
-            bent, s = self.kept_pair(rod, joint)
-            kept = self.edge(rod.head, joint).external.pair
-            kept.left, kept.right = self.gradient_of(bent, s)
-
     def column(self, tables, rod, p, known):
         """The record of direction ``p`` for rods of which the multiplier, the weight and what clamps hold are ``known``."""
         one = 0.0 * rod.total + 1.0

@@ -24,19 +24,10 @@ from doo_ti.physics.number import device_functions, read, write
 from doo_ti.physics.pair import linear_gradient
 from doo_ti.physics.quaternion import first_director, second_director
 from doo_ti.physics.tuples import dot, minus, negated, plus, record, repeated, scaled, variable
+from doo_ti.relaxation import sensitivity
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_sensitivity import ContactSensitivity
 from doo_ti.relaxation.kernel_factory import TABLE2, TABLE3
-from doo_ti.relaxation.sensitivity import (
-    CURVATURES,
-    OF_CLAMPS,
-    PARAMETERS,
-    alone,
-    at_minima,
-    check_parameters,
-    parameter_directions,
-    taut_rods,
-)
 from doo_ti.relaxation.sensitivity_columns import SensitivityColumns
 from doo_ti.relaxation.sensitivity_kernel import SensitivitySweep, kernels_at_rest, run_at_rest
 from doo_ti.rod.types import Solution
@@ -214,26 +205,29 @@ def pullback(solution: Solution, cotangent: np.ndarray | None, parameters: Seque
     Raises InputError for cotangents of another shape, or that are not finite in a rod that has derivatives, and where
     :func:`.sensitivity` does.
     """
-    solution = alone("pullback", solution)
+    solution = sensitivity.alone("pullback", solution)
     table = solution.tables
-    check_parameters("pullback", parameters, (*PARAMETERS, FORCES), modes, table)
-    usable = at_minima(solution)
+    sensitivity.check_parameters("pullback", parameters, (*sensitivity.PARAMETERS, FORCES), modes, table)
+    usable = sensitivity.at_minima(solution)
     count, edges = table.count, table.edges
     pulls = _cotangent("cotangent", cotangent, (count, edges + 1, 3), usable)
-    twists = np.zeros((count, edges, 3)) if frames is None else _in_own_axes(
-        solution.configuration.frames, _cotangent("frames", frames, (count, edges, 3, 3), usable))
-    others = [name for name in parameters if name not in (*CURVATURES, FORCES)]
-    directions = [parameter_directions([name], edges, table.up)[1] for name in others]
+    twists = np.zeros((count, edges, 3))
+    if frames is not None:  # by turns of the frames about their own axes
+        own = solution.configuration.frames
+        moment = np.cross(own, _cotangent("frames", frames, (count, edges, 3, 3), usable), axis=2).sum(axis=-1)
+        twists = np.ascontiguousarray(np.einsum("reki,rek->rei", own, moment))
+    others = [name for name in parameters if name not in (*sensitivity.CURVATURES, FORCES)]
+    directions = [sensitivity.parameter_directions([name], edges, table.up)[1] for name in others]
     runtime.start()
     rows = np.concatenate(directions) if directions else np.zeros((0, 0))
     gradient, curvature, displaced, sound = run_pullback(solution, usable, rows, pulls, twists)
     ends = np.cumsum([0, *map(len, directions)])
     parts = {name: gradient[:, first] if last == first + 1 else gradient[:, first:last]
              for name, first, last in zip(others, ends, ends[1:], strict=False)}
-    hanging, taut = table.released[table.configuration_index], taut_rods(table)
+    hanging, taut = table.released[table.configuration_index], sensitivity.taut_rods(table)
     if "end_shift" in parts:
         parts["end_shift"][hanging] += pulls[hanging].sum(axis=1)  # held at the far end alone they go where it goes
-    for name in set(parts) & set(OF_CLAMPS):
+    for name in set(parts) & set(sensitivity.OF_CLAMPS):
         parts[name][taut] = np.nan
     parts |= {FORCES: displaced, "rest_curvature_per_joint": curvature, "rest_curvature": curvature.sum(axis=1)}
     if modes is not None:
@@ -252,9 +246,3 @@ def _cotangent(name: str, value: np.ndarray | None, shape: tuple[int, ...], usab
     if not np.isfinite(array).all():
         raise InputError("pullback", name, "not finite in a rod that has derivatives", "give finite numbers")
     return np.ascontiguousarray(array, dtype=np.float64)
-
-
-def _in_own_axes(frames: np.ndarray, cotangent: np.ndarray) -> np.ndarray:
-    """(R, E, 3) derivatives by turns of the ``frames`` about their own axes, of those by the frames (R, E, 3, 3) themselves."""
-    moment = np.cross(frames, cotangent, axis=2).sum(axis=-1)
-    return np.ascontiguousarray(np.einsum("reki,rek->rei", frames, moment))

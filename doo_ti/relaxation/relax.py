@@ -8,7 +8,6 @@ A rod that fails raises no exception: every rod has its own status, and none aff
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -121,7 +120,9 @@ def _solved(table: Tables, solver: Newton | Descent, precision: str, begin: Solu
         bits = np.full(table.count, bits)
     else:
         frames, results, bits = _newton(table, solver, precision, begin)
-        _relax_moved_out(table, solver, frames, results, bits)
+        if table.contact is not None and len(rows := move_out(table, frames, results)):
+            batch.continue_newton(table, solver, 64, frames, results, rows, np.ones(table.count, dtype=bool))
+            bits[rows] = 64
         table = _touch_themselves(table, solver, frames, results, bits)
     return _solution(table, frames, results, bits)
 
@@ -156,7 +157,10 @@ def _newton(table: Tables, solver: Newton, precision: str, begin: Solution | Non
         frames, results = batch.run_newton(evener, solver, 64, begin)
         _with_ratios(table, solver, 64, frames, results, uneven)
         return frames, results, np.full(len(results), 64)
-    frames, results = batch.run_newton(evener, _coarse(solver, precision), 32, begin)
+    coarse = solver if precision == F32_ONLY else replace(
+        solver, max_iterations=min(solver.max_iterations, ITERATIONS_32),
+        tolerance=None if precision == "mixed" else solver.tolerance)
+    frames, results = batch.run_newton(evener, coarse, 32, begin)
     bits = np.full(len(results), 32)
     if precision == F32_ONLY:
         _with_ratios(table, solver, 32, frames, results, uneven)
@@ -189,15 +193,6 @@ def _continue(table: Tables, solver: Newton, bits: int, frames, results, rows: n
     results[rows, of.ALONG] = np.where(usable[rows], np.minimum(results[rows, of.ALONG], along), results[rows, of.ALONG])
 
 
-@cache
-def _coarse(solver: Newton, precision: str) -> Newton:
-    """The options of f32, after which f64 may follow."""
-    if precision == F32_ONLY:
-        return solver
-    return replace(solver, max_iterations=min(solver.max_iterations, ITERATIONS_32),
-                   tolerance=None if precision == "mixed" else solver.tolerance)
-
-
 def _with_ratios(table: Tables, solver: Newton, bits: int, frames: np.ndarray, results: np.ndarray, rows: np.ndarray) -> None:
     """Relax the rods ``rows`` further, in place, which have relaxed with stiffness made even to RATIOS[0]: with one ratio after
     the other, up to their own.
@@ -212,13 +207,6 @@ def _with_ratios(table: Tables, solver: Newton, bits: int, frames: np.ndarray, r
         usable = np.isin(results[:, of.STATUS], (CONVERGED, STALLED, LIMIT))
         _continue(evener, solver, bits, frames, results, rows, usable)
         rows = later
-
-
-def _relax_moved_out(table: Tables, solver: Newton, frames: np.ndarray, results: np.ndarray, bits: np.ndarray) -> None:
-    """Relax the rods, in place, that began inside an obstacle from starts that are moved out of it, where there are any."""
-    if table.contact is not None and len(rows := move_out(table, frames, results)):
-        batch.continue_newton(table, solver, 64, frames, results, rows, np.ones(table.count, dtype=bool))
-        bits[rows] = 64
 
 
 def _touch_themselves(table: Tables, solver: Newton, frames, results, bits) -> Tables:
@@ -239,7 +227,9 @@ def _touch_themselves(table: Tables, solver: Newton, frames, results, bits) -> T
         rows = np.sort(np.append(rows, turned[table.spins_held[index[turned]]]))
     rows = rows[results[rows, of.STATUS] != INFEASIBLE]
     if len(rows):
-        table = batch.relax_touching(table, solver, frames, results, rows)
+        table = replace(table, contact=contact.touching(rows))
+        batch.continue_newton(table, solver, 64, frames, results, rows, np.zeros(table.count, dtype=bool))
+        table = replace(table, contact=replace(table.contact, itself=False))
         bits[rows] = 64
     return table
 

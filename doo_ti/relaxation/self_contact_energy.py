@@ -75,30 +75,25 @@ class SelfContactEnergy(RodContacts):
         add(self.block(rod, line, line, 1), two=(values[3], values[4]))
         add(self.block(rod, line, line, 2), three=row(values, 2))
 
-    def measure_arc(self, rod):
-        """Note how much of the rod lies before each vertex."""
-        arc = 0.0 * rod.total
-        before = variable(repeated(arc, 3))
-        for v in range(rod.edges + 1):
-            place = self.vertex(rod, v).place
-            if v > 0:
-                edge = minus(place, before)
-                arc = arc + ti.sqrt(dot(edge, edge))
-            before = place
-            self.own_vertex(rod, v).pull = repeated(0.0 * arc, 3)
-            self.own_vertex(rod, v).arc = arc
-
     # --- the energy ---
 
     def touch_itself(self, rod):
         """Measure the distances of all edges from each other, where the rod is, and add the energy of their contacts to the
         sums, its gradient to the vertices and its second derivative to the matrix."""
         zero, radius = 0.0 * rod.total, rod.contacts.radius
-        self.measure_arc(rod)
+        arc, before = zero, variable(repeated(zero, 3))
+        for v in range(rod.edges + 1):  # how much of the rod lies before each vertex
+            place = self.vertex(rod, v).place
+            if v > 0:
+                edge = minus(place, before)
+                arc = arc + ti.sqrt(dot(edge, edge))
+            before = place
+            self.own_vertex(rod, v).pull = repeated(zero, 3)
+            self.own_vertex(rod, v).arc = arc
         self.own(rod).pinched = zero
         for j in range(2, rod.edges):
             start, end = self.vertex(rod, j).place, self.vertex(rod, j + 1).place
-            arc = self.own_vertex(rod, j).arc - LEAST_ARC * radius
+            least_arc = self.own_vertex(rod, j).arc - LEAST_ARC * radius
             for i in range(j - 1):
                 at = self.pair(rod, i, j)
                 self.note_crossing(rod, i, j, at)
@@ -106,7 +101,7 @@ class SelfContactEnergy(RodContacts):
                 away = minus(plus(start, end), plus(first, last))
                 # No two places are nearer than the middles less half of both edges.
                 bound = 0.5 * ti.sqrt(dot(away, away)) - rod.longest
-                counts = self.may_touch(rod, i, at, arc)
+                counts = self.may_touch(rod, i, at, least_arc)
                 at.distance_standing = at.distance
                 at.distance = ti.select(counts, bound, zero + 1e30)
                 near = counts & (self.pair_clearance(rod, i, j, bound) < layout.REACH * radius)
@@ -135,7 +130,10 @@ class SelfContactEnergy(RodContacts):
         seen = pair_distance(w, p, q, layout.ROUNDED * radius * radius)
         at.nearest = (seen.s, seen.t) + seen.normal
         at.distance = ti.select(near, seen.value, at.distance)
-        self.note_depth(rod, at, near, seen.value)
+        # The step is refused where it brings two edges nearer than that: the distance is a little too large there, so that they
+        # could pass through each other.
+        nearer = near & (seen.value < layout.DEEPEST_STEP * radius) & (seen.value < at.distance_standing)
+        rod.contacts.crossing = largest_of(rod.contacts.crossing, ti.select(nearer, zero + 1.0, zero))
         gap = ti.select(near, self.pair_clearance(rod, i, j, seen.value) - 2.0 * radius, zero + 1e30)
         depth = ti.select(near, seen.value - layout.LEAST_DISTANCE * radius, zero + 1e30)
         held = (self.held_edge(rod, i) > 0.5) & (self.held_edge(rod, j) > 0.5)
@@ -191,13 +189,6 @@ class SelfContactEnergy(RodContacts):
                 most = largest_of(most, dot(shift, shift))
         before = at.distance_standing
         rod.contacts.crossing = largest_of(rod.contacts.crossing, most / (before * before + 1e-20))
-
-    def note_depth(self, rod, at, near, value):
-        """Note that the step is refused where it brings two edges nearer than :data:`DEEPEST_STEP`, in the lanes where they are
-        ``near``: the distance is a little too large there, so that they could pass through each other."""
-        zero = 0.0 * value
-        nearer = near & (value < layout.DEEPEST_STEP * rod.contacts.radius) & (value < at.distance_standing)
-        rod.contacts.crossing = largest_of(rod.contacts.crossing, ti.select(nearer, zero + 1.0, zero))
 
     def shift(self, rod, index):
         """How far a vertex has moved in this step."""

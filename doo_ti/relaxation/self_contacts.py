@@ -111,19 +111,16 @@ class SelfContacts(SelfContactEnergy):
                 at[k] = 0.0
             at.distance, at.distance_standing = 1e30, 1e30
 
-    def load_carried_pairs(self, tables, slot, row):
-        """What the launch before has left of edges, into lane ``slot``."""
+    def carry_pairs(self, tables, slot, row, loads: ti.template()):
+        """What a launch needs of edges from the one before: into lane ``slot`` if it ``loads``, else from there."""
         one, pairs = self.of_lane(tables, slot), tables.pair_memory.shape[1]
         for number in range(ti.select(pairs > 1, pairs, 0)):
+            pair = self.numbered_pair(one, number)
             for k in ti.static(range(PAIR_CARRIED)):
-                self.numbered_pair(one, number)[k] = tables.pair_memory[row, number, k]
-
-    def carry_pairs(self, tables, slot, row):
-        """What the next launch needs of edges, from lane ``slot``."""
-        one, pairs = self.of_lane(tables, slot), tables.pair_memory.shape[1]
-        for number in range(ti.select(pairs > 1, pairs, 0)):
-            for k in ti.static(range(PAIR_CARRIED)):
-                tables.pair_memory[row, number, k] = self.numbered_pair(one, number)[k]
+                if ti.static(loads):
+                    pair[k] = tables.pair_memory[row, number, k]
+                else:
+                    tables.pair_memory[row, number, k] = pair[k]
 
     def pair_touch(self, tables, slot, vertex):
         """The :class:`.Touch` of the edge that ends at a vertex of lane ``slot`` with other edges."""

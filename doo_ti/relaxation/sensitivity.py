@@ -312,23 +312,14 @@ def _unchanged(count: int) -> np.ndarray:
 
 def _directions(name: str, up: np.ndarray) -> np.ndarray:
     """The rows of :func:`parameter_directions` of one parameter that is no curvature."""
-    rows = _unchanged({"up": 2, "gravity": 3, **dict.fromkeys(GRIPPERS, 3)}.get(name, 1))
-    if name in ("bend", "bend_1", "bend_2", "bend_12"):
-        entries = {"bend": (1, 1, 0), "bend_1": (1, 0, 0), "bend_2": (0, 1, 0), "bend_12": (0, 0, 1)}[name]
-        rows[0, change.BEND : change.BEND + 3] = entries
-    elif name == "twist":
-        rows[0, change.TWIST] = 1.0
-    elif name == "weight":
-        rows[0, change.PULL : change.PULL + 3] = up
-    elif name == "up":
-        rows[:, change.PULL : change.PULL + 3] = np.cross(tilt_axes(up), up)
-        rows[:, change.TIMES_WEIGHT] = 1.0
-    elif name == "length":
-        rows[0, change.STRETCH] = 1.0
-    else:
-        first = {"gravity": change.PULL, "start_shift": change.MOVE, "end_shift": change.SHIFT,
-                 "start_turn": change.TURN_START, "end_turn": change.TURN_END}[name]
-        rows[:, first : first + 3] = np.eye(3)
-        if name == "start_shift":
-            rows[:, change.SHIFT : change.SHIFT + 3] = -np.eye(3)
+    axes = np.eye(3)
+    entries = {
+        "bend": {change.BEND: [[1, 1, 0]]}, "bend_1": {change.BEND: [[1, 0, 0]]}, "bend_2": {change.BEND: [[0, 1, 0]]},
+        "bend_12": {change.BEND: [[0, 0, 1]]}, "twist": {change.TWIST: [[1]]}, "weight": {change.PULL: [up]},
+        "up": {change.PULL: np.cross(tilt_axes(up), up), change.TIMES_WEIGHT: [[1], [1]]}, "gravity": {change.PULL: axes},
+        "length": {change.STRETCH: [[1]]}, "start_shift": {change.MOVE: axes, change.SHIFT: -axes},
+        "end_shift": {change.SHIFT: axes}, "start_turn": {change.TURN_START: axes}, "end_turn": {change.TURN_END: axes}}[name]
+    rows = _unchanged(len(next(iter(entries.values()))))
+    for first, values in entries.items():
+        rows[:, first : first + len(values[0])] = values
     return rows

@@ -9,7 +9,7 @@ import taichi as ti
 
 from doo_ti.physics.number import device_functions, read
 from doo_ti.physics.quaternion import first_director, second_director, tangent
-from doo_ti.physics.tuples import minus, plus, products, record, repeated, scaled, traced, variable
+from doo_ti.physics.tuples import minus, plus, products, put_lane, record, repeated, scaled, variable
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.newton_policy import INERTIA_OF_A_MINIMUM, LARGE_TRACE, TRACE
 from doo_ti.relaxation.parameter_gradient import NO_MODE, ParameterGradient
@@ -53,24 +53,20 @@ class SensitivityColumns(ParameterGradient):
             if tables.beyond.shape[1] == tables.rest_length.shape[1]:
                 force = scaled(read(tables.beyond, row, e, 0), 1.0 / unit)
             self.edge(lane, e).external.beyond = force
-        end = scaled(read(tables.results, row, of.FORCE), 0.0 - 1.0 / unit)
-        known.multiplier = self.with_lanes(known.multiplier, slot, end)
         free = read(tables.clamp, tables.rods[index, of.CLAMP_ROW], of.SPIN_START, count=4)
-        known.holds = self.with_lanes(known.holds, slot, minus(repeated(1.0, 4), free))
-        weight = tables.material[tables.rods[index, of.MATERIAL_ROW], of.WEIGHT]
-        known.weight = self.with_lane(known.weight, slot, weight)
-
-    @traced
-    def with_lanes(self, values, slot, new):
-        """Several values with lane ``slot`` replaced by the numbers ``new``."""
-        return tuple(self.with_lane(value, slot, number) for value, number in zip(values, new, strict=True))
+        put_lane(known, self.with_lane, slot, multiplier=scaled(read(tables.results, row, of.FORCE), 0.0 - 1.0 / unit),
+                 holds=minus(repeated(1.0, 4), free), weight=tables.material[tables.rods[index, of.MATERIAL_ROW], of.WEIGHT])
 
     def differentiate(self, tables, rod, index, known):
         """The moments and all columns of the rods at rest whose rows of the rods begin with ``index``."""
         sound = 0.0 * rod.total + 1.0
         if tables.columns == 0:
             self.bend_pairs(rod)
-            self.keep_gradients(rod)
+            for end in range(2):  # only the gradients of the pairs there, which need no elimination
+                joint = end * (rod.edges - 2)
+                bent, s = self.kept_pair(rod, joint)
+                kept = self.edge(rod.head, joint).external.pair
+                kept.left, kept.right = self.gradient_of(bent, s)
         else:
             sound = self.is_minimum(rod, known.multiplier)
         for slot in ti.static(range(self.width)):

@@ -120,20 +120,15 @@ def run_at_rest(solution: Solution, usable: np.ndarray, kernels: tuple, directio
     given = np.ascontiguousarray(directions) if columns else np.zeros((1, DIRECTION_COLUMNS))
     sound = np.zeros(count, dtype=np.int32)
     state = frames.reshape(-1), results, _beyond(table, first, last), given, np.ascontiguousarray(modes), columns
-    touching = np.zeros(count, dtype=bool) if kernels[1] is None else _touching(table, first, last)
+    touching = np.zeros(count, dtype=bool)  # or with vertex 0 free among obstacles
+    if kernels[1] is not None and table.contact is not None:
+        loose = table.clamp[table.configuration_index[first:last], of.LOOSE] > 0
+        touching = loose | (table.contact.forces[first:last] != 0.0).any(axis=(1, 2))
     for rods, contact in ((~touching, None), (touching, table.contact)):
         rows = np.flatnonzero(usable[first:last] & rods)
         _launch(table, first, last, rows, contact, kernels[contact is not None], state, (sound, *arrays),
                 packed and contact is None)
     return sound != 0
-
-
-def _touching(table: Tables, first: int, last: int) -> np.ndarray:
-    """(R,) the rods that touch an obstacle, or whose vertex 0 is free among obstacles."""
-    if table.contact is None:
-        return np.zeros(last - first, dtype=bool)
-    loose = table.clamp[table.configuration_index[first:last], of.LOOSE] > 0
-    return loose | (table.contact.forces[first:last] != 0.0).any(axis=(1, 2))
 
 
 @runtime.exclusive

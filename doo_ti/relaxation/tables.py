@@ -149,8 +149,6 @@ class Tables:
     def by_material(self, rods: np.ndarray) -> list[tuple[bool, np.ndarray]]:
         """``rods`` (-, ROD_COLUMNS) parted by whether they are isotropic. A rod's own material decides which kernel takes it,
         so that its result does not depend on the others of a call."""
-        if self.isotropic.all() and len(rods):  # as nearly always
-            return [(True, rods)]
         return _parted(rods, self.isotropic[rods[:, MATERIAL_ROW]])
 
     def by_kernel(self, rods: np.ndarray) -> list[tuple[bool, bool, np.ndarray]]:

@@ -9,7 +9,7 @@ import taichi as ti
 from doo_ti.physics import pair
 from doo_ti.physics.number import device_functions
 from doo_ti.physics.quaternion import tangent
-from doo_ti.physics.tuples import choose, dot, minus, plus, record, scaled, variable
+from doo_ti.physics.tuples import dot, minus, plus, record, scaled, variable
 from doo_ti.relaxation.time_sweep import TimeSweep
 
 LEAVING = 5.0  # tolerances of a gap: a vertex that an obstacle pushes may leave it in a step by no more
@@ -37,11 +37,6 @@ class TimeImpact(TimeSweep):
         bounces = (impact | (self.leaves(rod, time) & (rise.mass > 0.0))) & (time.rate > 1.0)
         return record(bounces=bounces, kept=ti.select(raised, kept, one))
 
-    def make_euler(self, rod, where):
-        """Make the step once more as one of backward Euler in the lanes ``where``."""
-        choose(rod.head, where, euler=0.0 * rod.total + 1.0)
-        self.contacts.begin_rounds(rod, where)
-
     def leaves(self, rod, time):
         """The lanes in which an obstacle pushes a vertex, or a place between two, that leaves it at the end of the step."""
         zero = 0.0 * rod.total
@@ -49,7 +44,10 @@ class TimeImpact(TimeSweep):
         last = variable((zero, zero, zero))
         for v in range(rod.edges + 1):
             at = self.contacts.vertex(rod, v)
-            bent = scaled(self.bend_of_way(rod, v), time.rate - 1.0)
+            vertex, way_made = self.moving_vertex(rod.head, v), self.contacts.moved(rod, at)
+            # By how much the way differs from that in the step before.
+            change = minus(way_made, scaled(minus(vertex.place_1, vertex.place_2), 1.0 / rod.length_unit))
+            bent = scaled(change, time.rate - 1.0)
             for o in range(rod.obstacles):
                 contact = self.contacts.contact(at, o)
                 force, between = contact.force, contact.force_between
@@ -65,13 +63,6 @@ class TimeImpact(TimeSweep):
                         most = ti.select(between > 0.0, ti.max(most, away), most)
             last = bent
         return most > LEAVING * rod.contacts.tolerance
-
-    def bend_of_way(self, rod, v):
-        """By how much the way of vertex ``v`` in the step differs from that in the step before."""
-        vertex = self.moving_vertex(rod.head, v)
-        last, before = vertex.place_1, vertex.place_2
-        way = self.contacts.moved(rod, self.contacts.vertex(rod, v))
-        return minus(way, scaled(minus(last, before), 1.0 / rod.length_unit))
 
     # --- the energy ---
 

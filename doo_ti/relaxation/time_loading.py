@@ -4,16 +4,7 @@ import taichi as ti
 
 from doo_ti.contact.obstacles import AXES, POINT
 from doo_ti.physics.number import device_functions, in_f64, read, write
-from doo_ti.physics.quaternion import (
-    first_director,
-    partway,
-    product,
-    rotated,
-    second_director,
-    tangent,
-    turned_in_world,
-    turned_to,
-)
+from doo_ti.physics.quaternion import directors, partway, product, rotated, second_director, tangent, turned_in_world, turned_to
 from doo_ti.physics.tuples import cross, dot, minus, plus, record, repeated, scaled, variable
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.bows import STEEP, STEEPEST
@@ -35,9 +26,7 @@ class MotionLoading(Loading):
     """Loading and storing of a rod's state at its last two instants, in addition to what :class:`.Loading` does for any rod,
     and of its clamps and the poses of obstacles at an instant. Lengths are in mm.
 
-    ``tables`` holds, besides, places (rod, V, INERTIA): positions and velocities at the last two instants; frames and
-    frames_before [rod · edge · 4]; numbers (row, V, VERTEX_ITEMS − INERTIA); shares (row, 2); path (clamps, step,
-    PATH_COLUMNS); poses (1 or row, 1 + step, obstacle, POSE_COLUMNS), the first at the instant before all steps.
+    ``tables`` holds what the kernels of :mod:`.time_steps` are given.
 
     A rod whose clamps make it taut is made the one straight line it can be, with nothing left to relax but its spins. A
     straight one that gets slack is bowed: its edges have no first-order way to bring the far end closer.
@@ -51,14 +40,6 @@ class MotionLoading(Loading):
         self.straightness = 1e-6 if sweep.number.bits == 32 else TAUT_SLACK
 
     # --- the poses of obstacles ---
-
-    def first_poses(self, tables, slot, row, unit):
-        """Load the poses of lane ``slot`` before the first step."""
-        for o in range(tables.kinds.shape[0]):
-            pose = self.pose_from(tables, row, 0, o, unit)
-            at = self.contacts.obstacle(self.contacts.of_lane(tables, slot), o)
-            at.pose = pose.turn + pose.shift
-            at.pose_before = pose.turn + pose.shift
 
     def next_poses(self, tables, slot, row, step, share, unit):
         """Load the poses of lane ``slot`` after that ``share`` of the way to the end of step ``step``, where that puts the
@@ -80,7 +61,8 @@ class MotionLoading(Loading):
             at.axis_2 = rotated(turn, read(tables.obstacles, own, o, AXES + 3))
             at.axis_3 = rotated(turn, read(tables.obstacles, own, o, AXES + 6))
             at.pose = turn + shift
-            at.carry = tangent(carry) + first_director(carry) + second_director(carry)
+            t, m1, m2 = directors(carry)
+            at.carry = t + m1 + m2
             at.carried = minus(shift, rotated(carry, before))
 
     def rest_of_poses(self, tables, row, step):
@@ -96,7 +78,6 @@ class MotionLoading(Loading):
         i = ti.min(row, tables.poses.shape[0] - 1)
         return record(turn=read(tables.poses, i, instant, o, 0, count=4),
                       shift=scaled(read(tables.poses, i, instant, o, POSE_SHIFT), 1.0 / unit))
-
 
     # --- how far apart clamps hold a rod: beyond its reach, taut, or slack ---
 
@@ -123,19 +104,16 @@ class MotionLoading(Loading):
             before = own.reach
             if before != found:
                 own.reach = found
-                self.load_freedom(tables, own, s, ti.select(found == TAUT, 0.0, 1.0))
+                some = ti.select(found == TAUT, 0.0, 1.0)  # of a taut rod no edge may tilt, and closure does not hold
+                own.closed = some * tables.clamp[s, of.CLOSED]
+                for pair in ti.static(((1, of.TILT_START), (3, of.TILT_END), (4, of.TILT_INNER))):
+                    own.free[pair[0]] = some * tables.clamp[s, pair[1]]
             if found == TAUT:
                 self.stretch(tables, own, s, scaled(free, 1.0 / span))
             elif found != INFEASIBLE and before != SOUND and self.is_straight(tables, own, s, False):
                 self.bow(tables, own, slot, s, slack)
                 own.reach = BOWED
         return found
-
-    def load_freedom(self, tables, own, s, slack):
-        """Load which edges may tilt, and that closure holds, where ``slack`` is one; where it is zero, none and not."""
-        own.closed = slack * tables.clamp[s, of.CLOSED]
-        for pair in ti.static(((1, of.TILT_START), (3, of.TILT_END), (4, of.TILT_INNER))):
-            own.free[pair[0]] = slack * tables.clamp[s, pair[1]]
 
     def tilts(self, tables, s, e):
         """One where clamps s let edge ``e`` tilt, else zero."""
@@ -209,7 +187,12 @@ class MotionLoading(Loading):
         unit = in_f64(own.energy_unit)
         inertia = ti.cast(0.0, ti.f64)
         for v in range(tables.rest_length.shape[1] + 1):
-            self.load_vertex(tables, self.moving_vertex(own, v), row, numbers, v, 1.0 / unit)
+            vertex = self.moving_vertex(own, v)
+            for k in range(INERTIA):
+                vertex[k] = tables.places[row, v, k]
+            for k in range(VERTEX_ITEMS - INERTIA):
+                factor = ti.select(k < SPRING_POINT - INERTIA, 1.0 / unit, 1.0)  # energies, but a place in mm
+                vertex[INERTIA + k] = tables.numbers[numbers, v, k] * factor
             inertia += tables.numbers[numbers, v, 0] / unit
         own.inertia = inertia
         if ti.static(self.touches):
@@ -217,7 +200,11 @@ class MotionLoading(Loading):
             share = inertia * length_unit * length_unit / (tables.rest_length.shape[1] + 1)
             self.contacts.load_motion(tables, slot, row, length_unit, share)
             if ti.static(self.moves):
-                self.first_poses(tables, slot, row, length_unit)
+                for o in range(tables.kinds.shape[0]):
+                    pose = self.pose_from(tables, row, 0, o, length_unit)
+                    at = self.contacts.obstacle(self.contacts.of_lane(tables, slot), o)
+                    at.pose = pose.turn + pose.shift
+                    at.pose_before = pose.turn + pose.shift
         edges = tables.rest_length.shape[1]
         for e in range(edges):
             motion, place = self.edge(own, e).motion, (row * edges + e) * 4
@@ -230,14 +217,6 @@ class MotionLoading(Loading):
         if tables.clamp[s, of.CLOSED] > 0.0 and self.is_straight(tables, own, s, True):
             found = STRAIGHT
         own.reach = found
-
-    def load_vertex(self, tables, vertex, row, numbers, v, scale):
-        """Vertex ``v`` into its view in a lane, energies times ``scale``."""
-        for k in range(INERTIA):
-            vertex[k] = tables.places[row, v, k]
-        for k in range(VERTEX_ITEMS - INERTIA):
-            factor = ti.select(k < SPRING_POINT - INERTIA, scale, 1.0)
-            vertex[INERTIA + k] = tables.numbers[numbers, v, k] * factor
 
     def load_path(self, tables, head, slot, rod, step):
         """Load the clamps of step ``step``, and the obstacles that move, into lane ``slot``; of the end frames what they hold.

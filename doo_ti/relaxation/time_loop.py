@@ -26,9 +26,8 @@ RESOLVED = 3e-3
 
 @device_functions
 class TimeLoop(NewtonLoop):
-    """Newton's loop over the steps of every rod. ``tables`` holds, besides what :class:`MotionLoading` reads, what it writes:
-    positions (rod · frame, V, 3) mm, and outcome (rod, frame, OUTCOMES); and steps, and every: a frame is stored after so many.
-    ``differentiates``: with derivatives (:class:`.TimeSlopeLoop`).
+    """Newton's loop over the steps of every rod; ``tables`` as of :class:`MotionLoading`. ``differentiates``: with derivatives
+    (:class:`.TimeSlopeLoop`).
     """
 
     differentiates = False
@@ -55,7 +54,8 @@ class TimeLoop(NewtonLoop):
             once_more = self.sweep.contacts.retry(rod, failed, blocked, reach > BOWED - 0.5, least)
             impact = self.sweep.impact(rod, time, up)
             bounced = done & (lane.status < 0.5) & impact.bounces
-            self.sweep.make_euler(rod, bounced)
+            choose(rod.head, bounced, euler=one)
+            self.sweep.contacts.begin_rounds(rod, bounced)
             time.kept, once_more = impact.kept, once_more | bounced
             choose(lane, once_more, multiplier=tables.contacts.multiplier)
             done = done & ~once_more

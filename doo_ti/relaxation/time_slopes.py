@@ -99,7 +99,13 @@ class TimeSlopes(TimeSweep):
             self.share_vertex(rod, block, edge.motion, place, time)
             block.lever_1, block.lever_2 = scaled(first_director(q), length), scaled(second_director(q), length)
             if e > 0:
-                self.share_joint(block, self.edge(rod.head, e - 1), edge, time)
+                previous = self.edge(rod.head, e - 1)
+                x, y, inverse, turn, r = pair.curvature(previous.frame, q)
+                m = self.twist_angle(r)
+                rest_left, rest_right, rest_twist = self.rest(edge)
+                block.curved = x + y + (inverse, m) + turn
+                block.strain = pair.strain(x, rest_left) + pair.strain(y, rest_right) + (m - rest_twist,)
+                block.ahead = self.extrapolated_curvature(previous.motion, edge.motion, time)
 
     def share_vertex(self, rod, block, vertex, place, time):
         """Fill the vertex part of the shared block for a ``vertex`` at ``place``."""
@@ -107,15 +113,6 @@ class TimeSlopes(TimeSweep):
         x = scaled(place, rod.length_unit)
         speed = ti.sqrt(dot(fast, fast))
         block.seen = minus(x, ahead) + minus(x, y) + (speed,) + scaled(fast, 1.0 / (speed + 1e-30))
-
-    def share_joint(self, block, previous, edge, time):
-        """Fill the joint part of the shared block for the joint where an ``edge`` begins."""
-        x, y, inverse, turn, r = pair.curvature(previous.frame, edge.frame)
-        m = self.twist_angle(r)
-        rest_left, rest_right, rest_twist = self.rest(edge)
-        block.curved = x + y + (inverse, m) + turn
-        block.strain = pair.strain(x, rest_left) + pair.strain(y, rest_right) + (m - rest_twist,)
-        block.ahead = self.extrapolated_curvature(previous.motion, edge.motion, time)
 
     def curved(self, block):
         """(X, Y, 1/s, e^{im}) of the joint of a shared block."""
@@ -234,12 +231,8 @@ class TimeSlopes(TimeSweep):
 
 @device_functions
 class TimeSlopeLoop(TimeLoop):
-    """The loop with derivatives by P parameters. ``tables`` holds, besides, blocks, the view of this thread's in scratch, and
-
-    material_slopes, number_slopes, share_slopes  (P · material, -), (P, numbers, V, NUMBERS) and (P, numbers, 2) derivatives of
-                                                  what a rod is given
-    slopes                                        (row, P, V, REMEMBERED) those that it remembers, in and out
-    position_slopes                               (rod · frame, P, V, 3) those of positions, out
+    """The loop with derivatives by parameters. ``tables`` holds, besides, blocks, the view of this thread's in scratch, and the
+    derivatives of what a rod is given, of what it remembers, ``slopes``, and of its positions.
 
     A parameter costs the same for one lane as for all: lanes that have converged wait for the others of their pack.
     """

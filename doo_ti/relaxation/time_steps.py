@@ -41,8 +41,7 @@ STEPS = {
     "rods": INDEX2,  # [rod, ROD_COLUMNS]
     "policy": TABLE1,  # [POLICY_COLUMNS] of :mod:`doo_ti.relaxation.newton_policy`
     "time": TABLE1,  # [TIME_COLUMNS] of :mod:`doo_ti.relaxation.time_sweep`
-    "steps": ti.i32,
-    "every": ti.i32,
+    "steps": ti.i32, "every": ti.i32,  # and after how many of them a frame is stored
     "threads": ti.i32,
     "scratch": SCRATCH,
     "queue": INDEX1,  # [NEXT, TRIPS, LANES + twice thread · lane] zero
@@ -55,7 +54,7 @@ STEPS = {
 }
 MOTIONS = {  # among obstacles, whose forces (OBSTACLES) are those of [row · frame, vertex, 3]
     "touches": INDEX2,  # [row · frame, vertex] out
-    "poses": TABLE4,  # [1 or row, 1 + step, obstacle, POSE_COLUMNS] of obstacles that move, else anything
+    "poses": TABLE4,  # [1 or row, 1 + step, obstacle, POSE_COLUMNS] of obstacles that move, from before the first step on
     "pair_memory": TABLE3,  # [row, pair of edges, PAIR_CARRIED] in and out, or one number
     "rod_memory": TABLE2,  # [row, CARRIED_ON] in and out
 }

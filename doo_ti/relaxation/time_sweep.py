@@ -12,16 +12,9 @@ draws it towards y(ω): a rest curvature of its own for each step.
 
 import taichi as ti
 
-from doo_ti.physics import pair
+from doo_ti.physics import pair, quaternion
 from doo_ti.physics.number import Layout, device_functions
-from doo_ti.physics.quaternion import (
-    normalised,
-    passed_half_turn,
-    product,
-    relative_rotation,
-    tangent,
-    turned_about_own_tangent,
-)
+from doo_ti.physics.quaternion import normalised, passed_half_turn, relative_rotation, tangent, turned_about_own_tangent
 from doo_ti.physics.tuples import choose, chosen, dot, minus, plus, record, repeated, scaled, variable
 from doo_ti.relaxation.contacts import RodContacts
 from doo_ti.relaxation.external import PointLoads
@@ -157,7 +150,7 @@ class TimeSweep(LoadedElimination):
             last = edge.motion.frame_1
             q = variable(last)
             if ti.static(not self.touches):
-                q = normalised(product(last, relative_rotation(edge.motion.frame_2, last)))
+                q = normalised(quaternion.product(last, relative_rotation(edge.motion.frame_2, last)))
             choose(edge, done, frame=q)
             if ti.static(self.joints_rest):
                 if e > 0:

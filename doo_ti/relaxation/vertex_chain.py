@@ -23,12 +23,6 @@ PROJECTION_ROUNDS = 2
 
 
 @ti.func
-def direction(v):
-    """v/|v|."""
-    return scaled(v, 1.0 / ti.sqrt(dot(v, v)))
-
-
-@ti.func
 def edge_force(gradient, frame, length):
     """∂E/∂e of an edge, across it, from the gradient of its frame: (g_3 m1 − g_2 m2)/|e|."""
     of_m1 = scaled(quaternion.first_director(frame), gradient[2] / length)
@@ -86,8 +80,8 @@ class VertexChain(pair.PairEnergy):
             self.apply_lengths(rod, False)
         for v in range(rod.edges):
             at, after = self.vertex(rod.origin, v), self.vertex(rod.origin, v + 1)
-            new = direction(minus(after.trial_position, at.trial_position))
-            frame = at.frame
+            along, frame = minus(after.trial_position, at.trial_position), at.frame
+            new = scaled(along, 1.0 / ti.sqrt(dot(along, along)))
             at.trial_frame = quaternion.transported(frame, quaternion.tangent(frame), new)
 
     def eliminate_lengths(self, rod, of_gradient: ti.template()):
@@ -236,16 +230,10 @@ class VertexChain(pair.PairEnergy):
             ratio = coupling / pivot
             at.right = right
             at.ratio = ratio
-        self.spin_frames(rod)
-
-    def spin_frames(self, rod):
-        """Turn the trial frames about their tangents by the angles of :meth:`minimise_twist`, half a radian at most."""
-        angle = 0.0 * rod.spin[0]
-        for back in range(rod.edges):
-            e = rod.edges - 1 - back
-            at = self.vertex(rod.origin, e)
+        angle = zero
+        for back in range(rod.edges):  # turn the trial frames about their tangents, by half a radian at most
+            at = self.vertex(rod.origin, rod.edges - 1 - back)
             angle = at.right - at.ratio * angle
-            zero = 0.0 * angle
             turn = ti.min(ti.max(angle, zero - 0.5), zero + 0.5)
             at.trial_frame = quaternion.turned_in_body(at.trial_frame, (turn, zero, zero), zero)
 
