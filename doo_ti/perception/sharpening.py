@@ -31,7 +31,7 @@ ROUNDS, STILL_MM = 20, 0.01  # relaxations, until no vertex moves by more
 PLACES = 2  # along an edge, for the energy
 NEIGHBOURS = 8  # points nearest to a place that are looked at: the nearest may be of a strand that crosses there
 COVERED = 0.95  # share of a detected line with which a rod is one of the whole thread
-END = 0.1  # share of its weight with which the last place stays: with 0.02 rods fold, with 1 their ends are as far off as before
+END = 0.1  # share of its weight with which the last place stays: with 0.02 rods fold, with 1 the end is as far off as before
 FREE = 1e-3  # share that counts of a distance along the line
 
 

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from doo_ti import InputError, Material, PerceptionOptions, PerceptionVerdict, Rig, detect, distance_maps, load_rig, perceive
 from doo_ti.perception.seeds import seed_from_pixels, whole_threads
 from doo_ti.perception.shape_uncertainty import detected_places, vertex_sigma
-from doo_ti.vision.distance_map import coverage
+from doo_ti.vision.distance_map import coverage, misread
 from doo_ti.vision.images import load_sets, read_image
 from tools.studies.angle_study import EDGES, LENGTH_MM, apart, cameras, curve, dense, detection
 
@@ -71,6 +71,16 @@ def test_a_rod_that_leaves_a_piece_of_the_thread_out_is_not_clear(seen):
     assert found.coverage.min() > 0.95 and errors(found, curves[:1])[0] < 0.6
     assert (found.verdict[0], whole.verdict[0]) == (PerceptionVerdict.AMBIGUOUS, PerceptionVerdict.CLEAR)
     assert whole.skipped.max() < 1 and 15 < found.skipped[0, 0] * images[0][0].width_px < 40 and found.skipped[0, 1] == 0
+
+
+def test_a_rod_along_something_wider_or_twice_along_a_line_is_noticed(seen):
+    rig, curves, (images, *_) = seen
+    rod = np.array(curves[0][::15])
+    ends = replace(images[0], width=np.where(np.arange(images[0].count) < 60, 3.0, 1.0) * images[0].width_px)
+    back = np.concatenate([rod, rod[:-12:-1] + [0.1, 0.0, 0.0]])
+    found, folded = (misread(rig, shape[None], [[ends, images[1]]]) for shape in (rod, back))
+    assert found.skipped.max() < 1 and found.wider[0, 1] == 0
+    assert 50 < found.wider[0, 0] * images[0].width_px < 70 and (folded.skipped > 10).all()
 
 
 @pytest.mark.thorough
