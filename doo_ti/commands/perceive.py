@@ -329,9 +329,9 @@ def _set_text(entry: dict, cameras: tuple[str, ...]) -> str:
     parts = [f"E_vis {entry['energy_vis']:.3g}/mm", f"{pixels} px off", f"{entry['verdict']} ({rival})",
              "σ unknown" if entry["mean_sigma_mm"] is None else f"σ {entry['mean_sigma_mm']:.2g} mm"]
     if np.isfinite(entry["coverage"]).all():
-        errors = [f"{words} a piece {max(entry[name]):.0f} times as long as the thread is wide" for name, words in MISREAD.items()
-                  if max(entry[name]) > 1]
-        parts.append(", ".join([f"explains {100 * min(entry['coverage']):.0f} % of the thread", *errors]))
+        parts.append(", ".join([f"explains {100 * min(entry['coverage']):.0f} % of the thread", *(
+            f"{words} a piece {max(entry[name]):.0f} times as long as it is wide" for name, words in MISREAD.items()
+            if max(entry[name]) > 1)]))
     if max(entry["outside"]) > OUTSIDE:
         parts.append(f"{100 * max(entry['outside']):.0f} % of the thread outside the other images, not seen there")
     parts += [f"{100 * share:.0f} % of the rod hidden from {name}" for name, share in zip(cameras, entry["hidden"], strict=True)
