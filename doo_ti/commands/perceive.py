@@ -22,7 +22,7 @@ LEAST_SIGMA_MM = 1e-3  # stated for vertices that the seed gives: no observation
 LEFT_OVER = 0.02  # share of the rod's length; less is not mentioned
 OUTSIDE = 0.01  # share of the thread outside the other images that is worth saying
 MOST_LISTED = 60
-MISREAD = {"skipped": "leaves out or doubles", "wider": "follows, far wider,"}
+MISREAD = {"skipped": "leaves out or doubles {:.0f} widths of it", "wider": "goes on {:.0f} widths along something far wider"}
 
 
 def declare(add) -> None:
@@ -329,9 +329,8 @@ def _set_text(entry: dict, cameras: tuple[str, ...]) -> str:
     parts = [f"E_vis {entry['energy_vis']:.3g}/mm", f"{pixels} px off", f"{entry['verdict']} ({rival})",
              "σ unknown" if entry["mean_sigma_mm"] is None else f"σ {entry['mean_sigma_mm']:.2g} mm"]
     if np.isfinite(entry["coverage"]).all():
-        parts.append(", ".join([f"explains {100 * min(entry['coverage']):.0f} % of the thread", *(
-            f"{words} a piece {max(entry[name]):.0f} times as long as it is wide" for name, words in MISREAD.items()
-            if max(entry[name]) > 1)]))
+        parts.append(f"explains {100 * min(entry['coverage']):.0f} % of the thread")
+    parts += [words.format(max(entry[name])) for name, words in MISREAD.items() if max(entry[name]) > 1]
     if max(entry["outside"]) > OUTSIDE:
         parts.append(f"{100 * max(entry['outside']):.0f} % of the thread outside the other images, not seen there")
     parts += [f"{100 * share:.0f} % of the rod hidden from {name}" for name, share in zip(cameras, entry["hidden"], strict=True)

@@ -16,13 +16,8 @@ from doo_ti.contact.surroundings import SHALLOW, Moving, Surroundings, about, si
 from doo_ti.dynamics.parameters import Stepping
 from doo_ti.relaxation import time_loading
 from doo_ti.relaxation.time_loading import PATH_ANCHOR, PATH_COLUMNS, PATH_ENDS, PATH_TARGET, POSE_COLUMNS, POSE_SHIFT
-from doo_ti.rod.frames import (
-    FRAME_TOLERANCE,
-    matrix_from_quaternion,
-    orthonormality_error,
-    quaternion_from_matrix,
-    smallest_rotation,
-)
+from doo_ti.rod.frames import matrix_from_quaternion, quaternion_from_matrix, smallest_rotation
+from doo_ti.rod.start import require_frames
 from doo_ti.rod.types import POSES, Clamp, Clamps, Configuration, Rows, require_kinds
 from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError, real_array, require_whole
@@ -60,14 +55,11 @@ class Grippers:
 
     def _check(self, name: str, value: np.ndarray) -> None:
         """Raise InputError where a position or frame that is held is not finite, or a frame no rotation."""
-        end = name.split("_")[0]
-        kind = np.broadcast_to(np.asarray(getattr(self, end)), (len(value),))
-        held = value[kind >= (Clamp.TANGENT if name.endswith("frame") else Clamp.POSITION)]
-        if not np.isfinite(held).all():
+        kind = np.broadcast_to(np.asarray(getattr(self, name.split("_")[0])), (len(value),))
+        if not np.isfinite(value[kind >= (Clamp.TANGENT if name.endswith("frame") else Clamp.POSITION)]).all():
             raise InputError("Grippers", name, "not finite", "give finite numbers where the end is held")
-        whole = value[kind == Clamp.FRAME]
-        if name.endswith("frame") and len(whole) and orthonormality_error(whole.reshape(-1, 3, 3)).max() > FRAME_TOLERANCE:
-            raise InputError("Grippers", name, "no rotations", "give unit, orthogonal columns t, m1, m2")
+        if name.endswith("frame"):
+            require_frames("Grippers", name, kind, value)
 
     @property
     def count(self) -> int:

@@ -115,6 +115,7 @@ class Belief:
         self._vector = np.zeros((rods, unknowns))
         self._covariance = np.tile(np.eye(unknowns), (rods, 1, 1))
         self._variance = np.full(rods, options.noise_mm**2)
+        self._square = self._variance.copy()  # mm², of what marks are off the model
         self.expected = np.full(rods, np.inf)
         self.material = self._material()
 
@@ -207,8 +208,12 @@ class Belief:
         after = np.clip((self._covariance @ self._vector[..., None])[..., 0], self._least, self._most)
         step = after - before
         left = square - 2 * np.sum(step * right, axis=1) + np.sum(step * (normal @ step[..., None])[..., 0], axis=1)
-        freedom = np.maximum(number - len(self.learned), number / 3)
-        self._variance += np.where(count > 0, (1.0 - keep) * (left / freedom - self._variance), 0.0)
+        # The noise counts all unknowns as free in every moment, which intervals need where the model is not quite the rod; what
+        # marks are off counts those that the moment determines.
+        determined = np.einsum("bpq,bpq->b", normal, self._covariance) / variance
+        for mean, own in ((self._variance, len(self.learned)), (self._square, determined)):
+            freedom = np.maximum(number - own, number / 3)
+            mean += np.where(count > 0, (1.0 - keep) * (left / freedom - mean), 0.0)
         self.unknowns = self.unknowns.copy()
         self.unknowns[:, self.learned] = after * self._spread[self.learned]
         self.material = self._material()
@@ -232,7 +237,7 @@ class Belief:
         spread = np.sqrt([covariance[:, 0, 0], covariance.sum(axis=(1, 2)), covariance[:, 1, 1]])
         intervals = [one[:, None] * np.exp(QUANTILE * deviation[:, None] * [-1.0, 1.0])
                      for one, deviation in zip(value, spread, strict=True)]
-        return LearnedMaterial(self.material, *value, *intervals, np.sqrt(self._variance))
+        return LearnedMaterial(self.material, *value, *intervals, np.sqrt(self._square))
 
 
 def elastic_curvature(rods: Configuration, material: Material) -> np.ndarray:

@@ -13,12 +13,14 @@ known of the rod. A step
     3. looks ahead: the model goes there. Where it loses its stability, snaps, or does not come nearer, the step is shortened.
 
 A rod that comes no nearer looks for an equilibrium that does (:mod:`.targets`), and its grippers go straight to the poses of
-that one. A rod that has snapped is seen far from where its model is; the model is then drawn to the marks.
+that one, or back where there is no way. A rod that has snapped is seen far from where its model is; the model is then drawn to
+the marks.
 
 Axes: B rods, V vertices, P unknowns.
 """
 
 from collections.abc import Sequence
+from copy import deepcopy
 from typing import Annotated
 
 import numpy as np
@@ -126,6 +128,8 @@ class Servo:
         self.status = np.full(count, int(ServoStatus.MOVING))
         self.snaps = np.zeros(count, dtype=np.int64)
         self._aims, self._aiming, self._aimed = clamps, np.zeros(count, dtype=bool), np.zeros(count, dtype=np.int64)
+        # Where the rods began to go to a goal, and how near they were; those that go back there.
+        self._left, self._left_distance, self._returning = clamps, np.zeros(count), np.zeros(count, dtype=bool)
         self.distance = self._targets.distance(self._shapes)
 
     def __repr__(self) -> str:
@@ -152,6 +156,7 @@ class Servo:
 
         A rod of which nothing is seen moves as its model says. Raises InputError for another shape and infinite places.
         """
+        seen = np.asarray(seen, dtype=np.float64)
         wanted = (len(self.status), self._offset.shape[1] - 2 * self._padded, 3)
         if seen.shape != wanted or np.isinf(seen).any():
             raise InputError("Servo.step", "seen", f"shape {seen.shape}, or infinite", f"give {wanted} mm, or NaN")
@@ -175,7 +180,7 @@ class Servo:
         self._offset = np.where(visible.any(axis=1)[:, None, None], left, self._offset)
         steps = steps_towards(self._targets, expected + self._offset, derivatives[..., OF_GRIPPERS], self._options)
         self._move(expected, columns, steps, usable)
-        return self.clamps
+        return deepcopy(self.clamps)
 
     def _follow_snaps(self, seen: np.ndarray, visible: np.ndarray) -> None:
         """Draw the models to the marks that are far from them, where that explains the marks better."""
@@ -259,10 +264,23 @@ class Servo:
         if len(waiting):
             self.clamps = put_rows(self.clamps, waiting, start.take(waiting))
         self._judge(gain, refused)
-        left, before = np.linalg.norm(self._to_aims(), axis=1), np.linalg.norm(to_aim, axis=1)
-        ends = (before <= self._options.step_mm) | (left > before - LITTLE * self._options.step_mm)  # there, or no way to it
-        self._aiming &= ~(ends | (self.status == ServoStatus.LOST))
+        self._end_aims(np.linalg.norm(to_aim, axis=1))
         self._aim()
+        waits = np.isin(self.status, (ServoStatus.NEAREST, ServoStatus.BLOCKED)) & self._aiming
+        self.status = np.where(waits, ServoStatus.MOVING, self.status)
+
+    def _end_aims(self, before: np.ndarray) -> None:
+        """End the ways to goals, ``before`` (B,) mm long before this step, that are at their end or go no farther. Rods that
+        are then farther from their targets than where they set out go back there."""
+        left = np.linalg.norm(self._to_aims(), axis=1)
+        ended = (before <= self._options.step_mm) | (left > before - LITTLE * self._options.step_mm)  # there, or no way to it
+        ended = self._aiming & (ended | np.isin(self.status, (ServoStatus.LOST, ServoStatus.REACHED)))
+        back = ended & ~self._returning & (self.status != ServoStatus.REACHED)
+        back &= self.distance > WORSE * self._left_distance + ROUNDING
+        self._aims = put_rows(self._aims, np.flatnonzero(back), self._left.take(np.flatnonzero(back)))
+        self._aiming &= ~ended | back
+        self._returning = (self._returning & ~ended) | back
+        self._length[back] = self._options.step_mm
 
     def _judge(self, gain: np.ndarray, refused: np.ndarray) -> None:
         """Set the statuses after a step that has brought the models nearer by ``gain`` (B,) mm, or was ``refused`` (B,)."""
@@ -284,8 +302,12 @@ class Servo:
         length = self._last.rest_length.sum()
         loose = slack(goal.clamps, length, self._belief.held(self._edge)[rods]) >= self._options.slack * length
         good = loose & (goal.distance < NEARER * self.distance[rods])
+        within = boxed(goal.clamps, self.clamps.take(rods), (self._options.start_box, self._options.end_box))
+        for end in ("start_position", "end_position"):
+            good &= (np.abs(getattr(within, end) - getattr(goal.clamps, end)) <= self._options.reached_mm).all(axis=1)
         self._aims = put_rows(self._aims, rods[good], goal.clamps.take(np.flatnonzero(good)))
-        self._aiming[rods[good]] = True
+        self._left = put_rows(self._left, rods[good], self.clamps.take(rods[good]))
+        self._left_distance[rods[good]], self._aiming[rods[good]] = self.distance[rods[good]], True
         self._length[rods[good]] = self._options.step_mm
 
     def _to_aims(self) -> np.ndarray:

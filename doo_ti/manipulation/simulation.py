@@ -32,9 +32,8 @@ from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.relaxation.sensitivity import end_loads
 from doo_ti.rod.frames import (
-    FRAME_TOLERANCE,
     conjugate,
-    orthonormality_error,
+    is_rotation,
     quaternion_from_matrix,
     quaternion_product,
     rotation_matrix,
@@ -68,7 +67,7 @@ class Grip:
     def __post_init__(self) -> None:
         if not np.isfinite(self.position).all():
             raise InputError("Grip", "position", "not finite", "give mm")
-        if not np.isfinite(self.frame).all() or orthonormality_error(self.frame).max(initial=0.0) > FRAME_TOLERANCE:
+        if not np.isfinite(self.frame).all() or not is_rotation(self.frame).all():
             raise InputError("Grip", "frame", "no rotations", "give unit, orthogonal columns t, m1, m2")
 
     @classmethod
@@ -287,6 +286,9 @@ class Simulation:
         the result, and goes on from where it was last at rest."""
         if grippers.count != self.clamps.count:
             raise InputError("Simulation.step", "grippers", f"{grippers.count} rows", f"give {self.clamps.count}")
+        for end in ("start", "end"):
+            if (np.asarray(getattr(grippers, end)) != getattr(self.clamps, end)).any():
+                raise InputError("Simulation.step", f"grippers.{end}", "another kind of clamp", "give the kind they have")
         stretches = Stretches.between("Simulation.step", self._last, grips, self._around.obstacles)
         known = {grip.vertex: grip for grip in self.grips}
         taken = [known.get(grip.vertex) or Grip.where(self._last, grip.vertex) for grip in grips]

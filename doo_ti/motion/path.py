@@ -9,6 +9,7 @@ import numpy as np
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod import frames
+from doo_ti.rod.start import require_frames
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution, sticky
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
@@ -76,7 +77,11 @@ def motion_between(clamps: Clamps, goal: Clamps, rotation: np.ndarray | None = N
 
     At an end where ``goal`` holds no whole frame, only its tangent is met: the frame follows the tangent, and turns by
     ``rotation`` exactly.
+
+    Raises InputError where frames of ``goal`` that are held are no rotations.
     """
+    for end in ("start", "end"):
+        require_frames("clamps", f"{end}_frame", getattr(goal, end), getattr(goal, f"{end}_frame"))
     start_turn = _frame_turn(clamps.start_frame, goal.start_frame, goal.start)
     end_spin = None
     if rotation is None:

@@ -66,6 +66,11 @@ def orthonormality_error(frames: np.ndarray) -> np.ndarray:
     return np.maximum(np.abs(lengths), np.abs(angles)).max(axis=0)
 
 
+def is_rotation(frames: np.ndarray) -> np.ndarray:
+    """(...) bool: whether (..., 3, 3) frames are orthonormal, within FRAME_TOLERANCE, and right-handed."""
+    return (orthonormality_error(frames) <= FRAME_TOLERANCE) & (np.linalg.det(frames) > 0)
+
+
 def quaternion_product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Hamilton product of (..., 4) quaternions."""
     a, b = np.asarray(left), np.asarray(right)

@@ -6,8 +6,10 @@ from typing import Annotated
 import numpy as np
 
 from doo_ti.rod.frames import (
+    FRAME_TOLERANCE,
     angle_about,
     bishop_frames,
+    is_rotation,
     matrix_from_quaternion,
     quaternion_about,
     quaternion_from_matrix,
@@ -107,6 +109,17 @@ def reachable(observations: Observations, clamps: Clamps, whole_edges: bool = Tr
 def _by_position(clamps: Clamps) -> Clamps:
     """The same ends, whose directions are not held."""
     return replace(clamps, start=np.minimum(clamps.start, Clamp.POSITION), end=np.minimum(clamps.end, Clamp.POSITION))
+
+
+def require_frames(source: str, name: str, kind, frames: np.ndarray) -> None:
+    """Raise InputError, naming the argument ``name`` of ``source``, where ``frames`` (R, …, 3, 3) that ``kind``, one Clamp or
+    (R,) of them, holds are no rotations, or tangents that it holds no unit vectors. Those that are not finite pass."""
+    kind = np.broadcast_to(np.asarray(kind), (len(frames),))
+    whole, tangents = frames[kind == Clamp.FRAME], frames[kind == Clamp.TANGENT][..., 0]
+    whole, tangents = whole[np.isfinite(whole).all(axis=(-2, -1))], tangents[np.isfinite(tangents).all(axis=-1)]
+    if not is_rotation(whole).all() or (np.abs(np.linalg.norm(tangents, axis=-1) - 1) > FRAME_TOLERANCE).any():
+        raise InputError(source, name, "no frame that can be held",
+                         "give unit, orthogonal columns t, m1, m2 with m2 = t x m1; of a tangent t at least")
 
 
 def check_feasible(observations: Observations, clamps: Clamps) -> None:

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.rod.frames import FRAME_TOLERANCE, orthonormality_error
+from doo_ti.rod.frames import is_rotation
 from doo_ti.rod.material import UNITS_IN_MM
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, real_array
@@ -158,7 +158,7 @@ class Camera:
                 raise self._error(name, f"{value[np.abs(value) > most][0]:g}", f"give numbers up to {most:,.0f}")
         if min(fx, fy) < LEAST_FOCAL_PX:
             raise self._error("K", f"a focal length of {min(fx, fy):g} px", f"give {LEAST_FOCAL_PX:g} px or more")
-        if orthonormality_error(self.rotation) > FRAME_TOLERANCE or np.linalg.det(self.rotation) < 0:
+        if not is_rotation(self.rotation):
             raise self._error("R", f"{np.round(self.rotation, 4).tolist()} is no rotation", "give a right-handed rotation")
 
     def _error(self, field: str, problem: str, remedy: str) -> InputError:

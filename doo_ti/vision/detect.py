@@ -129,6 +129,7 @@ def detect(image: np.ndarray, options: DetectionOptions = DetectionOptions()) ->
         left, top, right, bottom = look.box
         points, direction, strength, each = _line(line[top:bottom, left:right], look, options)
         points, width = points + (left, top), look.width_px
+        each = each if (each > width).any() else None
         if options.colour is not None and len(points):
             points, width = between_edges(as_colour(part), points, direction, width)
     found = Detection(points, direction, strength, width if len(points) else np.nan,
@@ -163,7 +164,7 @@ def _ridge_line(image: np.ndarray, look: Appearance, least_contrast: float, shor
     piece = pieces(ridges, max(certain, STRONG * typical), max(shortest_px, look.width_px))
     kept = np.flatnonzero(piece)
     kept = kept[_alike(piece[kept], width[kept], ridges.strength[kept])]
-    return _continued(image, look, ridges[kept], width[kept])
+    return _continued(image, look, ridges[kept])
 
 
 def _alike(piece: np.ndarray, width: np.ndarray, strength: np.ndarray) -> np.ndarray:
@@ -185,10 +186,10 @@ LEAST_STRENGTH = 0.4  # least strength over that of a line as dark as the thread
 PART = 1.0  # least widths of a line that goes on: strands that touch are shorter
 
 
-def _continued(image: np.ndarray, look: Appearance, ridges: Ridges, width: np.ndarray) -> tuple[np.ndarray, ...]:
+def _continued(image: np.ndarray, look: Appearance, ridges: Ridges) -> tuple[np.ndarray, ...]:
     """(M, 2) points, (M, 2) directions, (M,) strengths and widths of the thread in an image (H, W) float32: the ``ridges`` that
     were found at its usual width, and what goes on from their ends."""
-    found = ridges.point, ridges.tangent, ridges.strength, width
+    found = ridges.point, ridges.tangent, ridges.strength, np.full(len(ridges.row), look.width_px)
     own = chains_of(_as_detection(*found[:3], look, image.shape))
     if not own:
         return found

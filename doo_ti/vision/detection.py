@@ -99,7 +99,7 @@ class Detection:
     polarity   "dark" or "light", "" without a thread
     shape      (height, width) of the image
     method     of :class:`DetectionOptions`, or "mask", "follow"
-    width      (N,) px: the thread's width at each point, or None: not known
+    width      (N,) px: the line's width at each point, of masks and where the thread goes on along something wider; else None
     """
 
     points: Annotated[np.ndarray, "N 2"]
