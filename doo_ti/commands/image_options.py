@@ -27,6 +27,7 @@ MOST_HYPOTHESES = 100_000
 AHEAD = 16  # lines of images in which threads are detected while one is used
 RECORDED = 3  # sets in a recording
 EDGES = 33  # of a rod whose edges are not given
+CLICKED = "clicked"  # of --colour: that of the thread at the pixel where it begins
 GUESSED_BEND = 1e6
 """mm³, of a rod in images whose stiffness is not given: E_vis takes the rod's energy relative to its stiffness, so that only
 its weight and twist against its bending depend on it."""
@@ -75,11 +76,16 @@ def add_thread(parser: ArgumentParser) -> None:
     parser.add_argument("--polarity", choices=("dark", "light"), help="whether the thread is darker or lighter than the "
                         "background (default: decided per image)")
     given.add(parser, "--width", "PX", given.positive("px"), "width of the thread in the images (default: measured)")
-    given.add(parser, "--colour", "R,G,B", given.NUMBERS, "colour of the thread, 0 to 255 each, instead of --polarity")
+    given.add(parser, "--colour", "R,G,B|clicked", given.Value(_colour), "colour of the thread, 0 to 255 each, instead of "
+              "--polarity; clicked: that of the thread at the pixel where it begins")
     parser.add_argument("--masks", nargs="+", metavar="MASK|FOLDER", help="segmented images, instead of detection: one for "
                         "each camera, or a folder with masks named as the images are (default: alpha channels of the images)")
     parser.add_argument("--region", action="append", metavar="CAMERA:X,Y,W,H",
                         help="part of a camera's images where the thread is; once for each camera")
+
+
+def _colour(option: str, text: str) -> tuple[float, ...] | str:
+    return CLICKED if text == CLICKED else given.NUMBERS(text, option)
 
 
 def by_camera(option: str, texts: Iterable[str] | None, names: tuple[str, ...], form: str, each: given.Value = given.NUMBERS
@@ -98,8 +104,8 @@ def by_camera(option: str, texts: Iterable[str] | None, names: tuple[str, ...], 
 
 def sight(options: Namespace, sets, method: str = "ridge"):
     """The Sight that :func:`add_thread` describes, of the images in ``sets``."""
-    from doo_ti.vision.detect import Sight, mask_of
     from doo_ti.vision.detection import DetectionOptions
+    from doo_ti.vision.images import Sight, mask_of
 
     regions = by_camera("--region", options.region, sets.rig.names, "X,Y,W,H", given.numbers(None, given.FROM_ZERO))
     for region in regions.values():
@@ -117,20 +123,28 @@ def sight(options: Namespace, sets, method: str = "ridge"):
             raise InputError(given.SOURCE, "--masks", f"{len(masks)} for {sets.count} sets of {len(sets.rig.cameras)} images",
                              "give one for each camera of a single set, or a folder")
         masks = dict(zip(sets.rig.names, masks, strict=True))
-    return Sight(DetectionOptions(method, options.polarity, options.width, colour=options.colour), regions, masks)
+    clicked = options.colour == CLICKED
+    if clicked and sets.clicks is None:
+        raise InputError(given.SOURCE, "--colour", "clicked, and no pixel is", "give --seed-pixel, or a colour")
+    colour = None if clicked else options.colour
+    return Sight(DetectionOptions(method, options.polarity, options.width, colour=colour), regions, masks,
+                 sets.clicks if clicked else None)
 
 
 def detections(sight, every_path: Sequence[Sequence[Path]], cameras: Sequence) -> Iterator[list]:
     """Of each line of one image per camera its detections by the Sight ``sight``, found while others are used."""
     with ThreadPoolExecutor(os.cpu_count()) as threads:
-        def begun(paths: Sequence[Path]) -> list:
-            return [threads.submit(sight.detected, path, camera) for path, camera in zip(paths, cameras, strict=True)]
+        def begun(row: int) -> list:
+            nonlocal sight
+            sight = sight.of_set(row, every_path[row], cameras)
+            return [threads.submit(sight.detected, path, camera) for path, camera in zip(every_path[row], cameras, strict=True)]
 
-        waiting = [begun(paths) for paths in every_path[:AHEAD]]
+        waiting = [begun(row) for row in range(min(AHEAD, len(every_path)))]
         try:
             for row in range(len(every_path)):
                 yield [image.result() for image in waiting.pop(0)]
-                waiting += [begun(paths) for paths in every_path[row + AHEAD : row + AHEAD + 1]]
+                if row + AHEAD < len(every_path):
+                    waiting.append(begun(row + AHEAD))
         finally:
             threads.shutdown(cancel_futures=True)
 

@@ -107,7 +107,7 @@ def _clicked(detection: Detection, line: Chains, click: np.ndarray, source: str)
     nearest = int(apart.argmin())
     if apart[nearest] > CLICK_PX:
         raise InputError(source, "--seed-pixel", f"{click[0]:g},{click[1]:g}: nothing was detected there, the nearest thread "
-                         f"is {apart[nearest]:.0f} px away", "if it is on the thread, help the detection: --colour, "
+                         f"is {apart[nearest]:.0f} px away", "if it is on the thread, help the detection: --colour clicked, "
                          "--polarity, --width or --masks")
     ends = _ends(detection, line)
     off = [np.linalg.norm(end.pixel - click) for end in ends]

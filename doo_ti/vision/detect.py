@@ -1,5 +1,4 @@
-"""The thread's centre line in an image or its file (§IV-A), by whatever there is of it: a mask, the image's own alpha channel,
-a colour, or grey levels.
+"""The thread's centre line in an image (§IV-A), by whatever there is of it: a mask, a colour, or grey levels.
 
 The paper's binary image marks the pixels of the thread. Here the line is found to a fraction of a pixel, as points with
 directions; all later steps are as exact as these. First the thread's :mod:`doo_ti.vision.ridge` is measured. The
@@ -20,9 +19,7 @@ or is free: a needle is wider than its thread. What lies between two lines and i
 the inside of a narrow loop.
 """
 
-from dataclasses import dataclass, field, replace
-from glob import escape
-from pathlib import Path
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -30,7 +27,6 @@ from scipy.spatial import cKDTree
 
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
-from doo_ti.vision.cameras import Camera
 from doo_ti.vision.detection import (
     Detection,
     DetectionOptions,
@@ -42,7 +38,6 @@ from doo_ti.vision.detection import (
     in_whole_pixels,
     moved,
 )
-from doo_ti.vision.images import read_image, read_mask
 from doo_ti.vision.ridge import (
     BAR,
     REACH_PX,
@@ -258,7 +253,7 @@ def _edges_of(points: np.ndarray, own: list[np.ndarray], parts: list[tuple[np.nd
     return cKDTree(np.concatenate(edges)).query(points)[0] <= 1.0
 
 
-# --- masks, and files --------------------------------------------------------------------------------------------------------
+# --- masks --------------------------------------------------------------------------------------------------------
 
 SIGMA = 1.0
 CREST = 0.8  # least second derivative over that of a full roof
@@ -318,37 +313,3 @@ def _roof(inside: np.ndarray) -> tuple[np.ndarray, float]:
         if not inside.any() or 4 * np.median(roof[inside > 0]) <= WORKING_WIDTH or min(inside.shape) < 32:
             return np.ascontiguousarray(roof), scale
         inside, scale = (cv2.pyrDown(255 * inside) > 127).astype(np.uint8), 2 * scale
-
-
-def mask_of(folder: Path, image: Path) -> Path:
-    """The mask of an image in a ``folder``, or in its folder of the name that the image's has. Raises InputError."""
-    for place in (folder / image.parent.name, folder):
-        same = [file for file in sorted(place.glob(f"{escape(image.stem)}.*")) if file.stem == image.stem]
-        if same:
-            return same[0]
-    raise InputError(folder, image.stem, "no mask of this name", "name masks as the images are")
-
-
-@dataclass(frozen=True)
-class Sight:
-    """How threads are sought in images."""
-
-    options: DetectionOptions = DetectionOptions()  # of the detection
-    # by the name of a camera: the part of its images where the thread is, as ``options.region``
-    regions: dict[str, tuple[int, ...]] = field(default_factory=dict)
-    # a folder with masks named as the images are, or as their folders and they are, whatever their suffix; or the mask of each
-    # camera's image, by the camera's name; None: the image's alpha channel where it has one
-    masks: Path | dict[str, Path] | None = None
-
-    def detected(self, path: Path, camera: Camera) -> Detection:
-        """The thread in the image that ``camera`` took. Raises InputError for files that are missing or do not fit."""
-        options = replace(self.options, region=self.regions.get(camera.name, self.options.region))
-        file = path
-        if isinstance(self.masks, dict):
-            file = self.masks[camera.name]
-        elif self.masks is not None:
-            file = mask_of(self.masks, path)
-        mask = read_mask(file, camera)
-        if mask is None and self.masks is None:
-            return detect(read_image(path, camera, colour=options.colour is not None), options)
-        return detect_mask(read_image(file, camera) if mask is None else mask, options)

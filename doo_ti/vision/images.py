@@ -4,6 +4,8 @@ of one scene each with where the rod sets out: SETS.csv (§IV-A).
     name,cam0,cam1,cam2,seed_x,seed_y,seed_z,dir_x,dir_y,dir_z
     name,cam0,cam1,cam2,cam0_u,cam0_v
 
+How threads are sought in these images: by masks, their own alpha channels, a colour, or grey levels.
+
 Images are relative to the file; the columns of images are named as the rig's cameras. A camera that did not see a scene is left
 out of the whole file, not of a line: a set's score is a sum over cameras, and sets are compared. A rod sets out from a point in
 the world, or from a pixel in one camera or more; the cells of the others are empty.
@@ -11,9 +13,10 @@ the world, or from a pixel in one camera or more; the cells of the others are em
 
 import os
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from glob import escape
 from io import BytesIO
 from pathlib import Path
 from threading import Lock
@@ -25,6 +28,10 @@ from doo_ti.io.arrays import CsvTable, read_csv
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import read_content
 from doo_ti.vision.cameras import MOST_SIDE, Camera, Rig
+from doo_ti.vision.detect import detect, detect_mask
+from doo_ti.vision.detection import Detection, DetectionOptions
+from doo_ti.vision.follow import follow
+from doo_ti.vision.ridge import as_colour
 
 PNG = b"\x89PNG"
 KNOWN = "PNG, JPEG, TIFF, BMP, PGM or PPM"
@@ -272,3 +279,55 @@ def cameras_in(table: CsvTable, rig: Rig, others: tuple[str, ...]) -> list[str]:
 def images_in(table: CsvTable, cameras: list[str]) -> tuple[tuple[Path, ...], ...]:
     """For each row the images of the ``cameras``, which a table names relative to itself."""
     return tuple(tuple(table.path.parent / table.columns[name][row] for name in cameras) for row in range(table.count))
+
+
+# --- how threads are sought ---------------------------------------------------------------------------------------------
+
+def mask_of(folder: Path, image: Path) -> Path:
+    """The mask of an image in a ``folder``, or in its folder of the name that the image's has. Raises InputError."""
+    for place in (folder / image.parent.name, folder):
+        same = [file for file in sorted(place.glob(f"{escape(image.stem)}.*")) if file.stem == image.stem]
+        if same:
+            return same[0]
+    raise InputError(folder, image.stem, "no mask of this name", "name masks as the images are")
+
+
+@dataclass(frozen=True)
+class Sight:
+    """How threads are sought in images."""
+
+    options: DetectionOptions = DetectionOptions()  # of the detection
+    # by the name of a camera: the part of its images where the thread is, as ``options.region``
+    regions: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    # a folder with masks named as the images are, or as their folders and they are, whatever their suffix; or the mask of each
+    # camera's image, by the camera's name; None: the image's alpha channel where it has one
+    masks: Path | dict[str, Path] | None = None
+    # of each set of images, by the number of a camera, pixels of the thread, whose colour it is sought by there and in sets
+    # after it without any; None: as ``options.colour``
+    clicks: tuple[dict[int, tuple[float, float]], ...] | None = None
+
+    def of_set(self, row: int, paths: Sequence[Path], cameras: Sequence[Camera]) -> "Sight":
+        """The same for the images ``paths`` of set ``row``. Raises InputError where no thread is at its pixel."""
+        if self.clicks is None or not self.clicks[row]:
+            return self
+        camera, pixel = min(self.clicks[row].items())
+        image = read_image(paths[camera], cameras[camera], colour=True)
+        line = follow(image, pixel)
+        if not line.count:
+            raise InputError(paths[camera], "pixel", f"no thread at {pixel[0]:g},{pixel[1]:g}", "give another one, or a colour")
+        column, down = np.clip(np.rint(line.points).astype(int), 0, np.array(image.shape[1::-1]) - 1).T
+        colour = np.median(as_colour(image)[down, column], axis=0)[::-1]
+        return replace(self, options=replace(self.options, colour=tuple(colour.tolist())))
+
+    def detected(self, path: Path, camera: Camera) -> Detection:
+        """The thread in the image that ``camera`` took. Raises InputError for files that are missing or do not fit."""
+        options = replace(self.options, region=self.regions.get(camera.name, self.options.region))
+        file = path
+        if isinstance(self.masks, dict):
+            file = self.masks[camera.name]
+        elif self.masks is not None:
+            file = mask_of(self.masks, path)
+        mask = read_mask(file, camera)
+        if mask is None and self.masks is None:
+            return detect(read_image(path, camera, colour=options.colour is not None), options)
+        return detect_mask(read_image(file, camera) if mask is None else mask, options)

@@ -215,6 +215,7 @@ def test_a_click_and_no_length(photographed, tmp_path, capsys):
     (["--rest-length", "missing.txt"], ("--rest-length", "missing.txt")), (["--hypotheses", "0"], ("--hypotheses",)),
     (["--hypotheses", "9223372036854775808"], ("--hypotheses", "above")), (["--width", "1,2"], ("--width",)),
     (["--seed-point", "1,2,3"], ("--seed-point", "--sets")), (["--colour", "1,2"], ("colour",)),
+    (["--colour", "clicked"], ("--colour", "--seed-pixel")),
     (["--region", "cam7:0,0,50,50"], ("--region", "cam7")), (["--region", "cam0:0,0,5,50"], ("region",)),
     (["--masks", "a.png"], ("--masks",)), (["--image-size", "3"], ("--image-size",))])
 def test_wrong_options_are_reported(photographed, tmp_path, capsys, change, words):

@@ -3,14 +3,14 @@
 import os
 import struct
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
 from doo_ti import Camera, DetectionOptions, InputError
-from doo_ti.vision.detect import Sight, mask_of
-from doo_ti.vision.images import load_sets, orientation_tags, read_image, read_mask
+from doo_ti.vision.images import Sight, load_sets, mask_of, orientation_tags, read_image, read_mask
 from tests.conftest import check_refused
 from tests.vision.boards import around
 
@@ -83,6 +83,23 @@ def test_alpha_channels_and_masks(tmp_path):
         np.testing.assert_allclose(np.median(found.points[:, 1]), 30, atol=0.2)
         assert found.width_px == pytest.approx(5, abs=1.5)
     check_refused("opaque", Sight(masks=tmp_path / "masks").detected, tmp_path / "opaque.png", camera())
+
+
+def test_a_thread_is_sought_by_its_colour_where_it_was_clicked(tmp_path):
+    """Not another one, more distinct, that crosses it; and in later sets of which no pixel is known."""
+    image = np.full((120, 160, 3), 230, dtype=np.uint8)
+    cv2.line(image, (10, 60), (150, 70), (60, 60, 200), 4, cv2.LINE_AA)
+    cv2.line(image, (70, 5), (90, 115), (20, 20, 20), 4, cv2.LINE_AA)
+    path = tmp_path / "two.png"
+    cv2.imwrite(str(path), image)
+    seen = replace(camera(), width=160, height=120)
+    sight = Sight(clicks=({0: (40.0, 62.0)}, {}))
+    for row in range(2):
+        sight = sight.of_set(row, [path], [seen])
+        found = sight.detected(path, seen)
+        assert found.count > 100 and np.abs(found.points[:, 1] - 60 - (found.points[:, 0] - 10) / 14).max() < 4
+    check_refused("pixel", Sight(clicks=({0: (20.0, 20.0)},)).of_set, 0, [path], [seen])
+
 
 
 def test_libraries_say_nothing_of_damaged_images(tmp_path, capfd):
