@@ -98,7 +98,8 @@ def test_a_thread_is_sought_by_its_colour_where_it_was_clicked(tmp_path):
         sight = sight.of_set(row, [path], [seen])
         found = sight.detected(path, seen)
         assert found.count > 100 and np.abs(found.points[:, 1] - 60 - (found.points[:, 0] - 10) / 14).max() < 4
-    check_refused("pixel", Sight(clicks=({0: (20.0, 20.0)},)).of_set, 0, [path], [seen])
+    cv2.imwrite(str(path), np.full_like(image, 230))
+    check_refused("pixel: no thread", Sight(clicks=({0: (20.0, 20.0)},)).of_set, 0, [path], [seen])
 
 
 
