@@ -22,7 +22,8 @@ LEAST_SIGMA_MM = 1e-3  # stated for vertices that the seed gives: no observation
 LEFT_OVER = 0.02  # share of the rod's length; less is not mentioned
 OUTSIDE = 0.01  # share of the thread outside the other images that is worth saying
 MOST_LISTED = 60
-MISREAD = {"skipped": "leaves out or doubles {:.0f} widths of it", "wider": "goes on {:.0f} widths along something far wider"}
+MISREAD = {"skipped": "leaves out {:.0f} widths of it", "twice": "passes twice along {:.0f} widths of it",
+           "wider": "goes on {:.0f} widths along something far wider"}
 
 
 def declare(add) -> None:
@@ -195,11 +196,11 @@ def _arrays(task: PerceptionTask, found) -> dict[str, np.ndarray]:
         "name": np.array(task.sets.names), "vertices_mm": found.vertices, "rest_length_mm": task.rest_length, "up": task.up,
         "valid": sound & np.isfinite(found.vertices).all(axis=-1),
         "sigma_mm": np.where(sound, np.maximum(_sigma(found), LEAST_SIGMA_MM), np.nan),
-        "energy_vis": found.energy_vis, "status": found.status, "stable": found.stable,
-        "camera_error_px": found.camera_error, "coverage": found.coverage, "thread_length_mm": found.thread_length,
-        "left_over_mm": found.left_over, "length_range_mm": found.length_range, "outside": found.outside,
-        "hidden": found.hidden, "skipped": found.skipped, "wider": found.wider, "verdict": found.verdict, "gap_px": found.gap,
-        "unsupported": found.unsupported, "runner_up_mm": found.runner_up, "runner_up_energy_vis": found.runner_up_energy,
+        **{name: getattr(found, name) for name in ("energy_vis", "status", "stable", "coverage", "outside", "hidden", *MISREAD,
+                                                   "verdict", "unsupported")},
+        "camera_error_px": found.camera_error, "thread_length_mm": found.thread_length, "left_over_mm": found.left_over,
+        "length_range_mm": found.length_range, "gap_px": found.gap, "runner_up_mm": found.runner_up,
+        "runner_up_energy_vis": found.runner_up_energy,
     }
 
 
@@ -258,12 +259,11 @@ def _summary(task: PerceptionTask, detected: list[list], found, failed: dict[int
 
     sets = [{
         "name": name, "length_mm": task.rest_length.sum(), "status": Status(found.status[row]).name.lower(),
-        "stable": found.stable[row], "energy_vis": found.energy_vis[row], "camera_error_px": found.camera_error[row],
-        "gap_px": found.gap[row], "verdict": _word(found.verdict[row]), "unsupported_edges": found.unsupported[row].sum(),
-        "coverage": found.coverage[row], "thread_length_mm": found.thread_length[row], "left_over_mm": found.left_over[row],
+        **{name: getattr(found, name)[row] for name in ("stable", "energy_vis", "coverage", "outside", "hidden", *MISREAD)},
+        "camera_error_px": found.camera_error[row], "gap_px": found.gap[row], "verdict": _word(found.verdict[row]),
+        "thread_length_mm": found.thread_length[row], "left_over_mm": found.left_over[row],
         "length_range_mm": found.length_range[row], "bounded": task.length_bounds.limits(task.rest_length),
-        "outside": found.outside[row], "hidden": found.hidden[row], "skipped": found.skipped[row], "wider": found.wider[row],
-        "unsupported_mm": task.rest_length[found.unsupported[row]].sum(),
+        "unsupported_edges": found.unsupported[row].sum(), "unsupported_mm": task.rest_length[found.unsupported[row]].sum(),
         "mean_sigma_mm": found.sigma[row].mean() if found.sound[row] else None, **_errors(task, found, row),
         "failed": str(failed[row]) if row in failed else None,
     } for row, name in enumerate(task.sets.names)]

@@ -102,8 +102,10 @@ class Perception:
     coverage          (A, C) share of the line detected in each camera that the rod explains, of what lies in two images; NaN
                       where detections are unknown
     outside           (A, C) share of the line detected in each camera that lies outside all other images: no rod is there
-    skipped           (A, C) longest piece of the line detected in each camera that the rod leaves out between its ends, or
-                      passes along twice, over the width of the thread there
+    skipped           (A, C) longest piece of the line detected in each camera that the rod leaves out between its ends, over
+                      the width of the thread there
+    twice             (A, C) how much of its image passes along another part of it, over that width: it has turned back, or the
+                      camera sees strands behind each other
     wider             (A, C) longest piece of line along the rod that is far wider than the thread, over that width: a needle
                       or what holds it
     thread_length     (A,) mm from the seed to where the thread ends in the images; NaN where rods were not traced. With rods of
@@ -130,6 +132,7 @@ class Perception:
     coverage: np.ndarray
     outside: np.ndarray
     skipped: np.ndarray
+    twice: np.ndarray
     wider: np.ndarray
     thread_length: np.ndarray
     left_over: np.ndarray
@@ -144,8 +147,10 @@ class Perception:
     def verdict(self) -> np.ndarray:
         """(A,) PerceptionVerdict."""
         clear = self.sound & (self.gap >= CLEAR_PX) & (self.camera_error <= FITTING_PX).all(axis=1)
-        astray = np.sort(np.nan_to_num(np.maximum(self.skipped, self.wider)), axis=1) > MOST_SKIPPED
-        clear &= ~astray.any(axis=1)
+        two = min(2, self.camera_error.shape[1]) - 1
+        left_out, turned_back = (np.sort(np.nan_to_num(one), axis=1) > MOST_SKIPPED for one in (
+            np.maximum(self.skipped, self.wider), self.twice))
+        clear &= ~left_out.any(axis=1) & ~turned_back[:, two]
         clear &= ~(self.coverage < COVERED).any(axis=1) & ~(self.sigma > CERTAIN_MM).any(axis=1)
         length = self.configuration.rest_length.sum(axis=-1)
         clear &= self.camera_error.shape[1] > 1  # one camera does not see depth
@@ -153,15 +158,15 @@ class Perception:
         clear &= ~(np.ptp(self.length_range, axis=1) > 2 * CERTAIN_LENGTH * length)
         # A camera that does not see the rod counts as far off. Two cameras determine a rod: others may be occluded.
         error = np.sort(np.where(np.isfinite(self.camera_error), self.camera_error, np.inf), axis=1)
-        lost = (error[:, min(2, error.shape[1]) - 1] > FITTING_PX) & (error[:, -1] > LOST_PX)
+        lost = (error[:, two] > FITTING_PX) & (error[:, -1] > LOST_PX)
         lost &= ~(self.coverage >= COVERED).all(axis=1)  # a rod that goes on beyond the thread is far off there
         kinds = PerceptionVerdict.NOT_FOUND, PerceptionVerdict.CLEAR, PerceptionVerdict.LIKELY
-        explained = np.sort(np.nan_to_num(self.coverage, nan=1.0), axis=1)[:, -min(2, error.shape[1])]
+        explained = np.sort(np.nan_to_num(self.coverage, nan=1.0), axis=1)[:, -1 - two]
         likely = (self.status == Status.CONVERGED) & (self.gap >= AMBIGUOUS_PX)
         # Of a longer thread a rod explains a part.
         whole, part = LEAST_COVERED
         likely &= explained >= np.maximum(whole * np.fmin(1.0, length / self.thread_length), part)
-        likely &= ~astray[:, min(2, error.shape[1]) - 1] & ~(self.sigma.max(axis=1) > UNCERTAIN * length)
+        likely &= ~left_out[:, two] & ~turned_back[:, two] & ~(self.sigma.max(axis=1) > UNCERTAIN * length)
         return np.select([lost, clear, likely], kinds, PerceptionVerdict.AMBIGUOUS).astype(np.int8)
 
     @classmethod
@@ -287,7 +292,7 @@ def _result(search: Search, kept: Hypotheses, start_sigma: np.ndarray) -> Percep
         seen_length = np.where(hidden, 0.0, image_length)
         sigma = search.sigma(rods, start_sigma)
     both = search.maps.detections is not None and options.evidence == "both"
-    errors = Misread(*np.zeros((3, *image_length.shape[:2])))
+    errors = Misread(*np.zeros((4, *image_length.shape[:2])))
     if both:
         errors = misread(search.rig, rods.vertices, search.maps.detections)
     return Perception(
@@ -308,6 +313,7 @@ def _result(search: Search, kept: Hypotheses, start_sigma: np.ndarray) -> Percep
         coverage=final.coverage[best] / (1 - errors.outside),
         outside=errors.outside,
         skipped=errors.skipped,
+        twice=errors.twice,
         wider=errors.wider,
         thread_length=final.thread[best],
         left_over=left_over(final, best, image_length.sum(axis=2), search.rest_length.sum()),

@@ -231,13 +231,14 @@ class Misread:
     """What one rod of each of A sets makes of the line detected in each camera (A, C)."""
 
     outside: np.ndarray  # share that no other camera's image shows, at the depth of the nearest vertex
-    skipped: np.ndarray  # longest piece of the rest that the rod leaves out between its ends, or passes along twice, and …
-    wider: np.ndarray  # … longest piece that it explains but is not as wide as the thread, both over the thread's width
+    skipped: np.ndarray  # over the thread's width the longest piece of the rest that the rod leaves out between its ends …
+    twice: np.ndarray  # … how much it passes along twice …
+    wider: np.ndarray  # … and the longest piece that it explains but is not as wide as the thread
 
 
 def misread(rig: Rig, vertices: np.ndarray, detections: list[list[Detection]]) -> Misread:
     """Of rods ``vertices`` (A, V, 3) mm."""
-    outside, skipped, wider = np.zeros((3, len(vertices), len(rig.cameras)))
+    outside, skipped, twice, wider = np.zeros((4, len(vertices), len(rig.cameras)))
     for row, rod in enumerate(vertices):
         if not np.isfinite(rod).all():
             continue
@@ -253,10 +254,11 @@ def misread(rig: Rig, vertices: np.ndarray, detections: list[list[Detection]]) -
                 middle = 0.5 * np.array([other.width - 1, other.height - 1])
                 alone &= ~((np.abs(other.project(there) - middle) <= middle + 0.5).all(axis=1))
             outside[row, c] = (far & alone).mean()
-            skipped[row, c] = max(_longest_piece(points[far & ~alone & between]), _passed_twice(image)) / detection.width_px
+            skipped[row, c] = _longest_piece(points[far & ~alone & between]) / detection.width_px
+            twice[row, c] = _passed_twice(image) / detection.width_px
             wide = np.unique(np.rint(detection.points[detection.widths > WIDER * detection.width_px]), axis=0)
             wider[row, c] = _longest_piece(wide[~_nearest_place(wide, image)[1]]) / detection.width_px
-    return Misread(outside, skipped, wider)
+    return Misread(outside, skipped, twice, wider)
 
 
 def _nearest_place(points: np.ndarray, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -76,7 +76,7 @@ def test_rods_are_found_and_written(photographed, perceived):
         "name": (2,), "vertices_mm": (2, vertices, 3), "rest_length_mm": (edges,), "up": (3,), "valid": (2, vertices),
         "sigma_mm": (2, vertices), "energy_vis": (2,), "status": (2,), "stable": (2,), "camera_error_px": (2, 3),
         "coverage": (2, 3), "thread_length_mm": (2,), "left_over_mm": (2,), "length_range_mm": (2, 2), "outside": (2, 3),
-        "skipped": (2, 3), "wider": (2, 3),
+        "skipped": (2, 3), "twice": (2, 3), "wider": (2, 3),
         "hidden": (2, 3), "verdict": (2,), "gap_px": (2,),
         "unsupported": (2, edges), "runner_up_mm": (2, 4, vertices, 3), "runner_up_energy_vis": (2, 4)}
     assert (out / "f.png").read_bytes()[:4] == b"\x89PNG"

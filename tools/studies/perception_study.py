@@ -76,7 +76,7 @@ def with_points(found: Detection, missing: np.ndarray, curve: np.ndarray, direct
     """``found``, and besides the ``missing`` points of a curve (n, 2)."""
     strength = np.full(missing.sum(), np.median(found.strength))
     return replace(found, points=np.concatenate([found.points, curve[missing]]), strength=np.append(found.strength, strength),
-                   direction=np.concatenate([found.direction, direction[missing]]))
+                   direction=np.concatenate([found.direction, direction[missing]]), width=None)
 
 
 def main() -> None:
