@@ -65,8 +65,8 @@ class PerceptionVerdict(IntEnum):
     LIKELY     a gap of at least 0.02 px: image evidence alone does not separate them, the rod's energy helps to decide. Or a
                wider gap, but the rod is further from the detection
     AMBIGUOUS  a smaller gap: either may be the rod. Or the best rod has not converged, or in all cameras but one explains less
-               than half of the line detected, leaves a piece of it out or follows something wider; or a vertex is uncertain by
-               a tenth of its length
+               than half of the line detected, leaves a piece of it out or passes along it twice; or a vertex is uncertain by a
+               tenth of the rod's length
     NOT_FOUND  no rod was found that is within 1 px of the detection in two cameras, and it is 3 px off in one: images of other
                cameras, a wrong rig, seed or length
     """
@@ -148,9 +148,8 @@ class Perception:
         """(A,) PerceptionVerdict."""
         clear = self.sound & (self.gap >= CLEAR_PX) & (self.camera_error <= FITTING_PX).all(axis=1)
         two = min(2, self.camera_error.shape[1]) - 1
-        left_out, turned_back = (np.sort(np.nan_to_num(one), axis=1) > MOST_SKIPPED for one in (
-            np.maximum(self.skipped, self.wider), self.twice))
-        clear &= ~left_out.any(axis=1) & ~turned_back[:, two]
+        left_out, turned_back = (np.sort(np.nan_to_num(one), axis=1) > MOST_SKIPPED for one in (self.skipped, self.twice))
+        clear &= ~left_out.any(axis=1) & ~turned_back[:, two] & ~(self.wider > MOST_SKIPPED).any(axis=1)
         clear &= ~(self.coverage < COVERED).any(axis=1) & ~(self.sigma > CERTAIN_MM).any(axis=1)
         length = self.configuration.rest_length.sum(axis=-1)
         clear &= self.camera_error.shape[1] > 1  # one camera does not see depth

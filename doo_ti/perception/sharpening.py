@@ -6,9 +6,9 @@ Where the thread runs along its epipolar lines, that is millimetres of depth. So
     E_back = Σ_c Σ_k w_k ρ(n·(p(x_k) − q_k))                    doo_ti.vision.image_energy
 
 with q_k the middle of the detected points around the image of place k, and n across the line there. Along the line a place is
-free, as which point is whose is found anew after each relaxation; but the last place of the rod stays where it was along its
-line, else rods would fold in depth between cameras close together. Places without points of their direction near them have no
-weight: the rod's stiffness alone bridges gaps.
+free, as which point is whose is found anew after each relaxation; but the last place of the rod moves no farther along its line
+than that is wide, else rods would fold in depth between cameras close together. Places without points of their direction near
+them have no weight: the rod's stiffness alone bridges gaps.
 
 Axes: A rods of as many image sets, C cameras, E edges, K places along an edge.
 """
@@ -31,7 +31,6 @@ ROUNDS, STILL_MM = 20, 0.01  # relaxations, until no vertex moves by more
 PLACES = 2  # along an edge, for the energy
 NEIGHBOURS = 8  # points nearest to a place that are looked at: the nearest may be of a strand that crosses there
 COVERED = 0.95  # share of a detected line with which a rod is one of the whole thread
-END = 0.1  # share of its weight with which the last place stays: with 0.02 rods fold, with 1 the end is as far off as before
 FREE = 1e-3  # share that counts of a distance along the line
 
 
@@ -45,13 +44,17 @@ def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detec
     every = np.arange(len(rods.start))
     quaternions, sound, moving = rods.quaternions.copy(), np.zeros(len(every), dtype=bool), every
     ends = _images_of_places(rig, rods.vertices)[0][:, :, -1, -1]
+    width = np.nan_to_num([[[detection.width_px] for detection in images] for images in detections])
     for _ in range(ROUNDS):
         here = Configuration(rods.start, quaternions, rods.rest_length).take(moving)
         places, ways = _images_of_places(rig, here.vertices)
         points, tangents, found = lines_at(places, ways, [detections[row] for row in moving])
-        points[:, :, -1, -1], tangents[:, :, -1, -1] = ends[moving], tangents[:, :, -1, -1, ::-1] * [1.0, -1.0]
+        along = tangents[:, :, -1, -1]
+        slid = ((places[:, :, -1, -1] - ends[moving]) * along).sum(axis=-1, keepdims=True)
+        too_far, limit = np.abs(slid) > width[moving], ends[moving] + width[moving] * np.sign(slid) * along
+        points[:, :, -1, -1] = np.where(too_far, limit, points[:, :, -1, -1])
+        tangents[:, :, -1, -1] = np.where(too_far, along[..., ::-1] * [1.0, -1.0], along)  # across the line: held along it
         weight = np.where(found, np.linalg.norm(ways, axis=-1) / PLACES, 0.0)
-        weight[:, :, -1, -1] *= END
         first = here.frames[:, 0]
         solution = relax(here, material, Clamps(Clamp.TANGENT, Clamp.FREE, here.start, here.start, first, first), Newton(),
                          up=up, precision="mixed", external=AssignedPoints(rig, points, tangents, weight, nu, FREE),
@@ -59,7 +62,7 @@ def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detec
         quaternions[moving] = solution.configuration.quaternions
         sound[moving] = (solution.status == Status.CONVERGED) & solution.stable
         moved = np.abs(solution.configuration.vertices - here.vertices).max(axis=(1, 2))
-        moving = moving[sound[moving] & (moved > STILL_MM)]
+        moving = moving[moved > STILL_MM]
         if not len(moving):
             break
     new = Configuration(rods.start, quaternions, rods.rest_length)
