@@ -23,7 +23,6 @@ from doo_ti.io.arrays import read_csv
 from doo_ti.system.errors import InputError
 from doo_ti.vision.calibration import Sighting
 from doo_ti.vision.cameras import check_camera_names
-from doo_ti.vision.images import read_image
 
 FORMS = ("chessboard:9x6:10 (inner corners, square in mm), charuco:9x6:10:7 (squares, square and marker in mm), circles:9x6:10 "
          "(circles, from one to the next in mm) or acircles:4x11:10 (circles in staggered rows, from row to row in mm)")
@@ -294,6 +293,8 @@ def find_sightings(views: Views, board: Board, advance: Callable[[], object] = l
 
     Raises InputError for an image that cannot be read and for one of another size than the camera's others.
     """
+    from doo_ti.vision.images import read_image
+
     sightings, sizes = [], {}
     for (view, camera), path in sorted(views.images.items()):
         image = read_image(path, turned=turned)
