@@ -8,7 +8,7 @@ import numpy as np
 
 from doo_ti.commands import image_options
 from doo_ti.commands import options as given
-from doo_ti.commands.results import report, shortened, status_text
+from doo_ti.commands.results import refuse_overwriting, report, shortened, status_text
 from doo_ti.io.observation_files import save_observations
 from doo_ti.rod.material import UNITS_IN_MM
 from doo_ti.system.arguments import counted
@@ -123,7 +123,7 @@ def _calibration_lines(views: Views, calibration: Calibration, summary: dict) ->
 def run_triangulate(options: Namespace) -> int:
     """Triangulate all marks; writes observations and names the labels that contradict the others."""
     chosen = TriangulationOptions(options.sigma_px, options.threshold)
-    given.refuse_overwriting(options.out, options.marks)
+    refuse_overwriting(options.out, options.marks)
     rig = image_options.rig(options)
     if len(rig.cameras) < 2:
         raise InputError(options.rig, "cameras", "one camera", "triangulation needs two or more")

@@ -10,6 +10,7 @@ import numpy as np
 
 from doo_ti.commands import loading
 from doo_ti.commands import options as given
+from doo_ti.commands.results import refuse_overwriting
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.motion_file import TOOL_AXES, ClampPath, load_path
 from doo_ti.io.pose_table import NAMED
@@ -99,7 +100,7 @@ def held_rods(options: Namespace, out: Path, kinds: tuple[Clamp | None, Clamp | 
         raise InputError(given.SOURCE, "--motion", "missing", "name a file of poses, or give a scene of motion")
     grid, surroundings = given.grid(options), with_friction_of_theta(options, given.surroundings(options))
     observations = loading.load(options, options.source)
-    given.refuse_overwriting(out, options.source, options.motion)
+    refuse_overwriting(out, options.source, options.motion)
     path = _path(options, observations.up)
     observations = _with_frames(observations, path, options.relative)
     if path.count not in (1, observations.count) and observations.count > 1:

@@ -236,13 +236,6 @@ def require_recorder(name: str) -> None:
         raise InputError(SOURCE, name, "rerun is not installed", INSTALL_RECORDER)
 
 
-def refuse_overwriting(out: Path, *sources: str | None, option: str = "--out") -> None:
-    """Raise InputError where the file to write is also one to read."""
-    for source in filter(None, sources):
-        if os.path.exists(out) and os.path.exists(source) and out.samefile(source):
-            raise InputError(SOURCE, option, f"{out} is the input itself", "name another file")
-
-
 # --- the texts of options ------------------------------------------------------------------------------------------------
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from doo_ti.commands import image_options, loading
 from doo_ti.commands import options as given
 from doo_ti.commands.image_options import GUESSED_BEND, MOST_HYPOTHESES, RECORDED, PerceptionTask, perception_task
-from doo_ti.commands.results import report, save_arrays, shortened, status_text
+from doo_ti.commands.results import refuse_overwriting, report, save_arrays, shortened, status_text
 from doo_ti.learning.landscape import status_counts
 from doo_ti.rod.types import Status
 from doo_ti.system.arguments import counted
@@ -62,7 +62,7 @@ def run(options: Namespace) -> int:
     sources = [options.rig, options.sets, options.truth, *(path for line in task.sets.paths for path in line)]
     beside = [suffix for suffix, left_out in ((".png", options.no_picture), (".rrd", options.no_recording)) if not left_out]
     for path in (out, *(given.output_file("--out", out.with_suffix(suffix), (suffix,)) for suffix in beside)):
-        given.refuse_overwriting(path, *sources)
+        refuse_overwriting(path, *sources)
     with progress() as bar:
         detected, failed = _detected(task, bar)
         begun, rows, length_range, seed_sigma = _begun(task, detected, failed)

@@ -1,6 +1,7 @@
 """Shared by the commands: loading a scene's observations, writing files, and printing text or strict JSON."""
 
 import json
+import os
 import sys
 from argparse import Namespace
 from collections.abc import Callable
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from doo_ti.commands import options as given
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.observation_files import load_observations, save_observations
 from doo_ti.io.observation_tables import write_rod_table
@@ -33,6 +35,13 @@ def observed(scene: Scene, up: np.ndarray | None) -> Observations:
     else:
         observations = load_observations(scene.observations)
     return replace(observations, name=scene.name, **({} if up is None else {"up": up}))
+
+
+def refuse_overwriting(out: Path, *sources: str | None, option: str = "--out") -> None:
+    """Raise InputError where the file to write is also one to read."""
+    for source in filter(None, sources):
+        if os.path.exists(out) and os.path.exists(source) and out.samefile(source):
+            raise InputError(given.SOURCE, option, f"{out} is the input itself", "name another file")
 
 
 def save(out: Path, observations: Observations) -> None:

@@ -17,6 +17,7 @@ from doo_ti.commands.moving_rods import (
     require_length,
     simulated_rods,
 )
+from doo_ti.commands.results import refuse_overwriting
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.contact.touch import Touch
 from doo_ti.io.pose_table import holds_poses
@@ -135,7 +136,7 @@ def _recorded(options: Namespace, out: Path, changes: dict, up: np.ndarray) -> _
                  "leave it out, or give observations with --motion")
     theta, surroundings = load_theta(options.theta), given.surroundings(options)
     motion, = loading.recordings(options, [options.source])
-    given.refuse_overwriting(out, options.source)
+    refuse_overwriting(out, options.source)
     if motion.edges != len(theta.rest_length):
         raise InputError(options.theta, "rest_length_mm", f"{len(theta.rest_length)} edges, {in_line(options.source)} has "
                          f"{motion.edges}", "give the theta of this rod")

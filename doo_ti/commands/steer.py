@@ -14,7 +14,7 @@ import numpy as np
 from doo_ti.commands import image_options, loading
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import settled, with_rest_curvature
-from doo_ti.commands.results import report
+from doo_ti.commands.results import refuse_overwriting, report
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.motion_file import ClampPath, path_table
 from doo_ti.rod.material import relative_stiffness, stiffness
@@ -141,7 +141,7 @@ def steered_rod(options: Namespace, written: Iterable[Path]) -> SteeredRod:
     grid = given.round_cell(options, "steered")
     observations = loading.load(options, options.start).take(np.zeros(1, dtype=np.int64))
     for out in written:
-        given.refuse_overwriting(out, options.start, options.target)
+        refuse_overwriting(out, options.start, options.target)
     places = loading.target(options, observations)
     clamps = observation_clamps(observations, *given.clamps(options))
     for end, kind in (("start", clamps.start), ("end", clamps.end)):

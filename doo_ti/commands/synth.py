@@ -8,7 +8,7 @@ import numpy as np
 
 from doo_ti.commands import loading
 from doo_ti.commands import options as given
-from doo_ti.commands.results import observed, save, save_arrays
+from doo_ti.commands.results import observed, refuse_overwriting, save, save_arrays
 from doo_ti.io.observation_files import read_recording
 from doo_ti.io.scene import Scene, Synthesis, load_scene
 from doo_ti.io.toml_file import scene_file
@@ -51,7 +51,7 @@ def declare(add) -> None:
 def run_convert(options: Namespace) -> int:
     """Observations from one format to another; keys that observations do not have are dropped."""
     out, edges = options.out, options.edges
-    given.refuse_overwriting(out, options.observations, option="OUT")
+    refuse_overwriting(out, options.observations, option="OUT")
     if options.motion:
         given.refuse(options, ("edges", "complete", "rest_length"), "given with --motion", "leave one out")
         return _convert_motion(options, out)

@@ -11,7 +11,7 @@ from doo_ti.commands import image_options
 from doo_ti.commands import options as given
 from doo_ti.commands.loading import read_rest_length
 from doo_ti.commands.perceive import LEAST_SIGMA_MM
-from doo_ti.commands.results import report, save_arrays
+from doo_ti.commands.results import refuse_overwriting, report, save_arrays
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.arrays import read_csv
 from doo_ti.rod.types import Clamp, Clamps, Material
@@ -55,7 +55,7 @@ def declare(add) -> None:
 
 def run(options: Namespace) -> int:
     out = options.out
-    given.refuse_overwriting(out, options.frames, options.motion, options.rest_length)
+    refuse_overwriting(out, options.frames, options.motion, options.rest_length)
     task = tracking_task(options)
     rest_length, found, problem = _tracked(task)
     image_options.warn_of_length(options, rest_length.sum())
