@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.manipulation.model import change_between, finite_rods, moved, put_rods
+from doo_ti.manipulation.model import change_between, moved
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import conjugate, matrix_from_quaternion, quaternion_of_turn, quaternion_product, rotation_vector
-from doo_ti.rod.types import Clamps, Configuration, Material
+from doo_ti.rod.types import Clamps, Configuration, Material, finite_rods, put_rods
 
 BENDING, WAVES = 1.5, 3
 """rad, standard deviation of what each cosine along the rod adds to each component of a random rod's rotations."""

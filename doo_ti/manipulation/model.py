@@ -13,7 +13,7 @@ from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import rotation_matrix, turn_between, unit_vectors
-from doo_ti.rod.types import POSES, Clamps, Configuration, Material, Solution
+from doo_ti.rod.types import POSES, Clamps, Configuration, Material, Solution, finite_rods
 
 PULL = 30.0
 """Stiffness of a spring over B/s³, s the rod's length between marks: it draws a mark to a thirtieth of what bending between its
@@ -142,16 +142,3 @@ def put_rows(clamps: Clamps, rods: np.ndarray, other: Clamps) -> Clamps:
     for name, values in parts.items():
         values[rods] = getattr(other, name)
     return replace(clamps, **parts)
-
-
-def put_rods(rods: Configuration, rows: np.ndarray, other: Configuration) -> Configuration:
-    """``rods`` with ``other`` in those rows."""
-    start, frames = rods.start.copy(), rods.quaternions.copy()
-    start[rows], frames[rows] = other.start, other.quaternions
-    return Configuration(start, frames, rods.rest_length)
-
-
-def finite_rods(rods: Configuration, otherwise: Configuration) -> Configuration:
-    """``rods``, those that are not finite as they are in ``otherwise``."""
-    lost = np.flatnonzero(~np.isfinite(rods.quaternions).all(axis=(1, 2)))
-    return put_rods(rods, lost, otherwise.take(lost)) if len(lost) else rods

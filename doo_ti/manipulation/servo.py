@@ -36,10 +36,8 @@ from doo_ti.manipulation.model import (
     boxed,
     change_between,
     drawn_in,
-    finite_rods,
     held,
     moved,
-    put_rods,
     put_rows,
     rebranched_to_observation,
     slack,
@@ -58,7 +56,7 @@ from doo_ti.relaxation.relax import relax
 from doo_ti.relaxation.sensitivity import GRIPPERS, sensitivity
 from doo_ti.rod.material import doubt_marks
 from doo_ti.rod.shapes import with_end_edges
-from doo_ti.rod.types import Clamps, Configuration, Material, Solution, unit_up
+from doo_ti.rod.types import Clamps, Configuration, Material, Solution, finite_rods, put_rods, unit_up
 from doo_ti.system.arguments import counted, typed
 from doo_ti.system.errors import InputError
 

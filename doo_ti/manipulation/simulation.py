@@ -26,7 +26,6 @@ from numpy.typing import ArrayLike
 
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Itself, Surroundings
-from doo_ti.manipulation.model import finite_rods, put_rods
 from doo_ti.motion.path import LARGEST_TURN, motion_between
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
@@ -39,7 +38,7 @@ from doo_ti.rod.frames import (
     rotation_matrix,
     rotation_vector,
 )
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Rows, Solution, sticky, unit_up
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Rows, Solution, finite_rods, put_rods, sticky, unit_up
 from doo_ti.system.arguments import counted, short_repr, typed
 from doo_ti.system.errors import InputError
 

@@ -12,7 +12,7 @@ from typing import Annotated
 import numpy as np
 
 from doo_ti.manipulation.damped_steps import DampedSteps, normal_equations
-from doo_ti.manipulation.model import Model, finite_rods, held, moved, pulled_by_springs_to, put_rods, put_rows, slack
+from doo_ti.manipulation.model import Model, held, moved, pulled_by_springs_to, put_rows, slack
 from doo_ti.relaxation.sensitivity import GRIPPERS, sensitivity
 from doo_ti.rod.frames import (
     bishop_frames,
@@ -25,7 +25,7 @@ from doo_ti.rod.frames import (
     total_twist,
 )
 from doo_ti.rod.material import Material, Rows
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Solution
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Solution, finite_rods, put_rods
 from doo_ti.system.arguments import owning, typed
 from doo_ti.system.errors import InputError
 

@@ -31,7 +31,7 @@ from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import edge_frames, total_twist, vertices_from_quaternions
 from doo_ti.rod.material import doubt_angle
-from doo_ti.rod.types import POSES, Clamps, Configuration, Material, Solution, Status, sticky
+from doo_ti.rod.types import POSES, Clamps, Configuration, Material, Solution, Status, finite_rods, sticky
 from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
 
@@ -144,10 +144,7 @@ def predict(
         for part in range(between):
             leg = _part(motion, part / between, (part + 1) / between)
             solution, jumps = go(here, leg)
-            there, lost = solution.configuration, ~np.isfinite(solution.configuration.quaternions).all(axis=(1, 2))
-            here = replace(there, start=np.where(lost[:, None], here.start, there.start),
-                           quaternions=np.where(lost[:, None, None], here.quaternions, there.quaternions))
-            held = leg.at(1.0)
+            here, held = finite_rods(solution.configuration, here), leg.at(1.0)
             moments.append((solution, jumps, moments[-1][2] + np.tile(rotation_about_rod(leg), len(rods) // motions)))
             advance(len(rods))
     solutions, jumps, rotation = zip(*moments, strict=True)

@@ -34,7 +34,7 @@ from doo_ti.perception.growth import rank_distinct
 from doo_ti.perception.search import Finalists, Hypotheses, PerceptionOptions, Search, evidence, finalists, left_over
 from doo_ti.perception.sharpening import COVERED
 from doo_ti.perception.traced import SAME_LENGTH
-from doo_ti.rod.types import LARGEST, Configuration, Material, Status, unit_up
+from doo_ti.rod.types import LARGEST, Configuration, Material, Status, put_rods, unit_up
 from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras import Rig
@@ -327,14 +327,13 @@ def _sharpened(search: Search, final: Finalists, best: np.ndarray) -> Finalists:
         return final
     energy, found = evidence(search.rig, search.maps, rods, final.of_set[best], search.material, search.up, search.options,
                              search.piece_points)
-    changed, quaternions = best[sound], final.configuration.quaternions.copy()
-    quaternions[best] = rods.quaternions
+    changed = best[sound]
     energy_vis, status, certified, share = (values.copy() for values in (final.energy_vis, final.status, final.certified,
                                                                          final.coverage))
     energy_vis[changed], share[changed] = energy[sound], found.share[sound]
     status[changed], certified[changed] = Status.CONVERGED, True
-    return replace(final, configuration=replace(final.configuration, quaternions=quaternions), energy_vis=energy_vis,
-                   status=status, certified=certified, coverage=share)
+    return replace(final, configuration=put_rods(final.configuration, best, rods), energy_vis=energy_vis, status=status,
+                   certified=certified, coverage=share)
 
 
 def _reprojected(search: Search, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

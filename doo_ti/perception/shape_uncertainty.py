@@ -30,7 +30,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from doo_ti.perception.sharpening import lines_at
+from doo_ti.perception.sharpening import line_trees, lines_at
 from doo_ti.rod.frames import across
 from doo_ti.vision.cameras import Rig
 from doo_ti.vision.detection import Detection, thinned
@@ -124,7 +124,7 @@ def detected_places(rig: Rig, vertices: np.ndarray, pieces: int, detections: Seq
     before = np.minimum(place.astype(int), vertices.shape[1] - 2)
     step = np.diff(image, axis=2)[:, :, before]
     at = image[:, :, before] + (place - before)[:, None] * step
-    return lines_at(at, step, detections)[2].reshape(len(vertices), -1)
+    return lines_at(at, step, line_trees(detections))[2].reshape(len(vertices), -1)
 
 
 def bending_hessian(turns: np.ndarray, length: np.ndarray) -> np.ndarray:

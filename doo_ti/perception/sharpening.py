@@ -43,12 +43,13 @@ def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detec
     """
     every = np.arange(len(rods.start))
     quaternions, sound, moving = rods.quaternions.copy(), np.zeros(len(every), dtype=bool), every
+    lines = line_trees(detections)
     ends = _images_of_places(rig, rods.vertices)[0][:, :, -1, -1]
     width = np.nan_to_num([[[detection.width_px] for detection in images] for images in detections])
     for _ in range(ROUNDS):
         here = Configuration(rods.start, quaternions, rods.rest_length).take(moving)
         places, ways = _images_of_places(rig, here.vertices)
-        points, tangents, found = lines_at(places, ways, [detections[row] for row in moving])
+        points, tangents, found = lines_at(places, ways, [lines[row] for row in moving])
         along = tangents[:, :, -1, -1]
         slid = ((places[:, :, -1, -1] - ends[moving]) * along).sum(axis=-1, keepdims=True)
         too_far, limit = np.abs(slid) > width[moving], ends[moving] + width[moving] * np.sign(slid) * along
@@ -78,18 +79,26 @@ def _images_of_places(rig: Rig, vertices: np.ndarray) -> tuple[np.ndarray, np.nd
     return image[:, :, :-1, None] + ((np.arange(PLACES) + 0.5) / PLACES)[:, None] * edge, np.repeat(edge, PLACES, axis=3)
 
 
-def lines_at(places: np.ndarray, ways: np.ndarray, detections: Sequence[Sequence[Detection]]
+def line_trees(detections: Sequence[Sequence[Detection]]) -> list[list[tuple[np.ndarray, np.ndarray, cKDTree | None]]]:
+    """Of each detection its points (N, 2), about one for each pixel of line, their directions, and a tree to search them; None
+    without any."""
+    lines = [[thinned(detection) for detection in images] for images in detections]
+    return [[(points, direction, cKDTree(points) if len(points) else None) for points, direction in views] for views in lines]
+
+
+def lines_at(places: np.ndarray, ways: np.ndarray, lines: list[list[tuple[np.ndarray, np.ndarray, cKDTree | None]]]
              ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The detected line at ``places`` (A, C, …, 2) px of images that run along ``ways`` there: its point and unit tangent
-    (A, C, …, 2), zero where there is none, and (A, C, …) bool: whether a point of like direction is near."""
+    """The detected lines, of :func:`line_trees`, at ``places`` (A, C, …, 2) px of images that run along ``ways`` there: their
+    points and unit tangents (A, C, …, 2), zero where there is none, and (A, C, …) bool: whether a point of like direction is
+    near."""
     points, tangents = np.zeros((2, *places.shape))
     found = np.zeros(places.shape[:-1], dtype=bool)
     for row, c in np.ndindex(places.shape[:2]):
-        seen, direction = thinned(detections[row][c])
-        if not len(seen):
+        seen, direction, tree = lines[row][c]
+        if tree is None:
             continue
         way = ways[row, c][..., None, :]
-        apart, nearest = cKDTree(seen).query(places[row, c], NEIGHBOURS)
+        apart, nearest = tree.query(places[row, c], NEIGHBOURS)
         nearest = np.minimum(nearest, len(seen) - 1)
         cosine = (direction[nearest] * way).sum(axis=-1)
         alike = (apart <= NEAR_PX) & (np.abs(cosine) >= ALIKE * np.linalg.norm(way, axis=-1))

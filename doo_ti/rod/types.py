@@ -155,6 +155,19 @@ class Configuration:
         return cls(np.concatenate(starts), np.concatenate(frames), lengths)
 
 
+def put_rods(rods: Configuration, rows: np.ndarray, other: Configuration) -> Configuration:
+    """``rods`` with ``other`` in those rows."""
+    start, frames = rods.start.copy(), rods.quaternions.copy()
+    start[rows], frames[rows] = other.start, other.quaternions
+    return Configuration(start, frames, rods.rest_length)
+
+
+def finite_rods(rods: Configuration, otherwise: Configuration) -> Configuration:
+    """``rods``, those that are not finite as they are in ``otherwise``."""
+    lost = np.flatnonzero(~np.isfinite(rods.quaternions).all(axis=(1, 2)))
+    return put_rods(rods, lost, otherwise.take(lost)) if len(lost) else rods
+
+
 def require_kinds(source: str, start: Clamp | np.ndarray, end: Clamp | np.ndarray) -> None:
     """Raise InputError unless both are members of Clamp, or whole numbers of such."""
     for name, kind in (("start", start), ("end", end)):
