@@ -22,7 +22,7 @@ LEAST_SIGMA_MM = 1e-3  # stated for vertices that the seed gives: no observation
 LEFT_OVER = 0.02  # share of the rod's length; less is not mentioned
 OUTSIDE = 0.01  # share of the thread outside the other images that is worth saying
 MOST_LISTED = 60
-MISREAD = {"skipped": "leaves out {:.0f} widths of it", "twice": "passes twice along {:.0f} widths of it",
+MISREAD = {"skipped": "leaves out a piece {:.0f} widths long", "twice": "runs along itself for {:.0f} widths",
            "wider": "goes on {:.0f} widths along something far wider"}
 
 

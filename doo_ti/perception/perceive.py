@@ -60,8 +60,8 @@ class PerceptionVerdict(IntEnum):
 
     CLEAR      a gap of at least 0.1 px, or no other rod: image evidence alone separates them. And the rod is a certified
                minimum, within 1 px of the detection, on average, in every camera, explains 95 % of the line detected in
-               each, leaves no piece of it out and follows nothing wider for three times its width, is as long as it, and its
-               vertices are certain to 1 mm. Never with one camera, which does not see depth
+               each, is as long as it, and its vertices are certain to 1 mm. It leaves out no piece of the line, and follows
+               nothing far wider, for more than three widths of the thread. Never with one camera, which does not see depth
     LIKELY     a gap of at least 0.02 px: image evidence alone does not separate them, the rod's energy helps to decide. Or a
                wider gap, but the rod is further from the detection
     AMBIGUOUS  a smaller gap: either may be the rod. Or the best rod has not converged, or in all cameras but one explains less

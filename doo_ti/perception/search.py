@@ -194,8 +194,8 @@ class Search:
         return Configuration(self.point[hypotheses.of_set], hypotheses.quaternions, self.rest_length[:edges]).vertices
 
     def sharpened(self, rods: Configuration) -> tuple[Configuration, np.ndarray]:
-        """One rod of each set, whose edges are cut into pieces, on the detected points themselves; and (A,) bool: which are.
-        None is where detections are unknown, and with evidence as the paper has it."""
+        """One rod of each set, whose edges are cut into pieces, relaxed to the detected points; and (A,) bool: which ones were.
+        None where detections are unknown, nor with the paper's one-sided evidence."""
         if self.maps.detections is None or self.options.evidence == "rod":
             return rods, np.zeros(len(rods.start), dtype=bool)
         return sharpened(rods, self.rig, self.maps.detections, self.material, self.up, NU_BACK * self.scale, self.surroundings)

@@ -228,16 +228,22 @@ def coverage(rig: Rig, vertices: np.ndarray, of_set: np.ndarray, detections: lis
 
 @dataclass(frozen=True)
 class Misread:
-    """What one rod of each of A sets makes of the line detected in each camera (A, C)."""
+    """Where one rod of each of A sets and the line detected in each camera do not belong together, (A, C).
 
-    outside: np.ndarray  # share that no other camera's image shows, at the depth of the nearest vertex
-    skipped: np.ndarray  # over the thread's width the longest piece of the rest that the rod leaves out between its ends …
-    twice: np.ndarray  # … how much it passes along twice …
-    wider: np.ndarray  # … and the longest piece that it explains but is not as wide as the thread
+    outside  share of the line that no other camera's image shows, at the depth of the nearest vertex
+    skipped  longest piece of the rest of the line that the rod leaves out between its ends, in widths of the thread
+    twice    length of the rod's image that passes along another part of it, in widths of the thread
+    wider    longest piece of the line along the rod that is far wider than the thread, in widths of the thread
+    """
+
+    outside: np.ndarray
+    skipped: np.ndarray
+    twice: np.ndarray
+    wider: np.ndarray
 
 
 def misread(rig: Rig, vertices: np.ndarray, detections: list[list[Detection]]) -> Misread:
-    """Of rods ``vertices`` (A, V, 3) mm."""
+    """What the rods ``vertices`` (A, V, 3) mm, one of each set, misread."""
     outside, skipped, twice, wider = np.zeros((4, len(vertices), len(rig.cameras)))
     for row, rod in enumerate(vertices):
         if not np.isfinite(rod).all():
