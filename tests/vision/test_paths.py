@@ -84,6 +84,16 @@ def test_free_ends_are_those_of_the_thread(rng):
         assert np.linalg.norm(ends - end, axis=1).min() < 3.0
 
 
+@pytest.mark.parametrize("apart", [0.25, 0.32, 0.45])
+def test_a_point_found_twice_does_not_cut_off_the_end(apart):
+    """Either side of the border between two pixels: here 4 px from the end, where the rest of the chain was noise."""
+    x = np.r_[96.5 + apart / 2, np.arange(98.0, 200.0), 96.5 - apart / 2, 95.2, 94.1, 93.0]
+    fifty = np.full(len(x), 50.0)
+    points, along = np.stack([x, fifty], axis=1), np.tile([1.0, 0.0], (len(x), 1))
+    ends = Chains.of(Detection(points, along, fifty, 2.0, "dark", SHAPE, "ridge")).free_ends
+    assert sorted(ends[:, 0]) == [93.0, 199.0]
+
+
 def test_without_a_thread_there_is_no_path():
     nothing = Detection(np.empty((0, 2)), np.empty((0, 2)), np.empty(0), np.nan, "", SHAPE, "ridge")
     assert paths_from(Chains.of(nothing), np.zeros(2), None) == [] and Chains.of(nothing).free_ends.shape == (0, 2)
