@@ -211,7 +211,7 @@ def perceive(
     on_step      called with the number of edges, the hypotheses kept and those pruned, after each step
     surroundings obstacles that all rods may touch but not enter, and their radius
     start_sigma  (A,) mm: standard deviation of each ``point``, root mean square over the coordinates, which counts in
-                 that of the rod; 0: point and direction are exact
+                 that of the rod, and its start is free in the end; 0: point and direction are exact
 
     Raises InputError for shapes that do not match, fewer than two edges, more than one material, and seeds inside an obstacle.
     """
@@ -283,7 +283,7 @@ def _result(search: Search, kept: Hypotheses, start_sigma: np.ndarray) -> Percep
     runner_up_energy = np.where(found, final.energy_vis[others], np.inf)
     with np.errstate(invalid="ignore"):  # a rod that is not finite is data
         worse = runner_up_energy.min(axis=1, initial=np.inf) - final.energy_vis[best]
-        final = _sharpened(search, final, best)
+        final = _sharpened(search, final, best, start_sigma == 0)
         rods = final.configuration.take(best)
         edge_error, image_length = _reprojected(search, rods.vertices)
         near = edge_error <= options.unsupported
@@ -320,9 +320,9 @@ def _result(search: Search, kept: Hypotheses, start_sigma: np.ndarray) -> Percep
     )
 
 
-def _sharpened(search: Search, final: Finalists, best: np.ndarray) -> Finalists:
+def _sharpened(search: Search, final: Finalists, best: np.ndarray, exact: np.ndarray) -> Finalists:
     """``final`` with the rods ``best`` (A), one of each set, on the detected points themselves."""
-    rods, sound = search.sharpened(final.configuration.take(best))
+    rods, sound = search.sharpened(final.configuration.take(best), exact)
     if not sound.any():
         return final
     energy, found = evidence(search.rig, search.maps, rods, final.of_set[best], search.material, search.up, search.options,

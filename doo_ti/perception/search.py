@@ -18,7 +18,7 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.perception.growth import Hypotheses, sampled_directions, select_hypotheses, suppress_similar
 from doo_ti.perception.shape_uncertainty import detected_places, line_scatter, vertex_sigma
 from doo_ti.perception.sharpening import sharpened
-from doo_ti.perception.traced import NU_BACK, SAME_LENGTH, whole_rods
+from doo_ti.perception.traced import SAME_LENGTH, whole_rods
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import (
@@ -193,12 +193,13 @@ class Search:
         edges = hypotheses.quaternions.shape[1]
         return Configuration(self.point[hypotheses.of_set], hypotheses.quaternions, self.rest_length[:edges]).vertices
 
-    def sharpened(self, rods: Configuration) -> tuple[Configuration, np.ndarray]:
-        """One rod of each set, whose edges are cut into pieces, relaxed to the detected points; and (A,) bool: which ones were.
-        None where detections are unknown, nor with the paper's one-sided evidence."""
+    def sharpened(self, rods: Configuration, exact: np.ndarray) -> tuple[Configuration, np.ndarray]:
+        """One rod of each set, whose edges are cut into pieces, relaxed to the detected points, with its first edge held where
+        that is ``exact`` (A,); and (A,) bool: which ones were. None where detections are unknown, nor with the paper's
+        one-sided evidence."""
         if self.maps.detections is None or self.options.evidence == "rod":
             return rods, np.zeros(len(rods.start), dtype=bool)
-        return sharpened(rods, self.rig, self.maps.detections, self.material, self.up, NU_BACK * self.scale, self.surroundings)
+        return sharpened(rods, self.rig, self.maps.detections, self.material, self.up, self.surroundings, exact)
 
     def sigma(self, rods: Configuration, start_sigma: np.ndarray | float = 0.0) -> np.ndarray:
         """(A, V) mm: uncertainty of the marks of one rod of each set, whose edges are cut into pieces, and whose start is as

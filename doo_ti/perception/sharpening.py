@@ -7,8 +7,9 @@ Where the thread runs along its epipolar lines, that is millimetres of depth. So
 
 with q_k the middle of the detected points around the image of place k, and n across the line there. Along the line a place is
 free, as which point is whose is found anew after each relaxation; but the last place of the rod moves no farther along its line
-than that is wide, else rods would fold in depth between cameras close together. Places without points of their direction near
-them have no weight: the rod's stiffness alone bridges gaps.
+than that is wide, else rods would fold in depth between cameras close together. A start that is not exact is free as well: only
+its place along the line is held, as firmly as ends of lines are found. Places without points of their direction near them have
+no weight: the rod's stiffness alone bridges gaps.
 
 Axes: A rods of as many image sets, C cameras, E edges, K places along an edge.
 """
@@ -28,6 +29,9 @@ from doo_ti.vision.distance_map import ALIKE, NEAR_PX, coverage
 from doo_ti.vision.image_energy import AssignedPoints
 
 ROUNDS, STILL_MM = 20, 0.01  # relaxations, until no vertex moves by more
+NU = 0.3  # ν of E_back, 1/(mm px³): about T/N (doo_ti.perception.shape_uncertainty) of threads that bend as sutures do
+FIRST, LAST = np.s_[:, :, 0, 0], np.s_[:, :, -1, -1]  # of (A, C, E, K) places
+END_PX = 0.05 / 1.5**2  # px: N over the variance along the line of where a line ends
 PLACES = 2  # along an edge, for the energy
 NEIGHBOURS = 8  # points nearest to a place that are looked at: the nearest may be of a strand that crosses there
 COVERED = 0.95  # share of a detected line with which a rod is one of the whole thread
@@ -35,41 +39,45 @@ FREE = 1e-3  # share that counts of a distance along the line
 
 
 def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detection]], material: Material, up: np.ndarray,
-              nu: float, surroundings: Surroundings) -> tuple[Configuration, np.ndarray]:
-    """``rods`` (A) relaxed under E + ν E_back, held at their first edges; and (A,) bool: those that are certified minima and
-    still explain the lines. The others stay as they were.
-
-    nu  ν, mm² per px³
-    """
+              surroundings: Surroundings, exact: np.ndarray) -> tuple[Configuration, np.ndarray]:
+    """``rods`` (A) relaxed under E + ν E_back, with their first edges held where these are ``exact`` (A,); and (A,) bool: those
+    that are certified minima and still explain the lines. The others stay as they were."""
     every = np.arange(len(rods.start))
-    quaternions, sound, moving = rods.quaternions.copy(), np.zeros(len(every), dtype=bool), every
+    start, quaternions = rods.start.copy(), rods.quaternions.copy()
+    sound, moving = np.zeros(len(every), dtype=bool), every
+    nu = NU * float(np.linalg.eigvalsh(material.bend).max())
     lines = line_trees(detections)
-    ends = _images_of_places(rig, rods.vertices)[0][:, :, -1, -1]
+    given = _images_of_places(rig, rods.vertices)[0]
     width = np.nan_to_num([[[detection.width_px] for detection in images] for images in detections])
     for _ in range(ROUNDS):
-        here = Configuration(rods.start, quaternions, rods.rest_length).take(moving)
+        here = Configuration(start, quaternions, rods.rest_length).take(moving)
         places, ways = _images_of_places(rig, here.vertices)
         points, tangents, found = lines_at(places, ways, [lines[row] for row in moving])
-        along = tangents[:, :, -1, -1]
-        slid = ((places[:, :, -1, -1] - ends[moving]) * along).sum(axis=-1, keepdims=True)
-        too_far, limit = np.abs(slid) > width[moving], ends[moving] + width[moving] * np.sign(slid) * along
-        points[:, :, -1, -1] = np.where(too_far, limit, points[:, :, -1, -1])
-        tangents[:, :, -1, -1] = np.where(too_far, along[..., ::-1] * [1.0, -1.0], along)  # across the line: held along it
         weight = np.where(found, np.linalg.norm(ways, axis=-1) / PLACES, 0.0)
-        first = here.frames[:, 0]
-        solution = relax(here, material, Clamps(Clamp.TANGENT, Clamp.FREE, here.start, here.start, first, first), Newton(),
+        along = tangents[LAST]
+        slid = ((places[LAST] - given[moving][LAST]) * along).sum(axis=-1, keepdims=True)
+        too_far, limit = np.abs(slid) > width[moving], given[moving][LAST] + width[moving] * np.sign(slid) * along
+        points[LAST] = np.where(too_far, limit, points[LAST])
+        tangents[LAST] = np.where(too_far, along[..., ::-1] * [1.0, -1.0], along)  # across the line: held along it
+        loose = ~exact[moving]
+        points[loose, :, 0, 0] = given[moving[loose]][FIRST]
+        tangents[loose, :, 0, 0] = tangents[loose, :, 0, 0, ::-1] * [1.0, -1.0]
+        weight[loose, :, 0, 0] = np.where(found[loose, :, 0, 0], END_PX, 0.0)
+        first, kind = here.frames[:, 0], np.where(exact[moving], Clamp.TANGENT, Clamp.FREE)
+        solution = relax(here, material, Clamps(kind, Clamp.FREE, here.start, here.start, first, first), Newton(),
                          up=up, precision="mixed", external=AssignedPoints(rig, points, tangents, weight, nu, FREE),
                          external_index=np.arange(len(moving)), **surroundings.arguments)
-        quaternions[moving] = solution.configuration.quaternions
+        start[moving], quaternions[moving] = solution.configuration.start, solution.configuration.quaternions
         sound[moving] = (solution.status == Status.CONVERGED) & solution.stable
         moved = np.abs(solution.configuration.vertices - here.vertices).max(axis=(1, 2))
         moving = moving[moved > STILL_MM]
         if not len(moving):
             break
-    new = Configuration(rods.start, quaternions, rods.rest_length)
+    new = Configuration(start, quaternions, rods.rest_length)
     before, after = (coverage(rig, shape.vertices, every, detections, NEAR_PX).share for shape in (rods, new))
     sound &= (after >= np.minimum(before, COVERED)).all(axis=1)
-    return Configuration(rods.start, np.where(sound[:, None, None], quaternions, rods.quaternions), rods.rest_length), sound
+    return Configuration(np.where(sound[:, None], start, rods.start),
+                         np.where(sound[:, None, None], quaternions, rods.quaternions), rods.rest_length), sound
 
 
 def _images_of_places(rig: Rig, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

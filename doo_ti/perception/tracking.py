@@ -237,7 +237,7 @@ class Tracker:
             now, before = (self._whole(one) for one in (rod, self._last))
             turn = quaternion_product(now.quaternions[0], conjugate(before.quaternions[0]))
         self._turn, self._last, self._usual = turn, rod, min(self._usual, rod.camera_error.mean())
-        shape, _ = search.sharpened(rod.configuration)
+        shape, _ = search.sharpened(rod.configuration, np.ones(1, dtype=bool))
         error = np.full(len(self._rig.cameras), np.nan)
         error[[self._rig.names.index(name) for name in search.rig.names]] = rod.camera_error
         vertices, sigma = shape.vertices[0, :: search.options.pieces], search.sigma(shape)[0]

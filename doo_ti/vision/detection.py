@@ -135,6 +135,20 @@ def thinned(detection: Detection) -> tuple[np.ndarray, np.ndarray]:
     return detection.points[kept], detection.direction[kept]
 
 
+SAME_PX = 0.5  # nearer points, either side of the border between two pixels, are one
+
+
+def single(detection: Detection) -> Detection:
+    """The detection without points next to stronger ones, with which paths would end there."""
+    points, direction = thinned(detection)
+    twins = cKDTree(points).query_pairs(SAME_PX, output_type="ndarray") if len(points) else np.empty((0, 2), np.int64)
+    kept = np.ones(len(points), dtype=bool)
+    for strong, weak in twins[np.lexsort(twins.T)]:  # the strongest come first
+        kept[weak] &= not kept[strong]
+    strength = np.arange(len(points), 0.0, -1.0)
+    return replace(detection, points=points[kept], direction=direction[kept], strength=strength[kept], width=None)
+
+
 def moved(detection: Detection, corner: tuple[int, int]) -> Detection:
     """What was detected in a region that begins at ``corner``, in px of the whole image."""
     return replace(detection, points=detection.points + corner) if any(corner) else detection
@@ -150,7 +164,6 @@ def in_whole_pixels(scale: float, points: np.ndarray, direction: np.ndarray, *va
     return points, *(np.repeat(array, len(between), axis=0) for array in (direction, *values))
 
 
-SAME_PX = 0.5  # nearer points, either side of the border between two pixels, are one
 NEXT_PX = 2.6  # largest distance between points that follow each other
 SLOPE, BEND = 0.6, 0.77  # of these: largest share of the step across the direction of either, least cosine between both
 SHORTEST_PX = 4.0  # chains that are shorter are noise
@@ -165,11 +178,6 @@ INSIDE = 0.2  # least darkness within one whose edges were found, over the threa
 def chains_of(detection: Detection) -> list[np.ndarray]:
     """(M, 2) px each, M points in order."""
     points, direction = thinned(detection)
-    twins = cKDTree(points).query_pairs(SAME_PX, output_type="ndarray") if len(points) else np.empty((0, 2), np.int64)
-    kept = np.ones(len(points), dtype=bool)
-    for strong, weak in twins[np.lexsort(twins.T)]:  # the strongest come first
-        kept[weak] &= not kept[strong]
-    points, direction = points[kept], direction[kept]
     if len(points) < 2:
         return []
     pairs = cKDTree(points).query_pairs(NEXT_PX, output_type="ndarray")

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from doo_ti.vision.detection import NEXT_PX, SHORTEST_PX, Detection, chain_length, chains_of, outward
+from doo_ti.vision.detection import NEXT_PX, SHORTEST_PX, Detection, chain_length, chains_of, outward, single
 
 WIDEST_GAP = 0.3  # of the image's height: the longest gap that a path crosses
 FORWARD = 0.64  # least cosine between the direction of an end and the way to the next
@@ -86,7 +86,7 @@ class Chains:
 
     @classmethod
     def of(cls, detection: Detection) -> "Chains":
-        chains = _divided(chains_of(detection))
+        chains = _divided(chains_of(single(detection)))
         return cls(chains, _joints(chains, WIDEST_GAP * detection.shape[0]) if chains else {})
 
     @property

@@ -203,7 +203,7 @@ def test_a_needle_is_wider_than_its_thread():
     curve = wave()
     image = grey((curve[:1700], DARK, 4), (curve[1700:], DARK, 10))
     recall, precision = shares(detect(image).points, curve, 3.0)
-    assert recall > 0.99 and precision > 0.975
+    assert recall > 0.97 and precision > 0.98
 
 
 @pytest.mark.thorough
