@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from doo_ti.commands import loading
+from doo_ti.commands import doubts
 from doo_ti.commands import options as given
 from doo_ti.commands.results import in_newton, report, rows, save_arrays, status_text
 from doo_ti.contact.touch import Touch
@@ -44,7 +44,7 @@ def run(options: Namespace) -> int:
 
     up = given.world_up(options)
     scene = load_group_scene(options.scene)
-    loading.warn_of_rod(options.scene, max((rod.rest_length for rod in scene.group.rods), key=np.max), scene.surroundings)
+    doubts.warn_of_rod(options.scene, max((rod.rest_length for rod in scene.group.rods), key=np.max), scene.surroundings)
     moments = []
     with progress() as bar:
         task = bar.add_task(f"{scene.name} (kernels are compiled once on a machine)", total=len(scene.time), unit="moments")

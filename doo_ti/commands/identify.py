@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import loading
+from doo_ti.commands import doubts, loading
 from doo_ti.commands import options as given
 from doo_ti.commands.results import report, save_json, shortened
 from doo_ti.system.errors import InputError
@@ -62,7 +62,7 @@ def run(options: Namespace) -> int:
         raise InputError(given.SOURCE, "--folds", f"{options.folds} for {motion.count} recordings",
                          "give 0, or from 2 to their number")
     require_clear_grippers(motion, guesses(motion, chosen, options.bend, up)[0], chosen)
-    loading.warn_of_rod(options.motions[0], motion.edge_lengths(), surroundings)
+    doubts.warn_of_rod(options.motions[0], motion.edge_lengths(), surroundings)
     with progress(keep=True) as bar:
         def fit(part, label):
             task = bar.add_task(label, total=chosen.rounds, unit="iterations")

@@ -1,5 +1,4 @@
-"""Observations of a command: the options that say how a file states them and the lengths between marks, what was loaded, and
-doubts about its unit.
+"""Observations of a command: the options that say how a file states them and the lengths between marks, and what was loaded.
 
     loaded      60 observations of 34 marks; the rod is 99 mm long, its ends 30 to 78 mm apart; up 0,0,1
 """
@@ -12,17 +11,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from doo_ti.commands import options as given
 from doo_ti.commands.results import observed
-from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.arrays import checked_arrays, decoded, read_npz
 from doo_ti.io.observation_files import load_observations
 from doo_ti.io.scene import Scene, Synthesis
-from doo_ti.rod.frames import unit_vectors
 from doo_ti.rod.grid import parse_axis
-from doo_ti.rod.material import UNITS_IN_MM, density_doubt, likely_unit, stiffness_doubt, weight_per_length
+from doo_ti.rod.material import UNITS_IN_MM, weight_per_length
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import observation_clamps, reachable
 from doo_ti.rod.types import Clamp, Material
@@ -39,9 +35,6 @@ FEW = 0.25  # share of observations that may be left out; of more a file or an o
 MEASURED = 0.02  # relative error of a length between marks that somebody measured
 MOST_OFF = 1.5
 """Stated length of the rod over that of arcs through its marks, or the inverse, above which one of both is wrong."""
-DOUBTFUL = 1.05  # the same, above which a warning is printed: arcs are off by up to 2 % on rods of ten marks or more
-MOST_TURN = 60.0  # degrees at the median mark, of the line through the marks: they are on no curve in their order
-MOST_UNEVEN = 20.0  # longest edge over the median one, above which the marks may be of several rods
 OF_FILES = ("unit", "columns")  # options that only files of marks have a use for
 OF_OBSERVATIONS = (*OF_FILES, "rest_length")  # options that only files of observations have a use for
 RECORDINGS = ".npz (positions_mm, rate_hz), .csv of OptiTrack or Vicon, a table"
@@ -198,25 +191,6 @@ def stated_in_scene(material: Material, newtons: np.ndarray | None) -> dict[str,
                                        "stiffness": 1e-6 * material.bend[:, 0].max(axis=(1, 2)) * newtons}
 
 
-def warn(observations: Observations, surroundings: Surroundings | None = None, **material) -> None:
-    """Print a warning where the rod is implausible, or too coarse for what is around it; ``material`` as :func:`stated`. To be
-    called once everything is checked, so that wrong input is reported in one line."""
-    for doubt in (order_doubt(observations), length_doubt(observations), inside_doubt(observations, surroundings)):
-        if doubt is not None:
-            terminal.warn(f"{in_line(observations.source)}: {doubt}")
-    warn_of_rod(observations.source, observations.rest_length, surroundings, **material)
-
-
-def warn_of_rod(source, rest_length: np.ndarray, surroundings: Surroundings | None, weight: ArrayLike | None = None,
-                stiffness: ArrayLike | None = None) -> None:
-    """The same of a rod of ``source`` with edges of ``rest_length`` (E,)."""
-    length = float(rest_length.sum())
-    for doubt in (unit_doubt(length), mesh_doubt(rest_length, surroundings), density_doubt(length, weight),
-                  stiffness_doubt(stiffness, weight)):
-        if doubt is not None:
-            terminal.warn(f"{in_line(source)}: {doubt}")
-
-
 def up_text(other: dict | None) -> str | None:
     """That another axis fits far better than the given direction, ``other_up`` of a summary, as text."""
     from doo_ti.learning.up_axes import OtherUp
@@ -233,69 +207,6 @@ def rod_line(observations: Observations) -> str:
     return (f"  loaded      {counted(observations.count, 'observation')} of {observations.edges + 1} marks"
             f"{f' ({missing} missing)' if missing else ''}; the rod is {observations.rest_length.sum():.4g} mm long{span}; "
             f"up {','.join(f'{value + 0:.3g}' for value in observations.up)}")
-
-
-def unit_doubt(length: float) -> str | None:
-    """Why the unit of a rod's ``length``, in mm, may be another one than stated, or None."""
-    likely = likely_unit(length)
-    if likely == "":
-        return None
-    remedy = "check the unit of the file" if likely is None else f"if the file is in {likely}, give --unit {likely}"
-    return f"a rod {length:.4g} mm long; {remedy}"
-
-
-def mesh_doubt(rest_length: np.ndarray, surroundings: Surroundings | None) -> str | None:
-    """Why a rod's edges (E,) may be too long for what is around it, or None: one is longer than the radii of the thinnest
-    obstacle and of the rod together, the radius of a bend around it. Forces of a rod bent so are then 4 % too small."""
-    if not surroundings:
-        return None
-    longest = rest_length.max()
-    bodies = [getattr(body, "obstacle", body) for body in surroundings.bodies]
-    thinnest = min((body.placed[3].min() for body in bodies), default=np.inf)
-    radius = thinnest + np.min(surroundings.radius)
-    if longest <= radius:
-        return None
-    return (f"edges of {longest:.3g} mm are too long to bend around an obstacle of {thinnest:.3g} mm radius: forces may come "
-            f"out too small, and the rod slip off; give {np.ceil(rest_length.sum() / radius):.0f} edges (doo-ti convert IN OUT "
-            "--edges N, or edges of a scene)")
-
-
-def inside_doubt(observations: Observations, surroundings: Surroundings | None) -> str | None:
-    """That marks, or the lines between them, are inside an obstacle, or None: rods are moved out of it, to either side."""
-    if not surroundings:
-        return None
-    around = Surroundings(surroundings.at(0).bodies, surroundings.radius)
-    depth = -np.nan_to_num(around.smallest_gap(observations.vertices)) - surroundings.radius
-    worst = int(depth.argmax())
-    if depth[worst] <= 0:
-        return None
-    return (f"the axis of observation {observations.labels[worst]} is {depth[worst]:.3g} mm inside an obstacle: it is moved "
-            "out first, on the nearer side, which need not be the right one; check the obstacle's place")
-
-
-def order_doubt(observations: Observations) -> str | None:
-    """Why the marks may not be those of one rod in their order, or None."""
-    edges = unit_vectors(np.diff(np.where(observations.valid[..., None], observations.vertices, np.nan), axis=1))
-    cosine = np.sum(edges[:, 1:] * edges[:, :-1], axis=-1)
-    cosine = cosine[np.isfinite(cosine)]
-    if len(cosine) and np.median(cosine) < np.cos(np.radians(MOST_TURN)):
-        return (f"the line through the marks turns by {np.degrees(np.arccos(np.median(cosine))):.0f}° at half of them; are the "
-                "columns observation and vertex swapped, or the marks not in their order along the rod?")
-    lengths = observations.rest_length
-    longest, usual = lengths.max(), np.median(lengths)
-    if longest <= MOST_UNEVEN * usual:
-        return None
-    return (f"mark {lengths.argmax() + 1} is {longest:.4g} mm from the mark before, the median is {usual:.4g} mm; if the file "
-            "holds several rods, name the column that numbers them: --columns observation=NAME")
-
-
-def length_doubt(observations: Observations) -> str | None:
-    """Why the stated lengths between marks may be wrong, or None."""
-    stated, arcs = float(observations.rest_length.sum()), float(observations.arcs.sum())
-    if 1 / DOUBTFUL <= stated / arcs <= DOUBTFUL:
-        return None
-    return (f"rest_length_mm: the rod is stated to be {stated:.4g} mm long, but arcs through its marks are {arcs:.4g} mm; "
-            "check the length from the first mark to the last along the rod and the --unit, or give no length")
 
 
 MOST_EDGES = 2000

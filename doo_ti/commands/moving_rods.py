@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from doo_ti.commands import loading
+from doo_ti.commands import doubts, loading
 from doo_ti.commands import options as given
 from doo_ti.commands.results import refuse_overwriting
 from doo_ti.contact.surroundings import Surroundings
@@ -237,7 +237,7 @@ def check_reach(path: ClampPath, clamps: Clamps, length: float) -> None:
 def warn_of(held: HeldRods, options: Namespace) -> None:
     """Print a warning where a rod is implausible, and where its path begins farther from its clamps than :data:`FAR_OFF` of it:
     displacements, perhaps, or the path of another rod. To be called once everything is checked."""
-    loading.warn(held.observations, held.surroundings, **loading.stated(options))
+    doubts.warn(held.observations, held.surroundings, **loading.stated(options))
     first = held.path.at(0, held.clamps)
     for name in ("start_position", "end_position"):
         off = np.linalg.norm(getattr(first, name) - getattr(held.clamps, name), axis=-1)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import loading
+from doo_ti.commands import doubts, loading
 from doo_ti.commands import options as given
 from doo_ti.commands.results import report, save_json
 from doo_ti.io.scene import Synthesis, load_scene
@@ -49,7 +49,7 @@ def run_plan(options: Namespace) -> int:
     (clamp_start, clamp_end), surroundings = given.clamps(options), given.surroundings(options)
     found = plan(configurations, grid, sigma=sigma, picks=options.picks, clamp_start=clamp_start, clamp_end=clamp_end,
                  measured=measured, surroundings=surroundings)
-    loading.warn(configurations, surroundings, **loading.stated(options))
+    doubts.warn(configurations, surroundings, **loading.stated(options))
     summary = _summary(configurations, found, sigma)
     if out is not None:
         _write(out, configurations, found, summary)

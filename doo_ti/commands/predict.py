@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import loading, results
+from doo_ti.commands import doubts, loading, results
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import OF_MOTIONS, HeldRods, add_motion, check_reach, held_rods, warn_of
 from doo_ti.io.scene import PRECISIONS
@@ -127,7 +127,7 @@ def _scene(options: Namespace, between: int | None) -> tuple[HeldRods, int]:
     check_reach(path, scene.clamps, float(scene.start.rest_length.sum()))
     between = scene.between if between is None else between
     surroundings = given.scene_surroundings(options, scene.surroundings(between))
-    loading.warn_of_rod(options.source, scene.start.rest_length, surroundings,
+    doubts.warn_of_rod(options.source, scene.start.rest_length, surroundings,
                         **loading.stated_in_scene(scene.material, scene.newtons))
     return HeldRods(scene.name, list(scene.names), scene.start, scene.clamps, path, scene.material, theta, scene.newtons,
                     given.world_up(options), surroundings), between

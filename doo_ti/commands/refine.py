@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from doo_ti.commands import loading
+from doo_ti.commands import doubts, loading
 from doo_ti.commands import options as given
 from doo_ti.commands.refine_text import summary_lines, summary_of
 from doo_ti.commands.results import note_theta, plain, save_json
@@ -112,7 +112,7 @@ def run(options: Namespace) -> int:
 
     for task in tasks:
         if task.landscape is None:
-            loading.warn(task.observations, **loading.stated(options))
+            doubts.warn(task.observations, **loading.stated(options))
     splits = [None if folds is None else folds_of(np.arange(task.observations.count), folds) for task in tasks]
     summaries = []
     for task, split in zip(tasks, splits, strict=True):
@@ -120,7 +120,7 @@ def run(options: Namespace) -> int:
         with busy(f"refining {task.observations.name} (kernels are compiled once on a machine)"):
             found = refine(task.observations, task.clamps, task.thetas, chosen)
         mesh = np.full(found.mesh_edges, task.observations.rest_length.sum() / found.mesh_edges)
-        if doubt := loading.mesh_doubt(mesh, task.surroundings):
+        if doubt := doubts.mesh_doubt(mesh, task.surroundings):
             warn(f"{in_line(task.observations.source)}: {doubt}")
         held_out = None
         if split is not None:

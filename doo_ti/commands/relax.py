@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import loading, results
+from doo_ti.commands import doubts, loading, results
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import with_rest_curvature
 from doo_ti.commands.results import refuse_overwriting
@@ -40,7 +40,7 @@ def run_relax(options: Namespace) -> int:
     clamps = observation_clamps(observations, *given.clamps(options))
     check_experiment(observations, clamps, grid.axes[-1].values[-1], frame_weight)
     refuse_overwriting(out, options.observations)
-    loading.warn(observations, surroundings, **loading.stated(options))
+    doubts.warn(observations, surroundings, **loading.stated(options))
 
     from doo_ti.learning.experiment import SOLVERS
     from doo_ti.relaxation.relax import relax as relax_rods

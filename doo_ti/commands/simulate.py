@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import loading, results
+from doo_ti.commands import doubts, loading, results
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import (
     LOSSES,
@@ -141,7 +141,7 @@ def _recorded(options: Namespace, out: Path, changes: dict, up: np.ndarray) -> _
         raise InputError(options.theta, "rest_length_mm", f"{len(theta.rest_length)} edges, {in_line(options.source)} has "
                          f"{motion.edges}", "give the theta of this rod")
     require_length(options.theta, theta, float(motion.edge_lengths().sum()))
-    loading.warn_of_rod(options.source, theta.rest_length, surroundings)
+    doubts.warn_of_rod(options.source, theta.rest_length, surroundings)
     own_up = up if options.up is not None else motion.up
     theta = theta if own_up is None else replace(theta, up=own_up)
     stepping = Stepping(motion.rate, **changes)
@@ -179,7 +179,7 @@ def _scene(options: Namespace, changes: dict, up: np.ndarray) -> _Simulated:
     if options.linear_density is not None and scene.newtons is not None:
         raise InputError(given.SOURCE, "--linear-density", "given, but the scene has it", "leave it out")
     surroundings = given.scene_surroundings(options, scene.surroundings())
-    loading.warn_of_rod(options.source, scene.start.rest_length, surroundings,
+    doubts.warn_of_rod(options.source, scene.start.rest_length, surroundings,
                         **loading.stated_in_scene(scene.material, scene.newtons))
     count = scene.material.count
     pairs = np.zeros(count, dtype=np.int64), np.arange(count)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from doo_ti.commands import image_options, loading
+from doo_ti.commands import doubts, image_options, loading
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import settled, with_rest_curvature
 from doo_ti.commands.results import refuse_overwriting, report
@@ -149,7 +149,7 @@ def steered_rod(options: Namespace, written: Iterable[Path]) -> SteeredRod:
             raise InputError(given.SOURCE, f"--clamp-{end}", Clamp(int(np.max(kind))).name.lower(), "give tangent or frame")
     check_experiment(observations, clamps, grid.axes[-1].values[-1], 0.0)
     material = with_rest_curvature(options, grid.materials(), observations.rest_length)
-    loading.warn(observations, surroundings, **loading.stated(options))
+    doubts.warn(observations, surroundings, **loading.stated(options))
     return SteeredRod(options.start, observations, clamps, material, surroundings, places)
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from doo_ti.commands import loading
+from doo_ti.commands import doubts, loading
 from doo_ti.commands import options as given
 from doo_ti.commands.results import hypotheses_lines, note_theta, plain, run_lines, theta_text
 from doo_ti.io.scene import MOST_ROLLS, OBJECTIVES, Scene, Synthesis, load_scene
@@ -70,7 +70,7 @@ class _Search:
 def run_sweep(options: Namespace) -> int:
     searches = _searches(options)
     for search in searches:
-        loading.warn(search.observations, search.options.surroundings, **loading.stated(options))
+        doubts.warn(search.observations, search.options.surroundings, **loading.stated(options))
 
     from doo_ti.learning.sweeps import sweep
 

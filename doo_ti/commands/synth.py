@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import loading
+from doo_ti.commands import doubts, loading
 from doo_ti.commands import options as given
 from doo_ti.commands.results import observed, refuse_overwriting, save, save_arrays
 from doo_ti.io.observation_files import read_recording
@@ -65,7 +65,7 @@ def run_convert(options: Namespace) -> int:
     rows = rows[observations.valid[rows].all(axis=1)] if options.complete else rows
     if not len(rows):
         raise InputError(options.observations, "observations", "none is left", "select others, or leave --complete out")
-    loading.warn(observations)
+    doubts.warn(observations)
     print(" ".join(loading.rod_line(observations).split()))
     observations = observations.take(rows)
     save(out, observations if edges is None else on_equal_edges(observations, edges))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import loading, results
+from doo_ti.commands import doubts, loading, results
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import with_rest_curvature
 from doo_ti.commands.results import refuse_overwriting
@@ -62,7 +62,7 @@ def run_twist(options: Namespace) -> int:
     if offset is None and (together > 1 or options.offset):
         offset = end_offsets(observations, group)
     surroundings = given.surroundings(options)
-    loading.warn(observations, surroundings, **loading.stated(options))
+    doubts.warn(observations, surroundings, **loading.stated(options))
     material = with_rest_curvature(options, grid.materials(), observations.rest_length)
     search = TwistOptions(precision=options.precision, surroundings=surroundings)
     with progress() as bar:

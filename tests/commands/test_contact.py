@@ -8,7 +8,7 @@ import pytest
 from doo_ti import Cylinder, Observations, save_observations
 from doo_ti.commands import loading
 from doo_ti.commands.cli import main
-from doo_ti.commands.loading import inside_doubt, mesh_doubt
+from doo_ti.commands.doubts import inside_doubt, mesh_doubt
 from doo_ti.contact.surroundings import Surroundings
 from tests.commands.calls import refused, succeeded, written
 

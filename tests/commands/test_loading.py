@@ -10,7 +10,8 @@ import pytest
 
 from doo_ti import Observations, load_observations
 from doo_ti.commands.cli import main
-from doo_ti.commands.loading import length_doubt, stated, warn_of_rod
+from doo_ti.commands.doubts import apart_doubt, length_doubt, order_doubt, warn_of_rod
+from doo_ti.commands.loading import stated
 from doo_ti.commands.results import hypotheses_lines
 from tests.commands.calls import refused
 from tests.io.test_formats import MARKS, motive, table
@@ -93,6 +94,25 @@ def test_lengths_that_the_marks_hardly_allow_are_doubted():
     stated, plausible = (replace(seen, rest_length=share * seen.arcs) for share in (1.1, 0.98))
     assert "rest_length_mm" in length_doubt(stated) and f"{1.1 * seen.arcs.sum():.4g} mm" in length_doubt(stated)
     assert length_doubt(plausible) is None and length_doubt(seen) is None
+
+
+@pytest.mark.parametrize(("first", "second"), [(2, 3), (0, 1), (2, 7), (9, 10)])
+def test_labels_exchanged_in_every_pose_are_doubted(rng, first, second):
+    """As a wrong template of motion capture has them; the lengths between marks, which the marks say, hide it."""
+    angle = np.cumsum(rng.normal(0, 0.3, (6, 11)), axis=1)
+    marks = np.cumsum(20 * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=-1), axis=1)
+    marks += rng.normal(0, 1.0, marks.shape)
+    assert order_doubt(Observations(marks)) is None and apart_doubt(Observations(marks)) is None
+    marks[:, [first, second]] = marks[:, [second, first]]
+    assert f"with marks {first + 1} and {second + 1} exchanged" in order_doubt(Observations(marks))
+
+
+def test_a_mark_that_is_too_far_away_for_the_rod_is_doubted():
+    """As zeros are that stand for a mark that was not seen."""
+    marks = np.array(MARKS)
+    marks[1, -1] = 0.0
+    doubt = apart_doubt(Observations(marks, rest_length=Observations(MARKS).rest_length))
+    assert f"marks {len(marks[1]) - 1} and {len(marks[1])} of observation 1 are" in doubt and "leave marks" in doubt.lower()
 
 
 def test_observations_keep_their_labels():

@@ -1,0 +1,143 @@
+"""What makes an input implausible, as warnings: units, the order of marks, lengths, the mesh."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from doo_ti.contact.surroundings import Surroundings
+from doo_ti.rod.frames import unit_vectors
+from doo_ti.rod.material import density_doubt, likely_unit, stiffness_doubt
+from doo_ti.rod.observations import Observations
+from doo_ti.system import terminal
+from doo_ti.system.terminal import in_line
+
+DOUBTFUL = 1.05
+"""Stated length of the rod over that of arcs through its marks, or the inverse; arcs are off by up to 2 % on rods of ten marks
+or more."""
+MOST_TURN = 60.0  # degrees at the median mark, of the line through the marks: they are on no curve in their order
+MOST_UNEVEN = 20.0  # longest edge over the median one, above which the marks may be of several rods
+MOST_APART = 1.8  # distance of neighbouring marks over the length between them; more is no noise but a wrong mark
+EXCHANGED, SHORTER = 0.8, 0.7
+"""Least share of the observations in which two marks look exchanged, and most length of the line there, over that without."""
+MOST_LOOKED_AT = 30  # observations
+
+
+def warn(observations: Observations, surroundings: Surroundings | None = None, **material) -> None:
+    """Print a warning where the rod is implausible, or too coarse for what is around it; ``material`` as :func:`stated`. To be
+    called once everything is checked, so that wrong input is reported in one line."""
+    for doubt in (order_doubt(observations) or apart_doubt(observations), length_doubt(observations),
+                  inside_doubt(observations, surroundings)):
+        if doubt is not None:
+            terminal.warn(f"{in_line(observations.source)}: {doubt}")
+    warn_of_rod(observations.source, observations.rest_length, surroundings, **material)
+
+
+def warn_of_rod(source, rest_length: np.ndarray, surroundings: Surroundings | None, weight: ArrayLike | None = None,
+                stiffness: ArrayLike | None = None) -> None:
+    """The same of a rod of ``source`` with edges of ``rest_length`` (E,)."""
+    length = float(rest_length.sum())
+    for doubt in (unit_doubt(length), mesh_doubt(rest_length, surroundings), density_doubt(length, weight),
+                  stiffness_doubt(stiffness, weight)):
+        if doubt is not None:
+            terminal.warn(f"{in_line(source)}: {doubt}")
+
+
+def unit_doubt(length: float) -> str | None:
+    """Why the unit of a rod's ``length``, in mm, may be another one than stated, or None."""
+    likely = likely_unit(length)
+    if likely == "":
+        return None
+    remedy = "check the unit of the file" if likely is None else f"if the file is in {likely}, give --unit {likely}"
+    return f"a rod {length:.4g} mm long; {remedy}"
+
+
+def mesh_doubt(rest_length: np.ndarray, surroundings: Surroundings | None) -> str | None:
+    """Why a rod's edges (E,) may be too long for what is around it, or None: one is longer than the radii of the thinnest
+    obstacle and of the rod together, the radius of a bend around it. Forces of a rod bent so are then 4 % too small."""
+    if not surroundings:
+        return None
+    longest = rest_length.max()
+    bodies = [getattr(body, "obstacle", body) for body in surroundings.bodies]
+    thinnest = min((body.placed[3].min() for body in bodies), default=np.inf)
+    radius = thinnest + np.min(surroundings.radius)
+    if longest <= radius:
+        return None
+    return (f"edges of {longest:.3g} mm are too long to bend around an obstacle of {thinnest:.3g} mm radius: forces may come "
+            f"out too small, and the rod slip off; give {np.ceil(rest_length.sum() / radius):.0f} edges (doo-ti convert IN OUT "
+            "--edges N, or edges of a scene)")
+
+
+def inside_doubt(observations: Observations, surroundings: Surroundings | None) -> str | None:
+    """That marks, or the lines between them, are inside an obstacle, or None: rods are moved out of it, to either side."""
+    if not surroundings:
+        return None
+    around = Surroundings(surroundings.at(0).bodies, surroundings.radius)
+    depth = -np.nan_to_num(around.smallest_gap(observations.vertices)) - surroundings.radius
+    worst = int(depth.argmax())
+    if depth[worst] <= 0:
+        return None
+    return (f"the axis of observation {observations.labels[worst]} is {depth[worst]:.3g} mm inside an obstacle: it is moved "
+            "out first, on the nearer side, which need not be the right one; check the obstacle's place")
+
+
+def order_doubt(observations: Observations) -> str | None:
+    """Why the marks may not be those of one rod in their order, or None."""
+    edges = unit_vectors(np.diff(np.where(observations.valid[..., None], observations.vertices, np.nan), axis=1))
+    cosine = np.sum(edges[:, 1:] * edges[:, :-1], axis=-1)
+    cosine = cosine[np.isfinite(cosine)]
+    if len(cosine) and np.median(cosine) < np.cos(np.radians(MOST_TURN)):
+        return (f"the line through the marks turns by {np.degrees(np.arccos(np.median(cosine))):.0f}° at half of them; are the "
+                "columns observation and vertex swapped, or the marks not in their order along the rod?")
+    exchanged = exchanged_marks(observations)
+    if exchanged is not None:
+        return (f"the line through the marks is far shorter with marks {exchanged[0] + 1} and {exchanged[1] + 1} exchanged, in "
+                f"{EXCHANGED:.0%} of the observations or more; check their labels")
+    lengths = observations.rest_length
+    longest, usual = lengths.max(), np.median(lengths)
+    if longest <= MOST_UNEVEN * usual:
+        return None
+    return (f"mark {lengths.argmax() + 1} is {longest:.4g} mm from the mark before, the median is {usual:.4g} mm; if the file "
+            "holds several rods, name the column that numbers them: --columns observation=NAME")
+
+
+def apart_doubt(observations: Observations) -> str | None:
+    """That neighbouring marks are farther apart than the rod is long between them, or None."""
+    apart = np.linalg.norm(np.diff(observations.vertices, axis=1), axis=-1)
+    ratio = np.nan_to_num(apart / observations.rest_length)
+    row, edge = np.unravel_index(ratio.argmax(), ratio.shape)
+    if ratio[row, edge] < MOST_APART:
+        return None
+    return (f"marks {edge + 1} and {edge + 2} of observation {observations.labels[row]} are {apart[row, edge]:.4g} mm apart, "
+            f"but {observations.rest_length[edge]:.4g} mm along the rod; of such places there are "
+            f"{np.count_nonzero(ratio >= MOST_APART)}. Leave marks that were not seen empty, and check labels")
+
+
+def exchanged_marks(observations: Observations) -> tuple[int, int] | None:
+    """The two marks, from 0, without which exchanged the line through the marks is far longer in nearly all observations, by
+    most; None where there are none."""
+    vertices = observations.vertices[:: 1 + observations.count // MOST_LOOKED_AT]
+    apart = np.linalg.norm(vertices[:, :, None] - vertices[:, None], axis=-1)
+    beside = np.zeros_like(apart)  # (D, V, V): length of the line at place i with mark j there
+    beside[:, 1:] += apart[:, :-1]
+    beside[:, :-1] += apart[:, 1:]
+    own, exchanged = np.einsum("dii->di", beside), beside + beside.swapaxes(1, 2)
+    labelled, step = own[:, :, None] + own[:, None], np.arange(apart.shape[1] - 1)
+    labelled[:, step, step + 1] -= 2 * apart[:, step, step + 1]  # of neighbours the edge between them stays
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = exchanged / labelled
+    ratio[:, *np.tril_indices(ratio.shape[1])] = np.nan
+    seen = np.isfinite(ratio).sum(axis=0)
+    often = (ratio < SHORTER).sum(axis=0) >= EXCHANGED * np.maximum(seen, 1)
+    if not often.any():
+        return None
+    mean = np.where(often, np.nansum(ratio, axis=0) / np.maximum(seen, 1), np.inf)
+    first, second = np.unravel_index(mean.argmin(), mean.shape)
+    return int(first), int(second)
+
+
+def length_doubt(observations: Observations) -> str | None:
+    """Why the stated lengths between marks may be wrong, or None."""
+    stated, arcs = float(observations.rest_length.sum()), float(observations.arcs.sum())
+    if 1 / DOUBTFUL <= stated / arcs <= DOUBTFUL:
+        return None
+    return (f"rest_length_mm: the rod is stated to be {stated:.4g} mm long, but arcs through its marks are {arcs:.4g} mm; "
+            "check the length from the first mark to the last along the rod and the --unit, or give no length")
