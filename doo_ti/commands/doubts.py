@@ -8,6 +8,7 @@ from doo_ti.rod.frames import unit_vectors
 from doo_ti.rod.material import density_doubt, likely_unit, stiffness_doubt
 from doo_ti.rod.observations import Observations
 from doo_ti.system import terminal
+from doo_ti.system.arguments import counted
 from doo_ti.system.terminal import in_line
 
 DOUBTFUL = 1.05
@@ -19,6 +20,7 @@ MOST_APART = 1.8  # distance of neighbouring marks over the length between them;
 EXCHANGED, SHORTER = 0.8, 0.7
 """Least share of the observations in which two marks look exchanged, and most length of the line there, over that without."""
 MOST_LOOKED_AT = 30  # observations
+ALIKE = 0.5  # of the distance that noise gives to two observations of one pose: they share errors
 
 
 def warn(observations: Observations, surroundings: Surroundings | None = None, **material) -> None:
@@ -141,3 +143,16 @@ def length_doubt(observations: Observations) -> str | None:
         return None
     return (f"rest_length_mm: the rod is stated to be {stated:.4g} mm long, but arcs through its marks are {arcs:.4g} mm; "
             "check the length from the first mark to the last along the rod and the --unit, or give no length")
+
+
+def repeats_doubt(observations: Observations, noise: float) -> str | None:
+    """That observations agree better than marks with independent ``noise``, mm per coordinate, could, or None. Errors that
+    frames of one pose share count as often as there are frames, and intervals come out too narrow."""
+    least = ALIKE * np.sqrt(6.0) * noise  # of the distance of marks that differ by independent noise alone
+    alike = [row for row, seen in enumerate(observations.vertices) if row and least > np.nanmin(
+        np.sqrt(np.nanmean(((observations.vertices[:row] - seen) ** 2).sum(axis=-1), axis=-1)))]
+    if not alike:
+        return None
+    return (f"{counted(len(alike), 'observation')} of {observations.count} agree with earlier ones to {least:.2g} mm, though "
+            f"marks are off by {noise:.2g} mm: frames of the same pose share errors, and intervals are too narrow; keep one "
+            "frame of each pose (doo-ti convert --select)")

@@ -120,8 +120,10 @@ def run(options: Namespace) -> int:
         with busy(f"refining {task.observations.name} (kernels are compiled once on a machine)"):
             found = refine(task.observations, task.clamps, task.thetas, chosen)
         mesh = np.full(found.mesh_edges, task.observations.rest_length.sum() / found.mesh_edges)
-        if doubt := doubts.mesh_doubt(mesh, task.surroundings):
-            warn(f"{in_line(task.observations.source)}: {doubt}")
+        for doubt in (doubts.mesh_doubt(mesh, task.surroundings),
+                      doubts.repeats_doubt(task.observations, float(np.mean(found.adequacy.noise)))):
+            if doubt is not None:
+                warn(f"{in_line(task.observations.source)}: {doubt}")
         held_out = None
         if split is not None:
             with busy(f"cross-validating {task.observations.name} in {folds} folds"):

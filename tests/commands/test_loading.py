@@ -10,7 +10,7 @@ import pytest
 
 from doo_ti import Observations, load_observations
 from doo_ti.commands.cli import main
-from doo_ti.commands.doubts import apart_doubt, length_doubt, order_doubt, warn_of_rod
+from doo_ti.commands.doubts import apart_doubt, length_doubt, order_doubt, repeats_doubt, warn_of_rod
 from doo_ti.commands.loading import stated
 from doo_ti.commands.results import hypotheses_lines
 from tests.commands.calls import refused
@@ -113,6 +113,16 @@ def test_a_mark_that_is_too_far_away_for_the_rod_is_doubted():
     marks[1, -1] = 0.0
     doubt = apart_doubt(Observations(marks, rest_length=Observations(MARKS).rest_length))
     assert f"marks {len(marks[1]) - 1} and {len(marks[1])} of observation 1 are" in doubt and "leave marks" in doubt.lower()
+
+
+@pytest.mark.parametrize(("shared", "jitter", "words"), [(0.5, 0.05, "12 observations of 16 agree"), (0.0, 0.5, None)])
+def test_frames_that_share_their_errors_are_doubted(rng, shared, jitter, words):
+    """Four poses of four frames. Frames whose errors are independent are as good as poses."""
+    poses = rng.normal(0, 30, (4, 1, 1, 3)) + np.linspace(0, 200, 12)[:, None] * (1.0, 0, 0)
+    poses = poses + rng.normal(0, shared, (4, 1, 12, 3))
+    marks = (poses + rng.normal(0, jitter, (4, 4, 12, 3))).reshape(16, 12, 3)
+    doubt = repeats_doubt(Observations(marks), np.hypot(shared, jitter))
+    assert doubt is None if words is None else words in doubt
 
 
 def test_observations_keep_their_labels():
