@@ -153,7 +153,7 @@ class Perception:
         clear &= ~(self.coverage < COVERED).any(axis=1) & ~(self.sigma > CERTAIN_MM).any(axis=1)
         length = self.configuration.rest_length.sum(axis=-1)
         clear &= self.camera_error.shape[1] > 1  # one camera does not see depth
-        clear &= ~(np.abs(self.thread_length / length - 1) > SAME_LENGTH)
+        clear &= ~(np.abs(self.thread_length / length - 1) > SAME_LENGTH) & ~(self.left_over > SAME_LENGTH * length)
         clear &= ~(np.ptp(self.length_range, axis=1) > 2 * CERTAIN_LENGTH * length)
         # A camera that does not see the rod counts as far off. Two cameras determine a rod: others may be occluded.
         error = np.sort(np.where(np.isfinite(self.camera_error), self.camera_error, np.inf), axis=1)

@@ -37,10 +37,7 @@ from doo_ti.vision.triangulation import rays
 CLICK_PX, END_PX = 30.0, 15.0  # A click is this near to the thread; an end this near to a click is meant
 EPIPOLAR_PX = 8.0  # an end this near to the epipolar line of a click may be its image
 MOST_PLACES, MOST_CHOICES = 12, 24
-LINE_PX, ENDS_PX, INSIDE_PX = 0.8, 1.5, 3.0
-"""Standard deviations of a place: across the line, and along it where an end of the line is meant or the inside of it. Ends may
-be cut or round: of wide threads they are less exact, by ROUND of their width."""
-ROUND = 0.3
+LINE_PX, INSIDE_PX = 0.8, 3.0  # standard deviations of a place: across the line, and along it where no end is meant
 SMOOTH, TANGENT = 100.0, 5  # of the curve; its places between which it has a direction
 LONG_PX = 0.05  # cost of a curve e times as long: a long thread that looks short in all images is improbable
 MISSED_PX = 0.2  # cost of rays that miss each other by as much as their places are uncertain along the line, times that
@@ -119,8 +116,7 @@ def _clicked(detection: Detection, line: Chains, click: np.ndarray, source: str)
 def _ends(detection: Detection, line: Chains) -> list[_Place]:
     """The free ends of a line."""
     ends, (points, direction) = line.free_ends, thinned(detection)
-    along = max(ENDS_PX, ROUND * detection.width_px)
-    return [_Place(end, direction[np.linalg.norm(points - end, axis=1).argmin()], along) for end in ends]
+    return [_Place(end, direction[np.linalg.norm(points - end, axis=1).argmin()], detection.end_sigma) for end in ends]
 
 
 def _across(rig: Rig, known: int, camera: int, place: _Place, detection: Detection, line: Chains) -> list[_Place]:

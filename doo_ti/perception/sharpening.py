@@ -31,7 +31,7 @@ from doo_ti.vision.image_energy import AssignedPoints
 ROUNDS, STILL_MM = 20, 0.01  # relaxations, until no vertex moves by more
 NU = 0.3  # ν of E_back, 1/(mm px³): about T/N (doo_ti.perception.shape_uncertainty) of threads that bend as sutures do
 FIRST, LAST = np.s_[:, :, 0, 0], np.s_[:, :, -1, -1]  # of (A, C, E, K) places
-END_PX = 0.05 / 1.5**2  # px: N over the variance along the line of where a line ends
+NOISE_PX3 = 0.05  # N, of which the variance along the line of where a line ends makes a weight
 PLACES = 2  # along an edge, for the energy
 NEIGHBOURS = 8  # points nearest to a place that are looked at: the nearest may be of a strand that crosses there
 COVERED = 0.95  # share of a detected line with which a rod is one of the whole thread
@@ -49,6 +49,7 @@ def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detec
     lines = line_trees(detections)
     given = _images_of_places(rig, rods.vertices)[0]
     width = np.nan_to_num([[[detection.width_px] for detection in images] for images in detections])
+    end_weight = np.array([[NOISE_PX3 / detection.end_sigma**2 for detection in images] for images in detections])
     for _ in range(ROUNDS):
         here = Configuration(start, quaternions, rods.rest_length).take(moving)
         places, ways = _images_of_places(rig, here.vertices)
@@ -62,7 +63,7 @@ def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detec
         loose = ~exact[moving]
         points[loose, :, 0, 0] = given[moving[loose]][FIRST]
         tangents[loose, :, 0, 0] = tangents[loose, :, 0, 0, ::-1] * [1.0, -1.0]
-        weight[loose, :, 0, 0] = np.where(found[loose, :, 0, 0], END_PX, 0.0)
+        weight[loose, :, 0, 0] = np.where(found[loose, :, 0, 0], end_weight[moving[loose]], 0.0)
         first, kind = here.frames[:, 0], np.where(exact[moving], Clamp.TANGENT, Clamp.FREE)
         solution = relax(here, material, Clamps(kind, Clamp.FREE, here.start, here.start, first, first), Newton(),
                          up=up, precision="mixed", external=AssignedPoints(rig, points, tangents, weight, nu, FREE),

@@ -36,6 +36,7 @@ TURNED = 0.5  # factor of a step that leads back by more than this share of the 
 LEAST_SHARE = 2e-3  # share of a step: if no longer step helps, the fit stops
 FINE, OF_INTERVALS, ROUGH = (0.03, 0.01), (0.1, 0.1), (0.1, 0.5)  # a fit is done when a whole step would move Θ by fewer
 # standard errors and the last one lowered −2 ln of the posterior by less; ROUGH while several fits compete
+AT_KINK = 0.5  # standard errors of a whole step, where shorter ones no longer help: contacts that begin or end make kinks
 STOPPED = 30.0  # what F of a fit that stopped before an optimum counts more than that of one at its optimum
 SCALE_STEPS = 10  # of the search for the sizes, in each step
 EXACT, IMPROBABLE = 1e-12, 1e9  # mean square of residuals that is rounding; −ln of the density of a rod that does not count
@@ -215,6 +216,9 @@ class Fit:
             before = change
             settled = settled and gained < self.tolerance[1]
             left *= 1 - share
+            at_kink = bool(self.unknowns.rod.surroundings) and share < SHORTENED and gained < self.tolerance[1] and left == 0.0
+            if done := at_kink and bool((np.abs(change) <= AT_KINK).all()):
+                break
             if share < LEAST_SHARE:  # no progress: rods snap, or rounding decides whether the posterior rises
                 done = settled
                 break

@@ -30,7 +30,8 @@ RODS_AT_ONCE = 128  # derivatives of as many rods are held in memory at a time
 SOFT = 30.0  # times the median: rods whose derivatives are larger are about to snap
 GAP_MODES = 4
 OF_POSES = ("end_shift", "start_turn", "end_turn")
-"""Of :func:`doo_ti.relaxation.sensitivity.sensitivity`, three columns each: what a pose moves, beside the whole rod."""
+"""Of :func:`doo_ti.relaxation.sensitivity.sensitivity`, three columns each: what a pose moves, beside the whole rod, which its
+start carries along. Obstacles stay where they are: among them the start's displacement has columns of its own."""
 
 
 @dataclass(frozen=True)
@@ -209,16 +210,18 @@ class Comparison:
     def _derivatives(self, solution: Solution, values: Values, rows: slice, shared: bool):
         """(J, Z) of each kind, Z without the gap, and usable (R,) bool, of the R rods ``rows``; J without columns if not
         ``shared``."""
-        unknowns = self.unknowns
+        unknowns, among = self.unknowns, bool(self.unknowns.rod.surroundings)
         (elementary, chain), (modes, mesh) = unknowns.chain(values), unknowns.modes(values)
-        names = (*elementary, "modes", "length", *OF_POSES) if shared else OF_POSES
+        of_poses = ("start_shift", *OF_POSES) if among else OF_POSES
+        names = (*elementary, "modes", "length", *of_poses) if shared else of_poses
         found = sensitivity(solution, names, modes if shared else None, rows.start, rows.stop,
                             rotations=self.directors is not None, loads=False)
         lengths, shape = unknowns.lengths(values), found.configuration
         moved, turned = (slopes[:, rows] for slopes in unknowns.rod.clamp_slopes(lengths, unknowns.pose(values)))
-        by_clamps = np.concatenate([moved[1] - moved[0], *turned], axis=1)
+        by_clamps = np.concatenate([*(moved if among else [moved[1] - moved[0]]), *turned], axis=1)
+        carried = 0.0 * moved[0] if among else moved[0]
         place, slope = lengths.mark_place, lengths.mark_slope
-        quantities = [_Quantity(place, slope, mesh.at(place), shape.vertices, found.vertices, moved[0])]
+        quantities = [_Quantity(place, slope, mesh.at(place), shape.vertices, found.vertices, carried)]
         if self.directors is not None:
             place, slope = (0.5 * (ends[1:] + ends[:-1]) for ends in (place, slope))
             quantities.append(_Quantity(place, slope, mesh.at_edges(place), shape.frames[..., 1], found.directors,

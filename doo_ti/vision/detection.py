@@ -87,6 +87,9 @@ def cropped(image: np.ndarray, options: DetectionOptions) -> tuple[np.ndarray, t
 
 # --- the centre line -----------------------------------------------------------------------------------------------------
 
+BLUNT_PX, BLUNT = 1.5, 0.3  # px, and share of the thread's width: see end_sigma
+
+
 @typed
 @dataclass(frozen=True)
 class Detection:
@@ -110,6 +113,11 @@ class Detection:
     shape: tuple[int, int]
     method: str
     width: Annotated[np.ndarray, "N"] | None = None
+
+    @property
+    def end_sigma(self) -> float:
+        """px: standard deviation along the line of where it ends. Ends may be cut or round."""
+        return max(BLUNT_PX, BLUNT * self.width_px)
 
     @property
     def widths(self) -> np.ndarray:
