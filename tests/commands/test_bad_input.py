@@ -187,13 +187,6 @@ def test_a_clamp_that_needs_a_frame_nobody_gave_or_gave_by_another_name(capsys, 
     refused(capsys, tmp_path, ["sweep", *argv], "bad.npz", "end_frame", "missing")
 
 
-def test_in_a_process_of_its_own(tmp_path):
-    argv = ["relax", str(tmp_path / "absent.npz"), *MATERIAL, "--out", str(tmp_path / "F.npz")]
-    done = in_process(argv)
-    assert done.returncode == 2 and done.stdout == ""
-    assert done.stderr.count("\n") == 1 and "absent.npz" in done.stderr and not list(tmp_path.iterdir())
-
-
 LIMITS = {
     "a plan over twist that rides on bend": (["plan", "GOOD", "--bend", "1e5:1e6:3", "--out", "OUT"], "twist", "--twist-ratio"),
     "label uncertainty": (["plan", "SCENE", "--sigma", "1e-300"], "sigma", "1e-09 to 1e+06"),
@@ -227,7 +220,7 @@ def test_limits_are_stated(capsys, tmp_path, limited, case):
     refused(capsys, tmp_path, [str(limited.get(word, word)) for word in words], *expected)
 
 
-@pytest.mark.thorough
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("case", ["label uncertainty", "diameter", "positions"])
 def test_no_library_says_anything_beside_the_line(limited, case):
     """In a separate process, with Taichi loaded, whose standard error is captured."""

@@ -42,8 +42,7 @@ def test_a_radius_that_is_none(obstacles, radius, problem):
     check_refused(f"radius: {problem}", simulated, obstacles=obstacles, radius=radius)
     rod = straight_rod(60.0, 10)
     if radius is not None:
-        with pytest.raises(InputError, match=f"radius: {problem}"):
-            relax(rod, MATERIAL, end_clamps(rod, Clamp.FRAME, Clamp.FREE), radius=radius)
+        check_refused(f"radius: {problem}", relax, rod, MATERIAL, end_clamps(rod, Clamp.FRAME, Clamp.FREE), radius=radius)
     if not isinstance(obstacles[0], Moving) and radius is None:
         with pytest.raises(InputError, match="radius: missing"):
             relax_group(Group([rod], MATERIAL, [end_clamps(rod, Clamp.FRAME, Clamp.FREE)]), obstacles=obstacles)
@@ -63,9 +62,8 @@ def test_what_is_no_list_of_obstacles(wrong, problem):
 def test_prediction_refuses_friction():
     rod = straight_rod(60.0, 10)
     path = ClampPath(time=np.arange(2.0), end_position=np.zeros((2, 1, 3)))
-    with pytest.raises(InputError, match="obstacles: with friction"):
-        predict(rod, MATERIAL, end_clamps(rod, Clamp.FRAME, Clamp.FREE), path, obstacles=[replace(FLOOR, friction=0.3)],
-                radius=1.0)
+    check_refused("obstacles: with friction", predict, rod, MATERIAL, end_clamps(rod, Clamp.FRAME, Clamp.FREE), path,
+                  obstacles=[replace(FLOOR, friction=0.3)], radius=1.0)
 
 
 def test_reflections_are_no_rotations():

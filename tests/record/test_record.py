@@ -12,9 +12,9 @@ import rerun
 import rerun.blueprint as blueprint
 from rerun.chunk import RrdReader
 
-from doo_ti import InputError, InterruptedRunError, LandscapePlane, Observed, Status
+from doo_ti import InterruptedRunError, LandscapePlane, Observed, Status
 from doo_ti.record.viewer import DESCRIPTORS, recording
-from tests.conftest import SEED
+from tests.conftest import SEED, check_refused
 from tests.record import runs
 from tests.record.runs import read
 
@@ -183,8 +183,7 @@ def test_same_run_same_recording(tmp_path, swept):
 def test_viewing_a_folder_without_recording_is_an_input_error(tmp_path, path):
     from doo_ti.record.viewer import open_viewer
 
-    with pytest.raises(InputError, match="run.rrd: there is no recording"):
-        open_viewer(tmp_path / path)
+    check_refused("run.rrd: there is no recording", open_viewer, tmp_path / path)
 
 
 def test_viewer_listens_on_this_machine_only_and_reports_nothing(tmp_path, monkeypatch):

@@ -39,7 +39,7 @@ def test_fig_7_on_the_lab(laboratory):
 def test_rotation_steps_of_the_lab_are_predicted(laboratory, name):
     """Where the ribbon's prediction ends on another branch than the observation, that is known."""
     rods = lab(laboratory, name)
-    steps = predict_steps(rods.observations, rods.material())
+    steps = predict_steps(rods.observations, rods.material)
     assert len(steps.error) == 54
     if name == "ribbon":
         assert np.median(steps.error) <= 0.8
