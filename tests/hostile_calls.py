@@ -205,8 +205,7 @@ def functions() -> dict[str, tuple[Callable, dict]]:
             "mesh": ([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]], [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]),
             "spacing": 1.0, "margin": None, "position": (0, 0, 0)}),
         "end_force_in_newton": (solution().end_force_in_newton, {"weight_per_length": 0.5, "weight": 1.0}),
-        "Theta.of": (d.Theta.of, {"material": MATERIAL, "row": 0, "up": (0, 0, 1)}),
-    }
+        "Theta.of": (d.Theta.of, {"material": MATERIAL, "row": 0, "up": (0, 0, 1)})}
 
 
 def print_nothing(_: int) -> None:

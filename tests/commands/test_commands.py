@@ -261,8 +261,7 @@ def test_settled_hypotheses_are_reported(capsys, tmp_path):
     (["--objective", "dynamic", "--pairs", "absent.csv"], ["absent.csv", "no such file"]),
     (["--objective", "both"], ["--objective", "'both'"]),
     (["--spins", "9999"], ["--roll-hypotheses", "9999"]),
-    (["--spins", "12"], ["lab.npz", "spins", "no end is held by its tangent alone"]),
-])
+    (["--spins", "12"], ["lab.npz", "spins", "no end is held by its tangent alone"])])
 def test_what_makes_no_sense_is_refused(capsys, tmp_path, monkeypatch, words, expected):
     monkeypatch.chdir(tmp_path)
     refused(capsys, tmp_path, ["sweep", written_lab(tmp_path), *GRID, "--out", str(tmp_path / "run"), *words], *expected)

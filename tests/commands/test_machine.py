@@ -71,8 +71,7 @@ WRONG = {
     "a command without kernels": (["warm", "convert"], "'convert' has no kernels"),
     "more rods than memory": (["bench", "--rods", "1000000000000"], "--rods", "above"),
     "more threads than cores": (["bench", "--threads", "100000"], "--threads", "above"),
-    "rounds without end": (["bench", "--rounds", "1000001"], "--rounds", "above 1000"),
-}
+    "rounds without end": (["bench", "--rounds", "1000001"], "--rounds", "above 1000")}
 
 
 @pytest.mark.parametrize("case", WRONG)

@@ -158,8 +158,7 @@ TURN, WITH_INERTIA = [*ROD, "--motion", "turn.csv"], ["simulate", *ROD[1:], "--m
     ([*SCENE, "--bend", "1e6"], "--bend"), ([*SCENE, "--relative"], "--relative"),
     ([*WITH_INERTIA, "marks.npz"], "--rate"), ([*WITH_INERTIA, "marks.npz", "--rate", "9", "--drag", "-1"], "--drag"),
     ([*WITH_INERTIA, "move.npz"], "time_s"), ([*WITH_INERTIA, "turn.csv"], "end_rotation"),
-    ([*WITH_INERTIA, "marks.npz", "--rate", "9", "--smoothing", "3"], "--smoothing"),
-])
+    ([*WITH_INERTIA, "marks.npz", "--rate", "9", "--smoothing", "3"], "--smoothing")])
 def test_wrong_input_is_one_line(folder, capsys, monkeypatch, words, said):
     monkeypatch.chdir(folder)
     np.savez("metres.npz", end_position_mm=[[90.0, 0, 0], [90000.0, 0, 0]])

@@ -140,8 +140,7 @@ def test_rods_that_one_end_holds(observed, capsys):
     (["--bend", "1e4", "--folds", "30"], "give 2 to 16 folds"),
     (["--bend", "1e4", "--clip", "20"], "below a quarter"),
     (["--bend", "1e4", "--frame-weight", "3"], "a frame weight is given"),
-    (["--bend", "1e4", "--out", "found.txt"], "ends in .json"),
-])
+    (["--bend", "1e4", "--out", "found.txt"], "ends in .json")])
 def test_wrong_input_is_reported_in_a_line_and_nothing_is_written(observed, tmp_path, capsys, monkeypatch, more, message):
     monkeypatch.chdir(tmp_path)
     capsys.readouterr()

@@ -34,8 +34,7 @@ def recording(tmp_path_factory):
     """A recording of four rods that grippers move, made by a simulation."""
     folder = tmp_path_factory.mktemp("motion")
     scene = folder / "scene.toml"
-    scene.write_text(SCENE.replace("duration_s = 0.2", "duration_s = 1.2").replace(
-        "edges = 6", "edges = 6\nat_rest = true"))
+    scene.write_text(SCENE.replace("duration_s = 0.2", "duration_s = 1.2").replace("edges = 6", "edges = 6\nat_rest = true"))
     assert main(["simulate", str(scene), "--out", str(folder / "made.npz")]) == 0
     positions = np.load(folder / "made.npz")["positions_mm"]
     noise = np.random.default_rng(5).normal(0, 0.05, (4, *positions.shape[1:]))

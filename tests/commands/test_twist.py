@@ -74,8 +74,7 @@ def test_offsets_and_grasps(files):
     (["--observations", "2"], "end_frame"), (["--observations", "9"], "--observations"), (["--regrasp", "7"], "--regrasp"),
     (["--offsets", "none.csv"], "none.csv"), (["--bend", "1e5:1e6:3"], "grid"), (["--picture", "phi.jpg"], "ends in .png"),
     ("offset_deg\n1\n2\n3\n1e6\n", "more than 100 turns"), ("offset_deg\n1\n2\n", "one for each"),
-    ("total_twist_deg\n1\n2\n3\n4\n", "end_frame"), ("colour\n1\n", "colour"),
-])
+    ("total_twist_deg\n1\n2\n3\n4\n", "end_frame"), ("colour\n1\n", "colour")])
 def test_wrong_input_is_one_line(files, capsys, words, printed):
     """Words of the command line, or a file of offsets."""
     folder, _ = files

@@ -61,8 +61,7 @@ BAD = {
     "no rotation": ("[[0, -1, 0]", "[[0, -2, 0]", "obstacles[5].rotation", "rotation matrix"),
     "not a matrix": ("[[0, -1, 0], [1, 0, 0], [0, 0, 1]]", "[0, 1, 0]", "obstacles[5].rotation", "three rows"),
     "nothing": (ALL, "", "obstacles", "missing"),
-    "no table": (ALL, "obstacles = [3]", "obstacles[0].kind", "missing"),
-}
+    "no table": (ALL, "obstacles = [3]", "obstacles[0].kind", "missing")}
 
 
 def test_all_kinds_are_read(tmp_path):
@@ -85,8 +84,7 @@ def test_bad_files_name_file_key_and_remedy(tmp_path, case):
 SCENES = {
     "with a rate": "rate_hz = 10\nduration_s = 1\n[rod]\nlength_mm = 100\nedges = 5\n[materials.a]\nbend = 1e5\n",
     "without": "[rod]\nlength_mm = 100\nedges = 5\n[materials.a]\nbend = 1e5\n[[moments]]\n[[moments]]\n"
-                       "time_s = 1.0\n",
-}
+                       "time_s = 1.0\n"}
 
 
 @pytest.mark.parametrize("kind", SCENES)
@@ -226,8 +224,7 @@ WRONG = {
     "a mesh without spacing": ("file", "mesh", "obstacles[0].spacing: missing beside mesh"),
     "a file with spacing": ("file", "spacing = 1\nfile", "obstacles[0].spacing: given beside file; leave it out"),
     "a negative spacing": ("file", "spacing = -1\nmesh", "obstacles[0].spacing: -1 is not allowed; give a number > 0"),
-    "no rotation": ("friction", "rotation = [[1, 0, 0], [0, 2, 0], [0, 0, 1]]\nfriction", "obstacles[0].rotation: off a"),
-}
+    "no rotation": ("friction", "rotation = [[1, 0, 0], [0, 2, 0], [0, 0, 1]]\nfriction", "obstacles[0].rotation: off a")}
 
 
 @pytest.mark.parametrize("case", WRONG)

@@ -20,8 +20,7 @@ SCENES = Path(__file__).resolve().parents[2] / "scenes"
 GOOD = {
     "top": 'name = "silk"\nframe_weight_mm = 6.7\nclamp_end = "tangent"\nprecision = "f64"\n',
     "data": "[synthesis]\nbend = 1.5e5\ntwist = 50000\n",
-    "grid": '[grid]\nbend = "5e4:1e7:5"\ntwist_ratio = 0.5\n',
-}
+    "grid": '[grid]\nbend = "5e4:1e7:5"\ntwist_ratio = 0.5\n'}
 
 
 def write(folder: Path, **parts: str) -> Path:
@@ -144,8 +143,7 @@ EI, GJ, DENSITY = 2e-5, 1.5e-5, 4.0
 WEIGHT = 1e-3 * DENSITY * STANDARD_GRAVITY  # N/m
 SHARED = {
     load_motion_scene: "rod = { length_mm = 60.0, edges = 20 }\nrate_hz = 10.0\nduration_s = 1.0\n",
-    load_group_scene: "".join(f'rods.{name} = {{ material = "{name}", edges = 10, length_mm = 90.0 }}\n' for name in "ab"),
-}
+    load_group_scene: "".join(f'rods.{name} = {{ material = "{name}", edges = 10, length_mm = 90.0 }}\n' for name in "ab")}
 
 
 def loaded(folder, load, *materials: str):
@@ -190,8 +188,7 @@ def test_rods_of_a_group_share_one_unit(tmp_path):
     (load_motion_scene, ["bend = [[1e5, 0], [0, 1e5]]\ntwist = 1e5"], "materials.a.bend: a matrix"),
     (load_group_scene, ["EI = 1e-5\nlinear_density = 3", "bend = 1e5"], "materials.b: in other units"),
     (load_group_scene, ["bend = 1e5\nlinear_density = 3", "bend = 1e5\nlinear_density = 4"], "not proportional"),
-    (load_group_scene, ["EI = [[1e-5, 0], [0, 1e-5]]\nlinear_density = 3", "bend = 1e5"], "materials.b"),
-])
+    (load_group_scene, ["EI = [[1e-5, 0], [0, 1e-5]]\nlinear_density = 3", "bend = 1e5"], "materials.b")])
 def test_what_does_not_fit_is_named(tmp_path, load, tables, said):
     check_refused(said, loaded, tmp_path, load, *tables)
 
@@ -304,8 +301,7 @@ def test_a_clamp_that_turns_along_the_material_has_a_frame(tmp_path):
     ("[materials.cord]", "[materials]", "materials"), ("bend = 1e6", "bend = [1, 2]", "bend"),
     ("bend = 1e6", "bend = -1e6", "positive definite"), ("time_s = 1", "", "time_s"), ("time_s = 1", "time_s = 0", "rise"),
     ("[50, 0, 0]", "[50, 0]", "end_position_mm"), ("end_rotation_deg = 30", "end_direction = [0, 0, 0]", "end_direction"),
-    ("end_rotation_deg = 30", "colour = 3", "moments\\[1\\].colour"), ("length_mm", "length = [", "TOML"),
-])
+    ("end_rotation_deg = 30", "colour = 3", "moments\\[1\\].colour"), ("length_mm", "length = [", "TOML")])
 def test_wrong_scenes_of_motion_are_named(tmp_path, old, new, word):
     file = tmp_path / "scene.toml"
     assert old in MOTION

@@ -136,8 +136,7 @@ def at_two(value):
 @pytest.mark.parametrize(("run", "column", "value"), [
     ("static", "distance_mm", -1.0), ("static", "distance_mm", np.inf), ("static", "distance_mm", None),
     ("static", "status", 77), ("static", "stable", None), ("static", "observation", -1), ("static", "bend_1", None),
-    ("dynamic", "pair_weight", -1.0), ("dynamic", "pair_weight", np.nan), ("dynamic", "jumps", -1),
-])
+    ("dynamic", "pair_weight", -1.0), ("dynamic", "pair_weight", np.nan), ("dynamic", "jumps", -1)])
 def test_values_that_no_sweep_finds(capsys, copy, run, column, value):
     folder = copy(run)
     with_column(folder, column, at_two(value))
@@ -147,8 +146,7 @@ def test_values_that_no_sweep_finds(capsys, copy, run, column, value):
 
 @pytest.mark.parametrize(("option", "value"), [
     ("frame_weight_mm", [1.0]), ("frame_weight_mm", -1), ("sub_step_rad", 1e-300), ("sub_step_rad", None), ("spins", -1),
-    ("precision", "f16"), ("objective", ["static"]), ("solver", 3), ("clamp_start", 5),
-])
+    ("precision", "f16"), ("objective", ["static"]), ("solver", 3), ("clamp_start", 5)])
 def test_options_that_no_sweep_has(capsys, copy, option, value):
     folder = copy("static")
     summary = json.loads((folder / "summary.json").read_text())
@@ -283,8 +281,7 @@ def among(*obstacles, radius=2.0, **options) -> Experiment:
 
 def test_the_identity_of_a_sweep_depends_on_its_obstacles():
     table, low = Plane((0, 0, -900), (0, 0, 1)), Plane((0, 0, -901), (0, 0, 1))
-    found = [identity_of(one) for one in (
-        among(), among(table), among(low), among(table, low), among(table, radius=1.5))]
+    found = [identity_of(one) for one in (among(), among(table), among(low), among(table, low), among(table, radius=1.5))]
     assert len(set(found)) == 5 and identity_of(among(Plane((0, 0, -900), (0, 0, 1)))) == found[1]
 
 

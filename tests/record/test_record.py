@@ -120,8 +120,7 @@ def test_curves_are_statistics_over_the_rods(tmp_path, rng):
     expected = {
         "energy/mean": held[1:].mean(axis=1), "energy/median": np.median(held[1:], axis=1),
         "residual/median": np.log10(np.median(rods.residual[1:], axis=1)),
-        "residual/largest": np.log10(rods.residual[1:, 2]),
-    }
+        "residual/largest": np.log10(rods.residual[1:, 2])}
     for entity, values in expected.items():
         curve = moving[f"/curves/{entity}"]["iteration"]
         assert curve["iteration"] == list(range(1, runs.ITERATIONS))

@@ -23,8 +23,7 @@ def stacked(rods: list[Configuration]) -> Configuration:
     """Single rods of equal edge count as one table."""
     return Configuration(
         np.concatenate([rod.start for rod in rods]), np.concatenate([rod.quaternions for rod in rods]),
-        np.stack([np.broadcast_to(rod.rest_length, (rod.edges,)) for rod in rods]),
-    )
+        np.stack([np.broadcast_to(rod.rest_length, (rod.edges,)) for rod in rods]))
 
 
 def bows(*sizes: float, edges: int = 33, rest_length: float = 3.0, twist=0.0) -> Configuration:
