@@ -13,7 +13,7 @@ from doo_ti.commands.cli import main
 from doo_ti.commands.loading import length_doubt, stated, warn_of_rod
 from doo_ti.commands.results import hypotheses_lines
 from doo_ti.io.observation_files import read_recording
-from tests.commands.calls import refused
+from tests.commands.calls import refused, succeeded
 from tests.io.test_formats import MARKS, motive, table
 
 
@@ -106,8 +106,7 @@ def test_motion_capture_as_motion_and_as_observations(tmp_path, capfd):
     seen = np.concatenate([MARKS] * 5)
     seen[3, 1] = np.nan
     (tmp_path / "take.csv").write_text(motive(seen / 1000, "Meters"))
-    assert main(["convert", str(tmp_path / "take.csv"), str(tmp_path / "motion.npz"), "--motion"]) == 0
-    assert "0,1,0" in capfd.readouterr().out
+    assert "0,1,0" in succeeded(capfd, ["convert", str(tmp_path / "take.csv"), str(tmp_path / "motion.npz"), "--motion"])
     with np.load(tmp_path / "motion.npz") as found:
         np.testing.assert_allclose(found["positions_mm"], seen)
         assert found["rate_hz"] == 120.0 and found["up"].tolist() == [0, 1, 0]
@@ -144,8 +143,7 @@ def test_relax_prints_what_it_loaded(tmp_path, capfd):
     marks = np.stack([np.linspace(0, 0.09, 12), np.zeros(12), 0.01 * np.sin(np.linspace(0, np.pi, 12))], axis=-1)
     (tmp_path / "x.csv").write_text(table(marks[None], "observation,vertex,x,y,z"))
     words = ["relax", str(tmp_path / "x.csv"), "--unit", "m", "--bend", "1e6", "--out", str(tmp_path / "f.npz")]
-    assert main(words) == 0
-    assert "1 observation of 12 marks" in capfd.readouterr().out
+    assert "1 observation of 12 marks" in succeeded(capfd, words)
     assert main([*words, "--json"]) == 0
     printed = capfd.readouterr()
     assert json.loads(printed.out)["observations"] == 1 and printed.err == ""
@@ -204,8 +202,7 @@ def marks(tmp_path):
 
 def test_a_finer_mesh_lies_on_the_curve_through_the_marks(marks, tmp_path, capsys):
     source, curve = marks
-    assert main(["convert", str(source), str(tmp_path / "fine.npz"), "--edges", "60"]) == 0
-    assert "61 vertices" in capsys.readouterr().out
+    assert "61 vertices" in succeeded(capsys, ["convert", str(source), str(tmp_path / "fine.npz"), "--edges", "60"])
     fine = load_observations(tmp_path / "fine.npz")
     assert fine.edges == 60 and fine.valid.all() and np.ptp(fine.rest_length) < 1e-9
     assert np.linalg.norm(fine.vertices[0][:, None] - curve, axis=-1).min(axis=1).max() < 1.0

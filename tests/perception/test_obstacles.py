@@ -11,7 +11,7 @@ from doo_ti.perception.twist import estimate_twist
 from doo_ti.perception.twist_curves import end_offsets
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
 from doo_ti.vision.tubes import smooth_curve
-from tests.commands.calls import refused
+from tests.commands.calls import refused, written
 from tests.vision.scenes import drawn_maps, three_cameras
 from tools.studies import table_study
 
@@ -78,7 +78,6 @@ def test_the_command_takes_the_table(rope, tmp_path, capsys):
     words = ["twist", str(tmp_path / "rope.npz"), "--observations", "8", "--bend", f"{material.bend.flat[0]}", "--twist",
              f"{material.twist.flat[0]}", "--obstacles", str(tmp_path / "table.toml"), "--out", str(tmp_path / "twist.npz")]
     assert main([*words, "--radius", "2"]) == 0
-    with np.load(tmp_path / "twist.npz") as found:
-        assert abs(found["phi_deg"][0]) < 10.0
+    assert abs(written(tmp_path / "twist.npz")["phi_deg"][0]) < 10.0
     capsys.readouterr()
     refused(capsys, tmp_path, words, "--radius: missing beside --obstacles")

@@ -1,7 +1,10 @@
 """Rods to start from, the clamps that hold them, and orders of convergence."""
 
 
+from dataclasses import replace
+
 import numpy as np
+from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from doo_ti import Clamp, Clamps, Configuration, Material, Observations, relax
@@ -26,12 +29,19 @@ def stacked(rods: list[Configuration]) -> Configuration:
         np.stack([np.broadcast_to(rod.rest_length, (rod.edges,)) for rod in rods]))
 
 
+def planar(slope, length, span: float) -> Configuration:
+    """A rod in the vertical plane whose tangents dip by a·slope (E,), a such that it spans ``span``."""
+    size = brentq(lambda a: np.sum(length * np.cos(a * slope)) - span, 1e-6, 2.0)
+    return chain(np.stack([np.cos(size * slope), 0 * slope, -np.sin(size * slope)], axis=1), [0, 1, 0], length)
+
+
 def bows(*sizes: float, edges: int = 33, rest_length: float = 3.0, twist=0.0) -> Configuration:
     """Bows between clamps that are not on one line, each twisted by so much."""
     angles = [np.linspace(-size, size, edges) for size in sizes]
     spins = np.outer(np.broadcast_to(twist, len(sizes)), np.linspace(0.0, 1.0, edges))
-    return stacked([chain(np.stack([np.cos(angle), 0.5 * np.sin(2 * angle), np.sin(angle)], axis=1), [0, 1, 0], rest_length,
+    rods = stacked([chain(np.stack([np.cos(angle), 0.5 * np.sin(2 * angle), np.sin(angle)], axis=1), [0, 1, 0], rest_length,
                           spin=spin) for angle, spin in zip(angles, spins, strict=True)])
+    return replace(rods, rest_length=rods.rest_length[0])
 
 
 def at_rest(rods: Configuration, material: Material) -> Configuration:
