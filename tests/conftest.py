@@ -18,12 +18,11 @@ pytest.register_assert_rewrite("tests.commands.calls")
 SEED = 2011
 SHARED_KERNELS = {
     "contact": ("tests/contact/", "tests/groups/", "tests/commands/test_contact.py", "tests/commands/test_group.py",
-                "tests/dynamics/test_energies.py", "tests/refinement/test_on_a_table.py",
-                "tests/perception/test_twist_on_a_table.py",
+                "tests/dynamics/test_energies.py", "tests/refinement/test_on_a_table.py", "tests/perception/test_obstacles.py",
                 "tests/examples/test_examples.py::test_example[12_", "tests/examples/test_examples.py::test_example[13_",
                 "tests/examples/test_examples.py::test_example[14_"),
     "images": ("tests/perception/", "tests/vision/test_distance_map.py", "tests/vision/test_relaxed_on_images.py",
-               "tests/vision/test_reprojection.py", "tests/vision/test_sampling.py", "tests/commands/test_perceive.py",
+               "tests/vision/test_reprojection.py", "tests/commands/test_perceive.py",
                "tests/commands/test_track.py", "tests/commands/test_servo.py",
                "tests/examples/test_examples.py::test_example[04_", "tests/examples/test_examples.py::test_example[08_")}
 """Tests that use the same kernels, which take up to a minute to compile."""

@@ -103,8 +103,7 @@ CALLS: dict[str, Callable[[], Callable]] = {
     "sweep": lambda: swept,
     "refine": lambda: refined,
     "estimate_twist": lambda: lambda: d.estimate_twist(seen(), MATERIAL),
-    "identify": identified,
-}
+    "identify": identified}
 
 
 def numbers(value: object) -> list[np.ndarray]:

@@ -205,8 +205,7 @@ def functions() -> dict[str, tuple[Callable, dict]]:
             "mesh": ([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]], [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]),
             "spacing": 1.0, "margin": None, "position": (0, 0, 0)}),
         "end_force_in_newton": (solution().end_force_in_newton, {"weight_per_length": 0.5, "weight": 1.0}),
-        "Theta.of": (d.Theta.of, {"material": MATERIAL, "row": 0, "up": (0, 0, 1)}),
-    }
+        "Theta.of": (d.Theta.of, {"material": MATERIAL, "row": 0, "up": (0, 0, 1)})}
 
 
 def print_nothing(_: int) -> None:
@@ -304,24 +303,24 @@ def shown(value: object) -> str:
         return f"a {type(value).__name__}"
 
 
-def arrays(value: object, met: set | None = None) -> Iterator[np.ndarray]:
-    """Every array in arguments."""
+def arrays(value: object, name: str = "", met: set | None = None) -> Iterator[tuple[str, np.ndarray]]:
+    """Every array in ``value``, by where it is."""
     met = set() if met is None else met
     if id(value) in met or isinstance(value, str | bytes | type):
         return
     met.add(id(value))
     if isinstance(value, np.ndarray):
-        yield value
+        yield name, value
     elif isinstance(value, dict | list | tuple):
-        for part in value.values() if isinstance(value, dict) else value:
-            yield from arrays(part, met)
+        for key, part in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from arrays(part, f"{name}[{key!r}]", met)
     elif type(value).__module__.startswith("doo_ti"):
-        yield from arrays(vars(value) if hasattr(value, "__dict__") else (), met)
+        yield from arrays(vars(value) if hasattr(value, "__dict__") else (), name, met)
 
 
 def outcome(function: Callable, given: dict) -> str:
     """"refused", "done", or what went wrong. The work of a solution that was relaxed before is not its input."""
-    inputs = [(array, array.copy()) for array in arrays({key: value for key, value in given.items()
+    inputs = [(array, array.copy()) for _, array in arrays({key: value for key, value in given.items()
                                                          if not isinstance(value, d.Solution)}) if array.dtype != object]
     try:
         with warnings.catch_warnings():

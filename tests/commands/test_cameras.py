@@ -73,8 +73,7 @@ TABLES = {
     "one camera": ("view,cam0\na,x.png\n", "a rig has two or more"),
     "a camera twice": ("view,cam0,cam0\na,x.png,x.png\n", "'cam0' is there twice"),
     "a view twice": ("view,cam0,cam1\na,,\na,,\n", "'a' in line 2"),
-    "an image that is not there": ("view,cam0,cam1\na,x.png,\n", "cam0: no such file"),
-}
+    "an image that is not there": ("view,cam0,cam1\na,x.png,\n", "cam0: no such file")}
 
 
 @pytest.mark.parametrize("case", TABLES)
@@ -107,8 +106,7 @@ OPTIONS = {
     "an ambiguous board": (["--board", "chessboard:8x6:10"], "--board", "half a turn"),
     "another file": (["--out", "rig.json"], "--out", "rig.json"),
     "another world": (["--world", "table"], "--world", "'table'"),
-    "distortion": (["--distortion", "3"], "--distortion", "3"),
-}
+    "distortion": (["--distortion", "3"], "--distortion", "3")}
 
 
 @pytest.mark.parametrize("case", OPTIONS)
@@ -197,8 +195,7 @@ WRONG = {
     "threshold": (good_rows(), ["--threshold", "-1"], "threshold", "positive"),
     "the input itself": (good_rows(), ["--out", "marks.csv"], "--out", "the input itself"),
     "labels": (good_rows(), ["--labels", "none.csv"], "none.csv", "no such file"),
-    "rig": (good_rows(), ["--rig", "none.yaml"], "none.yaml", "no such file"),
-}
+    "rig": (good_rows(), ["--rig", "none.yaml"], "none.yaml", "no such file")}
 
 
 @pytest.mark.parametrize("case", WRONG)
@@ -217,8 +214,7 @@ def test_one_camera_is_no_rig(capsys, tmp_path):
 
 @pytest.mark.parametrize("spoil, option", [
     (lambda camera: (camera.rotation.T, camera.centre), "--rig-poses opencv-to-world"),
-    (lambda camera: (camera.rotation, camera.translation / 1000), "--rig-unit m"),
-])
+    (lambda camera: (camera.rotation, camera.translation / 1000), "--rig-unit m")])
 def test_a_rig_in_metres_or_of_poses_in_the_world_is_recognised(capsys, tmp_path, rng, spoil, option):
     vertices = wavy_vertices(rng, count=2, marks=8)
     rows = rows_of(vertices - vertices.mean(axis=1, keepdims=True), rng)

@@ -139,8 +139,7 @@ REFUSED = {
     "another solver": (["--obstacles", "table.toml", "--radius", "1", "--solver", "descent"], "--solver: descent given beside"),
     "a table that should be a list": (["--obstacles", "single.toml", "--radius", "1"],
                                       "obstacles: one table, in single brackets; write [[obstacles]]"),
-    "a grid without its file": (["--obstacles", "grid.toml", "--radius", "2"], "none.npz: file: no such file"),
-}
+    "a grid without its file": (["--obstacles", "grid.toml", "--radius", "2"], "none.npz: file: no such file")}
 
 
 SEEN = ["--rig", "rig.yaml", "--rest-length", "3:9", "--bend", "6e5", "--out", "f.npz"]

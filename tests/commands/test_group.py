@@ -101,8 +101,7 @@ def test_what_is_done_before_an_interruption_stays(scene, tmp_path, capsys, monk
     (["--out", "f.csv"], "--out: suffix '.csv' of f.csv; name a file that ends in .npz"),
     (["--out", "f.npz", "--picture", "f.gif"], "--picture: suffix '.gif'"),
     (["--out", "f.npz", "--up", "0,0,0"], "up: "),
-    ([], "--out: missing"),
-])
+    ([], "--out: missing")])
 def test_wrong_input_is_one_line(scene, tmp_path, capsys, monkeypatch, words, said):
     monkeypatch.chdir(tmp_path)
     refused(capsys, tmp_path, ["group", str(scene), *words], said)

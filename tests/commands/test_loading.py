@@ -1,5 +1,5 @@
-"""Own files on the command line: units, columns, motion capture; what was loaded, warnings for implausible lengths, and a finer
-mesh through marks."""
+"""Own files on the command line: units, columns, motion capture; what was loaded, warnings for implausible lengths, a finer
+mesh through marks, and recordings of motion, of which frames and markers are chosen."""
 
 import json
 from argparse import Namespace
@@ -13,7 +13,8 @@ from doo_ti.commands.cli import main
 from doo_ti.commands.doubts import apart_doubt, length_doubt, order_doubt, repeats_doubt, warn_of_rod
 from doo_ti.commands.loading import stated
 from doo_ti.commands.results import hypotheses_lines
-from tests.commands.calls import refused
+from doo_ti.io.observation_files import read_recording
+from tests.commands.calls import refused, succeeded
 from tests.io.test_formats import MARKS, motive, table
 
 
@@ -135,8 +136,7 @@ def test_motion_capture_as_motion_and_as_observations(tmp_path, capfd):
     seen = np.concatenate([MARKS] * 5)
     seen[3, 1] = np.nan
     (tmp_path / "take.csv").write_text(motive(seen / 1000, "Meters"))
-    assert main(["convert", str(tmp_path / "take.csv"), str(tmp_path / "motion.npz"), "--motion"]) == 0
-    assert "0,1,0" in capfd.readouterr().out
+    assert "0,1,0" in succeeded(capfd, ["convert", str(tmp_path / "take.csv"), str(tmp_path / "motion.npz"), "--motion"])
     with np.load(tmp_path / "motion.npz") as found:
         np.testing.assert_allclose(found["positions_mm"], seen)
         assert found["rate_hz"] == 120.0 and found["up"].tolist() == [0, 1, 0]
@@ -173,8 +173,7 @@ def test_relax_prints_what_it_loaded(tmp_path, capfd):
     marks = np.stack([np.linspace(0, 0.09, 12), np.zeros(12), 0.01 * np.sin(np.linspace(0, np.pi, 12))], axis=-1)
     (tmp_path / "x.csv").write_text(table(marks[None], "observation,vertex,x,y,z"))
     words = ["relax", str(tmp_path / "x.csv"), "--unit", "m", "--bend", "1e6", "--out", str(tmp_path / "f.npz")]
-    assert main(words) == 0
-    assert "1 observation of 12 marks" in capfd.readouterr().out
+    assert "1 observation of 12 marks" in succeeded(capfd, words)
     assert main([*words, "--json"]) == 0
     printed = capfd.readouterr()
     assert json.loads(printed.out)["observations"] == 1 and printed.err == ""
@@ -233,8 +232,7 @@ def marks(tmp_path):
 
 def test_a_finer_mesh_lies_on_the_curve_through_the_marks(marks, tmp_path, capsys):
     source, curve = marks
-    assert main(["convert", str(source), str(tmp_path / "fine.npz"), "--edges", "60"]) == 0
-    assert "61 vertices" in capsys.readouterr().out
+    assert "61 vertices" in succeeded(capsys, ["convert", str(source), str(tmp_path / "fine.npz"), "--edges", "60"])
     fine = load_observations(tmp_path / "fine.npz")
     assert fine.edges == 60 and fine.valid.all() and np.ptp(fine.rest_length) < 1e-9
     assert np.linalg.norm(fine.vertices[0][:, None] - curve, axis=-1).min(axis=1).max() < 1.0
@@ -251,3 +249,36 @@ def test_marks_too_far_apart_for_a_thin_pole_are_warned_of(marks, tmp_path, caps
     main(["convert", str(source), str(tmp_path / "fine.npz"), "--edges", "42"])
     assert main(["relax", str(tmp_path / "fine.npz"), *words]) == 0
     assert "convert" not in capsys.readouterr().err
+
+
+@pytest.fixture
+def take(tmp_path, rng):
+    path = tmp_path / "take.npz"
+    np.savez(path, positions_mm=rng.normal(size=(2, 40, 6, 3)), rate_hz=100.0, recording=np.array(["slow", "fast"]))
+    return str(path)
+
+
+def test_frames_and_markers_are_chosen(take, tmp_path, capsys):
+    out = tmp_path / "out.npz"
+    assert main(["convert", take, str(out), "--motion", "--select", "0:20:4", "--marks", "1:-1"]) == 0
+    assert capsys.readouterr().out.startswith("2 recordings of 5 frames of 4 markers at 25/s, 0 positions missing")
+    found, whole = read_recording(out), read_recording(take)
+    np.testing.assert_array_equal(found.positions, whole.positions[:, :20:4, 1:-1])
+    assert found.rate == 25.0 and found.names == whole.names
+
+
+@pytest.mark.parametrize(("words", "named"), [
+    (["--select", "5:5"], "positions_mm: none is left"), (["--complete"], "--complete: given with --motion"),
+    (["--rest-length", "100"], "--rest-length: given with --motion"), (["--edges", "9"], "--edges: given with --motion")])
+def test_what_a_motion_cannot_have_is_refused(words, named, take, tmp_path, capsys):
+    assert main(["convert", take, str(tmp_path / "out.npz"), "--motion", *words]) == 2
+    assert named in capsys.readouterr().err and not (tmp_path / "out.npz").exists()
+
+
+def test_a_recording_that_states_no_rate_needs_one(tmp_path, capsys):
+    (tmp_path / "take.csv").write_text(motive(MARKS / 1000, "Meters").replace("Export Frame Rate,120.000000,", ""))
+    words = ["convert", str(tmp_path / "take.csv"), str(tmp_path / "out.npz"), "--motion"]
+    assert main(words) == 2
+    assert "states no frames per second" in capsys.readouterr().err
+    assert main([*words, "--rate", "50"]) == 0
+    assert read_recording(tmp_path / "out.npz").rate == 50.0

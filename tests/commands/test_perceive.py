@@ -195,8 +195,7 @@ def test_a_click_and_no_length(photographed, tmp_path, capsys):
     assert min(printed["coverage"]) > 0.97 and printed["left_over_mm"] < 1.0
     # A rod of a third less: what is left over is said.
     assert main([*argv[:-1], "--length", "28", "--out", str(tmp_path / "g.npz")]) == 0
-    with np.load(tmp_path / "g.npz") as file:
-        assert file["left_over_mm"][0] == pytest.approx(length - 28, abs=3.0)
+    assert written(tmp_path / "g.npz")["left_over_mm"][0] == pytest.approx(length - 28, abs=3.0)
     said = capsys.readouterr().out
     assert "of thread left over" in said and "28 to 28 mm at a bound" in said
     middle = rig.cameras[1].project(rods[0][[EDGES // 2]])[0]

@@ -13,7 +13,7 @@ from doo_ti.commands.results import force_lines, plain
 from doo_ti.dynamics.theta import MotionTheta, load_theta, save_form
 from doo_ti.rod.frames import quaternion_from_matrix
 from tests.commands.calls import refused, succeeded, written
-from tests.references.rods import chain, clamps_at, stacked
+from tests.references.rods import at_rest, bows, observed
 
 MATERIAL = ["--bend", "6e5", "--twist", "1e5"]
 SCENES = Path(__file__).resolve().parents[2] / "scenes" / "motion"
@@ -22,15 +22,8 @@ SCENES = Path(__file__).resolve().parents[2] / "scenes" / "motion"
 @pytest.fixture
 def folder(tmp_path):
     """Two rods at rest, with and without their frames, and motions."""
-    rods = []
-    for size in (0.6, 0.9):
-        angle = np.linspace(-size, size, 20)
-        rods.append(chain(np.stack([np.cos(angle), 0.4 * np.sin(2 * angle), np.sin(angle)], axis=1), [0, 1, 0], 5.0))
-    rods = stacked(rods)
-    shape = relax(rods, Material(6e5, 1e5), clamps_at(rods)).configuration
-    save_observations(tmp_path / "seen.npz", Observations(
-        shape.vertices, rest_length=np.full(20, 5.0), start_frame=shape.frames[:, 0], end_frame=shape.frames[:, -1],
-        total_twist=np.zeros(2)))
+    shape = at_rest(bows(0.6, 0.9, edges=20, rest_length=5.0), Material(6e5, 1e5))
+    save_observations(tmp_path / "seen.npz", observed(shape))
     save_observations(tmp_path / "bare.npz", Observations(shape.vertices, rest_length=np.full(20, 5.0)))
     ends = shape.vertices[:1, -1] + np.linspace(0, 1, 3)[:, None] * [-6.0, 2.0, 0]
     np.savez(tmp_path / "move.npz", end_position_mm=ends, time_s=[0.0, 1.0, 3.0])
@@ -89,7 +82,7 @@ def test_logs_of_robots(folder):
         np.testing.assert_allclose(found["vertices_mm"], expected["vertices_mm"], atol=1e-3)
         np.testing.assert_array_equal(found["time_s"], [0, 0.5])
     np.savez(folder / "metres.npz", vertices_mm=1e-3 * seen.vertices, rest_length_mm=1e-3 * seen.rest_length,
-             start_frame=seen.start_frame, end_frame=seen.end_frame, total_twist_deg=[0.0])
+             start_frame=seen.start_frame, end_frame=seen.end_frame, total_twist_deg=np.degrees(seen.total_twist))
     assert main([*words(folder, "metres.npz", "log.csv"), *options[:4], "--unit", "m"]) == 0
     np.testing.assert_allclose(written(folder / "f.npz")["vertices_mm"], expected["vertices_mm"], atol=1e-3)
 
@@ -165,8 +158,7 @@ TURN, WITH_INERTIA = [*ROD, "--motion", "turn.csv"], ["simulate", *ROD[1:], "--m
     ([*SCENE, "--bend", "1e6"], "--bend"), ([*SCENE, "--relative"], "--relative"),
     ([*WITH_INERTIA, "marks.npz"], "--rate"), ([*WITH_INERTIA, "marks.npz", "--rate", "9", "--drag", "-1"], "--drag"),
     ([*WITH_INERTIA, "move.npz"], "time_s"), ([*WITH_INERTIA, "turn.csv"], "end_rotation"),
-    ([*WITH_INERTIA, "marks.npz", "--rate", "9", "--smoothing", "3"], "--smoothing"),
-])
+    ([*WITH_INERTIA, "marks.npz", "--rate", "9", "--smoothing", "3"], "--smoothing")])
 def test_wrong_input_is_one_line(folder, capsys, monkeypatch, words, said):
     monkeypatch.chdir(folder)
     np.savez("metres.npz", end_position_mm=[[90.0, 0, 0], [90000.0, 0, 0]])

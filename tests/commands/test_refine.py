@@ -1,6 +1,7 @@
 """``doo-ti refine``: from observations and from a sweep's folder, as text and as JSON, and refused input."""
 
 import json
+from dataclasses import replace
 from functools import partialmethod
 from pathlib import Path
 
@@ -12,21 +13,17 @@ from doo_ti.commands.cli import main
 from doo_ti.commands.refine_text import summary_lines
 from tests.commands.calls import refused, succeeded
 from tests.references.rods import chain, clamps_at, stacked
-from tests.relaxation.rods import wandering
+from tests.refinement.test_refinement import own_mesh
 
-BEND, TWIST = 3e4, 2e4
+BEND, TWIST = 3e4, 2.1e4
 
 
 @pytest.fixture
 def observed(tmp_path, rng):
     """A file of rods made with BEND and TWIST, with 0.02 mm of noise, and the groups they belong to."""
-    rods = wandering(rng, 16, 12, wander=0.1)
-    clamps = clamps_at(rods)
-    vertices = relax(rods, Material(BEND, TWIST), clamps).configuration.vertices
-    vertices += 0.02 * rng.normal(size=vertices.shape)
+    rods, _ = own_mesh(rng, 16, 12, BEND)
     path = tmp_path / "rod.npz"
-    save_observations(path, Observations(vertices, rest_length=np.full(12, 3.0), start_frame=clamps.start_frame,
-                                         end_frame=clamps.end_frame, total_twist=np.zeros(16)))
+    save_observations(path, replace(rods, vertices=rods.vertices + 0.02 * rng.normal(size=rods.vertices.shape)))
     return path
 
 
@@ -143,8 +140,7 @@ def test_rods_that_one_end_holds(observed, capsys):
     (["--bend", "1e4", "--folds", "30"], "give 2 to 16 folds"),
     (["--bend", "1e4", "--clip", "20"], "below a quarter"),
     (["--bend", "1e4", "--frame-weight", "3"], "a frame weight is given"),
-    (["--bend", "1e4", "--out", "found.txt"], "ends in .json"),
-])
+    (["--bend", "1e4", "--out", "found.txt"], "ends in .json")])
 def test_wrong_input_is_reported_in_a_line_and_nothing_is_written(observed, tmp_path, capsys, monkeypatch, more, message):
     monkeypatch.chdir(tmp_path)
     capsys.readouterr()

@@ -12,7 +12,7 @@ from doo_ti.manipulation.model import moved
 from doo_ti.rod.material import stiffness
 from doo_ti.system.terminal import has_recorder
 from doo_ti.vision.rig_files import save_rig
-from tests.commands.calls import refused, succeeded
+from tests.commands.calls import refused, succeeded, written
 from tests.vision.scenes import looking
 
 BEND, DENSITY = 6e5, 10.0
@@ -67,8 +67,8 @@ def test_a_rod_comes_nearer_and_everything_is_written(folder, capsys):
     said = json.loads(out)
     with (folder / "run" / "steps.csv").open() as file:
         rows = list(csv.DictReader(file))
-    with np.load(folder / "start.npz") as start, np.load(folder / "target.npz") as target:
-        first = np.sqrt(np.sum((start["vertices_mm"] - target["vertices_mm"]) ** 2, axis=-1).mean())
+    start, target = (written(folder / name)["vertices_mm"] for name in ("start.npz", "target.npz"))
+    first = np.sqrt(np.sum((start - target) ** 2, axis=-1).mean())
     assert len(rows) == said["steps"] <= 3 and said["distance_mm"] == float(rows[-1]["distance_mm"]) < 0.6 * first
     assert said["frames"]["lost"] == 0 and all(int(row["vertices_seen"]) > 10 for row in rows)
     assert said["EI"]["low"] < said["EI"]["value"] < said["EI"]["high"]
@@ -91,8 +91,7 @@ def test_the_target_is_reached_though_a_camera_is_covered_now_and_then(folder, c
         assert (folder / "run" / "servo.rrd").stat().st_size > 100_000
     assert main(["predict", str(folder / "start.npz"), "--motion", str(folder / "run" / "path.csv"), "--EI", repr(STIFFER * EI),
                  "--GJ", repr(STIFFER * EI), "--linear-density", repr(DENSITY), "--out", str(folder / "moved.npz")]) == 0
-    with np.load(folder / "moved.npz") as predicted, np.load(folder / "target.npz") as target:
-        apart = predicted["vertices_mm"][-1] - target["vertices_mm"]
+    apart = written(folder / "moved.npz")["vertices_mm"][-1] - written(folder / "target.npz")["vertices_mm"]
     assert np.sqrt(np.sum(apart**2, axis=-1).mean()) == pytest.approx(said["distance_mm"], abs=0.05)
 
 

@@ -100,8 +100,7 @@ BAD = {
     "look without a value": (["--render", "noise"], "--render", "NAME=VALUE"),
     "look of another type": (["--render", "clutter=1.5"], "--render", "whole number"),
     "look out of range": (["--render", "noise=-1"], "noise", "not negative"),
-    "diameter": (["--diameter", "0"], "--diameter", "positive"),
-}
+    "diameter": (["--diameter", "0"], "--diameter", "positive")}
 
 
 @pytest.mark.parametrize("case", BAD)

@@ -137,8 +137,7 @@ def test_finished_frames_are_kept(filmed, tmp_path, capsys):
     (lambda lines: [lines[0], *lines[2:]], ("seed_x", "'' in line 2")),
     (lambda lines: [*lines[:3], lines[3].replace(",,,,,,", ",1,2,3,4,5,x")], ("dir_z", "'x' in line 4")),
     (lambda lines: [*lines[:2], lines[3], lines[2]], ("time_s", "rise")),
-    (lambda lines: [line.replace("002_cam0.png", "missing.png") for line in lines], ("cam0", "missing.png' in line 4")),
-])
+    (lambda lines: [line.replace("002_cam0.png", "missing.png") for line in lines], ("cam0", "missing.png' in line 4"))])
 def test_wrong_frames_are_reported(filmed, tmp_path, capsys, change, words):
     frames = filmed / "changed.csv"
     changed(filmed, frames, change)

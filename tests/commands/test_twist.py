@@ -5,11 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from doo_ti import Material, Observations, relax, save_observations
+from doo_ti import Material, save_observations
 from doo_ti.commands.cli import main
-from doo_ti.motion.predict import total_twist
 from tests.commands.calls import refused, succeeded, written
-from tests.references.rods import chain, clamps_at, stacked
+from tests.references.rods import at_rest, bows, observed
 
 MATERIAL = ["--bend", "6e5", "--twist", "4e5"]
 TWIST = np.radians([-200.0, -40.0, 90.0, 250.0])
@@ -18,20 +17,11 @@ TWIST = np.radians([-200.0, -40.0, 90.0, 250.0])
 @pytest.fixture
 def files(tmp_path):
     """Observations with their frames, perception's vertices alone, and two files of offsets."""
-    rods = []
-    for twist, size in zip(TWIST, (0.5, 0.8, 0.6, 0.9), strict=True):
-        angle = np.linspace(-size, size, 20)
-        tangents = np.stack([np.cos(angle), 0.4 * np.sin(2 * angle), np.sin(angle)], axis=1)
-        rods.append(chain(tangents, [0, 1, 0], 5.0, spin=twist * np.linspace(0, 1, 20)))
-    rods = stacked(rods)
-    shape = relax(rods, Material(6e5, 4e5), clamps_at(rods)).configuration
-    twist = total_twist(shape.quaternions)
-    save_observations(tmp_path / "seen.npz", Observations(
-        shape.vertices, rest_length=np.full(20, 5.0), start_frame=shape.frames[:, 0], end_frame=shape.frames[:, -1],
-        total_twist=twist))
-    np.savez(tmp_path / "bare.npz", vertices_mm=shape.vertices, name=np.array(["a", "b", "c", "d"]))
-    np.savez(tmp_path / "frames.npz", start_frame=shape.frames[:, 0], end_frame=shape.frames[:, -1],
-             total_twist_deg=np.degrees(twist))
+    rods = observed(at_rest(bows(0.5, 0.8, 0.6, 0.9, edges=20, rest_length=5.0, twist=TWIST), Material(6e5, 4e5)))
+    twist = rods.total_twist
+    save_observations(tmp_path / "seen.npz", rods)
+    np.savez(tmp_path / "bare.npz", vertices_mm=rods.vertices, name=np.array(["a", "b", "c", "d"]))
+    np.savez(tmp_path / "frames.npz", start_frame=rods.start_frame, end_frame=rods.end_frame, total_twist_deg=np.degrees(twist))
     (tmp_path / "offsets.csv").write_text("offset_deg\n" + "\n".join(str(np.degrees(t) + 45) for t in twist), encoding="utf-8")
     return tmp_path, twist
 
@@ -84,8 +74,7 @@ def test_offsets_and_grasps(files):
     (["--observations", "2"], "end_frame"), (["--observations", "9"], "--observations"), (["--regrasp", "7"], "--regrasp"),
     (["--offsets", "none.csv"], "none.csv"), (["--bend", "1e5:1e6:3"], "grid"), (["--picture", "phi.jpg"], "ends in .png"),
     ("offset_deg\n1\n2\n3\n1e6\n", "more than 100 turns"), ("offset_deg\n1\n2\n", "one for each"),
-    ("total_twist_deg\n1\n2\n3\n4\n", "end_frame"), ("colour\n1\n", "colour"),
-])
+    ("total_twist_deg\n1\n2\n3\n4\n", "end_frame"), ("colour\n1\n", "colour")])
 def test_wrong_input_is_one_line(files, capsys, words, printed):
     """Words of the command line, or a file of offsets."""
     folder, _ = files

@@ -1,39 +1,39 @@
 """Friction in motions: a stiff rod on a slope slides as a block does or stays; a rope on a table of which one end is pushed
-sticks and slips; and rods that grippers carry against pegs stay outside these."""
+sticks and slips; rods that grippers carry against pegs stay outside these; and the tensions at the ends of a limp rope that is
+pulled over a cylinder or through a ring are e^(μ φ) apart."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from doo_ti import Capsule, Clamp, Grippers, Material, Plane, Touch, end_clamps, relax, simulate, straight_rod
+from doo_ti import Capsule, Clamp, Cylinder, Material, Plane, Ring, Springs, Touch, end_clamps, relax, simulate, straight_rod
+from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import GRAVITY, Dynamics, Stepping
+from doo_ti.rod.frames import across, unit_vectors
 from tests.contact.clutter import gaps
+from tests.references.rods import chain
 
 # --- on a slope ---
 
 SLOPE, LENGTH, RADIUS, RATE, INSTANTS = np.deg2rad(20.0), 40.0, 1.0, 200.0, 41
-STEPPING = Stepping(RATE)
-
-
-def on_slope(frictions, stepping: Stepping = STEPPING):
-    """The motion of rods across slopes with these coefficients of friction, from rest."""
-    up = np.array([-np.sin(SLOPE), 0.0, np.cos(SLOPE)])
-    rods = straight_rod(LENGTH, 6, (0.0, 0.0, RADIUS), (0.0, 1.0, 0.0)).take(np.zeros(len(frictions), dtype=int))
-    free = Grippers.resting(end_clamps(rods, Clamp.FREE, Clamp.FREE), INSTANTS)
-    plane = Plane((0, 0, 0), (0, 0, 1), friction=np.array(frictions))
-    return simulate(rods, Material(1e7, 1e7), free, Dynamics(), stepping, up=up, obstacles=[plane], radius=RADIUS)
+FRICTIONS = np.array([0.0, 0.2, 0.5])
 
 
 @pytest.fixture(scope="module")
 def moved():
-    return on_slope([0.0, 0.2, 0.5])
+    """Rods across slopes, from rest."""
+    up = np.array([-np.sin(SLOPE), 0.0, np.cos(SLOPE)])
+    rods = straight_rod(LENGTH, 6, (0.0, 0.0, RADIUS), (0.0, 1.0, 0.0)).take(np.zeros(len(FRICTIONS), dtype=int))
+    free = Grippers.resting(end_clamps(rods, Clamp.FREE, Clamp.FREE), INSTANTS)
+    plane = Plane((0, 0, 0), (0, 0, 1), friction=FRICTIONS)
+    return simulate(rods, Material(1e7, 1e7), free, Dynamics(), Stepping(RATE), up=up, obstacles=[plane], radius=RADIUS)
 
 
 def test_it_slides_as_a_block_does(moved):
     assert moved.converged.all()
     t = np.arange(1, INSTANTS) / RATE
-    for rod, friction in enumerate([0.0, 0.2]):
+    for rod, friction in enumerate(FRICTIONS[:2]):
         pull = GRAVITY * (np.sin(SLOPE) - friction * np.cos(SLOPE))
         assert np.abs(moved.positions[rod, :, :, 0].mean(axis=-1) - 0.5 * pull * t**2).max() < 0.01 * 0.5 * pull * t[-1] ** 2
 
@@ -51,12 +51,6 @@ def test_forces_hold_the_weight_and_friction_takes_the_energy_that_sliding_lacks
     assert np.allclose(-force[2, 0], weight * np.sin(SLOPE), rtol=1e-3)
     distance = moved.positions[1, -1, :, 0].mean()
     assert np.isclose(moved.friction_work[1, -1], 0.2 * weight * np.cos(SLOPE) * distance, rtol=1e-2)
-
-
-def test_a_rod_moves_alone_as_among_others(moved):
-    alone = on_slope([0.2])
-    assert np.array_equal(alone.positions[0], moved.positions[1])
-    assert np.array_equal(alone.contact_force[0], moved.contact_force[1])
 
 
 # --- a bowed rope on a table ---
@@ -123,3 +117,69 @@ def test_steps_of_many_radii_end_in_equilibria_outside_the_pegs():
     assert carried.converged.all()
     assert gaps(PEGS, carried.positions.reshape(-1, 34, 3), THIN).min() > -1e-3 * THIN
     assert (carried.friction_work[:, -1] > 0).mean() > 0.8
+
+# --- a rope over a drum ---
+
+ROPE, DRUM, STRAIGHT = 0.2, 20.0, 30.0
+DRAWN, STEPS = 4.0, 40
+HELD, FAR = 10.0, 1e4
+
+
+def wound(angle: float, edges: int, pitch: float) -> np.ndarray:
+    """(V, 3) a rope that comes straight, follows a helix on the drum through that angle and leaves straight."""
+    r = DRUM + ROPE
+    wrapped = np.hypot(r * angle, pitch * angle)
+    total = 2 * STRAIGHT + wrapped
+    s = np.linspace(-STRAIGHT, wrapped + STRAIGHT, 40 * edges + 1)
+    turn = np.clip(s / wrapped, 0.0, 1.0) * angle
+    beyond = s - np.clip(s, 0.0, wrapped)
+    along = np.stack([-np.sin(turn) * r, np.cos(turn) * r, np.full_like(turn, pitch)], -1)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    x = np.stack([r * np.cos(turn), r * np.sin(turn), pitch * turn], -1) + beyond[:, None] * along
+    # Chords of equal length, a trace outside the drum.
+    x[:, :2] *= 1.0 + 1.5 * (total / edges) ** 2 / (8 * r**2)
+    arc = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(x, axis=0), axis=1)))
+    return np.stack([np.interp(np.linspace(0, arc[-1], edges + 1), arc, x[:, k]) for k in range(3)], -1)
+
+
+def tensions(obstacle, angle: float, pitch: float, edges: int = 60) -> tuple[float, float]:
+    """(of the end that is drawn, of the end that follows), at the end of the motion."""
+    x = wound(angle, edges, pitch)
+    step = np.diff(x, axis=0)
+    tangents = unit_vectors(step)
+    rod = chain(tangents, across(tangents[:1])[0], np.linalg.norm(step, axis=1), x[0])
+    # A soft spring from far away holds the end that follows, with a force that hardly changes.
+    points, stiffness = np.zeros((1, edges + 1, 3)), np.zeros((1, edges + 1))
+    points[0, 0], stiffness[0, 0] = x[0] - FAR * tangents[0], HELD / FAR
+    share = np.linspace(0.0, 1.0, STEPS + 1)[:, None]
+    end = x[-1] + DRAWN * share * tangents[-1]
+    frame = np.broadcast_to(np.eye(3), (1, STEPS + 1, 3, 3)).copy()
+    grippers = Grippers(Clamp.FREE, Clamp.POSITION, np.repeat(x[None, :1], STEPS + 1, 1), end[None], frame, frame)
+    material = Material(2.0, 2.0, weight=1e-6)
+    moved = simulate(rod, material, grippers, Dynamics(density=1e-2, drag=20.0), Stepping(rate=100.0, scheme="euler"),
+                     springs=Springs(points, stiffness), radius=ROPE, obstacles=[obstacle])
+    assert moved.converged.all(), moved.status[0]
+    drawn = moved.end_force[0, -1]
+    held = -(drawn + moved.contact_force[0, -1].sum(axis=0))
+    return np.linalg.norm(drawn), np.linalg.norm(held)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("degrees, friction", [(90, 0.1), (90, 0.5), (180, 0.3), (360, 0.1), (360, 0.5), (720, 0.3),
+                                               (720, 0.5)])
+def test_the_tensions_are_apart_by_the_capstan_equation(degrees, friction):
+    angle = np.deg2rad(degrees)
+    cylinder, edges = Cylinder((0, 0, -80), (0, 0, 80), DRUM, friction=friction), 60 if degrees < 360 else degrees // 3
+    drawn, held = tensions(cylinder, angle, 0.4, edges)
+    assert abs(held / HELD - 1.0) < 0.01
+    assert abs(drawn / held / np.exp(friction * angle) - 1.0) < 0.02
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("degrees, friction", [(60, 0.3), (90, 0.3), (120, 0.2)])
+def test_pulled_through_a_ring_too(degrees, friction):
+    angle = np.deg2rad(degrees)
+    inward = np.array([np.cos(0.5 * angle), np.sin(0.5 * angle), 0.0])
+    ring = Ring(3 * DRUM * inward, np.cross([0, 0, 1], inward), 3 * DRUM, DRUM, friction=friction)
+    drawn, held = tensions(ring, angle, 0.0)
+    assert abs(drawn / held / np.exp(friction * angle) - 1.0) < 0.005

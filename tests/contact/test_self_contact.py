@@ -13,13 +13,7 @@ from doo_ti.physics.tuples import record
 from doo_ti.relaxation.pair_distance import pair_block, pair_distance, pair_slopes, pair_weights
 from doo_ti.relaxation.self_approach import approach_in_motion, approach_in_relaxation, stays_in_order
 from doo_ti.relaxation.tables import whole_start
-from doo_ti.rod.frames import (
-    matrix_from_quaternion,
-    quaternion_about,
-    quaternion_of_turn,
-    quaternion_product,
-    vertices_from_quaternions,
-)
+from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about, quaternion_of_turn, quaternion_product
 from doo_ti.rod.shapes import end_clamps, overhand_knot, rod_along, straight_rod
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
 from doo_ti.system import runtime
@@ -256,7 +250,7 @@ def bent(rng, edges: int) -> np.ndarray:
 def test_rods_that_touch_on_their_way_are_found_and_no_others(rng, edges, radius):
     lengths = np.full((1, edges), 100.0 / edges) * rng.uniform(0.8, 1.2, edges)
     start, frames = bent(rng, edges), bent(rng, edges)
-    before, after = (vertices_from_quaternions(np.zeros(3), each, lengths) for each in (start, frames))
+    before, after = (Configuration(np.zeros((COUNT, 3)), each, lengths[0]).vertices for each in (start, frames))
     own = np.array([radius])
     shares = np.linspace(0.0, 1.0, INSTANTS)
     gap = np.min([smallest_self_gap(before + share * (after - before), own) for share in shares], axis=0)
@@ -282,7 +276,7 @@ def test_rods_that_are_not_finite_are_found_after_relaxations_and_not_in_motions
     lost = frames.copy()
     lost[1, 4] = np.nan
     np.testing.assert_array_equal(approach_in_relaxation(frames, lost, lengths, radius, rows)[0], [1])
-    places = vertices_from_quaternions(np.zeros(3), frames, lengths)
+    places = Configuration(np.zeros((2, 3)), frames, lengths[0]).vertices
     gone = places.copy()
     gone[1] = np.nan
     assert not approach_in_motion(places, gone, rows, lengths, radius).any()

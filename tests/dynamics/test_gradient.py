@@ -95,8 +95,7 @@ def worst(slopes, differences):
     (Clamp.TANGENT, Clamp.POSITION, {"smooth": True}),
     (Clamp.FRAME, Clamp.FREE, {"smooth": False}),
     (Clamp.FREE, Clamp.FRAME, {"smooth": True}),
-    (Clamp.FREE, Clamp.FREE, {"smooth": False}),
-])
+    (Clamp.FREE, Clamp.FREE, {"smooth": False})])
 def test_derivatives_are_those_of_the_motion(start, end, options):
     slopes, differences = slopes_and_differences(start, end, **options)
     assert worst(slopes, differences).max() < 1e-5, worst(slopes, differences)

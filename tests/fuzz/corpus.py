@@ -170,18 +170,15 @@ def _motions() -> None:
         f"{time},{x:.6f},{y:.6f},{z:.6f}\n" for time, (x, y, z) in enumerate(last + shift)))
 
 
+def _middle() -> np.ndarray:
+    return np.load("rods.npz")["vertices_mm"].mean(axis=(0, 1))
+
+
 def _rig():
     """Three small cameras that look at the rods from about 70 mm."""
-    from doo_ti.vision.cameras import Camera, Rig
-    from tests.vision.scenes import looking
+    from tests.vision.scenes import three_cameras
 
-    middle, cameras = np.load("rods.npz")["vertices_mm"].mean(axis=(0, 1)), []
-    for index, angle in enumerate((0.3, 2.1, 4.2)):
-        back = np.array([np.cos(angle), np.sin(angle), 0.5 + 0.1 * index])
-        pose = looking(-back / np.linalg.norm(back), 70.0, middle)
-        matrix, distortion = [[225.0, 0, 80], [0, 226.0, 60], [0, 0, 1]], [-0.05, 0.02, 1e-4, -1e-4, 0]
-        cameras.append(Camera(f"cam{index}", 160, 120, matrix, distortion, *pose))
-    return Rig(tuple(cameras))
+    return three_cameras(70.0, 0.25, _middle())
 
 
 def _moving() -> None:
@@ -225,23 +222,19 @@ def _marks() -> None:
 
 
 def _boards() -> None:
-    """Four views of a chessboard by two of the cameras, drawn eight times as fine and shrunk."""
+    """Four views of a chessboard by two of the cameras."""
     import cv2
 
-    rig, squares, fine = _rig(), np.indices((5, 4)).reshape(2, -1).T, 8
-    chance, middle = np.random.default_rng(SEED), np.load("rods.npz")["vertices_mm"].mean(axis=(0, 1))
-    lines = ["view,cam0,cam1"]
+    from doo_ti.vision.board import parse_board
+    from tests.vision.boards import look
+
+    board, chance, lines = parse_board(BOARD), np.random.default_rng(SEED), ["view,cam0,cam1"]
     Path("boards").mkdir(exist_ok=True)
     for view in range(4):
         turn = cv2.Rodrigues(np.array([0, 0, 0.8]) + chance.uniform(-0.35, 0.35, 3) * (view > 0))[0]
-        for camera in rig.cameras[:2]:
-            image = np.full((camera.height * fine, camera.width * fine), 235, np.uint8)
-            for column, row in squares[squares.sum(axis=1) % 2 == 0]:
-                corners = np.array([[column, row], [column + 1, row], [column + 1, row + 1], [column, row + 1]]) - [2.5, 2.0]
-                places = np.column_stack([8.0 * corners, np.zeros(4)]) @ turn.T + middle
-                cv2.fillPoly(image, [np.round(camera.project(places) * fine).astype(np.int32)], 25)
-            small = cv2.resize(cv2.GaussianBlur(image, (0, 0), 4), (camera.width, camera.height), interpolation=cv2.INTER_AREA)
-            cv2.imwrite(f"boards/{view}_{camera.name}.png", small)
+        for camera in _rig().cameras[:2]:
+            image = look(board, camera, turn, _middle() - turn @ board.points.mean(axis=0), np.random.default_rng(view), 0.5)
+            cv2.imwrite(f"boards/{view}_{camera.name}.png", image)
         lines.append(f"view{view},boards/{view}_cam0.png,boards/{view}_cam1.png")
     Path("views.csv").write_text("\n".join(lines) + "\n")
 

@@ -107,8 +107,7 @@ _LINES = (
     f"{PERCEIVE} --no-picture --no-recording --detector canny".replace("3:8", "lengths.npz"),
     SINGLE,
     f"track {SEEN} --frames frames.csv {MADE_OF} --out out/F.npz --no-recording",
-    f"track {SEEN} --frames frames.csv {MADE_OF} --out out/F.npz".replace("3:8", "lengths.txt"),
-)
+    f"track {SEEN} --frames frames.csv {MADE_OF} --out out/F.npz".replace("3:8", "lengths.txt"))
 RECIPES = (*(Recipe(tuple(line.split())) for line in _LINES), Recipe(tuple("sweep scene.toml --out out/run".split()), "run"),
            Recipe(tuple("sweep dynamic.toml --out out/run".split()), "dynamic_run"))
 

@@ -22,16 +22,13 @@ def two_hanging():
     return [first, second], [held, also]
 
 
-def a_y(count: int = 1, length: float = 60.0):
-    """Three ropes that hang from three points, tied at their other ends; ``count`` such groups."""
+def a_y(edges: int = 20) -> Group:
+    """Three ropes that hang from three points, tied at their other ends."""
     corners = np.array([[0.0, 0.0, 0.0], [80.0, 0.0, 10.0], [40.0, 70.0, 0.0]])
     middle = corners.mean(axis=0) - [0.0, 0.0, 25.0]
-    rods = [straight_rod(length, 20, corner, middle - corner) for corner in corners]
-    spread = np.random.default_rng(1).normal(size=(count, 3, 3)) * np.arange(count)[:, None, None] / count
-    rods = [replace(rod, start=rod.start + 3.0 * spread[:, number], quaternions=np.repeat(rod.quaternions, count, 0))
-            for number, rod in enumerate(rods)]
+    rods = [straight_rod(60.0, edges, corner, middle - corner) for corner in corners]
     clamps = [end_clamps(rod, Clamp.POSITION, Clamp.FREE) for rod in rods]
-    return Group(rods, MATERIAL, clamps, [Tie((0, -1), (1, -1), weight=5.0), Tie((2, 20), (0, 20))])
+    return Group(rods, MATERIAL, clamps, [Tie((0, -1), (1, -1), weight=5.0), Tie((2, -1), (0, -1))])
 
 
 @pytest.mark.thorough

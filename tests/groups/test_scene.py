@@ -113,8 +113,7 @@ def test_a_closed_curve_goes_smoothly_through_its_points(tmp_path):
     ("[0, 2, 0]", "[0, 0, 0]", "rods.trunk.direction: no direction"),
     ("[rods.ring]", "[rods.a]\nmaterial = 'stiff'\nedges = 1000\nlength_mm = 9.0\n[rods.b]\nmaterial = 'stiff'\nedges = 1000\n"
      "length_mm = 9.0\n[rods.ring]", "rods: 2034 edges in all; give at most 2,000"),
-    ("normal = [0, 0, 1]", "normal = [0, 0, 1]\n[[obstacles.moments]]\ntime_s = 1.0", "obstacles[0].moments: given for an"),
-])
+    ("normal = [0, 0, 1]", "normal = [0, 0, 1]\n[[obstacles.moments]]\ntime_s = 1.0", "obstacles[0].moments: given for an")])
 def test_what_is_wrong_is_named(tmp_path, old, new, said):
     assert old in SCENE
     check_refused(re.escape(said), load, tmp_path, SCENE.replace(old, new))

@@ -52,8 +52,7 @@ WRONG = {
     "not text": (b"\xff\xfe\xfa", "file"), "no rows": (b"a,b\n", "file"), "empty": (b"", "a"), "missing": (b"a\n1\n", "b"),
     "unknown": (b"a,b,d\n1,2,3\n", "d"), "twice": (b"a,b,b\n1,2,3\n", "b"), "long line": (b"a,b\n1,2\n1,2,3\n", "line 3"),
     "short line": (b"a,b\n1,2\n1\n", "line 3"), "open quote": (b'a,b\n1,"2\n3,4\n', "file"),
-    "line break": (b'a,b\n1,"2\n3"\n', "line 3"),
-}
+    "line break": (b'a,b\n1,"2\n3"\n', "line 3")}
 
 
 @pytest.mark.parametrize("case", WRONG)

@@ -59,8 +59,7 @@ FILES = {
     "nexus_german.csv": (german(nexus(MARKS)), (0, 0, 1)),
     "lines_german.csv": ("\n\n".join("\n".join(german("%r,%r,%r" % tuple(mark)) for mark in rod) for rod in MARKS.tolist()),
                          (0, 0, 1)),
-    "lines_german.txt": ("\n".join(" ".join(map(repr, rod.ravel().tolist())).replace(".", ",") for rod in MARKS), (0, 0, 1)),
-}
+    "lines_german.txt": ("\n".join(" ".join(map(repr, rod.ravel().tolist())).replace(".", ",") for rod in MARKS), (0, 0, 1))}
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -194,8 +193,7 @@ def test_files_that_are_refused(tmp_path):
         "v.csv": (motive(MARKS, "Inches"), "inches"), "u.csv": (nexus(MARKS).replace("mm", "in"), "'in'"),
         "t.csv": (nexus(MARKS).replace("M2", "M1"), "Rope:M1"),
         "z.csv": (nexus(MARKS).replace("10.0", "ten", 1), "ten"), "w.csv": ("a,b\n1,2\n", "x_mm"), "s.csv": ("\n\n", "file"),
-        "r.csv": ("observation,x_mm,x_mm,y_mm,z_mm\n0,1,1,1,1\n", "x_mm"), "q.csv": ("x_mm,y_mm,z_mm\n", "no rows"),
-    }
+        "r.csv": ("observation,x_mm,x_mm,y_mm,z_mm\n0,1,1,1,1\n", "x_mm"), "q.csv": ("x_mm,y_mm,z_mm\n", "no rows")}
     for name, (text, word) in cases.items():
         (tmp_path / name).write_text(text)
         check_refused(f"{name}: .*{word}", load_observations, tmp_path / name)

@@ -78,8 +78,7 @@ def test_marks_give_positions_and_tangents(tmp_path):
     ({"positions_mm": np.zeros((2, 2, 3))}, "positions_mm"),
     ({"positions_mm": np.arange(36.0).reshape(3, 4, 3), "time_s": np.arange(2.0)}, "time_s"),
     ({"else": np.zeros(3)}, "end_position_mm"),
-    ({"end_position_mm": np.array(["a"])}, "numeric"),
-])
+    ({"end_position_mm": np.array(["a"])}, "numeric")])
 def test_wrong_files_are_named(tmp_path, keys, word):
     file = tmp_path / "motion.npz"
     np.savez(file, **keys)
@@ -100,8 +99,7 @@ FORMS = {
     "rotation vector": (["rx", "ry", "rz"], TURNS.as_rotvec()),
     "degrees": (["rx_deg", "ry_deg", "rz_deg"], np.degrees(TURNS.as_rotvec())),
     "turns": (["Roll", "Pitch", "Yaw"], TURNS.as_euler("xyz")),
-    "turns in degrees": (["roll_deg", "pitch_deg", "yaw_deg"], np.degrees(TURNS.as_euler("xyz"))),
-}
+    "turns in degrees": (["roll_deg", "pitch_deg", "yaw_deg"], np.degrees(TURNS.as_euler("xyz")))}
 
 
 def written(folder, names, values, name: str = "x.csv"):
@@ -159,7 +157,6 @@ def test_a_path_at_equal_intervals(tmp_path):
     (["time", "speed"], np.zeros((2, 2)), {}, "speed"),
     (["end_x", "end_y", "end_z", "end_rotaton_deg"], np.zeros((2, 4)), {}, "rotaton"),
     (["x", "y", "z"], PLACES, {"unit": "inch"}, "load_path: unit: "),
-    (["x", "y", "z"], PLACES, {"axes": ("x", "w")}, "load_path: axes: "),
-])
+    (["x", "y", "z"], PLACES, {"axes": ("x", "w")}, "load_path: axes: ")])
 def test_what_does_not_fit_is_named(tmp_path, names, values, options, said):
     check_refused(said, load_path, written(tmp_path, names, values), **options)

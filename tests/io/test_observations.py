@@ -26,8 +26,7 @@ def full_keys(rng) -> dict[str, np.ndarray]:
         "vertices_mm": vertices, "valid": valid, "rest_length_mm": rng.uniform(2, 4, vertices.shape[1] - 1),
         "start_frame": frames[:, 0], "end_frame": frames[:, -1], "frames": frames, "total_twist_deg": np.degrees(twist),
         "up": np.array([0.0, 3.0, 4.0]), "sigma_mm": rng.uniform(0.1, 0.2, valid.shape),
-        "end_distance_mm": np.array([30.0, 42.0, 54.0]), "end_rotation_deg": np.array([0.0, 30.0, 60.0]),
-    }
+        "end_distance_mm": np.array([30.0, 42.0, 54.0]), "end_rotation_deg": np.array([0.0, 30.0, 60.0])}
 
 
 def same(first: Observations, second: Observations, tolerance: float = 0.0) -> bool:
@@ -35,8 +34,7 @@ def same(first: Observations, second: Observations, tolerance: float = 0.0) -> b
     return all(
         (a is None) == (b is None) and (a is None or (np.shape(a) == np.shape(b) and np.allclose(
             a, b, rtol=0, atol=tolerance, equal_nan=True)))
-        for a, b in pairs
-    )
+        for a, b in pairs)
 
 
 def test_every_key_is_read_in_our_units(tmp_path, rng):
@@ -128,8 +126,7 @@ WRONG = {
     "up zero": ("up", lambda v: 0 * v, "no direction"),
     "sigma negative": ("sigma_mm", lambda v: -v, "-0."),
     "sigma misshapen": ("sigma_mm", lambda v: v[0], "shape (9,)"),
-    "end rotation not finite": ("end_rotation_deg", lambda v: v + np.inf, "at [0]"),
-}
+    "end rotation not finite": ("end_rotation_deg", lambda v: v + np.inf, "at [0]")}
 
 
 @pytest.mark.parametrize("case", WRONG)

@@ -1,5 +1,5 @@
 """Scenes: the meaning of a TOML file, errors in it, the keys that several kinds share; those of the package, by name, from any
-folder."""
+folder; and scenes of motion, the shipped ones with their results."""
 
 import re
 from pathlib import Path
@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doo_ti import Clamp
+from doo_ti import Clamp, Configuration, predict
 from doo_ti.commands.cli import main
 from doo_ti.dynamics.scene import load_motion_scene
 from doo_ti.groups.scene import load_group_scene
@@ -20,8 +20,7 @@ SCENES = Path(__file__).resolve().parents[2] / "scenes"
 GOOD = {
     "top": 'name = "silk"\nframe_weight_mm = 6.7\nclamp_end = "tangent"\nprecision = "f64"\n',
     "data": "[synthesis]\nbend = 1.5e5\ntwist = 50000\n",
-    "grid": '[grid]\nbend = "5e4:1e7:5"\ntwist_ratio = 0.5\n',
-}
+    "grid": '[grid]\nbend = "5e4:1e7:5"\ntwist_ratio = 0.5\n'}
 
 
 def write(folder: Path, **parts: str) -> Path:
@@ -144,8 +143,7 @@ EI, GJ, DENSITY = 2e-5, 1.5e-5, 4.0
 WEIGHT = 1e-3 * DENSITY * STANDARD_GRAVITY  # N/m
 SHARED = {
     load_motion_scene: "rod = { length_mm = 60.0, edges = 20 }\nrate_hz = 10.0\nduration_s = 1.0\n",
-    load_group_scene: "".join(f'rods.{name} = {{ material = "{name}", edges = 10, length_mm = 90.0 }}\n' for name in "ab"),
-}
+    load_group_scene: "".join(f'rods.{name} = {{ material = "{name}", edges = 10, length_mm = 90.0 }}\n' for name in "ab")}
 
 
 def loaded(folder, load, *materials: str):
@@ -190,8 +188,7 @@ def test_rods_of_a_group_share_one_unit(tmp_path):
     (load_motion_scene, ["bend = [[1e5, 0], [0, 1e5]]\ntwist = 1e5"], "materials.a.bend: a matrix"),
     (load_group_scene, ["EI = 1e-5\nlinear_density = 3", "bend = 1e5"], "materials.b: in other units"),
     (load_group_scene, ["bend = 1e5\nlinear_density = 3", "bend = 1e5\nlinear_density = 4"], "not proportional"),
-    (load_group_scene, ["EI = [[1e-5, 0], [0, 1e-5]]\nlinear_density = 3", "bend = 1e5"], "materials.b"),
-])
+    (load_group_scene, ["EI = [[1e-5, 0], [0, 1e-5]]\nlinear_density = 3", "bend = 1e5"], "materials.b")])
 def test_what_does_not_fit_is_named(tmp_path, load, tables, said):
     check_refused(said, loaded, tmp_path, load, *tables)
 
@@ -209,3 +206,110 @@ def test_quantities_between_moments(moments, first):
     found = interpolated("scene.toml", "moments", rows, Moment, {"shift": np.zeros(3)}, np.linspace(0.0, 2.0, 5))
     for value, expected in zip(found["shift"][:, 0], first, strict=True):
         assert 1.0 < value < 2.0 if expected is None else np.isclose(value, expected)
+
+
+# --- scenes of motion ---
+
+MOTION = """
+[rod]
+length_mm = 60.0
+edges = 20
+[materials.cord]
+bend = 1e6
+twist = 5e5
+[[moments]]
+end_position_mm = [50, 0, 0]
+[[moments]]
+time_s = 1
+end_rotation_deg = 30
+"""
+
+
+def carried(name: str):
+    scene = load_motion_scene(SCENES / "motion" / f"{name}.toml")
+    prediction = predict(scene.start, scene.material, scene.clamps, scene.path, between=scene.between)
+    assert prediction.followed.all()
+    return scene, prediction
+
+
+@pytest.mark.thorough
+def test_one_start_and_three_materials():
+    """Fig. 1: the same clamps, different shapes."""
+    scene, prediction = carried("three_materials")
+    assert scene.names == ("nylon", "vicryl", "silk")
+    ends = prediction.vertices[-1]
+    np.testing.assert_allclose(ends[:, [0, -1]], np.broadcast_to(ends[0, [0, -1]], (3, 2, 3)), atol=1e-6)
+    apart = [np.linalg.norm(ends[i] - ends[j], axis=1).max() for i, j in ((0, 1), (0, 2), (1, 2))]
+    assert min(apart) > 10
+
+
+@pytest.mark.thorough
+def test_a_loop_is_thrown_and_pops_out():
+    """The loop forms while the ends come together, persists while most of the twist is removed, and pops out at the end."""
+    scene, prediction = carried("loop_pop_out")
+    jumps = np.flatnonzero(prediction.jumps[:, 0])
+    assert len(jumps) == 2
+    thrown, popped = prediction.time[jumps]
+    rotation = np.degrees(prediction.end_rotation[:, 0])
+    assert 2 < thrown <= 4 < popped < 7
+    # While the loop is there a turn of writhe is, too: twist is a whole turn short of what the clamp did.
+    short = rotation - np.degrees(prediction.total_twist[:, 0])
+    inside = slice(jumps[0], jumps[1])
+    assert (short[inside] > 300).all() and np.abs(short[-1]) < 10 and np.abs(short[: jumps[0] - 40]).max() < 90
+
+
+@pytest.mark.thorough
+def test_a_suture_is_pulled_straight():
+    scene, prediction = carried("pulled_straight")
+    ends = prediction.vertices[-1]
+    assert np.abs(ends[..., 1:]).max() < 3 and prediction.jumps.sum() == 0
+
+
+def test_omitted_quantities_stay_as_they_were(tmp_path):
+    file = tmp_path / "scene.toml"
+    file.write_text(MOTION, encoding="utf-8")
+    scene = load_motion_scene(file)
+    assert scene.name == "scene" and scene.between == 1 and scene.start.edges == 20
+    np.testing.assert_allclose(scene.path.end_position[:, 0], [[50, 0, 0], [50, 0, 0]])
+    np.testing.assert_allclose(scene.clamps.end_position, [[60, 0, 0]])
+    np.testing.assert_allclose(np.degrees(scene.path.end_rotation[:, 0]), [0, 30])
+
+
+def test_one_scene_is_for_predict_and_simulate(tmp_path):
+    """At the instants of a rate, smooth between moments; without one the moments themselves, which simulate does not take."""
+    file = tmp_path / "scene.toml"
+    file.write_text("rate_hz = 4\nduration_s = 1\n" + MOTION.replace("end_rotation_deg = 30", "end_turns = 0.25"))
+    scene = load_motion_scene(file)
+    np.testing.assert_allclose(np.degrees(scene.path.end_rotation[:, 0]), 90 * np.array([0, 0.25, 0.5, 0.75, 1]), atol=1e-9)
+    np.testing.assert_array_equal(scene.path.end_frame[:, 0], scene.grippers.end_frame[0])
+    assert scene.clamps.end == Clamp.FREE and scene.stepping.rate == 4 and scene.dynamics.density == 1
+    file.write_text(MOTION, encoding="utf-8")
+    assert load_motion_scene(file).stepping is None and load_motion_scene(file).clamps.end == Clamp.FRAME
+
+
+def test_a_clamp_that_turns_along_the_material_has_a_frame(tmp_path):
+    """Its first direction is where m1 of the rod pointed."""
+    file = tmp_path / "scene.toml"
+    m1 = Configuration.straight((0, 0, 0), (1, 0, 0), 60.0, 20).frames[0, -1, :, 1]
+    file.write_text(MOTION.replace("[50, 0, 0]", f"[50, 0, 0]\nend_direction = {m1.tolist()}"), encoding="utf-8")
+    frame = load_motion_scene(file).path.end_frame[0, 0]
+    np.testing.assert_allclose(frame[:, :2], np.stack([m1, [-1, 0, 0]], axis=-1), atol=1e-12)
+
+
+@pytest.mark.parametrize("old, new, word", [
+    ("[rod]", "[rods]", "rod"), ("edges = 20", "edges = 2", "rod.edges"), ("= 60.0", "= -1", "rod.length_mm"),
+    ("[materials.cord]", "[materials]", "materials"), ("bend = 1e6", "bend = [1, 2]", "bend"),
+    ("bend = 1e6", "bend = -1e6", "positive definite"), ("time_s = 1", "", "time_s"), ("time_s = 1", "time_s = 0", "rise"),
+    ("[50, 0, 0]", "[50, 0]", "end_position_mm"), ("end_rotation_deg = 30", "end_direction = [0, 0, 0]", "end_direction"),
+    ("end_rotation_deg = 30", "colour = 3", "moments\\[1\\].colour"), ("length_mm", "length = [", "TOML")])
+def test_wrong_scenes_of_motion_are_named(tmp_path, old, new, word):
+    file = tmp_path / "scene.toml"
+    assert old in MOTION
+    file.write_text(MOTION.replace(old, new, 1), encoding="utf-8")
+    check_refused(f"scene.toml: .*{word}", load_motion_scene, file)
+
+
+def test_names_of_several_lines_take_one(tmp_path):
+    (tmp_path / "scene.toml").write_text('name = "a\\nb"\n' + MOTION.replace("[materials.cord]", '[materials."c\\nd"]'))
+    scene = load_motion_scene(tmp_path / "scene.toml")
+    assert scene.name == r"a\nb" and scene.names == (r"c\nd",)

@@ -75,8 +75,7 @@ WRONG = {
     "labels that differ": (lambda c: change(c, "total_twist_deg", 6, 11.0), "total_twist_deg", "observation 1"),
     "lengths that differ": (lambda c: change(c, "rest_length_mm", 5, 4.0), "rest_length_mm", "observation 1"),
     "half a frame": (lambda c: c.update(start_frame_t_x=[1.0] * 8), "start_frame_m1_x", "missing beside"),
-    "negative length": (lambda c: c.update(rest_length_mm=[-3.0] * 8), "rest_length_mm", "-3 mm"),
-}
+    "negative length": (lambda c: c.update(rest_length_mm=[-3.0] * 8), "rest_length_mm", "-3 mm")}
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)

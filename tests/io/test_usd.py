@@ -68,8 +68,7 @@ def test_the_axis_that_points_up(tmp_path, axis, up):
 
 @pytest.mark.parametrize("text, word", [
     ("nothing", "is not USD"), (SCENE.replace("[3]", "[4]", 1), "add up"), (SCENE.replace("BasisCurves", "Xform"), "none"),
-    (SCENE.replace('float xformOp:rotateX = 20', 'string note = "open'), "is not USD"),
-])
+    (SCENE.replace('float xformOp:rotateX = 20', 'string note = "open'), "is not USD")])
 def test_wrong_scenes_are_named(tmp_path, text, word, capfd):
     (tmp_path / "x.usda").write_text(text)
     with pytest.raises(InputError, match=word):

@@ -80,8 +80,7 @@ WRITERS = {
     "recording.rrd": lambda path: record_motion(path, run_id="a", name="rods", rods=MOVING, curves={}, text="rods"),
     **dict.fromkeys(("rods.npz", "rods.csv", "rods.parquet"), lambda path: save_observations(path, OBSERVATIONS)),
     "result.csv": lambda path: save_arrays(path, {"vertices_mm": RODS}, ("rod", "frame")),
-    "result.json": lambda path: save_json(path, {"rods": RODS}),
-}
+    "result.json": lambda path: save_json(path, {"rods": RODS})}
 
 
 @pytest.mark.thorough

@@ -1,16 +1,16 @@
 """Experiments that several tests work on: a small virtual lab, and the rods of the development data; landscapes made by hand,
 as sweeps would have left them."""
 
-import json
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from doo_ti import Axis, Grid, Landscape, Material, Observations, Status, load_observations
+from doo_ti import Axis, Grid, Landscape, Material, Observations, Status
 from doo_ti.io.scene import Synthesis
 from doo_ti.lab.synthesis import synthesise
 from doo_ti.learning.experiment import Experiment, SweepOptions
+from tests.relaxation.rods import lab
 
 GRID = Grid((Axis("bend", [2e5, 4e5, 8e5, 1.6e6]), Axis("twist_ratio", [0.5, 1.0, 2.0])))
 DYNAMIC = SweepOptions(objective="dynamic")
@@ -24,10 +24,8 @@ def small_lab() -> Observations:
 
 def lab_rods(folder: Path, name: str, **options) -> tuple[Experiment, Material]:
     """The dynamic experiment on one rod of the development data, and its true material."""
-    observations = load_observations(folder / "lab_a" / f"{name}.npz")
-    truth = json.loads((folder / "lab_a" / "truth.json").read_text())[name]
-    return Experiment(observations, GRID, SweepOptions(objective="dynamic", **options)), Material(
-        np.array(truth["bend"]), truth["twist"], truth["weight"])
+    rod = lab(folder, name)
+    return Experiment(rod.observations, GRID, SweepOptions(objective="dynamic", **options)), rod.material
 
 
 def grid_of(cells: int) -> Grid:

@@ -193,8 +193,7 @@ def test_by_objective_the_static_one_keeps_what_occurs_in_pairs():
     ([lab("a"), lab("b")], [("material",), ("material", "end-distance")]),
     ([lab("a", np.full(12, 30.0)), lab("b", np.full(12, 30.0))], [("material",)]),
     ([lab("a"), moved("a")], [("objective", "end-distance")]), ([lab("a"), moved("b")], [("end-distance",)]),
-    ([lab("a"), lab("b"), moved("a")], [("material",), ("material", "end-distance"), ("objective", "end-distance")]),
-])
+    ([lab("a"), lab("b"), moved("a")], [("material",), ("material", "end-distance"), ("objective", "end-distance")])])
 def test_tables_without_being_asked(runs, factors):
     assert usual_factors(runs) == factors
     for by in factors:
@@ -211,8 +210,7 @@ def test_tables_without_being_asked(runs, factors):
     ([lab("a"), lab("b")], ("material", "material"), (), "names a factor twice"),
     ([lab("a"), lab("b")], ("objective",), (), "by: objective makes no table of two parts"),
     ([lab("a"), lab("b")], ("end-distance",), (30.0, 31.0), "no observation at 31 mm; choose from 30, 54, 78"),
-    ([lab("a", np.nan * LABELS)], ("end-distance",), (), "a_static: end_distance_mm: no observation has"),
-])
+    ([lab("a", np.nan * LABELS)], ("end-distance",), (), "a_static: end_distance_mm: no observation has")])
 def test_runs_that_cannot_be_compared_are_reported(runs, by, distances, words):
     check_refused(re.escape(words), partition, runs, by, distances)
 

@@ -12,12 +12,13 @@ import pyarrow
 import pyarrow.parquet
 import pytest
 
-from doo_ti import InputError, InterruptedRunError, read_landscape, sweep
+from doo_ti import Descent, DistanceGrid, InputError, InterruptedRunError, Surroundings, read_landscape, sweep
 from doo_ti.commands.cli import main
+from doo_ti.contact.obstacles import Plane, Ring, Sphere
 from doo_ti.learning import run_folder
 from doo_ti.learning.chunks import maker
-from doo_ti.learning.experiment import Experiment
-from doo_ti.learning.run_folder import claim
+from doo_ti.learning.experiment import Experiment, SweepOptions
+from doo_ti.learning.run_folder import claim, identity_of, read_plan
 from tests.conftest import check_refused
 from tests.learning.lab import DYNAMIC, GRID, small_lab
 
@@ -135,8 +136,7 @@ def at_two(value):
 @pytest.mark.parametrize(("run", "column", "value"), [
     ("static", "distance_mm", -1.0), ("static", "distance_mm", np.inf), ("static", "distance_mm", None),
     ("static", "status", 77), ("static", "stable", None), ("static", "observation", -1), ("static", "bend_1", None),
-    ("dynamic", "pair_weight", -1.0), ("dynamic", "pair_weight", np.nan), ("dynamic", "jumps", -1),
-])
+    ("dynamic", "pair_weight", -1.0), ("dynamic", "pair_weight", np.nan), ("dynamic", "jumps", -1)])
 def test_values_that_no_sweep_finds(capsys, copy, run, column, value):
     folder = copy(run)
     with_column(folder, column, at_two(value))
@@ -146,8 +146,7 @@ def test_values_that_no_sweep_finds(capsys, copy, run, column, value):
 
 @pytest.mark.parametrize(("option", "value"), [
     ("frame_weight_mm", [1.0]), ("frame_weight_mm", -1), ("sub_step_rad", 1e-300), ("sub_step_rad", None), ("spins", -1),
-    ("precision", "f16"), ("objective", ["static"]), ("solver", 3), ("clamp_start", 5),
-])
+    ("precision", "f16"), ("objective", ["static"]), ("solver", 3), ("clamp_start", 5)])
 def test_options_that_no_sweep_has(capsys, copy, option, value):
     folder = copy("static")
     summary = json.loads((folder / "summary.json").read_text())
@@ -271,3 +270,41 @@ def test_an_identity_that_is_none_is_refused(copy):
     path.unlink()
     path.symlink_to("/dev/zero")
     check_refused("a device", sweep, path.parents[1], small_lab(), GRID)
+
+
+# --- sweeps among obstacles ---------------------------------------------------------------------------------------------
+
+def among(*obstacles, radius=2.0, **options) -> Experiment:
+    surroundings = Surroundings(obstacles, radius) if obstacles else Surroundings()
+    return Experiment(small_lab(), GRID, SweepOptions(surroundings=surroundings, **options))
+
+
+def test_the_identity_of_a_sweep_depends_on_its_obstacles():
+    table, low = Plane((0, 0, -900), (0, 0, 1)), Plane((0, 0, -901), (0, 0, 1))
+    found = [identity_of(one) for one in (among(), among(table), among(low), among(table, low), among(table, radius=1.5))]
+    assert len(set(found)) == 5 and identity_of(among(Plane((0, 0, -900), (0, 0, 1)))) == found[1]
+
+
+def test_obstacles_of_all_kinds_are_read_back_from_the_folder_of_a_run(tmp_path):
+    values = np.full((4, 4, 4), 9.0)
+    values[1:3, 1:3, 1:3] = -1.0
+    around = [Plane((0, 0, -900), (0, 0, 1), 0.3), Sphere((0, 0, -900), 5), Ring((0, 900, 0), (0, 0, 1), 9, 1),
+              DistanceGrid(values, 5.0, (0, 0, -900))]
+    one = among(*around)
+    claim(tmp_path / "run", identity_of(one), one)
+    again, identity = read_plan(tmp_path / "run")
+    assert identity == identity_of(one) and again.options.as_dict()["obstacles"] == one.options.as_dict()["obstacles"]
+    assert list(map(type, again.options.surroundings.obstacles)) == list(map(type, around))
+    for damage in ("obstacles.npz", "cells/plan.json"):
+        path = tmp_path / "run" / damage
+        path.write_bytes(path.read_bytes().replace(b"plane", b"space") if damage.endswith("json") else b"PK")
+        check_refused(": ", read_plan, tmp_path / "run")
+
+
+def test_rods_inside_obstacles_and_what_a_sweep_cannot_use_are_refused():
+    far = Plane((0, 0, -900), (0, 0, 1))
+    check_refused(r"obstacles: the clamp of rod \d is .* mm inside a Plane", among, Plane((0, 0, 900), (0, 0, 1)))
+    middle = small_lab().vertices[:, 16]
+    check_refused(r"obstacles: the centreline of rod . is [\d.]+ mm inside a Sphere", among, Sphere(middle[0], 3.0))
+    check_refused("solver: Descent", among, far, solver=Descent())
+    check_refused("obstacles: .* for each rod", among, far, radius=np.linspace(1.0, 2.0, 6))

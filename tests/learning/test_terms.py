@@ -57,8 +57,7 @@ def test_files_are_read_and_written(tmp_path):
     ("from,to,weight\n0,1,-1\n", "weight: -1 of pair 0"), ("from,to,weight\n0,1,nan\n", "weight: 'nan' in line 2"),
     ("from,to,weight\n0,1,0\n", "weight: all are zero"), ("from,to,rotation_deg\n0,1,inf\n", "rotation_deg: 'inf' in line 2"),
     ("from,to,rotation_deg\n0,1,1e6\n", "more than 100 turns"), ("from\n0\n", "to: the column is missing"),
-    ("from,to,colour\n0,1,2\n", "colour: unknown column"),
-])
+    ("from,to,colour\n0,1,2\n", "colour: unknown column")])
 def test_wrong_files(tmp_path, text, words):
     path = tmp_path / "pairs.csv"
     path.write_text(text)

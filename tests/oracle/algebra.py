@@ -38,8 +38,7 @@ class HyperDual:
             self.value * o.value,
             self.value * o.first + self.first * o.value,
             self.value * o.second + self.second * o.value,
-            self.value * o.mixed + self.first * o.second + self.second * o.first + self.mixed * o.value,
-        )
+            self.value * o.mixed + self.first * o.second + self.second * o.first + self.mixed * o.value)
 
     def reciprocal(self):
         inverse = 1.0 / self.value

@@ -7,8 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from doo_ti import Clamp, Clamps, Configuration
 from tests.oracle.algebra import body_rotated, directors, transport
-from tests.oracle.chain_form import Rod, closure_gradient
-from tests.oracle.pair import pair_parts
+from tests.oracle.chain_form import Rod, chain_energy, closure_gradient
 
 
 @dataclass(frozen=True)
@@ -85,10 +84,6 @@ def closed(rod: Rod, ends: Ends, state: State, free: np.ndarray) -> State:
 
 
 def energy_of(rod: Rod, state: State) -> tuple[float, float]:
-    """E(Γ), all pairs at once, and the sum of its terms' sizes, the scale of its rounding."""
-    q, lengths = state.quaternions, rod.rest_length
-    terms = pair_parts(list(q[:-1].T), list(q[1:].T), lengths[:-1], lengths[1:], rod.bend[:-1], rod.bend[1:], rod.twist,
-                       rod.rest_curvature)
-    gravity = rod.weight * rod.vertex_length * (vertices_of(rod, state) @ rod.up)
-    parts = [float(np.sum(part)) for part in (*terms, gravity)]
+    """E(Γ), and the sum of its terms' sizes, the scale of its rounding."""
+    parts = chain_energy(rod, state.start, state.quaternions)
     return sum(parts), sum(abs(part) for part in parts)

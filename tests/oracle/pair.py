@@ -55,8 +55,7 @@ def pair_gradient_hessian(q0, q1, l0, l1, bend0, bend1, twist, rest=None, turned
     values = [np.asarray(a, dtype=np.float64) for a in (l0, l1, twist)]
     shape = np.broadcast_shapes(
         np.shape(q0)[:-1], np.shape(q1)[:-1], np.shape(bend0)[:-2], np.shape(bend1)[:-2], rest.shape[:-1],
-        *(a.shape for a in values),
-    )
+        *(a.shape for a in values))
     widen = [np.broadcast_to(a, shape)[..., None, None] for a in values]
     matrices = [np.broadcast_to(b, (*shape, 2, 2))[..., None, None, :, :] for b in (bend0, bend1)]
     rests = np.broadcast_to(rest, (*shape, 2))[..., None, None, :]

@@ -20,8 +20,7 @@ def random_rod(rng, edges: int) -> Rod:
     return Rod(
         rest_length=rng.uniform(2, 4, edges), bend=root @ np.swapaxes(root, 1, 2) + 2e4 * np.eye(2),
         twist=rng.uniform(1e4, 9e4, edges - 1), weight=1.3, rest_curvature=rng.normal(size=(edges - 1, 2)) * 0.02,
-        up=up / np.linalg.norm(up),
-    )
+        up=up / np.linalg.norm(up))
 
 
 def random_state(rng, edges: int, bending=0.5) -> State:
@@ -76,7 +75,6 @@ def test_minimum_against_a_general_optimiser(rng, edges, start, end):
     miss = {"type": "eq", "fun": lambda w: vertices_of(rod, moved(near, free, w))[-1] - ends.end_position}
     answer = minimize(
         lambda w: total_energy(rod, springs, moved(near, free, w)) / 1e4, np.zeros(len(free)), method="SLSQP",
-        constraints=[] if end == Clamp.FREE else miss, options={"maxiter": 500, "ftol": 1e-14},
-    )
+        constraints=[] if end == Clamp.FREE else miss, options={"maxiter": 500, "ftol": 1e-14})
     assert answer.success and 1e4 * answer.fun == pytest.approx(found.energy, rel=1e-8)
     np.testing.assert_allclose(vertices_of(rod, moved(near, free, answer.x)), found.vertices, atol=1e-2)

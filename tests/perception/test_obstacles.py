@@ -1,12 +1,19 @@
-"""A limp rod that hangs onto a table, in images: perceived with the table it does not sink into it."""
+"""A limp rod that hangs onto a table, in images: perceived with the table it does not sink into it; and Eq. 4 for a rope on a
+table."""
 
 import numpy as np
 import pytest
 
-from doo_ti import InputError, PerceptionOptions, Plane, Surroundings, perceive, relax
+from doo_ti import InputError, PerceptionOptions, Plane, Surroundings, TwistOptions, TwistVerdict, perceive, relax
+from doo_ti.commands.cli import main
+from doo_ti.io.observation_files import save_observations
+from doo_ti.perception.twist import estimate_twist
+from doo_ti.perception.twist_curves import end_offsets
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
 from doo_ti.vision.tubes import smooth_curve
+from tests.commands.calls import refused, written
 from tests.vision.scenes import drawn_maps, three_cameras
+from tools.studies import table_study
 
 EDGES, LENGTH, RADIUS = 20, 3.0, 0.5
 MATERIAL, REST_LENGTH = Material(2e3, 2e3), np.full(EDGES, LENGTH)
@@ -45,3 +52,32 @@ def test_seeds_inside_obstacles_are_refused():
                                 (0.0, each, "obstacles: other ones, or another radius, for each rod")):
         with pytest.raises(InputError, match=words):
             perceive(maps, three_cameras(), rod[:, 0] - [0, 0, lower], way, REST_LENGTH, MATERIAL, surroundings=table)
+
+
+@pytest.fixture(scope="module")
+def rope():
+    """Observations, their material, one group, and τ from the known end frames: then φ is zero."""
+    observations, truth = table_study.specimen(2014)
+    group = np.zeros(observations.count, dtype=int)
+    return observations, Material(truth["bend"], truth["twist"]), group, end_offsets(observations, group)
+
+
+@pytest.mark.thorough
+def test_with_the_table_the_twist_is_found_and_without_it_not(rope):
+    found = estimate_twist(*rope, TwistOptions(surroundings=table_study.TABLE))
+    without = estimate_twist(*rope)
+    assert abs(found.phi[0]) < np.radians(10.0) and found.unsound.sum() == 0
+    assert without.verdict == [TwistVerdict.AT_BORDER] and without.least[0] > 10 * found.least[0]
+
+
+@pytest.mark.thorough
+def test_the_command_takes_the_table(rope, tmp_path, capsys):
+    observations, material, _, _ = rope
+    save_observations(tmp_path / "rope.npz", observations)
+    (tmp_path / "table.toml").write_text('[[obstacles]]\nkind = "plane"\npoint = [0, 0, 0]\nnormal = [0, 0, 1]\n')
+    words = ["twist", str(tmp_path / "rope.npz"), "--observations", "8", "--bend", f"{material.bend.flat[0]}", "--twist",
+             f"{material.twist.flat[0]}", "--obstacles", str(tmp_path / "table.toml"), "--out", str(tmp_path / "twist.npz")]
+    assert main([*words, "--radius", "2"]) == 0
+    assert abs(written(tmp_path / "twist.npz")["phi_deg"][0]) < 10.0
+    capsys.readouterr()
+    refused(capsys, tmp_path, words, "--radius: missing beside --obstacles")

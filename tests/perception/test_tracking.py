@@ -6,21 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from doo_ti import (
-    Clamp,
-    Clamps,
-    Configuration,
-    Detection,
-    Material,
-    Motion,
-    Newton,
-    Status,
-    detect,
-    distance_maps,
-    perceive,
-    relax,
-)
-from doo_ti.motion.path import motion_between
+from doo_ti import Clamp, Clamps, Configuration, Detection, Material, Newton, Status, detect, distance_maps, perceive, relax
+from doo_ti.motion.path import Motion, motion_between
 from doo_ti.perception.search import PerceptionOptions, Search
 from doo_ti.perception.tracking import How, TrackedFrame, Tracker, TrackingOptions, seen_vertices
 from doo_ti.rod.frames import across, bishop_frames, matrix_from_quaternion, quaternion_about, quaternion_from_matrix

@@ -13,32 +13,16 @@ from doo_ti.perception.twist import TwistOptions, TwistVerdict, estimate_twist
 from doo_ti.rod.frames import angle_about, total_twist
 from doo_ti.rod.start import held_spins, observation_clamps, start_configuration
 from tests.conftest import check_refused
-from tests.references.rods import chain, clamps_at, stacked
+from tests.references.rods import at_rest, bows, chain, observed
 
 MATERIAL = Material(6e5, 4e5)
 EDGES = 33
 TWIST = np.radians([-250.0, -100.0, 30.0, 140.0, 305.0])
 
 
-def twisted_rods() -> Observations:
-    """In shapes that differ, observed without noise."""
-    rods = []
-    for twist, size in zip(TWIST, (0.5, 0.7, 0.9, 0.6, 0.8), strict=True):
-        angle = np.linspace(-size, size, EDGES)
-        tangents = np.stack([np.cos(angle), 0.4 * np.sin(2 * angle), np.sin(angle)], axis=1)
-        rods.append(chain(tangents, [0, 1, 0], 3.0, spin=twist * np.arange(EDGES) / (EDGES - 1)))
-    rods = stacked(rods)
-    rods = replace(rods, rest_length=rods.rest_length[0])
-    solution = relax(rods, MATERIAL, clamps_at(rods))
-    assert (solution.converged & solution.stable).all()
-    shape = solution.configuration
-    return Observations(shape.vertices, rest_length=np.full(EDGES, 3.0), start_frame=shape.frames[:, 0],
-                        end_frame=shape.frames[:, -1], total_twist=total_twist(shape.quaternions))
-
-
 @pytest.fixture(scope="module")
 def made():
-    return twisted_rods()
+    return observed(at_rest(bows(0.5, 0.7, 0.9, 0.6, 0.8, edges=EDGES, twist=TWIST), MATERIAL))
 
 
 def about_tangent(angle) -> np.ndarray:

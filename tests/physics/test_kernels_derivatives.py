@@ -10,20 +10,16 @@ import pytest
 import taichi as ti
 from scipy.spatial.transform import Rotation
 
-from doo_ti.physics import pair, quaternion
+from doo_ti.physics import pair
 from doo_ti.physics.number import Number
 from doo_ti.physics.quaternion import twist_angle_function
-from doo_ti.relaxation.vertex_chain import edge_force
 from doo_ti.system import runtime
-from tests.oracle import algebra as oracle
 from tests.oracle.algebra import spun_and_tilted
 from tests.oracle.pair import pair_energy, pair_gradient_hessian
-from tests.oracle.vertex_form import curvature_binormal, material_curvature
 from tests.physics.columns import ROWS, columns_kernel, every_number
 from tests.relaxation.rods import definite
 
 SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
-STEP = 1e-100  # of the complex step
 
 
 @cache
@@ -112,99 +108,3 @@ def test_pair_on_packs_is_the_oracles(rng, kind, number):
         errors = [np.abs(energy / pair_energy(*arguments) - 1).max(),
                   relative_error(gradient, expected[0]), relative_error(hessian, expected[1])]
         assert max(errors) < (1e-13 if number.bits == 64 else 1e-5)
-
-
-# --- the paper's vertex form ------------------------------------------------------------------------------------------
-
-
-def vertices(rng) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(ROWS, 2, 3) edges of joints of up to 2 rad, (ROWS, 2, 3, 3) frames along them, and (ROWS, 2) lengths."""
-    first = Rotation.random(ROWS, random_state=rng)
-    axis = Rotation.random(ROWS, random_state=rng).as_matrix()[:, 0]
-    turn = Rotation.from_rotvec(rng.uniform(-2, 2, (ROWS, 1)) * axis)
-    frames = np.stack([first.as_matrix(), (first * turn).as_matrix()], axis=1)
-    lengths = rng.uniform(2, 4, (ROWS, 2))
-    return lengths[..., None] * frames[..., 0], frames, lengths
-
-
-def quaternions(frames: np.ndarray) -> np.ndarray:
-    """(ROWS, 8) of the two frames (ROWS, 2, 3, 3) of joints."""
-    return Rotation.from_matrix(frames.reshape(-1, 3, 3)).as_quat(scalar_first=True).reshape(-1, 8)
-
-
-@every_number
-def test_curvature_binormal_and_transport_are_the_oracles(rng, number):
-    """−2iX and −2iY are κb·m2 − i κb·m1 of either frame; a frame that is transported takes its m1 along."""
-    runtime.start()
-
-    @ti.func
-    def function(v: ti.template()):
-        q = (v[0], v[1], v[2], v[3])
-        x, y, inverse, turn, relative = pair.curvature(q, (v[4], v[5], v[6], v[7]))
-        moved = quaternion.transported(q, (v[8], v[9], v[10]), (v[11], v[12], v[13]))
-        none = (0.0 * v[0], 0.0 * v[0])
-        return pair.strain(x, none) + pair.strain(y, none) + quaternion.first_director(moved)
-
-    edges, frames, lengths = vertices(rng)
-    t, m1 = frames[..., 0], frames[:, 0, :, 1]
-    out = columns_kernel(number, 14, 7, function)(np.column_stack([quaternions(frames), t.reshape(ROWS, 6)]))
-    kb = curvature_binormal(list(edges[:, 0].T), list(edges[:, 1].T))
-    omega = [material_curvature(kb, list(frames[:, side, :, 1].T), list(frames[:, side, :, 2].T)) for side in (0, 1)]
-    moved = np.array(oracle.transport(list(t[:, 0].T), list(t[:, 1].T), list(m1.T))).T
-    errors = relative_error(out[:, :4], np.concatenate(omega).T), relative_error(out[:, 4:], moved)
-    assert max(errors) < (1e-13 if number.bits == 64 else 2e-5)
-
-
-@ti.func
-def bend_and_force(v: ti.template()):
-    """(energy, its slopes in the edge before and after) of a vertex."""
-    left = (v[0], v[1], v[2], v[3])
-    right = (v[4], v[5], v[6], v[7])
-    x, y, inverse, turn, relative = pair.curvature(left, right)
-    none = 0.0 * v[0]
-    s = ((v[8], v[9], v[10]), (v[11], v[12], v[13]), v[16], none, (v[14], v[15]))
-    of_left, of_right = pair.general_gradient(x, y, inverse, turn, none, s)
-    return (pair.general_energy(x, y, none, s),) + edge_force(of_left, left, v[17]) + edge_force(of_right, right, v[18])
-
-
-def followed(edges: np.ndarray, frames: np.ndarray) -> tuple[list, list, list]:
-    """Edges, m1 and m2 as lists of numbers (each an array over rows), the frames carried along with their edges."""
-    moved = [list(edges[:, side].T) for side in (0, 1)]
-    tangents = [oracle.normalise(edge) for edge in moved]
-    old = [[list(frames[:, side, :, k].T) for k in (0, 1)] for side in (0, 1)]
-    m1 = [oracle.transport(before, after, m) for (before, m), after in zip(old, tangents, strict=True)]
-    return moved, m1, [oracle.cross(t, m) for t, m in zip(tangents, m1, strict=True)]
-
-
-def defined_energy(edges, frames, bend, rest, total):
-    """Bend energy of §III-C of a vertex whose frames follow their edges."""
-    moved, m1, m2 = followed(edges, frames)
-    binormal, energy = curvature_binormal(*moved), 0.0
-    for side in (0, 1):
-        strain = [w - r for w, r in zip(material_curvature(binormal, m1[side], m2[side]), rest.T, strict=True)]
-        form = sum(bend[side][:, a, b] * strain[a] * strain[b] for a in range(2) for b in range(2))
-        energy = energy + form / (2 * total)
-    return energy
-
-
-@every_number
-def test_bend_force_is_the_slope_of_the_energy(rng, number):
-    """Across an edge, where its frame follows it; along it the lengths are held."""
-    runtime.start()
-    edges, frames, lengths = vertices(rng)
-    bend, rest, total = definite(rng, 2, ROWS), 0.1 * rng.normal(size=(ROWS, 2)), lengths.sum(axis=1)
-    entries = [bend[side][:, a, b] for side in (0, 1) for a, b in ((0, 0), (1, 1), (0, 1))]
-    rows = np.column_stack([quaternions(frames), *entries, rest, 1 / total, lengths])
-    out = columns_kernel(number, 19, 7, bend_and_force)(rows)
-    error = np.abs(out[:, 0] / defined_energy(edges, frames, bend, rest, total) - 1).max()
-    slope_error = 0.0
-    for side in (0, 1):
-        slope = out[:, 1 + 3 * side : 4 + 3 * side]
-        for k in (1, 2):
-            across = frames[:, side, :, k]
-            step = np.zeros(edges.shape, dtype=complex)
-            step[:, side] = 1j * STEP * across
-            expected = defined_energy(edges + step, frames, bend, rest, total).imag / STEP
-            found = np.sum(slope * across, axis=1)
-            slope_error = max(slope_error, (np.abs(found - expected) / np.abs(slope).max(axis=1)).max())
-    assert max(error, slope_error) < (1e-12 if number.bits == 64 else 1e-4)

@@ -50,8 +50,7 @@ def relaxation(rng: np.random.Generator) -> dict:
                             np.linspace(0.4, 0.9, OBSERVATIONS))
     return {
         "run_id": "run-1", "name": "made up", "observed": Observed(vertices, labels), "trajectory": trajectory,
-        "properties": {"seed": 7, "command": "doo-ti sweep a|b", "shape": (5, 4)},
-    }
+        "properties": {"seed": 7, "command": "doo-ti sweep a|b", "shape": (5, 4)}}
 
 
 def sweep(rng: np.random.Generator) -> dict:

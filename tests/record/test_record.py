@@ -12,9 +12,9 @@ import rerun
 import rerun.blueprint as blueprint
 from rerun.chunk import RrdReader
 
-from doo_ti import InputError, InterruptedRunError, LandscapePlane, Observed, Status
+from doo_ti import InterruptedRunError, LandscapePlane, Observed, Status
 from doo_ti.record.viewer import DESCRIPTORS, recording
-from tests.conftest import SEED
+from tests.conftest import SEED, check_refused
 from tests.record import runs
 from tests.record.runs import read
 
@@ -120,8 +120,7 @@ def test_curves_are_statistics_over_the_rods(tmp_path, rng):
     expected = {
         "energy/mean": held[1:].mean(axis=1), "energy/median": np.median(held[1:], axis=1),
         "residual/median": np.log10(np.median(rods.residual[1:], axis=1)),
-        "residual/largest": np.log10(rods.residual[1:, 2]),
-    }
+        "residual/largest": np.log10(rods.residual[1:, 2])}
     for entity, values in expected.items():
         curve = moving[f"/curves/{entity}"]["iteration"]
         assert curve["iteration"] == list(range(1, runs.ITERATIONS))
@@ -183,8 +182,7 @@ def test_same_run_same_recording(tmp_path, swept):
 def test_viewing_a_folder_without_recording_is_an_input_error(tmp_path, path):
     from doo_ti.record.viewer import open_viewer
 
-    with pytest.raises(InputError, match="run.rrd: there is no recording"):
-        open_viewer(tmp_path / path)
+    check_refused("run.rrd: there is no recording", open_viewer, tmp_path / path)
 
 
 def test_viewer_listens_on_this_machine_only_and_reports_nothing(tmp_path, monkeypatch):

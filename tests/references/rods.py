@@ -1,10 +1,14 @@
 """Rods to start from, the clamps that hold them, and orders of convergence."""
 
+
+from dataclasses import replace
+
 import numpy as np
+from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from doo_ti import Clamp, Clamps, Configuration
-from doo_ti.rod.frames import bishop_frames, quaternion_from_matrix
+from doo_ti import Clamp, Clamps, Configuration, Material, Observations, relax
+from doo_ti.rod.frames import bishop_frames, quaternion_from_matrix, total_twist
 
 
 def chain(tangents, m1, rest_length, start=(0.0, 0.0, 0.0), spin=None) -> Configuration:
@@ -22,15 +26,35 @@ def stacked(rods: list[Configuration]) -> Configuration:
     """Single rods of equal edge count as one table."""
     return Configuration(
         np.concatenate([rod.start for rod in rods]), np.concatenate([rod.quaternions for rod in rods]),
-        np.stack([np.broadcast_to(rod.rest_length, (rod.edges,)) for rod in rods]),
-    )
+        np.stack([np.broadcast_to(rod.rest_length, (rod.edges,)) for rod in rods]))
 
 
-def bows(*sizes: float, edges: int = 33) -> Configuration:
-    """Bows between clamps that are not on one line."""
+def planar(slope, length, span: float) -> Configuration:
+    """A rod in the vertical plane whose tangents dip by a·slope (E,), a such that it spans ``span``."""
+    size = brentq(lambda a: np.sum(length * np.cos(a * slope)) - span, 1e-6, 2.0)
+    return chain(np.stack([np.cos(size * slope), 0 * slope, -np.sin(size * slope)], axis=1), [0, 1, 0], length)
+
+
+def bows(*sizes: float, edges: int = 33, rest_length: float = 3.0, twist=0.0) -> Configuration:
+    """Bows between clamps that are not on one line, each twisted by so much."""
     angles = [np.linspace(-size, size, edges) for size in sizes]
-    return stacked([chain(np.stack([np.cos(angle), 0.5 * np.sin(2 * angle), np.sin(angle)], axis=1), [0, 1, 0], 3.0)
-                    for angle in angles])
+    spins = np.outer(np.broadcast_to(twist, len(sizes)), np.linspace(0.0, 1.0, edges))
+    rods = stacked([chain(np.stack([np.cos(angle), 0.5 * np.sin(2 * angle), np.sin(angle)], axis=1), [0, 1, 0], rest_length,
+                          spin=spin) for angle, spin in zip(angles, spins, strict=True)])
+    return replace(rods, rest_length=rods.rest_length[0])
+
+
+def at_rest(rods: Configuration, material: Material) -> Configuration:
+    """Relaxed between their own clamps."""
+    solution = relax(rods, material, clamps_at(rods))
+    assert (solution.converged & solution.stable).all()
+    return solution.configuration
+
+
+def observed(rods: Configuration) -> Observations:
+    """Of them all, without noise; they have the same rest lengths."""
+    return Observations(rods.vertices, rest_length=np.atleast_2d(rods.rest_length)[0], start_frame=rods.frames[:, 0],
+                        end_frame=rods.frames[:, -1], total_twist=total_twist(rods.quaternions))
 
 
 def clamps_at(configuration: Configuration, start=Clamp.FRAME, end=Clamp.FRAME) -> Clamps:

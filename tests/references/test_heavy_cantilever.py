@@ -30,8 +30,7 @@ def drooping(ratio: float):
         answer = solve_bvp(
             lambda s, y, load=load: np.array([y[1], load * (1 - s) * np.cos(y[0]), np.cos(y[0]), np.sin(y[0])]),
             lambda left, right: np.array([left[0], right[1], left[2], left[3]]),
-            s, state, tol=1e-9, max_nodes=20_000,
-        )
+            s, state, tol=1e-9, max_nodes=20_000)
         assert answer.success
         state = answer.sol(s)
     return answer.sol

@@ -22,8 +22,7 @@ def problem(request, rng):
     root = rng.normal(size=(1, EDGES, 2, 2)) * 200
     material = Material(
         root @ np.swapaxes(root, -1, -2) + 1e5 * np.eye(2), rng.uniform(5e4, 2e5, (1, EDGES - 1)), 1.0,
-        0.01 * rng.normal(size=(1, EDGES - 1, 2)),
-    )
+        0.01 * rng.normal(size=(1, EDGES - 1, 2)))
     return jiggled(rod, rng, 0.05), material, clamps_at(rod, *request.param), np.array([0.0, 0.0, 1.0])
 
 
@@ -46,8 +45,7 @@ def test_rigid_motion(problem, vector):
     turned_up = turn @ up
     moved = (
         Configuration(start.start @ turn.T + shift, quaternion_from_matrix(turn @ start.frames), start.rest_length),
-        material, moved_clamps(clamps, lambda x: x @ turn.T + shift, lambda f: turn @ f), turned_up,
-    )
+        material, moved_clamps(clamps, lambda x: x @ turn.T + shift, lambda f: turn @ f), turned_up)
     before, after = relaxed(problem), relaxed(moved)
     np.testing.assert_allclose(after.configuration.vertices, before.configuration.vertices @ turn.T + shift, atol=1e-7)
     np.testing.assert_allclose(after.configuration.frames, turn @ before.configuration.frames, atol=1e-8)
@@ -66,8 +64,7 @@ def test_reversal(problem):
         Material(flip @ material.bend[:, ::-1] @ flip, material.twist[:, ::-1], material.weight,
                  material.rest_curvature[:, ::-1] @ flip),
         Clamps(clamps.end, clamps.start, clamps.end_position, clamps.start_position,
-               clamps.end_frame @ mirror, clamps.start_frame @ mirror), up,
-    )
+               clamps.end_frame @ mirror, clamps.start_frame @ mirror), up)
     before, after = relaxed(problem), relaxed(back)
     if clamps.start != Clamp.FREE and clamps.end != Clamp.FREE:
         assert after.energy[0] == pytest.approx(before.energy[0], rel=1e-10)

@@ -20,8 +20,7 @@ from tests.references.rods import chain, clamps_at, orders
 FREE_LENGTH = 90.0
 BEND = {
     "isotropic": (4e5 * np.eye(2), [0.0, 0.0]),
-    "general B, curved at rest": (np.array([[6e5, 1e5], [1e5, 2e5]]), [0.006, -0.004]),
-}
+    "general B, curved at rest": (np.array([[6e5, 1e5], [1e5, 2e5]]), [0.006, -0.004])}
 
 
 @dataclass(frozen=True)
@@ -86,8 +85,7 @@ def clamped_like(fine, edges: int, graded: bool):
     clamps = clamps_at(rod)
     for position, frame, sign, length in (
         (clamps.start_position, clamps.start_frame, -1, rod.rest_length[0]),
-        (clamps.end_position, clamps.end_frame, 1, rod.rest_length[-1]),
-    ):
+        (clamps.end_position, clamps.end_frame, 1, rod.rest_length[-1])):
         middle, orientation = fine[sign]
         frame[0] = orientation
         position[0] = middle + sign * 0.5 * length * orientation[:, 0]

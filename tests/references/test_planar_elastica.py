@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk
 
 from doo_ti import Clamp, Clamps, Configuration, Material, Newton, relax
-from tests.references.rods import chain, clamps_at, orders, stacked
+from tests.references.rods import clamps_at, orders, planar, stacked
 
 ALPHA, BETA, LENGTH = 6e5, 4e5, 100.0
 # A trace of weight makes the buckled rod hang: between clamps on one line it could turn about that line freely.
@@ -26,21 +26,15 @@ def elastica(span_over_length: float, quarters: int) -> tuple[float, float, floa
     return root**2, quarters * np.sqrt(m) / root, 2 * root * quarters * (ellipe(m) - (1 - m) * ellipk(m))
 
 
-def planar_rod(slope, length, span: float) -> Configuration:
-    """A rod in the vertical plane whose tangents dip by a·slope (E,), a such that it spans ``span``."""
-    size = brentq(lambda a: np.sum(length * np.cos(a * slope)) - span, 1e-6, 1.5)
-    return chain(np.stack([np.cos(size * slope), 0 * slope, -np.sin(size * slope)], axis=1), [0, 1, 0], length)
-
-
 def clamped_rod(edges: int, span_over_length: float, shape) -> Configuration:
     """The slopes ``shape``(s), s from 0 to 1 between the middles of the clamped edges; the free length is LENGTH."""
     length = LENGTH / (edges - 1)
-    return planar_rod(shape(np.arange(edges) / (edges - 1)), length, span_over_length * LENGTH + length)
+    return planar(shape(np.arange(edges) / (edges - 1)), length, span_over_length * LENGTH + length)
 
 
 def hinged_rod(edges: int, span_over_length: float) -> Configuration:
     length = LENGTH / edges
-    return planar_rod(np.cos(np.pi * (np.arange(edges) + 0.5) / edges), length, span_over_length * LENGTH)
+    return planar(np.cos(np.pi * (np.arange(edges) + 0.5) / edges), length, span_over_length * LENGTH)
 
 
 def one_wave(s):

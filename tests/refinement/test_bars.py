@@ -45,7 +45,7 @@ def test_the_lab_s_sutures_are_in_their_intervals(shared_data, tmp_path, name):
     six parameters is 0.3 % outside."""
     rods = lab(shared_data, name)
     found = fitted(shared_data / f"lab_a/{name}.npz", tmp_path / "run", "--frames", "exact")
-    assert holds(found["bend"], rods.bend[0, 0]) and holds(found["twist"], rods.twist)
+    assert holds(found["bend"], rods.material.bend[0, 0, 0, 0]) and holds(found["twist"], rods.material.twist[0, 0])
 
 
 @pytest.mark.slow

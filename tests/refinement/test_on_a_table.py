@@ -10,7 +10,7 @@ from doo_ti import Axis, Clamp, Grid, InputError, Plane, RefinementOptions, Surr
 from doo_ti.commands.cli import main
 from doo_ti.refinement.plan import plan
 from doo_ti.rod.start import observation_clamps
-from tests.commands.calls import refused
+from tests.commands.calls import refused, succeeded
 from tests.refinement.rods_between_clips import TRUTH, suture
 from tools.studies.table_study import GUESS, TABLE, specimen
 
@@ -53,8 +53,7 @@ def test_commands_take_the_table_and_the_run_of_a_sweep_keeps_it(rope, tmp_path,
     of_file, of_run = ["refine", path, "--bend", "3e5", "--twist", "3e5", *model], ["refine", run, "--starts", "1", *model]
     for words in ([*of_file, *obstacles, *radius], of_run):
         capsys.readouterr()
-        assert main([*words, "--json"]) == 0
-        (found,) = json.loads(capsys.readouterr().out)
+        (found,) = json.loads(succeeded(capsys, [*words, "--json"]))
         bend = next(one for one in found["parameters"] if one["name"] == "bend")
         assert bend["low"] < truth["bend"] < bend["high"]
         assert found["obstacles"]["kinds"] == ["plane"] and found["obstacles"]["radius_mm"] == 2.0

@@ -10,7 +10,7 @@ from doo_ti.refinement.folds import folds_of, refine_held_out
 from doo_ti.refinement.search import lowest_cells, theta_of_cell
 from doo_ti.rod.frames import rotation_matrix
 from tests.conftest import check_refused
-from tests.references.rods import clamps_at
+from tests.references.rods import clamps_at, observed
 from tests.refinement.rods_between_clips import BEND, NOISE, TRUTH, TWIST, suture
 from tests.relaxation.rods import wandering
 
@@ -33,10 +33,7 @@ def own_mesh(rng, count: int = 12, edges: int = 14, bend: float = 3e4, **theta) 
     """Rods of the fit's own mesh, each clamped in the middle of its outer edges, without noise."""
     rods = wandering(rng, count, edges, wander=0.12)
     truth = Theta(bend * np.eye(2), 0.7 * bend, **theta)
-    clamps = clamps_at(rods)
-    seen = relax(rods, truth.material, clamps, up=truth.up).configuration
-    return Observations(seen.vertices, rest_length=np.full(edges, 3.0), start_frame=clamps.start_frame,
-                        end_frame=clamps.end_frame, total_twist=np.zeros(count)), truth
+    return observed(relax(rods, truth.material, clamps_at(rods), up=truth.up).configuration), truth
 
 
 def holds(parameter, truth: float) -> bool:

@@ -105,8 +105,7 @@ def moved_residuals(comparison, fit, state, step, scatter):
     (RIBBON, ("bend_1", "bend_2", "bend_12", "twist"), (None, None), {"with_frames": True}),
     (TRUTH, ("bend", "twist"), (None, None), {"bare": ("start_frame", "end_frame")}),
     (TRUTH, ("bend", "twist"), (None, None), {"bare": ("start_frame",)}),
-    (TRUTH, ("bend",), (Clamp.POSITION, None), {"bare": ("start_frame", "end_frame")}),
-])
+    (TRUTH, ("bend",), (Clamp.POSITION, None), {"bare": ("start_frame", "end_frame")})])
 def test_residuals_follow_the_unknowns(rng, theta, parameters, kinds, fields):
     """J and Z of :class:`doo_ti.refinement.residuals.Comparison` by central differences, with clips of unequal lengths, a
     curvature, spacings that are off, and clamps that are already off, with and without reported frames."""

@@ -68,15 +68,10 @@ class Lab:
     observations: Observations
     clamps: Clamps
     start: Configuration
-    bend: np.ndarray
-    twist: float
-
-    def material(self, bend: float = 1.0, twist: float = 1.0) -> Material:
-        """The rod's own Θ, its B and β times the given factors."""
-        return Material(self.bend * bend, self.twist * twist, 1.0)
+    material: Material
 
     def take(self, rows) -> "Lab":
-        return Lab(self.observations.take(rows), self.clamps.take(rows), self.start.take(rows), self.bend, self.twist)
+        return Lab(self.observations.take(rows), self.clamps.take(rows), self.start.take(rows), self.material)
 
 
 def lab(folder: Path, name: str) -> Lab:
@@ -84,8 +79,8 @@ def lab(folder: Path, name: str) -> Lab:
     observations = load_observations(folder / "lab_a" / f"{name}.npz")
     truth = json.loads((folder / "lab_a" / "truth.json").read_text())[name]
     clamps = observation_clamps(observations)
-    start = start_configuration(observations, clamps)
-    return Lab(observations, clamps, start, np.array(truth["bend"]), truth["twist"])
+    material = Material(np.array(truth["bend"]), truth["twist"], truth["weight"])
+    return Lab(observations, clamps, start_configuration(observations, clamps), material)
 
 
 def vertex_distance(first: Configuration, second: Configuration) -> np.ndarray:

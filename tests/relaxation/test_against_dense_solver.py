@@ -8,13 +8,12 @@ The certificate: it detects saddles, agrees with the dense Hessian's eigenvalues
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq
 
 from doo_ti import Clamp, Clamps, Configuration, Material, Newton, Springs, relax
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import State, clamped_start
 from tests.oracle.external import minimum, relaxed
-from tests.references.rods import chain, clamps_at, jiggled, stacked
+from tests.references.rods import chain, clamps_at, jiggled, planar, stacked
 from tests.relaxation.rods import PAIRS, definite, wandering, with_kinds
 
 EDGES = 6
@@ -73,13 +72,6 @@ def test_isotropic_rods_that_may_spin(rng):
     assert max(errors) < 1e-9
 
 
-def planar_bow(distance: float, side: float) -> Configuration:
-    """99 mm of rod between clamps on one line, both tangents along it, bowed in the vertical plane, down or up."""
-    along = np.sin(2 * np.pi * np.arange(33) / 32)
-    size = brentq(lambda a: 3.0 * np.cos(a * along).sum() - distance, 0, 2)
-    return chain(np.stack([np.cos(size * along), 0 * along, side * np.sin(size * along)], axis=1), [0, 1, 0], 3.0)
-
-
 def dense(start: Configuration, material: Material, clamps: Clamps, solution, row: int):
     """The oracle at what F returned for that rod, without moving it."""
     rod = rod_of(start, material, row)
@@ -106,7 +98,8 @@ def test_certificate_is_the_sign_of_the_smallest_eigenvalue(rng):
 @pytest.mark.parametrize("precision", ["f64", "f32", "mixed"])
 def test_ribbons_bent_exactly_about_their_stiff_axis_turn_over(precision):
     """Planar at 0° with the stiff direction in the plane: every rod is at a saddle, and every rod leaves it."""
-    rods = stacked([planar_bow(distance, side) for distance in (42.0, 48.0, 54.0, 60.0, 66.0) for side in (-1.0, 1.0)])
+    along = np.sin(2 * np.pi * np.arange(33) / 32)
+    rods = stacked([planar(side * along, 3.0, distance) for distance in (42.0, 48.0, 54.0, 60.0, 66.0) for side in (-1.0, 1.0)])
     bend, ratio = (axis.ravel() for axis in np.meshgrid([5e4, 1.4e5, 4.2e5], [0.03, 0.1, 0.3]))
     material = Material.diagonal(bend, 3 * bend, bend * ratio)
     rows = {"configuration_index": np.arange(10).repeat(9), "material_index": np.tile(np.arange(9), 10)}

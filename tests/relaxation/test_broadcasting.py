@@ -39,8 +39,7 @@ SAME = {
         Material(B, 1e5, 1.0, [0.01, -0.02]), Material(B, 1e5, 1.0, repeated([0.01, -0.02], COUNT, EDGES - 1))),
     "diagonal": (Material(np.diag([2e5, 1e5]), 1e5, 1.0), Material.diagonal(2e5, 1e5, 1e5)),
     "diagonal for each rod": (
-        Material(np.diag([2e5, 1e5]), 1e5, 1.0), Material.diagonal(repeated(2e5, COUNT), 1e5, repeated(1e5, COUNT))),
-}
+        Material(np.diag([2e5, 1e5]), 1e5, 1.0), Material.diagonal(repeated(2e5, COUNT), 1e5, repeated(1e5, COUNT)))}
 
 
 @pytest.mark.parametrize("way", SAME)

@@ -19,8 +19,8 @@ def test_lab_at_the_truth(laboratory, name, tolerance):
     """Twelve observations; differences are listed. The scaled residual divides by the stiffest bend: a ribbon that is
     fifty times limper the other way is as far from rest as a suture only at a smaller one."""
     rod = lab(laboratory, name).take(np.arange(0, 60, 5))
-    newton = relax(rod.start, rod.material(), rod.clamps, Newton.careful())
-    descent = relax(rod.start, rod.material(), rod.clamps, Descent(tolerance))
+    newton = relax(rod.start, rod.material, rod.clamps, Newton.careful())
+    descent = relax(rod.start, rod.material, rod.clamps, Descent(tolerance))
     apart = vertex_distance(newton.configuration, descent.configuration)
     assert newton.converged.all() and newton.stable.all()
     assert descent.converged.mean() >= 0.9

@@ -153,8 +153,7 @@ ROWS = {
     "soft, bend 1e3": partial(of_bend, bend=1e3),
     "stiff, bend 1e9": partial(of_bend, bend=1e9),
     "free end": partial(held, end=Clamp.FREE),
-    "positions only": partial(held, start=Clamp.POSITION, end=Clamp.POSITION),
-}
+    "positions only": partial(held, start=Clamp.POSITION, end=Clamp.POSITION)}
 
 
 def rods_of(row: str, count: int) -> Rods:

@@ -27,8 +27,7 @@ OPTIONS = {
     "indefinite B": lambda: Material([[1e5, 2e5], [2e5, 1e5]], 1e5), "B not a number": lambda: Material(np.nan, 1e5),
     "asymmetric B": lambda: Material([[1e5, 2e4], [0.0, 1e5]], 1e5), "3 × 3": lambda: Material(np.ones((3, 3)), 1e5),
     "negative β": lambda: Material(1e5, -1.0), "negative μ": lambda: Material(1e5, 1e5, -1.0),
-    "lengths differ": lambda: Material([1e5, 2e5], [1e5, 2e5, 3e5]), "one curvature": lambda: Material(1e5, 1e5, 1.0, 0.1),
-}
+    "lengths differ": lambda: Material([1e5, 2e5], [1e5, 2e5, 3e5]), "one curvature": lambda: Material(1e5, 1e5, 1.0, 0.1)}
 CALLS = {
     "rods of text": lambda s, c: relax(replace(s, quaternions=np.full(s.quaternions.shape, "a")), MATERIAL, c),
     "imaginary": lambda s, c: relax(replace(s, start=s.start + 0j), MATERIAL, c),
@@ -57,8 +56,7 @@ CALLS = {
     "count of kinds": lambda s, c: relax(s, MATERIAL, replace(c, start=np.array([1, 2]))),
     "no such clamp": lambda s, c: relax(s, MATERIAL, replace(c, start=7)),
     "frames of one axis": lambda s, c: relax(s, MATERIAL, replace(c, end_frame=c.end_frame[:, 0])),
-    "positions in a plane": lambda s, c: relax(s, MATERIAL, replace(c, end_position=c.end_position[:, :2])),
-}
+    "positions in a plane": lambda s, c: relax(s, MATERIAL, replace(c, end_position=c.end_position[:, :2]))}
 
 
 @pytest.mark.parametrize("case", [*OPTIONS, *CALLS])

@@ -117,17 +117,6 @@ def test_one_thread_and_all_threads():
 THREADS, STRIDE = 7, 9
 
 
-def bows(rng, count: int = 20, edges: int = 12):
-    """Clamped rods between points a little closer than they are long."""
-    bend = np.cumsum(rng.normal(0.0, 0.15, (count, edges)), axis=1)
-    quaternions = np.stack([np.cos(bend / 2), 0 * bend, 0 * bend, np.sin(bend / 2)], axis=-1)
-    start = Configuration(np.zeros((count, 3)), quaternions, np.full(edges, 3.0))
-    frames = start.frames
-    end = 0.9 * start.vertices[:, -1] + rng.normal(0.0, 0.3, (count, 3))
-    clamps = Clamps(Clamp.FRAME, Clamp.TANGENT, start.start, end, frames[:, 0], frames[:, -1])
-    return start, clamps
-
-
 def test_other_numbers_of_rods_need_no_other_kernels_on_a_gpu():
     layouts = [batch.layout_of_gpu(count, 64) for count in range(1, 100_000, 17)]
     assert len({stride for _, _, stride, _ in layouts}) <= 6
@@ -154,7 +143,8 @@ CASES = {"newton f64": (Newton(), "f64"), "newton f32": (Newton(), "f32"), "desc
 @pytest.mark.parametrize("isotropic", [True, False], ids=["isotropic", "general"])
 def test_one_lane_per_thread_is_bit_for_bit_a_pack(rng, monkeypatch, case, isotropic):
     solver, precision = CASES[case]
-    start, clamps = bows(rng)
+    start = wandering(rng, 20, 12)
+    clamps = clamps_at(start, Clamp.FRAME, Clamp.TANGENT)
     material = Material(4e5, 3e5) if isotropic else Material([[4e5, 5e4], [5e4, 9e5]], 3e5, rest_curvature=(0.002, -0.001))
     packed = relax(start, material, clamps, solver, precision=precision)
     assert packed.converged.all()

@@ -13,7 +13,7 @@ BARS = {"nylon": 0.90, "vicryl": 0.85, "silk": 0.90}
 @pytest.mark.parametrize("name", BARS)
 def test_sutures_at_the_truth(laboratory, name, precision):
     rod = lab(laboratory, name)
-    solution = relax(rod.start, rod.material(), rod.clamps, up=rod.observations.up, precision=precision)
+    solution = relax(rod.start, rod.material, rod.clamps, up=rod.observations.up, precision=precision)
     mean = distance(solution.configuration, rod.observations).mean()
     assert (solution.converged & solution.stable).all()
     assert mean <= BARS[name]
@@ -24,7 +24,7 @@ def test_ribbon_at_the_truth(laboratory):
     rod = lab(laboratory, "ribbon")
     errors = {}
     for name, solver in (("plain", Newton()), ("careful", Newton.careful())):
-        solution = relax(rod.start, rod.material(), rod.clamps, solver, up=rod.observations.up)
+        solution = relax(rod.start, rod.material, rod.clamps, solver, up=rod.observations.up)
         assert (solution.converged & solution.stable).all()
         errors[name] = distance(solution.configuration, rod.observations, frame_weight=RIBBON_WIDTH).mean()
     print(f"ribbon, w_m {RIBBON_WIDTH} mm: {errors}")

@@ -184,8 +184,7 @@ def test_what_has_no_derivatives_is_refused(rng):
     sprung = PointLoads(np.zeros((1, 21, 3)), springs=Springs(rod.vertices, np.ones((1, 21))))
     for solution, parameters, field in (
         (relax(rod, material, held, external=masses), ("up",), "parameters"),
-        (relax(rod, material, held, external=sprung), ("bend",), "solution"),
-    ):
+        (relax(rod, material, held, external=sprung), ("bend",), "solution")):
         for call in (lambda: sensitivity(solution, parameters), lambda: pullback(solution, None, parameters)):
             check_refused(f": {field}: ", call)
 
@@ -205,6 +204,5 @@ def test_wrong_input_is_reported_in_one_sentence(rng):
         (lambda: PointLoads.from_physical(zero, physical), "PointLoads", "force"),
         (lambda: relax(rod, material, held, external=PointLoads(np.zeros((1, 9, 3)))), "external", "points"),
         (lambda: relax(rod, replace(material, weight=0.0), loose, external=PointLoads(zero)), "clamps", "start, end"),
-        (lambda: relax(rod, material, held, Descent(), external=PointLoads(zero)), "relax", "solver"),
-    ):
+        (lambda: relax(rod, material, held, Descent(), external=PointLoads(zero)), "relax", "solver")):
         check_refused(f"^{source}: {field}: ", call)

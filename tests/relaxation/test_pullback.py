@@ -79,8 +79,7 @@ def test_rods_relaxed_again_change_so(rng):
 
     for found, call, step in (
         (pulled["bend"], lambda h: scalar(h), 300.0),
-        ((pulled["forces"] * along).sum(axis=(1, 2)), lambda h: scalar(more=h * along), 0.1),
-    ):
+        ((pulled["forces"] * along).sum(axis=(1, 2)), lambda h: scalar(more=h * along), 0.1)):
         near, far = ((call(k * step) - call(-k * step)) / (2 * k * step) for k in (1, 2))
         expected = (4 * near - far) / 3
         assert np.abs(found - expected).max() < 1e-6 * np.abs(expected).max()

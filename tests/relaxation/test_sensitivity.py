@@ -93,8 +93,7 @@ def test_rods_relaxed_again_move_so(rng):
         plus, minus = moved(column, step), moved(column, -step)
         for own, difference in (
             (found.vertices[..., column], plus.vertices - minus.vertices),
-            (found.directors[..., column], plus.frames[..., 1] - minus.frames[..., 1]),
-        ):
+            (found.directors[..., column], plus.frames[..., 1] - minus.frames[..., 1])):
             np.testing.assert_allclose(own, difference / (2 * step), atol=1e-6 * np.abs(own).max())
 
 

@@ -19,8 +19,7 @@ S = np.linspace(0.0, 100.0, 7)[:, None]
 RODS = {
     "upright": S * [0, 0, 1], "across": S * [1, 0, 0], "into the picture": S * [0, 1, 0], "a point": 0 * S * [1, 1, 1],
     "a far point": 0 * S * [1, 1, 1] + 1e6, "one mark": np.where(S == 100.0, S * [1, 0, 0], np.nan),
-    "nowhere": np.full((7, 3), np.nan),
-}
+    "nowhere": np.full((7, 3), np.nan)}
 ARCH = S * [1, 0, 0] + 30 * np.sin(np.pi * S / 100) * UP
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning", "error::UserWarning")
 

@@ -6,17 +6,8 @@ import io
 import numpy as np
 import pytest
 
-from doo_ti import Observations
-from doo_ti.report.canvas import (
-    Observed,
-    direction,
-    distance_colors,
-    fit_titles,
-    grid_view,
-    landscape_colors,
-    new_figure,
-    quantity,
-)
+from doo_ti import Observations, Observed
+from doo_ti.report.canvas import direction, distance_colors, fit_titles, grid_view, landscape_colors, new_figure, quantity
 from doo_ti.report.figures import angle_curves_picture
 from doo_ti.report.landscapes import LandscapePanel, landscape_image, landscape_picture, landscapes_picture
 from doo_ti.report.motions import MovingRods, motions_picture

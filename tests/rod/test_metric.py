@@ -1,4 +1,4 @@
-"""Eq. 1 against the oracle, written as printed: valid marks, frames, w_m, f32, rods that failed."""
+"""Eq. 1 as printed: valid marks, frames, w_m, f32, rods that failed."""
 
 from dataclasses import replace
 
@@ -7,7 +7,6 @@ import pytest
 
 from doo_ti import Configuration, InputError, Observations, distance
 from tests.io.rods import twisted_frames, wavy_vertices
-from tests.oracle.metric import distance as defined
 from tests.relaxation.rods import wandering
 
 COUNT, EDGES = 7, 9
@@ -21,12 +20,16 @@ def observed(rng, count: int = COUNT, **changes) -> Observations:
 
 
 def beside(rods: Configuration, observations: Observations, index, weight: float = 0.0) -> np.ndarray:
-    """The oracle's distance of each rod from its observation."""
-    frames = rods.frames[..., 1]
-    return np.array([
-        defined(rods.vertices[r], observations.vertices[d], frames[r], None if observations.frames is None
-                else observations.frames[d, ..., 1], weight, observations.valid[d])
-        for r, d in enumerate(index)])
+    """d = 1/(n−1) Σ ‖v_i − v_i'‖ + w_m/(E−1) Σ ‖m1_j − m1_j'‖, mm, of each rod from its observation with n valid vertices."""
+    found = []
+    for r, d in enumerate(index):
+        valid = observations.valid[d]
+        off = np.linalg.norm(rods.vertices[r, valid] - observations.vertices[d, valid], axis=1)
+        found.append(off.sum() / (valid.sum() - 1))
+        if weight:
+            turned = np.linalg.norm(rods.frames[r, ..., 1] - observations.frames[d, ..., 1], axis=1)
+            found[-1] += weight * turned.sum() / (len(turned) - 1)
+    return np.array(found)
 
 
 def test_by_hand():

@@ -68,8 +68,7 @@ def test_ranges_in_newton_square_metres_are_axes_of_bend_and_twist():
     (dict(weight=np.ones((1, 33))), "weight"),
     (dict(weight_per_length=np.ones((2, 2))), "weight_per_length"),
     (dict(weight_per_length=-1.0), "weight_per_length"),
-    (dict(weight=0.0, weight_per_length=1.0), "weight_per_length"),
-])
+    (dict(weight=0.0, weight_per_length=1.0), "weight_per_length")])
 def test_a_weight_is_one_number_per_rod(given, field):
     """A row of 33 numbers is no 33 materials."""
     check_refused(f"material: {field}: ", Material, 1e5, 1e5, **given)
@@ -85,8 +84,7 @@ def test_rows_of_materials_keep_their_weight_per_length():
     (dict(EI="1e-6", bend="1e5", linear_density="1"), "--EI"),
     (dict(EI="1e-6", GJ="x", linear_density="1"), "--GJ"),
     (dict(EI="1e-6", GJ="1e-6", weight="2", linear_density="1"), "--EI"),
-    (dict(EI="1e-6", GJ="1e-6", linear_density="0"), "--linear-density"),
-])
+    (dict(EI="1e-6", GJ="1e-6", linear_density="0"), "--linear-density")])
 def test_wrong_units_are_one_line(given, field):
     check_refused(field, lambda: grid(options(**given)))
 

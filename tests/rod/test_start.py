@@ -144,8 +144,7 @@ def test_missing_marks_are_interpolated_by_arc_length(rng):
 @pytest.mark.parametrize("vertex, end, given, kind", [
     (0, "start", False, Clamp.TANGENT), (1, "start", False, Clamp.TANGENT), (0, "start", True, Clamp.FRAME),
     (1, "start", True, Clamp.FRAME), (0, "start", False, Clamp.POSITION), (0, "start", False, Clamp.FREE),
-    (8, "end", False, Clamp.TANGENT), (7, "end", False, Clamp.TANGENT), (7, "end", True, Clamp.TANGENT),
-])
+    (8, "end", False, Clamp.TANGENT), (7, "end", False, Clamp.TANGENT), (7, "end", True, Clamp.TANGENT)])
 def test_a_missing_outer_mark_is_on_the_line_through_the_next_two(rng, vertex, end, given, kind):
     vertices = wavy_vertices(rng)
     frames = twisted_frames(vertices, np.ones(3), rng)

@@ -89,8 +89,7 @@ DAMAGE = {
     "a table of too many": lambda name, content: flipped(content, HEADER.size - 3) if name == TABLE else content,
     "a table of long names": lambda name, content: flipped(content, HEADER.size + 4) if name == TABLE else content,
     "a cut table": lambda name, content: content[:-10] if name == TABLE else content,
-    "no table": lambda name, content: None if name == TABLE else content,
-}
+    "no table": lambda name, content: None if name == TABLE else content}
 
 
 @pytest.mark.sampled(1)

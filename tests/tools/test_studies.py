@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from doo_ti import InputError, Material, load_observations
-from tests.perception.test_twist import MATERIAL, twisted_rods
+from tests.perception.test_twist import MATERIAL, TWIST
+from tests.references.rods import at_rest, bows, observed
 from tests.relaxation.rods import lab
 from tools.studies.cables import read_recordings
 from tools.studies.prediction_study import predict_steps
@@ -15,7 +16,7 @@ from tools.studies.replication.twist import SUCCESS, twist_trials
 
 
 def test_trials_of_eq_4_rotate_known_frames_and_find_the_angle():
-    made = twisted_rods()
+    made = observed(at_rest(bows(0.5, 0.7, 0.9, 0.6, 0.8, twist=TWIST), MATERIAL))
     trials = twist_trials(made, made.total_twist, MATERIAL, 3, 5, seed=4)
     assert trials.configurations.shape == (5, 3) and (np.diff(np.sort(trials.configurations)) > 0).all()
     assert np.ptp(trials.truth) > 1 and trials.error.max() < np.radians(1.5)
@@ -39,7 +40,7 @@ def test_fig_7_on_the_lab(laboratory):
 def test_rotation_steps_of_the_lab_are_predicted(laboratory, name):
     """Where the ribbon's prediction ends on another branch than the observation, that is known."""
     rods = lab(laboratory, name)
-    steps = predict_steps(rods.observations, rods.material())
+    steps = predict_steps(rods.observations, rods.material)
     assert len(steps.error) == 54
     if name == "ribbon":
         assert np.median(steps.error) <= 0.8

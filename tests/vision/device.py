@@ -26,8 +26,7 @@ def row_kernel(number: Number, inputs: int, outputs: int, function):
     @ti.kernel
     def apply(
         source: table, scratch: ti.types.ndarray(dtype=number.type, ndim=1), numbers: ti.types.ndarray(dtype=ti.f64, ndim=3),
-        values: ti.types.ndarray(dtype=ti.f32, ndim=1), result: table,
-    ):
+        values: ti.types.ndarray(dtype=ti.f32, ndim=1), result: table):
         for _ in range(1):
             for group in range(source.shape[0] // width):
                 for k in range(inputs):

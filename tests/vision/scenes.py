@@ -42,15 +42,15 @@ def against(found: Detection, line: np.ndarray) -> tuple[np.ndarray, float, floa
 
 # --- distance maps of known curves, drawn by brute force ------------------------------------------------------------------
 
-def three_cameras() -> Rig:
-    """Cameras 260 mm from the origin, some 100° apart, all distorted."""
+def three_cameras(distance: float = 260.0, size: float = 1.0, middle=(0.0, 0.0, 0.0)) -> Rig:
+    """Cameras that far from ``middle``, mm, some 100° apart, all distorted; ``size`` times 640 × 480 px."""
     cameras = []
     for index, angle in enumerate((0.3, 2.1, 4.2)):
         back = np.array([np.cos(angle), np.sin(angle), 0.5 + 0.1 * index])
-        pose = looking(-back / np.linalg.norm(back), 260.0)
-        matrix = [[900.0 + 10 * index, 0, 330.0], [0, 905.0, 250.0 + 3 * index], [0, 0, 1]]
+        pose = looking(-back / np.linalg.norm(back), distance, middle)
+        matrix = np.diag([size, size, 1.0]) @ [[900.0 + 10 * index, 0, 330.0], [0, 905.0, 250.0 + 3 * index], [0, 0, 1]]
         distortion = [-0.12, 0.05, 6e-4 * (index - 1), -5e-4, 0.01 * index]
-        cameras.append(Camera(f"cam{index}", 640, 480, matrix, distortion, *pose))
+        cameras.append(Camera(f"cam{index}", round(640 * size), round(480 * size), matrix, distortion, *pose))
     return Rig(tuple(cameras))
 
 

@@ -122,8 +122,7 @@ def test_boards_from_text():
     ("chessboard:8x6:10", "half a turn"), ("chessboard:9x7:10", "half a turn"), ("acircles:4x10:8", "half a turn"),
     ("chessboard:2x3:10", "too small"), ("chessboard:9x6:0", "0 mm"), ("charuco:9x6:10:11", "markers of 11 mm"),
     ("charuco:9x6:10:7:DICT_9X9", "dictionary"), ("charuco:20x20:10:7", "200 markers"), ("charuco:7x5:12", "give chessboard"),
-    ("circles:7x5:12:8", "give chessboard"), ("circles:7x5", "give chessboard"),
-])
+    ("circles:7x5:12:8", "give chessboard"), ("circles:7x5", "give chessboard")])
 def test_invalid_boards_are_refused(text, word):
     check_refused(word, parse_board, text)
 

@@ -147,8 +147,7 @@ def test_labels_are_a_mask_and_nothing_is_none():
     (lambda image: detect(image, DetectionOptions(colour=(1, 2))), "colour"),
     (lambda image: detect(image, DetectionOptions(colour=(1, 2, 300))), "colour"),
     (lambda image: detect(image, DetectionOptions(region=(0, 0, 5, 50))), "region"),
-    (lambda image: detect(image, DetectionOptions(region=(590, 0, 50, 50))), "region"),
-])
+    (lambda image: detect(image, DetectionOptions(region=(590, 0, 50, 50))), "region")])
 def test_bad_input_is_refused(call, word):
     with pytest.raises(InputError, match=word):
         call(drawn((wave(), RED, 6)))

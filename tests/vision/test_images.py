@@ -160,8 +160,7 @@ def test_rods_that_begin_at_pixels(tmp_path):
     (CLICKS.replace("cam2_u", "cam1_u") + "a,a0.png,a2.png,3,4,5,6\n", "cam1_v|cam2_v"),
     (CLICKS.replace("\n", ",seed_x\n") + "a,a0.png,a2.png,3,4,,,1\n", "seed_x"),
     (CLICKS.replace("cam0_v", "x") + "a,a0.png,a2.png,3,4,,\n", "cam0_v"),
-    (CLICKS.replace("cam2_", "cam1_") + "a,a0.png,a2.png,3,4,,\n", "cam1"),
-])
+    (CLICKS.replace("cam2_", "cam1_") + "a,a0.png,a2.png,3,4,,\n", "cam1")])
 def test_wrong_lists_are_reported(tmp_path, text, word):
     (tmp_path / "sets.csv").write_text(text)
     check_refused(word, load_sets, tmp_path / "sets.csv", around())

@@ -164,8 +164,7 @@ def test_the_true_rod_scores_best(scene, rng):
     ({"vertices": np.zeros((2, 3))}, "vertices"), ({"set_index": [0, 9, 0, 0]}, "set_index"),
     ({"set_index": [0.5, 1, 0, 0]}, "set_index"), ({"material": Material.diagonal(2e5, 1e5, 1e5)}, "isotropic"),
     ({"material": Material([1e5, 2e5, 3e5], 1e5)}, "3 rows for 4"), ({"nu": -1.0}, "nu"), ({"points": 0}, "points"),
-    ({"cap": 0.0}, "cap"),
-])
+    ({"cap": 0.0}, "cap")])
 def test_wrong_input_is_refused(scene, change, word):
     rig, rods, maps = scene
     check_refused(word, score, **{"vertices": rods, "maps": maps, "set_index": [0, 1, 2, 3], "rig": rig, "nu": 1.0, **change})

@@ -49,8 +49,7 @@ def test_a_rig_survives_its_file(tmp_path):
     (lambda text: text.replace("width: 640", "width: 100000"), "width"),
     (lambda text: text.replace("width: 640", "width: 100000000000"), "width"),
     (lambda text: text.replace("name: cam1", "name: cam1\n      width: !!python/object/apply:os.getcwd []"), "not a rig"),
-    (lambda text: "[" * 100_000, "not a rig"),
-])
+    (lambda text: "[" * 100_000, "not a rig")])
 def test_a_bad_file_is_refused(tmp_path, spoil, word):
     save_rig(tmp_path / "rig.yaml", around())
     text = (tmp_path / "rig.yaml").read_text()
@@ -62,8 +61,7 @@ def test_a_bad_file_is_refused(tmp_path, spoil, word):
     {"rotation": np.diag([1.0, 1, -1])}, {"matrix": np.eye(3) * -1}, {"width": 0}, {"distortion": [1.0, 2]},
     {"translation": [0, 0, np.nan]}, {"translation": [0, 0, 1e300]}, {"distortion": [1e300, 0, 0, 0, 0]},
     {"matrix": [[1e300, 0, 0], [0, 1e300, 0], [0, 0, 1]]}, {"matrix": [[1e-300, 0, 0], [0, 1e-300, 0], [0, 0, 1]]},
-    {"matrix": [[1e3, 0, 1e300], [0, 1e3, 0], [0, 0, 1]]}, {"matrix": np.eye(3) + 1j}, {"height": 10**11},
-])
+    {"matrix": [[1e3, 0, 1e300], [0, 1e3, 0], [0, 0, 1]]}, {"matrix": np.eye(3) + 1j}, {"height": 10**11}])
 def test_invalid_cameras_are_refused(change):
     check_refused(": ", replace, around().cameras[0], **change)
 
@@ -142,8 +140,7 @@ LENSES = {
     "SIMPLE_RADIAL": ("610 633.5 471.5 -0.1", (-0.1, 0, 0, 0)), "RADIAL": ("610 633.5 471.5 -0.1 0.02", (-0.1, 0.02, 0, 0)),
     "OPENCV": ("610 612 633.5 471.5 -0.1 0.02 1e-3 -2e-3", (-0.1, 0.02, 1e-3, -2e-3)),
     "FULL_OPENCV": ("610 612 633.5 471.5 -0.1 0.02 1e-3 0 .01 .02 -.01 .001", (-0.1, 0.02, 1e-3, 0, 0.01, 0.02, -0.01, 1e-3)),
-    "OPENCV_FISHEYE": ("610 612 633.5 471.5 .02 .01 -.003 .0005", FISHEYE),
-}
+    "OPENCV_FISHEYE": ("610 612 633.5 471.5 .02 .01 -.003 .0005", FISHEYE)}
 
 
 def colmap(folder, model: str, points_lines=("", "1.5 2.5 7 3 4 -1")) -> None:
@@ -173,8 +170,7 @@ def test_colmap_s_text(tmp_path, model):
     ("cameras.txt", "OPENCV", "THIN_PRISM"), ("cameras.txt", "610", "nan"), ("cameras.txt", "1280", "1e9"),
     ("cameras.txt", " -2e-3", ""), ("cameras.txt", "1280 960 610 612 633", ""), ("images.txt", " -60", " inf"),
     ("images.txt", " 1 left.png", " 7 left.png"), ("images.txt", "1 1 0 0 0", "1 0 0 0 0"),
-    ("images.txt", "left", "right view"), ("cameras.txt", "1 OPENCV", "1 OPENCV\0\0"), ("images.txt", " 0 0 0 1 left.png", ""),
-])
+    ("images.txt", "left", "right view"), ("cameras.txt", "1 OPENCV", "1 OPENCV\0\0"), ("images.txt", " 0 0 0 1 left.png", "")])
 def test_damaged_models_are_refused_in_one_line(tmp_path, file, old, new):
     colmap(tmp_path, "OPENCV")
     text = (tmp_path / file).read_text()
@@ -200,8 +196,7 @@ FLIP = np.diag([1.0, -1, -1])
 MEANT = {
     "opencv": lambda c: (c.rotation, c.translation), "opengl": lambda c: (FLIP @ c.rotation, FLIP @ c.translation),
     "opencv-to-world": lambda c: (c.rotation.T, c.centre), "opengl-to-world": lambda c: (c.rotation.T @ FLIP, c.centre),
-    "opencv-centre": lambda c: (c.rotation, c.centre),
-}
+    "opencv-centre": lambda c: (c.rotation, c.centre)}
 
 
 @pytest.mark.parametrize("unit", ["mm", "m"])

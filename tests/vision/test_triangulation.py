@@ -257,8 +257,7 @@ MARKS = {
     "one edge only": ([(*row[:2], f"{row[2]}L", *row[3:]) for row in good_rows()], "mark: 0R is missing"),
     "too few": ([row for row in good_rows() if row[2] < 2], "2 marks"),
     "no name": (changed(4, 0, ""), "observation: '' in line 6"),
-    "no rows": ([], "holds no rows"), "no column v_px": ([row[:4] for row in good_rows()], "v_px: "),
-}
+    "no rows": ([], "holds no rows"), "no column v_px": ([row[:4] for row in good_rows()], "v_px: ")}
 
 
 @pytest.mark.parametrize("case", MARKS)
