@@ -199,7 +199,8 @@ class Search:
         one-sided evidence."""
         if self.maps.detections is None or self.options.evidence == "rod":
             return rods, np.zeros(len(rods.start), dtype=bool)
-        return sharpened(rods, self.rig, self.maps.detections, self.material, self.up, self.surroundings, exact)
+        return sharpened(rods, self.rig, self.maps.detections, self.material, self.up, self.surroundings, exact,
+                         len(self.rest_length) + 1)
 
     def sigma(self, rods: Configuration, start_sigma: np.ndarray | float = 0.0) -> np.ndarray:
         """(A, V) mm: uncertainty of the marks of one rod of each set, whose edges are cut into pieces, and whose start is as

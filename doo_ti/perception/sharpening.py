@@ -29,9 +29,10 @@ from doo_ti.vision.distance_map import ALIKE, NEAR_PX, coverage
 from doo_ti.vision.image_energy import AssignedPoints
 
 ROUNDS, STILL_MM = 20, 0.01  # relaxations, until no vertex moves by more
-NU = 0.3  # ν of E_back, 1/(mm px³): about T/N (doo_ti.perception.shape_uncertainty) of threads that bend as sutures do
+TOLERANCE = 1e-5  # of their residuals: points, of which many pull, are known to f32
 FIRST, LAST = np.s_[:, :, 0, 0], np.s_[:, :, -1, -1]  # of (A, C, E, K) places
-NOISE_PX3 = 0.05  # N, of which the variance along the line of where a line ends makes a weight
+NOISE_PX3 = 0.05  # N of docs: what a mark's noise is over its length of line
+LEAST_TURN = 2.0  # rad over its length, of a rod of which T is taken
 PLACES = 2  # along an edge, for the energy
 NEIGHBOURS = 8  # points nearest to a place that are looked at: the nearest may be of a strand that crosses there
 COVERED = 0.95  # share of a detected line with which a rod is one of the whole thread
@@ -39,13 +40,13 @@ FREE = 1e-3  # share that counts of a distance along the line
 
 
 def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detection]], material: Material, up: np.ndarray,
-              surroundings: Surroundings, exact: np.ndarray) -> tuple[Configuration, np.ndarray]:
-    """``rods`` (A) relaxed under E + ν E_back, with their first edges held where these are ``exact`` (A,); and (A,) bool: those
-    that are certified minima and still explain the lines. The others stay as they were."""
+              surroundings: Surroundings, exact: np.ndarray, marks: int) -> tuple[Configuration, np.ndarray]:
+    """``rods`` (A) with so many ``marks``, relaxed under E + ν E_back, with their first edges held where these are ``exact``
+    (A,); and (A,) bool: those that are certified minima and still explain the lines. The others stay as they were."""
     every = np.arange(len(rods.start))
     start, quaternions = rods.start.copy(), rods.quaternions.copy()
     sound, moving = np.zeros(len(every), dtype=bool), every
-    nu = NU * float(np.linalg.eigvalsh(material.bend).max())
+    nu, stiffness = temperature(rods.vertices, marks) / (2 * NOISE_PX3), float(np.linalg.eigvalsh(material.bend).max())
     lines = line_trees(detections)
     given = _images_of_places(rig, rods.vertices)[0]
     width = np.nan_to_num([[[detection.width_px] for detection in images] for images in detections])
@@ -64,9 +65,10 @@ def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detec
         points[loose, :, 0, 0] = given[moving[loose]][FIRST]
         tangents[loose, :, 0, 0] = tangents[loose, :, 0, 0, ::-1] * [1.0, -1.0]
         weight[loose, :, 0, 0] = np.where(found[loose, :, 0, 0], end_weight[moving[loose]], 0.0)
+        weight = nu[moving, None, None, None] * weight
         first, kind = here.frames[:, 0], np.where(exact[moving], Clamp.TANGENT, Clamp.FREE)
-        solution = relax(here, material, Clamps(kind, Clamp.FREE, here.start, here.start, first, first), Newton(),
-                         up=up, precision="mixed", external=AssignedPoints(rig, points, tangents, weight, nu, FREE),
+        solution = relax(here, material, Clamps(kind, Clamp.FREE, here.start, here.start, first, first), Newton(TOLERANCE),
+                         up=up, precision="mixed", external=AssignedPoints(rig, points, tangents, weight, stiffness, FREE),
                          external_index=np.arange(len(moving)), **surroundings.arguments)
         start[moving], quaternions[moving] = solution.configuration.start, solution.configuration.quaternions
         sound[moving] = (solution.status == Status.CONVERGED) & solution.stable
@@ -79,6 +81,15 @@ def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detec
     sound &= (after >= np.minimum(before, COVERED)).all(axis=1)
     return Configuration(np.where(sound[:, None], start, rods.start),
                          np.where(sound[:, None, None], quaternions, rods.quaternions), rods.rest_length), sound
+
+
+def temperature(vertices: np.ndarray, marks: int) -> np.ndarray:
+    """(A,) 1/mm: T of :mod:`doo_ti.perception.shape_uncertainty`, how strongly rods (A, V, 3) with so many ``marks`` bend."""
+    edges = np.diff(vertices, axis=1)
+    length = np.linalg.norm(edges, axis=-1)
+    turns = np.linalg.norm(np.diff(edges / length[..., None], axis=1), axis=-1)
+    bending = (turns**2 * 2.0 / (length[:, :-1] + length[:, 1:])).sum(axis=1)
+    return np.maximum(bending, LEAST_TURN**2 / length.sum(axis=1)) / (marks - 2)
 
 
 def _images_of_places(rig: Rig, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
