@@ -57,7 +57,6 @@ class Lanes(NamedTuple):
     lane: Callable
     with_lane: Callable
     constant: Callable
-    gather: Callable
 
 
 def _scalar_lanes(scalar):
@@ -77,11 +76,7 @@ def _scalar_lanes(scalar):
     def constant(value):
         return ti.cast(value, scalar)
 
-    @ti.func
-    def gather(array: ti.template(), places):
-        return ti.cast(array[places[0]], scalar)
-
-    return Lanes(largest, lane, with_lane, constant, gather)
+    return Lanes(largest, lane, with_lane, constant)
 
 
 def _largest_of_halves(width: int, scalar):
@@ -130,12 +125,7 @@ def _pack_lanes(pack, scalar):
         """The same number in every lane."""
         return pack(value)
 
-    @ti.func
-    def gather(array: ti.template(), places):
-        """The value whose lanes are an array's numbers at ``places``, one for each lane."""
-        return pack([ti.cast(array[places[slot]], scalar) for slot in ti.static(range(pack.n))])
-
-    return Lanes(largest, lane, with_lane, constant, gather)
+    return Lanes(largest, lane, with_lane, constant)
 
 
 class Layout:
