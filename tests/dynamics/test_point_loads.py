@@ -1,10 +1,10 @@
-"""Forces and masses on rods in motion: the end states, the account of energies, and point masses of the rod."""
+"""Forces and masses on rods in motion: a pendulum, the end states, the account of energies, and point masses of the rod."""
 
 import numpy as np
 import pytest
 
 from doo_ti import Clamp, Grippers, Material, PointLoads, Springs, end_clamps, relax, simulate, straight_rod
-from doo_ti.dynamics.parameters import Dynamics, Stepping
+from doo_ti.dynamics.parameters import GRAVITY, Dynamics, Stepping
 from tests.conftest import check_refused
 
 LENGTH, EDGES = 200.0, 16
@@ -17,6 +17,21 @@ def at_tip(force=(0.0, 0.0, 0.0), mass: float = 0.0) -> PointLoads:
     forces, masses = np.zeros((1, EDGES + 1, 3)), np.zeros((1, EDGES + 1))
     forces[0, -1], masses[0, -1] = force, mass
     return PointLoads(forces, masses)
+
+
+def test_a_heavy_mass_on_a_light_rod_is_a_pendulum():
+    """Let go at 3° from the vertical: one period of 2π √(L/g), 0.02 % more at this amplitude."""
+    angle = np.radians(3.0)
+    rod = straight_rod(LENGTH, EDGES, direction=(np.sin(angle), 0.0, -np.cos(angle)))
+    hung = end_clamps(rod, Clamp.POSITION, Clamp.FREE)
+    period = 2 * np.pi * np.sqrt(LENGTH / GRAVITY) * (1 + angle**2 / 16)
+    steps = 400
+    trajectory = simulate(rod, Material(1e9, 1e9, 1.0), Grippers.resting(hung, steps + 1), Dynamics(), Stepping(steps / period),
+                          loads=at_tip(mass=2.0 * LENGTH * 1e4))
+    assert (trajectory.status == 0).all()
+    swing = trajectory.positions[0, :, -1, 0] / (LENGTH * np.sin(angle))
+    assert swing[-1] == pytest.approx(1, abs=2e-3) and swing[steps // 2 - 1] == pytest.approx(-1, abs=2e-3)
+    assert abs(trajectory.positions[0, steps // 4 - 1, -1, 0]) < 5e-3 * LENGTH * np.sin(angle)
 
 
 @pytest.mark.parametrize("quasi_static", [False, True])
