@@ -5,8 +5,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import fsolve
+from scipy.spatial.transform import Rotation
 
-from doo_ti import Axis, Clamp, Grid, InputError, Plane, RefinementOptions, Surroundings, refine, save_observations
+from doo_ti import (
+    Axis,
+    Clamp,
+    Grid,
+    InputError,
+    Observations,
+    Plane,
+    RefinementOptions,
+    Surroundings,
+    Theta,
+    refine,
+    save_observations,
+)
 from doo_ti.commands.cli import main
 from doo_ti.refinement.plan import plan
 from doo_ti.rod.start import observation_clamps
@@ -31,6 +46,42 @@ def test_the_intervals_contain_the_truth(rope):
     for name, value in truth.items():
         parameter = found.estimate.parameter(name)
         assert parameter.low < value < parameter.high < 1.4 * parameter.low
+
+
+def lifted(rigidity: float, height: float, angle: float, marks: int, length: float) -> np.ndarray:
+    """(marks, 3) along a smooth rod that lies on z = 0 and is lifted at its start: EI/w θ″ = (R − s) cos θ, EI/w being its
+    ``rigidity``, over arc length from where it leaves the table; θ and the moment are zero there, and R is the reaction."""
+    def shape(free, reaction):
+        def slope(s, y):
+            return [y[1], (reaction - s) / rigidity * np.cos(y[0]), np.cos(y[0]), np.sin(y[0])]
+        return solve_ivp(slope, (0.0, free), [0.0] * 4, rtol=1e-10, atol=1e-10, dense_output=True)
+
+    def miss(unknowns):
+        end = shape(*unknowns).y[:, -1]
+        return [100.0 * (end[0] - angle), end[3] - height]
+
+    guess = (72.0 * rigidity * height) ** 0.25
+    (free, reaction), _, good, _ = fsolve(miss, [guess, guess / 3.0], full_output=True)
+    assert good == 1 and free < length
+    off = free - np.linspace(0.0, length, marks)
+    x, z = np.where(off > 0, shape(free, reaction).sol(np.maximum(off, 0.0))[2:], [off, np.zeros(marks)])
+    return np.stack([x[0] - x, np.zeros(marks), z], axis=-1)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("seed", [1, 2])
+def test_ropes_that_somebody_lifts_at_one_end(seed):
+    """Smooth ropes by shooting, whose far end lies free, as marks alone: nothing says how the lifted end is held."""
+    random = np.random.default_rng(seed)
+    bend, length, radius, marks = 10 ** random.uniform(5.3, 6.0), 500.0, 3.0, []
+    while len(marks) < 8:
+        rope = lifted(bend / 2, random.uniform(40, 120), random.uniform(-0.1, 0.5), 31, length)
+        marks.append(Rotation.from_euler("z", random.uniform(0, 2 * np.pi)).apply(rope) + (0, 0, radius))
+    seen = Observations(np.array(marks) + random.normal(0, 0.3, (8, 31, 3)))
+    options = RefinementOptions(surroundings=Surroundings([Plane((0, 0, 0), (0, 0, 1))], radius))
+    found = refine(seen, observation_clamps(seen, end=Clamp.FREE), Theta(2 * bend * np.eye(2), 2 * bend), options)
+    parameter = found.estimate.parameter("bend")
+    assert found.converged and found.used.all() and parameter.low < bend < parameter.high < 1.2 * parameter.low
 
 
 @pytest.mark.thorough

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from doo_ti import Clamp, Newton, Theta
+from doo_ti import Clamp, Newton, Plane, Surroundings, Theta
 from doo_ti.refinement.fit import Fit
 from doo_ti.refinement.held_rod import POSE
 from doo_ti.refinement.mesh import Lengths, covariance, knots_of, values_at
@@ -105,13 +105,20 @@ def moved_residuals(comparison, fit, state, step, scatter):
     (RIBBON, ("bend_1", "bend_2", "bend_12", "twist"), (None, None), {"with_frames": True}),
     (TRUTH, ("bend", "twist"), (None, None), {"bare": ("start_frame", "end_frame")}),
     (TRUTH, ("bend", "twist"), (None, None), {"bare": ("start_frame",)}),
-    (TRUTH, ("bend",), (Clamp.POSITION, None), {"bare": ("start_frame", "end_frame")})])
+    (TRUTH, ("bend",), (Clamp.POSITION, None), {"bare": ("start_frame", "end_frame")}),
+    (TRUTH, ("bend", "twist"), (None, Clamp.FREE), {"table": 4.0})])
 def test_residuals_follow_the_unknowns(rng, theta, parameters, kinds, fields):
     """J and Z of :class:`doo_ti.refinement.residuals.Comparison` by central differences, with clips of unequal lengths, a
-    curvature, spacings that are off, and clamps that are already off, with and without reported frames."""
+    curvature, spacings that are off, and clamps that are already off, with and without reported frames; and of rods that a
+    table holds up, of which nothing goes along when their start is lifted."""
     seen = suture(2, frames=fields.get("with_frames", False)).take([0, 1, 4])
     seen = replace(seen, spacing_error=0.02, **dict.fromkeys(fields.pop("bare", ()), None))
-    rod = held(seen, 34, kinds)
+    rod, higher = held(seen, 34, kinds), fields.pop("table", None)
+    if higher is not None:
+        clips = Lengths(np.array([2.1, 3.4]), seen.rest_length)
+        hanging = rod.relaxed(theta.material, clips, np.zeros((3, POSE)), SHARP, theta.up).configuration.vertices
+        point = (hanging[..., 2].min(axis=1) + higher)[:, None] * (0, 0, 1)
+        rod = replace(rod, surroundings=Surroundings([Plane(point, (0, 0, 1))], 0.5))
     comparison, scales = model(rod, parameters, **fields)
     unknowns = comparison.unknowns
     values = unknowns.begun(theta, np.array([2.1, 3.4]))
