@@ -298,8 +298,10 @@ def require_clear(source: str, surroundings: Surroundings, clamps: Clamps, start
             gap = np.where(used, obstacle.distance(places)[0] - least, np.inf)
             worst = np.unravel_index(np.argmin(gap), gap.shape)
             if gap[worst] < 0:
+                lies = np.any(used) and gap[worst] > -np.max(surroundings.radius)
                 raise InputError(source, "obstacles", f"{what} rod {number[worst[0]]} is {-gap[worst]:.3g} mm inside a "
-                                 f"{type(obstacle).__name__}", "correct the obstacle's place, or give a smaller `radius`")
+                                 f"{type(obstacle).__name__}", "correct the obstacle's place, or give a smaller `radius`"
+                                 + ", or a free end (`clamp_end`) where the rod only lies" * bool(lies))
 
 
 def _near(obstacles: Sequence[Obstacle], radius: np.ndarray, clamps: np.ndarray, index: np.ndarray) -> np.ndarray:
