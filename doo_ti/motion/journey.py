@@ -118,7 +118,7 @@ class Journey:
 
     motion       what the clamps do
     sub_step     rad, the largest turn of a clamp in one sub-step; its shift is limited in proportion
-    rest_length  (E,) mm
+    rest_length  (E,) mm, or a row for each motion
     up           (3,) direction against gravity
     solver       as :func:`doo_ti.relaxation.relax.relax` takes it; Newton runs without its first shift, which stays closest to
                  the branch

@@ -29,7 +29,7 @@ from doo_ti.motion.path import LARGEST_TURN, Motion, motion_between, rotation_ab
 from doo_ti.relaxation.external import PointLoads, check_rows
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.rod.frames import edge_frames, total_twist, vertices_from_quaternions
+from doo_ti.rod.frames import edge_frames, total_twist
 from doo_ti.rod.material import doubt_angle
 from doo_ti.rod.types import POSES, Clamps, Configuration, Material, Solution, Status, finite_rods, sticky
 from doo_ti.system.arguments import short_repr, typed
@@ -49,7 +49,7 @@ class Prediction:
     time          (T,) s
     start         (T, R, 3) mm, vertex 0
     quaternions   (T, R, E, 4) frames
-    rest_length   (E,) mm
+    rest_length   (E,) mm, or (R, E)
     energy, residual, iterations, status, stable (T, R), end_force (T, R, 3)
                   as in :class:`doo_ti.rod.types.Solution`; iterations since the moment before, and of the statuses so far the
                   first one that is not converged
@@ -85,9 +85,7 @@ class Prediction:
     @property
     def vertices(self) -> np.ndarray:
         """(T, R, V, 3) mm."""
-        shape = self.quaternions.shape
-        flat = vertices_from_quaternions(self.start.reshape(-1, 3), self.quaternions.reshape(-1, *shape[2:]), self.rest_length)
-        return flat.reshape(*shape[:2], -1, 3)
+        return np.stack([self.at(moment).vertices for moment in range(len(self.start))])
 
     @property
     def total_twist(self) -> np.ndarray:
@@ -148,7 +146,7 @@ def predict(
             moments.append((solution, jumps, moments[-1][2] + np.tile(rotation_about_rod(leg), len(rods) // motions)))
             advance(len(rods))
     solutions, jumps, rotation = zip(*moments, strict=True)
-    return Prediction(time=time, rest_length=configuration.rest_length.copy(), jumps=np.stack(jumps),
+    return Prediction(time=time, rest_length=here.rest_length.copy(), jumps=np.stack(jumps),
                       end_rotation=np.stack(rotation), material=rods, motion=np.arange(len(rods)) % motions,
                       **_reported(solutions))
 
@@ -162,6 +160,11 @@ def _reported(solutions: Sequence[Solution]) -> dict[str, np.ndarray]:
     for name in ("start", "quaternions"):
         found[name] = np.stack([getattr(solution.configuration, name) for solution in solutions])
     return found
+
+
+def _of_motions(rest_length: np.ndarray, motions: int) -> np.ndarray:
+    """(E,), or (N, E) of N motions: rods come material by material."""
+    return rest_length if rest_length.ndim == 1 else rest_length[:motions]
 
 
 def begun(configuration: Configuration, material: Material, clamps: Clamps, path: ClampPath, sub_step: float, up,
@@ -180,7 +183,8 @@ def begun(configuration: Configuration, material: Material, clamps: Clamps, path
     check_rows("predict", loads, len(rods), configuration.edges + 1)
 
     def go(there: Configuration, motion: Motion) -> tuple[Solution, np.ndarray]:
-        way = Journey(motion, material, sub_step, configuration.rest_length, up, solver, precision, surroundings, loads)
+        way = Journey(motion, material, sub_step, _of_motions(configuration.rest_length, motions), up, solver, precision,
+                      surroundings, loads)
         return way.end(there)
 
     solution = relax(configuration, material, clamps.take(rods % motions), solver, up=up, precision=precision,
@@ -265,8 +269,8 @@ def predict_moving(
     even = path.states(between)
     _, rods, (first, held, jumps) = begun(configuration, material, clamps, path, LARGEST_TURN, up, Newton(), "f64",
                                          Surroundings(obstacle_list("predict_moving", obstacles, True), radius).at(0), loads)
-    rows = np.arange(len(rods)) % len(clamps.start_position)
-    lengths = configuration.rest_length if configuration.rest_length.ndim == 1 else configuration.rest_length[: rows.max() + 1]
+    rows = np.arange(len(rods)) % clamps.count
+    lengths = _of_motions(configuration.rest_length, clamps.count)
     grippers = refined_within_reach(grippers_along(path, held), between, lengths)
     rate, done = stepping.rate * between, 0
 
@@ -293,7 +297,7 @@ def predict_moving(
     return Prediction(
         time=time,
         start=with_first(first.configuration.vertices[:, 0], found.positions[:, :, 0]),
-        quaternions=np.moveaxis(found.detail.quaternions, 1, 0), rest_length=configuration.rest_length.copy(),
+        quaternions=np.moveaxis(found.detail.quaternions, 1, 0), rest_length=first.configuration.rest_length.copy(),
         energy=first.energy + (stored - stored[:, :1]).T, residual=with_first(first.residual, found.residual),
         iterations=with_first(first.iterations, found.iterations), status=np.concatenate([first.status[None], status]),
         stable=np.concatenate([first.stable[None], status == Status.CONVERGED]),
