@@ -211,7 +211,7 @@ class ContactPlaces:
         zero = 0.0 * rod.total
         low, high = zero, zero + 1.0
         bridging = (ends[0] < 0.0) & (ends[1] > 0.0)
-        s = variable((ti.select(bridging, zero + 0.5, ti.select(ends[0] < 0.0, zero + 1.0, zero)),))
+        s = variable((self.first_guess(edge, ends, bridging),))
         found = record(s=zero, value=zero, normal=repeated(zero, 3), curvature=repeated(zero, 6), bend=zero + 1.0)
         going, longest, even = (ti.select(wanted, zero + 1.0, zero), zero + 2.0, EVEN * rod.contacts.radius)
         searches = 0
@@ -235,6 +235,16 @@ class ContactPlaces:
             s = (step,)
         found.bend = ti.select(bridging, found.bend, zero + 1e30)
         return found
+
+    def first_guess(self, edge, ends, bridging):
+        """Where the nearest point of an edge is, exactly where the obstacle's section along the edge is round: φ_s is then the
+        sine of an angle whose tangent is linear."""
+        zero = 0.0 * ends[0]
+        square = dot(edge, edge) + 1e-30  # an edge may have no length
+        before = 0.0 - ends[0] / ti.sqrt(ti.max(square - ends[0] * ends[0], 1e-12 * square))
+        beyond = ends[1] / ti.sqrt(ti.max(square - ends[1] * ends[1], 1e-12 * square))
+        end = ti.select(ends[0] < 0.0, zero + 1.0, zero)
+        return ti.select(bridging, before / ti.max(before + beyond, zero + 1e-20), end)
 
     def moved(self, rod, vertex):
         """How far a vertex has moved since the instant before."""

@@ -138,14 +138,25 @@ class ContactRounds(ContactEnergy):
         choose(rod.contacts, due, change=change)
         return largest_of(change, ti.select(due, found.rubbed / stiffness, zero))
 
+    def jammed(self, rod):
+        """The lanes in which forces have grown beyond all bounds: no place that the rod can get to is outside the obstacles."""
+        return rod.contacts.largest > STIFFEST * rod.contacts.first_stiffness * rod.contacts.radius
+
     def soften(self, rod, where):
         """Make κ smaller, down to the first or to what gives way by a radius under the largest force, in the lanes ``where`` a
-        step was refused, unless the rod is deeper than its radius inside an obstacle; returns those in which it had grown."""
+        step was refused, unless the rod is deep (:meth:`stiffen`); returns those in which it had grown."""
         stiffness, radius = rod.contacts.stiffness, rod.contacts.radius
         least = ti.max(rod.contacts.first_stiffness, rod.contacts.largest / radius)
         softer = where & (stiffness > least) & (rod.contacts.closest >= 0.0 - radius)
         choose(rod.contacts, softer, stiffness=ti.max(stiffness / STIFFER, least))
         return softer
+
+    def stiffen(self, rod, where):
+        """A larger κ in the lanes ``where`` a step was refused and the rod is deeper than its radius inside an obstacle: forces
+        that draw it through are larger than those that κ was chosen for."""
+        stiffness, radius = rod.contacts.stiffness, rod.contacts.radius
+        deep = where & (rod.contacts.closest < 0.0 - radius) & (stiffness < STIFFEST * rod.contacts.first_stiffness)
+        choose(rod.contacts, deep, stiffness=STIFFER * stiffness)
 
     def update_vertex(self, rod, contact, due, found):
         """The new force of the contact of a vertex."""
@@ -188,7 +199,9 @@ class ContactRounds(ContactEnergy):
         zero = 0.0 * gap
         contact = self.contact(self.vertex(rod, index), o)
         place, active = contact.between, contact.between.active
-        sags = (contact.sagging > zero) & (index > 0)
+        # Fewer changes than one threshold for both: rounds could take it in and leave it out by turns.
+        least = ti.select(active > 0.5, zero, 0.5 * rod.contacts.tolerance)
+        sags = (contact.sagging > least) & (index > 0)
         lost = due & (active > 0.5) & ~sags
         if self.some(lost, zero):
             later = place.place > 0.5

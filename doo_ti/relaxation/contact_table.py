@@ -137,8 +137,10 @@ MOST_TRIES = 12.0
 """At most so many steps of a rod update forces, and so many are eased by viscosity between two instants of a motion."""
 STIFFER, SLOW, STIFFEST = 10.0, 0.3, 1e6
 """κ is at least STIFFER times the first one from the first step on that updates forces. It grows by that factor where a round
-leaves more than the share SLOW of the change of the round before, up to STIFFEST times the first κ; it shrinks by it where a
-step is refused a second time. Viscosity that eases a step grows by STIFFER where a step with it fails, else shrinks by that."""
+leaves more than the share SLOW of the change of the round before, and where a refused step is deep inside an obstacle, up to
+STIFFEST times the first κ; it shrinks by it where a step is refused a second time elsewhere. A force that is larger than
+STIFFEST times the first κ and the radius means that the rod cannot get out of an obstacle. Viscosity that eases a step grows by
+STIFFER where a step with it fails, else shrinks by that."""
 CLOSE = 4.0  # radii: what is further from an obstacle than that, and half an edge, is not close
 ROUGHER = 3e-3  # the residual to reach until the forces of contacts have settled
 

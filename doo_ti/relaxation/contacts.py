@@ -92,6 +92,7 @@ class RodContacts(ContactRounds):
                     choose(self.place(at, number), once, remembered=repeated(zero, layout.REMEMBERED_IN_MOTION))
             if ti.static(self.itself):
                 self.forget_pairs(rod, once)
+            choose(rod.contacts, once, largest=zero)  # one that jammed would be jammed again
             self.begin_rounds(rod, once)
             choose(rod.contacts, once, retried=zero + 1.0)
         return once

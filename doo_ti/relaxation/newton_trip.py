@@ -151,7 +151,7 @@ class NewtonTrip:
 
         A step is refused where it led uphill. In contact the next one is then, the first time, the same with the contacts that
         it has met, or a part of it (:meth:`plan`); from the second time on one under a smaller κ, or if that cannot shrink, as
-        without contact, with a larger shift.
+        without contact, with a larger shift. A rod deep inside an obstacle gets a larger κ each time.
         """
         zero, one = self.constant(0.0), self.constant(1.0)
         lane.energy = ti.select(judged.stands, found.energy, lane.energy)
@@ -171,6 +171,7 @@ class NewtonTrip:
         if ti.static(self.touches):
             # Not the first time: where contacts begin and end, the energy is not quadratic.
             stiffer = stiffer & (lane.rejects > 0.5)
+            self.sweep.contacts.stiffen(rod, judged.uphill)
         if ti.static(self.among_obstacles):
             # Along curved obstacles a large κ leaves room for short steps only.
             stiffer = stiffer & ~self.sweep.contacts.soften(rod, stiffer)
@@ -297,6 +298,8 @@ class NewtonTrip:
         out_of_trips = lane.trips >= ti.cast(tables.policy[fixed.ITERATION_LIMIT], self.scalar)
         stuck = lane.idle_trips > self.patience
         lost = judged.broken | ~(lane.residual == lane.residual)
+        if ti.static(self.touches):
+            stuck = stuck | self.sweep.contacts.jammed(rod)
         lane.status = ti.select(stuck, self.constant(self.stalled), self.constant(self.limit))
         lane.status = ti.select(lost, self.constant(self.not_finite), lane.status)
         # A neutral motion leaves the certificate undecided: converged, not certified.
