@@ -31,8 +31,8 @@ from numpy.typing import ArrayLike
 
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.perception.growth import rank_distinct
+from doo_ti.perception.posterior import COVERED
 from doo_ti.perception.search import Finalists, Hypotheses, PerceptionOptions, Search, evidence, finalists, left_over
-from doo_ti.perception.sharpening import COVERED
 from doo_ti.perception.traced import SAME_LENGTH
 from doo_ti.rod.types import LARGEST, Configuration, Material, Status, put_rods, unit_up
 from doo_ti.system.arguments import short_repr, typed
@@ -92,7 +92,7 @@ class Perception:
     status            (A,) Status of its last relaxation
     stable            (A,) bool: certified to be a minimum of E_vis
     sigma             (A, V) mm: uncertainty of its vertices by noise in the detection
-                      (:mod:`doo_ti.perception.shape_uncertainty`)
+                      (:mod:`doo_ti.perception.posterior`)
     runner_up         (A, K, V, 3) mm: the next best rods that differ from all better ones; NaN where there are fewer
     runner_up_energy  (A, K) their E_vis, infinite where there are fewer
     gap               (A,) px: E_vis of the best runner-up less that of the best rod, as a mean distance along all images;

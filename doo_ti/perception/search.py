@@ -16,8 +16,7 @@ import numpy as np
 
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.perception.growth import Hypotheses, sampled_directions, select_hypotheses, suppress_similar
-from doo_ti.perception.shape_uncertainty import detected_places, line_scatter, vertex_sigma
-from doo_ti.perception.sharpening import sharpened
+from doo_ti.perception.posterior import detected_places, line_scatter, sharpened, vertex_sigma
 from doo_ti.perception.traced import SAME_LENGTH, whole_rods
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax

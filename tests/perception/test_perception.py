@@ -10,7 +10,7 @@ from doo_ti import Detection, DistanceMaps, Material, Status, detect, distance_m
 from doo_ti.perception import search
 from doo_ti.perception.growth import rank_distinct, sampled_directions, select_hypotheses, suppress_similar
 from doo_ti.perception.perceive import Perception, PerceptionOptions, PerceptionVerdict, perceive
-from doo_ti.perception.shape_uncertainty import bending_hessian, vertex_sigma
+from doo_ti.perception.posterior import bending_hessian, vertex_sigma
 from doo_ti.rod.frames import unit_vectors
 from doo_ti.vision.images import load_sets, read_image
 from doo_ti.vision.tubes import smooth_curve

@@ -8,8 +8,8 @@ import pytest
 from scipy.spatial import cKDTree
 
 from doo_ti import InputError, Material, PerceptionOptions, PerceptionVerdict, Rig, detect, distance_maps, load_rig, perceive
+from doo_ti.perception.posterior import detected_places, vertex_sigma
 from doo_ti.perception.seeds import seed_from_pixels, whole_threads
-from doo_ti.perception.shape_uncertainty import detected_places, vertex_sigma
 from doo_ti.vision.distance_map import coverage, misread
 from doo_ti.vision.images import load_sets, read_image
 from tools.studies.angle_study import EDGES, LENGTH_MM, apart, cameras, curve, dense, detection
