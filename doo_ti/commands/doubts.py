@@ -17,6 +17,7 @@ or more."""
 MOST_TURN = 60.0  # degrees at the median mark, of the line through the marks: they are on no curve in their order
 MOST_UNEVEN = 20.0  # longest edge over the median one, above which the marks may be of several rods
 MOST_APART = 1.8  # distance of neighbouring marks over the length between them; more is no noise but a wrong mark
+BOTH_AGREE = 1.7  # sum of the cosines between the frames of both ends and the edges there: 32° if both are off alike
 EXCHANGED, SHORTER = 0.8, 0.7
 """Least share of the observations in which two marks look exchanged, and most length of the line there, over that without."""
 MOST_LOOKED_AT = 30  # observations
@@ -26,8 +27,8 @@ ALIKE = 0.5  # of the distance that noise gives to two observations of one pose:
 def warn(observations: Observations, surroundings: Surroundings | None = None, **material) -> None:
     """Print a warning where the rod is implausible, or too coarse for what is around it; ``material`` as :func:`stated`. To be
     called once everything is checked, so that wrong input is reported in one line."""
-    for doubt in (order_doubt(observations) or apart_doubt(observations), length_doubt(observations),
-                  inside_doubt(observations, surroundings)):
+    for doubt in (order_doubt(observations) or apart_doubt(observations), reverse_doubt(observations),
+                  length_doubt(observations), inside_doubt(observations, surroundings)):
         if doubt is not None:
             terminal.warn(f"{in_line(observations.source)}: {doubt}")
     warn_of_rod(observations.source, observations.rest_length, surroundings, **material)
@@ -99,6 +100,22 @@ def order_doubt(observations: Observations) -> str | None:
         return None
     return (f"mark {lengths.argmax() + 1} is {longest:.4g} mm from the mark before, the median is {usual:.4g} mm; if the file "
             "holds several rods, name the column that numbers them: --columns observation=NAME")
+
+
+def reverse_doubt(observations: Observations) -> str | None:
+    """That the frames of observations fit their marks in reverse order, or None."""
+    frames = observations.start_frame, observations.end_frame
+    if any(frame is None for frame in frames):
+        return None
+    start, end = (frame[..., 0] for frame in frames)
+    edges = unit_vectors(np.diff(observations.vertices, axis=1))
+    agree, reverse = ((start * first + end * last).sum(axis=-1) for first, last in (
+        (edges[:, 0], edges[:, -1]), (-edges[:, -1], -edges[:, 0])))
+    wrong = np.flatnonzero((agree < BOTH_AGREE) & (reverse > BOTH_AGREE))
+    if not len(wrong):
+        return None
+    return (f"the marks of observation {observations.labels[wrong[0]]} look as if in reverse order: its end frames point along "
+            f"its edges the other way round (such observations: {len(wrong)})")
 
 
 def apart_doubt(observations: Observations) -> str | None:

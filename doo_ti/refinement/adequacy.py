@@ -232,8 +232,9 @@ def _best_order(fit: Fit, fitted: Fitted, row: int, usual: float) -> Mislabelled
     """Of the orders of the marks of observation ``row`` that with the least mean square, below ``usual``: one with all marks
     where there is any."""
     state, rod = fitted.state, fit.unknowns.rod
-    orders, seen = _orders(rod.observations, row)
     kinds = [Clamp(int(np.max(kind))) for kind in (rod.clamps.start, rod.clamps.end)]
+    # Marks alone of a rod that is held alike at both ends fit in either order: then another shape was found, not another order.
+    orders, seen = _orders(rod.observations, row, any(rod.reported) or kinds[0] != kinds[1])
     within = np.flatnonzero(reachable(seen, observation_clamps(seen, *kinds), rod.exact))
     without_one = np.array([len(orders[order]) == 1 for order in within], dtype=bool)
 
@@ -260,16 +261,17 @@ def _best_order(fit: Fit, fitted: Fitted, row: int, usual: float) -> Mislabelled
     return None
 
 
-def _orders(seen: Observations, row: int) -> tuple[list[tuple[int, ...]], Observations]:
+def _orders(seen: Observations, row: int, reverse: bool) -> tuple[list[tuple[int, ...]], Observations]:
     """The marks that each order changes, as :class:`Mislabelled` has them, and the observations so changed."""
     there = np.flatnonzero(seen.valid[row]).tolist()
-    orders = [(), *combinations(there, 2), *(((mark,) for mark in there) if len(there) > FEWEST else ())]
+    orders = [*[()] * reverse, *combinations(there, 2), *(((mark,) for mark in there) if len(there) > FEWEST else ())]
     vertices = np.repeat(seen.vertices[row : row + 1], len(orders), axis=0)
-    vertices[0] = vertices[0, ::-1]
     for number, marks in enumerate(orders):  # of one rod's marks
         if len(marks) == 2:
             vertices[number, list(marks)] = vertices[number, list(marks[::-1])]
         elif marks:
             vertices[number, marks] = np.nan
+        else:
+            vertices[number] = vertices[number, ::-1]
     changed = seen.take(np.full(len(orders), row))
     return orders, replace(changed, vertices=vertices, valid=np.isfinite(vertices).all(axis=-1))

@@ -10,7 +10,7 @@ import pytest
 
 from doo_ti import Observations, load_observations
 from doo_ti.commands.cli import main
-from doo_ti.commands.doubts import apart_doubt, length_doubt, order_doubt, repeats_doubt, warn_of_rod
+from doo_ti.commands.doubts import apart_doubt, length_doubt, order_doubt, repeats_doubt, reverse_doubt, warn_of_rod
 from doo_ti.commands.loading import stated
 from doo_ti.commands.results import hypotheses_lines
 from doo_ti.io.observation_files import read_recording
@@ -114,6 +114,18 @@ def test_a_mark_that_is_too_far_away_for_the_rod_is_doubted():
     marks[1, -1] = 0.0
     doubt = apart_doubt(Observations(marks, rest_length=Observations(MARKS).rest_length))
     assert f"marks {len(marks[1]) - 1} and {len(marks[1])} of observation 1 are" in doubt and "leave marks" in doubt.lower()
+
+
+def test_a_pose_whose_frames_fit_its_marks_in_reverse_order_is_doubted(rng):
+    angle = np.cumsum(rng.normal(0, 0.3, (6, 11)), axis=1) + rng.uniform(0, 6, (6, 1))
+    tangents = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=-1)
+    up = np.broadcast_to([0.0, 0.0, 1.0], (6, 3))
+    start, end = (np.stack([t, np.cross(up, t), up], axis=-1) for t in (tangents[:, 0], tangents[:, -1]))
+    marks = np.concatenate([np.zeros((6, 1, 3)), np.cumsum(20 * tangents, axis=1)], axis=1) + rng.normal(0, 0.5, (6, 12, 3))
+    given = dict(start_frame=start, end_frame=end)
+    assert reverse_doubt(Observations(marks, **given)) is None
+    marks[4] = marks[4, ::-1]
+    assert "observation 4 look as if in reverse order" in reverse_doubt(Observations(marks, **given))
 
 
 @pytest.mark.parametrize(("shared", "jitter", "words"), [(0.5, 0.05, "12 observations of 16 agree"), (0.0, 0.5, None)])
