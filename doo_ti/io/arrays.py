@@ -284,7 +284,8 @@ def decoded(content: bytes, errors: str = "strict") -> str:
 
 def csv_rows(path: Path, content: bytes, remedy: str) -> tuple[list[tuple[int, list[str]]], str]:
     """Each line of a CSV file, (its number from 1, its cells), and the sign before decimals. Raises InputError, with that
-    ``remedy``, for bytes that are not CSV, and for cells that hold a line break, as after a quote that is not closed."""
+    ``remedy``, for bytes that are not CSV, and for cells that hold a line break, as after a quote that is not closed. Lines
+    at the top that begin with # are left out."""
     try:
         text = decoded(content)
         separator = _separator(text)
@@ -297,7 +298,8 @@ def csv_rows(path: Path, content: bytes, remedy: str) -> tuple[list[tuple[int, l
             raise InputError(path, f"line {line}", "a line break within a cell", "close the quote")
     if ends and "".join(ends[0][1]).strip() == "sep=":  # by which spreadsheets are told the separator
         ends = ends[1:]
-    return ends, "," if separator != "," and _WITH_COMMA.search(text) else "."
+    comments = next((k for k, (_, row) in enumerate(ends) if not "".join(row).lstrip().startswith("#")), 0)
+    return ends[comments:], "," if separator != "," and _WITH_COMMA.search(text) else "."
 
 
 def _separator(text: str) -> str:

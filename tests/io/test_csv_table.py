@@ -67,6 +67,11 @@ def test_a_cell_that_is_no_number_is_named_with_its_line(tmp_path, cell):
     check_refused(f": a: {cell!r}.* line 4", table.numbers, "a")
 
 
+def test_lines_that_begin_with_a_number_sign_are_left_out_at_the_top(tmp_path):
+    table = read_csv(tmp_path / "x.csv", ("a", "b"), content=b"# written by some tool, in mm\n#\na,b\n1,2\n")
+    assert table.numbers("b").tolist() == [2.0] and table.lines == [4]
+
+
 def test_incomplete_rows_are_named(tmp_path):
     check_refused("'1.5' in line 3", read_csv(tmp_path / "x.csv", ("a",), content=b"a\n1\n1.5\n").whole, "a")
 
