@@ -20,7 +20,7 @@ MOST_APART = 1.8  # distance of neighbouring marks over the length between them;
 BOTH_AGREE = 1.7  # sum of the cosines between the frames of both ends and the edges there: 32° if both are off alike
 EXCHANGED, SHORTER = 0.8, 0.7
 """Least share of the observations in which two marks look exchanged, and most length of the line there, over that without."""
-MOST_LOOKED_AT = 30  # observations
+MOST_LOOKED_AT, MOST_PAIRS = 30, 4_000_000  # observations, and pairs of marks in all of them
 ALIKE = 0.5  # of the distance that noise gives to two observations of one pose: they share errors
 
 
@@ -133,7 +133,8 @@ def apart_doubt(observations: Observations) -> str | None:
 def exchanged_marks(observations: Observations) -> tuple[int, int] | None:
     """The two marks, from 0, without which exchanged the line through the marks is far longer in nearly all observations, by
     most; None where there are none."""
-    vertices = observations.vertices[:: 1 + observations.count // MOST_LOOKED_AT]
+    looked_at = max(1, min(MOST_LOOKED_AT, MOST_PAIRS // observations.vertices.shape[1] ** 2))
+    vertices = observations.vertices[:: -(-observations.count // looked_at)]
     apart = np.linalg.norm(vertices[:, :, None] - vertices[:, None], axis=-1)
     beside = np.zeros_like(apart)  # (D, V, V): length of the line at place i with mark j there
     beside[:, 1:] += apart[:, :-1]
@@ -166,8 +167,12 @@ def repeats_doubt(observations: Observations, noise: float) -> str | None:
     """That observations agree better than marks with independent ``noise``, mm per coordinate, could, or None. Errors that
     frames of one pose share count as often as there are frames, and intervals come out too narrow."""
     least = ALIKE * np.sqrt(6.0) * noise  # of the distance of marks that differ by independent noise alone
-    alike = [row for row, seen in enumerate(observations.vertices) if row and least > np.nanmin(
-        np.sqrt(np.nanmean(((observations.vertices[:row] - seen) ** 2).sum(axis=-1), axis=-1)))]
+    alike = []
+    for row in range(1, observations.count):
+        squares = ((observations.vertices[:row] - observations.vertices[row]) ** 2).sum(axis=-1)
+        both = np.isfinite(squares).sum(axis=1)
+        if (np.nansum(squares, axis=1)[both > 0] < least**2 * both[both > 0]).any():
+            alike.append(row)
     if not alike:
         return None
     return (f"{counted(len(alike), 'observation')} of {observations.count} agree with earlier ones to {least:.2g} mm, though "
