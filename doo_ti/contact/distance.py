@@ -9,10 +9,11 @@ Of a grid n is the gradient of a spline, of about unit length.
 """
 
 import taichi as ti
+from taichi.lang.impl import expr_init
 
 from doo_ti.contact.distance_grid import HEADER, SIXTH
 from doo_ti.contact.obstacles import BOX, CAPSULE, CYLINDER, GRID, PLANE, RING
-from doo_ti.physics.algebra import absolute, applied, between, full, largest_of, transposed, upper
+from doo_ti.physics.algebra import absolute, applied, full, largest_of, row, transposed
 from doo_ti.physics.number import Layout, device_functions
 from doo_ti.physics.tuples import chosen, dot, minus, plus, products, put_lane, record, repeated, scaled, traced
 
@@ -37,6 +38,13 @@ def clipped(a, most) -> tuple:
 def diagonal(a) -> tuple:
     """The symmetric matrix of that diagonal."""
     return (a[0], 0.0 * a[0], 0.0 * a[0], a[1], 0.0 * a[1], a[2])
+
+
+@traced
+def turned(h, m) -> tuple:
+    """Mᵀ H M of a symmetric H."""
+    rows = expr_init(tuple(dot(row(full(h), k), m[j::3]) for k in range(3) for j in range(3)))
+    return tuple(dot(m[i::3], rows[j::3]) for i in range(3) for j in range(i, 3))
 
 
 @traced
@@ -186,9 +194,8 @@ class Distance:
         half = plus(plus(outer(flat), scaled(products(bend, outer(inside)), value)), diagonal(minus(repeated(one, 3), inside)))
         slanting = scaled(minus(half, outer(slant)), 1.0 / whole)
         seen.value = ti.select(outside, whole, value)
-        back = transposed(axes)
-        seen.normal = applied(back, chosen(outside, slant, found.slope))
-        seen.curvature = upper(between(back, full(chosen(outside, slanting, bend)), back))
+        seen.normal = applied(transposed(axes), chosen(outside, slant, found.slope))
+        seen.curvature = turned(chosen(outside, slanting, bend), axes)
 
 
 @device_functions

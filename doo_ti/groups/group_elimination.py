@@ -21,9 +21,9 @@ import taichi as ti
 from doo_ti.groups.group_contacts import GroupContacts
 from doo_ti.groups.ties import JointRest
 from doo_ti.physics import algebra
-from doo_ti.physics.algebra import absolute, applied, column_scaled, full, on_diagonal, scaled_both, transposed
+from doo_ti.physics.algebra import absolute, column_scaled, full, on_diagonal, scaled_both
 from doo_ti.physics.number import device_functions
-from doo_ti.physics.quaternion import first_director, product, relative_rotation, second_director, tangent, turned_in_body
+from doo_ti.physics.quaternion import directors, product, relative_rotation, tangent, turned_in_body
 from doo_ti.physics.tuples import add, chosen, cross, dot, extended, minus, negated, plus, products, repeated, scaled, variable
 from doo_ti.relaxation.chain import Chain
 from doo_ti.relaxation.elimination import held_pivot
@@ -187,7 +187,8 @@ class GroupElimination(DenseLoadedElimination):
         """Add the derivatives of a vertex's place, times ``sign``, by all that moves it."""
         q, begin = vertex, 0
         while q >= begin:
-            self.contacts.add_block(rod, line, q, scaled(transposed(self.levers(rod, q)), sign))
+            a, b, c = self.levers(rod, q)
+            self.contacts.add_block(rod, line, q, scaled((a[0], b[0], c[0], a[1], b[1], c[1], a[2], b[2], c[2]), sign))
             if q > 0:
                 if rod.begins[q - 1] > 0:
                     begin = q
@@ -198,9 +199,10 @@ class GroupElimination(DenseLoadedElimination):
         the rest rotation R."""
         v = scaled(at.turned, 0.5)
         s = ti.sqrt(ti.max(1.0 - dot(v, v), 0.0 * sign))
+        rest = at.rest
         after = (s, 0.0 - v[2], v[1], v[2], s, 0.0 - v[0], 0.0 - v[1], v[0], s)
         before = (0.0 - s, 0.0 - v[2], v[1], v[2], 0.0 - s, 0.0 - v[0], 0.0 - v[1], v[0], 0.0 - s)
-        turned = algebra.times_transposed(after, self.columns(at.rest))
+        turned = algebra.against_columns(after, directors(rest))
         self.contacts.add_block(rod, line, late + 1, scaled(column_scaled(before, self.freedom(rod, late)), sign))
         self.contacts.add_block(rod, line, early + 1, scaled(column_scaled(turned, self.freedom(rod, early)), sign))
 
@@ -227,10 +229,6 @@ class GroupElimination(DenseLoadedElimination):
             if rod.ties[k, 2] >= 0:
                 self.weld_edges(rod, self.contacts.tie(rod, k), rod.ties[k, 2], rod.ties[k, 3], stiffness)
 
-    def columns(self, q):
-        """Those of the rotation q, one after the other."""
-        return tangent(q) + first_director(q) + second_director(q)
-
     def weld_edges(self, rod, at, late, early, whole):
         """The same of one weld, whose view is ``at``."""
         stiffness = whole * at.active * at.scale
@@ -245,14 +243,14 @@ class GroupElimination(DenseLoadedElimination):
         at.turned = u
         work, stretch = dot(moment, u), 0.5 * stiffness * dot(u, u)
         self.contacts.add_penalty(rod, work + stretch, absolute(work) + stretch)
-        columns = self.columns(rest)
+        columns = directors(rest)
         before, after = plus(scaled(p, s), cross(v, p)), minus(scaled(p, s), cross(v, p))
         add(self.contacts.edge(rod, late), moment=negated(before))
-        add(self.contacts.edge(rod, early), moment=applied(columns, after))
+        add(self.contacts.edge(rod, early), moment=(dot(columns[0], after), dot(columns[1], after), dot(columns[2], after)))
         own = algebra.own_block(v, stiffness, 0.0 - 0.25 * dot(p, u))
         at.of_late = own
-        at.of_early = algebra.upper(algebra.between(columns, full(own), columns))
-        at.mixed = algebra.times_transposed(algebra.mixed_block(s, v, p, stiffness), columns)
+        at.of_early = algebra.seen_from(columns, own)
+        at.mixed = algebra.against_columns(algebra.mixed_block(s, v, p, stiffness), columns)
 
     def add_welds(self, rod):
         """Add the second derivatives of all welds to H."""

@@ -97,18 +97,6 @@ def full(s) -> tuple:
     return (s[0], s[1], s[2], s[1], s[3], s[4], s[2], s[4], s[5])
 
 
-@picked
-def upper(m) -> tuple:
-    """The six numbers of a symmetric matrix that is given row by row."""
-    return (m[0], m[1], m[2], m[4], m[5], m[8])
-
-
-@traced
-def outer_product(a, b) -> tuple:
-    """a bᵀ."""
-    return tuple(x * y for x in a for y in b)
-
-
 @traced
 def applied(m, b) -> tuple:
     """M b."""
@@ -119,12 +107,6 @@ def applied(m, b) -> tuple:
 def times_transposed(a, b) -> tuple:
     """A Bᵀ of two matrices."""
     return tuple(a[i] * b[j] + a[i + 1] * b[j + 1] + a[i + 2] * b[j + 2] for i in (0, 3, 6) for j in (0, 3, 6))
-
-
-@traced
-def between(a, m, b) -> tuple:
-    """A M Bᵀ of three matrices."""
-    return times_transposed(times_transposed(a, transposed(m)), b)
 
 
 @traced
@@ -156,6 +138,21 @@ def column_scaled(m, s) -> tuple:
 
 
 # --- of welds, which keep the rotation between two edges ---
+
+
+@traced
+def against_columns(m, columns) -> tuple:
+    """M R, where R has three ``columns``."""
+    return tuple(m[3 * r] * c[0] + m[3 * r + 1] * c[1] + m[3 * r + 2] * c[2] for r in range(3) for c in columns)
+
+
+@traced
+def seen_from(columns, m) -> tuple:
+    """Rᵀ M R of a symmetric M, six numbers, where R has three ``columns``."""
+    turned = [(m[0] * c[0] + m[1] * c[1] + m[2] * c[2], m[1] * c[0] + m[3] * c[1] + m[4] * c[2],
+               m[2] * c[0] + m[4] * c[1] + m[5] * c[2]) for c in columns]
+    return tuple(columns[r][0] * turned[c][0] + columns[r][1] * turned[c][1] + columns[r][2] * turned[c][2]
+                 for r in range(3) for c in range(r, 3))
 
 
 @traced

@@ -18,11 +18,17 @@ derivatives lower than those at a fixed s by v vᵀ/φ_ss, v = (H p, n + s H p),
 import taichi as ti
 
 from doo_ti.contact.distance import outer
-from doo_ti.physics.algebra import absolute, applied, full, largest_of, outer_product
+from doo_ti.physics.algebra import absolute, applied, full, largest_of
 from doo_ti.physics.number import device_functions
-from doo_ti.physics.tuples import add, choose, dot, minus, negated, plus, record, repeated, scaled, variable
+from doo_ti.physics.tuples import add, choose, dot, minus, negated, plus, record, repeated, scaled, traced, variable
 from doo_ti.relaxation.contact_places import ContactPlaces
 from doo_ti.relaxation.contact_table import EVEN
+
+
+@traced
+def outer_product(a, b) -> tuple:
+    """a bᵀ."""
+    return tuple(x * y for x in a for y in b)
 
 
 @device_functions
@@ -36,13 +42,14 @@ class ContactEnergy(ContactPlaces):
 
     def touched(self, rod, index, start, end):
         """Sum up the derivatives of the energy of the contacts of vertex ``index``, at ``end``, and of the edge from ``start``
-        to there. Returns whether there are any. Measures from ``start``; that from ``end`` must have been done before."""
+        to there. Returns two where the edge has some between its ends, one where only the vertex has some, else zero. Measures
+        from ``start``; that from ``end`` must have been done before."""
         self.look(rod, index - 1, start)
         at, before = self.vertex(rod, index), self.vertex(rod, index - 1)
         at.room_standing = at.room
         least = ti.min(at.least, before.least)
         at.room = self.far_room(rod, least)
-        some = False
+        some = 0
         if ti.static(self.rub):
             some = self.touched_by_all(rod, index, start, end)
         else:
@@ -58,55 +65,65 @@ class ContactEnergy(ContactPlaces):
 
     def touched_by_all(self, rod, index, start, end):
         """The same, obstacle by obstacle."""
-        zero, some = 0.0 * end[0], False
+        zero, some = 0.0 * end[0], 0
         at, before, edge = self.vertex(rod, index), self.vertex(rod, index - 1), minus(end, start)
         room = zero + 1e30
-        rod.contacts.all = repeated(zero, 33)
+        rod.contacts.end = repeated(zero, 12)
         for o in range(rod.obstacles):
             contact, previous = self.contact(at, o), self.contact(before, o)
             if self.is_edge_close(rod, index, o):
-                some = True
+                some = ti.max(some, 1)
                 if self.is_close(rod, contact):
                     self.add_vertex(rod, o, contact)
                 if self.is_curved(rod, o):
-                    room = ti.min(room, self.touched_between(rod, o, index, start, edge))
+                    between, low = self.touched_between(rod, o, index, start, edge, some)
+                    room = ti.min(room, low)
+                    if between:
+                        some = 2
                 else:
                     # It is nowhere nearer to the obstacle than at its ends.
-                    least = ti.min(previous.at_end.value, contact.at_end.value)
+                    least = ti.min(previous.value, contact.value)
                     deep = least + self.obstacle(rod, o).depth
                     room = ti.min(room, ti.select(self.close_lanes(rod, least), deep, self.far_room(rod, least)))
             else:
-                room = ti.min(room, self.far_room(rod, ti.min(previous.at_end.value, contact.at_end.value)))
+                room = ti.min(room, self.far_room(rod, ti.min(previous.value, contact.value)))
             if ti.static(self.rub):
                 # Friction stays as long as its round, however far the rod moves: without it the energy would jump.
-                end_place, between = contact.at_end, contact.between
-                pushes, active = end_place.force > 0.0, between.active > 0.5
-                if self.some(pushes | active, zero):
-                    some = True
-                    self.add_friction(rod, o, end_place, zero + 1.0, self.slid(rod, at, o), pushes)
-                    self.add_friction(rod, o, between, between.rubbed_place, self.slid_between(rod, index, contact, o), active)
+                active = contact.active > 0.5
+                if self.some((contact.force > 0.0) | active, zero):
+                    if some < 2:
+                        self.clear_between(rod, zero)
+                    some = 2
+                    self.rub_vertex(rod, o, at, contact)
+                    self.rub_between(rod, o, index, contact, active)
         at.room = room
         return some
 
     def touched_start(self, rod, index):
         """The same of vertex ``index`` alone, where a rod begins."""
-        at, zero, some = self.vertex(rod, index), 0.0 * rod.total, False
+        at, zero, some = self.vertex(rod, index), 0.0 * rod.total, 0
         at.room_standing = at.room
         at.room = zero + 1e30
-        rod.contacts.all = repeated(zero, 33)
+        rod.contacts.end = repeated(zero, 12)
         for o in range(rod.obstacles):
             contact = self.contact(at, o)
+            value = contact.value
             if self.is_close(rod, contact):
-                some = True
+                some = 1
                 self.add_vertex(rod, o, contact)
             if ti.static(self.rub):
-                pushes = contact.at_end.force > 0.0
-                if self.some(pushes, zero):
-                    some = True
-                    self.add_friction(rod, o, contact.at_end, zero + 1.0, self.slid(rod, at, o), pushes)
-            at.room = ti.min(at.room, contact.at_end.value + self.obstacle(rod, o).depth)
+                if self.some(contact.force > 0.0, zero):
+                    some = 1
+                    self.rub_vertex(rod, o, at, contact)
+            at.room = ti.min(at.room, value + self.obstacle(rod, o).depth)
         self.note_forces(rod, at, some)
         return some
+
+    def clear_between(self, rod, zero):
+        """Begin the sums over the contacts of an edge between its ends."""
+        rod.contacts.between = repeated(zero, 27)
+        if ti.static(self.updates_in_steps):
+            rod.contacts.excesses = repeated(zero, 6)
 
     def known(self, whole, excess):
         """Of a gradient that sums up all pushes λ − κ g of an edge, the part of the forces λ that are known: the ``whole`` less
@@ -119,30 +136,36 @@ class ContactEnergy(ContactPlaces):
     def note_forces(self, rod, at, some):
         """Keep the forces on the ends of an edge, as :meth:`touched` found ``some``."""
         zero, own = 0.0 * rod.total, rod.contacts
-        if some or at.lane(0).pushed > 0.5:
+        if some > 0 or at.lane(0).pushed > 0.5:
             on_end, on_start = variable(repeated(zero, 3)), variable(repeated(zero, 3))
-            if some:
-                on_end = self.known(own.gradient_s, own.excess_s)
-                on_start = minus(on_end, self.known(own.gradient, own.excess))
+            if some > 0:
+                on_end = self.known(own.end_gradient, own.end_excess)
+            if some > 1:
+                between = self.known(own.gradient_s, own.excess_s)
+                on_end, on_start = plus(on_end, between), minus(between, self.known(own.gradient, own.excess))
             at.force_end, at.force_start = negated(on_end), on_start
-            at.lane(0).pushed = ti.select(some, 1.0, 0.0)
+            at.lane(0).pushed = ti.select(some > 0, 1.0, 0.0)
 
     def take(self, rod, load, some):
         """Add the sums over the contacts of a vertex, and of the edge that ends there, to the derivatives of that edge's
         energy, as :meth:`touched` found ``some``."""
         own = rod.contacts
-        if some:
+        if some > 0:
+            whole, bent, known = own.end_gradient, own.end_curvatures, self.known(own.end_gradient, own.end_excess)
+            add(load, known=known, known_s=known, gradient=whole, gradient_s=whole, curvature=bent, curvature_ss=bent,
+                curvature_s=full(bent))
+        if some > 1:
             add(load, known=self.known(own.gradient, own.excess), known_s=self.known(own.gradient_s, own.excess_s),
                 gradient=own.gradient, gradient_s=own.gradient_s, curvature=own.curvatures, curvature_s=own.curvatures_s,
                 curvature_ss=own.curvatures_ss)
 
-    def touched_between(self, rod, o, index, start, edge):
-        """The same of the edge between its ends, of which one is close to obstacle ``o`` in some lane; returns its room."""
+    def touched_between(self, rod, o, index, start, edge, some):
+        """The same of the edge between its ends, of which one is close to obstacle ``o`` in some lane: whether it has contacts
+        there, and its room. ``some``: what was found so far."""
         zero, radius = 0.0 * start[0], rod.contacts.radius
         contact, previous = self.contact(self.vertex(rod, index), o), self.contact(self.vertex(rod, index - 1), o)
-        value_start, value_end, between = previous.at_end.value, contact.at_end.value, contact.between
-        slope_start = dot(previous.at_end.normal, edge) - EVEN * radius
-        slope_end = dot(contact.at_end.normal, edge) + EVEN * radius
+        value_start, value_end = previous.value, contact.value
+        slope_start, slope_end = dot(previous.normal, edge) - EVEN * radius, dot(contact.normal, edge) + EVEN * radius
         # φ along an edge lies above its tangents at both ends, which meet here.
         meet = (value_end - value_start - slope_end) / ti.min(slope_start - slope_end, zero - 1e-20)
         bridging = (slope_start < 0.0) & (slope_end > 0.0)
@@ -150,18 +173,22 @@ class ContactEnergy(ContactPlaces):
         low = ti.select(bridging, value_start + slope_start * meet, least)
         low = ti.max(low, 0.5 * (value_start + value_end - rod.longest))  # φ changes no faster than the place
         close = self.close_lanes(rod, least)
+        depth = self.obstacle(rod, o).depth
         near = close & bridging & (low < 2.0 * radius)
-        active = close & (between.active > 0.5)
-        between.acts, contact.sagging = zero, zero
-        if self.some(near | active, zero):
+        active = close & (contact.active > 0.5)
+        contact.acts, contact.sagging = zero, zero
+        between = self.some(near | active, zero)
+        if between:
+            if some < 2:
+                self.clear_between(rod, zero)
             seen = self.nearest(rod, o, index, start, edge, (slope_start, slope_end), near | active)
             sagging = ti.select(near, least - seen.value, zero)
             contact.sagging = sagging
             # Where rounds find an edge inside an obstacle between its ends, its nearest point counts from then on.
             active = active | ((sagging > zero) & (seen.value < radius))
-            between.active = ti.select(active, zero + 1.0, between.active)
-            self.add_between(rod, between, edge, seen, active)
-        return ti.select(close, low + self.obstacle(rod, o).depth, self.far_room(rod, least))
+            contact.active = ti.select(active, zero + 1.0, contact.active)
+            self.add_between(rod, contact, edge, seen, active)
+        return between, ti.select(close, low + depth, self.far_room(rod, least))
 
     def push(self, rod, force, gap):
         """(force, stiffness) of a contact whose λ is ``force``, and its energy."""
@@ -172,33 +199,20 @@ class ContactEnergy(ContactPlaces):
 
     def add_vertex(self, rod, o, contact):
         """Add a contact of the vertex where the edge ends."""
-        place, zero = contact.at_end, 0.0 * rod.total
-        known = self.add_place(rod, place, zero + 1.0, self.close_lanes(rod, place.value))
-        if self.is_curved(rod, o):
-            self.add_curvature(rod, scaled(contact.curvature, 0.0 - known), zero + 1.0)
-
-    def add_place(self, rod, place, s, acts):
-        """Add the contact at a ``place``, at ``s`` of its edge, in the lanes where it ``acts``; returns its force (of
-        :meth:`known_force`). What the curvature of the obstacle adds is left out."""
-        zero, normal, gap = 0.0 * s, place.normal, place.value - rod.contacts.radius
-        self.update_now(rod, place.of("force"), gap, acts)
-        pushed = self.push(rod, place.force, gap)
-        energy = ti.select(acts, pushed.energy, zero)
-        self.expect(rod, place.of("pushes"), place.force, gap, acts, pushed)
-        force, stiffness = ti.select(acts, pushed.push, zero), ti.select(acts, pushed.stiffness, zero)
-        known = self.known_force(rod, place.force, force)
+        normal = contact.normal
+        zero, close = 0.0 * rod.total, self.close_lanes(rod, contact.value)
+        gap = contact.value - rod.contacts.radius
+        self.update_now(rod, contact.of("force"), gap, close)
+        pushed = self.push(rod, ti.select(close, contact.force, zero), gap)
+        self.add_penalty(rod, pushed.energy, pushed.push * rod.total)
+        self.expect(rod, contact.of("pushes"), contact.force, gap, close, pushed)
+        pull = scaled(normal, 0.0 - pushed.push)
+        known = self.known_force(rod, contact.force, pushed.push)
         if ti.static(self.updates_in_steps):
-            excess = scaled(normal, known - force)
-            add(rod.contacts, excess=excess, excess_s=scaled(excess, s))
-        self.add_penalty(rod, energy, ti.max(force, zero) * rod.total)
-        pull = scaled(normal, 0.0 - force)
-        add(rod.contacts, gradient=pull, gradient_s=scaled(pull, s))
-        self.add_curvature(rod, scaled(outer(normal), stiffness), s)
-        return known
-
-    def add_curvature(self, rod, bent, s):
-        """Add second derivatives by a place at ``s`` of its edge."""
-        add(rod.contacts, curvatures=bent, curvatures_s=scaled(full(bent), s), curvatures_ss=scaled(bent, s * s))
+            add(rod.contacts, end_excess=scaled(normal, known - pushed.push))
+        add(rod.contacts, end_gradient=pull, end_curvatures=scaled(outer(normal), pushed.stiffness))
+        if self.is_curved(rod, o):
+            add(rod.contacts, end_curvatures=scaled(contact.curvature, 0.0 - known))
 
     def update_now(self, rod, force, gap, counts):
         """Where the contact ``counts`` and the step updates forces, its ``force`` λ becomes max(0, λ − κ g), κ that before."""
@@ -238,17 +252,28 @@ class ContactEnergy(ContactPlaces):
                 pushed.stiffness = ti.select(expected, stiffness, pushed.stiffness)
                 choose(rod.contacts, expected, expected=zero + 1.0)
 
-    def add_between(self, rod, place, edge, seen, acts):
+    def add_between(self, rod, contact, edge, seen, acts):
         """Add the contact at the nearest point of the edge in the lanes where it ``acts``; in others it may hold any number."""
-        s, zero = seen.s, 0.0 * seen.s
-        place.seen = (seen.value,) + seen.normal + (s, ti.select(acts, zero + 1.0, zero))
+        s, normal, zero = seen.s, seen.normal, 0.0 * seen.s
+        contact.nearest_point = (s, seen.value) + normal + (ti.select(acts, zero + 1.0, zero),)
         gap = seen.value - rod.contacts.radius
+        self.update_now(rod, contact.of("force_between"), gap, acts)
+        pushed = self.push(rod, contact.force_between, gap)
         rod.contacts.closest = ti.min(rod.contacts.closest, ti.select(acts, gap, zero + 1e30))
-        known = self.add_place(rod, place, s, acts)
-        self.add_curvature(rod, scaled(seen.curvature, 0.0 - known), s)
-        # The point moves along the edge with the step.
+        own = ti.select(acts, pushed.energy, zero)
+        self.expect(rod, contact.of("pushes_between"), contact.force_between, gap, acts, pushed)
+        force, stiffness = ti.select(acts, pushed.push, zero), ti.select(acts, pushed.stiffness, zero)
+        known = self.known_force(rod, contact.force_between, force)
+        if ti.static(self.updates_in_steps):
+            excess = scaled(normal, known - force)
+            add(rod.contacts, excess=excess, excess_s=scaled(excess, s))
+        self.add_penalty(rod, own, ti.max(force, zero) * rod.total)
         turned = applied(full(seen.curvature), edge)
-        across = plus(seen.normal, scaled(turned, s))
+        across = plus(normal, scaled(turned, s))
         slide = known / seen.bend
-        add(rod.contacts, curvatures=scaled(outer(turned), slide), curvatures_s=scaled(outer_product(turned, across), slide),
-            curvatures_ss=scaled(outer(across), slide))
+        fixed = minus(scaled(outer(normal), stiffness), scaled(seen.curvature, known))
+        pull = scaled(normal, 0.0 - force)
+        add(rod.contacts, gradient=pull, gradient_s=scaled(pull, s),
+            curvatures=plus(fixed, scaled(outer(turned), slide)),
+            curvatures_s=plus(scaled(full(fixed), s), scaled(outer_product(turned, across), slide)),
+            curvatures_ss=plus(scaled(fixed, s * s), scaled(outer(across), slide)))

@@ -12,7 +12,7 @@ from doo_ti.contact.obstacles import PLANE
 from doo_ti.physics.algebra import absolute, applied, full, largest_of, row
 from doo_ti.physics.number import device_functions
 from doo_ti.physics.tuples import add, choose, chosen, dot, minus, picked, plus, record, repeated, scaled, variable
-from doo_ti.relaxation.contact_table import CONTACT, CONTACTS, EVEN, OBSTACLE, PLACE, SEARCHES, VERTEX, contact_items
+from doo_ti.relaxation.contact_table import CONTACT, CONTACTS, EVEN, OBSTACLE, SEARCHES, VERTEX, contact_items
 
 
 @device_functions
@@ -50,11 +50,6 @@ class ContactPlaces:
     @picked
     def contact(self, vertex, index):
         return vertex.part(CONTACT, len(VERTEX) + index * len(CONTACT))
-
-    @picked
-    def place(self, vertex, number):
-        """Of the places of a vertex, with one obstacle after the other: the vertex itself, and the edge that ends there."""
-        return self.contact(vertex, number // 2).part(PLACE, number % 2 * len(PLACE))
 
     @picked
     def items(self, tables):
@@ -98,13 +93,13 @@ class ContactPlaces:
             contact = self.contact(at, o)
             seen = self.distance.measure(self.obstacle(rod, o), rod.grids, rod.kinds[o], place)
             value = self.clearance(rod, index, seen.value)
-            contact.at_end.value = value
+            contact.value = value
             # Where a vertex is close, the normals at both ends of its edges count.
             nearest = 0.0 - self.largest(rod.contacts.reach - value)
             contact.lane(0).nearest = nearest
             least, nearest_of_all = ti.min(least, value), ti.min(nearest_of_all, nearest)
             if nearest < longest:
-                contact.at_end.normal = seen.normal
+                contact.normal = seen.normal
                 if self.is_curved(rod, o):
                     contact.curvature = seen.curvature
                 gap, held = value - rod.contacts.radius, self.held(rod, index) > 0.5
@@ -263,25 +258,33 @@ class ContactPlaces:
 
     def slid_between(self, rod, index, contact, o):
         """The same of the place on the edge to vertex ``index`` at which friction acts."""
-        s = contact.between.rubbed_place
+        s = contact.rubbed_place
         before, after = self.slid(rod, self.vertex(rod, index - 1), o), self.slid(rod, self.vertex(rod, index), o)
         return plus(scaled(before, 1.0 - s), scaled(after, s))
 
     # --- friction ---
 
-    def add_friction(self, rod, o, place, s, u, counts):
-        """Add the friction at a ``place``, at ``s`` of its edge, that has slid by ``u``, in the lanes where it ``counts``."""
+    def rub_vertex(self, rod, o, at, contact):
+        """Add the friction of the vertex."""
+        limit = self.limit(rod, o, contact.force)
+        rubbed = self.rubbed(rod, limit, contact.friction, contact.rubbed_normal, self.slid(rod, at, o), rod.contacts.stiffness)
+        self.add_penalty(rod, rubbed.energy, dot(rubbed.pull, rubbed.pull) / rod.contacts.stiffness)
+        add(rod.contacts, end_gradient=rubbed.pull, end_curvatures=rubbed.stiffness)
+
+    def rub_between(self, rod, o, index, contact, counts):
+        """Add the friction at the nearest point of an edge in the lanes where it ``counts``."""
         zero = 0.0 * rod.total
-        rubbed = self.rubbed_place(rod, o, place, u)
+        s, u = contact.rubbed_place, self.slid_between(rod, index, contact, o)
+        limit = self.limit(rod, o, contact.force_between)
+        rubbed = self.rubbed(rod, limit, contact.friction_between, contact.rubbed_normal_between, u, rod.contacts.stiffness)
         pull, bent = chosen(counts, rubbed.pull, repeated(zero, 3)), chosen(counts, rubbed.stiffness, repeated(zero, 6))
         self.add_penalty(rod, ti.select(counts, rubbed.energy, zero), dot(pull, pull) / rod.contacts.stiffness)
         add(rod.contacts, gradient=pull, gradient_s=scaled(pull, s), curvatures=bent, curvatures_s=scaled(full(bent), s),
             curvatures_ss=scaled(bent, s * s))
 
-    def rubbed_place(self, rod, o, place, u):
-        """Friction at a ``place`` that has slid by ``u`` against obstacle ``o``; at most μ λ."""
-        limit = self.obstacle(rod, o).friction * place.force
-        return self.rubbed(rod, limit, place.friction, place.rubbed_normal, u, rod.contacts.stiffness)
+    def limit(self, rod, o, force):
+        """μ λ, the largest friction of a contact with obstacle ``o``."""
+        return self.obstacle(rod, o).friction * force
 
     def rubbed(self, rod, limit, friction, gradient, u, stiffness):
         """Friction of a contact that has moved by ``u``, with that penalty ``stiffness``: its energy, its derivative and its

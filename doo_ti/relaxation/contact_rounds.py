@@ -27,24 +27,28 @@ class ContactRounds(ContactEnergy):
         """The square of the largest share that a ``move`` takes of a vertex's way to the middle of an obstacle, or of the gap,
         PRESSED_IN added, there and on the edge that ends there, whose start moves by ``before``. Only so much of a step is
         taken that this share is at most max_rotation (:meth:`.NewtonTrip.plan`)."""
-        at, most = self.vertex(rod, index), 0.0 * move[0]
+        zero = 0.0 * move[0]
+        at = self.vertex(rod, index)
+        radius = rod.contacts.radius
+        slack = PRESSED_IN * radius
+        most = zero
         if self.is_any_close(rod, at) or (index > 0 and self.is_any_close(rod, self.vertex(rod, index - 1))):
             for o in range(rod.obstacles):
                 contact = self.contact(at, o)
-                value, between = contact.at_end.value, contact.between
+                value = contact.value
                 if self.is_close(rod, contact):
-                    most = self.larger_share(rod, contact.at_end, move, self.close_lanes(rod, value), most)
+                    gap = ti.max(value - radius, zero) + slack
+                    normal = contact.normal
+                    share = 0.0 - dot(normal, move) / ti.max(gap, 1e-6 * radius)
+                    most = ti.select(self.close_lanes(rod, value), ti.max(most, share), most)
                 if self.is_curved(rod, o) and self.is_edge_close(rod, index, o):
-                    way = plus(before, scaled(minus(move, before), between.place))
-                    most = self.larger_share(rod, between, way, between.acts > 0.0, most)
+                    s = contact.place_between
+                    between = plus(before, scaled(minus(move, before), s))
+                    gap = ti.max(contact.value_between - radius, zero) + slack
+                    away = contact.normal_between
+                    share = 0.0 - dot(away, between) / ti.max(gap, 1e-6 * radius)
+                    most = ti.select(contact.acts > 0.0, ti.max(most, share), most)
         return ti.max(dot(move, move) * self.nearness(rod, index, at), most * most)
-
-    def larger_share(self, rod, place, move, counts, most):
-        """``most`` or, where the place ``counts`` and it is larger, the share that a ``move`` takes of the gap there."""
-        radius = rod.contacts.radius
-        gap = ti.max(place.value - radius, 0.0 * radius) + PRESSED_IN * radius
-        share = 0.0 - dot(place.normal, move) / ti.max(gap, 1e-6 * radius)
-        return ti.select(counts, ti.max(most, share), most)
 
     # --- rounds ---
 
@@ -121,8 +125,8 @@ class ContactRounds(ContactEnergy):
                         self.update_edge(rod, v, o, contact, due, found)
                 else:  # in no lane a vertex, or the edge that ends there, is close
                     self.update_vertex(rod, contact, due, found)
-                    self.note_change(found, contact.between.force, zero)
-                    choose(contact.between, due, force=zero, active=zero)
+                    self.note_change(found, contact.force_between, zero)
+                    choose(contact, due, force_between=zero, active=zero)
                     contact.sagging = zero
                 if ti.static(self.rub):
                     found.rubbed = largest_of(found.rubbed, self.update_friction(rod, v, o, due))
@@ -160,23 +164,22 @@ class ContactRounds(ContactEnergy):
 
     def update_vertex(self, rod, contact, due, found):
         """The new force of the contact of a vertex."""
-        place = contact.at_end
-        self.keep_force(place, self.updated_force(rod, place.force, place.value - rod.contacts.radius), due, found)
+        old = contact.force
+        new = self.updated_force(rod, old, contact.value - rod.contacts.radius)
+        self.note_change(found, old, new)
+        contact.force = ti.select(due, new, old)
 
     def update_edge(self, rod, index, o, contact, due, found):
         """The new force of the contact of the edge to vertex ``index``; none ends at vertex 0."""
-        zero, place = 0.0 * rod.total, contact.between
+        zero = 0.0 * rod.total
+        old = contact.force_between
         # Where the edge does not bridge the obstacle its nearest point is not known.
-        known = ((place.acts > 0.0) | (contact.sagging > 0.0)) & (index > 0)
-        gap = ti.select(known, place.value - rod.contacts.radius, zero + 1e6)
-        new, begun = self.update_between(rod, index, o, due, gap, self.updated_force(rod, place.force, gap))
+        known = ((contact.acts > 0.0) | (contact.sagging > 0.0)) & (index > 0)
+        gap = ti.select(known, contact.value_between - rod.contacts.radius, zero + 1e6)
+        new, begun = self.update_between(rod, index, o, due, gap, self.updated_force(rod, old, gap))
         found.change = largest_of(found.change, begun)
-        self.keep_force(place, new, due, found)
-
-    def keep_force(self, place, new, due, found):
-        """Give a ``place``, of the rod or of two edges, its ``new`` force in the lanes that are ``due``."""
-        self.note_change(found, place.force, new)
-        choose(place, due, force=new)
+        self.note_change(found, old, new)
+        contact.force_between = ti.select(due, new, old)
 
     def updated_force(self, rod, old, gap):
         """max(0, λ − κ g)."""
@@ -198,38 +201,45 @@ class ContactRounds(ContactEnergy):
         become one."""
         zero = 0.0 * gap
         contact = self.contact(self.vertex(rod, index), o)
-        place, active = contact.between, contact.between.active
+        active = contact.active
         # Fewer changes than one threshold for both: rounds could take it in and leave it out by turns.
         least = ti.select(active > 0.5, zero, 0.5 * rod.contacts.tolerance)
         sags = (contact.sagging > least) & (index > 0)
         lost = due & (active > 0.5) & ~sags
         if self.some(lost, zero):
-            later = place.place > 0.5
+            later = contact.place_between > 0.5
             given = ti.select(lost, force, zero)
-            add(contact.at_end, force=ti.select(later, given, zero))
-            add(self.contact(self.vertex(rod, index - 1), o).at_end, force=ti.select(later, zero, given))
+            add(contact, force=ti.select(later, given, zero))
+            add(self.contact(self.vertex(rod, index - 1), o), force=ti.select(later, zero, given))
         begun = ti.select(sags & (active < 0.5), ti.max(rod.contacts.stiffness * (0.0 - gap), zero), zero)
-        place.active = ti.select(due, ti.select(sags, zero + 1.0, zero), active)
+        contact.active = ti.select(due, ti.select(sags, zero + 1.0, zero), active)
         return ti.select(sags, force, zero), begun
 
     def update_friction(self, rod, index, o, due):
         """New friction on a vertex and on the edge that ends there, under the new forces: by how much it changes."""
+        zero = 0.0 * rod.total
         at = self.vertex(rod, index)
-        contact, slid = self.contact(at, o), variable(self.slid(rod, at, o))
-        change = self.renew_friction(rod, o, contact.at_end, slid, self.close_lanes(rod, contact.at_end.value), due)
-        if index > 0:
-            slid = self.slid_between(rod, index, contact, o)
-            counts = contact.between.active > 0.5
-            change = largest_of(change, self.renew_friction(rod, o, contact.between, slid, counts, due))
-        return change
-
-    def renew_friction(self, rod, o, place, u, counts, due):
-        """The same at a ``place`` that has slid by ``u``, where it ``counts``; elsewhere there is none."""
-        pull = variable(repeated(0.0 * rod.total, 3))
-        if self.some(counts, 0.0 * rod.total):
-            pull = chosen(counts, self.rubbed_place(rod, o, place, u).pull, pull)
-        change = self.keep_friction(place.of("friction"), pull, due)
-        choose(place, due & counts, rubbed_normal=place.normal, rubbed_place=place.place)
+        contact = self.contact(at, o)
+        change = zero
+        close = self.close_lanes(rod, contact.value)
+        if self.some(close | (contact.force > 0.0), zero):
+            limit = self.limit(rod, o, contact.force)
+            slid, stiffness = self.slid(rod, at, o), rod.contacts.stiffness
+            rubbed = self.rubbed(rod, limit, contact.friction, contact.rubbed_normal, slid, stiffness)
+            change = self.keep_friction(contact.of("friction"), rubbed.pull, due)
+            choose(contact, due & close, rubbed_normal=contact.normal)
+        else:
+            change = self.keep_friction(contact.of("friction"), repeated(zero, 3), due)
+        active = contact.active > 0.5
+        if index > 0 and self.some(active, zero):
+            limit, u = self.limit(rod, o, contact.force_between), self.slid_between(rod, index, contact, o)
+            stiffness, gradient = rod.contacts.stiffness, contact.rubbed_normal_between
+            between = self.rubbed(rod, limit, contact.friction_between, gradient, u, stiffness)
+            pull = chosen(active, between.pull, repeated(zero, 3))
+            change = largest_of(change, self.keep_friction(contact.of("friction_between"), pull, due))
+            choose(contact, due & active, rubbed_normal_between=contact.normal_between, rubbed_place=contact.place_between)
+        else:
+            self.keep_friction(contact.of("friction_between"), repeated(zero, 3), due)
         return change
 
     def keep_friction(self, friction, pull, due):

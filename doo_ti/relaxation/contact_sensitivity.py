@@ -74,10 +74,11 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
         contacts = self.contacts
         rod.contacts.stiffness = STIFF * bend / (edge * edge * edge)
         for v in range(rod.edges + 1):
-            for number in range(2 * rod.obstacles):
-                place = contacts.place(contacts.vertex(rod, v), number)
-                place.force = place.force / (unit * unit)
-                place.active = ti.select(place.force > 0.0, 1.0, 0.0)
+            for o in range(rod.obstacles):
+                contact = contacts.contact(contacts.vertex(rod, v), o)
+                contact.force = contact.force / (unit * unit)
+                contact.force_between = contact.force_between / (unit * unit)
+                contact.active = ti.select(contact.force_between > 0.0, 1.0, 0.0)
         row = ti.min(tables.rods[index, of.RESULT_ROW], tables.point_loads.shape[0] - 1)
         for e in range(rod.edges):
             vertex = ti.min(e + 1, tables.point_loads.shape[1] - 1)

@@ -45,11 +45,14 @@ expecting, expected        one where the step before was refused; one where the 
                            not push (:meth:`.ContactEnergy.expect`)
 penalty_kept               ``penalty`` at the accepted frames
 some_expecting, longest_edge  one number for all rods of the pack: whether any is ``expecting``; the longest edge"""
-EDGE = Layout(gradient=3, gradient_s=3, curvatures=6, curvatures_s=9, curvatures_ss=6, excess=3, excess_s=3,
-              all=("gradient", 33))
-"""Of the edge at hand, and of the vertex where it ends: the derivatives of the energy of their contacts, as
-:meth:`.LoadedElimination.load` has them; and of the first two, how much κ g has to do with: the gradient less that of the known
-forces λ. A rod has one such area."""
+EDGE = Layout(
+    gradient=3, gradient_s=3, curvatures=6, curvatures_s=9, curvatures_ss=6, between=("gradient", 27), excess=3, excess_s=3,
+    excesses=("excess", 6), end_gradient=3, end_curvatures=6, end_excess=3, end=("end_gradient", 12))
+"""Of the edge at hand: a rod has one such area.
+
+between  derivatives of the energy of the contacts of one edge between its ends, as :meth:`.LoadedElimination.load` has them
+excesses  of its first two, how much κ g has to do with: the gradient less that of the known forces λ
+end       derivatives by the place of the vertex where the edge ends of the energy of the contacts there"""
 CONTACTS = ROD + SUMS + STEP + EDGE  # of a rod; its obstacles follow, and then its vertices
 CARRIED_ON = tuple(map(CONTACTS.at, ("first_stiffness", "stiffness", "largest", "way", "work")))
 """Numbers of a rod that last from one launch of a motion to the next."""
@@ -67,24 +70,23 @@ least                       φ, of all obstacles
 nearest_of_all, pushed      one number for all rods of the pack: how far the nearest obstacle is from being close; whether there
                             are forces
 odd                         unused: with a power of two of numbers all vertices would share a few lines of the cache"""
-PLACE = Layout(force=1, friction=3, rubbed_normal=3, rubbed_place=1, active=1, remembered=("force", 9),
-               value=1, normal=3, place=1, acts=1, seen=("value", 6), pushes=1)
-"""A place of the rod beside an obstacle: a vertex, or the nearest point of an edge.
+CONTACT = Layout(
+    force=1, force_between=1, friction=3, friction_between=3, rubbed_normal=3, rubbed_place=1, rubbed_normal_between=3,
+    active=1, value=1, normal=3, curvature=6, place_between=1, value_between=1, normal_between=3, acts=1,
+    nearest_point=("place_between", 6), sagging=1, nearest=1, pushes=1, pushes_between=1,
+    remembered=("force", 16))
+"""The contact of a vertex and of the edge that ends there (``_between``) with an obstacle.
 
 force, friction        λ and q
-rubbed_normal, rubbed_place  for friction, where a round does not change them: the normal, and s on the edge
+rubbed_normal, rubbed_place  for friction, where a round does not change them: the normals, and the place on the edge
 active                 one where rounds have the contact of the edge
-value, normal, place   φ, ∇φ and s on the edge
-acts                   one where the edge has a contact
+value, normal, curvature  φ, ∇φ and ∇∇φ at the vertex
+nearest_point          of the edge: s, φ* and its normal, and one where it has a contact, ``acts``
+sagging                by how much the edge is nearer there than at its ends
+nearest                one number for all rods of the pack: how far the nearest is from being close
 pushes                 one where the contact has pushed in the last trip"""
-CONTACT = Layout(at_end=PLACE, between=PLACE, curvature=6, sagging=1, nearest=1)
-"""The contact with an obstacle of a vertex and, ``between`` its ends, of the edge that ends there.
-
-curvature              ∇∇φ at the vertex
-sagging                by how much the edge is nearer at its nearest point than at its ends
-nearest                one number for all rods of the pack: how far the nearest is from being close"""
-REMEMBERED, REMEMBERED_IN_MOTION = PLACE.at("friction"), PLACE.at("value")
-"""Numbers of a place that last from one relaxation to the next, and from one step to the next."""
+REMEMBERED, REMEMBERED_IN_MOTION = CONTACT.at("friction"), CONTACT.at("value")
+"""Numbers of a contact that last from one relaxation to the next, and from one step to the next."""
 
 # --- the contact of a rod with itself, after those with obstacles: of the rod, of its vertices, of pairs of its edges, and the
 # dense Newton system (:class:`.DenseFactors`) ---
@@ -177,7 +179,7 @@ class ContactTable:
     kinds      (M,) int32, and grids, see :func:`.grid_table`
     radius     (1 or R,) of the rods, mm
     near       (R,) bool: rods that can reach an obstacle
-    memory     (R, V, 2 M, REMEMBERED) of the contacts of vertices and edges, in and out; no rows while no rod is near
+    memory     (R, V, M, REMEMBERED) forces of the contacts of vertices and edges, in and out; no rows while no rod is near
     forces     (R, V, 3) on the vertices, energy per mm, out; read-only zeros while no rod is near
     surroundings  as they were given
     self_friction  (1 or R,) the rods' coefficients of friction on themselves
@@ -268,7 +270,7 @@ def contact_table(surroundings: Surroundings, count: int, edges: int, clamp: np.
     near = np.ones(count, dtype=bool) if in_motion else _near(obstacles, radius, clamp, index)
     # Where no rod is near, nothing is written to either before rods touch themselves.
     rows = count if near.any() else 0
-    memory = np.zeros((rows, edges + 1, max(1, 2 * len(obstacles)), REMEMBERED_IN_MOTION if in_motion else REMEMBERED))
+    memory = np.zeros((rows, edges + 1, max(1, len(obstacles)), REMEMBERED_IN_MOTION if in_motion else REMEMBERED))
     forces = np.broadcast_to(0.0, (count, edges + 1, 3)) if not rows else np.zeros((count, edges + 1, 3))
     kinds, grids = grid_table(obstacles)
     return ContactTable(

@@ -62,9 +62,10 @@ class RodContacts(ContactRounds):
             at = self.vertex(rod, v)
             for o in range(rod.obstacles):
                 contact = self.contact(at, o)
-                work = work + dot(contact.at_end.friction, self.slid(rod, at, o))
+                work = work + dot(contact.friction, self.slid(rod, at, o))
                 if v > 0:
-                    friction, active = contact.between.friction, contact.between.active > 0.5
+                    friction = contact.friction_between
+                    active = contact.active > 0.5
                     work = work + ti.select(active, dot(friction, self.slid_between(rod, v, contact, o)), zero)
         if ti.static(self.itself):
             work = work + self.pair_work(rod)
@@ -88,8 +89,8 @@ class RodContacts(ContactRounds):
                    eased=1.0 + rod.contacts.eased)
             for v in range(rod.edges + 1):
                 at = self.vertex(rod, v)
-                for number in range(2 * rod.obstacles):
-                    choose(self.place(at, number), once, remembered=repeated(zero, layout.REMEMBERED_IN_MOTION))
+                for o in range(rod.obstacles):
+                    choose(self.contact(at, o), once, remembered=repeated(zero, layout.REMEMBERED_IN_MOTION))
             if ti.static(self.itself):
                 self.forget_pairs(rod, once)
             choose(rod.contacts, once, largest=zero)  # one that jammed would be jammed again
@@ -149,22 +150,24 @@ class RodContacts(ContactRounds):
             at = self.vertex(one, v)
             at.room = 1e30
             at.lane(0).pushed = 1.0
-            for number in range(2 * count):
-                largest = ti.max(largest, self.load_place(tables, self.place(at, number), row, v, number))
+            for o in range(count):
+                largest = ti.max(largest, self.load_contact(tables, self.contact(at, o), row, v, o))
         # A rod that begins with large forces would slip into the obstacle if κ gave way as if it had none.
         base.largest = largest
         base.stiffness = ti.max(stiffness, largest / (layout.PRESSED_IN * radius))
         if ti.static(self.itself):
             self.load_pairs(tables, slot, row)
 
-    def load_place(self, tables, place, row, v, number):
-        """What memory has of a place into a lane; returns its force."""
-        place.pushes = 0.0
-        for k in ti.static(range(layout.REMEMBERED, layout.REMEMBERED_IN_MOTION)):
-            place[k] = 0.0
+    def load_contact(self, tables, contact, row, v, o):
+        """What memory has of a contact into a lane; returns the larger of its forces."""
+        if ti.static(self.expects):
+            contact.pushes, contact.pushes_between = 0.0, 0.0
+        fresh = ti.static(range(layout.REMEMBERED, layout.REMEMBERED_IN_MOTION) if self.rub else (layout.CONTACT.at("active"),))
+        for k in ti.static(fresh):
+            contact[k] = 0.0
         for k in range(tables.memory.shape[3]):
-            place[k] = tables.memory[row, v, number, k]
-        return tables.memory[row, v, number, 0]
+            contact[k] = tables.memory[row, v, o, k]
+        return ti.max(tables.memory[row, v, o, 0], tables.memory[row, v, o, 1])
 
     def unload_forces(self, tables, slot, place, force_unit):
         """The forces on the lane's vertices into row ``place``."""
@@ -185,9 +188,10 @@ class RodContacts(ContactRounds):
             touch = ti.cast(NONE, ti.i32)
             if ti.static(self.itself):
                 touch = self.pair_touch(tables, slot, v)
-            for number in range(2 * one.obstacles):
-                at, coefficient = self.place(self.vertex(one, v), number), self.obstacle(one, number // 2).friction
-                touch = ti.max(touch, self.touch_of(at.force, at.friction, coefficient))
+            for o in range(one.obstacles):
+                contact, coefficient = self.contact(self.vertex(one, v), o), self.obstacle(one, o).friction
+                touch = ti.max(touch, self.touch_of(contact.force, contact.friction, coefficient))
+                touch = ti.max(touch, self.touch_of(contact.force_between, contact.friction_between, coefficient))
             tables.touches[place, v] = touch
 
     def touch_of(self, force, friction, coefficient):
@@ -205,10 +209,10 @@ class RodContacts(ContactRounds):
         """The lane's contacts into row ``row`` of the memory, in the units of the chain."""
         one = self.of_lane(tables, slot)
         for v in range(one.edges + 1):
-            for number in range(2 * one.obstacles):
-                place = self.place(self.vertex(one, v), number)
+            for o in range(one.obstacles):
+                contact = self.contact(self.vertex(one, v), o)
                 for k in range(tables.memory.shape[3]):
-                    tables.memory[row, v, number, k] = place[k]
+                    tables.memory[row, v, o, k] = contact[k]
 
     def unload_motion(self, tables, slot, row):
         """The same of a rod in motion, with what its next step begins with."""

@@ -15,19 +15,7 @@ its unknown is the place ξ of the vertex behind it, where sums over vertices be
 
 import taichi as ti
 
-from doo_ti.physics.algebra import (
-    applied,
-    between,
-    full,
-    identity,
-    largest_of,
-    on_diagonal,
-    row,
-    row_scaled,
-    scaled_both,
-    shifted,
-    transposed,
-)
+from doo_ti.physics.algebra import applied, full, identity, largest_of, on_diagonal, row, scaled_both, shifted, transposed
 from doo_ti.physics.number import device_functions
 from doo_ti.physics.pair import closure_rows, linear_gradient, linear_hessian, shift_of_end
 from doo_ti.physics.quaternion import directors, first_director, second_director, tangent
@@ -40,6 +28,21 @@ from doo_ti.relaxation.elimination import held_pivot
 def symmetric_sum(m) -> tuple:
     """M + Mᵀ, six numbers."""
     return (2.0 * m[0], m[1] + m[3], m[2] + m[6], 2.0 * m[4], m[5] + m[7], 2.0 * m[8])
+
+
+@traced
+def turned_block(left, m, right) -> tuple:
+    """A_e M A_fᵀ, of the rows of both A."""
+    rows = [tuple(sum_of(m[3 * k + c] * a[k] for k in range(3)) for c in range(3)) for a in left]
+    return tuple(sum_of(r[c] * b[c] for c in range(3)) for r in rows for b in right)
+
+
+def sum_of(values):
+    """The sum of some numbers of a kernel."""
+    total = None
+    for value in values:
+        total = value if total is None else total + value
+    return total
 
 
 @device_functions
@@ -108,9 +111,9 @@ class DenseElimination(DenseFactors):
 
     def touch_begin(self, rod, index):
         """Add the contacts of vertex ``index``, where a rod begins, with obstacles."""
-        if self.contacts.touched_start(rod, index):
-            self.contacts.add_load(rod, index, rod.contacts.gradient)
-            self.contacts.add_diagonal(rod, index, full(rod.contacts.curvatures))
+        if self.contacts.touched_start(rod, index) == 1:
+            self.contacts.add_load(rod, index, rod.contacts.end_gradient)
+            self.contacts.add_diagonal(rod, index, full(rod.contacts.end_curvatures))
 
     # --- H ---
 
@@ -128,7 +131,7 @@ class DenseElimination(DenseFactors):
                 self.contacts.add_diagonal(rod, p, full(both))
 
     def levers(self, rod, index):
-        """A of block ``index``, with zeros for what is held: the identity where a rod begins."""
+        """The rows of A of block ``index``, with zeros for what is held: the identity where a rod begins."""
         a, free = variable(identity(0.0 * rod.total)), variable(repeated(rod.loose, 3))
         if index > 0:
             free = self.freedom(rod, index - 1)
@@ -136,7 +139,7 @@ class DenseElimination(DenseFactors):
                 edge = self.edge(rod.head, index - 1)
                 q = edge.frame
                 a = closure_rows(edge.length, first_director(q), second_director(q))
-        return row_scaled(a, free)
+        return scaled(row(a, 0), free[1]), scaled(row(a, 1), free[1]), scaled(row(a, 2), free[2])
 
     def assemble(self, rod, shift, search, multiplier, found):
         """H + shift in the place of the sums, and the right-hand sides."""
@@ -217,7 +220,7 @@ class DenseElimination(DenseFactors):
             if self.begins(rod, q) > 0:
                 sums = repeated(0.0 * rod.total, 9)
             sums = plus(sums, self.load_block(rod, line, q))
-            block = variable(between(own, sums, self.levers(rod, q)))
+            block = variable(turned_block(own, sums, self.levers(rod, q)))
             if back == 0 and q > 0:
                 block = plus(block, scaled_both(free, transposed(across), self.freedom(rod, q - 1)))
             self.store_block(rod, line, q, block)

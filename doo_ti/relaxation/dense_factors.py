@@ -2,12 +2,18 @@
 
 import taichi as ti
 
-from doo_ti.physics.algebra import outer_product, row
+from doo_ti.physics.algebra import row
 from doo_ti.physics.factors import factor_in_turn
 from doo_ti.physics.number import NUMBERS, device_functions
-from doo_ti.physics.tuples import minus, plus, repeated, scaled, variable
+from doo_ti.physics.tuples import minus, plus, repeated, scaled, traced, variable
 
 COLUMNS = 4  # of the right-hand side: that of the step and the three of closure
+
+
+@traced
+def minus_product(m, a, b) -> tuple:
+    """M − a bᵀ, row by row."""
+    return tuple(m[3 * r + c] - a[r] * b[c] for r in range(3) for c in range(3))
 
 
 @device_functions
@@ -94,7 +100,7 @@ class DenseFactors:
         rest = variable(self.load_block(rod, p, q))
         lines = self.rows_of(rod, q, 0)
         for k in range(3 * q):
-            rest = minus(rest, outer_product(self.eliminated(rod, k).three, (lines[0][k], lines[1][k], lines[2][k])))
+            rest = minus_product(rest, self.eliminated(rod, k).three, (lines[0][k], lines[1][k], lines[2][k]))
         f = self.load_diagonal(rod, q)  # (1/d1, l21, l31, 1/d2, l32, 1/d3)
         for r in ti.static(range(3)):
             first = rest[3 * r]

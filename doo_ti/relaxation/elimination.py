@@ -215,10 +215,10 @@ class LooseStart(Elimination):
             force, c = plus(force, slope), plus(c, slope)
             beyond.cc = plus(beyond.cc, curvature)
         if ti.static(self.touches):
-            if self.contacts.touched_start(rod, 0):
-                slope = rod.contacts.gradient
-                force, c = plus(force, self.contacts.known(slope, rod.contacts.excess)), plus(c, slope)
-                beyond.cc = plus(beyond.cc, rod.contacts.curvatures)
+            if self.contacts.touched_start(rod, 0) == 1:
+                slope = rod.contacts.end_gradient
+                force, c = plus(force, self.contacts.known(slope, rod.contacts.end_excess)), plus(c, slope)
+                beyond.cc = plus(beyond.cc, rod.contacts.end_curvatures)
             found.energy = found.energy + rod.contacts.energy
             found.magnitude = found.magnitude + rod.contacts.magnitude
         moment = scaled(force, loose * rod.total)

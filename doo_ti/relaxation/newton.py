@@ -247,7 +247,7 @@ OBSTACLES = {
     "grids": TABLE1,  # of the grids, see :func:`doo_ti.contact.distance_grid.grid_table`
     "radius": TABLE1,  # [1 or row] mm
     "tolerance": ti.f64,  # of gaps, over the radius
-    "memory": TABLE4,  # [row, vertex, obstacle · place, REMEMBERED] in and out
+    "memory": TABLE4,  # [row, vertex, obstacle, REMEMBERED] in and out
     "forces": TABLE3,  # [row, vertex, 3] out
     "self_friction": TABLE1,  # [1 or row] coefficient of the rod on itself
 }

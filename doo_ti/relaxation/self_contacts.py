@@ -65,7 +65,9 @@ class SelfContacts(SelfContactEnergy):
                 old = at.force
                 if self.some((gap < radius) | (old > 0.0), zero):
                     gap = ti.min(gap, 4.0 * radius)
-                    self.keep_force(at, self.updated_force(rod, old, gap), due, found)
+                    new = self.updated_force(rod, old, gap)
+                    self.note_change(found, old, new)
+                    at.force = ti.select(due, new, old)
                     if ti.static(self.rub):
                         found.rubbed = largest_of(found.rubbed, self.update_pair_friction(rod, i, j, at, due))
 

@@ -50,17 +50,17 @@ class TimeImpact(TimeSweep):
             bent = scaled(change, time.rate - 1.0)
             for o in range(rod.obstacles):
                 contact = self.contacts.contact(at, o)
-                end, between = contact.at_end, contact.between
-                if self.contacts.some((end.force > 0.0) | (between.force > 0.0), zero):
+                force, between = contact.force, contact.force_between
+                if self.contacts.some((force > 0.0) | (between > 0.0), zero):
                     way = variable(plus(self.contacts.slid(rod, at, o), bent))
-                    away = dot(way, end.normal)
-                    most = ti.select(end.force > 0.0, ti.max(most, away), most)
+                    away = dot(way, contact.normal)
+                    most = ti.select(force > 0.0, ti.max(most, away), most)
                     if v > 0:
-                        s = between.place
+                        s = contact.place_between
                         before = plus(self.contacts.slid(rod, self.contacts.vertex(rod, v - 1), o), last)
                         amid = plus(scaled(before, 1.0 - s), scaled(way, s))
-                        away = dot(amid, between.normal)
-                        most = ti.select(between.force > 0.0, ti.max(most, away), most)
+                        away = dot(amid, contact.normal_between)
+                        most = ti.select(between > 0.0, ti.max(most, away), most)
             last = bent
         return most > LEAVING * rod.contacts.tolerance
 
