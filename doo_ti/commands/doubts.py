@@ -92,8 +92,8 @@ def order_doubt(observations: Observations) -> str | None:
                 "columns observation and vertex swapped, or the marks not in their order along the rod?")
     exchanged = exchanged_marks(observations)
     if exchanged is not None:
-        return (f"the line through the marks is far shorter with marks {exchanged[0] + 1} and {exchanged[1] + 1} exchanged, in "
-                f"{EXCHANGED:.0%} of the observations or more; check their labels")
+        return (f"the line through the marks is far shorter with marks {exchanged[0]} and {exchanged[1]}, counted from 0, "
+                f"exchanged, in {EXCHANGED:.0%} of the observations or more; check their labels")
     lengths = observations.rest_length
     longest, usual = lengths.max(), np.median(lengths)
     if longest <= MOST_UNEVEN * usual:
@@ -125,8 +125,8 @@ def apart_doubt(observations: Observations) -> str | None:
     row, edge = np.unravel_index(ratio.argmax(), ratio.shape)
     if ratio[row, edge] < MOST_APART:
         return None
-    return (f"marks {edge + 1} and {edge + 2} of observation {observations.labels[row]} are {apart[row, edge]:.4g} mm apart, "
-            f"but {observations.rest_length[edge]:.4g} mm along the rod; of such places there are "
+    return (f"marks {edge} and {edge + 1}, counted from 0, of observation {observations.labels[row]} are "
+            f"{apart[row, edge]:.4g} mm apart, but {observations.rest_length[edge]:.4g} mm along the rod; of such places there are "
             f"{np.count_nonzero(ratio >= MOST_APART)}. Leave marks that were not seen empty, and check labels")
 
 

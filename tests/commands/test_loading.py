@@ -105,7 +105,7 @@ def test_labels_exchanged_in_every_pose_are_doubted(rng, first, second):
     marks += rng.normal(0, 1.0, marks.shape)
     assert order_doubt(Observations(marks)) is None and apart_doubt(Observations(marks)) is None
     marks[:, [first, second]] = marks[:, [second, first]]
-    assert f"with marks {first + 1} and {second + 1} exchanged" in order_doubt(Observations(marks))
+    assert f"with marks {first} and {second}, counted from 0, exchanged" in order_doubt(Observations(marks))
 
 
 def test_a_mark_that_is_too_far_away_for_the_rod_is_doubted():
@@ -113,7 +113,8 @@ def test_a_mark_that_is_too_far_away_for_the_rod_is_doubted():
     marks = np.array(MARKS)
     marks[1, -1] = 0.0
     doubt = apart_doubt(Observations(marks, rest_length=Observations(MARKS).rest_length))
-    assert f"marks {len(marks[1]) - 1} and {len(marks[1])} of observation 1 are" in doubt and "leave marks" in doubt.lower()
+    last = len(marks[1]) - 1
+    assert f"marks {last - 1} and {last}, counted from 0, of observation 1 are" in doubt and "leave marks" in doubt.lower()
 
 
 def test_a_pose_whose_frames_fit_its_marks_in_reverse_order_is_doubted(rng):
