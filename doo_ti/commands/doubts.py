@@ -126,8 +126,8 @@ def apart_doubt(observations: Observations) -> str | None:
     if ratio[row, edge] < MOST_APART:
         return None
     return (f"marks {edge} and {edge + 1}, counted from 0, of observation {observations.labels[row]} are "
-            f"{apart[row, edge]:.4g} mm apart, but {observations.rest_length[edge]:.4g} mm along the rod; of such places there are "
-            f"{np.count_nonzero(ratio >= MOST_APART)}. Leave marks that were not seen empty, and check labels")
+            f"{apart[row, edge]:.4g} mm apart, but {observations.rest_length[edge]:.4g} mm along the rod (such places: "
+            f"{np.count_nonzero(ratio >= MOST_APART)}); leave marks that were not seen empty, and check labels")
 
 
 def exchanged_marks(observations: Observations) -> tuple[int, int] | None:
