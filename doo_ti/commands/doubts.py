@@ -19,18 +19,18 @@ MOST_UNEVEN = 20.0  # longest edge over the median one, above which the marks ma
 MOST_APART = 1.8  # distance of neighbouring marks over the length between them; more is no noise but a wrong mark
 BOTH_AGREE = 1.7  # sum of the cosines between the frames of both ends and the edges there: 32° if both are off alike
 EXCHANGED, SHORTER = 0.8, 0.7
-"""Least share of the observations in which two marks look exchanged, and most length of the line there, over that without."""
+"""Least share of the observations in which the line through the marks is shorter with two of them exchanged, and the most that
+its length beside these two then is, over that before."""
 MOST_LOOKED_AT, MOST_PAIRS = 30, 4_000_000  # observations, and pairs of marks in all of them
 ALIKE = 0.5  # of the distance that noise gives to two observations of one pose: they share errors
 
 
 def warn(observations: Observations, surroundings: Surroundings | None = None, **material) -> None:
-    """Print a warning where the rod is implausible, or too coarse for what is around it; ``material`` as :func:`stated`. To be
-    called once everything is checked, so that wrong input is reported in one line."""
-    for doubt in (order_doubt(observations) or apart_doubt(observations), reverse_doubt(observations),
-                  length_doubt(observations), inside_doubt(observations, surroundings)):
-        if doubt is not None:
-            terminal.warn(f"{in_line(observations.source)}: {doubt}")
+    """Print a warning where the rod is implausible, or too coarse for what is around it; ``material`` as
+    :func:`doo_ti.commands.loading.stated`. To be called once everything is checked, so that wrong input is reported in one
+    line."""
+    say(observations.source, order_doubt(observations) or apart_doubt(observations), reverse_doubt(observations),
+        length_doubt(observations), inside_doubt(observations, surroundings))
     warn_of_rod(observations.source, observations.rest_length, surroundings, **material)
 
 
@@ -38,8 +38,13 @@ def warn_of_rod(source, rest_length: np.ndarray, surroundings: Surroundings | No
                 stiffness: ArrayLike | None = None) -> None:
     """The same of a rod of ``source`` with edges of ``rest_length`` (E,)."""
     length = float(rest_length.sum())
-    for doubt in (unit_doubt(length), mesh_doubt(rest_length, surroundings), density_doubt(length, weight),
-                  stiffness_doubt(stiffness, weight)):
+    say(source, unit_doubt(length), mesh_doubt(rest_length, surroundings), density_doubt(length, weight),
+        stiffness_doubt(stiffness, weight))
+
+
+def say(source, *doubts: str | None) -> None:
+    """Print as warnings about ``source`` those of the ``doubts`` that there are."""
+    for doubt in doubts:
         if doubt is not None:
             terminal.warn(f"{in_line(source)}: {doubt}")
 
@@ -114,8 +119,8 @@ def reverse_doubt(observations: Observations) -> str | None:
     wrong = np.flatnonzero((agree < BOTH_AGREE) & (reverse > BOTH_AGREE))
     if not len(wrong):
         return None
-    return (f"the marks of observation {observations.labels[wrong[0]]} look as if in reverse order: its end frames point along "
-            f"its edges the other way round (such observations: {len(wrong)})")
+    return (f"the marks of observation {observations.labels[wrong[0]]} look as if in reverse order: its end frames "
+            f"agree with its edges only the other way round (such observations: {len(wrong)})")
 
 
 def apart_doubt(observations: Observations) -> str | None:
@@ -131,8 +136,8 @@ def apart_doubt(observations: Observations) -> str | None:
 
 
 def exchanged_marks(observations: Observations) -> tuple[int, int] | None:
-    """The two marks, from 0, without which exchanged the line through the marks is far longer in nearly all observations, by
-    most; None where there are none."""
+    """The two marks, counted from 0, whose exchange makes the line through the marks far shorter in nearly all observations; of
+    several pairs the one that shortens it most, and None where there is none."""
     looked_at = max(1, min(MOST_LOOKED_AT, MOST_PAIRS // observations.vertices.shape[1] ** 2))
     vertices = observations.vertices[:: -(-observations.count // looked_at)]
     apart = np.linalg.norm(vertices[:, :, None] - vertices[:, None], axis=-1)

@@ -20,7 +20,7 @@ from doo_ti.rod.start import check_experiment, observation_clamps
 from doo_ti.rod.types import Clamps
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import read_content
-from doo_ti.system.terminal import busy, in_line, warn
+from doo_ti.system.terminal import busy, in_line
 
 if TYPE_CHECKING:  # it reads Parquet
     from doo_ti.learning.landscape import Landscape
@@ -120,10 +120,8 @@ def run(options: Namespace) -> int:
         with busy(f"refining {task.observations.name} (kernels are compiled once on a machine)"):
             found = refine(task.observations, task.clamps, task.thetas, chosen)
         mesh = np.full(found.mesh_edges, task.observations.rest_length.sum() / found.mesh_edges)
-        for doubt in (doubts.mesh_doubt(mesh, task.surroundings),
-                      doubts.repeats_doubt(task.observations, float(np.mean(found.adequacy.noise)))):
-            if doubt is not None:
-                warn(f"{in_line(task.observations.source)}: {doubt}")
+        doubts.say(task.observations.source, doubts.mesh_doubt(mesh, task.surroundings),
+                   doubts.repeats_doubt(task.observations, found.adequacy.noise))
         held_out = None
         if split is not None:
             with busy(f"cross-validating {task.observations.name} in {folds} folds"):
@@ -139,8 +137,7 @@ def run(options: Namespace) -> int:
             if not written and out is None:
                 kept = [f"  {'written to':<18} no file: give --out F.json to keep this"]
             print("\n".join([first, loading.rod_line(task.observations), *rest, *kept]))
-        if doubt := loading.up_text(summaries[-1]["other_up"]):
-            warn(f"{in_line(task.observations.source)}: {doubt}")
+        doubts.say(task.observations.source, loading.up_text(summaries[-1]["other_up"]))
     if out is not None:
         save_json(out, summaries)
     if options.json:

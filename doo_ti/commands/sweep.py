@@ -22,7 +22,7 @@ from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import check_experiment, observation_clamps
 from doo_ti.rod.types import Clamp
 from doo_ti.system.errors import InputError
-from doo_ti.system.terminal import in_line, warn
+from doo_ti.system.terminal import in_line
 
 if TYPE_CHECKING:
     from doo_ti.learning.experiment import SweepOptions
@@ -85,8 +85,7 @@ def run_sweep(options: Namespace) -> int:
             relaxed.append(summary)
         if not options.json:
             print("\n".join(_lines(search, summary, finished_before)))
-        if doubt := loading.up_text(summary.get("other_up")):
-            warn(f"{in_line(search.observations.source)}: {doubt}")
+        doubts.say(search.observations.source, loading.up_text(summary.get("other_up")))
     if options.json:
         print(json.dumps(plain(summaries if len(options.sources) > 1 else summaries[0])))
     else:

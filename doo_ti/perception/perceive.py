@@ -210,8 +210,8 @@ def perceive(
     up           (3,) direction against gravity; any length
     on_step      called with the number of edges, the hypotheses kept and those pruned, after each step
     surroundings obstacles that all rods may touch but not enter, and their radius
-    start_sigma  (A,) mm: standard deviation of each ``point``, root mean square over the coordinates, which counts in
-                 that of the rod, and its start is free in the end; 0: point and direction are exact
+    start_sigma  (A,) mm: standard deviation of each ``point``, root mean square over the coordinates. It counts in that of
+                 the rod, whose start the last relaxation may then move; 0: point and direction are exact
 
     Raises InputError for shapes that do not match, fewer than two edges, more than one material, and seeds inside an obstacle.
     """

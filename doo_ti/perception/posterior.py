@@ -54,9 +54,9 @@ from doo_ti.vision.image_energy import AssignedPoints
 PLACES = np.array([0.25, 0.75])  # along an edge where its image is evaluated
 RELAXATIONS, STILL_MM = 20, 0.01  # at most, until no vertex moves by more
 TOLERANCE = 1e-5  # of their residuals: points, of which many pull, are known to f32
-FIRST, LAST = np.s_[:, :, 0, 0], np.s_[:, :, -1, -1]  # of (A, C, E, K) places
-NOISE_PX3 = 0.05  # N; over the variance, along it, of where a line ends it is the weight of that end
-TURNING, STRAIGHT = 2.0, 0.06  # rad by which rods are taken to turn at least: for T in ν, and in the covariance
+LAST = np.s_[:, :, -1, -1]  # of (A, C, E, K) places
+NOISE_PX3 = 0.05  # N, of the usual σ and ℓ; a line's end has the weight N over the variance of where the line ends
+TURNING, STRAIGHT = 2.0, 0.06  # rad that rods turn by at least, for T in ν and for T in the covariance
 NEIGHBOURS = 8  # points nearest to a place that are looked at: the nearest may be of a strand that crosses there
 COVERED = 0.95  # share of a detected line with which a rod is one of the whole thread
 ALONG = 1e-3  # share that counts of a distance along the line
@@ -69,8 +69,8 @@ FEWEST = 10  # points in a section that counts
 
 def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detection]], material: Material, up: np.ndarray,
               surroundings: Surroundings, exact: np.ndarray, marks: int) -> tuple[Configuration, np.ndarray]:
-    """``rods`` (A) with so many ``marks``, relaxed under E + ν E_back, with their first edges held where these are ``exact``
-    (A,); and (A,) bool: those that are certified minima and still explain the lines. The others stay as they were."""
+    """``rods`` (A), each with so many ``marks``, relaxed under E + ν E_back, and (A,) bool: those that end at certified minima
+    and still explain the lines. Others stay as they were. Where ``exact`` (A,) the first edge is held."""
     every = np.arange(len(rods.start))
     start, quaternions = rods.start.copy(), rods.quaternions.copy()
     sound, moving = np.zeros(len(every), dtype=bool), every
@@ -84,14 +84,14 @@ def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detec
         places, ways = _images_of_places(rig, here.vertices)
         points, tangents, found = lines_at(places, ways, [lines[row] for row in moving])
         weight = np.where(found, np.linalg.norm(ways, axis=-1) / len(PLACES), 0.0)
-        along = tangents[LAST]
+        along, square = tangents[LAST], tangents[..., ::-1] * [1.0, -1.0]  # a place with this tangent is held along the line
         slid = ((places[LAST] - given[moving][LAST]) * along).sum(axis=-1, keepdims=True)
         too_far, limit = np.abs(slid) > width[moving], given[moving][LAST] + width[moving] * np.sign(slid) * along
         points[LAST] = np.where(too_far, limit, points[LAST])
-        tangents[LAST] = np.where(too_far, along[..., ::-1] * [1.0, -1.0], along)  # across the line: held along it
+        tangents[LAST] = np.where(too_far, square[LAST], along)
         loose = ~exact[moving]
-        points[loose, :, 0, 0] = given[moving[loose]][FIRST]
-        tangents[loose, :, 0, 0] = tangents[loose, :, 0, 0, ::-1] * [1.0, -1.0]
+        points[loose, :, 0, 0] = given[moving[loose], :, 0, 0]
+        tangents[loose, :, 0, 0] = square[loose, :, 0, 0]
         weight[loose, :, 0, 0] = np.where(found[loose, :, 0, 0], end_weight[moving[loose]], 0.0)
         weight = nu[moving, None, None, None] * weight
         first, kind = here.frames[:, 0], np.where(exact[moving], Clamp.TANGENT, Clamp.FREE)

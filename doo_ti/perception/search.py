@@ -193,9 +193,9 @@ class Search:
         return Configuration(self.point[hypotheses.of_set], hypotheses.quaternions, self.rest_length[:edges]).vertices
 
     def sharpened(self, rods: Configuration, exact: np.ndarray) -> tuple[Configuration, np.ndarray]:
-        """One rod of each set, whose edges are cut into pieces, relaxed to the detected points, with its first edge held where
-        that is ``exact`` (A,); and (A,) bool: which ones were. None where detections are unknown, nor with the paper's
-        one-sided evidence."""
+        """One rod of each set, whose edges are cut into pieces, relaxed to the detected points, and (A,) bool: those that were.
+        None are where detections are unknown, or with the paper's one-sided evidence. Where ``exact`` (A,) the first edge is
+        held."""
         if self.maps.detections is None or self.options.evidence == "rod":
             return rods, np.zeros(len(rods.start), dtype=bool)
         return sharpened(rods, self.rig, self.maps.detections, self.material, self.up, self.surroundings, exact,

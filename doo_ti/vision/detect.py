@@ -37,6 +37,7 @@ from doo_ti.vision.detection import (
     goes_on,
     in_whole_pixels,
     moved,
+    thinned,
 )
 from doo_ti.vision.ridge import (
     BAR,
@@ -185,7 +186,7 @@ def _continued(image: np.ndarray, look: Appearance, ridges: Ridges) -> tuple[np.
     """(M, 2) points, (M, 2) directions, (M,) strengths and widths of the thread in an image (H, W) float32: the ``ridges`` that
     were found at its usual width, and what goes on from their ends."""
     found = ridges.point, ridges.tangent, ridges.strength, np.full(len(ridges.row), look.width_px)
-    own = chains_of(_as_detection(*found[:3], look, image.shape))
+    own = chains_of(*thinned(_as_detection(*found[:3], look, image.shape)))
     if not own:
         return found
     contrast = float(np.median(ridges.strength)) / BAR
@@ -199,7 +200,7 @@ def _continued(image: np.ndarray, look: Appearance, ridges: Ridges) -> tuple[np.
         if added:
             beside = _edges_of(found[0], own, added, width)
             found = tuple(np.concatenate([array[~beside], *new]) for array, new in zip(found, zip(*added), strict=True))
-            own = chains_of(_as_detection(*found[:3], look, image.shape))
+            own = chains_of(*thinned(_as_detection(*found[:3], look, image.shape)))
     return found
 
 
@@ -232,7 +233,7 @@ def _wide_lines(dark: np.ndarray, width: float, own: np.ndarray, usual: float) -
 def _joined(line: Detection, own: list[np.ndarray], width: float, dark: np.ndarray) -> list[tuple[np.ndarray, ...]]:
     """Points, directions, strengths and widths of the parts of a ``line`` that go on from ends of the chains ``own``, or of
     these parts."""
-    waiting, parts = [chain for chain in chains_of(line) if chain_length(chain) >= PART * width], []
+    waiting, parts = [chain for chain in chains_of(*thinned(line)) if chain_length(chain) >= PART * width], []
     tree, known = cKDTree(line.points) if line.count else None, list(own)
     while True:
         ready = next((k for k, chain in enumerate(waiting) if goes_on(chain, known, width, dark)), None)

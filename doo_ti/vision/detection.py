@@ -146,15 +146,14 @@ def thinned(detection: Detection) -> tuple[np.ndarray, np.ndarray]:
 SAME_PX = 0.5  # nearer points, either side of the border between two pixels, are one
 
 
-def single(detection: Detection) -> Detection:
-    """The detection without points next to stronger ones, with which paths would end there."""
+def single(detection: Detection) -> tuple[np.ndarray, np.ndarray]:
+    """:func:`thinned` without points that lie right beside a stronger one: chains would end there."""
     points, direction = thinned(detection)
     twins = cKDTree(points).query_pairs(SAME_PX, output_type="ndarray") if len(points) else np.empty((0, 2), np.int64)
     kept = np.ones(len(points), dtype=bool)
     for strong, weak in twins[np.lexsort(twins.T)]:  # the strongest come first
         kept[weak] &= not kept[strong]
-    strength = np.arange(len(points), 0.0, -1.0)
-    return replace(detection, points=points[kept], direction=direction[kept], strength=strength[kept], width=None)
+    return points[kept], direction[kept]
 
 
 def moved(detection: Detection, corner: tuple[int, int]) -> Detection:
@@ -183,9 +182,9 @@ GLINT = 3.0  # least widths of such a line whose edges were found: strands that 
 INSIDE = 0.2  # least darkness within one whose edges were found, over the thread's: of glints 0.3 and more, in loops 0.1
 
 
-def chains_of(detection: Detection) -> list[np.ndarray]:
-    """(M, 2) px each, M points in order."""
-    points, direction = thinned(detection)
+def chains_of(points: np.ndarray, direction: np.ndarray) -> list[np.ndarray]:
+    """(M, 2) px each, M of the ``points`` (N, 2) in order. There is about one for each pixel of line, with its ``direction``
+    (N, 2)."""
     if len(points) < 2:
         return []
     pairs = cKDTree(points).query_pairs(NEXT_PX, output_type="ndarray")

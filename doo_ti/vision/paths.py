@@ -86,7 +86,7 @@ class Chains:
 
     @classmethod
     def of(cls, detection: Detection) -> "Chains":
-        chains = _divided(chains_of(single(detection)))
+        chains = _divided(chains_of(*single(detection)))
         return cls(chains, _joints(chains, WIDEST_GAP * detection.shape[0]) if chains else {})
 
     @property
