@@ -5,11 +5,14 @@ Where the thread runs along its epipolar lines, that is millimetres of depth. So
 
     ν E_back = ν Σ_c Σ_k w_k ρ(n·(p(x_k) − q_k)),        ν = T / 2N,        doo_ti.vision.image_energy
 
-with q_k the middle of the detected points around the image of place k, and n across the line there. Along the line a place is
-free, as which point is whose is found anew after each relaxation; but the last place of the rod moves no farther along its line
-than that is wide, else rods would fold in depth between cameras close together. A start that is not exact is free as well: only
-its place along the line is held, as firmly as ends of lines are found. Places without points of their direction near them have
-no weight: the rod's stiffness alone bridges gaps. Around that rod the Laplace approximation has
+with q_k the middle of the detected points around the image of place k, and n across the line there. After each relaxation it is
+found anew which point is whose, and with r, how far place k is off its line, the weight w_k: the px of line there over
+(1 + r²/h²)². So ρ is Geman's and McClure's, as where strands touch or cross their lines merge, a pixel off both. Along the line
+a place is free, but the last place of the rod moves no farther than the line is wide, else rods would fold in depth between
+cameras close together. A start that is not exact is free as well: only its place along the line is held, as firmly as ends of
+lines are found. Places without points of their direction near them have no weight: the rod's stiffness alone bridges gaps.
+
+Around that rod the Laplace approximation has
 
     cov = (∫ a aᵀ ds / N + H_E / T)⁻¹,        N = σ² ℓ,        T = E / J.
 
@@ -54,6 +57,7 @@ from doo_ti.vision.image_energy import AssignedPoints
 PLACES = np.array([0.25, 0.75])  # along an edge where its image is evaluated
 RELAXATIONS, STILL_MM = 20, 0.01  # at most, until no vertex moves by more
 TOLERANCE = 1e-5  # of their residuals: points, of which many pull, are known to f32
+MERGED_PX = 0.3  # h: where the line is farther off the rod, other strands are likely to have moved it
 LAST = np.s_[:, :, -1, -1]  # of (A, C, E, K) places
 NOISE_PX3 = 0.05  # N, of the usual σ and ℓ; a line's end has the weight N over the variance of where the line ends
 TURNING, STRAIGHT = 2.0, 0.06  # rad that rods turn by at least, for T in ν and for T in the covariance
@@ -84,10 +88,12 @@ def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detec
         places, ways = _images_of_places(rig, here.vertices)
         points, tangents, found = lines_at(places, ways, [lines[row] for row in moving])
         weight = np.where(found, np.linalg.norm(ways, axis=-1) / len(PLACES), 0.0)
-        along, square = tangents[LAST], tangents[..., ::-1] * [1.0, -1.0]  # a place with this tangent is held along the line
+        square = tangents[..., ::-1] * [1.0, -1.0]
+        off, along = ((places - points) * square).sum(axis=-1), tangents[LAST]
+        weight /= (1 + (off / MERGED_PX) ** 2) ** 2
         slid = ((places[LAST] - given[moving][LAST]) * along).sum(axis=-1, keepdims=True)
         too_far, limit = np.abs(slid) > width[moving], given[moving][LAST] + width[moving] * np.sign(slid) * along
-        points[LAST] = np.where(too_far, limit, points[LAST])
+        points[LAST] = np.where(too_far, limit, points[LAST])  # a place whose tangent is across the line is held along it
         tangents[LAST] = np.where(too_far, square[LAST], along)
         loose = ~exact[moving]
         points[loose, :, 0, 0] = given[moving[loose], :, 0, 0]
@@ -152,7 +158,9 @@ def lines_at(places: np.ndarray, ways: np.ndarray, lines: list[list[tuple[np.nda
         alike = (apart <= NEAR_PX) & (np.abs(cosine) >= ALIKE * np.linalg.norm(way, axis=-1))
         share = (alike / np.maximum(alike.sum(axis=-1, keepdims=True), 1))[..., None]
         along = (share * np.sign(cosine)[..., None] * direction[nearest]).sum(axis=-2)
-        points[row, c] = (share * seen[nearest]).sum(axis=-2)
+        # Points of a bend lie inside of it, and where their tangents lead outside: the mean of both is on it.
+        ahead = ((places[row, c][..., None, :] - seen[nearest]) * direction[nearest]).sum(axis=-1, keepdims=True)
+        points[row, c] = (share * (seen[nearest] + 0.5 * ahead * direction[nearest])).sum(axis=-2)
         tangents[row, c] = along / np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-9)
         found[row, c] = alike.any(axis=-1) & along.any(axis=-1)
     return points, tangents, found
