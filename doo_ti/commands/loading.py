@@ -21,7 +21,7 @@ from doo_ti.rod.grid import parse_axis
 from doo_ti.rod.material import UNITS_IN_MM, weight_per_length
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import observation_clamps, reachable
-from doo_ti.rod.types import Clamp, Material
+from doo_ti.rod.types import Clamp, Material, unit_up
 from doo_ti.system import terminal
 from doo_ti.system.arguments import counted, span_text
 from doo_ti.system.errors import InputError
@@ -35,6 +35,7 @@ FEW = 0.25  # share of observations that may be left out; of more a file or an o
 MEASURED = 0.02  # relative error of a length between marks that somebody measured
 MOST_OFF = 1.5
 """Stated length of the rod over that of arcs through its marks, or the inverse, above which one of both is wrong."""
+MOST_STRETCH = 2.0  # distance of a target's vertices over that along the rod, or the inverse: the unit is another one
 OF_FILES = ("unit", "columns")  # options that only files of marks have a use for
 OF_OBSERVATIONS = (*OF_FILES, "rest_length")  # options that only files of observations have a use for
 RECORDINGS = ".npz (positions_mm, rate_hz), .csv of OptiTrack or Vicon, a table"
@@ -132,7 +133,7 @@ def target(options: Namespace, observations: Observations) -> np.ndarray:
     path = Path(options.target)
     if path.suffix != ".npz":
         raise InputError(path, "file", f"suffix {path.suffix!r}", "name a .npz file with vertices_mm")
-    arrays = read_npz(path, read_content(path), ("vertices_mm",))
+    arrays = read_npz(path, read_content(path), ("vertices_mm", "up"))
     if "vertices_mm" not in arrays:
         raise InputError(path, "vertices_mm", "missing", "give (1, V, 3) mm, NaN where nothing is asked")
     places = arrays["vertices_mm"]
@@ -144,7 +145,15 @@ def target(options: Namespace, observations: Observations) -> np.ndarray:
     places = np.where(missing, np.nan, places)
     if not np.isfinite(places).all(axis=-1).any():
         raise InputError(path, "vertices_mm", "NaN everywhere", "give at least one vertex a place")
-    return places if options.unit is None else places * UNITS_IN_MM[options.unit]
+    if "up" in arrays and np.abs(unit_up(arrays["up"], str(path)) - observations.up).max() > 1e-6:
+        raise InputError(path, "up", f"{_up_text(arrays['up'])}, but START has {_up_text(observations.up)}",
+                         "give both in the same axes")
+    places = places if options.unit is None else places * UNITS_IN_MM[options.unit]
+    apart = np.linalg.norm(np.diff(places[0], axis=0), axis=1) / observations.rest_length
+    if not 1 / MOST_STRETCH <= np.median(apart[np.isfinite(apart)] if np.isfinite(apart).any() else 1.0) <= MOST_STRETCH:
+        raise InputError(path, "vertices_mm", f"neighbours are {np.nanmedian(apart):.3g} times as far apart as along the rod",
+                         "check the unit, as --unit m")
+    return places
 
 
 def of_scene(options: Namespace, scene: Scene) -> Observations:
@@ -206,7 +215,11 @@ def rod_line(observations: Observations) -> str:
     span = "" if not len(ends) else f", its ends {span_text(ends, 'mm')} apart"
     return (f"  loaded      {counted(observations.count, 'observation')} of {observations.edges + 1} marks"
             f"{f' ({missing} missing)' if missing else ''}; the rod is {observations.rest_length.sum():.4g} mm long{span}; "
-            f"up {','.join(f'{value + 0:.3g}' for value in observations.up)}")
+            f"up {_up_text(observations.up)}")
+
+
+def _up_text(up: np.ndarray) -> str:
+    return ",".join(f"{value + 0:.3g}" for value in up)
 
 
 MOST_EDGES = 2000

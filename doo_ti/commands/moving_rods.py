@@ -18,7 +18,7 @@ from doo_ti.rod.frames import matrix_from_quaternion, smallest_rotation
 from doo_ti.rod.material import UNITS_IN_MM
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, unit_up
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import busy, warn
 
@@ -56,8 +56,8 @@ def add_motion(parser) -> None:
               "at the end that points along the rod, where orientations are stated (default x)")
     group.add_argument("--motion-unit", choices=tuple(UNITS_IN_MM), help="unit of all lengths in PATH (default: --unit, else "
                        "as its columns state, else mm)")
-    given.add(group, "--motion-up", "X,Y,Z", given.NUMBERS, "direction against gravity in PATH, which is turned about the "
-              "origin so that it becomes that of OBS (default: both have the same coordinates)")
+    given.add(group, "--motion-up", "X,Y,Z|AXIS", given.Value(given.direction), "direction against gravity in PATH, which is "
+              "turned about the origin so that it becomes that of OBS (default: both have the same coordinates)")
 
 
 OF_MOTIONS = ("motion", "motion_columns", "motion_axis", "motion_unit", "motion_up", "relative")
@@ -190,8 +190,7 @@ def _path(options: Namespace, up: np.ndarray) -> ClampPath:
         known = ", ".join(TOOL_AXES)
         raise InputError(given.SOURCE, "--motion-axis", f"{options.motion_axis!r}", f"give one or two of {known}")
     if options.motion_up is not None:
-        own = unit_up(options.motion_up, given.SOURCE)
-        turn = matrix_from_quaternion(smallest_rotation(own, up))
+        turn = matrix_from_quaternion(smallest_rotation(options.motion_up, up))
     return load_path(Path(options.motion), options.motion_unit or options.unit, named, tuple(axes), turn)
 
 

@@ -119,7 +119,9 @@ class MovingGroups:
         inertia = self.numbers[..., 0]
         drag = self.numbers[..., DRAG - INERTIA] + self.numbers[..., DRAG_BY_SPEED - INERTIA] * speed
         stiffness = inertia + drag
-        return (inertia[..., None] * ahead + drag[..., None] * carried) / stiffness[..., None], stiffness
+        massless = stiffness == 0  # vertices at the far side of edges without length
+        pull = inertia[..., None] * ahead + drag[..., None] * carried
+        return pull / np.where(massless, 1.0, stiffness)[..., None], stiffness
 
     def _extrapolated(self, values: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
         """y(u) of the values at the last instant and at the one before."""

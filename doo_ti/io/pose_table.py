@@ -133,15 +133,27 @@ def _add(table: CsvTable, end: str, local: dict[str, str], keys: dict, units: di
     if values := _columns(table, local, list(_QUATERNION)):
         frames["quaternion"] = frame_of_quaternion(table.path, local["qw"], np.stack(values, axis=-1))
     for unit, factor in (("", 1.0), ("_rad", 1.0), ("_deg", np.pi / 180)):
-        if values := _columns(table, local, [f"{name}{unit}" for name in _VECTOR]):
+        if values := _angles(table, local, _VECTOR, unit):
             frames["rotation vector"] = rotation_matrix(factor * np.stack(values, axis=-1))
-        if values := _columns(table, local, [f"{name}{unit}" for name in _TURNS]):
+        if values := _angles(table, local, _TURNS, unit):
             about = [rotation_matrix(factor * value[:, None] * np.eye(3)[k]) for k, value in enumerate(values)]
             frames["turns"] = about[2] @ about[1] @ about[0]
     if len(frames) > 1:
         raise InputError(table.path, end, f"orientation as {' and as '.join(frames)}", "give one of them")
     for kind, frame in frames.items():
         keys[f"{end}_frame" if kind == "frame" else f"{end}_orientation"] = frame
+
+
+def _angles(table: CsvTable, local: dict[str, str], names: tuple[str, ...], unit: str) -> list[np.ndarray]:
+    """The numbers in the columns ``names`` with that ``unit``. Raises InputError for more than a turn without a unit: they are
+    in degrees, or turns are counted."""
+    values = _columns(table, local, [f"{name}{unit}" for name in names])
+    largest = np.nanmax(np.abs(values), axis=1, initial=0.0) if values else np.zeros(1)
+    if not unit and largest.max() > 2 * np.pi:
+        name = local.get(names[largest.argmax()], names[0])
+        raise InputError(table.path, name, f"{largest.max():.4g} rad, more than a turn",
+                         f"name the columns {name}_deg, or {name}_rad if they are in radians, and so on")
+    return values
 
 
 def _columns(table: CsvTable, local: dict[str, str], names: list[str]) -> list[np.ndarray]:

@@ -41,13 +41,9 @@ class DampedSteps:
         """(B, K) eigenvalues of JᵀJ, and (B, K, K) their vectors."""
         return np.linalg.eigh(self.normal)
 
-    def within(self, length: np.ndarray) -> np.ndarray:
-        """(B, K) the steps of at most ``length`` (B,), zero where that is."""
-        return self.below(length, np.zeros_like(self.gradient), np.zeros_like(length))
-
     def below(self, length: np.ndarray, across: np.ndarray, room: np.ndarray) -> np.ndarray:
-        """(B, K) the steps of at most ``length`` (B,) whose product with ``across`` a (B, K) is at most ``room`` c (B,): where
-        that of :meth:`within` is more, the best of those that have just that."""
+        """(B, K) the steps of at most ``length`` (B,), zero where that is, whose product with ``across`` a (B, K) is at most
+        ``room`` c (B,): where it would be more, the best of those that have just that."""
         values, axes = self._axes
         gradient, across = ((vectors[:, None] @ axes)[:, 0] for vectors in (self.gradient, across))
         steps = _shortened(values, gradient, length, 0.0 * across, 0.0 * room)

@@ -18,6 +18,7 @@ from doo_ti.rod.types import POSES, Clamps, Configuration, Material, Solution, f
 PULL = 30.0
 """Stiffness of a spring over B/s³, s the rod's length between marks: it draws a mark to a thirtieth of what bending between its
 neighbours leaves. With 3 shapes of the old branch remain, with 300 noise bends the rod."""
+EXACT = 1e-6  # of the rod's length, rounding of its slack
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,7 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.manipulation.belief import CENTRE, CLIP, Belief, LearnedMaterial, elastic_curvature
 from doo_ti.manipulation.damped_steps import DampedSteps
 from doo_ti.manipulation.model import (
+    EXACT,
     Model,
     between_marks,
     boxed,
@@ -69,7 +70,6 @@ NONLINEAR, NONLINEAR_MM = 0.5, 1.0
 snap: with 1 snaps pass, with 0.2 steps are short."""
 WORSE, ROUNDING = 1.02, 0.1
 """Growth of the distance to the target, as a factor and in mm, that is still taken for rounding and noise."""
-EXACT = 1e-6  # of the rod's length, rounding of its slack
 GAIN = 0.3  # of the newest moment in the offset
 SNAPPED, SNAPPED_SHARE = 5.0, 0.02
 """A rod has snapped where its marks are so many standard deviations and so much of its length from its model."""

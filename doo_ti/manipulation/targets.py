@@ -12,14 +12,26 @@ from typing import Annotated
 import numpy as np
 
 from doo_ti.manipulation.damped_steps import DampedSteps, normal_equations
-from doo_ti.manipulation.model import Model, held, moved, pulled_by_springs_to, put_rows, slack
+from doo_ti.manipulation.model import (
+    EXACT,
+    Model,
+    drawn_in,
+    held,
+    moved,
+    pulled_by_springs_to,
+    put_rows,
+    slack,
+    slack_gradient,
+)
 from doo_ti.relaxation.sensitivity import GRIPPERS, sensitivity
 from doo_ti.rod.frames import (
     bishop_frames,
     matrix_from_quaternion,
     quaternion_about,
     quaternion_from_matrix,
+    quaternion_of_turn,
     quaternion_product,
+    rotation_matrix,
     smallest_rotation,
     tangent_from_quaternion,
     total_twist,
@@ -194,7 +206,7 @@ def require_matching(rod: Configuration, material: Material, clamps: Clamps, tar
 
 TWISTS = np.radians([0.0, 90.0, -90.0, 180.0, -180.0, 270.0, -270.0, 360.0, -360.0])
 """By which guesses are twisted more than the rod is. Marks do not show twist; the fit finds it within a quarter turn."""
-GUESSES = 1 + len(TWISTS)  # of each rod: itself as it is, and drawn to its target under each twist
+GUESSES = 2 + len(TWISTS)  # of each rod: itself as it is, carried to its target, and drawn to it under each twist
 ITERATIONS = 20  # of the fit of the grippers' poses
 LONGEST = 40.0  # mm, of a step of that fit, shifts in mm and turns times the lever
 SHRINK, GROW = 0.3, 2.0  # of a step's length after it has been refused, and taken
@@ -246,7 +258,8 @@ def fit(rods: Configuration, clamps: Clamps, model: Model, targets: Targets, opt
     (Levenberg, Marquardt); every one is certified."""
     solution = model.relaxed(rods, clamps)
     rods, distance = finite_rods(solution.configuration, rods), _distance(solution, targets)
-    length, reach = np.full(rods.count, LONGEST), (rods.rest_length.sum(), rods.rest_length[0])
+    length, reach, stiff = np.full(rods.count, LONGEST), rods.rest_length.sum(), np.full(rods.count, rods.rest_length[0])
+    unit = options.moves / options.scale
     for _ in range(ITERATIONS):
         rows = np.flatnonzero(length >= options.reached_mm * SHRINK)  # others have come as near as they can
         if not len(rows):
@@ -256,12 +269,14 @@ def fit(rods: Configuration, clamps: Clamps, model: Model, targets: Targets, opt
         columns = np.nan_to_num(sensitivity(solution, GRIPPERS, rotations=False, loads=False).vertices)
         vertices = solution.configuration.vertices
         shapes = np.where(np.isfinite(vertices), vertices, asked.places)
-        step = steps_towards(asked, shapes, columns, options).within(length[rows])
-        there = moved(here, step / options.scale)
+        loose = slack(here, reach, stiff[rows])
+        least, tighter = np.minimum(loose, options.slack * reach), -slack_gradient(here, stiff[rows]) * unit
+        step = steps_towards(asked, shapes, columns, options).below(length[rows], tighter, loose - least)
+        there = moved(here, step * unit)
+        there = drawn_in(there, np.maximum(least - slack(there, reach, stiff[rows]), 0.0), stiff[rows], options.moves)
         tried = own.relaxed(rods.take(rows), there)
         nearer = _distance(tried, asked)
-        loose = slack(there, *reach) >= np.minimum(slack(here, *reach), options.slack * reach[0])
-        good = (nearer < distance[rows]) & loose
+        good = (nearer < distance[rows]) & (slack(there, reach, stiff[rows]) >= least - EXACT * reach)
         length[rows] = np.where(good, np.minimum(GROW * length[rows], LONGEST),
                                 SHRINK * np.minimum(length[rows], np.linalg.norm(step, axis=1)))
         taken, good = rows[good], np.flatnonzero(good)
@@ -273,8 +288,8 @@ def fit(rods: Configuration, clamps: Clamps, model: Model, targets: Targets, opt
 
 def _guesses(rods: Configuration, clamps: Clamps, model: Model, targets: Targets, options: ServoOptions
              ) -> tuple[Configuration, Clamps]:
-    """(K·B) rods: as they are, then drawn to their targets by springs, twist by twist; and grippers that hold them so. A
-    gripper that is not free to shift and turn stays."""
+    """(K·B) rods: as they are, carried to their targets so, and drawn to them by springs, twist by twist; and grippers that
+    hold them so. A gripper that is not free to shift and turn stays."""
     starts, ends = ({f"{end}_shift", f"{end}_turn"} <= set(options.free) for end in ("start", "end"))
     loose = replace(held(clamps, model.clip), start=Clamp.FREE if starts else clamps.start,
                     end=Clamp.FREE if ends else clamps.end)
@@ -294,7 +309,28 @@ def _guesses(rods: Configuration, clamps: Clamps, model: Model, targets: Targets
         grippers = replace(grippers, start_position=vertices[:, 0].copy(), start_frame=matrices[:, 0].copy())
     if ends:
         grippers = replace(grippers, end_position=vertices[:, -1].copy(), end_frame=matrices[:, -1].copy())
-    return Configuration.concatenate([rods, guessed]), Clamps.concatenate([clamps, grippers])
+    whole, there = _carried(rods, clamps, targets, model.up) if starts and ends else (rods, clamps)
+    return Configuration.concatenate([rods, whole, guessed]), Clamps.concatenate([clamps, there, grippers])
+
+
+def _carried(rods: Configuration, clamps: Clamps, targets: Targets, up: np.ndarray) -> tuple[Configuration, Clamps]:
+    """The rods, and their grippers, shifted and turned about the vertical to be as near as so they can to their targets: at
+    rest, if they were."""
+    share, vertices = targets.shares[..., None], rods.vertices
+    centre, goal = (share * vertices).sum(axis=1), (share * targets.places).sum(axis=1)
+    here, asked = share * (vertices - centre[:, None]), targets.places - goal[:, None]
+    sine = (np.cross(here, asked) @ up).sum(axis=1)
+    cosine = (here * asked).sum(axis=(1, 2)) - ((here @ up) * (asked @ up)).sum(axis=1)
+    turn = np.arctan2(sine, cosine)[:, None] * up
+    rotation = rotation_matrix(turn)
+
+    def put(place: np.ndarray) -> np.ndarray:
+        return goal + (rotation @ (place - centre)[..., None])[..., 0]
+
+    frames = quaternion_product(quaternion_of_turn(turn)[:, None], rods.quaternions)
+    return Configuration(put(rods.start), frames, rods.rest_length), replace(
+        clamps, start_position=put(clamps.start_position), start_frame=rotation @ clamps.start_frame,
+        end_position=put(clamps.end_position), end_frame=rotation @ clamps.end_frame)
 
 
 def _distance(solution: Solution, targets: Targets) -> np.ndarray:

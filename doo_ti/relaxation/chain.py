@@ -17,7 +17,7 @@ from doo_ti.relaxation.newton_policy import UP
 
 # What scratch holds of a rod (see :class:`Chain`), and then of each of its edges.
 ROD = Layout(target=3, closed=1, free=5, released=1, total=1, longest=1, energy_unit=1, stiffness=2, gravity=3, anchor=3,
-             scale=1, length_unit=1, softest=1, shift_shares=2)
+             scale=1, length_unit=1, softest=1, evenness=1, shift_shares=2)
 LOOSE = Layout(loose=1, drift=3, drift_standing=3, drift_step=3, drift_border=9, drift_pivots=6)
 """Of a rod whose vertex 0 may move: the flag, how far it has moved from the anchor, now and before the step, its step, and what
 the substitution needs of its elimination."""
@@ -68,6 +68,7 @@ class Chain(PairEnergy):
     total, longest          length of the rod and of its longest edge
     stiffness               (α, β) of isotropic rods, unused otherwise
     softest                 the smallest eigenvalue of B anywhere along the rod, or β where that is less
+    evenness                that over the largest eigenvalue of B or β
     shift_shares            (spin, tilt) of isotropic rods, of others those of their softest part: see :meth:`shifts`
     gravity                 μ times the unit vector up
     anchor                  the point that the chain hangs from
@@ -136,8 +137,8 @@ class Chain(PairEnergy):
             kinds=tables.kinds, grids=tables.grids, obstacles=tables.kinds.shape[0], target=head.target,
             length_unit=head.length_unit, closed=head.closed, spins_first=0.0 * head.closed, free=head.free,
             released=head.released, total=head.total, longest=head.longest, stiffness=head.stiffness, softest=head.softest,
-            shift_shares=head.shift_shares, gravity=head.gravity, anchor=head.anchor, numbers=tables.numbers,
-            field=tables.field, coarse=coarse)
+            evenness=head.evenness, shift_shares=head.shift_shares, gravity=head.gravity, anchor=head.anchor,
+            numbers=tables.numbers, field=tables.field, coarse=coarse)
 
     def spinning_first(self, rod, far):
         """One where a step is to turn frames by spins that are made before tilts, zero where by rotation vectors; ``far``: one

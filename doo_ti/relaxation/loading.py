@@ -170,6 +170,7 @@ class Loading:
         bend, twist = tables.material[g, of.STIFFNESS + of.BEND], tables.material[g, of.STIFFNESS + of.TWIST]
         lane.stiffness = (bend / divisor, twist / divisor)
         lane.softest = tables.material[g, of.SOFTEST] / divisor
+        lane.evenness = tables.material[g, of.SOFTEST] / tables.material[g, of.STIFFEST]
         if ti.static(not self.isotropic):
             bend, twist = tables.material[g, of.SOFTEST], tables.material[g, of.SOFTEST]
         most = MOST_SHIFT / tables.material[g, of.STIFFEST]

@@ -15,8 +15,8 @@ DECAY_TROUBLED, NEGLIGIBLE_TROUBLED = 1 / 4, 1e-6  # the same once a step was re
 CUT = 0.1  # a step of which a smaller share may be taken does not make the shift smaller
 ROUNDED_STEP, BY_ROUNDING = 1e-10, 1e3  # rad: a smaller step is rounding; how much more than tolerated the residual then may be
 FAR_FROM_REST = 1e-3  # residual, above which frames spin before they tilt
-# Eigenvalues that are smaller, over H's largest diagonal entry, are neutral motions. Contact needs the larger number, and so do
-# all rods once they are at rest; before, what is added to the diagonal makes steps less exact.
+# Eigenvalues that are smaller, over H's largest diagonal entry and the rod's evenness, are neutral motions. Contact needs the
+# larger number, and so do all rods once they are at rest; before, what is added to the diagonal makes steps less exact.
 TRACE, LARGE_TRACE = 1e-12, 1e-9
 # The Newton decrement of a rod at rest, in f64: |ωᵀHω| ≤ ((TURN_LEFT tol)² + NEUTRAL ω²) B/L + DECREMENT_ROUNDING |E|, ω the
 # size of the step, B the least bending stiffness along the rod and |E| the sum of the energy's absolute terms.

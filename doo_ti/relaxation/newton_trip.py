@@ -99,7 +99,7 @@ class NewtonTrip:
         trace = self.constant(self.trace)
         if ti.static(self.trace_at_rest > self.trace):
             trace = ti.select(was_at_rest, self.constant(self.trace_at_rest), trace)
-        diagonal = ti.select(next_shift > 0.0, next_shift, trace * lane.scale)
+        diagonal = ti.select(next_shift > 0.0, next_shift, trace * rod.evenness * lane.scale)
         found = self.sweep.eliminate(rod, diagonal, (noise, echo), multiplier, miss)
         found.energy += energy
         found.magnitude += magnitude

@@ -92,7 +92,7 @@ class SensitivityColumns(ParameterGradient):
         A neutral motion shows when H is lowered a trace. Raised by one instead, H keeps the rod from moving along it.
         """
         none = 0.0 * rod.total
-        trace = (LARGE_TRACE if ti.static(self.touches) else TRACE) * rod.head.scale
+        trace = (LARGE_TRACE if ti.static(self.touches) else TRACE) * rod.evenness * rod.head.scale
         shift = none - trace
         inertia = none
         for _ in range(2):

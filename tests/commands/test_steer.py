@@ -60,6 +60,8 @@ def test_a_target_out_of_reach_is_said(folder, own, capsys):
     ({"vertices": np.zeros((1, 34, 3))}, "vertices_mm: missing"), ({"vertices_mm": np.zeros((1, 5, 3))}, "shape (1, 5, 3)"),
     ({"vertices_mm": np.full((1, 34, 3), np.nan)}, "NaN everywhere"),
     ({"vertices_mm": np.full((1, 34, 3), np.inf)}, "not finite"),
+    ({"vertices_mm": np.linspace(0, 1e-4, 102).reshape(1, 34, 3)}, "check the unit"),
+    ({"vertices_mm": np.full((1, 34, 3), 9.0), "up": np.array([0, 1.0, 0])}, "but START has 0,0,1"),
     (["--clamp-end", "free"], "--clamp-end"), (["--seconds", "1e9"], "--seconds"), (["--bend", "1e5:1e6:3"], "--bend"),
     (["--out", "path.npz"], "--out"), (["--target", "absent.npz"], "absent.npz"),
     (["--obstacles", "rubbing.toml", "--radius", "1"], "friction")])

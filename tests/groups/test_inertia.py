@@ -41,11 +41,13 @@ def places(solutions) -> np.ndarray:
 
 
 @pytest.mark.sampled(1)
+@pytest.mark.parametrize("vertex_clamps", [False, True])
 @pytest.mark.parametrize("scheme", ["bdf2", "euler"])
 @pytest.mark.parametrize("end", [Clamp.FREE, Clamp.TANGENT])
-def test_rods_that_are_not_tied_move_as_each_alone(scheme, end):
+def test_rods_that_are_not_tied_move_as_each_alone(vertex_clamps, scheme, end):
     """With all losses, and another material for the second: against `simulate`, to 1e-6 of the length."""
-    rods = [straight_rod(100.0, 20, (0, 0, 0), (0.5, 0, -1.0)), straight_rod(80.0, 16, (0, 200, 0), (0, 0.2, -1.0))]
+    rods = [straight_rod(100.0, 20, (0, 0, 0), (0.5, 0, -1.0), vertex_clamps=vertex_clamps),
+            straight_rod(80.0, 16, (0, 200, 0), (0, 0.2, -1.0), vertex_clamps=vertex_clamps)]
     materials = [MATERIAL, Material(1e5, 1e5, 0.5)]
     dynamics = [LOSSES, Dynamics(density=1.5, drag=0.1)]
     clamps = [shaken(rod, Clamp.FRAME, end) for rod in rods]

@@ -154,6 +154,7 @@ def test_a_path_at_equal_intervals(tmp_path):
     (["end_qx", "end_qy", "end_qz"], np.zeros((2, 3)), {}, "end_qw: the column is missing"),
     (["end_x_m", "end_z_m"], np.zeros((2, 2)), {}, "end_y_m: the column is missing"),
     (["end_rx", "end_ry", "end_rz", "end_roll", "end_pitch", "end_yaw"], np.zeros((2, 6)), {}, "rotation vector and as turns"),
+    (["end_roll", "end_pitch", "end_yaw"], [[0.0, 0, 0], [0, 0, 60]], {}, "end_yaw: 60 rad, more than a turn"),
     (["time", "speed"], np.zeros((2, 2)), {}, "speed"),
     (["end_x", "end_y", "end_z", "end_rotaton_deg"], np.zeros((2, 4)), {}, "rotaton"),
     (["x", "y", "z"], PLACES, {"unit": "inch"}, "load_path: unit: "),

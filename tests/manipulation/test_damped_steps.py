@@ -30,7 +30,7 @@ def test_damped_steps_are_the_best_of_their_length_and_within_their_limit(count,
     """Optimality: Jᵀe − JᵀJ u is λ u plus what lies along the limit, λ and the multiplier are not negative."""
     normal, gradient, length, across, room = problems(count, size)
     steps = DampedSteps(normal, gradient).below(length, across, room)
-    free = DampedSteps(normal, gradient).within(length)
+    free = DampedSteps(normal, gradient).below(length, np.zeros_like(across), np.zeros_like(room))
     active = np.sum(across * free, axis=1) > room
     np.testing.assert_array_equal(steps[~active], free[~active])
     np.testing.assert_allclose(np.sum(across * steps, axis=1)[active], room[active], atol=1e-9)

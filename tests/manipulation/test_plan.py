@@ -90,6 +90,18 @@ def test_a_rod_that_follows_the_plan_comes_to_its_target(row):
     assert np.allclose(path.start_position[0], own.clamps.start_position)
 
 
+@pytest.mark.parametrize("asked", [[16], [10, 22]])
+def test_a_few_vertices_are_lifted(asked):
+    """By 260 mm, as far as both grippers have to be. Their way would be shorter apart, which the rod's length ends."""
+    hung, clamps = d.hanging(330.0, 33, (0, 0, 0), (200, 0, 0), clamp=d.Clamp.FRAME)
+    material = d.Material(6e5, 6e5)
+    hung = d.relax(hung, material, clamps).configuration
+    goal = np.full((1, 34, 3), np.nan)
+    goal[0, asked] = hung.vertices[0, asked] + [0, 0, 260]
+    path = d.plan_manipulation(hung, material, clamps, d.Targets(goal))
+    assert path.reached and path.distance < 0.5
+
+
 @pytest.mark.thorough
 def test_a_held_gripper_stays():
     own = tasks(2, 4, both=False).take(np.array([0]))
