@@ -26,7 +26,9 @@ from doo_ti.vision.rig_files import load_rig
 MOST_HYPOTHESES = 100_000
 AHEAD = 16  # lines of images in which threads are detected while one is used
 RECORDED = 3  # sets in a recording
-EDGES = 33  # of a rod whose edges are not given
+EDGES, MOST_GUESSED, BOW = 33, 100, 1 / 2000
+"""Of a rod whose edges are not given: the least and the largest number of them, and how far they may lie off the rod's bends,
+over its length."""
 CLICKED = "clicked"  # of --colour: that of the thread at the pixel where it begins
 GUESSED_BEND = 1e6
 """mm³, of a rod in images whose stiffness is not given: E_vis takes the rod's energy relative to its stiffness, so that only
@@ -126,9 +128,9 @@ def sight(options: Namespace, sets, method: str = "ridge"):
     clicked = options.colour == CLICKED
     if clicked and sets.clicks is None:
         raise InputError(given.SOURCE, "--colour", "clicked, and no pixel is", "give --seed-pixel, or a colour")
-    colour = None if clicked else options.colour
+    colour, stated = None if clicked else options.colour, [options.polarity, options.width, options.colour, masks]
     return Sight(DetectionOptions(method, options.polarity, options.width, colour=colour), regions, masks,
-                 sets.clicks if clicked else None)
+                 sets.clicks if clicked or stated == [None] * 4 else None, clicked)
 
 
 def detections(sight, every_path: Sequence[Sequence[Path]], cameras: Sequence) -> Iterator[list]:
@@ -171,16 +173,18 @@ def orientation_note(paths: Iterable[Path], turned: bool) -> str | None:
 
 @dataclass(frozen=True)
 class LengthBounds:
-    """How long a rod may be whose rest lengths are not given: mm, and mm of its edges, or None for EDGES of them."""
+    """How long a rod may be whose rest lengths are not given: mm, and mm of its edges, or None for as many as it needs."""
 
     least: float = 0.0
     most: float = np.inf
     edge: float | None = None
 
-    def rest_length(self, thread: float) -> np.ndarray:
-        """(E,) mm of a rod along a thread of that length."""
+    def rest_length(self, thread: float, turn: float = 0.0) -> np.ndarray:
+        """(E,) mm of a rod along a thread of that length, whose direction turns by ``turn`` rad along it."""
         length = float(np.clip(thread, self.least, self.most))
-        edges = EDGES if self.edge is None else int(np.clip(round(length / self.edge), 4, MOST_EDGES))
+        edges = int(np.clip(np.ceil(np.sqrt(turn / (8 * BOW))), EDGES, MOST_GUESSED))
+        if self.edge is not None:
+            edges = int(np.clip(round(length / self.edge), 4, MOST_EDGES))
         return np.full(edges, length / edges)
 
     def limits(self, rest_length: np.ndarray) -> bool:

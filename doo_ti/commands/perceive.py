@@ -123,7 +123,7 @@ def _begun(task: PerceptionTask, detected: list[list], failed: dict[int, InputEr
         sets = replace(sets, direction=threads.direction).take(np.flatnonzero(~lost))
     if rest_length is None:  # one rod in all sets
         middle = float(np.nanmedian(threads.length))
-        rest_length = task.length_bounds.rest_length(middle)
+        rest_length = task.length_bounds.rest_length(middle, float(np.nanmax(threads.turn)))
         # Of several sets the median is as much more certain as they are many.
         apart = (np.nanmedian(threads.range, axis=0) - middle) / np.sqrt(np.isfinite(threads.length).sum())
         length_range = np.clip(middle + apart, task.length_bounds.least, task.length_bounds.most)
@@ -195,7 +195,7 @@ def _arrays(task: PerceptionTask, found) -> dict[str, np.ndarray]:
     return {
         "name": np.array(task.sets.names), "vertices_mm": found.vertices, "rest_length_mm": task.rest_length, "up": task.up,
         "valid": sound & np.isfinite(found.vertices).all(axis=-1),
-        "sigma_mm": np.where(sound, np.maximum(_sigma(found), LEAST_SIGMA_MM), np.nan),
+        "sigma_mm": np.where(sound, np.maximum(_sigma(task, found), LEAST_SIGMA_MM), np.nan),
         **{name: getattr(found, name) for name in ("energy_vis", "status", "stable", "coverage", "outside", "hidden", *MISREAD,
                                                    "verdict", "unsupported")},
         "camera_error_px": found.camera_error, "thread_length_mm": found.thread_length, "left_over_mm": found.left_over,
@@ -204,10 +204,10 @@ def _arrays(task: PerceptionTask, found) -> dict[str, np.ndarray]:
     }
 
 
-def _sigma(found) -> np.ndarray:
-    """(S, V) mm. The last vertex is uncertain along the rod as its length is, whose range is four standard deviations wide."""
-    sigma = found.sigma.copy()
-    sigma[:, -1] = np.hypot(sigma[:, -1], np.nan_to_num(np.ptp(found.length_range, axis=1)) / 4 / np.sqrt(3))
+def _sigma(task: PerceptionTask, found) -> np.ndarray:
+    """(S, V) mm. The last vertex, and a clicked first one, is as uncertain along the rod as its length: a range of 4 σ."""
+    sigma, ends = found.sigma.copy(), [-1] if task.sets.point is not None else [0, -1]
+    sigma[:, ends] = np.hypot(sigma[:, ends], np.nan_to_num(np.ptp(found.length_range, axis=1, keepdims=True)) / 4 / np.sqrt(3))
     return sigma
 
 
@@ -261,6 +261,7 @@ def _summary(task: PerceptionTask, detected: list[list], found, failed: dict[int
         "name": name, "length_mm": task.rest_length.sum(), "status": Status(found.status[row]).name.lower(),
         **{name: getattr(found, name)[row] for name in ("stable", "energy_vis", "coverage", "outside", "hidden", *MISREAD)},
         "camera_error_px": found.camera_error[row], "gap_px": found.gap[row], "verdict": _word(found.verdict[row]),
+        "doubts": [doubt for doubt, rows in found.doubts.items() if rows[row]],
         "thread_length_mm": found.thread_length[row], "left_over_mm": found.left_over[row],
         "length_range_mm": found.length_range[row], "bounded": task.length_bounds.limits(task.rest_length),
         "unsupported_edges": found.unsupported[row].sum(), "unsupported_mm": task.rest_length[found.unsupported[row]].sum(),
@@ -310,8 +311,6 @@ def _lines(summary: dict) -> list[str]:
         *shortened([f"  {entry['name']:<{width}}  {_set_text(entry, summary['cameras'])}" for entry in sets], MOST_LISTED,
                    "  and {} more, which --json lists"),
         f"  status      {status_text(summary['status'])}; {summary['stable']} certified stable",
-        f"  certified   {len(sets) - summary['not_certified']} of {len(sets)} rods converged to certified minima; "
-        f"{summary['not_certified']} did not",
         f"  verdicts    {status_text(summary['verdicts'])} (docs/commands/perceive.md)",
         *([] if len(summary["cameras"]) > 1 else
           ["  one camera  depth is not determined by it: only by the rod's length and stiffness"]),
@@ -330,6 +329,7 @@ def _set_text(entry: dict, cameras: tuple[str, ...]) -> str:
              "σ unknown" if entry["mean_sigma_mm"] is None else f"σ {entry['mean_sigma_mm']:.2g} mm"]
     if np.isfinite(entry["coverage"]).all():
         parts.append(f"explains {100 * min(entry['coverage']):.0f} % of the thread")
+    parts += [f"not clear: {', '.join(entry['doubts'])}"] * (entry["verdict"] == "likely")
     parts += [words.format(max(entry[name])) for name, words in MISREAD.items() if max(entry[name]) > 1]
     if max(entry["outside"]) > OUTSIDE:
         parts.append(f"{100 * max(entry['outside']):.0f} % of the thread outside the other images, not seen there")

@@ -30,6 +30,7 @@ UNEXPLAINED = 4.0  # px: cost of a path that explains nothing of the detection
 ALONG = 0.02  # weight of a distance along a path over that across it
 ROUNDS, FREE_ROUNDS = 6, 2  # linearisations of the depth, and the first of them, which keep the places found by matching
 WINDOW_PX = 12  # how far a place moves along a path in one of them
+NEARER = np.log(4.0)  # of the depth along a curve, over that of its start: a thread would look four times as wide, or thin
 HELD = 1e4  # information at a start whose depth is given, over the median along the curve
 BOTH, FIRST_ALONE, SECOND_ALONE = 0, 1, 2
 
@@ -164,7 +165,8 @@ def curve_of(rig: Rig, match: Match, start: np.ndarray, smooth: float, known: fl
     camera, arcs = rig.cameras[0], match.arcs.copy()
     ray = rays(camera, match.paths[0].at(arcs[0])) @ camera.rotation.T
     world, centre = (ray / ray[:, 2:]) @ camera.rotation, camera.centre
-    depth = np.full(len(ray), float(np.log(max(camera.depth(start), 1e-6))))
+    first = float(np.log(max(camera.depth(start), 1e-6)))
+    depth = np.full(len(ray), first)
     seen = match.paths[0].is_seen(arcs[0])
     for turn in range(ROUNDS):
         information, slope = np.zeros((2, len(depth)))
@@ -187,10 +189,10 @@ def curve_of(rig: Rig, match: Match, start: np.ndarray, smooth: float, known: fl
         scale = max(float(np.median(information)), 1e-9)
         held = HELD * scale if known is None else known
         information[0] += held
-        slope[0] += held * (np.log(max(camera.depth(start), 1e-6)) - depth[0])
-        depth = np.clip(depth + _smooth_step(information, slope, depth, smooth * scale), -13.0, 16.0)
-    first = _smooth_step(information, np.eye(1, len(depth))[0], np.zeros(len(depth)), smooth * scale)[0]
-    return centre + np.exp(depth)[:, None] * world, arcs, float(np.sqrt(max(first, 0.0)))
+        slope[0] += held * (first - depth[0])
+        depth = np.clip(depth + _smooth_step(information, slope, depth, smooth * scale), first - NEARER, first + NEARER)
+    variance = _smooth_step(information, np.eye(1, len(depth))[0], np.zeros(len(depth)), smooth * scale)[0]
+    return centre + np.exp(depth)[:, None] * world, arcs, float(np.sqrt(max(variance, 0.0)))
 
 
 def _smooth_step(information: np.ndarray, slope: np.ndarray, value: np.ndarray, weight: float) -> np.ndarray:

@@ -13,8 +13,7 @@ these lines is added to its E_vis:
 
     E_vis = E / B + ν Σ_c (E_proj^c + E_cover^c)              doo_ti.vision.image_energy
 
-Images of a thin, uniform thread that crosses itself agree with many curves; the energy of the rod distinguishes them. The last
-hypotheses are relaxed on a finer mesh. All image sets are searched at once.
+The last hypotheses are relaxed on a finer mesh. All image sets are searched at once.
 
     found = perceive(maps, rig, point, direction, rest_length, Material(bend=6e5, twist=8e5))
     found.vertices    # (A, V, 3) mm
@@ -39,7 +38,6 @@ from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras import Rig
 from doo_ti.vision.distance_map import DistanceMaps, Misread, misread
-from doo_ti.vision.score import score
 
 CLEAR_PX, AMBIGUOUS_PX = 0.1, 0.02
 """Bounds of the gap: the first is larger than the mean error of detected lines; the second is smaller than the difference of
@@ -47,8 +45,7 @@ the rod's energy, which depends on an inexact Θ, between rods that fit the imag
 FITTING_PX = 1.0  # bound of the distance to the detection; with more in any camera, something else was detected
 LEAST_COVERED = 0.5, 0.25  # bounds of the share of the detected line that a likely rod explains, and one that is shorter
 MOST_SKIPPED = 3.0  # bound of the piece of line that a clear or likely rod leaves out, over its width; others may cut corners
-UNCERTAIN = 0.1  # bound of the vertices' sigma of a likely rod, over its length
-CERTAIN_MM = 1.0  # bound of the vertices' sigma
+UNCERTAIN, CERTAIN_MM = 0.1, 1.0  # bounds of the vertices' sigma: of a likely rod, over its length, and of a clear one
 CERTAIN_LENGTH = 0.03
 """Bound of the uncertainty of a length that was found, that of its ends included, as a share of it. A rod that is too long by
 that may be off the thread along the line of sight by some hundredths of its length."""
@@ -58,17 +55,13 @@ LOST_PX = 3.0  # bound of the largest distance where no two cameras fit: a rod f
 class PerceptionVerdict(IntEnum):
     """How certain the best rod is, by its gap to the best runner-up and its distance to the detection.
 
-    CLEAR      a gap of at least 0.1 px, or no other rod: image evidence alone separates them. And the rod is a certified
-               minimum, within 1 px of the detection, on average, in every camera, explains 95 % of the line detected in
-               each, is as long as it, and its vertices are certain to 1 mm. It leaves out no piece of the line, and follows
-               nothing far wider, for more than three widths of the thread. Never with one camera, which does not see depth
-    LIKELY     a gap of at least 0.02 px: image evidence alone does not separate them, the rod's energy helps to decide. Or a
-               wider gap, but the rod is further from the detection
-    AMBIGUOUS  a smaller gap: either may be the rod. Or the best rod has not converged, or in all cameras but one explains less
-               than half of the line detected, leaves a piece of it out or passes along it twice; or a vertex is uncertain by a
+    CLEAR      there are no :attr:`Perception.doubts`: images alone separate it from others, by a gap of 0.1 px, and it is a
+               certified minimum within 1 px of the line in each camera, which explains 95 % of it and is certain to 1 mm
+    LIKELY     a gap of at least 0.02 px, to which the rod's energy may help; or a wider gap, but the rod is off the line
+    AMBIGUOUS  either of two may be the rod; or it has not converged, is shorter than its paths, or in all cameras but one
+               explains less than half of the line, leaves a piece out or passes along it twice; or a vertex is uncertain by a
                tenth of the rod's length
-    NOT_FOUND  no rod was found that is within 1 px of the detection in two cameras, and it is 3 px off in one: images of other
-               cameras, a wrong rig, seed or length
+    NOT_FOUND  not within 1 px of the line in two cameras, and 3 px off in one: other cameras, a wrong rig, seed or length
     """
 
     __repr__ = short_repr
@@ -144,17 +137,32 @@ class Perception:
         return (self.status == Status.CONVERGED) & self.stable
 
     @property
+    def doubts(self) -> dict[str, np.ndarray]:
+        """(A,) bool by each reason why a rod is not clear."""
+        length = self.configuration.rest_length.sum(axis=-1)
+        return {
+            "no certified minimum": ~self.sound, "a rival": ~(self.gap >= CLEAR_PX),
+            "off the line": ~(self.camera_error <= FITTING_PX).all(axis=1),
+            "a piece left out": (self.skipped > MOST_SKIPPED).any(axis=1), "a line twice": self._often(self.twice),
+            "along something wider": (self.wider > MOST_SKIPPED).any(axis=1),
+            "thread unexplained": (self.coverage < COVERED).any(axis=1) | (self.left_over > CERTAIN_LENGTH * length),
+            "places uncertain": (self.sigma > CERTAIN_MM).any(axis=1), "one camera": np.full(len(self.gap), self._two == 0),
+            "another length": np.abs(self.thread_length / length - 1) > SAME_LENGTH,
+            "length uncertain": np.ptp(self.length_range, axis=1) > 2 * CERTAIN_LENGTH * length}
+
+    @property
+    def _two(self) -> int:
+        """The place of the second best of all cameras, or of the only one."""
+        return min(2, self.camera_error.shape[1]) - 1
+
+    def _often(self, widths: np.ndarray) -> np.ndarray:
+        """(A,) bool: in all cameras but one ``widths`` (A, C) are more than MOST_SKIPPED."""
+        return np.sort(np.nan_to_num(widths), axis=1)[:, self._two] > MOST_SKIPPED
+
+    @property
     def verdict(self) -> np.ndarray:
         """(A,) PerceptionVerdict."""
-        clear = self.sound & (self.gap >= CLEAR_PX) & (self.camera_error <= FITTING_PX).all(axis=1)
-        two = min(2, self.camera_error.shape[1]) - 1
-        left_out, turned_back = (np.sort(np.nan_to_num(one), axis=1) > MOST_SKIPPED for one in (self.skipped, self.twice))
-        clear &= ~left_out.any(axis=1) & ~turned_back[:, two] & ~(self.wider > MOST_SKIPPED).any(axis=1)
-        clear &= ~(self.coverage < COVERED).any(axis=1) & ~(self.sigma > CERTAIN_MM).any(axis=1)
-        length = self.configuration.rest_length.sum(axis=-1)
-        clear &= self.camera_error.shape[1] > 1  # one camera does not see depth
-        clear &= ~(np.abs(self.thread_length / length - 1) > SAME_LENGTH) & ~(self.left_over > SAME_LENGTH * length)
-        clear &= ~(np.ptp(self.length_range, axis=1) > 2 * CERTAIN_LENGTH * length)
+        clear, length, two = ~np.any([*self.doubts.values()], axis=0), self.configuration.rest_length.sum(axis=-1), self._two
         # A camera that does not see the rod counts as far off. Two cameras determine a rod: others may be occluded.
         error = np.sort(np.where(np.isfinite(self.camera_error), self.camera_error, np.inf), axis=1)
         lost = (error[:, two] > FITTING_PX) & (error[:, -1] > LOST_PX)
@@ -165,7 +173,8 @@ class Perception:
         # Of a longer thread a rod explains a part.
         whole, part = LEAST_COVERED
         likely &= explained >= np.maximum(whole * np.fmin(1.0, length / self.thread_length), part)
-        likely &= ~left_out[:, two] & ~turned_back[:, two] & ~(self.sigma.max(axis=1) > UNCERTAIN * length)
+        likely &= ~(self.thread_length > self.length_range[:, 1])  # the length and the paths contradict each other
+        likely &= ~self._often(self.skipped) & ~self._often(self.twice) & ~(self.sigma.max(axis=1) > UNCERTAIN * length)
         return np.select([lost, clear, likely], kinds, PerceptionVerdict.AMBIGUOUS).astype(np.int8)
 
     @classmethod
@@ -285,7 +294,7 @@ def _result(search: Search, kept: Hypotheses, start_sigma: np.ndarray) -> Percep
         worse = runner_up_energy.min(axis=1, initial=np.inf) - final.energy_vis[best]
         final = _sharpened(search, final, best, start_sigma == 0)
         rods = final.configuration.take(best)
-        edge_error, image_length = _reprojected(search, rods.vertices)
+        edge_error, image_length = search.reprojected(rods.vertices)
         near = edge_error <= options.unsupported
         hidden = ~near & (near.sum(axis=1, keepdims=True) >= 2)
         seen_length = np.where(hidden, 0.0, image_length)
@@ -334,15 +343,3 @@ def _sharpened(search: Search, final: Finalists, best: np.ndarray, exact: np.nda
     status[changed], certified[changed] = Status.CONVERGED, True
     return replace(final, configuration=put_rods(final.configuration, best, rods), energy_vis=energy_vis, status=status,
                    certified=certified, coverage=share)
-
-
-def _reprojected(search: Search, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(A, C, E) px twice: mean distance to the detection along the image of each edge, and the length of that image."""
-    sets, ends = vertices.shape[:2]
-    segments = np.stack([vertices[:, :-1], vertices[:, 1:]], axis=2).reshape(-1, 2, 3)
-    found = score(segments, search.maps, np.repeat(np.arange(sets), ends - 1), search.rig, 1.0, points=search.piece_points,
-                  cap=search.options.cap)
-    pixels = np.linalg.norm(np.diff(search.rig.project(segments), axis=2)[:, :, 0], axis=-1)
-    error, length = (values.reshape(-1, sets, len(search.rest_length), search.options.pieces).sum(axis=-1).swapaxes(0, 1)
-                     for values in (found.camera_error.T, pixels))
-    return error / np.maximum(length, 1e-9), length

@@ -201,6 +201,17 @@ class Search:
         return sharpened(rods, self.rig, self.maps.detections, self.material, self.up, self.surroundings, exact,
                          len(self.rest_length) + 1)
 
+    def reprojected(self, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(A, C, E) px twice: mean distance to the detection along the image of each edge, and the length of that image."""
+        sets, ends = vertices.shape[:2]
+        segments = np.stack([vertices[:, :-1], vertices[:, 1:]], axis=2).reshape(-1, 2, 3)
+        found = score(segments, self.maps, np.repeat(np.arange(sets), ends - 1), self.rig, 1.0, points=self.piece_points,
+                      cap=self.options.cap)
+        pixels = np.linalg.norm(np.diff(self.rig.project(segments), axis=2)[:, :, 0], axis=-1)
+        error, length = (values.reshape(-1, sets, len(self.rest_length), self.options.pieces).sum(axis=-1).swapaxes(0, 1)
+                         for values in (found.camera_error.T, pixels))
+        return error / np.maximum(length, 1e-9), length
+
     def sigma(self, rods: Configuration, start_sigma: np.ndarray | float = 0.0) -> np.ndarray:
         """(A, V) mm: uncertainty of the marks of one rod of each set, whose edges are cut into pieces, and whose start is as
         uncertain as ``start_sigma`` (A,) mm."""

@@ -229,7 +229,7 @@ def _between_rays(rig: Rig, pixels: Sequence[np.ndarray]) -> np.ndarray:
     return first + ways[0] * (far if far > 0 else max(FAR * base, 1.0))
 
 
-EDGES = 120
+EDGES, COARSE = 120, 3  # of the rods; every third is looked at for how much they turn
 BEST = 3  # rods of a set that are tried with other lengths
 TIMES = np.array([0.88, 0.94, 0.97, 0.985, 0.995, 1.0, 1.005, 1.015, 1.03, 1.06])
 """Those lengths, over those with which rods end where their paths end: E_vis rises steeply on both sides."""
@@ -249,6 +249,7 @@ class WholeThreads:
     length: np.ndarray  # (A,) mm
     range: np.ndarray  # (A, 2) mm: the shortest and the longest length that explains the images as well
     direction: np.ndarray  # (A, 3) unit vectors of the beginnings
+    turn: np.ndarray  # (A,) rad by which their directions turn along them
 
 
 def whole_threads(rig: Rig, detections: Sequence[Sequence[Detection]], point: np.ndarray, direction: np.ndarray | None,
@@ -257,7 +258,7 @@ def whole_threads(rig: Rig, detections: Sequence[Sequence[Detection]], point: np
 
     options  whose ν and cap E_vis has
     """
-    length, ways = np.full(len(point), np.nan), np.full((len(point), 3), np.nan)
+    (length, turn), ways = np.full((2, len(point)), np.nan), np.full((len(point), 3), np.nan)
     bounds = np.full((len(point), 2), np.nan)
     for row, images in enumerate(detections):  # maps of all sets at once may not fit into memory
         way = None if direction is None else direction[row : row + 1]
@@ -278,7 +279,9 @@ def whole_threads(rig: Rig, detections: Sequence[Sequence[Detection]], point: np
         rod = tried.solution.configuration.take([nearest])
         bounds[row] = alike + _of_ends(rig, images, rod.vertices[0]) * np.array([-1.0, 1.0])
         ways[row] = rod.frames[0, 0, :, 0]
-    return WholeThreads(length, bounds, ways if direction is None else direction)
+        tangents = rod.frames[0, ::COARSE, :, 0]
+        turn[row] = np.arccos(np.clip((tangents[1:] * tangents[:-1]).sum(axis=1), -1.0, 1.0)).sum()
+    return WholeThreads(length, bounds, ways if direction is None else direction, turn)
 
 
 def _of_ends(rig: Rig, images: Sequence[Detection], vertices: np.ndarray) -> float:

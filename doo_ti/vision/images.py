@@ -29,7 +29,7 @@ from doo_ti.system.errors import InputError
 from doo_ti.system.files import read_content
 from doo_ti.vision.cameras import MOST_SIDE, Camera, Rig
 from doo_ti.vision.detect import detect, detect_mask
-from doo_ti.vision.detection import Detection, DetectionOptions
+from doo_ti.vision.detection import POLARITIES, Detection, DetectionOptions
 from doo_ti.vision.follow import follow
 from doo_ti.vision.ridge import as_colour
 
@@ -38,6 +38,7 @@ KNOWN = "PNG, JPEG, TIFF, BMP, PGM or PPM"
 TIFF = b"II*\0", b"MM\0*"  # beginnings of files
 _WIDTH, _HEIGHT, _ORIENTATION = 256, 257, 274  # tags of TIFF, and of the Exif data of other files, which are in its form
 UPRIGHT = 1
+AT_PX = 15.0  # distance from a pixel of the thread up to which a detected line is at it
 
 
 def _stated(content: bytes) -> tuple[tuple[int, ...], int]:
@@ -302,22 +303,34 @@ class Sight:
     # a folder with masks named as the images are, or as their folders and they are, whatever their suffix; or the mask of each
     # camera's image, by the camera's name; None: the image's alpha channel where it has one
     masks: Path | dict[str, Path] | None = None
-    # of each set of images, by the number of a camera, pixels of the thread, whose colour it is sought by there and in sets
-    # after it without any; None: as ``options.colour``
+    # of each set of images, by the number of a camera, pixels of the thread: what it looks like there it does in all images of
+    # the set, and of sets after it without any
     clicks: tuple[dict[int, tuple[float, float]], ...] | None = None
+    by_colour: bool = False  # at the pixels; else colours are asked only where nothing was detected at them
 
     def of_set(self, row: int, paths: Sequence[Path], cameras: Sequence[Camera]) -> "Sight":
-        """The same for the images ``paths`` of set ``row``. Raises InputError where no thread is at its pixel."""
+        """The same for the images ``paths`` of set ``row``. Raises InputError where no thread of a colour is at its pixel."""
         if self.clicks is None or not self.clicks[row]:
             return self
         camera, pixel = min(self.clicks[row].items())
+        if not self.by_colour and self._finds(pixel, paths[camera], cameras[camera]):
+            return self
         image = read_image(paths[camera], cameras[camera], colour=True)
         line = follow(image, pixel)
+        if not self.by_colour:
+            alike = (replace(self, options=replace(self.options, polarity=polarity, width_px=line.width_px))
+                     for polarity in POLARITIES if line.count)
+            return next((sight for sight in alike if sight._finds(pixel, paths[camera], cameras[camera])), self)
         if not line.count:
             raise InputError(paths[camera], "pixel", f"no thread at {pixel[0]:g},{pixel[1]:g}", "give another one, or a colour")
         column, down = np.clip(np.rint(line.points).astype(int), 0, np.array(image.shape[1::-1]) - 1).T
         colour = np.median(as_colour(image)[down, column], axis=0)[::-1]
         return replace(self, options=replace(self.options, colour=tuple(colour.tolist())))
+
+    def _finds(self, pixel: tuple[float, float], path: Path, camera: Camera) -> bool:
+        """Whether something is detected at the ``pixel``."""
+        points = self.detected(path, camera).points
+        return bool(len(points)) and np.linalg.norm(points - pixel, axis=1).min() <= AT_PX
 
     def detected(self, path: Path, camera: Camera) -> Detection:
         """The thread in the image that ``camera`` took. Raises InputError for files that are missing or do not fit."""

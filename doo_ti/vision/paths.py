@@ -22,6 +22,7 @@ TURNING = 2.0  # cost in lengths of a gap for each rad that the thread would tur
 CORNER_PX = 8.0
 """Ends this near to each other are joined whatever their directions: a thread that comes towards the camera and goes back has a
 corner in the image."""
+CLOSE_PX = 2.0  # a shorter gap has no direction
 BESIDE_PX = 6.0  # an end this near to the inside of another chain divides it, so that a path may change over
 AGAINST = 0.5
 """Share of the detected line that a path against the given direction must have more: an image of a direction that points at the
@@ -87,7 +88,8 @@ class Chains:
     @classmethod
     def of(cls, detection: Detection) -> "Chains":
         chains = _divided(chains_of(*single(detection)))
-        return cls(chains, _joints(chains, WIDEST_GAP * detection.shape[0]) if chains else {})
+        wide = max(CLOSE_PX, float(np.nan_to_num(detection.width_px)))
+        return cls(chains, _joints(chains, WIDEST_GAP * detection.shape[0], wide) if chains else {})
 
     @property
     def free_ends(self) -> np.ndarray:
@@ -160,8 +162,9 @@ def _cross_cuts(chains: list[np.ndarray], cuts: list[set]) -> None:
                 cuts[c].add(int(k))
 
 
-def _joints(chains: list[np.ndarray], gap: float) -> dict[tuple[int, int], list[tuple[float, int, int]]]:
-    """As :class:`Chains` has them, across gaps of up to ``gap`` px."""
+def _joints(chains: list[np.ndarray], gap: float, wide: float) -> dict[tuple[int, int], list[tuple[float, int, int]]]:
+    """As :class:`Chains` has them, across gaps of up to ``gap`` px. Within the thread, ``wide`` px, the way across says
+    nothing: the line on a laid rope jumps from strand to strand."""
     ends = [(c, way) for c in range(len(chains)) for way in (0, 1)]
     places = np.array([chains[c][-1 if way else 0] for c, way in ends])
     out = np.array([outward(chains[c], way) for c, way in ends])
@@ -169,7 +172,7 @@ def _joints(chains: list[np.ndarray], gap: float) -> dict[tuple[int, int], list[
     for k, (c, way) in enumerate(ends):
         step = places - places[k]
         length = np.linalg.norm(step, axis=1)
-        ahead = np.where(length[:, None] > 2.0, step / np.maximum(length, 1e-9)[:, None], out[k])
+        ahead = np.where(length[:, None] > wide, step / np.maximum(length, 1e-9)[:, None], out[k])
         leaving, entering = ahead @ out[k], -(ahead * out).sum(axis=1)
         turn = np.arccos(np.clip(leaving, -1, 1)) + np.arccos(np.clip(entering, -1, 1))
         cost = length + (length + 0.5 * CORNER_PX) * TURNING * turn

@@ -93,13 +93,13 @@ def test_a_thread_is_sought_by_its_colour_where_it_was_clicked(tmp_path):
     path = tmp_path / "two.png"
     cv2.imwrite(str(path), image)
     seen = replace(camera(), width=160, height=120)
-    sight = Sight(clicks=({0: (40.0, 62.0)}, {}))
+    sight = Sight(clicks=({0: (40.0, 62.0)}, {}), by_colour=True)
     for row in range(2):
         sight = sight.of_set(row, [path], [seen])
         found = sight.detected(path, seen)
         assert found.count > 100 and np.abs(found.points[:, 1] - 60 - (found.points[:, 0] - 10) / 14).max() < 4
     cv2.imwrite(str(path), np.full_like(image, 230))
-    check_refused("pixel: no thread", Sight(clicks=({0: (20.0, 20.0)},)).of_set, 0, [path], [seen])
+    check_refused("pixel: no thread", Sight(clicks=({0: (20.0, 20.0)},), by_colour=True).of_set, 0, [path], [seen])
 
 
 
