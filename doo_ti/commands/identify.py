@@ -13,6 +13,7 @@ from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line, progress
 
 MOST_LISTED = 8
+FAR_OFF = 0.02  # mean error after the fit over the rod's length: noise and friction do less, a wrong rate or direction more
 FITTED = ("bend_damping", "drag", "quadratic_drag", "twist_ratio", "marker_share", "friction")
 
 
@@ -80,6 +81,9 @@ def run(options: Namespace) -> int:
     save_json(options.out, {"doo_ti": "theta", **summary["theta"], **{key: summary[key] for key in (
         "parameters", "error_mm", "mean_error_mm", "median_error_mm", "smoothing", "failed", "inside_mm", "held_out", "stills",
         "glitches")}})
+    share = summary["mean_error_mm"] / motion.edge_lengths().sum()
+    doubts.say(options.motions[0], None if not share > FAR_OFF else f"after the fit the rod is {share:.1%} of its length off; "
+               "check the rate, the unit, --up and the order of the markers")
     if options.picture is not None:
         _draw(options.picture, found, rollouts)
     report(options, summary, lambda: _lines(summary, motion))

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from doo_ti.commands import identify
 from doo_ti.commands.cli import main
 from tests.commands.calls import refused, succeeded
 from tests.io.test_formats import motive, table
@@ -53,6 +54,15 @@ def theta(recording):
 
 def test_the_bend_stiffness_that_made_the_motion_is_identified(theta):
     assert json.loads(theta.read_text())["bend_mm3"] == pytest.approx(1e6, rel=0.05)
+
+
+@pytest.mark.thorough
+def test_a_fit_far_off_is_doubted(recording, tmp_path, capsys, monkeypatch):
+    command = ["identify", str(recording / "recorded.npz"), "--modes", "0", "--fit", "bend_damping", "--bend", "5e5", "--out"]
+    for most in (identify.FAR_OFF, 1e-5):
+        monkeypatch.setattr(identify, "FAR_OFF", most)
+        assert main([*command, str(tmp_path / "theta.json")]) == 0
+        assert ("of its length off; check the rate" in capsys.readouterr().err) is (most == 1e-5)
 
 
 @pytest.mark.thorough
