@@ -313,19 +313,21 @@ class Sight:
         if self.clicks is None or not self.clicks[row]:
             return self
         camera, pixel = min(self.clicks[row].items())
-        if not self.by_colour and self._finds(pixel, paths[camera], cameras[camera]):
+        path, own = paths[camera], cameras[camera]
+        if not self.by_colour and self._finds(pixel, path, own):
             return self
-        image = read_image(paths[camera], cameras[camera], colour=True)
-        line = follow(image, pixel)
-        if not self.by_colour:
-            alike = (replace(self, options=replace(self.options, polarity=polarity, width_px=line.width_px))
-                     for polarity in POLARITIES if line.count)
-            return next((sight for sight in alike if sight._finds(pixel, paths[camera], cameras[camera])), self)
-        if not line.count:
-            raise InputError(paths[camera], "pixel", f"no thread at {pixel[0]:g},{pixel[1]:g}", "give another one, or a colour")
-        column, down = np.clip(np.rint(line.points).astype(int), 0, np.array(image.shape[1::-1]) - 1).T
-        colour = np.median(as_colour(image)[down, column], axis=0)[::-1]
-        return replace(self, options=replace(self.options, colour=tuple(colour.tolist())))
+        image = read_image(path, own, colour=True)
+        line, alike = follow(image, pixel), []
+        if line.count:
+            column, down = np.clip(np.rint(line.points).astype(int), 0, np.array(image.shape[1::-1]) - 1).T
+            colour = tuple(np.median(as_colour(image)[down, column], axis=0)[::-1].tolist())
+            alike = [replace(self, options=replace(self.options, polarity=polarity, width_px=line.width_px))
+                     for polarity in POLARITIES] + [replace(self, options=replace(self.options, colour=colour))]
+        if self.by_colour:
+            if not alike:
+                raise InputError(path, "pixel", f"no thread at {pixel[0]:g},{pixel[1]:g}", "give another one, or a colour")
+            return alike[-1]
+        return next((sight for sight in alike if sight._finds(pixel, path, own)), self)
 
     def _finds(self, pixel: tuple[float, float], path: Path, camera: Camera) -> bool:
         """Whether something is detected at the ``pixel``."""

@@ -109,7 +109,9 @@ def test_runners_up_differ_and_the_gap_is_a_distance(loop):
 
 def test_the_verdict_is_a_scale(found):
     several = found[0]
-    verdicts = replace(several, gap=np.array([np.inf, 0.05, 0.001])).verdict
+    gaps = replace(several, gap=np.array([np.inf, 0.05, 0.001]))
+    verdicts = gaps.verdict
+    assert gaps.doubts["a rival"].tolist() == [False, True, True]
     assert verdicts.tolist() == [PerceptionVerdict.CLEAR, PerceptionVerdict.LIKELY, PerceptionVerdict.AMBIGUOUS]
     blurred = several.camera_error.copy()
     blurred[:, 1] = 1.5

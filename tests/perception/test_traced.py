@@ -7,11 +7,25 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from doo_ti import InputError, Material, PerceptionOptions, PerceptionVerdict, Rig, detect, distance_maps, load_rig, perceive
-from doo_ti.perception.posterior import detected_places, vertex_sigma
+from doo_ti import (
+    Detection,
+    InputError,
+    Material,
+    PerceptionOptions,
+    PerceptionVerdict,
+    Rig,
+    detect,
+    distance_maps,
+    load_rig,
+    perceive,
+)
+from doo_ti.perception.matching import Match, curve_of
+from doo_ti.perception.posterior import detected_places, line_trees, lines_at, vertex_sigma
 from doo_ti.perception.seeds import seed_from_pixels, whole_threads
 from doo_ti.vision.distance_map import coverage, misread
 from doo_ti.vision.images import load_sets, read_image
+from doo_ti.vision.paths import ImagePath
+from doo_ti.vision.triangulation import rays
 from tools.studies.angle_study import EDGES, LENGTH_MM, apart, cameras, curve, dense, detection
 
 MATERIAL, UP = Material(6e5, 8e5), np.array([0.0, 0.0, 1.0])
@@ -60,6 +74,31 @@ def test_where_a_thread_runs_along_its_epipolar_lines_the_rod_is_on_it():
     found = recovered((rig, arches, [[detection(view, points, 0.05, rng) for view in rig.cameras] for points in arches]))
     off = [cKDTree(dense(points)).query(rod)[0][:-3].max() for points, rod in zip(arches, found.vertices, strict=True)]
     assert max(off) < 0.2 and (found.verdict == PerceptionVerdict.CLEAR).all()
+
+
+def test_lines_at_places_of_a_bend_are_on_it():
+    """The mean of points would lie inside of it, by 0.03 px here, and rods of a given length be folded."""
+    turn = np.arange(-1.5, 1.5, 1 / 60)
+    out = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    along, strength = np.stack([-out[:, 1], out[:, 0]], axis=1), np.ones(len(turn))
+    bend = Detection(300 + 60 * out, along, strength, 3.0, "dark", (600, 600), "ridge")
+    angle = np.linspace(-1, 1, 33)
+    places = 300 + 60.3 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    ways = np.stack([-np.sin(angle), np.cos(angle)], axis=1)
+    points, _, found = lines_at(places[None, None], ways[None, None], line_trees([[bend]]))
+    assert found.all() and np.abs(np.linalg.norm(points - 300, axis=-1) - 60).max() < 0.005
+
+
+def test_depth_stays_in_bounds_where_images_say_nothing_of_it():
+    """Where both images are the same, without disparity, the curve would be infinitely far away."""
+    rig = cameras(10.0, third=False)
+    same = Rig((rig.cameras[0], replace(rig.cameras[0], name="beside", translation=rig.cameras[0].translation + [6.0, 0, 0])))
+    place = np.arange(0.0, 300.0)
+    path = ImagePath(np.stack([500 + place, 400 + 0.5 * place], axis=1), np.ones(300, dtype=bool), 0.0, 1.0)
+    start = rig.cameras[0].centre + 300.0 * rays(rig.cameras[0], path.points[:1])[0]
+    found, _, _ = curve_of(same, Match((path, path), np.tile(np.arange(0.0, 299.0, 2.0), (2, 1)), 0.0), start, 100.0, 0.0)
+    depth = rig.cameras[0].depth(found)
+    assert depth.max() <= 4.001 * rig.cameras[0].depth(start)
 
 
 def test_a_rod_that_leaves_a_piece_of_the_thread_out_is_not_clear(seen):

@@ -85,6 +85,18 @@ def test_alpha_channels_and_masks(tmp_path):
     check_refused("opaque", Sight(masks=tmp_path / "masks").detected, tmp_path / "opaque.png", camera())
 
 
+def test_a_thread_that_is_clicked_is_detected_beside_a_more_distinct_one(tmp_path):
+    image = np.full((160, 240, 3), 60, dtype=np.uint8)
+    cv2.line(image, (10, 40), (230, 40), (230, 230, 230), 25, cv2.LINE_AA)
+    cv2.line(image, (10, 120), (230, 130), (110, 100, 100), 5, cv2.LINE_AA)
+    path = tmp_path / "two.png"
+    cv2.imwrite(str(path), image)
+    seen = replace(camera(), width=240, height=160)
+    for row, sight in ((40, Sight()), (125, Sight(clicks=({0: (120.0, 125.0)},)).of_set(0, [path], [seen]))):
+        found = sight.detected(path, seen)
+        assert found.count > 150 and np.abs(found.points[:, 1] - row).max() < 8
+
+
 def test_a_thread_is_sought_by_its_colour_where_it_was_clicked(tmp_path):
     """Not another one, more distinct, that crosses it; and in later sets of which no pixel is known."""
     image = np.full((120, 160, 3), 230, dtype=np.uint8)

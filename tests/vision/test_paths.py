@@ -54,6 +54,16 @@ def missed(path, curve: np.ndarray) -> float:
     return float(np.linalg.norm(path.at(share * path.length) - there, axis=1).max())
 
 
+def test_the_line_on_a_laid_rope_is_one_path():
+    """On each strand it runs at an angle, and jumps back across half of the rope to the next one."""
+    place = np.arange(0.0, 500.0)
+    aside = 5.0 * (place / 28 % 1 - 0.5)
+    points, way = np.stack([60 + place, 240 + aside], axis=1), np.array([1.0, 5 / 28]) / np.hypot(1.0, 5 / 28)
+    rope = Detection(points, np.tile(way, (500, 1)), np.full(500, 50.0), 8.0, "light", SHAPE, "ridge")
+    path = paths_from(Chains.of(rope), points[0], None)[0]
+    assert path.share > 0.95 and abs(path.points[-1, 0] - 559) < 5
+
+
 @pytest.mark.parametrize("curve", [wave(), loop(), corner()], ids=["wave", "loop", "corner"])
 def test_a_path_goes_from_end_to_end(rng, curve):
     path = paths_from(chains(curve, rng), curve[0], curve[5] - curve[0])[0]
