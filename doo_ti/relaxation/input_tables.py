@@ -56,7 +56,8 @@ def check_material(material: Material, edges: int, floating: bool) -> None:
     """Raise InputError where ``material`` does not fit that many edges, or has weight while a rod has two free ends
     (``floating``)."""
     if floating and (material.weight > 0).any():
-        raise InputError("clamps", "start, end", "both ends are free and the rod has weight", "hold one end, set weight 0, or `simulate` it coming to rest")
+        raise InputError("clamps", "start, end", "both ends are free and the rod has weight",
+                         "hold one end, set weight 0, or `simulate` it coming to rest")
     for name, array, length in (("twist", material.twist, edges - 1), ("bend", material.bend, edges)):
         if array.shape[1] not in (1, length):
             raise InputError("material", name, f"{array.shape[1]} entries along the rod", f"give one or {length}")

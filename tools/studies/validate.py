@@ -81,8 +81,8 @@ def measured(precision: str, paths: list[str]) -> Recorder:
 
 
 def report(double: Recorder, single: Recorder) -> list[str]:
-    lines = ["# Validation", "", "Written by `python tools/studies/validate.py`: largest relative error on the finest mesh, "
-             "as each test defines it, in f64, and the order from the mesh before.", "",
+    lines = ["# Validation", "", "Written by `python tools/studies/validate.py`: largest relative error on the finest mesh "
+             "in f64, and the order from the mesh before.", "",
              "![Errors over joints](validation.png)", "",
              "reference | cases | joints | largest error | order", "---|---|---|---|---"]
     kinds = {}
