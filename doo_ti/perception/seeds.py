@@ -29,12 +29,12 @@ from doo_ti.perception.traced import PATHS, whole_rods
 from doo_ti.rod.types import Material
 from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras import Rig
-from doo_ti.vision.detection import Detection, thinned
+from doo_ti.vision.detection import CLICK_PX, Detection, thinned
 from doo_ti.vision.distance_map import distance_maps
 from doo_ti.vision.paths import Chains, paths_from
 from doo_ti.vision.triangulation import rays
 
-CLICK_PX, END_PX = 30.0, 15.0  # A click is this near to the thread; an end this near to a click is meant
+END_PX = 15.0  # an end this near to a click is meant
 EPIPOLAR_PX = 8.0  # an end this near to the epipolar line of a click may be its image
 MOST_PLACES, MOST_CHOICES = 12, 24
 LINE_PX, INSIDE_PX = 0.8, 3.0  # standard deviations of a place: across the line, and along it where no end is meant

@@ -13,6 +13,7 @@ from doo_ti.system.errors import InputError
 
 METHODS = ("ridge", "canny")
 POLARITIES = ("dark", "light")
+CLICK_PX = 30.0  # a clicked pixel is this near to the thread
 MOST_WIDTH_PX = 1000.0  # largest width of a thread: samples are taken across it
 
 

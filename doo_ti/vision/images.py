@@ -29,7 +29,7 @@ from doo_ti.system.errors import InputError
 from doo_ti.system.files import read_content
 from doo_ti.vision.cameras import MOST_SIDE, Camera, Rig
 from doo_ti.vision.detect import detect, detect_mask
-from doo_ti.vision.detection import POLARITIES, Detection, DetectionOptions
+from doo_ti.vision.detection import CLICK_PX, POLARITIES, Detection, DetectionOptions
 from doo_ti.vision.follow import follow
 from doo_ti.vision.ridge import as_colour
 
@@ -38,7 +38,6 @@ KNOWN = "PNG, JPEG, TIFF, BMP, PGM or PPM"
 TIFF = b"II*\0", b"MM\0*"  # beginnings of files
 _WIDTH, _HEIGHT, _ORIENTATION = 256, 257, 274  # tags of TIFF, and of the Exif data of other files, which are in its form
 UPRIGHT = 1
-AT_PX = 15.0  # distance from a pixel of the thread up to which a detected line is at it
 
 
 def _stated(content: bytes) -> tuple[tuple[int, ...], int]:
@@ -331,8 +330,8 @@ class Sight:
 
     def _finds(self, pixel: tuple[float, float], path: Path, camera: Camera) -> bool:
         """Whether something is detected at the ``pixel``."""
-        points = self.detected(path, camera).points
-        return bool(len(points)) and np.linalg.norm(points - pixel, axis=1).min() <= AT_PX
+        found = self.detected(path, camera)
+        return bool(found.count) and np.linalg.norm(found.points - pixel, axis=1).min() <= max(CLICK_PX, found.width_px)
 
     def detected(self, path: Path, camera: Camera) -> Detection:
         """The thread in the image that ``camera`` took. Raises InputError for files that are missing or do not fit."""
