@@ -21,7 +21,7 @@ from doo_ti.vision.cameras import Rig
 from doo_ti.vision.paths import ImagePath
 from doo_ti.vision.triangulation import rays
 
-STEP_PX = 2.0  # between places that are compared
+STEP_PX, MOST_PLACES = 2.0, 1000  # between places that are compared, or more where a path would have more places
 FEWEST = 3  # places of a match: with fewer there is no curve
 FARTHEST_PX = 12.0  # distances saturate there
 SLIP = 0.15  # px: cost of a step along one path alone, over that of a step along both
@@ -51,7 +51,8 @@ def best_matches(rig: Rig, paths: list[list[ImagePath]], most: int) -> list[Matc
         return []
     first, others = paths[0], paths[1:]
     pairs = [(a, c + 1, b) for a in range(len(first)) for c, here in enumerate(others) for b in range(len(here))]
-    found = dict(zip(pairs, _paired(rig, [(first[a], c, paths[c][b]) for a, c, b in pairs]), strict=True))
+    step = max(STEP_PX, max(len(path.points) for some in paths for path in some) / MOST_PLACES)
+    found = dict(zip(pairs, _paired(rig, [(first[a], c, paths[c][b]) for a, c, b in pairs], step), strict=True))
     matches = []
     for a, path in enumerate(first):
         # The paths of the other cameras are chosen one by one: of two cameras the second best as well.
@@ -60,27 +61,28 @@ def best_matches(rig: Rig, paths: list[list[ImagePath]], most: int) -> list[Matc
         if len(ranked) == 1:
             choices += [[one[1]] for one in ranked[0][1:]]
         for choice in choices:
-            matches.append(_joined(path, [(paths[c + 1][b], *found[a, c + 1, b]) for c, b in enumerate(choice)]))
+            matches.append(_joined(path, [(paths[c + 1][b], *found[a, c + 1, b]) for c, b in enumerate(choice)], step))
     matches = [match for match in matches if match.arcs.shape[1] >= FEWEST]
     return sorted(matches, key=lambda match: match.cost)[:most]
 
 
-def _joined(first: ImagePath, others) -> Match:
+def _joined(first: ImagePath, others, step: float) -> Match:
     """One match of several cameras, as far as all of them go."""
-    arcs = np.arange(0.0, len(first.points) - 1e-9, STEP_PX)
+    arcs = _arcs(first, step)
     end = min([len(arcs), *(int(pairs[-1, 0]) + 1 for _, pairs, _ in others)])
-    there = [np.interp(arcs[:end], STEP_PX * pairs[:, 0], STEP_PX * pairs[:, 1]) for _, pairs, _ in others]
+    there = [np.interp(arcs[:end], step * pairs[:, 0], step * pairs[:, 1]) for _, pairs, _ in others]
     paths = (first, *(path for path, _, _ in others))
     cost = float(np.mean([path.cost / len(path.points) + UNEXPLAINED * (1 - path.share) for path in paths]))
     return Match(paths, np.array([arcs[:end], *there]), cost + float(np.mean([0.0, *(cost for _, _, cost in others)])))
 
 
 @runtime.exclusive
-def _paired(rig: Rig, problems) -> list[tuple[np.ndarray, float]]:
+def _paired(rig: Rig, problems, step: float) -> list[tuple[np.ndarray, float]]:
     """For each (path in camera 0, camera, path there) the (K, 2) places that belong together, in steps, and the mean cost."""
     if not problems:
         return []
-    apart = [np.minimum(epipolar_distance(rig, 0, c, _places(one), _places(other)), FARTHEST_PX) for one, c, other in problems]
+    apart = [np.minimum(epipolar_distance(rig, 0, c, *(path.at(_arcs(path, step)) for path in (one, other))), FARTHEST_PX)
+             for one, c, other in problems]
     sizes = np.array([one.shape for one in apart], dtype=np.int32)
     first = np.cumsum([0, *sizes.prod(axis=1)]).astype(np.int64)
     flat = np.concatenate([one.ravel() for one in apart]).astype(np.float32)
@@ -91,8 +93,9 @@ def _paired(rig: Rig, problems) -> list[tuple[np.ndarray, float]]:
     return [_walked(total[part].reshape(size), came[part].reshape(size)) for part, size in parts]
 
 
-def _places(path: ImagePath) -> np.ndarray:
-    return path.at(np.arange(0.0, len(path.points) - 1e-9, STEP_PX))
+def _arcs(path: ImagePath, step: float) -> np.ndarray:
+    """px along a path where it is compared."""
+    return np.arange(0.0, len(path.points) - 1e-9, step)
 
 
 @runtime.kernel
