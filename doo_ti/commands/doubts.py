@@ -16,7 +16,9 @@ DOUBTFUL = 1.05
 or more."""
 MOST_TURN = 60.0  # degrees at the median mark, of the line through the marks: they are on no curve in their order
 MOST_UNEVEN = 20.0  # longest edge over the median one, above which the marks may be of several rods
-MOST_APART = 1.8  # distance of neighbouring marks over the length between them; more is no noise but a wrong mark
+MOST_APART, TOO_FAR = 1.8, 0.01
+"""Distance of neighbouring marks over the length between them, and by how much of the rod's length they are farther apart: more
+of both is no noise but a wrong mark."""
 BOTH_AGREE = 1.7  # sum of the cosines between the frames of both ends and the edges there: 32° if both are off alike
 EXCHANGED, SHORTER = 0.8, 0.7
 """Least share of the observations in which the line through the marks is shorter with two of them exchanged, and the most that
@@ -127,6 +129,7 @@ def apart_doubt(observations: Observations) -> str | None:
     """That neighbouring marks are farther apart than the rod is long between them, or None."""
     apart = np.linalg.norm(np.diff(observations.vertices, axis=1), axis=-1)
     ratio = np.nan_to_num(apart / observations.rest_length)
+    ratio[np.nan_to_num(apart) - observations.rest_length < TOO_FAR * observations.rest_length.sum()] = 0.0
     row, edge = np.unravel_index(ratio.argmax(), ratio.shape)
     if ratio[row, edge] < MOST_APART:
         return None

@@ -137,6 +137,8 @@ def summary_lines(summary: dict) -> list[str]:
                 if curved else "none: straight at rest")),
             ("caution", curved and "twist" not in summary["unknowns"] and
              "bend stiffness of a curved rod depends on twist stiffness, which was not learned: --parameters bend,twist"),
+            ("caution", any(one["name"] == "bend" and one["high"] is None for one in summary["parameters"]) and
+             "as fitted, its weight hardly bends the rod: check --up, or hang it so that it sags"),
             ("ends", summary["swivels"] and
              "fit best as free to roll in what holds them; if clips held them, give their frames"),
             ("frames", max(start, end) > 0 and f"off by {start:.2g}° (start) and {end:.2g}° (end); "

@@ -115,6 +115,9 @@ def test_a_mark_that_is_too_far_away_for_the_rod_is_doubted():
     doubt = apart_doubt(Observations(marks, rest_length=Observations(MARKS).rest_length))
     last = len(marks[1]) - 1
     assert f"marks {last - 1} and {last}, counted from 0, of observation 1 are" in doubt and "leave marks" in doubt.lower()
+    dense = np.stack([np.linspace(0, 300, 200), np.zeros(200), np.zeros(200)], axis=-1)
+    noisy = dense + np.random.default_rng(1).normal(0, 0.3, (9, 200, 3))
+    assert apart_doubt(Observations(noisy, rest_length=np.full(199, 300 / 199))) is None
 
 
 def test_a_pose_whose_frames_fit_its_marks_in_reverse_order_is_doubted(rng):
