@@ -182,8 +182,9 @@ class LengthBounds:
     def rest_length(self, thread: float, turn: float = 0.0) -> np.ndarray:
         """(E,) mm of a rod along a thread of that length, whose direction turns by ``turn`` rad along it."""
         length = float(np.clip(thread, self.least, self.most))
-        edges = int(np.clip(np.ceil(np.sqrt(turn / (8 * BOW))), EDGES, MOST_GUESSED))
-        if self.edge is not None:
+        if self.edge is None:  # arcs of the angle a lie off their chords by a/8 of these
+            edges = int(np.clip(np.ceil(np.sqrt(turn / (8 * BOW))), EDGES, MOST_GUESSED))
+        else:
             edges = int(np.clip(round(length / self.edge), 4, MOST_EDGES))
         return np.full(edges, length / edges)
 

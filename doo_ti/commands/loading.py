@@ -150,8 +150,9 @@ def target(options: Namespace, observations: Observations) -> np.ndarray:
                          "give both in the same axes")
     places = places if options.unit is None else places * UNITS_IN_MM[options.unit]
     apart = np.linalg.norm(np.diff(places[0], axis=0), axis=1) / observations.rest_length
-    if not 1 / MOST_STRETCH <= np.median(apart[np.isfinite(apart)] if np.isfinite(apart).any() else 1.0) <= MOST_STRETCH:
-        raise InputError(path, "vertices_mm", f"neighbours are {np.nanmedian(apart):.3g} times as far apart as along the rod",
+    apart = apart[np.isfinite(apart)]
+    if len(apart) and not 1 / MOST_STRETCH <= np.median(apart) <= MOST_STRETCH:
+        raise InputError(path, "vertices_mm", f"neighbours are {np.median(apart):.3g} times as far apart as along the rod",
                          "check the unit, as --unit m")
     return places
 

@@ -314,8 +314,8 @@ def _guesses(rods: Configuration, clamps: Clamps, model: Model, targets: Targets
 
 
 def _carried(rods: Configuration, clamps: Clamps, targets: Targets, up: np.ndarray) -> tuple[Configuration, Clamps]:
-    """The rods, and their grippers, shifted and turned about the vertical to be as near as so they can to their targets: at
-    rest, if they were."""
+    """The rods and their grippers, moved together as rigid bodies: shifted, and turned about the vertical, to where they are
+    nearest to their targets. Rods at rest stay at rest."""
     share, vertices = targets.shares[..., None], rods.vertices
     centre, goal = (share * vertices).sum(axis=1), (share * targets.places).sum(axis=1)
     here, asked = share * (vertices - centre[:, None]), targets.places - goal[:, None]

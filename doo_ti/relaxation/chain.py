@@ -68,7 +68,7 @@ class Chain(PairEnergy):
     total, longest          length of the rod and of its longest edge
     stiffness               (α, β) of isotropic rods, unused otherwise
     softest                 the smallest eigenvalue of B anywhere along the rod, or β where that is less
-    evenness                that over the largest eigenvalue of B or β
+    evenness                ``softest`` over the largest eigenvalue of B, or over β where that is more
     shift_shares            (spin, tilt) of isotropic rods, of others those of their softest part: see :meth:`shifts`
     gravity                 μ times the unit vector up
     anchor                  the point that the chain hangs from

@@ -305,7 +305,7 @@ class Sight:
     # of each set of images, by the number of a camera, pixels of the thread: what it looks like there it does in all images of
     # the set, and of sets after it without any
     clicks: tuple[dict[int, tuple[float, float]], ...] | None = None
-    by_colour: bool = False  # at the pixels; else colours are asked only where nothing was detected at them
+    by_colour: bool = False  # seek the thread by its colour at the pixels; else only where nothing else detects it there
 
     def of_set(self, row: int, paths: Sequence[Path], cameras: Sequence[Camera]) -> "Sight":
         """The same for the images ``paths`` of set ``row``. Raises InputError where no thread of a colour is at its pixel."""

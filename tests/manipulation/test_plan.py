@@ -92,7 +92,7 @@ def test_a_rod_that_follows_the_plan_comes_to_its_target(row):
 
 @pytest.mark.parametrize("asked", [[16], [10, 22]])
 def test_a_few_vertices_are_lifted(asked):
-    """By 260 mm, as far as both grippers have to be. Their way would be shorter apart, which the rod's length ends."""
+    """By 260 mm. Pulling the grippers apart lifts them with shorter moves, until the rod is taut; then both have to rise."""
     hung, clamps = d.hanging(330.0, 33, (0, 0, 0), (200, 0, 0), clamp=d.Clamp.FRAME)
     material = d.Material(6e5, 6e5)
     hung = d.relax(hung, material, clamps).configuration

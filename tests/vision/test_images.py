@@ -85,13 +85,18 @@ def test_alpha_channels_and_masks(tmp_path):
     check_refused("opaque", Sight(masks=tmp_path / "masks").detected, tmp_path / "opaque.png", camera())
 
 
+def of_lines(folder, size: tuple[int, int], background: int, *lines):
+    """(the path of an image of this size with lines (from, to, colour, width), the camera that took it)."""
+    image = np.full((*size[::-1], 3), background, dtype=np.uint8)
+    for line in lines:
+        cv2.line(image, *line, cv2.LINE_AA)
+    cv2.imwrite(str(folder / "lines.png"), image)
+    return folder / "lines.png", replace(camera(), width=size[0], height=size[1])
+
+
 def test_a_thread_that_is_clicked_is_detected_beside_a_more_distinct_one(tmp_path):
-    image = np.full((160, 240, 3), 60, dtype=np.uint8)
-    cv2.line(image, (10, 40), (230, 40), (230, 230, 230), 25, cv2.LINE_AA)
-    cv2.line(image, (10, 120), (230, 130), (110, 100, 100), 5, cv2.LINE_AA)
-    path = tmp_path / "two.png"
-    cv2.imwrite(str(path), image)
-    seen = replace(camera(), width=240, height=160)
+    path, seen = of_lines(tmp_path, (240, 160), 60, ((10, 40), (230, 40), (230, 230, 230), 25),
+                          ((10, 120), (230, 130), (110, 100, 100), 5))
     for row, sight in ((40, Sight()), (125, Sight(clicks=({0: (120.0, 125.0)},)).of_set(0, [path], [seen]))):
         found = sight.detected(path, seen)
         assert found.count > 150 and np.abs(found.points[:, 1] - row).max() < 8
@@ -99,20 +104,15 @@ def test_a_thread_that_is_clicked_is_detected_beside_a_more_distinct_one(tmp_pat
 
 def test_a_thread_is_sought_by_its_colour_where_it_was_clicked(tmp_path):
     """Not another one, more distinct, that crosses it; and in later sets of which no pixel is known."""
-    image = np.full((120, 160, 3), 230, dtype=np.uint8)
-    cv2.line(image, (10, 60), (150, 70), (60, 60, 200), 4, cv2.LINE_AA)
-    cv2.line(image, (70, 5), (90, 115), (20, 20, 20), 4, cv2.LINE_AA)
-    path = tmp_path / "two.png"
-    cv2.imwrite(str(path), image)
-    seen = replace(camera(), width=160, height=120)
+    path, seen = of_lines(tmp_path, (160, 120), 230, ((10, 60), (150, 70), (60, 60, 200), 4),
+                          ((70, 5), (90, 115), (20, 20, 20), 4))
     sight = Sight(clicks=({0: (40.0, 62.0)}, {}), by_colour=True)
     for row in range(2):
         sight = sight.of_set(row, [path], [seen])
         found = sight.detected(path, seen)
         assert found.count > 100 and np.abs(found.points[:, 1] - 60 - (found.points[:, 0] - 10) / 14).max() < 4
-    cv2.imwrite(str(path), np.full_like(image, 230))
+    of_lines(tmp_path, (160, 120), 230)
     check_refused("pixel: no thread", Sight(clicks=({0: (20.0, 20.0)},), by_colour=True).of_set, 0, [path], [seen])
-
 
 
 def test_libraries_say_nothing_of_damaged_images(tmp_path, capfd):
