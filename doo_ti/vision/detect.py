@@ -41,8 +41,10 @@ from doo_ti.vision.detection import (
 )
 from doo_ti.vision.ridge import (
     BAR,
+    LEAST_BALANCE,
     REACH_PX,
     SURE,
+    WORKING_WIDTH,
     Appearance,
     Curvature,
     Ridges,
@@ -102,7 +104,6 @@ SIGMA_PER_WIDTH, SMALLEST_SIGMA = 0.35, 0.8  # px of smoothing: a bar gets a sin
 WEAK, STRONG = 0.2, 0.5  # shares of the typical strength: all of a piece of thread exceeds the first, some of it the second
 WIDTH_RATIO, FAINTEST = 1.5, 0.4
 """Largest ratio of widths, which differ with depth, and least ratio of mean strengths, of a piece and the most distinct one."""
-WIDEST_PX = 40.0  # wider threads are sought in halved images
 
 
 @typed
@@ -134,15 +135,33 @@ def detect(image: np.ndarray, options: DetectionOptions = DetectionOptions()) ->
 
 
 def _line(image: np.ndarray, look: Appearance, options: DetectionOptions) -> tuple[np.ndarray, ...]:
-    """(N, 2) points, (N, 2) directions, (N,) strengths and widths in an image (H, W) float32, halved for wide threads."""
-    halvings = max(0, int(np.ceil(np.log2(look.width_px / WIDEST_PX))))
+    """(N, 2) points, (N, 2) directions, (N,) strengths and widths in an image (H, W) float32."""
+    small, scale = _halved(image, look.width_px)
+    in_small = replace(look, width_px=look.width_px / scale, slope=look.slope * scale)
+    find = {"ridge": _ridge_line, "canny": _canny_line}[options.method]
+    points, direction, strength, width = find(small, in_small, options.least_contrast, options.shortest_px / scale)
+    found = in_whole_pixels(scale, points, direction, strength, scale * width)
+    if scale > 1 and options.method == "ridge":
+        usual = found[3] == look.width_px
+        found[0][usual] = _between(image, found[0][usual], found[1][usual], look)
+    return found
+
+
+def _between(image: np.ndarray, points: np.ndarray, direction: np.ndarray, look: Appearance) -> np.ndarray:
+    """(N, 2) points of a line that was found in a halved image, moved to the middle between its edges in the image itself
+    where it has both there."""
+    normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
+    edges = edges_across(gradient(image), points, normal, look.polarity, 0.75 * look.width_px + 2)
+    sound = (edges.balance > LEAST_BALANCE) & (edges.width > look.width_px / 2) & (edges.width < 1.5 * look.width_px + 1)
+    return points + np.where(sound, edges.shift, 0.0)[:, None] * normal
+
+
+def _halved(image: np.ndarray, width: float) -> tuple[np.ndarray, float]:
+    """The image, halved until a line of that width is at most WORKING_WIDTH px wide, and px of the image to one of it."""
+    halvings = max(0, int(np.ceil(np.log2(width / WORKING_WIDTH))))
     for _ in range(halvings):
         image = cv2.pyrDown(image)
-    scale = 2.0**halvings
-    look = replace(look, width_px=look.width_px / scale, slope=look.slope * scale)
-    find = {"ridge": _ridge_line, "canny": _canny_line}[options.method]
-    points, direction, strength, width = find(image, look, options.least_contrast, options.shortest_px / scale)
-    return in_whole_pixels(scale, points, direction, strength, scale * width)
+    return image, 2.0**halvings
 
 
 def _ridge_line(image: np.ndarray, look: Appearance, least_contrast: float, shortest_px: float) -> tuple[np.ndarray, ...]:
@@ -218,16 +237,18 @@ def _darkness(image: np.ndarray, look: Appearance, contrast: float) -> np.ndarra
 
 def _wide_lines(dark: np.ndarray, width: float, own: np.ndarray, usual: float) -> Detection:
     """Lines about as wide as ``width`` in the closed darkness, away from points ``own`` (N, 2) of a line ``usual`` px wide."""
-    side = 2 * int(np.ceil(width / 2)) + 1
-    closed = cv2.morphologyEx(dark, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
-    ridges = Curvature(closed, SIGMA_PER_WIDTH * width).ridges("light", LEAST_STRENGTH * BAR * 255)
-    edges = edges_across(gradient(closed), ridges.point, ridges.normal, "light", 0.75 * width + 2)
-    sound = (edges.width > width / 2) & (edges.width < 1.5 * width + 1) & (np.abs(ridges.offset + edges.shift) <= REACH_PX)
+    small, scale = _halved(dark, width)
+    wide = width / scale
+    side = 2 * int(np.ceil(wide / 2)) + 1
+    closed = cv2.morphologyEx(small, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
+    ridges = Curvature(closed, SIGMA_PER_WIDTH * wide).ridges("light", LEAST_STRENGTH * BAR * 255)
+    edges = edges_across(gradient(closed), ridges.point, ridges.normal, "light", 0.75 * wide + 2)
+    sound = (edges.width > wide / 2) & (edges.width < 1.5 * wide + 1) & (np.abs(ridges.offset + edges.shift) <= REACH_PX)
     sound &= edges.balance > 0
     ridges = ridges.moved(edges.shift)[sound]
-    if len(ridges.row):
-        ridges = ridges[cKDTree(own).query(ridges.point)[0] > 0.5 * usual + 1]
-    return Detection(ridges.point, ridges.tangent, ridges.strength, width, "light", dark.shape, "ridge")
+    points, direction, strength = in_whole_pixels(scale, ridges.point, ridges.tangent, ridges.strength)
+    away = cKDTree(own).query(points)[0] > 0.5 * usual + 1 if len(points) else np.zeros(0, dtype=bool)
+    return Detection(points[away], direction[away], strength[away], width, "light", dark.shape, "ridge")
 
 
 def _joined(line: Detection, own: list[np.ndarray], width: float, dark: np.ndarray) -> list[tuple[np.ndarray, ...]]:
@@ -259,7 +280,6 @@ def _edges_of(points: np.ndarray, own: list[np.ndarray], parts: list[tuple[np.nd
 SIGMA = 1.0
 CREST = 0.8  # least second derivative over that of a full roof
 LABELS = 16
-WORKING_WIDTH = 16.0  # px: masks of wider threads are halved, so that their rough borders are smoothed
 LARGEST_HOLE = 20  # px of a hole or speck that is regarded as noise
 
 

@@ -222,10 +222,9 @@ def chains_of(points: np.ndarray, direction: np.ndarray) -> list[np.ndarray]:
 
 def outward(chain: np.ndarray, way: int) -> np.ndarray:
     """(2,) unit direction in which a chain ends."""
-    points = chain if way else chain[::-1]
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points[::-1], axis=0), axis=1))])
-    back = points[::-1][min(np.searchsorted(arc, END_PX), len(points) - 1)]
-    out = points[-1] - back
+    points = (chain[::-1] if way else chain)[: int(4 * END_PX)]  # which are a third of a pixel apart or more
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    out = points[0] - points[min(np.searchsorted(arc, END_PX), len(points) - 1)]
     return out / max(np.linalg.norm(out), 1e-12)
 
 
@@ -241,18 +240,19 @@ def goes_on(chain: np.ndarray, known: list[np.ndarray], width: float, dark: np.n
     dark   (H, W) how much pixels differ from the background towards the thread, 255 for its contrast
     """
     line = cKDTree(chain)
-    inside = [line.query(other)[0].max() <= width for other in known]
-    edges, others = ([other for other, here in zip(known, inside, strict=True) if bool(here) is kind] for kind in (True, False))
+    apart, at = line.query(np.array([other[-1 if way else 0] for other in known for way in (0, 1)]))
+    half = (2 * at >= len(chain)).astype(int)
+    inward = -np.stack([outward(chain, way) for way in (0, 1)])[half]
+    ahead = np.array([outward(other, way) for other in known for way in (0, 1)])
+    agreeing = (apart <= TOUCHING * width + ENDS_PX) & ((ahead * inward).sum(axis=1) >= AGREEING)
+    if not agreeing.any():  # as of most chains
+        return False
+    inside = np.array([line.query(other)[0].max() <= width for other in known])
+    others = [other for other, here in zip(known, inside, strict=True) if not here]
     column, row = np.rint(chain).astype(int).T
-    if edges and (chain_length(chain) < GLINT * width or np.median(dark[row, column]) < INSIDE * 255):
+    if inside.any() and (chain_length(chain) < GLINT * width or np.median(dark[row, column]) < INSIDE * 255):
         return False
     strand = any((cKDTree(other).query(chain)[0] <= 0.6 * width).mean() > BESIDE for other in others)
     if strand or sum(chain_length(other) for other in others) < chain_length(chain):
         return False  # what has two edges all along is two threads
-    ends = np.array([other[-1 if way else 0] for other in others for way in (0, 1)])
-    ahead = np.array([outward(other, way) for other in others for way in (0, 1)])
-    apart, at = line.query(ends)
-    half = (2 * at >= len(chain)).astype(int)
-    inward = -np.stack([outward(chain, way) for way in (0, 1)])[half]
-    agreeing = (apart <= TOUCHING * width + ENDS_PX) & ((ahead * inward).sum(axis=1) >= AGREEING)
-    return int(np.bincount(half[agreeing], minlength=2).max()) == 1
+    return int(np.bincount(half[agreeing & ~np.repeat(inside, 2)], minlength=2).max()) == 1

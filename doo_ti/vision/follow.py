@@ -21,14 +21,13 @@ import numpy as np
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
 from doo_ti.vision.detection import Detection, DetectionOptions, check_image, cropped, moved
-from doo_ti.vision.ridge import TOLERANCE, Curvature, as_colour, lab, likeness, likeness_table
+from doo_ti.vision.ridge import TOLERANCE, WORKING_WIDTH, Curvature, as_colour, lab, likeness, likeness_table
 
 REACH_PX = 4.0  # from the pixel to the thread's middle, or half a width, whichever is more
 FINEST, OCTAVES = 2.0, 6  # widths tried, px: two to an octave, up to 180
 DIRECTIONS = 24
 SEGMENT = 1.5  # half the length of the line at the start, in widths
 FINENESS = 1.75  # power of σ in the strength of the start's line: 2 treats all widths alike, but threads have shadows
-WORKING_WIDTH = 16.0  # px: wider threads are followed in halved images
 LEAST_TOLERANCE = 5.0
 AHEAD, SHARPEST, ARCS = 6.0, 0.35, 21  # length of arcs in widths, their largest curvature times the width, and their number
 PRESENT = 0.35  # least strength of the line over its median along the path so far

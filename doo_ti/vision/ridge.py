@@ -29,6 +29,7 @@ from scipy.spatial import cKDTree
 REACH_PX = 0.75  # pixels this near to a line give a point of it, so that points are at most a pixel apart in any direction
 FIRST_REACH_PX, FIRST_REACH = 2.0, 0.5
 """Bounds of t before edges are found, px and over σ: t is too large away from the ridge, and uncertain on flat ridges."""
+WORKING_WIDTH = 16.0  # px: wider threads are sought in halved images, where they take no longer, and borders are smoother
 POINTS_PER_PX = 2 * REACH_PX  # mean number of points per px of a line
 ROUNDNESS = 0.6  # largest curvature along the line, of the same sign, over that across; with more it is a speck or a crossing
 

@@ -198,6 +198,16 @@ def test_a_glint_within_the_thread(light):
     assert recall > 0.97 and precision > 0.98
 
 
+@pytest.mark.parametrize("width", [12, 48])
+def test_a_wide_thread_is_found_as_exactly_as_a_narrow_one(width):
+    """Its two halves differ, as lit from one side: the middle is between its edges."""
+    curve = wave()
+    halves = [(beside(curve, sign * width / 4), (level,) * 3, width // 2) for sign, level in ((-1, 40), (1, 90))]
+    found = detect(drawn(*halves))
+    assert found.width_px == pytest.approx(width, abs=3.0)
+    assert np.median(cKDTree(curve).query(found.points)[0]) < 0.25 and shares(found.points, curve)[0] > 0.98
+
+
 def test_a_needle_is_wider_than_its_thread():
     curve = wave()
     image = grey((curve[:1700], DARK, 4), (curve[1700:], DARK, 10))
