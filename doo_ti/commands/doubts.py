@@ -44,6 +44,15 @@ def warn_of_rod(source, rest_length: np.ndarray, surroundings: Surroundings | No
         stiffness_doubt(stiffness, weight))
 
 
+def warn_of_turns(observations: Observations, index: np.ndarray, turns: np.ndarray) -> None:
+    """The same where rods (N,) of the observations ``index`` (N,) are taken to be twisted by whole ``turns`` (N,) that their
+    frames do not show."""
+    twisted = np.unique(index[turns != 0])
+    if len(twisted):
+        say(observations.source, f"{counted(len(twisted), 'observation')}, first {observations.labels[twisted[0]]}: taken to "
+            "be twisted by a turn more than the frames show, since the marks are twice as near then; give total_twist_deg")
+
+
 def say(source, *doubts: str | None) -> None:
     """Print as warnings about ``source`` those of the ``doubts`` that there are."""
     for doubt in doubts:

@@ -14,7 +14,7 @@ from doo_ti.commands.results import refuse_overwriting
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.motion_file import TOOL_AXES, ClampPath, load_path
 from doo_ti.io.pose_table import NAMED
-from doo_ti.rod.frames import matrix_from_quaternion, smallest_rotation
+from doo_ti.rod.frames import matrix_from_quaternion, smallest_rotation, total_twist
 from doo_ti.rod.material import UNITS_IN_MM
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
@@ -72,7 +72,7 @@ class HeldRods:
     """N rods held by grippers that move, under G materials: R = G·N, material by material.
 
     names       R of them
-    start       (R) the rods as they begin, or one for all; those of observations have the whole turns nearest to what was seen
+    start       (R) the rods as they begin, or one for all; those of observations have the whole turns of :func:`settled`
     clamps      (N) how they are held at first
     path        where the grippers go: N paths, or one for all
     material    G rows, which the columns of ``theta`` state
@@ -206,7 +206,8 @@ def _with_frames(observations: Observations, path: ClampPath, relative: bool) ->
 
 
 def settled(observations: Observations, clamps: Clamps, materials: Material, surroundings: Surroundings) -> Configuration:
-    """(G·N) the rods at the start, material by material: of several whole turns that fit, the one nearest to what was seen."""
+    """(G·N) the rods at the start, material by material: of several whole turns that fit, what :func:`.choose_hypothesis`
+    takes."""
     from doo_ti.relaxation.relax import relax
     from doo_ti.rod.metric import distance
 
@@ -218,7 +219,9 @@ def settled(observations: Observations, clamps: Clamps, materials: Material, sur
     solution = relax(starts, materials, clamps.take(index), up=observations.up, configuration_index=row,
                      material_index=of_material, **surroundings.arguments)
     score = distance(solution.configuration, observations, index[row])
-    best = choose_hypothesis(of_material * observations.count + index[row], score, solution.converged & solution.stable)
+    best = choose_hypothesis(of_material * observations.count + index[row], score, solution.converged & solution.stable,
+                             total_twist(solution.configuration.quaternions))
+    doubts.warn_of_turns(observations, index[row][best], turns[row][best])
     return starts.take(row[best])
 
 

@@ -10,6 +10,7 @@ from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import with_rest_curvature
 from doo_ti.commands.results import refuse_overwriting
 from doo_ti.learning.landscape import status_counts
+from doo_ti.rod.frames import total_twist
 from doo_ti.rod.grid import Grid
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
@@ -32,7 +33,7 @@ def declare(add) -> None:
 
 
 def run_relax(options: Namespace) -> int:
-    """F on each observation (§III-D), to one npz; of several whole-turn hypotheses the one nearest to the observation."""
+    """F on each observation (§III-D), to one npz; of several whole turns what :func:`.choose_hypothesis` takes."""
     grid = given.single_cell(options, "give one number, or use sweep")
     frame_weight, out = options.frame_weight or 0.0, options.out
     surroundings = given.surroundings(options)
@@ -59,7 +60,8 @@ def run_relax(options: Namespace) -> int:
     error = distance(relaxed, observations, index, frame_weight)
     infeasible = np.flatnonzero(solution.status == Status.INFEASIBLE)
     error[infeasible] = np.nan
-    best = choose_hypothesis(index, error, solution.converged & solution.stable)
+    best = choose_hypothesis(index, error, solution.converged & solution.stable, total_twist(relaxed.quaternions))
+    doubts.warn_of_turns(observations, index[best], turns[best])
     configuration = relaxed.take(best)
     result = {"vertices_mm": configuration.vertices, "frames": configuration.frames, "distance_mm": error[best],
               "rest_length_mm": observations.rest_length}

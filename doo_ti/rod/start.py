@@ -27,6 +27,7 @@ MOST_LENGTHS = 2.0  # largest distance of a mark from the first, over the rod's 
 LEAST_LENGTHS = 0.1  # smallest sum of the distances between neighbouring marks, over the rod's length between them
 LEAST_EDGE = 1e-6  # shortest edge, over the mean edge
 MOST_LENGTHS_OFF = 1e9  # largest coordinate, over the rod's length
+TWICE_PER_RAD = 2.0 ** (0.5 / np.pi)  # for each rad of twist: twice for a whole turn
 
 
 @typed
@@ -196,13 +197,17 @@ def held_spins(observations: Observations, clamps: Clamps, spin: np.ndarray) -> 
 
 @typed
 def choose_hypothesis(observation_index: Annotated[np.ndarray, "N"], score: Annotated[np.ndarray, "N"],
-                      sound: Annotated[np.ndarray, "N"]) -> np.ndarray:
+                      sound: Annotated[np.ndarray, "N"], twist: Annotated[np.ndarray | None, "N"] = None) -> np.ndarray:
     """(D,) rows of the (N,) hypotheses with the smallest score of each observation, among those that are ``sound`` (N,)
     where there are any: a rod that did not converge is still near its start, so that its score means little. NaN counts as the
     largest.
 
+    twist  (N,) rad, total twists of the rods: one that is twisted by a whole turn more must be twice as near. Under another
+           stiffness than that of the observed rod all are off, and a little less or more says nothing about turns
+
     Equal scores go to the first row.
     """
+    score = score if twist is None else score * TWICE_PER_RAD ** np.abs(twist)
     order = np.lexsort((np.where(np.isnan(score), np.inf, score), ~sound.astype(bool), observation_index))
     first = np.concatenate([[True], np.diff(observation_index[order]) != 0])[: len(order)]
     return order[first]

@@ -191,6 +191,12 @@ def test_the_best_hypothesis_of_each_observation():
     np.testing.assert_array_equal(choose_hypothesis(index, score, np.array([1, 0, 1, 0, 0, 1, 0], dtype=bool)), [2, 5, 6])
 
 
+def test_a_rod_twisted_by_a_turn_more_must_be_twice_as_near():
+    index, twist = np.repeat([0, 1], 3), np.tile([-2 * np.pi, 0, 2 * np.pi], 2)
+    score = np.array([0.99, 1.0, 1.1, 1.0, 1.0, 0.49])
+    np.testing.assert_array_equal(choose_hypothesis(index, score, np.ones(6, dtype=bool), twist), [1, 5])
+
+
 @pytest.mark.parametrize("name", ["nylon", "vicryl", "silk", "ribbon"])
 def test_lab_starts_hold_the_twist_of_the_hint(laboratory, name):
     observations = load_observations(laboratory / "lab_a" / f"{name}.npz")
