@@ -88,9 +88,9 @@ def _arrays(scene: "GroupScene", moments: "list[GroupSolution]") -> dict[str, np
         "contact_force": along(moment.contact_force for moment in moments),
         "touch": along(moment.touch for moment in moments)}
     names = {"gap": "smallest_gap_mm"}
-    arrays = in_newton(arrays, None if scene.newton is None else np.array([scene.newton]), 0)
-    return arrays | {names.get(field.name, field.name): np.array([getattr(moment, field.name)[0] for moment in moments])
-                     for field in fields(moments[0]) if field.name not in OF_RODS}
+    arrays |= {names.get(field.name, field.name): np.array([getattr(moment, field.name)[0] for moment in moments])
+               for field in fields(moments[0]) if field.name not in OF_RODS}
+    return in_newton(arrays, None if scene.newton is None else np.array([scene.newton]), 0)
 
 
 def _draw(moments: "list[GroupSolution]", picture: Path | None, recording: Path | None, about: dict) -> None:
@@ -125,7 +125,7 @@ def _summary(scene: "GroupScene", moments: "list[GroupSolution]", out: Path) -> 
         "closure": np.max(closure[np.isfinite(closure)], initial=0.0),
         "smallest_gap_mm": np.min(gap[np.isfinite(gap)], initial=np.inf),
         "held_force": {name: value for name, value in forces.items() if value > 0},
-        "tie_force": np.linalg.norm(last.tie_force[0], axis=-1),
+        "tie_force": np.linalg.norm(last.tie_force[0], axis=-1), "force_unit_N": scene.newton,
         "friction_work": np.nansum([moment.friction_work[0] for moment in moments]),
         "sticks": int((touch == Touch.STICKS).sum()), "slips": int((touch == Touch.SLIPS).sum()), "out": str(out)}
 
@@ -133,7 +133,9 @@ def _summary(scene: "GroupScene", moments: "list[GroupSolution]", out: Path) -> 
 def _lines(scene: "GroupScene", summary: dict) -> list[str]:
     several, failed, ties, gap = summary["moments"] > 1, summary["failed_s"], summary["ties"], summary["smallest_gap_mm"]
     moving = f" and {summary['kinetic']:.4g} mm² kinetic" if scene.dynamics is not None else ""
-    largest = sorted(summary["held_force"].items(), key=lambda pair: -pair[1])[:MOST_LISTED]
+    at_rest = scene.time[summary["moments"] - 1] not in failed  # else forces are those of no equilibrium
+    factor, unit = (1.0, "mm²/mm") if scene.newton is None else (scene.newton, "N")
+    held = sorted(summary["held_force"].items(), key=lambda pair: -pair[1])[:MOST_LISTED]
     return [
         f"{in_line(scene.name)}: {counted(summary['rods'], 'rod')} of {summary['edges']} edges in all, {counted(ties, 'tie')}"
         + f", {summary['moments']} moments in {scene.time[-1]:.3g} s" * several,
@@ -146,8 +148,8 @@ def _lines(scene: "GroupScene", summary: dict) -> list[str]:
             ("contact", np.isfinite(gap) and f"smallest gap {gap:.2g} mm"),
             ("friction", scene.surroundings.rub and f"takes {summary['friction_work']:.3g} mm²; at the end {summary['sticks']} "
                                                     f"vertices stick, {summary['slips']} slip"),
-            ("forces", largest and "of clamps: " + "; ".join(f"{in_line(name)} {force:.4g}" for name, force in largest)
-                       + " mm²/mm"),
-            ("ties", ties and np.isfinite(summary["tie_force"]).all() and "; ".join(
-                f"{force:.4g}" for force in summary["tie_force"][:MOST_LISTED]) + "; …" * (ties > MOST_LISTED) + " mm²/mm")),
+            ("forces", at_rest and held and "of clamps: " + "; ".join(
+                f"{in_line(name)} {factor * force:.4g}" for name, force in held) + f" {unit}"),
+            ("ties", at_rest and ties and "; ".join(f"{factor * force:.4g}" for force in summary["tie_force"][:MOST_LISTED])
+                     + "; …" * (ties > MOST_LISTED) + f" {unit}")),
         f"  written to {in_line(summary['out'])}"]

@@ -68,15 +68,20 @@ def save_arrays(out: Path, arrays: dict[str, np.ndarray], axes: tuple[str, ...] 
         print(f"doo-ti: note: {', '.join(left_out)} left out of {in_line(out)}; an .npz holds it", file=sys.stderr)
 
 
+IN_NEWTON = {"start_force": ("N", 1.0), "end_force": ("N", 1.0), "contact_force": ("N", 1.0), "tie_force": ("N", 1.0),
+             "tie_moment": ("Nm", 1e-3)}
+"""The unit of forces and moments in files, and how much of it one N, or one N mm, is."""
+
+
 def in_newton(arrays: dict[str, np.ndarray], newtons: np.ndarray | None, axis: int) -> dict[str, np.ndarray]:
-    """The ``arrays`` of a file and, where ``newtons`` (R,) N in the unit of force of each rod are known, their forces in N as
-    well, ``end_force_N`` and ``contact_force_N``; rods are on that ``axis``."""
+    """The ``arrays`` of a file and, where ``newtons`` (R,) N in the unit of force of each rod are known, those of
+    :data:`IN_NEWTON` in N and N m as well, ``end_force_N`` and so on; rods are on that ``axis``."""
     found = dict(arrays)
-    for name in ("end_force", "contact_force"):
+    for name, (unit, factor) in IN_NEWTON.items():
         if newtons is not None and name in arrays:
             shape = np.ones(arrays[name].ndim, dtype=int)
             shape[axis] = -1
-            found[f"{name}_N"] = arrays[name] * np.reshape(newtons, shape)
+            found[f"{name}_{unit}"] = arrays[name] * np.reshape(factor * newtons, shape)
     return found
 
 

@@ -20,6 +20,7 @@ from doo_ti.rod.frames import conjugate, quaternion_product, vertices_from_quate
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
 from doo_ti.system.errors import InputError
 
+CLOSE_ENOUGH = 1e-9  # of the way between two clamps, by which they may be farther apart
 AT_ITS_CLAMP = 1e-8  # of a rod's length: a start no further from its clamp is there
 
 
@@ -140,7 +141,7 @@ def group_tables(group: Group, up: np.ndarray, obstacles, radius, contact: bool,
         material=material, up=up, contact=table.touching(np.arange(group.count)), touching=touch or bool(bodies), begins=begins,
         begins_at=begins_at, ties=ties, targets=targets, free=np.ascontiguousarray(free), burden=burden,
         rest=np.zeros((1, lengths.shape[1], JOINT_ITEMS)), apart=apart, radii=radii,
-        feasible=np.all([member.feasible for member in members], axis=0) & ~crossing)
+        feasible=np.all([member.feasible for member in members], axis=0) & _reachable(group, members) & ~crossing)
 
 
 def _hold_spins(group: Group, members: list[Member], free: np.ndarray) -> None:
@@ -162,6 +163,25 @@ def _check_held(group: Group, members: list[Member]) -> None:
         if (member.weights > 0).any() and not held[part == part[rod]].any(axis=0).all():
             raise InputError("relax_group", "clamps", f"rod {rod} has weight and nothing holds it, nor rods tied to it",
                              "hold an end, or set weight 0")
+
+
+def _reachable(group: Group, members: list[Member]) -> np.ndarray:
+    """(N,) bool: no two ends that clamps hold are farther apart than the shortest way between them along rods and ties."""
+    first, last = group.first_vertices[:-1], group.first_vertices[1:] - 1
+    nodes = np.unique(np.concatenate([first, last, group.tied.reshape(-1)]))
+    rod_of = np.searchsorted(last, nodes)
+    arc = np.concatenate([np.broadcast_to(np.pad(np.cumsum(member.lengths, axis=1), ((0, 0), (1, 0))),
+                                          (group.count, member.lengths.shape[1] + 1)) for member in members], axis=1)[:, nodes]
+    way = np.where(rod_of[:, None] == rod_of, np.abs(arc[:, :, None] - arc[:, None]), np.inf)
+    one, other = np.searchsorted(nodes, group.tied).T
+    way[:, one, other] = way[:, other, one] = 0.0
+    for node in range(len(nodes)):
+        way = np.minimum(way, way[:, :, [node]] + way[:, [node]])
+    ends = np.searchsorted(nodes, np.stack([first, last], axis=1)).reshape(-1)
+    places, held = (np.concatenate([getattr(member, name) for member in members], axis=1) for name in ("places", "held"))
+    apart = np.linalg.norm(places[:, :, None] - places[:, None], axis=-1)
+    beyond = apart > (1.0 + CLOSE_ENOUGH) * way[:, ends][:, :, ends]
+    return ~(beyond & held[:, :, None] & held[:, None]).any(axis=(1, 2))
 
 
 def _joined(parts: list[np.ndarray], between: float) -> np.ndarray:

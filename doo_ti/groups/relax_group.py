@@ -104,9 +104,9 @@ def relax_group(group: Group, solver: Newton | None = None, *, up: ArrayLike | N
                of ties and clamps are those to begin with, which also takes fewer iterations
 
     Beside a tie rods do not touch each other: where both are within π mean radii of it along them. Ties whose points are
-    apart at the start are closed. Where they cannot be, the group does not converge. Starts whose centrelines are inside
-    obstacles or within a tenth of the smallest radius of each other, and clamps further apart than a rod is long, are
-    INFEASIBLE, and NaN everywhere else.
+    apart at the start are closed. Starts whose centrelines are inside obstacles or within a tenth of the smallest radius of
+    each other, and clamps further apart than a rod, or rods and ties between them, are long, are INFEASIBLE, and NaN everywhere
+    else.
 
     Raises InputError for inputs that do not match.
     """

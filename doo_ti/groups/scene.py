@@ -22,6 +22,7 @@ from doo_ti.dynamics.scene import InertiaKeys, checked_material, stated_instants
 from doo_ti.groups.group import Group, Tie
 from doo_ti.io import toml_file
 from doo_ti.io.toml_file import ClampName, NotNegative, Positive, Table, Vector, checked, stated_material, unit_direction
+from doo_ti.rod.material import STANDARD_GRAVITY
 from doo_ti.rod.shapes import rod_along, with_end_edges
 from doo_ti.rod.types import LARGEST, Clamp, Clamps, Configuration, Material
 from doo_ti.system.errors import InputError
@@ -88,6 +89,7 @@ class _Tie(Table):
     first: tuple[str, int]
     second: tuple[str, int]
     weight: NotNegative = 0.0
+    mass_g: NotNegative | None = None
     weld: bool = False
 
 
@@ -125,7 +127,7 @@ def load_group_scene(path: str | Path) -> GroupScene:
     if (count := sum(rod.edges for rod in rods)) > MOST_OF_ALL:
         raise InputError(path, "rods", f"{count} edges in all", f"give at most {MOST_OF_ALL:,}")
     moments = [list(held) for held in zip(*clamps, strict=True)]
-    ties = [_tie(path, f"ties[{number}]", row, list(file.rods), rods) for number, row in enumerate(file.ties)]
+    ties = [_tie(path, f"ties[{number}]", row, list(file.rods), rods, newton) for number, row in enumerate(file.ties)]
     try:
         group = Group(rods, materials, moments[0], ties)
     except InputError as error:
@@ -206,8 +208,15 @@ def _clamps(path: Path, key: str, rod: _Rod, start: Configuration, time: np.ndar
     return [Clamps(*kinds, *(values[moment][None] for values in places)) for moment in range(len(time))]
 
 
-def _tie(path: Path, key: str, row, names: list[str], rods: list[Configuration]) -> Tie:
+def _tie(path: Path, key: str, row, names: list[str], rods: list[Configuration], newton: float | None) -> Tie:
     tie = checked(path, key, row, _Tie)
+    weight = tie.weight
+    if tie.mass_g is not None:
+        if newton is None or weight:
+            problem, remedy = ("beside weight", "give one of them") if weight else (
+                "given, but the materials do not state their mass", "state EI and linear_density, or give weight, in mm²/mm")
+            raise InputError(path, f"{key}.mass_g", problem, remedy)
+        weight = 1e-3 * tie.mass_g * STANDARD_GRAVITY / newton
     ends = []
     for end in ("first", "second"):
         name, vertex = getattr(tie, end)
@@ -220,4 +229,4 @@ def _tie(path: Path, key: str, row, names: list[str], rods: list[Configuration])
         if ends_held:
             vertex = {0: 0, most: -1}.get(vertex % (most + 1), vertex % (most + 1) + 1)
         ends.append((rod, vertex))
-    return Tie(*ends, weight=tie.weight, weld=tie.weld)
+    return Tie(*ends, weight=weight, weld=tie.weld)

@@ -63,6 +63,23 @@ def test_places_forces_and_pictures_are_written(scene, tmp_path, capsys):
     assert "two rods: 2 rods of 12 edges in all, 1 tie, 3 moments in 0.2 s" in text and "trunk, start 122 mm²/mm" in text
 
 
+def test_forces_are_in_newton_where_masses_are_known(scene, tmp_path, capsys):
+    """The clamp bears rods of 2 g/m and 4 g/m and a connector of 5 g, whichever material comes first."""
+    other = "[materials.light]\nEI = 1e-6\nlinear_density = 2.0\n"
+    rope = "[materials.rope]\nEI = 1e-5\nlinear_density = 4.0\n"
+    for materials in (other + rope, rope + other):
+        scene.write_text(SCENE.replace("[materials.rope]\nbend = 1e5\nweight = 0.5\n", materials).replace(
+            "edges = 8\n", 'edges = 8\nmaterial = "rope"\n').replace("edges = 4\n", 'edges = 4\nmaterial = "light"\n').replace(
+            "weight = 2.0", "mass_g = 5.0"))
+        text = succeeded(capsys, ["group", str(scene), "--out", str(tmp_path / "f.npz")])
+        found, weight = written(tmp_path / "f.npz"), 9.80665e-3 * (0.08 * 4.0 + 0.04 * 2.0 + 5.0)
+        np.testing.assert_allclose(found["start_force_N"][-1, 0], [0, 0, weight], atol=1e-8)
+        np.testing.assert_allclose(np.linalg.norm(found["tie_force_N"][-1]), 9.80665e-3 * 0.04 * 2.0, rtol=1e-6)
+        assert f"trunk, start {weight:.4g} N" in text and found["end_force_N"].shape == (3, 2, 3)
+    scene.write_text(SCENE.replace("weight = 2.0", "mass_g = 5.0"))
+    refused(capsys, tmp_path, ["group", str(scene), "--out", str(tmp_path / "g.npz")], "ties[0].mass_g")
+
+
 def test_what_does_not_converge_is_said_and_written(scene, tmp_path, capsys):
     """A rod that is too short for both of its clamps."""
     scene.write_text(SCENE.replace('start = "frame"', 'start = "frame"\nend = "position"').replace(

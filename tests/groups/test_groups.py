@@ -133,7 +133,7 @@ def test_points_apart_are_drawn_together_as_far_as_they_can_be():
     held = replace(clamps[1], start_position=clamps[1].start_position + [0.0, 500.0, 0.0],
                    end_position=clamps[1].end_position + [0.0, 500.0, 0.0])
     apart = relax_group(Group([starts[0], away], MATERIAL, [clamps[0], held], [Tie((0, 10), (1, 8))]))
-    assert not apart.converged[0] and apart.closure[0] > 0.1
+    assert apart.status[0] == Status.INFEASIBLE  # the way along both rods is shorter
 
 
 @pytest.mark.thorough
