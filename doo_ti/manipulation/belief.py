@@ -6,8 +6,9 @@ the marks from the model at the present estimate v₀:
 
     Λ ← f Λ + JᵀJ/R      η ← f η + Jᵀ(r + J v₀)/R      v = (I + Λ)⁻¹ η      cov v = (I + Λ)⁻¹
 
-R is the variance of a coordinate. To the noise it adds what this moment's linearisation is off by, and what remains of the
-marks after the fit: as that is an error of the model, common to all marks of some moments, it counts as often as these are.
+R is the variance of a coordinate. To the noise it adds what this moment's linearisation is off by, an error common to all its
+marks, which counts as often as these are; and what remains of the marks after the fit, an error of the model that is common to
+those of some moments.
 
 Unknowns in their order: ln of the factors on B and on β/B; twelve numbers of the clips (:func:`.model.held`); the additional
 compliance of the joints at the clamps, over their own; and coefficients of the rest curvature over the rod's length, two
@@ -32,8 +33,9 @@ from doo_ti.rod.types import Configuration, Material
 
 BEND, RATIO, CLIP, JOINTS, CURVATURE = 0, 1, 2, 14, 15
 CURVES = 3
-LINEAR = 0.1
-"""Share of a residual that its linearisation is off by. With 0.5 learning is slow, with 0.01 the first moments are trusted."""
+LINEAR, TOUCHING = 0.1, 0.3
+"""Share of a residual that its linearisation is off by, of all marks alike, and of that of rods that touch something: contacts
+move along them. With 0.5 learning is slow, with 0.01 the first moments are trusted."""
 MOST_DEVIATIONS = 4.0  # standard deviations of the prior, beyond which no unknown goes
 CENTRE, STIFFEST, SOFTEST = -0.5, -0.95, 0.5
 """Of the additional compliance of the joints at the clamps, where it is unknown: its mean before anything is seen, and bounds;
@@ -186,9 +188,10 @@ class Belief:
         whole *= self._spread[self.learned]
         return whole
 
-    def learn(self, residual: np.ndarray, visible: np.ndarray, columns: np.ndarray, transform: np.ndarray) -> np.ndarray:
-        """Take in a moment: residuals (B, V, 3) and columns (B, V, 3, C) of the marks, of which some are ``visible`` (B, V).
-        Returns (B, C) the change of what the columns are derivatives by."""
+    def learn(self, residual: np.ndarray, visible: np.ndarray, columns: np.ndarray, transform: np.ndarray,
+              touching: np.ndarray) -> np.ndarray:
+        """Take in a moment: residuals (B, V, 3) and columns (B, V, 3, C) of the marks, of which some are ``visible`` (B, V), of
+        rods that may be ``touching`` (B,) something. Returns (B, C) the change of what the columns are derivatives by."""
         keep, noise = 1.0 - 1.0 / self._options.memory, self._options.noise_mm**2
         count = 3 * visible.sum(axis=1)
         number = np.maximum(count, 1)
@@ -198,7 +201,7 @@ class Belief:
         normal, right, square = (across @ (normal @ transform), (across @ right[..., None])[..., 0],
                                  np.einsum("bvk,bvk->b", apart, apart))
         missing = np.maximum(self._variance - noise, 0.0) * PERSISTENT * number / 3
-        variance = noise + missing + LINEAR**2 * square / number
+        variance = noise + missing + np.where(touching, TOUCHING, LINEAR) ** 2 * square / 3
         before = self.unknowns[:, self.learned] / self._spread[self.learned]
         self.expected = np.sqrt(self._variance + np.einsum("bpq,bpq->b", normal, self._covariance) / number)
         self._information *= keep

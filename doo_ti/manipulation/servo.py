@@ -171,7 +171,9 @@ class Servo:
         visible = visible & usable[:, None]
         frames = np.stack([self.clamps.start_frame] * 2 + [self.clamps.end_frame] * 2)
         transform = self._belief.transform(frames, elastic_curvature(self._last, self._belief.material))
-        change = self._belief.learn(seen - model, visible, derivatives, transform)
+        force = rests.contact_force
+        touching = np.zeros(len(usable), dtype=bool) if force is None else (np.nan_to_num(force) != 0.0).any(axis=(1, 2))
+        change = self._belief.learn(seen - model, visible, derivatives, transform, touching)
         columns = derivatives.reshape(len(usable), -1, derivatives.shape[-1])
         expected = model + (columns @ change[..., None]).reshape(model.shape)
         left = (1 - GAIN) * self._offset + GAIN * between_marks(seen - expected, visible)

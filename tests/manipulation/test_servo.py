@@ -44,6 +44,34 @@ def test_unknown_rods_reach_their_goals(name):
     assert np.median(high / low) < 1.6  # of a prior of exp(4 · 0.4) = 4.8
 
 
+@pytest.mark.thorough
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+@pytest.mark.parametrize("table", [True, False])
+def test_intervals_hold_the_truth_where_contacts_move(table, factor):
+    """Rods on a table of half the stiffness that the model has, or twice: both touch it at other places."""
+    around = {"obstacles": [d.Plane((0, 0, -60), (0, 0, 1))], "radius": 2.0} if table else {}
+    rod = d.rod_along([[-60, 0, 0], [0, 0, -10], [70, 30, -55], [150, 0, -10], [200, 0, 0]], 33)
+    clamps, nominal, true = d.end_clamps(rod, d.Clamp.FRAME, d.Clamp.FRAME), d.Material(BEND, BEND), d.Material(
+        factor * BEND, factor * BEND)
+    random, many = np.random.default_rng(7), np.zeros(12, dtype=int)
+    goals, real = clamps.take(many), d.relax(rod, true, clamps, **around).configuration.take(many)
+    for name, low, high in (("start_position", [-10, -60, -30], [30, 60, 30]), ("end_position", [-30, -60, -30], [10, 60, 30])):
+        getattr(goals, name)[:] += random.uniform(low, high, (12, 3))
+    there = d.Simulation(real, true, clamps.take(many), **around).step(goals)
+    simulation = d.Simulation(real, true, clamps.take(many), **around)
+    model = d.relax(rod, nominal, clamps, **around).configuration.take(many)
+    servo = d.Servo(model, nominal, clamps.take(many), d.Targets(np.nan_to_num(there.configuration.vertices)),
+                    d.ServoOptions(noise_mm=NOISE), **around)
+    for _ in range(30):
+        seen = simulation.state.configuration.vertices
+        simulation.step(servo.step(seen + NOISE * random.normal(size=seen.shape)))
+    low, high = servo.material.bend_interval.T
+    inside = (low <= factor * BEND) & (factor * BEND <= high)
+    assert inside[there.converged].mean() > 0.8
+    apart = np.linalg.norm(simulation.state.configuration.vertices - there.configuration.vertices, axis=-1).mean(axis=1)
+    assert (apart[there.converged] < NEAR).all()
+
+
 def test_no_step_is_longer_than_allowed_nor_moves_a_held_gripper():
     own = tasks(4, 8, both=False)
     options = d.ServoOptions(free=("end_shift", "end_turn"), step_mm=10.0)

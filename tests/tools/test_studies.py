@@ -2,6 +2,8 @@
 
 import os
 import pickle
+import sys
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -71,3 +73,14 @@ def test_a_folder_of_pickles_becomes_one_array(tmp_path, monkeypatch, protocol):
     with pytest.raises(InputError, match="names"):
         read_recordings(tmp_path)
     assert not (tmp_path / "trace").exists()
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("words", [
+    "angle_study --curves 1 --angles 40", "detection_study --rods 1", "group_study --groups 4", "perception_study lab --sets 1",
+    "planner_study same --goals 1", "servo_study own --tasks 2 --steps 2", "servo_study own --cameras --tasks 1 --steps 1"])
+def test_studies_run(words, monkeypatch):
+    """As others change what they call."""
+    name, *options = words.split()
+    monkeypatch.setattr(sys, "argv", [name, *options])
+    assert import_module(f"tools.studies.{name}").main() in (None, 0, 1)

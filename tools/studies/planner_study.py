@@ -24,10 +24,10 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from doo_ti import Capsule, ManipulationPath, PlanOptions, Surroundings, Targets, plan_manipulation, predict, relax
-from doo_ti.manipulation.model import moved, put_rods, put_rows
+from doo_ti.manipulation.model import moved, put_rows
 from doo_ti.motion.journey import Journey
 from doo_ti.motion.path import LARGEST_TURN, motion_between
-from doo_ti.rod.types import Clamps, Configuration, Material
+from doo_ti.rod.types import Clamps, Configuration, Material, put_rods
 from tools.studies.servo_tasks import BEND, LENGTH, TAUT, tasks
 
 LEGS = 6

@@ -58,8 +58,9 @@ class Broyden:
             self._jacobian = self._jacobian + missed[..., None] * self._step[:, None] / size
         across = np.swapaxes(self._jacobian * visible[..., None], 1, 2) / np.maximum(visible.sum(axis=1), 1)[:, None, None]
         error = np.where(visible, self._goal - marks, 0.0)[..., None]
-        self._step = DampedSteps(3 * across @ self._jacobian, 3 * (across @ error)[..., 0]).within(
-            np.full(len(seen), self._options.step_mm))
+        steps = DampedSteps(3 * across @ self._jacobian, 3 * (across @ error)[..., 0])
+        whole = np.ones(len(seen))
+        self._step = steps.below(self._options.step_mm * whole, 0.0 * steps.gradient, whole)
         self._before = marks
         self.clamps = moved(self.clamps, self._step / self._options.scale)
         return self.clamps
