@@ -12,8 +12,7 @@ blocks are kept while H is eliminated.
 import taichi as ti
 
 from doo_ti.contact.touch import GAP_TOLERANCE
-from doo_ti.physics.algebra import applied, full, transposed
-from doo_ti.physics.factors import against, forward, minus_combination
+from doo_ti.physics.algebra import against, applied, forward, full, minus_combination, transposed
 from doo_ti.physics.number import Layout, Number, device_functions
 from doo_ti.physics.pair import linear_gradient
 from doo_ti.physics.quaternion import first_director, second_director

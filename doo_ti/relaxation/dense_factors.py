@@ -2,8 +2,7 @@
 
 import taichi as ti
 
-from doo_ti.physics.algebra import row
-from doo_ti.physics.factors import factor_in_turn
+from doo_ti.physics.algebra import factor_in_turn, row
 from doo_ti.physics.number import NUMBERS, device_functions
 from doo_ti.physics.tuples import minus, plus, repeated, scaled, traced, variable
 

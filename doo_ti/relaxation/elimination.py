@@ -15,7 +15,7 @@ chain, so that no rotation has to.
 
 import taichi as ti
 
-from doo_ti.physics import algebra, factors
+from doo_ti.physics import algebra
 from doo_ti.physics.algebra import absolute, largest_of, on_diagonal, row_scaled, scaled_both, shifted, transposed
 from doo_ti.physics.number import device_functions
 from doo_ti.physics.pair import closure_rows, linear_gradient, linear_hessian
@@ -87,12 +87,12 @@ class Elimination(Chain):
                 h = (free[0] * h[0], h[1], h[2], free[1] * h[3], h[4], free[2] * h[5])
                 d, u = held_pivot(d, free), scaled_both(free, u, after)
             self.observe(found, g, h)
-            f = factors.factor(d, self.tiny)
+            f = algebra.factor(d, self.tiny)
             found.negative = found.negative + f[6]
-            wr, wu, wa = factors.forward(f, b), factors.forward_rows(f, transposed(u)), factors.forward_rows(f, transposed(a))
+            wr, wu, wa = algebra.forward(f, b), algebra.forward_rows(f, transposed(u)), algebra.forward_rows(f, transposed(a))
             self.store_eliminated(edge, f, wr, wu, wa)
-            s, z = plus(s, factors.symmetric_gram(f, wa)), plus(z, factors.against(f, wa, wr))
-            ee, ea, er = factors.symmetric_gram(f, wu), factors.gram(f, wu, wa), factors.against(f, wu, wr)
+            s, z = plus(s, algebra.symmetric_gram(f, wa)), plus(z, algebra.against(f, wa, wr))
+            ee, ea, er = algebra.symmetric_gram(f, wu), algebra.gram(f, wu, wa), algebra.against(f, wu, wr)
             h, g = h_next, g_next
         change, positive = self.bordered(rod, s, plus(z, miss))
         return self.result(found, change, positive)
@@ -127,7 +127,7 @@ class Elimination(Chain):
             e = rod.edges - 1 - back
             edge = self.edge(rod.head, e)
             right = self.without_border(edge, edge.border, found.change)
-            decrement = decrement + factors.squared(edge.pivots, right)
+            decrement = decrement + algebra.squared(edge.pivots, right)
             w = self.solved_edge(edge, right, w)
             longest = self.longer(longest, w)
         size = ti.sqrt(longest)
@@ -166,11 +166,11 @@ class Elimination(Chain):
 
     def without_border(self, edge, columns, border):
         """W_r − W_border border of an edge, whose W_border has these ``columns``."""
-        return factors.minus_combination(edge.rotation, columns, border)
+        return algebra.minus_combination(edge.rotation, columns, border)
 
     def solved_edge(self, edge, right, w):
         """ω = L⁻ᵀ D⁻¹ (``right`` − W_U ω_neighbour) of an edge, into its place."""
-        rotation = factors.backward(edge.pivots, factors.minus_combination(right, edge.neighbour, w))
+        rotation = algebra.backward(edge.pivots, algebra.minus_combination(right, edge.neighbour, w))
         edge.rotation = rotation
         return rotation
 
@@ -225,12 +225,12 @@ class LooseStart(Elimination):
         self.observe_moment(found, moment)
         d = on_diagonal(beyond.cc, self.shift_of_start(rod, shift))
         stiff = (self.at_least_held(rod, d[0]), d[1], d[2], self.at_least_held(rod, d[3]), d[4], self.at_least_held(rod, d[5]))
-        f = factors.factor_in_turn(held_pivot(stiff, free))
+        f = algebra.factor_in_turn(held_pivot(stiff, free))
         found.negative = found.negative + f[6]
-        wr = factors.forward(f, scaled(negated(c), loose))
-        wa = factors.forward_rows(f, scaled(border.c, loose))
-        border.schur = plus(border.schur, factors.symmetric_gram(f, wa))
-        border.right = plus(border.right, factors.against(f, wa, wr))
+        wr = algebra.forward(f, scaled(negated(c), loose))
+        wa = algebra.forward_rows(f, scaled(border.c, loose))
+        border.schur = plus(border.schur, algebra.symmetric_gram(f, wa))
+        border.right = plus(border.right, algebra.against(f, wa, wr))
         rod.head.drift_step, rod.head.drift_border = wr, wa
         rod.head.drift_pivots = (f[0], f[1], f[2], f[3], f[4], f[5])
 
@@ -253,8 +253,8 @@ class LooseStart(Elimination):
 
     def solved_start(self, rod, change):
         """(ξ = L⁻ᵀ D⁻¹ (W_c − W_λ δλ) of vertex 0, also into its place; its part in the Newton decrement)."""
-        y = factors.minus_combination(rod.head.drift_step, rod.head.drift_border, change)
+        y = algebra.minus_combination(rod.head.drift_step, rod.head.drift_border, change)
         f = rod.head.drift_pivots
-        shift = factors.backward(f, y)
+        shift = algebra.backward(f, y)
         rod.head.drift_step = shift
-        return shift, factors.squared(f, y)
+        return shift, algebra.squared(f, y)

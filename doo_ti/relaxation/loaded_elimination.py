@@ -15,7 +15,6 @@ import taichi as ti
 
 from doo_ti.physics import algebra, tuples
 from doo_ti.physics.algebra import absolute, applied, column_scaled, full, largest_of, quadratic, row, transposed
-from doo_ti.physics.factors import against, factor, forward, forward_rows, gram, minus_combination, squared, symmetric_gram
 from doo_ti.physics.number import device_functions
 from doo_ti.physics.pair import closure_rows, linear_gradient, linear_hessian, shift_of_end
 from doo_ti.physics.quaternion import directors, first_director, second_director, tangent
@@ -129,9 +128,9 @@ class LoadedElimination(LooseStart):
                 h = (free[0] * h[0], h[1], h[2], free[1] * h[3], h[4], free[2] * h[5])
                 zz, u = column_scaled(zz, free), column_scaled(u, free)
             self.observe(found, g, h)
-            f = factor(d, self.tiny)
+            f = algebra.factor(d, self.tiny)
             found.negative = found.negative + f[6]
-            wr, wz, wu = forward(f, b), forward_rows(f, zz), forward_rows(f, u)
+            wr, wz, wu = algebra.forward(f, b), algebra.forward_rows(f, zz), algebra.forward_rows(f, u)
             self.store_eliminated(edge, f, wr, wu, wz)
             self.pass_on(beyond, load, f, wr, wz, wu)
             if ti.static(self.moves_start):
@@ -202,21 +201,21 @@ class LoadedElimination(LooseStart):
     def eliminate_border(self, edge, free, border, rows, f, wr, wz, wu):
         """The edge's part in closure: of each component of λ the columns c_λ and f_λ that the edge before is given, and the
         Schur complement."""
-        wa = forward_rows(f, column_scaled(plus(border.f, algebra.times_transposed(border.c, rows)), free))
+        wa = algebra.forward_rows(f, column_scaled(plus(border.f, algebra.times_transposed(border.c, rows)), free))
         edge.force_border = wa
-        border.c = minus(border.c, gram(f, wa, wz))
-        border.f = negated(gram(f, wa, wu))
-        border.schur = plus(border.schur, symmetric_gram(f, wa))
-        border.right = plus(border.right, against(f, wa, wr))
+        border.c = minus(border.c, algebra.gram(f, wa, wz))
+        border.f = negated(algebra.gram(f, wa, wu))
+        border.schur = plus(border.schur, algebra.symmetric_gram(f, wa))
+        border.right = plus(border.right, algebra.against(f, wa, wr))
 
     def pass_on(self, beyond, load, f, wr, wz, wu):
         """The quadratic form that the edge before is given: C, c, p, Z, F and f with the edge's rotation minimised over."""
-        beyond.cc = minus(plus(beyond.cc, load.curvature), symmetric_gram(f, wz))
-        beyond.c = plus(plus(beyond.c, load.gradient), against(f, wz, wr))
+        beyond.cc = minus(plus(beyond.cc, load.curvature), algebra.symmetric_gram(f, wz))
+        beyond.c = plus(plus(beyond.c, load.gradient), algebra.against(f, wz, wr))
         beyond.force = plus(beyond.force, load.known)
-        beyond.z = negated(gram(f, wz, wu))
-        beyond.ff = negated(symmetric_gram(f, wu))
-        beyond.f = against(f, wu, wr)
+        beyond.z = negated(algebra.gram(f, wz, wu))
+        beyond.ff = negated(algebra.symmetric_gram(f, wu))
+        beyond.f = algebra.against(f, wu, wr)
 
     def substitute(self, rod, found):
         """ω = L⁻ᵀ D⁻¹ (W_r − W_λ δλ − W_Z ξ − W_U ω_before) from the start on, as :meth:`.Elimination.substitute`. The size of
@@ -234,8 +233,8 @@ class LoadedElimination(LooseStart):
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)
             right = variable(self.without_multiplier(edge, found.change))
-            decrement = decrement + squared(edge.pivots, right)
-            w = self.solved_edge(edge, minus_combination(right, edge.border, x), w)
+            decrement = decrement + algebra.squared(edge.pivots, right)
+            w = self.solved_edge(edge, algebra.minus_combination(right, edge.border, x), w)
             q = edge.frame
             change = shift_of_end(edge.length, first_director(q), second_director(q), w)
             if ti.static(self.touches):
@@ -246,10 +245,10 @@ class LoadedElimination(LooseStart):
 
     def schur_complement(self, rod):
         """S = Σ W_λᵀ D⁻¹ W_λ, vertex 0 included where it is free."""
-        s = variable(symmetric_gram(rod.head.drift_pivots, rod.head.drift_border))
+        s = variable(algebra.symmetric_gram(rod.head.drift_pivots, rod.head.drift_border))
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)
-            s = plus(s, symmetric_gram(edge.pivots, edge.force_border))
+            s = plus(s, algebra.symmetric_gram(edge.pivots, edge.force_border))
         return s
 
     def without_multiplier(self, edge, change):

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import taichi as ti
 
-from doo_ti.physics.factors import against, forward, symmetric_gram
+from doo_ti.physics.algebra import against, forward, symmetric_gram
 from doo_ti.physics.number import Number, device_functions
 from doo_ti.physics.tuples import chosen, negated, plus, record, repeated, scaled, variable
 from doo_ti.relaxation import tables as of

@@ -9,7 +9,7 @@ that a clamp holds do not depend on p. The lanes of a pack make their steps toge
 import taichi as ti
 
 from doo_ti.physics import pair
-from doo_ti.physics.factors import against, backward, forward, minus_combination
+from doo_ti.physics.algebra import against, backward, forward, minus_combination
 from doo_ti.physics.number import Layout, device_functions, in_f64
 from doo_ti.physics.quaternion import first_director, second_director, tangent
 from doo_ti.physics.tuples import dot, extended, minus, negated, picked, plus, products, repeated, scaled, variable

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 import taichi as ti
 
-from doo_ti.physics.algebra import larger
-from doo_ti.physics.factors import factor, factor_in_turn
+from doo_ti.physics.algebra import factor, factor_in_turn, larger
 from doo_ti.physics.number import Number
 from doo_ti.system import runtime
 from tests.physics.columns import ROWS, columns_kernel, every_number
