@@ -5,7 +5,7 @@ import os
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -100,6 +100,8 @@ def by_camera(option: str, texts: Iterable[str] | None, names: tuple[str, ...], 
         if camera not in names or len(values) != form.count(",") + 1:
             raise InputError(given.SOURCE, option, f"{text!r}",
                              f"give CAMERA:{form}; the rig has {', '.join(map(in_line, names))}")
+        if camera in found:
+            raise InputError(given.SOURCE, option, f"given twice for {in_line(camera)}", "give it once for each camera")
         found[camera] = values
     return found
 
@@ -107,7 +109,7 @@ def by_camera(option: str, texts: Iterable[str] | None, names: tuple[str, ...], 
 def sight(options: Namespace, sets, method: str = "ridge"):
     """The Sight that :func:`add_thread` describes, of the images in ``sets``."""
     from doo_ti.vision.detection import DetectionOptions
-    from doo_ti.vision.images import Sight, mask_of
+    from doo_ti.vision.sight import Sight, mask_of
 
     regions = by_camera("--region", options.region, sets.rig.names, "X,Y,W,H", given.numbers(None, given.FROM_ZERO))
     for region in regions.values():
@@ -134,17 +136,22 @@ def sight(options: Namespace, sets, method: str = "ridge"):
 
 
 def detections(sight, every_path: Sequence[Sequence[Path]], cameras: Sequence) -> Iterator[list]:
-    """Of each line of one image per camera its detections by the Sight ``sight``, found while others are used."""
+    """Of each line of one image per camera its detections by the Sight ``sight``, found while others are used. Lines without a
+    click are sought as the last one that had any."""
+    latest = sight
     with ThreadPoolExecutor(os.cpu_count()) as threads:
-        def begun(row: int) -> list:
-            nonlocal sight
-            sight = sight.of_set(row, every_path[row], cameras)
-            return [threads.submit(sight.detected, path, camera) for path, camera in zip(every_path[row], cameras, strict=True)]
+        def begun(row: int) -> tuple:
+            nonlocal latest
+            if sight.clicks is not None and sight.clicks[row]:
+                latest = sight.of_set(row, every_path[row], cameras)
+            return latest, [threads.submit(latest.detected, path, camera)
+                            for path, camera in zip(every_path[row], cameras, strict=True)]
 
         waiting = [begun(row) for row in range(min(AHEAD, len(every_path)))]
         try:
             for row in range(len(every_path)):
-                yield [image.result() for image in waiting.pop(0)]
+                own, images = waiting.pop(0)
+                yield own.agreed([image.result() for image in images], row, every_path[row], cameras)
                 if row + AHEAD < len(every_path):
                     waiting.append(begun(row + AHEAD))
         finally:
@@ -157,6 +164,29 @@ def warn_of_length(options: Namespace, length: float) -> None:
     if unit != "":
         remedy = f"if the rig is in {unit}, give --rig-unit {unit}" if unit else "check --rig-unit and --rig-poses"
         warn(f"{in_line(options.rig)}: rods of {length:.3g} mm; {remedy}")
+
+
+def warn_of_rig(options: Namespace, sets, length: float, verdicts: np.ndarray, detected: Sequence[list]) -> None:
+    """Print a warning where found rods of ``length`` mm are in another unit, and where the lines ``detected`` in the first
+    clicked set that is not clear fit together much better if the rig's file is read otherwise, by options that were not given.
+    """
+    from doo_ti.perception.perceive import PerceptionVerdict
+    from doo_ti.perception.seeds import fit_better
+
+    if likely_unit(length) or (verdicts != PerceptionVerdict.NOT_FOUND).any():  # of what is not found a unit explains some
+        warn_of_length(options, length)
+    unclear = np.flatnonzero(verdicts != PerceptionVerdict.CLEAR)
+    if sets.clicks is None or not len(unclear):
+        return
+    row = unclear[0]
+    others = {option: other for other, _, option in sets.rig.read_otherwise() if other.reading.unit is None}
+    try:
+        others["--rig-lens fisheye"] = load_rig(options.rig, replace(sets.rig.reading, lens="fisheye")).only(sets.rig.names)
+    except InputError:
+        pass  # a file that states another lens
+    better = fit_better(sets.rig, others, detected[row], sets.clicks[row])
+    if better:
+        warn(f"{in_line(options.rig)}: the images fit together better as with {' or '.join(better)}; give it if RIG is so")
 
 
 def orientation_note(paths: Iterable[Path], turned: bool) -> str | None:

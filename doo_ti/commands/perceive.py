@@ -39,8 +39,7 @@ def declare(add) -> None:
     search = parser.add_argument_group("search")
     given.add(search, "--nu", "NU", given.positive(), "weight ν of the images against the rod's energy, in 1/(mm px²) (default "
               "0.005)")
-    given.add(search, "--hypotheses", "H", given.whole(1, MOST_HYPOTHESES), "hypotheses kept for each set and step (default "
-              "40)")
+    given.add(search, "--hypotheses", "H", given.whole(1, MOST_HYPOTHESES), "hypotheses kept for a set at a time (default 40)")
     search.add_argument("--evidence", choices=("both", "rod"), default="both", help="both: from the rod to the images and "
                         "back, with rods traced along the detected lines (default); rod: the paper's E_proj alone")
     search.add_argument("--detector", choices=("ridge", "canny"), default="ridge",
@@ -69,7 +68,7 @@ def run(options: Namespace) -> int:
         detected = [detected[row] for row in rows]
         found, growth = _perceived(begun, detected, seed_sigma, bar)
         found = replace(found, length_range=np.broadcast_to(length_range, found.length_range.shape))
-    image_options.warn_of_length(options, begun.rest_length.sum())
+    image_options.warn_of_rig(options, begun.sets, begun.rest_length.sum(), found.verdict, detected)
     task, every = replace(task, rest_length=begun.rest_length), found.among(rows, task.sets.count)
     save_arrays(out, _arrays(task, every))
     written = [out, *_shown(options, begun, detected, found, growth, out)]
@@ -323,13 +322,14 @@ def _set_text(entry: dict, cameras: tuple[str, ...]) -> str:
     """One set of images of the ``cameras`` as text."""
     if entry["failed"] is not None:
         return f"no rod: {entry['failed']}"
-    pixels = " ".join(f"{value:.2f}" if np.isfinite(value) else "unseen" for value in entry["camera_error_px"])
+    seen = np.isfinite(entry["camera_error_px"])
+    pixels = " ".join(f"{value:.2f}" if one else "unseen" for value, one in zip(entry["camera_error_px"], seen, strict=True))
     rival = f"gap {entry['gap_px']:.2g} px" if np.isfinite(entry["gap_px"]) else "no rival"
-    parts = [f"E_vis {entry['energy_vis']:.3g}/mm", f"{pixels} px off", f"{entry['verdict']} ({rival})",
+    parts = [f"E_vis {entry['energy_vis']:.3g}/mm", pixels + " px off" * bool(seen.any()), f"{entry['verdict']} ({rival})",
              "σ unknown" if entry["mean_sigma_mm"] is None else f"σ {entry['mean_sigma_mm']:.2g} mm"]
     if np.isfinite(entry["coverage"]).all():
         parts.append(f"explains {100 * min(entry['coverage']):.0f} % of the thread")
-    parts += [f"not clear: {', '.join(entry['doubts'])}"] * (entry["verdict"] == "likely")
+    parts += [f"not clear: {', '.join(entry['doubts'])}"] * (entry["verdict"] in ("likely", "ambiguous"))
     parts += [words.format(max(entry[name])) for name, words in MISREAD.items() if max(entry[name]) > 1]
     if max(entry["outside"]) > OUTSIDE:
         parts.append(f"{100 * max(entry['outside']):.0f} % of the thread outside the other images, not seen there")

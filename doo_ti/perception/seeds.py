@@ -43,6 +43,7 @@ LONG_PX = 0.05  # cost of a curve e times as long: a long thread that looks shor
 MISSED_PX = 0.2  # cost of rays that miss each other by as much as their places are uncertain along the line, times that
 INSIDE_COST, HIDDEN_COST = 0.5, 0.5  # px, of a place that is no end of a line, and of a camera that sees no start
 ALIKE_COST = 0.06  # px: standard deviation, over √½, of the cost of a choice that belongs together
+MUCH_BETTER, A_LITTLE_PX = 0.75, 0.1  # share of the cost under a rig, and px, below which it is under one that fits much better
 FAR = 30.0  # distances between cameras: how far away a thread is thought to begin whose rays do not meet in front of them
 
 
@@ -73,6 +74,32 @@ def seed_from_pixels(rig: Rig, detections: Sequence[Detection], clicks: Mapping[
     Raises InputError, naming ``source``, for a single camera, and where no thread is near a click, or nothing in another image
     belongs to it.
     """
+    tried = _tried(rig, detections, clicks, source)
+    least, best = min(tried, key=lambda one: one[0])
+    apart = max(np.linalg.norm(seed.point - best.point) * np.exp(-(((cost - least) / ALIKE_COST) ** 2)) for cost, seed in tried)
+    return replace(best, sigma=float(np.hypot(best.sigma, apart / np.sqrt(3))))
+
+
+def fit_better(rig: Rig, others: Mapping[str, Rig], detections: Sequence[Detection], clicks: Mapping[int, Sequence[float]]
+               ) -> list[str]:
+    """The names of those ``others`` under which lines from the clicks fit together much better than under ``rig``, and about as
+    well as under the best of them."""
+    def least(one: Rig) -> float:
+        try:
+            return min(cost for cost, _ in _tried(one, detections, clicks, ""))
+        except InputError:
+            return np.inf
+
+    costs, own = {name: least(other) for name, other in others.items()}, least(rig)
+    best = min(costs.values(), default=np.inf)
+    if not best < min(MUCH_BETTER * own, own - A_LITTLE_PX):
+        return []
+    return [name for name, cost in costs.items() if cost <= best + A_LITTLE_PX]
+
+
+def _tried(rig: Rig, detections: Sequence[Detection], clicks: Mapping[int, Sequence[float]], source: str
+           ) -> list[tuple[float, Seed]]:
+    """(cost in px, seed) of all choices of where the rod of :func:`seed_from_pixels` begins, which raises its errors."""
     if len(rig.cameras) == 1:
         raise InputError(source, "--seed-pixel", "one camera does not see how far away the rod begins", "give --seed-point")
     lines = [Chains.of(detection) for detection in detections]
@@ -92,9 +119,7 @@ def seed_from_pixels(rig: Rig, detections: Sequence[Detection], clicks: Mapping[
             tried.append((found[0] + miss, found[1]))
     if not tried:
         raise InputError(source, "--seed-pixel", "no thread can be followed from there", "give another pixel, or --seed-point")
-    least, best = min(tried, key=lambda one: one[0])
-    apart = max(np.linalg.norm(seed.point - best.point) * np.exp(-(((cost - least) / ALIKE_COST) ** 2)) for cost, seed in tried)
-    return replace(best, sigma=float(np.hypot(best.sigma, apart / np.sqrt(3))))
+    return tried
 
 
 def _clicked(detection: Detection, line: Chains, click: np.ndarray, source: str) -> _Place:

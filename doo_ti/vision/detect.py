@@ -245,10 +245,10 @@ def _wide_lines(dark: np.ndarray, width: float, own: np.ndarray, usual: float) -
     edges = edges_across(gradient(closed), ridges.point, ridges.normal, "light", 0.75 * wide + 2)
     sound = (edges.width > wide / 2) & (edges.width < 1.5 * wide + 1) & (np.abs(ridges.offset + edges.shift) <= REACH_PX)
     sound &= edges.balance > 0
-    ridges = ridges.moved(edges.shift)[sound]
-    points, direction, strength = in_whole_pixels(scale, ridges.point, ridges.tangent, ridges.strength)
+    ridges, measured = ridges.moved(edges.shift)[sound], scale * edges.width[sound]
+    points, direction, strength, each = in_whole_pixels(scale, ridges.point, ridges.tangent, ridges.strength, measured)
     away = cKDTree(own).query(points)[0] > 0.5 * usual + 1 if len(points) else np.zeros(0, dtype=bool)
-    return Detection(points[away], direction[away], strength[away], width, "light", dark.shape, "ridge")
+    return Detection(points[away], direction[away], strength[away], width, "light", dark.shape, "ridge", each[away])
 
 
 def _joined(line: Detection, own: list[np.ndarray], width: float, dark: np.ndarray) -> list[tuple[np.ndarray, ...]]:
@@ -262,7 +262,7 @@ def _joined(line: Detection, own: list[np.ndarray], width: float, dark: np.ndarr
             return parts
         chain = waiting.pop(ready)
         at = tree.query(chain)[1]
-        parts.append((chain, line.direction[at], line.strength[at], np.full(len(chain), width)))
+        parts.append((chain, line.direction[at], line.strength[at], np.full(len(chain), np.median(line.widths[at]))))
         known.append(chain)
 
 

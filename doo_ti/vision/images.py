@@ -4,8 +4,6 @@ of one scene each with where the rod sets out: SETS.csv (§IV-A).
     name,cam0,cam1,cam2,seed_x,seed_y,seed_z,dir_x,dir_y,dir_z
     name,cam0,cam1,cam2,cam0_u,cam0_v
 
-How threads are sought in these images: by masks, their own alpha channels, a colour, or grey levels.
-
 Images are relative to the file; the columns of images are named as the rig's cameras. A camera that did not see a scene is left
 out of the whole file, not of a line: a set's score is a sum over cameras, and sets are compared. A rod sets out from a point in
 the world, or from a pixel in one camera or more; the cells of the others are empty.
@@ -13,10 +11,9 @@ the world, or from a pixel in one camera or more; the cells of the others are em
 
 import os
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
-from glob import escape
+from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from threading import Lock
@@ -28,10 +25,6 @@ from doo_ti.io.arrays import CsvTable, read_csv
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import read_content
 from doo_ti.vision.cameras import MOST_SIDE, Camera, Rig
-from doo_ti.vision.detect import detect, detect_mask
-from doo_ti.vision.detection import CLICK_PX, POLARITIES, Detection, DetectionOptions
-from doo_ti.vision.follow import follow
-from doo_ti.vision.ridge import as_colour
 
 PNG = b"\x89PNG"
 KNOWN = "PNG, JPEG, TIFF, BMP, PGM or PPM"
@@ -115,7 +108,7 @@ def _decoded(path: Path, camera: Camera | None, flags: int) -> np.ndarray:
     if hasattr(cv2, "setLogLevel"):
         cv2.setLogLevel(0)  # the caller reports on damaged files; OpenCV shall not do so as well
     stored = np.frombuffer(read_content(path, remedy="name a readable image"), dtype=np.uint8)
-    sides, _ = _stated(stored.tobytes())
+    sides, tag = _stated(stored.tobytes())
     _check_side(path, *sides)  # before it is unpacked: a few bytes may state one that fills the memory
     try:
         with _silenced():
@@ -126,8 +119,10 @@ def _decoded(path: Path, camera: Camera | None, flags: int) -> np.ndarray:
         raise InputError(path, "file", "cannot be read as an image", f"give a {KNOWN} file")
     _check_side(path, *image.shape[:2])
     if camera is not None and image.shape[:2] != (camera.height, camera.width):
+        lying = tag != UPRIGHT and not camera.turned and image.shape[:2] == (camera.width, camera.height)
         raise InputError(path, "size", f"{image.shape[1]} x {image.shape[0]} px, but {camera.name} of {camera.source} takes "
-                         f"{camera.width} x {camera.height}", "give the rig's own images, neither scaled nor cropped")
+                         f"{camera.width} x {camera.height}", "give --orientation apply, as a tag says to turn it" if lying else
+                         "give the rig's own images, neither scaled nor cropped")
     return image
 
 
@@ -191,6 +186,12 @@ class ImageSets:
     def __post_init__(self) -> None:
         if not self.rig.cameras:
             raise InputError(self.source, "cameras", "none", "give images of one camera or more")
+        for name, pixels in zip(self.names, self.clicks or (), strict=False):
+            for number, (u, v) in pixels.items():
+                camera = self.rig.cameras[number]
+                if not (-0.5 <= u < camera.width - 0.5 and -0.5 <= v < camera.height - 0.5):
+                    raise InputError(self.source, f"{name}: seed pixel", f"{u:g},{v:g} is outside the image of {camera.name}",
+                                     f"give one of its {camera.width} x {camera.height} px")
         if self.point is None:
             return
         length = np.ones((self.count, 1)) if self.direction is None else np.linalg.norm(self.direction, axis=-1, keepdims=True)
@@ -279,69 +280,3 @@ def cameras_in(table: CsvTable, rig: Rig, others: tuple[str, ...]) -> list[str]:
 def images_in(table: CsvTable, cameras: list[str]) -> tuple[tuple[Path, ...], ...]:
     """For each row the images of the ``cameras``, which a table names relative to itself."""
     return tuple(tuple(table.path.parent / table.columns[name][row] for name in cameras) for row in range(table.count))
-
-
-# --- how threads are sought ---------------------------------------------------------------------------------------------
-
-def mask_of(folder: Path, image: Path) -> Path:
-    """The mask of an image in a ``folder``, or in its folder of the name that the image's has. Raises InputError."""
-    for place in (folder / image.parent.name, folder):
-        same = [file for file in sorted(place.glob(f"{escape(image.stem)}.*")) if file.stem == image.stem]
-        if same:
-            return same[0]
-    raise InputError(folder, image.stem, "no mask of this name", "name masks as the images are")
-
-
-@dataclass(frozen=True)
-class Sight:
-    """How threads are sought in images."""
-
-    options: DetectionOptions = DetectionOptions()  # of the detection
-    # by the name of a camera: the part of its images where the thread is, as ``options.region``
-    regions: dict[str, tuple[int, ...]] = field(default_factory=dict)
-    # a folder with masks named as the images are, or as their folders and they are, whatever their suffix; or the mask of each
-    # camera's image, by the camera's name; None: the image's alpha channel where it has one
-    masks: Path | dict[str, Path] | None = None
-    # of each set of images, by the number of a camera, pixels of the thread: what it looks like there it does in all images of
-    # the set, and of sets after it without any
-    clicks: tuple[dict[int, tuple[float, float]], ...] | None = None
-    by_colour: bool = False  # seek the thread by its colour at the pixels; else only where nothing else detects it there
-
-    def of_set(self, row: int, paths: Sequence[Path], cameras: Sequence[Camera]) -> "Sight":
-        """The same for the images ``paths`` of set ``row``. Raises InputError where no thread of a colour is at its pixel."""
-        if self.clicks is None or not self.clicks[row]:
-            return self
-        camera, pixel = min(self.clicks[row].items())
-        path, own = paths[camera], cameras[camera]
-        if not self.by_colour and self._finds(pixel, path, own):
-            return self
-        image = read_image(path, own, colour=True)
-        line, alike = follow(image, pixel), []
-        if line.count:
-            column, down = np.clip(np.rint(line.points).astype(int), 0, np.array(image.shape[1::-1]) - 1).T
-            colour = tuple(np.median(as_colour(image)[down, column], axis=0)[::-1].tolist())
-            alike = [replace(self, options=replace(self.options, polarity=polarity, width_px=line.width_px))
-                     for polarity in POLARITIES] + [replace(self, options=replace(self.options, colour=colour))]
-        if self.by_colour:
-            if not alike:
-                raise InputError(path, "pixel", f"no thread at {pixel[0]:g},{pixel[1]:g}", "give another one, or a colour")
-            return alike[-1]
-        return next((sight for sight in alike if sight._finds(pixel, path, own)), self)
-
-    def _finds(self, pixel: tuple[float, float], path: Path, camera: Camera) -> bool:
-        """Whether something is detected at the ``pixel``."""
-        found = self.detected(path, camera)
-        return bool(found.count) and np.linalg.norm(found.points - pixel, axis=1).min() <= max(CLICK_PX, found.width_px)
-
-    def detected(self, path: Path, camera: Camera) -> Detection:
-        """The thread in the image that ``camera`` took. Raises InputError for files that are missing or do not fit."""
-        options = replace(self.options, region=self.regions.get(camera.name, self.options.region))
-        file = path
-        if isinstance(self.masks, dict):
-            file = self.masks[camera.name]
-        elif self.masks is not None:
-            file = mask_of(self.masks, path)
-        mask = read_mask(file, camera)
-        if mask is None and self.masks is None:
-            return detect(read_image(path, camera, colour=options.colour is not None), options)
-        return detect_mask(read_image(file, camera) if mask is None else mask, options)

@@ -31,9 +31,9 @@ def beside(curve: np.ndarray, shift: float) -> np.ndarray:
     return curve + shift * np.stack([-along[:, 1], along[:, 0]], axis=1)
 
 
-def drawn(*strokes, size=SIZE, seed=0) -> np.ndarray:
+def drawn(*strokes, size=SIZE, seed=0, ground=PAPER) -> np.ndarray:
     """A picture of (curve, colour, width) one on another, blurred, with noise."""
-    image = np.full((*size, 3), PAPER, np.uint8)
+    image = np.full((*size, 3), ground, np.uint8)
     for curve, colour, width in strokes:
         cv2.polylines(image, [np.rint(16 * curve).astype(int)], False, colour, width, cv2.LINE_AA, 4)
     noise = np.random.default_rng(seed).normal(0, 3, image.shape)

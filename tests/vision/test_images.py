@@ -4,15 +4,18 @@ import os
 import struct
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from doo_ti import Camera, DetectionOptions, InputError
-from doo_ti.vision.images import Sight, load_sets, mask_of, orientation_tags, read_image, read_mask
+from doo_ti import Camera, DetectionOptions, InputError, Rig
+from doo_ti.vision.images import ImageSets, load_sets, orientation_tags, read_image, read_mask
+from doo_ti.vision.sight import Sight, mask_of
 from tests.conftest import check_refused
 from tests.vision.boards import around
+from tests.vision.test_follow import beside, drawn, shares, wave
 
 
 def picture() -> np.ndarray:
@@ -113,6 +116,46 @@ def test_a_thread_is_sought_by_its_colour_where_it_was_clicked(tmp_path):
         assert found.count > 100 and np.abs(found.points[:, 1] - 60 - (found.points[:, 0] - 10) / 14).max() < 4
     of_lines(tmp_path, (160, 120), 230)
     check_refused("pixel: no thread", Sight(clicks=({0: (20.0, 20.0)},), by_colour=True).of_set, 0, [path], [seen])
+
+
+@pytest.mark.parametrize("gripper", [False, True])
+def test_a_clicked_thread_is_sought_by_what_shows_it_best(tmp_path, gripper):
+    """A glossy blue thread on red ground, whose grey is that of the ground: the highlight along it is more distinct, and that
+    of the gripper that holds it."""
+    curve = wave()
+    strokes = [(curve, (190, 80, 25), 9), (beside(curve, 2.0)[200:1400], (230, 190, 170), 1)]
+    if gripper:
+        strokes.append((np.array([[15.0, 200.0], [64.0, 200.0]]), (250, 250, 250), 8))
+    image = drawn(*strokes, ground=(50, 50, 140))
+    cv2.imwrite(str(tmp_path / "a.png"), image)
+    seen = replace(camera(), width=image.shape[1], height=image.shape[0])
+    plain = Sight(clicks=({0: tuple(curve[30])},))
+    chosen = plain.of_set(0, [tmp_path / "a.png"], [seen])
+    assert shares(plain.detected(tmp_path / "a.png", seen).points, curve)[0] < 0.9
+    recall, precision = shares(chosen.detected(tmp_path / "a.png", seen).points, curve)
+    assert chosen.options.colour is not None and recall > 0.95 and precision > 0.95
+
+
+def test_a_thread_is_dark_or_light_in_all_images_of_a_set(tmp_path):
+    """In the second image something light is more distinct."""
+    paths = []
+    for number, level in enumerate((150, 255)):
+        (tmp_path / str(number)).mkdir()
+        path, seen = of_lines(tmp_path / str(number), (240, 160), 130, ((10, 40), (230, 40), (60, 60, 60), 5),
+                              ((10, 120), (230, 130), (level,) * 3, 9))
+        paths.append(path)
+    sight, cameras = Sight(), [seen, seen]
+    found = [sight.detected(path, seen) for path in paths]
+    assert [one.polarity for one in found] == ["dark", "light"]
+    for clicks, row in ((None, 125), (({0: (120.0, 40.0)},), 40)):
+        agreed = replace(sight, clicks=clicks).agreed(found, 0, paths, cameras)
+        assert len({one.polarity for one in agreed}) == 1 and abs(np.median(agreed[1].points[:, 1]) - row) < 8
+
+
+def test_pixels_outside_their_images_are_refused():
+    rig = Rig((camera(),))
+    check_refused("seed pixel: -3,5 is outside the image of cam0", ImageSets, ("one",), ((Path("a.png"),),), rig, None, None,
+                  "sets", ({0: (-3.0, 5.0)},))
 
 
 def test_libraries_say_nothing_of_damaged_images(tmp_path, capfd):

@@ -1,0 +1,145 @@
+"""How threads are sought in images: by masks, their own alpha channels, a colour, or grey levels, and which of these shows the
+thread under a clicked pixel best (§IV-A)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from glob import escape
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from doo_ti.system.errors import InputError
+from doo_ti.vision.cameras import Camera
+from doo_ti.vision.detect import detect, detect_mask
+from doo_ti.vision.detection import CLICK_PX, POLARITIES, Detection, DetectionOptions, chain_length, chains_of, single
+from doo_ti.vision.follow import follow
+from doo_ti.vision.images import read_image, read_mask
+from doo_ti.vision.ridge import as_colour
+
+NEAR_PX = 3.0  # A point of a line this near to another line is on it
+COMPLETE = 0.9  # least share of what has the thread's colour that the path from the click goes along, where it is all of it
+BETTER = 0.01  # by which another way to seek the thread must show it better
+ON_IT = 0.5  # least share of that path where it was detected, and not something else
+
+
+def mask_of(folder: Path, image: Path) -> Path:
+    """The mask of an image in a ``folder``, or in its folder of the name that the image's has. Raises InputError."""
+    for place in (folder / image.parent.name, folder):
+        same = [file for file in sorted(place.glob(f"{escape(image.stem)}.*")) if file.stem == image.stem]
+        if same:
+            return same[0]
+    raise InputError(folder, image.stem, "no mask of this name", "name masks as the images are")
+
+
+@dataclass(frozen=True)
+class Sight:
+    """How threads are sought in images."""
+
+    options: DetectionOptions = DetectionOptions()  # of the detection
+    # by the name of a camera: the part of its images where the thread is, as ``options.region``
+    regions: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    # a folder with masks named as the images are, or as their folders and they are, whatever their suffix; or the mask of each
+    # camera's image, by the camera's name; None: the image's alpha channel where it has one
+    masks: Path | dict[str, Path] | None = None
+    # of each set of images, by the number of a camera, pixels of the thread: what it looks like there it does in all images of
+    # the set, and of sets after it without any
+    clicks: tuple[dict[int, tuple[float, float]], ...] | None = None
+    by_colour: bool = False  # seek the thread by its colour at the pixels; else by what shows it best there
+
+    def of_set(self, row: int, paths: Sequence[Path], cameras: Sequence[Camera]) -> "Sight":
+        """The same for the images ``paths`` of set ``row``: as options state it or, where the path that :func:`.follow` finds
+        from the click is better seen so, by the polarity and the width of the thread there, or by its colour. Raises InputError
+        where no thread of a colour is at its pixel."""
+        if self.clicks is None or not self.clicks[row]:
+            return self
+        camera, pixel = min(self.clicks[row].items())
+        path, own = paths[camera], cameras[camera]
+        plain = None if self.by_colour else self.detected(path, own)
+        if plain is not None and plain.method == "mask":
+            return self
+        image = read_image(path, own, colour=True)
+        line = follow(image, pixel)
+        if not line.count:
+            if self.by_colour:
+                raise InputError(path, "pixel", f"no thread at {pixel[0]:g},{pixel[1]:g}",
+                                 "give another one, or --colour R,G,B")
+            return self
+        column, down = np.clip(np.rint(line.points).astype(int), 0, np.array(image.shape[1::-1]) - 1).T
+        colour = tuple(np.median(as_colour(image)[down, column], axis=0)[::-1].tolist())
+        coloured = replace(self, options=replace(self.options, colour=colour))
+        if self.by_colour:
+            return coloured
+        others = [*(replace(self, options=replace(self.options, polarity=polarity, width_px=line.width_px))
+                    for polarity in POLARITIES), coloured]
+        return _best_of(pixel, line, (self, plain), [(sight, sight.detected(path, own)) for sight in others])
+
+    def agreed(self, found: Sequence[Detection], row: int, paths: Sequence[Path], cameras: Sequence[Camera]) -> list[Detection]:
+        """The detections ``found`` in the images of set ``row``, in all of which the thread is dark, or light: as in the image
+        that was clicked, else as where it is most distinct. Images that show none so keep what was found."""
+        kinds = {one.polarity for one in found if one.count and one.method != "mask"}
+        if len(kinds) < 2 or self.options.polarity is not None:
+            return list(found)
+        clicked = None if self.clicks is None else min(self.clicks[row], default=None)
+        first = max(found, key=lambda one: one.strength.sum())
+        if clicked is not None and found[clicked].count:
+            first = found[clicked]
+        seek, agreed = replace(self, options=replace(self.options, polarity=first.polarity)), []
+        for one, path, camera in zip(found, paths, cameras, strict=True):
+            other = one if one.polarity in ("", first.polarity) or one.method == "mask" else seek.detected(path, camera)
+            agreed.append(other if other.count else one)
+        return agreed
+
+    def detected(self, path: Path, camera: Camera) -> Detection:
+        """The thread in the image that ``camera`` took. Raises InputError for files that are missing or do not fit."""
+        options = replace(self.options, region=self.regions.get(camera.name, self.options.region))
+        file = path
+        if isinstance(self.masks, dict):
+            file = self.masks[camera.name]
+        elif self.masks is not None:
+            file = mask_of(self.masks, path)
+        mask = read_mask(file, camera)
+        if mask is None and self.masks is None:
+            return detect(read_image(path, camera, colour=options.colour is not None), options)
+        return detect_mask(read_image(file, camera) if mask is None else mask, options)
+
+
+def _best_of(pixel: tuple[float, float], line: Detection, plain: tuple[Sight, Detection],
+             others: list[tuple[Sight, Detection]]) -> Sight:
+    """Which of several ways to seek it shows the thread under a ``pixel`` best: the ``plain`` one unless another is better.
+    Each with what it detects; ``line``, the path from the pixel on.
+
+    What is detected should be the path and nothing else. Where the path does not go on to the thread's ends it should have the
+    path, and the plain way is kept if it has. Where that detects another line near the pixel, as where a gripper holds the
+    thread, the longer one is the thread.
+    """
+    path = line.points[line.strength > 0]
+    shares = [_shares(path, found) for _, found in (plain, *others)]
+    complete = shares[-1][1] >= COMPLETE
+    scores = [2 * has * only / max(has + only, 1e-9) if complete else has for has, only in shares]
+    best = 1 + int(np.argmax(scores[1:]))
+    better, elsewhere = scores[best] >= max(scores[0] + BETTER, ON_IT), shares[0][0] < ON_IT
+    if elsewhere and _near(plain[1], pixel):
+        better &= len(path) > _length_at(plain[1], pixel)
+    better &= complete or elsewhere
+    return others[best - 1][0] if better else plain[0]
+
+
+def _shares(path: np.ndarray, found: Detection) -> tuple[float, float]:
+    """The share of a path that was found, and of what was found that is on the path."""
+    if not found.count:
+        return 0.0, 0.0
+    return tuple(float((cKDTree(one).query(other)[0] <= NEAR_PX).mean())
+                 for one, other in ((found.points, path), (path, found.points)))
+
+
+def _near(found: Detection, pixel: tuple[float, float]) -> bool:
+    """Whether something was found at a pixel."""
+    return bool(found.count) and np.linalg.norm(found.points - pixel, axis=1).min() <= max(CLICK_PX, found.width_px)
+
+
+def _length_at(found: Detection, pixel: tuple[float, float]) -> float:
+    """px of the line that was found nearest to a pixel."""
+    chains = chains_of(*single(found))
+    nearest = min(chains, key=lambda chain: np.linalg.norm(chain - pixel, axis=1).min(), default=np.zeros((1, 2)))
+    return chain_length(nearest)
