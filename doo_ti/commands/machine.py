@@ -93,7 +93,8 @@ IMAGES = "synth seen.toml --images images --rig scenes/rig.yaml"
 STEPS = {
     "relax": (LAB, f"relax lab.npz {MATERIAL} --out many.npz", "convert lab.npz one.npz --select 0:1",
               f"relax one.npz {MATERIAL} --out one_relaxed.npz"),
-    "perceive": (IMAGES, f"perceive {SEEN} --sets images/sets.csv --no-picture --out rods.npz"),
+    "perceive": (IMAGES, f"perceive {SEEN} --sets images/sets.csv --no-picture --out rods.npz",
+                 f"perceive --rig images/rig.yaml {MATERIAL} --sets clicked.csv --no-picture --no-recording --out found.npz"),
     "sweep": (LAB, "sweep lab.npz --bend 2e5:8e5:3 --out run"),
     "group": ("group hooked_slings --out group.npz",),
     "refine": (LAB, f"refine lab.npz {MATERIAL} --rest-curvature none --clip 1.5 --clamps exact --no-models"),
@@ -145,6 +146,9 @@ end_position_mm = [420.0, 0.0, 0.0]
     "frames.csv": """frame,front,left,seed_x,seed_y,seed_z,dir_x,dir_y,dir_z
 1,images/seen_66mm_060deg_front.jpg,images/seen_66mm_060deg_left.jpg,0,0,0,0.94,0,0.34
 2,images/seen_66mm_060deg_front.jpg,images/seen_66mm_060deg_left.jpg,,,,,,
+""",
+    "clicked.csv": """name,front,left,left_u,left_v
+one,images/seen_66mm_060deg_front.jpg,images/seen_66mm_060deg_left.jpg,478,516
 """,
     "motion.csv": "time_s,end_x,end_y,end_z\n0,0,0,0\n1,1,0,0\n",
 }
