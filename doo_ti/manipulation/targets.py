@@ -309,6 +309,10 @@ def _guesses(rods: Configuration, clamps: Clamps, model: Model, targets: Targets
         grippers = replace(grippers, start_position=vertices[:, 0].copy(), start_frame=matrices[:, 0].copy())
     if ends:
         grippers = replace(grippers, end_position=vertices[:, -1].copy(), end_frame=matrices[:, -1].copy())
+    # Drawn to a target that is straight, a rod would be taut.
+    reach, stiff = rods.rest_length.sum(), np.full(len(rows), rods.rest_length[0])
+    tight = np.maximum(options.slack * reach - slack(grippers, reach, stiff), 0.0)
+    grippers = drawn_in(grippers, tight, stiff, options.moves)
     whole, there = _carried(rods, clamps, targets, model.up) if starts and ends else (rods, clamps)
     return Configuration.concatenate([rods, whole, guessed]), Clamps.concatenate([clamps, there, grippers])
 

@@ -12,7 +12,7 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.manipulation.equilibria import Clearance, Shapes
 from doo_ti.manipulation.model import drawn_in, moved, slack, slack_gradient
 from doo_ti.rod.frames import rotation_matrix
-from tools.studies.servo_tasks import Tasks, tasks
+from tools.studies.servo_tasks import LENGTH, Tasks, tasks
 
 LENGTHS = np.full(20, 5.0)
 
@@ -118,6 +118,16 @@ def test_targets_out_of_reach_are_approached_and_said():
     shapes = followed(own, path)
     assert not path.reached and np.isclose(path.distance, d.Targets(asked).distance(shapes[-1:])[0], atol=1e-3)
     assert path.distance < d.Targets(asked).distance(own.real.vertices)[0]
+
+
+@pytest.mark.thorough
+def test_no_rod_is_pulled_taut_to_a_straight_target():
+    """Level and straight, a rod with weight would need an infinite force."""
+    own = some().take(np.array([0]))
+    place = np.linspace(0.0, LENGTH, own.real.edges + 1)
+    path = plan(own, np.stack([place, 0 * place, 0 * place], axis=-1)[None], options=d.PlanOptions(seconds=4.0))
+    apart = np.linalg.norm(path.end_position[-1] - path.start_position[-1])
+    assert not path.reached and apart < 0.998 * LENGTH
 
 
 @pytest.mark.thorough
