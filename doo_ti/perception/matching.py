@@ -10,7 +10,7 @@ across a path counts, since that along it says nothing where it runs along the e
 Axes: C cameras, I and J places along two paths, K along the curve.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import taichi as ti
@@ -30,6 +30,8 @@ UNEXPLAINED = 4.0  # px: cost of a path that explains nothing of the detection
 ALONG = 0.02  # weight of a distance along a path over that across it
 ROUNDS, FREE_ROUNDS = 6, 2  # linearisations of the depth, and the first of them, which keep the places found by matching
 WINDOW_PX = 12  # how far a place moves along a path in one of them
+RANKED, COARSE = 12, 120  # matches of least cost whose curves are compared, and places of these
+LONG_PX = 0.05  # cost of a curve e times as long: a long thread that looks short in all images is improbable
 NEARER = np.log(4.0)  # of the depth along a curve, over that of its start: a thread would look four times as wide, or thin
 HELD = 1e4  # information at a start whose depth is given, over the median along the curve
 BOTH, FIRST_ALONE, SECOND_ALONE = 0, 1, 2
@@ -44,14 +46,14 @@ class Match:
     cost: float  # px: mean distance by which pairs miss a point in space, with gaps and what is left over
 
 
-def best_matches(rig: Rig, paths: list[list[ImagePath]], most: int) -> list[Match]:
+def best_matches(rig: Rig, paths: list[list[ImagePath]], most: int, places: int = MOST_PLACES) -> list[Match]:
     """Up to ``most`` matches of the paths in each camera (C lists), the best first, of FEWEST places or more; none where a
-    camera has no path."""
+    camera has no path. Paths are compared at so many ``places`` at most."""
     if not all(paths):
         return []
     first, others = paths[0], paths[1:]
     pairs = [(a, c + 1, b) for a in range(len(first)) for c, here in enumerate(others) for b in range(len(here))]
-    step = max(STEP_PX, max(len(path.points) for some in paths for path in some) / MOST_PLACES)
+    step = max(STEP_PX, max(len(path.points) for some in paths for path in some) / places)
     found = dict(zip(pairs, _paired(rig, [(first[a], c, paths[c][b]) for a, c, b in pairs], step), strict=True))
     matches = []
     for a, path in enumerate(first):
@@ -64,6 +66,24 @@ def best_matches(rig: Rig, paths: list[list[ImagePath]], most: int) -> list[Matc
             matches.append(_joined(path, [(paths[c + 1][b], *found[a, c + 1, b]) for c, b in enumerate(choice)], step))
     matches = [match for match in matches if match.arcs.shape[1] >= FEWEST]
     return sorted(matches, key=lambda match: match.cost)[:most]
+
+
+def likely_matches(rig: Rig, paths: list[list[ImagePath]], start: np.ndarray, smooth: float, most: int,
+                   places: int = MOST_PLACES) -> list[Match]:
+    """Up to ``most`` matches of paths from ``start`` (3,), the most probable first: of loops that are passed the other way
+    round in one image the cost is hardly more, but their curves, as smooth as of :func:`curve_of`, run to and fro in depth."""
+    found = best_matches(rig, paths, RANKED, places)
+    if len(found) < 2:
+        return found
+    cost = [match.cost + LONG_PX * np.log(max(_length(rig, match, start, smooth), 1e-9)) for match in found]
+    return [found[k] for k in np.argsort(cost, kind="stable")[:most]]
+
+
+def _length(rig: Rig, match: Match, start: np.ndarray, smooth: float) -> float:
+    """mm of a match's curve, through COARSE places."""
+    step = max(1, match.arcs.shape[1] // COARSE)
+    curve = curve_of(rig, replace(match, arcs=match.arcs[:, ::step]), start, smooth / step**3)[0]
+    return float(np.linalg.norm(np.diff(curve, axis=0), axis=1).sum())
 
 
 def _joined(first: ImagePath, others, step: float) -> Match:

@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from doo_ti.perception.matching import best_matches, curve_of, epipolar_distance
+from doo_ti.perception.matching import LONG_PX, MOST_PLACES, curve_of, epipolar_distance, likely_matches
 from doo_ti.perception.search import PerceptionOptions, evidence
 from doo_ti.perception.traced import PATHS, whole_rods
 from doo_ti.rod.types import Material
@@ -36,14 +36,14 @@ from doo_ti.vision.triangulation import rays
 
 END_PX = 15.0  # an end this near to a click is meant
 EPIPOLAR_PX = 8.0  # an end this near to the epipolar line of a click may be its image
-MOST_PLACES, MOST_CHOICES = 12, 24
+MOST_ENDS, MOST_CHOICES = 12, 24
 LINE_PX, INSIDE_PX = 0.8, 3.0  # standard deviations of a place: across the line, and along it where no end is meant
 SMOOTH, TANGENT = 100.0, 5  # of the curve; its places between which it has a direction
-LONG_PX = 0.05  # cost of a curve e times as long: a long thread that looks short in all images is improbable
 MISSED_PX = 0.2  # cost of rays that miss each other by as much as their places are uncertain along the line, times that
 INSIDE_COST, HIDDEN_COST = 0.5, 0.5  # px, of a place that is no end of a line, and of a camera that sees no start
 ALIKE_COST = 0.06  # px: standard deviation, over √½, of the cost of a choice that belongs together
 MUCH_BETTER, A_LITTLE_PX = 0.75, 0.1  # share of the cost under a rig, and px, below which it is under one that fits much better
+FEW_PLACES = 150  # of the curves by which rigs are compared
 FAR = 30.0  # distances between cameras: how far away a thread is thought to begin whose rays do not meet in front of them
 
 
@@ -74,7 +74,7 @@ def seed_from_pixels(rig: Rig, detections: Sequence[Detection], clicks: Mapping[
     Raises InputError, naming ``source``, for a single camera, and where no thread is near a click, or nothing in another image
     belongs to it.
     """
-    tried = _tried(rig, detections, clicks, source)
+    tried = [(cost, _settled(*rest)) for cost, *rest in _beginnings(rig, detections, clicks, source)]
     least, best = min(tried, key=lambda one: one[0])
     apart = max(np.linalg.norm(seed.point - best.point) * np.exp(-(((cost - least) / ALIKE_COST) ** 2)) for cost, seed in tried)
     return replace(best, sigma=float(np.hypot(best.sigma, apart / np.sqrt(3))))
@@ -82,11 +82,16 @@ def seed_from_pixels(rig: Rig, detections: Sequence[Detection], clicks: Mapping[
 
 def fit_better(rig: Rig, others: Mapping[str, Rig], detections: Sequence[Detection], clicks: Mapping[int, Sequence[float]]
                ) -> list[str]:
-    """The names of those ``others`` under which lines from the clicks fit together much better than under ``rig``, and about as
-    well as under the best of them."""
+    """The names of those ``others`` under which the lines of two cameras fit together much better from a click on than under
+    ``rig``, and about as well as under the best of them."""
+    first = min(clicks)
+    pair = first, next(camera for camera in range(len(detections)) if camera != first)
+    images, click = [detections[camera] for camera in pair], {0: clicks[first]}
+
     def least(one: Rig) -> float:
         try:
-            return min(cost for cost, _ in _tried(one, detections, clicks, ""))
+            two = Rig(tuple(one.cameras[camera] for camera in pair))
+            return min(cost for cost, *_ in _beginnings(two, images, click, "", FEW_PLACES))
         except InputError:
             return np.inf
 
@@ -97,9 +102,10 @@ def fit_better(rig: Rig, others: Mapping[str, Rig], detections: Sequence[Detecti
     return [name for name, cost in costs.items() if cost <= best + A_LITTLE_PX]
 
 
-def _tried(rig: Rig, detections: Sequence[Detection], clicks: Mapping[int, Sequence[float]], source: str
-           ) -> list[tuple[float, Seed]]:
-    """(cost in px, seed) of all choices of where the rod of :func:`seed_from_pixels` begins, which raises its errors."""
+def _beginnings(rig: Rig, detections: Sequence[Detection], clicks: Mapping[int, Sequence[float]], source: str,
+                places: int = MOST_PLACES) -> list[tuple]:
+    """(cost in px, arguments of :func:`_settled`) of all choices of where the rod of :func:`seed_from_pixels`, which raises
+    these errors, begins; curves are compared through so many ``places`` at most."""
     if len(rig.cameras) == 1:
         raise InputError(source, "--seed-pixel", "one camera does not see how far away the rod begins", "give --seed-point")
     lines = [Chains.of(detection) for detection in detections]
@@ -107,19 +113,19 @@ def _tried(rig: Rig, detections: Sequence[Detection], clicks: Mapping[int, Seque
              for camera, click in clicks.items()}
     known = min(given, key=lambda camera: (given[camera].along, camera))
     order = [known, *(camera for camera in range(len(lines)) if camera != known)]
-    places: list[list] = [[given[camera]] if camera in given else _across(rig, known, camera, given[known], detections[camera],
-                                                                         lines[camera]) for camera in order]
-    if sum(map(bool, places)) < 2:
+    ends: list[list] = [[given[camera]] if camera in given else _across(rig, known, camera, given[known], detections[camera],
+                                                                       lines[camera]) for camera in order]
+    if sum(map(bool, ends)) < 2:
         raise InputError(source, "--seed-pixel", f"nothing in the image of {rig.names[order[1]]} belongs to the pixel",
                          "give a pixel in that camera, too")
-    ordered, tried = Rig(tuple(rig.cameras[camera] for camera in order)), []
-    for miss, choice in _choices(ordered, places, {order.index(camera) for camera in given}):
-        found = _seed(ordered, [lines[camera] for camera in order], choice)
-        if found is not None:
-            tried.append((found[0] + miss, found[1]))
-    if not tried:
+    ordered, found = Rig(tuple(rig.cameras[camera] for camera in order)), []
+    for miss, choice in _choices(ordered, ends, {order.index(camera) for camera in given}):
+        begun = _beginning(ordered, [lines[camera] for camera in order], choice, places)
+        if begun is not None:
+            found.append((begun[0] + miss, *begun[1:]))
+    if not found:
         raise InputError(source, "--seed-pixel", "no thread can be followed from there", "give another pixel, or --seed-point")
-    return tried
+    return found
 
 
 def _clicked(detection: Detection, line: Chains, click: np.ndarray, source: str) -> _Place:
@@ -155,9 +161,9 @@ def _across(rig: Rig, known: int, camera: int, place: _Place, detection: Detecti
         kept = [kept[k] for k in np.argsort(apart, kind="stable") if apart[k] <= EPIPOLAR_PX]
     apart = epipolar_distance(rig, known, camera, place.pixel[None], points)[0]
     for k in np.argsort(apart, kind="stable")[: np.count_nonzero(apart <= apart.min() + 1.0)]:
-        if len(kept) < MOST_PLACES and all(np.linalg.norm(points[k] - other.pixel) > END_PX for other in kept):
+        if len(kept) < MOST_ENDS and all(np.linalg.norm(points[k] - other.pixel) > END_PX for other in kept):
             kept.append(_Place(points[k], direction[k], np.inf))
-    return kept[:MOST_PLACES]
+    return kept[:MOST_ENDS]
 
 
 def _choices(rig: Rig, places: Sequence[list[_Place]], clicked: set[int]) -> list[tuple[float, list]]:
@@ -187,17 +193,18 @@ def _seeing(rig: Rig, choice: Sequence) -> tuple[Rig, list[_Place]]:
     return Rig(tuple(rig.cameras[camera] for camera in kept)), [choice[camera] for camera in kept]
 
 
-def _seed(rig: Rig, lines: Sequence[Chains], choice: Sequence) -> tuple[float, Seed] | None:
-    """(cost in px, seed) of the rod that begins at the places ``choice`` of the cameras; None where none does."""
+def _beginning(rig: Rig, lines: Sequence[Chains], choice: Sequence, places: int) -> tuple | None:
+    """(cost in px, arguments of :func:`_settled`) of the rod that begins at the places ``choice`` of the cameras; None where
+    none does. Its curve is compared through so many ``places`` at most."""
     paths = [paths_from(line, place.pixel, None, PATHS) for line, place in zip(lines, choice, strict=True) if place is not None]
     rig, seen = _seeing(rig, choice)
-    matches = best_matches(rig, paths, 1)
+    start, information, _ = _depth(rig, seen)
+    matches = likely_matches(rig, paths, start, SMOOTH, 1, places)
     if not matches:
         return None
-    start, information, _ = _depth(rig, seen)
     curve, _, spread = curve_of(rig, matches[0], start, SMOOTH, LINE_PX**2 * information)
     length = float(np.linalg.norm(np.diff(curve, axis=0), axis=1).sum())
-    return matches[0].cost + LONG_PX * np.log(max(length, 1e-9)), _settled(rig, seen, curve, LINE_PX * spread)
+    return matches[0].cost + LONG_PX * np.log(max(length, 1e-9)), rig, seen, curve, LINE_PX * spread
 
 
 def _settled(rig: Rig, seen: Sequence[_Place], curve: np.ndarray, spread: float) -> Seed:
@@ -216,6 +223,7 @@ def _settled(rig: Rig, seen: Sequence[_Place], curve: np.ndarray, spread: float)
                 row = way @ by_point[0] @ view.rotation
                 information = information + np.outer(row, row) / sigma**2
                 slope = slope + row * (way @ (place.pixel - image[0])) / sigma**2
+        information = information + 1e-12 * np.trace(information) * np.eye(3)  # of places beside each other rounding is left
         point = point + np.linalg.solve(information, slope)
     sigma = float(np.sqrt(np.trace(np.linalg.inv(information)) / 3))
     return Seed(point, sigma, seen[0].along == INSIDE_PX)

@@ -18,7 +18,7 @@ from itertools import combinations
 
 import numpy as np
 
-from doo_ti.perception.matching import Match, best_matches, curve_of
+from doo_ti.perception.matching import Match, curve_of, likely_matches
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import across, bishop_frames, quaternion_from_matrix
@@ -74,7 +74,7 @@ def _curves(rig: Rig, paths: list[list[ImagePath]], point: np.ndarray):
     every = tuple(range(len(rig.cameras)))
     for kept in (every, *(combinations(every, len(every) - 1) if len(every) > 2 else ())):
         some = Rig(tuple(rig.cameras[camera] for camera in kept))
-        for match in best_matches(some, [paths[camera] for camera in kept], MATCHES):
+        for match in likely_matches(some, [paths[camera] for camera in kept], point, SMOOTHNESS[0], MATCHES):
             for smooth in SMOOTHNESS:
                 curve, arcs, _ = curve_of(some, match, point, smooth)
                 there = np.zeros((len(every), arcs.shape[1]))

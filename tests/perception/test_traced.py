@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from doo_ti import (
+    Camera,
     Detection,
     InputError,
     Material,
@@ -19,9 +20,10 @@ from doo_ti import (
     load_rig,
     perceive,
 )
-from doo_ti.perception.matching import Match, curve_of
+from doo_ti.perception.matching import Match, best_matches, curve_of, likely_matches
 from doo_ti.perception.posterior import detected_places, line_trees, lines_at, vertex_sigma
-from doo_ti.perception.seeds import seed_from_pixels, whole_threads
+from doo_ti.perception.seeds import fit_better, seed_from_pixels, whole_threads
+from doo_ti.perception.traced import SMOOTHNESS
 from doo_ti.vision.distance_map import coverage, misread
 from doo_ti.vision.images import load_sets, read_image
 from doo_ti.vision.paths import ImagePath
@@ -170,6 +172,40 @@ def with_more(found, points: np.ndarray, tangent: np.ndarray):
     """A detection with ``points`` (N, 2) px of something else."""
     return replace(found, points=np.concatenate([found.points, points]), strength=np.full(found.count + len(points), 50.0),
                    direction=np.concatenate([found.direction, np.broadcast_to(tangent, points.shape)]))
+
+
+def test_a_loop_is_passed_the_same_way_in_all_images():
+    """Of a round loop before parallel cameras, passed the other way round in one image, all points fit together."""
+    lens = np.array([[1000.0, 0, 500], [0, 1000, 500], [0, 0, 1]])
+    rig = Rig(tuple(Camera(name, 1000, 1000, lens, np.zeros(5), np.eye(3), [-shift, 0, 0])
+                    for name, shift in (("a", 0), ("b", 5))))
+    turn, t = np.linspace(0, 2 * np.pi, 400), np.linspace(0, 1, 300)
+    loop = np.stack([8 * np.sin(turn), 8 * np.cos(turn), 0 * turn + 100], axis=1)
+    before, after = (np.stack([sign * 30 * share, 8 - 10 * share, 0 * t + 100], axis=1)
+                     for sign, share in ((-1, 1 - t), (1, t)))
+
+    def path(camera, middle):
+        points = camera.project(np.concatenate([before, middle, after]))
+        arc = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        points = np.stack([np.interp(np.arange(arc[-1]), arc, column) for column in points.T], axis=1)
+        return ImagePath(points, np.ones(len(points), dtype=bool), 0.0, 1.0)
+
+    first, second = rig.cameras
+    paths = [[path(first, loop)], [path(second, loop[::-1]), path(second, loop)]]
+    costs = [match.cost for match in best_matches(rig, paths, 2)]
+    assert abs(costs[0] - costs[1]) < 0.01
+    match = likely_matches(rig, paths, before[0], SMOOTHNESS[0], 1)[0]
+    assert match.paths[1] is paths[1][1]
+
+
+def test_a_rig_whose_poses_mean_something_else_fits_worse(rng):
+    """Poses from cameras to the world that are read as those from the world to cameras."""
+    rig, points = cameras(40.0, third=False), curve(np.random.default_rng(7))
+    images = [detection(view, points, 0.2, rng) for view in rig.cameras]
+    misread = Rig(tuple(replace(view, rotation=view.rotation.T, translation=view.centre) for view in rig.cameras))
+    click = {0: rig.cameras[0].project(points[:1])[0]}
+    assert fit_better(misread, {"right": rig, "same": misread}, images, click) == ["right"]
+    assert fit_better(rig, {"misread": misread}, images, click) == []
 
 
 def test_an_end_of_something_else_is_not_where_the_rod_begins(rng):
