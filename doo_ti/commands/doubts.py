@@ -45,8 +45,8 @@ def warn_of_rod(source, rest_length: np.ndarray, surroundings: Surroundings | No
 
 
 def warn_of_turns(observations: Observations, index: np.ndarray, turns: np.ndarray) -> None:
-    """The same where rods (N,) of the observations ``index`` (N,) are taken to be twisted by whole ``turns`` (N,) that their
-    frames do not show."""
+    """Print a warning where rods (N,) of the observations ``index`` (N,) are taken to be twisted by whole ``turns`` (N,) that
+    their frames do not show."""
     twisted = np.unique(index[turns != 0])
     if len(twisted):
         say(observations.source, f"{counted(len(twisted), 'observation')}, first {observations.labels[twisted[0]]}: taken to "

@@ -186,7 +186,7 @@ def warn_of_rig(options: Namespace, sets, length: float, verdicts: np.ndarray, d
         pass  # a file that states another lens
     better = fit_better(sets.rig, others, detected[row], sets.clicks[row])
     if better:
-        warn(f"{in_line(options.rig)}: the images fit together better as with {' or '.join(better)}; give it if RIG is so")
+        warn(f"{in_line(options.rig)}: the images fit together better with {' or '.join(better)}; give it if the file is so")
 
 
 def orientation_note(paths: Iterable[Path], turned: bool) -> str | None:

@@ -12,10 +12,10 @@ from scipy.spatial import cKDTree
 from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras import Camera
 from doo_ti.vision.detect import detect, detect_mask
-from doo_ti.vision.detection import CLICK_PX, POLARITIES, Detection, DetectionOptions, chain_length, chains_of, single
+from doo_ti.vision.detection import CLICK_PX, POLARITIES, Detection, DetectionOptions
 from doo_ti.vision.follow import follow
 from doo_ti.vision.images import read_image, read_mask
-from doo_ti.vision.ridge import as_colour
+from doo_ti.vision.ridge import POINTS_PER_PX, as_colour
 
 NEAR_PX = 3.0  # A point of a line this near to another line is on it
 COMPLETE = 0.9  # least share of what has the thread's colour that the path from the click goes along, where it is all of it
@@ -70,6 +70,8 @@ class Sight:
         coloured = replace(self, options=replace(self.options, colour=colour))
         if self.by_colour:
             return coloured
+        if min(_shares(line.points[line.strength > 0], plain)) > 1 - BETTER:  # nothing shows it better
+            return self
         others = [*(replace(self, options=replace(self.options, polarity=polarity, width_px=line.width_px))
                     for polarity in POLARITIES), coloured]
         return _best_of(pixel, line, (self, plain), [(sight, sight.detected(path, own)) for sight in others])
@@ -110,8 +112,8 @@ def _best_of(pixel: tuple[float, float], line: Detection, plain: tuple[Sight, De
     Each with what it detects; ``line``, the path from the pixel on.
 
     What is detected should be the path and nothing else. Where the path does not go on to the thread's ends it should have the
-    path, and the plain way is kept if it has. Where that detects another line near the pixel, as where a gripper holds the
-    thread, the longer one is the thread.
+    path, and the plain way is kept if it has. Where that detects something else near the pixel, as where a gripper holds the
+    thread, what is longer is the thread.
     """
     path = line.points[line.strength > 0]
     shares = [_shares(path, found) for _, found in (plain, *others)]
@@ -120,7 +122,7 @@ def _best_of(pixel: tuple[float, float], line: Detection, plain: tuple[Sight, De
     best = 1 + int(np.argmax(scores[1:]))
     better, elsewhere = scores[best] >= max(scores[0] + BETTER, ON_IT), shares[0][0] < ON_IT
     if elsewhere and _near(plain[1], pixel):
-        better &= len(path) > _length_at(plain[1], pixel)
+        better &= len(path) > plain[1].count / POINTS_PER_PX
     better &= complete or elsewhere
     return others[best - 1][0] if better else plain[0]
 
@@ -137,9 +139,3 @@ def _near(found: Detection, pixel: tuple[float, float]) -> bool:
     """Whether something was found at a pixel."""
     return bool(found.count) and np.linalg.norm(found.points - pixel, axis=1).min() <= max(CLICK_PX, found.width_px)
 
-
-def _length_at(found: Detection, pixel: tuple[float, float]) -> float:
-    """px of the line that was found nearest to a pixel."""
-    chains = chains_of(*single(found))
-    nearest = min(chains, key=lambda chain: np.linalg.norm(chain - pixel, axis=1).min(), default=np.zeros((1, 2)))
-    return chain_length(nearest)
