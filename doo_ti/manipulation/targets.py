@@ -65,7 +65,8 @@ class Targets:
             raise InputError("Targets", "weight", "negative or not finite", "give zero or positive weights")
         nothing = np.flatnonzero(~(self._weight.sum(axis=1) > ASKED))
         if len(nothing):
-            raise InputError("Targets", "vertices", f"nothing is asked of rod {nothing[0]}", "give at least one vertex a place")
+            raise InputError("Targets", "vertices", f"nothing is asked of rod {nothing[0]}: all NaN, as without an "
+                             "equilibrium", "give at least one vertex a place")
 
     @property
     def count(self) -> int:
