@@ -199,9 +199,11 @@ def test_a_click_and_no_length(photographed, tmp_path, capsys):
     said = capsys.readouterr().out
     assert "of thread left over" in said and "28 to 28 mm at a bound" in said
     middle = rig.cameras[1].project(rods[0][[EDGES // 2]])[0]
-    main([*argv[:-1], "--seed-pixel", f"cam1:{middle[0]:.0f},{middle[1]:.0f}", "--out", str(tmp_path / "h.npz")])
+    place = argv.index("--seed-pixel") + 1
+    main([*argv[:place], f"cam1:{middle[0]:.0f},{middle[1]:.0f}", *argv[place + 1 : -1], "--out", str(tmp_path / "h.npz")])
     assert "begins within the thread" in capsys.readouterr().err
     for change, words in ((["--seed-pixel", "cam9:1,2"], ("cam9", "cam0, cam1, cam2")), (["--length", "9:5"], ("--length",)),
+                          (["--seed-pixel", "cam1:1,2"], ("given twice for cam1",)),
                           (["--rest-length", "3:14"], ("--edge", "--rest-length")),
                           (["--seed-point", "0,0,0"], ("--seed-point",)),
                           (["--seed-pixel", "cam0:3,3"], ("--seed-pixel", "px away"))):
