@@ -151,7 +151,11 @@ def detections(sight, every_path: Sequence[Sequence[Path]], cameras: Sequence) -
         try:
             for row in range(len(every_path)):
                 own, images = waiting.pop(0)
-                yield own.agreed([image.result() for image in images], row, every_path[row], cameras)
+                found = [image.result() for image in images]
+                # Images that show nothing that looks as where it was clicked are searched as others.
+                found = [one if one.count or own is sight else sight.detected(path, camera)
+                         for one, path, camera in zip(found, every_path[row], cameras, strict=True)]
+                yield own.agreed(found, row, every_path[row], cameras)
                 if row + AHEAD < len(every_path):
                     waiting.append(begun(row + AHEAD))
         finally:

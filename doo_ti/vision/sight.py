@@ -112,18 +112,18 @@ def _best_of(pixel: tuple[float, float], line: Detection, plain: tuple[Sight, De
     Each with what it detects; ``line``, the path from the pixel on.
 
     What is detected should be the path and nothing else. Where the path does not go on to the thread's ends it should have the
-    path, and the plain way is kept if it has. Where that detects something else near the pixel, as where a gripper holds the
-    thread, what is longer is the thread.
+    path, and the plain way is kept if it has, unless it has nothing at the pixel. Where that detects something else near the
+    pixel, as where a gripper holds the thread, what is longer is the thread.
     """
     path = line.points[line.strength > 0]
     shares = [_shares(path, found) for _, found in (plain, *others)]
     complete = shares[-1][1] >= COMPLETE
     scores = [2 * has * only / max(has + only, 1e-9) if complete else has for has, only in shares]
     best = 1 + int(np.argmax(scores[1:]))
-    better, elsewhere = scores[best] >= max(scores[0] + BETTER, ON_IT), shares[0][0] < ON_IT
-    if elsewhere and _near(plain[1], pixel):
+    near, elsewhere = _near(plain[1], pixel), shares[0][0] < ON_IT
+    better = scores[best] >= max(scores[0] + BETTER if near else 0.0, ON_IT) and (complete or elsewhere or not near)
+    if elsewhere and near:
         better &= len(path) > plain[1].count / POINTS_PER_PX
-    better &= complete or elsewhere
     return others[best - 1][0] if better else plain[0]
 
 
