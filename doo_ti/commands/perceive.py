@@ -39,7 +39,7 @@ def declare(add) -> None:
     search = parser.add_argument_group("search")
     given.add(search, "--nu", "NU", given.positive(), "weight ν of the images against the rod's energy, in 1/(mm px²) (default "
               "0.005)")
-    given.add(search, "--hypotheses", "H", given.whole(1, MOST_HYPOTHESES), "hypotheses kept for a set at a time (default 40)")
+    given.add(search, "--hypotheses", "H", given.whole(1, MOST_HYPOTHESES), "hypotheses kept per set and step (default 40)")
     search.add_argument("--evidence", choices=("both", "rod"), default="both", help="both: from the rod to the images and "
                         "back, with rods traced along the detected lines (default); rod: the paper's E_proj alone")
     search.add_argument("--detector", choices=("ridge", "canny"), default="ridge",

@@ -70,7 +70,7 @@ def save_arrays(out: Path, arrays: dict[str, np.ndarray], axes: tuple[str, ...] 
 
 IN_NEWTON = {"start_force": ("N", 1.0), "end_force": ("N", 1.0), "contact_force": ("N", 1.0), "tie_force": ("N", 1.0),
              "tie_moment": ("Nm", 1e-3)}
-"""The unit of forces and moments in files, and how much of it one N, or one N mm, is."""
+"""Forces and moments that files have in SI units too: the unit, and N or N m in one N or one N mm."""
 
 
 def in_newton(arrays: dict[str, np.ndarray], newtons: np.ndarray | None, axis: int) -> dict[str, np.ndarray]:

@@ -162,7 +162,7 @@ def _check_held(group: Group, members: list[Member]) -> None:
     for rod, member in enumerate(members):
         if (member.weights > 0).any() and not held[part == part[rod]].any(axis=0).all():
             raise InputError("relax_group", "clamps", f"rod {rod} has weight and nothing holds it, nor rods tied to it",
-                             "hold an end, with inertia at the first moment alone, or set weight 0")
+                             "hold an end (with inertia the first moment is enough), or set weight 0")
 
 
 def _reachable(group: Group, members: list[Member]) -> np.ndarray:

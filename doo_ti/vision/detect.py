@@ -152,7 +152,7 @@ def _between(image: np.ndarray, points: np.ndarray, direction: np.ndarray, look:
     where it has both there."""
     normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
     edges = edges_across(gradient(image), points, normal, look.polarity, 0.75 * look.width_px + 2)
-    sound = (edges.balance > LEAST_BALANCE) & (edges.width > look.width_px / 2) & (edges.width < 1.5 * look.width_px + 1)
+    sound = (edges.balance > LEAST_BALANCE) & edges.about(look.width_px)
     return points + np.where(sound, edges.shift, 0.0)[:, None] * normal
 
 
@@ -173,8 +173,7 @@ def _ridge_line(image: np.ndarray, look: Appearance, least_contrast: float, shor
     typical = (ridges.strength**3).sum() / max((ridges.strength**2).sum(), 1e-30)
     ridges = ridges[ridges.strength >= WEAK * typical]
     edges = edges_across(gradient(image), ridges.point, ridges.normal, look.polarity, 0.75 * look.width_px + 2)
-    sound = of_a_thread(edges, ridges.strength) & (np.abs(ridges.offset + edges.shift) <= REACH_PX)
-    sound &= (edges.width > look.width_px / 2) & (edges.width < 1.5 * look.width_px + 1)
+    sound = of_a_thread(edges, ridges.strength) & (np.abs(ridges.offset + edges.shift) <= REACH_PX) & edges.about(look.width_px)
     ridges, width = ridges.moved(edges.shift)[sound], edges.width[sound]
     piece = pieces(ridges, max(certain, STRONG * typical), max(shortest_px, look.width_px))
     kept = np.flatnonzero(piece)
@@ -243,8 +242,7 @@ def _wide_lines(dark: np.ndarray, width: float, own: np.ndarray, usual: float) -
     closed = cv2.morphologyEx(small, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
     ridges = Curvature(closed, SIGMA_PER_WIDTH * wide).ridges("light", LEAST_STRENGTH * BAR * 255)
     edges = edges_across(gradient(closed), ridges.point, ridges.normal, "light", 0.75 * wide + 2)
-    sound = (edges.width > wide / 2) & (edges.width < 1.5 * wide + 1) & (np.abs(ridges.offset + edges.shift) <= REACH_PX)
-    sound &= edges.balance > 0
+    sound = edges.about(wide) & (np.abs(ridges.offset + edges.shift) <= REACH_PX) & (edges.balance > 0)
     ridges, measured = ridges.moved(edges.shift)[sound], scale * edges.width[sound]
     points, direction, strength, each = in_whole_pixels(scale, ridges.point, ridges.tangent, ridges.strength, measured)
     away = cKDTree(own).query(points)[0] > 0.5 * usual + 1 if len(points) else np.zeros(0, dtype=bool)

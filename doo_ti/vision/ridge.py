@@ -137,6 +137,10 @@ class Edges:
     slope: np.ndarray  # (N,) grey levels per px: the weaker edge's
     balance: np.ndarray  # (N,) the weaker edge's slope over the stronger one's: 0 where only one side differs from the line
 
+    def about(self, width: float) -> np.ndarray:
+        """(N,) bool: they are about ``width`` px apart."""
+        return (self.width > width / 2) & (self.width < 1.5 * width + 1)
+
 
 def gradient(image: np.ndarray) -> np.ndarray:
     """(H, W, 2) grey levels per px: the slope of an image (H, W) float32 smoothed by EDGE_SIGMA, along x and y."""

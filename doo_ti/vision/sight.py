@@ -1,7 +1,7 @@
 """How threads are sought in images: by masks, their own alpha channels, a colour, or grey levels, and which of these shows the
 thread under a clicked pixel best (§IV-A)."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from glob import escape
 from pathlib import Path
@@ -18,9 +18,9 @@ from doo_ti.vision.images import read_image, read_mask
 from doo_ti.vision.ridge import POINTS_PER_PX, as_colour
 
 NEAR_PX = 3.0  # A point of a line this near to another line is on it
-COMPLETE = 0.9  # least share of what has the thread's colour that the path from the click goes along, where it is all of it
-BETTER = 0.01  # by which another way to seek the thread must show it better
-ON_IT = 0.5  # least share of that path where it was detected, and not something else
+COMPLETE = 0.9  # share of what has the thread's colour that lies on the followed path; from it on the path is the whole thread
+BETTER = 0.01  # by which the score of another way to seek the thread must be larger
+ON_IT = 0.5  # share of the followed path, of which less is detected where something else than the thread was
 
 
 def mask_of(folder: Path, image: Path) -> Path:
@@ -70,11 +70,10 @@ class Sight:
         coloured = replace(self, options=replace(self.options, colour=colour))
         if self.by_colour:
             return coloured
-        if min(_shares(line.points[line.strength > 0], plain)) > 1 - BETTER:  # nothing shows it better
-            return self
         others = [*(replace(self, options=replace(self.options, polarity=polarity, width_px=line.width_px))
                     for polarity in POLARITIES), coloured]
-        return _best_of(pixel, line, (self, plain), [(sight, sight.detected(path, own)) for sight in others])
+        best = _best_of(pixel, line.points[line.strength > 0], plain, (sight.detected(path, own) for sight in others))
+        return self if best is None else others[best]
 
     def agreed(self, found: Sequence[Detection], row: int, paths: Sequence[Path], cameras: Sequence[Camera]) -> list[Detection]:
         """The detections ``found`` in the images of set ``row``, in all of which the thread is dark, or light: as in the image
@@ -106,25 +105,30 @@ class Sight:
         return detect_mask(read_image(file, camera) if mask is None else mask, options)
 
 
-def _best_of(pixel: tuple[float, float], line: Detection, plain: tuple[Sight, Detection],
-             others: list[tuple[Sight, Detection]]) -> Sight:
-    """Which of several ways to seek it shows the thread under a ``pixel`` best: the ``plain`` one unless another is better.
-    Each with what it detects; ``line``, the path from the pixel on.
+def _best_of(pixel: tuple[float, float], path: np.ndarray, plain: Detection, others: Iterable[Detection]) -> int | None:
+    """Which of several other ways to seek the thread under a ``pixel`` shows it better than the ``plain`` one; None: none does.
 
-    What is detected should be the path and nothing else. Where the path does not go on to the thread's ends it should have the
-    path, and the plain way is kept if it has, unless it has nothing at the pixel. Where that detects something else near the
-    pixel, as where a gripper holds the thread, what is longer is the thread.
+    path    (N, 2) px of the thread, followed from the pixel on
+    plain   what the plain way detects
+    others  what the other ways detect, the last of them by colour; not asked for where the plain way detects just the path
+
+    If the path is the whole thread, the score of a way is the harmonic mean of the share of the path that it detects and of
+    the share of its points that are on the path. If the path ends early only the first share counts, and the plain way is kept
+    if it detects half of the path and something at the pixel. Where it detects another line there, as a gripper's, the longer
+    one is taken for the thread.
     """
-    path = line.points[line.strength > 0]
-    shares = [_shares(path, found) for _, found in (plain, *others)]
+    shares = [_shares(path, plain)]
+    if min(shares[0]) > 1 - BETTER:
+        return None
+    shares += [_shares(path, found) for found in others]
     complete = shares[-1][1] >= COMPLETE
     scores = [2 * has * only / max(has + only, 1e-9) if complete else has for has, only in shares]
-    best = 1 + int(np.argmax(scores[1:]))
-    near, elsewhere = _near(plain[1], pixel), shares[0][0] < ON_IT
-    better = scores[best] >= max(scores[0] + BETTER if near else 0.0, ON_IT) and (complete or elsewhere or not near)
+    best = int(np.argmax(scores[1:]))
+    near, elsewhere = _near(plain, pixel), shares[0][0] < ON_IT
+    better = scores[1 + best] >= max(scores[0] + BETTER if near else 0.0, ON_IT) and (complete or elsewhere or not near)
     if elsewhere and near:
-        better &= len(path) > plain[1].count / POINTS_PER_PX
-    return others[best - 1][0] if better else plain[0]
+        better &= len(path) > plain.count / POINTS_PER_PX
+    return best if better else None
 
 
 def _shares(path: np.ndarray, found: Detection) -> tuple[float, float]:

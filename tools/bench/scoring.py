@@ -85,6 +85,20 @@ class Specimens:
     def external(self) -> Reprojection:
         return Reprojection(self.images, self.rig, NU)
 
+    @cached_property
+    def photograph(self) -> np.ndarray:
+        """(3000, 4000, 3): a thread 40 px wide on paper of uneven brightness, with noise."""
+        random = np.random.default_rng(SEED)
+        image = cv2.resize(random.uniform(150, 215, (6, 8, 3)).astype(np.float32), (4000, 3000), interpolation=cv2.INTER_CUBIC)
+        x = np.arange(300, 3700)
+        curve = np.stack([x, 1500 + 900 * np.sin(x / 500)], axis=1)
+        cv2.polylines(image, [np.rint(16 * curve).astype(int)], False, (60, 60, 60), 40, cv2.LINE_AA, 4)
+        return np.clip(image + random.normal(0, 5, image.shape), 0, 255).astype(np.uint8)
+
+    def detected(self) -> Outcome:
+        found = detect(self.photograph)
+        return Outcome(1e-6 * found.shape[0] * found.shape[1], float(found.count > 0))
+
     def _bent(self, random, edges: int, turn: float) -> Configuration:
         tangents = np.diff(self.rods, axis=1)[self.sets, :edges] / LENGTH
         return _framed(self.rods[self.sets, 0], tangents + turn * random.normal(size=tangents.shape))
@@ -117,21 +131,6 @@ def _detected(camera: Camera, points: np.ndarray) -> Detection:
     return Detection(pixels, along, np.ones(len(pixels)), 2.0, "dark", (camera.height, camera.width), "drawn")
 
 
-def photograph() -> np.ndarray:
-    """(3000, 4000, 3): a thread 40 px wide on paper of uneven brightness, with noise."""
-    random = np.random.default_rng(SEED)
-    image = cv2.resize(random.uniform(150, 215, (6, 8, 3)).astype(np.float32), (4000, 3000), interpolation=cv2.INTER_CUBIC)
-    x = np.arange(300, 3700)
-    curve = np.stack([x, 1500 + 900 * np.sin(x / 500)], axis=1)
-    cv2.polylines(image, [np.rint(16 * curve).astype(int)], False, (60, 60, 60), 40, cv2.LINE_AA, 4)
-    return np.clip(image + random.normal(0, 5, image.shape), 0, 255).astype(np.uint8)
-
-
-def detected(image: np.ndarray) -> Outcome:
-    found = detect(image)
-    return Outcome(1e-6 * image.shape[0] * image.shape[1], float(found.count > 0))
-
-
 def cases(rods: Specimens, few: Specimens) -> list[Case]:
     """The timed cases: scores of ``rods``, relaxations of ``few``."""
     single = rods.hypotheses.astype(np.float32)
@@ -144,7 +143,7 @@ def cases(rods: Specimens, few: Specimens) -> list[Case]:
         for precision, solver in (("f32", SEARCH), ("f64", FINE)):
             scores.append(Case(f"relax {precision}, {edges} edges", "rods/s",
                                partial(few.relaxed, start, clamps, solver, precision)))
-    scores.append(Case("detect, 12 Mpx", "Mpx/s", partial(detected, photograph())))
+    scores.append(Case("detect, 12 Mpx", "Mpx/s", few.detected))
     return scores
 
 
