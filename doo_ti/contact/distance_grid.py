@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from doo_ti.contact.obstacles import BOX, CAPSULE, CYLINDER, GRID, PLANE, Distances, Obstacle, Placed, require_rotation
 from doo_ti.io.arrays import first_line
 from doo_ti.system.arguments import short_repr, typed
-from doo_ti.system.errors import InputError, real_array, require_number
+from doo_ti.system.errors import InputError, real_array
 from doo_ti.system.files import read_content
 
 HEADER = 4  # numbers that a grid has in front of all coefficients: where its own begin, and how many there are along each axis
@@ -183,7 +183,6 @@ def grid_table(obstacles: Sequence[Obstacle]) -> tuple[np.ndarray, np.ndarray]:
 def sampled(mesh, spacing: float, margin: float | None) -> tuple[np.ndarray, float, np.ndarray]:
     """(values (X, Y, Z) mm, spacing, the first point (3,)) of the grid around a surface, as
     :meth:`.DistanceGrid.from_mesh` takes it. Raises InputError for what is no closed surface, and where trimesh is missing."""
-    require_number("DistanceGrid", "spacing", spacing)
     if not spacing > 0:
         raise InputError("DistanceGrid", "spacing", f"{spacing:g}", "give a positive length in mm")
     surface, name = _surface(mesh)
@@ -192,7 +191,6 @@ def sampled(mesh, spacing: float, margin: float | None) -> tuple[np.ndarray, flo
     low, high = surface.bounds
     if margin is None:
         margin = MARGIN * (high - low).max() + MARGIN_SPACINGS * spacing
-    require_number("DistanceGrid", "margin", margin)
     if not margin > 0:
         raise InputError("DistanceGrid", "margin", f"{margin:g}", "give a positive length in mm")
     counts = np.ceil((high - low + 2 * margin) / spacing) + 1

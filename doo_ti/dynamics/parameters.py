@@ -10,7 +10,7 @@ from doo_ti.contact.touch import require_gap_tolerance
 from doo_ti.rod.material import STANDARD_GRAVITY
 from doo_ti.rod.types import Configuration, Material
 from doo_ti.system.arguments import short_repr, typed
-from doo_ti.system.errors import InputError, real_array, require_number, require_whole
+from doo_ti.system.errors import InputError, real_array, require_whole
 
 GRAVITY = 1e3 * STANDARD_GRAVITY
 """mm/s²: a rod of weight μ = 1 has the mass per length 2/GRAVITY in the package's units, for which its weight is 2."""
@@ -62,7 +62,6 @@ class Stepping:
     gap_tolerance: float | None = None
 
     def __post_init__(self) -> None:
-        require_number("Stepping", "rate", self.rate)
         if self.gap_tolerance is not None:
             require_gap_tolerance("Stepping", self.gap_tolerance)
         if not LEAST_RATE <= self.rate <= MOST_RATE:
@@ -70,7 +69,6 @@ class Stepping:
         require_whole("Stepping", "substeps", self.substeps, 1)
         require_whole("Stepping", "most_substeps", self.most_substeps, 1)
         if self.tolerance is not None:
-            require_number("Stepping", "tolerance", self.tolerance)
             if not self.tolerance > 0:
                 raise InputError("Stepping", "tolerance", f"{self.tolerance}", "give mm above zero, or None")
             if self.most_substeps < 2 * self.substeps:

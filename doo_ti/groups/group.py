@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from doo_ti.rod.types import Clamps, Configuration, Material, Rows
 from doo_ti.system.arguments import typed
-from doo_ti.system.errors import InputError, real_array, require_number, require_whole
+from doo_ti.system.errors import InputError, real_array, require_whole
 
 
 @typed
@@ -38,7 +38,6 @@ class Tie:
                 raise InputError("Tie", name, f"{end!r}", "give (rod, vertex)")
             for value in end:
                 require_whole("Tie", name, value, -(2**31))
-        require_number("Tie", "weight", self.weight)
         if not 0 <= self.weight < np.inf:
             raise InputError("Tie", "weight", f"{self.weight}", "give a finite number from zero up")
 

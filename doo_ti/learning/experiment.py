@@ -37,7 +37,7 @@ from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import observation_clamps
 from doo_ti.rod.types import LARGEST, Clamp, Clamps, Configuration, Material, Solution, Status, sticky
 from doo_ti.system.arguments import typed
-from doo_ti.system.errors import InputError, require_number, require_whole
+from doo_ti.system.errors import InputError, require_whole
 
 SOLVERS = {"newton": Newton, "descent": Descent}
 LEAST_SUB_STEP = 1e-5  # rad: smaller sub-steps change no result and take too long
@@ -74,14 +74,11 @@ class SweepOptions:
     scheduler: str | None = None
 
     def __post_init__(self) -> None:
-        require_number("sweep", "frame_weight", self.frame_weight)
-        require_number("sweep", "sub_step", self.sub_step)
         if not 0 <= self.frame_weight <= LARGEST:
             raise InputError("sweep", "frame_weight", f"{self.frame_weight!r} is no length", "give zero or more mm")
         if not LEAST_SUB_STEP <= self.sub_step <= np.pi:
             raise InputError("sweep", "sub_step", f"{self.sub_step!r}", f"give radians from {LEAST_SUB_STEP:g} to pi")
         require_whole("sweep", "spins", self.spins, 0)
-        require_number("sweep", "seed", self.seed)
         around = self.surroundings
         if around and isinstance(self.solver, Descent):
             raise InputError("sweep", "solver", "Descent cannot use obstacles", "give Newton()")

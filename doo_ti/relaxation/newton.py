@@ -24,7 +24,7 @@ from doo_ti.relaxation.loading import LANES, NEXT, TRIPS, Loading
 from doo_ti.relaxation.newton_trip import NewtonTrip
 from doo_ti.relaxation.self_contacts import SelfContacts
 from doo_ti.system.arguments import typed
-from doo_ti.system.errors import InputError, require_number, require_whole
+from doo_ti.system.errors import InputError, require_whole
 
 
 @device_functions
@@ -196,8 +196,6 @@ class Newton:
     gap_tolerance: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("first_shift", "max_rotation", *(() if self.tolerance is None else ("tolerance",))):
-            require_number("Newton", name, getattr(self, name))
         if self.tolerance is not None and not self.tolerance > 0:
             raise InputError("Newton", "tolerance", f"{self.tolerance} is not positive", "give a positive number")
         for name, least in (("max_iterations", 1), ("max_escapes", 0)):

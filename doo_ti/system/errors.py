@@ -3,7 +3,7 @@
 A rod that cannot be computed is not an error: it has a :class:`~doo_ti.rod.types.Status`.
 """
 
-from numbers import Integral, Real
+from numbers import Integral
 
 import numpy as np
 
@@ -36,12 +36,6 @@ class InputError(ValueError):
 
 class InterruptedRunError(RuntimeError):
     """A long run stopped early; finished work is kept and the message states how to resume (exit code 1)."""
-
-
-def require_number(source: str, field: str, value) -> None:
-    """Raise InputError unless ``value`` is a real number."""
-    if not isinstance(value, Real):
-        raise InputError(source, field, f"{value!r} is not a number", "give a number")
 
 
 def require_whole(source: str, field: str, value, least: int, most: int = 2**31 - 1) -> None:
