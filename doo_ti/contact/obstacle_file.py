@@ -47,8 +47,8 @@ from doo_ti.contact.obstacles import Box, Capsule, Cylinder, Obstacle, Plane, Ri
 from doo_ti.contact.surroundings import Itself, Moving, Surroundings
 from doo_ti.io import toml_file
 from doo_ti.io.arrays import read_npz
-from doo_ti.io.toml_file import Finite, NotNegative, Positive, Rotation, Table, Vector, checked, read_toml, unit_direction
-from doo_ti.rod.frames import rotation_matrix
+from doo_ti.io.toml_file import Finite, NotNegative, Positive, Rotation, Table, Vector, checked, read_toml
+from doo_ti.rod.frames import rotation_matrix, unit_direction
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import read_content, write_whole

@@ -25,7 +25,7 @@ from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.io import toml_file
 from doo_ti.io.motion_file import MOST_MOMENTS, ClampPath
 from doo_ti.io.toml_file import ClampName, Finite, MaterialKeys, Moment, NotNegative, Positive, Table, Vector, checked
-from doo_ti.rod.frames import quaternion_product, smallest_rotation
+from doo_ti.rod.frames import quaternion_product, smallest_rotation, unit_direction
 from doo_ti.rod.shapes import end_clamps, overhand_knot, with_end_edges
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
 from doo_ti.system.errors import InputError
@@ -185,7 +185,7 @@ def _start(path: Path, rod: _Rod, file: _File) -> Configuration:
         first = checked(path, "moments[0]", file.moments[0], Moment)
         position = first.start_position_mm or position
         direction, key = (first.start_direction, "moments[0].start_direction") if first.start_direction else (direction, key)
-    direction = toml_file.unit_direction(path, key, direction)
+    direction = unit_direction(path, key, direction)
     if rod.knot_loop_mm is None:
         return Configuration.straight(position, direction, rod.length_mm, rod.edges)
     if rod.radius_mm is None:

@@ -21,7 +21,8 @@ from doo_ti.dynamics.parameters import Dynamics
 from doo_ti.dynamics.scene import InertiaKeys, checked_material, stated_instants
 from doo_ti.groups.group import Group, Tie
 from doo_ti.io import toml_file
-from doo_ti.io.toml_file import ClampName, NotNegative, Positive, Table, Vector, checked, stated_material, unit_direction
+from doo_ti.io.toml_file import ClampName, NotNegative, Positive, Table, Vector, checked, stated_material
+from doo_ti.rod.frames import unit_direction
 from doo_ti.rod.material import STANDARD_GRAVITY
 from doo_ti.rod.shapes import rod_along, with_end_edges
 from doo_ti.rod.types import LARGEST, Clamp, Clamps, Configuration, Material

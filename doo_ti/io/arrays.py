@@ -21,20 +21,24 @@ import zipfile
 import zlib
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass
 from difflib import get_close_matches
 from io import StringIO
-from itertools import pairwise, zip_longest
+from itertools import islice, pairwise, zip_longest
 from pathlib import Path
 from tokenize import TokenError
 
 import numpy as np
 
-from doo_ti.rod.types import LARGEST
-from doo_ti.system.errors import InputError
+from doo_ti.rod.material import LARGEST, UNITS_IN_MM
+from doo_ti.system.errors import InputError, real_array
 from doo_ti.system.files import MOST_TEXT_BYTES, read_content
 
 AXES = ("x", "y", "z")
+LENGTH_ENDINGS = {**{f"_{unit}": factor for unit, factor in UNITS_IN_MM.items()}, "": 1.0}
+"""What the name of a column of lengths ends with: mm in the unit that this states, mm where it states none."""
+MOST_LISTED = 20  # names in a message
 MOST_UNPACKED_BYTES = 1 << 30  # of the arrays or columns of a file
 MOST_UNPACKED_RATIO = 1100  # of these bytes to those of the file: what NumPy compresses shrinks to a thousandth at best
 NEARLY = 0.88  # least similarity of two keys (difflib) at which one counts as a misspelling of the other
@@ -110,10 +114,14 @@ def read_arrays(path: Path, known: dict[str, tuple[tuple[int, ...], tuple[str, .
     Raises InputError for files that cannot be read, unknown columns, entries that are not finite numbers, and where none of
     the known keys is there.
     """
-    path = Path(path)
-    if path.suffix not in (".npz", ".csv"):
+    return checked_arrays(path, _from_table(path, known)) if path.suffix == ".csv" else read_numbers(path, tuple(known))
+
+
+def read_numbers(path: Path, known: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """The arrays of an npz file as float64. Raises InputError as :func:`read_arrays` does."""
+    if path.suffix != ".npz":
         raise InputError(path, "file", f"suffix {path.suffix!r}", "name a .npz or .csv file")
-    arrays = read_npz(path, read_content(path), tuple(known)) if path.suffix == ".npz" else _from_table(path, known)
+    arrays = read_npz(path, read_content(path), known)
     if not arrays:
         raise InputError(path, "file", "has none of the known keys", f"give some of {', '.join(known)}")
     return checked_arrays(path, arrays)
@@ -122,9 +130,7 @@ def read_arrays(path: Path, known: dict[str, tuple[tuple[int, ...], tuple[str, .
 def checked_arrays(path: Path, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """``arrays``, changed to float64. Raises InputError for those that are not finite numbers."""
     for key, value in arrays.items():
-        if value.dtype.kind not in "fiu":
-            raise InputError(path, key, f"dtype {value.dtype} is not numeric", "store real numbers")
-        arrays[key] = value = value.astype(np.float64)
+        arrays[key] = value = real_array(path, key, value, "store real numbers").astype(np.float64)
         if not (np.abs(value) <= LARGEST).all():
             raise InputError(path, key, "not finite", "give finite numbers")
     return arrays
@@ -145,6 +151,11 @@ def given_columns(path: Path, columns: tuple[str, ...], names) -> tuple[str, ...
         missing = next(name for name in columns if name not in names)
         raise InputError(path, missing, f"the column is missing beside {present[0]}", f"give {', '.join(columns)}")
     return tuple(present)
+
+
+def listed(names: Iterable[str]) -> str:
+    """The first of the ``names`` in a file, in a message."""
+    return ", ".join(islice(names, MOST_LISTED))
 
 
 def first_line(error: BaseException) -> str:

@@ -15,12 +15,13 @@ Axes: D curves, or T frames of one; V points or markers, in the order of the fil
 """
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from doo_ti.io.arrays import csv_rows, decoded, number_in
+from doo_ti.io.arrays import csv_rows, decoded, listed, number_in
 from doo_ti.rod.material import UNITS_IN_MM
 from doo_ti.rod.types import LARGEST
 from doo_ti.system.errors import InputError
@@ -60,14 +61,19 @@ def chosen_names(path, field: str, found: list[str], wanted: list[str] | None) -
         return found
     missing = next((name for name in wanted if name not in found), None)
     if missing is not None:
-        raise InputError(path, field, f"{missing!r} is not in the file", f"give some of {', '.join(found[:20])}")
+        raise InputError(path, field, f"{missing!r} is not in the file", f"give some of {listed(found)}")
     return wanted
 
 
-def checked_points(path, points: np.ndarray) -> np.ndarray:
-    """``points``, finite and within bounds. Raises InputError where they are not, or fewer than three of a curve."""
-    if points.ndim != 3 or points.shape[1] < 3:
-        raise InputError(path, "points", f"{points.shape[-2]} points in a curve", "give three or more")
+def stacked(path, curves: Sequence[np.ndarray]) -> np.ndarray:
+    """(D, V, 3) the points of D curves (V, 3). Raises InputError for curves of different sizes, fewer than three points, and
+    points that are not finite or beyond bounds."""
+    sizes = [len(points) for points in curves]
+    if len(set(sizes)) > 1:
+        raise InputError(path, "points", f"curves of {min(sizes)} to {max(sizes)} points", "give curves of equally many")
+    if sizes[0] < 3:
+        raise InputError(path, "points", f"{sizes[0]} points in a curve", "give three or more")
+    points = np.stack(curves)
     if not (np.abs(points) <= LARGEST).all():
         raise InputError(path, "points", "not finite", "give finite numbers")
     return points
@@ -105,11 +111,9 @@ def read_polylines(path: Path, content: bytes, names: list[str] | None = None) -
     if not lines:
         raise InputError(path, "file", "holds no numbers", FORM)
     if len(lines[0]) > 3:
-        return Curves(checked_points(path, np.array(lines).reshape(len(lines), -1, 3)))
-    counts = np.diff([*breaks, len(lines)] if breaks[-1] < len(lines) else breaks)
-    if len(set(counts)) > 1:
-        raise InputError(path, "points", f"curves of {counts.min()} to {counts.max()} points", "give equally many in each")
-    return Curves(checked_points(path, np.array(lines).reshape(len(counts), -1, 3)))
+        return Curves(stacked(path, np.array(lines).reshape(len(lines), -1, 3)))
+    ends = [end for end in breaks if 0 < end < len(lines)]
+    return Curves(stacked(path, np.split(np.array(lines), ends)))
 
 
 def _numbers(text: str) -> list[float] | None:

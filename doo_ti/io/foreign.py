@@ -14,11 +14,13 @@ without it. A matrix is a map ``rows, cols, dt, data`` with the tag ``!!opencv-m
 """
 
 import xml.etree.ElementTree as ElementTree
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
-from doo_ti.io.curves import Curves, checked_points, chosen_names
+from doo_ti.io.arrays import first_line
+from doo_ti.io.curves import Curves, chosen_names, stacked
 from doo_ti.rod.frames import matrix_from_quaternion
 from doo_ti.system.errors import InputError
 
@@ -40,10 +42,7 @@ def read_mujoco(path: Path, content: bytes, names: list[str] | None = None) -> C
     if not found:
         raise InputError(path, "worldbody", "has no cable", REMEDY)
     chosen = [found[name] for name in chosen_names(path, "prefix", list(found), names)]
-    sizes = {len(points) for points in chosen}
-    if len(sizes) > 1:
-        raise InputError(path, "count", f"cables of {min(sizes)} to {max(sizes)} points", "name cables that have equally many")
-    return Curves(checked_points(path, np.stack(chosen)), 1000.0)
+    return Curves(stacked(path, chosen), 1000.0)
 
 
 class _Tree(ElementTree.TreeBuilder):
@@ -159,11 +158,8 @@ def read_usd(path: Path, content: bytes, names: list[str] | None = None) -> Curv
              for name, prim in zip(called, prims, strict=True)}
     curves = [curve for name in chosen_names(path, "BasisCurves", list(found), names)
               for curve in _placed(path, name, found[name])]
-    sizes = {len(curve) for curve in curves}
-    if len(sizes) > 1:
-        raise InputError(path, "points", f"curves of {min(sizes)} to {max(sizes)} points", "name curves that have equally many")
     unit = 1000.0 * UsdGeom.GetStageMetersPerUnit(stage)
-    return Curves(checked_points(path, np.stack(curves)), unit, UP[str(UsdGeom.GetStageUpAxis(stage))])
+    return Curves(stacked(path, curves), unit, UP[str(UsdGeom.GetStageUpAxis(stage))])
 
 
 def _placed(path: Path, name: str, curves) -> list[np.ndarray]:
@@ -214,7 +210,7 @@ def read_opencv_yaml(text: str):
         return yaml.load(body, Loader)
     except (yaml.YAMLError, RecursionError, OverflowError, TypeError, ValueError, AttributeError) as error:
         # The last three: a key that is a list, a date that is none.
-        raise DamagedError((str(error) or type(error).__name__).splitlines()[0]) from None
+        raise DamagedError(first_line(error)) from None
 
 
 def _matrix(entries: dict) -> np.ndarray:
@@ -230,10 +226,7 @@ def _matrix(entries: dict) -> np.ndarray:
 
 
 def _number(value) -> float:
-    # YAML takes 1e3, without a point, for text.
-    if isinstance(value, bool) or not isinstance(value, int | float | str):
-        raise DamagedError(f"{value!r} in a matrix is no number")
-    try:
-        return float(value)
-    except (ValueError, OverflowError):
-        raise DamagedError(f"{value!r} in a matrix is no number") from None
+    if isinstance(value, int | float | str) and not isinstance(value, bool):  # YAML takes 1e3, without a point, for text
+        with suppress(ValueError, OverflowError):
+            return float(value)
+    raise DamagedError(f"{value!r} in a matrix is no number")

@@ -22,13 +22,13 @@ from typing import Annotated
 
 import numpy as np
 
-from doo_ti.io.arrays import AXES, checked_arrays, frame_columns, read_npz
+from doo_ti.io.arrays import AXES, checked_arrays, frame_columns, read_numbers
 from doo_ti.io.pose_table import frame_of_quaternion, read_poses
 from doo_ti.rod.frames import (
-    FRAME_TOLERANCE,
     angle_about,
+    is_half_turn,
+    is_rotation,
     matrix_from_quaternion,
-    orthonormality_error,
     quaternion_from_matrix,
     smallest_rotation,
     some_frames,
@@ -38,7 +38,7 @@ from doo_ti.rod.material import doubt_angle, mm_in
 from doo_ti.rod.types import POSES, Clamps
 from doo_ti.system.arguments import owning, short_repr, typed
 from doo_ti.system.errors import InputError, require_whole
-from doo_ti.system.files import csv_text, read_content
+from doo_ti.system.files import csv_text
 
 SHAPES = {"time_s": (), "start_position_mm": (3,), "end_position_mm": (3,), "start_frame": (3, 3), "end_frame": (3, 3),
           "start_quaternion": (4,), "end_quaternion": (4,), "end_rotation_deg": ()}
@@ -47,8 +47,6 @@ TOOL_AXES = {f"{sign}{name}": (axis, -1.0 if sign else 1.0) for sign in ("", "-"
 """Of a tool: which points along the rod, from its start to its end."""
 _POSES = ("start_position_mm", "end_position_mm", "start_frame", "end_frame")
 _LENGTHS = {"start_position_mm", "end_position_mm", "positions_mm"}
-HALF_TURN = np.radians(179.0)
-"""A larger turn of a frame from one moment to the next could also be a turn the other way round."""
 CONTRADICTION = np.radians(45.0)
 """Largest difference between a frame's turn and the given rotation, which may count the swing of the tangent differently."""
 MOST_MM = 1e6  # from the origin to a clamp
@@ -169,16 +167,12 @@ class ClampPath:
             name: (turning if name.endswith("frame") else smooth)(getattr(self, name)) for name in POSES})
 
     def _check_frames(self, name: str, frames: np.ndarray) -> None:
-        bad = (orthonormality_error(frames) > FRAME_TOLERANCE) | (np.linalg.det(frames) < 0)
+        bad = ~is_rotation(frames)
         if bad.any():
             raise InputError(self.source, name, f"the frame of moment {np.argwhere(bad)[0, 0]} is not a rotation",
                              "give unit, orthogonal columns t, m1, m2 with m2 = t x m1")
-        before, after = frames[:-1], frames[1:]
-        if self.tangents_only or (name == "end_frame" and self.end_rotation is not None):
-            cosine = np.sum(before[..., 0] * after[..., 0], axis=-1)
-        else:
-            cosine = 0.5 * (np.sum(before * after, axis=(-2, -1)) - 1)  # the trace of a rotation is 1 + 2 cos of its angle
-        unclear = cosine < np.cos(HALF_TURN)
+        tangents = self.tangents_only or (name == "end_frame" and self.end_rotation is not None)
+        unclear = is_half_turn(frames[:-1], frames[1:], not tangents)
         if unclear.any():
             moment = np.argwhere(unclear)[0, 0]
             raise InputError(self.source, name, f"half a turn from moment {moment} to {moment + 1}, in either sense",
@@ -254,15 +248,9 @@ def _read(path: Path, named: Mapping[str, str] | None) -> tuple[dict[str, np.nda
     """The keys of a file, those of poses with T moments each; and mm in the units of its positions, where it states them."""
     if path.suffix == ".csv":
         return read_poses(path, named)
-    if path.suffix != ".npz":
-        raise InputError(path, "file", f"suffix {path.suffix!r}", "name a .npz or .csv file")
+    arrays = read_numbers(path, (*SHAPES, "positions_mm", "rate_hz"))
     if named is not None:
         raise InputError(path, "columns", "an npz has keys", "leave them out")
-    keys = (*SHAPES, "positions_mm", "rate_hz")
-    arrays = read_npz(path, read_content(path), keys)
-    if not arrays:
-        raise InputError(path, "file", "has none of the known keys", f"give some of {', '.join(keys)}")
-    arrays = checked_arrays(path, arrays)
     if "positions_mm" not in arrays:
         count = max((len(value) if value.ndim else 0 for key, value in arrays.items() if key in SHAPES), default=0)
         for key in arrays.keys() & SHAPES.keys():

@@ -270,8 +270,7 @@ def _of_arrays(path: Path, rate: float | None, unit: float) -> MotionRecording:
     for key in ("positions_mm", "rate_hz"):
         if key not in found:
             raise InputError(path, key, "missing", "give positions_mm (R, T, V, 3) or (T, V, 3) and rate_hz")
-        if found[key].dtype.kind not in "fiu":
-            raise InputError(path, key, f"dtype {found[key].dtype} is not numeric", "store real numbers")
+        found[key] = real_array(path, key, found[key], "store real numbers")
     positions, names = unit * found["positions_mm"].astype(np.float64), found.get("recording")
     if found["rate_hz"].size != 1:
         raise InputError(path, "rate_hz", f"shape {found['rate_hz'].shape}", "give one number: frames per second")

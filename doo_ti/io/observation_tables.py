@@ -26,8 +26,16 @@ from typing import BinaryIO
 
 import numpy as np
 
-from doo_ti.io.arrays import AXES, check_unpacked, first_line, frame_columns, given_columns, read_csv
-from doo_ti.rod.material import UNITS_IN_MM
+from doo_ti.io.arrays import (
+    AXES,
+    LENGTH_ENDINGS,
+    check_unpacked,
+    first_line,
+    frame_columns,
+    given_columns,
+    listed,
+    read_csv,
+)
 from doo_ti.system.errors import InputError
 
 # Key of the npz format: what a value of it belongs to, the shape of the value, the names of its columns.
@@ -90,8 +98,8 @@ def read_table(path: Path, content: bytes, renamed: dict[str, str] | None = None
     for key, (owner, value_shape, names) in KEYS_IN_TABLES.items():
         if given_columns(path, names, columns):
             values = np.stack([np.where(row < 0, np.nan, columns[name][row]) for name in names], axis=-1)
-            lead = _lead(owner, row.shape)
-            keys[key] = _of_owner(path, key, owner, values, labels).reshape((*lead, *value_shape))
+            values = _of_owner(path, key, owner, values, labels)
+            keys[key] = values.reshape((*values.shape[:-1], *value_shape))
     for key in _SHARED:
         if key in keys:
             keys[key] = _agreed(path, key, keys[key], labels)
@@ -127,14 +135,14 @@ def _named(path: Path, names, renamed: dict[str, str]) -> dict[str, tuple[str, f
     """Column of the format: (column of the file, factor to its unit), of those that a file with columns ``names`` has."""
     given = {name.lower(): name for name in names} | {name: name for name in names}
     found = {name: (given[name], 1.0) for name in _COLUMNS if name in given}
-    for unit, factor in (*((f"_{unit}", factor) for unit, factor in UNITS_IN_MM.items()), ("", 1.0)):
-        own = [f"{axis}{unit}" for axis in AXES]
+    for ending, factor in LENGTH_ENDINGS.items():
+        own = [f"{axis}{ending}" for axis in AXES]
         if _POSITION[0] not in found and own[0] in given:
             found |= {name: (given[column], factor) for name, column in zip(_POSITION, own, strict=True) if column in given}
-    listed = f"the file has {', '.join(list(names)[:20])}"
+    has = f"the file has {listed(names)}"
     for name, column in renamed.items():
         if column not in names:
-            raise InputError(path, column, "the column is missing", listed)
+            raise InputError(path, column, "the column is missing", has)
         found[f"{name}_mm" if name in AXES else name] = (column, 1.0)
     missing = next((name for name in _POSITION if name not in found), None)
     number = next((given[name] for name in OTHER_NUMBERS if name in given), None)
@@ -144,7 +152,7 @@ def _named(path: Path, names, renamed: dict[str, str]) -> dict[str, tuple[str, f
                          f"give --columns observation={number}{'' if mark is None else f',vertex={mark}'}")
     if missing is not None:
         raise InputError(path, missing, "the column is missing", f"give the columns observation, vertex, "
-                         f"{', '.join(_POSITION)}, or name yours with `columns`; {listed}")
+                         f"{', '.join(_POSITION)}, or name yours with `columns`; {has}")
     return found
 
 
@@ -228,12 +236,6 @@ def _rows_of(path, observation: np.ndarray, vertex: np.ndarray) -> tuple[np.ndar
         raise InputError(path, "vertex", f"{vertex[twice[0]]} of observation {observation[twice[0]]} is there twice",
                          "give each vertex of an observation one row")
     return labels, row.reshape(len(labels), marks)
-
-
-def _lead(owner: str, shape: tuple[int, int]) -> tuple[int, ...]:
-    """The leading axes of what belongs to a vertex, an edge or an observation."""
-    count, marks = shape
-    return {"vertex": (count, marks), "edge": (count, marks - 1), "observation": (count,)}[owner]
 
 
 def _of_owner(path, key: str, owner: str, values: np.ndarray, labels: np.ndarray) -> np.ndarray:

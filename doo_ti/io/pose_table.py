@@ -20,9 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.io.arrays import AXES, NEARLY, CsvTable, frame_columns, given_columns, read_csv, read_npz
+from doo_ti.io.arrays import AXES, LENGTH_ENDINGS, NEARLY, CsvTable, frame_columns, given_columns, listed, read_csv, read_npz
 from doo_ti.rod.frames import matrix_from_quaternion, rotation_matrix
-from doo_ti.rod.material import UNITS_IN_MM
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import read_content
 
@@ -34,6 +33,7 @@ _TIMES = {f"{name}{unit}": factor for name in ("time", "timestamp", "stamp", "t"
           for unit, factor in (("_s", 1.0), ("", 1.0), ("_ms", 1e-3), ("_us", 1e-6), ("_ns", 1e-9))}
 _POSITION, _ORIENTATION = re.compile(r"^(pose_)?(position|translation|pos|t)_?(?=[xyz](_|$))"), re.compile(
     r"^(pose_)?(orientation|quaternion|quat|q)_?(?=[wxyz]$)")
+_ANGLE_ENDINGS = {"": 1.0, "_rad": 1.0, "_deg": np.pi / 180}  # of a column of angles: rad in its unit
 _QUATERNION, _VECTOR, _TURNS = ("qw", "qx", "qy", "qz"), ("rx", "ry", "rz"), ("roll", "pitch", "yaw")
 LARGEST_MISFIT = 1e-2  # of the length of a quaternion from one
 
@@ -54,8 +54,7 @@ def read_poses(path: Path, named: Mapping[str, str] | None = None) -> tuple[dict
     prefixes = {end: _plain((named or {}).get(end, end)) for end in ENDS}
     found = {end: _local(columns, f"{prefix}_") for end, prefix in prefixes.items()}
     for end in (end for end in ENDS if end in (named or {}) and not found[end]):
-        listed = ", ".join(list(table.columns)[:20])
-        raise InputError(path, "columns", f"none begins with {named[end]!r}", f"the file has {listed}")
+        raise InputError(path, "columns", f"none begins with {named[end]!r}", f"the file has {listed(table.columns)}")
     if not any(_poses(local) for local in found.values()):
         found["end"] = _local(columns, "") | found["end"]
     for end, local in found.items():
@@ -104,8 +103,8 @@ def _local(columns: dict[str, str], prefix: str) -> dict[str, str]:
 
 def _poses(local: dict[str, str]) -> bool:
     """Whether there is any pose among the columns of a gripper."""
-    positions = {f"{axis}{unit}" for axis in AXES for unit in ("", *(f"_{unit}" for unit in UNITS_IN_MM))}
-    angles = {f"{name}{unit}" for name in (*_VECTOR, *_TURNS) for unit in ("", "_rad", "_deg")}
+    positions = {f"{axis}{ending}" for axis in AXES for ending in LENGTH_ENDINGS}
+    angles = {f"{name}{ending}" for name in (*_VECTOR, *_TURNS) for ending in _ANGLE_ENDINGS}
     return bool(local.keys() & (positions | angles | {*_QUATERNION} | {"frame_t_x"}))
 
 
@@ -113,7 +112,7 @@ def _time(path: Path, columns: dict[str, str], named: dict[str, str]) -> tuple[s
     """The column of the time, and s in its unit."""
     if (own := named.get("time")) is not None:
         if _plain(own) not in columns:
-            raise InputError(path, own, "the column is missing", f"the file has {', '.join(list(columns.values())[:20])}")
+            raise InputError(path, own, "the column is missing", f"the file has {listed(columns.values())}")
         unit = re.search(r"_(ms|us|ns)$", _plain(own))
         return columns[_plain(own)], _TIMES[f"time_{unit[1]}"] if unit else 1.0
     return next(((columns[name], factor) for name, factor in _TIMES.items() if name in columns), None)
@@ -121,21 +120,19 @@ def _time(path: Path, columns: dict[str, str], named: dict[str, str]) -> tuple[s
 
 def _add(table: CsvTable, end: str, local: dict[str, str], keys: dict, units: dict) -> None:
     """Add the pose of one gripper to ``keys``."""
-    for unit in (*(f"_{unit}" for unit in UNITS_IN_MM), ""):
-        names = [f"{axis}{unit}" for axis in AXES]
-        if values := _columns(table, local, names):
-            keys[f"{end}_position_mm"] = np.stack(values, axis=-1)
-            units[f"{end}_position_mm"] = UNITS_IN_MM[unit[1:]] if unit else 1.0
+    for ending, factor in LENGTH_ENDINGS.items():
+        if values := _columns(table, local, [f"{axis}{ending}" for axis in AXES]):
+            keys[f"{end}_position_mm"], units[f"{end}_position_mm"] = np.stack(values, axis=-1), factor
             break
     frames = {}
     if values := _columns(table, local, list(frame_columns("frame"))):
         frames["frame"] = np.stack(values, axis=-1).reshape(-1, 3, 3)
     if values := _columns(table, local, list(_QUATERNION)):
         frames["quaternion"] = frame_of_quaternion(table.path, local["qw"], np.stack(values, axis=-1))
-    for unit, factor in (("", 1.0), ("_rad", 1.0), ("_deg", np.pi / 180)):
-        if values := _angles(table, local, _VECTOR, unit):
+    for ending, factor in _ANGLE_ENDINGS.items():
+        if values := _angles(table, local, _VECTOR, ending):
             frames["rotation vector"] = rotation_matrix(factor * np.stack(values, axis=-1))
-        if values := _angles(table, local, _TURNS, unit):
+        if values := _angles(table, local, _TURNS, ending):
             about = [rotation_matrix(factor * value[:, None] * np.eye(3)[k]) for k, value in enumerate(values)]
             frames["turns"] = about[2] @ about[1] @ about[0]
     if len(frames) > 1:

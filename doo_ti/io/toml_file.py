@@ -42,7 +42,13 @@ from typing import Annotated, Literal, get_args, get_origin
 import msgspec
 import numpy as np
 
-from doo_ti.rod.frames import matrix_from_quaternion, quaternion_product, smallest_rotation, turned_about_tangent
+from doo_ti.rod.frames import (
+    matrix_from_quaternion,
+    quaternion_product,
+    smallest_rotation,
+    turned_about_tangent,
+    unit_direction,
+)
 from doo_ti.rod.material import bend_or_twist, force_in_newton, weight_per_length
 from doo_ti.rod.types import LARGEST, Configuration
 from doo_ti.system.errors import InputError
@@ -104,14 +110,6 @@ def checked(source, key: str, value, kind):
     shown = repr(value)
     problem = f"{shown[:80] + '…' * (len(shown) > 80)} is not allowed"
     raise InputError(source, key, problem, _remedy(found["problem"], kind))
-
-
-def unit_direction(source, key: str, vector) -> np.ndarray:
-    """(3,) ``vector``, the value of that key, over its length. Raises InputError where that is zero."""
-    length = np.linalg.norm(vector)
-    if not length > 0:
-        raise InputError(source, key, "no direction", "give a vector X, Y, Z that is not zero")
-    return np.asarray(vector, dtype=np.float64) / length
 
 
 def unknown_key(source, key: str, known) -> InputError:

@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti import __version__
+from doo_ti.io.arrays import first_line
 from doo_ti.rod.grid import Grid
 from doo_ti.rod.types import LARGEST, Status
 from doo_ti.system.errors import InputError
@@ -259,5 +260,4 @@ def _parsed(path: Path, parse):
     try:
         return parse(path)
     except (pyarrow.ArrowException, OSError) as error:
-        reason = (str(error) or type(error).__name__).splitlines()[0]
-        raise InputError(path, "cells", f"cannot be read ({reason})", REMEDY) from None
+        raise InputError(path, "cells", f"cannot be read ({first_line(error)})", REMEDY) from None

@@ -15,6 +15,7 @@ from typing import Annotated
 import numpy as np
 
 from doo_ti.io.arrays import read_csv
+from doo_ti.rod.frames import is_half_turn
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import held_spins, start_configuration, turn_hypotheses
 from doo_ti.rod.types import Clamp, Clamps, Configuration
@@ -24,8 +25,6 @@ from doo_ti.system.files import csv_text, write_text
 
 APART_DEG = 120.0  # difference of the end rotations of the paper's pairs (footnote 7)
 SAME = 1e-6  # labels closer than this, in mm or degrees, are the same
-HALF_TURN = np.radians(1.0)
-"""rad: two frames that differ by half a turn, to within this, do not determine the direction of the turn."""
 MOST_TURNS = 100  # of the far clamp, from one observation of a pair to the other
 COLUMNS = ("from", "to", "weight", "rotation_deg")
 
@@ -149,11 +148,8 @@ def check_ways(pairs: Pairs, clamps: Clamps) -> None:
         del ends["end"]
     for name, (kind, frame) in ends.items():
         kind = np.broadcast_to(kind, len(frame))[pairs.to_index]
-        before, after = frame[pairs.from_index], frame[pairs.to_index]
-        along = np.sum(before[..., 0] * after[..., 0], axis=-1)
-        # The trace of a rotation is 1 + 2 cos of its angle.
-        cosine = np.where(kind == Clamp.FRAME, 0.5 * (np.sum(before * after, axis=(-2, -1)) - 1), along)
-        unclear = np.flatnonzero((kind >= Clamp.TANGENT) & (cosine < -np.cos(HALF_TURN)))
+        half = is_half_turn(frame[pairs.from_index], frame[pairs.to_index], kind == Clamp.FRAME)
+        unclear = np.flatnonzero((kind >= Clamp.TANGENT) & half)
         if len(unclear):
             x, y = pairs.from_index[unclear[0]], pairs.to_index[unclear[0]]
             remedy = "give rotation_deg, or end_rotation_deg" if name == "end" else "leave the pair out"

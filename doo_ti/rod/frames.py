@@ -4,10 +4,13 @@ Quaternions are (..., 4) with the scalar first; the columns of a rotation matrix
 """
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from doo_ti.system.errors import InputError
+from doo_ti.rod.material import LARGEST
+from doo_ti.system.errors import InputError, real_array
 
 FRAME_TOLERANCE = 1e-3  # largest allowed `orthonormality_error` of an input frame
+HALF_TURN = np.radians(179.0)
 
 
 def matrix_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
@@ -71,6 +74,14 @@ def is_rotation(frames: np.ndarray) -> np.ndarray:
     return (orthonormality_error(frames) <= FRAME_TOLERANCE) & (np.linalg.det(frames) > 0)
 
 
+def is_half_turn(before: np.ndarray, after: np.ndarray, whole: np.ndarray | bool) -> np.ndarray:
+    """(...) bool: whether frames (..., 3, 3) turn by HALF_TURN or more, so that they may have turned in either sense; where not
+    ``whole`` (...), their tangents."""
+    along = np.sum(before[..., 0] * after[..., 0], axis=-1)
+    turned = 0.5 * (np.sum(before * after, axis=(-2, -1)) - 1)  # the trace of a rotation is 1 + 2 cos of its angle
+    return np.where(whole, turned, along) < np.cos(HALF_TURN)
+
+
 def quaternion_product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Hamilton product of (..., 4) quaternions."""
     a, b = np.asarray(left), np.asarray(right)
@@ -106,6 +117,16 @@ def smallest_rotation(source: np.ndarray, target: np.ndarray) -> np.ndarray:
         vector = np.where(opposite[..., None], np.cross(source, helper), vector)
     quaternion = np.concatenate([scalar, vector], axis=-1)
     return quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
+
+
+def unit_direction(source: str, name: str, vector: ArrayLike) -> np.ndarray:
+    """(3,) the unit vector along ``vector``, the argument or key ``name`` of ``source``. Raises InputError where it is not a
+    direction."""
+    direction = real_array(source, name, vector, "give a direction of three numbers").astype(np.float64)
+    usable = direction.shape == (3,) and all(abs(number) <= LARGEST for number in direction.tolist())
+    if not usable or not (length := np.linalg.norm(direction)) > 0:
+        raise InputError(source, name, f"no direction in {direction.tolist()}", "give three finite numbers, not all zero")
+    return direction / length
 
 
 def unit_vectors(vectors: np.ndarray) -> np.ndarray:

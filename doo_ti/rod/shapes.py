@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.rod.frames import across, bishop_frames, conjugate, quaternion_from_matrix, quaternion_product
+from doo_ti.rod.frames import across, bishop_frames, conjugate, quaternion_from_matrix, quaternion_product, unit_direction
 from doo_ti.rod.material import doubt_length
 from doo_ti.rod.types import LARGEST, Clamp, Clamps, Configuration, unit_up
 from doo_ti.system.arguments import typed
@@ -40,8 +40,8 @@ def straight_rod(length: float, edges: int, start: ArrayLike = (0.0, 0.0, 0.0),
     Raises InputError for a length that is not positive, fewer than two edges or no direction.
     """
     length = _lengths("straight_rod", length, edges)
-    rod = Configuration.straight(_points("straight_rod", "start", start)[0], _direction("straight_rod", direction),
-                                 float(length[0]), edges)
+    begin, along = _points("straight_rod", "start", start)[0], unit_direction("straight_rod", "direction", direction)
+    rod = Configuration.straight(begin, along, float(length[0]), edges)
     return with_end_edges(rod) if vertex_clamps else rod
 
 
@@ -145,13 +145,6 @@ def _points(function: str, name: str, value: ArrayLike) -> np.ndarray:
     if points.ndim != 2 or points.shape[-1] != 3 or not len(points) or not (np.abs(points) <= LARGEST).all():
         raise InputError(function, name, f"shape {points.shape}, or not finite", "give points (3,) or (R, 3) in mm")
     return points
-
-
-def _direction(function: str, direction: ArrayLike) -> np.ndarray:
-    value = _points(function, "direction", direction)[0]
-    if not (size := np.linalg.norm(value)) > 0:
-        raise InputError(function, "direction", f"{value.tolist()}", "give three numbers, not all zero")
-    return value / size
 
 
 # --- along curves --------------------------------------------------------------------------------------------------------

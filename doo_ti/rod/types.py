@@ -22,11 +22,12 @@ from doo_ti.rod.frames import (
     matrix_from_quaternion,
     quaternion_from_matrix,
     tangent_from_quaternion,
+    unit_direction,
     vertices_from_quaternions,
 )
 from doo_ti.rod.material import LARGEST, Material, Rows, force_in_newton
 from doo_ti.system.arguments import counted, span_text, typed
-from doo_ti.system.errors import MOST_EDGES, InputError, real_array, require_whole
+from doo_ti.system.errors import MOST_EDGES, InputError, require_whole
 
 __all__ = ["LARGEST", "Clamp", "Clamps", "Configuration", "Material", "Rows", "Solution", "Status", "sticky", "unit_up"]
 
@@ -342,8 +343,4 @@ _PER_ROD = tuple(entry.name for entry in fields(Solution) if entry.name not in (
 
 def unit_up(up: ArrayLike, function: str) -> np.ndarray:
     """(3,) the unit vector along ``up``, an argument of ``function``. Raises InputError where it is not a direction."""
-    direction = real_array(function, "up", up, "give a direction of three numbers").astype(np.float64)
-    usable = direction.shape == (3,) and all(abs(number) <= LARGEST for number in direction.tolist())
-    if not usable or not (length := np.linalg.norm(direction)) > 0:
-        raise InputError(function, "up", f"{direction.tolist()}", "give a direction of three finite numbers, not all zero")
-    return direction / length
+    return unit_direction(function, "up", up)
