@@ -16,7 +16,7 @@ from doo_ti.contact.surroundings import SHALLOW, Moving, Surroundings, about, si
 from doo_ti.dynamics.parameters import Stepping
 from doo_ti.relaxation import time_loading
 from doo_ti.relaxation.time_loading import PATH_ANCHOR, PATH_COLUMNS, PATH_ENDS, PATH_TARGET, POSE_COLUMNS, POSE_SHIFT
-from doo_ti.rod.frames import matrix_from_quaternion, quaternion_from_matrix, smallest_rotation
+from doo_ti.rod.frames import matrix_from_quaternion, of_like_signs, quaternion_from_matrix, smallest_rotation
 from doo_ti.rod.start import require_frames
 from doo_ti.rod.types import POSES, Clamp, Clamps, Configuration, Rows, require_kinds
 from doo_ti.system.arguments import short_repr, typed
@@ -124,10 +124,7 @@ def cubic(points: np.ndarray, share: np.ndarray) -> np.ndarray:
 def turning(frames: np.ndarray, share: np.ndarray) -> np.ndarray:
     """(S, (T − 1) parts + 1, 3, 3) frames between (S, T, 3, 3): cubics through their quaternions, the shorter way from each to
     the next, normalised. A speed of turning that jumps would be a blow to the rod at every instant, however small the steps."""
-    q = quaternion_from_matrix(frames)
-    signs = np.cumprod(np.where((q[:, 1:] * q[:, :-1]).sum(axis=-1) < 0, -1.0, 1.0), axis=1)
-    q[:, 1:] *= signs[..., None]
-    between = cubic(q, share)
+    between = cubic(of_like_signs(quaternion_from_matrix(frames)), share)
     return matrix_from_quaternion(between / np.linalg.norm(between, axis=-1, keepdims=True))
 
 

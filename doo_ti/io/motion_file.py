@@ -29,6 +29,7 @@ from doo_ti.rod.frames import (
     is_half_turn,
     is_rotation,
     matrix_from_quaternion,
+    of_like_signs,
     quaternion_from_matrix,
     smallest_rotation,
     some_frames,
@@ -159,9 +160,7 @@ class ClampPath:
         def turning(frames):
             if frames is None:
                 return None
-            q = quaternion_from_matrix(frames)
-            q[1:] *= np.cumprod(np.where((q[1:] * q[:-1]).sum(axis=-1) < 0, -1.0, 1.0), axis=0)[..., None]
-            between = smooth(q)
+            between = smooth(of_like_signs(quaternion_from_matrix(frames).swapaxes(0, 1)).swapaxes(0, 1))
             return matrix_from_quaternion(between / np.linalg.norm(between, axis=-1, keepdims=True))
         return replace(self, time=time, end_rotation=smooth(self.end_rotation), **{
             name: (turning if name.endswith("frame") else smooth)(getattr(self, name)) for name in POSES})

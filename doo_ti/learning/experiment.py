@@ -293,6 +293,11 @@ def relax_hypotheses(experiment: Experiment, first: int, last: int) -> tuple[dic
     return columns, solution.configuration
 
 
+def are_certified(columns: dict[str, np.ndarray]) -> np.ndarray:
+    """(R,) bool: whether the rods of :func:`relax_cells` are certified minima."""
+    return (columns["status"] == Status.CONVERGED) & columns["stable"]
+
+
 def with_nearest_turns(experiment: Experiment, cell: int) -> Experiment:
     """The experiment with one hypothesis for each observation: the nearest in that cell."""
     if not experiment.hypotheses.are_several:
@@ -340,5 +345,4 @@ def _nearest(experiment: Experiment, columns: dict[str, np.ndarray]) -> np.ndarr
 def _by_cell(experiment: Experiment, columns: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """(G, N) the distance that decides between hypotheses, mm, and whether the rod is a certified minimum."""
     shape = -1, len(experiment.rods[0])
-    sound = (columns["status"] == Status.CONVERGED) & columns["stable"]
-    return columns[experiment.decides].reshape(shape), sound.reshape(shape)
+    return columns[experiment.decides].reshape(shape), are_certified(columns).reshape(shape)

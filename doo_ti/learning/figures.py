@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.learning.cross_validation import check_comparable
-from doo_ti.learning.experiment import Experiment, relax_cells
+from doo_ti.learning.experiment import Experiment, are_certified, relax_cells
 from doo_ti.learning.landscape import Landscape, plane_of, read_landscape
 from doo_ti.learning.run_folder import read_experiment
 from doo_ti.record import sweep
@@ -23,7 +23,7 @@ from doo_ti.report.figures import Ribbons, ribbon_sides, ribbons_picture
 from doo_ti.report.landscapes import LandscapePanel, cells_image, landscapes_picture
 from doo_ti.report.plane import REGIMES, regime
 from doo_ti.rod.grid import Axis, Grid
-from doo_ti.rod.types import Configuration, Status
+from doo_ti.rod.types import Configuration
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import progress
 
@@ -206,10 +206,9 @@ def _relaxed(study: Study, advance: Callable[[int], None]) -> Iterator[sweep.Rod
         for first in range(0, grid.size, step):
             last = min(first + step, grid.size)
             columns, configuration = relax_cells(part, first, last)
-            sound = (columns["status"] == Status.CONVERGED) & columns["stable"]
             vertices = configuration.vertices
             yield sweep.Rods(run, first, vertices.reshape(last - first, -1, *vertices.shape[1:]),
-                             columns["distance_mm"].reshape(last - first, -1), sound.reshape(last - first, -1))
+                             columns["distance_mm"].reshape(last - first, -1), are_certified(columns).reshape(last - first, -1))
             advance(len(vertices))
 
 
@@ -281,7 +280,7 @@ def regimes_of(experiment: Experiment, landscape: Landscape) -> list[Regime]:
         columns, configuration = relax_cells(experiment, cell, cell + 1)
         theta = values_text([(name, values[name][cell], "mm³") for name in ("bend_1", "bend_2")])
         found.append(Regime(number, float(landscape.mean_distance[cell]), theta, configuration, columns["distance_mm"],
-                            (columns["status"] == Status.CONVERGED) & columns["stable"]))
+                            are_certified(columns)))
     return found
 
 

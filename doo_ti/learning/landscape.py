@@ -127,6 +127,11 @@ class Landscape:
                              "look at status and stable in cells/")
         return int(np.nanargmin(self.mean_distance))
 
+    @property
+    def theta(self) -> dict[str, float]:
+        """bend_1, bend_2, twist and weight of the best cell."""
+        return {name: float(value[0]) for name, value in self.grid.cell_values(np.array([self.best])).items()}
+
     @cached_property
     def intervals(self) -> tuple[Interval, ...]:
         """For each varying axis the range within 5 % of the smallest mean distance."""
@@ -142,13 +147,12 @@ class Landscape:
     def as_dict(self) -> dict:
         """All of this as a summary holds it."""
         best, stored = self.best, self.status[self.status >= 0]
-        theta = {name: float(value[0]) for name, value in self.grid.cell_values(np.array([best])).items()}
         jumps = {} if self.jumps is None else {
             "jumps": {"rods": int((self.jumps > 0).sum()), "rods_at_best": int((self.jumps[best] > 0).sum())}}
         return {
             "material": self.name,
             "objective": self.objective,
-            "best": {**theta, "bend_12": self.grid.bend_12, "mean_distance_mm": float(self.mean_distance[best])},
+            "best": {**self.theta, "bend_12": self.grid.bend_12, "mean_distance_mm": float(self.mean_distance[best])},
             "intervals_within_5_percent": [asdict(interval) for interval in self.intervals],
             "units": {"bend_1": "mm3", "bend_2": "mm3", "bend_12": "mm3", "twist": "mm3", "weight": "relative"},
             "rods": {"count": len(stored), **status_counts(stored), "stable": int(self.stable.sum())},

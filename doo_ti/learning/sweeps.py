@@ -174,12 +174,11 @@ def draw(folder: Path, experiment: Experiment, landscape: Landscape, identity: s
     shown where the ``linear_density`` in g/m is known. Returns the names of those that were written."""
     from doo_ti.report.landscapes import landscape_picture
 
-    observations, grid, best = experiment.observations, experiment.grid, landscape.best
+    observations, grid, theta = experiment.observations, experiment.grid, landscape.theta
     static = experiment.pairs is None
     terms = f"{observations.count} observations" if static else f"{experiment.pairs.count} pairs"
     title = f"{observations.name}: {landscape.objective} error over {terms}{remark}"
     plane = plane_of(landscape)
-    theta = {name: float(value[0]) for name, value in grid.cell_values(np.array([best])).items()}
     written = []
     if grid.varying:
         written.append("landscape.png")
@@ -194,9 +193,9 @@ def draw(folder: Path, experiment: Experiment, landscape: Landscape, identity: s
     record_sweep(
         folder / "run.rrd", run_id=identity[:32], name=title,
         observed=Observed.of(observations if static else observations.take(experiment.pairs.to_index)),
-        trajectory=trajectory(experiment, best), plane=plane, intervals=landscape.intervals,
+        trajectory=trajectory(experiment, landscape.best), plane=plane, intervals=landscape.intervals,
         properties={"bend_1_mm3": theta["bend_1"], "bend_2_mm3": theta["bend_2"], "twist_mm3": theta["twist"],
-                    "weight": theta["weight"], "mean_distance_mm": float(landscape.mean_distance[best]),
+                    "weight": theta["weight"], "mean_distance_mm": float(landscape.mean_distance[landscape.best]),
                     "rods": int((landscape.status >= 0).sum()),
                     "cells_competing": landscape.competition["cells_competing"],
                     "rods_converged": int((landscape.status == Status.CONVERGED).sum()),

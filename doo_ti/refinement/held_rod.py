@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.refinement.mesh import GEOMETRY, Lengths, Mesh, mesh_of
+from doo_ti.refinement.mesh import GEOMETRY, Lengths, Mesh
 from doo_ti.relaxation.external import PointLoads
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
@@ -139,7 +139,7 @@ class HeldRod:
 
     def mesh(self, lengths: Lengths) -> Mesh:
         """The mesh for ``lengths``; the length of a clip at an end without one is ignored."""
-        return mesh_of(tuple(self.clamped.tolist()), self.edges, tuple(lengths.clip.tolist()), float(lengths.spacing.sum()))
+        return Mesh.between(self.clamped, self.edges, lengths)
 
     def clip_in_reach(self, clip: np.ndarray) -> np.ndarray:
         """(2,) ``clip``, shortened where the clamps of some observations would be further apart than the rod between them is

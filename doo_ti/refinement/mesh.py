@@ -19,7 +19,7 @@ Axes: M marks, N edges of the mesh, K knots.
 """
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 
@@ -66,9 +66,36 @@ class Mesh:
         steps = np.arange(1, len(self.place) - 1)[:, None]
         return self.first_slope + steps * self.edge_slope
 
+    @classmethod
+    def between(cls, clamped: np.ndarray, edges: int, lengths: Lengths) -> "Mesh":
+        """The mesh of so many ``edges``; ``clamped`` (2,) bool: ends with a clip, the length of another one is ignored."""
+        held = clamped.astype(float)
+        count = edges - 0.5 * held.sum()
+        edge = (float(lengths.spacing.sum()) - held @ lengths.clip) / count
+        slope = np.append(-held, 1.0) / count
+        first = held[0] * (lengths.clip[0] - 0.5 * edge)
+        first_slope = held[0] * (np.eye(GEOMETRY)[0] - 0.5 * slope)
+        return cls(edge, first + edge * np.arange(edges + 1), slope, first_slope)
+
     def at(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(X, N + 1) weights of the vertices at arc lengths ``place`` (X,), and their derivatives by u = (s − s_0)/h."""
-        return _interpolation(tuple(((place - self.place[0]) / self.edge).tolist()), len(self.place))
+        """(X, N + 1) weights of the vertices at arc lengths ``place`` (X,), and their derivatives by u = (s − s_0)/h: cubic,
+        but linear in the outermost intervals and beyond, which a clip may hold."""
+        u, count = (place - self.place[0]) / self.edge, len(self.place)
+        weights, slopes = np.zeros((2, len(u), count))
+        rows = np.arange(len(u))
+        inner = (u > 1) & (u < count - 2) & (count >= 6)
+        low = np.where(inner, np.clip(np.floor(u).astype(int) - 1, 1, max(count - 5, 1)), 0)
+        t = u - low
+        cubic = ((0, (1, 2, 3), -6.0), (1, (0, 2, 3), 2.0), (2, (0, 1, 3), -2.0), (3, (0, 1, 2), 6.0))
+        for k, (a, b, c), scale in cubic:
+            columns = rows[inner], (low + k)[inner]
+            weights[columns] = (((t - a) * (t - b) * (t - c)) / scale)[inner]
+            slopes[columns] = (((t - b) * (t - c) + (t - a) * (t - c) + (t - a) * (t - b)) / scale)[inner]
+        outer = ~inner
+        low = np.clip(np.floor(u).astype(int), 0, count - 2)
+        weights[rows[outer], low[outer]], weights[rows[outer], low[outer] + 1] = (1 - (u - low))[outer], (u - low)[outer]
+        slopes[rows[outer], low[outer]], slopes[rows[outer], low[outer] + 1] = -1.0, 1.0
+        return weights, slopes
 
     def at_edges(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(X, N) weights of the edges, each at its middle and linear in between, and their derivatives by u."""
@@ -88,40 +115,6 @@ class Mesh:
         """(X, GEOMETRY) derivative of u = (s − s_0)/h at given arc lengths s."""
         u = (place - self.place[0]) / self.edge
         return -(self.first_slope + u[:, None] * self.edge_slope) / self.edge
-
-
-@lru_cache(maxsize=64)
-def mesh_of(clamped: tuple[bool, bool], edges: int, clip: tuple[float, float], length: float) -> Mesh:
-    """The mesh of :meth:`HeldRod.mesh`, kept: a fit asks for the same one many times."""
-    held = np.array(clamped, dtype=float)
-    count = edges - 0.5 * held.sum()
-    edge = (length - held @ clip) / count
-    slope = np.append(-held, 1.0) / count
-    first = held[0] * (clip[0] - 0.5 * edge)
-    first_slope = held[0] * (np.eye(GEOMETRY)[0] - 0.5 * slope)
-    return Mesh(edge, first + edge * np.arange(edges + 1), slope, first_slope)
-
-
-@lru_cache(maxsize=64)
-def _interpolation(places: tuple[float, ...], count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Weights (X, count) of ``count`` evenly spaced values at the places u, and their derivatives: cubic, but linear in the
-    outermost intervals and beyond, which a clip may hold."""
-    u = np.array(places)
-    weights, slopes = np.zeros((2, len(u), count))
-    rows = np.arange(len(u))
-    inner = (u > 1) & (u < count - 2) & (count >= 6)
-    low = np.where(inner, np.clip(np.floor(u).astype(int) - 1, 1, max(count - 5, 1)), 0)
-    t = u - low
-    cubic = ((0, (1, 2, 3), -6.0), (1, (0, 2, 3), 2.0), (2, (0, 1, 3), -2.0), (3, (0, 1, 2), 6.0))
-    for k, (a, b, c), scale in cubic:
-        weights[rows[inner], (low + k)[inner]] = (((t - a) * (t - b) * (t - c)) / scale)[inner]
-        slopes[rows[inner], (low + k)[inner]] = (((t - b) * (t - c) + (t - a) * (t - c) + (t - a) * (t - b)) / scale)[inner]
-    outer = ~inner
-    low = np.clip(np.floor(u).astype(int), 0, count - 2)
-    weights[rows[outer], low[outer]], weights[rows[outer], low[outer] + 1] = (1 - (u - low))[outer], (u - low)[outer]
-    slopes[rows[outer], low[outer]], slopes[rows[outer], low[outer] + 1] = -1.0, 1.0
-    weights.flags.writeable = slopes.flags.writeable = False  # kept, and shared by all who ask
-    return weights, slopes
 
 
 # --- the field of rest curvature ------------------------------------------------------------------------------------------

@@ -31,6 +31,7 @@ from doo_ti.refinement.unknowns import Unknowns, Values
 from doo_ti.relaxation.contact_table import require_clear
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
+from doo_ti.rod.frames import of_like_signs
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import start_configuration, turn_hypotheses
 from doo_ti.rod.types import Clamps, Configuration, Solution, Status
@@ -335,11 +336,8 @@ def relaxed_on(unknowns: Unknowns, values: Values, solution: Solution, before: H
     mesh, old = rod.mesh(lengths), before.mesh(lengths)
     middles = 0.5 * (mesh.place[1:] + mesh.place[:-1])
     weights = old.at_edges(middles)[0]
-    quaternions = solution.configuration.quaternions
-    # Neighbouring quaternions with the same sign, so that weighted means of them are frames between.
-    sign = np.sign(np.einsum("rek,rek->re", quaternions[:, 1:], quaternions[:, :-1]))
-    sign = np.concatenate([np.ones((len(sign), 1)), np.cumprod(np.where(sign == 0, 1.0, sign), axis=1)], axis=1)
-    between = np.einsum("xe,rek->rxk", weights, sign[..., None] * quaternions)
+    # Of like signs, so that weighted means of them are frames between.
+    between = np.einsum("xe,rek->rxk", weights, of_like_signs(solution.configuration.quaternions))
     between /= np.linalg.norm(between, axis=-1, keepdims=True)
     clamps = rod.mesh_clamps(lengths, unknowns.pose(values))
     start = np.where(np.isfinite(clamps.start_position), clamps.start_position, solution.configuration.start)

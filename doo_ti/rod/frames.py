@@ -91,6 +91,13 @@ def quaternion_product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
                      a0 * b2 + b0 * a2 + (a3 * b1 - a1 * b3), a0 * b3 + b0 * a3 + (a1 * b2 - a2 * b1)], axis=-1)
 
 
+def of_like_signs(quaternions: np.ndarray) -> np.ndarray:
+    """(..., T, 4) the same rotations, each with the sign that is the nearer one to the rotation before it."""
+    turned = np.sum(quaternions[..., 1:, :] * quaternions[..., :-1, :], axis=-1) < 0
+    signs = np.cumprod(np.where(turned, -1.0, 1.0), axis=-1)
+    return np.concatenate([quaternions[..., :1, :], signs[..., None] * quaternions[..., 1:, :]], axis=-2)
+
+
 def conjugate(quaternion: np.ndarray) -> np.ndarray:
     """(..., 4) the inverse rotations of unit quaternions."""
     return quaternion * np.array([1.0, -1.0, -1.0, -1.0])

@@ -86,12 +86,7 @@ class Material:
             raise InputError("material", "weight_per_length", "not positive, or given for a rod without weight",
                              "give N/m; for a rod without weight leave it out")
         values = {"bend": bend, "twist": twist, "weight": weight, "rest_curvature": rest, "weight_per_length": newton}
-        lengths = [len(value) for value in values.values() if value is not None]
-        count = max(lengths)
-        if not all(lengths):
-            raise InputError("material", "bend, twist, weight", "no rows", "give at least one material")
-        if any(length not in (1, count) for length in lengths):
-            raise InputError("material", "bend, twist, weight", "leading lengths differ", "give one value or one per rod")
+        count = _rows("bend, twist, weight", *(value for value in values.values() if value is not None))
         for name, value in values.items():
             if value is not None:
                 value = np.array(np.broadcast_to(value, (count, *value.shape[1:])))
@@ -103,9 +98,7 @@ class Material:
     def diagonal(cls, bend_1: ArrayLike, bend_2: ArrayLike, twist: ArrayLike, weight: ArrayLike = 1.0) -> "Material":
         """B = diag(bend_1, bend_2) along the material frame: bend_1 weighs bending about m2, bend_2 about m1."""
         first, second = (_positive(name, value, " mm³", "give mm³") for name, value in (("bend_1", bend_1), ("bend_2", bend_2)))
-        if (len(first) != len(second) and 1 not in (len(first), len(second))):
-            shapes = f"shapes {first.shape}, {second.shape}"
-            raise InputError("material", "bend_1, bend_2", shapes, "give one value or one per rod")
+        _rows("bend_1, bend_2", first, second)
         first, second = np.broadcast_arrays(first, second)
         return cls(first[:, None, None] * np.diag([1.0, 0.0]) + second[:, None, None] * np.diag([0.0, 1.0]), twist, weight)
 
@@ -121,9 +114,7 @@ class Material:
         weight = _positive("weight_per_length", weight_per_length, " N/m",
                            "give N/m; for a rod without weight give Material(bend, twist, weight=0)")
         bend, twist = (_positive(name, value, " N m²", "give N m²") for name, value in (("EI", EI), ("GJ", GJ)))
-        rows = {len(value) for value in (bend, twist, weight)} - {1}
-        if len(rows) > 1:
-            raise InputError("material", "EI, GJ, weight_per_length", f"{sorted(rows)} rows", "give one value or one per rod")
+        _rows("EI, GJ, weight_per_length", bend, twist, weight)
         doubt_weight("Material.from_physical", bend, weight)
         return cls(bend_or_twist(bend, weight), bend_or_twist(twist, weight), weight_per_length=weight)
 
@@ -168,6 +159,14 @@ class Material:
     def is_isotropic(self) -> bool:
         """Whether all rows are isotropic."""
         return bool(self.isotropic.all())
+
+
+def _rows(name: str, *values: np.ndarray) -> int:
+    """R of ``values`` with one row or R each. Raises InputError for other numbers of rows, and for none."""
+    rows = {len(value) for value in values}
+    if len(rows - {1}) > 1 or 0 in rows:
+        raise InputError("material", name, f"{', '.join(map(str, sorted(rows)))} rows", "give one value or one per rod")
+    return max(rows)
 
 
 def _finite(name: str, value) -> np.ndarray:

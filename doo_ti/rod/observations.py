@@ -199,19 +199,15 @@ class Observations:
 
     def _checked_valid(self, vertices: np.ndarray) -> np.ndarray:
         if self.valid is None:
-            missing = np.isnan(vertices).any(axis=-1)
-            self._finite("vertices", vertices, ~missing[..., None])
-            return self._with_enough(~missing)
-        valid = real_array(self.source, "valid", self.valid, "store booleans", "biuf")
-        if not np.isin(valid, (0, 1)).all():
-            raise self._error("valid", f"dtype {valid.dtype} with other values than true and false", "store booleans")
-        if valid.shape != vertices.shape[:2]:
-            raise self._error("valid", f"shape {valid.shape}", f"make it (D, V) = {vertices.shape[:2]}")
-        valid = valid.astype(bool)
+            valid = ~np.isnan(vertices).any(axis=-1)
+        else:
+            valid = real_array(self.source, "valid", self.valid, "store booleans", "biuf")
+            if not np.isin(valid, (0, 1)).all():
+                raise self._error("valid", f"dtype {valid.dtype} with other values than true and false", "store booleans")
+            if valid.shape != vertices.shape[:2]:
+                raise self._error("valid", f"shape {valid.shape}", f"make it (D, V) = {vertices.shape[:2]}")
+            valid = valid.astype(bool)
         self._finite("vertices", vertices, valid[..., None])
-        return self._with_enough(valid)
-
-    def _with_enough(self, valid: np.ndarray) -> np.ndarray:
         few = np.flatnonzero(valid.sum(axis=1) < 2)
         if len(few):
             field = "vertices" if self.valid is None else "valid"
@@ -237,9 +233,6 @@ class Observations:
                 raise self._error("rest_length", f"missing, and no observation shows marks {edge} and {edge + 1}, from 0, "
                                   "beside each other", "number marks without gaps, or give rest_length_mm (E,)")
             return _chords(self.vertices)
-        array = real_array(self.source, KEYS["rest_length"], self.rest_length, "store real numbers")
-        if array.ndim == 1 and len(array) != size["E"]:
-            raise self._error("rest_length", f"{len(array)} lengths for {size['E']} edges", "give one length per edge")
         length = self._finite("rest_length", self._numbers("rest_length", ("E",), size))
         if (length <= 0).any():
             edge = int(np.argmin(length))

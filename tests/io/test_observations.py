@@ -116,7 +116,7 @@ WRONG = {
     "objects": ("vertices_mm", lambda v: v.astype(object), "cannot be read"),
     "negative rest length": ("rest_length_mm", lambda v: np.where(np.arange(8) == 3, -v, v), "at edge 3"),
     "zero rest length": ("rest_length_mm", lambda v: v * (np.arange(8) != 5), "0 mm at edge 5"),
-    "rest-length count": ("rest_length_mm", lambda v: v[:5], "5 lengths for 8 edges"),
+    "rest-length count": ("rest_length_mm", lambda v: v[:5], "shape (5,)"),
     "start frame not orthonormal": ("start_frame", lambda v: v * 1.01, "not orthonormal"),
     "end frame left-handed": ("end_frame", lambda v: v * [1, 1, -1], "left-handed"),
     "end frame not finite": ("end_frame", lambda v: v * np.nan, "nan"),
