@@ -41,11 +41,14 @@ def cells(run) -> dict[str, np.ndarray]:
     return {name: table.column(name).to_numpy() for name in table.column_names if name != "material"}
 
 
-def assert_same_cells(first, second):
-    one, other = cells(first), cells(second)
-    assert one.keys() == other.keys()
-    for name in one:
-        np.testing.assert_array_equal(one[name], other[name], err_msg=name)
+def assert_same_rows(first: dict, second: dict) -> None:
+    assert first.keys() == second.keys()
+    for name in first:
+        np.testing.assert_array_equal(first[name], second[name], err_msg=name)
+
+
+def assert_same_cells(first, second) -> None:
+    assert_same_rows(cells(first), cells(second))
 
 
 def test_written_files(tmp_path, observations):
@@ -130,12 +133,6 @@ def test_rods_that_stall_at_their_observation_do_not_win(tmp_path, capsys):
 
 
 # --- a dynamic sweep (Eq. 3) ----------------------------------------------------------------------------------------------
-
-def assert_same_rows(first: dict, second: dict) -> None:
-    assert first.keys() == second.keys()
-    for name in first:
-        np.testing.assert_array_equal(first[name], second[name], err_msg=name)
-
 
 def test_rows_are_what_eq_3_says(tmp_path):
     """Each row of a cell computed independently: one end carried in 48 sub-steps in f64."""

@@ -26,7 +26,12 @@ def seen() -> Observations:
 
 @pytest.fixture(scope="module")
 def found(seen):
-    return refine(seen, observation_clamps(seen), BEGIN, RefinementOptions(models=True))
+    return fitted(seen, models=True, intervals="profile")
+
+
+def fitted(seen: Observations, theta: Theta = BEGIN, **options):
+    """Between their own clamps, with intervals by the covariance unless ``options`` say otherwise."""
+    return refine(seen, observation_clamps(seen), theta, replace(QUICK, **options))
 
 
 def own_mesh(rng, count: int = 12, edges: int = 14, bend: float = 3e4, **theta) -> tuple[Observations, Theta]:
@@ -42,8 +47,7 @@ def holds(parameter, truth: float) -> bool:
 
 def test_noise_free_straight_rods_between_known_clips_give_their_theta_back(rng):
     observations, truth = own_mesh(rng)
-    options = RefinementOptions(clip=1.5, curvature="none", clamps="exact", edges=14, intervals="covariance")
-    out = refine(observations, observation_clamps(observations), Theta(1.4 * truth.bend, 0.8 * truth.twist), options)
+    out = fitted(observations, Theta(1.4 * truth.bend, 0.8 * truth.twist), clip=1.5, curvature="none", clamps="exact", edges=14)
     assert out.converged and out.used.all() and out.mean_distance < 1e-4
     assert out.theta.bend[0, 0] == pytest.approx(truth.bend[0, 0], rel=1e-4)
     assert out.theta.twist == pytest.approx(truth.twist, rel=1e-4)
@@ -57,8 +61,7 @@ def test_marks_in_a_wrong_order_are_named(rng):
     vertices[4, [5, 9]] = vertices[4, [9, 5]]
     vertices[7, 6] += [0.0, 6.0, 0.0]
     wrong = replace(observations, vertices=vertices, start_frame=None, end_frame=None)
-    options = RefinementOptions(("bend",), curvature="none", intervals="covariance")
-    out = refine(wrong, observation_clamps(wrong), truth, options)
+    out = fitted(wrong, truth, parameters=("bend",), curvature="none")
     assert {one.observation: one.marks for one in out.mislabelled} == {4: (5, 9), 7: (6,)}
     assert not out.used[[4, 7]].any() and out.used.sum() == 8
     assert "5 and 9" in out.mislabelled[0].text
@@ -68,9 +71,8 @@ def test_marks_in_a_wrong_order_are_named(rng):
 def test_uniform_curvature_and_up_come_back(rng):
     up = np.array([0.05, -0.08, 1.0]) / np.sqrt(1.0089)
     observations, truth = own_mesh(rng, rest_curvature=np.array([4e-3, -2e-3]), up=up)
-    options = RefinementOptions(("bend", "twist", "up"), clip=1.5, curvature="uniform", clamps="exact", edges=14,
-                                intervals="covariance")
-    out = refine(observations, observation_clamps(observations), Theta(1.2 * truth.bend, truth.twist), options)
+    out = fitted(observations, Theta(1.2 * truth.bend, truth.twist), parameters=("bend", "twist", "up"), clip=1.5,
+                 curvature="uniform", clamps="exact", edges=14)
     assert out.theta.bend[0, 0] == pytest.approx(truth.bend[0, 0], rel=1e-3)
     np.testing.assert_allclose(out.theta.rest_curvature, np.tile([4e-3, -2e-3], (13, 1)), atol=1e-5)
     np.testing.assert_allclose(out.theta.up, truth.up, atol=1e-3)
@@ -80,8 +82,7 @@ def test_uniform_curvature_and_up_come_back(rng):
 def test_a_ribbon_s_three_stiffnesses_come_back():
     truth = np.array([[9e5, 0.0], [0.0, 3e5]])
     ribbon = suture(frames=True, bend=truth.tolist(), label_noise_mm=0.02)
-    options = RefinementOptions(("bend_1", "bend_2", "twist"), frame_weight=5.0, intervals="covariance")
-    out = refine(ribbon, observation_clamps(ribbon), Theta(np.diag([6e5, 4e5]), 4e5), options)
+    out = fitted(ribbon, Theta(np.diag([6e5, 4e5]), 4e5), parameters=("bend_1", "bend_2", "twist"), frame_weight=5.0)
     assert out.converged
     for name, value in (("bend_1", 9e5), ("bend_2", 3e5), ("twist", TWIST)):
         assert holds(out.estimate.parameter(name), value), name
@@ -106,16 +107,14 @@ def test_intervals_hold_the_truth_of_a_curved_rod_between_clips(found):
 @pytest.mark.thorough
 def test_clamps_that_are_off_are_found_out():
     """A constant tilt of a degree or so, and a scatter: the evidence keeps them, and intervals hold."""
-    crooked = suture(clip_tilt_deg=1.0, clip_scatter_deg=0.2)
-    out = refine(crooked, observation_clamps(crooked), BEGIN, QUICK)
+    out = fitted(suture(clip_tilt_deg=1.0, clip_scatter_deg=0.2))
     assert np.abs(out.estimate.values.constant).max() > 5e-3
     assert holds(out.estimate.parameter("bend"), BEND) and holds(out.estimate.parameter("twist"), TWIST)
 
 
 @pytest.mark.thorough
 def test_stated_errors_of_frames_are_taken(seen):
-    clamps = observation_clamps(seen)
-    tight, learned = (refine(seen, clamps, BEGIN, replace(QUICK, frame_error=error)) for error in ((0.05, 1e-3), None))
+    tight, learned = (fitted(seen, frame_error=error) for error in ((0.05, 1e-3), None))
     assert tight.estimate.scales["turn_scatter"] == 1e-3 and learned.estimate.scales["turn_scatter"] != 1e-3
     assert holds(tight.estimate.parameter("bend"), BEND)
 
@@ -125,15 +124,13 @@ def test_stated_errors_of_frames_are_taken(seen):
 def test_whole_turns_that_nobody_measured_are_found(factor):
     """Under a twist stiffness that is far too low rods with a wrong turn fit, and confirm it."""
     twisted = suture(end_rotations_deg=(0.0, 90.0, 170.0, 250.0, -120.0, -200.0), end_distances_mm=(42.0, 78.0))
-    seen = replace(twisted, total_twist=None)
-    out = refine(seen, observation_clamps(seen), Theta(BEND * np.eye(2), factor * TWIST), QUICK)
+    out = fitted(replace(twisted, total_twist=None), Theta(BEND * np.eye(2), factor * TWIST))
     assert out.converged and out.used.all()
     assert holds(out.estimate.parameter("bend"), BEND) and holds(out.estimate.parameter("twist"), TWIST)
 
 
 def test_what_a_model_lacks_is_named(seen):
-    poor = replace(QUICK, curvature="none", clip=0.0, clamps="exact")
-    out = refine(seen, observation_clamps(seen), BEGIN, poor)
+    out = fitted(seen, curvature="none", clip=0.0, clamps="exact")
     assert not out.adequacy.reaches_noise and out.adequacy.gap > NOISE
     options = " ".join(one.option for one in out.adequacy.advice)
     assert "rest_curvature=field" in options and "clip=unknown" in options
@@ -145,8 +142,7 @@ def test_a_parameter_the_rods_do_not_feel_changes_no_interval(rng):
     rods, truth = own_mesh(rng)
     observations = replace(rods, vertices=rods.vertices + 0.02 * rng.normal(size=rods.vertices.shape), start_frame=None,
                            end_frame=None)
-    clamps = observation_clamps(observations)
-    with_twist, without = (refine(observations, clamps, truth, RefinementOptions(names, curvature="none")).estimate
+    with_twist, without = (fitted(observations, truth, parameters=names, curvature="none", intervals="profile").estimate
                            for names in (("bend", "twist"), ("bend",)))
     assert "twist" in with_twist.left_open
     assert with_twist.parameter("bend").error == pytest.approx(without.parameter("bend").error, rel=0.1)
@@ -154,7 +150,7 @@ def test_a_parameter_the_rods_do_not_feel_changes_no_interval(rng):
 
 @pytest.mark.thorough
 def test_a_common_scale_is_not_determined(seen):
-    out = refine(seen, observation_clamps(seen), BEGIN, replace(QUICK, parameters=("bend", "twist", "weight")))
+    out = fitted(seen, parameters=("bend", "twist", "weight"))
     assert {"bend", "twist", "weight"} <= set(out.estimate.left_open)
     over = {one.name: one for one in out.estimate.over_weight}
     assert holds(over["bend"], BEND / 2) and 0 < over["bend"].low < BEND / 2
@@ -166,15 +162,14 @@ def test_missing_marks_and_wrong_branches(seen):
     valid[:, 5:25:4] = False
     twist = seen.total_twist.copy()
     twist[[2, 7]] += 2 * np.pi
-    out = refine(replace(seen, valid=valid, total_twist=twist), observation_clamps(seen), BEGIN, QUICK)
+    out = fitted(replace(seen, valid=valid, total_twist=twist))
     assert out.used.sum() >= 10
     assert holds(out.estimate.parameter("bend"), BEND) and holds(out.estimate.parameter("twist"), TWIST)
 
 
 @pytest.mark.thorough
 def test_a_stated_sigma_is_taken_and_checked(seen):
-    right, small = (refine(replace(seen, sigma=np.array(sigma)), observation_clamps(seen), BEGIN, QUICK)
-                    for sigma in (NOISE, 0.02))
+    right, small = (fitted(replace(seen, sigma=np.array(sigma))) for sigma in (NOISE, 0.02))
     assert right.adequacy.stated and right.adequacy.reaches_noise and right.adequacy.excess == pytest.approx(1, abs=0.1)
     assert not small.adequacy.reaches_noise
 
@@ -214,7 +209,7 @@ def test_held_out_errors_are_those_of_rods_the_fit_did_not_see(seen):
     fold = folds_of(np.arange(12), 3)
     out = refine_held_out(seen, observation_clamps(seen), TRUTH, fold, QUICK)
     inside = np.flatnonzero(fold != 1)
-    alone = refine(seen.take(inside), observation_clamps(seen.take(inside)), TRUTH, QUICK)
+    alone = fitted(seen.take(inside), TRUTH)
     np.testing.assert_array_equal(out.refinements[1].theta.bend, alone.theta.bend)
     assert out.sound.all() and len(out.refinements) == 3
     # Eq. 1 of marks that are NOISE off in each coordinate: √(8/π) of that, of the marks that are noisy.
@@ -239,7 +234,7 @@ def test_a_fixed_twist_stiffness_bounds_bend_less_than_one_that_is_learned():
     """Straight rods whose frames nobody reported: a learned twist stiffness is expected near that of bend, which bounds bend. A
     fixed one is no such bound: the ratio of both may become anything."""
     rods = replace(suture(rotations=3, rest_curvature_rms_per_mm=0.0), start_frame=None, end_frame=None, total_twist=None)
-    fixed, learned = (refine(rods, observation_clamps(rods), TRUTH, RefinementOptions(names, curvature="none")).estimate
+    fixed, learned = (fitted(rods, TRUTH, parameters=names, curvature="none", intervals="profile").estimate
                       for names in (("bend",), ("bend", "twist")))
     assert holds(fixed.parameter("bend"), BEND) and holds(learned.parameter("bend"), BEND)
     assert fixed.parameter("bend").error == pytest.approx(learned.parameter("bend").error, rel=0.1)
@@ -263,8 +258,7 @@ def test_clips_have_intervals_in_mm_however_wide():
     angle = np.linspace(0.0, 1.0, 9)[:, None] * np.array([0.5, 0.8, 1.1])
     arcs = np.stack([np.sin(angle), 0 * angle, 1 - np.cos(angle)], axis=-1).swapaxes(0, 1)
     observations = Observations(600.0 / angle[-1, :, None, None] * arcs)
-    out = refine(observations, observation_clamps(observations), Theta(1e7 * np.eye(2), 1e7),
-                 replace(QUICK, parameters=("bend",), curvature="none", iterations=2))
+    out = fitted(observations, Theta(1e7 * np.eye(2), 1e7), parameters=("bend",), curvature="none", iterations=2)
     clip = out.estimate.parameter("clip_start")
     assert clip.low is not None and clip.high - clip.low > 7.0
 
@@ -277,7 +271,7 @@ def test_outer_marks_that_are_off_with_their_frames_do_not_bend_the_fit():
     vertices = seen.vertices.copy()
     vertices[:, [0, -1]] += [0.0, 0.1, 0.2]
     off = replace(seen, vertices=vertices, start_frame=tilt @ seen.start_frame, end_frame=tilt.T @ seen.end_frame)
-    found = refine(off, observation_clamps(off), TRUTH, QUICK)
-    for name, truth in (("bend", TRUTH.bend[0, 0]), ("twist", TRUTH.twist)):
+    found = fitted(off, TRUTH)
+    for name, truth in (("bend", BEND), ("twist", TWIST)):
         one = found.estimate.parameter(name)
         assert one.low < truth < one.high and one.value == pytest.approx(truth, rel=0.4)
