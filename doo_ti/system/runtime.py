@@ -53,14 +53,12 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_after_fork)
 
 
-def start(architecture: str | None = None, threads: int | None = None, pinned: bool = True) -> str:
-    """Start Taichi, or use the program that the user's own code has begun, and return the architecture that runs; later calls
-    only return it, unless Taichi was started anew in the meantime.
+def start(threads: int | None = None, pinned: bool = True) -> str:
+    """Start Taichi where DOO_TI_ARCHITECTURE says, or use the program that the user's own code has begun, and return the
+    architecture that runs, "cpu" or "cuda"; later calls only return it, unless Taichi was started anew in the meantime.
 
-    architecture  "cpu" or "cuda"; by default what the environment variable DOO_TI_ARCHITECTURE says, else "cpu", or what the
-                  user's program runs on
-    threads       on a CPU; by default one per processor
-    pinned        whether threads may be kept on processors of their own: not in processes that share the machine out
+    threads  on a CPU; by default one per processor
+    pinned   whether threads may be kept on processors of their own: not in processes that share the machine out
 
     Raises InputError as :func:`check_architecture` does, in a process forked from one that had started Taichi, and where the
     user's program runs elsewhere or has fields without a place.
@@ -72,10 +70,10 @@ def start(architecture: str | None = None, threads: int | None = None, pinned: b
         if _program is not state or state.prog is None:
             _forget_arrays()
             if state.prog is None:
-                _architecture, _of_user = _started(check_architecture(architecture), threads, pinned), False
+                _architecture, _of_user = _started(check_architecture(), threads, pinned), False
             else:
-                wanted = architecture or os.environ.get("DOO_TI_ARCHITECTURE")
-                _architecture, _of_user = taichi_internals.architecture_of_user(wanted and check_architecture(wanted)), True
+                wanted = os.environ.get("DOO_TI_ARCHITECTURE")
+                _architecture, _of_user = taichi_internals.architecture_of_user(wanted and check_architecture()), True
                 taichi_internals.require_ready()
             if not _begun:
                 taichi_internals.read_sources_once(lambda: _holder is None)
@@ -106,10 +104,10 @@ def _forget_arrays() -> None:
     _arrays.clear()
 
 
-def check_architecture(architecture: str | None = None) -> str:
-    """The architecture to run on, by default the environment's. Raises InputError where it is unknown, where Taichi's own
-    variable would have another one run, and where this machine does not have it."""
-    architecture = architecture or os.environ.get("DOO_TI_ARCHITECTURE", "cpu")
+def check_architecture() -> str:
+    """The architecture to run on, of the environment. Raises InputError where it is unknown, where Taichi's own variable would
+    have another one run, and where this machine does not have it."""
+    architecture = os.environ.get("DOO_TI_ARCHITECTURE", "cpu")
     if architecture not in TAICHI_NAMES:
         raise InputError("environment", "DOO_TI_ARCHITECTURE", f"{architecture!r} is unknown", "give cpu or cuda")
     instead = os.environ.get("TI_ARCH")
