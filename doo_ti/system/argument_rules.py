@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 from enum import Enum
 from numbers import Integral, Real
 from types import NoneType, UnionType
-from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Any, Union, get_args, get_origin
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -220,20 +220,22 @@ def rule_of(annotation: Any) -> Rule | None:
         plain = [rule_of(part) for part in parts
                  if part is not np.ndarray and (part not in ARRAY_PARTS or not every >= ARRAY_PARTS)]
         return None if None in plain else _Either([rule for rule in plain if rule is not None] + rules)
-    if annotation in (np.ndarray, ArrayLike) or origin is np.ndarray:
+    if annotation in (np.ndarray, ArrayLike):
         return _Array()
-    if annotation in (Any, object) or isinstance(annotation, TypeVar):
+    if annotation in (Any, object):
         return None
     if annotation in (int, float):
         return _WHOLE if annotation is int else _NUMBER
     if annotation is bool:
         return _Flag()
-    if origin is Callable or annotation is Callable:
-        return _Instance(Callable)
-    return _of_several(origin, parts) if origin is not None else _of_class(annotation)
+    if origin is not None:
+        return _of_several(origin, parts)
+    return _Interface(annotation) if getattr(annotation, "_is_protocol", False) else _Instance(annotation)
 
 
 def _of_several(origin: type, parts: tuple) -> Rule:
+    if origin is Callable:
+        return _Instance(Callable)
     if issubclass(origin, Mapping):
         return _Instance(Mapping)
     if origin is tuple and not (len(parts) == 2 and parts[1] is Ellipsis):
@@ -241,17 +243,8 @@ def _of_several(origin: type, parts: tuple) -> Rule:
     return _Items(origin, rule_of(parts[0])) if issubclass(origin, Iterable) else _Instance(origin)
 
 
-def _of_class(annotation: type) -> Rule:
-    if getattr(annotation, "_is_protocol", False) and not getattr(annotation, "_is_runtime_protocol", False):
-        return _Interface(annotation)
-    if annotation in (list, tuple):
-        return _Items(annotation)
-    return _Instance(Mapping if annotation is dict else annotation)
-
-
-def _shaped(rule: Rule | None, shapes: list[str], kind: type | None = None) -> Rule:
+def _shaped(rule: Rule, shapes: list[str], kind: type | None = None) -> Rule:
     """``rule`` with those shapes for its arrays, and their entries of that ``kind``."""
-    rule = _Array() if rule is None else rule
     if kind is not None:
         array = rule.array if isinstance(rule, _Either) else rule
         array.kind, array.arrays, rule.arrays = kind, KINDS[kind], KINDS[kind]

@@ -46,15 +46,11 @@ def require_whole(source: str, field: str, value, least: int, most: int = 2**31 
 
 
 def real_array(source: str, field: str, value, remedy: str, kinds: str = "fiu") -> np.ndarray:
-    """``value`` as an array of real numbers. Raises InputError for rows of different lengths, text, booleans and complex
-    numbers, which NumPy would convert.
+    """``value`` as an array of real numbers. Raises InputError for text, booleans and complex numbers.
 
     kinds  NumPy's letters of the allowed kinds of dtype, ``b`` for booleans
     """
-    try:
-        array = np.asarray(value)
-    except (TypeError, ValueError, OverflowError):
-        raise InputError(source, field, "not an array: rows of different lengths, or not numbers", remedy) from None
+    array = np.asarray(value)
     if array.dtype.kind not in kinds:
         raise InputError(source, field, f"dtype {array.dtype} is not numeric", remedy)
     return array
