@@ -52,6 +52,9 @@ def declare(add) -> None:
     model.add_argument("--rest-curvature", choices=CURVATURES, default=None,
                        help="curvature of the unloaded rod: field, a smooth function along it; uniform; none; auto, field "
                        "unless frames are missing and the evidence is for a straight rod (default)")
+    model.add_argument("--stiffness", choices=("auto", "uniform", "field"), default="auto",
+                       help="bend stiffness along the rod: uniform; field, a smooth function along it; auto, field where the "
+                       "evidence is for it (default)")
     model.add_argument("--clamps", choices=("auto", "loose", "exact"), default="loose",
                        help="loose: errors of reported frames are learned, and what is not reported is unknown in each "
                        "observation (default); auto: the same; exact: all is as reported, and as the outer marks say")
@@ -285,7 +288,7 @@ def _refinement_options(options: Namespace, task: Task):
             curvature = curvature or own
     exact = "exact" in (options.clamps, options.frames)
     return RefinementOptions(
-        tuple(names), options.clip, curvature or "auto", "exact" if exact else "loose",
+        tuple(names), options.clip, curvature or "auto", options.stiffness, "exact" if exact else "loose",
         None if options.frames == "exact" else options.frames, task.frame_weight, edges=options.edges,
         models=not options.no_models, surroundings=task.surroundings, loads=task.loads, twist_follows=task.twist_follows)
 

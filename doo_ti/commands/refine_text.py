@@ -33,7 +33,7 @@ def summary_of(observations: Observations, surroundings: Surroundings, found, he
     loaded    whether bodies of known mass hang at the marks: then ``density`` is that of the weight one
     """
     estimate, scales = found.estimate, found.estimate.scales
-    names, rest = estimate.names, found.theta.rest_curvature
+    names, rest, along = estimate.names, found.theta.rest_curvature, estimate.stiffness_along
     pairs = [(first, second) for k, first in enumerate(names) for second in names[k + 1 :]
              if not (first.startswith("up") or second.startswith("up"))]
     constant = estimate.values.constant.reshape(2, 2, 3)
@@ -46,6 +46,7 @@ def summary_of(observations: Observations, surroundings: Surroundings, found, he
         "linear_density_g_per_m": None if density is None else _density(estimate, density, loaded),
         "rest_curvature_per_mm": {"spread": scales["curvature"], "range_mm": scales["range"],
                                   "root_mean_square": 0.0 if rest is None else float(np.sqrt((np.asarray(rest) ** 2).mean()))},
+        "stiffness_along": {"factor": along, "root_mean_square": float(np.sqrt((np.log(along) ** 2).mean()))},
         "clamp_errors": {"turn_deg": np.degrees(np.linalg.norm(constant, axis=-1)).max(axis=0),
                          "turn_scatter_deg": float(np.degrees(scales["turn_scatter"]))},
         "tilt_deg": float(np.degrees(np.arccos(np.clip(np.dot(found.theta.up, observations.up), -1.0, 1.0)))),
@@ -107,7 +108,9 @@ def _ends(parameter) -> list[float | None]:
 def summary_lines(summary: dict) -> list[str]:
     """The summary as lines of text."""
     curvature, errors = summary["rest_curvature_per_mm"], summary["clamp_errors"]
-    touched, held = summary["obstacles"], summary["held_out"]
+    touched, held, varied = summary["obstacles"], summary["held_out"], summary["stiffness_along"]
+    factor = varied["factor"]
+    low, high = int(np.argmin(factor)), int(np.argmax(factor))
     (x, y, z), (start, end) = summary["theta"]["up"], errors["turn_deg"]
     own, *bends = (f"{theta['bend_1']:.3g}" for theta in (summary["theta"], *summary["rivals"]))
     rivals = ", ".join(bend for bend in dict.fromkeys(bends) if bend != own)
@@ -135,6 +138,9 @@ def summary_lines(summary: dict) -> list[str]:
             ("rest curvature", curvature["root_mean_square"] and (
                 f"{curvature['root_mean_square']:.3g} 1/mm (root mean square), over a range of {curvature['range_mm']:.3g} mm"
                 if curved else "none: straight at rest")),
+            ("along the rod", varied["root_mean_square"] and
+             f"bend stiffness varies by {varied['root_mean_square']:.0%} (root mean square), from {factor[low]:.3g} times the "
+             f"value above at mark {low} to {factor[high]:.3g} times at mark {high}, counted from 0"),
             ("caution", curved and "twist" not in summary["unknowns"] and
              "bend stiffness of a curved rod depends on twist stiffness, which was not learned: --parameters bend,twist"),
             ("caution", any(one["name"] == "bend" and one["high"] is None for one in summary["parameters"]) and
@@ -152,7 +158,7 @@ def summary_lines(summary: dict) -> list[str]:
 
 def _unround(summary: dict) -> str | None:
     """What to say of a rod that is not round, where the marks say so; None else."""
-    from doo_ti.refinement.adequacy import UNROUND
+    from doo_ti.refinement.extensions import UNROUND
 
     found = next((one for one in summary["advice"] if one["meaning"] == UNROUND and one["gain"] > DECISIVE), None)
     return found and f"{UNROUND} explains the marks far better; the intervals are those of a round rod: give {found['option']}"

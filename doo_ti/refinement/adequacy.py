@@ -3,9 +3,9 @@
 A model that explains its marks leaves residuals that are noise: as large as σ, if one is stated, and independent from mark to
 mark. Errors of the model displace neighbouring marks together (the gap of :mod:`doo_ti.refinement.residuals`).
 
-Extensions of the model are tried on the linear model at the end of the fit, and rated by the rise of the evidence. Other
-models are fitted, and each observation is predicted from all others (leave-one-out); the score of a model is the sum of the
-logarithms of the predicted probability densities of the observations:
+Extensions of the model are rated by :mod:`doo_ti.refinement.extensions`. Other models are fitted, and each observation is
+predicted from all others (leave-one-out); the score of a model is the sum of the logarithms of the predicted probability
+densities of the observations:
 
     straight        no rest curvature
     curved          with a field of rest curvature
@@ -21,7 +21,7 @@ from itertools import combinations
 
 import numpy as np
 
-from doo_ti.refinement.evidence import Evidence
+from doo_ti.refinement.extensions import Advice, advice, held_by_frames
 from doo_ti.refinement.fit import EXACT, ODD, Fit, Fitted, State
 from doo_ti.refinement.held_rod import POSE
 from doo_ti.refinement.residuals import Comparison
@@ -32,24 +32,12 @@ from doo_ti.rod.types import Clamp
 
 NOTABLE = 0.5  # times the noise: smaller gaps are not reported
 EXCESS = 1.5  # times the stated σ: if residuals are larger, σ is too small or the model is wrong
-WORTH = 6.0  # −2 ln of the evidence: an extension that lowers it by more is worth trying
-UNROUND = "a section that is not round"
 STEPS = 10
 ERRORS = 2.0  # standard errors by which a parameter moves without an observation that it is said to rest on
 MOST_MISFITS = 8  # misfits that are tried, the first of them
 POSED_ORDERS = 12
 """Orders of each misfit with all its marks that are posed, and as many without one: those nearest to their marks before."""
 FEWEST = 5  # marks, without one of which a rod may be tried
-
-
-@dataclass(frozen=True)
-class Advice:
-    """An extension of the model: the argument for it, as ``name=value``, its meaning, and by how much it raises twice the
-    logarithm of the evidence."""
-
-    option: str
-    meaning: str
-    gain: float
 
 
 @dataclass(frozen=True)
@@ -89,12 +77,8 @@ def adequacy(fit: Fit, fitted: Fitted) -> Adequacy:
     noise = float(np.mean(fit.unknowns.rod.observations.sigma)) if stated else sigma
     gap = state.scales["gap"] * float(np.sqrt((comparison.gap_modes**2).sum(axis=1).mean()))
     degrees = max(3.0 * counts.sum() - len(fit.unknowns.names), 1.0)
-    gains = ((option, meaning, fitted.posterior.value - _evidence(fit, fitted, unknowns))
-             for option, meaning, unknowns in _extensions(fit.unknowns))
-    advice = (Advice(*one) for one in gains if one[-1] > WORTH)
     return Adequacy(noise, stated, float(np.sqrt((rows**2).sum() / degrees) / sigma), gap,
-                    _correlation(rows, counts), tuple(sorted(advice, key=lambda one: -one.gain)),
-                    _influences(fit, fitted))
+                    _correlation(rows, counts), advice(fit, fitted), _influences(fit, fitted))
 
 
 def _correlation(rows: np.ndarray, counts: np.ndarray) -> float:
@@ -115,47 +99,6 @@ def _influences(fit: Fit, fitted: Fitted) -> tuple[Influence, ...]:
              for row in np.flatnonzero(fitted.state.used & (np.abs(moved[:, k]) > ERRORS * errors[k]))]
     pairs.sort(key=lambda pair: -abs(moved[pair]) / errors[pair[1]])
     return tuple(Influence(int(row), names[k], float(np.exp(moved[row, k]))) for row, k in pairs)
-
-
-# --- extensions of the model ----------------------------------------------------------------------------------------------
-
-
-def _extensions(unknowns: Unknowns):
-    """(option, meaning, unknowns) of each extension."""
-    names, rod = unknowns.parameters, unknowns.rod
-
-    def learning(meaning: str, *parameters: str):
-        return f"parameters={','.join(parameters).replace('_', '-')}", meaning, replace(unknowns, parameters=parameters)
-
-    if "up" not in names and rod.loads is None:
-        yield learning("the direction of gravity", *names, "up")
-    if "bend" in names and _held_by_frames(unknowns):
-        others = (name for name in names if name != "bend")
-        yield learning(UNROUND, "bend_1", "bend_2", "bend_12", *others)
-    if not unknowns.clips and rod.clamped.any():
-        yield "clip=unknown", "clips of another length", replace(unknowns, clips=True)
-    if unknowns.curvature != "field":
-        yield "rest_curvature=field", "rest curvature that varies along the rod", replace(unknowns, curvature="field")
-    if rod.exact:
-        yield "clamps=loose", "clamps that are off what was reported", replace(unknowns, rod=replace(rod, exact=False))
-
-
-def _held_by_frames(unknowns: Unknowns) -> bool:
-    """Whether both ends' frames were reported: only then do observations separate bending about m1 from bending about m2."""
-    seen = unknowns.rod.observations
-    return seen.start_frame is not None and seen.end_frame is not None
-
-
-def _evidence(fit: Fit, fitted: Fitted, unknowns: Unknowns) -> float:
-    """−2 ln of the evidence of the linear model of ``unknowns`` at the end of ``fitted``, its sizes fitted."""
-    values = fitted.state.values
-    if len(unknowns.knots) != len(values.curvature):
-        mean = values.curvature.mean(axis=0) if len(values.curvature) else np.zeros(2)
-        values = replace(values, curvature=np.tile(mean, (len(unknowns.knots), 1)))
-    comparison = replace(fit.comparison, unknowns=unknowns)
-    linear, _ = comparison.linear(fitted.state.solution, values, fitted.state.used)
-    evidence = Evidence.of(unknowns, linear, unknowns.offset(values, fit.origin))
-    return evidence.posterior(evidence.best(fitted.state.scales.learning(unknowns.scale_names), 15)).value
 
 
 # --- other models ---------------------------------------------------------------------------------------------------------
@@ -191,7 +134,7 @@ def scores(fit: Fit, fitted: Fitted) -> tuple[Score, ...]:
 def _variants(unknowns: Unknowns) -> dict[str, Unknowns]:
     """The models of the list above, without that of ``unknowns`` itself."""
     found = {name: replace(unknowns, curvature=curvature) for name, curvature in (("straight", "none"), ("curved", "field"))}
-    if "bend" in unknowns.parameters and _held_by_frames(unknowns):
+    if "bend" in unknowns.parameters and held_by_frames(unknowns):
         others = tuple(name for name in unknowns.parameters if name != "bend")
         found["ribbon"] = replace(unknowns, parameters=("bend_1", "bend_2", *others))
     return {name: model for name, model in found.items() if model != unknowns}

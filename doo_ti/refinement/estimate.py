@@ -58,6 +58,7 @@ class Estimate:
     theta: Theta  # with the rest curvature at the joints between the marks' edges
     parameters: tuple[Parameter, ...]  # of Θ, the ratio of twist to bend, and the clips
     over_weight: tuple[Parameter, ...]  # bend and twist over twice the weight: EI/w and GJ/w of the continuum in mm³
+    stiffness_along: np.ndarray  # (M,) bend stiffness at each mark over that of Θ, its geometric mean; ones of a uniform rod
     values: Values  # of all unknowns
     scales: Scales  # noise, curvature and the clamps' errors
     names: tuple[str, ...]  # of Θ's unknowns
@@ -152,6 +153,7 @@ def estimated(best: Optimum, rivals: Sequence[Optimum] = (), profiled: bool = Tr
         over_weight=tuple(_parameter(name, float(relative_stiffness(float(known[name]), theta.weight)), found[name + suffix],
                                      theta.bend)
                           for name in ("bend", "bend_1", "bend_2", "twist") if name + suffix in found),
+        stiffness_along=np.exp(unknowns.stiffness_at(values, unknowns.lengths(values).mark_place)),
         values=values, scales=scales, names=unknowns.names[:count], covariance=fitted.posterior.covariance[:count, :count],
         degrees=degrees, rivals=tuple(one.fit.unknowns.theta_at(one.fitted.state.values) for one in rivals))
 

@@ -24,7 +24,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.refinement.mesh import covariance
 from doo_ti.refinement.residuals import GAP_MODES, Moments, Residuals
 from doo_ti.refinement.theta import NAMES, Scales
 from doo_ti.refinement.unknowns import Unknowns
@@ -195,10 +194,11 @@ class Evidence:
 
     def _counts(self, scales: Scales) -> np.ndarray:
         """(H,) how many squares each learned size is the mean of; the range is not one, and is not changed here."""
-        rods, knots = float(self.share.sum()), max(len(self.unknowns.columns("curvature")), 2)
+        rods = float(self.share.sum())
         turns = self.unknowns.rod.pose_scales.count("turn_scatter")
-        counts = {"curvature": knots, "range": np.inf, "turn": 2 * turns, "turn_scatter": turns * rods,
-                  "gap": 3 * GAP_MODES * rods}
+        counts = {"turn": 2 * turns, "turn_scatter": turns * rods, "gap": 3 * GAP_MODES * rods}
+        for field in self.unknowns.fields:
+            counts |= {field.name: len(self.unknowns.columns(field.name)), field.range: np.inf}
         counts |= {kind.scale: max(kind.count, 1.0) for kind in self.moments}
         return np.array([counts.get(name, 1.0) for name, free in zip(NAMES, scales.learned, strict=True) if free], dtype=float)
 
@@ -222,16 +222,14 @@ class Evidence:
         unknowns = self.unknowns
         own = unknowns.columns("clamps")
         gradient["turn"] += 2 * float((1 - np.diag(second)[own] / scales["turn"] ** 2).sum())
-        knots = unknowns.columns("curvature")
-        if not len(knots):
-            return
-        matrix, slope = covariance(unknowns.knots, scales["curvature"] * unknowns.rod.length, scales["range"])
-        inverse = np.linalg.inv(matrix)
-        moment = second[np.ix_(knots, knots)]
-        both = moment[0::2, 0::2] + moment[1::2, 1::2]
-        gradient["curvature"] += 2 * float(len(knots) - (inverse * both).sum())
-        change = inverse @ slope
-        gradient["range"] += float(2 * np.trace(change) - (change @ inverse * both).sum())
+        for field in unknowns.fields:
+            own, count = unknowns.columns(field.name), field.components
+            matrix, slope = field.covariance(scales)
+            inverse, moment = np.linalg.inv(matrix), second[np.ix_(own, own)]
+            both = sum(moment[k::count, k::count] for k in range(count))
+            gradient[field.name] += 2 * float(len(own) - (inverse * both).sum())
+            change = inverse @ slope
+            gradient[field.range] += float(count * np.trace(change) - (change @ inverse * both).sum())
 
 
 def _less(hessian: np.ndarray, missing: np.ndarray) -> np.ndarray:

@@ -79,6 +79,7 @@ def _predicted(found: Refinement, observations: Observations, clamps: Clamps, op
     unknowns = unknowns_of(rod, options)
     if not len(found.estimate.values.curvature):
         unknowns = replace(unknowns, curvature="none")
+    unknowns = replace(unknowns, uneven=len(found.estimate.values.stiffness) > 0)
     fit = Fit(Comparison.of(unknowns, options.frame_weight > 0), found.estimate.values, options.solver)
     if rod.rolled_together and len(unknowns.knots):
         fit = at_all_rolls(fit)

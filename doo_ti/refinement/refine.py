@@ -21,6 +21,7 @@ import numpy as np
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.refinement.adequacy import Adequacy, Mislabelled, Score, adequacy, mislabelled, scores
 from doo_ti.refinement.estimate import Estimate, estimated, within_reach
+from doo_ti.refinement.extensions import with_stiffness_along
 from doo_ti.refinement.fit import FINE
 from doo_ti.refinement.held_rod import HeldRod
 from doo_ti.refinement.residuals import mark_distance
@@ -59,6 +60,7 @@ class RefinementOptions:
                       mark; None: unknown
     curvature         rest curvature: "field", "uniform" along the rod, "none", or "auto": a field, but none where the rolls of
                       both ends are unknown and the evidence is for straight rods
+    stiffness         bend stiffness along a round rod: "uniform", "field", or "auto": a field where the evidence is for it
     clamps            "loose": reported frames may be off, positions are those of marks with noise, and what is not reported is
                       unknown in each observation; or "exact": all as reported, and as the outer marks say
     frame_error       standard deviations of a reported frame's place over the outer mark's, mm, and of its direction in each
@@ -80,6 +82,7 @@ class RefinementOptions:
     parameters: tuple[str, ...] = ("bend", "twist")
     clip: float | None = None
     curvature: str = "auto"
+    stiffness: str = "auto"
     clamps: str = "loose"
     frame_error: tuple[float, float] | None = None
     frame_weight: float = 0.0
@@ -163,7 +166,10 @@ def refine(observations: Observations, clamps: Clamps, theta: Theta | Sequence[T
     left.
     """
     thetas = (theta,) if isinstance(theta, Theta) else tuple(theta)
-    best, *rivals = once(within_reach(_at_their_ends(optima(observations, clamps, thetas, options), options)))
+    found = _at_their_ends(optima(observations, clamps, thetas, options), options)
+    if options.stiffness != "uniform":
+        found = with_stiffness_along(found, options.iterations, options.stiffness == "field")
+    best, *rivals = once(within_reach(found))
     return _refinement(best, rivals, options)
 
 
@@ -219,6 +225,7 @@ def check(observations: Observations, clamps: Clamps, options: RefinementOptions
         raise InputError(observations.source, "clip", f"{options.clip:g} mm of a rod of {observations.rest_length.sum():g} mm",
                          "give a length from zero up, below a quarter of the rod's")
     for name, value, known in (("curvature", options.curvature, ("auto", "field", "uniform", "none")),
+                               ("stiffness", options.stiffness, ("auto", "uniform", "field")),
                                ("clamps", options.clamps, ("loose", "exact")),
                                ("intervals", options.intervals, ("profile", "covariance"))):
         if value not in known:
@@ -230,6 +237,8 @@ def check(observations: Observations, clamps: Clamps, options: RefinementOptions
             raise InputError("refine", "frame_error", f"{options.frame_error}", "give two positive numbers, mm and rad")
         if observations.start_frame is None and observations.end_frame is None and observations.frames is None:
             raise InputError(observations.source, "start_frame", "missing, but an error of frames is given", "leave it out")
+    if options.stiffness == "field" and any(name.startswith("bend_") for name in options.parameters):
+        raise InputError("refine", "stiffness", "a field, of a rod that is not round", "learn bend, or give uniform")
     if options.edges is not None and not 6 <= options.edges <= 4 * MOST_EDGES:
         raise InputError("refine", "edges", f"{options.edges}", f"give 6 to {4 * MOST_EDGES}")
     if options.loads is not None:

@@ -22,7 +22,7 @@ from doo_ti.refinement.held_rod import POSE
 from doo_ti.refinement.mesh import GEOMETRY, Lengths, Mesh
 from doo_ti.refinement.theta import Scales
 from doo_ti.refinement.unknowns import Unknowns, Values
-from doo_ti.relaxation.sensitivity import sensitivity
+from doo_ti.relaxation.sensitivity import STIFFNESS_MODES, sensitivity
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.types import Clamp, Solution
 
@@ -213,9 +213,14 @@ class Comparison:
         unknowns, among = self.unknowns, bool(self.unknowns.rod.surroundings)
         (elementary, chain), (modes, mesh) = unknowns.chain(values), unknowns.modes(values)
         of_poses = ("start_shift", *OF_POSES) if among else OF_POSES
-        names = (*elementary, "modes", "length", *of_poses) if shared else of_poses
-        found = sensitivity(solution, names, modes if shared else None, rows.start, rows.stop,
-                            rotations=self.directors is not None, loads=False)
+        names, along = of_poses, {}
+        if shared:
+            names, along = (*elementary, "modes", "length", *of_poses), {"modes": modes}
+        if shared and unknowns.uneven:
+            names = (STIFFNESS_MODES, *(name for name in names if name != "bend"))
+            along["stiffness_modes"] = unknowns.stiffness_modes(values, mesh)
+        found = sensitivity(solution, names, first=rows.start, last=rows.stop, rotations=self.directors is not None,
+                            loads=False, **along)
         lengths, shape = unknowns.lengths(values), found.configuration
         moved, turned = (slopes[:, rows] for slopes in unknowns.rod.clamp_slopes(lengths, unknowns.pose(values)))
         by_clamps = np.concatenate([*(moved if among else [moved[1] - moved[0]]), *turned], axis=1)
@@ -245,11 +250,18 @@ class Comparison:
         chain    (columns of Θ, unknowns of Θ), from :meth:`Unknowns.chain`
         """
         unknowns = self.unknowns
-        theta, knots = chain.shape[0], len(unknowns.columns("curvature"))
+        theta, knots, stiffness = chain.shape[0], len(unknowns.columns("curvature")), len(unknowns.columns("stiffness"))
+        learned = int("bend" in unknowns.parameters)
+        of_bend, of_stiffness, of_edges = at[..., :0], at[..., :0], 0.0
+        if unknowns.uneven:  # bend stiffness is one of its modes, which come first
+            of_bend, of_stiffness, of_edges, at = np.split(at, np.cumsum([1, stiffness, GEOMETRY]), axis=-1)
+            of_bend, theta = of_bend[..., :learned], theta - learned
         of_theta, of_knots, of_joints, length, _ = np.split(at, np.cumsum([theta, knots, GEOMETRY, 1]), axis=-1)
+        of_theta = np.concatenate([of_bend, of_theta], axis=-1)
         by_lengths = poses[..., :GEOMETRY] + of_joints + length * (mesh.edge_slope / mesh.edge) + sliding[..., :GEOMETRY]
+        by_lengths = by_lengths + of_edges
         ends = [end for end, name in enumerate(("clip_start", "clip_end")) if name in unknowns.names]
-        parts = [of_theta @ chain, by_lengths[..., ends], of_knots]
+        parts = [of_theta @ chain, by_lengths[..., ends], of_knots, of_stiffness]
         if unknowns.turns:
             parts.append(poses[..., GEOMETRY:] @ unknowns.constant_slopes[rows, None])
         if len(unknowns.columns("spacing")):

@@ -6,8 +6,10 @@ marginal likelihood (:mod:`doo_ti.refinement.evidence`).
 
     marks           σ of a mark's coordinate, mm; fixed at one where the observations state their own σ
     frames          σ of each component of a measured m1
-    curvature       d of the rest curvature, 1/mm (:func:`doo_ti.refinement.mesh.covariance`)
+    curvature       d of the rest curvature, 1/mm (:class:`doo_ti.refinement.fields.Field`)
     range           ρ of the rest curvature, mm
+    stiffness       d of ln of the bend stiffness along the rod
+    stiffness_range  its ρ, mm
     turn            standard deviation of the constant error of a reported frame, rad
     turn_scatter    standard deviation of its additional error in one observation, rad
     gap             amplitude of the smooth displacements that the model does not explain, mm
@@ -22,6 +24,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.relaxation.sensitivity import tilt_axes
 from doo_ti.rod.types import Material
 from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError, require_whole
@@ -88,14 +91,32 @@ def common_rod(theta: Theta) -> Theta:
     return replace(theta, twist=RATIO * float(np.sqrt(np.linalg.det(theta.bend))))
 
 
+def tilts_between(origin: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """(2,) the tilts of ``up`` that lead from ``origin`` to ``up``."""
+    turn = np.cross(origin, up)
+    sine = np.linalg.norm(turn)
+    return tilt_axes(origin) @ turn * (np.arctan2(sine, origin @ up) / max(sine, 1e-300))
+
+
+def slope_of_entry(entry: str, unknown: str, bend: np.ndarray) -> float:
+    """Derivative of an entry of B by one of its unknowns."""
+    first, second, mixed = bend[0, 0], bend[1, 1], bend[0, 1]
+    if unknown == "bend_12":
+        root = np.sqrt(first * second)
+        return root - mixed**2 / root if entry == "bend_12" else 0.0
+    if entry == "bend_12":
+        return 0.5 * mixed
+    return {"bend_1": first, "bend_2": second}[entry] if entry == unknown else 0.0
+
+
 # --- sizes -----------------------------------------------------------------------------------------------------------------
 
-NAMES = ("marks", "frames", "curvature", "range", "turn", "turn_scatter", "gap", "any_turn", "any_roll", "any_twist",
-         "any_shift")
+NAMES = ("marks", "frames", "curvature", "range", "stiffness", "stiffness_range", "turn", "turn_scatter", "gap", "any_turn",
+         "any_roll", "any_twist", "any_shift")
 ANY_TURN, ANY_ROLL, ANY_TWIST, ANY_SHIFT = 0.5, 3.0, 3.0, 0.1
 """rad, rad, rad, and over the rod's length: of the direction of two marks, a parallel frame, no twist, the outermost mark."""
 BOUND, BOUND_OF_RANGE = 9.0, 2.5
-"""Largest |ln| of a size over its typical value; for the range: from about a hundredth of the rod's length to all of it."""
+"""Largest |ln| of a size over its typical value; for ranges: from about a hundredth of the rod's length to all of it."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +142,8 @@ class Scales:
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """(H,) least and largest logarithms of the learned sizes."""
-        middle, reach = np.log(self.typical), np.where(np.array(NAMES) == "range", BOUND_OF_RANGE, BOUND)
+        ranges = np.char.endswith(np.array(NAMES), "range")
+        middle, reach = np.log(self.typical), np.where(ranges, BOUND_OF_RANGE, BOUND)
         return (middle - reach)[self.learned], (middle + reach)[self.learned]
 
     def at(self, free: np.ndarray) -> "Scales":
@@ -151,10 +173,10 @@ def typical_scales(length: float, spacing: float, learned: set[str], fixed: dict
     learned  names of the learned sizes
     fixed    values of others; sizes in neither stay at their typical values
     """
-    typical = {"marks": 0.1 * spacing, "frames": 0.1, "curvature": 0.1 / length, "range": 0.1 * length, "turn": 0.01,
-               "turn_scatter": 0.003, "gap": 3e-4 * length, "any_turn": ANY_TURN, "any_roll": ANY_ROLL, "any_twist": ANY_TWIST,
-               "any_shift": ANY_SHIFT * length}
-    factor = {"marks": 5.0, "frames": 2.0, "curvature": 1.5, "range": 1.0}
+    typical = {"marks": 0.1 * spacing, "frames": 0.1, "curvature": 0.1 / length, "range": 0.1 * length, "stiffness": 0.05,
+               "stiffness_range": 0.1 * length, "turn": 0.01, "turn_scatter": 0.003, "gap": 3e-4 * length,
+               "any_turn": ANY_TURN, "any_roll": ANY_ROLL, "any_twist": ANY_TWIST, "any_shift": ANY_SHIFT * length}
+    factor = {"marks": 5.0, "frames": 2.0, "curvature": 1.5, "range": 1.0, "stiffness_range": 1.0}
     value = np.array([fixed.get(name, typical[name]) for name in NAMES])
     return Scales(value, np.array([typical[name] for name in NAMES]), np.array([factor.get(name, 1.5) for name in NAMES]),
                   np.array([name in learned for name in NAMES]))

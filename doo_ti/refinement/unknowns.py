@@ -6,7 +6,8 @@
     twist, weight           ln β, ln μ
     up                      two tilts from the present up, rad
     clip_start, clip_end    mm from the outer mark inwards to where a clip ends; negative where it ends before that mark
-    curvature               L ω̄ at the knots of :mod:`doo_ti.refinement.mesh`, two components each, or of the whole rod
+    curvature               L ω̄ at the knots of :mod:`doo_ti.refinement.fields`, two components each, or of the whole rod
+    stiffness               ln B along the rod at these knots, less its mean
     clamps                  constant errors of the reported frames: a rotation of each in its own axes, and one in the world's
     spacing                 ln of the rod's length between neighbouring marks over that which the observations state
     outer                   mm by which an outer mark beside a reported frame is off the rod, along the frame's axes and the
@@ -24,9 +25,10 @@ from functools import cached_property
 
 import numpy as np
 
+from doo_ti.refinement.fields import Field, knots_of, values_at
 from doo_ti.refinement.held_rod import POSE, HeldRod
-from doo_ti.refinement.mesh import Lengths, Mesh, covariance, knots_of, values_at
-from doo_ti.refinement.theta import Scales, Theta, common_rod
+from doo_ti.refinement.mesh import Lengths, Mesh
+from doo_ti.refinement.theta import Scales, Theta, common_rod, slope_of_entry, tilts_between
 from doo_ti.relaxation.sensitivity import tilt_axes
 from doo_ti.rod.frames import rotation_matrix
 from doo_ti.rod.types import Material
@@ -52,6 +54,7 @@ class Values:
     theta: Theta  # Θ without its rest curvature
     clip: np.ndarray  # (2,) mm
     curvature: np.ndarray  # (K, 2) 1/mm at the knots, (1, 2) of the whole rod, or (0, 2)
+    stiffness: np.ndarray  # (K,) at the knots, or (0,)
     # (TURNS,) rad, constant errors of the reported frames: of start and end in their axes, and in the world's
     constant: np.ndarray
     scatter: np.ndarray  # (D, POSE) additional errors of the clamps in each observation
@@ -71,6 +74,7 @@ class Unknowns:
     clips: bool = True  # whether the clips' lengths are unknown
     curvature: str = "field"  # "field", "uniform" or "none"
     twist_follows: bool = False  # whether a twist stiffness that is not learned stays in proportion to the bend stiffness
+    uneven: bool = False  # whether the bend stiffness varies along the rod
 
     def __post_init__(self) -> None:
         names = self.parameters
@@ -83,6 +87,11 @@ class Unknowns:
                 raise InputError("refine", "parameters", f"both bend and {other}", "give one of them")
         if not names or len(set(names)) < len(names):
             raise InputError("refine", "parameters", f"{', '.join(names) or 'none'}", "give each parameter once")
+
+    @property
+    def round(self) -> bool:
+        """Whether the rod is taken to bend alike about all axes."""
+        return not {"bend_1", "bend_2", "bend_12"} & set(self.parameters)
 
     @cached_property
     def knots(self) -> np.ndarray:
@@ -97,9 +106,22 @@ class Unknowns:
         of_theta = [part for name in self.parameters for part in (("up[0]", "up[1]") if name == "up" else (name,))]
         ends = [name for name, held in zip(("clip_start", "clip_end"), self.rod.clamped, strict=True) if held and self.clips]
         seen = self.rod.observations
-        numbered = {"curvature": 2 * len(self.knots), "clamps": TURNS * self.turns,
+        fields = {field.name: field.components * len(field.knots) for field in self.fields}
+        numbered = {**fields, "clamps": TURNS * self.turns,
                     "spacing": seen.edges if seen.spacing_error > 0 else 0, "outer": 6 * len(self.outer_ends)}
         return (*of_theta, *ends, *(f"{part}[{k}]" for part, count in numbered.items() for k in range(count)))
+
+    @cached_property
+    def fields(self) -> tuple[Field, ...]:
+        """The functions along the rod among the unknowns."""
+        found = (Field("curvature", "range", self.knots, 2, self.rod.length),
+                 Field("stiffness", "stiffness_range", self.stiffness_knots, 1, 1.0))
+        return tuple(field for field in found if len(field.knots))
+
+    @cached_property
+    def stiffness_knots(self) -> np.ndarray:
+        """(K,) mm, none where the bend stiffness is uniform."""
+        return knots_of(self.rod.observations.rest_length) if self.uneven else np.zeros(0)
 
     @cached_property
     def outer_ends(self) -> np.ndarray:
@@ -129,8 +151,8 @@ class Unknowns:
     def scale_names(self) -> set[str]:
         """The sizes of :mod:`doo_ti.refinement.theta` that occur in the prior of the unknowns."""
         found = {"turn", "turn_scatter"} if self.turns else set()
-        if self.curvature != "none":
-            found |= {"curvature"} | ({"range"} if self.curvature == "field" else set())
+        for field in self.fields:
+            found |= {field.name} | ({field.range} if len(field.knots) > 1 else set())
         return found
 
     @cached_property
@@ -160,8 +182,9 @@ class Unknowns:
             joints = np.cumsum(self.rod.observations.rest_length)[:-1]
             curvature[:] = own if len(own) == 1 else np.stack([np.interp(self.knots, joints, c) for c in own.T], axis=1)
         count = self.rod.observations.count
-        return Values(replace(theta, rest_curvature=None), np.array(clip, dtype=float), curvature, np.zeros(TURNS),
-                      np.zeros((count, POSE)), np.zeros(self.rod.observations.edges), np.zeros((2, 6)))
+        return Values(replace(theta, rest_curvature=None), np.array(clip, dtype=float), curvature,
+                      np.zeros(len(self.stiffness_knots)), np.zeros(TURNS), np.zeros((count, POSE)),
+                      np.zeros(self.rod.observations.edges), np.zeros((2, 6)))
 
     def lengths(self, values: Values) -> Lengths:
         """Where marks and clips are along the rod."""
@@ -182,12 +205,13 @@ class Unknowns:
                       None, up / np.linalg.norm(up))
         clip = values.clip + [of.get("clip_start", 0.0), of.get("clip_end", 0.0)]
         curvature = values.curvature + step[self.columns("curvature")].reshape(-1, 2) / self.rod.length
+        stiffness = values.stiffness + step[self.columns("stiffness")]
         constant = values.constant + (step[self.columns("clamps")] if self.turns else 0.0)
         spacing, own = values.spacing.copy(), self.columns("spacing")
         spacing[: len(own)] += step[own]
         outer = values.outer.copy()
         outer[self.outer_ends] += step[self.columns("outer")].reshape(-1, 6)
-        return Values(theta, clip, curvature, constant, values.scatter + scatter, spacing, outer)
+        return Values(theta, clip, curvature, stiffness, constant, values.scatter + scatter, spacing, outer)
 
     def theta_at(self, values: Values, joints: np.ndarray | None = None) -> Theta:
         """Θ with the rest curvature at ``joints`` (·,), mm; by default at the E − 1 joints between the marks' edges."""
@@ -198,7 +222,19 @@ class Unknowns:
 
     def material(self, values: Values) -> Material:
         """The material on the mesh."""
-        return self.theta_at(values, self.rod.mesh(self.lengths(values)).joints).material
+        mesh = self.rod.mesh(self.lengths(values))
+        material = self.theta_at(values, mesh.joints).material
+        if not self.uneven:
+            return material
+        return replace(material, bend=material.bend * np.exp(self.stiffness_at(values, mesh.middles))[None, :, None, None])
+
+    def stiffness_at(self, values: Values, places: np.ndarray) -> np.ndarray:
+        """(X,) ln of the bend stiffness at arc lengths ``places`` (X,) over its geometric mean along the mesh, which is Θ's."""
+        if not self.uneven:
+            return np.zeros(len(places))
+        along, mesh = (values_at(at, self.stiffness_knots)[0] @ values.stiffness
+                       for at in (places, self.rod.mesh(self.lengths(values)).middles))
+        return along - mesh.mean()
 
     def pose(self, values: Values) -> np.ndarray:
         """(D, POSE) the error of each clamp's pose in each observation."""
@@ -229,11 +265,18 @@ class Unknowns:
         by_clip = np.einsum("jk,kb,je->ejb", slopes, values.curvature, mesh.joint_slope)
         return np.concatenate([by_knot, by_clip]), mesh
 
+    def stiffness_modes(self, values: Values, mesh: Mesh) -> np.ndarray:
+        """(1 + K + GEOMETRY, N) derivatives of ln B of the edges of a rod whose stiffness varies along it: by ln α, by each
+        unknown of the stiffness, and by the lengths, with which edges slide along the rod."""
+        weights, slopes = values_at(mesh.middles, self.stiffness_knots)
+        modes = np.concatenate([weights, (slopes @ values.stiffness)[:, None] * mesh.middle_slope], axis=1)
+        return np.vstack([np.ones(len(modes)), (modes - modes.mean(axis=0)).T])
+
     def chain(self, values: Values) -> tuple[tuple[str, ...], np.ndarray]:
-        """The parameters of :func:`doo_ti.relaxation.sensitivity.sensitivity` that Θ's unknowns need, and the derivatives
-        (·, T) of their columns by the unknowns of Θ."""
+        """The parameters of :func:`doo_ti.relaxation.sensitivity.sensitivity` that Θ's unknowns need, "bend" first, and the
+        derivatives (·, T) of their columns by the unknowns of Θ."""
         theta, entries = values.theta, ("bend_1", "bend_2", "bend_12")
-        elementary = [name for name in self.parameters if name not in entries]
+        elementary = sorted((name for name in self.parameters if name not in entries), key=lambda name: name != "bend")
         elementary += entries if len(elementary) < len(self.parameters) else ()
         names = self.names[: self.theta_count]
         follows = {"bend": 1.0, "bend_1": 0.5, "bend_2": 0.5} if self.twist_follows and "twist" not in names else {}
@@ -241,12 +284,13 @@ class Unknowns:
         rows = []
         for name in elementary:
             if name in entries:
-                rows.append([_bend_entry(name, unknown, theta.bend) if unknown in entries else 0.0 for unknown in names])
+                rows.append([slope_of_entry(name, unknown, theta.bend) if unknown in entries else 0.0 for unknown in names])
             elif name == "up":
                 rows += [[float(unknown == f"up[{k}]") for unknown in names] for k in range(2)]
             else:
                 along = follows if name == "twist" and follows else {name: 1.0}
-                rows.append([theta.entries[name] * along.get(unknown, 0.0) for unknown in names])
+                relative = name == "bend" and self.uneven  # as one of the modes of the stiffness
+                rows.append([(1.0 if relative else theta.entries[name]) * along.get(unknown, 0.0) for unknown in names])
         return tuple(elementary), np.array(rows)
 
     def offset(self, values: Values, origin: Values) -> np.ndarray:
@@ -259,12 +303,12 @@ class Unknowns:
             elif name == "bend_12":
                 parts.append(np.arctanh(theta.correlation) - np.arctanh(start.correlation))
             else:
-                parts.append(_tilt(start.up, theta.up)[int(name[3])])
+                parts.append(tilts_between(start.up, theta.up)[int(name[3])])
         for end, name in enumerate(("clip_start", "clip_end")):
             if name in self.names:
                 parts.append(values.clip[end] - clips[end])
         constant = values.constant if self.turns else np.zeros(0)
-        return np.concatenate([parts, self.rod.length * values.curvature.ravel(), constant,
+        return np.concatenate([parts, self.rod.length * values.curvature.ravel(), values.stiffness, constant,
                                values.spacing[: len(self.columns("spacing"))], values.outer[self.outer_ends].ravel()])
 
     @property
@@ -280,15 +324,15 @@ class Unknowns:
                              ("spacing", self.rod.observations.spacing_error)):
             spread[self.columns(prefix)] = size
         spread[self.columns("outer")] = np.repeat(OUTER_SPREAD * self.rod.observations.rest_length[self.outer_ends], 6)
-        knots = self.columns("curvature")
         matrix = np.diag(1 / spread**2)
         if len(ratio := self._ratio):
             matrix[: len(ratio), : len(ratio)] += np.outer(ratio, ratio) / RATIO_FACTOR**2
-        logarithm = float(np.linalg.slogdet(matrix)[1] + 2 * np.log(spread[knots]).sum())
-        if len(knots):
-            field, _ = covariance(self.knots, scales["curvature"] * self.rod.length, scales["range"])
-            matrix[np.ix_(knots, knots)] = np.kron(np.linalg.inv(field), np.eye(2))
-            logarithm += -2 * np.linalg.slogdet(field)[1]
+        logarithm = float(np.linalg.slogdet(matrix)[1])
+        for field in self.fields:
+            own = self.columns(field.name)
+            prior, _ = field.covariance(scales)
+            matrix[np.ix_(own, own)] = np.kron(np.linalg.inv(prior), np.eye(field.components))
+            logarithm += 2 * float(np.log(spread[own]).sum()) - field.components * float(np.linalg.slogdet(prior)[1])
         return matrix, logarithm
 
     @property
@@ -303,21 +347,3 @@ class Unknowns:
     def expected(self, theta: Theta) -> Theta:
         """``theta`` as the mean of the prior: a common rod where that knows of the twist stiffness."""
         return common_rod(theta) if len(self._ratio) else theta
-
-
-def _tilt(origin: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """(2,) the tilts of ``up`` that lead from ``origin`` to ``up``."""
-    turn = np.cross(origin, up)
-    sine = np.linalg.norm(turn)
-    return tilt_axes(origin) @ turn * (np.arctan2(sine, origin @ up) / max(sine, 1e-300))
-
-
-def _bend_entry(entry: str, unknown: str, bend: np.ndarray) -> float:
-    """Derivative of an entry of B by one of its unknowns."""
-    first, second, mixed = bend[0, 0], bend[1, 1], bend[0, 1]
-    if unknown == "bend_12":
-        root = np.sqrt(first * second)
-        return root - mixed**2 / root if entry == "bend_12" else 0.0
-    if entry == "bend_12":
-        return 0.5 * mixed
-    return {"bend_1": first, "bend_2": second}[entry] if entry == unknown else 0.0

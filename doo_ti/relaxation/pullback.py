@@ -207,7 +207,7 @@ def pullback(solution: Solution, cotangent: np.ndarray | None, parameters: Seque
     """
     solution = sensitivity.alone("pullback", solution)
     table = solution.tables
-    sensitivity.check_parameters("pullback", parameters, (*sensitivity.PARAMETERS, FORCES), modes, table)
+    sensitivity.check_parameters("pullback", parameters, (*sensitivity.PARAMETERS, FORCES), {"modes": modes}, table)
     usable = sensitivity.at_minima(solution)
     count, edges = table.count, table.edges
     pulls = _cotangent("cotangent", cotangent, (count, edges + 1, 3), usable)
@@ -217,7 +217,7 @@ def pullback(solution: Solution, cotangent: np.ndarray | None, parameters: Seque
         moment = np.cross(own, _cotangent("frames", frames, (count, edges, 3, 3), usable), axis=2).sum(axis=-1)
         twists = np.ascontiguousarray(np.einsum("reki,rek->rei", own, moment))
     others = [name for name in parameters if name not in (*sensitivity.CURVATURES, FORCES)]
-    directions = [sensitivity.parameter_directions([name], edges, table.up)[1] for name in others]
+    directions = [sensitivity.parameter_directions([name], edges, table.up, {})[1] for name in others]
     runtime.start()
     rows = np.concatenate(directions) if directions else np.zeros((0, 0))
     gradient, curvature, displaced, sound = run_pullback(solution, usable, rows, pulls, twists)

@@ -26,6 +26,7 @@ dx_{i+1} = dx_i + l_i (dω_i × t_i). Parameters by name, and the columns each o
     start_turn, end_turn      3 each: rotations of a clamped frame in the world, its vertex on the clamp staying where it is;
                               rad. What the clamp does not hold does not turn: the spin of a tangent, all of a position
     modes                     M: changes of ω̄ along the rod, given as an array (M, E−1, 2); 1/mm per 1/mm
+    stiffness_modes           M: relative changes of B along the rod, edge by edge, given as an array (M, E)
 
 With the shifts and the turns a rod follows its clamps. A straight, taut rod cannot: these columns and ``length`` are NaN
 where it has no slack.
@@ -143,6 +144,7 @@ GRIPPERS = ("start_shift", "start_turn", "end_shift", "end_turn")
 OF_CLAMPS = ("length", *GRIPPERS)
 CLOSED = 2e-3  # of a radius: two parts of a rod that are nearer to each other touch
 PARAMETERS = ("bend", "bend_1", "bend_2", "bend_12", "twist", "weight", "up", "gravity", *CURVATURES, *OF_CLAMPS)
+STIFFNESS_MODES = "stiffness_modes"
 
 
 @dataclass(frozen=True)
@@ -177,13 +179,14 @@ class Sensitivity:
 @typed
 @runtime.exclusive
 def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist", "weight"), modes: np.ndarray | None = None,
-                first: int = 0, last: int | None = None, *, rotations: bool = True, loads: bool = True) -> Sensitivity:
+                first: int = 0, last: int | None = None, *, stiffness_modes: np.ndarray | None = None, rotations: bool = True,
+                loads: bool = True) -> Sensitivity:
     """dΓ*/dΘ of every rod of ``solution``, which also holds its materials, clamps and the direction of gravity.
 
     solution    of :func:`doo_ti.relaxation.relax.relax` in f64: an equilibrium reached to a residual r is off by about r, and
                 so are its derivatives
-    parameters  from PARAMETERS, in the order of the columns
-    modes       (M, E−1, 2) where "modes" is among the parameters
+    parameters  from PARAMETERS or "stiffness_modes", in the order of the columns
+    modes, stiffness_modes  (M, E−1, 2) and (M, E), where they are among the parameters
     first, last of the rods of ``solution``: derivatives of all of them at once may be more than memory holds
     rotations, loads  whether those are computed; where not, they have no columns, and the call takes a third less time
 
@@ -198,11 +201,12 @@ def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist"
     """
     solution = alone("sensitivity", solution)
     table = solution.tables
-    check_parameters("sensitivity", parameters, PARAMETERS, modes, table)
+    along = {"modes": modes, STIFFNESS_MODES: stiffness_modes}
+    check_parameters("sensitivity", parameters, (*PARAMETERS, STIFFNESS_MODES), along, table)
     last = table.count if last is None else last
     require_whole("sensitivity", "first", first, 0, table.count)
     require_whole("sensitivity", "last", last, first, table.count)
-    names, directions, along = parameter_directions(parameters, table.edges, table.up, modes)
+    names, directions, along = parameter_directions(parameters, table.edges, table.up, along)
     runtime.start()
     vertices, turns, forces, _, sound = run_sensitivity(solution, at_minima(solution), directions, along, first, last,
                                                         rotations, loads)
@@ -254,16 +258,17 @@ def tilt_axes(up: np.ndarray) -> np.ndarray:
     return matrix_from_quaternion(smallest_rotation(np.array([0.0, 0.0, 1.0]), up))[:, :2].T
 
 
-def parameter_directions(parameters: Sequence[str], edges: int, up: np.ndarray, modes: np.ndarray | None = None
+def parameter_directions(parameters: Sequence[str], edges: int, up: np.ndarray, given: dict[str, np.ndarray | None]
                          ) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
-    """Names (P,) of the columns of ``parameters``, what changes along each (P, DIRECTION_COLUMNS), and the changes of rest
-    curvature (M, E−1, 2) that these refer to."""
+    """Names (P,) of the columns of ``parameters``, what changes along each (P, DIRECTION_COLUMNS), and the changes along the
+    rod (M, E−1, 2) that these refer to: of rest curvature, or of ln B at the two edges of each joint. ``given``: modes."""
     names, blocks, along = [], [], [np.zeros((0, edges - 1, 2))]
     for name in parameters:
-        if name in CURVATURES:
-            own = _curvature_modes(name, edges, modes)
+        if name in CURVATURES or name == STIFFNESS_MODES:
+            own = _modes(name, edges, given.get(name))
             block = _unchanged(len(own))
             block[:, change.MODE] = sum(map(len, along)) + np.arange(len(own))
+            block[:, change.STIFFENS] = name == STIFFNESS_MODES
             along.append(own)
         else:
             block = _directions(name, up)
@@ -274,9 +279,10 @@ def parameter_directions(parameters: Sequence[str], edges: int, up: np.ndarray, 
     return tuple(names), np.concatenate(blocks), along if len(along) else np.zeros((1, edges - 1, 2))
 
 
-def check_parameters(function: str, parameters: Sequence[str], known: tuple[str, ...], modes: np.ndarray | None,
+def check_parameters(function: str, parameters: Sequence[str], known: tuple[str, ...], given: dict[str, np.ndarray | None],
                      table: of.Tables) -> None:
-    """Raise InputError, naming ``function``, unless ``parameters`` are ``known`` and they and the modes suit ``table``."""
+    """Raise InputError, naming ``function``, unless ``parameters`` are ``known`` and they and the modes ``given`` suit
+    ``table``."""
     every = ", ".join(known)
     if isinstance(parameters, str) or not parameters:
         raise InputError(function, "parameters", f"{parameters!r}", f"give a list of {every}")
@@ -285,20 +291,24 @@ def check_parameters(function: str, parameters: Sequence[str], known: tuple[str,
             raise InputError(function, "parameters", f"{name!r} is unknown", f"use {every}")
     if len(set(parameters)) < len(parameters):
         raise InputError(function, "parameters", f"{', '.join(parameters)}", "give each parameter once")
-    if ("modes" in parameters) != (modes is not None):
-        raise InputError(function, "modes", "given without their parameter, or the parameter without them", "give both")
-    joints = table.edges - 1
-    if modes is not None and (np.ndim(modes) != 3 or np.shape(modes)[1:] != (joints, 2)):
-        raise InputError(function, "modes", f"shape {np.shape(modes)}", f"give (M, {joints}, 2)")
+    for name, modes in given.items():
+        if (name in parameters) != (modes is not None):
+            raise InputError(function, name, "given without their parameter, or the parameter without them", "give both")
+        size = (table.edges,) if name == STIFFNESS_MODES else (table.edges - 1, 2)
+        if modes is not None and (np.ndim(modes) != 1 + len(size) or np.shape(modes)[1:] != size):
+            raise InputError(function, name, f"shape {np.shape(modes)}", f"give (M, {', '.join(map(str, size))})")
     if "up" in parameters and table.external is not None and table.external.mass.any():
         raise InputError(function, "parameters", "'up' of rods with point masses, whose weight turns too",
                          "give their weight as forces, which do not turn")
 
 
-def _curvature_modes(name: str, edges: int, modes: np.ndarray | None) -> np.ndarray:
-    """(M, E−1, 2) of a parameter among CURVATURES."""
+def _modes(name: str, edges: int, given: np.ndarray | None) -> np.ndarray:
+    """(M, E−1, 2) of a parameter among CURVATURES, or of STIFFNESS_MODES."""
+    if name == STIFFNESS_MODES:
+        own = np.asarray(given, dtype=np.float64)
+        return np.stack([own[:, :-1], own[:, 1:]], axis=-1)
     if name == "modes":
-        return np.asarray(modes, dtype=np.float64)
+        return np.asarray(given, dtype=np.float64)
     if name == "rest_curvature":
         return np.repeat(np.eye(2)[:, None], edges - 1, axis=1)
     return np.einsum("ij,ab->iajb", np.eye(edges - 1), np.eye(2)).reshape(2 * (edges - 1), edges - 1, 2)
@@ -311,7 +321,7 @@ def _unchanged(count: int) -> np.ndarray:
 
 
 def _directions(name: str, up: np.ndarray) -> np.ndarray:
-    """The rows of :func:`parameter_directions` of one parameter that is no curvature."""
+    """The rows of :func:`parameter_directions` of one parameter that is the same along the rod."""
     axes = np.eye(3)
     entries = {
         "bend": {change.BEND: [[1, 1, 0]]}, "bend_1": {change.BEND: [[1, 0, 0]]}, "bend_2": {change.BEND: [[0, 1, 0]]},

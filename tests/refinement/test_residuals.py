@@ -8,9 +8,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from doo_ti import Clamp, Newton, Plane, Surroundings, Theta
+from doo_ti.refinement.fields import covariance, knots_of, values_at
 from doo_ti.refinement.fit import Fit
 from doo_ti.refinement.held_rod import POSE
-from doo_ti.refinement.mesh import Lengths, covariance, knots_of, values_at
+from doo_ti.refinement.mesh import Lengths
 from doo_ti.refinement.refine import mesh_correction, relaxed_on
 from doo_ti.refinement.unknowns import TURNS, Unknowns
 from doo_ti.rod.frames import right_jacobian, rotation_matrix
@@ -99,6 +100,9 @@ def moved_residuals(comparison, fit, state, step, scatter):
 @pytest.mark.parametrize("theta, parameters, kinds, fields", [
     (TRUTH, ("bend", "twist"), (None, None), {}),
     (TRUTH, ("bend", "twist", "weight", "up"), (Clamp.TANGENT, Clamp.FRAME), {"curvature": "uniform"}),
+    (TRUTH, ("twist", "bend"), (None, None), {"uneven": True}),
+    (TRUTH, ("bend", "weight"), (None, Clamp.FREE), {"uneven": True, "curvature": "none", "twist_follows": True}),
+    (TRUTH, ("twist",), (None, None), {"uneven": True, "with_frames": True}),
     (TRUTH, ("bend",), (None, None), {"twist_follows": True}),
     (RIBBON, ("bend_1", "bend_2"), (None, None), {"twist_follows": True}),
     (TRUTH, ("bend",), (Clamp.FRAME, Clamp.POSITION), {"clips": False}), (TRUTH, ("bend", "up"), (Clamp.FRAME, Clamp.FREE), {}),
@@ -109,7 +113,7 @@ def moved_residuals(comparison, fit, state, step, scatter):
     (TRUTH, ("bend", "twist"), (None, Clamp.FREE), {"table": 4.0})])
 def test_residuals_follow_the_unknowns(rng, theta, parameters, kinds, fields):
     """J and Z of :class:`doo_ti.refinement.residuals.Comparison` by central differences, with clips of unequal lengths, a
-    curvature, spacings that are off, and clamps that are already off, with and without reported frames; and of rods that a
+    curvature, a stiffness along it, spacings that are off, and clamps that are already off, with and without reported frames; and of rods that a
     table holds up, of which nothing goes along when their start is lifted."""
     seen = suture(2, frames=fields.get("with_frames", False)).take([0, 1, 4])
     seen = replace(seen, spacing_error=0.02, **dict.fromkeys(fields.pop("bare", ()), None))
@@ -122,7 +126,8 @@ def test_residuals_follow_the_unknowns(rng, theta, parameters, kinds, fields):
     comparison, scales = model(rod, parameters, **fields)
     unknowns = comparison.unknowns
     values = unknowns.begun(theta, np.array([2.1, 3.4]))
-    values = replace(values, curvature=1e-3 * rng.normal(size=values.curvature.shape))
+    values = replace(values, curvature=1e-3 * rng.normal(size=values.curvature.shape),
+                     stiffness=0.1 * rng.normal(size=values.stiffness.shape))
     if not rod.exact:
         values = replace(values, constant=1e-2 * rng.normal(size=TURNS), scatter=0.1 * rng.normal(size=(3, POSE)))
     values = replace(values, spacing=0.01 * rng.normal(size=seen.edges))

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Material, Newton, Springs, pullback, relax, sensitivity
+from doo_ti import Clamp, Material, Newton, Springs, end_loads, pullback, relax, sensitivity
 from doo_ti.relaxation.sensitivity import PARAMETERS, tilt_axes
 from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about
 from tests.conftest import check_refused
@@ -169,6 +169,26 @@ def test_modes_add_up_what_joints_do(rng):
     np.testing.assert_allclose(found.vertices[..., :2], np.einsum("rvkjc,mjc->rvkm", joints, modes), atol=1e-9)
     for given in (None, modes[:, 1:]):
         check_refused("modes", sensitivity, solution, ("modes",), given)
+
+
+def test_stiffness_modes_are_differences_of_relaxed_rods(rng):
+    """Along a rod that is curved at rest; a mode that is one everywhere is ``bend``."""
+    rods, modes, step = wandering(rng, 2, 12), rng.normal(size=(2, 12)), 1e-4
+    bend, rest, clamps = 2e5 * np.exp(0.2 * rng.normal(size=12)), rng.normal(scale=1e-3, size=(1, 11, 2)), clamps_at(rods)
+
+    def relaxed(factor: np.ndarray):
+        return relax(rods, Material((bend * factor)[None, :, None, None] * np.eye(2), 1e5, rest_curvature=rest), clamps, SHARP)
+
+    solution = relaxed(np.ones(12))
+    found = sensitivity(solution, ("stiffness_modes",), stiffness_modes=np.vstack([modes, np.ones(12)]))
+    for k, mode in enumerate([*modes, np.ones(12)]):
+        more, less = (relaxed(np.exp(sign * step * mode)) for sign in (1, -1))
+        for own, its in ((found.vertices[..., k], [one.configuration.vertices for one in (more, less)]),
+                         (found.loads.end_moment[..., k], [end_loads(one).end_moment for one in (more, less)])):
+            slope = (its[0] - its[1]) / (2 * step)
+            np.testing.assert_allclose(own, slope, atol=1e-5 * np.abs(slope).max())
+    for given in (None, modes[:, 1:]):
+        check_refused("stiffness_modes", sensitivity, solution, ("stiffness_modes",), stiffness_modes=given)
 
 
 def test_parts_are_those_of_the_whole(rng):
