@@ -1,7 +1,7 @@
 """Equilibria of a Kirchhoff rod as a continuum, clamped at both ends: a boundary value problem, by spectral collocation.
 
 The unknowns are the rotations R(s) of the cross sections at Legendre–Gauss–Lobatto points and the force n(0) in the start
-clamp. With R' = R [κ], m = R B (κ − κ₀), n(s) = n(0) + w s up and r' = t, they solve m' + t × n = 0 and ∫ t = r(L) − r(0).
+clamp. With R' = R [κ], m = R b B (κ − κ₀), b(s) a relative stiffness, n(s) = n(0) + w s up and r' = t, they solve m' + t × n = 0 and ∫ t = r(L) − r(0).
 Lengths are in rod lengths, moments in EI / L: bend stiffness is 1, twist stiffness GJ / EI, and weight w L³ / EI.
 
 Each rod is followed from a circular arc without weight, an equilibrium known in closed form, to its clamps and weight; in the
@@ -79,6 +79,7 @@ class Rods:
     weight: np.ndarray      # (P, 3), w up
     curvature: np.ndarray   # (P, points, 3) of the unloaded rod, in its frames
     span: np.ndarray        # (P, 3) between the clamps
+    stiffness: np.ndarray   # (points,) b
 
     def bending(self) -> np.ndarray:
         """(P, points, 3): curvature of the rods as they are held, in their frames; the first component is the twist."""
@@ -87,13 +88,17 @@ class Rods:
                          spin[..., 1, 0] - spin[..., 0, 1]], axis=-1) / 2
 
     def moments(self) -> np.ndarray:
-        return (self.frames @ ((self.bending() - self.curvature) * [self.ratio, 1, 1])[..., None])[..., 0]
+        return (self.frames @ ((self.bending() - self.curvature) * self.scaled([self.ratio, 1, 1]))[..., None])[..., 0]
+
+    def scaled(self, diagonal: list[float]) -> np.ndarray:
+        """(points, 3) b times the ``diagonal`` of B."""
+        return self.stiffness[:, None] * diagonal
 
     def linearised(self):
         """Residual (P, points, 3) of the moments, its derivative (P, points, 3, points, 3) by rotations, and the tangents."""
         d, tangents, m = self.at.derivative, self.frames[..., 0], self.moments()
         n = self.force[:, None] + self.at.s[:, None] * self.weight[:, None]
-        stiffness = (self.frames * [self.ratio, 1, 1]) @ np.swapaxes(self.frames, -1, -2)
+        stiffness = (self.frames * self.scaled([self.ratio, 1, 1])[:, None]) @ np.swapaxes(self.frames, -1, -2)
         by = np.einsum("pkab,kl->pkalb", stiffness, d)
         each = np.arange(len(d))
         by[:, each, :, each, :] -= np.moveaxis(cross(m), 1, 0)
@@ -155,12 +160,13 @@ def arcs(at: Points, start: np.ndarray, chord: np.ndarray) -> tuple[np.ndarray, 
     return frames, chord * (np.sin(half) / half)[:, None]
 
 
-def equilibria(degree, ratio, weight, start, span, end, curvature) -> tuple[Rods, np.ndarray]:
+def equilibria(degree, ratio, weight, start, span, end, curvature, stiffness) -> tuple[Rods, np.ndarray]:
     """P rods between the clamps ``start`` (P, 3, 3) at 0 and ``end`` at ``span`` (P, 3), and which of them are stable ones
     that were reached and resolved.
 
     weight     (P, 3), w up L³ / EI
     curvature  (points, 3) of the unloaded rod, times the length
+    stiffness  (points,) b
     """
     at = points(degree)
     frames, arc_end = arcs(at, start, span / np.linalg.norm(span, axis=-1, keepdims=True))
@@ -171,7 +177,7 @@ def equilibria(degree, ratio, weight, start, span, end, curvature) -> tuple[Rods
         goal = np.minimum(done + step, 1.0)[active]
         share = goal[:, None]
         part = Rods(at, frames[active], force[active], ratio, share * weight[active],
-                    share[..., None] * curvature[None], arc_end[active] + share * (span - arc_end)[active])
+                    share[..., None] * curvature[None], arc_end[active] + share * (span - arc_end)[active], stiffness)
         target = turned(share * turn[active]) @ arc_frame[active]
         ended, live, taken = np.zeros(len(active), bool), np.ones(len(active), bool), np.zeros(len(active))
         for _ in range(NEWTON):
@@ -184,10 +190,10 @@ def equilibria(degree, ratio, weight, start, span, end, curvature) -> tuple[Rods
         good = ended & live
         frames[active[good]], force[active[good]], done[active[good]] = part.frames[good], part.force[good], goal[good]
         step[active] *= np.where(good, np.where(taken <= 4, 1.7, 1.0), 0.4)
-    found = Rods(at, frames, force, ratio, weight, np.broadcast_to(curvature, (rods, *curvature.shape)), span)
+    found = Rods(at, frames, force, ratio, weight, np.broadcast_to(curvature, (rods, *curvature.shape)), span, stiffness)
     reached = np.flatnonzero(done >= 1)
     right = np.zeros(rods, bool)
     if reached.size:
-        kept = Rods(at, frames[reached], force[reached], ratio, weight[reached], found.curvature[reached], span[reached])
+        kept = Rods(at, frames[reached], force[reached], ratio, weight[reached], found.curvature[reached], span[reached], stiffness)
         right[reached] = kept.stable() & kept.resolved()
     return found, right

@@ -15,7 +15,7 @@ from tools.studies.marks_study.rod import equilibria, points, turned
 
 FAMILIES = ("cable", "suture")
 ALWAYS = ("spacing", "clip", "frames")
-SOMETIMES = {"chord": 0.5, "missing": 0.5, "mislabel": 0.5, "curvature": 0.8, "uneven": 0.35}
+SOMETIMES = {"chord": 0.5, "missing": 0.5, "mislabel": 0.5, "curvature": 0.8, "uneven": 0.35, "stiffness": 0.5}
 NUISANCES = (*ALWAYS, *SOMETIMES, "turns")
 GRAVITY = 9.81
 DEGREES = ((50, 30), (500, 40), (1500, 50), (np.inf, 60))  # weight w L³ / EI below which this degree resolves the rod
@@ -107,6 +107,19 @@ def rest_curvature(recipe: Recipe, s: np.ndarray) -> np.ndarray:
     return field
 
 
+def stiffness_along(recipe: Recipe, s: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """(len(s),) of the bend and twist stiffness over their geometric means: two waves, of 3 to 12 % together. ``weights`` of
+    the mean over s."""
+    wave = np.zeros(len(s))
+    if "stiffness" in recipe.nuisances:
+        rng = stream(recipe.family, recipe.seed, "stiffness")
+        order, phase = rng.integers(1, 4, (2, 1)) / 1.3, rng.uniform(0, 2 * np.pi, (2, 1))
+        wave = np.sin(2 * np.pi * order * s + phase).sum(axis=0)
+        wave -= weights @ wave
+        wave *= rng.uniform(0.03, 0.12) / np.sqrt(weights @ wave**2)
+    return np.exp(wave)
+
+
 def frame_along(tangent: np.ndarray) -> np.ndarray:
     side = np.cross([0, 0, 1.0], tangent)
     side /= np.linalg.norm(side, axis=-1, keepdims=True)
@@ -139,12 +152,13 @@ def exact(recipe: Recipe) -> tuple[np.ndarray, ...]:
     degree = next(degree for load, degree in DEGREES if recipe.load < load)
     arc, count = mark_lengths(recipe)[0] / recipe.free, recipe.poses
     start, span, end = clamps(recipe, CHANCES * count)
-    kappa, weight = rest_curvature(recipe, points(degree).s) * recipe.free, np.array([0, 0, recipe.load])
+    at, weight = points(degree), np.array([0, 0, recipe.load])
+    kappa, stiffness = rest_curvature(recipe, at.s) * recipe.free, stiffness_along(recipe, at.s, at.weights)
     taken, kept = [], 0
     for rows in np.array_split(np.arange(len(span)), max(1, round(CHANCES / 1.25))):
         if kept < count:
             rods, right = equilibria(degree, recipe.GJ / recipe.EI, np.tile(weight, (len(rows), 1)), start[rows], span[rows],
-                                     end[rows], kappa)
+                                     end[rows], kappa, stiffness)
             inside = rods.points_at(np.clip(arc, 0, 1))[right]
             first, last = rods.frames[right, 0], rods.frames[right, -1]
             inside += np.minimum(arc, 0)[:, None] * first[:, None, :, 0] + np.maximum(arc - 1, 0)[:, None] * last[:, None, :, 0]
