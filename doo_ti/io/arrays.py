@@ -202,14 +202,7 @@ class CsvTable:
 
     def numbers(self, name: str, *, may_be_empty: bool = False) -> np.ndarray:
         """(N,) f64: the finite numbers of a column; NaN where it may be empty and is. Raises InputError for anything else."""
-        cells = self.columns[name]
-        try:
-            values = np.array([float(cell or "nan") if may_be_empty else float(cell) for cell in cells])
-        except ValueError:
-            values = None
-        # The slower way, which accepts more spellings, but not Python's 1_000, and stops at no cell.
-        if values is None or self.decimal != "." or "_" in "".join(cells):
-            values = np.array([_number(cell, may_be_empty, self.decimal) for cell in cells])
+        values = np.array([_number(cell, may_be_empty, self.decimal) for cell in self.columns[name]])
         allowed = np.isfinite(values) | (np.isnan(values) if may_be_empty else False)
         self.refuse(name, ~allowed, "is not a finite number", "give decimal numbers")
         return values
@@ -237,7 +230,7 @@ def _number(cell: str, may_be_empty: bool, decimal: str) -> float:
 
 
 def number_in(cell: str, decimal: str = ".") -> float:
-    """The number in a cell with that sign before decimals; infinity where there is none."""
+    """The number in a cell with that sign before decimals; infinity where there is none, as in Python's 1_000."""
     if decimal != ".":
         cell = "" if "." in cell else cell.replace(decimal, ".")
     try:

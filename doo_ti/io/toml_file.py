@@ -237,7 +237,7 @@ def interpolated(source, name: str, rows: list, table: type[Table], first: Mappi
     """
     from scipy.interpolate import PchipInterpolator
 
-    now, at, values = dict(first), [0.0], {key: [value] for key, value in first.items()}
+    now, at, states = dict(first), [0.0], [first]
     for k, row in enumerate(rows):
         moment = checked(source, f"{name}[{k}]", row, table)
         if moment.time_s < at[-1] or k and moment.time_s == at[-1]:
@@ -247,16 +247,13 @@ def interpolated(source, name: str, rows: list, table: type[Table], first: Mappi
             if value is not None:
                 direction = key.endswith("direction")
                 now[key] = unit_direction(source, f"{name}[{k}].{key}", value) if direction else np.array(value)
-        if moment.time_s == at[-1]:
-            at.pop()
-            for key in now:
-                values[key].pop()
+        if moment.time_s == at[-1]:  # the first one takes the place of the beginning
+            at, states = [], []
         at.append(moment.time_s)
-        for key in now:
-            values[key].append(now[key])
+        states.append(dict(now))
     if len(at) == 1:
-        return {key: np.broadcast_to(value[0], (len(time), *np.shape(value[0]))) for key, value in values.items()}
-    return {key: PchipInterpolator(at, np.array(value))(np.minimum(time, at[-1])) for key, value in values.items()}
+        return {key: np.broadcast_to(value, (len(time), *np.shape(value))) for key, value in now.items()}
+    return {key: PchipInterpolator(at, np.array([state[key] for state in states]))(np.minimum(time, at[-1])) for key in now}
 
 
 ClampName = Literal["free", "position", "tangent", "frame"]

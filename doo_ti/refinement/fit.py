@@ -201,10 +201,11 @@ class Fit:
     def run(self, state: State, steps: int, held: tuple[np.ndarray, float] | None = None) -> Fitted:
         """The best values that are reached from ``state``; with ``held`` = (v, a), those whose v·x is larger by a than that of
         ``state``, x being the unknowns."""
-        done, tried, left, before = False, 0, 0.0 if held is None else held[1], np.zeros(self.unknowns.theta_count)
+        direction, left = held or (None, 0.0)
+        done, tried, before = False, 0, np.zeros(self.unknowns.theta_count)
         snapping = np.zeros(len(state.used), dtype=bool)  # stay out: the fit would pull them in and lose them again for ever
         for tried in range(1, steps + 1):
-            fitted = self._linear(state, None if held is None else (held[0], left))
+            fitted = self._linear(state, direction, left)
             if done:
                 break
             snapping |= state.used & ~fitted.state.used
@@ -227,7 +228,7 @@ class Fit:
             state = replace(trial, used=trial.used & ~snapping)
             done = settled and not again and bool((state.used == fitted.state.used).all())
         else:
-            fitted = self._linear(state, None if held is None else (held[0], left))
+            fitted = self._linear(state, direction, left)
         return replace(fitted, converged=done, steps=tried)
 
     def _state(self, values: Values, scales: Scales, solution: Solution) -> State:
@@ -244,13 +245,13 @@ class Fit:
         """(D,) of the marks' residuals."""
         return (residuals[0] ** 2).sum(axis=1) / np.maximum(self.comparison.count, 1)
 
-    def _linear(self, state: State, held) -> Fitted:
-        """The linear model around ``state``, its sizes fitted."""
+    def _linear(self, state: State, direction: np.ndarray | None, left: float) -> Fitted:
+        """The linear model around ``state``, its sizes fitted; a step along a held ``direction`` goes by what is ``left``."""
         linear, used = self.comparison.linear(state.solution, state.values, state.used, self.rods is None)
         share, entropy, rest = self.shares(replace(state, used=used), linear)
         evidence = Evidence.of(self.unknowns, linear, self.unknowns.offset(state.values, self.origin), share, entropy)
-        if held is not None:
-            evidence = evidence.holding(*held)
+        if direction is not None:
+            evidence = evidence.holding(direction, left)
         scales = evidence.best(state.scales, SCALE_STEPS)
         state = replace(state, scales=scales, used=used)
         return Fitted(state, evidence, evidence.posterior(scales), linear, rest, False, 0)

@@ -10,7 +10,7 @@ import numpy as np
 from doo_ti.refinement.fit import Fit
 from doo_ti.refinement.held_rod import POSE, HeldRod
 from doo_ti.refinement.refine import Refinement, RefinementOptions, refine, unknowns_of
-from doo_ti.refinement.residuals import Comparison, mark_distance
+from doo_ti.refinement.residuals import Comparison
 from doo_ti.refinement.rolls import at_all_rolls
 from doo_ti.refinement.theta import Theta
 from doo_ti.rod.observations import Observations
@@ -87,8 +87,7 @@ def _predicted(found: Refinement, observations: Observations, clamps: Clamps, op
     values = replace(found.estimate.values, scatter=np.zeros((rod.observations.count, POSE)))
     state = fit.posed(fit.from_marks(values, found.estimate.scales))
     sound, lengths = state.sound, unknowns.lengths(values)
-    frames = rod.directors(state.solution, lengths) if options.frame_weight > 0 else None
-    distance = mark_distance(rod.marks(state.solution, lengths), rod.observations, frames, options.frame_weight)
+    distance = rod.distance(rod.marks(state.solution, lengths), state.solution, lengths, options.frame_weight)
     least = rod.by_observation(np.where(sound, fit.mean_squares(state.residuals), np.inf)).argmin(axis=1)
     best = np.arange(len(least)) * rod.copies + least
     return distance[best], sound[best]

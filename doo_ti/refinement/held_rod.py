@@ -244,6 +244,17 @@ class HeldRod:
         place = lengths.mark_place
         return self.mesh(lengths).at_edges(0.5 * (place[1:] + place[:-1]))[0] @ solution.configuration.frames[..., 1]
 
+    def distance(self, marks: np.ndarray, solution: Solution, lengths: Lengths, frame_weight: float) -> np.ndarray:
+        """(D,) Eq. 1 in mm between ``marks`` (D, M, 3) of relaxed rods, where ``frame_weight`` is positive also m1 half-way
+        between them, and the observations."""
+        seen = self.observations
+        apart = np.linalg.norm(np.where(seen.valid[..., None], marks - np.nan_to_num(seen.vertices), 0.0), axis=-1)
+        total = apart.sum(axis=1) / (seen.valid.sum(axis=1) - 1)
+        if frame_weight > 0:
+            turned = np.linalg.norm(self.directors(solution, lengths) - seen.frames[..., 1], axis=-1)
+            total = total + frame_weight * turned.sum(axis=1) / (seen.edges - 1)
+        return total
+
     def _on_mesh(self, lengths: Lengths) -> Observations:
         """The observed curves, and frames if these were measured, on the mesh: the start of relaxations."""
         seen, mesh, mark_place = self.observations, self.mesh(lengths), lengths.mark_place

@@ -24,7 +24,6 @@ from doo_ti.refinement.estimate import Estimate, estimated, within_reach
 from doo_ti.refinement.extensions import with_stiffness_along
 from doo_ti.refinement.fit import FINE
 from doo_ti.refinement.held_rod import HeldRod
-from doo_ti.refinement.residuals import mark_distance
 from doo_ti.refinement.rolls import bent, most_probable
 from doo_ti.refinement.search import Optimum, once, searched, turns_chosen_again
 from doo_ti.refinement.theta import Scales, Theta, typical_scales
@@ -278,12 +277,11 @@ def _refinement(best: Optimum, rivals: list[Optimum], options: RefinementOptions
     lengths = fit.unknowns.lengths(state.values)
     marks = rod.marks(state.solution, lengths) + correction
     marks = np.where(sound[:, None, None], marks, np.nan)
-    frames = rod.directors(state.solution, lengths) if options.frame_weight > 0 else None
     estimate = estimated(best, rivals, profiled=options.intervals == "profile")
     return Refinement(
         estimate=replace(estimate, values=state.values), adequacy=adequacy(fit, fitted),
         scores=scores(fit, fitted) if options.models else (), marks=marks, mean_squares=fit.mean_squares(state.residuals),
-        distance=mark_distance(marks, rod.observations, frames, options.frame_weight),
+        distance=rod.distance(marks, state.solution, lengths, options.frame_weight),
         status=state.solution.status, stable=state.solution.stable, used=state.used, misfits=sound & ~state.used,
         mislabelled=mislabelled(fit, fitted), converged=fitted.converged, steps=fitted.steps,
         swivels=rod.swivels, mesh_edges=rod.edges,

@@ -23,7 +23,6 @@ from doo_ti.refinement.mesh import GEOMETRY, Lengths, Mesh
 from doo_ti.refinement.theta import Scales
 from doo_ti.refinement.unknowns import Unknowns, Values
 from doo_ti.relaxation.sensitivity import STIFFNESS_MODES, sensitivity
-from doo_ti.rod.observations import Observations
 from doo_ti.rod.types import Clamp, Solution
 
 RODS_AT_ONCE = 128  # derivatives of as many rods are held in memory at a time
@@ -71,18 +70,6 @@ class Moments:
             residuals.scale, float(share @ (residuals.values**2).sum(axis=1)), shared.T @ shared, (transposed @ values)[..., 0],
             effects @ residuals.shared, effects @ residuals.effects,
             (effects @ values)[..., 0], float(share @ residuals.count))
-
-
-def mark_distance(marks: np.ndarray, observations: Observations, directors: np.ndarray | None = None,
-                  frame_weight: float = 0.0) -> np.ndarray:
-    """(D,) Eq. 1 in mm between ``marks`` (D, M, 3), and m1 half-way between them, and the observations."""
-    valid = observations.valid
-    apart = np.linalg.norm(np.where(valid[..., None], marks - np.nan_to_num(observations.vertices), 0.0), axis=-1)
-    total = apart.sum(axis=1) / (valid.sum(axis=1) - 1)
-    if directors is not None:
-        turned = np.linalg.norm(directors - observations.frames[..., 1], axis=-1)
-        total = total + frame_weight * turned.sum(axis=1) / (observations.edges - 1)
-    return total
 
 
 @dataclass(frozen=True)
