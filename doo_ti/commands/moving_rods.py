@@ -255,26 +255,21 @@ def warn_of(held: HeldRods, options: Namespace) -> None:
 def losses(options: Namespace):
     """Damping, drag and the mass of markers, of ``--theta`` but for what the options give."""
     from doo_ti.dynamics.parameters import Dynamics
-    from doo_ti.dynamics.theta import load_theta, simulated
+    from doo_ti.dynamics.theta import simulated
 
-    found = Dynamics()
-    if options.theta is not None:
-        found = simulated([load_theta(options.theta)])[1]
+    theta = given.theta(options)
+    found = Dynamics() if theta is None else simulated([theta])[1]
     return replace(found, **{name: getattr(options, name) for name in LOSSES if getattr(options, name) is not None})
 
 
 def with_friction_of_theta(options: Namespace, surroundings: Surroundings) -> Surroundings:
     """The surroundings with the friction that ``--theta`` states, if it does."""
-    if options.theta is None:
-        return surroundings
-    from doo_ti.dynamics.theta import load_theta
-
-    friction = load_theta(options.theta).friction
-    if friction is None:
+    theta = given.theta(options)
+    if theta is None or theta.friction is None:
         return surroundings
     use = "that of all obstacles" if surroundings.bodies else "ignored without obstacles"
-    options.friction_note = f"; its friction of {friction:.3g} is {use}"
-    return surroundings.rubbing(friction)
+    options.friction_note = f"; its friction of {theta.friction:.3g} is {use}"
+    return surroundings.rubbing(theta.friction)
 
 
 def require_length(source, theta, length: float) -> None:
@@ -288,11 +283,9 @@ def require_length(source, theta, length: float) -> None:
 def with_rest_curvature(options: Namespace, material: Material, rest_length: np.ndarray, moving: bool = False) -> Material:
     """The material with what ``--theta`` says of its rest curvature, at the joints of rods of ``rest_length`` (E,), and of rods
     that move of its own weight, that of markers apart. Raises InputError where the rod has another length."""
-    if options.theta is None:
+    theta = given.theta(options)
+    if theta is None:
         return material
-    from doo_ti.dynamics.theta import load_theta
-
-    theta = load_theta(options.theta)
     require_length(options.theta, theta, float(np.sum(rest_length)))
     weight = material.weight * (1.0 - theta.marker_share) if moving else material.weight
     rest = theta.rest_curvature_at(rest_length) if theta.rest.any() else None

@@ -134,12 +134,9 @@ def add_obstacles(parser: ArgumentParser, friction: str) -> None:
 def grid(options: Namespace, base: Grid | None = None) -> Grid:
     """The axes given, on top of those of ``base`` (a scene's grid) where there is one."""
     texts = {name: getattr(options, name) for name in UNITS if getattr(options, name) is not None}
-    if options.theta is not None:
+    if (found := theta(options)) is not None:
         refuse(options, MATERIAL, "given beside --theta", "give one of the two")
-        from doo_ti.dynamics.theta import load_theta
-
-        theta = load_theta(options.theta)
-        texts |= {"bend": repr(theta.bend), "twist": repr(theta.bend * theta.twist_ratio)}
+        texts |= {"bend": repr(found.bend), "twist": repr(found.bend * found.twist_ratio)}
     axes, bend_12 = parse_axes(texts, SOURCE, "--")
     axes += _physical_axes(options)
     if base is not None:
@@ -147,6 +144,15 @@ def grid(options: Namespace, base: Grid | None = None) -> Grid:
     if not any(axis.name in ("bend", "bend_1", "bend_2") for axis in axes):
         raise InputError(SOURCE, "--EI", "missing", "give --EI and --linear-density, or --bend, or --bend-1 and --bend-2")
     return Grid(tuple(axes), bend_12, SOURCE)
+
+
+def theta(options: Namespace):
+    """The MotionTheta of ``--theta``, or None."""
+    if options.theta is None:
+        return None
+    from doo_ti.dynamics.theta import load_theta
+
+    return load_theta(options.theta)
 
 
 def _physical_axes(options: Namespace) -> list[Axis]:

@@ -4,7 +4,7 @@ import json
 import os
 import sys
 from argparse import Namespace
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -151,6 +151,12 @@ def rows(*entries: tuple[str, str | object], width: int = 12) -> list[str]:
 def status_text(counts: dict[str, int]) -> str:
     """``57 converged, 3 iteration limit``."""
     return ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items())
+
+
+def listed(names: Iterable, most: int) -> str:
+    """The first ``most`` names, and how many more there are."""
+    texts = [in_line(name) for name in names]
+    return ", ".join(texts[:most]) + f" and {len(texts) - most} more" * (len(texts) > most)
 
 
 def shortened(lines: list[str], most: int, rest: str) -> list[str]:

@@ -128,13 +128,12 @@ def _recorded(options: Namespace, out: Path, changes: dict, up: np.ndarray) -> _
     from doo_ti.dynamics.identify import IdentifyOptions
     from doo_ti.dynamics.parameters import Stepping
     from doo_ti.dynamics.rollouts import Rollouts
-    from doo_ti.dynamics.theta import load_theta
 
     if options.theta is None:
         raise InputError(given.SOURCE, "--theta", "missing", "give the rod: a file that doo-ti identify has written")
     given.refuse(options, (*given.MATERIAL, *LOSSES, *OF_MOTIONS, *CLAMPS, "rest_length"), "given, but the rod is recorded",
                  "leave it out, or give observations with --motion")
-    theta, surroundings = load_theta(options.theta), given.surroundings(options)
+    theta, surroundings = given.theta(options), given.surroundings(options)
     motion, = loading.recordings(options, [options.source])
     refuse_overwriting(out, options.source)
     if motion.edges != len(theta.rest_length):
@@ -265,7 +264,7 @@ def _lines(found: _Simulated, summary: dict, arrays: dict) -> list[str]:
              f"at {found.rate:g} frames/s",
              f"  status      {results.status_text(summary['status'])} at the end"]
     if summary["failed"]:
-        lines.append(f"  failed      {', '.join(map(in_line, summary['failed'][:MOST_LISTED]))}: no positions from there on")
+        lines.append(f"  failed      {results.listed(summary['failed'], MOST_LISTED)}: no positions from there on")
         first = found.status.argmax(axis=1)
         if found.contact and (found.status[np.arange(len(first)), first] == Status.INFEASIBLE).any():
             lines.append("  infeasible  a gripper holds a rod in an obstacle, or moves it into one by more than its radius in "

@@ -11,7 +11,7 @@ from doo_ti.commands import image_options
 from doo_ti.commands import options as given
 from doo_ti.commands.loading import read_rest_length
 from doo_ti.commands.perceive import LEAST_SIGMA_MM
-from doo_ti.commands.results import refuse_overwriting, report, save_arrays
+from doo_ti.commands.results import listed, refuse_overwriting, report, save_arrays
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.arrays import read_csv
 from doo_ti.rod.types import Clamp, Clamps, Material
@@ -231,10 +231,9 @@ def _lines(summary: dict) -> list[str]:
     for key, words in (("seeded", "by Algorithm 1"), ("lost", "in which the rod is lost"),
                        ("uncertain", f"whose start is uncertain by {CERTAIN_MM:g} mm or off the thread; click there, too")):
         names = summary[key]
-        listed = ", ".join(names[:MOST_LISTED]) + f" and {len(names) - MOST_LISTED} more" * (len(names) > MOST_LISTED)
-        if key == "uncertain" and not len(names):
-            continue
-        lines.append(f"  {key:<11} {counted(len(names), 'frame')} {words}{': ' * bool(len(names))}{listed}")
+        if len(names) or key != "uncertain":
+            named = f": {listed(names, MOST_LISTED)}" * bool(len(names))
+            lines.append(f"  {key:<11} {counted(len(names), 'frame')} {words}{named}")
     if summary["camera_error_px"] is not None:
         off = summary["camera_error_px"]
         lines.append(f"  images      {f'{off:.2f}' if off >= LEAST_SHOWN else f'less than {LEAST_SHOWN}'} px off on average; "

@@ -9,6 +9,7 @@ from doo_ti import Group, GroupSolution, Material, Plane, Status, Surroundings, 
 from doo_ti.record.motions import record_group, record_motion, record_ribbons
 from doo_ti.record.viewer import FAILED
 from doo_ti.report.canvas import distinct_colors
+from doo_ti.report.contact import GroupMotion
 from doo_ti.report.figures import Ribbons, ribbon_sides, ribbons_picture
 from doo_ti.report.motions import MovingRods
 from tests.record.runs import read
@@ -58,10 +59,10 @@ def test_rods_ties_and_forces_are_shown(tmp_path, rng):
                          np.zeros((1, 1, 3)), none, none, forces, tuple(np.zeros((1, len(each[0]))) for each in forces),
                          np.zeros(1), np.zeros(1))
     moments = [good, replace(good, status=np.array([Status.STALLED]))]
-    record_group(tmp_path / "bare.rrd", moments, name="without thickness")
-    assert set(read(tmp_path / "bare.rrd")[1]) >= {"/world/rods/0", "/world/rods/1", "/world/ties"}
-    record_group(tmp_path / "g.rrd", moments, name="made up", names=["trunk", "a branch"], rate=2.0,
-                 surroundings=Surroundings([Plane((0, 0, -5), (0, 0, 1))], 1.5))
+    table, names = Surroundings([Plane((0, 0, -5), (0, 0, 1))], 1.5), ["trunk", "a branch"]
+    record_group(tmp_path / "bare.rrd", GroupMotion.of(moments, "without thickness", names))
+    assert "/world/ties" in read(tmp_path / "bare.rrd")[1]
+    record_group(tmp_path / "g.rrd", GroupMotion.of(moments, "made up", names, table, rate=2.0))
     static, moving = read(tmp_path / "g.rrd")
     places = ["/world/rods/0_trunk", "/world/rods/1_a_branch"]
     assert "/world/obstacles/0/0" in static and set(moving) == {*places, "/world/ties", "/world/forces"}
