@@ -33,7 +33,7 @@ from doo_ti.commands import (
     twist,
 )
 from doo_ti.commands.help_text import hidden, nearest, overview
-from doo_ti.commands.options import Value
+from doo_ti.io.toml_file import scene_file
 from doo_ti.system.errors import InputError, InterruptedRunError
 from doo_ti.system.runtime import check_architecture
 from doo_ti.system.terminal import VisibleStream, visible
@@ -52,10 +52,10 @@ class _Parser(argparse.ArgumentParser):
         raise InputError(self.prog, option, problem, f"see {self.prog} --help")
 
     def _get_value(self, action: argparse.Action, text: str):
-        if not isinstance(action.type, Value):
+        if action.type in (None, str, int, float, scene_file):
             return super()._get_value(action, text)
         first = next(other for other in self._actions if other.dest == action.dest)  # of an old name the new one
-        return action.type(text, (first.option_strings or [first.metavar])[0])
+        return action.type((first.option_strings or [first.metavar])[0], text)
 
     def in_options(self, error: InputError) -> InputError:
         """``error`` with the options of this command in place of the library's arguments: as its field, where its source is no

@@ -60,7 +60,7 @@ def add_files(group, of: str) -> None:
     """How the files ``of`` some option or argument state the marks."""
     group.add_argument("--unit", choices=tuple(UNITS_IN_MM), help=f"unit of all lengths in {of} (default: as the file states, "
                        "else mm)")
-    given.add(group, "--columns", "x=NAME,…|A,B,C", given.Value(_columns), "columns of a table that hold x, y, z, observation, "
+    given.add(group, "--columns", "x=NAME,…|A,B,C", _columns, "columns of a table that hold x, y, z, observation, "
               "vertex; of other files, names of markers or curves in their order along the rod")
 
 
@@ -73,14 +73,14 @@ def add_recordings(parser: ArgumentParser, default_up: str) -> None:
     group.add_argument("--fill-gaps", action="store_true",
                        help="take markers that were not seen from lines between the frames around")
     parser.add_argument("--free-end", action="store_true", help="no gripper holds the last edge of a recording")
-    given.add(parser, "--smoothing", "FRAMES", given.Value(_smoothing), "odd number of frames through which parabolas are "
+    given.add(parser, "--smoothing", "FRAMES", _smoothing, "odd number of frames through which parabolas are "
               "fitted for the start and the grippers; 1: as recorded (default: 1, among obstacles those of 0.09 s)")
 
 
 def _smoothing(option: str, text: str) -> int:
     from doo_ti.dynamics.rollouts import require_smoothing
 
-    frames = given.whole(1, 999)(text, option)
+    frames = given.whole(1, 999)(option, text)
     require_smoothing(given.SOURCE, option, frames)
     return frames
 
@@ -119,7 +119,7 @@ def _measured(observations: Observations, text: str) -> Observations:
     if Path(text).suffix in (".npz", ".txt", ".csv"):
         lengths = read_rest_length(text)
     else:
-        lengths = observations.rest_length * (given.LENGTH(text, "--rest-length") / observations.rest_length.sum())
+        lengths = observations.rest_length * (given.LENGTH("--rest-length", text) / observations.rest_length.sum())
     measured, arcs = replace(observations, rest_length=lengths, spacing_error=MEASURED), observations.arcs.sum()
     if not 1 / MOST_OFF < lengths.sum() / arcs < MOST_OFF:
         raise InputError(given.SOURCE, "--rest-length", f"{lengths.sum():.4g} mm, but arcs through the marks are {arcs:.4g} mm "
@@ -232,7 +232,7 @@ def read_rest_length(text: str) -> np.ndarray:
     option, remedy = "--rest-length", "give MM:COUNT, such as 3:33, or a file of lengths in mm"
     length, _, count = text.partition(":")
     if count and not os.path.exists(text):
-        edges, each = given.whole(2, MOST_EDGES)(count, option), given.LENGTH(length, option)
+        edges, each = given.whole(2, MOST_EDGES)(option, count), given.LENGTH(option, length)
         if not LEAST_MM <= each <= MOST_MM:
             raise InputError(given.SOURCE, option, f"edges of {each:g} mm", f"give {LEAST_MM:g} to {MOST_MM:g} mm")
         return np.full(edges, each)

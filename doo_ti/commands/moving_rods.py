@@ -56,7 +56,7 @@ def add_motion(parser) -> None:
               "at the end that points along the rod, where orientations are stated (default x)")
     group.add_argument("--motion-unit", choices=tuple(UNITS_IN_MM), help="unit of all lengths in PATH (default: --unit, else "
                        "as its columns state, else mm)")
-    given.add(group, "--motion-up", "X,Y,Z|AXIS", given.Value(given.direction), "direction against gravity in PATH, which is "
+    given.add(group, "--motion-up", "X,Y,Z|AXIS", given.direction, "direction against gravity in PATH, which is "
               "turned about the origin so that it becomes that of OBS (default: both have the same coordinates)")
 
 

@@ -19,7 +19,7 @@ from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line, progress
 
 MOST_LISTED = 30
-LEAST_DEGREES, MOST_DEGREES = 1e-3, 30.0
+DEGREES = given.number("a number of degrees from 0.001 to 30", lambda degrees: 1e-3 <= degrees <= 30)
 """Of a sub-step: rods that are carried further at once may leave their branch; smaller steps make no difference."""
 MOST_STEPS = 1000  # with friction, from one state to the next
 MOST_BYTES = 8 << 30  # of frames: predictions are held in memory
@@ -36,8 +36,8 @@ def declare(add) -> None:
     given.add(parser, "--steps-between", "N", given.COUNT, "predicted steps from one moment of the motion to the next "
               "(default: 1, or the scene's)", dest="between")
     given.add_old_name(parser, "--between", "between")
-    given.add(parser, "--sub-step", "DEG", given.Value(_sub_step), "largest rotation of a clamp in one sub-step; rods are "
-              "relaxed after each (default 5)")
+    given.add(parser, "--sub-step", "DEG", DEGREES, "largest rotation of a clamp in one sub-step; rods are relaxed after "
+              "each", 5.0)
     given.add_clamps(parser)
     loading.add_loading(parser, "OBS and PATH")
     given.add_obstacles(parser, "with friction, where an obstacle has any, from one step to the next")
@@ -48,7 +48,7 @@ def declare(add) -> None:
 
 
 def run(options: Namespace) -> int:
-    out, between, sub_step = options.out, options.between, options.sub_step or np.radians(5.0)
+    out, between, sub_step = options.out, options.between, np.radians(options.sub_step)
     if Path(options.source).suffix == ".toml":
         rods, between = _scene(options, between)
     else:
@@ -103,15 +103,6 @@ def _stepping(rods: HeldRods, between: int, sub_step: float):
     # Obstacles are measured along straight ways between the states; the cubics of substeps may be steeper.
     needed = max(needed, 2 * needed_substeps(around, LEAST_WAY, rods.start))
     return Stepping(1.0, int(np.clip(np.ceil(needed), 1, MOST_STEPS)), "euler", quasi_static=True)
-
-
-def _sub_step(option: str, text: str) -> float:
-    """The largest turn of a sub-step, rad."""
-    degrees = given.NUMBERS(text, option)
-    if len(degrees) > 1 or not LEAST_DEGREES <= degrees[0] <= MOST_DEGREES:
-        raise InputError(given.SOURCE, option, f"{text!r} is out of range",
-                         f"give one number of degrees from {LEAST_DEGREES:g} to {MOST_DEGREES:g}")
-    return np.radians(degrees[0])
 
 
 def _scene(options: Namespace, between: int | None) -> tuple[HeldRods, int]:

@@ -47,7 +47,7 @@ def declare(add) -> None:
               "of --rest-length are off by " f"{loading.MEASURED:g}, others by {UNKNOWN_SPACING:g})")
     given.add(parser, "--sigma", "MM", given.LENGTH, "label uncertainty (default: the file's, else learned)")
     model = parser.add_argument_group("the model of the experiment")
-    given.add(model, "--clip", "MM|unknown", given.Value(_clip), "length of rod that a clip holds, from the outer mark on; 0: "
+    given.add(model, "--clip", "MM|unknown", _clip, "length of rod that a clip holds, from the outer mark on; 0: "
               "it ends at that mark (default: unknown, which is learned)")
     model.add_argument("--rest-curvature", choices=CURVATURES, default=None,
                        help="curvature of the unloaded rod: field, a smooth function along it; uniform; none; auto, field "
@@ -55,7 +55,7 @@ def declare(add) -> None:
     model.add_argument("--clamps", choices=("auto", "loose", "exact"), default="loose",
                        help="loose: errors of reported frames are learned, and what is not reported is unknown in each "
                        "observation (default); auto: the same; exact: all is as reported, and as the outer marks say")
-    given.add(model, "--frames", "exact|MM,DEG", given.Value(_frames), "how well the reported frames are known: exactly, as "
+    given.add(model, "--frames", "exact|MM,DEG", _frames, "how well the reported frames are known: exactly, as "
               "--clamps exact, or the standard deviations of their places and directions (default: learned)")
     given.add(model, "--edges", "N", given.whole(6), "edges of the mesh (default: twice those between marks, with a correction "
               "for the mesh error)")
@@ -73,14 +73,14 @@ def declare(add) -> None:
 
 
 def _clip(option: str, text: str) -> float | None:
-    return None if text == "unknown" else given.not_negative("mm")(text, option)
+    return None if text == "unknown" else given.not_negative("mm")(option, text)
 
 
 def _frames(option: str, text: str) -> str | tuple[float, float]:
     """``exact``, or standard deviations in mm and rad."""
     if text == "exact":
         return text
-    error = given.NUMBERS(text, option)
+    error = given.NUMBERS(option, text)
     if len(error) != 2 or min(error) <= 0:
         raise InputError(given.SOURCE, option, f"{text!r}", "give exact, or two positive numbers: mm,degrees")
     return error[0], float(np.radians(error[1]))
@@ -229,8 +229,8 @@ def _loads(text: str, observations: Observations, density: float | None) -> np.n
         mass = np.zeros((count, marks))
         for part in text.split(","):
             mark, _, grams = part.partition(":")
-            at = given.whole(0, marks - 1)(mark, "--mass")
-            mass[:, at] = given.not_negative("g")(grams, "--mass")
+            at = given.whole(0, marks - 1)("--mass", mark)
+            mass[:, at] = given.not_negative("g")("--mass", grams)
     if not (np.isfinite(mass) & (mass >= 0)).all():
         raise InputError(text, "mass_g", "not finite, or negative", "give grams, zero where nothing hangs")
     return 2e3 * mass / density
@@ -251,10 +251,8 @@ def _of_run(options: Namespace, run: Path):
     from doo_ti.refinement.search import lowest_cells, theta_of_cell
     from doo_ti.refinement.theta import common_rod
 
-    for name in (*given.MATERIAL, *loading.OF_OBSERVATIONS, "obstacles", "radius", "mass"):
-        if getattr(options, name) is not None:
-            raise InputError(given.SOURCE, f"--{name.replace('_', '-')}", f"given, but {run} is the run of a sweep",
-                             "leave it out, or name a file of observations")
+    given.refuse(options, (*given.MATERIAL, *loading.OF_OBSERVATIONS, "obstacles", "radius", "mass"),
+                 f"given, but {run} is the run of a sweep", "leave it out, or name a file of observations")
     experiment, landscape = read_experiment(run), read_landscape(run)
     if experiment.options.objective != "static" or experiment.options.spins:
         raise InputError(run, "objective", "a sweep of Eq. 3, or with roll hypotheses",

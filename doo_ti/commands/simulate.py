@@ -116,8 +116,8 @@ def run(options: Namespace) -> int:
 
 def _stepping(options: Namespace) -> dict:
     """The fields of :class:`doo_ti.dynamics.parameters.Stepping` that the options give."""
-    if options.most_substeps is not None and options.tolerance is None:
-        raise InputError(given.SOURCE, "--most-substeps", "given without --tolerance", "give both, or --substeps")
+    if options.tolerance is None:
+        given.refuse(options, ("most_substeps",), "given without --tolerance", "give both, or --substeps")
     found = {"substeps": options.substeps, "scheme": options.scheme, "precision": options.precision,
              "tolerance": options.tolerance, "most_substeps": options.most_substeps,
              "quasi_static": options.quasi_static or None}

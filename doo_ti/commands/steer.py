@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from doo_ti.manipulation.belief import LearnedMaterial
     from doo_ti.perception.virtual_lab import SeenMoment, VirtualCameras
 
-MOST_SECONDS = 3600.0  # of a search
+SECONDS = given.number("a positive number of s up to 3600", lambda seconds: 0 < seconds <= 3600)
 SEED = given.whole(0, 2**31 - 1)
 PLANNED = 2.0  # mm, default distance to the target at which it is reached
 
@@ -40,7 +40,7 @@ def declare(add) -> None:
     add_steered(parser)
     given.add_out(parser, "PATH.csv", "file to write, which predict --motion reads")
     given.add(parser, "--reached", "MM", given.LENGTH, "distance at which the target is reached", PLANNED)
-    given.add(parser, "--seconds", "S", given.Value(_seconds), "longest search", 10.0)
+    given.add(parser, "--seconds", "S", SECONDS, "longest search", 10.0)
     given.add(parser, "--seed", "N", SEED, "of the search's random numbers", 0)
     parser = given.command(add, "servo", run_servo,
                            "bring a rod to a shape by what cameras see of it, in the virtual lab (§VI)")
@@ -58,13 +58,6 @@ def declare(add) -> None:
     given.add(parser, "--steps", "N", given.whole(1, MOST_STEPS), "most steps", STEPS)
     given.add(parser, "--reached", "MM", given.LENGTH, "distance at which the target is reached", REACHED)
     parser.add_argument("--no-recording", action="store_true", help=f"do not write {RECORDING}")
-
-
-def _seconds(option: str, text: str) -> float:
-    seconds = given.positive("s")(text, option)
-    if seconds > MOST_SECONDS:
-        raise InputError(given.SOURCE, option, text, f"give at most {MOST_SECONDS:g}")
-    return seconds
 
 
 def run_steer(options: Namespace) -> int:

@@ -44,7 +44,7 @@ def declare(add) -> None:
     given.add(images, "--rig", "RIG", scene_file, "the cameras: OpenCV FileStorage YAML, such as scenes/rig.yaml")
     given.add(images, "--diameter", "MM", given.LENGTH, f"diameter of the thread (default {DIAMETER_MM:g})")
     given.add(images, "--seed", "N", given.FROM_ZERO, "seed of all random numbers for the images (default 0)")
-    images.add_argument("--render", metavar="NAME=VALUE", action="append", default=[],
+    images.add_argument("--render", metavar="NAME=VALUE", action="append",
                         help="a property of the images, may be repeated: clutter=3, occluders=2, noise=5, jpeg_quality=none …")
 
 
@@ -55,8 +55,7 @@ def run_convert(options: Namespace) -> int:
     if options.motion:
         given.refuse(options, ("edges", "complete", "rest_length"), "given with --motion", "leave one out")
         return _convert_motion(options, out)
-    if options.rate is not None:
-        raise InputError(given.SOURCE, "--rate", "given without --motion", "give both")
+    given.refuse(options, ("rate",), "given without --motion", "give both")
     observations = loading.load(options, options.observations, options.complete)
     kept = _selected(options.marks, observations.edges + 1, "--marks")
     if options.marks is not None:
@@ -110,10 +109,9 @@ def _selected(text: str | None, count: int, option: str = "--select") -> slice:
 def run(options: Namespace) -> int:
     if options.out is None and options.images is None:
         raise InputError(given.SOURCE, "--out", "missing", "give --out OBS, or --images FOLDER --rig RIG, or both")
-    of_images = {"--rig": options.rig, "--diameter": options.diameter, "--seed": options.seed, "--render": options.render}
-    alone = next((name for name, value in of_images.items() if value not in (None, [])), None)
-    if options.images is None and alone is not None:
-        raise InputError(given.SOURCE, alone, "given without --images", "give --images FOLDER too, or leave it out")
+    if options.images is None:
+        given.refuse(options, ("rig", "diameter", "seed", "render"), "given without --images",
+                     "give --images FOLDER too, or leave it out")
     scene = load_scene(options.scene)
     if options.images is not None:
         _photograph(options, scene)
@@ -124,7 +122,7 @@ def run(options: Namespace) -> int:
 
 def _photograph(options: Namespace, scene: Scene) -> None:
     """Render images; options are checked before the first rod is computed, views before the first image is written."""
-    folder, look, seed = options.images, _look(options.render), options.seed or 0
+    folder, look, seed = options.images, _look(options.render or []), options.seed or 0
     rig, diameter = _rig(options, folder), options.diameter or DIAMETER_MM
     if not isinstance(scene.observations, Synthesis):
         raise InputError(scene.source, "observations", "a file, which does not say how the rods lie between their marks",

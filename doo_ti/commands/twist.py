@@ -56,7 +56,7 @@ def run_twist(options: Namespace) -> int:
     regrasps = given.rows("--regrasp", ",".join(options.regrasp) or None, observations.count)
     together = observations.count if options.offset or regrasps else 1
     if options.together is not None:
-        together = given.whole(1, observations.count)(options.together, "--observations")
+        together = given.whole(1, observations.count)("--observations", options.together)
     group = consecutive_groups(observations.count, together, regrasps)
     check_experiment(replace(observations, frames=None), observation_clamps(observations), grid.axes[-1].values[-1], 0.0)
     if offset is None and (together > 1 or options.offset):
