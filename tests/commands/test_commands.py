@@ -12,7 +12,7 @@ import pyarrow
 import pyarrow.parquet
 import pytest
 
-from doo_ti import Clamp, Grid, InterruptedRunError, Observations, Status, load_observations, save_observations
+from doo_ti import Clamp, Grid, InterruptedRunError, Status, load_observations, save_observations
 from doo_ti.commands.cli import main
 from doo_ti.learning.landscape import gather_landscape
 from doo_ti.rod.frames import bishop_frames
@@ -64,16 +64,12 @@ def swept(monkeypatch) -> list:
 
 def ribbon(folder: Path) -> None:
     """good.npz with measured frames, which a frame weight needs."""
-    observations = load_observations_of(folder)
+    npz_bytes(folder)
+    observations = load_observations(folder / "good.npz")
     tangents = np.diff(observations.vertices, axis=1)
     tangents /= np.linalg.norm(tangents, axis=-1, keepdims=True)
     across = np.array([0.31, 0.52, 0.79]) - np.sum([0.31, 0.52, 0.79] * tangents, axis=-1, keepdims=True) * tangents
     save_observations(folder / "good.npz", replace(observations, frames=bishop_frames(tangents, across[:, 0])))
-
-
-def load_observations_of(folder: Path) -> Observations:
-    npz_bytes(folder)
-    return load_observations(folder / "good.npz")
 
 
 def test_sweep_of_a_file(capsys, tmp_path, swept):

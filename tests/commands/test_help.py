@@ -88,11 +88,11 @@ def defaults() -> dict[tuple[str, str], float]:
              ("refine", "--starts"): refine.STARTS, ("plan", "--picks"): plan.PICKS,
              ("synth", "--diameter"): synth.DIAMETER_MM,
              ("figures", "--cells"): runs.MOST_CELLS, ("bench", "--rods"): machine.RODS, ("bench", "--rounds"): machine.ROUNDS,
-             ("sweep", "--roll-hypotheses"): SweepOptions.spins, ("relax", "--frame-weight"): SweepOptions.frame_weight}
-    found |= {("steer", "--reached"): steer.PLANNED, ("steer", "--seconds"): PlanOptions.seconds}
-    found |= {("servo", "--reached"): steer.REACHED, ("servo", "--steps"): steer.STEPS, ("servo", "--diameter"): DIAMETER_MM,
-              ("servo", "--noise"): RenderOptions.noise}
-    found |= {("twist", "--observations"): 1, ("simulate", "--smoothing"): 1, ("identify", "--smoothing"): 1}
+             ("sweep", "--roll-hypotheses"): SweepOptions.spins, ("relax", "--frame-weight"): SweepOptions.frame_weight,
+             ("steer", "--reached"): steer.PLANNED, ("steer", "--seconds"): PlanOptions.seconds,
+             ("servo", "--reached"): steer.REACHED, ("servo", "--steps"): steer.STEPS, ("servo", "--diameter"): DIAMETER_MM,
+             ("servo", "--noise"): RenderOptions.noise, ("twist", "--observations"): 1, ("simulate", "--smoothing"): 1,
+             ("identify", "--smoothing"): 1}
     for command in COMMANDS:
         found |= {(command, "--weight"): Material.weight, (command, "--twist-ratio"): 1}
         found |= {(command, f"--{name.replace('_', '-')}"): getattr(Dynamics, name) for name in moving_rods.LOSSES}

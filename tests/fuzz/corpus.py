@@ -20,6 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.commands.test_simulate import SCENE
+
 SEED = 2011
 BOARD = "chessboard:4x3:8"
 MATERIAL = ("--bend", "4e5", "--twist", "4e5", "--weight", "1")
@@ -86,26 +88,6 @@ point = [0, 0, -60]
 normal = [0, 0, 1]
 friction = 0.2
 """
-SWING = """rate_hz = 50
-duration_s = 0.1
-[rod]
-length_mm = 300.0
-edges = 6
-at_rest = true
-[materials.rope]
-bend = 1e6
-bend_damping_s = 0.02
-drag_per_s = 0.1
-[clamps]
-end = "frame"
-[[moments]]
-time_s = 0.0
-end_position_mm = [250, 0, 0]
-[[moments]]
-time_s = 0.1
-end_position_mm = [250, 20, 10]
-"""
-
 
 def make(folder: Path, quick: bool = False) -> None:
     """Fill ``folder``, the working directory meanwhile; ``quick``: only with scenes, observations and motions. Raises
@@ -184,7 +166,7 @@ def _rig():
 def _moving() -> None:
     Path("tied.toml").write_text(TIED)
     _command("group", "tied.toml", "--out", "tied.npz")  # also for its kernel, which takes long to compile
-    Path("swing.toml").write_text(SWING)
+    Path("swing.toml").write_text(SCENE.replace("edges = 6", "edges = 6\nat_rest = true"))
     _command("simulate", "swing.toml", "--out", "swung.npz")
     positions = np.load("swung.npz")["positions_mm"]
     noise = np.random.default_rng(SEED).normal(0, 0.02, (2, *positions.shape[1:]))

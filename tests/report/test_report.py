@@ -42,11 +42,6 @@ def test_picture_and_image_are_one_drawing(tmp_path):
         np.testing.assert_array_equal(np.asarray(Image.open(source).convert("RGB")), image)
 
 
-def test_a_name_is_no_mathematics():
-    """matplotlib parses text between dollar signs as mathematics, in which this is an error."""
-    landscape_picture(io.BytesIO(), runs.plane(), title="a$^{$ b")
-
-
 def test_titles_fit_into_the_picture():
     figure = new_figure((4.0, 3.0))
     left, right = figure.subplots(1, 2)
@@ -60,8 +55,8 @@ def test_titles_fit_into_the_picture():
     assert right.title.get_fontsize() == 9
 
 
-@pytest.mark.thorough
 def test_names_in_titles_legends_and_panels_are_no_mathematics():
+    """matplotlib parses text between dollar signs as mathematics, in which this is an error."""
     name, vertices = "a$^{$ b", np.cumsum(np.ones((3, 1, 5, 3)), axis=2)
     landscapes_picture(io.BytesIO(), [[LandscapePanel(name, runs.plane(), ((name, (0, 0)),))]], title=name)
     rods = MovingRods(np.arange(3.0), vertices, [name], np.zeros((3, 1), int), np.ones((3, 1), bool))
