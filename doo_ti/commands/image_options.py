@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import loading
+from doo_ti.commands import doubts, loading
 from doo_ti.commands import options as given
 from doo_ti.commands.loading import MOST_EDGES, read_rest_length
 from doo_ti.contact.surroundings import Surroundings
@@ -164,10 +164,7 @@ def detections(sight, every_path: Sequence[Sequence[Path]], cameras: Sequence) -
 
 def warn_of_length(options: Namespace, length: float) -> None:
     """Print a warning where rods of ``length`` mm are so short or long that the rig's unit must be another one."""
-    unit = likely_unit(length)
-    if unit != "":
-        remedy = f"if the rig is in {unit}, give --rig-unit {unit}" if unit else "check --rig-unit and --rig-poses"
-        warn(f"{in_line(options.rig)}: rods of {length:.3g} mm; {remedy}")
+    doubts.say(options.rig, doubts.unit_doubt(length, "rig", "--rig-unit", "--rig-unit and --rig-poses"))
 
 
 def warn_of_rig(options: Namespace, sets, length: float, verdicts: np.ndarray, detected: Sequence[list]) -> None:

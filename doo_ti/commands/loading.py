@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from doo_ti.commands import options as given
-from doo_ti.commands.results import observed
 from doo_ti.io.arrays import checked_arrays, decoded, read_npz
 from doo_ti.io.observation_files import load_observations
 from doo_ti.io.scene import Scene, Synthesis
@@ -159,10 +158,14 @@ def target(options: Namespace, observations: Observations) -> np.ndarray:
 
 def of_scene(options: Namespace, scene: Scene) -> Observations:
     """A scene's observations, loaded or synthesised, under the scene's name."""
-    if isinstance(scene.observations, Synthesis):
-        given.refuse(options, OF_OBSERVATIONS, "given, but the scene is simulated", "leave it out")
-        return observed(scene, options.up)
-    return replace(load(options, scene.observations), name=scene.name)
+    if not isinstance(scene.observations, Synthesis):
+        return replace(load(options, scene.observations), name=scene.name)
+    from doo_ti.lab.synthesis import synthesise
+
+    given.refuse(options, OF_OBSERVATIONS, "given, but the scene is simulated", "leave it out")
+    observations = synthesise(scene.observations)
+    up = observations.up if options.up is None else options.up
+    return replace(observations, name=scene.name, sha256=scene.sha256, up=up)
 
 
 def with_ends_in_reach(observations: Observations, start: Clamp | None, end: Clamp | None, whole_edges: bool = True

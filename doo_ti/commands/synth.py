@@ -8,10 +8,11 @@ import numpy as np
 
 from doo_ti.commands import doubts, loading
 from doo_ti.commands import options as given
-from doo_ti.commands.results import observed, refuse_overwriting, save, save_arrays
-from doo_ti.io.observation_files import read_recording
+from doo_ti.commands.results import refuse_overwriting, save_arrays
+from doo_ti.io.observation_files import read_recording, save_observations
 from doo_ti.io.scene import Scene, Synthesis, load_scene
 from doo_ti.io.toml_file import scene_file
+from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import on_equal_edges
 from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError
@@ -37,6 +38,7 @@ def declare(add) -> None:
     loading.add_rate(parser)
     parser = given.command(add, "synth", run, "simulate a scene's observations, or render images of its rods (the virtual lab)",
                            json=False)
+    parser.set_defaults(up=None, unit=None, columns=None, rest_length=None)  # as the scene says
     parser.add_argument("scene", metavar="SCENE.toml", type=scene_file, help="a scene with [synthesis]")
     given.add(parser, "--out", "OBS", given.OBSERVATIONS, "file for the observations: .npz, .csv or .parquet")
     images = parser.add_argument_group("images", "rendered images of the rods; label noise has no effect on them")
@@ -67,8 +69,14 @@ def run_convert(options: Namespace) -> int:
     doubts.warn(observations)
     print(" ".join(loading.rod_line(observations).split()))
     observations = observations.take(rows)
-    save(out, observations if edges is None else on_equal_edges(observations, edges))
+    _save(out, observations if edges is None else on_equal_edges(observations, edges))
     return 0
+
+
+def _save(out: Path, observations: Observations) -> None:
+    """Write observations, and print how many."""
+    save_observations(out, observations)
+    print(f"{counted(observations.count, 'observation')} of {observations.edges + 1} vertices written to {in_line(out)}")
 
 
 def _convert_motion(options: Namespace, out: Path) -> int:
@@ -116,7 +124,7 @@ def run(options: Namespace) -> int:
     if options.images is not None:
         _photograph(options, scene)
     if options.out is not None:
-        save(options.out, observed(scene, None))
+        _save(options.out, loading.of_scene(options, scene))
     return 0
 
 
