@@ -97,8 +97,8 @@ def _stills(options: Namespace, motion, surroundings) -> list:
     from doo_ti.io.observation_files import load_observations
 
     noise = options.still_noise
-    if noise is not None and not options.still:
-        raise InputError(given.SOURCE, "--still-noise", "given without --still", "give both")
+    if not options.still:
+        given.refuse(options, ("still_noise",), "given without --still", "give both")
     found = [load_observations(path, options.up) for path in options.still]
     for one in found:
         Stills.of(one, roll_reference(motion), motion.edge_lengths().sum(), surroundings)

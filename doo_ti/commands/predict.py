@@ -66,12 +66,12 @@ def run(options: Namespace) -> int:
                                 advance=lambda done: bar.advance(shown, done), **rods.surroundings.arguments)
     result = _arrays(rods, prediction)
     results.save_arrays(out, result, ("moment", "rod"))
-    lines = _lines(rods, stepping, prediction, result)
+    summary = _summary(rods, prediction, result, out)
+    lines = _lines(rods, stepping, prediction, result, summary)
     if options.picture or options.recording:
         _draw(rods, prediction, result, options.picture, options.recording, lines)
     loaded = [] if rods.observations is None else [loading.rod_line(rods.observations)]
-    results.report(options, _summary(rods, prediction, result, out),
-                   lambda: [*lines, *loaded, f"  written to {in_line(out)}"])
+    results.report(options, summary, lambda: [*lines, *loaded, f"  written to {in_line(out)}"])
     return 0 if prediction.followed[-1].any() else 1
 
 
@@ -139,27 +139,26 @@ def _arrays(rods: HeldRods, prediction) -> dict[str, np.ndarray]:
     }, rods.newtons, 1)
 
 
-def _lines(rods: HeldRods, stepping, prediction, result: dict) -> list[str]:
+def _lines(rods: HeldRods, stepping, prediction, result: dict, summary: dict) -> list[str]:
     """The result as lines of text."""
-    count, moments = len(rods.names), len(prediction.time)
-    jumps = np.argwhere(prediction.jumps > 0)
+    count, moments, falls = summary["rods"], summary["moments"], summary["falls"]
     lost = np.flatnonzero(~prediction.followed[-1])
-    how = f"{int(prediction.stable.sum())} of {count * moments} certified stable"
+    how = f"{summary['stable']} of {count * moments} certified stable"
     if stepping is not None:
         how = f"{stepping.substeps} quasi-static steps between states"
-    lines = [f"{rods.name}: {counted(count, 'rod')} of {rods.start.edges} edges at {moments} moments",
-             f"  status      {results.status_text(status_counts(prediction.status))}; {how}",
-             *results.contact_lines(_contact(rods, prediction, result), count),
+    lines = [f"{rods.name}: {counted(count, 'rod')} of {summary['edges']} edges at {moments} moments",
+             f"  status      {results.status_text(summary['status'])}; {how}", *results.contact_lines(summary, count),
              *results.rows(("infeasible", _inside(rods, prediction))), *results.force_lines(result, 1),
-             f"  far clamp   at the end turned about the rod by {_range(result['end_rotation_deg'][-1])}, total twist "
-             f"{_range(result['total_twist_deg'][-1])}"]
-    where = f"to another branch, {len(np.unique(jumps[:, 1]))} of {count} rods" if len(jumps) else "all stayed on their branch"
+             f"  far clamp   at the end turned about the rod by {_range(summary['end_rotation_deg'])}, total twist "
+             f"{_range(summary['total_twist_deg'])}"]
+    where = "all stayed on their branch"
+    if falls:
+        where = f"to another branch, {len({fall['rod'] for fall in falls})} of {count} rods"
     if stepping is None:
         lines.append(f"  jumps       {int(prediction.jumps.sum())}, {where}")
     lines += results.shortened([
-        f"    {rods.names[rod]}: between {prediction.time[max(moment - 1, 0)]:g} and {prediction.time[moment]:g} s; "
-        f"the far clamp is then turned about the rod by {result['end_rotation_deg'][moment, rod]:.1f}°"
-        for moment, rod in jumps], MOST_LISTED, "    and {} more")
+        f"    {fall['name']}: between {fall['from_s']:g} and {fall['to_s']:g} s; the far clamp is then turned about the rod by "
+        f"{fall['end_rotation_deg']:.1f}°" for fall in falls], MOST_LISTED, "    and {} more")
     if len(lost):
         lines.append(f"  lost        {len(lost)} of {count} rods cannot follow the motion to its end")
     return lines + results.shortened([
@@ -175,13 +174,6 @@ def _inside(rods: HeldRods, prediction) -> str | None:
     return results.inside_reason(rods.surroundings.at(0).take(motion), rods.path.at(0, rods.clamps).take(motion), start, failed)
 
 
-def _contact(rods: HeldRods, prediction, result: dict) -> dict:
-    if not rods.surroundings:
-        return {}
-    return results.contact_summary(rods.surroundings, *(np.swapaxes(value, 0, 1) for value in (
-        result["contact_force"], result["smallest_gap_mm"], prediction.status)))
-
-
 def _range(degrees: np.ndarray) -> str:
     finite = degrees[np.isfinite(degrees)]
     if not len(finite):
@@ -193,11 +185,15 @@ def _summary(rods: HeldRods, prediction, result: dict, out: Path) -> dict:
     falls = [{"rod": int(rod), "name": rods.names[rod], "from_s": prediction.time[max(moment - 1, 0)],
               "to_s": prediction.time[moment], "end_rotation_deg": result["end_rotation_deg"][moment, rod]}
              for moment, rod in np.argwhere(prediction.jumps > 0)]
+    contact = {}
+    if rods.surroundings:
+        contact = results.contact_summary(rods.surroundings, *(np.swapaxes(value, 0, 1) for value in (
+            result["contact_force"], result["smallest_gap_mm"], prediction.status)))
     return {
         "rods": len(rods.names), "moments": len(prediction.time), "edges": rods.start.edges,
         "status": status_counts(prediction.status), "stable": int(prediction.stable.sum()),
         "followed": int(prediction.followed[-1].sum()), "falls": falls, "end_rotation_deg": result["end_rotation_deg"][-1],
-        "total_twist_deg": result["total_twist_deg"][-1], "out": str(out), **_contact(rods, prediction, result)}
+        "total_twist_deg": result["total_twist_deg"][-1], "out": str(out), **contact}
 
 
 def _draw(rods: HeldRods, prediction, arrays: dict[str, np.ndarray], picture: Path | None, recording: Path | None,

@@ -221,8 +221,7 @@ def run_servo(options: Namespace) -> int:
 def _unit(options: Namespace, material: Material) -> Stiffness:
     density = options.linear_density
     if density is None:
-        if missing := next((name for name in ("EI", "GJ") if getattr(options, f"true_{name}") is not None), None):
-            raise InputError(given.SOURCE, "--linear-density", f"missing beside --true-{missing}", "give the rod's in g/m")
+        given.refuse(options, ("true_EI", "true_GJ"), "given without --linear-density", "give both")
     if density is None or not material.weight[0] > 0:
         return Stiffness(("bend", "twist"), "mm3", 1.0)
     return Stiffness(("EI", "GJ"), "Nm2", float(stiffness(relative_stiffness(1.0, material.weight[0]), density)))

@@ -157,11 +157,8 @@ def _rig(options: Namespace, folder: Path):
 
     if options.rig is None:
         raise InputError(given.SOURCE, "--rig", "missing", "name the cameras' file, such as scenes/rig.yaml")
-    rig = load_rig(options.rig)
-    written = folder / RIG_FILE
-    if written.exists() and written.samefile(options.rig):
-        raise InputError(given.SOURCE, "--images", f"{written} is the rig itself", "name another folder")
-    return rig
+    refuse_overwriting(folder / RIG_FILE, options.rig, option="--images")
+    return load_rig(options.rig)
 
 
 def _look(words: list[str]):

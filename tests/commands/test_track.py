@@ -13,7 +13,7 @@ from doo_ti.commands.track import _off_thread
 from doo_ti.perception.tracking import How, TrackedFrame
 from doo_ti.vision.rig_files import save_rig
 from doo_ti.vision.tubes import smooth_curve
-from tests.commands.calls import refused, succeeded
+from tests.commands.calls import refused, succeeded, written
 from tests.perception.test_tracking import EDGES, FRAMES, LENGTH, far_motion, images, rods
 from tests.vision.scenes import three_cameras
 
@@ -58,7 +58,7 @@ def test_a_video_is_tracked_and_recorded(filmed, tmp_path, capsys):
     printed = succeeded(capsys, of(filmed, out))
     assert "16 frames of 3 images" in printed and "2 frames by Algorithm 1: 000, 006" in printed and "lost: 004, 005" in printed
     assert sorted(path.name for path in out.parent.iterdir()) == ["f.npz", "f.rrd"]
-    found = dict(np.load(out, allow_pickle=False))
+    found = written(out)
     assert {name: value.shape for name, value in found.items()} == {
         "name": (FRAMES,), "time_s": (FRAMES,), "rest_length_mm": (EDGES,), "up": (3,), "vertices_mm": (FRAMES, EDGES + 1, 3),
         "energy_vis": (FRAMES,), "camera_error_px": (FRAMES, 3), "status": (FRAMES,), "stable": (FRAMES,), "how": (FRAMES,),
@@ -82,7 +82,7 @@ def test_a_video_is_tracked_from_a_click(filmed, tmp_path, capsys):
     changed(filmed, frames, lambda lines: [",".join(line.split(",")[:1] + line.split(",")[2:4]) for line in lines[:3]])
     words = ["track", "--rig", str(filmed / "rig.yaml"), "--frames", str(frames), "--no-recording", "--out", str(out)]
     succeeded(capsys, [*words, "--seed-pixel", f"cam1:{u + 3:.0f},{v - 2:.0f}"])
-    found = dict(np.load(out, allow_pickle=False))
+    found = written(out)
     assert found["how"].tolist() == [1, 0] and abs(found["rest_length_mm"].sum() / (LENGTH * EDGES) - 1) < 0.03
     assert (found["sigma_mm"][:, 0] > 0.05).all(), "a click is no exact seed"
     for rod, truth in zip(found["vertices_mm"], rods(), strict=False):
