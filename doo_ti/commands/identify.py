@@ -9,6 +9,10 @@ import numpy as np
 from doo_ti.commands import doubts, loading
 from doo_ti.commands import options as given
 from doo_ti.commands.results import listed, report, rows, save_json, shortened
+from doo_ti.dynamics.recorded import RecordedMotion
+from doo_ti.io.observation_files import load_observations
+from doo_ti.report.contact import Touched
+from doo_ti.report.motions import save_rollout
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line, progress
 
@@ -46,7 +50,6 @@ def declare(add) -> None:
 
 def run(options: Namespace) -> int:
     from doo_ti.dynamics.identify import IdentifyOptions, guesses, identify_from_guesses, require_clear_grippers
-    from doo_ti.dynamics.recorded import RecordedMotion
 
     fitted = tuple(filter(None, options.fit.split(",")))
     if unknown := next((name for name in fitted if name not in FITTED), None):
@@ -94,7 +97,6 @@ def _stills(options: Namespace, motion, surroundings) -> list:
     """The observations at rest of the rod in ``motion``, with their noise, checked."""
     from doo_ti.dynamics.rollouts import roll_reference
     from doo_ti.dynamics.theta import Stills
-    from doo_ti.io.observation_files import load_observations
 
     noise = options.still_noise
     if not options.still:
@@ -173,9 +175,6 @@ def _lines(summary: dict, motion) -> list[str]:
 
 
 def _draw(picture: Path, found, rollouts) -> None:
-    from doo_ti.report.contact import Touched
-    from doo_ti.report.motions import save_rollout
-
     motion, surroundings = rollouts.motion, rollouts.surroundings
     positions, _, _, simulation = rollouts.simulated(found.theta)
     touched = Touched(surroundings, positions, simulation.contact_force) if surroundings else None

@@ -21,6 +21,7 @@ from doo_ti.rod.types import Material
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line, warn
 from doo_ti.vision.cameras import LENSES, POSES, Rig, RigReading
+from doo_ti.vision.images import ImageSets, load_sets, orientation_tags
 from doo_ti.vision.rig_files import load_rig
 
 MOST_HYPOTHESES = 100_000
@@ -192,8 +193,6 @@ def warn_of_rig(options: Namespace, sets, length: float, verdicts: np.ndarray, d
 
 def orientation_note(paths: Iterable[Path], turned: bool) -> str | None:
     """What to say of images with orientation tags; None where there are none."""
-    from doo_ti.vision.images import orientation_tags
-
     count = orientation_tags(paths)
     did, other = ("applied", "ignore") if turned else ("ignored", "apply")
     return f"{count} images have tags, which are {did}; else --orientation {other}" if count else None
@@ -272,8 +271,6 @@ def perception_task(options: Namespace) -> PerceptionTask:
 
 def _sets(options: Namespace, rig):
     """The sets of the file, or the one that the command line spells out."""
-    from doo_ti.vision.images import ImageSets, load_sets
-
     single = {"IMAGE": options.images, "--seed-point": options.seed_point, "--seed-direction": options.seed_direction,
               "--seed-pixel": options.seed_pixel}
     if options.sets is not None:

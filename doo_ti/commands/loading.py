@@ -8,11 +8,11 @@ import re
 from argparse import ArgumentParser, Namespace
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from doo_ti.commands import options as given
+from doo_ti.dynamics.recorded import RecordedMotion
 from doo_ti.io.arrays import checked_arrays, decoded, read_npz
 from doo_ti.io.observation_files import load_observations
 from doo_ti.io.scene import Scene, Synthesis
@@ -26,9 +26,6 @@ from doo_ti.system.arguments import counted, span_text
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import MOST_TEXT_BYTES, read_content
 from doo_ti.system.terminal import in_line
-
-if TYPE_CHECKING:
-    from doo_ti.dynamics.recorded import RecordedMotion
 
 FEW = 0.25  # share of observations that may be left out; of more a file or an option is wrong
 MEASURED = 0.02  # relative error of a length between marks that somebody measured
@@ -90,10 +87,8 @@ def add_rate(parser) -> None:
               "file states; tables do not)")
 
 
-def recordings(options: Namespace, sources: list[str]) -> list["RecordedMotion"]:
+def recordings(options: Namespace, sources: list[str]) -> list[RecordedMotion]:
     """The recorded motion of each of the files."""
-    from doo_ti.dynamics.recorded import RecordedMotion
-
     return [RecordedMotion.load(path, options.fill_gaps, options.unit, options.columns, options.rate, options.free_end)
             for path in sources]
 

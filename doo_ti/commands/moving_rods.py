@@ -12,6 +12,7 @@ from doo_ti.commands import doubts, loading
 from doo_ti.commands import options as given
 from doo_ti.commands.results import refuse_overwriting
 from doo_ti.contact.surroundings import Surroundings
+from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.io.motion_file import TOOL_AXES, ClampPath, load_path
 from doo_ti.io.pose_table import NAMED
 from doo_ti.rod.frames import matrix_from_quaternion, smallest_rotation, total_twist
@@ -24,7 +25,6 @@ from doo_ti.system.terminal import busy, warn
 
 if TYPE_CHECKING:
     from doo_ti.dynamics.grippers import Grippers
-    from doo_ti.dynamics.parameters import Dynamics, Stepping
 
 LOSSES = ("bend_damping", "twist_damping", "drag", "quadratic_drag")
 MOST_STRETCH = 0.1  # by which the rod's length may differ from that of THETA.json
@@ -131,8 +131,8 @@ class SimulatedRods:
     start: Configuration
     material: Material
     grippers: "Grippers"
-    dynamics: "Dynamics"
-    stepping: "Stepping"
+    dynamics: Dynamics
+    stepping: Stepping
     up: np.ndarray
     pairs: tuple[np.ndarray, np.ndarray]
     surroundings: Surroundings
@@ -145,7 +145,6 @@ def simulated_rods(options: Namespace, out: Path, changes: dict) -> SimulatedRod
 
     changes  fields of :class:`doo_ti.dynamics.parameters.Stepping`
     """
-    from doo_ti.dynamics.parameters import Stepping
     from doo_ti.motion.path import LARGEST_TURN
     from doo_ti.motion.predict import begun, grippers_along, rate_of
     from doo_ti.relaxation.newton import Newton
@@ -252,9 +251,8 @@ def warn_of(held: HeldRods, options: Namespace) -> None:
 # --- theta ---------------------------------------------------------------------------------------------------------------
 
 
-def losses(options: Namespace):
+def losses(options: Namespace) -> Dynamics:
     """Damping, drag and the mass of markers, of ``--theta`` but for what the options give."""
-    from doo_ti.dynamics.parameters import Dynamics
     from doo_ti.dynamics.theta import simulated
 
     theta = given.theta(options)

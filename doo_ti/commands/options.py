@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.commands.help_text import FIRST, examples
+from doo_ti.contact.obstacle_file import load_obstacles
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.arrays import number_in
 from doo_ti.io.observation_files import checked_suffix
@@ -212,8 +213,6 @@ def surroundings(options: Namespace) -> Surroundings:
     if options.obstacles is None:
         refuse(options, ("radius",), "given without --obstacles", "give both, or neither")
         return Surroundings()
-    from doo_ti.contact.obstacle_file import load_obstacles
-
     if options.radius is None:
         raise InputError(SOURCE, "--radius", "missing beside --obstacles", "give the radius of the rods in mm")
     if getattr(options, "solver", "newton") != "newton":

@@ -9,9 +9,12 @@ import numpy as np
 from doo_ti.commands import doubts, loading, results
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import OF_MOTIONS, HeldRods, add_motion, check_reach, held_rods, warn_of
+from doo_ti.dynamics.parameters import LEAST_WAY, Dynamics, Stepping
 from doo_ti.io.scene import PRECISIONS
 from doo_ti.io.toml_file import scene_file
 from doo_ti.learning.landscape import status_counts
+from doo_ti.report.contact import Touched
+from doo_ti.report.motions import MovingRods, motions_picture
 from doo_ti.rod.frames import matrix_from_quaternion
 from doo_ti.rod.types import Clamp, Status
 from doo_ti.system.arguments import counted
@@ -77,7 +80,6 @@ def run(options: Namespace) -> int:
 
 def _predicted(rods: HeldRods, stepping, sub_step: float, precision: str, **inputs):
     if stepping is not None:
-        from doo_ti.dynamics.parameters import Dynamics
         from doo_ti.motion.predict import predict_moving
 
         return predict_moving(rods.start, rods.material, rods.clamps, rods.path, Dynamics(density=1.0), stepping, **inputs)
@@ -93,7 +95,6 @@ def _stepping(rods: HeldRods, between: int, sub_step: float):
     if not (around.rub or around.moves):
         return None
     from doo_ti.dynamics.grippers import needed_substeps
-    from doo_ti.dynamics.parameters import LEAST_WAY, Stepping
     from doo_ti.motion.path import motion_between
 
     parts = [motion_between(path.at(k, rods.clamps), path.at(k + 1, rods.clamps), path.rotation(k, rods.clamps.count))
@@ -199,9 +200,6 @@ def _summary(rods: HeldRods, prediction, result: dict, out: Path) -> dict:
 def _draw(rods: HeldRods, prediction, arrays: dict[str, np.ndarray], picture: Path | None, recording: Path | None,
           lines: list[str]) -> None:
     """Write the picture and the recording that are asked for, of the file's ``arrays``; ``lines`` are the result as text."""
-    from doo_ti.report.contact import Touched
-    from doo_ti.report.motions import MovingRods, motions_picture
-
     seen = rods.observations
     marks = None if seen is None else np.where(seen.valid[..., None], seen.vertices, np.nan)[prediction.motion]
     touched = None if not rods.surroundings else Touched(rods.surroundings, *(

@@ -5,7 +5,6 @@ import os
 from argparse import Namespace
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,15 +14,16 @@ from doo_ti.commands.refine_text import summary_lines, summary_of
 from doo_ti.commands.results import note_theta, plain, save_json
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.arrays import read_npz
+from doo_ti.learning.chunks import DENSITY, read_summary
+from doo_ti.learning.landscape import Landscape, plane_of, read_landscape
+from doo_ti.refinement.theta import common_rod
+from doo_ti.report.landscapes import landscape_picture
 from doo_ti.rod.observations import UNKNOWN_SPACING, Observations
 from doo_ti.rod.start import check_experiment, observation_clamps
 from doo_ti.rod.types import Clamps
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import read_content
 from doo_ti.system.terminal import busy, in_line
-
-if TYPE_CHECKING:  # it reads Parquet
-    from doo_ti.learning.landscape import Landscape
 
 REFINED = "refined.json"  # in the folder of a run, with its picture beside it
 STARTS = 3
@@ -97,7 +97,7 @@ class Task:
     frame_weight: float
     surroundings: Surroundings
     density: float | None
-    landscape: "Landscape | None"
+    landscape: Landscape | None
     loads: np.ndarray | None
     twist_follows: bool
 
@@ -169,9 +169,6 @@ def _kept(landscape, found, summary: dict) -> list[Path]:
 
 def _draw(landscape, found, path: Path) -> Path | None:
     """The landscape with the joint 95 % region; none where the grid has not two of the learned parameters."""
-    from doo_ti.learning.landscape import plane_of
-    from doo_ti.report.landscapes import landscape_picture
-
     grid, estimate = landscape.grid, found.estimate
     free = [axis.name for axis in grid.axes if len(axis) > 1]
     pair = [{"twist_ratio": "twist"}.get(name, name) for name in free]
@@ -238,18 +235,14 @@ def _loads(text: str, observations: Observations, density: float | None) -> np.n
 
 def run_density(run: Path) -> float | None:
     """The linear density in g/m that the sweep of a run was given."""
-    from doo_ti.learning.chunks import DENSITY, read_summary
-
     density = read_summary(run).get(DENSITY)
     return float(density) if isinstance(density, (int, float)) and 0 < density < np.inf else None
 
 
 def _of_run(options: Namespace, run: Path):
     """(observations, the Θ of the lowest cells, kinds of clamps, frame weight, obstacles, landscape) of a run's folder."""
-    from doo_ti.learning.landscape import read_landscape
     from doo_ti.learning.run_folder import read_experiment
     from doo_ti.refinement.search import lowest_cells, theta_of_cell
-    from doo_ti.refinement.theta import common_rod
 
     given.refuse(options, (*given.MATERIAL, *loading.OF_OBSERVATIONS, "obstacles", "radius", "mass"),
                  f"given, but {run} is the run of a sweep", "leave it out, or name a file of observations")

@@ -20,9 +20,12 @@ from doo_ti.commands.moving_rods import (
 from doo_ti.commands.results import refuse_overwriting
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.contact.touch import Touch
+from doo_ti.dynamics.parameters import Stepping
 from doo_ti.io.pose_table import holds_poses
 from doo_ti.io.toml_file import scene_file
 from doo_ti.learning.landscape import status_counts
+from doo_ti.report.contact import Touched
+from doo_ti.report.motions import save_animation, save_rollout
 from doo_ti.rod.types import Clamp, Status
 from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError
@@ -126,7 +129,6 @@ def _stepping(options: Namespace) -> dict:
 
 def _recorded(options: Namespace, out: Path, changes: dict, up: np.ndarray) -> _Simulated:
     from doo_ti.dynamics.identify import IdentifyOptions
-    from doo_ti.dynamics.parameters import Stepping
     from doo_ti.dynamics.rollouts import Rollouts
 
     if options.theta is None:
@@ -304,18 +306,12 @@ def _step_lines(summary: dict) -> list[str]:
 def _draw(found: _Simulated, picture: Path | None, recording: Path | None, animation: Path | None) -> None:
     touched = None
     if found.contact and (picture or recording or animation):
-        from doo_ti.report.contact import Touched
-
         touched = Touched(found.surroundings, found.positions, found.contact["contact_force"], found.newtons)
     energies = {name: found.energies[name] for name in SPLIT} if found.energies else None
     rods = found.name, found.names, found.positions, found.recorded, found.rate, found.up
     if picture is not None:
-        from doo_ti.report.motions import save_rollout
-
         save_rollout(picture, *rods, energies, touched)
     if animation is not None:
-        from doo_ti.report.motions import save_animation
-
         with busy("drawing the animation"):
             save_animation(animation, *rods, touched)
     if recording is not None:

@@ -17,8 +17,10 @@ from doo_ti.commands.moving_rods import settled, with_rest_curvature
 from doo_ti.commands.results import refuse_overwriting, report
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.motion_file import ClampPath, path_table
+from doo_ti.report.motions import servo_picture
 from doo_ti.rod.material import relative_stiffness, stiffness
 from doo_ti.rod.observations import Observations
+from doo_ti.rod.shapes import end_clamps
 from doo_ti.rod.start import check_experiment, observation_clamps
 from doo_ti.rod.types import POSES, Clamp, Clamps, Material, Solution
 from doo_ti.system.errors import InputError, InterruptedRunError
@@ -104,7 +106,6 @@ class SteeredRod:
         """The rod at the start, and its grippers, which hold frames from there on: where the file has none, those of the rod
         that rolls freely. Raises InputError where it has no stable equilibrium."""
         from doo_ti.relaxation.relax import relax
-        from doo_ti.rod.shapes import end_clamps
 
         begin = settled(self.observations, self.clamps, self.material, self.surroundings)
         start = relax(begin, self.material, self.clamps, up=self.observations.up, **self.surroundings.arguments)
@@ -191,8 +192,6 @@ def run_servo(options: Namespace) -> int:
     unit = _unit(options, rod.material)
     true, cameras = _true(options, rod.material, unit), _cameras(options, rig, rod)
     begin, steps, end = _steps(rod, true, cameras, rig, options.steps, reached)
-
-    from doo_ti.report.motions import servo_picture
 
     held = [begin, *(step.clamps for step in steps)]
     write_text(folder / PATH, path_table(ClampPath(np.arange(len(held), dtype=float), **{

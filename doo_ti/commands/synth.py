@@ -17,6 +17,7 @@ from doo_ti.rod.start import on_equal_edges
 from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line, progress
+from doo_ti.vision.rig_files import load_rig
 
 DIAMETER_MM = 0.5
 
@@ -136,11 +137,9 @@ def _photograph(options: Namespace, scene: Scene) -> None:
         raise InputError(scene.source, "observations", "a file, which does not say how the rods lie between their marks",
                          "give a scene with [synthesis]")
     from doo_ti.perception.virtual_lab import lab_rods, save_truth
-    from doo_ti.vision.render import check_diameter
+    from doo_ti.vision.render import Photographs, check_diameter, save_photographs
 
     check_diameter(diameter, given.SOURCE, "--diameter")
-    from doo_ti.vision.render import Photographs, save_photographs
-
     rods = lab_rods(scene.observations)
     photographs = Photographs(rods.names, rods.curve, rods.point, rods.direction, diameter, rig, look, seed)
     save_truth(folder / "truth.npz", rods, diameter)
@@ -153,7 +152,6 @@ def _photograph(options: Namespace, scene: Scene) -> None:
 def _rig(options: Namespace, folder: Path):
     """The cameras. Raises InputError where none are given, and where their file would be overwritten."""
     from doo_ti.vision.render import RIG_FILE
-    from doo_ti.vision.rig_files import load_rig
 
     if options.rig is None:
         raise InputError(given.SOURCE, "--rig", "missing", "name the cameras' file, such as scenes/rig.yaml")

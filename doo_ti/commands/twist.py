@@ -12,6 +12,7 @@ from doo_ti.commands.moving_rods import with_rest_curvature
 from doo_ti.commands.results import refuse_overwriting
 from doo_ti.io.observation_tables import write_columns
 from doo_ti.io.scene import PRECISIONS
+from doo_ti.report.figures import MOST_CURVES, angle_curves_picture
 from doo_ti.rod.grid import Grid
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import check_experiment, observation_clamps
@@ -111,8 +112,6 @@ def _rows(observations: Observations, estimate, group: int) -> str:
 
 
 def _draw(path: Path, observations: Observations, estimate) -> None:
-    from doo_ti.report.figures import MOST_CURVES, angle_curves_picture
-
     names = [f"{_rows(observations, estimate, k)}: {np.degrees(estimate.phi[k]):.0f}°, {_word(estimate.verdict[k])}"
              for k in range(min(MOST_CURVES, len(estimate.phi)))]
     angle_curves_picture(
