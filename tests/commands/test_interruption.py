@@ -13,7 +13,9 @@ from urllib.request import urlopen
 
 import pytest
 
+from doo_ti.io.observation_files import save_observations
 from doo_ti.system import terminal
+from tests.learning.lab import small_lab
 
 ROOT = Path(__file__).resolve().parents[2]
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="sends signals as a terminal does")
@@ -150,9 +152,6 @@ def answers(port: int, seconds: float = 20.0) -> bool:
 @pytest.mark.thorough
 def test_a_terminals_signal_to_workers_too(tmp_path):
     """It goes to all processes of the command: only the first prints a message."""
-    from doo_ti.io.observation_files import save_observations
-    from tests.learning.lab import small_lab
-
     save_observations(tmp_path / "o.npz", small_lab())
     command = started(tmp_path, "sweep o.npz --bend 1e5:1e6:200 --twist-ratio 0.5:2:200 --workers 2 --out run")
     while command.poll() is None and not list(tmp_path.glob("run/cells/*.parquet")):

@@ -16,6 +16,7 @@ from doo_ti.vision.render import render_set
 from doo_ti.vision.rig_files import load_rig, save_rig
 from doo_ti.vision.tubes import smooth_curve
 from tests.commands.calls import refused, succeeded, written
+from tests.record.runs import read
 from tests.vision.scenes import curves, three_cameras
 
 EDGES = 14
@@ -142,8 +143,6 @@ def test_other_commands_read_it(perceived, tmp_path, capsys):
 
 
 def test_recording_holds_the_first_set(perceived):
-    from tests.record.runs import read
-
     static, moving = read(perceived[0] / "f.rrd")
     assert moving["/world/set0_first/rods"]["edges"]["edges"] == list(range(2, EDGES + 2))
     assert not any("second" in entity for entity in (*static, *moving))

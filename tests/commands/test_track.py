@@ -15,6 +15,7 @@ from doo_ti.vision.rig_files import save_rig
 from doo_ti.vision.tubes import smooth_curve
 from tests.commands.calls import refused, succeeded, written
 from tests.perception.test_tracking import EDGES, FRAMES, LENGTH, far_motion, images, rods
+from tests.record.runs import read
 from tests.vision.scenes import three_cameras
 
 SEED = "seed_x,seed_y,seed_z,dir_x,dir_y,dir_z"
@@ -66,8 +67,6 @@ def test_a_video_is_tracked_and_recorded(filmed, tmp_path, capsys):
     assert "".join(map(str, found["how"])) == "1000221000000000"
     off = np.linalg.norm(found["vertices_mm"] - rods(), axis=-1).mean(axis=1)
     assert np.isnan(off[list(BLANK)]).all() and np.delete(off, BLANK).max() < 0.15
-    from tests.record.runs import read
-
     static, moving = read(out.with_suffix(".rrd"))
     assert moving["/world/rods"]["frame"]["frame"] == list(range(FRAMES))
     drawn = [len(strips[0]) for strips in moving["/images/cam1/rods"]["frame"]["LineStrips2D:strips"]]

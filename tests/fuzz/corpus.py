@@ -18,9 +18,15 @@ perceived.npz                              what perceive wrote
 import os
 from pathlib import Path
 
+import cv2
 import numpy as np
 
+from doo_ti.commands.cli import main
+from doo_ti.vision.board import parse_board
+from doo_ti.vision.rig_files import save_rig
 from tests.commands.test_simulate import SCENE
+from tests.vision.boards import look
+from tests.vision.scenes import three_cameras
 
 SEED = 2011
 BOARD = "chessboard:4x3:8"
@@ -111,8 +117,6 @@ def make(folder: Path, quick: bool = False) -> None:
 
 
 def _command(*words: str) -> None:
-    from doo_ti.commands.cli import main
-
     if main(words) != 0:
         raise RuntimeError(f"the corpus: doo-ti {' '.join(words)} failed")
 
@@ -158,8 +162,6 @@ def _middle() -> np.ndarray:
 
 def _rig():
     """Three small cameras that look at the rods from about 70 mm."""
-    from tests.vision.scenes import three_cameras
-
     return three_cameras(70.0, 0.25, _middle())
 
 
@@ -176,8 +178,6 @@ def _moving() -> None:
 
 
 def _images() -> None:
-    from doo_ti.vision.rig_files import save_rig
-
     save_rig(Path("rig.yaml"), _rig())
     _command("synth", "scene.toml", "--images", "images", "--rig", "rig.yaml", "--diameter", "0.6")
     header, *lines = (Path("images") / "sets.csv").read_text().splitlines()
@@ -205,11 +205,6 @@ def _marks() -> None:
 
 def _boards() -> None:
     """Four views of a chessboard by two of the cameras."""
-    import cv2
-
-    from doo_ti.vision.board import parse_board
-    from tests.vision.boards import look
-
     board, chance, lines = parse_board(BOARD), np.random.default_rng(SEED), ["view,cam0,cam1"]
     Path("boards").mkdir(exist_ok=True)
     for view in range(4):

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from doo_ti import Group, GroupSolution, Material, Plane, Status, Surroundings, Tie, end_clamps, straight_rod
 from doo_ti.record.motions import record_group, record_motion, record_ribbons
@@ -102,8 +103,6 @@ def test_bands_have_the_given_width_and_lie_along_m1():
 
 @pytest.mark.thorough
 def test_picture_shows_each_kind_in_its_colour(tmp_path):
-    from PIL import Image
-
     ribbons_picture(tmp_path / "ribbons.png", kinds(2), 1, basis=np.eye(3), title="made up")
     picture = np.asarray(Image.open(tmp_path / "ribbons.png").convert("RGB")).astype(int)
     red = (picture[..., 0] > 1.8 * picture[..., 1]) & (picture[..., 0] > 90)

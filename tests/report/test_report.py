@@ -5,11 +5,12 @@ import io
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from doo_ti import Observations, Observed
 from doo_ti.report.canvas import direction, distance_colors, fit_titles, grid_view, landscape_colors, new_figure, quantity
 from doo_ti.report.figures import angle_curves_picture
-from doo_ti.report.landscapes import LandscapePanel, landscape_image, landscape_picture, landscapes_picture
+from doo_ti.report.landscapes import LandscapePanel, draw_landscape, landscape_image, landscape_picture, landscapes_picture
 from doo_ti.report.motions import MovingRods, motions_picture
 from doo_ti.report.plane import LandscapePlane, cell_edges, valley_cells
 from tests.record import runs
@@ -30,8 +31,6 @@ def run() -> tuple[list, np.ndarray]:
 
 @pytest.mark.thorough
 def test_picture_and_image_are_one_drawing(tmp_path):
-    from PIL import Image
-
     landscape_picture(tmp_path / "landscape.png", runs.plane(), title="made up")
     buffer = io.BytesIO()
     landscape_picture(buffer, runs.plane(), title="made up")
@@ -88,8 +87,6 @@ def test_cells_not_evaluated_are_grey_and_unfinished_ones_hatched():
 @pytest.mark.parametrize("shape", [(1, 1, 1), (7, 1, 1), (1, 1, 4), (3, 2, 2), (25, 30, 1), (3, 3, 3, 2)])
 @pytest.mark.parametrize("empty", [False, True])
 def test_every_shape_of_grid_is_drawn_with_its_key_inside_the_picture(shape, empty, rng):
-    from doo_ti.report.landscapes import draw_landscape
-
     names = ["bend_1", "bend_2", "twist", "weight"]
     axes = [(name, np.geomspace(5e4, 1.26e7, count), name != "weight", "mm³")
             for name, count in zip(names, shape, strict=False)]
@@ -169,8 +166,6 @@ def test_quantities_are_written_for_people(value, text):
 
 
 def test_stiffness_stands_above_where_the_weight_is_known():
-    from doo_ti.report.landscapes import draw_landscape
-
     plane = LandscapePlane.of([("bend", [1e5, 1e6, 1e7], True, "mm³")], [3.0, 1.0, 2.0], (1,))
     axes = draw_landscape(plane, "made up", newton_per_bend=2.45e-10).axes[0]
     (above,) = axes.child_axes
