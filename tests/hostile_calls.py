@@ -3,6 +3,7 @@
     python -m tests.hostile_calls [COUNT] [SEED]        # prints what neither succeeded nor raised InputError
 """
 
+import inspect
 import os
 import sys
 import tempfile
@@ -95,81 +96,66 @@ def constructors() -> dict[str, tuple[Callable, dict]]:
 
 
 def functions() -> dict[str, tuple[Callable, dict]]:
-    """Every public function, and methods that make objects, with sound arguments."""
+    """Every public function, and methods that make objects, with sound arguments: those named here, the others by default."""
     o = {name: many[0] for name, many in objects().items()}
     rig, rods, maps = image()
-    relaxed = {"material": MATERIAL, "clamps": CLAMPS}
-    around = {"obstacles": [], "radius": 1.0}
-    moved = {"configuration": ROPE, **relaxed}
+    rod, relaxed = {"rod": ROPE}, {"material": MATERIAL, "clamps": CLAMPS}
+    moved, touching = {"configuration": ROPE, **relaxed}, {"obstacles": [o["Plane"], d.Itself()], "radius": 1.0}
+    moving = {"start": ROPE, "material": MATERIAL, "grippers": o["Grippers"], "dynamics": o["Dynamics"], "stepping": STEPPING}
     folder = Path(tempfile.gettempdir())
     walk = {"point": rods[:, 0], "direction": rods[:, 1] - rods[:, 0]}
-    return {
-        "relax": (d.relax, {"x0": ROPE, **relaxed, "solver": o["Newton"], "up": (0, 0, 1), "precision": "f64",
-                            "configuration_index": [0], "material_index": [0], "external": None, "external_index": None}),
+    derived = {"solution": solution(), "parameters": ("bend", "modes"), "modes": np.zeros((1, 11, 2))}
+    grey = np.tile(np.arange(32.0), (32, 1))
+    frame = d.TrackedFrame(rods[0], np.ones(7), 0.0, np.zeros(3), d.Status.CONVERGED, True, d.How.TRACKED)
+    few = d.IdentifyOptions(modes=0, iterations=1)
+    absent = {load.__name__: (load, {"path": folder / name}) for load, name in (
+        (d.load_observations, "absent.npz"), (d.load_obstacles, "absent.toml"), (d.load_path, "absent.csv"),
+        (d.load_rig, "absent.json"), (d.load_theta, "absent.json"))}
+    found = absent | {
+        "relax": (d.relax, {"x0": ROPE, **relaxed, "solver": o["Newton"], "configuration_index": [0], "material_index": [0]}),
         "relax again": (d.relax, {"x0": solution(), "material": MATERIAL, "material_index": [0]}),
-        "simulate": (d.simulate, {
-            "start": ROPE, "material": MATERIAL, "grippers": o["Grippers"], "dynamics": o["Dynamics"], "stepping": STEPPING,
-            "springs": None, "loads": None, "up": (0, 0, 1), "pairs": None, "directions": (), **around, "progress": None}),
-        "relax in contact": (d.relax, {"x0": ROPE, **relaxed, "obstacles": [o["Plane"], d.Itself()], "radius": 1.0}),
-        "simulate in contact": (d.simulate, {
-            "start": ROPE, "material": MATERIAL, "grippers": o["Grippers"], "dynamics": o["Dynamics"], "stepping": STEPPING,
-            "obstacles": [o["Plane"], d.Itself()], "radius": 1.0}),
-        "predict": (d.predict, {**moved, "path": path(), "sub_step": 0.1, "between": 1, "up": (0, 0, 1), "solver": None,
-                                "precision": "mixed", "advance": print_nothing, **around, "loads": None}),
-        "predict_step": (d.predict_step, {**moved, "goal": CLAMPS, "rotation": [0.1], "sub_step": 0.1, "up": (0, 0, 1),
-                                          "precision": "f32", "watch": True, **around, "loads": None}),
-        "predict_moving": (d.predict_moving, {**moved, "path": path(), "dynamics": o["Dynamics"], "stepping": STEPPING,
-                                              "between": 1, "up": (0, 0, 1), "advance": print_nothing, **around,
-                                              "loads": None}),
-        "Servo": (d.Servo, {"rod": ROPE, **relaxed, "targets": o["Targets"], "options": o["ServoOptions"], "up": (0, 0, 1),
-                            **around}),
+        "relax in contact": (d.relax, {"x0": ROPE, **relaxed, **touching}),
+        "simulate": (d.simulate, moving),
+        "simulate in contact": (d.simulate, {**moving, **touching}),
+        "predict": (d.predict, {**moved, "path": path()}),
+        "predict_step": (d.predict_step, {**moved, "goal": CLAMPS, "rotation": [0.1]}),
+        "predict_moving": (d.predict_moving, {**moved, "path": path(), "dynamics": o["Dynamics"], "stepping": STEPPING}),
+        "Servo": (d.Servo, {**rod, **relaxed, "targets": o["Targets"], "options": o["ServoOptions"]}),
         "Servo.step": (lambda **given: d.Servo(ROPE, MATERIAL, CLAMPS, o["Targets"]).step(**given), {"seen": ROPE.vertices}),
-        "plan_manipulation": (d.plan_manipulation, {"rod": ROPE, **relaxed, "targets": o["Targets"],
-                                                    "options": o["PlanOptions"], "up": (0, 0, 1), **around}),
-        "Simulation": (d.Simulation, {"rods": ROPE, **relaxed, "sub_step": 0.1, "up": (0, 0, 1), **around}),
+        "plan_manipulation": (d.plan_manipulation, {**rod, **relaxed, "targets": o["Targets"], "options": o["PlanOptions"]}),
+        "Simulation": (d.Simulation, {"rods": ROPE, **relaxed}),
         "Simulation.step": (lambda **given: d.Simulation(ROPE, MATERIAL, CLAMPS).step(**given), {
             "grippers": CLAMPS, "grips": [o["Grip"]]}),
-        "relax_held": (d.relax_held, {"rods": ROPE, **relaxed, "grips": [o["Grip"]], "solver": o["Newton"], "up": (0, 0, 1),
-                                      "precision": "f64", **around}),
-        "relax_group": (d.relax_group, {"group": o["Group"], "solver": None, "up": None, **around, "contact": True}),
+        "relax_held": (d.relax_held, {"rods": ROPE, **relaxed, "grips": [o["Grip"]], "solver": o["Newton"]}),
+        "relax_group": (d.relax_group, {"group": o["Group"]}),
         "follow_group": (lambda **given: list(d.follow_group(**given)), {
-            "group": o["Group"], "clamps": [o["Group"].clamps], "solver": None, "up": None, **around, "contact": True,
-            "dynamics": None, "rate": None, "scheme": "bdf2"}),
-        "distance": (d.distance, {"configuration": ROPE, "observations": seen(), "index": [0], "frame_weight": 0.0}),
+            "group": o["Group"], "clamps": [o["Group"].clamps]} | defaults(d.follow_group)),
+        "distance": (d.distance, {"configuration": ROPE, "observations": seen(), "index": [0]}),
         "distance_maps": (d.distance_maps, {"detections": [[detection()]], "margin_px": 10}),
         "score": (d.score, {"vertices": rods, "maps": maps, "set_index": 0, "rig": rig, "nu": 5e-3, "material": MATERIAL,
-                            "material_index": [0], "points": 8, "cap": 40.0, "up": (0, 0, 1)}),
+                            "material_index": [0]}),
         "perceive": (d.perceive, {"maps": maps, "rig": rig, **walk, "rest_length": np.full(6, 3.0), "material": MATERIAL,
-                                  "up": (0, 0, 1), "options": o["PerceptionOptions"]}),
-        "Tracker": (d.Tracker, {"rig": rig, "rest_length": np.full(6, 3.0), "material": MATERIAL, "up": (0, 0, 1),
-                                "search": o["PerceptionOptions"], "options": o["TrackingOptions"],
-                                "surroundings": d.Surroundings()}),
+                                  "options": o["PerceptionOptions"]}),
+        "Tracker": (d.Tracker, {"rig": rig, "rest_length": np.full(6, 3.0), "material": MATERIAL,
+                                "search": o["PerceptionOptions"]}),
         "Tracker.see": (lambda **given: d.Tracker(rig, np.full(6, 3.0), MATERIAL).see(**given), {
             "detected": [detection()] * 3, "point": rods[0, 0], "direction": rods[0, 1] - rods[0, 0], "far": None}),
-        "seen_vertices": (d.seen_vertices, {
-            "frame": d.TrackedFrame(rods[0], np.ones(7), 0.0, np.zeros(3), d.Status.CONVERGED, True, d.How.TRACKED),
-            "rig": rig, "detected": [detection()] * 3, "within_px": 2.0}),
-        "sensitivity": (d.sensitivity, {"solution": solution(), "parameters": ("bend", "modes"), "modes": np.zeros((1, 11, 2)),
-                                        "first": 0, "last": 1}),
-        "pullback": (d.pullback, {"solution": solution(), "cotangent": np.ones((1, 13, 3)), "parameters": ("bend", "modes"),
-                                  "modes": np.zeros((1, 11, 2)), "frames": np.ones((1, 12, 3, 3))}),
+        "seen_vertices": (d.seen_vertices, {"frame": frame, "rig": rig, "detected": [detection()] * 3}),
+        "sensitivity": (d.sensitivity, {**derived, "first": 0, "last": 1}),
+        "pullback": (d.pullback, {**derived, "cotangent": np.ones((1, 13, 3)), "frames": np.ones((1, 12, 3, 3))}),
         "gripper_jacobian": (d.gripper_jacobian, {"solution": solution()}),
         "end_loads": (d.end_loads, {"solution": solution()}),
         "refine": (d.refine, {"observations": seen(), "clamps": CLAMPS, "theta": o["Theta"],
                               "options": d.RefinementOptions(iterations=2, intervals="covariance")}),
-        "estimate_twist": (d.estimate_twist, {"observations": seen(), "material": MATERIAL, "group": [0], "offset": [0.0],
-                                              "options": o["TwistOptions"]}),
-        "identify": (d.identify, {"motion": recording(), "begin": theta(), "options": d.IdentifyOptions(modes=0, iterations=1),
-                                  "stills": ()}),
-        "identify_from_guesses": (d.identify_from_guesses, {
-            "motion": recording(), "options": d.IdentifyOptions(modes=0, iterations=1), "bend": 1e6, "up": (0, 0, 1)}),
+        "estimate_twist": (d.estimate_twist, {"observations": seen(), "material": MATERIAL, "group": [0], "offset": [0.0]}),
+        "identify": (d.identify, {"motion": recording(), "begin": theta(), "options": few}),
+        "identify_from_guesses": (d.identify_from_guesses, {"motion": recording(), "options": few, "bend": 1e6}),
         "sweep": (d.sweep, {"run": folder / "doo_ti_hostile_sweep", "observations": seen(), "grid": o["Grid"]}),
-        "hanging": (d.hanging, {"length": 500.0, "edges": 12, "start": (0, 0, 0), "end": (300, 0, 0), "clamp": 1,
-                                "up": (0, 0, 1)}),
-        "straight_rod": (d.straight_rod, {"length": 500.0, "edges": 12, "start": (0, 0, 0), "direction": (1, 0, 0)}),
-        "end_clamps": (d.end_clamps, {"configuration": ROPE, "start": d.Clamp.FRAME, "end": d.Clamp.FREE}),
+        "hanging": (d.hanging, {"length": 500.0, "edges": 12, "start": (0, 0, 0), "end": (300, 0, 0)}),
+        "straight_rod": (d.straight_rod, {"length": 500.0, "edges": 12}),
+        "end_clamps": (d.end_clamps, {"configuration": ROPE, "end": d.Clamp.FREE}),
         "rod_along": (d.rod_along, {"points": rods[0], "edges": 12}),
-        "overhand_knot": (d.overhand_knot, {"length": 300.0, "edges": 150, "radius": 1.0, "loop": 12.0, "finer": None}),
+        "overhand_knot": (d.overhand_knot, {"length": 300.0, "edges": 150, "radius": 1.0, "loop": 12.0}),
         "start_configuration": (d.start_configuration, {"observations": seen(), "clamps": CLAMPS, "turns": np.zeros(1)}),
         "observation_clamps": (d.observation_clamps, {"observations": seen(), "start": d.Clamp.FRAME, "end": d.Clamp.FRAME}),
         "turn_hypotheses": (d.turn_hypotheses, {"observations": seen(), "clamps": CLAMPS}),
@@ -177,35 +163,34 @@ def functions() -> dict[str, tuple[Callable, dict]]:
                                                     "sound": np.array([True, True])}),
         "consecutive_groups": (d.consecutive_groups, {"count": 4, "together": 2, "regrasps": [1]}),
         "end_offsets": (d.end_offsets, {"observations": seen(), "group": [0]}),
-        "detect": (d.detect, {"image": np.tile(np.arange(32.0), (32, 1)), "options": o["DetectionOptions"]}),
-        "detect_mask": (d.detect_mask, {"mask": np.tile(np.arange(32.0), (32, 1)), "options": o["DetectionOptions"]}),
-        "follow": (d.follow, {"image": np.tile(np.arange(32.0), (32, 1)), "pixel": (9.0, 9.0),
-                              "options": o["DetectionOptions"]}),
-        "load_observations": (d.load_observations, {"path": folder / "absent.npz"}),
-        "load_obstacles": (d.load_obstacles, {"path": folder / "absent.toml"}),
-        "load_path": (d.load_path, {"path": folder / "absent.csv"}),
-        "load_rig": (d.load_rig, {"path": folder / "absent.json", "reading": o["RigReading"]}),
-        "load_theta": (d.load_theta, {"path": folder / "absent.json"}),
+        "detect": (d.detect, {"image": grey}),
+        "detect_mask": (d.detect_mask, {"mask": grey}),
+        "follow": (d.follow, {"image": grey, "pixel": (9.0, 9.0)}),
         "read_landscape": (d.read_landscape, {"run": folder / "absent"}),
         "save_observations": (d.save_observations, {"path": folder / "doo_ti_hostile.npz", "observations": seen()}),
         "record_sweep": (d.record_sweep, {
             "path": folder / "doo_ti_hostile.rrd", "run_id": "a", "name": "b", "observed": o["Observed"],
             "trajectory": o["SweepTrajectory"], "properties": {"one": 1}, "plane": o["LandscapePlane"],
-            "intervals": (o["Interval"],), "region": None}),
+            "intervals": (o["Interval"],)}),
         "Material.from_physical": (d.Material.from_physical, {"EI": 1e-3, "GJ": 1e-3, "weight_per_length": 0.5}),
-        "Material.diagonal": (d.Material.diagonal, {"bend_1": 1e5, "bend_2": 2e5, "twist": 1e5, "weight": 1.0}),
+        "Material.diagonal": (d.Material.diagonal, {"bend_1": 1e5, "bend_2": 2e5, "twist": 1e5}),
         "Configuration.straight": (d.Configuration.straight, {"start": np.zeros(3), "direction": np.array([1.0, 0, 0]),
                                                               "length": 10.0, "edges": 3}),
         "Grippers.resting": (d.Grippers.resting, {"clamps": CLAMPS, "instants": 4}),
-        "RecordedMotion.of": (d.RecordedMotion.of, {"positions": recording().positions, "rate": 50.0, "names": ["a"],
-                                                    "source": "b", "free_end": False}),
-        "RecordedMotion.load": (d.RecordedMotion.load, {"path": folder / "absent.npz", "fill_gaps": False, "unit": None,
-                                                        "columns": None, "rate": None, "free_end": False}),
+        "RecordedMotion.of": (d.RecordedMotion.of, {"positions": recording().positions, "rate": 50.0, "names": ["a"]}),
+        "RecordedMotion.load": (d.RecordedMotion.load, {"path": folder / "absent.npz"}),
         "DistanceGrid.from_mesh": (d.DistanceGrid.from_mesh, {
             "mesh": ([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]], [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]),
-            "spacing": 1.0, "margin": None, "position": (0, 0, 0)}),
-        "end_force_in_newton": (solution().end_force_in_newton, {"weight_per_length": 0.5, "weight": 1.0}),
-        "Theta.of": (d.Theta.of, {"material": MATERIAL, "row": 0, "up": (0, 0, 1)})}
+            "spacing": 1.0, "position": (0, 0, 0)}),
+        "end_force_in_newton": (solution().end_force_in_newton, {"weight_per_length": 0.5}),
+        "Theta.of": (d.Theta.of, {"material": MATERIAL})}
+    return {name: (function, defaults(function) | given) for name, (function, given) in found.items()}
+
+
+def defaults(function: Callable) -> dict[str, object]:
+    """The arguments of a function that have a default."""
+    parameters = inspect.signature(function).parameters.values()
+    return {entry.name: entry.default for entry in parameters if entry.default is not entry.empty}
 
 
 def print_nothing(_: int) -> None:

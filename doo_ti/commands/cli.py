@@ -33,7 +33,7 @@ from doo_ti.commands import (
     twist,
 )
 from doo_ti.commands.help_text import hidden, nearest, overview
-from doo_ti.commands.options import Value
+from doo_ti.io.toml_file import scene_file
 from doo_ti.system.errors import InputError, InterruptedRunError
 from doo_ti.system.runtime import check_architecture
 from doo_ti.system.terminal import VisibleStream, visible
@@ -43,6 +43,8 @@ class _Parser(argparse.ArgumentParser):
     """Reports what argparse finds wrong as an InputError naming the option, and names arguments of the library as options."""
 
     whole = False
+    commands: dict[str, "_Parser"]  # of the program, by name
+    meanings: dict[str, str]  # of these, in the order of their declaration
 
     def error(self, message: str) -> NoReturn:
         found = re.match(r"argument (?P<option>[^:]+): (?P<problem>.*)", message, re.DOTALL)
@@ -52,10 +54,10 @@ class _Parser(argparse.ArgumentParser):
         raise InputError(self.prog, option, problem, f"see {self.prog} --help")
 
     def _get_value(self, action: argparse.Action, text: str):
-        if not isinstance(action.type, Value):
+        if action.type in (None, str, int, float, scene_file):
             return super()._get_value(action, text)
         first = next(other for other in self._actions if other.dest == action.dest)  # of an old name the new one
-        return action.type(text, (first.option_strings or [first.metavar])[0])
+        return action.type((first.option_strings or [first.metavar])[0], text)
 
     def in_options(self, error: InputError) -> InputError:
         """``error`` with the options of this command in place of the library's arguments: as its field, where its source is no
@@ -92,17 +94,6 @@ class _Parser(argparse.ArgumentParser):
         """The names of this command's options."""
         return [name for action in self._actions for name in action.option_strings if action.help != argparse.SUPPRESS]
 
-    def command(self, name: str) -> "_Parser":
-        """The parser of a command of the program."""
-        return self._commands().choices[name]
-
-    def _commands(self) -> argparse._SubParsersAction:
-        return next(action for action in self._actions if isinstance(action, argparse._SubParsersAction))
-
-    def meanings(self) -> dict[str, str]:
-        """The commands of the program, and what each does."""
-        return {choice.dest: choice.help for choice in self._commands()._choices_actions}
-
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command that ``argv`` (without the program's name) spells out; returns the exit code."""
@@ -134,7 +125,7 @@ def _run(argv: list[str]) -> int:
     parser = _parser()
     if argv[:1] == ["help"] and len(argv) > 1 and argv[1] != "help":
         argv = [*argv[1:2], "--help"]
-    meanings = parser.meanings()
+    meanings = parser.meanings
     if not argv or argv[0] in ("help", "-h", "--help"):
         print(overview(meanings))
         return 0
@@ -151,7 +142,7 @@ def _run(argv: list[str]) -> int:
         # What is missing may only be misspelt.
         if error.problem != "missing" or argv[0] not in meanings:
             raise
-        command = parser.command(argv[0])
+        command = parser.commands[argv[0]]
         names = [word.split("=")[0] for word in words if word.startswith("--")]
         if wrong := next((name for name in names if name not in command._option_string_actions), None):
             raise _unexpected(command, wrong) from None
@@ -196,8 +187,10 @@ def _parser() -> _Parser:
     parser = _Parser(prog="doo-ti", allow_abbrev=False,
                      description="Fit discrete elastic rods to observed shapes (Javdani et al., ICRA 2011).")
     parser.add_argument("--version", action="version", version=f"doo-ti {__version__}")
-    add = parser.add_subparsers(dest="command", required=True, metavar="COMMAND").add_parser
-    for commands in (relax, twist, sweep, plan, runs, refine, predict, steer, simulate, group, identify, synth, machine,
-                     cameras, perceive, track):
-        commands.declare(add)
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for module in (relax, twist, sweep, plan, runs, refine, predict, steer, simulate, group, identify, synth, machine,
+                   cameras, perceive, track):
+        module.declare(commands.add_parser)
+    parser.commands = commands.choices
+    parser.meanings = {choice.dest: choice.help for choice in commands._choices_actions}
     return parser

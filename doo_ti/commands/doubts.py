@@ -60,12 +60,12 @@ def say(source, *doubts: str | None) -> None:
             terminal.warn(f"{in_line(source)}: {doubt}")
 
 
-def unit_doubt(length: float) -> str | None:
-    """Why the unit of a rod's ``length``, in mm, may be another one than stated, or None."""
+def unit_doubt(length: float, file: str = "file", option: str = "--unit", other: str = "the unit of the file") -> str | None:
+    """Why the unit of a rod's ``length``, in mm, may be another one than the ``option`` says of the ``file``, or None."""
     likely = likely_unit(length)
     if likely == "":
         return None
-    remedy = "check the unit of the file" if likely is None else f"if the file is in {likely}, give --unit {likely}"
+    remedy = f"check {other}" if likely is None else f"if the {file} is in {likely}, give {option} {likely}"
     return f"a rod {length:.4g} mm long; {remedy}"
 
 

@@ -15,6 +15,7 @@ from doo_ti.commands.results import in_newton, report, rows, save_arrays, status
 from doo_ti.contact.touch import Touch
 from doo_ti.io.toml_file import scene_file
 from doo_ti.learning.landscape import status_counts
+from doo_ti.report.contact import GroupMotion, save_group
 from doo_ti.rod.types import Status
 from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError, InterruptedRunError
@@ -63,9 +64,7 @@ def run(options: Namespace) -> int:
             raise InterruptedRunError(f"interrupted: {len(moments)} of {len(scene.time)} moments are in "
                                       f"{in_line(options.out)}; the same command starts from the beginning") from None
     save_arrays(options.out, _arrays(scene, moments))
-    about = {"name": scene.name, "names": scene.names, "surroundings": scene.surroundings, "rate": scene.rate, "up": up,
-             "newton": scene.newton}
-    _draw(moments, options.picture, options.recording, about)
+    _draw(scene, moments, up, options.picture, options.recording)
     summary = _summary(scene, moments, options.out)
     report(options, summary, lambda: _lines(scene, summary))
     return 0 if moments[-1].converged[0] else 1
@@ -93,20 +92,22 @@ def _arrays(scene: "GroupScene", moments: "list[GroupSolution]") -> dict[str, np
     return in_newton(arrays, None if scene.newton is None else np.array([scene.newton]), 0)
 
 
-def _draw(moments: "list[GroupSolution]", picture: Path | None, recording: Path | None, about: dict) -> None:
+def _draw(scene: "GroupScene", moments: "list[GroupSolution]", up: np.ndarray, picture: Path | None, recording: Path | None
+          ) -> None:
     wanted = [path for path in (picture, recording) if path is not None]
-    if wanted and all(np.isnan(moment.energy[0]) for moment in moments):
+    if not wanted:
+        return
+    if all(np.isnan(moment.energy[0]) for moment in moments):
         print(f"doo-ti: note: {' and '.join(map(in_line, wanted))} not written: the rods have no place at any moment",
               file=sys.stderr)
         return
+    seen = GroupMotion.of(moments, scene.name, scene.names, scene.surroundings, scene.rate, up, scene.newton)
     if picture is not None:
-        from doo_ti.report.contact import save_group
-
-        save_group(picture, moments, **about)
+        save_group(picture, seen)
     if recording is not None:
         from doo_ti.record.motions import record_group
 
-        record_group(recording, moments, **about)
+        record_group(recording, seen)
 
 
 def _summary(scene: "GroupScene", moments: "list[GroupSolution]", out: Path) -> dict:

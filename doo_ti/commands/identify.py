@@ -8,7 +8,11 @@ import numpy as np
 
 from doo_ti.commands import doubts, loading
 from doo_ti.commands import options as given
-from doo_ti.commands.results import report, save_json, shortened
+from doo_ti.commands.results import listed, report, rows, save_json, shortened
+from doo_ti.dynamics.recorded import RecordedMotion
+from doo_ti.io.observation_files import load_observations
+from doo_ti.report.contact import Touched
+from doo_ti.report.motions import save_rollout
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line, progress
 
@@ -46,7 +50,6 @@ def declare(add) -> None:
 
 def run(options: Namespace) -> int:
     from doo_ti.dynamics.identify import IdentifyOptions, guesses, identify_from_guesses, require_clear_grippers
-    from doo_ti.dynamics.recorded import RecordedMotion
 
     fitted = tuple(filter(None, options.fit.split(",")))
     if unknown := next((name for name in fitted if name not in FITTED), None):
@@ -94,11 +97,10 @@ def _stills(options: Namespace, motion, surroundings) -> list:
     """The observations at rest of the rod in ``motion``, with their noise, checked."""
     from doo_ti.dynamics.rollouts import roll_reference
     from doo_ti.dynamics.theta import Stills
-    from doo_ti.io.observation_files import load_observations
 
     noise = options.still_noise
-    if noise is not None and not options.still:
-        raise InputError(given.SOURCE, "--still-noise", "given without --still", "give both")
+    if not options.still:
+        given.refuse(options, ("still_noise",), "given without --still", "give both")
     found = [load_observations(path, options.up) for path in options.still]
     for one in found:
         Stills.of(one, roll_reference(motion), motion.edge_lengths().sum(), surroundings)
@@ -145,40 +147,34 @@ def _summary(found, motion, held_out, rollouts, out: Path) -> dict:
 def _lines(summary: dict, motion) -> list[str]:
     from doo_ti.dynamics.theta import Unknowns
 
-    lines = [f"{summary['recordings']} recordings of {motion.edges} edges, {summary['frames']} frames at {motion.rate:g}/s"]
-    for entry in summary["parameters"]:
-        if not entry["name"].startswith("rest_curvature"):
-            low, high = ("0" if entry["low"] is None else f"{entry['low']:.3g}"), f"{entry['high']:.3g}"
-            lines.append(f"  {entry['name']:<16}{entry['value']:.4g} {entry['unit']}  [{low}, {high}] 95 %")
-    if summary["not_fitted"]:
-        held = ", ".join(f"{name} {value:g} {Unknowns.UNITS[name]}".strip() for name, value in summary["not_fitted"].items())
-        lines.append(f"  not fitted      {held}")
+    still, held, inside = summary["stills"], summary["held_out"], summary["inside_mm"]
     rest = np.asarray(summary["theta"]["rest_curvature_per_mm"])
-    if rest.any():
-        lines.append(f"  rest curvature  {np.sqrt((rest**2).sum(axis=1).mean()):.3g} 1/mm root mean square along the rod")
+    fitted = [entry for entry in summary["parameters"] if not entry["name"].startswith("rest_curvature")]
     begun = "two frames" if summary["smoothing"] == 1 else f"{summary['smoothing']} frames, smoothed"
-    lines.append(f"  error           mean {summary['mean_error_mm']:.4g} mm, median {summary['median_error_mm']:.4g} mm over "
-                 f"recordings, rolled out from their first {begun}")
-    if (still := summary["stills"])["count"]:
-        error = "none was usable" if still["mean_error_mm"] is None else f"mean distance {still['mean_error_mm']:.4g} mm"
-        lines.append(f"  at rest         {still['count']} still frames, {still['left_out']} left out; {error}")
-    if held := summary["held_out"]:
-        lines.append(f"  held out        mean {held['mean_error_mm']:.4g} ± {held['standard_error_mm']:.2g} mm, median "
-                     f"{held['median_error_mm']:.4g} mm")
-    if summary["failed"]:
-        lines.append(f"  failed          {', '.join(map(in_line, summary['failed'][:MOST_LISTED]))}: left out")
-    if inside := summary["inside_mm"]:
-        named = ", ".join(map(in_line, list(inside)[:MOST_LISTED]))
-        lines.append(f"  inside          the grippers of {named} hold the rod up to {max(inside.values()):.3g} mm inside an "
-                     "obstacle: correct its place, or give a smaller --radius")
-    lines += [f"  glitch          {in_line(line)}" for line in shortened(summary["glitches"], MOST_LISTED, "and {} more")]
-    return [*lines, f"  written to {in_line(summary['out'])}"]
+    error = "none was usable" if still["mean_error_mm"] is None else f"mean distance {still['mean_error_mm']:.4g} mm"
+    return [
+        f"{summary['recordings']} recordings of {motion.edges} edges, {summary['frames']} frames at {motion.rate:g}/s",
+        *rows(
+            *((entry["name"], f"{entry['value']:.4g} {entry['unit']}  [{entry['low'] or 0:.3g}, {entry['high']:.3g}] 95 %")
+              for entry in fitted),
+            ("not fitted", ", ".join(f"{name} {value:g} {Unknowns.UNITS[name]}".strip()
+                                     for name, value in summary["not_fitted"].items())),
+            ("rest curvature", rest.any() and f"{np.sqrt((rest**2).sum(axis=1).mean()):.3g} 1/mm root mean square along the "
+                                              "rod"),
+            ("error", f"mean {summary['mean_error_mm']:.4g} mm, median {summary['median_error_mm']:.4g} mm over recordings, "
+                      f"rolled out from their first {begun}"),
+            ("at rest", still["count"] and f"{still['count']} still frames, {still['left_out']} left out; {error}"),
+            ("held out", held and f"mean {held['mean_error_mm']:.4g} ± {held['standard_error_mm']:.2g} mm, median "
+                                  f"{held['median_error_mm']:.4g} mm"),
+            ("failed", summary["failed"] and f"{listed(summary['failed'], MOST_LISTED)}: left out"),
+            ("inside", inside and f"the grippers of {listed(inside, MOST_LISTED)} hold the rod up to "
+                                  f"{max(inside.values()):.3g} mm inside an obstacle: correct its place, or give a smaller "
+                                  "--radius"),
+            *(("glitch", in_line(line)) for line in shortened(summary["glitches"], MOST_LISTED, "and {} more")), width=16),
+        f"  written to {in_line(summary['out'])}"]
 
 
 def _draw(picture: Path, found, rollouts) -> None:
-    from doo_ti.report.contact import Touched
-    from doo_ti.report.motions import save_rollout
-
     motion, surroundings = rollouts.motion, rollouts.surroundings
     positions, _, _, simulation = rollouts.simulated(found.theta)
     touched = Touched(surroundings, positions, simulation.contact_force) if surroundings else None

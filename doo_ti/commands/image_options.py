@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import loading
+from doo_ti.commands import doubts, loading
 from doo_ti.commands import options as given
 from doo_ti.commands.loading import MOST_EDGES, read_rest_length
 from doo_ti.contact.surroundings import Surroundings
@@ -21,6 +21,7 @@ from doo_ti.rod.types import Material
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line, warn
 from doo_ti.vision.cameras import LENSES, POSES, Rig, RigReading
+from doo_ti.vision.images import ImageSets, load_sets, orientation_tags
 from doo_ti.vision.rig_files import load_rig
 
 MOST_HYPOTHESES = 100_000
@@ -67,7 +68,7 @@ def add_seen_rod(parser: ArgumentParser) -> None:
               "rest_length_mm, or a text file (default: the rod ends where the thread ends in the images)")
     given.add(parser, "--edge", "MM", given.LENGTH, "without --rest-length: length of the rod's edges; without it, a 33rd of "
               "the rod")
-    given.add(parser, "--length", "MM|LOW:HIGH", given.Value(_bounds), "without --rest-length: bounds of the rod's length")
+    given.add(parser, "--length", "MM|LOW:HIGH", _bounds, "without --rest-length: bounds of the rod's length")
     parser.add_argument("--seed-pixel", action="append", metavar="CAMERA:U,V", help="where the rod begins, instead of "
                         "a point in space: a pixel in one camera or, once for each, in several; the thread's end near it")
     given.add_up(parser, "0,0,1 in the rig's world")
@@ -78,7 +79,7 @@ def add_thread(parser: ArgumentParser) -> None:
     parser.add_argument("--polarity", choices=("dark", "light"), help="whether the thread is darker or lighter than the "
                         "background (default: decided per image)")
     given.add(parser, "--width", "PX", given.positive("px"), "width of the thread in the images (default: measured)")
-    given.add(parser, "--colour", "R,G,B|clicked", given.Value(_colour), "colour of the thread, 0 to 255 each, instead of "
+    given.add(parser, "--colour", "R,G,B|clicked", _colour, "colour of the thread, 0 to 255 each, instead of "
               "--polarity; clicked: that of the thread at the pixel where it begins")
     parser.add_argument("--masks", nargs="+", metavar="MASK|FOLDER", help="segmented images, instead of detection: one for "
                         "each camera, or a folder with masks named as the images are (default: alpha channels of the images)")
@@ -87,16 +88,16 @@ def add_thread(parser: ArgumentParser) -> None:
 
 
 def _colour(option: str, text: str) -> tuple[float, ...] | str:
-    return CLICKED if text == CLICKED else given.NUMBERS(text, option)
+    return CLICKED if text == CLICKED else given.NUMBERS(option, text)
 
 
-def by_camera(option: str, texts: Iterable[str] | None, names: tuple[str, ...], form: str, each: given.Value = given.NUMBERS
+def by_camera(option: str, texts: Iterable[str] | None, names: tuple[str, ...], form: str, each: given.Reader = given.NUMBERS
               ) -> dict[str, tuple]:
     """The numbers of an option that is given once for each camera, as ``CAMERA:`` and ``form``, by the camera's name."""
     found = {}
     for text in texts or ():
         camera, _, numbers = text.rpartition(":")
-        values = each(numbers, option)
+        values = each(option, numbers)
         if camera not in names or len(values) != form.count(",") + 1:
             raise InputError(given.SOURCE, option, f"{text!r}",
                              f"give CAMERA:{form}; the rig has {', '.join(map(in_line, names))}")
@@ -164,10 +165,7 @@ def detections(sight, every_path: Sequence[Sequence[Path]], cameras: Sequence) -
 
 def warn_of_length(options: Namespace, length: float) -> None:
     """Print a warning where rods of ``length`` mm are so short or long that the rig's unit must be another one."""
-    unit = likely_unit(length)
-    if unit != "":
-        remedy = f"if the rig is in {unit}, give --rig-unit {unit}" if unit else "check --rig-unit and --rig-poses"
-        warn(f"{in_line(options.rig)}: rods of {length:.3g} mm; {remedy}")
+    doubts.say(options.rig, doubts.unit_doubt(length, "rig", "--rig-unit", "--rig-unit and --rig-poses"))
 
 
 def warn_of_rig(options: Namespace, sets, length: float, verdicts: np.ndarray, detected: Sequence[list]) -> None:
@@ -195,8 +193,6 @@ def warn_of_rig(options: Namespace, sets, length: float, verdicts: np.ndarray, d
 
 def orientation_note(paths: Iterable[Path], turned: bool) -> str | None:
     """What to say of images with orientation tags; None where there are none."""
-    from doo_ti.vision.images import orientation_tags
-
     count = orientation_tags(paths)
     did, other = ("applied", "ignore") if turned else ("ignored", "apply")
     return f"{count} images have tags, which are {did}; else --orientation {other}" if count else None
@@ -275,8 +271,6 @@ def perception_task(options: Namespace) -> PerceptionTask:
 
 def _sets(options: Namespace, rig):
     """The sets of the file, or the one that the command line spells out."""
-    from doo_ti.vision.images import ImageSets, load_sets
-
     single = {"IMAGE": options.images, "--seed-point": options.seed_point, "--seed-direction": options.seed_direction,
               "--seed-pixel": options.seed_pixel}
     if options.sets is not None:
@@ -320,7 +314,7 @@ def length_bounds(options: Namespace) -> LengthBounds:
 def _bounds(option: str, text: str) -> tuple[float, float]:
     """``300``, or ``250:350``, in mm."""
     low, colon, high = text.partition(":")
-    bounds = given.LENGTH(low, option), given.LENGTH(high if colon else low, option)
+    bounds = given.LENGTH(option, low), given.LENGTH(option, high if colon else low)
     if bounds[0] > bounds[1]:
         raise InputError(given.SOURCE, option, text, "give MM, or LOW:HIGH")
     return bounds

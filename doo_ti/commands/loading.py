@@ -8,12 +8,11 @@ import re
 from argparse import ArgumentParser, Namespace
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from doo_ti.commands import options as given
-from doo_ti.commands.results import observed
+from doo_ti.dynamics.recorded import RecordedMotion
 from doo_ti.io.arrays import checked_arrays, decoded, read_npz
 from doo_ti.io.observation_files import load_observations
 from doo_ti.io.scene import Scene, Synthesis
@@ -27,9 +26,6 @@ from doo_ti.system.arguments import counted, span_text
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import MOST_TEXT_BYTES, read_content
 from doo_ti.system.terminal import in_line
-
-if TYPE_CHECKING:
-    from doo_ti.dynamics.recorded import RecordedMotion
 
 FEW = 0.25  # share of observations that may be left out; of more a file or an option is wrong
 MEASURED = 0.02  # relative error of a length between marks that somebody measured
@@ -60,7 +56,7 @@ def add_files(group, of: str) -> None:
     """How the files ``of`` some option or argument state the marks."""
     group.add_argument("--unit", choices=tuple(UNITS_IN_MM), help=f"unit of all lengths in {of} (default: as the file states, "
                        "else mm)")
-    given.add(group, "--columns", "x=NAME,…|A,B,C", given.Value(_columns), "columns of a table that hold x, y, z, observation, "
+    given.add(group, "--columns", "x=NAME,…|A,B,C", _columns, "columns of a table that hold x, y, z, observation, "
               "vertex; of other files, names of markers or curves in their order along the rod")
 
 
@@ -73,14 +69,14 @@ def add_recordings(parser: ArgumentParser, default_up: str) -> None:
     group.add_argument("--fill-gaps", action="store_true",
                        help="take markers that were not seen from lines between the frames around")
     parser.add_argument("--free-end", action="store_true", help="no gripper holds the last edge of a recording")
-    given.add(parser, "--smoothing", "FRAMES", given.Value(_smoothing), "odd number of frames through which parabolas are "
+    given.add(parser, "--smoothing", "FRAMES", _smoothing, "odd number of frames through which parabolas are "
               "fitted for the start and the grippers; 1: as recorded (default: 1, among obstacles those of 0.09 s)")
 
 
 def _smoothing(option: str, text: str) -> int:
     from doo_ti.dynamics.rollouts import require_smoothing
 
-    frames = given.whole(1, 999)(text, option)
+    frames = given.whole(1, 999)(option, text)
     require_smoothing(given.SOURCE, option, frames)
     return frames
 
@@ -91,10 +87,8 @@ def add_rate(parser) -> None:
               "file states; tables do not)")
 
 
-def recordings(options: Namespace, sources: list[str]) -> list["RecordedMotion"]:
+def recordings(options: Namespace, sources: list[str]) -> list[RecordedMotion]:
     """The recorded motion of each of the files."""
-    from doo_ti.dynamics.recorded import RecordedMotion
-
     return [RecordedMotion.load(path, options.fill_gaps, options.unit, options.columns, options.rate, options.free_end)
             for path in sources]
 
@@ -119,7 +113,7 @@ def _measured(observations: Observations, text: str) -> Observations:
     if Path(text).suffix in (".npz", ".txt", ".csv"):
         lengths = read_rest_length(text)
     else:
-        lengths = observations.rest_length * (given.LENGTH(text, "--rest-length") / observations.rest_length.sum())
+        lengths = observations.rest_length * (given.LENGTH("--rest-length", text) / observations.rest_length.sum())
     measured, arcs = replace(observations, rest_length=lengths, spacing_error=MEASURED), observations.arcs.sum()
     if not 1 / MOST_OFF < lengths.sum() / arcs < MOST_OFF:
         raise InputError(given.SOURCE, "--rest-length", f"{lengths.sum():.4g} mm, but arcs through the marks are {arcs:.4g} mm "
@@ -159,10 +153,14 @@ def target(options: Namespace, observations: Observations) -> np.ndarray:
 
 def of_scene(options: Namespace, scene: Scene) -> Observations:
     """A scene's observations, loaded or synthesised, under the scene's name."""
-    if isinstance(scene.observations, Synthesis):
-        given.refuse(options, OF_OBSERVATIONS, "given, but the scene is simulated", "leave it out")
-        return observed(scene, options.up)
-    return replace(load(options, scene.observations), name=scene.name)
+    if not isinstance(scene.observations, Synthesis):
+        return replace(load(options, scene.observations), name=scene.name)
+    from doo_ti.lab.synthesis import synthesise
+
+    given.refuse(options, OF_OBSERVATIONS, "given, but the scene is simulated", "leave it out")
+    observations = synthesise(scene.observations)
+    up = observations.up if options.up is None else options.up
+    return replace(observations, name=scene.name, sha256=scene.sha256, up=up)
 
 
 def with_ends_in_reach(observations: Observations, start: Clamp | None, end: Clamp | None, whole_edges: bool = True
@@ -232,7 +230,7 @@ def read_rest_length(text: str) -> np.ndarray:
     option, remedy = "--rest-length", "give MM:COUNT, such as 3:33, or a file of lengths in mm"
     length, _, count = text.partition(":")
     if count and not os.path.exists(text):
-        edges, each = given.whole(2, MOST_EDGES)(count, option), given.LENGTH(length, option)
+        edges, each = given.whole(2, MOST_EDGES)(option, count), given.LENGTH(option, length)
         if not LEAST_MM <= each <= MOST_MM:
             raise InputError(given.SOURCE, option, f"edges of {each:g} mm", f"give {LEAST_MM:g} to {MOST_MM:g} mm")
         return np.full(edges, each)

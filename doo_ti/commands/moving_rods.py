@@ -12,6 +12,7 @@ from doo_ti.commands import doubts, loading
 from doo_ti.commands import options as given
 from doo_ti.commands.results import refuse_overwriting
 from doo_ti.contact.surroundings import Surroundings
+from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.io.motion_file import TOOL_AXES, ClampPath, load_path
 from doo_ti.io.pose_table import NAMED
 from doo_ti.rod.frames import matrix_from_quaternion, smallest_rotation, total_twist
@@ -24,7 +25,6 @@ from doo_ti.system.terminal import busy, warn
 
 if TYPE_CHECKING:
     from doo_ti.dynamics.grippers import Grippers
-    from doo_ti.dynamics.parameters import Dynamics, Stepping
 
 LOSSES = ("bend_damping", "twist_damping", "drag", "quadratic_drag")
 MOST_STRETCH = 0.1  # by which the rod's length may differ from that of THETA.json
@@ -56,7 +56,7 @@ def add_motion(parser) -> None:
               "at the end that points along the rod, where orientations are stated (default x)")
     group.add_argument("--motion-unit", choices=tuple(UNITS_IN_MM), help="unit of all lengths in PATH (default: --unit, else "
                        "as its columns state, else mm)")
-    given.add(group, "--motion-up", "X,Y,Z|AXIS", given.Value(given.direction), "direction against gravity in PATH, which is "
+    given.add(group, "--motion-up", "X,Y,Z|AXIS", given.direction, "direction against gravity in PATH, which is "
               "turned about the origin so that it becomes that of OBS (default: both have the same coordinates)")
 
 
@@ -131,8 +131,8 @@ class SimulatedRods:
     start: Configuration
     material: Material
     grippers: "Grippers"
-    dynamics: "Dynamics"
-    stepping: "Stepping"
+    dynamics: Dynamics
+    stepping: Stepping
     up: np.ndarray
     pairs: tuple[np.ndarray, np.ndarray]
     surroundings: Surroundings
@@ -145,7 +145,6 @@ def simulated_rods(options: Namespace, out: Path, changes: dict) -> SimulatedRod
 
     changes  fields of :class:`doo_ti.dynamics.parameters.Stepping`
     """
-    from doo_ti.dynamics.parameters import Stepping
     from doo_ti.motion.path import LARGEST_TURN
     from doo_ti.motion.predict import begun, grippers_along, rate_of
     from doo_ti.relaxation.newton import Newton
@@ -252,29 +251,23 @@ def warn_of(held: HeldRods, options: Namespace) -> None:
 # --- theta ---------------------------------------------------------------------------------------------------------------
 
 
-def losses(options: Namespace):
+def losses(options: Namespace) -> Dynamics:
     """Damping, drag and the mass of markers, of ``--theta`` but for what the options give."""
-    from doo_ti.dynamics.parameters import Dynamics
-    from doo_ti.dynamics.theta import load_theta, simulated
+    from doo_ti.dynamics.theta import simulated
 
-    found = Dynamics()
-    if options.theta is not None:
-        found = simulated([load_theta(options.theta)])[1]
+    theta = given.theta(options)
+    found = Dynamics() if theta is None else simulated([theta])[1]
     return replace(found, **{name: getattr(options, name) for name in LOSSES if getattr(options, name) is not None})
 
 
 def with_friction_of_theta(options: Namespace, surroundings: Surroundings) -> Surroundings:
     """The surroundings with the friction that ``--theta`` states, if it does."""
-    if options.theta is None:
-        return surroundings
-    from doo_ti.dynamics.theta import load_theta
-
-    friction = load_theta(options.theta).friction
-    if friction is None:
+    theta = given.theta(options)
+    if theta is None or theta.friction is None:
         return surroundings
     use = "that of all obstacles" if surroundings.bodies else "ignored without obstacles"
-    options.friction_note = f"; its friction of {friction:.3g} is {use}"
-    return surroundings.rubbing(friction)
+    options.friction_note = f"; its friction of {theta.friction:.3g} is {use}"
+    return surroundings.rubbing(theta.friction)
 
 
 def require_length(source, theta, length: float) -> None:
@@ -288,11 +281,9 @@ def require_length(source, theta, length: float) -> None:
 def with_rest_curvature(options: Namespace, material: Material, rest_length: np.ndarray, moving: bool = False) -> Material:
     """The material with what ``--theta`` says of its rest curvature, at the joints of rods of ``rest_length`` (E,), and of rods
     that move of its own weight, that of markers apart. Raises InputError where the rod has another length."""
-    if options.theta is None:
+    theta = given.theta(options)
+    if theta is None:
         return material
-    from doo_ti.dynamics.theta import load_theta
-
-    theta = load_theta(options.theta)
     require_length(options.theta, theta, float(np.sum(rest_length)))
     weight = material.weight * (1.0 - theta.marker_share) if moving else material.weight
     rest = theta.rest_curvature_at(rest_length) if theta.rest.any() else None

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.commands.help_text import FIRST, examples
+from doo_ti.contact.obstacle_file import load_obstacles
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.arrays import number_in
 from doo_ti.io.observation_files import checked_suffix
@@ -86,7 +87,7 @@ def add_clamps(parser: ArgumentParser, default: str = CLAMP_DEFAULT) -> None:
 
 
 def add_up(parser: ArgumentParser, default: str = "the file's, else 0,0,1") -> None:
-    add(parser, "--up", "X,Y,Z|AXIS", Value(direction), "direction against gravity: three numbers, or x, y, z, -x, -y or "
+    add(parser, "--up", "X,Y,Z|AXIS", direction, "direction against gravity: three numbers, or x, y, z, -x, -y or "
         f"-z (default: {default})")
 
 
@@ -113,7 +114,7 @@ def add(parser, option: str, metavar: str, kind: Callable, meaning: str, default
 def add_file(parser, option: str, metavar: str, meaning: str, **more) -> None:
     """An option of a file to write, whose suffix is one of those in ``metavar``."""
     suffixes = tuple(f".{name.rpartition('.')[2]}" for name in metavar.split("|"))
-    parser.add_argument(option, metavar=metavar, type=Value(partial(output_file, suffixes=suffixes)), help=meaning, **more)
+    parser.add_argument(option, metavar=metavar, type=partial(output_file, suffixes=suffixes), help=meaning, **more)
 
 
 def add_out(parser: ArgumentParser, metavar: str, meaning: str = "file to write") -> None:
@@ -134,12 +135,9 @@ def add_obstacles(parser: ArgumentParser, friction: str) -> None:
 def grid(options: Namespace, base: Grid | None = None) -> Grid:
     """The axes given, on top of those of ``base`` (a scene's grid) where there is one."""
     texts = {name: getattr(options, name) for name in UNITS if getattr(options, name) is not None}
-    if options.theta is not None:
+    if (found := theta(options)) is not None:
         refuse(options, MATERIAL, "given beside --theta", "give one of the two")
-        from doo_ti.dynamics.theta import load_theta
-
-        theta = load_theta(options.theta)
-        texts |= {"bend": repr(theta.bend), "twist": repr(theta.bend * theta.twist_ratio)}
+        texts |= {"bend": repr(found.bend), "twist": repr(found.bend * found.twist_ratio)}
     axes, bend_12 = parse_axes(texts, SOURCE, "--")
     axes += _physical_axes(options)
     if base is not None:
@@ -147,6 +145,15 @@ def grid(options: Namespace, base: Grid | None = None) -> Grid:
     if not any(axis.name in ("bend", "bend_1", "bend_2") for axis in axes):
         raise InputError(SOURCE, "--EI", "missing", "give --EI and --linear-density, or --bend, or --bend-1 and --bend-2")
     return Grid(tuple(axes), bend_12, SOURCE)
+
+
+def theta(options: Namespace):
+    """The MotionTheta of ``--theta``, or None."""
+    if options.theta is None:
+        return None
+    from doo_ti.dynamics.theta import load_theta
+
+    return load_theta(options.theta)
 
 
 def _physical_axes(options: Namespace) -> list[Axis]:
@@ -204,11 +211,8 @@ def clamps(options: Namespace) -> tuple[Clamp | None, Clamp | None]:
 def surroundings(options: Namespace) -> Surroundings:
     """What ``--obstacles`` and ``--radius`` give."""
     if options.obstacles is None:
-        if options.radius is not None:
-            raise InputError(SOURCE, "--radius", "given without --obstacles", "give both, or neither")
+        refuse(options, ("radius",), "given without --obstacles", "give both, or neither")
         return Surroundings()
-    from doo_ti.contact.obstacle_file import load_obstacles
-
     if options.radius is None:
         raise InputError(SOURCE, "--radius", "missing beside --obstacles", "give the radius of the rods in mm")
     if getattr(options, "solver", "newton") != "newton":
@@ -238,18 +242,11 @@ def require_recorder(name: str) -> None:
 
 # --- the texts of options ------------------------------------------------------------------------------------------------
 
-
-class Value:
-    """The ``type`` of an option: ``read(option, text)`` makes its value, and names the option where it refuses the text."""
-
-    def __init__(self, read: Callable[[str, str], object]):
-        self.read = read
-
-    def __call__(self, text: str, option: str = "option"):
-        return self.read(option, text)
+Reader = Callable[[str, str], object]
+"""The ``type`` of an option: makes a value of its text; it is given the option's name first, for what it refuses."""
 
 
-def whole(minimum: int, most: int | None = None) -> Value:
+def whole(minimum: int, most: int | None = None) -> Reader:
     """A whole number from ``minimum`` up, to ``most`` where that is given."""
     def read(option: str, text: str) -> int:
         value = number_in(text)
@@ -259,40 +256,40 @@ def whole(minimum: int, most: int | None = None) -> Value:
             problem = f"{value:.0f} is {f'below {minimum}' if value < minimum else f'above {most}'}"
             raise InputError(SOURCE, option, problem, f"give {minimum} {'or more' if most is None else f'to {most}'}")
         return int(value)
-    return Value(read)
+    return read
 
 
-def _number(wanted: str, fits: Callable[[float], bool] = lambda value: True) -> Value:
+def number(wanted: str, fits: Callable[[float], bool] = lambda value: True) -> Reader:
     """A finite number that ``fits``."""
     def read(option: str, text: str) -> float:
         value = number_in(text)
         if not (np.isfinite(value) and fits(value)):
             raise InputError(SOURCE, option, f"{text!r} is not {wanted}", f"give {wanted}")
         return value
-    return Value(read)
+    return read
 
 
-def positive(unit: str = "") -> Value:
-    return _number(f"a positive number{' of ' * bool(unit)}{unit}", lambda value: 0 < value)
+def positive(unit: str = "") -> Reader:
+    return number(f"a positive number{' of ' * bool(unit)}{unit}", lambda value: 0 < value)
 
 
-def not_negative(unit: str = "") -> Value:
-    return _number(f"a number{' of ' * bool(unit)}{unit} from zero up", lambda value: 0 <= value)
+def not_negative(unit: str = "") -> Reader:
+    return number(f"a number{' of ' * bool(unit)}{unit} from zero up", lambda value: 0 <= value)
 
 
-def numbers(form: str | None = None, each: Value = _number("a number, between commas")) -> Value:
+def numbers(form: str | None = None, each: Reader = number("a number, between commas")) -> Reader:
     """``30,54,78``: numbers between commas, as many as in the ``form``, such as X,Y,Z, where there is one."""
     def read(option: str, text: str) -> tuple[float, ...]:
-        found = tuple(each(part, option) for part in text.split(","))
+        found = tuple(each(option, part) for part in text.split(","))
         if form is not None and len(found) != form.count(",") + 1:
             raise InputError(SOURCE, option, f"{len(found)} numbers", f"give {form}")
         return found
-    return Value(read)
+    return read
 
 
 def rows(option: str, text: str | None, count: int) -> tuple[int, ...]:
     """``0,3,7``: different row numbers below ``count`` between commas; none without text."""
-    found = () if text is None else tuple(whole(0, count - 1)(part, option) for part in text.split(","))
+    found = () if text is None else tuple(whole(0, count - 1)(option, part) for part in text.split(","))
     if len(set(found)) < len(found):
         raise InputError(SOURCE, option, f"{text!r} names a row twice", "name each once")
     return found
@@ -304,7 +301,7 @@ def direction(option: str, text: str) -> np.ndarray:
     if axis in tuple("xyz"):
         return np.where(np.array(tuple("xyz")) == axis, -1.0 if text.startswith("-") else 1.0, 0.0)
     try:
-        return unit_up(NUMBERS(text, option), SOURCE)
+        return unit_up(NUMBERS(option, text), SOURCE)
     except InputError as error:
         raise InputError(SOURCE, option, error.problem, "give a direction: x, y, z, -x, -y, -z, or three numbers") from None
 
@@ -345,6 +342,6 @@ def _check_folder(folder: Path, option: str) -> None:
 
 
 LENGTH, COUNT, FROM_ZERO, NUMBERS = positive("mm"), whole(1), whole(0), numbers()
-FRAME_WEIGHT = _number(f"a number of mm from zero up to {LARGEST:g}", lambda weight: 0 <= weight <= LARGEST)
-OBSERVATIONS, FOLDER = Value(output_file), Value(output_folder)
+OBSERVATIONS, FOLDER = output_file, output_folder
+FRAME_WEIGHT = number(f"a number of mm from zero up to {LARGEST:g}", lambda weight: 0 <= weight <= LARGEST)
 """Those that several commands take."""

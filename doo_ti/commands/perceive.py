@@ -11,10 +11,13 @@ from doo_ti.commands import options as given
 from doo_ti.commands.image_options import GUESSED_BEND, MOST_HYPOTHESES, RECORDED, PerceptionTask, perception_task
 from doo_ti.commands.results import refuse_overwriting, report, save_arrays, shortened, status_text
 from doo_ti.learning.landscape import status_counts
+from doo_ti.perception.growth import GrowthSteps
+from doo_ti.report.figures import MOST_SETS, SeenRod, reprojections_picture
 from doo_ti.rod.types import Status
 from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import can_record, in_line, progress, warn
+from doo_ti.vision.images import read_image
 
 MARGIN_PX = 60  # of the distance maps around what was detected
 MOST_MAP_BYTES = 1 << 29  # of the distance maps held at once
@@ -163,7 +166,6 @@ def _left(sets, failed: dict[int, InputError]) -> np.ndarray:
 
 def _perceived(task: PerceptionTask, detected: list[list], seed_sigma: np.ndarray, bar):
     """(Perception of all sets, GrowthSteps of those that are recorded): in groups whose maps fit into memory."""
-    from doo_ti.perception.growth import GrowthSteps
     from doo_ti.perception.perceive import Perception, perceive
     from doo_ti.vision.distance_map import distance_maps
 
@@ -219,14 +221,10 @@ def _found(found) -> np.ndarray:
 
 def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found, growth, out: Path) -> list[Path]:
     """Draw and record the result beside ``out``; returns the files."""
-    from doo_ti.vision.images import read_image
-
     rig, written = task.sets.rig, []
     there = np.flatnonzero(np.isfinite(found.vertices).all(axis=(1, 2)))
 
     def seen(row: int):
-        from doo_ti.report.figures import SeenRod
-
         images = [read_image(path, camera) for path, camera in zip(task.sets.paths[row], rig.cameras, strict=True)]
         marks = [detection.points for detection in detected[row]]
         rival = found.runner_up[row, 0] if np.isfinite(found.gap[row]) else None
@@ -235,8 +233,6 @@ def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found
                        _verdict_text(found, row))
 
     if len(there) and not options.no_picture:
-        from doo_ti.report.figures import MOST_SETS, reprojections_picture
-
         picture = out.with_suffix(".png")
         rods = [seen(row) for row in there[:MOST_SETS]]
         reprojections_picture(picture, rig, rods, up=task.up, left_out=task.sets.count - len(rods))

@@ -11,6 +11,7 @@ from doo_ti.commands import options as given
 from doo_ti.commands.results import report, save_json
 from doo_ti.io.scene import Synthesis, load_scene
 from doo_ti.io.toml_file import scene_file
+from doo_ti.report.figures import identifiability_picture
 from doo_ti.rod.observations import Observations
 from doo_ti.system.files import csv_text, write_text
 from doo_ti.system.terminal import in_line
@@ -90,8 +91,6 @@ def _summary(configurations: Observations, found, sigma: float) -> dict:
 
 def _write(out: Path, configurations: Observations, found, summary: dict) -> None:
     """plan.json, plan.csv and identifiability.png."""
-    from doo_ti.report.figures import identifiability_picture
-
     save_json(out / "plan.json", summary)
     rank = np.full(configurations.count, 0)
     rank[found.order] = 1 + np.arange(len(found.order))

@@ -9,9 +9,12 @@ import numpy as np
 from doo_ti.commands import doubts, loading, results
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import OF_MOTIONS, HeldRods, add_motion, check_reach, held_rods, warn_of
+from doo_ti.dynamics.parameters import LEAST_WAY, Dynamics, Stepping
 from doo_ti.io.scene import PRECISIONS
 from doo_ti.io.toml_file import scene_file
 from doo_ti.learning.landscape import status_counts
+from doo_ti.report.contact import Touched
+from doo_ti.report.motions import MovingRods, motions_picture
 from doo_ti.rod.frames import matrix_from_quaternion
 from doo_ti.rod.types import Clamp, Status
 from doo_ti.system.arguments import counted
@@ -19,7 +22,7 @@ from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line, progress
 
 MOST_LISTED = 30
-LEAST_DEGREES, MOST_DEGREES = 1e-3, 30.0
+DEGREES = given.number("a number of degrees from 0.001 to 30", lambda degrees: 1e-3 <= degrees <= 30)
 """Of a sub-step: rods that are carried further at once may leave their branch; smaller steps make no difference."""
 MOST_STEPS = 1000  # with friction, from one state to the next
 MOST_BYTES = 8 << 30  # of frames: predictions are held in memory
@@ -36,8 +39,8 @@ def declare(add) -> None:
     given.add(parser, "--steps-between", "N", given.COUNT, "predicted steps from one moment of the motion to the next "
               "(default: 1, or the scene's)", dest="between")
     given.add_old_name(parser, "--between", "between")
-    given.add(parser, "--sub-step", "DEG", given.Value(_sub_step), "largest rotation of a clamp in one sub-step; rods are "
-              "relaxed after each (default 5)")
+    given.add(parser, "--sub-step", "DEG", DEGREES, "largest rotation of a clamp in one sub-step; rods are relaxed after "
+              "each", 5.0)
     given.add_clamps(parser)
     loading.add_loading(parser, "OBS and PATH")
     given.add_obstacles(parser, "with friction, where an obstacle has any, from one step to the next")
@@ -48,7 +51,7 @@ def declare(add) -> None:
 
 
 def run(options: Namespace) -> int:
-    out, between, sub_step = options.out, options.between, options.sub_step or np.radians(5.0)
+    out, between, sub_step = options.out, options.between, np.radians(options.sub_step)
     if Path(options.source).suffix == ".toml":
         rods, between = _scene(options, between)
     else:
@@ -66,18 +69,17 @@ def run(options: Namespace) -> int:
                                 advance=lambda done: bar.advance(shown, done), **rods.surroundings.arguments)
     result = _arrays(rods, prediction)
     results.save_arrays(out, result, ("moment", "rod"))
-    lines = _lines(rods, stepping, prediction, result)
+    summary = _summary(rods, prediction, result, out)
+    lines = _lines(rods, stepping, prediction, result, summary)
     if options.picture or options.recording:
         _draw(rods, prediction, result, options.picture, options.recording, lines)
     loaded = [] if rods.observations is None else [loading.rod_line(rods.observations)]
-    results.report(options, _summary(rods, prediction, result, out),
-                   lambda: [*lines, *loaded, f"  written to {in_line(out)}"])
+    results.report(options, summary, lambda: [*lines, *loaded, f"  written to {in_line(out)}"])
     return 0 if prediction.followed[-1].any() else 1
 
 
 def _predicted(rods: HeldRods, stepping, sub_step: float, precision: str, **inputs):
     if stepping is not None:
-        from doo_ti.dynamics.parameters import Dynamics
         from doo_ti.motion.predict import predict_moving
 
         return predict_moving(rods.start, rods.material, rods.clamps, rods.path, Dynamics(density=1.0), stepping, **inputs)
@@ -93,7 +95,6 @@ def _stepping(rods: HeldRods, between: int, sub_step: float):
     if not (around.rub or around.moves):
         return None
     from doo_ti.dynamics.grippers import needed_substeps
-    from doo_ti.dynamics.parameters import LEAST_WAY, Stepping
     from doo_ti.motion.path import motion_between
 
     parts = [motion_between(path.at(k, rods.clamps), path.at(k + 1, rods.clamps), path.rotation(k, rods.clamps.count))
@@ -103,15 +104,6 @@ def _stepping(rods: HeldRods, between: int, sub_step: float):
     # Obstacles are measured along straight ways between the states; the cubics of substeps may be steeper.
     needed = max(needed, 2 * needed_substeps(around, LEAST_WAY, rods.start))
     return Stepping(1.0, int(np.clip(np.ceil(needed), 1, MOST_STEPS)), "euler", quasi_static=True)
-
-
-def _sub_step(option: str, text: str) -> float:
-    """The largest turn of a sub-step, rad."""
-    degrees = given.NUMBERS(text, option)
-    if len(degrees) > 1 or not LEAST_DEGREES <= degrees[0] <= MOST_DEGREES:
-        raise InputError(given.SOURCE, option, f"{text!r} is out of range",
-                         f"give one number of degrees from {LEAST_DEGREES:g} to {MOST_DEGREES:g}")
-    return np.radians(degrees[0])
 
 
 def _scene(options: Namespace, between: int | None) -> tuple[HeldRods, int]:
@@ -148,27 +140,26 @@ def _arrays(rods: HeldRods, prediction) -> dict[str, np.ndarray]:
     }, rods.newtons, 1)
 
 
-def _lines(rods: HeldRods, stepping, prediction, result: dict) -> list[str]:
+def _lines(rods: HeldRods, stepping, prediction, result: dict, summary: dict) -> list[str]:
     """The result as lines of text."""
-    count, moments = len(rods.names), len(prediction.time)
-    jumps = np.argwhere(prediction.jumps > 0)
+    count, moments, falls = summary["rods"], summary["moments"], summary["falls"]
     lost = np.flatnonzero(~prediction.followed[-1])
-    how = f"{int(prediction.stable.sum())} of {count * moments} certified stable"
+    how = f"{summary['stable']} of {count * moments} certified stable"
     if stepping is not None:
         how = f"{stepping.substeps} quasi-static steps between states"
-    lines = [f"{rods.name}: {counted(count, 'rod')} of {rods.start.edges} edges at {moments} moments",
-             f"  status      {results.status_text(status_counts(prediction.status))}; {how}",
-             *results.contact_lines(_contact(rods, prediction, result), count),
+    lines = [f"{rods.name}: {counted(count, 'rod')} of {summary['edges']} edges at {moments} moments",
+             f"  status      {results.status_text(summary['status'])}; {how}", *results.contact_lines(summary, count),
              *results.rows(("infeasible", _inside(rods, prediction))), *results.force_lines(result, 1),
-             f"  far clamp   at the end turned about the rod by {_range(result['end_rotation_deg'][-1])}, total twist "
-             f"{_range(result['total_twist_deg'][-1])}"]
-    where = f"to another branch, {len(np.unique(jumps[:, 1]))} of {count} rods" if len(jumps) else "all stayed on their branch"
+             f"  far clamp   at the end turned about the rod by {_range(summary['end_rotation_deg'])}, total twist "
+             f"{_range(summary['total_twist_deg'])}"]
+    where = "all stayed on their branch"
+    if falls:
+        where = f"to another branch, {len({fall['rod'] for fall in falls})} of {count} rods"
     if stepping is None:
         lines.append(f"  jumps       {int(prediction.jumps.sum())}, {where}")
     lines += results.shortened([
-        f"    {rods.names[rod]}: between {prediction.time[max(moment - 1, 0)]:g} and {prediction.time[moment]:g} s; "
-        f"the far clamp is then turned about the rod by {result['end_rotation_deg'][moment, rod]:.1f}°"
-        for moment, rod in jumps], MOST_LISTED, "    and {} more")
+        f"    {fall['name']}: between {fall['from_s']:g} and {fall['to_s']:g} s; the far clamp is then turned about the rod by "
+        f"{fall['end_rotation_deg']:.1f}°" for fall in falls], MOST_LISTED, "    and {} more")
     if len(lost):
         lines.append(f"  lost        {len(lost)} of {count} rods cannot follow the motion to its end")
     return lines + results.shortened([
@@ -184,13 +175,6 @@ def _inside(rods: HeldRods, prediction) -> str | None:
     return results.inside_reason(rods.surroundings.at(0).take(motion), rods.path.at(0, rods.clamps).take(motion), start, failed)
 
 
-def _contact(rods: HeldRods, prediction, result: dict) -> dict:
-    if not rods.surroundings:
-        return {}
-    return results.contact_summary(rods.surroundings, *(np.swapaxes(value, 0, 1) for value in (
-        result["contact_force"], result["smallest_gap_mm"], prediction.status)))
-
-
 def _range(degrees: np.ndarray) -> str:
     finite = degrees[np.isfinite(degrees)]
     if not len(finite):
@@ -202,19 +186,20 @@ def _summary(rods: HeldRods, prediction, result: dict, out: Path) -> dict:
     falls = [{"rod": int(rod), "name": rods.names[rod], "from_s": prediction.time[max(moment - 1, 0)],
               "to_s": prediction.time[moment], "end_rotation_deg": result["end_rotation_deg"][moment, rod]}
              for moment, rod in np.argwhere(prediction.jumps > 0)]
+    contact = {}
+    if rods.surroundings:
+        contact = results.contact_summary(rods.surroundings, *(np.swapaxes(value, 0, 1) for value in (
+            result["contact_force"], result["smallest_gap_mm"], prediction.status)))
     return {
         "rods": len(rods.names), "moments": len(prediction.time), "edges": rods.start.edges,
         "status": status_counts(prediction.status), "stable": int(prediction.stable.sum()),
         "followed": int(prediction.followed[-1].sum()), "falls": falls, "end_rotation_deg": result["end_rotation_deg"][-1],
-        "total_twist_deg": result["total_twist_deg"][-1], "out": str(out), **_contact(rods, prediction, result)}
+        "total_twist_deg": result["total_twist_deg"][-1], "out": str(out), **contact}
 
 
 def _draw(rods: HeldRods, prediction, arrays: dict[str, np.ndarray], picture: Path | None, recording: Path | None,
           lines: list[str]) -> None:
     """Write the picture and the recording that are asked for, of the file's ``arrays``; ``lines`` are the result as text."""
-    from doo_ti.report.contact import Touched
-    from doo_ti.report.motions import MovingRods, motions_picture
-
     seen = rods.observations
     marks = None if seen is None else np.where(seen.valid[..., None], seen.vertices, np.nan)[prediction.motion]
     touched = None if not rods.surroundings else Touched(rods.surroundings, *(

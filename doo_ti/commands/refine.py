@@ -5,7 +5,6 @@ import os
 from argparse import Namespace
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,15 +14,16 @@ from doo_ti.commands.refine_text import summary_lines, summary_of
 from doo_ti.commands.results import note_theta, plain, save_json
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.arrays import read_npz
+from doo_ti.learning.chunks import DENSITY, read_summary
+from doo_ti.learning.landscape import Landscape, plane_of, read_landscape
+from doo_ti.refinement.theta import common_rod
+from doo_ti.report.landscapes import landscape_picture
 from doo_ti.rod.observations import UNKNOWN_SPACING, Observations
 from doo_ti.rod.start import check_experiment, observation_clamps
 from doo_ti.rod.types import Clamps
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import read_content
 from doo_ti.system.terminal import busy, in_line
-
-if TYPE_CHECKING:  # it reads Parquet
-    from doo_ti.learning.landscape import Landscape
 
 REFINED = "refined.json"  # in the folder of a run, with its picture beside it
 STARTS = 3
@@ -47,7 +47,7 @@ def declare(add) -> None:
               "of --rest-length are off by " f"{loading.MEASURED:g}, others by {UNKNOWN_SPACING:g})")
     given.add(parser, "--sigma", "MM", given.LENGTH, "label uncertainty (default: the file's, else learned)")
     model = parser.add_argument_group("the model of the experiment")
-    given.add(model, "--clip", "MM|unknown", given.Value(_clip), "length of rod that a clip holds, from the outer mark on; 0: "
+    given.add(model, "--clip", "MM|unknown", _clip, "length of rod that a clip holds, from the outer mark on; 0: "
               "it ends at that mark (default: unknown, which is learned)")
     model.add_argument("--rest-curvature", choices=CURVATURES, default=None,
                        help="curvature of the unloaded rod: field, a smooth function along it; uniform; none; auto, field "
@@ -58,7 +58,7 @@ def declare(add) -> None:
     model.add_argument("--clamps", choices=("auto", "loose", "exact"), default="loose",
                        help="loose: errors of reported frames are learned, and what is not reported is unknown in each "
                        "observation (default); auto: the same; exact: all is as reported, and as the outer marks say")
-    given.add(model, "--frames", "exact|MM,DEG", given.Value(_frames), "how well the reported frames are known: exactly, as "
+    given.add(model, "--frames", "exact|MM,DEG", _frames, "how well the reported frames are known: exactly, as "
               "--clamps exact, or the standard deviations of their places and directions (default: learned)")
     given.add(model, "--edges", "N", given.whole(6), "edges of the mesh (default: twice those between marks, with a correction "
               "for the mesh error)")
@@ -76,14 +76,14 @@ def declare(add) -> None:
 
 
 def _clip(option: str, text: str) -> float | None:
-    return None if text == "unknown" else given.not_negative("mm")(text, option)
+    return None if text == "unknown" else given.not_negative("mm")(option, text)
 
 
 def _frames(option: str, text: str) -> str | tuple[float, float]:
     """``exact``, or standard deviations in mm and rad."""
     if text == "exact":
         return text
-    error = given.NUMBERS(text, option)
+    error = given.NUMBERS(option, text)
     if len(error) != 2 or min(error) <= 0:
         raise InputError(given.SOURCE, option, f"{text!r}", "give exact, or two positive numbers: mm,degrees")
     return error[0], float(np.radians(error[1]))
@@ -100,7 +100,7 @@ class Task:
     frame_weight: float
     surroundings: Surroundings
     density: float | None
-    landscape: "Landscape | None"
+    landscape: Landscape | None
     loads: np.ndarray | None
     twist_follows: bool
 
@@ -172,9 +172,6 @@ def _kept(landscape, found, summary: dict) -> list[Path]:
 
 def _draw(landscape, found, path: Path) -> Path | None:
     """The landscape with the joint 95 % region; none where the grid has not two of the learned parameters."""
-    from doo_ti.learning.landscape import plane_of
-    from doo_ti.report.landscapes import landscape_picture
-
     grid, estimate = landscape.grid, found.estimate
     free = [axis.name for axis in grid.axes if len(axis) > 1]
     pair = [{"twist_ratio": "twist"}.get(name, name) for name in free]
@@ -232,8 +229,8 @@ def _loads(text: str, observations: Observations, density: float | None) -> np.n
         mass = np.zeros((count, marks))
         for part in text.split(","):
             mark, _, grams = part.partition(":")
-            at = given.whole(0, marks - 1)(mark, "--mass")
-            mass[:, at] = given.not_negative("g")(grams, "--mass")
+            at = given.whole(0, marks - 1)("--mass", mark)
+            mass[:, at] = given.not_negative("g")("--mass", grams)
     if not (np.isfinite(mass) & (mass >= 0)).all():
         raise InputError(text, "mass_g", "not finite, or negative", "give grams, zero where nothing hangs")
     return 2e3 * mass / density
@@ -241,23 +238,17 @@ def _loads(text: str, observations: Observations, density: float | None) -> np.n
 
 def run_density(run: Path) -> float | None:
     """The linear density in g/m that the sweep of a run was given."""
-    from doo_ti.learning.chunks import DENSITY, read_summary
-
     density = read_summary(run).get(DENSITY)
     return float(density) if isinstance(density, (int, float)) and 0 < density < np.inf else None
 
 
 def _of_run(options: Namespace, run: Path):
     """(observations, the Θ of the lowest cells, kinds of clamps, frame weight, obstacles, landscape) of a run's folder."""
-    from doo_ti.learning.landscape import read_landscape
     from doo_ti.learning.run_folder import read_experiment
     from doo_ti.refinement.search import lowest_cells, theta_of_cell
-    from doo_ti.refinement.theta import common_rod
 
-    for name in (*given.MATERIAL, *loading.OF_OBSERVATIONS, "obstacles", "radius", "mass"):
-        if getattr(options, name) is not None:
-            raise InputError(given.SOURCE, f"--{name.replace('_', '-')}", f"given, but {run} is the run of a sweep",
-                             "leave it out, or name a file of observations")
+    given.refuse(options, (*given.MATERIAL, *loading.OF_OBSERVATIONS, "obstacles", "radius", "mass"),
+                 f"given, but {run} is the run of a sweep", "leave it out, or name a file of observations")
     experiment, landscape = read_experiment(run), read_landscape(run)
     if experiment.options.objective != "static" or experiment.options.spins:
         raise InputError(run, "objective", "a sweep of Eq. 3, or with roll hypotheses",

@@ -5,7 +5,7 @@ from dataclasses import asdict
 import numpy as np
 
 from doo_ti.commands.loading import up_text
-from doo_ti.commands.results import rows, status_text
+from doo_ti.commands.results import listed, rows, status_text
 from doo_ti.contact.obstacle_file import described
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.rod.material import relative_stiffness, stiffness
@@ -216,11 +216,10 @@ def _adequacy_lines(summary: dict) -> list[str]:
 
 def _rods_lines(summary: dict) -> list[str]:
     """The observations that were left out, those that do not fit, and those that a result rests on."""
-    misfits = summary["misfits"]
-    listed, more = ", ".join(map(str, misfits[:LISTED])), f" and {len(misfits) - LISTED} more" * (len(misfits) > LISTED)
+    misfits = listed(summary["misfits"], LISTED)
     return _rows(
         ("left out", status_text(summary["left_out"])),
-        ("misfits", listed and f"observations far from every equilibrium that was tried: {listed}{more}"),
+        ("misfits", misfits and f"observations far from every equilibrium that was tried: {misfits}"),
         *(("mislabelled", f"observation {one['observation']}: {one['why']}") for one in summary["mislabelled"]),
         *(("sensitive", f"without observation {one['observation']} {one['parameter']} would be {one['factor']:.3g} times as "
                         "large: more than two standard errors away") for one in summary["sensitive"][:LISTED]))

@@ -1,24 +1,19 @@
-"""Shared by the commands: loading a scene's observations, writing files, and printing text or strict JSON."""
+"""Shared by the commands: writing files, and printing text or strict JSON."""
 
 import json
 import os
 import sys
 from argparse import Namespace
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
 
 from doo_ti.commands import options as given
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.io.observation_files import load_observations, save_observations
 from doo_ti.io.observation_tables import write_rod_table
-from doo_ti.io.scene import Scene, Synthesis
 from doo_ti.rod.grid import Grid, Interval
-from doo_ti.rod.observations import Observations
 from doo_ti.rod.types import Clamps, Configuration, Status
-from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import write_text, write_whole
 from doo_ti.system.terminal import in_line
@@ -26,28 +21,11 @@ from doo_ti.system.terminal import in_line
 # --- files ---------------------------------------------------------------------------------------------------------------
 
 
-def observed(scene: Scene, up: np.ndarray | None) -> Observations:
-    """A scene's observations, loaded or synthesised, under the scene's name."""
-    if isinstance(scene.observations, Synthesis):
-        from doo_ti.lab.synthesis import synthesise
-
-        observations = replace(synthesise(scene.observations), sha256=scene.sha256)
-    else:
-        observations = load_observations(scene.observations)
-    return replace(observations, name=scene.name, **({} if up is None else {"up": up}))
-
-
 def refuse_overwriting(out: Path, *sources: str | None, option: str = "--out") -> None:
     """Raise InputError where the file to write is also one to read."""
     for source in filter(None, sources):
         if os.path.exists(out) and os.path.exists(source) and out.samefile(source):
             raise InputError(given.SOURCE, option, f"{out} is the input itself", "name another file")
-
-
-def save(out: Path, observations: Observations) -> None:
-    """Write observations, and print how many."""
-    save_observations(out, observations)
-    print(f"{counted(observations.count, 'observation')} of {observations.edges + 1} vertices written to {in_line(out)}")
 
 
 RODS = (".npz", ".csv")  # suffixes of files of results
@@ -151,6 +129,12 @@ def rows(*entries: tuple[str, str | object], width: int = 12) -> list[str]:
 def status_text(counts: dict[str, int]) -> str:
     """``57 converged, 3 iteration limit``."""
     return ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items())
+
+
+def listed(names: Iterable, most: int) -> str:
+    """The first ``most`` names, and how many more there are."""
+    texts = [in_line(name) for name in names]
+    return ", ".join(texts[:most]) + f" and {len(texts) - most} more" * (len(texts) > most)
 
 
 def shortened(lines: list[str], most: int, rest: str) -> list[str]:

@@ -20,9 +20,12 @@ from doo_ti.commands.moving_rods import (
 from doo_ti.commands.results import refuse_overwriting
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.contact.touch import Touch
+from doo_ti.dynamics.parameters import Stepping
 from doo_ti.io.pose_table import holds_poses
 from doo_ti.io.toml_file import scene_file
 from doo_ti.learning.landscape import status_counts
+from doo_ti.report.contact import Touched
+from doo_ti.report.motions import save_animation, save_rollout
 from doo_ti.rod.types import Clamp, Status
 from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError
@@ -116,8 +119,8 @@ def run(options: Namespace) -> int:
 
 def _stepping(options: Namespace) -> dict:
     """The fields of :class:`doo_ti.dynamics.parameters.Stepping` that the options give."""
-    if options.most_substeps is not None and options.tolerance is None:
-        raise InputError(given.SOURCE, "--most-substeps", "given without --tolerance", "give both, or --substeps")
+    if options.tolerance is None:
+        given.refuse(options, ("most_substeps",), "given without --tolerance", "give both, or --substeps")
     found = {"substeps": options.substeps, "scheme": options.scheme, "precision": options.precision,
              "tolerance": options.tolerance, "most_substeps": options.most_substeps,
              "quasi_static": options.quasi_static or None}
@@ -126,15 +129,13 @@ def _stepping(options: Namespace) -> dict:
 
 def _recorded(options: Namespace, out: Path, changes: dict, up: np.ndarray) -> _Simulated:
     from doo_ti.dynamics.identify import IdentifyOptions
-    from doo_ti.dynamics.parameters import Stepping
     from doo_ti.dynamics.rollouts import Rollouts
-    from doo_ti.dynamics.theta import load_theta
 
     if options.theta is None:
         raise InputError(given.SOURCE, "--theta", "missing", "give the rod: a file that doo-ti identify has written")
     given.refuse(options, (*given.MATERIAL, *LOSSES, *OF_MOTIONS, *CLAMPS, "rest_length"), "given, but the rod is recorded",
                  "leave it out, or give observations with --motion")
-    theta, surroundings = load_theta(options.theta), given.surroundings(options)
+    theta, surroundings = given.theta(options), given.surroundings(options)
     motion, = loading.recordings(options, [options.source])
     refuse_overwriting(out, options.source)
     if motion.edges != len(theta.rest_length):
@@ -265,7 +266,7 @@ def _lines(found: _Simulated, summary: dict, arrays: dict) -> list[str]:
              f"at {found.rate:g} frames/s",
              f"  status      {results.status_text(summary['status'])} at the end"]
     if summary["failed"]:
-        lines.append(f"  failed      {', '.join(map(in_line, summary['failed'][:MOST_LISTED]))}: no positions from there on")
+        lines.append(f"  failed      {results.listed(summary['failed'], MOST_LISTED)}: no positions from there on")
         first = found.status.argmax(axis=1)
         if found.contact and (found.status[np.arange(len(first)), first] == Status.INFEASIBLE).any():
             lines.append("  infeasible  a gripper holds a rod in an obstacle, or moves it into one by more than its radius in "
@@ -305,18 +306,12 @@ def _step_lines(summary: dict) -> list[str]:
 def _draw(found: _Simulated, picture: Path | None, recording: Path | None, animation: Path | None) -> None:
     touched = None
     if found.contact and (picture or recording or animation):
-        from doo_ti.report.contact import Touched
-
         touched = Touched(found.surroundings, found.positions, found.contact["contact_force"], found.newtons)
     energies = {name: found.energies[name] for name in SPLIT} if found.energies else None
     rods = found.name, found.names, found.positions, found.recorded, found.rate, found.up
     if picture is not None:
-        from doo_ti.report.motions import save_rollout
-
         save_rollout(picture, *rods, energies, touched)
     if animation is not None:
-        from doo_ti.report.motions import save_animation
-
         with busy("drawing the animation"):
             save_animation(animation, *rods, touched)
     if recording is not None:

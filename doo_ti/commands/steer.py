@@ -17,8 +17,10 @@ from doo_ti.commands.moving_rods import settled, with_rest_curvature
 from doo_ti.commands.results import refuse_overwriting, report
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.motion_file import ClampPath, path_table
+from doo_ti.report.motions import servo_picture
 from doo_ti.rod.material import relative_stiffness, stiffness
 from doo_ti.rod.observations import Observations
+from doo_ti.rod.shapes import end_clamps
 from doo_ti.rod.start import check_experiment, observation_clamps
 from doo_ti.rod.types import POSES, Clamp, Clamps, Material, Solution
 from doo_ti.system.errors import InputError, InterruptedRunError
@@ -30,7 +32,7 @@ if TYPE_CHECKING:
     from doo_ti.manipulation.belief import LearnedMaterial
     from doo_ti.perception.virtual_lab import SeenMoment, VirtualCameras
 
-MOST_SECONDS = 3600.0  # of a search
+SECONDS = given.number("a positive number of s up to 3600", lambda seconds: 0 < seconds <= 3600)
 SEED = given.whole(0, 2**31 - 1)
 PLANNED = 2.0  # mm, default distance to the target at which it is reached
 
@@ -40,7 +42,7 @@ def declare(add) -> None:
     add_steered(parser)
     given.add_out(parser, "PATH.csv", "file to write, which predict --motion reads")
     given.add(parser, "--reached", "MM", given.LENGTH, "distance at which the target is reached", PLANNED)
-    given.add(parser, "--seconds", "S", given.Value(_seconds), "longest search", 10.0)
+    given.add(parser, "--seconds", "S", SECONDS, "longest search", 10.0)
     given.add(parser, "--seed", "N", SEED, "of the search's random numbers", 0)
     parser = given.command(add, "servo", run_servo,
                            "bring a rod to a shape by what cameras see of it, in the virtual lab (§VI)")
@@ -58,13 +60,6 @@ def declare(add) -> None:
     given.add(parser, "--steps", "N", given.whole(1, MOST_STEPS), "most steps", STEPS)
     given.add(parser, "--reached", "MM", given.LENGTH, "distance at which the target is reached", REACHED)
     parser.add_argument("--no-recording", action="store_true", help=f"do not write {RECORDING}")
-
-
-def _seconds(option: str, text: str) -> float:
-    seconds = given.positive("s")(text, option)
-    if seconds > MOST_SECONDS:
-        raise InputError(given.SOURCE, option, text, f"give at most {MOST_SECONDS:g}")
-    return seconds
 
 
 def run_steer(options: Namespace) -> int:
@@ -111,7 +106,6 @@ class SteeredRod:
         """The rod at the start, and its grippers, which hold frames from there on: where the file has none, those of the rod
         that rolls freely. Raises InputError where it has no stable equilibrium."""
         from doo_ti.relaxation.relax import relax
-        from doo_ti.rod.shapes import end_clamps
 
         begin = settled(self.observations, self.clamps, self.material, self.surroundings)
         start = relax(begin, self.material, self.clamps, up=self.observations.up, **self.surroundings.arguments)
@@ -199,8 +193,6 @@ def run_servo(options: Namespace) -> int:
     true, cameras = _true(options, rod.material, unit), _cameras(options, rig, rod)
     begin, steps, end = _steps(rod, true, cameras, rig, options.steps, reached)
 
-    from doo_ti.report.motions import servo_picture
-
     held = [begin, *(step.clamps for step in steps)]
     write_text(folder / PATH, path_table(ClampPath(np.arange(len(held), dtype=float), **{
         name: np.stack([getattr(clamps, name) for clamps in held]) for name in POSES})))
@@ -228,8 +220,7 @@ def run_servo(options: Namespace) -> int:
 def _unit(options: Namespace, material: Material) -> Stiffness:
     density = options.linear_density
     if density is None:
-        if missing := next((name for name in ("EI", "GJ") if getattr(options, f"true_{name}") is not None), None):
-            raise InputError(given.SOURCE, "--linear-density", f"missing beside --true-{missing}", "give the rod's in g/m")
+        given.refuse(options, ("true_EI", "true_GJ"), "given without --linear-density", "give both")
     if density is None or not material.weight[0] > 0:
         return Stiffness(("bend", "twist"), "mm3", 1.0)
     return Stiffness(("EI", "GJ"), "Nm2", float(stiffness(relative_stiffness(1.0, material.weight[0]), density)))

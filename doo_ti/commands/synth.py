@@ -8,14 +8,16 @@ import numpy as np
 
 from doo_ti.commands import doubts, loading
 from doo_ti.commands import options as given
-from doo_ti.commands.results import observed, refuse_overwriting, save, save_arrays
-from doo_ti.io.observation_files import read_recording
+from doo_ti.commands.results import refuse_overwriting, save_arrays
+from doo_ti.io.observation_files import read_recording, save_observations
 from doo_ti.io.scene import Scene, Synthesis, load_scene
 from doo_ti.io.toml_file import scene_file
+from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import on_equal_edges
 from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line, progress
+from doo_ti.vision.rig_files import load_rig
 
 DIAMETER_MM = 0.5
 
@@ -37,6 +39,7 @@ def declare(add) -> None:
     loading.add_rate(parser)
     parser = given.command(add, "synth", run, "simulate a scene's observations, or render images of its rods (the virtual lab)",
                            json=False)
+    parser.set_defaults(up=None, unit=None, columns=None, rest_length=None)  # as the scene says
     parser.add_argument("scene", metavar="SCENE.toml", type=scene_file, help="a scene with [synthesis]")
     given.add(parser, "--out", "OBS", given.OBSERVATIONS, "file for the observations: .npz, .csv or .parquet")
     images = parser.add_argument_group("images", "rendered images of the rods; label noise has no effect on them")
@@ -44,7 +47,7 @@ def declare(add) -> None:
     given.add(images, "--rig", "RIG", scene_file, "the cameras: OpenCV FileStorage YAML, such as scenes/rig.yaml")
     given.add(images, "--diameter", "MM", given.LENGTH, f"diameter of the thread (default {DIAMETER_MM:g})")
     given.add(images, "--seed", "N", given.FROM_ZERO, "seed of all random numbers for the images (default 0)")
-    images.add_argument("--render", metavar="NAME=VALUE", action="append", default=[],
+    images.add_argument("--render", metavar="NAME=VALUE", action="append",
                         help="a property of the images, may be repeated: clutter=3, occluders=2, noise=5, jpeg_quality=none …")
 
 
@@ -55,8 +58,7 @@ def run_convert(options: Namespace) -> int:
     if options.motion:
         given.refuse(options, ("edges", "complete", "rest_length"), "given with --motion", "leave one out")
         return _convert_motion(options, out)
-    if options.rate is not None:
-        raise InputError(given.SOURCE, "--rate", "given without --motion", "give both")
+    given.refuse(options, ("rate",), "given without --motion", "give both")
     observations = loading.load(options, options.observations, options.complete)
     kept = _selected(options.marks, observations.edges + 1, "--marks")
     if options.marks is not None:
@@ -68,8 +70,14 @@ def run_convert(options: Namespace) -> int:
     doubts.warn(observations)
     print(" ".join(loading.rod_line(observations).split()))
     observations = observations.take(rows)
-    save(out, observations if edges is None else on_equal_edges(observations, edges))
+    _save(out, observations if edges is None else on_equal_edges(observations, edges))
     return 0
+
+
+def _save(out: Path, observations: Observations) -> None:
+    """Write observations, and print how many."""
+    save_observations(out, observations)
+    print(f"{counted(observations.count, 'observation')} of {observations.edges + 1} vertices written to {in_line(out)}")
 
 
 def _convert_motion(options: Namespace, out: Path) -> int:
@@ -110,31 +118,28 @@ def _selected(text: str | None, count: int, option: str = "--select") -> slice:
 def run(options: Namespace) -> int:
     if options.out is None and options.images is None:
         raise InputError(given.SOURCE, "--out", "missing", "give --out OBS, or --images FOLDER --rig RIG, or both")
-    of_images = {"--rig": options.rig, "--diameter": options.diameter, "--seed": options.seed, "--render": options.render}
-    alone = next((name for name, value in of_images.items() if value not in (None, [])), None)
-    if options.images is None and alone is not None:
-        raise InputError(given.SOURCE, alone, "given without --images", "give --images FOLDER too, or leave it out")
+    if options.images is None:
+        given.refuse(options, ("rig", "diameter", "seed", "render"), "given without --images",
+                     "give --images FOLDER too, or leave it out")
     scene = load_scene(options.scene)
     if options.images is not None:
         _photograph(options, scene)
     if options.out is not None:
-        save(options.out, observed(scene, None))
+        _save(options.out, loading.of_scene(options, scene))
     return 0
 
 
 def _photograph(options: Namespace, scene: Scene) -> None:
     """Render images; options are checked before the first rod is computed, views before the first image is written."""
-    folder, look, seed = options.images, _look(options.render), options.seed or 0
+    folder, look, seed = options.images, _look(options.render or []), options.seed or 0
     rig, diameter = _rig(options, folder), options.diameter or DIAMETER_MM
     if not isinstance(scene.observations, Synthesis):
         raise InputError(scene.source, "observations", "a file, which does not say how the rods lie between their marks",
                          "give a scene with [synthesis]")
     from doo_ti.perception.virtual_lab import lab_rods, save_truth
-    from doo_ti.vision.render import check_diameter
+    from doo_ti.vision.render import Photographs, check_diameter, save_photographs
 
     check_diameter(diameter, given.SOURCE, "--diameter")
-    from doo_ti.vision.render import Photographs, save_photographs
-
     rods = lab_rods(scene.observations)
     photographs = Photographs(rods.names, rods.curve, rods.point, rods.direction, diameter, rig, look, seed)
     save_truth(folder / "truth.npz", rods, diameter)
@@ -147,15 +152,11 @@ def _photograph(options: Namespace, scene: Scene) -> None:
 def _rig(options: Namespace, folder: Path):
     """The cameras. Raises InputError where none are given, and where their file would be overwritten."""
     from doo_ti.vision.render import RIG_FILE
-    from doo_ti.vision.rig_files import load_rig
 
     if options.rig is None:
         raise InputError(given.SOURCE, "--rig", "missing", "name the cameras' file, such as scenes/rig.yaml")
-    rig = load_rig(options.rig)
-    written = folder / RIG_FILE
-    if written.exists() and written.samefile(options.rig):
-        raise InputError(given.SOURCE, "--images", f"{written} is the rig itself", "name another folder")
-    return rig
+    refuse_overwriting(folder / RIG_FILE, options.rig, option="--images")
+    return load_rig(options.rig)
 
 
 def _look(words: list[str]):

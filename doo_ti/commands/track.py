@@ -11,13 +11,15 @@ from doo_ti.commands import image_options
 from doo_ti.commands import options as given
 from doo_ti.commands.loading import read_rest_length
 from doo_ti.commands.perceive import LEAST_SIGMA_MM
-from doo_ti.commands.results import refuse_overwriting, report, save_arrays
+from doo_ti.commands.results import listed, refuse_overwriting, report, save_arrays
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.arrays import read_csv
+from doo_ti.io.motion_file import load_path
 from doo_ti.rod.types import Clamp, Clamps, Material
 from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError, InterruptedRunError
 from doo_ti.system.terminal import can_record, in_line, progress
+from doo_ti.vision.images import SEED, SEEDS, ImageSets, cameras_in, clicks_in, images_in, seed_columns
 
 MOST_LISTED = 30
 LEAST_SHOWN = 0.01  # px: smaller errors are less than the noise of the smoothed images
@@ -98,8 +100,6 @@ def load_frames(path: Path, rig, clicks_of=lambda rig: {}):
 
     Raises InputError naming line and column for whatever is missing or not a number, and for missing images.
     """
-    from doo_ti.vision.images import SEED, SEEDS, ImageSets, cameras_in, clicks_in, images_in, seed_columns
-
     form = f"frame, one per camera, and {SEEDS}"
     table = read_csv(path, ("frame",), form=form, short_lines=True)
     given_clicks = bool(clicks_of(rig))
@@ -128,7 +128,6 @@ def load_frames(path: Path, rig, clicks_of=lambda rig: {}):
 
 def _far_motions(path: Path, frames: int) -> list:
     """The far clamp's motion from each frame to the next, tangents only."""
-    from doo_ti.io.motion_file import load_path
     from doo_ti.motion.path import motion_between
 
     motion = load_path(path)
@@ -231,10 +230,9 @@ def _lines(summary: dict) -> list[str]:
     for key, words in (("seeded", "by Algorithm 1"), ("lost", "in which the rod is lost"),
                        ("uncertain", f"whose start is uncertain by {CERTAIN_MM:g} mm or off the thread; click there, too")):
         names = summary[key]
-        listed = ", ".join(names[:MOST_LISTED]) + f" and {len(names) - MOST_LISTED} more" * (len(names) > MOST_LISTED)
-        if key == "uncertain" and not len(names):
-            continue
-        lines.append(f"  {key:<11} {counted(len(names), 'frame')} {words}{': ' * bool(len(names))}{listed}")
+        if len(names) or key != "uncertain":
+            named = f": {listed(names, MOST_LISTED)}" * bool(len(names))
+            lines.append(f"  {key:<11} {counted(len(names), 'frame')} {words}{named}")
     if summary["camera_error_px"] is not None:
         off = summary["camera_error_px"]
         lines.append(f"  images      {f'{off:.2f}' if off >= LEAST_SHOWN else f'less than {LEAST_SHOWN}'} px off on average; "

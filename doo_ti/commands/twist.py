@@ -12,6 +12,7 @@ from doo_ti.commands.moving_rods import with_rest_curvature
 from doo_ti.commands.results import refuse_overwriting
 from doo_ti.io.observation_tables import write_columns
 from doo_ti.io.scene import PRECISIONS
+from doo_ti.report.figures import MOST_CURVES, angle_curves_picture
 from doo_ti.rod.grid import Grid
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import check_experiment, observation_clamps
@@ -56,7 +57,7 @@ def run_twist(options: Namespace) -> int:
     regrasps = given.rows("--regrasp", ",".join(options.regrasp) or None, observations.count)
     together = observations.count if options.offset or regrasps else 1
     if options.together is not None:
-        together = given.whole(1, observations.count)(options.together, "--observations")
+        together = given.whole(1, observations.count)("--observations", options.together)
     group = consecutive_groups(observations.count, together, regrasps)
     check_experiment(replace(observations, frames=None), observation_clamps(observations), grid.axes[-1].values[-1], 0.0)
     if offset is None and (together > 1 or options.offset):
@@ -111,8 +112,6 @@ def _rows(observations: Observations, estimate, group: int) -> str:
 
 
 def _draw(path: Path, observations: Observations, estimate) -> None:
-    from doo_ti.report.figures import MOST_CURVES, angle_curves_picture
-
     names = [f"{_rows(observations, estimate, k)}: {np.degrees(estimate.phi[k]):.0f}°, {_word(estimate.verdict[k])}"
              for k in range(min(MOST_CURVES, len(estimate.phi)))]
     angle_curves_picture(

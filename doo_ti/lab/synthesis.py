@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from doo_ti.io.scene import Synthesis
-from doo_ti.motion.path import LARGEST_TURN, carried_clamps, carry, motion_between
+from doo_ti.motion.path import LARGEST_TURN, Motion, carry, motion_between
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import (
@@ -138,7 +138,7 @@ def _rods(synthesis: Synthesis, random: np.random.Generator) -> _Rods:
     for row, (before, after) in enumerate(zip(np.concatenate([[0.0], angles]), angles)):
         axis = ideal.end_frame[..., 0]
         steps = max(1, int(np.ceil(abs(after - before) / LARGEST_TURN)))
-        path = list(carried_clamps(ideal, ideal.end_position, (after - before) * axis, steps))
+        path = list(Motion(ideal, end_turn=(after - before) * axis).states(steps))
         ideal = path[-1]
         held = (errors.held(step, _reach(synthesis)) for step in path) if errors.any else path
         solution, clamps = carry(shapes, material, held)
@@ -193,7 +193,7 @@ def _moved(shapes: Configuration, material: Material, clamps: Clamps, goal: Clam
     """The rods after their clamps went from ``clamps`` to ``goal``."""
     motion = motion_between(clamps, goal)
     steps = int(motion.needed_steps(shapes.rest_length).max())
-    return carry(shapes, material, (motion.at(k / steps) for k in range(1, steps + 1)))[0]
+    return carry(shapes, material, motion.states(steps))[0]
 
 
 def _free_edges(synthesis: Synthesis) -> int:
@@ -229,7 +229,7 @@ def _brought_to_distances(synthesis: Synthesis, material: Material) -> tuple[Con
     largest = float(np.max(np.abs(np.diff(np.sort(synthesis.end_distances_mm))), initial=STEP_MM))
     for distance in sorted(synthesis.end_distances_mm, reverse=True):
         goal = np.array([distance, 0.0, 0.0]) - far * last_tangent
-        path = carried_clamps(clamps, goal[None], rotation[None], steps)
+        path = Motion(clamps, end_shift=goal - clamps.end_position, end_turn=rotation[None]).states(steps)
         solution, clamps = carry(shape, material, path)
         shape = _sound(solution, synthesis, [f"{distance:g} mm"])
         found[distance] = shape.quaternions[0]

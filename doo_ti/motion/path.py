@@ -1,7 +1,7 @@
 """What clamps do in a quasi-static motion, and how many sub-steps it takes (§III-D)."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Annotated
 
 import numpy as np
@@ -45,11 +45,23 @@ class Motion:
                       _turned(here.start_frame, self.start_turn, None, share),
                       _turned(here.end_frame, self.end_turn, self.end_spin, share))
 
+    def states(self, steps: int) -> Iterator[Clamps]:
+        """The clamps after each of ``steps`` equal parts of the motion."""
+        return (self.at(step / steps) for step in range(1, steps + 1))
+
+    @property
+    def parts(self) -> dict[str, np.ndarray]:
+        """The shifts and turns by name, of what moves."""
+        every = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "clamps"}
+        return {name: value for name, value in every.items() if value is not None}
+
     def take(self, rows: np.ndarray) -> "Motion":
         """The motions named by ``rows``, in that order."""
-        parts = ("start_shift", "end_shift", "start_turn", "end_turn", "end_spin")
-        return replace(self, clamps=self.clamps.take(rows), **{
-            name: getattr(self, name)[rows] for name in parts if getattr(self, name) is not None})
+        return Motion(self.clamps.take(rows), **{name: value[rows] for name, value in self.parts.items()})
+
+    def between(self, first: float, last: float) -> "Motion":
+        """The part of the motion from one share of it to another."""
+        return Motion(self.at(first), **{name: (last - first) * value for name, value in self.parts.items()})
 
     def needed_steps(self, rest_length: np.ndarray, largest_turn: float = LARGEST_TURN) -> np.ndarray:
         """(R,) sub-steps that keep each clamp's turns below ``largest_turn`` (rad) and its shifts in proportion to it.
@@ -90,17 +102,6 @@ def motion_between(clamps: Clamps, goal: Clamps, rotation: np.ndarray | None = N
         end_turn, end_spin = _swing_and_spin(clamps.end_frame, goal.end_frame, goal.end, rotation)
     shifts = goal.start_position - clamps.start_position, goal.end_position - clamps.end_position
     return Motion(clamps, *shifts, start_turn, end_turn, end_spin)
-
-
-def carried_clamps(clamps: Clamps, end_position: np.ndarray, turn: np.ndarray, steps: int) -> Iterator[Clamps]:
-    """The clamps after each of ``steps`` sub-steps in which the far one moves along a line and turns about one axis.
-
-    end_position  (R, 3) mm, at the end
-    turn          (R, 3) rotation vector of the end frame in the world, rad, whole turns included
-    """
-    motion = Motion(clamps, end_shift=end_position - clamps.end_position, end_turn=turn)
-    for k in range(1, steps + 1):
-        yield motion.at(k / steps)
 
 
 def carry(configuration: Configuration, material: Material, path: Iterator[Clamps], **options) -> tuple[Solution, Clamps]:

@@ -140,7 +140,7 @@ def predict(
     for moment in range(path.moments - 1):
         motion = motion_between(held, path.at(moment + 1, clamps), path.rotation(moment, motions))
         for part in range(between):
-            leg = _part(motion, part / between, (part + 1) / between)
+            leg = motion.between(part / between, (part + 1) / between)
             solution, jumps = go(here, leg)
             here, held = finite_rods(solution.configuration, here), leg.at(1.0)
             moments.append((solution, jumps, moments[-1][2] + np.tile(rotation_about_rod(leg), len(rods) // motions)))
@@ -191,8 +191,7 @@ def begun(configuration: Configuration, material: Material, clamps: Clamps, path
                      configuration_index=rods, material_index=rods // motions, external=loads, **surroundings.arguments)
     jumps = np.zeros(len(rods), dtype=np.int32)
     approach = motion_between(clamps, path.at(0, clamps))
-    parts = (approach.start_shift, approach.end_shift, approach.start_turn, approach.end_turn)
-    if any((np.linalg.norm(part, axis=-1) > STILL).any() for part in parts if part is not None):
+    if any((np.linalg.norm(part, axis=-1) > STILL).any() for part in approach.parts.values()):
         solution, jumps = go(solution.configuration, approach)
     return go, rods // motions, (solution, approach.at(1.0), jumps)
 
@@ -229,20 +228,11 @@ def predict_step(
     check_rows("predict_step", loads, count, configuration.edges + 1)
     rows = np.zeros(count, dtype=np.int64)
     motion = motion_between(clamps.take(rows), goal, None if rotation is None else np.broadcast_to(rotation, count))
-    still = {f"{end}_{part}": None for end in ("start", "end") for part in ("shift", "turn")
-             if not getattr(motion, f"{end}_{part}").any()}
+    still = {name: None for name, part in motion.parts.items() if name != "end_spin" and not part.any()}
     journey = Journey(replace(motion, **still), material, sub_step, configuration.rest_length, up, precision=precision,
                       surroundings=surroundings, loads=loads)
     solution, jumps = journey.end(configuration.take(rows), watch)
     return solution, jumps if watch else None
-
-
-def _part(motion: Motion, first: float, last: float) -> Motion:
-    """The part of a motion from one share of it to another."""
-    def share(value):
-        return None if value is None else (last - first) * value
-    return replace(motion, clamps=motion.at(first), start_shift=share(motion.start_shift), end_shift=share(motion.end_shift),
-                   start_turn=share(motion.start_turn), end_turn=share(motion.end_turn), end_spin=share(motion.end_spin))
 
 
 @typed

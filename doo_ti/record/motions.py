@@ -4,15 +4,13 @@
 Axes: T moments or frames, R rods, D observations, V vertices.
 """
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import rerun
 import rerun.blueprint as blueprint
 
-from doo_ti.contact.surroundings import Moving, Surroundings, since_first
-from doo_ti.groups.relax_group import GroupSolution
+from doo_ti.contact.surroundings import Moving, since_first
 from doo_ti.record import viewer
 from doo_ti.report.canvas import Observed, box, distinct_colors, facing, grid_view, widest
 from doo_ti.report.contact import GroupMotion, Touched
@@ -201,26 +199,23 @@ def record_rollout(path: Path, name: str, names: list[str], positions: np.ndarra
 TIE = (255, 255, 255)
 
 
-def record_group(path: Path, moments: Sequence[GroupSolution], *, name: str, names: Sequence[str] | None = None,
-                 surroundings: Surroundings | None = None, row: int = 0, rate: float = 1.0,
-                 up: Sequence[float] = (0.0, 0.0, 1.0), newton: float | None = None) -> None:
-    """Record the group ``row`` at T moments, ``rate`` of them a second, on the timeline ``time``.
+def record_group(path: Path, seen: GroupMotion) -> None:
+    """Record a group on the timeline ``time``.
 
-    ``world/rods`` has an entity for each rod, by its number and its name where there are ``names``: as thick as it is where
-    ``surroundings`` say so, in red at moments that have not converged; ``world/ties`` the tied points; ``world/obstacles`` and
-    ``world/forces`` what rods touch, and what that exerts, in N where ``newton`` says how many their unit of force has.
+    ``world/rods`` has an entity for each rod, by its number and its name: as thick as it is where that is known, in red at
+    moments that have not converged; ``world/ties`` the tied points; ``world/obstacles`` and ``world/forces`` what rods touch,
+    and what that exerts.
     """
-    seen = GroupMotion.of(moments, row, surroundings, newton)
-    grid = grid_view(Observed(seen.vertices.reshape(1, -1, 3), up=up))
+    grid = grid_view(Observed(seen.vertices.reshape(1, -1, 3), up=seen.up))
     view = viewer.front_view(grid, "world", f"Rods, mm: blue {seen.touched.legend}", 1.8)
-    frames, count = len(seen.rods), len(seen.rods[0])
-    when = [rerun.TimeColumn("time", duration=np.arange(frames) / rate)]
-    called = [str(rod) if names is None else f"{rod}_{viewer.entity_name(names[rod])}" for rod in range(count)]
-    with viewer.recording(path, f"group {name}", name, blueprint.Blueprint(view, *viewer.panels("time"))) as stream:
+    frames, count = len(seen.rods), len(seen.names)
+    when = [rerun.TimeColumn("time", duration=np.arange(frames) / seen.rate)]
+    layout = blueprint.Blueprint(view, *viewer.panels("time"))
+    with viewer.recording(path, f"group {seen.name}", seen.name, layout) as stream:
         viewer.log_up(stream, "world", grid.basis[2])
         radii = [None] * count if seen.radii is None else seen.radii.tolist()
-        for rod, (own, color) in enumerate(zip(called, distinct_colors(count), strict=True)):
-            place = f"world/rods/{own}"
+        for rod, (own, color) in enumerate(zip(seen.names, distinct_colors(count), strict=True)):
+            place = f"world/rods/{rod}_{viewer.entity_name(own)}"
             stream.log(place, rerun.LineStrips3D.from_fields(radii=_thick(radii[rod], 1.0, 1.2)), static=True)
             viewer.send_rods(stream, place, when, np.stack([moment[rod] for moment in seen.rods])[:, None],
                              colors=np.where(seen.sound[:, None], color, np.array(viewer.FAILED, dtype=color.dtype)))

@@ -102,12 +102,11 @@ class Touched:
         """(N, 3) mm, where the arrows of the forces on some rods end at a frame."""
         return np.concatenate([np.add(*self.arrows(row, frame)) for row in rows])
 
-    def draw(self, plot, row: int, view: np.ndarray, frames: list[int]) -> None:
-        """The obstacles around a rod, and the forces on it at some frames, in a plot with the axes ``view`` (2, 3)."""
+    def draw(self, plot, row: int, view: np.ndarray, frame: int) -> None:
+        """The obstacles around a rod, and the forces on it, at a frame in a plot with the axes ``view`` (2, 3)."""
         self.draw_still(plot, row, view)
-        for frame in frames:
-            self.draw_moving(plot, row, view, frame)
-            self.draw_forces(plot, row, view, frame)
+        self.draw_moving(plot, row, view, frame)
+        self.draw_forces(plot, row, view, frame)
 
     def draw_still(self, plot, row: int, view: np.ndarray) -> None:
         """The obstacles around a rod that do not move; the plot's limits stay as they are."""
@@ -151,31 +150,43 @@ MOST_NAMED = 12  # entries of a legend
 class GroupMotion:
     """One group at T moments, as pictures and recordings show it.
 
-    rods     T lists of its G rods, (V, 3) mm each, NaN where they have no place
+    names    of its G rods
+    rods     T lists of them, (V, 3) mm each, NaN where they have no place
+    held     the forces (T,) of the clamps, mm²/mm, by the end that they hold; those that hold none are left out
     tied     numbers of the tied vertices among all of the group
     sound    (T,) bool: converged
     radii    (G,) mm, or None where the rods have no thickness
     touched  the obstacles, and the contact forces on all vertices of the group
+    rate     moments per second
+    up       (3,) direction against gravity
     """
 
+    name: str
+    names: list[str]
     rods: list[list[np.ndarray]]
+    held: dict[str, np.ndarray]
     tied: np.ndarray
     sound: np.ndarray
     radii: np.ndarray | None
     touched: Touched
+    rate: float
+    up: Sequence[float]
 
     @classmethod
-    def of(cls, moments: "Sequence[GroupSolution]", row: int, surroundings: Surroundings | None,
-           newton: float | None = None) -> "GroupMotion":
-        """The group ``row`` of solutions, ``newton`` N in their unit of force."""
+    def of(cls, moments: "Sequence[GroupSolution]", name: str, names: list[str], surroundings: Surroundings | None = None,
+           rate: float = 1.0, up: Sequence[float] = (0.0, 0.0, 1.0), newton: float | None = None) -> "GroupMotion":
+        """The first group of solutions, ``newton`` N in their unit of force; None: arrows are not in N."""
         group, around = moments[0].group, Surroundings()
         if surroundings is not None:  # the radius may be that of each rod of a group
-            around = replace(surroundings, obstacles=[body.take(np.array([row])) for body in surroundings.obstacles])
-        rods = [[rod.vertices[row] for rod in moment.rods] for moment in moments]
-        force = np.array([np.concatenate([part[row] for part in moment.contact_force]) for moment in moments])
-        radii = None if around.radius is None else group.radii_in(row, around.radius)
+            around = replace(surroundings, obstacles=[body.take(np.array([0])) for body in surroundings.obstacles])
+        rods = [[rod.vertices[0] for rod in moment.rods] for moment in moments]
+        force = np.array([np.concatenate([part[0] for part in moment.contact_force]) for moment in moments])
+        radii = None if around.radius is None else group.radii_in(0, around.radius)
         touched = Touched(around, np.array([np.concatenate(own) for own in rods])[None], force[None], newton)
-        return cls(rods, group.tied[:, 0], np.array([moment.converged[row] for moment in moments]), radii, touched)
+        held = {f"{rod}, {end}": np.array([np.linalg.norm(getattr(moment, f"{end}_force")[0, row]) for moment in moments])
+                for row, rod in enumerate(names) for end in ("start", "end")}
+        return cls(name, names, rods, {end: force for end, force in held.items() if np.nan_to_num(force).any()},
+                   group.tied[:, 0], np.array([moment.converged[0] for moment in moments]), radii, touched, rate, up)
 
     @property
     def vertices(self) -> np.ndarray:
@@ -183,27 +194,24 @@ class GroupMotion:
         return self.touched.positions[0]
 
 
-def save_group(path: Path, moments: "Sequence[GroupSolution]", *, name: str, names: Sequence[str],
-               surroundings: Surroundings | None = None, row: int = 0, rate: float = 1.0,
-               up: Sequence[float] = (0.0, 0.0, 1.0), newton: float | None = None) -> None:
-    """Write a picture of the group ``row`` at T moments, ``rate`` of them a second: the last with its ties, obstacles and
-    contact forces, some earlier ones faintly; of a motion also the forces of the clamps. ``names`` are the rods';
-    ``newton`` is N in their unit of force, for arrows of N."""
+def save_group(path: Path, seen: GroupMotion) -> None:
+    """Write a picture of the last moment with its ties, obstacles and contact forces, some earlier ones faintly; of a motion
+    also the forces of the clamps."""
     from matplotlib import colormaps
 
-    seen = GroupMotion.of(moments, row, surroundings, newton)
+    moments, names = len(seen.rods), seen.names
     radii = np.zeros(len(names)) if seen.radii is None else seen.radii
-    basis = upright_basis(seen.vertices.reshape(1, -1, 3), up)
+    basis = upright_basis(seen.vertices.reshape(1, -1, 3), seen.up)
     # Rows right, into the picture and up.
     views = {"from the side": basis, "from above": np.stack([basis[0], -basis[2], basis[1]])}
     places = np.concatenate([seen.vertices.reshape(-1, 3), seen.touched.tips([0], -1)])
     limits = [limits_around(places @ view[[0, 2]].T, 0.55, 0.1) for view in views.values()]
     heights = [min(HIGHEST, WIDTH * np.ptp(limit[1]) / np.ptp(limit[0])) for limit in limits]
-    heights += [CURVES] * (len(moments) > 1)
+    heights += [CURVES] * (moments > 1)
     figure = new_figure((WIDTH + 1.0, sum(heights) + 0.5 * len(heights) + 0.8))
     plots = figure.subplots(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
     colors = colormaps["tab10"](np.arange(len(names)) % 10)
-    earlier = np.unique(np.linspace(0, len(moments) - 1, EARLIER + 1).round().astype(int))[:-1]
+    earlier = np.unique(np.linspace(0, moments - 1, EARLIER + 1).round().astype(int))[:-1]
     for plot, (label, view), limit in zip(plots, views.items(), limits, strict=False):
         plot.set(xlim=limit[0], ylim=limit[1], xlabel=f"{direction(view[0])} [mm]",
                  ylabel=f"{label}\n{direction(view[2])} [mm]", aspect="equal")
@@ -211,19 +219,19 @@ def save_group(path: Path, moments: "Sequence[GroupSolution]", *, name: str, nam
             for rod, color in zip(seen.rods[moment], colors, strict=True):
                 plot.plot(*(rod @ view[[0, 2]].T).T, color=color, lw=0.8, alpha=0.3)
         _draw_rods(plot, seen.rods[-1], colors, view, radii)
-        seen.touched.draw(plot, 0, view[[0, 2]], [len(moments) - 1])
+        seen.touched.draw(plot, 0, view[[0, 2]], moments - 1)
         tied = seen.vertices[-1, seen.tied] @ view[[0, 2]].T
         plot.plot(*tied.T, "o", color="white", markeredgecolor="black", markersize=4, zorder=ABOVE_ARROWS + 1)
         plot.grid(alpha=0.2)
     for rod, color in zip(names[:MOST_NAMED], colors, strict=False):
         plots[0].plot([], [], color=color, lw=3, label=literal(rod))
     plots[0].legend(fontsize=8, frameon=False, loc="best")
-    if len(moments) > 1:
-        _draw_forces(plots[-1], moments, row, seen.sound, rate, names)
+    if moments > 1:
+        _draw_forces(plots[-1], seen)
     status = "" if seen.sound[-1] else ", not converged"
     ties = "; circles: ties" if len(seen.tied) else ""
-    when = "" if len(moments) == 1 else f" after {(len(moments) - 1) / rate:.3g} s, earlier moments faint"
-    figure.suptitle(f"{literal(name)}{when}{status}\nblue: {seen.touched.legend}{ties}", fontsize=10)
+    when = "" if moments == 1 else f" after {(moments - 1) / seen.rate:.3g} s, earlier moments faint"
+    figure.suptitle(f"{literal(seen.name)}{when}{status}\nblue: {seen.touched.legend}{ties}", fontsize=10)
     save_figure(figure, path)
 
 
@@ -247,16 +255,10 @@ def _draw_rods(plot, rods: list[np.ndarray], colors: np.ndarray, view: np.ndarra
                                        zorder=ABOVE_ARROWS), autolim=False)
 
 
-def _draw_forces(plot, moments: "Sequence[GroupSolution]", row: int, sound: np.ndarray, rate: float,
-                 names: Sequence[str]) -> None:
+def _draw_forces(plot, seen: GroupMotion) -> None:
     """The forces of clamps on the ends of rods over time, the largest named."""
-    time = np.arange(len(moments)) / rate
-    curves = []
-    for rod, name in enumerate(names):
-        for end in ("start", "end"):
-            force = np.array([np.linalg.norm(getattr(moment, f"{end}_force")[row, rod]) for moment in moments])
-            if np.nanmax(np.nan_to_num(force)) > 0:
-                curves.append((np.where(sound, force, np.nan), f"{name}, {end}"))
+    time, sound = np.arange(len(seen.rods)) / seen.rate, seen.sound
+    curves = [(np.where(sound, force, np.nan), end) for end, force in seen.held.items()]
     curves.sort(key=lambda curve: -np.nanmax(np.nan_to_num(curve[0])))
     for number, (force, label) in enumerate(curves):
         plot.plot(time, force, ".-", lw=1.2, markersize=3, label=literal(label) if number < MOST_NAMED else None)

@@ -90,7 +90,7 @@ def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray,
             plot.autoscale_view()
             for frame in frames[:-1]:
                 touched.draw_moving(plot, row, axes, frame, faint=True)
-            touched.draw(plot, row, axes, frames[-1:])
+            touched.draw(plot, row, axes, frames[-1])
         title = names[row]
         if recorded is not None:
             title = f"recording {title}: {np.abs(positions[row, 2:] - recorded[row, 2:]).mean():.1f} mm"
@@ -288,7 +288,7 @@ def motions_picture(path_or_buffer, rods: MovingRods, *, title: str) -> None:
             axes.set(xlim=limits[row][0], ylim=limits[row][1], aspect="equal")
             _draw_moments(axes, vertices[:, rod] @ view.T, time, moments, np.flatnonzero(jumps[:, rod]))
             if rods.touched is not None:
-                rods.touched.draw(axes, rod, view, [len(time) - 1])
+                rods.touched.draw(axes, rod, view, len(time) - 1)
             axes.grid(alpha=0.2)
             if column == 0:
                 axes.set_ylabel(f"{label}\n{direction(view[1])} [mm]", fontsize=9)

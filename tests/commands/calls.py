@@ -50,6 +50,12 @@ def succeeded(capsys, argv: list[str]) -> str:
     return capsys.readouterr().out
 
 
+def made(argv: list[str]) -> dict[str, np.ndarray]:
+    """Run the command, which has exit code 0: the arrays of the npz after ``--out``."""
+    assert main(argv) == 0
+    return written(Path(argv[argv.index("--out") + 1]))
+
+
 def refused(capsys, folder: Path, argv: list[str], *words: str) -> None:
     """Run the command and check that it is refused in one line that holds ``words``."""
     before = tree(folder)

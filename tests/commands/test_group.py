@@ -36,6 +36,11 @@ weight = 2.0
 """
 
 
+PULLED = SCENE.replace('start = "frame"', 'start = "frame"\nend = "position"').replace(
+    "start_position_mm = [0, 0, 10]", "start_position_mm = [-10, 0, 0]")
+"""Its trunk is too short for both of its clamps in the end."""
+
+
 @pytest.fixture
 def scene(tmp_path):
     path = tmp_path / "scene.toml"
@@ -43,9 +48,13 @@ def scene(tmp_path):
     return path
 
 
+def drawn(scene, folder) -> list[str]:
+    return ["group", str(scene), "--out", str(folder / "f.npz"), "--picture", str(folder / "f.png"), "--recording",
+            str(folder / "f.rrd")]
+
+
 def test_places_forces_and_pictures_are_written(scene, tmp_path, capsys):
-    words = ["group", str(scene), "--out", str(tmp_path / "f.npz"), "--picture", str(tmp_path / "f.png"), "--recording",
-             str(tmp_path / "f.rrd")]
+    words = drawn(scene, tmp_path)
     summary = json.loads(succeeded(capsys, [*words, "--json"]))
     assert (summary["rods"], summary["edges"], summary["ties"], summary["moments"]) == (2, 12, 1, 3)
     assert summary["status"] == {"converged": 3} and summary["stable"] == 3
@@ -81,9 +90,7 @@ def test_forces_are_in_newton_where_masses_are_known(scene, tmp_path, capsys):
 
 
 def test_what_does_not_converge_is_said_and_written(scene, tmp_path, capsys):
-    """A rod that is too short for both of its clamps."""
-    scene.write_text(SCENE.replace('start = "frame"', 'start = "frame"\nend = "position"').replace(
-        "start_position_mm = [0, 0, 10]", "start_position_mm = [-10, 0, 0]"))
+    scene.write_text(PULLED)
     assert main(["group", str(scene), "--out", str(tmp_path / "f.npz"), "--json"]) == 1
     summary = json.loads(capsys.readouterr().out)
     found = written(tmp_path / "f.npz")
@@ -92,11 +99,8 @@ def test_what_does_not_converge_is_said_and_written(scene, tmp_path, capsys):
 
 
 def test_rods_without_a_place_are_not_drawn(scene, tmp_path, capsys):
-    scene.write_text(SCENE.replace('start = "frame"', 'start = "frame"\nend = "position"').replace(
-        "time_s = 0.2", "time_s = 0.0").replace("start_position_mm = [0, 0, 10]", "start_position_mm = [-10, 0, 0]"))
-    words = ["group", str(scene), "--out", str(tmp_path / "f.npz"), "--picture", str(tmp_path / "f.png"), "--recording",
-             str(tmp_path / "f.rrd")]
-    assert main(words) == 1
+    scene.write_text(PULLED.replace("time_s = 0.2", "time_s = 0.0"))
+    assert main(drawn(scene, tmp_path)) == 1
     said = capsys.readouterr()
     assert "note: " in said.err and "3 infeasible" in said.out
     assert sorted(path.name for path in tmp_path.iterdir()) == ["f.npz", "scene.toml"]

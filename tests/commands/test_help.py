@@ -12,7 +12,7 @@ from doo_ti.commands.cli import _parser, main
 from doo_ti.commands.help_text import EXAMPLES, FIRST, GROUPS, OTHER_WORDS
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
-COMMANDS = _parser().meanings()
+COMMANDS = _parser().meanings
 
 
 def test_every_command_is_in_one_group():
@@ -42,7 +42,7 @@ def test_examples_are_valid(command, capsys):
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_shows_what_matters_and_help_all_the_rest(command, capsys):
-    parser = _parser().command(command)
+    parser = _parser().commands[command]
     names = {action.option_strings[-1]: action.required for action in parser._actions
              if action.option_strings and action.help != "==SUPPRESS=="}
     assert set(FIRST.get(command, names)) <= set(names)
@@ -88,11 +88,11 @@ def defaults() -> dict[tuple[str, str], float]:
              ("refine", "--starts"): refine.STARTS, ("plan", "--picks"): plan.PICKS,
              ("synth", "--diameter"): synth.DIAMETER_MM,
              ("figures", "--cells"): runs.MOST_CELLS, ("bench", "--rods"): machine.RODS, ("bench", "--rounds"): machine.ROUNDS,
-             ("sweep", "--roll-hypotheses"): SweepOptions.spins, ("relax", "--frame-weight"): SweepOptions.frame_weight}
-    found |= {("steer", "--reached"): steer.PLANNED, ("steer", "--seconds"): PlanOptions.seconds}
-    found |= {("servo", "--reached"): steer.REACHED, ("servo", "--steps"): steer.STEPS, ("servo", "--diameter"): DIAMETER_MM,
-              ("servo", "--noise"): RenderOptions.noise}
-    found |= {("twist", "--observations"): 1, ("simulate", "--smoothing"): 1, ("identify", "--smoothing"): 1}
+             ("sweep", "--roll-hypotheses"): SweepOptions.spins, ("relax", "--frame-weight"): SweepOptions.frame_weight,
+             ("steer", "--reached"): steer.PLANNED, ("steer", "--seconds"): PlanOptions.seconds,
+             ("servo", "--reached"): steer.REACHED, ("servo", "--steps"): steer.STEPS, ("servo", "--diameter"): DIAMETER_MM,
+             ("servo", "--noise"): RenderOptions.noise, ("twist", "--observations"): 1, ("simulate", "--smoothing"): 1,
+             ("identify", "--smoothing"): 1}
     for command in COMMANDS:
         found |= {(command, "--weight"): Material.weight, (command, "--twist-ratio"): 1}
         found |= {(command, f"--{name.replace('_', '-')}"): getattr(Dynamics, name) for name in moving_rods.LOSSES}
@@ -102,7 +102,7 @@ def defaults() -> dict[tuple[str, str], float]:
 def test_the_defaults_in_the_help_are_those_of_the_code():
     known, wrong = defaults(), []
     for command in COMMANDS:
-        for action in _parser().command(command)._actions:
+        for action in _parser().commands[command]._actions:
             option = (action.option_strings or [action.dest])[-1]
             stated = re.search(r"\(default:? (?:at most )?([-+\w.]+)", action.help or "")
             number = stated and re.fullmatch(r"\d[\d.e+]*", stated[1].rstrip("."))

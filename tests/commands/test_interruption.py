@@ -13,7 +13,9 @@ from urllib.request import urlopen
 
 import pytest
 
+from doo_ti.io.observation_files import save_observations
 from doo_ti.system import terminal
+from tests.learning.lab import small_lab
 
 ROOT = Path(__file__).resolve().parents[2]
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="sends signals as a terminal does")
@@ -65,6 +67,13 @@ def run_script(script: str, folder: Path) -> subprocess.CompletedProcess:
                           env={**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{folder}"})
 
 
+def started(folder: Path, line: str) -> subprocess.Popen:
+    """A command in a process group of its own."""
+    return subprocess.Popen([sys.executable, "-m", "doo_ti", *line.split()], cwd=folder, stdout=subprocess.PIPE,
+                            stderr=subprocess.PIPE, text=True, start_new_session=True,
+                            env={**os.environ, "PYTHONPATH": str(ROOT)})
+
+
 def test_while_the_program_starts(tmp_path):
     done = run_script(STARTING, tmp_path)
     assert (done.returncode, done.stdout) == (1, "") and done.stderr.count("\n") == 1
@@ -107,9 +116,7 @@ def test_a_signal_while_processes_are_started_waits_for_them(number):
 def test_a_served_viewer_ends_with_its_command(tmp_path, number):
     """Also where the terminal is closed, which signals only that."""
     (tmp_path / "run.rrd").write_bytes(b"RRF2")
-    command = subprocess.Popen([sys.executable, "-m", "doo_ti", "view", "run.rrd", "--web"], cwd=tmp_path, text=True,
-                               stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True,
-                               env={**os.environ, "PYTHONPATH": str(ROOT)})
+    command = started(tmp_path, "view run.rrd --web")
     try:
         ports = [int(port) for port in re.findall(r"127\.0\.0\.1:(\d+)", command.stdout.readline())]
         assert len(ports) == 2 and all(answers(port) for port in ports)
@@ -145,14 +152,8 @@ def answers(port: int, seconds: float = 20.0) -> bool:
 @pytest.mark.thorough
 def test_a_terminals_signal_to_workers_too(tmp_path):
     """It goes to all processes of the command: only the first prints a message."""
-    from doo_ti.io.observation_files import save_observations
-    from tests.learning.lab import small_lab
-
     save_observations(tmp_path / "o.npz", small_lab())
-    words = ["sweep", "o.npz", "--bend", "1e5:1e6:200", "--twist-ratio", "0.5:2:200", "--workers", "2", "--out", "run"]
-    command = subprocess.Popen([sys.executable, "-m", "doo_ti", *words], cwd=tmp_path, stdout=subprocess.PIPE,
-                               stderr=subprocess.PIPE, text=True, start_new_session=True,
-                               env={**os.environ, "PYTHONPATH": str(ROOT)})
+    command = started(tmp_path, "sweep o.npz --bend 1e5:1e6:200 --twist-ratio 0.5:2:200 --workers 2 --out run")
     while command.poll() is None and not list(tmp_path.glob("run/cells/*.parquet")):
         time.sleep(0.05)
     os.killpg(command.pid, signal.SIGINT)

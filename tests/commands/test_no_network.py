@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from doo_ti.commands.cli import main
+from doo_ti.commands.machine import INPUTS
 from doo_ti.io.observation_files import save_observations
 from tests.commands.test_cameras import TEXT, pictures, prepared, rows_of  # noqa: F401  a fixture
 from tests.io.rods import wavy_vertices
@@ -49,14 +50,6 @@ if __name__ == "__main__":
         assert main(words.split()) == 0
 """
 MATERIAL = "--bend 4e5 --twist 4e5"
-LAB = """[synthesis]
-bend = 4e5
-twist = 4e5
-end_distances_mm = [66.0]
-end_rotations_deg = [60.0, 66.0]
-[grid]
-bend = "2e5:8e5:3"
-"""
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -96,7 +89,7 @@ def test_no_command_opens_a_socket(tmp_path, words):
 @pytest.mark.slow
 def test_no_command_on_images_opens_a_socket(tmp_path, pictures, rng, monkeypatch):  # noqa: F811
     monkeypatch.chdir(tmp_path)
-    Path("lab.toml").write_text(LAB)
+    Path("lab.toml").write_text(INPUTS["seen.toml"])
     synth = f"synth lab.toml --images images --rig {ROOT}/scenes/rig.yaml"
     assert main(synth.split()) == 0
     sets = tmp_path / "images" / "sets.csv"

@@ -1,6 +1,7 @@
 """doo-ti perceive: from images of rods to a file that doo-ti twist reads, with a picture and a recording beside it."""
 
 import json
+import shutil
 from contextlib import redirect_stdout
 from io import StringIO
 
@@ -15,6 +16,7 @@ from doo_ti.vision.render import render_set
 from doo_ti.vision.rig_files import load_rig, save_rig
 from doo_ti.vision.tubes import smooth_curve
 from tests.commands.calls import refused, succeeded, written
+from tests.record.runs import read
 from tests.vision.scenes import curves, three_cameras
 
 EDGES = 14
@@ -141,8 +143,6 @@ def test_other_commands_read_it(perceived, tmp_path, capsys):
 
 
 def test_recording_holds_the_first_set(perceived):
-    from tests.record.runs import read
-
     static, moving = read(perceived[0] / "f.rrd")
     assert moving["/world/set0_first/rods"]["edges"]["edges"] == list(range(2, EDGES + 2))
     assert not any("second" in entity for entity in (*static, *moving))
@@ -265,18 +265,13 @@ def test_wrong_rigs_seeds_and_truths_are_reported(photographed, tmp_path, capsys
 
 def test_one_mask_is_not_taken_for_two_cameras(photographed, tmp_path, capsys):
     folder = photographed[0]
-    lines = (folder / "sets.csv").read_text().splitlines()
-    for camera in ("cam0", "cam1", "cam2"):
-        (tmp_path / camera).mkdir()
-    names = lines[0].split(",")
-    cells = lines[1].split(",")
-    for camera in ("cam0", "cam1", "cam2"):
-        source = folder / cells[names.index(camera)]
-        (tmp_path / camera / "first.png").write_bytes(source.read_bytes())
-        cells[names.index(camera)] = f"{camera}/first.png"
-    (tmp_path / "sets.csv").write_text(f"{lines[0]}\n{','.join(cells)}\n")
-    (tmp_path / "masks").mkdir()
-    (tmp_path / "masks" / "first.png").write_bytes(source.read_bytes())
+    names, cells = (line.split(",") for line in (folder / "sets.csv").read_text().splitlines()[:2])
+    one = dict(zip(names, cells, strict=True))
+    for place in ("cam0", "cam1", "cam2", "masks"):
+        (tmp_path / place).mkdir()
+        shutil.copyfile(folder / one.get(place, "first_cam0.png"), tmp_path / place / "first.png")
+    one |= {camera: f"{camera}/first.png" for camera in ("cam0", "cam1", "cam2")}
+    (tmp_path / "sets.csv").write_text(f"{','.join(one)}\n{','.join(one.values())}\n")
     argv = of_sets(folder, "--out", str(tmp_path / "new" / "f.npz"), "--masks", str(tmp_path / "masks"))
     argv[argv.index("--sets") + 1] = str(tmp_path / "sets.csv")
     refused(capsys, tmp_path, argv, "masks", "several cameras")

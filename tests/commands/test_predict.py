@@ -22,7 +22,7 @@ from doo_ti.commands.cli import main
 from doo_ti.commands.results import force_lines, plain
 from doo_ti.dynamics.theta import MotionTheta, load_theta, save_form
 from doo_ti.rod.frames import quaternion_from_matrix
-from tests.commands.calls import refused, succeeded, written
+from tests.commands.calls import made, refused, succeeded, written
 from tests.references.rods import at_rest, bows, observed
 
 MATERIAL = ["--bend", "6e5", "--twist", "1e5"]
@@ -79,28 +79,25 @@ def test_logs_of_robots(folder):
     poses = dict(np.load(folder / "frames.npz"))
     poses |= {f"{end}_position_mm": np.repeat(seen.vertices[:, k], 2, axis=0) for end, k in (("start", 0), ("end", -1))}
     np.savez(folder / "poses.npz", **poses, time_s=[0.0, 0.5])
-    assert main(words(folder, "one.npz", "poses.npz")) == 0
-    expected = written(folder / "f.npz")
+    expected = made(words(folder, "one.npz", "poses.npz"))
     upright = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # z becomes y
     log = log_of(poses, upright, 1e-3)
     (folder / "log.csv").write_text(log)
     (folder / "sides.csv").write_text(log.replace("start/", "left/").replace("end/", "right/"))
     options = ["--motion-axis", "z", "--motion-up", "0,1,0", "--motion-unit", "m"]
     for name, more in (("log.csv", []), ("sides.csv", ["--motion-columns", "start=left,end=right,time=stamp"])):
-        assert main([*words(folder, "one.npz", name), *options, *more]) == 0
-        found = written(folder / "f.npz")
+        found = made([*words(folder, "one.npz", name), *options, *more])
         np.testing.assert_allclose(found["vertices_mm"], expected["vertices_mm"], atol=1e-3)
         np.testing.assert_array_equal(found["time_s"], [0, 0.5])
     np.savez(folder / "metres.npz", vertices_mm=1e-3 * seen.vertices, rest_length_mm=1e-3 * seen.rest_length,
              start_frame=seen.start_frame, end_frame=seen.end_frame, total_twist_deg=np.degrees(seen.total_twist))
-    assert main([*words(folder, "metres.npz", "log.csv"), *options[:4], "--unit", "m"]) == 0
-    np.testing.assert_allclose(written(folder / "f.npz")["vertices_mm"], expected["vertices_mm"], atol=1e-3)
+    found = made([*words(folder, "metres.npz", "log.csv"), *options[:4], "--unit", "m"])
+    np.testing.assert_allclose(found["vertices_mm"], expected["vertices_mm"], atol=1e-3)
 
 
 def test_materials_and_starts_at_once(folder, capsys):
-    assert main([*words(folder, "seen.npz", "move.npz"), "--relative", "--bend", "3e5:2e6:3", "--json"]) == 0
+    found = made([*words(folder, "seen.npz", "move.npz"), "--relative", "--bend", "3e5:2e6:3", "--json"])
     summary = json.loads(capsys.readouterr().out)
-    found = written(folder / "f.npz")
     assert summary["rods"] == 6 and summary["moments"] == 3 and summary["followed"] == int(found["followed"][-1].sum())
     assert found["observation"].tolist() == [0, 1] * 3
     np.testing.assert_allclose(found["bend_1"], np.repeat(np.geomspace(3e5, 2e6, 3), 2))
@@ -118,8 +115,7 @@ def test_a_stiffer_material_twists_no_rod(folder, command):
     np.savez(folder / "held.npz", end_position_mm=np.tile(shape.vertices[:, -1], (2, 1)))
     motion = ["--motion", str(folder / "held.npz")] * (command == "predict")
     stiff = ["--bend", "4e7", "--twist", "4e7"]
-    assert main([command, str(folder / "cable.npz"), *motion, *stiff, "--out", str(folder / "f.npz")]) == 0
-    found = written(folder / "f.npz")
+    found = made([command, str(folder / "cable.npz"), *motion, *stiff, "--out", str(folder / "f.npz")])
     untwisted = relax(shape, Material(4e7, 4e7), clamps).energy
     np.testing.assert_allclose(np.reshape(found["energy"], -1), untwisted[0], rtol=1e-6)
 
@@ -137,17 +133,15 @@ def test_a_motion_that_begins_elsewhere_is_pointed_out(folder, capsys):
 
 
 def test_frames_of_the_path_hold_rods_that_had_none(folder):
-    assert main([*words(folder, "bare.npz", "frames.npz"), "--relative"]) == 0
-    assert (written(folder / "f.npz")["end_rotation_deg"] == 0).all()  # spins are free
+    free = made([*words(folder, "bare.npz", "frames.npz"), "--relative"])
+    assert (free["end_rotation_deg"] == 0).all()  # spins are free
     with np.load(folder / "bare.npz") as file:
         np.savez(folder / "one.npz", vertices_mm=file["vertices_mm"][:1], rest_length_mm=file["rest_length_mm"])
-    assert main(words(folder, "one.npz", "frames.npz")) == 0
-    np.testing.assert_allclose(written(folder / "f.npz")["end_rotation_deg"], [[0], [60]], atol=1e-6)
+    np.testing.assert_allclose(made(words(folder, "one.npz", "frames.npz"))["end_rotation_deg"], [[0], [60]], atol=1e-6)
 
 
 def test_marks_carry_rods_by_their_end_edges(folder):
-    assert main(words(folder, "bare.npz", "marks.npz")) == 0
-    vertices = written(folder / "f.npz")["vertices_mm"]
+    vertices = made(words(folder, "bare.npz", "marks.npz"))["vertices_mm"]
     np.testing.assert_allclose(vertices[-1] - vertices[0], np.broadcast_to([3.0, 0, 1], (2, 21, 3)), atol=1e-3)
 
 
@@ -204,18 +198,15 @@ def test_rods_with_inertia(folder, capsys):
     """Are those of simulate: the same rods at the start, which are later elsewhere."""
     given = [str(folder / "seen.npz"), "--motion", str(folder / "marks.npz"), "--theta", str(theta_file(folder)), "--out",
              str(folder / "f.npz")]
-    assert main(["predict", *given]) == 0
+    still = made(["predict", *given])["vertices_mm"]
     assert "damping, drag and markers are ignored" in capsys.readouterr().err
-    still = written(folder / "f.npz")["vertices_mm"]
-    assert main(["simulate", *given, "--rate", "2000"]) == 0
+    found = made(["simulate", *given, "--rate", "2000"])
     printed = capsys.readouterr()
     assert "at 2000 frames/s" in printed.out and "damping, drag and markers are used" in printed.err
-    found = written(folder / "f.npz")
     assert found["positions_mm"].shape == (2, 5, *still.shape[2:]) and (found["status"] == 0).all()
     np.testing.assert_allclose(found["positions_mm"][:, 0], still[0], atol=1e-3)
     assert np.abs(found["positions_mm"].swapaxes(0, 1) - still).max() > 0.1
-    assert main(["simulate", *given, "--rate", "2000", "--bend-damping", "0.2", "--tolerance", "0.1"]) == 0
-    adapted = written(folder / "f.npz")
+    adapted = made(["simulate", *given, "--rate", "2000", "--bend-damping", "0.2", "--tolerance", "0.1"])
     assert np.abs(adapted["positions_mm"] - found["positions_mm"]).max() > 0.01
     assert adapted["substeps"].shape == (2,) and (adapted["step_error_mm"] <= 0.1).all()
 
@@ -226,8 +217,7 @@ def test_times_of_a_motion_are_kept_and_forces_are_in_newton(folder, capsys):
              end_position_mm=seen["vertices_mm"][0, -1] + np.array([[0, 0, 0], [-1.0, 0, 0], [-2.0, 0, 0]]))
     command = ["predict", str(folder / "seen.npz"), "--motion", str(folder / "slow.npz"), "--EI", "1e-4", "--GJ", "1e-4",
                "--linear-density", "10", "--out", str(folder / "f.npz")]
-    assert main(command) == 0
-    found, out = np.load(folder / "f.npz"), capsys.readouterr().out
+    found, out = made(command), capsys.readouterr().out
     newton = 0.01 * 9.80665 / 2 / 1000  # half the weight of a millimetre
     np.testing.assert_allclose(found["end_force_N"], newton * found["end_force"], rtol=1e-9)
     assert f"{np.linalg.norm(found['end_force_N'][-1], axis=-1).min():.3g}" in out and " N on the rod at the end" in out
@@ -247,13 +237,13 @@ def test_clamps_inside_an_obstacle_are_said(folder, capsys):
 def test_rest_curvature_of_a_theta(folder, capsys):
     """relax uses it at the joints of the observed rods; a theta of another length is refused."""
     command = ["relax", str(folder / "seen.npz"), "--theta", str(theta_file(folder)), "--out", str(folder / "r.npz")]
-    assert main(command) == 0
+    found = made(command)
     assert "rest curvature are used" in capsys.readouterr().err
     seen = load_observations(folder / "seen.npz")
     clamps = observation_clamps(seen)
     theta = load_theta(folder / "theta.json")
     expected = relax(start_configuration(seen, clamps), Material(6e5, 1e5, 1.0, theta.rest_curvature[None]), clamps)
-    np.testing.assert_allclose(written(folder / "r.npz")["vertices_mm"], expected.configuration.vertices, atol=1e-9)
+    np.testing.assert_allclose(found["vertices_mm"], expected.configuration.vertices, atol=1e-9)
     refused(capsys, folder, [*command[:3], str(theta_file(folder, 130.0)), *command[4:]], "rest_length_mm")
 
 

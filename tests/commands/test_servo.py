@@ -12,7 +12,7 @@ from doo_ti.manipulation.model import moved
 from doo_ti.rod.material import stiffness
 from doo_ti.system.terminal import has_recorder
 from doo_ti.vision.rig_files import save_rig
-from tests.commands.calls import refused, succeeded, written
+from tests.commands.calls import made, refused, succeeded, written
 from tests.vision.scenes import looking
 
 BEND, DENSITY = 6e5, 10.0
@@ -89,9 +89,10 @@ def test_the_target_is_reached_though_a_camera_is_covered_now_and_then(folder, c
     assert said["frames"]["lost"] == 0
     if has_recorder():
         assert (folder / "run" / "servo.rrd").stat().st_size > 100_000
-    assert main(["predict", str(folder / "start.npz"), "--motion", str(folder / "run" / "path.csv"), "--EI", repr(STIFFER * EI),
-                 "--GJ", repr(STIFFER * EI), "--linear-density", repr(DENSITY), "--out", str(folder / "moved.npz")]) == 0
-    apart = written(folder / "moved.npz")["vertices_mm"][-1] - written(folder / "target.npz")["vertices_mm"]
+    material = ["--EI", repr(STIFFER * EI), "--GJ", repr(STIFFER * EI), "--linear-density", repr(DENSITY)]
+    moved_rod = made(["predict", str(folder / "start.npz"), "--motion", str(folder / "run" / "path.csv"), *material, "--out",
+                      str(folder / "moved.npz")])
+    apart = moved_rod["vertices_mm"][-1] - written(folder / "target.npz")["vertices_mm"]
     assert np.sqrt(np.sum(apart**2, axis=-1).mean()) == pytest.approx(said["distance_mm"], abs=0.05)
 
 

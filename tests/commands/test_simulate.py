@@ -7,7 +7,7 @@ import pytest
 
 from doo_ti.commands import identify
 from doo_ti.commands.cli import main
-from tests.commands.calls import refused, succeeded
+from tests.commands.calls import made, refused, succeeded, written
 from tests.io.test_formats import motive, table
 
 SCENE = """
@@ -36,8 +36,7 @@ def recording(tmp_path_factory):
     folder = tmp_path_factory.mktemp("motion")
     scene = folder / "scene.toml"
     scene.write_text(SCENE.replace("duration_s = 0.2", "duration_s = 1.2").replace("edges = 6", "edges = 6\nat_rest = true"))
-    assert main(["simulate", str(scene), "--out", str(folder / "made.npz")]) == 0
-    positions = np.load(folder / "made.npz")["positions_mm"]
+    positions = made(["simulate", str(scene), "--out", str(folder / "made.npz")])["positions_mm"]
     noise = np.random.default_rng(5).normal(0, 0.05, (4, *positions.shape[1:]))
     noise[:, :, [0, 1, -2, -1]] = 0.0  # noise of grippers shakes the rod, and biases its damping
     np.savez(folder / "recorded.npz", positions_mm=positions + noise, rate_hz=50.0)
@@ -72,8 +71,8 @@ def test_still_frames_join_the_motion(recording, tmp_path, capsys):
     command = ["identify", str(recording / "recorded.npz"), "--modes", "0", "--fit", "bend_damping", "--bend", "5e5", "--out",
                str(tmp_path / "theta.json"), "--still", str(tmp_path / "still.npz")]
     assert "3 still frames, 0 left out" in succeeded(capsys, [*command, "--still-noise", "0.05"])
-    written = json.loads((tmp_path / "theta.json").read_text())
-    assert written["bend_mm3"] == pytest.approx(1e6, rel=0.02) and written["stills"]["mean_error_mm"] < 0.2
+    fitted = json.loads((tmp_path / "theta.json").read_text())
+    assert fitted["bend_mm3"] == pytest.approx(1e6, rel=0.02) and fitted["stills"]["mean_error_mm"] < 0.2
     np.savez(tmp_path / "still.npz", vertices_mm=2.0 * shape, rest_length_mm=np.full(6, 100.0))
     for more in ([], ["--still-noise", "-1"]):
         assert main([*command, *more]) == 2
@@ -82,9 +81,9 @@ def test_still_frames_join_the_motion(recording, tmp_path, capsys):
 
 
 def test_a_recording_is_predicted_from_its_grippers(recording, theta):
-    out = recording / "predicted.npz"
-    assert main(["simulate", str(recording / "recorded.npz"), "--theta", str(theta), "--out", str(out)]) == 0
-    recorded, found = np.load(recording / "recorded.npz")["positions_mm"], np.load(out)
+    marks = recording / "recorded.npz"
+    found = made(["simulate", str(marks), "--theta", str(theta), "--out", str(recording / "predicted.npz")])
+    recorded = written(marks)["positions_mm"]
     assert found["positions_mm"].shape == recorded.shape
     assert found["status"].shape == found["error_mm"].shape == recorded.shape[:2]
     assert not found["status"].any()
@@ -103,9 +102,8 @@ def test_captures_are_read_as_they_are(recording, theta, tmp_path, capsys):
     found = {}
     for name, more in (("one.npz", []), ("take.csv", ["--rate", "50", "--up", "0,0,1"]),
                        ("marks.csv", ["--rate", "50", "--unit", "cm", "--columns", "observation=frame,vertex=mark"])):
-        out = tmp_path / f"{name}.out.npz"
-        assert main(["simulate", str(tmp_path / name), "--theta", str(theta), "--out", str(out), *more]) == 0
-        found[name] = np.load(out)["positions_mm"]
+        out = str(tmp_path / f"{name}.out.npz")
+        found[name] = made(["simulate", str(tmp_path / name), "--theta", str(theta), "--out", out, *more])["positions_mm"]
         np.testing.assert_allclose(found[name], found["one.npz"], atol=1e-6)
     capsys.readouterr()
     assert main(["simulate", str(tmp_path / "marks.csv"), "--theta", str(theta), "--out", str(tmp_path / "f.npz")]) == 2
@@ -143,26 +141,22 @@ def test_poses_of_grippers_without_markers(recording, theta, tmp_path, capsys):
     poses, more = str(tmp_path / "poses.csv"), ["--theta", str(theta), "--out", str(tmp_path / "f.npz")]
     assert main(["simulate", poses, *more]) == 2 and "--motion" in capsys.readouterr().err
     command = ["simulate", str(tmp_path / "seen.npz"), "--motion", poses, *more]
-    assert main(command) == 0
-    found = np.load(tmp_path / "f.npz")
+    found = made(command)
     assert found["positions_mm"].shape == (1, 12, 7, 3) and (found["status"] == 0).all() and found["rate_hz"] == 50
     np.testing.assert_allclose(found["positions_mm"][0, :, -1], ends, atol=1e-6)
-    assert main(["simulate", poses, "--start", str(tmp_path / "seen.npz"), *more]) == 0, "as it was called before"
-    np.testing.assert_array_equal(found["positions_mm"], np.load(tmp_path / "f.npz")["positions_mm"])
+    as_before = made(["simulate", poses, "--start", str(tmp_path / "seen.npz"), *more])
+    np.testing.assert_array_equal(found["positions_mm"], as_before["positions_mm"])
     uneven = "\n".join(["time_s,end_x_mm,end_y_mm,end_z_mm", *rows[:3], *rows[4:]])
     (tmp_path / "poses.csv").write_text(uneven)
     capsys.readouterr()
     assert main(command) == 2 and "time_s" in capsys.readouterr().err
-    assert main([*command, "--rate", "50"]) == 0
-    np.testing.assert_allclose(np.load(tmp_path / "f.npz")["positions_mm"][0, :, -1], ends, atol=0.1)
+    np.testing.assert_allclose(made([*command, "--rate", "50"])["positions_mm"][0, :, -1], ends, atol=0.1)
 
 
 def test_one_recording_without_an_axis_for_it(recording, theta):
     positions = np.load(recording / "recorded.npz")["positions_mm"][0]
     np.savez(recording / "one.npz", positions_mm=positions, rate_hz=50.0)
-    out = recording / "one_out.npz"
-    assert main(["simulate", str(recording / "one.npz"), "--theta", str(theta), "--out", str(out)]) == 0
-    found = np.load(out)
+    found = made(["simulate", str(recording / "one.npz"), "--theta", str(theta), "--out", str(recording / "one_out.npz")])
     assert found["positions_mm"].shape == positions.shape
     assert found["error_mm"].shape == found["status"].shape == found["energy_sum"].shape == positions.shape[:1]
     assert found["substeps"] == 1
@@ -203,10 +197,9 @@ def test_a_theta_of_another_rod(recording, theta, tmp_path, capsys):
 def test_pictures_and_animations(recording, theta, tmp_path):
     scene = tmp_path / "scene.toml"
     scene.write_text(SCENE)
-    assert main(["simulate", str(scene), "--out", str(tmp_path / "f.npz"), "--picture", str(tmp_path / "f.png"), "--animation",
-                 str(tmp_path / "f.gif"), "--recording", str(tmp_path / "f.rrd")]) == 0
+    energy = made(["simulate", str(scene), "--out", str(tmp_path / "f.npz"), "--picture", str(tmp_path / "f.png"),
+                   "--animation", str(tmp_path / "f.gif"), "--recording", str(tmp_path / "f.rrd")])
     assert all((tmp_path / name).stat().st_size > 1000 for name in ("f.png", "f.gif", "f.rrd"))
-    energy = np.load(tmp_path / "f.npz")
     parts = [energy[f"energy_{name}"] for name in ("kinetic", "gravity", "bending", "twist")]
     np.testing.assert_allclose(energy["energy_sum"], sum(parts))
     assert (energy["energy_dissipated"][:, -1] > 0).all() and (energy["energy_work"][:, -1] != 0).all()

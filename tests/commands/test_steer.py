@@ -7,7 +7,7 @@ import pytest
 
 from doo_ti import Observations, save_observations
 from doo_ti.commands.cli import main
-from tests.commands.calls import refused, succeeded
+from tests.commands.calls import made, refused, succeeded
 from tools.studies.servo_tasks import BEND, tasks
 
 
@@ -38,12 +38,10 @@ def test_predict_follows_the_path_to_the_target(folder, own, capsys):
     said = json.loads(succeeded(capsys, [*words(folder, own), "--json"]))
     assert said["reached"] and said["distance_mm"] < 0.5
     material = words(folder, own)[4:8]
-    assert main(["predict", str(folder / "start.npz"), "--motion", str(folder / "path.csv"), *material, "--out",
-                 str(folder / "moved.npz"), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["falls"] == []
-    with np.load(folder / "moved.npz") as moved:
-        assert moved["followed"].all()
-        assert np.linalg.norm(moved["vertices_mm"][-1, 0] - own.goal[0], axis=-1).mean() < 0.5
+    moved = made(["predict", str(folder / "start.npz"), "--motion", str(folder / "path.csv"), *material, "--out",
+                  str(folder / "moved.npz"), "--json"])
+    assert json.loads(capsys.readouterr().out)["falls"] == [] and moved["followed"].all()
+    assert np.linalg.norm(moved["vertices_mm"][-1, 0] - own.goal[0], axis=-1).mean() < 0.5
 
 
 @pytest.mark.thorough

@@ -123,7 +123,7 @@ def test_wrong_places_scenes_and_rigs(capsys, tmp_path):
     (tmp_path / "full").mkdir()
     save_rig(tmp_path / "full" / "rig.yaml", small_rig())
     refused(capsys, tmp_path, [*argv[:3], str(tmp_path / "full"), "--rig", str(tmp_path / "full" / "rig.yaml")],
-            "--images", "is the rig itself")
+            "--images", "is the input itself")
     save_rig(tmp_path / "cameras.yaml", Rig(tuple(
         Camera(c.name, 100, 60, c.matrix, c.distortion, c.rotation, c.translation) for c in small_rig().cameras)))
     refused(capsys, tmp_path, argv, "cameras.left", "does not see all of silk_42mm_000deg")

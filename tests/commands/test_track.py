@@ -13,8 +13,9 @@ from doo_ti.commands.track import _off_thread
 from doo_ti.perception.tracking import How, TrackedFrame
 from doo_ti.vision.rig_files import save_rig
 from doo_ti.vision.tubes import smooth_curve
-from tests.commands.calls import refused, succeeded
+from tests.commands.calls import refused, succeeded, written
 from tests.perception.test_tracking import EDGES, FRAMES, LENGTH, far_motion, images, rods
+from tests.record.runs import read
 from tests.vision.scenes import three_cameras
 
 SEED = "seed_x,seed_y,seed_z,dir_x,dir_y,dir_z"
@@ -58,7 +59,7 @@ def test_a_video_is_tracked_and_recorded(filmed, tmp_path, capsys):
     printed = succeeded(capsys, of(filmed, out))
     assert "16 frames of 3 images" in printed and "2 frames by Algorithm 1: 000, 006" in printed and "lost: 004, 005" in printed
     assert sorted(path.name for path in out.parent.iterdir()) == ["f.npz", "f.rrd"]
-    found = dict(np.load(out, allow_pickle=False))
+    found = written(out)
     assert {name: value.shape for name, value in found.items()} == {
         "name": (FRAMES,), "time_s": (FRAMES,), "rest_length_mm": (EDGES,), "up": (3,), "vertices_mm": (FRAMES, EDGES + 1, 3),
         "energy_vis": (FRAMES,), "camera_error_px": (FRAMES, 3), "status": (FRAMES,), "stable": (FRAMES,), "how": (FRAMES,),
@@ -66,8 +67,6 @@ def test_a_video_is_tracked_and_recorded(filmed, tmp_path, capsys):
     assert "".join(map(str, found["how"])) == "1000221000000000"
     off = np.linalg.norm(found["vertices_mm"] - rods(), axis=-1).mean(axis=1)
     assert np.isnan(off[list(BLANK)]).all() and np.delete(off, BLANK).max() < 0.15
-    from tests.record.runs import read
-
     static, moving = read(out.with_suffix(".rrd"))
     assert moving["/world/rods"]["frame"]["frame"] == list(range(FRAMES))
     drawn = [len(strips[0]) for strips in moving["/images/cam1/rods"]["frame"]["LineStrips2D:strips"]]
@@ -82,7 +81,7 @@ def test_a_video_is_tracked_from_a_click(filmed, tmp_path, capsys):
     changed(filmed, frames, lambda lines: [",".join(line.split(",")[:1] + line.split(",")[2:4]) for line in lines[:3]])
     words = ["track", "--rig", str(filmed / "rig.yaml"), "--frames", str(frames), "--no-recording", "--out", str(out)]
     succeeded(capsys, [*words, "--seed-pixel", f"cam1:{u + 3:.0f},{v - 2:.0f}"])
-    found = dict(np.load(out, allow_pickle=False))
+    found = written(out)
     assert found["how"].tolist() == [1, 0] and abs(found["rest_length_mm"].sum() / (LENGTH * EDGES) - 1) < 0.03
     assert (found["sigma_mm"][:, 0] > 0.05).all(), "a click is no exact seed"
     for rod, truth in zip(found["vertices_mm"], rods(), strict=False):

@@ -7,7 +7,7 @@ import pytest
 
 from doo_ti import Material, save_observations
 from doo_ti.commands.cli import main
-from tests.commands.calls import refused, succeeded, written
+from tests.commands.calls import made, refused, succeeded, written
 from tests.references.rods import at_rest, bows, observed
 
 MATERIAL = ["--bend", "6e5", "--twist", "4e5"]
@@ -50,9 +50,7 @@ def test_what_perception_wrote(files, capsys):
 
 def test_several_share_an_angle(files):
     folder, twist = files
-    out = folder / "phi.npz"
-    assert main(["twist", str(folder / "seen.npz"), *MATERIAL, "--observations", "2", "--out", str(out)]) == 0
-    found = written(out)
+    found = made(["twist", str(folder / "seen.npz"), *MATERIAL, "--observations", "2", "--out", str(folder / "phi.npz")])
     np.testing.assert_allclose(found["phi_deg"], 0, atol=1.0)  # end frames and twist are the true ones
     np.testing.assert_allclose(found["total_twist_deg"], np.degrees(twist), atol=1.0)
     assert found["group"].tolist() == [0, 0, 1, 1]
@@ -61,10 +59,8 @@ def test_several_share_an_angle(files):
 def test_offsets_and_grasps(files):
     folder, twist = files
     words = ["twist", str(folder / "bare.npz"), *MATERIAL, "--out", str(folder / "phi.npz")]
-    assert main([*words, "--offsets", str(folder / "offsets.csv")]) == 0
-    np.testing.assert_allclose(written(folder / "phi.npz")["phi_deg"], [-45.0], atol=2.0)
-    assert main([*words, "--offsets", str(folder / "frames.npz"), "--regrasp", "1", "3"]) == 0
-    found = written(folder / "phi.npz")
+    np.testing.assert_allclose(made([*words, "--offsets", str(folder / "offsets.csv")])["phi_deg"], [-45.0], atol=2.0)
+    found = made([*words, "--offsets", str(folder / "frames.npz"), "--regrasp", "1", "3"])
     assert found["group"].tolist() == [0, 1, 1, 2]
     np.testing.assert_allclose(found["phi_deg"], 0, atol=2.0)
     np.testing.assert_allclose(found["total_twist_deg"], np.degrees(twist), atol=2.0)

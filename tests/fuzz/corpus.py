@@ -18,7 +18,15 @@ perceived.npz                              what perceive wrote
 import os
 from pathlib import Path
 
+import cv2
 import numpy as np
+
+from doo_ti.commands.cli import main
+from doo_ti.vision.board import parse_board
+from doo_ti.vision.rig_files import save_rig
+from tests.commands.test_simulate import SCENE
+from tests.vision.boards import look
+from tests.vision.scenes import three_cameras
 
 SEED = 2011
 BOARD = "chessboard:4x3:8"
@@ -86,26 +94,6 @@ point = [0, 0, -60]
 normal = [0, 0, 1]
 friction = 0.2
 """
-SWING = """rate_hz = 50
-duration_s = 0.1
-[rod]
-length_mm = 300.0
-edges = 6
-at_rest = true
-[materials.rope]
-bend = 1e6
-bend_damping_s = 0.02
-drag_per_s = 0.1
-[clamps]
-end = "frame"
-[[moments]]
-time_s = 0.0
-end_position_mm = [250, 0, 0]
-[[moments]]
-time_s = 0.1
-end_position_mm = [250, 20, 10]
-"""
-
 
 def make(folder: Path, quick: bool = False) -> None:
     """Fill ``folder``, the working directory meanwhile; ``quick``: only with scenes, observations and motions. Raises
@@ -129,8 +117,6 @@ def make(folder: Path, quick: bool = False) -> None:
 
 
 def _command(*words: str) -> None:
-    from doo_ti.commands.cli import main
-
     if main(words) != 0:
         raise RuntimeError(f"the corpus: doo-ti {' '.join(words)} failed")
 
@@ -176,15 +162,13 @@ def _middle() -> np.ndarray:
 
 def _rig():
     """Three small cameras that look at the rods from about 70 mm."""
-    from tests.vision.scenes import three_cameras
-
     return three_cameras(70.0, 0.25, _middle())
 
 
 def _moving() -> None:
     Path("tied.toml").write_text(TIED)
     _command("group", "tied.toml", "--out", "tied.npz")  # also for its kernel, which takes long to compile
-    Path("swing.toml").write_text(SWING)
+    Path("swing.toml").write_text(SCENE.replace("edges = 6", "edges = 6\nat_rest = true"))
     _command("simulate", "swing.toml", "--out", "swung.npz")
     positions = np.load("swung.npz")["positions_mm"]
     noise = np.random.default_rng(SEED).normal(0, 0.02, (2, *positions.shape[1:]))
@@ -194,8 +178,6 @@ def _moving() -> None:
 
 
 def _images() -> None:
-    from doo_ti.vision.rig_files import save_rig
-
     save_rig(Path("rig.yaml"), _rig())
     _command("synth", "scene.toml", "--images", "images", "--rig", "rig.yaml", "--diameter", "0.6")
     header, *lines = (Path("images") / "sets.csv").read_text().splitlines()
@@ -223,11 +205,6 @@ def _marks() -> None:
 
 def _boards() -> None:
     """Four views of a chessboard by two of the cameras."""
-    import cv2
-
-    from doo_ti.vision.board import parse_board
-    from tests.vision.boards import look
-
     board, chance, lines = parse_board(BOARD), np.random.default_rng(SEED), ["view,cam0,cam1"]
     Path("boards").mkdir(exist_ok=True)
     for view in range(4):

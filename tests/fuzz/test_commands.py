@@ -6,7 +6,6 @@ import os
 import re
 import shutil
 import zipfile
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -29,23 +28,11 @@ COMPANIONS = {"dynamic.toml": ("pairs.csv",), "file.toml": ("rods.npz",), "image
 """What a file of the corpus names itself."""
 
 
-@dataclass(frozen=True)
-class Recipe:
-    """A valid command line.
-
-    held  folder of the corpus that lies at the last word of ``--out`` before the command begins
-    """
-
-    words: tuple[str, ...]
-    held: str | None = None
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Files and folders of the corpus that the command reads."""
-        found = [word.partition(":")[0] for option, word in zip(self.words, self.words[1:]) if option not in PATHS]
-        found = [name for name in found if re.fullmatch(r"\w*run|[\w/]+\.[a-z]+", name) and not name.startswith("out/")]
-        more = [name for each in found for name in COMPANIONS.get(each, ())]
-        return tuple(dict.fromkeys([*found, *more, *([self.held] if self.held else [])]))
+def read_by(words: tuple[str, ...]) -> tuple[str, ...]:
+    """Files and folders of the corpus that a command reads."""
+    found = [word.partition(":")[0] for word in words[1:] if not word.startswith("out/")]
+    found = [name for name in found if re.fullmatch(r"\w*run|[\w/]+\.[a-z]+", name)]
+    return tuple(dict.fromkeys([*found, *(name for each in found for name in COMPANIONS.get(each, ()))]))
 
 
 _RODS = "rods.npz", "rods.csv", "rods.parquet", "ribbons.npz", "labs.npz"
@@ -55,6 +42,8 @@ _LINES = (
     "sweep scene.toml --out out/run",
     "sweep file.toml --out out/run",
     "sweep dynamic.toml --out out/run",
+    "sweep scene.toml --out run",  # finished before
+    "sweep dynamic.toml --out dynamic_run",
     "sweep rods.npz --bend 2e5:8e5:2 --out out/run --json",
     "sweep labs.npz --bend 4e5 --clamp-end position --roll-hypotheses 2 --out out/run",
     "sweep rods.npz --bend 4e5 --objective dynamic --pairs pairs.csv --out out/run",
@@ -108,8 +97,7 @@ _LINES = (
     SINGLE,
     f"track {SEEN} --frames frames.csv {MADE_OF} --out out/F.npz --no-recording",
     f"track {SEEN} --frames frames.csv {MADE_OF} --out out/F.npz".replace("3:8", "lengths.txt"))
-RECIPES = (*(Recipe(tuple(line.split())) for line in _LINES), Recipe(tuple("sweep scene.toml --out out/run".split()), "run"),
-           Recipe(tuple("sweep dynamic.toml --out out/run".split()), "dynamic_run"))
+RECIPES = [tuple(line.split()) for line in _LINES]
 
 
 NUMBERS = ("nan", "inf", "-inf", "1e400", "-1", "0", "1e300", "1e-300", "5e-324", "2147483648", "9" * 400, "", "None", "true")
@@ -240,16 +228,15 @@ def judged(code: int, out: str, err: str) -> None:
 
 def one_case(data, names: set[str] | None, source: Path, folder: Path, capfd) -> None:
     """A command of those ``names`` with one thing wrong about its files or its words, run in ``folder``."""
-    usable = [recipe for recipe in RECIPES if (names is None or recipe.words[0] in names)
-              and all((source / name).exists() for name in recipe.names)]
-    recipe = data.draw(st.sampled_from(usable))
-    for name in recipe.names:
-        place = folder / ("out/run" if name == recipe.held else name)
-        place.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copytree(source / name, place, dirs_exist_ok=True) if (source / name).is_dir() else shutil.copyfile(
-            source / name, place)
+    words = data.draw(st.sampled_from([words for words in RECIPES if (names is None or words[0] in names)
+                                       and all((source / name).exists() for name in read_by(words))]))
+    for name in read_by(words):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        if (source / name).is_dir():
+            shutil.copytree(source / name, folder / name, dirs_exist_ok=True)
+        else:
+            shutil.copyfile(source / name, folder / name)
     targets = sorted(path for path in folder.rglob("*") if path.is_file())
-    words = recipe.words
     if targets and data.draw(st.booleans()):
         target = data.draw(st.sampled_from(targets))
         target.write_bytes(data.draw(changed(target.read_bytes(), target.suffix)))

@@ -11,7 +11,7 @@ import pytest
 from doo_ti import Observations, relax_group, save_observations
 from doo_ti.commands.results import save_arrays, save_json
 from doo_ti.record.motions import record_motion
-from doo_ti.report.contact import save_group
+from doo_ti.report.contact import GroupMotion, save_group
 from doo_ti.report.motions import MovingRods, motions_picture, save_animation, save_rollout
 from doo_ti.system.files import whole_file, write_whole
 from tests.first_use import group
@@ -74,7 +74,7 @@ def test_what_a_killed_process_left_goes_and_what_another_fills_stays(tmp_path):
 WRITERS = {
     "picture.png": lambda path: save_rollout(path, "rods", NAMES, RODS, None, 10.0, UP),
     "motions.png": lambda path: motions_picture(path, MOVING, title="rods"),
-    "group.png": lambda path: save_group(path, [relax_group(group())] * 2, name="group", names=NAMES[:1], rate=5.0),
+    "group.png": lambda path: save_group(path, GroupMotion.of([relax_group(group())] * 2, "group", NAMES[:1], rate=5.0)),
     "animation.gif": lambda path: save_animation(path, "rods", NAMES, RODS, None, 10.0, UP),
     "animation.webp": lambda path: save_animation(path, "rods", NAMES, RODS, None, 10.0, UP),
     "recording.rrd": lambda path: record_motion(path, run_id="a", name="rods", rods=MOVING, curves={}, text="rods"),

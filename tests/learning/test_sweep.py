@@ -14,7 +14,7 @@ from doo_ti.learning.experiment import Experiment, relax_cells
 from doo_ti.learning.landscape import read_landscape
 from doo_ti.learning.run_folder import read_experiment
 from doo_ti.learning.terms import Pairs, pairs_from_labels
-from doo_ti.motion.path import carried_clamps, carry
+from doo_ti.motion.path import Motion, carry
 from doo_ti.rod.start import observation_clamps, start_configuration
 from tests.conftest import check_refused
 from tests.learning.lab import DYNAMIC, GRID, small_lab
@@ -147,7 +147,7 @@ def test_rows_are_what_eq_3_says(tmp_path):
         clamps = observation_clamps(observations)
         at_rest = relax(start_configuration(observations, clamps), material, clamps).configuration.take(pairs.from_index)
         held = clamps.take(pairs.from_index)
-        path = carried_clamps(held, held.end_position, pairs.rotation[:, None] * held.end_frame[..., 0], 48)
+        path = Motion(held, end_turn=pairs.rotation[:, None] * held.end_frame[..., 0]).states(48)
         solution, _ = carry(at_rest, material, path)
         expected = distance(solution.configuration, observations, pairs.to_index)
         off = distance(at_rest, observations, pairs.from_index)

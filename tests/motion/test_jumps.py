@@ -7,6 +7,8 @@ w'''' + τ² w'' = 0 with w(0) = w(1) = w'(1) = 0, w'(0) = μ and ∫ w'² = 2, 
 at μ = 1.7818 (Gomez, Moulton, Vella, Nature Physics 13, 2017).
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -25,8 +27,9 @@ SHIFTS = np.array([[0, 0, -55.0], [0, 0, 55], [0, 50, 0], [-40, 0, 0], [10, 40, 
 SNAPS = {(0.0, 4), (0.3, 0), (0.3, 1)}
 
 
-def bowed_strips() -> tuple[list, Configuration, Clamps]:
-    """A strip bowed upwards between clamps that rise by three angles, each to be shifted in seven ways."""
+def shifted_strips(degrees: float = 10.0, **more) -> tuple[list, Configuration, Journey]:
+    """A strip bowed upwards between clamps that rise by three angles, each far clamp to be shifted in seven ways: cases, the
+    strips at rest, and their journey."""
     cases = [(rise, way) for rise in (0.0, 0.3, 0.6) for way in range(len(SHIFTS))]
     angle = np.linspace(1, -1, 33) * np.array([rise for rise, _ in cases])[:, None]
     zero = np.zeros_like(angle)
@@ -35,20 +38,25 @@ def bowed_strips() -> tuple[list, Configuration, Clamps]:
     frames = np.stack([t, m1, np.cross(t, m1)], axis=-1)
     origin, far = np.zeros((len(cases), 3)), np.tile([65.0, 0.0, 0.0], (len(cases), 1))
     start = Configuration(origin, quaternion_from_matrix(frames), np.full(33, 3.0))
-    return cases, start, Clamps(Clamp.FRAME, Clamp.FRAME, origin, far, frames[:, 0], frames[:, -1])
+    clamps = Clamps(Clamp.FRAME, Clamp.FRAME, origin, far, frames[:, 0], frames[:, -1])
+    at_rest = relax(start, STRIP, clamps, Newton.careful(), up=UP)
+    assert (at_rest.converged & at_rest.stable).all()
+    motion = Motion(clamps, end_shift=SHIFTS[[way for _, way in cases]])
+    return cases, at_rest.configuration, Journey(motion, STRIP, np.radians(degrees), start.rest_length, UP, **more)
+
+
+def alone(way: Journey, rows: np.ndarray) -> Journey:
+    """The journey of some of the strips."""
+    return replace(way, motion=way.motion.take(rows))
 
 
 @pytest.mark.thorough
 def test_jumps_are_where_energy_is_lost():
     """Where the far clamp is only shifted, its force does all the work. In 400 sub-steps the energy changes by that work, to
     0.01, except where the strip snaps through: there it loses hundreds at once. The journey has 16 sub-steps."""
-    cases, start, clamps = bowed_strips()
-    motion = Motion(clamps, end_shift=SHIFTS[[way for _, way in cases]])
-    at_rest = relax(start, STRIP, clamps, Newton.careful(), up=UP)
-    assert (at_rest.converged & at_rest.stable).all()
-    way = Journey(motion, STRIP, np.radians(10), start.rest_length, UP)
-    end, jumps = way.end(at_rest.configuration)
-    fine, before, lost = 400, at_rest, []
+    cases, at_rest, way = shifted_strips()
+    motion, (end, jumps) = way.motion, way.end(at_rest)
+    fine, before, lost = 400, relax(at_rest, STRIP, way.motion.clamps, Newton.careful(), up=UP), []
     for k in range(1, fine + 1):
         after = relax(before.configuration, STRIP, motion.at(k / fine), Newton.careful(), up=UP)
         work = np.sum(0.5 * (before.end_force + after.end_force) * motion.end_shift / fine, axis=-1)
@@ -101,35 +109,29 @@ def test_halving_the_sub_steps_changes_nothing_at_the_true_material(laboratory, 
 
 def test_an_infeasible_motion_affects_no_other():
     """Clamps pulled further apart than the strip is long: infeasible, though they may come within reach again."""
-    cases, start, clamps = bowed_strips()
-    shifts = SHIFTS[[way for _, way in cases]].copy()
-    shifts[2], shifts[9] = [60.0, 0.0, 0.0], [-200.0, 0.0, 0.0]
-    at_rest = relax(start, STRIP, clamps, Newton.careful(), up=UP).configuration
-    end, jumps = Journey(Motion(clamps, end_shift=shifts), STRIP, np.radians(10), start.rest_length, UP).end(at_rest)
+    cases, at_rest, way = shifted_strips()
+    way.motion.end_shift[2], way.motion.end_shift[9] = [60.0, 0.0, 0.0], [-200.0, 0.0, 0.0]
+    end, jumps = way.end(at_rest)
     assert np.flatnonzero(end.status == Status.INFEASIBLE).tolist() == [2, 9]
     assert np.isnan(end.configuration.quaternions[[2, 9]]).any(axis=(1, 2)).all()
     others = np.setdiff1d(np.arange(len(cases)), [2, 9])
-    alone = Journey(Motion(clamps.take(others), end_shift=shifts[others]), STRIP, np.radians(10), start.rest_length, UP)
-    shorter, fewer = alone.end(at_rest.take(others))
-    assert end.converged[others].all() and alone.sub_steps.max() <= 32
+    shorter, fewer = alone(way, others).end(at_rest.take(others))
+    assert end.converged[others].all() and alone(way, others).sub_steps.max() <= 32
     assert vertex_distance(end.configuration.take(others), shorter.configuration).max() < 1e-4
     np.testing.assert_array_equal(jumps[others], fewer)
 
 
 def test_a_way_is_the_same_in_any_company():
     """How many sub-steps a rod takes is its own matter: short ways are not cut finer beside long ones."""
-    cases, start, clamps = bowed_strips()
-    shifts = SHIFTS[[way for _, way in cases]] * np.linspace(0.1, 1.0, len(cases))[:, None]
-    at_rest = relax(start, STRIP, clamps, Newton.careful(), up=UP).configuration
-    together = Journey(Motion(clamps, end_shift=shifts), STRIP, np.radians(10), start.rest_length, UP)
+    cases, at_rest, together = shifted_strips()
+    together.motion.end_shift[:] *= np.linspace(0.1, 1.0, len(cases))[:, None]
     assert len(np.unique(together.sub_steps)) > 2
     end, jumps = together.end(at_rest)
     *_, shown = together.follow(at_rest)
     np.testing.assert_array_equal(shown.energy, end.energy)
     for rod in (0, 7, len(cases) - 1):
         row = np.array([rod])
-        alone = Journey(Motion(clamps.take(row), end_shift=shifts[row]), STRIP, np.radians(10), start.rest_length, UP)
-        own, counted = alone.end(at_rest.take(row))
+        own, counted = alone(together, row).end(at_rest.take(row))
         np.testing.assert_array_equal(own.configuration.quaternions, end.configuration.quaternions[row])
         np.testing.assert_array_equal(counted, jumps[row])
 
@@ -139,13 +141,10 @@ def test_a_way_is_the_same_in_any_company():
 @pytest.mark.parametrize("degrees", [10, 60])
 def test_results_of_a_rod_are_those_of_its_end(precision, degrees):
     """Also for rods whose last sub-step was repeated in parts: relaxed again, they keep their shape and numbers."""
-    cases, start, clamps = bowed_strips()
-    motion = Motion(clamps, end_shift=SHIFTS[[way for _, way in cases]])
-    at_rest = relax(start, STRIP, clamps, Newton.careful(), up=UP).configuration
-    journey = Journey(motion, STRIP, np.radians(degrees), start.rest_length, UP, precision=precision)
-    *_, shown = journey.follow(at_rest)
-    for solution in (journey.end(at_rest)[0], shown):
-        again = relax(solution.configuration, STRIP, motion.at(1.0), Newton.careful(), up=UP)
+    _, at_rest, way = shifted_strips(degrees, precision=precision)
+    *_, shown = way.follow(at_rest)
+    for solution in (way.end(at_rest)[0], shown):
+        again = relax(solution.configuration, STRIP, way.motion.at(1.0), Newton.careful(), up=UP)
         loose = 1e-3 if precision == "f32" else 1e-6
         np.testing.assert_allclose(solution.energy, again.energy, rtol=loose)
         np.testing.assert_allclose(solution.end_force, again.end_force, rtol=loose, atol=loose * np.abs(again.end_force).max())
@@ -166,10 +165,8 @@ def test_a_rod_of_two_edges_goes_its_way():
 
 
 def test_a_journey_without_rods():
-    _, start, clamps = bowed_strips()
-    none = np.arange(0)
-    journey = Journey(Motion(clamps.take(none), end_shift=np.zeros((0, 3))), STRIP, np.radians(10), start.rest_length)
-    end, jumps = journey.end(start.take(none))
+    _, at_rest, way = shifted_strips()
+    end, jumps = alone(way, np.arange(0)).end(at_rest.take(np.arange(0)))
     assert len(end.status) == len(jumps) == 0
 
 

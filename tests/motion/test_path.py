@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Clamp, Clamps, InputError, Material, relax
-from doo_ti.motion.path import LARGEST_TURN, carried_clamps, carry, motion_between
+from doo_ti.motion.path import LARGEST_TURN, Motion, carry, motion_between
 from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about
 from tests.references.rods import at_rest, bows, clamps_at
 from tests.relaxation.rods import vertex_distance
@@ -118,11 +118,10 @@ def turned(clamps, degrees: float):
 @pytest.mark.parametrize("kind", MATERIALS)
 def test_halving_the_steps_changes_nothing(kind):
     rods, clamps = relaxed_bows(MATERIALS[kind])
-    goal = clamps.end_position + [-6.0, 3.0, 2.0]
-    ends = []
+    motion = Motion(clamps, end_shift=np.tile([-6.0, 3.0, 2.0], (3, 1)), end_turn=turned(clamps, 120.0))
+    goal, ends = motion.at(1.0).end_position, []
     for steps in (24, 48):
-        path = carried_clamps(clamps, goal, turned(clamps, 120.0), steps)
-        solution, last = carry(rods, MATERIALS[kind], path)
+        solution, last = carry(rods, MATERIALS[kind], motion.states(steps))
         assert (solution.converged & solution.stable).all()
         np.testing.assert_allclose(solution.configuration.vertices[:, -1], goal, atol=1e-9)
         ends.append(solution)
@@ -134,8 +133,7 @@ def test_whole_turns_stay_in_the_rod():
     """A clamp that makes a whole turn ends with the frame it had, and with its turn in the rod."""
     material = Material(6e5, 1e5, 1.0)
     rods, clamps = relaxed_bows(material)
-    path = carried_clamps(clamps, clamps.end_position, turned(clamps, 360.0), 72)
-    solution, last = carry(rods, material, path)
+    solution, last = carry(rods, material, Motion(clamps, end_turn=turned(clamps, 360.0)).states(72))
     np.testing.assert_allclose(last.end_frame, clamps.end_frame, atol=1e-9)
     assert (solution.converged & solution.stable).all()
     assert (solution.energy > relax(rods, material, clamps).energy * 1.05).all()
@@ -146,7 +144,7 @@ def test_whole_turns_stay_in_the_rod():
 def test_clamps_on_the_way():
     """Positions on a line, frames about one axis in equal shares; the near clamp stays."""
     clamps = clamps_at(bows(0.6, 0.9, 1.2))
-    path = list(carried_clamps(clamps, clamps.end_position + [3.0, 6.0, 9.0], turned(clamps, 90.0), 3))
+    path = list(Motion(clamps, end_shift=np.tile([3.0, 6.0, 9.0], (3, 1)), end_turn=turned(clamps, 90.0)).states(3))
     assert len(path) == 3
     for k, step in enumerate(path, 1):
         np.testing.assert_allclose(step.end_position, clamps.end_position + np.array([1.0, 2.0, 3.0]) * k, atol=1e-12)

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from doo_ti import ClampPath, Dynamics, Grippers, InputError, PointLoads, Stepping, hanging, relax, simulate
-from doo_ti.motion.path import carried_clamps, carry
+from doo_ti.motion.path import Motion, carry
 from doo_ti.motion.predict import predict, predict_moving, predict_step, rate_of
 from doo_ti.rod.types import Clamp, Clamps, Material, Status
 from tests.conftest import check_refused
@@ -39,7 +39,8 @@ def test_it_is_where_small_steps_lead():
     rods, clamps = bows(MATERIAL)
     shift = np.array([-6.0, 3.0, 2.0])
     turn = np.radians(120.0) * clamps.end_frame[..., 0]
-    there, _ = carry(rods, MATERIAL, carried_clamps(clamps, clamps.end_position + shift, turn, 50))
+    motion = Motion(clamps, end_shift=np.tile(shift, (2, 1)), end_turn=turn)
+    there, _ = carry(rods, MATERIAL, motion.states(50))
     path = line(clamps, np.zeros(3), shift, rotation=[0.0, np.radians(120.0)])
     prediction = predict(rods, MATERIAL, clamps, path, between=3)
     assert prediction.vertices.shape == (4, 2, EDGES + 1, 3) and prediction.followed.all()

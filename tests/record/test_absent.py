@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.commands.test_synth import SCENE
+
 ROOT = Path(__file__).resolve().parents[2]
 WITHOUT = """
 import importlib.metadata as metadata, sys
@@ -20,8 +22,6 @@ sys.path.insert(0, sys.argv.pop(1))
 from doo_ti.commands.cli import main
 sys.exit(main(sys.argv[1:]))
 """
-SCENE = ('name = "silk"\n[synthesis]\nseed = 4\nbend = 1.5e5\ntwist = 5e4\nend_distances_mm = [42, 66]\n'
-         'end_rotations_deg = [0, -30]\n[grid]\nbend = "1e5:2e5:2"\n')
 
 
 def without_rerun(folder: Path, *words: str) -> subprocess.CompletedProcess:
@@ -30,7 +30,7 @@ def without_rerun(folder: Path, *words: str) -> subprocess.CompletedProcess:
 
 @pytest.mark.thorough
 def test_a_sweep_leaves_its_recording_out_and_says_so(tmp_path):
-    (tmp_path / "silk.toml").write_text(SCENE, encoding="utf-8")
+    (tmp_path / "silk.toml").write_text(SCENE)
     done = without_rerun(tmp_path, "sweep", "silk.toml", "--out", "run")
     assert done.returncode == 0, done.stderr
     said = [line for line in done.stderr.splitlines() if "rerun" in line]

@@ -4,11 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from doo_ti import Group, GroupSolution, Material, Plane, Status, Surroundings, Tie, end_clamps, straight_rod
 from doo_ti.record.motions import record_group, record_motion, record_ribbons
 from doo_ti.record.viewer import FAILED
 from doo_ti.report.canvas import distinct_colors
+from doo_ti.report.contact import GroupMotion
 from doo_ti.report.figures import Ribbons, ribbon_sides, ribbons_picture
 from doo_ti.report.motions import MovingRods
 from tests.record.runs import read
@@ -58,10 +60,10 @@ def test_rods_ties_and_forces_are_shown(tmp_path, rng):
                          np.zeros((1, 1, 3)), none, none, forces, tuple(np.zeros((1, len(each[0]))) for each in forces),
                          np.zeros(1), np.zeros(1))
     moments = [good, replace(good, status=np.array([Status.STALLED]))]
-    record_group(tmp_path / "bare.rrd", moments, name="without thickness")
-    assert set(read(tmp_path / "bare.rrd")[1]) >= {"/world/rods/0", "/world/rods/1", "/world/ties"}
-    record_group(tmp_path / "g.rrd", moments, name="made up", names=["trunk", "a branch"], rate=2.0,
-                 surroundings=Surroundings([Plane((0, 0, -5), (0, 0, 1))], 1.5))
+    table, names = Surroundings([Plane((0, 0, -5), (0, 0, 1))], 1.5), ["trunk", "a branch"]
+    record_group(tmp_path / "bare.rrd", GroupMotion.of(moments, "without thickness", names))
+    assert "/world/ties" in read(tmp_path / "bare.rrd")[1]
+    record_group(tmp_path / "g.rrd", GroupMotion.of(moments, "made up", names, table, rate=2.0))
     static, moving = read(tmp_path / "g.rrd")
     places = ["/world/rods/0_trunk", "/world/rods/1_a_branch"]
     assert "/world/obstacles/0/0" in static and set(moving) == {*places, "/world/ties", "/world/forces"}
@@ -101,8 +103,6 @@ def test_bands_have_the_given_width_and_lie_along_m1():
 
 @pytest.mark.thorough
 def test_picture_shows_each_kind_in_its_colour(tmp_path):
-    from PIL import Image
-
     ribbons_picture(tmp_path / "ribbons.png", kinds(2), 1, basis=np.eye(3), title="made up")
     picture = np.asarray(Image.open(tmp_path / "ribbons.png").convert("RGB")).astype(int)
     red = (picture[..., 0] > 1.8 * picture[..., 1]) & (picture[..., 0] > 90)

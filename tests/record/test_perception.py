@@ -1,11 +1,14 @@
 """Rods in images: the picture and the recording contain the detection, the hypotheses, the pruned ones and the result."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from PIL import Image
 
 from doo_ti.perception.growth import GrowthStep, GrowthSteps
 from doo_ti.perception.search import Hypotheses
+from doo_ti.record.images import record_perception
 from doo_ti.report.figures import SeenRod, reprojections_picture
 from doo_ti.vision.tubes import smooth_curve
 from tests.record.runs import read
@@ -31,8 +34,6 @@ def steps(rod: np.ndarray) -> list[GrowthStep]:
 
 
 def test_recording_shows_growth_and_pruning(tmp_path, seen):
-    from doo_ti.record.images import record_perception
-
     rig, growth = three_cameras(), steps(seen.truth)
     record_perception(tmp_path / "r.rrd", run_id="r", name="made up", rig=rig, rods=[seen], growth=[growth])
     assert [entry.name for entry in tmp_path.iterdir()] == ["r.rrd"]
@@ -62,8 +63,6 @@ def test_recording_shows_growth_and_pruning(tmp_path, seen):
 
 @pytest.mark.thorough
 def test_picture_has_a_row_for_each_set(tmp_path, seen):
-    from dataclasses import replace
-
     alone = replace(seen, runner_up=None, truth=None)
     for name, rods in (("both", [seen, seen]), ("alone", [alone])):
         reprojections_picture(tmp_path / f"{name}.png", three_cameras(), rods, up=(0, 0, 1), left_out=2)

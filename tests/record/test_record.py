@@ -13,7 +13,9 @@ import rerun.blueprint as blueprint
 from rerun.chunk import RrdReader
 
 from doo_ti import InterruptedRunError, LandscapePlane, Observed, Status
-from doo_ti.record.viewer import DESCRIPTORS, recording
+from doo_ti.record import viewer
+from doo_ti.record.sweep import record_sweep
+from doo_ti.record.viewer import DESCRIPTORS, FAILED, open_viewer, recording
 from tests.conftest import SEED, check_refused
 from tests.record import runs
 from tests.record.runs import read
@@ -25,8 +27,6 @@ LANDSCAPE = {"/landscape/picture", "/landscape/surface", "/landscape/surface/axe
 
 
 def written(tmp_path, run) -> tuple[dict, dict]:
-    from doo_ti.record.sweep import record_sweep
-
     record_sweep(tmp_path / "run.rrd", **run)
     assert [entry.name for entry in tmp_path.iterdir()] == ["run.rrd"]
     return read(tmp_path / "run.rrd")
@@ -41,8 +41,6 @@ def swept(tmp_path_factory):
 
 @pytest.mark.thorough
 def test_sweep_holds_the_documented_entities(swept):
-    from rerun.chunk import RrdReader
-
     _, path, static, moving = swept
     properties = {"/__properties", "/__properties/run"}
     assert set(static) | set(moving) == ROOT | LANDSCAPE | properties
@@ -81,8 +79,6 @@ def test_rods_are_instances_of_one_entity_and_lie_on_their_observations(swept):
 
 @pytest.mark.thorough
 def test_a_rod_that_is_nan_is_not_drawn_and_keeps_its_place(tmp_path, rng):
-    from doo_ti.record.viewer import FAILED
-
     run = runs.sweep(rng)
     rods = run["trajectory"]
     rods.vertices[4:, 2, 5] = np.nan
@@ -180,14 +176,10 @@ def test_same_run_same_recording(tmp_path, swept):
 
 @pytest.mark.parametrize("path", ["", "missing"])
 def test_viewing_a_folder_without_recording_is_an_input_error(tmp_path, path):
-    from doo_ti.record.viewer import open_viewer
-
     check_refused("run.rrd: there is no recording", open_viewer, tmp_path / path)
 
 
 def test_viewer_listens_on_this_machine_only_and_reports_nothing(tmp_path, monkeypatch):
-    from doo_ti.record import viewer
-
     calls = []
 
     class Viewer:
@@ -215,9 +207,6 @@ def test_viewer_listens_on_this_machine_only_and_reports_nothing(tmp_path, monke
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have one display, which is there")
 def test_a_viewer_without_a_window_is_an_error(tmp_path, rng, monkeypatch, capfd):
     """A display is named, but does not answer."""
-    from doo_ti.record.sweep import record_sweep
-    from doo_ti.record.viewer import open_viewer
-
     record_sweep(tmp_path / "run.rrd", **runs.sweep(rng))
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.setenv("DISPLAY", ":4242")

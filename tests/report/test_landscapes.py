@@ -8,7 +8,7 @@ import pytest
 
 from doo_ti.report import landscapes
 from doo_ti.report.canvas import landscape_colors
-from doo_ti.report.landscapes import LandscapePanel
+from doo_ti.report.landscapes import LandscapePanel, draw_panels
 from doo_ti.report.plane import MOST_DRAWN, LandscapePlane, cell_edges, regime
 from tests.record import runs
 from tests.record.runs import read
@@ -101,8 +101,6 @@ def test_regimes_and_region_are_drawn():
 
 @pytest.mark.thorough
 def test_every_panel_and_key_is_inside_the_picture(rng):
-    from doo_ti.report.landscapes import draw_panels
-
     axes, values = ribbon(twist=(5e5,))
     counts = np.zeros(values.shape, int)
     counts[1, 1], values[2, 2] = 4, np.nan

@@ -5,11 +5,12 @@ import io
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from doo_ti import Observations, Observed
 from doo_ti.report.canvas import direction, distance_colors, fit_titles, grid_view, landscape_colors, new_figure, quantity
 from doo_ti.report.figures import angle_curves_picture
-from doo_ti.report.landscapes import LandscapePanel, landscape_image, landscape_picture, landscapes_picture
+from doo_ti.report.landscapes import LandscapePanel, draw_landscape, landscape_image, landscape_picture, landscapes_picture
 from doo_ti.report.motions import MovingRods, motions_picture
 from doo_ti.report.plane import LandscapePlane, cell_edges, valley_cells
 from tests.record import runs
@@ -30,8 +31,6 @@ def run() -> tuple[list, np.ndarray]:
 
 @pytest.mark.thorough
 def test_picture_and_image_are_one_drawing(tmp_path):
-    from PIL import Image
-
     landscape_picture(tmp_path / "landscape.png", runs.plane(), title="made up")
     buffer = io.BytesIO()
     landscape_picture(buffer, runs.plane(), title="made up")
@@ -40,11 +39,6 @@ def test_picture_and_image_are_one_drawing(tmp_path):
     assert image.dtype == np.uint8
     for source in (tmp_path / "landscape.png", buffer):
         np.testing.assert_array_equal(np.asarray(Image.open(source).convert("RGB")), image)
-
-
-def test_a_name_is_no_mathematics():
-    """matplotlib parses text between dollar signs as mathematics, in which this is an error."""
-    landscape_picture(io.BytesIO(), runs.plane(), title="a$^{$ b")
 
 
 def test_titles_fit_into_the_picture():
@@ -60,8 +54,8 @@ def test_titles_fit_into_the_picture():
     assert right.title.get_fontsize() == 9
 
 
-@pytest.mark.thorough
 def test_names_in_titles_legends_and_panels_are_no_mathematics():
+    """matplotlib parses text between dollar signs as mathematics, in which this is an error."""
     name, vertices = "a$^{$ b", np.cumsum(np.ones((3, 1, 5, 3)), axis=2)
     landscapes_picture(io.BytesIO(), [[LandscapePanel(name, runs.plane(), ((name, (0, 0)),))]], title=name)
     rods = MovingRods(np.arange(3.0), vertices, [name], np.zeros((3, 1), int), np.ones((3, 1), bool))
@@ -93,8 +87,6 @@ def test_cells_not_evaluated_are_grey_and_unfinished_ones_hatched():
 @pytest.mark.parametrize("shape", [(1, 1, 1), (7, 1, 1), (1, 1, 4), (3, 2, 2), (25, 30, 1), (3, 3, 3, 2)])
 @pytest.mark.parametrize("empty", [False, True])
 def test_every_shape_of_grid_is_drawn_with_its_key_inside_the_picture(shape, empty, rng):
-    from doo_ti.report.landscapes import draw_landscape
-
     names = ["bend_1", "bend_2", "twist", "weight"]
     axes = [(name, np.geomspace(5e4, 1.26e7, count), name != "weight", "mm³")
             for name, count in zip(names, shape, strict=False)]
@@ -174,8 +166,6 @@ def test_quantities_are_written_for_people(value, text):
 
 
 def test_stiffness_stands_above_where_the_weight_is_known():
-    from doo_ti.report.landscapes import draw_landscape
-
     plane = LandscapePlane.of([("bend", [1e5, 1e6, 1e7], True, "mm³")], [3.0, 1.0, 2.0], (1,))
     axes = draw_landscape(plane, "made up", newton_per_bend=2.45e-10).axes[0]
     (above,) = axes.child_axes

@@ -6,7 +6,7 @@ import pytest
 from doo_ti import Plane, Surroundings
 from doo_ti.report import motions
 from doo_ti.report.contact import Touched
-from doo_ti.report.motions import MovingRods, _view, motions_picture, save_animation, save_rollout
+from doo_ti.report.motions import MovingRods, _view, motions_picture, save_rollout
 
 
 @pytest.mark.parametrize(("height", "view"), [(2.0, "from above"), (60.0, "from the side")])
@@ -21,12 +21,6 @@ def test_flat_rods_are_shown_from_above(tmp_path, monkeypatch, height, view, up)
     rods = curve if up[2] else curve[..., [0, 2, 1]]
     save_rollout(tmp_path / "f.png", "rods", ["a"], rods, None, 10.0, np.array(up))
     assert any(f"seen {view}" in text for text in shown)
-
-
-def test_an_animation_without_a_rod_is_empty(tmp_path):
-    """A rod that could not begin has no positions."""
-    save_animation(tmp_path / "f.gif", "rods", ["a"], np.full((1, 4, 7, 3), np.nan), None, 10.0, np.array([0.0, 0.0, 1.0]))
-    assert (tmp_path / "f.gif").stat().st_size > 0
 
 
 def test_motion_across_the_rods_is_seen():
