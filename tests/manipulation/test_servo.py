@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import doo_ti as d
-from doo_ti.manipulation.model import held, rebranched_to_observation
+from doo_ti.contact.surroundings import Surroundings
+from doo_ti.manipulation.model import Model, held
 from doo_ti.rod.shapes import with_end_edges
 from tools.studies.servo_tasks import BEND, NOISE, Plant, Tasks, tasks
 
@@ -229,8 +230,9 @@ def test_shapes_are_found_again_from_marks():
     there = d.Simulation(own.rods, own.nominal, own.clamps).step(own.goal_clamps)
     rods = np.flatnonzero(there.converged & there.stable)
     marks = np.where(np.arange(34)[:, None] % 3 == 0, there.configuration.vertices, np.nan)[rods]
-    found = rebranched_to_observation(own.rods.take(rods), own.nominal.take(rods), own.goal_clamps.take(rods), marks,
-                            np.array([0, 0, 1.0]))
+    model = Model(own.nominal.take(rods), np.zeros((len(rods), 12)), np.array([0, 0, 1.0]), Surroundings())
+    clamps = own.goal_clamps.take(rods)
+    found = model.relaxed(model.drawn(own.rods.take(rods), clamps, marks, np.isfinite(marks).all(axis=-1)), clamps)
     off = np.linalg.norm(found.configuration.vertices - there.configuration.vertices[rods], axis=-1).max(axis=1)
     assert (off < 0.1).mean() > 0.9
 
