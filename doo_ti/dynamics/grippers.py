@@ -16,7 +16,7 @@ from doo_ti.contact.surroundings import SHALLOW, Moving, Surroundings, about, si
 from doo_ti.dynamics.parameters import Stepping
 from doo_ti.relaxation import time_loading
 from doo_ti.relaxation.time_loading import PATH_ANCHOR, PATH_COLUMNS, PATH_ENDS, PATH_TARGET, POSE_COLUMNS, POSE_SHIFT
-from doo_ti.rod.frames import matrix_from_quaternion, quaternion_from_matrix, smallest_rotation
+from doo_ti.rod.frames import matrix_from_quaternion, quaternion_from_matrix, smallest_rotation, unit_vectors
 from doo_ti.rod.start import require_frames
 from doo_ti.rod.types import POSES, Clamp, Clamps, Configuration, Rows, require_kinds
 from doo_ti.system.arguments import short_repr, typed
@@ -190,13 +190,10 @@ def refined_within_reach(grippers: Grippers, parts: int, rest_length: np.ndarray
 
 def _frames(frames: np.ndarray, kinds: np.ndarray) -> np.ndarray:
     """(S, T, 4) quaternions of (S, T, 3, 3) frames; of tangent clamps of any frame with that tangent."""
-    tangent = np.broadcast_to((kinds == Clamp.TANGENT)[:, None], frames.shape[:2])
-    if not tangent.any():
-        return quaternion_from_matrix(frames)
-    t = frames[..., 0] / np.linalg.norm(frames[..., 0], axis=-1, keepdims=True)
-    any_frame = smallest_rotation(np.array([1.0, 0.0, 0.0]), t)
-    whole = np.where(tangent[..., None, None], np.eye(3), frames)
-    return np.where(tangent[..., None], any_frame, quaternion_from_matrix(whole))
+    tangent, found = kinds == Clamp.TANGENT, np.empty((*frames.shape[:2], 4))
+    found[~tangent] = quaternion_from_matrix(frames[~tangent])
+    found[tangent] = smallest_rotation(np.array([1.0, 0.0, 0.0]), unit_vectors(frames[tangent][..., 0]))
+    return found
 
 
 def obstacle_path(surroundings: Surroundings, stepping: Stepping, instants: int, start: Configuration) -> np.ndarray:
