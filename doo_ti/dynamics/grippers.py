@@ -106,28 +106,27 @@ class Grippers:
         """With ``parts`` equal steps between neighbouring instants: positions and frames on cubics through their neighbours."""
         if parts == 1:
             return self
-        share = np.arange(parts) / parts
-        return Grippers(self.start, self.end, cubic(self.start_position, share), cubic(self.end_position, share),
-                        turning(self.start_frame, share), turning(self.end_frame, share))
+        return Grippers(self.start, self.end, cubic(self.start_position, parts), cubic(self.end_position, parts),
+                        turning(self.start_frame, parts), turning(self.end_frame, parts))
 
 
-def cubic(points: np.ndarray, share: np.ndarray) -> np.ndarray:
+def cubic(points: np.ndarray, parts: int) -> np.ndarray:
     """(S, (T − 1) parts + 1, n) Catmull–Rom cubics through (S, T, n) points."""
     outer = np.concatenate([2 * points[:, :1] - points[:, 1:2], points, 2 * points[:, -1:] - points[:, -2:-1]], axis=1)
     before, here, there, after = (outer[:, k : k + points.shape[1] - 1, None] for k in range(4))
-    u = share[:, None]
+    u = np.arange(parts)[:, None] / parts
     curve = here + 0.5 * u * (there - before + u * (2 * before - 5 * here + 4 * there - after
                                                     + u * (3 * (here - there) + after - before)))
     return np.concatenate([curve.reshape(len(points), -1, points.shape[2]), points[:, -1:]], axis=1)
 
 
-def turning(frames: np.ndarray, share: np.ndarray) -> np.ndarray:
+def turning(frames: np.ndarray, parts: int) -> np.ndarray:
     """(S, (T − 1) parts + 1, 3, 3) frames between (S, T, 3, 3): cubics through their quaternions, the shorter way from each to
     the next, normalised. A speed of turning that jumps would be a blow to the rod at every instant, however small the steps."""
     q = quaternion_from_matrix(frames)
     signs = np.cumprod(np.where((q[:, 1:] * q[:, :-1]).sum(axis=-1) < 0, -1.0, 1.0), axis=1)
     q[:, 1:] *= signs[..., None]
-    between = cubic(q, share)
+    between = cubic(q, parts)
     return matrix_from_quaternion(between / np.linalg.norm(between, axis=-1, keepdims=True))
 
 
@@ -227,9 +226,8 @@ def _refined(body: Moving, parts: int) -> tuple[np.ndarray, np.ndarray]:
     """(1 or R, T, 3, 3) rotation and (1 or R, T, 3) shift of places at ``parts`` instants for each."""
     if parts == 1:
         return body.path
-    share = np.arange(parts) / parts
-    rotation = turning(body.rotation, share)
-    return rotation, about(body.pivot[:, None], rotation, cubic(body.shift, share))
+    rotation = turning(body.rotation, parts)
+    return rotation, about(body.pivot[:, None], rotation, cubic(body.shift, parts))
 
 
 def needed_substeps(surroundings: Surroundings, least_way: float, start: Configuration) -> int:
