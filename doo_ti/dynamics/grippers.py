@@ -16,7 +16,7 @@ from doo_ti.contact.surroundings import SHALLOW, Moving, Surroundings, about, si
 from doo_ti.dynamics.parameters import Stepping
 from doo_ti.relaxation import time_loading
 from doo_ti.relaxation.time_loading import PATH_ANCHOR, PATH_COLUMNS, PATH_ENDS, PATH_TARGET, POSE_COLUMNS, POSE_SHIFT
-from doo_ti.rod.frames import matrix_from_quaternion, of_like_signs, quaternion_from_matrix, smallest_rotation
+from doo_ti.rod.frames import matrix_from_quaternion, of_like_signs, quaternion_from_matrix, smallest_rotation, unit_vectors
 from doo_ti.rod.start import require_frames
 from doo_ti.rod.types import POSES, Clamp, Clamps, Configuration, Rows, require_kinds
 from doo_ti.system.arguments import short_repr, typed
@@ -106,25 +106,24 @@ class Grippers:
         """With ``parts`` equal steps between neighbouring instants: positions and frames on cubics through their neighbours."""
         if parts == 1:
             return self
-        share = np.arange(parts) / parts
-        return Grippers(self.start, self.end, cubic(self.start_position, share), cubic(self.end_position, share),
-                        turning(self.start_frame, share), turning(self.end_frame, share))
+        return Grippers(self.start, self.end, cubic(self.start_position, parts), cubic(self.end_position, parts),
+                        turning(self.start_frame, parts), turning(self.end_frame, parts))
 
 
-def cubic(points: np.ndarray, share: np.ndarray) -> np.ndarray:
+def cubic(points: np.ndarray, parts: int) -> np.ndarray:
     """(S, (T − 1) parts + 1, n) Catmull–Rom cubics through (S, T, n) points."""
     outer = np.concatenate([2 * points[:, :1] - points[:, 1:2], points, 2 * points[:, -1:] - points[:, -2:-1]], axis=1)
     before, here, there, after = (outer[:, k : k + points.shape[1] - 1, None] for k in range(4))
-    u = share[:, None]
+    u = np.arange(parts)[:, None] / parts
     curve = here + 0.5 * u * (there - before + u * (2 * before - 5 * here + 4 * there - after
                                                     + u * (3 * (here - there) + after - before)))
     return np.concatenate([curve.reshape(len(points), -1, points.shape[2]), points[:, -1:]], axis=1)
 
 
-def turning(frames: np.ndarray, share: np.ndarray) -> np.ndarray:
+def turning(frames: np.ndarray, parts: int) -> np.ndarray:
     """(S, (T − 1) parts + 1, 3, 3) frames between (S, T, 3, 3): cubics through their quaternions, the shorter way from each to
     the next, normalised. A speed of turning that jumps would be a blow to the rod at every instant, however small the steps."""
-    between = cubic(of_like_signs(quaternion_from_matrix(frames)), share)
+    between = cubic(of_like_signs(quaternion_from_matrix(frames)), parts)
     return matrix_from_quaternion(between / np.linalg.norm(between, axis=-1, keepdims=True))
 
 
@@ -187,13 +186,10 @@ def refined_within_reach(grippers: Grippers, parts: int, rest_length: np.ndarray
 
 def _frames(frames: np.ndarray, kinds: np.ndarray) -> np.ndarray:
     """(S, T, 4) quaternions of (S, T, 3, 3) frames; of tangent clamps of any frame with that tangent."""
-    tangent = np.broadcast_to((kinds == Clamp.TANGENT)[:, None], frames.shape[:2])
-    if not tangent.any():
-        return quaternion_from_matrix(frames)
-    t = frames[..., 0] / np.linalg.norm(frames[..., 0], axis=-1, keepdims=True)
-    any_frame = smallest_rotation(np.array([1.0, 0.0, 0.0]), t)
-    whole = np.where(tangent[..., None, None], np.eye(3), frames)
-    return np.where(tangent[..., None], any_frame, quaternion_from_matrix(whole))
+    tangent, found = kinds == Clamp.TANGENT, np.empty((*frames.shape[:2], 4))
+    found[~tangent] = quaternion_from_matrix(frames[~tangent])
+    found[tangent] = smallest_rotation(np.array([1.0, 0.0, 0.0]), unit_vectors(frames[tangent][..., 0]))
+    return found
 
 
 def obstacle_path(surroundings: Surroundings, stepping: Stepping, instants: int, start: Configuration) -> np.ndarray:
@@ -227,9 +223,8 @@ def _refined(body: Moving, parts: int) -> tuple[np.ndarray, np.ndarray]:
     """(1 or R, T, 3, 3) rotation and (1 or R, T, 3) shift of places at ``parts`` instants for each."""
     if parts == 1:
         return body.path
-    share = np.arange(parts) / parts
-    rotation = turning(body.rotation, share)
-    return rotation, about(body.pivot[:, None], rotation, cubic(body.shift, share))
+    rotation = turning(body.rotation, parts)
+    return rotation, about(body.pivot[:, None], rotation, cubic(body.shift, parts))
 
 
 def needed_substeps(surroundings: Surroundings, least_way: float, start: Configuration) -> int:

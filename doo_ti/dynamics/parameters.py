@@ -23,10 +23,8 @@ LEAST_WAY = 1 / 8  # of the way to the next instant: the shortest quasi-static s
 
 def vertex_lengths(rest_length: np.ndarray) -> np.ndarray:
     """(..., V) the length of rod that each vertex stands for, half of both edges beside it, from (..., E) lengths, mm."""
-    length = np.zeros((*rest_length.shape[:-1], rest_length.shape[-1] + 1))
-    length[..., :-1] += 0.5 * rest_length
-    length[..., 1:] += 0.5 * rest_length
-    return length
+    none = np.zeros_like(rest_length[..., :1])
+    return 0.5 * (np.concatenate([none, rest_length], axis=-1) + np.concatenate([rest_length, none], axis=-1))
 
 
 @typed

@@ -17,6 +17,7 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.parameters import Dynamics
 from doo_ti.relaxation.relax import relax
 from doo_ti.relaxation.sensitivity import sensitivity
+from doo_ti.rod.frames import bishop_frames, unit_vectors
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import check_experiment, observation_clamps, start_configuration
 from doo_ti.rod.types import LARGEST, Clamps, Configuration, Material, Solution, unit_up
@@ -283,13 +284,9 @@ class Stills:
 
 def _rolled(observations: Observations, reference: np.ndarray) -> np.ndarray:
     """(D, 3, 3) frames of the first edges with m1 towards ``reference``."""
-    t = observations.vertices[:, 1] - observations.vertices[:, 0]
-    t = t / np.linalg.norm(t, axis=-1, keepdims=True)
-    m1 = reference / np.linalg.norm(reference)
-    m1 = m1 - np.sum(m1 * t, axis=-1, keepdims=True) * t
-    size = np.linalg.norm(m1, axis=-1, keepdims=True)
-    if not (observations.valid[:, :2].all() and (size >= LEAST_ACROSS).all()):
+    first = unit_vectors(observations.vertices[:, 1] - observations.vertices[:, 0])
+    across = np.linalg.norm(np.cross(unit_vectors(reference), first), axis=-1)
+    if not (observations.valid[:, :2].all() and (across >= LEAST_ACROSS).all()):
         raise InputError(observations.source, "start_frame", "missing, and the first edge was not seen, or points along the "
                          "roll reference", "give start_frame")
-    m1 = m1 / size
-    return np.stack([t, m1, np.cross(t, m1)], axis=-1)
+    return bishop_frames(first[:, None], np.broadcast_to(reference, first.shape))[:, 0]

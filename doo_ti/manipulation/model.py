@@ -30,9 +30,18 @@ class Model:
     up: np.ndarray
     surroundings: Surroundings
 
-    def relaxed(self, rods: Configuration, clamps: Clamps) -> Solution:
-        """The rods at rest under the grippers' poses."""
-        return relax(rods, self.material, held(clamps, self.clip), Newton.careful(), up=self.up, **self.surroundings.arguments)
+    def relaxed(self, rods: Configuration, clamps: Clamps, springs: Springs | None = None) -> Solution:
+        """The rods at rest under the grippers' poses, and drawn by a row of ``springs`` each."""
+        rows = None if springs is None else np.arange(rods.count)
+        return relax(rods, self.material, held(clamps, self.clip), Newton.careful(), up=self.up, external=springs,
+                     external_index=rows, **self.surroundings.arguments)
+
+    def drawn(self, rods: Configuration, clamps: Clamps, places: np.ndarray, visible: np.ndarray) -> Configuration:
+        """The rods drawn by springs to the ``places`` (B, V, 3) mm of the vertices that are ``visible`` (B, V)."""
+        spacing = rods.rest_length.sum() / np.maximum(visible.sum(axis=1) - 1, 1)
+        stiffness = PULL * self.material.bend[:, self.material.bend.shape[1] // 2, 0, 0] / spacing**3
+        springs = Springs(np.where(visible[..., None], places, 0.0), visible * stiffness[:, None])
+        return finite_rods(self.relaxed(rods, clamps, springs).configuration, rods)
 
     def take(self, rods: np.ndarray) -> "Model":
         """The models of the rods named by ``rods``."""
@@ -52,26 +61,6 @@ def between_marks(values: np.ndarray, seen: np.ndarray) -> np.ndarray:
     share = ((number - before) / np.maximum(after - before, 1))[..., None]
     known = np.where(seen[..., None], values, 0.0)
     return (1 - share) * known[rods, before] + share * known[rods, after]
-
-
-def pulled_by_springs_to(rods: Configuration, material: Material, clamps: Clamps, places: np.ndarray, visible: np.ndarray,
-                         up: np.ndarray, **around) -> Configuration:
-    """The B rods drawn by springs to the ``places`` (B, V, 3) mm of the vertices that are ``visible`` (B, V)."""
-    spacing = rods.rest_length.sum() / np.maximum(visible.sum(axis=1) - 1, 1)
-    stiffness = PULL * material.bend[:, material.bend.shape[1] // 2, 0, 0] / spacing**3
-    springs = Springs(places, visible * stiffness[:, None])
-    drawn = relax(rods, material, clamps, Newton.careful(), up=up, external=springs, external_index=np.arange(rods.count),
-                  **around)
-    return finite_rods(drawn.configuration, rods)
-
-
-def rebranched_to_observation(rods: Configuration, material: Material, clamps: Clamps, seen: np.ndarray, up: np.ndarray,
-                              **around) -> Solution:
-    """The B rods at rest on the branch that is nearest to the marks ``seen`` (B, V, 3) mm, NaN where not seen: drawn to them by
-    springs, then let go."""
-    visible = np.isfinite(seen).all(axis=-1)
-    drawn = pulled_by_springs_to(rods, material, clamps, np.where(visible[..., None], seen, 0.0), visible, up, **around)
-    return relax(drawn, material, clamps, Newton.careful(), up=up, **around)
 
 
 # --- poses of grippers ---------------------------------------------------------------------------------------------------

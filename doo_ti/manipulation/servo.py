@@ -37,10 +37,8 @@ from doo_ti.manipulation.model import (
     boxed,
     change_between,
     drawn_in,
-    held,
     moved,
     put_rows,
-    rebranched_to_observation,
     slack,
     slack_gradient,
 )
@@ -191,18 +189,18 @@ class Servo:
         rods = np.flatnonzero((lost | (error > limit)) & visible.any(axis=1))
         if not len(rods):
             return
-        clamps = held(self.clamps, self._belief.clip).take(rods)
-        drawn = rebranched_to_observation(self._last.take(rods), self._belief.material.take(rods), clamps, seen[rods], self._up,
-                                          **self._around.take(rods).arguments)
-        sound = drawn.converged & drawn.stable
-        left = np.where(visible[rods][..., None], seen[rods] - drawn.configuration.vertices, 0.0)
+        model, clamps = self._models(rods), self.clamps.take(rods)
+        # On the branch that is nearest to the marks: drawn to them, then let go.
+        found = model.relaxed(model.drawn(self._last.take(rods), clamps, seen[rods], visible[rods]), clamps)
+        sound = found.converged & found.stable
+        left = np.where(visible[rods][..., None], seen[rods] - found.configuration.vertices, 0.0)
         better = sound & (lost[rods] | (_size(left, visible[rods]) < 0.5 * error[rods]))
         rods = rods[better]
         if len(rods):
             self._offset[rods] = 0.0
             self._belief.forget(rods)
             self.snaps[rods] += 1
-            self._put(rods, drawn.configuration.take(np.flatnonzero(better)))
+            self._put(rods, found.configuration.take(np.flatnonzero(better)))
 
     def _put(self, rods: np.ndarray, models: Configuration, shapes: np.ndarray | None = None) -> None:
         """Take ``models`` with the vertices ``shapes`` for where the ``rods`` are."""

@@ -11,14 +11,13 @@ from typing import Annotated
 
 import numpy as np
 
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.manipulation.damped_steps import DampedSteps, normal_equations
 from doo_ti.manipulation.model import (
     EXACT,
     Model,
     drawn_in,
-    held,
     moved,
-    pulled_by_springs_to,
     put_rows,
     slack,
     slack_gradient,
@@ -292,9 +291,9 @@ def _guesses(rods: Configuration, clamps: Clamps, model: Model, targets: Targets
     """(K·B) rods: as they are, carried to their targets so, and drawn to them by springs, twist by twist; and grippers that
     hold them so. A gripper that is not free to shift and turn stays."""
     starts, ends = ({f"{end}_shift", f"{end}_turn"} <= set(options.free) for end in ("start", "end"))
-    loose = replace(held(clamps, model.clip), start=Clamp.FREE if starts else clamps.start,
+    loose = replace(clamps, start=Clamp.FREE if starts else clamps.start,
                     end=Clamp.FREE if ends else clamps.end)
-    shapes = pulled_by_springs_to(rods, model.material, loose, targets.places, targets.shares > 0, model.up)
+    shapes = replace(model, surroundings=Surroundings()).drawn(rods, loose, targets.places, targets.shares > 0)
     first, tangents = clamps.start_frame, tangent_from_quaternion(shapes.quaternions)
     if starts:
         first = matrix_from_quaternion(smallest_rotation(first[..., 0], tangents[:, 0])) @ first

@@ -8,7 +8,7 @@ from scipy.optimize import fsolve
 
 from doo_ti import Clamp, Clamps, Configuration, Material, Newton, Plane, Ring, Sphere, Springs, end_clamps, relax, straight_rod
 from doo_ti.rod.frames import across
-from tests.references.rods import chain
+from tests.references.rods import certified, chain
 
 ANGLE, CURVATURE, X, Z = range(4)
 BEND, LENGTH, RADIUS, FRAME = 4e4, 200.0, 1.0, np.eye(3)[None]
@@ -67,8 +67,7 @@ def errors_on_table(edges: int) -> tuple[float, float]:
     """(relative error of the free length, largest error of the height over the clamp's) with so many edges."""
     start = straight_rod(LENGTH, edges, (0.0, 0.0, HEIGHT))
     table = Plane((0, 0, 0), (0, 0, 1))
-    solution = relax(start, Material(BEND, BEND), end_clamps(start), obstacles=[table], radius=RADIUS)
-    assert solution.converged.all() and solution.stable.all()
+    solution = certified(relax(start, Material(BEND, BEND), end_clamps(start), obstacles=[table], radius=RADIUS))
     x, forces = solution.configuration.vertices[0], solution.contact_force[0]
     held = LENGTH / edges / 2  # the clamp of a discrete rod is the middle of the edge that it holds
     free, reaction, shape = heavy_elastica()
@@ -123,8 +122,7 @@ def test_at_rest_on_a_smooth_slope():
     lying, tension, place = catenary()
     clamps = Clamps(Clamp.FREE, Clamp.POSITION, np.zeros((1, 3)), HELD[None], FRAME, FRAME)
     start = along(place(np.linspace(0.0, LENGTH, 4001)) + 0.2 * NORMAL, 50, LENGTH)
-    found = relax(start, Material(5.0, 5.0), clamps, obstacles=[Plane(-RADIUS * NORMAL, NORMAL)], radius=RADIUS)
-    assert found.converged.all() and found.stable.all()
+    found = certified(relax(start, Material(5.0, 5.0), clamps, obstacles=[Plane(-RADIUS * NORMAL, NORMAL)], radius=RADIUS))
     apart = found.configuration.vertices[0] - place(np.linspace(0.0, LENGTH, 51))
     assert np.linalg.norm(apart, axis=1).max() < 1e-4 * LENGTH
     forces = found.contact_force[0]
@@ -160,8 +158,7 @@ def bend_errors(edges: int, solver: Newton | None = None) -> tuple[float, float]
     begin = np.array([[0.0, 0.0, -half]])
     start = along(trace + [0.0, 0.0, inside - half], edges, BEND_LENGTH)
     clamps = Clamps(Clamp.FRAME, Clamp.FRAME, begin, begin * [1.0, 1.0, -1.0], FRAME, np.diag([-1.0, 1.0, -1.0])[None])
-    found = relax(start, RIBBON, clamps, solver, obstacles=planes(half), radius=RADIUS)
-    assert found.converged.all() and found.stable.all()
+    found = certified(relax(start, RIBBON, clamps, solver, obstacles=planes(half), radius=RADIUS))
     pushed = -np.minimum(found.contact_force[0, :, 2], 0.0).sum()
     force = 0.5 * BEND * (TWO_POINTS / DISTANCE) ** 2
     return found.configuration.curvature.max() * DISTANCE / TWO_POINTS - 1.0, pushed / force - 1.0
@@ -218,9 +215,8 @@ def drawn_errors(obstacle, edges: int, solver: Newton | None = None) -> tuple[fl
     stiffness[0, -1] = pull / FAR
     start = along(place(np.linspace(-HALF, HALF, 4001)) * (1.0 + 6.0 * (HALF / edges / ARC) ** 2), edges, 2 * HALF)
     clamps = Clamps(Clamp.POSITION, Clamp.FREE, exact[:1], exact[-1:], FRAME, FRAME)
-    found = relax(start, Material(BEND, BEND, weight=1e-9), clamps, solver, obstacles=[obstacle], radius=RADIUS,
-                  external=Springs(points, stiffness))
-    assert found.converged.all() and found.stable.all()
+    found = certified(relax(start, Material(BEND, BEND, weight=1e-9), clamps, solver, obstacles=[obstacle], radius=RADIUS,
+                            external=Springs(points, stiffness)))
     pushed = found.contact_force[0]
     middle = np.linalg.norm(pushed[np.abs(s) < 0.4 * ARC * HALF_ANGLE], axis=1).mean() * edges / (2 * HALF)
     return (np.linalg.norm(found.configuration.vertices[0] - exact, axis=1).max() / (2 * HALF),

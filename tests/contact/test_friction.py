@@ -74,7 +74,6 @@ def pushed(coefficient: float):
     assert rest.converged.all() and found.converged.all()
     places, touch = np.concatenate([rest.configuration.vertices[:, None], found.positions], axis=1), found.touch[0]
     moves = np.linalg.norm(np.diff(places, axis=1), axis=-1)[0]
-    print(f"stick {(touch == Touch.STICKS).sum(axis=1)}, slip {(touch == Touch.SLIPS).sum(axis=1)}; moved {moves[-1]}")
     return found, moves, touch
 
 

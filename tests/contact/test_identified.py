@@ -57,8 +57,6 @@ def recorded(rng, end: Clamp = Clamp.FRAME) -> RecordedMotion:
     found = simulate(start, material, grippers, dynamics, Stepping(RATE), obstacles=[TABLE.rubbing(TRUE.friction)],
                      radius=RADIUS)
     assert found.converged.all()
-    slid = np.linalg.norm(found.positions[:, -1, 6] - found.positions[:, SETTLING, 6], axis=-1)
-    print(f"the middles slide by {slid.min():.0f} to {slid.max():.0f} mm")
     motion = RecordedMotion.of(found.positions[:, SETTLING - 1 :], RATE, free_end=end == Clamp.FREE)
     # As they move from where their first two frames show them.
     positions, status = AS_RECORDED.rollouts(motion, TRUE).predicted([TRUE])
@@ -82,7 +80,6 @@ def test_friction_and_stiffness_are_found_in_noise(motion, rng):
         print(f"{name} {row['value']:.4g} [{row['low']:.4g}, {row['high']:.4g}], {getattr(TRUE, name):.4g} in truth")
         assert row["value"] == pytest.approx(getattr(TRUE, name), rel=off)
     shaken = identify_from_guesses(noisy, AS_RECORDED)
-    print(f"friction as recorded: {shaken.theta.friction:.3f}")
     assert abs(found.theta.friction - TRUE.friction) < abs(shaken.theta.friction - TRUE.friction)
 
 
@@ -93,7 +90,6 @@ def test_a_rope_may_be_dragged_at_one_end(rng):
     noisy = replace(motion, positions=motion.positions + 0.3 * rng.normal(size=motion.positions.shape))
     for seen, smoothing, off in ((motion, 1, 1e-3), (noisy, None, 0.05)):
         found = identify(seen, GUESS, replace(OPTIONS, smoothing=smoothing)).theta
-        print(f"bend {found.bend:.4g}, friction {found.friction:.4g}")
         assert found.bend == pytest.approx(TRUE.bend, rel=off) and found.friction == pytest.approx(TRUE.friction, rel=off)
 
 
@@ -127,7 +123,6 @@ def test_differences_of_rollouts_are_those_of_any_step(motion):
         slopes.append(found)
     square = [np.sum(value**2, axis=(0, 2, 3, 4)) for value in (slopes[0] - slopes[1], slopes[0])]
     off = np.sqrt(square[0] / square[1])
-    print("slopes differ by", off)
     assert (off < 0.1).all()
 
 

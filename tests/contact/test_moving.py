@@ -30,6 +30,11 @@ def a_rope(weight: float, clamp: Clamp = Clamp.POSITION):
     return relax(rod, material, clamps).configuration, material, clamps
 
 
+def moved(rope, material, grippers: Grippers, obstacle, stepping: Stepping = QUASI_STATIC):
+    """The motion of rods of that radius beside one obstacle."""
+    return simulate(rope, material, grippers, DYNAMICS, stepping, obstacles=[obstacle], radius=RADIUS)
+
+
 def held(clamps, rotation: np.ndarray, shift: np.ndarray) -> Grippers:
     """Grippers at R x + s of where the clamps are, (T, 3, 3) and (T, 3)."""
     ends = (rotation @ np.reshape(place, 3) + shift for place in (clamps.start_position, clamps.end_position))
@@ -39,9 +44,8 @@ def held(clamps, rotation: np.ndarray, shift: np.ndarray) -> Grippers:
 
 def test_a_peg_that_moves_is_a_rope_that_moves_the_other_way():
     rope, material, clamps = a_rope(1.0)
-    drawn = simulate(rope, material, held(clamps, UNTURNED, -WAY), DYNAMICS, QUASI_STATIC, obstacles=[PEG], radius=RADIUS)
-    pushed = simulate(rope, material, Grippers.resting(clamps, INSTANTS), DYNAMICS, QUASI_STATIC, obstacles=[Moving(PEG, WAY)],
-                      radius=RADIUS)
+    drawn = moved(rope, material, held(clamps, UNTURNED, -WAY), PEG)
+    pushed = moved(rope, material, Grippers.resting(clamps, INSTANTS), Moving(PEG, WAY))
     assert drawn.converged.all() and pushed.converged.all()
     assert np.ptp(drawn.touch) == Touch.SLIPS
     np.testing.assert_allclose(drawn.positions + WAY[1:, None], pushed.positions, atol=1e-9)
@@ -56,10 +60,9 @@ def test_a_peg_that_turns_is_a_rope_that_turns_the_other_way():
     turn = np.stack([0.1 * TIME, 0.3 * TIME, -0.1 * TIME**2], axis=-1)
     rotation, way = rotation_matrix(turn), np.stack([0 * TIME, 3 * TIME, 28 * TIME], axis=-1)
     back = np.swapaxes(rotation, 1, 2)
-    drawn = simulate(rope, material, held(clamps, back, -(back @ way[..., None])[..., 0]), DYNAMICS, at_once,
-                     obstacles=[PEG], radius=RADIUS)
-    pushed = simulate(rope, material, Grippers.resting(clamps, INSTANTS), DYNAMICS, at_once,
-                      obstacles=[Moving(PEG, way, rotation, pivot=(0, 0, 0))], radius=RADIUS)
+    drawn = moved(rope, material, held(clamps, back, -(back @ way[..., None])[..., 0]), PEG, at_once)
+    turning = Moving(PEG, way, rotation, pivot=(0, 0, 0))
+    pushed = moved(rope, material, Grippers.resting(clamps, INSTANTS), turning, at_once)
     assert drawn.converged.all() and pushed.converged.all() and (drawn.touch > 0).any()
     seen = (rotation[1:, None] @ drawn.positions[0][..., None])[..., 0] + way[1:, None]
     np.testing.assert_allclose(seen, pushed.positions[0], atol=5 * GAP_TOLERANCE * RADIUS)
@@ -73,8 +76,7 @@ def test_one_launch_is_as_many(stepping):
     """Every step in a launch of its own, as ``detailed`` makes them: the same bits, though a rope that slips has a larger κ."""
     rope, material, clamps = a_rope(1.0)
     grippers = held(clamps, UNTURNED, -0.5 * WAY)
-    once, often = (simulate(rope, material, grippers, DYNAMICS, replace(stepping, detailed=detailed), obstacles=[PEG],
-                            radius=RADIUS) for detailed in (False, True))
+    once, often = (moved(rope, material, grippers, PEG, replace(stepping, detailed=detailed)) for detailed in (False, True))
     assert once.converged.all() and once.friction_work[0, -1] > 0.0
     for name in ("positions", "iterations", "contact_force", "friction_work", "touch"):
         np.testing.assert_array_equal(getattr(once, name), getattr(often, name), err_msg=name)
@@ -87,8 +89,8 @@ def test_a_belt_drags_a_rod_along():
     time = np.arange(instants) / rate
     way = np.stack([0 * time, speed * time, 0 * time], axis=-1)
     free = Grippers.resting(end_clamps(rod, Clamp.FREE, Clamp.FREE), instants)
-    found = simulate(rod, Material(1e5, 1e5), free, DYNAMICS, Stepping(rate, 4, "euler"),
-                     obstacles=[Moving(Plane((0, 0, 0), (0, 0, 1), friction), way)], radius=RADIUS)
+    belt = Moving(Plane((0, 0, 0), (0, 0, 1), friction), way)
+    found = moved(rod, Material(1e5, 1e5), free, belt, Stepping(rate, 4, "euler"))
     assert found.converged.all()
     along = found.positions[0, :, :, 1].mean(axis=1)
     until = speed / (friction * gravity)
@@ -103,9 +105,8 @@ def test_obstacles_of_their_own():
     way = np.stack([np.stack([a * TIME, 0 * TIME, 35 * TIME], axis=-1) for a in (0.0, 8.0, -5.0)])
     rows = np.zeros(3, dtype=np.int64)
     grippers = Grippers.resting(clamps, INSTANTS)
-    together = simulate(rope.take(rows), material, grippers.take(rows), DYNAMICS, QUASI_STATIC, obstacles=[Moving(PEG, way)],
-                        radius=RADIUS)
-    alone = simulate(rope, material, grippers, DYNAMICS, QUASI_STATIC, obstacles=[Moving(PEG, way[1])], radius=RADIUS)
+    together = moved(rope.take(rows), material, grippers.take(rows), Moving(PEG, way))
+    alone = moved(rope, material, grippers, Moving(PEG, way[1]))
     np.testing.assert_array_equal(together.positions[1], alone.positions[0])
     assert together.converged.all() and np.abs(together.positions[0] - together.positions[1]).max() > 1.0
 
@@ -114,13 +115,11 @@ def test_wrong_motions_are_one_line():
     rope, material, clamps = a_rope(1.0)
     fast = np.zeros((INSTANTS, 3))
     fast[:, 2] = 300.0 * TIME
-    grippers = Grippers.resting(clamps, INSTANTS)
-
-    def moved(obstacle, stepping=Stepping(20.0, 3, "euler")):
-        return simulate(rope, material, grippers, DYNAMICS, stepping, obstacles=[obstacle], radius=RADIUS)
-
-    check_refused(r"a Cylinder moves by 5 mm in a time step.*give 1\d `substeps`", moved, Moving(PEG, fast))
-    check_refused("moves at 5 instants, the grippers at 21", moved, Moving(PEG, np.zeros((5, 3))))
+    given = rope, material, Grippers.resting(clamps, INSTANTS)
+    with_inertia = Stepping(20.0, 3, "euler")
+    check_refused(r"a Cylinder moves by 5 mm in a time step.*give 1\d `substeps`", moved, *given, Moving(PEG, fast),
+                  with_inertia)
+    check_refused("moves at 5 instants, the grippers at 21", moved, *given, Moving(PEG, np.zeros((5, 3))))
     check_refused("obstacles: a Moving", relax, rope, material, clamps, obstacles=[Moving(PEG, fast)], radius=RADIUS)
     for problem, arguments in (("shape", (PEG, np.zeros(3))), ("not finite", (PEG, np.full((4, 3), np.nan))),
                                ("instants", (PEG, np.zeros((4, 3)), np.broadcast_to(np.eye(3), (5, 3, 3)))),
@@ -135,8 +134,7 @@ def test_predictions_have_obstacles_that_move():
     path = ClampPath(np.array([0.0, 1.0]), np.repeat(clamps.start_position[None], 2, axis=0))
     found = predict_moving(rope, material, clamps, path, DYNAMICS, replace(QUASI_STATIC, rate=1.0), between=INSTANTS - 1,
                            obstacles=[Moving(PEG, WAY)], radius=RADIUS)
-    pushed = simulate(rope, material, Grippers.resting(clamps, INSTANTS), DYNAMICS, QUASI_STATIC, obstacles=[Moving(PEG, WAY)],
-                      radius=RADIUS)
+    pushed = moved(rope, material, Grippers.resting(clamps, INSTANTS), Moving(PEG, WAY))
     assert found.followed.all() and len(found.time) == INSTANTS
     np.testing.assert_allclose(found.vertices[1:, 0], pushed.positions[0], atol=1e-9)
     np.testing.assert_allclose(found.contact_force[1:, 0], pushed.contact_force[0], atol=1e-6)

@@ -5,17 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Configuration, Itself, Material, Newton, Plane, PointLoads, Sphere, pullback, relax
-from doo_ti.relaxation.sensitivity import end_loads, sensitivity, tilt_axes
-from doo_ti.rod.frames import rotation_matrix
-from doo_ti.rod.shapes import end_clamps, overhand_knot, straight_rod
-from tests.contact.clutter import OBSTACLES, RADIUS, sagging
+from doo_ti import Clamp, Configuration, Itself, Material, Newton, PointLoads, pullback, relax
+from doo_ti.relaxation.sensitivity import end_loads, sensitivity
+from doo_ti.rod.shapes import end_clamps, overhand_knot
+from tests.contact.clutter import LEANING, OBSTACLES, RADIUS, SLOPE_AND_BALL, sagging
 from tests.references.rods import clamps_at
-from tests.relaxation.rods import with_kinds
+from tests.relaxation.rods import LOADS, relaxed_again, with_kinds
 
 SHARP = Newton(tolerance=1e-11, max_iterations=2000, gap_tolerance=1e-10)  # so that differences of rods relaxed twice are exact
 UP = np.array([0.1, 0.05, 1.0]) / np.linalg.norm([0.1, 0.05, 1.0])
-LOADS = ("start_force", "start_moment", "end_force", "end_moment")
 
 
 @pytest.mark.thorough
@@ -29,34 +27,10 @@ def test_rods_relaxed_again_move_so():
     considered = found.usable & touching.any(axis=1) & (rest.residual < 1e-9)
     assert considered.sum() >= 25
 
-    def again(name, k, amount):
-        axis = amount * np.eye(3)[k]
-        m, c, lengths, up = material, clamps, start.rest_length, UP
-        if name == "bend":
-            m = Material(m.bend + amount * np.eye(2), m.twist, m.weight)
-        if name == "twist":
-            m = Material(m.bend, m.twist + amount, m.weight)
-        if name == "weight":
-            m = Material(m.bend, m.twist, m.weight + amount)
-        if name == "rest_curvature":
-            m = Material(m.bend, m.twist, m.weight, axis[:2])
-        if name == "up":
-            up = rotation_matrix((amount * tilt_axes(UP)[k])[None])[0] @ UP
-        if name == "start_turn":
-            c = replace(c, start_frame=rotation_matrix(np.tile(axis, (start.count, 1))) @ c.start_frame)
-        if name == "end_shift":
-            c = replace(c, end_position=c.end_position + axis)
-        if name == "length":
-            lengths = lengths * np.exp(amount)
-        begin = Configuration(c.start_position, rest.configuration.quaternions, lengths)
-        return relax(begin, m, c, replace(SHARP, first_shift=0.0), **among | {"up": up})
-
     steps = {"bend": 20.0, "twist": 20.0, "weight": 1e-4, "rest_curvature": 1e-6, "end_shift": 1e-4, "length": 1e-6}
-    worst = []
     for column, title in enumerate(found.columns):
-        name, _, k = title.rstrip("]").partition("[")
-        step = steps.get(name, 1e-5)
-        more, less = (again(name, int(k or 0), sign * step) for sign in (1, -1))
+        step = steps.get(title.partition("[")[0], 1e-5)
+        more, less = (relaxed_again(rest, material, clamps, SHARP, title, sign * step, **among) for sign in (1, -1))
         same = (more.contact.touching == touching).all(axis=1) & (less.contact.touching == touching).all(axis=1)
         rows = considered & more.converged & less.converged & same
         assert rows.sum() >= 0.9 * considered.sum(), title
@@ -69,16 +43,13 @@ def test_rods_relaxed_again_move_so():
             off /= np.abs(own).reshape(rows.sum(), -1).max(axis=1)
             # Some rods jump, or end where rounding limits them.
             assert np.median(off) < 1e-5 and np.quantile(off, 0.85) < 1e-3, title
-            worst.append(np.median(off))
-    print(f"{considered.sum()} rods; largest median error of a column {max(worst):.1e}")
 
 
 @pytest.mark.thorough
 def test_rods_seen_from_the_other_end_move_alike():
     """A rod held at one end on a slope and a ball: whether the free end is its first one or its last changes nothing."""
     close = Newton(max_iterations=1000, gap_tolerance=1e-8)
-    one = straight_rod(100.0, 24, (0.0, 0.0, 12.0), (1.0, 0.2, -0.1))
-    among = dict(obstacles=[Plane((0, 0, 0), (0.05, 0.02, 1)), Sphere((60, 3, -8), 12.0)], radius=2.0)
+    one, among = LEANING, SLOPE_AND_BALL
     material, common = Material(4e4, 3e4, 1.0), ("bend", "weight", "up", "gravity", "length")
     own = relax(one, material, with_kinds(clamps_at(one), [(Clamp.FRAME, Clamp.FREE)]), close, **among)
     w, x, y, z = np.moveaxis(own.configuration.quaternions[:, ::-1], -1, 0)
@@ -116,9 +87,7 @@ def test_loads_balance_weight_and_contact():
 @pytest.mark.thorough
 def test_point_loads_stiffen_rods_in_contact():
     """Forces and masses, on a slope and a ball, the free end last or first: by central differences of fourth order."""
-    one = straight_rod(100.0, 24, (0.0, 0.0, 12.0), (1.0, 0.2, -0.1))
-    rng = np.random.default_rng(5)
-    among = dict(obstacles=[Plane((0, 0, 0), (0.05, 0.02, 1)), Sphere((60, 3, -8), 12.0)], radius=2.0)
+    one, among, rng = LEANING, SLOPE_AND_BALL, np.random.default_rng(5)
     close = Newton(tolerance=1e-10, max_iterations=1000, gap_tolerance=1e-8)
     loads, cotangent = PointLoads(rng.normal(size=(1, 25, 3)), 1.0), rng.normal(size=(1, 25, 3))
     for kinds in ((Clamp.FRAME, Clamp.FREE), (Clamp.FREE, Clamp.FRAME), (Clamp.FRAME, Clamp.POSITION)):
@@ -135,7 +104,6 @@ def test_point_loads_stiffen_rods_in_contact():
                      for step in (200.0, 400.0))
         found = sensitivity(rest, ("bend",)).vertices[..., 0]
         off = np.abs(found - (4 * near - far) / 3).max() / np.abs(found).max()
-        print(f"off by {off:.1e}")
         assert off < 1e-4
         pulled = pullback(rest, cotangent, ("bend",))["bend"]
         np.testing.assert_allclose(pulled, (cotangent * found).sum(axis=(1, 2)), rtol=1e-6)

@@ -45,14 +45,14 @@ def link(vertices: np.ndarray, quaternions: np.ndarray) -> float:
     return float(total_twist(quaternions) / (2.0 * np.pi)) + writhe(closed(vertices))
 
 
-def determinant(vertices: np.ndarray, seed: int = 0) -> int:
+def determinant(vertices: np.ndarray) -> int:
     """The determinant of the knot that a rod (V, 3) makes: 1 of an unknotted one, 3 of an overhand knot.
 
     Of a diagram of the closed rod every crossing gives an equation between the arcs that meet there, twice the upper one less
     both lower ones; the determinant is that of all equations but one, of all arcs but one.
     """
     points = closed(vertices)
-    turn = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
     points = points @ turn
     start, side = points, np.roll(points, -1, axis=0) - points
     count = len(points)

@@ -12,11 +12,11 @@ RATE = 100.0
 SETTLING = 60  # instants for which the grippers rest before a simulated recording begins
 
 
-def carried(rng, count: int, frames: int, markers: int, spacing: float = 40.0, speed: float = 600.0) -> np.ndarray:
-    """(count, frames, markers, 3) mm an arc that is carried and turned, at about ``speed`` mm/s: edges of ``spacing``."""
+def carried(rng, count: int, frames: int, markers: int, speed: float = 600.0) -> np.ndarray:
+    """(count, frames, markers, 3) mm an arc with edges of 40 mm that is carried and turned, at about ``speed`` mm/s."""
     bend = np.linspace(-0.7, 0.7, markers - 1)
     tangents = np.stack([np.cos(bend), np.sin(bend), np.zeros(markers - 1)], axis=-1)
-    arc = np.concatenate([np.zeros((1, 3)), np.cumsum(spacing * tangents, axis=0)])
+    arc = np.concatenate([np.zeros((1, 3)), np.cumsum(40.0 * tangents, axis=0)])
     times = np.arange(frames) / RATE
     positions = np.empty((count, frames, markers, 3))
     for r in range(count):

@@ -81,15 +81,25 @@ def test_steps_between_instants_are_steps_of_refined_grippers(rng):
     np.testing.assert_allclose(grippers.refined(3).end_position[:, ::3], grippers.end_position, atol=1e-12)
 
 
-def test_pairs_are_rods_and_materials_of_their_own(rng):
+@pytest.mark.parametrize("tolerance", [None, pytest.param(0.1, marks=pytest.mark.thorough)])
+def test_pairs_springs_and_detail_go_with_their_rods(rng, tolerance):
+    """With fixed substeps, and as many as each rod needs."""
     rods, grippers = swung(rng, 3)
     material, dynamics = Material([3e4, 6e4], [2e4, 4e4]), Dynamics(drag=[1.0, 2.0], density=[1.0, 1.5])
     pairs = np.array([0, 2, 2, 1]), np.array([1, 0, 1, 0])
-    together = simulate(rods, material, grippers, dynamics, Stepping(RATE), pairs=pairs)
+    springs = Springs(rods.vertices[pairs[0]], np.linspace(0.0, 0.3, 4)[:, None] * np.ones(9))
+    found = simulate(rods, material, grippers, dynamics, Stepping(RATE, tolerance=tolerance, detailed=True), springs=springs,
+                     pairs=pairs)
+    assert (len(np.unique(found.substeps)) > 1) == (tolerance is not None)
     for k, (r, g) in enumerate(zip(*pairs, strict=True)):
+        own = Springs(springs.points[[k]], springs.stiffness[[k]])
+        fixed = Stepping(RATE, int(found.substeps[k]), detailed=True)
         alone = simulate(rods.take([r]), material.take([g]), grippers.take([r]),
-                         Dynamics(drag=dynamics.drag[g], density=dynamics.density[g]), Stepping(RATE))
-        np.testing.assert_array_equal(together.positions[k], alone.positions[0])
+                         Dynamics(drag=dynamics.drag[g], density=dynamics.density[g]), fixed, springs=own)
+        np.testing.assert_array_equal(found.positions[k], alone.positions[0])
+        np.testing.assert_array_equal(found.detail.velocities[k], alone.detail.velocities[0])
+        for name, value in alone.detail.energies.items():
+            np.testing.assert_array_equal(found.detail.energies[name][k], value[0])
 
 
 # --- substeps as a rod needs them: the estimated error holds, and does not depend on the other rods ---
@@ -109,7 +119,6 @@ def test_the_estimated_error_holds_against_much_finer_steps(rng, scheme):
     tolerance = 0.02 if scheme == "bdf2" else 0.2
     found = simulate(rods, CURVED, grippers, dynamics, Stepping(RATE, scheme=scheme, tolerance=tolerance, most_substeps=256))
     error = largest(found.positions - finest.positions)
-    print(f"substeps {np.unique(found.substeps, return_counts=True)}, true over estimated error {np.sort(error / found.error)}")
     assert found.converged.all() and (found.error <= tolerance).all()
     assert len(np.unique(found.substeps)) > 1
     assert (error < 1.1 * found.error).all()
@@ -130,24 +139,6 @@ def test_a_rod_is_refined_alone_as_among_others(rng):
 
 
 @pytest.mark.thorough
-def test_pairs_springs_and_detail_go_with_their_rods(rng):
-    rods, grippers = swung(rng, 3)
-    material, pairs = Material([3e4, 6e4], [2e4, 4e4]), (np.array([0, 2, 2, 1]), np.array([1, 0, 1, 0]))
-    springs = Springs(rods.vertices[pairs[0]], np.linspace(0.0, 0.3, 4)[:, None] * np.ones(9))
-    stepping = Stepping(RATE, tolerance=0.1, detailed=True)
-    found = simulate(rods, material, grippers, DYNAMICS, stepping, springs=springs, pairs=pairs)
-    assert len(np.unique(found.substeps)) > 1
-    for k, (r, g) in enumerate(zip(*pairs, strict=True)):
-        own = Springs(springs.points[[k]], springs.stiffness[[k]])
-        fixed = Stepping(RATE, int(found.substeps[k]), detailed=True)
-        alone = simulate(rods.take([r]), material.take([g]), grippers.take([r]), DYNAMICS, fixed, springs=own)
-        np.testing.assert_array_equal(found.positions[k], alone.positions[0])
-        np.testing.assert_array_equal(found.detail.velocities[k], alone.detail.velocities[0])
-        for name, value in alone.detail.energies.items():
-            np.testing.assert_array_equal(found.detail.energies[name][k], value[0])
-
-
-@pytest.mark.thorough
 def test_rods_that_fail_or_never_agree_are_reported(rng):
     rods, grippers = swung(rng, 4)
     grippers.end_position[1, 3:] += 1000.0
@@ -157,7 +148,7 @@ def test_rods_that_fail_or_never_agree_are_reported(rng):
     assert np.isinf(found.error[1]) and (found.error[[0, 2, 3]] > 1e-9).all()
 
 
-def test_what_cannot_be_is_refused(rng):
+def test_what_cannot_be_is_refused():
     for wrong in ({"tolerance": 0.0}, {"tolerance": np.nan}, {"tolerance": 1.0, "most_substeps": 1}):
         with pytest.raises(InputError):
             Stepping(RATE, **wrong)

@@ -33,15 +33,12 @@ def test_what_was_simulated_is_predicted(rng):
     assert motion.glitches() == []
     positions, status = OPTIONS.rollouts(motion, theta).predicted([theta])
     apart = np.abs(positions[:, 0] - motion.positions).max()
-    moved = np.abs(motion.positions[:, :, 4] - motion.positions[:, :1, 4]).max()
-    print(f"off by {apart:.2f} mm of up to {moved:.0f} mm moved")
     assert (status == 0).all() and apart < 0.5
 
 
 def test_theta_is_found_from_recordings_without_noise(rng):
     found = identify(rolled_out(rng, 4, 0.0), GUESS, OPTIONS)
     apart = np.abs(found.vector - found.unknowns.vector(TRUE)).max()
-    print(f"p off by {apart:.1e}, markers by {found.error.max():.1e} mm, {found.iterations} iterations")
     assert not found.failed.any()
     assert apart < 1e-4 and found.error.max() < 1e-5
 

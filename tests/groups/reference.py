@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from doo_ti import Clamp, Group
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import State, clamped_start, free_variables, moved, vertices_of
-from tests.oracle.external import Springs, total_derivatives, vertex_jacobian
+from tests.oracle.external import Loads, Springs, total_derivatives, vertex_jacobian
 
 STEPS, LONGEST, ENOUGH = 60, 0.3, 1e-9  # of Newton's method, and rad: of a step at most, and at its end
 BALANCINGS, NEUTRAL = 30, 1e-11
@@ -76,9 +76,7 @@ def nearest_equilibrium(group: Group, row: int = 0) -> Reference:
 
 def derivatives_under(rod, state: State, pull: np.ndarray):
     """Gradient and Hessian of a rod whose vertices bear a constant gradient ``pull`` (V, 3)."""
-    springs = Springs(np.eye(rod.edges + 1), np.zeros((rod.edges + 1, 3, 3)), np.zeros((rod.edges + 1, 3)))
-    object.__setattr__(springs, "vertex_gradient", lambda vertices: pull)
-    return total_derivatives(rod, springs, state)
+    return total_derivatives(rod, Loads(Springs.none(rod), -pull), state)
 
 
 def _from_joints(quaternions: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ from doo_ti import Clamp, Configuration, Group, Itself, Material, Plane, Tie, To
 from doo_ti.rod.shapes import end_clamps, rod_along, straight_rod
 from tests.contact.topology import linking
 from tests.oracle.chain_form import chain_energy, rod_of
+from tests.references.rods import certified
 from tests.relaxation.rods import wandering
 
 RADIUS, STIFFNESS = 1.0, 1e5
@@ -33,8 +34,7 @@ def compliance(length: float, reach: float) -> float:
 def test_crossed_rods_press_against_each_other(radii):
     depth = 0.3
     rods, clamps = pressed(depth, radii)
-    solution = relax_group(Group(rods, WEIGHTLESS, clamps), radius=[radii])
-    assert solution.converged[0] and solution.stable[0]
+    solution = certified(relax_group(Group(rods, WEIGHTLESS, clamps), radius=[radii]))
     assert abs(solution.gap[0]) < 1e-3 * RADIUS
     energy = sum(sum(chain_energy(rod_of(one, WEIGHTLESS), one.start[0], one.quaternions[0])) for one in solution.rods)
     assert solution.energy[0] == pytest.approx(energy, rel=1e-10)
@@ -55,8 +55,8 @@ def test_rods_lie_as_high_as_they_are_thick():
                     start=np.stack([0.0 * own, 20.0 * number + 0.0 * own, own + 1.0], axis=-1))
             for number, own in enumerate(radii.T)]
     clamps = [end_clamps(rod, Clamp.FRAME, Clamp.FREE) for rod in rods]
-    solution = relax_group(Group(rods, material, clamps), radius=radii, obstacles=[board])
-    assert solution.converged.all() and solution.stable.all() and np.abs(solution.gap).max() < 1e-3
+    solution = certified(relax_group(Group(rods, material, clamps), radius=radii, obstacles=[board]))
+    assert np.abs(solution.gap).max() < 1e-3
     for rod, own in zip(solution.rods, radii.T, strict=True):
         np.testing.assert_allclose(rod.vertices[:, -8:-1, 2], np.repeat(own[:, None], 7, axis=1), atol=1e-3)
     alone = relax_group(Group(rods[1:2], material, clamps[1:2]), radius=radii[:, 1], obstacles=[board])
@@ -73,9 +73,9 @@ def hooked():
     return [flat, upright], [end_clamps(rod, Clamp.FRAME, Clamp.FRAME) for rod in (flat, upright)]
 
 
-def linked(rods, row: int = 0) -> float:
+def linked(rods) -> float:
     """The linking number of two hooked loops, each closed by the line between its ends."""
-    return linking(*(rod.vertices[row] for rod in rods))
+    return linking(*(rod.vertices[0] for rod in rods))
 
 
 def drawn_apart(clamps, shift: float):
@@ -114,8 +114,7 @@ def test_tied_rods_lie_on_a_plane():
     rods = [straight_rod(float(np.linalg.norm(middle - corner)) + 6.0, 20, corner, middle - corner) for corner in corners]
     group = Group(rods, Material(1e4, 1e4), [end_clamps(rod, Clamp.POSITION, Clamp.FREE) for rod in rods],
                   [Tie((0, 20), (1, 20)), Tie((0, 20), (2, 20))])
-    solution = relax_group(group, obstacles=[Plane((0, 0, 0), (0, 0, 1))], radius=RADIUS, contact=False)
-    assert solution.converged[0] and solution.stable[0]
+    solution = certified(relax_group(group, obstacles=[Plane((0, 0, 0), (0, 0, 1))], radius=RADIUS, contact=False))
     assert abs(solution.gap[0]) < 1e-3 * RADIUS
     table = sum(part[0].sum(axis=0) for part in solution.contact_force)
     weight = 2.0 * sum(rod.rest_length.sum() for rod in rods)

@@ -16,13 +16,13 @@ RATE, MOMENTS = 100.0, 30
 EXACT = Newton(tolerance=1e-9, max_iterations=1000)
 
 
-def shaken(rod, start, end, moments: int = MOMENTS) -> list[Clamps]:
+def shaken(rod, start, end) -> list[Clamps]:
     """Clamps of a rod whose start moves to and fro, and whose far end turns about itself."""
     places, frames = rod.vertices[:, [0, -1]], rod.frames[:, [0, -1]]
     if end != Clamp.FREE:
         places[:, 1] -= 0.3 * (places[:, 1] - places[:, 0])
     held = []
-    for moment in range(moments):
+    for moment in range(MOMENTS):
         aside = [8.0 * np.sin(0.3 * moment), 0.0, 0.0]
         far = places[:, 1] + np.multiply(0.5, aside)
         held.append(Clamps(start, end, places[:, 0] + aside, far, frames[:, 0], frames[:, 1]))

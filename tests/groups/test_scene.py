@@ -81,6 +81,18 @@ def test_rods_may_differ_in_thickness(tmp_path):
         load(tmp_path, bare.replace("edges = 24", "edges = 24\nradius_mm = 2.5"))
 
 
+def test_scenes_number_vertices_as_without_end_edges(tmp_path):
+    """Edges without length at the ends of the trunk."""
+    text = SCENE.replace('start = "frame"', 'start = "frame"\nvertex_clamps = true')
+    group = load(tmp_path, text).group
+    assert group.rods[0].edges == 12 and group.rods[0].rest_length[[0, -1]].tolist() == [0.0, 0.0]
+    assert [(tie.first, tie.second) for tie in group.ties] == [((0, 6), (1, 0)), ((1, 0), (1, -1))]
+    np.testing.assert_allclose(group.rods[0].vertices[0, 6], [0, 50, 5], atol=1e-9)
+    assert load(tmp_path, text.replace('["trunk", 5]', '["trunk", 10]')).group.ties[0].first == (0, -1)
+    wrong = text.replace('["trunk", 5]', '["trunk", 11]')
+    check_refused("'trunk' has no vertex 11; give one from 0 to 10", load, tmp_path, wrong)
+
+
 def test_a_closed_curve_goes_smoothly_through_its_points(tmp_path):
     ring = load(tmp_path, SCENE).group.rods[1]
     vertices = ring.vertices[0]

@@ -35,9 +35,9 @@ def materials(kind: str, ratio: float) -> list[Material]:
     return [uneven, soft]
 
 
-def drawn(kind: str, ratio: float, seed: int = 7) -> Group:
+def drawn(kind: str, ratio: float) -> Group:
     """POSES random groups of a stiff rod and a soft one behind it, or hung from its middle."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(7)
     rods = [straight_rod(LENGTH, EDGES, (x, 0.0, 0.0)) for x in (0.0, LENGTH)]
     rods = [rod.take(np.zeros(POSES, dtype=int)) for rod in rods]
     ways = rng.normal(size=(2, POSES, 3))

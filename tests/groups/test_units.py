@@ -8,11 +8,11 @@ import pytest
 from scipy.integrate import solve_bvp
 
 from doo_ti import Dynamics, Group, GroupSolution, Newton, Tie, follow_group, relax, relax_group
-from doo_ti.groups.scene import load_group_scene
 from doo_ti.rod.shapes import end_clamps, hanging, rod_along, straight_rod
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
 from tests.conftest import check_refused
 from tests.groups.reference import nearest_equilibrium
+from tests.references.rods import certified
 
 TRUNK, BRANCH = {"EI": 1e-4, "GJ": 8e-5, "weight_per_length": 0.6}, {"EI": 2e-6, "GJ": 1e-6, "weight_per_length": 0.05}
 UNIT = 0.25  # N/m that the hand-made materials are relative to
@@ -40,8 +40,7 @@ def test_tied_rods_of_different_weight(order):
     group = tied(first, Material.from_physical(**BRANCH), connector)
     if order < 0:
         group = Group(group.rods[::-1], group.materials[::-1], group.clamps[::-1], [Tie((1, -1), (0, 0), weight=connector)])
-    solution = relax_group(group, Newton(tolerance=1e-10, max_iterations=1000))
-    assert solution.converged[0] and solution.stable[0]
+    solution = certified(relax_group(group, Newton(tolerance=1e-10, max_iterations=1000)))
     newton = UNIT / 2.0 * 1e-3
     exact = nearest_equilibrium(replace(solution.group, materials=[by_hand(rod) for rod in rods],
                               ties=[replace(group.ties[0], weight=0.02 / newton)]))
@@ -172,10 +171,9 @@ def apart(edges: int, clamp: Clamp) -> float:
     halves = [Configuration(start, np.concatenate(frames, axis=1), np.concatenate(lengths)) for start, frames, lengths in (
         (whole.start, (whole.quaternions[:, :cut], joint), (rope.rest_length[:cut], [0.0])),
         (whole.vertices[:, cut], (joint, whole.quaternions[:, cut:]), ([0.0], rope.rest_length[cut:])))]
-    both = relax_group(Group(halves, material, [
+    both = certified(relax_group(Group(halves, material, [
         Clamps(clamp, Clamp.FREE, held.start_position, free, frame, frame),
-        Clamps(Clamp.FREE, clamp, free, held.end_position, frame, frame)], [Tie((0, -1), (1, 0), weld=True)]))
-    assert both.converged.all() and both.stable.all()
+        Clamps(Clamp.FREE, clamp, free, held.end_position, frame, frame)], [Tie((0, -1), (1, 0), weld=True)])))
     vertices = np.concatenate([both.rods[0].vertices[0, :cut], both.rods[1].vertices[0, 1:]])
     return float(np.abs(vertices - whole.vertices[0]).max())
 
@@ -185,40 +183,6 @@ def test_two_halves_are_one_rod(clamp):
     """The joint in the middle is two of half the angle each."""
     errors = [apart(edges, clamp) for edges in (10, 20, 40, 80)]
     assert second_order(errors) and errors[-1] < 1e-5 * LENGTH
-
-
-SCENE = """
-[materials.rope]
-bend = 2e5
-twist = 1e5
-[rods.trunk]
-edges = 10
-length_mm = 100.0
-vertex_clamps = true
-start = "frame"
-[rods.branch]
-edges = 6
-points_mm = [[50, 0, 0], [60, 20, 0], [50, 50, 0]]
-vertex_clamps = true
-[[ties]]
-first = ["trunk", 5]
-second = ["branch", 0]
-weld = true
-[[ties]]
-first = ["trunk", -1]
-second = ["branch", 6]
-"""
-
-
-def test_scenes_number_vertices_as_without(tmp_path):
-    path = tmp_path / "scene.toml"
-    path.write_text(SCENE)
-    group = load_group_scene(path).group
-    assert [rod.edges for rod in group.rods] == [12, 8] and group.rods[0].rest_length[[0, -1]].tolist() == [0.0, 0.0]
-    assert [(tie.first, tie.second) for tie in group.ties] == [((0, 6), (1, 0)), ((0, -1), (1, -1))]
-    np.testing.assert_allclose(group.rods[0].vertices[0, 6], [50, 0, 0], atol=1e-9)
-    path.write_text(SCENE.replace('["branch", 6]', '["branch", 7]'))
-    check_refused("'branch' has no vertex 7; give one from 0 to 6", load_group_scene, path)
 
 
 def test_the_directions_of_end_edges_are_those_of_the_curve():

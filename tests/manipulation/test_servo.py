@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import doo_ti as d
-from doo_ti.manipulation.model import held, rebranched_to_observation
+from doo_ti.contact.surroundings import Surroundings
+from doo_ti.manipulation.model import Model, held
 from doo_ti.rod.shapes import with_end_edges
 from tools.studies.servo_tasks import BEND, NOISE, Plant, Tasks, tasks
 
@@ -19,11 +20,16 @@ def some(name: str) -> Tasks:
     return tasks(12, 3, PLANTS[name])
 
 
-def run(own: Tasks, servo: d.Servo, steps: int, marks: int = 11) -> tuple[np.ndarray, d.Simulation]:
+def servo_of(own: Tasks, **other) -> d.Servo:
+    """For these rods, at first in the shape that they have, to their goals."""
+    return d.Servo(**(dict(rod=own.rods, material=own.nominal, clamps=own.clamps, targets=d.Targets(own.goal)) | other))
+
+
+def run(own: Tasks, servo: d.Servo, steps: int) -> tuple[np.ndarray, d.Simulation]:
     """Mean distances (steps, B) of the true rods to their goals, and these rods."""
     random, simulation, distances = np.random.default_rng(5), own.simulation(), []
     for _ in range(steps):
-        clamps = servo.step(own.marks(simulation.state.configuration, marks, random))
+        clamps = servo.step(own.marks(simulation.state.configuration, 11, random))
         state = simulation.step(held(clamps, own.clip))
         distances.append(np.linalg.norm(own.vertices(state.configuration) - own.goal, axis=-1).mean(axis=1))
     return np.array(distances), simulation
@@ -33,7 +39,7 @@ def run(own: Tasks, servo: d.Servo, steps: int, marks: int = 11) -> tuple[np.nda
 @pytest.mark.parametrize("name", PLANTS)
 def test_unknown_rods_reach_their_goals(name):
     own = some(name)
-    servo = d.Servo(own.rods, own.nominal, own.clamps, d.Targets(own.goal))
+    servo = servo_of(own)
     distances, _ = run(own, servo, 30)
     assert (distances[-1] < NEAR).sum() >= 11 and np.median(distances[-1]) < 0.3
     if name == "own mesh":
@@ -75,7 +81,7 @@ def test_intervals_hold_the_truth_where_contacts_move(table, factor):
 def test_no_step_is_longer_than_allowed_nor_moves_a_held_gripper():
     own = tasks(4, 8, both=False)
     options = d.ServoOptions(free=("end_shift", "end_turn"), step_mm=10.0)
-    servo = d.Servo(own.rods, own.nominal, own.clamps, d.Targets(own.goal), options)
+    servo = servo_of(own, options=options)
     random, simulation = np.random.default_rng(1), own.simulation()
     for _ in range(5):
         before = servo.clamps
@@ -93,8 +99,7 @@ def test_a_loop_does_not_depend_on_the_others():
     own = some("finer mesh, clips, rest curvature")
     alone = own.take(np.array([5]))
     random = np.random.default_rng(2)
-    together = d.Servo(own.rods, own.nominal, own.clamps, d.Targets(own.goal))
-    one = d.Servo(alone.rods, alone.nominal, alone.clamps, d.Targets(alone.goal))
+    together, one = servo_of(own), servo_of(alone)
     simulation = own.simulation()
     for _ in range(8):
         seen = own.marks(simulation.state.configuration, 11, random)
@@ -113,8 +118,7 @@ def test_grippers_stay_in_their_boxes_and_come_nearer_within_them():
     first = own.clamps.end_position[0]
     half = first + 0.5 * (own.goal[0, -1] - first)
     box = np.array([np.minimum(first, half), np.maximum(first, half)])
-    free, kept = (d.Servo(own.rods, own.nominal, own.clamps, d.Targets(own.goal), options)
-                  for options in (d.ServoOptions(), d.ServoOptions(end_box=tuple(map(tuple, box.tolist())))))
+    free, kept = servo_of(own), servo_of(own, options=d.ServoOptions(end_box=tuple(map(tuple, box.tolist()))))
     begun = kept.distance[0]
     run(own, free, 12), run(own, kept, 12)
     place = kept.clamps.end_position[0]
@@ -123,11 +127,11 @@ def test_grippers_stay_in_their_boxes_and_come_nearer_within_them():
 
 def test_a_rod_that_its_boxes_keep_from_its_goal_stays_where_it_is_nearest():
     """The model is the rod: the way to a goal beyond the box would lead it away, and nowhere."""
-    own, simulation, distances = some("own mesh").take(np.arange(6)), None, []
+    own, distances = some("own mesh").take(np.arange(6)), []
     place = own.clamps.end_position
     box = tuple((place.min(axis=0) - 10.0).tolist()), tuple((place.max(axis=0) + 10.0).tolist())
     simulation = d.Simulation(own.rods, own.nominal, own.clamps)
-    servo = d.Servo(own.rods, own.nominal, own.clamps, d.Targets(own.goal), d.ServoOptions(end_box=box))
+    servo = servo_of(own, options=d.ServoOptions(end_box=box))
     for _ in range(25):
         state = simulation.step(servo.step(simulation.state.configuration.vertices))
         distances.append(np.linalg.norm(state.configuration.vertices - own.goal, axis=-1).mean(axis=1))
@@ -159,7 +163,7 @@ def test_other_rods_come_nearer_too(held):
 
 def test_nothing_seen_moves_as_the_model_says():
     own = some("own mesh")
-    servo = d.Servo(own.rods, own.nominal, own.clamps, d.Targets(own.goal))
+    servo = servo_of(own)
     before = servo.distance
     for _ in range(3):
         servo.step(np.full_like(own.goal, np.nan))
@@ -170,7 +174,7 @@ def test_targets_of_a_few_vertices():
     own = some("own mesh").take(np.arange(4))
     asked = np.full_like(own.goal, np.nan)
     asked[:, 16:18] = own.goal[:, 16:18]
-    servo = d.Servo(own.rods, own.nominal, own.clamps, d.Targets(asked))
+    servo = servo_of(own, targets=d.Targets(asked))
     _, simulation = run(own, servo, 20)
     apart = np.linalg.norm(simulation.state.configuration.vertices[:, 16:18] - own.goal[:, 16:18], axis=-1)
     assert (apart < NEAR).all() and (servo.status == d.ServoStatus.REACHED).all()
@@ -181,7 +185,7 @@ def test_targets_out_of_reach_are_approached_and_said():
     own = some("own mesh").take(np.arange(3))
     asked = np.full_like(own.goal, np.nan)
     asked[:, 0], asked[:, -1] = [0.0, 0, 0], [500.0, 0, 0]
-    servo = d.Servo(own.rods, own.nominal, own.clamps, d.Targets(asked))
+    servo = servo_of(own, targets=d.Targets(asked))
     _, simulation = run(own, servo, 30)
     assert simulation.state.converged.all()
     assert np.isin(servo.status, (d.ServoStatus.NEAREST, d.ServoStatus.BLOCKED)).all()
@@ -216,7 +220,7 @@ def test_small_steps_on_a_long_way_are_no_end_of_it():
 
 def test_marks_in_metres_are_warned_of_once():
     own = some("own mesh")
-    servo = d.Servo(own.rods, own.nominal, own.clamps, d.Targets(own.goal))
+    servo = servo_of(own)
     with pytest.warns(UserWarning, match="give mm"):
         servo.step(own.rods.vertices / 1000)
     servo.step(own.rods.vertices / 1000)
@@ -229,15 +233,15 @@ def test_shapes_are_found_again_from_marks():
     there = d.Simulation(own.rods, own.nominal, own.clamps).step(own.goal_clamps)
     rods = np.flatnonzero(there.converged & there.stable)
     marks = np.where(np.arange(34)[:, None] % 3 == 0, there.configuration.vertices, np.nan)[rods]
-    found = rebranched_to_observation(own.rods.take(rods), own.nominal.take(rods), own.goal_clamps.take(rods), marks,
-                            np.array([0, 0, 1.0]))
+    model = Model(own.nominal.take(rods), np.zeros((len(rods), 12)), np.array([0, 0, 1.0]), Surroundings())
+    clamps = own.goal_clamps.take(rods)
+    found = model.relaxed(model.drawn(own.rods.take(rods), clamps, marks, np.isfinite(marks).all(axis=-1)), clamps)
     off = np.linalg.norm(found.configuration.vertices - there.configuration.vertices[rods], axis=-1).max(axis=1)
     assert (off < 0.1).mean() > 0.9
 
 
 def servo_of_two(**other) -> d.Servo:
-    own = some("own mesh").take(np.arange(2))
-    return d.Servo(**(dict(rod=own.rods, material=own.nominal, clamps=own.clamps, targets=d.Targets(own.goal)) | other))
+    return servo_of(some("own mesh").take(np.arange(2)), **other)
 
 
 @pytest.mark.parametrize(("call", "field"), [

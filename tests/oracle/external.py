@@ -1,8 +1,8 @@
-"""A rod under E_Θ and springs that pull at its points, dense: energy, derivatives, one Newton step, the minimum.
+"""A rod under E_Θ and springs that pull at its vertices, dense: energy, derivatives, one Newton step, the minimum.
 
-    E = E_Θ + Σ_p ½ (y_p − target_p)·K_p (y_p − target_p),   y_p = Σ_i S_pi x_i
+    E = E_Θ + Σ_i ½ (x_i − target_i)·K_i (x_i − target_i)
 
-The points y_p are vertices; K_p is a number k or a symmetric matrix (a camera sees two directions only).
+K_i is a number k or a symmetric matrix (a camera sees two directions only).
 Unknowns are (dx_0, w_0, …, w_{E−1}): the translation of the first vertex in mm and the body rotations of all frames in rad,
 x_i = x_0 + Σ_{j<i} l_j t_j. What the clamps hold is left out of them, and a held far end adds Σ l_j t_j = d.
 """
@@ -22,52 +22,51 @@ TOLERANCE = 1e-10  # 1/mm, on the residual
 
 @dataclass(frozen=True)
 class Springs:
-    """P springs on a rod of V vertices: ``points`` (P, V), rows S_p, each of sum 1; ``stiffness`` (P, 3, 3) K_p, symmetric,
-    weight/mm; ``target`` (P, 3), mm."""
+    """One on each of V vertices: ``stiffness`` (V, 3, 3) K_i, symmetric, weight/mm; ``target`` (V, 3), mm."""
 
-    points: np.ndarray
     stiffness: np.ndarray
     target: np.ndarray
 
     @classmethod
     def at_vertices(cls, stiffness, target) -> "Springs":
-        """One spring on each of V vertices; stiffness (V,) or (V, 3, 3), zero where there is none; target (V, 3)."""
-        stiffness = np.asarray(stiffness, dtype=np.float64)
-        matrices = stiffness[:, None, None] * np.eye(3) if stiffness.ndim == 1 else stiffness
-        return cls(np.eye(len(target)), matrices, np.asarray(target, dtype=np.float64))
+        """With a stiffness (V,) in all directions, or (V, 3, 3), zero where there is none."""
+        return cls(stiffness[:, None, None] * np.eye(3) if stiffness.ndim == 1 else stiffness, target)
 
-    def stretch(self, vertices: np.ndarray) -> np.ndarray:
-        """(P, 3) y_p − target_p, mm."""
-        return self.points @ vertices - self.target
+    @classmethod
+    def none(cls, rod: Rod) -> "Springs":
+        """None on any vertex."""
+        return cls.at_vertices(np.zeros(rod.edges + 1), np.zeros((rod.edges + 1, 3)))
 
-    def energy(self, vertices: np.ndarray):
-        """Σ ½ r·K r; complex vertices pass."""
-        stretch = self.stretch(vertices)
-        return 0.5 * np.einsum("pa,pab,pb->", stretch, self.stiffness, stretch)
+    def energy(self, vertices: np.ndarray) -> float:
+        """Σ ½ r·K r."""
+        return 0.5 * ((vertices - self.target) * self.vertex_gradient(vertices)).sum()
 
     def vertex_gradient(self, vertices: np.ndarray) -> np.ndarray:
         """(V, 3) γ_i = ∂/∂x_i."""
-        return self.points.T @ np.einsum("pab,pb->pa", self.stiffness, self.stretch(vertices))
+        return np.einsum("iab,ib->ia", self.stiffness, vertices - self.target)
 
+    @property
     def vertex_curvature(self) -> np.ndarray:
-        """(V, 3, V, 3) ∂²/∂x_i∂x_j."""
-        return np.einsum("pi,pab,pj->iajb", self.points, self.stiffness, self.points)
+        """(V, 3, 3) ∂²/∂x_i²."""
+        return self.stiffness
 
 
 @dataclass(frozen=True)
-class Step:
-    """One Newton step.
+class Loads:
+    """Dead forces (V, 3) beside springs."""
 
-    translation (3,) mm and rotation (E, 3) rad of all frames, zero where held; force (3,) λ + δλ of a held far end, else
-    zero; residual (3 + 3E,) g + Aλ that was left before the step; descends: H + δ is positive definite on what closure
-    leaves free, so that the step goes downhill.
-    """
-
-    translation: np.ndarray
-    rotation: np.ndarray
+    springs: Springs
     force: np.ndarray
-    residual: np.ndarray
-    descends: bool
+
+    def energy(self, vertices):
+        return self.springs.energy(vertices) - (self.force * vertices).sum()
+
+    def vertex_gradient(self, vertices):
+        return self.springs.vertex_gradient(vertices) - self.force
+
+    @property
+    def vertex_curvature(self):
+        return self.springs.vertex_curvature
 
 
 @dataclass(frozen=True)
@@ -93,7 +92,7 @@ class Minimum:
 
 
 def total_energy(rod: Rod, springs: Springs, state: State):
-    """Bend, twist, gravity and springs; complex states pass."""
+    """Bend, twist, gravity and springs."""
     return sum(chain_energy(rod, state.start, state.quaternions)) + springs.energy(vertices_of(rod, state))
 
 
@@ -107,12 +106,12 @@ def vertex_jacobian(rod: Rod, quaternions: np.ndarray) -> np.ndarray:
     return jacobian
 
 
-def total_derivatives(rod: Rod, springs: Springs, state: State) -> tuple[np.ndarray, np.ndarray]:
+def total_derivatives(rod: Rod, springs: Springs | Loads, state: State) -> tuple[np.ndarray, np.ndarray]:
     """(3 + 3E,) gradient and (3 + 3E, 3 + 3E) Hessian of :func:`total_energy` in all of (dx_0, w_0, …, w_{E−1})."""
     vertices, jacobian = vertices_of(rod, state), vertex_jacobian(rod, state.quaternions)
     pull = springs.vertex_gradient(vertices)
     gradient = np.einsum("ia,iak->k", pull, jacobian)
-    hessian = np.einsum("iak,iajb,jbl->kl", jacobian, springs.vertex_curvature(), jacobian, optimize=True)
+    hessian = np.einsum("iak,iab,ibl->kl", jacobian, springs.vertex_curvature, jacobian, optimize=True)
     # The rotation of an edge moves the rod beyond it along an arc: p_j = Σ_{i>j} γ_i, a linear potential on edge j.
     behind = np.cumsum(pull[::-1], axis=0)[::-1][1:]
     hessian[3:, 3:] += linear_derivatives(rod, state.quaternions, behind)[1]
@@ -150,31 +149,25 @@ def _local(rod: Rod, springs: Springs, state: State, ends: Ends, free: np.ndarra
     return _Local(gradient[free] + rows.T @ force, hessian[np.ix_(free, free)], rows, miss, force, basis)
 
 
-def newton_step(rod: Rod, springs: Springs, state: State, ends: Ends, shift: float = 0.0, free=None) -> Step:
-    """The dense solution of (H + δ) w = −g over the free unknowns; with a held far end that of
+def newton_step(rod: Rod, springs: Springs, state: State, ends: Ends, free: np.ndarray) -> State | None:
+    """The state after the dense solution of H w = −g over the ``free`` unknowns (F,); with a held far end that of
 
-        (H + δ) w + A δλ = −(g + Aλ),   Aᵀ w = −c,   λ the least-squares multiplier, H with its linear potential.
+        H w + A δλ = −(g + Aλ),   Aᵀ w = −c,   λ the least-squares multiplier, H with its linear potential.
 
-    shift is δ, on rotations only; free (F,): indices into the unknowns, by default all that the clamps leave free.
-    Raises LinAlgError where a motion costs nothing and δ is zero.
+    None where that does not go downhill, H not being positive definite on what closure leaves free. Raises LinAlgError where a
+    motion costs nothing.
     """
-    free = free_variables(rod, ends) if free is None else np.asarray(free)
     at = _local(rod, springs, state, ends, free)
-    shifted = at.hessian + np.diag(np.where(free >= 3, shift, 0.0))
-    matrix = np.block([[shifted, at.rows.T], [at.rows, np.zeros((len(at.miss),) * 2)]])
-    solution = np.linalg.solve(matrix, -np.append(at.residual, at.miss))
-    unknowns, residual, force = np.zeros(3 + 3 * rod.edges), np.zeros(3 + 3 * rod.edges), np.zeros(3)
-    unknowns[free], residual[free] = solution[: len(free)], at.residual
-    if len(at.miss):
-        force = at.force + solution[len(free) :]
-    lowest = np.linalg.eigvalsh(at.basis.T @ shifted @ at.basis)[0]
-    return Step(unknowns[:3], unknowns[3:].reshape(-1, 3), force, residual, bool(lowest > 0))
+    matrix = np.block([[at.hessian, at.rows.T], [at.rows, np.zeros((len(at.miss),) * 2)]])
+    step = np.linalg.solve(matrix, -np.append(at.residual, at.miss))[: len(free)]
+    lowest = np.linalg.eigvalsh(at.basis.T @ at.hessian @ at.basis)[0]
+    return moved(state, free, step, rod.turned) if lowest > 0 else None
 
 
-def minimum(rod: Rod, springs: Springs | None, state: State, ends: Ends, max_iterations=500) -> Minimum:
+def minimum(rod: Rod, springs: Springs | Loads | None, state: State, ends: Ends, max_iterations=500) -> Minimum:
     """Descend from ``state`` to a minimum, never uphill: Newton's step with the size of every eigenvalue, so that negative
     ones lead downhill too; halved until the energy does not rise; along the softest mode off a saddle. Springs may be None."""
-    springs = Springs.at_vertices(np.zeros(rod.edges + 1), np.zeros((rod.edges + 1, 3))) if springs is None else springs
+    springs = Springs.none(rod) if springs is None else springs
     free = free_variables(rod, ends)
     scale = np.linalg.eigvalsh(rod.bend).max()
     state, converged = closed(rod, ends, state, free), False
@@ -231,3 +224,11 @@ def relaxed(configuration, material, clamps, index=0, up=(0.0, 0.0, 1.0)) -> Min
     """:func:`minimum` of one row of the package's tables; no clamp kind or length is checked."""
     rod = rod_of(configuration, material, index, up)
     return minimum(rod, None, *clamped_start(configuration, clamps, index))
+
+
+def where_found(solution, material, clamps, row, up=(0.0, 0.0, 1.0), springs: Springs | Loads | None = None) -> Minimum:
+    """:func:`minimum` at the rod that the package has found, without moving it."""
+    rods = solution.configuration
+    state = State(rods.start[row], rods.quaternions[row].astype(np.float64))
+    ends = clamped_start(rods, clamps, row)[1]
+    return minimum(rod_of(rods, material, row, up), springs, state, ends, max_iterations=0)

@@ -43,15 +43,13 @@ def _components(quaternion):
     return [np.asarray(quaternion)[..., k] for k in range(4)]
 
 
-def pair_energy(q0, q1, l0, l1, bend0, bend1, twist, rest=None):
-    """Bend plus twist energy of a pair (...,): real, or complex for a complex step."""
-    rest = np.zeros(2) if rest is None else np.asarray(rest)
-    return sum(pair_parts(_components(q0), _components(q1), l0, l1, np.asarray(bend0), np.asarray(bend1), twist, rest))
+def pair_energy(q0, q1, l0, l1, bend0, bend1, twist, rest):
+    """Bend plus twist energy of a pair (...,)."""
+    return sum(pair_parts(_components(q0), _components(q1), l0, l1, bend0, bend1, twist, rest))
 
 
-def pair_gradient_hessian(q0, q1, l0, l1, bend0, bend1, twist, rest=None, turned=algebra.body_rotated):
+def pair_gradient_hessian(q0, q1, l0, l1, bend0, bend1, twist, rest, turned):
     """(..., 6) gradient and (..., 6, 6) Hessian of :func:`pair_energy` in the body rotations (w0, w1), made by ``turned``."""
-    rest = np.zeros(2) if rest is None else np.asarray(rest)
     values = [np.asarray(a, dtype=np.float64) for a in (l0, l1, twist)]
     shape = np.broadcast_shapes(
         np.shape(q0)[:-1], np.shape(q1)[:-1], np.shape(bend0)[:-2], np.shape(bend1)[:-2], rest.shape[:-1],

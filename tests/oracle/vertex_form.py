@@ -31,11 +31,11 @@ def wrapped(number):
     return number - 2.0 * np.pi * np.ceil((real(number) - np.pi) / (2.0 * np.pi))
 
 
-def vertex_energy(vertices, m1, m2, rest_length, bend, twist, weight, rest_curvature=None, up=(0.0, 0.0, 1.0)):
+def vertex_energy(vertices, m1, m2, rest_length, bend, twist, weight, rest_curvature, up):
     """Bend, twist and gravity of one rod, mm·weight: three numbers whose sum is E(Γ).
 
     vertices (V, 3), m1 and m2 (E, 3): sequences of floats, complex or hyper-dual numbers; rest_length (E,);
-    bend (E, 2, 2); twist (E−1,); weight a number; rest_curvature None or (E−1, 2).
+    bend (E, 2, 2); twist (E−1,); weight a number; rest_curvature (E−1, 2).
     l̄_i = l_{i−1} + l_i inside, l̄_0 = l_0, l̄_E = l_{E−1}; gravity is measured from the plane up·x = 0.
     """
     count = len(rest_length)
@@ -47,8 +47,7 @@ def vertex_energy(vertices, m1, m2, rest_length, bend, twist, weight, rest_curva
         binormal = curvature_binormal(edges[i - 1], edges[i])
         for j in (i - 1, i):
             omega = material_curvature(binormal, m1[j], m2[j])
-            if rest_curvature is not None:
-                omega = [omega[k] - rest_curvature[i - 1][k] * length / 2.0 for k in range(2)]
+            omega = [omega[k] - rest_curvature[i - 1][k] * length / 2.0 for k in range(2)]
             form = sum(bend[j][a][b] * omega[a] * omega[b] for a in range(2) for b in range(2))
             bending = bending + form / (2 * length)
         turn = wrapped(angles[i] - angles[i - 1])

@@ -44,11 +44,15 @@ def bows(*sizes: float, edges: int = 33, rest_length: float = 3.0, twist=0.0) ->
     return replace(rods, rest_length=rods.rest_length[0])
 
 
+def certified(solution):
+    """A solution, of rods or of groups, all of which has converged to certified minima."""
+    assert solution.converged.all() and solution.stable.all(), solution
+    return solution
+
+
 def at_rest(rods: Configuration, material: Material) -> Configuration:
     """Relaxed between their own clamps."""
-    solution = relax(rods, material, clamps_at(rods))
-    assert (solution.converged & solution.stable).all()
-    return solution.configuration
+    return certified(relax(rods, material, clamps_at(rods))).configuration
 
 
 def observed(rods: Configuration) -> Observations:

@@ -21,7 +21,7 @@ import pytest
 from scipy.optimize import brentq
 
 from doo_ti import Clamp, Configuration, Material, Newton, PointLoads, end_clamps, relax, straight_rod
-from tests.references.rods import chain, clamps_at, orders, stacked
+from tests.references.rods import certified, chain, clamps_at, orders, stacked
 
 ALPHA, BETA, SPAN = 6e5, 4e5, 100.0
 
@@ -84,8 +84,7 @@ def measured_compression(edges: int, moments, slack_over_length: float) -> np.nd
     slack = slack_over_length * SPAN
     turns = np.asarray(moments) * ALPHA / BETA
     rods = stacked([slack_rod(edges, turn, slack) for turn in turns])
-    solution = relax(rods, Material(ALPHA, BETA, 1e-6 * ALPHA / SPAN**3), clamps_at(rods))
-    assert solution.converged.all() and solution.stable.all()
+    solution = certified(relax(rods, Material(ALPHA, BETA, 1e-6 * ALPHA / SPAN**3), clamps_at(rods)))
     return (solution.energy - BETA * turns**2 / (2 * SPAN)) / slack * SPAN**2 / ALPHA
 
 
@@ -135,8 +134,7 @@ def test_envelope_converges_to_tanh_squared(largest):
     for count in joints:
         exact, envelope = buckled_rod(count + 1, largest)
         start, _ = buckled_rod(count + 1, largest, flatter=0.2)
-        solution = relax(start, Material(ALPHA, TWIST, 0.0), clamps_at(exact), Newton(tolerance=1e-9))
-        assert solution.converged.all() and solution.stable.all()
+        solution = certified(relax(start, Material(ALPHA, TWIST, 0.0), clamps_at(exact), Newton(tolerance=1e-9)))
         cosine = solution.configuration.frames[0, :, 0, 0]
         errors.append(np.abs((cosine - np.cos(largest)) / (1 - np.cos(largest)) - envelope).max())
     assert (orders(joints, errors) > 1.8).all() and errors[-1] < 1e-2
@@ -161,27 +159,20 @@ def test_strips_just_beyond_their_buckling_load_converge(rng, aside):
     assert np.abs(found.configuration.vertices[..., 1]).max(axis=1).min() > 0.2 * length
 
 
-@pytest.mark.parametrize("edges", [40, 320])
-@pytest.mark.parametrize("ratio", [1.0, 1e3])
-def test_columns_are_certified_up_to_the_load_at_which_they_buckle(edges, ratio):
-    """π²EI/4L² (Euler, 1744), however stiff the rod is against twisting and however fine its mesh."""
-    length, bend = 300.0, 2e6
-    rods = straight_rod(length, edges, vertex_clamps=True).take([0, 0])
-    force = np.zeros((2, rods.edges + 1, 3))
-    force[:, -1, 0] = np.array([-0.99, -1.01]) * np.pi**2 * bend / (4 * length**2)
-    found = relax(rods, Material(bend, ratio * bend, weight=0.0), end_clamps(rods, Clamp.FRAME, Clamp.FREE),
-                  Newton(max_escapes=0), external=PointLoads(force))
-    np.testing.assert_array_equal(found.stable, [True, False])
+STIFF, WEAK, STRONG, SOFT, REACH = 2e6, 2e6, 2e9, 1.5e6, 300.0
+EULER = np.pi**2 * STIFF / (4 * REACH**2)
+PRANDTL = 4.0126 * np.sqrt(WEAK * SOFT / ((1 - WEAK / STRONG) * (1 - SOFT / STRONG))) / REACH**2
+STRIP = Material.diagonal(WEAK, STRONG, SOFT, weight=0.0)
 
 
-@pytest.mark.parametrize("edges", [40, 160])
-def test_strips_are_certified_up_to_the_load_at_which_they_tip_over(edges):
-    """4.0126 √(EI GJ)/L², over √((1 − EI/EI')(1 − GJ/EI')) with EI' the stiff way (Prandtl, 1899)."""
-    length, weak, strong, twist = 300.0, 2e6, 2e9, 1.5e6
-    rods = straight_rod(length, edges, vertex_clamps=True).take([0, 0])
-    load = 4.0126 * np.sqrt(weak * twist / ((1 - weak / strong) * (1 - twist / strong))) / length**2
+@pytest.mark.parametrize("edges, material, axis, load", [
+    *((edges, Material(STIFF, ratio * STIFF, weight=0.0), 0, EULER) for ratio in (1.0, 1e3) for edges in (40, 320)),
+    *((edges, STRIP, 2, PRANDTL) for edges in (40, 160))])
+def test_cantilevers_are_certified_up_to_the_load_at_which_they_buckle(edges, material, axis, load):
+    """Columns at π²EI/4L² (Euler, 1744), however stiff they are against twisting, and strips, which tip over at 4.0126
+    √(EI GJ)/L² over √((1 − EI/EI')(1 − GJ/EI')) with EI' the stiff way (Prandtl, 1899), however fine the mesh is."""
+    rods = straight_rod(REACH, edges, vertex_clamps=True).take([0, 0])
     force = np.zeros((2, rods.edges + 1, 3))
-    force[:, -1, 2] = np.array([-0.99, -1.01]) * load
-    found = relax(rods, Material.diagonal(weak, strong, twist, weight=0.0), end_clamps(rods, Clamp.FRAME, Clamp.FREE),
-                  Newton(max_escapes=0), external=PointLoads(force))
+    force[:, -1, axis] = np.array([-0.99, -1.01]) * load
+    found = relax(rods, material, end_clamps(rods, Clamp.FRAME, Clamp.FREE), Newton(max_escapes=0), external=PointLoads(force))
     np.testing.assert_array_equal(found.stable, [True, False])

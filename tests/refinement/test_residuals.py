@@ -113,8 +113,8 @@ def moved_residuals(comparison, fit, state, step, scatter):
     (TRUTH, ("bend", "twist"), (None, Clamp.FREE), {"table": 4.0})])
 def test_residuals_follow_the_unknowns(rng, theta, parameters, kinds, fields):
     """J and Z of :class:`doo_ti.refinement.residuals.Comparison` by central differences, with clips of unequal lengths, a
-    curvature, a stiffness along it, spacings that are off, and clamps that are already off, with and without reported frames; and of rods that a
-    table holds up, of which nothing goes along when their start is lifted."""
+    curvature, a stiffness along the rod, spacings that are off, and clamps that are already off, with and without reported
+    frames; and of rods that a table holds up, of which nothing goes along when their start is lifted."""
     seen = suture(2, frames=fields.get("with_frames", False)).take([0, 1, 4])
     seen = replace(seen, spacing_error=0.02, **dict.fromkeys(fields.pop("bare", ()), None))
     rod, higher = held(seen, 34, kinds), fields.pop("table", None)

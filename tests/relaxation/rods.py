@@ -7,11 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti import Observations, load_observations, observation_clamps, relax, start_configuration
+from doo_ti import Newton, Observations, load_observations, observation_clamps, relax, start_configuration
+from doo_ti.relaxation.sensitivity import tilt_axes
+from doo_ti.rod.frames import rotation_matrix
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution
 from tests.references.rods import chain, clamps_at, stacked
 
 PAIRS = [(start, end) for start in Clamp for end in Clamp if (start, end) != (Clamp.FREE, Clamp.FREE)]
+LOADS = ("start_force", "start_moment", "end_force", "end_moment")
 RESULTS = ("energy", "residual", "closure", "iterations", "status", "stable", "end_force", "precision")
 
 
@@ -55,6 +58,33 @@ def assert_same(first: Solution, rows, second: Solution, other_rows) -> None:
     a, b = first.configuration, second.configuration
     np.testing.assert_array_equal(a.quaternions[rows], b.quaternions[other_rows])
     np.testing.assert_array_equal(a.start[rows], b.start[other_rows])
+
+
+BENDS = {"bend": np.eye(2), "bend_1": np.diag([1.0, 0.0]), "bend_2": np.diag([0.0, 1.0]), "bend_12": np.eye(2)[::-1]}
+
+
+def relaxed_again(solution: Solution, material: Material, clamps: Clamps, solver: Newton, column: str, amount: float, *, up,
+                  **around) -> Solution:
+    """The rods, relaxed from a solution on, after a change by ``amount`` along a ``column`` of their sensitivity."""
+    name, _, axis = column.rstrip("]").partition("[")
+    rods, change = solution.configuration, amount * np.eye(3)[int(axis or 0)]
+    if name in BENDS:
+        material = replace(material, bend=material.bend + amount * BENDS[name])
+    elif name == "rest_curvature":
+        material = replace(material, rest_curvature=change[:2] + (0.0 if material.rest_curvature is None else
+                                                                  material.rest_curvature))
+    elif name in ("twist", "weight"):
+        material = replace(material, **{name: getattr(material, name) + amount})
+    elif name == "up":
+        up = rotation_matrix(amount * tilt_axes(up)[int(axis)]) @ up
+    elif name == "length":
+        rods = replace(rods, rest_length=rods.rest_length * np.exp(amount))
+    else:
+        end, kind = name.split("_")
+        field = f"{end}_position" if kind == "shift" else f"{end}_frame"
+        held = getattr(clamps, field)
+        clamps = replace(clamps, **{field: held + change if kind == "shift" else rotation_matrix(change) @ held})
+    return relax(rods, material, clamps, replace(solver, first_shift=0.0), up=up, **around)
 
 
 SUTURES = ("nylon", "vicryl", "silk")

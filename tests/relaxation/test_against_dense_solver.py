@@ -9,11 +9,9 @@ The certificate: it detects saddles, agrees with the dense Hessian's eigenvalues
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Clamps, Configuration, Material, Newton, Springs, relax
-from tests.oracle.chain_form import rod_of
-from tests.oracle.equilibrium import State, clamped_start
-from tests.oracle.external import minimum, relaxed
-from tests.references.rods import chain, clamps_at, jiggled, planar, stacked
+from doo_ti import Clamp, Material, Newton, Springs, relax
+from tests.oracle.external import relaxed, where_found
+from tests.references.rods import certified, chain, clamps_at, jiggled, planar, stacked
 from tests.relaxation.rods import PAIRS, definite, wandering, with_kinds
 
 EDGES = 6
@@ -37,11 +35,9 @@ def test_every_pair_of_clamps(rng, weight):
     start, clamps, material = general_rods(rng, WEIGHTS[weight])
     solution = relax(start, material, clamps, Newton(tolerance=1e-9), up=UP)
     for row, kinds in enumerate(PAIRS):
-        rod = rod_of(start, material, row, up=UP)
-        found = State(solution.configuration.start[row], solution.configuration.quaternions[row])
-        here = minimum(rod, None, found, clamped_start(start, clamps, row)[1], max_iterations=0)
+        here = where_found(solution, material, clamps, row, UP)
         names = " - ".join(kind.name.lower() for kind in kinds)
-        scale = abs(here.energy) + 1e-3 * np.abs(rod.bend).max() / rod.rest_length.sum()
+        scale = abs(here.energy) + 1e-3 * np.abs(material.bend[row]).max() / start.rest_length[row].sum()
         softest = here.smallest_eigenvalue / here.eigenvalues[-1]
         assert solution.status[row] == 0, names
         assert abs(solution.energy[row] - here.energy) < 1e-12 * (abs(here.energy) + scale), names
@@ -66,17 +62,9 @@ def test_isotropic_rods_that_may_spin(rng):
     kinds = [(Clamp.POSITION, Clamp.POSITION), (Clamp.TANGENT, Clamp.POSITION), (Clamp.TANGENT, Clamp.TANGENT)]
     rods = wandering(rng, 3, EDGES, rng.uniform(1, 6, EDGES), wander=0.25, twist=0.2)
     start, clamps, material = jiggled(rods, rng, 0.03), with_kinds(clamps_at(rods), kinds), Material(2e5, 1.5e5, 300.0)
-    solution = relax(start, material, clamps, Newton(tolerance=1e-9), up=UP)
-    assert solution.converged.all() and solution.stable.all()
+    solution = certified(relax(start, material, clamps, Newton(tolerance=1e-9), up=UP))
     errors = [abs(solution.energy[row] / relaxed(start, material, clamps, row, up=UP).energy - 1) for row in range(3)]
     assert max(errors) < 1e-9
-
-
-def dense(start: Configuration, material: Material, clamps: Clamps, solution, row: int):
-    """The oracle at what F returned for that rod, without moving it."""
-    rod = rod_of(start, material, row)
-    state = State(solution.configuration.start[row], solution.configuration.quaternions[row].astype(np.float64))
-    return minimum(rod, None, state, clamped_start(start, clamps, row)[1], max_iterations=0)
 
 
 def test_certificate_is_the_sign_of_the_smallest_eigenvalue(rng):
@@ -89,7 +77,7 @@ def test_certificate_is_the_sign_of_the_smallest_eigenvalue(rng):
         solution = relax(start, material, clamps, solver)
         assert solution.converged.all()
         for row in range(12):
-            here = dense(start, material, clamps, solution, row)
+            here = where_found(solution, material, clamps, row)
             assert here.residual < 1e-8
             assert solution.stable[row] == (here.smallest_eigenvalue > 0), (row, here.eigenvalues[:3])
 

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Clamps, Configuration, InputError
+from doo_ti import Clamp, Clamps, Configuration
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.clamp_table import FEW, INFEASIBLE, SOUND, STRAIGHT, TAUT, clamp_table
 from doo_ti.rod.frames import matrix_from_quaternion, smallest_rotation, vertices_from_quaternions
+from tests.conftest import check_refused
 
 FREE, POSITION, TANGENT, FRAME = (int(kind) for kind in Clamp)
 
@@ -114,8 +115,7 @@ def test_a_tangent_of_another_length_is_refused(rng, end, kind, tangent):
     frames[3] = np.eye(3)[:, [1, 2, 0]] if any(tangent) else 0.0
     frames[3, :, 0] = tangent
     held = replace(clamps, **{end: frames})
-    with pytest.raises(InputError, match=f"{end}.*no frame that can be held"):
-        clamp_table(rods, lengths, np.full((5, 2), int(kind)), held)
+    check_refused(f"{end}.*no frame that can be held", clamp_table, rods, lengths, np.full((5, 2), int(kind)), held)
     clamp_table(rods, lengths, np.full((5, 2), POSITION), held)
 
 

@@ -8,9 +8,9 @@ import pytest
 from doo_ti import Clamp, Descent, Material, Newton, Springs, relax
 from tests.conftest import check_refused
 from tests.oracle.chain_form import rod_of
-from tests.oracle.equilibrium import State, clamped_start, free_variables, moved
+from tests.oracle.equilibrium import clamped_start, free_variables
 from tests.oracle.external import Springs as DenseSprings
-from tests.oracle.external import minimum, newton_step, total_energy
+from tests.oracle.external import newton_step
 from tests.references.rods import clamps_at, jiggled
 from tests.relaxation.rods import assert_same, definite, wandering, with_kinds
 
@@ -21,42 +21,23 @@ UP = np.array([0.4, -0.5, 0.7])
 EDGES = 7
 
 
-def rods_under_springs(rng, count: int, isotropic: bool, strength: float = 300.0, edges: int = EDGES, ends=ENDS):
+def rods_under_springs(rng, count: int, isotropic: bool, ends=ENDS):
     """``count`` rods for each pair of ``ends``, and springs to points some way off their vertices, a few of none."""
     kinds = [pair for pair in ends for _ in range(count)]
-    rods = wandering(rng, len(kinds), edges, rng.uniform(1, 6, edges), wander=0.2, twist=0.2)
+    rods = wandering(rng, len(kinds), EDGES, rng.uniform(1, 6, EDGES), wander=0.2, twist=0.2)
     total = len(kinds)
     if isotropic:
         material = Material(rng.uniform(1e5, 3e5, total), rng.uniform(1e5, 3e5, total), 100.0)
     else:
-        material = Material(definite(rng, total, edges), rng.uniform(1e5, 3e5, (total, edges - 1)), 100.0,
-                            0.01 * rng.normal(size=(total, edges - 1, 2)))
-    stiffness = strength * rng.uniform(0, 1, (total, edges + 1)) * (rng.uniform(size=(total, edges + 1)) < 0.8)
+        material = Material(definite(rng, total, EDGES), rng.uniform(1e5, 3e5, (total, EDGES - 1)), 100.0,
+                            0.01 * rng.normal(size=(total, EDGES - 1, 2)))
+    stiffness = 300.0 * rng.uniform(0, 1, (total, EDGES + 1)) * (rng.uniform(size=(total, EDGES + 1)) < 0.8)
     springs = Springs(rods.vertices + 2.0 * rng.normal(size=rods.vertices.shape), stiffness)
     return jiggled(rods, rng, 0.03), with_kinds(clamps_at(rods), kinds), material, springs
 
 
 def dense(springs: Springs, row: int) -> DenseSprings:
     return DenseSprings.at_vertices(springs.stiffness[row], springs.points[row])
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("isotropic", [True, False], ids=["isotropic", "general"])
-def test_any_ends_may_be_held(rng, isotropic):
-    """All sixteen pairs of clamps: both ends held, or vertex 0 free to move; minimum, energy and force of the far clamp."""
-    start, clamps, material, springs = rods_under_springs(rng, 2, isotropic, ends=ALL_ENDS)
-    solution = relax(start, material, clamps, Newton.careful(tolerance=1e-9), up=UP, external=springs)
-    assert solution.converged.all() and solution.stable.all()
-    assert solution.closure.max() < 1e-12
-    for row in range(start.count):
-        rod = rod_of(start, material, row, up=UP)
-        found = State(solution.configuration.start[row], solution.configuration.quaternions[row])
-        _, ends = clamped_start(start, clamps, row)
-        assert solution.energy[row] == pytest.approx(total_energy(rod, dense(springs, row), found), rel=1e-12)
-        here = minimum(rod, dense(springs, row), found, ends, max_iterations=0)
-        assert here.residual < 1e-9 and here.eigenvalues[0] > -1e-9 * here.eigenvalues[-1]  # a round rod may spin freely
-        if ends.end != Clamp.FREE:
-            np.testing.assert_allclose(-solution.end_force[row], here.force, atol=1e-8 * np.abs(here.force).max())
 
 
 @pytest.mark.sampled(1)
@@ -75,10 +56,8 @@ def test_one_step_is_the_dense_one(rng, isotropic):
         free = free_variables(rod, ends)
         if isotropic and STARTS[row // 3] != Clamp.FRAME:
             free = free[free != 3]  # the spin of a round rod is held
-        step = newton_step(rod, dense(springs, row), state, ends, free=free)
-        unknowns = np.concatenate([step.translation, step.rotation.ravel()])[free]
-        expected = moved(state, free, unknowns)
-        if not step.descends:
+        expected = newton_step(rod, dense(springs, row), state, ends, free)
+        if expected is None:
             continue
         steps += 1
         frames = after.configuration.quaternions[row]

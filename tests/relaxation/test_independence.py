@@ -77,7 +77,7 @@ def test_shuffled_batches_have_the_same_bits(rng, kind, precision):
     compare(rng, 240, kind, precision, ((1, 12), (7, 6), (100, 3)))
 
 
-def test_descent(rng):
+def test_descent_has_the_same_bits_in_shuffled_batches(rng):
     compare(rng, 60, "descent", "f64", ((1, 3), (7, 3)))
 
 

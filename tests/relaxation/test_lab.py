@@ -27,7 +27,6 @@ def test_ribbon_at_the_truth(laboratory):
         solution = relax(rod.start, rod.material, rod.clamps, solver, up=rod.observations.up)
         assert (solution.converged & solution.stable).all()
         errors[name] = distance(solution.configuration, rod.observations, frame_weight=RIBBON_WIDTH).mean()
-    print(f"ribbon, w_m {RIBBON_WIDTH} mm: {errors}")
     assert errors["plain"] == pytest.approx(errors["careful"], rel=1e-3) and errors["plain"] < 2.0
 
 

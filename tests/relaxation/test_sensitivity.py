@@ -1,19 +1,16 @@
 """dΓ*/dΘ against dense linear algebra and against rods relaxed again; which rods have none, here and in a pullback."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from doo_ti import Clamp, Material, Newton, Springs, end_loads, pullback, relax, sensitivity
 from doo_ti.relaxation.sensitivity import PARAMETERS, tilt_axes
-from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about
 from tests.conftest import check_refused
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import clamped_start, free_variables
 from tests.oracle.sensitivity import dense_sensitivity
 from tests.references.rods import chain, clamps_at
-from tests.relaxation.rods import PAIRS, definite, one_of_three_at_rest, wandering, with_kinds
+from tests.relaxation.rods import LOADS, PAIRS, definite, one_of_three_at_rest, relaxed_again, wandering, with_kinds
 
 SHARP = Newton(tolerance=1e-10)
 EVERY = ("bend", "bend_1", "bend_2", "bend_12", "twist", "weight", "rest_curvature", "rest_curvature_per_joint", "gravity")
@@ -67,37 +64,29 @@ def relative_errors(own, dense) -> np.ndarray:
 
 
 def test_rods_relaxed_again_move_so(rng):
-    """Central differences of equilibria at residual 1e-12, directors and tilts of gravity included."""
+    """Central differences of equilibria at residual 1e-12: vertices, directors, and forces and moments at both ends."""
     rods = wandering(rng, 6, 12)
     kinds = [(Clamp.FRAME, Clamp.FRAME), (Clamp.TANGENT, Clamp.FRAME), (Clamp.FREE, Clamp.FRAME)] * 2
-    clamps = with_kinds(clamps_at(rods), kinds)
-    bend, twist, rest, up = np.array([[2e5, 3e4], [3e4, 1e5]]), 1.5e5, np.array([2e-3, -1e-3]), UP / np.linalg.norm(UP)
-    solution = relax(rods, Material(bend, twist, 1.0, rest), clamps, SHARP, up=up)
-    found = sensitivity(solution, ("bend_1", "bend_12", "twist", "weight", "rest_curvature", "up"))
+    clamps, up = with_kinds(clamps_at(rods), kinds), UP / np.linalg.norm(UP)
+    material = Material(np.array([[2e5, 3e4], [3e4, 1e5]]), 1.5e5, 1.0, np.array([2e-3, -1e-3]))
+    solution = relax(rods, material, clamps, SHARP, up=up)
+    found = sensitivity(solution, ("bend_1", "bend_12", "twist", "weight", "rest_curvature", "up", "length"))
     assert found.usable.all()
-    assert found.columns == ("bend_1", "bend_12", "twist", "weight", "rest_curvature[0]", "rest_curvature[1]", "up[0]", "up[1]")
-    steps = [20.0, 20.0, 15.0, 1e-4, 1e-6, 1e-6, 1e-4, 1e-4]
-
-    def moved(column, amount):
-        change = np.zeros(8)
-        change[column] = amount
-        b = bend + [[change[0], change[1]], [change[1], 0.0]]
-        turn = change[6] * tilt_axes(up)[0] + change[7] * tilt_axes(up)[1]
-        size = np.linalg.norm(turn)
-        towards = up if size == 0 else matrix_from_quaternion(quaternion_about(turn / size, size)) @ up
-        tilted = replace(solution, tables=replace(solution.tables, up=towards))
-        material = Material(b, twist + change[2], 1.0 + change[3], rest + change[4:6])
-        return relax(tilted, material, solver=replace(SHARP, first_shift=0.0)).configuration
-
-    for column, step in enumerate(steps):
-        plus, minus = moved(column, step), moved(column, -step)
-        for own, difference in (
-            (found.vertices[..., column], plus.vertices - minus.vertices),
-            (found.directors[..., column], plus.frames[..., 1] - minus.frames[..., 1])):
-            np.testing.assert_allclose(own, difference / (2 * step), atol=1e-6 * np.abs(own).max())
+    steps = {"bend_1": 20.0, "bend_12": 20.0, "twist": 15.0, "weight": 1e-4, "rest_curvature[0]": 1e-6,
+             "rest_curvature[1]": 1e-6, "up[0]": 1e-4, "up[1]": 1e-4, "length": 1e-6}
+    assert found.columns == tuple(steps)
+    for column, (name, step) in enumerate(steps.items()):
+        near = [relaxed_again(solution, material, clamps, SHARP, name, sign * step, up=up) for sign in (1, -1)]
+        shapes, loads = [one.configuration for one in near], [end_loads(one) for one in near]
+        pairs = [(found.vertices, [shape.vertices for shape in shapes], 1e-6),
+                 (found.directors, [shape.frames[..., 1] for shape in shapes], 1e-6)]
+        pairs += [(getattr(found.loads, load), [getattr(one, load) for one in loads], 2e-5) for load in LOADS]
+        for derivative, (plus, minus), bound in pairs:
+            own = derivative[..., column]
+            np.testing.assert_allclose(own, (plus - minus) / (2 * step), atol=bound * np.abs(own).max(), err_msg=name)
 
 
-def test_a_taut_rod_only_spins(rng):
+def test_a_taut_rod_only_spins():
     rods = chain(np.tile([1.0, 0.0, 0.0], (8, 1)), [0, 0, 1], 3.0, spin=0.1 * np.arange(8))
     ribbon = relax(rods, Material.diagonal(2e5, 1e5, 1e5), clamps_at(rods), SHARP)
     assert ribbon.stable.all()

@@ -1,8 +1,9 @@
 """Equilibria of a Kirchhoff rod as a continuum, clamped at both ends: a boundary value problem, by spectral collocation.
 
 The unknowns are the rotations R(s) of the cross sections at Legendre–Gauss–Lobatto points and the force n(0) in the start
-clamp. With R' = R [κ], m = R b B (κ − κ₀), b(s) a relative stiffness, n(s) = n(0) + w s up and r' = t, they solve m' + t × n = 0 and ∫ t = r(L) − r(0).
-Lengths are in rod lengths, moments in EI / L: bend stiffness is 1, twist stiffness GJ / EI, and weight w L³ / EI.
+clamp. With R' = R [κ], m = R b B (κ − κ₀), b(s) a relative stiffness, n(s) = n(0) + w s up and r' = t, they solve
+m' + t × n = 0 and ∫ t = r(L) − r(0). Lengths are in rod lengths, moments in EI / L: bend stiffness is 1, twist stiffness
+GJ / EI, and weight w L³ / EI.
 
 Each rod is followed from a circular arc without weight, an equilibrium known in closed form, to its clamps and weight; in the
 end its second variation says whether it is stable. Rods are solved many at a time.
@@ -194,6 +195,7 @@ def equilibria(degree, ratio, weight, start, span, end, curvature, stiffness) ->
     reached = np.flatnonzero(done >= 1)
     right = np.zeros(rods, bool)
     if reached.size:
-        kept = Rods(at, frames[reached], force[reached], ratio, weight[reached], found.curvature[reached], span[reached], stiffness)
+        kept = Rods(at, frames[reached], force[reached], ratio, weight[reached], found.curvature[reached], span[reached],
+                    stiffness)
         right[reached] = kept.stable() & kept.resolved()
     return found, right
