@@ -50,6 +50,7 @@ from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import across
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
 from doo_ti.vision.cameras import Rig
+from doo_ti.vision.curves import normal_to
 from doo_ti.vision.detection import Detection, thinned
 from doo_ti.vision.distance_map import ALIKE, NEAR_PX, coverage
 from doo_ti.vision.image_energy import AssignedPoints
@@ -226,7 +227,7 @@ def _movement_across(rig: Rig, vertices: np.ndarray, turns: np.ndarray, length: 
         jacobian = (rig.project(place[:, :, None] + ahead) - rig.project(place[:, :, None] - ahead)) / (2 * STEP_MM)
         along = np.einsum("caexu,aex->caeu", jacobian, np.diff(vertices, axis=1))
         pixels = np.linalg.norm(along, axis=-1)
-        normal = np.stack([-along[..., 1], along[..., 0]], axis=-1) / np.maximum(pixels, 1e-9)[..., None]
+        normal = normal_to(along) / np.maximum(pixels, 1e-9)[..., None]
         rows.append(np.einsum("caexu,caeu,aexp->acep", jacobian, normal, motion, optimize=True))
         shares.append(np.swapaxes(pixels, 0, 1) / len(PLACES))
     across_image, share = np.stack(rows, axis=3), np.stack(shares, axis=3)

@@ -24,6 +24,7 @@ from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import across, bishop_frames, quaternion_from_matrix
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution
 from doo_ti.vision.cameras import Rig
+from doo_ti.vision.curves import arc_lengths, placed
 from doo_ti.vision.detection import Detection
 from doo_ti.vision.image_energy import AssignedPoints
 from doo_ti.vision.paths import Chains, ImagePath, paths_from
@@ -99,9 +100,9 @@ def _paths(rig: Rig, images: list[Detection], point: np.ndarray, direction: np.n
 def _begun(curve: np.ndarray, arcs: np.ndarray, direction: np.ndarray | None, shares: np.ndarray) -> tuple:
     """Where a rod begins: frames (N, 4), places along the paths (C, N, K), and length in mm, along a curve (K, 3) whose points
     are at ``arcs`` (C, K) of the paths."""
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
+    along = arc_lengths(curve)
     ends = along[-1] * np.concatenate([[0.0], np.cumsum(shares)])
-    tangents = np.diff(np.stack([np.interp(ends, along, column) for column in curve.T], axis=1), axis=0)
+    tangents = np.diff(placed(ends, along, curve), axis=0)
     tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-12)
     if direction is not None:
         tangents[0] = direction

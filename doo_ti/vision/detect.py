@@ -27,10 +27,10 @@ from scipy.spatial import cKDTree
 
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
+from doo_ti.vision.curves import curve_length, normal_to
 from doo_ti.vision.detection import (
     Detection,
     DetectionOptions,
-    chain_length,
     chains_of,
     check_image,
     cropped,
@@ -150,7 +150,7 @@ def _line(image: np.ndarray, look: Appearance, options: DetectionOptions) -> tup
 def _between(image: np.ndarray, points: np.ndarray, direction: np.ndarray, look: Appearance) -> np.ndarray:
     """(N, 2) points of a line that was found in a halved image, moved to the middle between its edges in the image itself
     where it has both there."""
-    normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
+    normal = normal_to(direction)
     edges = edges_across(gradient(image), points, normal, look.polarity, 0.75 * look.width_px + 2)
     sound = (edges.balance > LEAST_BALANCE) & edges.about(look.width_px)
     return points + np.where(sound, edges.shift, 0.0)[:, None] * normal
@@ -252,7 +252,7 @@ def _wide_lines(dark: np.ndarray, width: float, own: np.ndarray, usual: float) -
 def _joined(line: Detection, own: list[np.ndarray], width: float, dark: np.ndarray) -> list[tuple[np.ndarray, ...]]:
     """Points, directions, strengths and widths of the parts of a ``line`` that go on from ends of the chains ``own``, or of
     these parts."""
-    waiting, parts = [chain for chain in chains_of(*thinned(line)) if chain_length(chain) >= PART * width], []
+    waiting, parts = [chain for chain in chains_of(*thinned(line)) if curve_length(chain) >= PART * width], []
     tree, known = cKDTree(line.points) if line.count else None, list(own)
     while True:
         ready = next((k for k, chain in enumerate(waiting) if goes_on(chain, known, width, dark)), None)

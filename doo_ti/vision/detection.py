@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
+from doo_ti.vision.curves import arc_lengths, curve_length, normal_to
 
 METHODS = ("ridge", "canny")
 POLARITIES = ("dark", "light")
@@ -192,7 +193,7 @@ def chains_of(points: np.ndarray, direction: np.ndarray) -> list[np.ndarray]:
     pairs = np.concatenate([pairs, pairs[:, ::-1]])
     one, other = pairs.T
     step = points[other] - points[one]
-    length, normal = np.linalg.norm(step, axis=1), np.stack([-direction[:, 1], direction[:, 0]], axis=1)
+    length, normal = np.linalg.norm(step, axis=1), normal_to(direction)
     forward = (step * direction[one]).sum(axis=1)
     turned = np.abs((direction[one] * direction[other]).sum(axis=1))
     aside = np.maximum(*(np.abs((step * normal[end]).sum(axis=1)) for end in (one, other)))
@@ -215,7 +216,7 @@ def chains_of(points: np.ndarray, direction: np.ndarray) -> list[np.ndarray]:
             rows.append(here)
             left[here] = False
             here = next((int(k) for k in mutual[here] if k >= 0 and left[k]), -1)
-        if len(rows) > 2 and chain_length(points[rows]) >= SHORTEST_PX:
+        if len(rows) > 2 and curve_length(points[rows]) >= SHORTEST_PX:
             chains.append(points[rows])
     return chains
 
@@ -223,14 +224,8 @@ def chains_of(points: np.ndarray, direction: np.ndarray) -> list[np.ndarray]:
 def outward(chain: np.ndarray, way: int) -> np.ndarray:
     """(2,) unit direction in which a chain ends."""
     points = (chain[::-1] if way else chain)[: int(4 * END_PX)]  # which are a third of a pixel apart or more
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    out = points[0] - points[min(np.searchsorted(arc, END_PX), len(points) - 1)]
+    out = points[0] - points[min(np.searchsorted(arc_lengths(points), END_PX), len(points) - 1)]
     return out / max(np.linalg.norm(out), 1e-12)
-
-
-def chain_length(points: np.ndarray) -> float:
-    """px."""
-    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
 def goes_on(chain: np.ndarray, known: list[np.ndarray], width: float, dark: np.ndarray) -> bool:
@@ -250,9 +245,9 @@ def goes_on(chain: np.ndarray, known: list[np.ndarray], width: float, dark: np.n
     inside = np.array([line.query(other)[0].max() <= width for other in known])
     others = [other for other, here in zip(known, inside, strict=True) if not here]
     column, row = np.rint(chain).astype(int).T
-    if inside.any() and (chain_length(chain) < GLINT * width or np.median(dark[row, column]) < INSIDE * 255):
+    if inside.any() and (curve_length(chain) < GLINT * width or np.median(dark[row, column]) < INSIDE * 255):
         return False
     strand = any((cKDTree(other).query(chain)[0] <= 0.6 * width).mean() > BESIDE for other in others)
-    if strand or sum(chain_length(other) for other in others) < chain_length(chain):
+    if strand or sum(map(curve_length, others)) < curve_length(chain):
         return False  # what has two edges all along is two threads
     return int(np.bincount(half[agreeing & ~np.repeat(inside, 2)], minlength=2).max()) == 1

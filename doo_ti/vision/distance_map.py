@@ -30,6 +30,7 @@ from doo_ti.system import runtime
 from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras import Rig
+from doo_ti.vision.curves import arc_lengths, placed
 from doo_ti.vision.detection import Detection, thinned
 from doo_ti.vision.triangulation import rays
 
@@ -280,13 +281,10 @@ def _nearest_place(points: np.ndarray, image: np.ndarray) -> tuple[np.ndarray, n
 
 def _passed_twice(image: np.ndarray) -> float:
     """px of a rod's ``image`` (V, 2) that lie on another part of it, and along it."""
-    step = np.linalg.norm(np.diff(image, axis=0), axis=1)
-    if step.sum() > MOST_IMAGE_PX:
+    arc = arc_lengths(image)
+    if not FAR_PX <= arc[-1] <= MOST_IMAGE_PX:
         return 0.0
-    arc = np.concatenate([[0.0], np.cumsum(step)])
-    points = np.stack([np.interp(np.arange(arc[-1]), arc, column) for column in image.T], axis=1)
-    if len(points) < FAR_PX:
-        return 0.0
+    points = placed(np.arange(arc[-1]), arc, image)
     one, other = cKDTree(points).query_pairs(SAME_PX, output_type="ndarray").T
     way = np.gradient(points, axis=0)
     alike = np.abs((way[one] * way[other]).sum(axis=1)) > ALIKE * np.linalg.norm(way[one], axis=1) * np.linalg.norm(

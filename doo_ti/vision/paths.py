@@ -14,7 +14,8 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from doo_ti.vision.detection import NEXT_PX, SHORTEST_PX, Detection, chain_length, chains_of, outward, single
+from doo_ti.vision.curves import arc_lengths, curve_length, placed
+from doo_ti.vision.detection import NEXT_PX, SHORTEST_PX, Detection, chains_of, outward, single
 
 WIDEST_GAP = 0.3  # of the image's height: the longest gap that a path crosses
 FORWARD = 0.64  # least cosine between the direction of an end and the way to the next
@@ -57,7 +58,7 @@ class ImagePath:
     def at(self, arc: np.ndarray) -> np.ndarray:
         """(..., 2) px of the points at arc lengths ``arc`` (...) px from the first, within the path."""
         place = np.arange(len(self.points), dtype=float)
-        return np.stack([np.interp(arc, place, column) for column in self.points.T], axis=-1)
+        return placed(arc, place, self.points)
 
     def tangent_at(self, arc: np.ndarray) -> np.ndarray:
         """(..., 2) unit vectors."""
@@ -109,7 +110,7 @@ def paths_from(line: Chains, start: np.ndarray, direction: np.ndarray | None, mo
     place = np.concatenate([np.arange(len(points)) for points in chains])
     nearest = int(np.argmin(np.linalg.norm(ends - start, axis=1)))
     first, at = int(chain[nearest]), int(place[nearest])
-    found, whole = [], sum(chain_length(points) for points in chains)
+    found, whole = [], sum(map(curve_length, chains))
     for way in (0, 1):
         rest = chains[first][at:] if way else chains[first][: at + 1][::-1]
         turn = 0.0
@@ -143,7 +144,7 @@ def _divided(chains: list[np.ndarray]) -> list[np.ndarray]:
                 near = [k for k in tree.query_ball_point(end, BESIDE_PX) if (chains[other][k] - end) @ out > 0]
                 if near:
                     k = min(near, key=lambda k: np.linalg.norm(chains[other][k] - end))
-                    if min(chain_length(chains[other][: k + 1]), chain_length(chains[other][k:])) > SHORTEST_PX:
+                    if min(curve_length(chains[other][: k + 1]), curve_length(chains[other][k:])) > SHORTEST_PX:
                         cuts[other].add(k)
     _cross_cuts(chains, cuts)
     return [part for chain, at in zip(chains, cuts, strict=True) for part in np.split(chain, sorted(at)) if len(part)]
@@ -185,7 +186,7 @@ def _joints(chains: list[np.ndarray], gap: float, wide: float) -> dict[tuple[int
 
 def _searched(chains, joints, first: int, begin: np.ndarray, way: int, cost: float) -> list:
     """(score, pieces, cost) of the paths that begin with the part ``begin`` of chain ``first``."""
-    waiting, found = [(cost - chain_length(begin), 0, (first,), way, [begin], cost)], []
+    waiting, found = [(cost - curve_length(begin), 0, (first,), way, [begin], cost)], []
     tried = 0
     while waiting and tried < MOST_TRIED:
         score, _, used, way, pieces, cost = heapq.heappop(waiting)
@@ -194,7 +195,7 @@ def _searched(chains, joints, first: int, begin: np.ndarray, way: int, cost: flo
         found.append((-score, pieces, cost))
         for extra, chain, follow in on:
             piece = chains[chain] if follow else chains[chain][::-1]
-            gain = chain_length(piece) - extra
+            gain = curve_length(piece) - extra
             heapq.heappush(waiting, (score - gain, tried * 10 + len(waiting), (*used, chain), follow, [*pieces, piece],
                                      cost + extra))
     return found
@@ -210,11 +211,10 @@ def _alike(one: ImagePath, other: ImagePath) -> bool:
 def _resampled(pieces: list[np.ndarray], cost: float, whole: float) -> ImagePath:
     points = np.concatenate(pieces)
     last = np.cumsum([len(piece) for piece in pieces])[:-1]
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    arc = arc_lengths(points)
     place = np.arange(0.0, arc[-1])
     seen = np.ones(len(place), dtype=bool)
     for k in last:
         if arc[k] - arc[k - 1] > NEXT_PX:
             seen &= ~((place > arc[k - 1]) & (place < arc[k]))
-    return ImagePath(np.stack([np.interp(place, arc, column) for column in points.T], axis=1), seen, cost,
-                     min(1.0, sum(chain_length(piece) for piece in pieces) / whole))
+    return ImagePath(placed(place, arc, points), seen, cost, min(1.0, sum(map(curve_length, pieces)) / whole))

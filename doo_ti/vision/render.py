@@ -20,6 +20,7 @@ from doo_ti.rod.types import LARGEST
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import csv_text, write_text, write_whole
 from doo_ti.vision.cameras import Camera, Rig
+from doo_ti.vision.curves import arc_lengths, placed
 from doo_ti.vision.images import SEED
 from doo_ti.vision.rig_files import save_rig
 from doo_ti.vision.tubes import DRAWN_BLUR_PX, Tube, draw, smooth_curve
@@ -111,7 +112,7 @@ def _samples(rig: Rig, rod: np.ndarray) -> int:
 
 def _scene(rig: Rig, curve: np.ndarray, diameter: float, options: RenderOptions, random: np.random.Generator) -> list[Tube]:
     """The thread and all other objects."""
-    place = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
+    place = arc_lengths(curve)
     toward = np.mean([camera.centre for camera in rig.cameras], axis=0) - curve.mean(axis=0)
     toward /= np.linalg.norm(toward)
     return [Tube(curve, diameter / 2, options.thread)] + _occluders(curve, place, toward, diameter, options, random) \
@@ -124,7 +125,7 @@ def _occluders(curve, place, toward, diameter: float, options: RenderOptions, ra
     radius = max(options.occluded_share * place[-1] / (2 * max(options.occluders, 1)), 1e-3)
     for index in range(options.occluders):
         at = (index + random.uniform(0.3, 0.7)) / options.occluders * place[-1]
-        before, middle, after = np.stack([np.interp(at + np.array([-1e-3, 0, 1e-3]), place, axis) for axis in curve.T], axis=1)
+        before, middle, after = placed(at + np.array([-1e-3, 0, 1e-3]), place, curve)
         middle = middle + (radius + diameter) * toward
         # A bar lies across the thread, so that it hides as much of it as a ball does.
         sideways = np.cross(toward, after - before) + 1e-9 * _perpendicular(toward, random)

@@ -26,6 +26,8 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
+from doo_ti.vision.curves import normal_to
+
 REACH_PX = 0.75  # pixels this near to a line give a point of it, so that points are at most a pixel apart in any direction
 FIRST_REACH_PX, FIRST_REACH = 2.0, 0.5
 """Bounds of t before edges are found, px and over σ: t is too large away from the ridge, and uncertain on flat ridges."""
@@ -55,7 +57,7 @@ class Ridges:
     @property
     def tangent(self) -> np.ndarray:
         """(N, 2) unit vectors along, of either sign."""
-        return np.stack([-self.normal[:, 1], self.normal[:, 0]], axis=1)
+        return normal_to(self.normal)
 
 
 class Curvature:
@@ -296,7 +298,7 @@ def between_edges(image: np.ndarray, point: np.ndarray, tangent: np.ndarray, wid
     """(N, 2) points of a line about ``width`` px wide with ``tangent`` (N, 2), each moved across to the middle between the
     line's edges in an image (H, W, 3) uint8, and px between these: those in the channel of Lab, and of the polarity, in which
     they are most distinct. Of a thread lit from one side, only that side may be alike in colour."""
-    normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
+    normal = normal_to(tangent)
     channels = [gradient(np.ascontiguousarray(part)) for part in cv2.split(lab(image))]
     found = [edges_across(slopes, point, normal, sign, 1.25 * width + 2) for slopes in channels for sign in ("dark", "light")]
     edges = found[int(np.argmax([np.median(one.slope) for one in found]))]
