@@ -126,10 +126,25 @@ class Detection:
         """(N,) px: the thread's width at each point; where only one is known, that."""
         return np.full(len(self.points), float(self.width_px)) if self.width is None else self.width
 
+    @classmethod
+    def none(cls, shape: tuple[int, int], method: str) -> "Detection":
+        """No thread in an image of that ``shape``."""
+        return cls(np.empty((0, 2)), np.empty((0, 2)), np.empty(0), np.nan, "", shape, method)
+
+    def take(self, rows: np.ndarray) -> "Detection":
+        """Some of the points: their numbers, or (N,) bool."""
+        return replace(self, points=self.points[rows], direction=self.direction[rows], strength=self.strength[rows],
+                       width=None if self.width is None else self.width[rows])
+
+    def with_parts(self, parts: Sequence["Detection"]) -> "Detection":
+        """The same with the points of other ``parts`` of the line, each as wide as it is there."""
+        points, direction, strength, width = (np.concatenate([getattr(one, name) for one in (self, *parts)])
+                                              for name in ("points", "direction", "strength", "widths"))
+        return replace(self, points=points, direction=direction, strength=strength, width=width)
+
     def copy(self) -> "Detection":
         """The same in arrays of its own."""
-        arrays = {name: getattr(self, name).copy() for name in ("points", "direction", "strength")}
-        return replace(self, **arrays, width=None if self.width is None else self.width.copy())
+        return self.take(np.arange(self.count))
 
     @property
     def count(self) -> int:
@@ -163,14 +178,16 @@ def moved(detection: Detection, corner: tuple[int, int]) -> Detection:
     return replace(detection, points=detection.points + corner) if any(corner) else detection
 
 
-def in_whole_pixels(scale: float, points: np.ndarray, direction: np.ndarray, *values: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Points with directions and (N,) ``values`` of an image that has one pixel for ``scale``, in px of the image itself and
-    again at most a pixel apart."""
+def in_whole_pixels(found: Detection, scale: float) -> Detection:
+    """What was detected in an image that has one pixel for ``scale``, in px of the image itself and again at most a pixel
+    apart."""
     if scale == 1:
-        return points, direction, *values
+        return found
     between = np.arange(scale) - (scale - 1) / 2
-    points = (scale * points[:, None] + between[:, None] * direction[:, None]).reshape(-1, 2)
-    return points, *(np.repeat(array, len(between), axis=0) for array in (direction, *values))
+    points = (scale * found.points[:, None] + between[:, None] * found.direction[:, None]).reshape(-1, 2)
+    dense = found.take(np.repeat(np.arange(found.count), len(between)))
+    return replace(dense, points=points, width_px=scale * found.width_px,
+                   width=None if found.width is None else scale * dense.width)
 
 
 NEXT_PX = 2.6  # largest distance between points that follow each other

@@ -86,7 +86,7 @@ def follow(image: np.ndarray, pixel: tuple[float, float], options: DetectionOpti
     found = next((one for sound in (True, False) for _, line in lines
                   if (one := _followed(levels, line, sound)) is not None), None)
     if found is None:
-        return Detection(np.empty((0, 2)), np.empty((0, 2)), np.empty(0), np.nan, "", image.shape[:2], "follow")
+        return Detection.none(image.shape[:2], "follow")
     points, strength, width, polarity = found
     tangent = np.gradient(points, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)

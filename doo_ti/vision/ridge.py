@@ -139,10 +139,6 @@ class Edges:
     slope: np.ndarray  # (N,) grey levels per px: the weaker edge's
     balance: np.ndarray  # (N,) the weaker edge's slope over the stronger one's: 0 where only one side differs from the line
 
-    def about(self, width: float) -> np.ndarray:
-        """(N,) bool: they are about ``width`` px apart."""
-        return (self.width > width / 2) & (self.width < 1.5 * width + 1)
-
 
 def gradient(image: np.ndarray) -> np.ndarray:
     """(H, W, 2) grey levels per px: the slope of an image (H, W) float32 smoothed by EDGE_SIGMA, along x and y."""
@@ -172,6 +168,13 @@ def edges_across(gradients: np.ndarray, point: np.ndarray, normal: np.ndarray, p
     right, rise = _peak(slope[:, middle:])
     left, right, weaker = -left * STEP_PX, right * STEP_PX, np.minimum(fall, rise)
     return Edges((left + right) / 2, right - left, weaker, weaker / np.maximum(np.maximum(fall, rise), 1e-30))
+
+
+def edges_about(image: np.ndarray, point: np.ndarray, normal: np.ndarray, polarity: str, width: float
+                ) -> tuple[Edges, np.ndarray]:
+    """The edges of a line ``width`` px wide in an image (H, W) float32, and (N,) bool: they are about that far apart."""
+    edges = edges_across(gradient(image), point, normal, polarity, 0.75 * width + 2)
+    return edges, (edges.width > width / 2) & (edges.width < 1.5 * width + 1)
 
 
 def _peak(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
