@@ -40,6 +40,7 @@ parameters: the place of the first vertex, and turns of the edges.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -48,11 +49,12 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import across
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
+from doo_ti.rod.shapes import end_clamps
+from doo_ti.rod.types import Clamp, Configuration, Material, Status
 from doo_ti.vision.cameras import Rig
 from doo_ti.vision.curves import normal_to
-from doo_ti.vision.detection import Detection, thinned
-from doo_ti.vision.distance_map import ALIKE, NEAR_PX, coverage
+from doo_ti.vision.detection import NEAR_PX, Detection, thinned
+from doo_ti.vision.distance_map import ALIKE, coverage
 from doo_ti.vision.image_energy import AssignedPoints
 
 PLACES = np.array([0.25, 0.75])  # along an edge where its image is evaluated
@@ -101,9 +103,9 @@ def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detec
         tangents[loose, :, 0, 0] = square[loose, :, 0, 0]
         weight[loose, :, 0, 0] = np.where(found[loose, :, 0, 0], end_weight[moving[loose]], 0.0)
         weight = nu[moving, None, None, None] * weight
-        first, kind = here.frames[:, 0], np.where(exact[moving], Clamp.TANGENT, Clamp.FREE)
-        solution = relax(here, material, Clamps(kind, Clamp.FREE, here.start, here.start, first, first), Newton(TOLERANCE),
-                         up=up, precision="mixed", external=AssignedPoints(rig, points, tangents, weight, stiffness, ALONG),
+        clamps = replace(end_clamps(here), start=np.where(exact[moving], Clamp.TANGENT, Clamp.FREE))
+        solution = relax(here, material, clamps, Newton(TOLERANCE), up=up, precision="mixed",
+                         external=AssignedPoints(rig, points, tangents, weight, stiffness, ALONG),
                          external_index=np.arange(len(moving)), **surroundings.arguments)
         start[moving], quaternions[moving] = solution.configuration.start, solution.configuration.quaternions
         sound[moving] = (solution.status == Status.CONVERGED) & solution.stable

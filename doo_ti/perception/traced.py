@@ -22,7 +22,8 @@ from doo_ti.perception.matching import Match, curve_of, likely_matches
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import across, bishop_frames, quaternion_from_matrix
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution
+from doo_ti.rod.shapes import end_clamps
+from doo_ti.rod.types import Clamp, Configuration, Material, Solution
 from doo_ti.vision.cameras import Rig
 from doo_ti.vision.curves import arc_lengths, placed
 from doo_ti.vision.detection import Detection
@@ -180,9 +181,7 @@ class Tracing:
 
     def _minimised(self, rods: TracedShapes) -> TracedShapes:
         start = Configuration(self.point, rods.quaternions, rods.length[:, None] * self.shares)
-        first = start.frames[:, 0]
-        clamps = Clamps(Clamp.POSITION if self.direction is None else Clamp.TANGENT, Clamp.FREE, self.point, self.point, first,
-                        first)
+        clamps = end_clamps(start, Clamp.POSITION if self.direction is None else Clamp.TANGENT)
         solution = relax(start, self.material, clamps, Newton(), up=self.up, precision="mixed",
                          external=self._assigned(rods.arcs), external_index=np.arange(len(rods.length)))
         return replace(rods, quaternions=solution.configuration.quaternions, solution=solution)

@@ -14,6 +14,7 @@ from doo_ti.vision.curves import arc_lengths, curve_length, normal_to
 
 METHODS = ("ridge", "canny")
 POLARITIES = ("dark", "light")
+NEAR_PX = 3.0  # a point this near to another line, or to the image of a rod, is on it
 CLICK_PX = 30.0  # a clicked pixel is this near to the thread
 MOST_WIDTH_PX = 1000.0  # largest width of a thread: samples are taken across it
 

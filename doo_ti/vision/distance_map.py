@@ -31,7 +31,7 @@ from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras import Rig
 from doo_ti.vision.curves import arc_lengths, placed
-from doo_ti.vision.detection import Detection, thinned
+from doo_ti.vision.detection import NEAR_PX, Detection, thinned
 from doo_ti.vision.triangulation import rays
 
 HALF_LENGTH_PX = 0.5  # half the length of a piece, and half the largest spacing of points along the line
@@ -195,7 +195,6 @@ def _search(
 
 # --- how much of the line a rod explains -----------------------------------------------------------------------------------
 
-NEAR_PX = 3.0  # A detected point this near to the rod's image is explained
 BESIDE_PX = 2.0  # distance of points that follow each other along a line
 ALIKE = 0.8  # least cosine between directions of a line: other strands cross it
 WIDER = 1.75  # times its width a thread is not: what it is tied to, or held by, may be

@@ -12,12 +12,11 @@ from scipy.spatial import cKDTree
 from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras import Camera
 from doo_ti.vision.detect import detect, detect_mask
-from doo_ti.vision.detection import CLICK_PX, POLARITIES, Detection, DetectionOptions
+from doo_ti.vision.detection import CLICK_PX, NEAR_PX, POLARITIES, Detection, DetectionOptions
 from doo_ti.vision.follow import follow
 from doo_ti.vision.images import read_image, read_mask
 from doo_ti.vision.ridge import POINTS_PER_PX, as_colour
 
-NEAR_PX = 3.0  # A point of a line this near to another line is on it
 COMPLETE = 0.9  # share of what has the thread's colour that lies on the followed path; from it on the path is the whole thread
 BETTER = 0.01  # by which the score of another way to seek the thread must be larger
 ON_IT = 0.5  # share of the followed path, of which less is detected where something else than the thread was
