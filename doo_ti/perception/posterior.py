@@ -48,7 +48,7 @@ from scipy.spatial import cKDTree
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.rod.frames import across
+from doo_ti.rod.frames import across, unit_vectors
 from doo_ti.rod.shapes import end_clamps
 from doo_ti.rod.types import Clamp, Configuration, Material, Status
 from doo_ti.vision.cameras import Rig
@@ -164,7 +164,7 @@ def lines_at(places: np.ndarray, ways: np.ndarray, lines: list[list[tuple[np.nda
         # Points of a bend lie inside of it, and where their tangents lead outside: the mean of both is on it.
         ahead = ((places[row, c][..., None, :] - seen[nearest]) * direction[nearest]).sum(axis=-1, keepdims=True)
         points[row, c] = (share * (seen[nearest] + 0.5 * ahead * direction[nearest])).sum(axis=-2)
-        tangents[row, c] = along / np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-9)
+        tangents[row, c] = unit_vectors(along)
         found[row, c] = alike.any(axis=-1) & along.any(axis=-1)
     return points, tangents, found
 

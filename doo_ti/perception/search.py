@@ -27,6 +27,7 @@ from doo_ti.rod.frames import (
     smallest_rotation,
     some_frames,
     tangent_from_quaternion,
+    unit_vectors,
 )
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution, Status
 from doo_ti.system.arguments import typed
@@ -296,8 +297,7 @@ def _clearly_seen(search: Search, rods: Configuration, of_set: np.ndarray) -> np
     """(R,) bool: every camera sees all of the rod near the detection, and two of them from directions that differ by WIDE."""
     found = search.errors(rods.vertices, of_set, search.piece_points)
     near = found.camera_error <= CLOSE_PX * search.image_length(rods.vertices)
-    sight = np.stack([rods.vertices.mean(axis=1) - camera.centre for camera in search.rig.cameras], axis=1)
-    sight /= np.linalg.norm(sight, axis=-1, keepdims=True)
+    sight = unit_vectors(np.stack([rods.vertices.mean(axis=1) - camera.centre for camera in search.rig.cameras], axis=1))
     angle = np.arccos(np.clip(np.einsum("rci,rdi->rcd", sight, sight).min(axis=(1, 2)), -1.0, 1.0))
     return (near & (found.unseen == 0)).all(axis=1) & (angle >= WIDE)
 

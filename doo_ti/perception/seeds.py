@@ -91,8 +91,7 @@ def fit_better(rig: Rig, others: Mapping[str, Rig], detections: Sequence[Detecti
 
     def least(one: Rig) -> float:
         try:
-            two = Rig(tuple(one.cameras[camera] for camera in pair))
-            return min(cost for cost, *_ in _beginnings(two, images, click, "", FEW_PLACES))
+            return min(cost for cost, *_ in _beginnings(one.take(pair), images, click, "", FEW_PLACES))
         except InputError:
             return np.inf
 
@@ -119,7 +118,7 @@ def _beginnings(rig: Rig, detections: Sequence[Detection], clicks: Mapping[int, 
     if sum(map(bool, ends)) < 2:
         raise InputError(source, "--seed-pixel", f"nothing in the image of {rig.names[order[1]]} belongs to the pixel",
                          "give a pixel in that camera, too")
-    ordered, found = Rig(tuple(rig.cameras[camera] for camera in order)), []
+    ordered, found = rig.take(order), []
     for miss, choice in _choices(ordered, ends, {order.index(camera) for camera in given}):
         begun = _beginning(ordered, [lines[camera] for camera in order], choice, places)
         if begun is not None:
@@ -191,7 +190,7 @@ def _missed(rig: Rig, choice: Sequence) -> float:
 def _seeing(rig: Rig, choice: Sequence) -> tuple[Rig, list[_Place]]:
     """The cameras that see where the rod begins, and where."""
     kept = [camera for camera, place in enumerate(choice) if place is not None]
-    return Rig(tuple(rig.cameras[camera] for camera in kept)), [choice[camera] for camera in kept]
+    return rig.take(kept), [choice[camera] for camera in kept]
 
 
 def _beginning(rig: Rig, lines: Sequence[Chains], choice: Sequence, places: int) -> tuple | None:

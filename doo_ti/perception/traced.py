@@ -21,7 +21,7 @@ import numpy as np
 from doo_ti.perception.matching import Match, curve_of, likely_matches
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.rod.frames import across, bishop_frames, quaternion_from_matrix
+from doo_ti.rod.frames import across, bishop_frames, quaternion_from_matrix, unit_vectors
 from doo_ti.rod.shapes import end_clamps
 from doo_ti.rod.types import Clamp, Configuration, Material, Solution
 from doo_ti.vision.cameras import Rig
@@ -75,7 +75,7 @@ def _curves(rig: Rig, paths: list[list[ImagePath]], point: np.ndarray):
     thread may be hidden there."""
     every = tuple(range(len(rig.cameras)))
     for kept in (every, *(combinations(every, len(every) - 1) if len(every) > 2 else ())):
-        some = Rig(tuple(rig.cameras[camera] for camera in kept))
+        some = rig.take(kept)
         for match in likely_matches(some, [paths[camera] for camera in kept], point, SMOOTHNESS[0], MATCHES):
             for smooth in SMOOTHNESS:
                 curve, arcs, _ = curve_of(some, match, point, smooth)
@@ -103,8 +103,7 @@ def _begun(curve: np.ndarray, arcs: np.ndarray, direction: np.ndarray | None, sh
     are at ``arcs`` (C, K) of the paths."""
     along = arc_lengths(curve)
     ends = along[-1] * np.concatenate([[0.0], np.cumsum(shares)])
-    tangents = np.diff(placed(ends, along, curve), axis=0)
-    tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-12)
+    tangents = unit_vectors(np.diff(placed(ends, along, curve), axis=0))
     if direction is not None:
         tangents[0] = direction
     frames = bishop_frames(tangents[None], across(tangents[:1]))

@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from doo_ti.rod.frames import unit_vectors
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
 from doo_ti.vision.curves import arc_lengths, normal_to, placed
@@ -88,8 +89,7 @@ def follow(image: np.ndarray, pixel: tuple[float, float], options: DetectionOpti
     if found is None:
         return Detection.none(image.shape[:2], "follow")
     points, strength, width, polarity = found
-    tangent = np.gradient(points, axis=0)
-    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    tangent = unit_vectors(np.gradient(points, axis=0))
     return moved(Detection(points, tangent, strength, width, polarity, image.shape[:2], "follow"), corner)
 
 
@@ -211,8 +211,7 @@ class _Field:
 
     def centred(self, path: np.ndarray, there: np.ndarray) -> np.ndarray:
         """The (N, 2) points of a path on the crest of the line; where it is not ``there`` (N,), as far aside as beyond gaps."""
-        along = np.gradient(path, axis=0)
-        along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
+        along = unit_vectors(np.gradient(path, axis=0))
         shift = np.empty(len(path))
         for first in range(0, len(path), max(1, self.reach // 2)):
             rows = slice(first, first + max(1, self.reach // 2))
@@ -304,8 +303,7 @@ def window(image: np.ndarray, place: np.ndarray, reach: int) -> tuple[np.ndarray
 def _across(image: np.ndarray, path: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(N, n, 3) colours across a path (N, 2), its (N, 2) directions, and the (n,) offsets in px."""
     span = int(max(1, width))
-    smooth = cv2.blur(np.gradient(path, axis=0)[:, None], (1, 2 * span + 1), borderType=cv2.BORDER_REPLICATE)[:, 0]
-    along = smooth / np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-9)
+    along = unit_vectors(cv2.blur(np.gradient(path, axis=0)[:, None], (1, 2 * span + 1), borderType=cv2.BORDER_REPLICATE)[:, 0])
     offset = np.arange(-REACH * width, REACH * width + 0.01, 0.5)
     place, reach = path.mean(axis=0), int(np.abs(path - path.mean(axis=0)).max() + REACH * width) + 4
     pixels, corner = window(image, place, reach)

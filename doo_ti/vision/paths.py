@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
+from doo_ti.rod.frames import unit_vectors
 from doo_ti.vision.curves import arc_lengths, curve_length, placed
 from doo_ti.vision.detection import NEXT_PX, SHORTEST_PX, Detection, chains_of, outward, single
 
@@ -47,8 +48,7 @@ class ImagePath:
         """(M, 2) unit vectors."""
         padded = np.pad(self.points, ((2, 2), (0, 0)), mode="reflect", reflect_type="odd")
         smoothed = np.stack([np.convolve(column, np.full(5, 1 / 5), mode="valid") for column in padded.T], axis=1)
-        ahead = np.gradient(smoothed, axis=0)
-        return ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-12)
+        return unit_vectors(np.gradient(smoothed, axis=0))
 
     @property
     def length(self) -> float:

@@ -26,6 +26,7 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
+from doo_ti.rod.frames import unit_vectors
 from doo_ti.vision.curves import normal_to
 
 REACH_PX = 0.75  # pixels this near to a line give a point of it, so that points are at most a pixel apart in any direction
@@ -86,8 +87,7 @@ class Curvature:
         across, along = mean + deviator, mean - deviator
         # Of the two formulas for the eigenvector, the one without cancellation.
         flat = half > 0
-        normal = np.stack([np.where(flat, deviator + half, xy), np.where(flat, xy, deviator - half)], axis=1)
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+        normal = unit_vectors(np.stack([np.where(flat, deviator + half, xy), np.where(flat, xy, deviator - half)], axis=1))
         slope = sign * (self.x[row, column] * normal[:, 0] + self.y[row, column] * normal[:, 1])
         offset = -slope / across
         kept = (np.abs(offset) <= max(FIRST_REACH_PX, FIRST_REACH * self.sigma)) & (along <= ROUNDNESS * across)

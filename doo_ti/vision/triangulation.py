@@ -15,6 +15,7 @@ from enum import IntEnum
 
 import numpy as np
 
+from doo_ti.rod.frames import unit_vectors
 from doo_ti.rod.types import LARGEST
 from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras import Camera, Rig
@@ -202,8 +203,7 @@ def rays(camera: Camera, pixels: np.ndarray) -> np.ndarray:
     if not len(pixels):
         return np.zeros((0, 3))
     flat = cv2.undistortPoints(np.ascontiguousarray(pixels)[:, None], np.array(camera.matrix), np.array(camera.distortion))
-    ray = np.column_stack([np.asarray(flat).reshape(-1, 2), np.ones(len(pixels))]) @ camera.rotation
-    return ray / np.linalg.norm(ray, axis=-1, keepdims=True)
+    return unit_vectors(np.column_stack([np.asarray(flat).reshape(-1, 2), np.ones(len(pixels))]) @ camera.rotation)
 
 
 # --- least squares -------------------------------------------------------------------------------------------------------
