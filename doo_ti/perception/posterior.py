@@ -50,7 +50,7 @@ from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import across, unit_vectors
 from doo_ti.rod.shapes import end_clamps
-from doo_ti.rod.types import Clamp, Configuration, Material, Status
+from doo_ti.rod.types import Clamp, Configuration, Material, Status, put_rods
 from doo_ti.vision.cameras import Rig
 from doo_ti.vision.curves import normal_to
 from doo_ti.vision.detection import NEAR_PX, Detection, thinned
@@ -116,8 +116,7 @@ def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detec
     new = Configuration(start, quaternions, rods.rest_length)
     before, after = (coverage(rig, shape.vertices, every, detections, NEAR_PX).share for shape in (rods, new))
     sound &= (after >= np.minimum(before, COVERED)).all(axis=1)
-    return Configuration(np.where(sound[:, None], start, rods.start),
-                         np.where(sound[:, None, None], quaternions, rods.quaternions), rods.rest_length), sound
+    return put_rods(rods, sound, new.take(sound)), sound
 
 
 def temperature(vertices: np.ndarray, marks: int, least_turn: float) -> np.ndarray:
