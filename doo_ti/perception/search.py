@@ -4,8 +4,9 @@ ones are relaxed until they converge, and rods traced along the detected lines j
     E_vis = E / B + ν Σ_c (E_proj^c + E_cover^c)                       (§IV-A); E_cover with evidence from both sides only
 
 E_proj is what the rod's image is away from the detected line, a projected edge's mean distance to the nearest detected pixel
-times its length, and E_cover what the line is away from the rod's image, px². The rod's energy E is over the largest eigenvalue
-of B, in 1/mm: so ν is in 1/(mm px²), and its effect does not depend on the rod's stiffness.
+times its length, and E_cover what the line is away from the rod's image, px²: an edge that points at a camera costs nothing in
+E_proj, so a rod may turn away from the thread. The rod's energy E is over the largest eigenvalue of B, in 1/mm: so ν is in
+1/(mm px²), and its effect does not depend on the rod's stiffness.
 
 Axes: A image sets, C cameras, N hypotheses of all sets, M sampled directions, R rods, F finalists of all sets, E edges.
 """

@@ -112,6 +112,7 @@ def test_the_verdict_is_a_scale(found):
     several = found[0]
     gaps = replace(several, gap=np.array([np.inf, 0.05, 0.001]))
     verdicts = gaps.verdict
+    assert repr(gaps).startswith("Perception(vertices (3, 15, 3)") and "CLEAR" in repr(PerceptionVerdict.CLEAR)
     assert gaps.doubts["a rival"].tolist() == [False, True, True]
     assert verdicts.tolist() == [PerceptionVerdict.CLEAR, PerceptionVerdict.LIKELY, PerceptionVerdict.AMBIGUOUS]
     blurred = several.camera_error.copy()
