@@ -35,7 +35,7 @@ SMOOTHNESS = (30.0, 1e3, 3e4)
 """Smoothness of the curves with which rods begin. Between cameras that are close together a rough curve folds along the line of
 sight, and a very smooth one is too flat; the energy decides between the rods."""
 NU_BACK = 0.03  # ν of E_back, 1/(mm px³)
-PLACES = 2  # places along an edge that are assigned to the paths
+PLACES = np.array([0.25, 0.75])  # along an edge, that are assigned to the paths
 FREE_ROUNDS, FIXED_ROUNDS = 4, 2  # relaxations of rods whose length is free, and of those whose length is given
 STEPS, NEAREST_PX = 3, 6.0  # steps along a path to the point nearest to a place's image, and the longest of them
 AHEAD_MM = 1e-3  # distance over which the image of a direction is taken
@@ -107,7 +107,7 @@ def _begun(curve: np.ndarray, arcs: np.ndarray, direction: np.ndarray | None, sh
     if direction is not None:
         tangents[0] = direction
     frames = bishop_frames(tangents[None], across(tangents[:1]))
-    places = ends[:-1, None] + np.diff(ends)[:, None] * (np.arange(PLACES) + 0.5) / PLACES
+    places = ends[:-1, None] + np.diff(ends)[:, None] * PLACES
     there = np.stack([np.interp(places, along, one) for one in arcs])
     return quaternion_from_matrix(frames)[0], there, float(along[-1])
 
@@ -130,7 +130,7 @@ class TracedShapes:
         ends = np.concatenate([[0.0], np.cumsum(shares)])
         middles = 0.5 * (ends[1:] + ends[:-1])
         nearest = np.clip(np.searchsorted(ends, middles * share[:, None]) - 1, 0, len(middles) - 1)
-        places = (ends[:-1, None] + shares[:, None] * (np.arange(PLACES) + 0.5) / PLACES).ravel()
+        places = (ends[:-1, None] + shares[:, None] * PLACES).ravel()
         flat = self.arcs.reshape(*self.arcs.shape[:2], -1)
         arcs = np.array([[np.interp(places * own, places, line) for line in rod] for rod, own in zip(flat, share, strict=True)])
         quaternions = np.take_along_axis(self.quaternions, nearest[..., None], axis=1)
@@ -150,11 +150,6 @@ class Tracing:
     material: Material
     up: np.ndarray
 
-    @property
-    def stiffness(self) -> float:
-        """The largest eigenvalue of B, of the energy in E/B."""
-        return float(np.linalg.eigvalsh(self.material.bend).max())
-
     def take(self, rows: np.ndarray) -> "Tracing":
         """Some of the rods, which may occur several times."""
         direction = None if self.direction is None else self.direction[rows]
@@ -163,20 +158,20 @@ class Tracing:
 
     def freely_long(self, rods: TracedShapes) -> TracedShapes:
         """Relaxed, made longer or shorter until they end where their paths end."""
-        for turn in range(FREE_ROUNDS):
-            relaxed = self._minimised(rods)
-            arcs, reach = self._reassigned(relaxed, np.zeros(len(rods.length), dtype=bool))
-            if turn == FREE_ROUNDS - 1:
-                return replace(relaxed, arcs=arcs)
-            rods = TracedShapes(relaxed.quaternions, arcs, rods.length / np.clip(reach, 0.7, 1.4))
+        reach = np.ones(len(rods.length))
+        for _ in range(FREE_ROUNDS):
+            rods = self._minimised(replace(rods, length=rods.length / np.clip(reach, 0.7, 1.4)))
+            arcs, reach = self._reassigned(rods, np.zeros(len(rods.length), dtype=bool))
+            rods = replace(rods, arcs=arcs)
+        return rods
 
     def relaxed(self, rods: TracedShapes, together: np.ndarray, rounds: int = FIXED_ROUNDS) -> TracedShapes:
         """Relaxed, as long as they are. Those that end ``together`` (R,) with their paths are spread over all of them."""
         for turn in range(rounds):
-            relaxed = self._minimised(rods)
-            if turn == rounds - 1:
-                return relaxed
-            rods = replace(relaxed, arcs=self._reassigned(relaxed, together)[0])
+            if turn:
+                rods = replace(rods, arcs=self._reassigned(rods, together)[0])
+            rods = self._minimised(rods)
+        return rods
 
     def _minimised(self, rods: TracedShapes) -> TracedShapes:
         start = Configuration(self.point, rods.quaternions, rods.length[:, None] * self.shares)
@@ -195,7 +190,7 @@ class Tracing:
                 points[r, c], tangents[r, c] = path.at(here), path.tangent_at(here)
                 explained = np.maximum(np.gradient(here.ravel()), 0.0).reshape(here.shape)
                 weight[r, c] = explained * path.is_seen(here)
-        return AssignedPoints(self.rig, points, tangents, weight, NU_BACK * self.stiffness)
+        return AssignedPoints(self.rig, points, tangents, weight, NU_BACK * float(np.linalg.eigvalsh(self.material.bend).max()))
 
     def _reassigned(self, rods: TracedShapes, together: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Places along the paths nearest to the images of the rods' places, in order, and (R,) the share of their paths that
@@ -204,8 +199,7 @@ class Tracing:
         together  (R,) bool: rods as long as their paths: where a path goes on a little, places are spread over all of it
         """
         arcs, vertices = rods.arcs, rods.solution.configuration.vertices
-        share = (np.arange(PLACES) + 0.5) / PLACES
-        places = vertices[:, :-1, None] + share[:, None] * np.diff(vertices, axis=1)[:, :, None]
+        places = vertices[:, :-1, None] + PLACES[:, None] * np.diff(vertices, axis=1)[:, :, None]
         seen, ends = self.rig.project(places.reshape(len(arcs), -1, 3)), self.rig.project(vertices[:, -1])
         found, reach = np.empty_like(arcs), np.ones(arcs.shape[:2])
         for r, match in enumerate(self.matches):

@@ -88,9 +88,11 @@ class Chains:
 
     @classmethod
     def of(cls, detection: Detection) -> "Chains":
-        chains = _divided(chains_of(*single(detection)))
-        wide = max(CLOSE_PX, float(np.nan_to_num(detection.width_px)))
-        return cls(chains, _joints(chains, WIDEST_GAP * detection.shape[0], wide) if chains else {})
+        whole = chains_of(*single(detection))
+        if not whole:
+            return cls([], {})
+        chains, wide = _divided(whole), max(CLOSE_PX, float(np.nan_to_num(detection.width_px)))
+        return cls(chains, _joints(chains, WIDEST_GAP * detection.shape[0], wide))
 
     @property
     def free_ends(self) -> np.ndarray:
@@ -105,10 +107,8 @@ def paths_from(line: Chains, start: np.ndarray, direction: np.ndarray | None, mo
     chains, joints = line.points, line.joints
     if not chains:
         return []
-    ends = np.concatenate(chains)
-    chain = np.repeat(np.arange(len(chains)), [len(points) for points in chains])
-    place = np.concatenate([np.arange(len(points)) for points in chains])
-    nearest = int(np.argmin(np.linalg.norm(ends - start, axis=1)))
+    every, chain, place = _numbered(chains)
+    nearest = int(np.argmin(np.linalg.norm(every - start, axis=1)))
     first, at = int(chain[nearest]), int(place[nearest])
     found, whole = [], sum(map(curve_length, chains))
     for way in (0, 1):
@@ -131,6 +131,12 @@ def paths_from(line: Chains, start: np.ndarray, direction: np.ndarray | None, mo
 
 # --- chains ---------------------------------------------------------------------------------------------------------------
 
+def _numbered(chains: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(N, 2) px: the points of all chains; and (N,) twice: in which chain each is, and at which place of it."""
+    sizes = [len(points) for points in chains]
+    return np.concatenate(chains), np.repeat(np.arange(len(chains)), sizes), np.concatenate([*map(np.arange, sizes)])
+
+
 def _divided(chains: list[np.ndarray]) -> list[np.ndarray]:
     """The chains, divided where an end of another one meets their inside."""
     cuts = [set() for _ in chains]
@@ -152,9 +158,8 @@ def _divided(chains: list[np.ndarray]) -> list[np.ndarray]:
 
 def _cross_cuts(chains: list[np.ndarray], cuts: list[set]) -> None:
     """Add where chains cross each other, or themselves, to ``cuts``."""
-    chain = np.repeat(np.arange(len(chains)), [len(points) for points in chains])
-    place = np.concatenate([np.arange(len(points)) for points in chains]) if chains else np.empty(0)
-    pairs = cKDTree(np.concatenate(chains)).query_pairs(CROSSING_PX, output_type="ndarray") if chains else np.empty((0, 2), int)
+    every, chain, place = _numbered(chains)
+    pairs = cKDTree(every).query_pairs(CROSSING_PX, output_type="ndarray")
     apart = (chain[pairs[:, 0]] != chain[pairs[:, 1]]) | (np.abs(place[pairs[:, 0]] - place[pairs[:, 1]]) > NEIGHBOURS)
     for pair in pairs[apart]:
         for c, k in zip(chain[pair], place[pair], strict=True):
