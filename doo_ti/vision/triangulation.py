@@ -83,7 +83,7 @@ class Points:
         return float(np.sqrt(np.sum(self.residual[used] ** 2) / freedom)) if freedom > 0 else np.nan
 
 
-def triangulate(rig: Rig, pixels: np.ndarray, options: TriangulationOptions | None = None) -> Points:
+def triangulate(rig: Rig, pixels: np.ndarray, options: TriangulationOptions = TriangulationOptions()) -> Points:
     """The points whose projections are ``pixels`` (C, P, 2), NaN where a camera has no label.
 
     Of three labels or more that contradict each other, the one is left out without which the others agree; where several
@@ -91,7 +91,6 @@ def triangulate(rig: Rig, pixels: np.ndarray, options: TriangulationOptions | No
 
     Raises InputError for fewer than two cameras and for other shapes.
     """
-    options = options or TriangulationOptions()
     pixels = np.asarray(pixels, dtype=np.float64)
     if len(rig.cameras) < 2:
         raise InputError(rig.source, "cameras", f"{len(rig.cameras)} of them", "triangulation needs two or more")
