@@ -143,10 +143,11 @@ def detections(sight, every_path: Sequence[Sequence[Path]], cameras: Sequence) -
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         def begun(row: int) -> tuple:
             nonlocal latest
+            known = {}
             if sight.clicks is not None and sight.clicks[row]:
-                latest = sight.of_set(row, every_path[row], cameras)
-            return latest, [threads.submit(latest.detected, path, camera)
-                            for path, camera in zip(every_path[row], cameras, strict=True)]
+                latest, known = sight.of_set(row, every_path[row], cameras)
+            return latest, [threads.submit(known.get, k) if k in known else threads.submit(latest.detected, path, camera)
+                            for k, (path, camera) in enumerate(zip(every_path[row], cameras, strict=True))]
 
         waiting = [begun(row) for row in range(min(AHEAD, len(every_path)))]
         try:

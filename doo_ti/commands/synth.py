@@ -164,7 +164,7 @@ def _look(words: list[str]):
     from doo_ti.vision.render import RenderOptions
 
     look = RenderOptions()
-    known = {field.name: getattr(look, field.name) for field in fields(look) if field.name != "smooth"}
+    known = {field.name: getattr(look, field.name) for field in fields(look)}
     changes = {}
     for word in words:
         name, _, text = word.partition("=")

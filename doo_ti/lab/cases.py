@@ -7,7 +7,7 @@ Of rods that are relaxed only those that converged count.
 """
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from statistics import median
 
@@ -16,16 +16,19 @@ import numpy as np
 from doo_ti.lab import workload
 from doo_ti.lab.workload import Rods
 from doo_ti.relaxation import batch
+from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.observations import Observations
-from doo_ti.rod.types import Material, Solution
+from doo_ti.rod.types import Clamp, Material, Solution
 from doo_ti.system import runtime
 from doo_ti.system.terminal import progress
 
 COARSE, FINE = Newton(tolerance=1e-4), Newton(tolerance=1e-7)
 CLOSE = Newton(tolerance=1e-4, first_shift=0.0)
 BATCH = 256
+NEAR = 0.1  # share by which bend and twist of a warm start differ from those that it is the solution for
+SPRING = 100.0  # stiffness of a spring: 1 mm off its point it pulls as much as 5 cm of rod weigh
 ROUND_SECONDS = 0.3  # a round repeats its case for about this long, so that a short interruption does not decide it
 
 
@@ -107,13 +110,17 @@ class Specimens:
 
     @cached_property
     def near(self) -> Material:
-        """A tenth of bend and twist away from what ``many`` is relaxed under."""
-        return workload.near(self.many)
+        """Bend and twist, each a tenth higher or lower than what ``many`` is relaxed under, from the fixed seed."""
+        random, own = np.random.default_rng(workload.SEED), self.many.material.take(self.many.of_material)
+        bend, twist = (1.0 + random.choice([-NEAR, NEAR], self.count) for _ in range(2))
+        return Material(own.bend * bend[:, None, None, None], own.twist * twist[:, None], own.weight)
 
     @cached_property
     def pulled(self) -> Rods:
-        """``many`` with their far end free and springs at their vertices."""
-        return workload.pulled(self.many)
+        """``many`` with their far end free, and a spring from every vertex to where the start has it."""
+        points = self.many.starts.vertices
+        springs = Springs(points, np.full(points.shape[:2], SPRING))
+        return replace(self.many, clamps=replace(self.many.clamps, end=Clamp.FREE), springs=springs)
 
     @cached_property
     def batches(self) -> list[Rods]:

@@ -25,7 +25,7 @@ from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import observation_clamps, start_configuration
-from doo_ti.rod.types import POSES, Clamp, Clamps, Configuration, Material, Solution
+from doo_ti.rod.types import Clamps, Configuration, Material, Solution
 
 RIBBON_TWIST = 5e5  # mm³, β of the lab's ribbon
 LAB = {
@@ -38,8 +38,6 @@ LAB = {
 SUTURES = ("nylon", "vicryl", "silk")
 BEND_RANGE = (5e4, 1e7)  # mm³
 TWIST_RATIO_RANGE = (0.1, 6.0)
-NEAR = 0.1  # share by which bend and twist of a warm start differ from those that it is the solution for
-SPRING = 100.0  # stiffness of a spring: 1 mm off its point it pulls as much as 5 cm of rod weigh
 SEED = 0
 UP = (0.0, 0.0, 1.0)
 
@@ -95,33 +93,11 @@ def started(observations: Observations) -> tuple[Configuration, Clamps]:
 
 
 def in_turn(tables: list[tuple[Configuration, Clamps]]) -> tuple[Configuration, Clamps]:
-    """Tables of D starts each as one, the tables' rows taking turns: the first of each, then the second of each, …
-
-    Rods have the same number of edges, and both ends the same kinds of clamps.
-    """
+    """Tables of D starts each as one, the tables' rows taking turns: the first of each, then the second of each, …"""
     starts, clamps = zip(*tables, strict=True)
-    lengths = [np.broadcast_to(rods.rest_length, (rods.count, rods.edges)) for rods in starts]
-    alike = all((length == lengths[0][0]).all() for length in lengths)
-    rest_length = lengths[0][0] if alike else _interleaved(lengths)
-    held = (_interleaved([getattr(table, name) for table in clamps]) for name in POSES)
-    quaternions = _interleaved([rods.quaternions for rods in starts])
-    configuration = Configuration(_interleaved([rods.start for rods in starts]), quaternions, rest_length)
-    return configuration, Clamps(clamps[0].start, clamps[0].end, *held)
-
-
-def near(rods: Rods) -> Material:
-    """The rods' materials, a row for each, bend and twist each a tenth higher or lower, from the fixed seed."""
-    random = np.random.default_rng(SEED)
-    bend, twist = (1.0 + random.choice([-NEAR, NEAR], rods.count) for _ in range(2))
-    material, row = rods.material, rods.of_material
-    return Material(material.bend[row] * bend[:, None, None, None], material.twist[row] * twist[:, None], material.weight[row])
-
-
-def pulled(rods: Rods) -> Rods:
-    """The rods with their far end free, and a spring from every vertex to where the start has it."""
-    points = rods.starts.vertices
-    springs = Springs(points, np.full(points.shape[:2], SPRING))
-    return replace(rods, clamps=replace(rods.clamps, end=Clamp.FREE), springs=springs)
+    together = Configuration.concatenate(starts)
+    turns = np.arange(together.count).reshape(len(tables), -1).T.ravel()
+    return together.take(turns), Clamps.concatenate(clamps).take(turns)
 
 
 def isotropic_materials(count: int) -> Material:
@@ -141,10 +117,6 @@ def ribbon_materials(count: int) -> Material:
 def log_uniform(random: np.random.Generator, limits: tuple[float, float], count: int) -> np.ndarray:
     """(count,) numbers whose logarithm is uniform between those of ``limits``."""
     return np.exp(random.uniform(*np.log(limits), size=count))
-
-
-def _interleaved(arrays: list[np.ndarray]) -> np.ndarray:
-    return np.stack(arrays, axis=1).reshape(-1, *arrays[0].shape[1:])
 
 
 # --- the clock -----------------------------------------------------------------------------------------------------------

@@ -18,6 +18,7 @@ from scipy.linalg import solveh_banded
 
 from doo_ti.system import runtime
 from doo_ti.vision.cameras import Rig
+from doo_ti.vision.curves import curve_length, normal_to
 from doo_ti.vision.paths import ImagePath
 from doo_ti.vision.triangulation import rays
 
@@ -44,6 +45,10 @@ class Match:
     paths: tuple[ImagePath, ...]  # C of them
     arcs: np.ndarray  # (C, K) px along each path
     cost: float  # px: mean distance by which pairs miss a point in space, with gaps and what is left over
+
+    def cost_with(self, curve: np.ndarray) -> float:
+        """px: the cost, and that of the length of its ``curve`` (K, 3) mm."""
+        return self.cost + LONG_PX * np.log(max(curve_length(curve), 1e-9))
 
 
 def best_matches(rig: Rig, paths: list[list[ImagePath]], most: int, places: int = MOST_PLACES) -> list[Match]:
@@ -75,15 +80,12 @@ def likely_matches(rig: Rig, paths: list[list[ImagePath]], start: np.ndarray, sm
     found = best_matches(rig, paths, RANKED, places)
     if len(found) < 2:
         return found
-    cost = [match.cost + LONG_PX * np.log(max(_length(rig, match, start, smooth), 1e-9)) for match in found]
+    cost = []
+    for match in found:
+        step = max(1, match.arcs.shape[1] // COARSE)
+        coarse = replace(match, arcs=match.arcs[:, ::step])
+        cost.append(match.cost_with(curve_of(rig, coarse, start, smooth / step**3)[0]))
     return [found[k] for k in np.argsort(cost, kind="stable")[:most]]
-
-
-def _length(rig: Rig, match: Match, start: np.ndarray, smooth: float) -> float:
-    """mm of a match's curve, through COARSE places."""
-    step = max(1, match.arcs.shape[1] // COARSE)
-    curve = curve_of(rig, replace(match, arcs=match.arcs[:, ::step]), start, smooth / step**3)[0]
-    return float(np.linalg.norm(np.diff(curve, axis=0), axis=1).sum())
 
 
 def _joined(first: ImagePath, others, step: float) -> Match:
@@ -202,7 +204,7 @@ def curve_of(rig: Rig, match: Match, start: np.ndarray, smooth: float, known: fl
                 arcs[c] = path.followed(image, arcs[c], WINDOW_PX)
             tangent = path.tangent_at(arcs[c])
             off, weight = path.at(arcs[c]) - image, (seen & path.is_seen(arcs[c])).astype(float)
-            for way, share in ((np.stack([-tangent[:, 1], tangent[:, 0]], axis=1), 1.0), (tangent, ALONG)):
+            for way, share in ((normal_to(tangent), 1.0), (tangent, ALONG)):
                 rate, miss = (motion * way).sum(axis=1), (off * way).sum(axis=1)
                 miss = np.clip(miss, -FARTHEST_PX, FARTHEST_PX) if turn else miss
                 with np.errstate(invalid="ignore"):

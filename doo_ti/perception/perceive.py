@@ -7,13 +7,8 @@
         keep the H hypotheses of least E_vis that differ             Search.selected
     the Γ of least E_vis after F(Γ, E_vis, C)                        Search.relaxed
 
-Beyond the paper, evidence counts both ways. An edge that points at a camera costs nothing in E_proj, so a rod may turn away
-from the thread. Rods that are traced along the detected lines join the last hypotheses, and what each leaves unexplained of
-these lines is added to its E_vis:
-
-    E_vis = E / B + ν Σ_c (E_proj^c + E_cover^c)              doo_ti.vision.image_energy
-
-The last hypotheses are relaxed on a finer mesh. All image sets are searched at once.
+Beyond the paper, rods that are traced along the detected lines join the last hypotheses, these are relaxed on a finer mesh, and
+evidence counts both ways in their E_vis (:mod:`doo_ti.perception.search`). All image sets are searched at once.
 
     found = perceive(maps, rig, point, direction, rest_length, Material(bend=6e5, twist=8e5))
     found.vertices    # (A, V, 3) mm
@@ -64,8 +59,6 @@ class PerceptionVerdict(IntEnum):
     NOT_FOUND  not within 1 px of the line in two cameras, and 3 px off in one: other cameras, a wrong rig, seed or length
     """
 
-    __repr__ = short_repr
-
     CLEAR = 0
     LIKELY = 1
     AMBIGUOUS = 2
@@ -108,6 +101,8 @@ class Perception:
     length_range      (A, 2) mm: the shortest and the longest thread that explains the images as well; NaN where the length was
                       stated
     """
+
+    __repr__ = short_repr
 
     vertices: np.ndarray
     configuration: Configuration

@@ -40,6 +40,7 @@ parameters: the place of the first vertex, and turns of the edges.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -47,11 +48,13 @@ from scipy.spatial import cKDTree
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.rod.frames import across
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
+from doo_ti.rod.frames import across, unit_vectors
+from doo_ti.rod.shapes import end_clamps
+from doo_ti.rod.types import Clamp, Configuration, Material, Status, put_rods
 from doo_ti.vision.cameras import Rig
-from doo_ti.vision.detection import Detection, thinned
-from doo_ti.vision.distance_map import ALIKE, NEAR_PX, coverage
+from doo_ti.vision.curves import normal_to
+from doo_ti.vision.detection import NEAR_PX, Detection, thinned
+from doo_ti.vision.distance_map import ALIKE, coverage
 from doo_ti.vision.image_energy import AssignedPoints
 
 PLACES = np.array([0.25, 0.75])  # along an edge where its image is evaluated
@@ -100,9 +103,9 @@ def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detec
         tangents[loose, :, 0, 0] = square[loose, :, 0, 0]
         weight[loose, :, 0, 0] = np.where(found[loose, :, 0, 0], end_weight[moving[loose]], 0.0)
         weight = nu[moving, None, None, None] * weight
-        first, kind = here.frames[:, 0], np.where(exact[moving], Clamp.TANGENT, Clamp.FREE)
-        solution = relax(here, material, Clamps(kind, Clamp.FREE, here.start, here.start, first, first), Newton(TOLERANCE),
-                         up=up, precision="mixed", external=AssignedPoints(rig, points, tangents, weight, stiffness, ALONG),
+        clamps = replace(end_clamps(here), start=np.where(exact[moving], Clamp.TANGENT, Clamp.FREE))
+        solution = relax(here, material, clamps, Newton(TOLERANCE), up=up, precision="mixed",
+                         external=AssignedPoints(rig, points, tangents, weight, stiffness, ALONG),
                          external_index=np.arange(len(moving)), **surroundings.arguments)
         start[moving], quaternions[moving] = solution.configuration.start, solution.configuration.quaternions
         sound[moving] = (solution.status == Status.CONVERGED) & solution.stable
@@ -113,8 +116,7 @@ def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detec
     new = Configuration(start, quaternions, rods.rest_length)
     before, after = (coverage(rig, shape.vertices, every, detections, NEAR_PX).share for shape in (rods, new))
     sound &= (after >= np.minimum(before, COVERED)).all(axis=1)
-    return Configuration(np.where(sound[:, None], start, rods.start),
-                         np.where(sound[:, None, None], quaternions, rods.quaternions), rods.rest_length), sound
+    return put_rods(rods, sound, new.take(sound)), sound
 
 
 def temperature(vertices: np.ndarray, marks: int, least_turn: float) -> np.ndarray:
@@ -161,7 +163,7 @@ def lines_at(places: np.ndarray, ways: np.ndarray, lines: list[list[tuple[np.nda
         # Points of a bend lie inside of it, and where their tangents lead outside: the mean of both is on it.
         ahead = ((places[row, c][..., None, :] - seen[nearest]) * direction[nearest]).sum(axis=-1, keepdims=True)
         points[row, c] = (share * (seen[nearest] + 0.5 * ahead * direction[nearest])).sum(axis=-2)
-        tangents[row, c] = along / np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-9)
+        tangents[row, c] = unit_vectors(along)
         found[row, c] = alike.any(axis=-1) & along.any(axis=-1)
     return points, tangents, found
 
@@ -226,7 +228,7 @@ def _movement_across(rig: Rig, vertices: np.ndarray, turns: np.ndarray, length: 
         jacobian = (rig.project(place[:, :, None] + ahead) - rig.project(place[:, :, None] - ahead)) / (2 * STEP_MM)
         along = np.einsum("caexu,aex->caeu", jacobian, np.diff(vertices, axis=1))
         pixels = np.linalg.norm(along, axis=-1)
-        normal = np.stack([-along[..., 1], along[..., 0]], axis=-1) / np.maximum(pixels, 1e-9)[..., None]
+        normal = normal_to(along) / np.maximum(pixels, 1e-9)[..., None]
         rows.append(np.einsum("caexu,caeu,aexp->acep", jacobian, normal, motion, optimize=True))
         shares.append(np.swapaxes(pixels, 0, 1) / len(PLACES))
     across_image, share = np.stack(rows, axis=3), np.stack(shares, axis=3)

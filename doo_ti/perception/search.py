@@ -4,8 +4,9 @@ ones are relaxed until they converge, and rods traced along the detected lines j
     E_vis = E / B + ν Σ_c (E_proj^c + E_cover^c)                       (§IV-A); E_cover with evidence from both sides only
 
 E_proj is what the rod's image is away from the detected line, a projected edge's mean distance to the nearest detected pixel
-times its length, and E_cover what the line is away from the rod's image, px². The rod's energy E is over the largest eigenvalue
-of B, in 1/mm: so ν is in 1/(mm px²), and its effect does not depend on the rod's stiffness.
+times its length, and E_cover what the line is away from the rod's image, px²: an edge that points at a camera costs nothing in
+E_proj, so a rod may turn away from the thread. The rod's energy E is over the largest eigenvalue of B, in 1/mm: so ν is in
+1/(mm px²), and its effect does not depend on the rod's stiffness.
 
 Axes: A image sets, C cameras, N hypotheses of all sets, M sampled directions, R rods, F finalists of all sets, E edges.
 """
@@ -21,13 +22,13 @@ from doo_ti.perception.traced import SAME_LENGTH, whole_rods
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import (
-    across,
-    bishop_frames,
     matrix_from_quaternion,
     quaternion_from_matrix,
     quaternion_product,
     smallest_rotation,
+    some_frames,
     tangent_from_quaternion,
+    unit_vectors,
 )
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution, Status
 from doo_ti.system.arguments import typed
@@ -35,7 +36,7 @@ from doo_ti.system.errors import InputError, require_whole
 from doo_ti.vision.cameras import Rig
 from doo_ti.vision.distance_map import Coverage, DistanceMaps, coverage
 from doo_ti.vision.image_energy import Reprojection
-from doo_ti.vision.score import score
+from doo_ti.vision.score import Score, score
 
 FAILED = Status.NOT_FINITE, Status.INFEASIBLE  # rods that have no shape; infeasible are those inside an obstacle
 LOST = 1e30  # 1/mm: E_vis of a rod that failed while growing. Its start is kept if its set has no better hypothesis
@@ -128,7 +129,7 @@ class Search:
     scale: float = field(init=False)  # the largest eigenvalue of B
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "first", bishop_frames(self.direction[:, None], across(self.direction))[:, 0])
+        object.__setattr__(self, "first", some_frames(self.direction))
         object.__setattr__(self, "scale", float(np.linalg.eigvalsh(self.material.bend).max()))
 
     def initial_hypotheses(self) -> Hypotheses:
@@ -145,8 +146,7 @@ class Search:
         around = local @ np.swapaxes(matrix_from_quaternion(last), -1, -2)
         ends = tip[:, None] + length * around
         segments = np.stack([np.broadcast_to(tip[:, None], ends.shape), ends], axis=2).reshape(-1, 2, 3)
-        found = score(segments, self.maps, np.repeat(kept.of_set, len(local)), self.rig, 1.0, points=options.points,
-                      cap=options.cap)
+        found = self.errors(segments, np.repeat(kept.of_set, len(local)), options.points)
         error = found.camera_error.sum(axis=1).reshape(len(tip), -1)
         chosen = suppress_similar(error, local, options.separation, options.children)
         parent, place = np.nonzero(chosen >= 0)
@@ -205,12 +205,18 @@ class Search:
         """(A, C, E) px twice: mean distance to the detection along the image of each edge, and the length of that image."""
         sets, ends = vertices.shape[:2]
         segments = np.stack([vertices[:, :-1], vertices[:, 1:]], axis=2).reshape(-1, 2, 3)
-        found = score(segments, self.maps, np.repeat(np.arange(sets), ends - 1), self.rig, 1.0, points=self.piece_points,
-                      cap=self.options.cap)
-        pixels = np.linalg.norm(np.diff(self.rig.project(segments), axis=2)[:, :, 0], axis=-1)
-        error, length = (values.reshape(-1, sets, len(self.rest_length), self.options.pieces).sum(axis=-1).swapaxes(0, 1)
-                         for values in (found.camera_error.T, pixels))
+        found = self.errors(segments, np.repeat(np.arange(sets), ends - 1), self.piece_points)
+        error, length = (values.T.reshape(-1, sets, len(self.rest_length), self.options.pieces).sum(axis=-1).swapaxes(0, 1)
+                         for values in (found.camera_error, self.image_length(segments)))
         return error / np.maximum(length, 1e-9), length
+
+    def errors(self, rods: np.ndarray, of_set: np.ndarray | int, points: int) -> Score:
+        """E_proj of ``rods`` (R, V, 3) mm of the sets ``of_set`` (R,), by so many ``points`` of each edge."""
+        return score(rods, self.maps, of_set, self.rig, 1.0, points=points, cap=self.options.cap)
+
+    def image_length(self, rods: np.ndarray) -> np.ndarray:
+        """(R, C) px: lengths of the images of ``rods`` (R, V, 3) mm."""
+        return np.linalg.norm(np.diff(self.rig.project(rods), axis=2), axis=-1).sum(axis=-1).T
 
     def sigma(self, rods: Configuration, start_sigma: np.ndarray | float = 0.0) -> np.ndarray:
         """(A, V) mm: uncertainty of the marks of one rod of each set, whose edges are cut into pieces, and whose start is as
@@ -290,12 +296,11 @@ def finalists(search: Search, grown: Hypotheses) -> Finalists:
 
 def _clearly_seen(search: Search, rods: Configuration, of_set: np.ndarray) -> np.ndarray:
     """(R,) bool: every camera sees all of the rod near the detection, and two of them from directions that differ by WIDE."""
-    found = score(rods.vertices, search.maps, of_set, search.rig, 1.0, points=search.piece_points, cap=search.options.cap)
-    image = np.linalg.norm(np.diff(search.rig.project(rods.vertices), axis=2), axis=-1).sum(axis=-1).T
-    sight = np.stack([rods.vertices.mean(axis=1) - camera.centre for camera in search.rig.cameras], axis=1)
-    sight /= np.linalg.norm(sight, axis=-1, keepdims=True)
+    found = search.errors(rods.vertices, of_set, search.piece_points)
+    near = found.camera_error <= CLOSE_PX * search.image_length(rods.vertices)
+    sight = unit_vectors(np.stack([rods.vertices.mean(axis=1) - camera.centre for camera in search.rig.cameras], axis=1))
     angle = np.arccos(np.clip(np.einsum("rci,rdi->rcd", sight, sight).min(axis=(1, 2)), -1.0, 1.0))
-    return ((found.camera_error <= CLOSE_PX * image) & (found.unseen == 0)).all(axis=1) & (angle >= WIDE)
+    return (near & (found.unseen == 0)).all(axis=1) & (angle >= WIDE)
 
 
 def _with_traced(search: Search, grown: Finalists, sets: np.ndarray) -> Finalists:

@@ -23,12 +23,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from doo_ti.perception.matching import LONG_PX, MOST_PLACES, curve_of, epipolar_distance, likely_matches
+from doo_ti.perception.matching import MOST_PLACES, curve_of, epipolar_distance, likely_matches
 from doo_ti.perception.search import PerceptionOptions, evidence
 from doo_ti.perception.traced import PATHS, whole_rods
 from doo_ti.rod.types import Material
 from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras import Rig
+from doo_ti.vision.curves import normal_to
 from doo_ti.vision.detection import CLICK_PX, Detection, thinned
 from doo_ti.vision.distance_map import distance_maps
 from doo_ti.vision.paths import Chains, paths_from
@@ -90,8 +91,7 @@ def fit_better(rig: Rig, others: Mapping[str, Rig], detections: Sequence[Detecti
 
     def least(one: Rig) -> float:
         try:
-            two = Rig(tuple(one.cameras[camera] for camera in pair))
-            return min(cost for cost, *_ in _beginnings(two, images, click, "", FEW_PLACES))
+            return min(cost for cost, *_ in _beginnings(one.take(pair), images, click, "", FEW_PLACES))
         except InputError:
             return np.inf
 
@@ -118,7 +118,7 @@ def _beginnings(rig: Rig, detections: Sequence[Detection], clicks: Mapping[int, 
     if sum(map(bool, ends)) < 2:
         raise InputError(source, "--seed-pixel", f"nothing in the image of {rig.names[order[1]]} belongs to the pixel",
                          "give a pixel in that camera, too")
-    ordered, found = Rig(tuple(rig.cameras[camera] for camera in order)), []
+    ordered, found = rig.take(order), []
     for miss, choice in _choices(ordered, ends, {order.index(camera) for camera in given}):
         begun = _beginning(ordered, [lines[camera] for camera in order], choice, places)
         if begun is not None:
@@ -190,7 +190,7 @@ def _missed(rig: Rig, choice: Sequence) -> float:
 def _seeing(rig: Rig, choice: Sequence) -> tuple[Rig, list[_Place]]:
     """The cameras that see where the rod begins, and where."""
     kept = [camera for camera, place in enumerate(choice) if place is not None]
-    return Rig(tuple(rig.cameras[camera] for camera in kept)), [choice[camera] for camera in kept]
+    return rig.take(kept), [choice[camera] for camera in kept]
 
 
 def _beginning(rig: Rig, lines: Sequence[Chains], choice: Sequence, places: int) -> tuple | None:
@@ -203,8 +203,7 @@ def _beginning(rig: Rig, lines: Sequence[Chains], choice: Sequence, places: int)
     if not matches:
         return None
     curve, _, spread = curve_of(rig, matches[0], start, SMOOTH, LINE_PX**2 * information)
-    length = float(np.linalg.norm(np.diff(curve, axis=0), axis=1).sum())
-    return matches[0].cost + LONG_PX * np.log(max(length, 1e-9)), rig, seen, curve, LINE_PX * spread
+    return matches[0].cost_with(curve), rig, seen, curve, LINE_PX * spread
 
 
 def _settled(rig: Rig, seen: Sequence[_Place], curve: np.ndarray, spread: float) -> Seed:
@@ -219,7 +218,7 @@ def _settled(rig: Rig, seen: Sequence[_Place], curve: np.ndarray, spread: float)
         information, slope = held + 1e-12 * np.eye(3), held @ (curve[0] - point)
         for place, view in zip(seen, rig.cameras, strict=True):
             image, by_point, _ = view.project_with_jacobian(point[None])
-            for way, sigma in ((np.array([-place.tangent[1], place.tangent[0]]), LINE_PX), (place.tangent, place.along)):
+            for way, sigma in ((normal_to(place.tangent), LINE_PX), (place.tangent, place.along)):
                 row = way @ by_point[0] @ view.rotation
                 information = information + np.outer(row, row) / sigma**2
                 slope = slope + row * (way @ (place.pixel - image[0])) / sigma**2
@@ -239,7 +238,7 @@ def _depth(rig: Rig, seen: Sequence[_Place]) -> tuple[np.ndarray, float, float]:
             image, by_point, _ = view.project_with_jacobian(point[None])
             motion, off = by_point[0] @ view.rotation @ (point - centre), place.pixel - image[0]
             along = 1 / (place.along**2 + seen[0].along**2)
-            ways = (np.array([-place.tangent[1], place.tangent[0]]), LINE_PX**-2), (place.tangent, along)
+            ways = (normal_to(place.tangent), LINE_PX**-2), (place.tangent, along)
             information += sum(weight * (way @ motion) ** 2 for way, weight in ways)
             slope += sum(weight * (way @ motion) * (way @ off) for way, weight in ways)
             known += along * (place.tangent @ motion) ** 2

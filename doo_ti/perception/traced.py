@@ -21,9 +21,11 @@ import numpy as np
 from doo_ti.perception.matching import Match, curve_of, likely_matches
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.rod.frames import across, bishop_frames, quaternion_from_matrix
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution
+from doo_ti.rod.frames import across, bishop_frames, quaternion_from_matrix, unit_vectors
+from doo_ti.rod.shapes import end_clamps
+from doo_ti.rod.types import Clamp, Configuration, Material, Solution
 from doo_ti.vision.cameras import Rig
+from doo_ti.vision.curves import arc_lengths, placed
 from doo_ti.vision.detection import Detection
 from doo_ti.vision.image_energy import AssignedPoints
 from doo_ti.vision.paths import Chains, ImagePath, paths_from
@@ -33,7 +35,7 @@ SMOOTHNESS = (30.0, 1e3, 3e4)
 """Smoothness of the curves with which rods begin. Between cameras that are close together a rough curve folds along the line of
 sight, and a very smooth one is too flat; the energy decides between the rods."""
 NU_BACK = 0.03  # ν of E_back, 1/(mm px³)
-PLACES = 2  # places along an edge that are assigned to the paths
+PLACES = np.array([0.25, 0.75])  # along an edge, that are assigned to the paths
 FREE_ROUNDS, FIXED_ROUNDS = 4, 2  # relaxations of rods whose length is free, and of those whose length is given
 STEPS, NEAREST_PX = 3, 6.0  # steps along a path to the point nearest to a place's image, and the longest of them
 AHEAD_MM = 1e-3  # distance over which the image of a direction is taken
@@ -73,7 +75,7 @@ def _curves(rig: Rig, paths: list[list[ImagePath]], point: np.ndarray):
     thread may be hidden there."""
     every = tuple(range(len(rig.cameras)))
     for kept in (every, *(combinations(every, len(every) - 1) if len(every) > 2 else ())):
-        some = Rig(tuple(rig.cameras[camera] for camera in kept))
+        some = rig.take(kept)
         for match in likely_matches(some, [paths[camera] for camera in kept], point, SMOOTHNESS[0], MATCHES):
             for smooth in SMOOTHNESS:
                 curve, arcs, _ = curve_of(some, match, point, smooth)
@@ -99,14 +101,13 @@ def _paths(rig: Rig, images: list[Detection], point: np.ndarray, direction: np.n
 def _begun(curve: np.ndarray, arcs: np.ndarray, direction: np.ndarray | None, shares: np.ndarray) -> tuple:
     """Where a rod begins: frames (N, 4), places along the paths (C, N, K), and length in mm, along a curve (K, 3) whose points
     are at ``arcs`` (C, K) of the paths."""
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
+    along = arc_lengths(curve)
     ends = along[-1] * np.concatenate([[0.0], np.cumsum(shares)])
-    tangents = np.diff(np.stack([np.interp(ends, along, column) for column in curve.T], axis=1), axis=0)
-    tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-12)
+    tangents = unit_vectors(np.diff(placed(ends, along, curve), axis=0))
     if direction is not None:
         tangents[0] = direction
     frames = bishop_frames(tangents[None], across(tangents[:1]))
-    places = ends[:-1, None] + np.diff(ends)[:, None] * (np.arange(PLACES) + 0.5) / PLACES
+    places = ends[:-1, None] + np.diff(ends)[:, None] * PLACES
     there = np.stack([np.interp(places, along, one) for one in arcs])
     return quaternion_from_matrix(frames)[0], there, float(along[-1])
 
@@ -129,7 +130,7 @@ class TracedShapes:
         ends = np.concatenate([[0.0], np.cumsum(shares)])
         middles = 0.5 * (ends[1:] + ends[:-1])
         nearest = np.clip(np.searchsorted(ends, middles * share[:, None]) - 1, 0, len(middles) - 1)
-        places = (ends[:-1, None] + shares[:, None] * (np.arange(PLACES) + 0.5) / PLACES).ravel()
+        places = (ends[:-1, None] + shares[:, None] * PLACES).ravel()
         flat = self.arcs.reshape(*self.arcs.shape[:2], -1)
         arcs = np.array([[np.interp(places * own, places, line) for line in rod] for rod, own in zip(flat, share, strict=True)])
         quaternions = np.take_along_axis(self.quaternions, nearest[..., None], axis=1)
@@ -149,11 +150,6 @@ class Tracing:
     material: Material
     up: np.ndarray
 
-    @property
-    def stiffness(self) -> float:
-        """The largest eigenvalue of B, of the energy in E/B."""
-        return float(np.linalg.eigvalsh(self.material.bend).max())
-
     def take(self, rows: np.ndarray) -> "Tracing":
         """Some of the rods, which may occur several times."""
         direction = None if self.direction is None else self.direction[rows]
@@ -162,26 +158,24 @@ class Tracing:
 
     def freely_long(self, rods: TracedShapes) -> TracedShapes:
         """Relaxed, made longer or shorter until they end where their paths end."""
-        for turn in range(FREE_ROUNDS):
-            relaxed = self._minimised(rods)
-            arcs, reach = self._reassigned(relaxed, np.zeros(len(rods.length), dtype=bool))
-            if turn == FREE_ROUNDS - 1:
-                return replace(relaxed, arcs=arcs)
-            rods = TracedShapes(relaxed.quaternions, arcs, rods.length / np.clip(reach, 0.7, 1.4))
+        reach = np.ones(len(rods.length))
+        for _ in range(FREE_ROUNDS):
+            rods = self._minimised(replace(rods, length=rods.length / np.clip(reach, 0.7, 1.4)))
+            arcs, reach = self._reassigned(rods, np.zeros(len(rods.length), dtype=bool))
+            rods = replace(rods, arcs=arcs)
+        return rods
 
     def relaxed(self, rods: TracedShapes, together: np.ndarray, rounds: int = FIXED_ROUNDS) -> TracedShapes:
         """Relaxed, as long as they are. Those that end ``together`` (R,) with their paths are spread over all of them."""
         for turn in range(rounds):
-            relaxed = self._minimised(rods)
-            if turn == rounds - 1:
-                return relaxed
-            rods = replace(relaxed, arcs=self._reassigned(relaxed, together)[0])
+            if turn:
+                rods = replace(rods, arcs=self._reassigned(rods, together)[0])
+            rods = self._minimised(rods)
+        return rods
 
     def _minimised(self, rods: TracedShapes) -> TracedShapes:
         start = Configuration(self.point, rods.quaternions, rods.length[:, None] * self.shares)
-        first = start.frames[:, 0]
-        clamps = Clamps(Clamp.POSITION if self.direction is None else Clamp.TANGENT, Clamp.FREE, self.point, self.point, first,
-                        first)
+        clamps = end_clamps(start, Clamp.POSITION if self.direction is None else Clamp.TANGENT)
         solution = relax(start, self.material, clamps, Newton(), up=self.up, precision="mixed",
                          external=self._assigned(rods.arcs), external_index=np.arange(len(rods.length)))
         return replace(rods, quaternions=solution.configuration.quaternions, solution=solution)
@@ -196,7 +190,7 @@ class Tracing:
                 points[r, c], tangents[r, c] = path.at(here), path.tangent_at(here)
                 explained = np.maximum(np.gradient(here.ravel()), 0.0).reshape(here.shape)
                 weight[r, c] = explained * path.is_seen(here)
-        return AssignedPoints(self.rig, points, tangents, weight, NU_BACK * self.stiffness)
+        return AssignedPoints(self.rig, points, tangents, weight, NU_BACK * float(np.linalg.eigvalsh(self.material.bend).max()))
 
     def _reassigned(self, rods: TracedShapes, together: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Places along the paths nearest to the images of the rods' places, in order, and (R,) the share of their paths that
@@ -205,8 +199,7 @@ class Tracing:
         together  (R,) bool: rods as long as their paths: where a path goes on a little, places are spread over all of it
         """
         arcs, vertices = rods.arcs, rods.solution.configuration.vertices
-        share = (np.arange(PLACES) + 0.5) / PLACES
-        places = vertices[:, :-1, None] + share[:, None] * np.diff(vertices, axis=1)[:, :, None]
+        places = vertices[:, :-1, None] + PLACES[:, None] * np.diff(vertices, axis=1)[:, :, None]
         seen, ends = self.rig.project(places.reshape(len(arcs), -1, 3)), self.rig.project(vertices[:, -1])
         found, reach = np.empty_like(arcs), np.ones(arcs.shape[:2])
         for r, match in enumerate(self.matches):

@@ -22,13 +22,13 @@ from doo_ti.motion.predict import predict_step
 from doo_ti.perception.perceive import check_seeds, checked_rod, checked_seeds, perceive
 from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search
 from doo_ti.rod.frames import conjugate, quaternion_product, smallest_rotation, tangent_from_quaternion
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
+from doo_ti.rod.shapes import end_clamps
+from doo_ti.rod.types import Clamp, Configuration, Material, Status
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras import Rig
 from doo_ti.vision.detection import Detection
 from doo_ti.vision.distance_map import distance_maps
-from doo_ti.vision.score import score
 
 FEWEST_CAMERAS = 2  # that must see a rod which is tracked: one does not see depth
 ITERATIONS = 30  # largest number of Newton's iterations, in f32, from each initial shape
@@ -196,10 +196,8 @@ class Tracker:
         rested = longer.nearly_relaxed(Hypotheses(np.zeros(len(starts), dtype=np.int64), starts, np.zeros(len(starts))))
         final, solution = search.relaxed(rested.take(np.array([np.argmin(rested.energy_vis)])))
         vertices = solution.configuration.vertices
-        found = score(vertices, search.maps, 0, search.rig, 1.0, points=search.piece_points, cap=search.options.cap)
-        length = np.linalg.norm(np.diff(search.rig.project(vertices[0]), axis=1), axis=-1).sum(axis=1)
-        return _Rod(solution.configuration, final.energy_vis[0], found.camera_error[0] / length, solution.status[0],
-                    solution.stable[0])
+        error = search.errors(vertices, 0, search.piece_points).camera_error / search.image_length(vertices)
+        return _Rod(solution.configuration, final.energy_vis[0], error[0], solution.status[0], solution.stable[0])
 
     def _starts(self, search: Search, far: Motion | None) -> np.ndarray:
         """(K, E, 4): the last rod unchanged, rotated with the seed, rotated as in the step before, and carried by the far
@@ -215,8 +213,7 @@ class Tracker:
 
     def _carried(self, last: Configuration, search: Search, far: Motion) -> np.ndarray:
         """(E, 4) the last rod after its start has moved to the seed and its far end with the clamp."""
-        frames, vertices = last.frames, last.vertices
-        here = Clamps(Clamp.TANGENT, Clamp.TANGENT, vertices[:, 0], vertices[:, -1], frames[:, 0], frames[:, -1])
+        here = end_clamps(last, Clamp.TANGENT, Clamp.TANGENT)
         goal = replace(replace(far, clamps=here).at(1.0), start_position=search.point, start_frame=search.first)
         solution, _ = predict_step(last, self._material, here, goal, up=self._up, watch=False, **self._surroundings.arguments)
         return solution.configuration.quaternions[0]

@@ -22,6 +22,7 @@ from doo_ti.io.scene import Synthesis
 from doo_ti.lab.synthesis import fine_vertices
 from doo_ti.motion.path import motion_between
 from doo_ti.perception.tracking import TrackedFrame, Tracker, seen_vertices
+from doo_ti.rod.frames import unit_vectors
 from doo_ti.rod.types import Clamps, Material
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import write_whole
@@ -48,8 +49,7 @@ class LabRods:
     @property
     def direction(self) -> np.ndarray:
         """(S, 3) unit vectors along e⁰, which the clip holds if it is at least as long."""
-        first = self.vertices[:, 1] - self.vertices[:, 0]
-        return first / np.linalg.norm(first, axis=-1, keepdims=True)
+        return unit_vectors(self.vertices[:, 1] - self.vertices[:, 0])
 
     def take(self, rows) -> "LabRods":
         rows = np.asarray(rows)

@@ -101,20 +101,20 @@ class Board:
         return cv2.aruco.CharucoBoard((self.columns, self.rows), self.square, self.marker, self._markers())
 
 
-def parse_board(text: str, source: str = "board") -> Board:
+def parse_board(text: str) -> Board:
     """The board that the text of ``--board`` describes, ``chessboard:9x6:10``, ``charuco:9x6:10:7[:DICTIONARY]``,
     ``circles:9x6:10`` or ``acircles:4x11:10``; InputError for anything else."""
     number = r"(\d+(?:\.\d*)?|\.\d+)"
     match = re.fullmatch(rf"(chessboard|charuco|a?circles):(\d+)x(\d+):{number}(?::{number}(?::(\w+))?)?", text)
     if match is None or (match[1] == "charuco") != (match[5] is not None):
-        raise InputError(source, "board", f"{text!r}", f"give {FORMS}")
+        raise InputError("board", "board", f"{text!r}", f"give {FORMS}")
     kind, columns, rows, square, marker, dictionary = match.groups()
     circles = kind if kind.endswith("circles") else ""
     marker = None if marker is None else float(marker)
     try:
         return Board(int(columns), int(rows), float(square), marker, dictionary or DICTIONARY, circles)
     except InputError as error:
-        raise InputError(source, "board", error.problem, error.remedy) from None
+        raise InputError("board", "board", error.problem, error.remedy) from None
 
 
 # --- where the corners lie in an image ---------------------------------------------------------------------------------

@@ -113,7 +113,7 @@ class Calibration:
 
 
 def calibrate(points: np.ndarray, sightings: list[Sighting], sizes: dict[str, tuple[int, int]], views: int,
-              options: CalibrationOptions | None = None, source: str = "views") -> Calibration:
+              options: CalibrationOptions = CalibrationOptions(), source: str = "views") -> Calibration:
     """The rig that took ``sightings`` of a board with corners ``points`` (N, 3) mm, in ``views`` views.
 
     sizes   name: width and height in px of each of C cameras, in the order in which the sightings number them
@@ -122,7 +122,6 @@ def calibrate(points: np.ndarray, sightings: list[Sighting], sizes: dict[str, tu
     without a view shared with the others, for a first view without board if that defines the world, and for views that do not
     determine the cameras.
     """
-    options = options or CalibrationOptions()
     names = tuple(sizes)
     _check(sightings, names, options, source)
     cameras, poses = _lenses(points, sightings, sizes, options, source)

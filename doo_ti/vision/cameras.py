@@ -16,7 +16,7 @@ Millimetres in the world, pixels in images, pixel (0, 0) at the centre of the up
 Axes: C cameras of a rig.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -298,13 +298,16 @@ class Rig:
         """(C, ..., 2) px of (..., 3) points in the world."""
         return np.stack([camera.project(points) for camera in self.cameras])
 
-    def only(self, names: Iterable[str]) -> "Rig":
+    def take(self, numbers: Iterable[int]) -> "Rig":
+        """Some of the cameras, in that order."""
+        return replace(self, cameras=tuple(self.cameras[number] for number in numbers))
+
+    def only(self, names: Sequence[str]) -> "Rig":
         """The cameras of these names, in that order. Raises InputError for one that is not there."""
-        by_name = {camera.name: camera for camera in self.cameras}
         for name in names:
-            if name not in by_name:
-                raise InputError(self.source, "cameras", f"no camera {name!r}", f"the rig has {', '.join(by_name)}")
-        return Rig(tuple(by_name[name] for name in names), self.source, self.reading)
+            if name not in self.names:
+                raise InputError(self.source, "cameras", f"no camera {name!r}", f"the rig has {', '.join(self.names)}")
+        return self.take(map(self.names.index, names))
 
     def read_otherwise(self) -> Iterator[tuple["Rig", str, str]]:
         """The rigs of other readings of the same file, what they assume, and the option for it: where neither unit nor poses

@@ -27,10 +27,10 @@ from scipy.spatial import cKDTree
 
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
+from doo_ti.vision.curves import curve_length, normal_to
 from doo_ti.vision.detection import (
     Detection,
     DetectionOptions,
-    chain_length,
     chains_of,
     check_image,
     cropped,
@@ -47,11 +47,10 @@ from doo_ti.vision.ridge import (
     WORKING_WIDTH,
     Appearance,
     Curvature,
-    Ridges,
     appearance,
     as_colour,
     between_edges,
-    edges_across,
+    edges_about,
     gradient,
     lab,
     likeness,
@@ -66,8 +65,8 @@ MEETING = 0.5  # least share of votes on the centre line, of those of two comple
 STEEPEST = 8000  # slope of the thread's edges in the whole numbers that Canny takes
 
 
-def _canny_line(image: np.ndarray, look: Appearance, least_contrast: float, shortest_px: float) -> tuple[np.ndarray, ...]:
-    """(N, 2) pixels of the centre line in an image (H, W) float32, their (N, 2) directions, (N,) strengths and widths.
+def _canny_line(image: np.ndarray, look: Appearance, least_contrast: float, shortest_px: float) -> Detection:
+    """The pixels of the centre line in an image (H, W) float32.
 
     "A Canny edge detector with a blurred, offset Gaussian kernel" (§IV-A): every edge pixel votes for the place half a thread's
     width along the gradient towards the thread's middle; votes are blurred. The centre line lies where votes of both edges
@@ -96,8 +95,8 @@ def _canny_line(image: np.ndarray, look: Appearance, least_contrast: float, shor
     ridges = Curvature(meeting, VOTE_BLUR_PX).ridges("light", 1e-3)
     ridges = ridges[(meeting[ridges.row, ridges.column] >= MEETING) & (np.abs(ridges.offset) <= REACH_PX)]
     ridges = ridges[pieces(ridges, 0.0, shortest_px) > 0]
-    return (np.stack([ridges.column, ridges.row], axis=1).astype(np.float64), ridges.tangent, look.slope * ridges.strength,
-            np.full(len(ridges.row), look.width_px))
+    pixels = np.stack([ridges.column, ridges.row], axis=1).astype(np.float64)
+    return Detection(pixels, ridges.tangent, look.slope * ridges.strength, look.width_px, look.polarity, image.shape, "canny")
 
 
 SIGMA_PER_WIDTH, SMALLEST_SIGMA = 0.35, 0.8  # px of smoothing: a bar gets a single ridge, and neighbouring strands stay apart
@@ -121,39 +120,31 @@ def detect(image: np.ndarray, options: DetectionOptions = DetectionOptions()) ->
         grey = part if part.ndim == 2 else cv2.cvtColor(as_colour(part), cv2.COLOR_BGR2GRAY)
         line, polarity = grey.astype(np.float32), options.polarity
     look = appearance(line, polarity, options.width_px, options.least_contrast)
-    points, direction, strength, each, width = np.empty((0, 2)), np.empty((0, 2)), np.empty(0), None, np.nan
-    if look is not None:
-        left, top, right, bottom = look.box
-        points, direction, strength, each = _line(line[top:bottom, left:right], look, options)
-        points, width = points + (left, top), look.width_px
-        each = each if (each > width).any() else None
-        if options.colour is not None and len(points):
-            points, width = between_edges(as_colour(part), points, direction, width)
-    found = Detection(points, direction, strength, width if len(points) else np.nan,
-                      look.polarity if len(points) else "", image.shape[:2], options.method, each)
-    return moved(found, corner)
+    found = None if look is None else _line(line, look, options)
+    if found is None or not found.count:
+        return Detection.none(image.shape[:2], options.method)
+    if options.colour is not None:
+        points, width = between_edges(as_colour(part), found.points, found.direction, found.width_px)
+        found = replace(found, points=points, width_px=width)
+    return replace(moved(found, corner), shape=image.shape[:2])
 
 
-def _line(image: np.ndarray, look: Appearance, options: DetectionOptions) -> tuple[np.ndarray, ...]:
-    """(N, 2) points, (N, 2) directions, (N,) strengths and widths in an image (H, W) float32."""
+def _line(image: np.ndarray, look: Appearance, options: DetectionOptions) -> Detection:
+    """The centre line of the thread in an image (H, W) float32."""
+    left, top, right, bottom = look.box
+    image = image[top:bottom, left:right]
     small, scale = _halved(image, look.width_px)
     in_small = replace(look, width_px=look.width_px / scale, slope=look.slope * scale)
     find = {"ridge": _ridge_line, "canny": _canny_line}[options.method]
-    points, direction, strength, width = find(small, in_small, options.least_contrast, options.shortest_px / scale)
-    found = in_whole_pixels(scale, points, direction, strength, scale * width)
+    found = in_whole_pixels(find(small, in_small, options.least_contrast, options.shortest_px / scale), scale)
     if scale > 1 and options.method == "ridge":
-        usual = found[3] == look.width_px
-        found[0][usual] = _between(image, found[0][usual], found[1][usual], look)
-    return found
-
-
-def _between(image: np.ndarray, points: np.ndarray, direction: np.ndarray, look: Appearance) -> np.ndarray:
-    """(N, 2) points of a line that was found in a halved image, moved to the middle between its edges in the image itself
-    where it has both there."""
-    normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
-    edges = edges_across(gradient(image), points, normal, look.polarity, 0.75 * look.width_px + 2)
-    sound = (edges.balance > LEAST_BALANCE) & edges.about(look.width_px)
-    return points + np.where(sound, edges.shift, 0.0)[:, None] * normal
+        # Where the line has both edges in the image itself, its middle is between these.
+        usual = found.widths == look.width_px
+        normal = normal_to(found.direction)
+        edges, about = edges_about(image, found.points, normal, look.polarity, look.width_px)
+        sound = usual & about & (edges.balance > LEAST_BALANCE)
+        found = replace(found, points=found.points + np.where(sound, edges.shift, 0.0)[:, None] * normal)
+    return moved(found, (left, top))
 
 
 def _halved(image: np.ndarray, width: float) -> tuple[np.ndarray, float]:
@@ -164,7 +155,7 @@ def _halved(image: np.ndarray, width: float) -> tuple[np.ndarray, float]:
     return image, 2.0**halvings
 
 
-def _ridge_line(image: np.ndarray, look: Appearance, least_contrast: float, shortest_px: float) -> tuple[np.ndarray, ...]:
+def _ridge_line(image: np.ndarray, look: Appearance, least_contrast: float, shortest_px: float) -> Detection:
     """As :func:`_canny_line`: ridges at the thread's width, each moved to the middle between the two edges, and what goes on
     from their ends."""
     curvature = Curvature(image, max(SMALLEST_SIGMA, SIGMA_PER_WIDTH * look.width_px))
@@ -172,13 +163,15 @@ def _ridge_line(image: np.ndarray, look: Appearance, least_contrast: float, shor
     ridges = curvature.ridges(look.polarity, certain / 2)
     typical = (ridges.strength**3).sum() / max((ridges.strength**2).sum(), 1e-30)
     ridges = ridges[ridges.strength >= WEAK * typical]
-    edges = edges_across(gradient(image), ridges.point, ridges.normal, look.polarity, 0.75 * look.width_px + 2)
-    sound = of_a_thread(edges, ridges.strength) & (np.abs(ridges.offset + edges.shift) <= REACH_PX) & edges.about(look.width_px)
+    edges, about = edges_about(image, ridges.point, ridges.normal, look.polarity, look.width_px)
+    sound = about & of_a_thread(edges, ridges.strength) & (np.abs(ridges.offset + edges.shift) <= REACH_PX)
     ridges, width = ridges.moved(edges.shift)[sound], edges.width[sound]
     piece = pieces(ridges, max(certain, STRONG * typical), max(shortest_px, look.width_px))
     kept = np.flatnonzero(piece)
     kept = kept[_alike(piece[kept], width[kept], ridges.strength[kept])]
-    return _continued(image, look, ridges[kept])
+    ridges = ridges[kept]
+    found = Detection(ridges.point, ridges.tangent, ridges.strength, look.width_px, look.polarity, image.shape, "ridge")
+    return _continued(image, found)
 
 
 def _alike(piece: np.ndarray, width: np.ndarray, strength: np.ndarray) -> np.ndarray:
@@ -200,37 +193,30 @@ LEAST_STRENGTH = 0.4  # least strength over that of a line as dark as the thread
 PART = 1.0  # least widths of a line that goes on: strands that touch are shorter
 
 
-def _continued(image: np.ndarray, look: Appearance, ridges: Ridges) -> tuple[np.ndarray, ...]:
-    """(M, 2) points, (M, 2) directions, (M,) strengths and widths of the thread in an image (H, W) float32: the ``ridges`` that
-    were found at its usual width, and what goes on from their ends."""
-    found = ridges.point, ridges.tangent, ridges.strength, np.full(len(ridges.row), look.width_px)
-    own = chains_of(*thinned(_as_detection(*found[:3], look, image.shape)))
+def _continued(image: np.ndarray, usual: Detection) -> Detection:
+    """The thread in an image (H, W) float32: what was found at its ``usual`` width, and what goes on from the ends of that."""
+    found, own = usual, chains_of(*thinned(usual))
     if not own:
         return found
-    contrast = float(np.median(ridges.strength)) / BAR
-    dark = _darkness(image, look, contrast)
+    dark = _darkness(image, usual)
     for turn, times in enumerate(2 * TIMES):  # a part that is wider may become narrower again
-        if turn == len(TIMES) and len(found[0]) == len(ridges.row):
+        if turn == len(TIMES) and found is usual:
             break
-        width = times * look.width_px
-        line = _wide_lines(dark, width, np.concatenate([found[0], *own]), look.width_px)
+        width = times * usual.width_px
+        line = _wide_lines(dark, width, np.concatenate([found.points, *own]), usual.width_px)
         added = _joined(line, own, width, dark)
         if added:
-            beside = _edges_of(found[0], own, added, width)
-            found = tuple(np.concatenate([array[~beside], *new]) for array, new in zip(found, zip(*added), strict=True))
-            own = chains_of(*thinned(_as_detection(*found[:3], look, image.shape)))
+            found = found.take(~_edges_of(found.points, own, added, width)).with_parts(added)
+            own = chains_of(*thinned(found))
     return found
 
 
-def _as_detection(points, direction, strength, look: Appearance, shape: tuple[int, ...]) -> Detection:
-    return Detection(points, direction, strength, look.width_px, look.polarity, shape, "ridge")
-
-
-def _darkness(image: np.ndarray, look: Appearance, contrast: float) -> np.ndarray:
+def _darkness(image: np.ndarray, thread: Detection) -> np.ndarray:
     """(H, W) float32: how much each pixel differs from the background around it towards the thread, 255 for its contrast."""
-    side = 2 * int(np.ceil(1.25 * max(TIMES) * look.width_px)) + 1
+    side = 2 * int(np.ceil(1.25 * max(TIMES) * thread.width_px)) + 1
     kernel = cv2.getStructuringElement(cv2.MORPH_RECT, (side, side))
-    kind = cv2.MORPH_BLACKHAT if look.polarity == "dark" else cv2.MORPH_TOPHAT
+    kind = cv2.MORPH_BLACKHAT if thread.polarity == "dark" else cv2.MORPH_TOPHAT
+    contrast = float(np.median(thread.strength)) / BAR
     return np.minimum(cv2.morphologyEx(image, kind, kernel) * np.float32(255 / contrast), np.float32(255))
 
 
@@ -241,32 +227,31 @@ def _wide_lines(dark: np.ndarray, width: float, own: np.ndarray, usual: float) -
     side = 2 * int(np.ceil(wide / 2)) + 1
     closed = cv2.morphologyEx(small, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
     ridges = Curvature(closed, SIGMA_PER_WIDTH * wide).ridges("light", LEAST_STRENGTH * BAR * 255)
-    edges = edges_across(gradient(closed), ridges.point, ridges.normal, "light", 0.75 * wide + 2)
-    sound = edges.about(wide) & (np.abs(ridges.offset + edges.shift) <= REACH_PX) & (edges.balance > 0)
-    ridges, measured = ridges.moved(edges.shift)[sound], scale * edges.width[sound]
-    points, direction, strength, each = in_whole_pixels(scale, ridges.point, ridges.tangent, ridges.strength, measured)
-    away = cKDTree(own).query(points)[0] > 0.5 * usual + 1 if len(points) else np.zeros(0, dtype=bool)
-    return Detection(points[away], direction[away], strength[away], width, "light", dark.shape, "ridge", each[away])
+    edges, about = edges_about(closed, ridges.point, ridges.normal, "light", wide)
+    sound = about & (np.abs(ridges.offset + edges.shift) <= REACH_PX) & (edges.balance > 0)
+    ridges = ridges.moved(edges.shift)[sound]
+    found = in_whole_pixels(Detection(ridges.point, ridges.tangent, ridges.strength, wide, "light", dark.shape, "ridge",
+                                      edges.width[sound]), scale)
+    return found.take(cKDTree(own).query(found.points)[0] > 0.5 * usual + 1)
 
 
-def _joined(line: Detection, own: list[np.ndarray], width: float, dark: np.ndarray) -> list[tuple[np.ndarray, ...]]:
-    """Points, directions, strengths and widths of the parts of a ``line`` that go on from ends of the chains ``own``, or of
-    these parts."""
-    waiting, parts = [chain for chain in chains_of(*thinned(line)) if chain_length(chain) >= PART * width], []
+def _joined(line: Detection, own: list[np.ndarray], width: float, dark: np.ndarray) -> list[Detection]:
+    """The parts of a ``line`` that go on from ends of the chains ``own``, or of these parts."""
+    waiting, parts = [chain for chain in chains_of(*thinned(line)) if curve_length(chain) >= PART * width], []
     tree, known = cKDTree(line.points) if line.count else None, list(own)
     while True:
         ready = next((k for k, chain in enumerate(waiting) if goes_on(chain, known, width, dark)), None)
         if ready is None:
             return parts
         chain = waiting.pop(ready)
-        at = tree.query(chain)[1]
-        parts.append((chain, line.direction[at], line.strength[at], np.full(len(chain), np.median(line.widths[at]))))
+        part = line.take(tree.query(chain)[1])
+        parts.append(replace(part, width=np.full(part.count, np.median(part.width))))
         known.append(chain)
 
 
-def _edges_of(points: np.ndarray, own: list[np.ndarray], parts: list[tuple[np.ndarray, ...]], width: float) -> np.ndarray:
+def _edges_of(points: np.ndarray, own: list[np.ndarray], parts: list[Detection], width: float) -> np.ndarray:
     """(N,) bool: points of chains that lie beside the ``parts`` as their edges do, from end to end."""
-    line = cKDTree(np.concatenate([part[0] for part in parts]))
+    line = cKDTree(np.concatenate([part.points for part in parts]))
     edges = [chain for chain in own if line.query(chain)[0].max() <= width]
     if not edges:
         return np.zeros(len(points), dtype=bool)
@@ -304,9 +289,11 @@ def detect_mask(mask: np.ndarray, options: DetectionOptions = DetectionOptions()
     ridges, half = ridges[kept], half[kept]
     # Distances are from pixel to pixel: half a pixel lies beyond the border.
     width = 2 * (half + np.abs(ridges.offset)) - 1
-    found = in_whole_pixels(scale, ridges.point, ridges.tangent, np.full(len(width), 255.0), scale * width)
-    typical, polarity = (float(np.median(found[3])), "light") if len(width) else (np.nan, "")
-    return moved(Detection(*found[:3], typical, polarity, mask.shape, "mask", found[3]), corner)
+    if not len(width):
+        return replace(Detection.none(mask.shape, "mask"), width=width)
+    found = Detection(ridges.point, ridges.tangent, np.full(len(width), 255.0), float(np.median(width)), "light", mask.shape,
+                      "mask", width)
+    return moved(in_whole_pixels(found, scale), corner)
 
 
 def _cleaned(inside: np.ndarray) -> np.ndarray:

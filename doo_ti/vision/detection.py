@@ -10,9 +10,11 @@ from scipy.spatial import cKDTree
 
 from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
+from doo_ti.vision.curves import arc_lengths, curve_length, normal_to
 
 METHODS = ("ridge", "canny")
 POLARITIES = ("dark", "light")
+NEAR_PX = 3.0  # a point this near to another line, or to the image of a rod, is on it
 CLICK_PX = 30.0  # a clicked pixel is this near to the thread
 MOST_WIDTH_PX = 1000.0  # largest width of a thread: samples are taken across it
 
@@ -125,10 +127,25 @@ class Detection:
         """(N,) px: the thread's width at each point; where only one is known, that."""
         return np.full(len(self.points), float(self.width_px)) if self.width is None else self.width
 
+    @classmethod
+    def none(cls, shape: tuple[int, int], method: str) -> "Detection":
+        """No thread in an image of that ``shape``."""
+        return cls(np.empty((0, 2)), np.empty((0, 2)), np.empty(0), np.nan, "", shape, method)
+
+    def take(self, rows: np.ndarray) -> "Detection":
+        """Some of the points: their numbers, or (N,) bool."""
+        return replace(self, points=self.points[rows], direction=self.direction[rows], strength=self.strength[rows],
+                       width=None if self.width is None else self.width[rows])
+
+    def with_parts(self, parts: Sequence["Detection"]) -> "Detection":
+        """The same with the points of other ``parts`` of the line, each as wide as it is there."""
+        points, direction, strength, width = (np.concatenate([getattr(one, name) for one in (self, *parts)])
+                                              for name in ("points", "direction", "strength", "widths"))
+        return replace(self, points=points, direction=direction, strength=strength, width=width)
+
     def copy(self) -> "Detection":
         """The same in arrays of its own."""
-        arrays = {name: getattr(self, name).copy() for name in ("points", "direction", "strength")}
-        return replace(self, **arrays, width=None if self.width is None else self.width.copy())
+        return self.take(np.arange(self.count))
 
     @property
     def count(self) -> int:
@@ -162,14 +179,16 @@ def moved(detection: Detection, corner: tuple[int, int]) -> Detection:
     return replace(detection, points=detection.points + corner) if any(corner) else detection
 
 
-def in_whole_pixels(scale: float, points: np.ndarray, direction: np.ndarray, *values: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Points with directions and (N,) ``values`` of an image that has one pixel for ``scale``, in px of the image itself and
-    again at most a pixel apart."""
+def in_whole_pixels(found: Detection, scale: float) -> Detection:
+    """What was detected in an image that has one pixel for ``scale``, in px of the image itself and again at most a pixel
+    apart."""
     if scale == 1:
-        return points, direction, *values
+        return found
     between = np.arange(scale) - (scale - 1) / 2
-    points = (scale * points[:, None] + between[:, None] * direction[:, None]).reshape(-1, 2)
-    return points, *(np.repeat(array, len(between), axis=0) for array in (direction, *values))
+    points = (scale * found.points[:, None] + between[:, None] * found.direction[:, None]).reshape(-1, 2)
+    dense = found.take(np.repeat(np.arange(found.count), len(between)))
+    return replace(dense, points=points, width_px=scale * found.width_px,
+                   width=None if found.width is None else scale * dense.width)
 
 
 NEXT_PX = 2.6  # largest distance between points that follow each other
@@ -192,7 +211,7 @@ def chains_of(points: np.ndarray, direction: np.ndarray) -> list[np.ndarray]:
     pairs = np.concatenate([pairs, pairs[:, ::-1]])
     one, other = pairs.T
     step = points[other] - points[one]
-    length, normal = np.linalg.norm(step, axis=1), np.stack([-direction[:, 1], direction[:, 0]], axis=1)
+    length, normal = np.linalg.norm(step, axis=1), normal_to(direction)
     forward = (step * direction[one]).sum(axis=1)
     turned = np.abs((direction[one] * direction[other]).sum(axis=1))
     aside = np.maximum(*(np.abs((step * normal[end]).sum(axis=1)) for end in (one, other)))
@@ -215,7 +234,7 @@ def chains_of(points: np.ndarray, direction: np.ndarray) -> list[np.ndarray]:
             rows.append(here)
             left[here] = False
             here = next((int(k) for k in mutual[here] if k >= 0 and left[k]), -1)
-        if len(rows) > 2 and chain_length(points[rows]) >= SHORTEST_PX:
+        if len(rows) > 2 and curve_length(points[rows]) >= SHORTEST_PX:
             chains.append(points[rows])
     return chains
 
@@ -223,14 +242,8 @@ def chains_of(points: np.ndarray, direction: np.ndarray) -> list[np.ndarray]:
 def outward(chain: np.ndarray, way: int) -> np.ndarray:
     """(2,) unit direction in which a chain ends."""
     points = (chain[::-1] if way else chain)[: int(4 * END_PX)]  # which are a third of a pixel apart or more
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    out = points[0] - points[min(np.searchsorted(arc, END_PX), len(points) - 1)]
+    out = points[0] - points[min(np.searchsorted(arc_lengths(points), END_PX), len(points) - 1)]
     return out / max(np.linalg.norm(out), 1e-12)
-
-
-def chain_length(points: np.ndarray) -> float:
-    """px."""
-    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
 def goes_on(chain: np.ndarray, known: list[np.ndarray], width: float, dark: np.ndarray) -> bool:
@@ -250,9 +263,9 @@ def goes_on(chain: np.ndarray, known: list[np.ndarray], width: float, dark: np.n
     inside = np.array([line.query(other)[0].max() <= width for other in known])
     others = [other for other, here in zip(known, inside, strict=True) if not here]
     column, row = np.rint(chain).astype(int).T
-    if inside.any() and (chain_length(chain) < GLINT * width or np.median(dark[row, column]) < INSIDE * 255):
+    if inside.any() and (curve_length(chain) < GLINT * width or np.median(dark[row, column]) < INSIDE * 255):
         return False
     strand = any((cKDTree(other).query(chain)[0] <= 0.6 * width).mean() > BESIDE for other in others)
-    if strand or sum(chain_length(other) for other in others) < chain_length(chain):
+    if strand or sum(map(curve_length, others)) < curve_length(chain):
         return False  # what has two edges all along is two threads
     return int(np.bincount(half[agreeing & ~np.repeat(inside, 2)], minlength=2).max()) == 1

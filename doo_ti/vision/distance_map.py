@@ -30,7 +30,8 @@ from doo_ti.system import runtime
 from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras import Rig
-from doo_ti.vision.detection import Detection, thinned
+from doo_ti.vision.curves import arc_lengths, placed
+from doo_ti.vision.detection import NEAR_PX, Detection, thinned
 from doo_ti.vision.triangulation import rays
 
 HALF_LENGTH_PX = 0.5  # half the length of a piece, and half the largest spacing of points along the line
@@ -194,7 +195,6 @@ def _search(
 
 # --- how much of the line a rod explains -----------------------------------------------------------------------------------
 
-NEAR_PX = 3.0  # A detected point this near to the rod's image is explained
 BESIDE_PX = 2.0  # distance of points that follow each other along a line
 ALIKE = 0.8  # least cosine between directions of a line: other strands cross it
 WIDER = 1.75  # times its width a thread is not: what it is tied to, or held by, may be
@@ -280,13 +280,10 @@ def _nearest_place(points: np.ndarray, image: np.ndarray) -> tuple[np.ndarray, n
 
 def _passed_twice(image: np.ndarray) -> float:
     """px of a rod's ``image`` (V, 2) that lie on another part of it, and along it."""
-    step = np.linalg.norm(np.diff(image, axis=0), axis=1)
-    if step.sum() > MOST_IMAGE_PX:
+    arc = arc_lengths(image)
+    if not FAR_PX <= arc[-1] <= MOST_IMAGE_PX:
         return 0.0
-    arc = np.concatenate([[0.0], np.cumsum(step)])
-    points = np.stack([np.interp(np.arange(arc[-1]), arc, column) for column in image.T], axis=1)
-    if len(points) < FAR_PX:
-        return 0.0
+    points = placed(np.arange(arc[-1]), arc, image)
     one, other = cKDTree(points).query_pairs(SAME_PX, output_type="ndarray").T
     way = np.gradient(points, axis=0)
     alike = np.abs((way[one] * way[other]).sum(axis=1)) > ALIKE * np.linalg.norm(way[one], axis=1) * np.linalg.norm(

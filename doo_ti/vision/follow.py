@@ -18,8 +18,10 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from doo_ti.rod.frames import unit_vectors
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
+from doo_ti.vision.curves import arc_lengths, normal_to, placed
 from doo_ti.vision.detection import Detection, DetectionOptions, check_image, cropped, moved
 from doo_ti.vision.ridge import TOLERANCE, WORKING_WIDTH, Curvature, as_colour, lab, likeness, likeness_table
 
@@ -85,10 +87,9 @@ def follow(image: np.ndarray, pixel: tuple[float, float], options: DetectionOpti
     found = next((one for sound in (True, False) for _, line in lines
                   if (one := _followed(levels, line, sound)) is not None), None)
     if found is None:
-        return Detection(np.empty((0, 2)), np.empty((0, 2)), np.empty(0), np.nan, "", image.shape[:2], "follow")
+        return Detection.none(image.shape[:2], "follow")
     points, strength, width, polarity = found
-    tangent = np.gradient(points, axis=0)
-    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    tangent = unit_vectors(np.gradient(points, axis=0))
     return moved(Detection(points, tangent, strength, width, polarity, image.shape[:2], "follow"), corner)
 
 
@@ -123,7 +124,7 @@ def _line(image: np.ndarray, place: np.ndarray, width: float, reach: float) -> t
     step = np.arange(-np.floor(SEGMENT * width), SEGMENT * width + 0.01)
     at = (place - corner + offset[:, None]) + (along[:, None] * step[:, None])[:, None]
     at = at.reshape(-1, len(step), 2).astype(np.float32)
-    across = np.stack([-along[:, 1], along[:, 0]], axis=-1)
+    across = normal_to(along)
     weight = np.stack([across[:, 0] ** 2, 2 * across[:, 0] * across[:, 1], across[:, 1] ** 2], axis=-1)
     square = 0.0
     for part in parts:
@@ -157,9 +158,9 @@ def _followed(levels: list[np.ndarray], line: Line, sound: bool) -> tuple[np.nda
         return None
     field, path, strength, _ = again
     points = scale * field.centred(path, strength > 0)
-    place = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    place = arc_lengths(points)
     at = np.arange(0, place[-1], 1.0)  # a pixel apart
-    points = np.stack([np.interp(at, place, points[:, axis]) for axis in (0, 1)], axis=-1)
+    points = placed(at, place, points)
     strength = strength[np.clip(np.searchsorted(place, at), 0, len(strength) - 1)]
     return points, strength, far.width * scale, far_look.polarity
 
@@ -210,8 +211,7 @@ class _Field:
 
     def centred(self, path: np.ndarray, there: np.ndarray) -> np.ndarray:
         """The (N, 2) points of a path on the crest of the line; where it is not ``there`` (N,), as far aside as beyond gaps."""
-        along = np.gradient(path, axis=0)
-        along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
+        along = unit_vectors(np.gradient(path, axis=0))
         shift = np.empty(len(path))
         for first in range(0, len(path), max(1, self.reach // 2)):
             rows = slice(first, first + max(1, self.reach // 2))
@@ -220,7 +220,7 @@ class _Field:
         clear = np.convolve(~there, np.ones(2 * int(2 * self.sigma) + 1), "same")[: len(path)] == 0
         every, sure = np.arange(len(path)), clear if clear.any() else there
         shift = np.clip(np.interp(every, every[sure], shift[sure]), -self.sigma, self.sigma)
-        return path + shift[:, None] * np.stack([-along[:, 1], along[:, 0]], axis=-1)
+        return path + shift[:, None] * normal_to(along)
 
 
 def _walked(field: _Field, line: Line, longest: float) -> tuple[np.ndarray, np.ndarray]:
@@ -289,8 +289,7 @@ def looked(image: np.ndarray, path: np.ndarray, middle: int, line: Line, before:
     inner = np.linspace(offset[first] + 0.2 * width, offset[last] - 0.2 * width, 5) if last > first else offset[[top]]
     colours = usual[np.argmin(np.abs(offset[:, None] - inner), axis=0)]
     polarity = "light" if usual[top, 0] > (usual[0, 0] + usual[-1, 0]) / 2 else "dark"
-    across = np.array([-along[middle, 1], along[middle, 0]])
-    return (replace(line, point=line.point + shift * across, width=max(float(width), 2.0)),
+    return (replace(line, point=line.point + shift * normal_to(along[middle]), width=max(float(width), 2.0)),
             Look(colours, float(difference[top]), polarity, sound))
 
 
@@ -304,12 +303,11 @@ def window(image: np.ndarray, place: np.ndarray, reach: int) -> tuple[np.ndarray
 def _across(image: np.ndarray, path: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(N, n, 3) colours across a path (N, 2), its (N, 2) directions, and the (n,) offsets in px."""
     span = int(max(1, width))
-    smooth = cv2.blur(np.gradient(path, axis=0)[:, None], (1, 2 * span + 1), borderType=cv2.BORDER_REPLICATE)[:, 0]
-    along = smooth / np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-9)
+    along = unit_vectors(cv2.blur(np.gradient(path, axis=0)[:, None], (1, 2 * span + 1), borderType=cv2.BORDER_REPLICATE)[:, 0])
     offset = np.arange(-REACH * width, REACH * width + 0.01, 0.5)
     place, reach = path.mean(axis=0), int(np.abs(path - path.mean(axis=0)).max() + REACH * width) + 4
     pixels, corner = window(image, place, reach)
-    at = (path - corner)[:, None] + offset[:, None] * np.stack([-along[:, 1], along[:, 0]], axis=-1)[:, None]
+    at = (path - corner)[:, None] + offset[:, None] * normal_to(along)[:, None]
     at = at.astype(np.float32)
     return cv2.remap(pixels, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), along, offset
 

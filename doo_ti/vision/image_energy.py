@@ -33,6 +33,7 @@ from doo_ti.relaxation.tables import MOST_NUMBERS
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras import Rig
+from doo_ti.vision.curves import normal_to
 from doo_ti.vision.distance_map import DistanceMaps
 from doo_ti.vision.edge_integral import (
     COLUMNS,
@@ -210,7 +211,7 @@ class AssignedPoints(External):
     def field(self) -> np.ndarray:
         """(R · E · C · K · POINT,) float32."""
         t = np.asarray(self.tangent, dtype=np.float64)
-        n = np.stack([-t[..., 1], t[..., 0]], axis=-1)
+        n = normal_to(t)
         form = n[..., :, None] * n[..., None, :] + self.along * t[..., :, None] * t[..., None, :]
         table = np.concatenate([self.points, form[..., [0, 0, 1], [0, 1, 1]], self.weight[..., None]], axis=-1)
         return np.ascontiguousarray(table.swapaxes(1, 2), dtype=np.float32).reshape(-1)

@@ -178,9 +178,8 @@ def observe(marks: Marks, points: Points, rest_length: float | None = None, up=(
     filled = np.zeros((shape[0], shape[1] - 1), dtype=bool)
     if marks.is_ribbon:
         frames, filled = _ribbon_frames(observations, position[:, :, 1] - position[:, :, 0], marks)
-        ends = {"start_frame": frames[:, 0], "end_frame": frames[:, -1]}
-        known = {"start_frame": not filled[:, 0].any(), "end_frame": not filled[:, -1].any()}
-        observations = replace(observations, frames=frames, **{end: frame for end, frame in ends.items() if known[end]})
+        ends = {end: frames[:, edge] for end, edge in (("start_frame", 0), ("end_frame", -1)) if not filled[:, edge].any()}
+        observations = replace(observations, frames=frames, **ends)
     return MarkedRods(observations, filled)
 
 

@@ -14,7 +14,9 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from doo_ti.vision.detection import NEXT_PX, SHORTEST_PX, Detection, chain_length, chains_of, outward, single
+from doo_ti.rod.frames import unit_vectors
+from doo_ti.vision.curves import arc_lengths, curve_length, placed
+from doo_ti.vision.detection import NEXT_PX, SHORTEST_PX, Detection, chains_of, outward, single
 
 WIDEST_GAP = 0.3  # of the image's height: the longest gap that a path crosses
 FORWARD = 0.64  # least cosine between the direction of an end and the way to the next
@@ -46,8 +48,7 @@ class ImagePath:
         """(M, 2) unit vectors."""
         padded = np.pad(self.points, ((2, 2), (0, 0)), mode="reflect", reflect_type="odd")
         smoothed = np.stack([np.convolve(column, np.full(5, 1 / 5), mode="valid") for column in padded.T], axis=1)
-        ahead = np.gradient(smoothed, axis=0)
-        return ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-12)
+        return unit_vectors(np.gradient(smoothed, axis=0))
 
     @property
     def length(self) -> float:
@@ -57,7 +58,7 @@ class ImagePath:
     def at(self, arc: np.ndarray) -> np.ndarray:
         """(..., 2) px of the points at arc lengths ``arc`` (...) px from the first, within the path."""
         place = np.arange(len(self.points), dtype=float)
-        return np.stack([np.interp(arc, place, column) for column in self.points.T], axis=-1)
+        return placed(arc, place, self.points)
 
     def tangent_at(self, arc: np.ndarray) -> np.ndarray:
         """(..., 2) unit vectors."""
@@ -87,9 +88,11 @@ class Chains:
 
     @classmethod
     def of(cls, detection: Detection) -> "Chains":
-        chains = _divided(chains_of(*single(detection)))
-        wide = max(CLOSE_PX, float(np.nan_to_num(detection.width_px)))
-        return cls(chains, _joints(chains, WIDEST_GAP * detection.shape[0], wide) if chains else {})
+        whole = chains_of(*single(detection))
+        if not whole:
+            return cls([], {})
+        chains, wide = _divided(whole), max(CLOSE_PX, float(np.nan_to_num(detection.width_px)))
+        return cls(chains, _joints(chains, WIDEST_GAP * detection.shape[0], wide))
 
     @property
     def free_ends(self) -> np.ndarray:
@@ -104,12 +107,10 @@ def paths_from(line: Chains, start: np.ndarray, direction: np.ndarray | None, mo
     chains, joints = line.points, line.joints
     if not chains:
         return []
-    ends = np.concatenate(chains)
-    chain = np.repeat(np.arange(len(chains)), [len(points) for points in chains])
-    place = np.concatenate([np.arange(len(points)) for points in chains])
-    nearest = int(np.argmin(np.linalg.norm(ends - start, axis=1)))
+    every, chain, place = _numbered(chains)
+    nearest = int(np.argmin(np.linalg.norm(every - start, axis=1)))
     first, at = int(chain[nearest]), int(place[nearest])
-    found, whole = [], sum(chain_length(points) for points in chains)
+    found, whole = [], sum(map(curve_length, chains))
     for way in (0, 1):
         rest = chains[first][at:] if way else chains[first][: at + 1][::-1]
         turn = 0.0
@@ -130,6 +131,12 @@ def paths_from(line: Chains, start: np.ndarray, direction: np.ndarray | None, mo
 
 # --- chains ---------------------------------------------------------------------------------------------------------------
 
+def _numbered(chains: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(N, 2) px: the points of all chains; and (N,) twice: in which chain each is, and at which place of it."""
+    sizes = [len(points) for points in chains]
+    return np.concatenate(chains), np.repeat(np.arange(len(chains)), sizes), np.concatenate([*map(np.arange, sizes)])
+
+
 def _divided(chains: list[np.ndarray]) -> list[np.ndarray]:
     """The chains, divided where an end of another one meets their inside."""
     cuts = [set() for _ in chains]
@@ -143,7 +150,7 @@ def _divided(chains: list[np.ndarray]) -> list[np.ndarray]:
                 near = [k for k in tree.query_ball_point(end, BESIDE_PX) if (chains[other][k] - end) @ out > 0]
                 if near:
                     k = min(near, key=lambda k: np.linalg.norm(chains[other][k] - end))
-                    if min(chain_length(chains[other][: k + 1]), chain_length(chains[other][k:])) > SHORTEST_PX:
+                    if min(curve_length(chains[other][: k + 1]), curve_length(chains[other][k:])) > SHORTEST_PX:
                         cuts[other].add(k)
     _cross_cuts(chains, cuts)
     return [part for chain, at in zip(chains, cuts, strict=True) for part in np.split(chain, sorted(at)) if len(part)]
@@ -151,9 +158,8 @@ def _divided(chains: list[np.ndarray]) -> list[np.ndarray]:
 
 def _cross_cuts(chains: list[np.ndarray], cuts: list[set]) -> None:
     """Add where chains cross each other, or themselves, to ``cuts``."""
-    chain = np.repeat(np.arange(len(chains)), [len(points) for points in chains])
-    place = np.concatenate([np.arange(len(points)) for points in chains]) if chains else np.empty(0)
-    pairs = cKDTree(np.concatenate(chains)).query_pairs(CROSSING_PX, output_type="ndarray") if chains else np.empty((0, 2), int)
+    every, chain, place = _numbered(chains)
+    pairs = cKDTree(every).query_pairs(CROSSING_PX, output_type="ndarray")
     apart = (chain[pairs[:, 0]] != chain[pairs[:, 1]]) | (np.abs(place[pairs[:, 0]] - place[pairs[:, 1]]) > NEIGHBOURS)
     for pair in pairs[apart]:
         for c, k in zip(chain[pair], place[pair], strict=True):
@@ -185,7 +191,7 @@ def _joints(chains: list[np.ndarray], gap: float, wide: float) -> dict[tuple[int
 
 def _searched(chains, joints, first: int, begin: np.ndarray, way: int, cost: float) -> list:
     """(score, pieces, cost) of the paths that begin with the part ``begin`` of chain ``first``."""
-    waiting, found = [(cost - chain_length(begin), 0, (first,), way, [begin], cost)], []
+    waiting, found = [(cost - curve_length(begin), 0, (first,), way, [begin], cost)], []
     tried = 0
     while waiting and tried < MOST_TRIED:
         score, _, used, way, pieces, cost = heapq.heappop(waiting)
@@ -194,7 +200,7 @@ def _searched(chains, joints, first: int, begin: np.ndarray, way: int, cost: flo
         found.append((-score, pieces, cost))
         for extra, chain, follow in on:
             piece = chains[chain] if follow else chains[chain][::-1]
-            gain = chain_length(piece) - extra
+            gain = curve_length(piece) - extra
             heapq.heappush(waiting, (score - gain, tried * 10 + len(waiting), (*used, chain), follow, [*pieces, piece],
                                      cost + extra))
     return found
@@ -210,11 +216,10 @@ def _alike(one: ImagePath, other: ImagePath) -> bool:
 def _resampled(pieces: list[np.ndarray], cost: float, whole: float) -> ImagePath:
     points = np.concatenate(pieces)
     last = np.cumsum([len(piece) for piece in pieces])[:-1]
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    arc = arc_lengths(points)
     place = np.arange(0.0, arc[-1])
     seen = np.ones(len(place), dtype=bool)
     for k in last:
         if arc[k] - arc[k - 1] > NEXT_PX:
             seen &= ~((place > arc[k - 1]) & (place < arc[k]))
-    return ImagePath(np.stack([np.interp(place, arc, column) for column in points.T], axis=1), seen, cost,
-                     min(1.0, sum(chain_length(piece) for piece in pieces) / whole))
+    return ImagePath(placed(place, arc, points), seen, cost, min(1.0, sum(map(curve_length, pieces)) / whole))

@@ -20,6 +20,7 @@ from doo_ti.rod.types import LARGEST
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import csv_text, write_text, write_whole
 from doo_ti.vision.cameras import Camera, Rig
+from doo_ti.vision.curves import arc_lengths, placed
 from doo_ti.vision.images import SEED
 from doo_ti.vision.rig_files import save_rig
 from doo_ti.vision.tubes import DRAWN_BLUR_PX, Tube, draw, smooth_curve
@@ -53,10 +54,9 @@ class RenderOptions:
     occluded_share: float = 0.2
     occluder: float = 120.0  # their brightness
     clutter: int = 0  # number of other lines, of 0.3 to 3 thread diameters, as bright as the thread or less distinct
-    smooth: bool = True  # draw a smooth curve through the vertices, else straight edges between them
 
     def __post_init__(self) -> None:
-        for name in (field.name for field in fields(self) if field.name not in ("light", "smooth")):
+        for name in (field.name for field in fields(self) if field.name != "light"):
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value >= 0):
                 raise InputError("rendering", name, f"{value}", "give a number that is not negative")
@@ -89,7 +89,7 @@ def render_set(rig: Rig, rod: np.ndarray, diameter_mm: float, options: RenderOpt
     if not np.linalg.norm(np.diff(rod, axis=0), axis=1).all():
         raise InputError("rendering", "rods", "neighbouring vertices coincide", "give edges of some length")
     check_diameter(diameter_mm)
-    curve = smooth_curve(rod, _samples(rig, rod)) if options.smooth else rod
+    curve = smooth_curve(rod, _samples(rig, rod))
     scene = _scene(rig, curve, diameter_mm, options, np.random.default_rng([*np.atleast_1d(seed), 0]))
     hidden = replace(options, background=options.occluder)
     return [_photograph(camera, *(([], hidden) if camera.name in covered else (scene, options)),
@@ -111,7 +111,7 @@ def _samples(rig: Rig, rod: np.ndarray) -> int:
 
 def _scene(rig: Rig, curve: np.ndarray, diameter: float, options: RenderOptions, random: np.random.Generator) -> list[Tube]:
     """The thread and all other objects."""
-    place = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
+    place = arc_lengths(curve)
     toward = np.mean([camera.centre for camera in rig.cameras], axis=0) - curve.mean(axis=0)
     toward /= np.linalg.norm(toward)
     return [Tube(curve, diameter / 2, options.thread)] + _occluders(curve, place, toward, diameter, options, random) \
@@ -124,7 +124,7 @@ def _occluders(curve, place, toward, diameter: float, options: RenderOptions, ra
     radius = max(options.occluded_share * place[-1] / (2 * max(options.occluders, 1)), 1e-3)
     for index in range(options.occluders):
         at = (index + random.uniform(0.3, 0.7)) / options.occluders * place[-1]
-        before, middle, after = np.stack([np.interp(at + np.array([-1e-3, 0, 1e-3]), place, axis) for axis in curve.T], axis=1)
+        before, middle, after = placed(at + np.array([-1e-3, 0, 1e-3]), place, curve)
         middle = middle + (radius + diameter) * toward
         # A bar lies across the thread, so that it hides as much of it as a ball does.
         sideways = np.cross(toward, after - before) + 1e-9 * _perpendicular(toward, random)
@@ -218,15 +218,14 @@ class Photographs:
         return render_set(self.rig, self.curves[index], self.diameter_mm, self.options, (self.seed, index))
 
 
-def save_photographs(folder: Path, photographs: Photographs, on_set: Callable[[], None] | None = None) -> None:
+def save_photographs(folder: Path, photographs: Photographs, on_set: Callable[[], object] = lambda: None) -> None:
     """Write all images, ``sets.csv`` and ``rig.yaml`` to ``folder``; ``on_set`` is called after each set.
 
     Images are JPEG of the options' quality, or PNG without one. ``sets.csv`` is written last: if it exists, all files do.
     """
     with ThreadPoolExecutor(2) as executor:  # OpenCV and NumPy release the interpreter's lock
         for _ in executor.map(partial(_save_set, folder, photographs), range(len(photographs.names))):
-            if on_set is not None:
-                on_set()
+            on_set()
     save_rig(folder / RIG_FILE, photographs.rig)
     seeds = np.concatenate([photographs.point, photographs.direction], axis=1).round(12) + 0.0
     write_text(folder / SETS_FILE, csv_text(("name", *photographs.rig.names, *SEED), (

@@ -26,6 +26,9 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
+from doo_ti.rod.frames import unit_vectors
+from doo_ti.vision.curves import normal_to
+
 REACH_PX = 0.75  # pixels this near to a line give a point of it, so that points are at most a pixel apart in any direction
 FIRST_REACH_PX, FIRST_REACH = 2.0, 0.5
 """Bounds of t before edges are found, px and over σ: t is too large away from the ridge, and uncertain on flat ridges."""
@@ -55,7 +58,7 @@ class Ridges:
     @property
     def tangent(self) -> np.ndarray:
         """(N, 2) unit vectors along, of either sign."""
-        return np.stack([-self.normal[:, 1], self.normal[:, 0]], axis=1)
+        return normal_to(self.normal)
 
 
 class Curvature:
@@ -84,8 +87,7 @@ class Curvature:
         across, along = mean + deviator, mean - deviator
         # Of the two formulas for the eigenvector, the one without cancellation.
         flat = half > 0
-        normal = np.stack([np.where(flat, deviator + half, xy), np.where(flat, xy, deviator - half)], axis=1)
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+        normal = unit_vectors(np.stack([np.where(flat, deviator + half, xy), np.where(flat, xy, deviator - half)], axis=1))
         slope = sign * (self.x[row, column] * normal[:, 0] + self.y[row, column] * normal[:, 1])
         offset = -slope / across
         kept = (np.abs(offset) <= max(FIRST_REACH_PX, FIRST_REACH * self.sigma)) & (along <= ROUNDNESS * across)
@@ -137,10 +139,6 @@ class Edges:
     slope: np.ndarray  # (N,) grey levels per px: the weaker edge's
     balance: np.ndarray  # (N,) the weaker edge's slope over the stronger one's: 0 where only one side differs from the line
 
-    def about(self, width: float) -> np.ndarray:
-        """(N,) bool: they are about ``width`` px apart."""
-        return (self.width > width / 2) & (self.width < 1.5 * width + 1)
-
 
 def gradient(image: np.ndarray) -> np.ndarray:
     """(H, W, 2) grey levels per px: the slope of an image (H, W) float32 smoothed by EDGE_SIGMA, along x and y."""
@@ -170,6 +168,13 @@ def edges_across(gradients: np.ndarray, point: np.ndarray, normal: np.ndarray, p
     right, rise = _peak(slope[:, middle:])
     left, right, weaker = -left * STEP_PX, right * STEP_PX, np.minimum(fall, rise)
     return Edges((left + right) / 2, right - left, weaker, weaker / np.maximum(np.maximum(fall, rise), 1e-30))
+
+
+def edges_about(image: np.ndarray, point: np.ndarray, normal: np.ndarray, polarity: str, width: float
+                ) -> tuple[Edges, np.ndarray]:
+    """The edges of a line ``width`` px wide in an image (H, W) float32, and (N,) bool: they are about that far apart."""
+    edges = edges_across(gradient(image), point, normal, polarity, 0.75 * width + 2)
+    return edges, (edges.width > width / 2) & (edges.width < 1.5 * width + 1)
 
 
 def _peak(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -296,7 +301,7 @@ def between_edges(image: np.ndarray, point: np.ndarray, tangent: np.ndarray, wid
     """(N, 2) points of a line about ``width`` px wide with ``tangent`` (N, 2), each moved across to the middle between the
     line's edges in an image (H, W, 3) uint8, and px between these: those in the channel of Lab, and of the polarity, in which
     they are most distinct. Of a thread lit from one side, only that side may be alike in colour."""
-    normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
+    normal = normal_to(tangent)
     channels = [gradient(np.ascontiguousarray(part)) for part in cv2.split(lab(image))]
     found = [edges_across(slopes, point, normal, sign, 1.25 * width + 2) for slopes in channels for sign in ("dark", "light")]
     edges = found[int(np.argmax([np.median(one.slope) for one in found]))]

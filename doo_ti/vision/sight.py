@@ -1,7 +1,7 @@
 """How threads are sought in images: by masks, their own alpha channels, a colour, or grey levels, and which of these shows the
 thread under a clicked pixel best (§IV-A)."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from glob import escape
 from pathlib import Path
@@ -12,12 +12,11 @@ from scipy.spatial import cKDTree
 from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras import Camera
 from doo_ti.vision.detect import detect, detect_mask
-from doo_ti.vision.detection import CLICK_PX, POLARITIES, Detection, DetectionOptions
+from doo_ti.vision.detection import CLICK_PX, NEAR_PX, POLARITIES, Detection, DetectionOptions
 from doo_ti.vision.follow import follow
 from doo_ti.vision.images import read_image, read_mask
 from doo_ti.vision.ridge import POINTS_PER_PX, as_colour
 
-NEAR_PX = 3.0  # A point of a line this near to another line is on it
 COMPLETE = 0.9  # share of what has the thread's colour that lies on the followed path; from it on the path is the whole thread
 BETTER = 0.01  # by which the score of another way to seek the thread must be larger
 ON_IT = 0.5  # share of the followed path, of which less is detected where something else than the thread was
@@ -47,33 +46,38 @@ class Sight:
     clicks: tuple[dict[int, tuple[float, float]], ...] | None = None
     by_colour: bool = False  # seek the thread by its colour at the pixels; else by what shows it best there
 
-    def of_set(self, row: int, paths: Sequence[Path], cameras: Sequence[Camera]) -> "Sight":
+    def of_set(self, row: int, paths: Sequence[Path], cameras: Sequence[Camera]) -> tuple["Sight", dict[int, Detection]]:
         """The same for the images ``paths`` of set ``row``: as options state it or, where the path that :func:`.follow` finds
-        from the click is better seen so, by the polarity and the width of the thread there, or by its colour. Raises InputError
-        where no thread of a colour is at its pixel."""
+        from the click is better seen so, by the polarity and the width of the thread there, or by its colour; and what it
+        detects in the image that was clicked, by the number of its camera, where that is known. Raises InputError where no
+        thread of a colour is at its pixel."""
         if self.clicks is None or not self.clicks[row]:
-            return self
+            return self, {}
         camera, pixel = min(self.clicks[row].items())
         path, own = paths[camera], cameras[camera]
         plain = None if self.by_colour else self.detected(path, own)
         if plain is not None and plain.method == "mask":
-            return self
+            return self, {camera: plain}
         image = read_image(path, own, colour=True)
         line = follow(image, pixel)
         if not line.count:
             if self.by_colour:
                 raise InputError(path, "pixel", f"no thread at {pixel[0]:g},{pixel[1]:g}",
                                  "give another one, or --colour R,G,B")
-            return self
+            return self, {camera: plain}
         column, down = np.clip(np.rint(line.points).astype(int), 0, np.array(image.shape[1::-1]) - 1).T
         colour = tuple(np.median(as_colour(image)[down, column], axis=0)[::-1].tolist())
         coloured = replace(self, options=replace(self.options, colour=colour))
         if self.by_colour:
-            return coloured
-        others = [*(replace(self, options=replace(self.options, polarity=polarity, width_px=line.width_px))
-                    for polarity in POLARITIES), coloured]
-        best = _best_of(pixel, line.points[line.strength > 0], plain, (sight.detected(path, own) for sight in others))
-        return self if best is None else others[best]
+            return coloured, {}
+        followed = line.points[line.strength > 0]
+        if min(_shares(followed, plain)) > 1 - BETTER:
+            return self, {camera: plain}
+        ways = [self, *(replace(self, options=replace(self.options, polarity=polarity, width_px=line.width_px))
+                        for polarity in POLARITIES), coloured]
+        found = [plain, *(sight.detected(path, own) for sight in ways[1:])]
+        best = _best_of(pixel, followed, found)
+        return ways[best], {camera: found[best]}
 
     def agreed(self, found: Sequence[Detection], row: int, paths: Sequence[Path], cameras: Sequence[Camera]) -> list[Detection]:
         """The detections ``found`` in the images of set ``row``, in all of which the thread is dark, or light: as in the image
@@ -105,30 +109,26 @@ class Sight:
         return detect_mask(read_image(file, camera) if mask is None else mask, options)
 
 
-def _best_of(pixel: tuple[float, float], path: np.ndarray, plain: Detection, others: Iterable[Detection]) -> int | None:
-    """Which of several other ways to seek the thread under a ``pixel`` shows it better than the ``plain`` one; None: none does.
+def _best_of(pixel: tuple[float, float], path: np.ndarray, found: Sequence[Detection]) -> int:
+    """Which of several ways to seek the thread under a ``pixel`` is taken.
 
-    path    (N, 2) px of the thread, followed from the pixel on
-    plain   what the plain way detects
-    others  what the other ways detect, the last of them by colour; not asked for where the plain way detects just the path
+    path   (N, 2) px of the thread, followed from the pixel on
+    found  what they detect, the first of them as options state it, the plain way, the last by colour
 
     If the path is the whole thread, the score of a way is the harmonic mean of the share of the path that it detects and of
     the share of its points that are on the path. If the path ends early only the first share counts, and the plain way is kept
     if it detects half of the path and something at the pixel. Where it detects another line there, as a gripper's, the longer
     one is taken for the thread.
     """
-    shares = [_shares(path, plain)]
-    if min(shares[0]) > 1 - BETTER:
-        return None
-    shares += [_shares(path, found) for found in others]
+    plain, shares = found[0], [_shares(path, one) for one in found]
     complete = shares[-1][1] >= COMPLETE
     scores = [2 * has * only / max(has + only, 1e-9) if complete else has for has, only in shares]
-    best = int(np.argmax(scores[1:]))
+    best = 1 + int(np.argmax(scores[1:]))
     near, elsewhere = _near(plain, pixel), shares[0][0] < ON_IT
-    better = scores[1 + best] >= max(scores[0] + BETTER if near else 0.0, ON_IT) and (complete or elsewhere or not near)
+    better = scores[best] >= max(scores[0] + BETTER if near else 0.0, ON_IT) and (complete or elsewhere or not near)
     if elsewhere and near:
         better &= len(path) > plain.count / POINTS_PER_PX
-    return best if better else None
+    return best if better else 0
 
 
 def _shares(path: np.ndarray, found: Detection) -> tuple[float, float]:

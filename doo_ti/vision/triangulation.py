@@ -15,6 +15,7 @@ from enum import IntEnum
 
 import numpy as np
 
+from doo_ti.rod.frames import unit_vectors
 from doo_ti.rod.types import LARGEST
 from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras import Camera, Rig
@@ -82,7 +83,7 @@ class Points:
         return float(np.sqrt(np.sum(self.residual[used] ** 2) / freedom)) if freedom > 0 else np.nan
 
 
-def triangulate(rig: Rig, pixels: np.ndarray, options: TriangulationOptions | None = None) -> Points:
+def triangulate(rig: Rig, pixels: np.ndarray, options: TriangulationOptions = TriangulationOptions()) -> Points:
     """The points whose projections are ``pixels`` (C, P, 2), NaN where a camera has no label.
 
     Of three labels or more that contradict each other, the one is left out without which the others agree; where several
@@ -90,7 +91,6 @@ def triangulate(rig: Rig, pixels: np.ndarray, options: TriangulationOptions | No
 
     Raises InputError for fewer than two cameras and for other shapes.
     """
-    options = options or TriangulationOptions()
     pixels = np.asarray(pixels, dtype=np.float64)
     if len(rig.cameras) < 2:
         raise InputError(rig.source, "cameras", f"{len(rig.cameras)} of them", "triangulation needs two or more")
@@ -202,8 +202,7 @@ def rays(camera: Camera, pixels: np.ndarray) -> np.ndarray:
     if not len(pixels):
         return np.zeros((0, 3))
     flat = cv2.undistortPoints(np.ascontiguousarray(pixels)[:, None], np.array(camera.matrix), np.array(camera.distortion))
-    ray = np.column_stack([np.asarray(flat).reshape(-1, 2), np.ones(len(pixels))]) @ camera.rotation
-    return ray / np.linalg.norm(ray, axis=-1, keepdims=True)
+    return unit_vectors(np.column_stack([np.asarray(flat).reshape(-1, 2), np.ones(len(pixels))]) @ camera.rotation)
 
 
 # --- least squares -------------------------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ import numpy as np
 
 from doo_ti.rod.frames import unit_vectors
 from doo_ti.vision.cameras import Camera
+from doo_ti.vision.curves import arc_lengths
 
 DRAWN_BLUR_PX = 6**-0.5  # standard deviation of the hat function over which a pixel integrates
 ACROSS = 4  # number of places across the covered part of a pixel where shading is evaluated
@@ -160,6 +161,6 @@ def smooth_curve(vertices: np.ndarray, samples: int) -> np.ndarray:
     ends, place = "not-a-knot" if count > 3 else "natural", np.arange((count - 1) * samples + 1) / samples
     curves = []
     for rod in vertices.reshape(-1, count, 3):
-        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(rod, axis=0), axis=-1))])
+        along = arc_lengths(rod)
         curves.append(CubicSpline(along, rod, bc_type=ends)(np.interp(place, np.arange(count), along)))
     return np.reshape(curves, (*rods, len(place), 3))

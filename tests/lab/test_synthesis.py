@@ -172,15 +172,9 @@ def test_draws_have_the_asked_for_size():
     for name, size in (("tilt", 0.03), ("offset", 0.2), ("scatter", 0.01)):
         values = np.array([getattr(one, name) for one in many])
         assert values.std() == pytest.approx(size, rel=0.08) and abs(values.mean()) < 4 * size / np.sqrt(values.size)
-    assert many[0].any and many[0].vary
-    none = ClipErrors.drawn(3, 5, tilt=0.0, offset=0.0, scatter=0.0)
-    assert not none.any and not none.vary
-
-
-def test_one_size_does_not_change_the_draws_of_another():
-    tilted = ClipErrors.drawn(3, 5, tilt=0.03, offset=0.0, scatter=0.0)
-    both = ClipErrors.drawn(3, 5, tilt=0.03, offset=0.2, scatter=0.01)
-    np.testing.assert_array_equal(tilted.tilt, both.tilt)
+    none, tilted = (ClipErrors.drawn(3, 5, tilt=tilt, offset=0.0, scatter=0.0) for tilt in (0.0, 0.03))
+    assert many[3].any and many[3].vary and tilted.any and not (none.any or none.vary or tilted.vary)
+    np.testing.assert_array_equal(tilted.tilt, many[3].tilt)  # one size does not change the draws of another
 
 
 @pytest.mark.thorough

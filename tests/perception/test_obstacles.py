@@ -4,14 +4,15 @@ table."""
 import numpy as np
 import pytest
 
-from doo_ti import InputError, PerceptionOptions, Plane, Surroundings, TwistOptions, TwistVerdict, perceive, relax
+from doo_ti import PerceptionOptions, Plane, Surroundings, TwistOptions, TwistVerdict, end_clamps, perceive, relax, straight_rod
 from doo_ti.commands.cli import main
 from doo_ti.io.observation_files import save_observations
 from doo_ti.perception.twist import estimate_twist
 from doo_ti.perception.twist_curves import end_offsets
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
+from doo_ti.rod.types import Clamp, Material, Status
 from doo_ti.vision.tubes import smooth_curve
 from tests.commands.calls import refused, written
+from tests.conftest import check_refused
 from tests.vision.scenes import drawn_maps, three_cameras
 from tools.studies import table_study
 
@@ -23,10 +24,8 @@ OPTIONS = PerceptionOptions(hypotheses=15)
 
 def lying(up: float, aside: float) -> np.ndarray:
     """(V, 3) a rod that begins above the table, in the direction (1, aside, up)."""
-    direction = np.array([1.0, aside, up]) / np.linalg.norm([1.0, aside, up])
-    one = Configuration.straight(np.array([-25.0, -5.0, -4.0]), direction, EDGES * LENGTH, EDGES)
-    clamps = Clamps(Clamp.TANGENT, Clamp.FREE, one.start, one.start, one.frames[:, 0], one.frames[:, -1])
-    found = relax(one, MATERIAL, clamps, **TABLE.arguments)
+    one = straight_rod(EDGES * LENGTH, EDGES, (-25.0, -5.0, -4.0), (1.0, aside, up))
+    found = relax(one, MATERIAL, end_clamps(one, Clamp.TANGENT), **TABLE.arguments)
     assert found.converged.all() and found.contact.touching.sum() > 5
     return found.configuration.vertices[0]
 
@@ -50,8 +49,8 @@ def test_seeds_inside_obstacles_are_refused():
     each = Surroundings([Plane([[0, 0, -10], [0, 0, -9]], [[0, 0, 1], [0, 0, 1]])], RADIUS)
     for lower, table, words in ((5.7, TABLE, "point: a rod that begins there is 0.2 mm inside a Plane"),
                                 (0.0, each, "obstacles: other ones, or another radius, for each rod")):
-        with pytest.raises(InputError, match=words):
-            perceive(maps, three_cameras(), rod[:, 0] - [0, 0, lower], way, REST_LENGTH, MATERIAL, surroundings=table)
+        check_refused(words, perceive, maps, three_cameras(), rod[:, 0] - [0, 0, lower], way, REST_LENGTH, MATERIAL,
+                      surroundings=table)
 
 
 @pytest.fixture(scope="module")

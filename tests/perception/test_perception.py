@@ -6,16 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Detection, DistanceMaps, Material, Status, detect, distance_maps, load_rig, score
+from doo_ti import DistanceMaps, Material, Status, detect, distance_maps, load_rig, score
 from doo_ti.perception import search
 from doo_ti.perception.growth import rank_distinct, sampled_directions, select_hypotheses, suppress_similar
 from doo_ti.perception.perceive import Perception, PerceptionOptions, PerceptionVerdict, perceive
 from doo_ti.perception.posterior import bending_hessian, vertex_sigma
 from doo_ti.rod.frames import unit_vectors
+from doo_ti.vision.curves import arc_lengths, placed
 from doo_ti.vision.images import load_sets, read_image
 from doo_ti.vision.tubes import smooth_curve
 from tests.conftest import check_refused
-from tests.vision.scenes import curves, drawn_maps, three_cameras
+from tests.vision.scenes import curves, drawn_maps, line_of, three_cameras
 from tools.studies.angle_study import cameras
 
 EDGES, ALPHA, SETS = 14, 2e5, 3
@@ -43,9 +44,9 @@ def loop():
     """(rig, vertices of a rod that winds 1.6 times around and crosses itself in every image, its map, Perception)."""
     turned = np.linspace(0, 3.2 * np.pi, 801)
     curve = np.stack([7 * np.sin(turned), 7 * (1 - np.cos(turned)), 6 / turned[-1] * turned], axis=-1)
-    place = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
+    place = arc_lengths(curve)
     marks = np.linspace(0, place[-1], 21)
-    rods = np.stack([np.interp(marks, place, axis) for axis in (curve - curve.mean(axis=0)).T], axis=-1)[None]
+    rods = placed(marks, place, curve - curve.mean(axis=0))[None]
     rig, maps = three_cameras(), drawn_maps(three_cameras(), smooth_curve(rods, 4))
     found = perceive(maps, rig, rods[:, 0], rods[:, 1] - rods[:, 0], np.full(20, marks[1]), MATERIAL, options=OPTIONS)
     return rig, rods, maps, found
@@ -111,6 +112,7 @@ def test_the_verdict_is_a_scale(found):
     several = found[0]
     gaps = replace(several, gap=np.array([np.inf, 0.05, 0.001]))
     verdicts = gaps.verdict
+    assert repr(gaps).startswith("Perception(vertices (3, 15, 3)") and "CLEAR" in repr(PerceptionVerdict.CLEAR)
     assert gaps.doubts["a rival"].tolist() == [False, True, True]
     assert verdicts.tolist() == [PerceptionVerdict.CLEAR, PerceptionVerdict.LIKELY, PerceptionVerdict.AMBIGUOUS]
     blurred = several.camera_error.copy()
@@ -134,10 +136,8 @@ def test_an_edge_that_no_camera_sees_is_reported(scene):
     rig, rods, _ = scene
     lines = rig.project(smooth_curve(rods[0], 24))
     hidden = np.arange(lines.shape[1]) // 24
-    seen = [line[(hidden < 6) | (hidden >= 8)] for line in lines]
-    detected = [Detection(line, unit_vectors(np.gradient(line, axis=0)), np.ones(len(line)), 3.0, "dark", (480, 640), "ridge")
-                for line in seen]
-    found = perceive(distance_maps([detected]), rig, rods[:1, 0], rods[:1, 1] - rods[:1, 0], np.full(EDGES, 3.0), MATERIAL,
+    maps = distance_maps([[line_of(line[(hidden < 6) | (hidden >= 8)]) for line in lines]])
+    found = perceive(maps, rig, rods[:1, 0], rods[:1, 1] - rods[:1, 0], np.full(EDGES, 3.0), MATERIAL,
                      options=replace(OPTIONS, unsupported=1.5))
     assert np.flatnonzero(found.unsupported[0]).tolist() == [6, 7]
     assert np.linalg.norm(found.vertices[0] - rods[0], axis=-1).max() < 1.0
@@ -162,20 +162,25 @@ def test_rods_that_fail_are_reported(scene, found, monkeypatch):
     np.testing.assert_array_equal(several.vertices[2], found[0].vertices[2])
 
 
+def greedily(score: np.ndarray, alike: np.ndarray, most: int) -> list[int]:
+    """The best of those (N,) with a finite score, one after the other, without those that are alike (N, N) to a better one."""
+    kept = []
+    for k in sorted(np.flatnonzero(np.isfinite(score)), key=lambda k: score[k]):
+        if len(kept) < most and not alike[k, kept].any():
+            kept.append(k)
+    return kept
+
+
 def test_distinct_rods_are_ranked():
-    """Against a loop over rods."""
     random = np.random.default_rng(3)
     of_set = np.repeat([0, 1, 2], [6, 1, 9])
     energy = random.random(16)
     energy[[2, 9]] = np.nan, np.inf
     vertices = random.normal(size=(16, 5, 3))
+    apart = np.linalg.norm(vertices[:, None] - vertices, axis=-1).mean(axis=-1)
     ranked = rank_distinct(energy, vertices, of_set, 4, 1.9)
     for row in range(3):
-        wanted = []
-        for k in sorted((k for k in np.flatnonzero(of_set == row) if np.isfinite(energy[k])), key=lambda k: energy[k]):
-            apart = [np.linalg.norm(vertices[k] - vertices[other], axis=-1).mean() for other in wanted]
-            if len(wanted) < 4 and all(distance >= 1.9 for distance in apart):
-                wanted.append(k)
+        wanted = greedily(np.where(of_set == row, energy, np.nan), apart < 1.9, 4)
         assert ranked[row][ranked[row] >= 0].tolist() == wanted
     assert (ranked == -1).any()
 
@@ -283,19 +288,12 @@ def test_directions_are_even_and_forward():
 
 
 def test_suppression_is_greedy():
-    """Against a loop over rows, one direction after the other."""
-    random = np.random.default_rng(4)
     directions = sampled_directions(60)
-    error = random.random((7, 60))
+    error = np.random.default_rng(4).random((7, 60))
     error[2] = np.inf
-    chosen = suppress_similar(error, directions, np.radians(30), 5)
-    for row in range(7):
-        left, wanted = dict(enumerate(error[row])), []
-        while left and len(wanted) < 5 and np.isfinite(min(left.values())):
-            best = min(left, key=left.get)
-            wanted.append(best)
-            left = {k: value for k, value in left.items() if directions[k] @ directions[best] <= np.cos(np.radians(30))}
-        assert chosen[row][chosen[row] >= 0].tolist() == wanted
+    alike = directions @ directions.T > np.cos(np.radians(30))
+    for found, row in zip(suppress_similar(error, directions, np.radians(30), 5), error, strict=True):
+        assert found[found >= 0].tolist() == greedily(row, alike, 5)
 
 
 def test_selection_is_greedy_in_every_set():
@@ -303,17 +301,8 @@ def test_selection_is_greedy_in_every_set():
     count = 90
     of_set = np.sort(random.integers(0, 4, count)) * 2  # sets without any hypothesis are allowed
     score, tip = random.random(count), random.random((count, 3)) * 3
-    direction = random.normal(size=(count, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    direction = unit_vectors(random.normal(size=(count, 3)))
     score[3] = np.nan
-    kept = select_hypotheses(score, tip, direction, of_set, 6, 1.0, np.radians(60))
-    wanted = []
-    for one in np.unique(of_set):
-        rows = [k for k in np.flatnonzero(of_set == one) if np.isfinite(score[k])]
-        found = []
-        for k in sorted(rows, key=lambda k: score[k]):
-            near = [np.linalg.norm(tip[k] - tip[j]) < 1.0 and direction[k] @ direction[j] > 0.5 for j in found]
-            if not any(near) and len(found) < 6:
-                found.append(k)
-        wanted += found
-    assert kept.tolist() == wanted
+    alike = (np.linalg.norm(tip[:, None] - tip, axis=-1) < 1.0) & (direction @ direction.T > 0.5)
+    wanted = [k for one in np.unique(of_set) for k in greedily(np.where(of_set == one, score, np.nan), alike, 6)]
+    assert select_hypotheses(score, tip, direction, of_set, 6, 1.0, np.radians(60)).tolist() == wanted

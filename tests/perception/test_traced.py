@@ -22,16 +22,29 @@ from doo_ti import (
 )
 from doo_ti.perception.matching import Match, best_matches, curve_of, likely_matches
 from doo_ti.perception.posterior import detected_places, line_trees, lines_at, vertex_sigma
-from doo_ti.perception.seeds import fit_better, seed_from_pixels, whole_threads
+from doo_ti.perception.seeds import Seed, fit_better, seed_from_pixels, whole_threads
 from doo_ti.perception.traced import SMOOTHNESS
+from doo_ti.rod.frames import unit_vectors
+from doo_ti.vision.curves import arc_lengths, curve_length, normal_to, placed
 from doo_ti.vision.distance_map import coverage, misread
 from doo_ti.vision.images import load_sets, read_image
 from doo_ti.vision.paths import ImagePath
 from doo_ti.vision.triangulation import rays
+from tests.vision.scenes import line_of
 from tools.studies.angle_study import EDGES, LENGTH_MM, apart, cameras, curve, dense, detection
 
 MATERIAL, UP = Material(6e5, 8e5), np.array([0.0, 0.0, 1.0])
 PAIRS = Path(__file__).resolve().parents[3] / "shared" / "data" / "suture_stereo" / "rendered"
+
+
+def views(rig: Rig, points: np.ndarray, noise: float, rng: np.random.Generator) -> list[Detection]:
+    """What each camera detects of a curve (N, 3) mm."""
+    return [detection(camera, points, noise, rng) for camera in rig.cameras]
+
+
+def begun(rig: Rig, images: list[Detection], points: np.ndarray) -> Seed:
+    """Where a rod begins by a click on the first of ``points`` in the first image."""
+    return seed_from_pixels(rig, images, {0: rig.cameras[0].project(points[0])}, "test")
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +52,7 @@ def seen():
     """(rig of two cameras 10° apart, three curves, their detections)."""
     rng = np.random.default_rng(5)
     rig, curves = cameras(10.0, third=False), [curve(rng) for _ in range(3)]
-    return rig, curves, [[detection(view, points, 0.2, rng) for view in rig.cameras] for points in curves]
+    return rig, curves, [views(rig, points, 0.2, rng) for points in curves]
 
 
 def recovered(seen, length: float = LENGTH_MM, evidence: str = "both"):
@@ -72,22 +85,18 @@ def test_where_a_thread_runs_along_its_epipolar_lines_the_rod_is_on_it():
     rng, s = np.random.default_rng(3), np.linspace(-1, 1, 2001)
     rig = cameras(40.0, third=False)
     arches = [np.stack([40 * s, -25 * (1 - s**2) * np.cos(turn * s), 8 * np.sin(1.5 * s + turn)], axis=1) for turn in range(4)]
-    arches = [points * LENGTH_MM / np.linalg.norm(np.diff(points, axis=0), axis=1).sum() for points in arches]
-    found = recovered((rig, arches, [[detection(view, points, 0.05, rng) for view in rig.cameras] for points in arches]))
+    arches = [points * LENGTH_MM / curve_length(points) for points in arches]
+    found = recovered((rig, arches, [views(rig, points, 0.05, rng) for points in arches]))
     off = [cKDTree(dense(points)).query(rod)[0][:-3].max() for points, rod in zip(arches, found.vertices, strict=True)]
     assert max(off) < 0.2 and (found.verdict == PerceptionVerdict.CLEAR).all()
 
 
 def test_lines_at_places_of_a_bend_are_on_it():
     """The mean of points would lie inside of it, by 0.03 px here, and rods of a given length be folded."""
-    turn = np.arange(-1.5, 1.5, 1 / 60)
-    out = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    along, strength = np.stack([-out[:, 1], out[:, 0]], axis=1), np.ones(len(turn))
-    bend = Detection(300 + 60 * out, along, strength, 3.0, "dark", (600, 600), "ridge")
-    angle = np.linspace(-1, 1, 33)
-    places = 300 + 60.3 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    ways = np.stack([-np.sin(angle), np.cos(angle)], axis=1)
-    points, _, found = lines_at(places[None, None], ways[None, None], line_trees([[bend]]))
+    out, ahead = (np.stack([np.cos(angle), np.sin(angle)], axis=1)
+                  for angle in (np.arange(-1.5, 1.5, 1 / 60), np.linspace(-1, 1, 33)))
+    bend = line_of(300 + 60 * out, normal_to(out), shape=(600, 600))
+    points, _, found = lines_at(300 + 60.3 * ahead[None, None], normal_to(ahead)[None, None], line_trees([[bend]]))
     assert found.all() and np.abs(np.linalg.norm(points - 300, axis=-1) - 60).max() < 0.005
 
 
@@ -153,8 +162,8 @@ def test_a_level_arch_does_not_begin_at_its_other_end(angle, height, rng):
     """Both ends lie on one epipolar line: a thread as far away as the rays of opposite ends meet looks the same."""
     rig, s = cameras(angle, third=False), np.linspace(-1, 1, 2001)
     points = np.stack([40 * s, -height * (1 - s**2), 8 * np.sin(1.5 * s)], axis=1)
-    images = [detection(view, points, 0.2, rng) for view in rig.cameras]
-    start = seed_from_pixels(rig, images, {0: rig.cameras[0].project(points[:1])[0]}, "test").point
+    images = views(rig, points, 0.2, rng)
+    start = begun(rig, images, points).point
     assert np.linalg.norm(start - points[0]) < 1.0
 
 
@@ -163,15 +172,14 @@ def test_a_thread_begins_where_the_rays_of_its_ends_meet(angle, turn, rng):
     """It begins along the epipolar lines, where the curve does not say how far away it is."""
     rig, t = cameras(angle, third=False), np.linspace(0, 1, 2001)
     points = np.stack([70 * t - 35, 30 * t**3 - 10, 15 * np.sin(4 * t + turn)], axis=1)
-    images = [detection(view, points, 0.3, rng) for view in rig.cameras]
-    seed = seed_from_pixels(rig, images, {0: rig.cameras[0].project(points[:1])[0]}, "test")
+    images = views(rig, points, 0.3, rng)
+    seed = begun(rig, images, points)
     assert np.linalg.norm(seed.point - points[0]) < min(1.5, 3 * seed.sigma) and seed.sigma < 1.5
 
 
 def with_more(found, points: np.ndarray, tangent: np.ndarray):
     """A detection with ``points`` (N, 2) px of something else."""
-    return replace(found, points=np.concatenate([found.points, points]), strength=np.full(found.count + len(points), 50.0),
-                   direction=np.concatenate([found.direction, np.broadcast_to(tangent, points.shape)]))
+    return found.with_parts([line_of(points, tangent, found.width_px)])
 
 
 def test_a_loop_is_passed_the_same_way_in_all_images():
@@ -186,8 +194,8 @@ def test_a_loop_is_passed_the_same_way_in_all_images():
 
     def path(camera, middle):
         points = camera.project(np.concatenate([before, middle, after]))
-        arc = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-        points = np.stack([np.interp(np.arange(arc[-1]), arc, column) for column in points.T], axis=1)
+        arc = arc_lengths(points)
+        points = placed(np.arange(arc[-1]), arc, points)
         return ImagePath(points, np.ones(len(points), dtype=bool), 0.0, 1.0)
 
     first, second = rig.cameras
@@ -201,7 +209,7 @@ def test_a_loop_is_passed_the_same_way_in_all_images():
 def test_a_rig_whose_poses_mean_something_else_fits_worse(rng):
     """Poses from cameras to the world that are read as those from the world to cameras."""
     rig, points = cameras(40.0, third=False), curve(np.random.default_rng(7))
-    images = [detection(view, points, 0.2, rng) for view in rig.cameras]
+    images = views(rig, points, 0.2, rng)
     misread = Rig(tuple(replace(view, rotation=view.rotation.T, translation=view.centre) for view in rig.cameras))
     click = {0: rig.cameras[0].project(points[:1])[0]}
     assert fit_better(misread, {"right": rig, "same": misread}, images, click) == ["right"]
@@ -213,9 +221,9 @@ def test_an_end_of_something_else_is_not_where_the_rod_begins(rng):
     rays of the others, but on the epipolar line of the click."""
     rig, t = cameras(25.0, third=True), np.linspace(0, 1, 2001)
     points = np.stack([60 * t - 30, 25 * np.sin(3 * t), 15 * np.sin(4 * t)], axis=1)
-    images = [detection(view, points, 0.1, rng) for view in rig.cameras]
+    images = views(rig, points, 0.1, rng)
     start, on = (rig.cameras[1].project(place[None])[0] for place in (points[0], points[0] - 8 * (points[5] - points[0])))
-    way = (on - start) / np.linalg.norm(on - start)
+    way = unit_vectors(on - start)
     images[1] = with_more(images[1], start + np.arange(1, 80)[:, None] * way, way)
     ray = points[0] - rig.cameras[0].centre
     far = rig.cameras[2].project((rig.cameras[0].centre + 1.5 * ray)[None])[0]
@@ -229,11 +237,9 @@ def test_an_end_of_something_else_is_not_where_the_rod_begins(rng):
 def test_a_camera_from_which_a_part_is_hidden_does_not_cost_it(rng):
     """Two cameras see all of the thread."""
     rig, points = cameras(40.0, third=True), curve(np.random.default_rng(7))
-    images = [detection(view, points, 0.1, rng) for view in rig.cameras]
-    whole = images[2]
-    part = slice(0, int(0.7 * whole.count))
-    images[2] = replace(whole, points=whole.points[part], direction=whole.direction[part], strength=whole.strength[part])
-    seed = seed_from_pixels(rig, images, {0: rig.cameras[0].project(points[:1])[0]}, "test").point[None]
+    images = views(rig, points, 0.1, rng)
+    images[2] = images[2].take(np.arange(int(0.7 * images[2].count)))
+    seed = begun(rig, images, points).point[None]
     thread = whole_threads(rig, [images], seed, None, MATERIAL, UP)
     assert abs(thread.length[0] / LENGTH_MM - 1) < 0.02
     found = perceive(distance_maps([images]), rig, seed, thread.direction, np.full(EDGES, thread.length[0] / EDGES), MATERIAL)
@@ -247,8 +253,8 @@ def test_where_a_rod_is_clear_the_range_of_its_length_holds_the_thread_s(rng):
     rig, clear = cameras(30.0, third=False), 0
     for _ in range(5):
         points = curve(rng)
-        images = [detection(view, points, 0.1, rng) for view in rig.cameras]
-        start = seed_from_pixels(rig, images, {0: rig.cameras[0].project(points[:1])[0]}, "test").point
+        images = views(rig, points, 0.1, rng)
+        start = begun(rig, images, points).point
         whole = whole_threads(rig, [images], start[None], None, MATERIAL, UP)
         lengths = np.full(EDGES, whole.length[0] / EDGES)
         found = perceive(distance_maps([images]), rig, start[None], whole.direction, lengths, MATERIAL)
@@ -281,8 +287,8 @@ def test_stereo_pairs_that_others_rendered(group):
     curves = [truth[f"curve_mm_{name}"] for name in sets.names]
     detections = [[detect(read_image(path, camera)) for path, camera in zip(paths, sets.rig.cameras, strict=True)]
                   for paths in sets.paths]
-    length = np.linalg.norm(np.diff(curves[0], axis=0), axis=1).sum()
-    found = perceive(distance_maps(detections), sets.rig, sets.point, sets.direction, np.full(33, length / 33), MATERIAL)
+    lengths = np.full(33, curve_length(curves[0]) / 33)
+    found = perceive(distance_maps(detections), sets.rig, sets.point, sets.direction, lengths, MATERIAL)
     error = errors(found, curves)
     assert (error < 3.0).all() and np.median(error) < 1.5 and not ((found.verdict == 0) & (error > 2.0)).any()
 
@@ -293,7 +299,7 @@ def test_sigma_is_as_large_as_the_errors(noise):
     """Of two cameras 10° apart, whose detected lines are off by more than is assumed."""
     rng = np.random.default_rng(5)
     rig, curves = cameras(10.0, third=False), [curve(rng) for _ in range(6)]
-    found = recovered((rig, curves, [[detection(view, points, noise, rng) for view in rig.cameras] for points in curves]))
+    found = recovered((rig, curves, [views(rig, points, noise, rng) for points in curves]))
     error = np.array([cKDTree(points).query(rod)[0][2:] for rod, points in zip(found.vertices, curves, strict=True)])
     ratio = np.sqrt((error**2).mean(axis=1) / (3 * found.sigma[:, 2:] ** 2).mean(axis=1))
     assert 0.5 < np.sqrt(np.mean(ratio**2)) < 2
@@ -302,9 +308,8 @@ def test_sigma_is_as_large_as_the_errors(noise):
 def test_where_nothing_was_detected_sigma_is_large(rng):
     """A third of the thread is hidden from both cameras: a rod that is there is known by its stiffness alone."""
     rig, points = cameras(40.0, third=False), curve(np.random.default_rng(7))
-    images = [detection(view, points, 0.1, rng) for view in rig.cameras]
-    gap = [replace(found, points=found.points[kept], direction=found.direction[kept], strength=found.strength[kept])
-           for found in images for kept in [np.abs(np.linspace(-1, 1, found.count)) > 0.3]]
+    images = views(rig, points, 0.1, rng)
+    gap = [found.take(np.abs(np.linspace(-1, 1, found.count)) > 0.3) for found in images]
     marks = points[:: 50]
     whole, hidden = (vertex_sigma(rig, marks[None, ::4], 0.1, 5.0, 0.0, detected_places(rig, marks[None], 4, [found]))[0]
                      for found in (images, gap))

@@ -6,11 +6,24 @@ from functools import cache
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Clamps, Configuration, Detection, Material, Newton, Status, detect, distance_maps, perceive, relax
+from doo_ti import (
+    Clamp,
+    Configuration,
+    Detection,
+    Material,
+    Newton,
+    Status,
+    detect,
+    distance_maps,
+    end_clamps,
+    perceive,
+    relax,
+    rod_along,
+)
 from doo_ti.motion.path import Motion, motion_between
 from doo_ti.perception.search import PerceptionOptions, Search
 from doo_ti.perception.tracking import How, TrackedFrame, Tracker, TrackingOptions, seen_vertices
-from doo_ti.rod.frames import across, bishop_frames, matrix_from_quaternion, quaternion_about, quaternion_from_matrix
+from doo_ti.rod.frames import across, matrix_from_quaternion, quaternion_about, unit_vectors
 from doo_ti.vision.render import render_set
 from doo_ti.vision.tubes import smooth_curve
 from tests.conftest import check_refused
@@ -25,19 +38,15 @@ DIAMETER = 1.0
 @cache
 def _begin() -> Configuration:
     """Near the first frame's rod."""
-    rod = curves(np.random.default_rng(8), 1, EDGES, turn=0.09)
-    tangents = np.diff(rod, axis=1) / LENGTH
-    return Configuration(rod[:, 0], quaternion_from_matrix(bishop_frames(tangents, across(tangents[:, 0]))), REST_LENGTH)
+    return rod_along(curves(np.random.default_rng(8), 1, EDGES, turn=0.09)[0], EDGES)
 
 
 @cache
 def far_motion() -> Motion:
     """From the first frame to the last: the far end is led 40 mm and turned by 68°."""
-    rod = _begin()
-    frames, first, last = rod.frames, rod.vertices[:, 0], rod.vertices[:, -1]
-    along = (last - first) / np.linalg.norm(last - first)
-    return Motion(Clamps(Clamp.TANGENT, Clamp.TANGENT, first, last, frames[:, 0], frames[:, -1]),
-                  end_shift=-30 * along + 26 * across(along), end_turn=np.array([[0.4, -0.6, 0.95]]))
+    held = end_clamps(_begin(), Clamp.TANGENT, Clamp.TANGENT)
+    along = unit_vectors(held.end_position - held.start_position)
+    return Motion(held, end_shift=-30 * along + 26 * across(along), end_turn=np.array([[0.4, -0.6, 0.95]]))
 
 
 @cache
@@ -69,7 +78,7 @@ def images() -> list[list[np.ndarray]]:
     return [image(frame) for frame in range(FRAMES)]
 
 
-NOTHING = Detection(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.nan, "", (480, 640), "ridge")
+NOTHING = Detection.none((480, 640), "ridge")
 
 
 @cache
@@ -203,10 +212,8 @@ def test_a_clamp_out_of_reach_does_no_harm(video):
 def test_vertices_that_two_cameras_show_are_seen():
     rig, rod, first = three_cameras(), rods()[0], seen(0)
     frame = TrackedFrame(rod, np.zeros(len(rod)), 0.0, np.zeros(3), Status.CONVERGED, True, How.TRACKED)
-    without = []
-    for camera, found in zip(rig.cameras, first, strict=True):
-        kept = np.linalg.norm(found.points - camera.project(rod[10]), axis=1) > 3.0
-        without.append(replace(found, **{name: getattr(found, name)[kept] for name in ("points", "direction", "strength")}))
+    without = [found.take(np.linalg.norm(found.points - camera.project(rod[10]), axis=1) > 3.0)
+               for camera, found in zip(rig.cameras, first, strict=True)]
     np.testing.assert_array_equal(seen_vertices(frame, rig, first), rod)
     np.testing.assert_array_equal(seen_vertices(frame, rig, [*first[:2], without[2]]), rod)
     shown = seen_vertices(frame, rig, [first[0], *without[1:]])

@@ -51,18 +51,10 @@ def look(board: Board, camera: Camera, rotation: np.ndarray, translation: np.nda
 
 @lru_cache(maxsize=8)
 def _rays(matrix: tuple, distortion: tuple, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """x and y of the undistorted direction (x, y, 1) of each fine pixel, by fixed-point iteration."""
-    fx, _, cx, _, fy, cy = matrix[:6]
-    k1, k2, p1, p2, k3 = distortion
-    bent_x = np.broadcast_to((np.arange(size[0], dtype=np.float32) - cx) / fx, size[::-1])
-    bent_y = np.broadcast_to(((np.arange(size[1], dtype=np.float32) - cy) / fy)[:, None], size[::-1])
-    x, y = bent_x, bent_y
-    for _ in range(8):
-        square = x * x + y * y
-        radial = 1 + square * (k1 + square * (k2 + square * k3))
-        x, y = ((bent_x - 2 * p1 * x * y - p2 * (square + 2 * x * x)) / radial,
-                (bent_y - p1 * (square + 2 * y * y) - 2 * p2 * x * y) / radial)
-    return x.astype(np.float32), y.astype(np.float32)
+    """x and y of the undistorted direction (x, y, 1) of each fine pixel."""
+    pixels = np.stack(np.meshgrid(*map(np.arange, size)), axis=-1).astype(np.float32)
+    rays = cv2.undistortPoints(pixels.reshape(-1, 1, 2), np.reshape(matrix, (3, 3)), np.array(distortion))
+    return cv2.split(rays.reshape(pixels.shape))
 
 
 def around(width: int = 640, height: int = 480, count: int = 3) -> Rig:

@@ -4,6 +4,8 @@ import cv2
 import numpy as np
 
 from doo_ti import Camera, Detection, DistanceMaps, Rig
+from doo_ti.rod.frames import unit_vectors
+from doo_ti.vision.curves import normal_to
 from tests.oracle.reprojection import Map, polyline_distance
 
 
@@ -24,10 +26,15 @@ def bow(vertices: int = 34) -> np.ndarray:
     return np.concatenate([45 * s, 18 * np.cos(2.2 * s) - 8, 9 * np.sin(3 * s)], axis=1)
 
 
+def line_of(points: np.ndarray, direction: np.ndarray | None = None, width_px: float = 3.0, shape=(480, 640)) -> Detection:
+    """A dark line detected at ``points`` (N, 2) px, which follow each other where no ``direction`` (N, 2) is given."""
+    direction = unit_vectors(np.gradient(points, axis=0)) if direction is None else np.broadcast_to(direction, points.shape)
+    return Detection(points, direction, np.full(len(points), 50.0), width_px, "dark", shape, "ridge")
+
+
 def normals(line: np.ndarray) -> np.ndarray:
     """(n, 2) unit normals of a dense line (n, 2) px."""
-    along = np.gradient(line, axis=0)
-    return np.stack([-along[:, 1], along[:, 0]], axis=1) / np.linalg.norm(along, axis=1)[:, None]
+    return normal_to(unit_vectors(np.gradient(line, axis=0)))
 
 
 def against(found: Detection, line: np.ndarray) -> tuple[np.ndarray, float, float]:
@@ -58,7 +65,7 @@ def curves(random: np.random.Generator, count: int, edges: int, length: float = 
     """(N, V, 3) mm: smooth rods around the origin, of edges that all have that length."""
     swing = turn * random.normal(size=(count, 1, 3)) + 0.4 * turn * random.normal(size=(count, edges, 3))
     tangents = np.cumsum(np.concatenate([random.normal(size=(count, 1, 3)), swing], axis=1), axis=1)[:, :edges]
-    tangents /= np.linalg.norm(tangents, axis=-1, keepdims=True)
+    tangents = unit_vectors(tangents)
     vertices = np.concatenate([np.zeros((count, 1, 3)), np.cumsum(length * tangents, axis=1)], axis=1)
     return vertices - vertices.mean(axis=1, keepdims=True)
 
@@ -76,6 +83,12 @@ def drawn_maps(rig: Rig, rods: np.ndarray, margin: int = 25) -> DistanceMaps:
             offset += values[-1].size
     window = np.array(windows, dtype=np.int64).reshape(len(rods), len(rig.cameras), 5)
     return DistanceMaps(np.concatenate([v.ravel() for v in values]).astype(np.float32), window)
+
+
+def drawn_scene(seed: int, count: int, edges: int) -> tuple[Rig, np.ndarray, DistanceMaps]:
+    """Three cameras, rods (A, V, 3) mm, and their maps."""
+    rods = curves(np.random.default_rng(seed), count, edges)
+    return three_cameras(), rods, drawn_maps(three_cameras(), rods)
 
 
 def map_of(maps: DistanceMaps, row: int, camera: int) -> Map:

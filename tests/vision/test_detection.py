@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from doo_ti import DetectionOptions, detect, load_rig
+from doo_ti.vision.curves import arc_lengths
 from doo_ti.vision.images import read_image
 from doo_ti.vision.render import RenderOptions, render_set
 from doo_ti.vision.tubes import smooth_curve
@@ -40,8 +41,7 @@ def test_directions_are_tangents_and_points_are_dense():
     nearest = np.linalg.norm(found.points[:, None] - line, axis=-1).argmin(axis=1)
     across = (normals(line)[nearest] * found.direction).sum(axis=1)
     assert np.median(np.abs(across)) < np.sqrt(1 - 0.999**2)
-    place = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-    assert np.diff(np.sort(place[nearest])).max() < 1.15
+    assert np.diff(np.sort(arc_lengths(line)[nearest])).max() < 1.15
 
 
 def test_a_thread_lit_from_the_side_is_found_between_its_edges():

@@ -1,6 +1,5 @@
 """Distance maps against every piece of every line, pixel by pixel, and beyond their windows; how wide a lens maps."""
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -9,22 +8,21 @@ import taichi as ti
 
 from doo_ti import Camera, Detection, Rig, detect
 from doo_ti.vision import sampling
+from doo_ti.vision.curves import normal_to
 from doo_ti.vision.distance_map import COMPARED_PX, distance_maps
 from doo_ti.vision.render import RenderOptions, render_set
 from tests.conftest import check_refused
 from tests.vision.device import every_number, row_kernel
-from tests.vision.scenes import bow, small_rig, three_cameras
+from tests.vision.scenes import bow, line_of, map_of, small_rig, three_cameras
 
-
-def drawn(points: np.ndarray, direction: np.ndarray, shape=(360, 480)) -> Detection:
-    return Detection(points, direction, np.ones(len(points)), 3.0, "dark", shape, "ridge")
+SHAPE = 360, 480
 
 
 def circle(radius: float) -> Detection:
     """A closed line of dense points around a place between pixels."""
     angle = np.arange(0, 2 * np.pi, 0.7 / radius)
-    direction = np.stack([-np.sin(angle), np.cos(angle)], axis=1)
-    return drawn(np.array([200.3, 170.6]) + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1), direction)
+    out = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return line_of(np.array([200.3, 170.6]) + radius * out, normal_to(out), shape=SHAPE)
 
 
 def by_force(found: Detection, window: np.ndarray) -> np.ndarray:
@@ -39,20 +37,15 @@ def by_force(found: Detection, window: np.ndarray) -> np.ndarray:
     return best
 
 
-def image_of(maps, a: int, c: int) -> np.ndarray:
-    start, _, _, width, height = maps.window[a, c]
-    return maps.values[start : start + width * height].reshape(height, width)
-
-
 @pytest.mark.thorough
 def test_maps_are_the_distance_to_the_nearest_piece():
     rendered = [detect(image) for image in render_set(small_rig(), bow(), 1.3, RenderOptions(occluders=2), 3)]
-    sets = [rendered, [circle(40.0), drawn(np.array([[3.2, 4.8]]), np.array([[0.6, 0.8]]))]]
+    sets = [rendered, [circle(40.0), line_of(np.array([[3.2, 4.8]]), np.array([0.6, 0.8]), shape=SHAPE)]]
     maps = distance_maps(sets, 30)
     assert maps.window.shape == (2, 2, 5) and maps.values.dtype == np.float32
     assert len(maps.values) == (maps.window[..., 3] * maps.window[..., 4]).sum()
     for a, c in np.ndindex(2, 2):
-        exact, found = by_force(sets[a][c], maps.window[a, c]), image_of(maps, a, c)
+        exact, found = by_force(sets[a][c], maps.window[a, c]), map_of(maps, a, c).distances
         assert np.abs(found - exact)[exact < 20].max() < 0.03 and np.abs(found - exact).max() < 0.1
         assert np.mean(np.abs(found - exact)[exact < 20] > 1e-3) < 0.01
 
@@ -64,20 +57,20 @@ def test_the_valley_does_not_ripple_along_the_line():
     _, left, top, width, height = maps.window[0, 0]
     x, y = np.meshgrid(np.arange(left, left + width), np.arange(top, top + height))
     exact = np.abs(np.hypot(x - 200.3, y - 170.6) - radius)
-    off = np.abs(image_of(maps, 0, 0) - exact)
+    off = np.abs(map_of(maps, 0, 0).distances - exact)
     assert off[exact < COMPARED_PX - 1].max() < 0.01 and off.max() < 0.1
 
 
 def test_windows_stay_within_the_image_and_do_not_depend_on_the_batch():
-    near_border = drawn(np.array([[0.4, 358.7]]), np.array([[1.0, 0.0]]))
+    near_border = line_of(np.array([[0.4, 358.7]]), np.array([1.0, 0.0]), shape=SHAPE)
     maps = distance_maps([[near_border], [circle(30.0)]], 25)
     np.testing.assert_array_equal(maps.window[0, 0], [0, 0, 333, 27, 27])
-    np.testing.assert_array_equal(image_of(maps, 1, 0), image_of(distance_maps([[circle(30.0)]], 25), 0, 0))
+    alone = distance_maps([[circle(30.0)]], 25)
+    np.testing.assert_array_equal(map_of(maps, 1, 0).distances, map_of(alone, 0, 0).distances)
 
 
 def test_detections_without_a_map_are_refused():
-    none = replace(circle(30.0), points=np.empty((0, 2)), direction=np.empty((0, 2)), strength=np.empty(0))
-    check_refused("set 0, image 1: ", distance_maps, [[circle(30.0), none]])
+    check_refused("set 0, image 1: ", distance_maps, [[circle(30.0), Detection.none(SHAPE, "ridge")]])
     for sets in ([], [[]], [[circle(30.0)], [circle(30.0)] * 2]):
         check_refused("detections", distance_maps, sets)
     check_refused("margin", distance_maps, [[circle(30.0)]], 1)

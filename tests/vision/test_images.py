@@ -100,7 +100,7 @@ def of_lines(folder, size: tuple[int, int], background: int, *lines):
 def test_a_thread_that_is_clicked_is_detected_beside_a_more_distinct_one(tmp_path):
     path, seen = of_lines(tmp_path, (240, 160), 60, ((10, 40), (230, 40), (230, 230, 230), 25),
                           ((10, 120), (230, 130), (110, 100, 100), 5))
-    for row, sight in ((40, Sight()), (125, Sight(clicks=({0: (120.0, 125.0)},)).of_set(0, [path], [seen]))):
+    for row, sight in ((40, Sight()), (125, Sight(clicks=({0: (120.0, 125.0)},)).of_set(0, [path], [seen])[0])):
         found = sight.detected(path, seen)
         assert found.count > 150 and np.abs(found.points[:, 1] - row).max() < 8
 
@@ -111,7 +111,7 @@ def test_a_thread_is_sought_by_its_colour_where_it_was_clicked(tmp_path):
                           ((70, 5), (90, 115), (20, 20, 20), 4))
     sight = Sight(clicks=({0: (40.0, 62.0)}, {}), by_colour=True)
     for row in range(2):
-        sight = sight.of_set(row, [path], [seen])
+        sight, _ = sight.of_set(row, [path], [seen])
         found = sight.detected(path, seen)
         assert found.count > 100 and np.abs(found.points[:, 1] - 60 - (found.points[:, 0] - 10) / 14).max() < 4
     of_lines(tmp_path, (160, 120), 230)
@@ -130,9 +130,10 @@ def test_a_clicked_thread_is_sought_by_what_shows_it_best(tmp_path, gripper):
     cv2.imwrite(str(tmp_path / "a.png"), image)
     seen = replace(camera(), width=image.shape[1], height=image.shape[0])
     plain = Sight(clicks=({0: tuple(curve[30])},))
-    chosen = plain.of_set(0, [tmp_path / "a.png"], [seen])
+    chosen, known = plain.of_set(0, [tmp_path / "a.png"], [seen])
     assert shares(plain.detected(tmp_path / "a.png", seen).points, curve)[0] < 0.9
     recall, precision = shares(chosen.detected(tmp_path / "a.png", seen).points, curve)
+    np.testing.assert_array_equal(known[0].points, chosen.detected(tmp_path / "a.png", seen).points)
     assert chosen.options.colour is not None and recall > 0.95 and precision > 0.95
 
 

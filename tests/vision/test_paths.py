@@ -3,29 +3,23 @@
 import numpy as np
 import pytest
 
+from doo_ti.rod.frames import unit_vectors
+from doo_ti.vision.curves import arc_lengths, placed
 from doo_ti.vision.detection import Detection
 from doo_ti.vision.paths import Chains, paths_from
+from tests.vision.scenes import line_of
 
 SHAPE = (480, 640)
 
 
-def detected(points: np.ndarray, rng: np.random.Generator, hidden: tuple[float, float] = (1.0, 1.0)) -> Detection:
-    """The curve (N, 2) px, in no order, without what lies between two shares of it."""
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+def chains(points: np.ndarray, rng: np.random.Generator, hidden: tuple[float, float] = (1.0, 1.0)) -> Chains:
+    """Of the curve ``points`` (N, 2) px, detected in no order, without what lies between two shares of it."""
+    arc = arc_lengths(points)
     place = np.arange(0.0, arc[-1], 0.75)
-    place = place[(place < hidden[0] * arc[-1]) | (place > hidden[1] * arc[-1])]
-    found = np.stack([np.interp(place, arc, column) for column in points.T], axis=1)
-    both = [[np.interp(place + side, arc, line) for line in points.T] for side in (0.5, -0.5)]
-    ahead = np.stack(both[0], axis=1) - np.stack(both[1], axis=1)
-    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
-    order = rng.permutation(len(place))
-    sign = rng.choice([-1.0, 1.0], len(place))[:, None]
-    noisy, strength = found + 0.05 * rng.normal(size=found.shape), np.full(len(place), 50.0)
-    return Detection(noisy[order], (sign * ahead)[order], strength, 2.0, "dark", SHAPE, "ridge")
-
-
-def chains(*arguments) -> Chains:
-    return Chains.of(detected(*arguments))
+    place = rng.permutation(place[(place < hidden[0] * arc[-1]) | (place > hidden[1] * arc[-1])])
+    ahead = unit_vectors(placed(place + 0.5, arc, points) - placed(place - 0.5, arc, points))
+    noisy = placed(place, arc, points) + 0.05 * rng.normal(size=ahead.shape)
+    return Chains.of(line_of(noisy, rng.choice([-1.0, 1.0], (len(place), 1)) * ahead, 2.0, SHAPE))
 
 
 def wave() -> np.ndarray:
@@ -48,19 +42,16 @@ def corner() -> np.ndarray:
 
 def missed(path, curve: np.ndarray) -> float:
     """px: the largest distance of the path from the curve, share by share."""
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
-    share = np.linspace(0, 1, 200)
-    there = np.stack([np.interp(share * arc[-1], arc, column) for column in curve.T], axis=1)
-    return float(np.linalg.norm(path.at(share * path.length) - there, axis=1).max())
+    arc, share = arc_lengths(curve), np.linspace(0, 1, 200)
+    return float(np.linalg.norm(path.at(share * path.length) - placed(share * arc[-1], arc, curve), axis=1).max())
 
 
 def test_the_line_on_a_laid_rope_is_one_path():
     """On each strand it runs at an angle, and jumps back across half of the rope to the next one."""
     place = np.arange(0.0, 500.0)
     aside = 5.0 * (place / 28 % 1 - 0.5)
-    points, way = np.stack([60 + place, 240 + aside], axis=1), np.array([1.0, 5 / 28]) / np.hypot(1.0, 5 / 28)
-    rope = Detection(points, np.tile(way, (500, 1)), np.full(500, 50.0), 8.0, "light", SHAPE, "ridge")
-    path = paths_from(Chains.of(rope), points[0], None)[0]
+    points, way = np.stack([60 + place, 240 + aside], axis=1), unit_vectors(np.array([1.0, 5 / 28]))
+    path = paths_from(Chains.of(line_of(points, way, 8.0)), points[0], None)[0]
     assert path.share > 0.95 and abs(path.points[-1, 0] - 559) < 5
 
 
@@ -98,12 +89,10 @@ def test_free_ends_are_those_of_the_thread(rng):
 def test_a_point_found_twice_does_not_cut_off_the_end(apart):
     """Either side of the border between two pixels: here 4 px from the end, where the rest of the chain was noise."""
     x = np.r_[96.5 + apart / 2, np.arange(98.0, 200.0), 96.5 - apart / 2, 95.2, 94.1, 93.0]
-    fifty = np.full(len(x), 50.0)
-    points, along = np.stack([x, fifty], axis=1), np.tile([1.0, 0.0], (len(x), 1))
-    ends = Chains.of(Detection(points, along, fifty, 2.0, "dark", SHAPE, "ridge")).free_ends
+    ends = Chains.of(line_of(np.stack([x, np.full(len(x), 50.0)], axis=1), np.array([1.0, 0.0]), 2.0)).free_ends
     assert sorted(ends[:, 0]) == [93.0, 199.0]
 
 
 def test_without_a_thread_there_is_no_path():
-    nothing = Detection(np.empty((0, 2)), np.empty((0, 2)), np.empty(0), np.nan, "", SHAPE, "ridge")
-    assert paths_from(Chains.of(nothing), np.zeros(2), None) == [] and Chains.of(nothing).free_ends.shape == (0, 2)
+    nothing = Chains.of(Detection.none(SHAPE, "ridge"))
+    assert paths_from(nothing, np.zeros(2), None) == [] and nothing.free_ends.shape == (0, 2)

@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Clamps, Configuration, InputError, Material, Newton, Reprojection, relax, score
+from doo_ti import Clamp, Configuration, Material, Newton, Reprojection, end_clamps, relax, score
 from doo_ti.relaxation.newton import TOLERANCES
 from doo_ti.rod import frames
+from tests.conftest import check_refused
 from tests.oracle.reprojection import edge_error, rod_energy
 from tests.relaxation.rods import assert_same
-from tests.vision.scenes import curves, drawn_maps, map_of, three_cameras
+from tests.vision.scenes import drawn_scene, map_of
 
 EDGES, NU, POINTS = 14, 30.0, 4
 ALPHA = 2e5
@@ -18,8 +19,7 @@ MATERIAL = Material(ALPHA, ALPHA)
 @pytest.fixture(scope="module")
 def scene():
     """(rig, five rods, their maps)."""
-    rods = curves(np.random.default_rng(8), 5, EDGES)
-    return three_cameras(), rods, drawn_maps(three_cameras(), rods)
+    return drawn_scene(8, 5, EDGES)
 
 
 def starts(rng, rods, count: int, turn: float, edges: int = EDGES):
@@ -33,16 +33,10 @@ def starts(rng, rods, count: int, turn: float, edges: int = EDGES):
     return sets, Configuration(rods[sets, 0], frames.quaternion_from_matrix(first), np.full(edges, 3.0))
 
 
-def held(rods: Configuration, kind=Clamp.TANGENT) -> Clamps:
-    """The start held, the far end free."""
-    first = rods.frames[:, 0]
-    return Clamps(kind, Clamp.FREE, rods.start, np.zeros_like(rods.start), first, first)
-
-
 def relaxed(scene, sets: np.ndarray, start: Configuration, nu: float = NU, kind=Clamp.TANGENT, solver=Newton(), **options):
     """Rods with the images of their sets."""
     images = Reprojection(scene[2], scene[0], nu)
-    return relax(start, MATERIAL, held(start, kind), solver, external=images, external_index=sets, **options)
+    return relax(start, MATERIAL, end_clamps(start, kind), solver, external=images, external_index=sets, **options)
 
 
 def energy_vis(scene, row: int, vertices: np.ndarray) -> float:
@@ -117,5 +111,4 @@ def test_a_rod_does_not_depend_on_the_others(scene, rng):
 
 def test_wrong_input_is_refused(scene, rng):
     sets, start = starts(rng, scene[1], 5, 0.05)
-    with pytest.raises(InputError, match="external_index"):
-        relaxed(scene, sets + 1, start)
+    check_refused("external_index", relaxed, scene, sets + 1, start)

@@ -12,7 +12,7 @@ from doo_ti.vision.image_energy import AssignedPoints
 from tests.conftest import check_refused
 from tests.oracle.reprojection import edge_error, edge_gradient, edge_hessian, rod_energy
 from tests.vision.device import NUMBERS, edge_kernel, every_number
-from tests.vision.scenes import curves, drawn_maps, map_of, three_cameras
+from tests.vision.scenes import drawn_scene, map_of, three_cameras
 
 POINTS, CAP, NU = 5, 30.0, 0.7
 SYMMETRIC = [[0, 1, 2], [1, 3, 4], [2, 4, 5]]
@@ -21,8 +21,7 @@ SYMMETRIC = [[0, 1, 2], [1, 3, 4], [2, 4, 5]]
 @pytest.fixture(scope="module")
 def scene():
     """(rig, four rods, their maps)."""
-    rods = curves(np.random.default_rng(4), 4, 12)
-    return three_cameras(), rods, drawn_maps(three_cameras(), rods)
+    return drawn_scene(4, 4, 12)
 
 
 def edges_near(rng, rods, count=40, off=0.7):

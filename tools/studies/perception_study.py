@@ -67,7 +67,7 @@ class Case:
     def without(self, camera: int, rows: np.ndarray) -> "Case":
         """Some of the sets, without one of the cameras."""
         kept = np.delete(np.arange(len(self.rig.cameras)), camera)
-        rig = Rig(tuple(self.rig.cameras[one] for one in kept), self.rig.source)
+        rig = self.rig.take(kept)
         detections, pixels = [[self.detections[row][one] for one in kept] for row in rows], self.pixels[kept][:, rows]
         return Case(self.rods.take(rows), self.material, rig, detections, self.maps.take(rows, kept), pixels)
 
