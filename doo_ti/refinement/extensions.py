@@ -80,14 +80,16 @@ def _gain(fit: Fit, fitted: Fitted, unknowns: Unknowns) -> float:
     return fitted.posterior.value - evidence.posterior(scales).value
 
 
-def with_stiffness_along(found: list[Optimum], steps: int, wanted: bool) -> list[Optimum]:
-    """The optima ``found``, the best first, with a bend stiffness that varies along the rod where the marks are for it, or in
-    any case if that is ``wanted``; each continued for ``steps``."""
+def with_stiffness_along(found: list[Optimum], steps: int, stiffness: str) -> list[Optimum]:
+    """The optima ``found``, the best first, or these with a bend stiffness that varies along the rod, each continued for
+    ``steps``: as ``stiffness`` of :class:`.RefinementOptions` says."""
     fit, fitted = most_probable(found[0].fit, found[0].fitted)
-    if not fit.unknowns.round or not (wanted or _gain(fit, fitted, replace(fit.unknowns, uneven=True)) > WORTH):
+    if stiffness == "uniform" or not fit.unknowns.round:
+        return found
+    if stiffness == "auto" and _gain(fit, fitted, replace(fit.unknowns, uneven=True)) <= WORTH:
         return found
     uneven = sorted((_continued(one, steps) for one in found), key=lambda one: one.fitted.rank)
-    return uneven if wanted or uneven[0].behind(Optimum(fit, fitted)) < -WORTH else found
+    return uneven if stiffness == "field" or uneven[0].behind(Optimum(fit, fitted)) < -WORTH else found
 
 
 def _continued(found: Optimum, steps: int) -> Optimum:

@@ -103,6 +103,11 @@ class HeldRod:
         return (*turns, *shifts)
 
     @cached_property
+    def loose(self) -> np.ndarray:
+        """(POSE,) one for each number of the clamps' poses that is unknown in each observation."""
+        return (np.array(self.pose_scales) != "").astype(float)
+
+    @cached_property
     def rolled_together(self) -> bool:
         """Whether the rolls of both ends are unknown: then the end's counts from the start's, and is the twist of the rod."""
         return not (self.exact or any(self.reported)) and self._both_hold_rolls

@@ -166,9 +166,7 @@ def refine(observations: Observations, clamps: Clamps, theta: Theta | Sequence[T
     """
     thetas = (theta,) if isinstance(theta, Theta) else tuple(theta)
     found = _at_their_ends(optima(observations, clamps, thetas, options), options)
-    if options.stiffness != "uniform":
-        found = with_stiffness_along(found, options.iterations, options.stiffness == "field")
-    best, *rivals = once(within_reach(found))
+    best, *rivals = once(within_reach(with_stiffness_along(found, options.iterations, options.stiffness)))
     return _refinement(best, rivals, options)
 
 
@@ -341,8 +339,7 @@ def relaxed_on(unknowns: Unknowns, values: Values, solution: Solution, before: H
     rod = unknowns.rod
     lengths = unknowns.lengths(values)
     mesh, old = rod.mesh(lengths), before.mesh(lengths)
-    middles = 0.5 * (mesh.place[1:] + mesh.place[:-1])
-    weights = old.at_edges(middles)[0]
+    weights = old.at_edges(mesh.middles)[0]
     # Of like signs, so that weighted means of them are frames between.
     between = np.einsum("xe,rek->rxk", weights, of_like_signs(solution.configuration.quaternions))
     between /= np.linalg.norm(between, axis=-1, keepdims=True)

@@ -21,7 +21,7 @@ import numpy as np
 from doo_ti.refinement.held_rod import POSE
 from doo_ti.refinement.mesh import GEOMETRY, Lengths, Mesh
 from doo_ti.refinement.theta import Scales
-from doo_ti.refinement.unknowns import Unknowns, Values
+from doo_ti.refinement.unknowns import ALONG, Unknowns, Values
 from doo_ti.relaxation.sensitivity import STIFFNESS_MODES, sensitivity
 from doo_ti.rod.types import Clamp, Solution
 
@@ -204,8 +204,8 @@ class Comparison:
         if shared:
             names, along = (*elementary, "modes", "length", *of_poses), {"modes": modes}
         if shared and unknowns.uneven:
-            names = (STIFFNESS_MODES, *(name for name in names if name != "bend"))
-            along["stiffness_modes"] = unknowns.stiffness_modes(values, mesh)
+            names = (STIFFNESS_MODES, *(name for name in names if name not in ALONG))
+            along["stiffness_modes"] = unknowns.stiffness_modes(values, mesh, elementary)
         found = sensitivity(solution, names, first=rows.start, last=rows.stop, rotations=self.directors is not None,
                             loads=False, **along)
         lengths, shape = unknowns.lengths(values), found.configuration
@@ -222,7 +222,7 @@ class Comparison:
         for one in quantities:
             at = one.at_places()
             poses = at[..., -by_clamps.shape[1] :] @ by_clamps[:, None] + one.carried[:, None]
-            effects = poses[..., :0] if unknowns.rod.exact else poses[..., GEOMETRY:] * unknowns.loose
+            effects = poses[..., :0] if unknowns.rod.exact else poses[..., GEOMETRY:] * unknowns.rod.loose
             by_unknowns = self._shared(at, poses, one.sliding(mesh), chain, values, mesh, rows) if shared else at[..., :0]
             kinds.append([part.reshape(len(at), 3 * at.shape[1], part.shape[-1]) for part in (by_unknowns, effects)])
         return kinds, found.usable
@@ -238,15 +238,11 @@ class Comparison:
         """
         unknowns = self.unknowns
         theta, knots, stiffness = chain.shape[0], len(unknowns.columns("curvature")), len(unknowns.columns("stiffness"))
-        learned = int("bend" in unknowns.parameters)
-        of_bend, of_stiffness, of_edges = at[..., :0], at[..., :0], 0.0
-        if unknowns.uneven:  # bend stiffness is one of its modes, which come first
-            of_bend, of_stiffness, of_edges, at = np.split(at, np.cumsum([1, stiffness, GEOMETRY]), axis=-1)
-            of_bend, theta = of_bend[..., :learned], theta - learned
-        of_theta, of_knots, of_joints, length, _ = np.split(at, np.cumsum([theta, knots, GEOMETRY, 1]), axis=-1)
-        of_theta = np.concatenate([of_bend, of_theta], axis=-1)
+        uneven = GEOMETRY * unknowns.uneven
+        of_stiffness, of_uneven, of_theta, of_knots, of_joints, length, _ = np.split(
+            at, np.cumsum([stiffness, uneven, theta, knots, GEOMETRY, 1]), axis=-1)
         by_lengths = poses[..., :GEOMETRY] + of_joints + length * (mesh.edge_slope / mesh.edge) + sliding[..., :GEOMETRY]
-        by_lengths = by_lengths + of_edges
+        by_lengths += of_uneven if uneven else 0.0
         ends = [end for end, name in enumerate(("clip_start", "clip_end")) if name in unknowns.names]
         parts = [of_theta @ chain, by_lengths[..., ends], of_knots, of_stiffness]
         if unknowns.turns:

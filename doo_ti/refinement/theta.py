@@ -24,7 +24,6 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.relaxation.sensitivity import tilt_axes
 from doo_ti.rod.types import Material
 from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError, require_whole
@@ -89,13 +88,6 @@ class Theta:
 def common_rod(theta: Theta) -> Theta:
     """``theta`` with the twist stiffness of a common rod of its bend stiffness."""
     return replace(theta, twist=RATIO * float(np.sqrt(np.linalg.det(theta.bend))))
-
-
-def tilts_between(origin: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """(2,) the tilts of ``up`` that lead from ``origin`` to ``up``."""
-    turn = np.cross(origin, up)
-    sine = np.linalg.norm(turn)
-    return tilt_axes(origin) @ turn * (np.arctan2(sine, origin @ up) / max(sine, 1e-300))
 
 
 def slope_of_entry(entry: str, unknown: str, bend: np.ndarray) -> float:

@@ -7,7 +7,7 @@
     up                      two tilts from the present up, rad
     clip_start, clip_end    mm from the outer mark inwards to where a clip ends; negative where it ends before that mark
     curvature               L ω̄ at the knots of :mod:`doo_ti.refinement.fields`, two components each, or of the whole rod
-    stiffness               ln B along the rod at these knots, less its mean
+    stiffness               ln B along the rod at these knots, less its mean, and as much of ln β
     clamps                  constant errors of the reported frames: a rotation of each in its own axes, and one in the world's
     spacing                 ln of the rod's length between neighbouring marks over that which the observations state
     outer                   mm by which an outer mark beside a reported frame is off the rod, along the frame's axes and the
@@ -28,9 +28,8 @@ import numpy as np
 from doo_ti.refinement.fields import Field, knots_of, values_at
 from doo_ti.refinement.held_rod import POSE, HeldRod
 from doo_ti.refinement.mesh import Lengths, Mesh
-from doo_ti.refinement.theta import Scales, Theta, common_rod, slope_of_entry, tilts_between
-from doo_ti.relaxation.sensitivity import tilt_axes
-from doo_ti.rod.frames import rotation_matrix
+from doo_ti.refinement.theta import Scales, Theta, common_rod, slope_of_entry
+from doo_ti.rod.frames import rotation_matrix, tilt_axes, tilts_between
 from doo_ti.rod.types import Material
 from doo_ti.system.errors import InputError
 
@@ -45,6 +44,7 @@ RATIO_FACTOR = 0.4
 that of a common rod."""
 OUTER_SPREAD = 0.1  # prior of by how much an outer mark beside a reported frame is off, in spacings of the outer marks
 TURNS = 12  # numbers of the constant errors of clamps
+ALONG = ("bend", "twist")  # what varies along an uneven rod
 
 
 @dataclass(frozen=True)
@@ -226,7 +226,8 @@ class Unknowns:
         material = self.theta_at(values, mesh.joints).material
         if not self.uneven:
             return material
-        return replace(material, bend=material.bend * np.exp(self.stiffness_at(values, mesh.middles))[None, :, None, None])
+        edges, joints = (np.exp(self.stiffness_at(values, places))[None] for places in (mesh.middles, mesh.joints))
+        return replace(material, bend=material.bend * edges[..., None, None], twist=material.twist * joints)
 
     def stiffness_at(self, values: Values, places: np.ndarray) -> np.ndarray:
         """(X,) ln of the bend stiffness at arc lengths ``places`` (X,) over its geometric mean along the mesh, which is Θ's."""
@@ -251,11 +252,6 @@ class Unknowns:
             slopes[:, rows, 6 + 3 * end : 9 + 3 * end] = np.swapaxes(frame, 1, 2)
         return slopes * (np.array(self.rod.pose_scales) == "turn_scatter")[:, None]
 
-    @cached_property
-    def loose(self) -> np.ndarray:
-        """(POSE,) one for each number of the clamps' poses that is unknown in each observation."""
-        return (np.array(self.rod.pose_scales) != "").astype(float)
-
     def modes(self, values: Values) -> tuple[np.ndarray, Mesh]:
         """(2 K + GEOMETRY, N − 1, 2) derivatives of the rest curvature on the mesh, by each unknown of the curvature and by the
         lengths, with which the joints slide along the rod; and the mesh."""
@@ -265,22 +261,27 @@ class Unknowns:
         by_clip = np.einsum("jk,kb,je->ejb", slopes, values.curvature, mesh.joint_slope)
         return np.concatenate([by_knot, by_clip]), mesh
 
-    def stiffness_modes(self, values: Values, mesh: Mesh) -> np.ndarray:
-        """(1 + K + GEOMETRY, N) derivatives of ln B of the edges of a rod whose stiffness varies along it: by ln α, by each
-        unknown of the stiffness, and by the lengths, with which edges slide along the rod."""
-        weights, slopes = values_at(mesh.middles, self.stiffness_knots)
-        modes = np.concatenate([weights, (slopes @ values.stiffness)[:, None] * mesh.middle_slope], axis=1)
-        return np.vstack([np.ones(len(modes)), (modes - modes.mean(axis=0)).T])
+    def stiffness_modes(self, values: Values, mesh: Mesh, elementary: tuple[str, ...]) -> np.ndarray:
+        """(K + GEOMETRY + ·, N − 1, 3) derivatives of ln B of both edges at each joint, and of ln β there, of a rod whose
+        stiffness varies along it: by each unknown of the stiffness, by the lengths, with which the mesh slides along the rod,
+        and by ln α and ln β, those of them that are ``elementary`` (:meth:`chain`)."""
+        edges, joints = (np.concatenate([weights, (slopes @ values.stiffness)[:, None] * sliding], axis=1) for (
+            weights, slopes), sliding in ((values_at(mesh.middles, self.stiffness_knots), mesh.middle_slope),
+                                          (values_at(mesh.joints, self.stiffness_knots), mesh.joint_slope)))
+        along = np.stack([edges[:-1], edges[1:], joints], axis=-1) - edges.mean(axis=0)[:, None]
+        whole = np.array([[name == "bend"] * 2 + [name == "twist"] for name in ALONG if name in elementary], dtype=np.float64)
+        return np.concatenate([np.moveaxis(along, 0, 1), np.repeat(whole.reshape(-1, 1, 3), len(joints), axis=1)])
 
     def chain(self, values: Values) -> tuple[tuple[str, ...], np.ndarray]:
-        """The parameters of :func:`doo_ti.relaxation.sensitivity.sensitivity` that Θ's unknowns need, "bend" first, and the
-        derivatives (·, T) of their columns by the unknowns of Θ."""
+        """The parameters of :func:`doo_ti.relaxation.sensitivity.sensitivity` that Θ's unknowns need, those of
+        :data:`ALONG` first, and the derivatives (·, T) of their columns by the unknowns of Θ."""
         theta, entries = values.theta, ("bend_1", "bend_2", "bend_12")
-        elementary = sorted((name for name in self.parameters if name not in entries), key=lambda name: name != "bend")
+        elementary = [name for name in self.parameters if name not in entries]
         elementary += entries if len(elementary) < len(self.parameters) else ()
         names = self.names[: self.theta_count]
         follows = {"bend": 1.0, "bend_1": 0.5, "bend_2": 0.5} if self.twist_follows and "twist" not in names else {}
         elementary += ["twist"] * bool(follows)
+        elementary.sort(key=lambda name: (*ALONG, name).index(name))
         rows = []
         for name in elementary:
             if name in entries:
@@ -289,7 +290,7 @@ class Unknowns:
                 rows += [[float(unknown == f"up[{k}]") for unknown in names] for k in range(2)]
             else:
                 along = follows if name == "twist" and follows else {name: 1.0}
-                relative = name == "bend" and self.uneven  # as one of the modes of the stiffness
+                relative = name in ALONG and self.uneven  # as one of the modes of the stiffness
                 rows.append([(1.0 if relative else theta.entries[name]) * along.get(unknown, 0.0) for unknown in names])
         return tuple(elementary), np.array(rows)
 

@@ -23,7 +23,7 @@ BEND, TWIST, MODE, PULL, TIMES_WEIGHT, STRETCH = 0, 3, 4, 5, 8, 9
 SHIFT, TURN_START, TURN_END, MOVE, STIFFENS, DIRECTION_COLUMNS = 10, 13, 16, 19, 22, 23
 """BEND, TWIST         B as (11, 22, 12), and β
 MODE                ω̄ along the rod, by that row of the table of modes (NO_MODE: not at all)
-STIFFENS            one where that row is of ln B instead, of the two edges at each joint
+STIFFENS            one where that row is of ln B instead, of the two edges at each joint, and of ln β there
 PULL, TIMES_WEIGHT  gravity, multiplied by μ where TIMES_WEIGHT is one
 STRETCH             all lengths, by the factor 1 + STRETCH
 SHIFT, MOVE         the far point, as seen from vertex 0, and vertex 0, in the world
@@ -49,7 +49,7 @@ class ParameterGradient(chain.Chain):
     bends                    whether pairs change by more than their rest curvature
     bend, twist              of B = (11, 22, 12) and of β, in the unit of the rod's energies
     mode, modes              row of the table of changes along the rod, or NO_MODE, and that table
-    stiffens                 whether that row is of ln B, not of ω̄
+    stiffens                 whether that row is of ln B and ln β, not of ω̄
     pull, whole              of gravity, and of the force 2 μ L up that holds the rod's weight
     stretches, stretch       whether lengths change, and of the logarithm of all lengths
     shift, move              of the far point as seen from vertex 0, and of vertex 0
@@ -114,13 +114,13 @@ class ParameterGradient(chain.Chain):
         bent, s = self.kept_pair(rod, joint)
         x, y, inverse, m, turn = bent
         none = 0.0 * s[2]
-        added, stiffer = variable((none, none)), variable((none, none))  # to u̅ = ω̄ l̄/2, and to ln B of both edges
+        added, stiffer = variable((none, none)), variable((none, none, none))  # to u̅ = ω̄ l̄/2, and to ln B and ln β
         if column.mode != NO_MODE:
-            along = (column.modes[column.mode, joint, 0], column.modes[column.mode, joint, 1])
+            along = read(column.modes, column.mode, joint, 0)
             if column.stiffens:
-                stiffer = (none + along[0], none + along[1])
+                stiffer = scaled(along, none + 1.0)
             else:
-                added = scaled(along, 0.5 / s[2])
+                added = scaled((along[0], along[1]), 0.5 / s[2])
         # μ = 2i B (ω − u̅)/l̄. Where the lengths grow, u̅ grows with them: d((ω − u̅)/l̄) = −ω/l̄.
         grown_x = minus(scaled(strain(x, (none, none)), 0.0 - column.stretch), added)
         grown_y = minus(scaled(strain(y, (none, none)), 0.0 - column.stretch), added)
@@ -128,7 +128,7 @@ class ParameterGradient(chain.Chain):
         of_y = plus(grown_y, scaled(strain(y, s[4]), stiffer[1]))
         mu = plus(moment(column.bend, strain(x, s[4]), s[2]), moment(s[0], of_x, s[2]))
         nu = plus(moment(column.bend, strain(y, s[4]), s[2]), moment(s[1], of_y, s[2]))
-        twist = 2.0 * m * (column.twist * s[2] - column.stretch * s[3])
+        twist = 2.0 * m * (column.twist * s[2] + (stiffer[2] - column.stretch) * s[3])
         return pair.gradient_of_moments(mu, nu, twist, x, y, inverse, turn)
 
     def seen(self, rod, edge, remaining):

@@ -19,14 +19,15 @@ dx_{i+1} = dx_i + l_i (dω_i × t_i). Parameters by name, and the columns each o
     weight                    μ
     rest_curvature            2: ω̄, constant along the rod; 1/mm
     rest_curvature_per_joint  2 (E−1): joint by joint, its two components together; 1/mm
-    up                        2: turns of up about the axes of :func:`tilt_axes`; rad
+    up                        2: turns of up about the axes of :func:`doo_ti.rod.frames.tilt_axes`; rad
     gravity                   3: the vector μ up in the world
     length                    ln of a factor on all rest lengths, the clamps staying where they are
     start_shift, end_shift    3 each: displacement of a clamp in the world, the other staying where it is; mm per mm
     start_turn, end_turn      3 each: rotations of a clamped frame in the world, its vertex on the clamp staying where it is;
                               rad. What the clamp does not hold does not turn: the spin of a tangent, all of a position
     modes                     M: changes of ω̄ along the rod, given as an array (M, E−1, 2); 1/mm per 1/mm
-    stiffness_modes           M: relative changes of B along the rod, edge by edge, given as an array (M, E)
+    stiffness_modes           M: relative changes at the joints, of B of the edge before and of that after, and of β, given as
+                              an array (M, E−1, 3)
 
 With the shifts and the turns a rod follows its clamps. A straight, taut rod cannot: these columns and ``length`` are NaN
 where it has no slack.
@@ -45,7 +46,7 @@ from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.external import PointLoads
 from doo_ti.relaxation.sensitivity_kernel import run_sensitivity, vertex_forces
 from doo_ti.relaxation.tables import Tables
-from doo_ti.rod.frames import matrix_from_quaternion, smallest_rotation
+from doo_ti.rod.frames import tilt_axes
 from doo_ti.rod.material import force_in_newton
 from doo_ti.rod.types import Configuration, Solution
 from doo_ti.system import runtime
@@ -186,7 +187,7 @@ def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist"
     solution    of :func:`doo_ti.relaxation.relax.relax` in f64: an equilibrium reached to a residual r is off by about r, and
                 so are its derivatives
     parameters  from PARAMETERS or "stiffness_modes", in the order of the columns
-    modes, stiffness_modes  (M, E−1, 2) and (M, E), where they are among the parameters
+    modes, stiffness_modes  (M, E−1, 2) and (M, E−1, 3), where they are among the parameters
     first, last of the rods of ``solution``: derivatives of all of them at once may be more than memory holds
     rotations, loads  whether those are computed; where not, they have no columns, and the call takes a third less time
 
@@ -253,30 +254,25 @@ def gripper_jacobian(solution: Solution) -> Sensitivity:
     return sensitivity(solution, GRIPPERS)
 
 
-def tilt_axes(up: np.ndarray) -> np.ndarray:
-    """(2, 3) unit axes across ``up`` about which it is tilted: x and y of the world, turned as z must turn to ``up``."""
-    return matrix_from_quaternion(smallest_rotation(np.array([0.0, 0.0, 1.0]), up))[:, :2].T
-
-
 def parameter_directions(parameters: Sequence[str], edges: int, up: np.ndarray, given: dict[str, np.ndarray | None]
                          ) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
     """Names (P,) of the columns of ``parameters``, what changes along each (P, DIRECTION_COLUMNS), and the changes along the
-    rod (M, E−1, 2) that these refer to: of rest curvature, or of ln B at the two edges of each joint. ``given``: modes."""
-    names, blocks, along = [], [], [np.zeros((0, edges - 1, 2))]
+    rod (M, E−1, 3) that these refer to: of rest curvature, or of ln B and ln β. ``given``: modes."""
+    names, blocks, along = [], [], [np.zeros((0, edges - 1, 3))]
     for name in parameters:
         if name in CURVATURES or name == STIFFNESS_MODES:
             own = _modes(name, edges, given.get(name))
             block = _unchanged(len(own))
             block[:, change.MODE] = sum(map(len, along)) + np.arange(len(own))
             block[:, change.STIFFENS] = name == STIFFNESS_MODES
-            along.append(own)
+            along.append(np.pad(own, ((0, 0), (0, 0), (0, 3 - own.shape[2]))))
         else:
             block = _directions(name, up)
         names += [name] if len(block) == 1 else [f"{name}[{k}]" for k in range(len(block))]
         blocks.append(block)
     along = np.concatenate(along)
     # Kernels take no arrays without entries.
-    return tuple(names), np.concatenate(blocks), along if len(along) else np.zeros((1, edges - 1, 2))
+    return tuple(names), np.concatenate(blocks), along if len(along) else np.zeros((1, edges - 1, 3))
 
 
 def check_parameters(function: str, parameters: Sequence[str], known: tuple[str, ...], given: dict[str, np.ndarray | None],
@@ -294,20 +290,17 @@ def check_parameters(function: str, parameters: Sequence[str], known: tuple[str,
     for name, modes in given.items():
         if (name in parameters) != (modes is not None):
             raise InputError(function, name, "given without their parameter, or the parameter without them", "give both")
-        size = (table.edges,) if name == STIFFNESS_MODES else (table.edges - 1, 2)
-        if modes is not None and (np.ndim(modes) != 1 + len(size) or np.shape(modes)[1:] != size):
-            raise InputError(function, name, f"shape {np.shape(modes)}", f"give (M, {', '.join(map(str, size))})")
+        size = table.edges - 1, 3 if name == STIFFNESS_MODES else 2
+        if modes is not None and (np.ndim(modes) != 3 or np.shape(modes)[1:] != size):
+            raise InputError(function, name, f"shape {np.shape(modes)}", f"give (M, {size[0]}, {size[1]})")
     if "up" in parameters and table.external is not None and table.external.mass.any():
         raise InputError(function, "parameters", "'up' of rods with point masses, whose weight turns too",
                          "give their weight as forces, which do not turn")
 
 
 def _modes(name: str, edges: int, given: np.ndarray | None) -> np.ndarray:
-    """(M, E−1, 2) of a parameter among CURVATURES, or of STIFFNESS_MODES."""
-    if name == STIFFNESS_MODES:
-        own = np.asarray(given, dtype=np.float64)
-        return np.stack([own[:, :-1], own[:, 1:]], axis=-1)
-    if name == "modes":
+    """(M, E−1, 2) of a parameter among CURVATURES, or (M, E−1, 3) of STIFFNESS_MODES."""
+    if given is not None:
         return np.asarray(given, dtype=np.float64)
     if name == "rest_curvature":
         return np.repeat(np.eye(2)[:, None], edges - 1, axis=1)

@@ -246,3 +246,15 @@ def total_twist(quaternions: np.ndarray) -> np.ndarray:
     (a, b, c, d), (w, x, y, z) = np.moveaxis(before, -1, 0), np.moveaxis(after, -1, 0)
     along = a * x - b * w - c * z + d * y
     return np.sum(2 * np.arctan2(np.where(scalar < 0, -along, along), np.abs(scalar)), axis=-1)
+
+
+def tilt_axes(up: np.ndarray) -> np.ndarray:
+    """(2, 3) unit axes across ``up`` about which it is tilted: x and y of the world, turned as z must turn to ``up``."""
+    return matrix_from_quaternion(smallest_rotation(np.array([0.0, 0.0, 1.0]), up))[:, :2].T
+
+
+def tilts_between(origin: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """(2,) the tilts of ``up`` that lead from ``origin`` to ``up``."""
+    turn = np.cross(origin, up)
+    sine = np.linalg.norm(turn)
+    return tilt_axes(origin) @ turn * (np.arctan2(sine, origin @ up) / max(sine, 1e-300))

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti import Newton, Observations, load_observations, observation_clamps, relax, start_configuration
-from doo_ti.relaxation.sensitivity import tilt_axes
-from doo_ti.rod.frames import rotation_matrix
+from doo_ti.rod.frames import rotation_matrix, tilt_axes
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution
 from tests.references.rods import chain, clamps_at, stacked
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from doo_ti import Clamp, Material, Newton, Springs, end_loads, pullback, relax, sensitivity
-from doo_ti.relaxation.sensitivity import PARAMETERS, tilt_axes
+from doo_ti.relaxation.sensitivity import PARAMETERS
+from doo_ti.rod.frames import tilt_axes
 from tests.conftest import check_refused
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import clamped_start, free_variables
@@ -161,17 +162,19 @@ def test_modes_add_up_what_joints_do(rng):
 
 
 def test_stiffness_modes_are_differences_of_relaxed_rods(rng):
-    """Along a rod that is curved at rest; a mode that is one everywhere is ``bend``."""
-    rods, modes, step = wandering(rng, 2, 12), rng.normal(size=(2, 12)), 1e-4
+    """Along rods that are curved at rest, of B and of β."""
+    rods, step = wandering(rng, 2, 12), 1e-4
+    edges, joints = rng.normal(size=(2, 12)), rng.normal(size=(2, 11))
     bend, rest, clamps = 2e5 * np.exp(0.2 * rng.normal(size=12)), rng.normal(scale=1e-3, size=(1, 11, 2)), clamps_at(rods)
 
-    def relaxed(factor: np.ndarray):
-        return relax(rods, Material((bend * factor)[None, :, None, None] * np.eye(2), 1e5, rest_curvature=rest), clamps, SHARP)
+    def relaxed(of_bend: np.ndarray, of_twist: np.ndarray):
+        material = Material((bend * np.exp(of_bend))[None, :, None, None] * np.eye(2), 1e5 * np.exp(of_twist)[None], 1.0, rest)
+        return relax(rods, material, clamps, SHARP)
 
-    solution = relaxed(np.ones(12))
-    found = sensitivity(solution, ("stiffness_modes",), stiffness_modes=np.vstack([modes, np.ones(12)]))
-    for k, mode in enumerate([*modes, np.ones(12)]):
-        more, less = (relaxed(np.exp(sign * step * mode)) for sign in (1, -1))
+    solution, modes = relaxed(np.zeros(12), np.zeros(11)), np.stack([edges[:, :-1], edges[:, 1:], joints], axis=-1)
+    found = sensitivity(solution, ("stiffness_modes",), stiffness_modes=modes)
+    for k in range(2):
+        more, less = (relaxed(sign * step * edges[k], sign * step * joints[k]) for sign in (1, -1))
         for own, its in ((found.vertices[..., k], [one.configuration.vertices for one in (more, less)]),
                          (found.loads.end_moment[..., k], [end_loads(one).end_moment for one in (more, less)])):
             slope = (its[0] - its[1]) / (2 * step)
