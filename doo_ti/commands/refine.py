@@ -53,8 +53,8 @@ def declare(add) -> None:
                        help="curvature of the unloaded rod: field, a smooth function along it; uniform; none; auto, field "
                        "unless frames are missing and the evidence is for a straight rod (default)")
     model.add_argument("--stiffness", choices=("auto", "uniform", "field"), default="auto",
-                       help="bend stiffness along the rod: uniform; field, a smooth function along it; auto, field where the "
-                       "evidence is for it (default)")
+                       help="bend stiffness along the rod: uniform; field, a smooth function along it; auto: a field where "
+                       "the evidence is for it (default)")
     model.add_argument("--clamps", choices=("auto", "loose", "exact"), default="loose",
                        help="loose: errors of reported frames are learned, and what is not reported is unknown in each "
                        "observation (default); auto: the same; exact: all is as reported, and as the outer marks say")

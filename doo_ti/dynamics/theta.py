@@ -120,9 +120,10 @@ def _numbers(path, content: dict, key: str, shape: tuple, positive: bool = False
     if key not in content:
         raise InputError(path, key, "missing", "name a file that doo-ti identify has written")
     try:
-        value = np.array(content[key], dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):  # OverflowError: a whole number of hundreds of digits
+        value = np.array(content[key])
+    except ValueError:  # lists of different lengths
         value = np.array(np.nan)
+    value = value.astype(np.float64) if value.dtype.kind in "if" else np.array(np.nan)  # no text, flags, or endless numbers
     fits = value.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, value.shape, strict=True))
     if not fits or not (np.abs(value) <= LARGEST).all():
         form = "a number" if not shape else f"an array of shape ({', '.join('N' if n is None else str(n) for n in shape)})"

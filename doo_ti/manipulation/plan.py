@@ -24,7 +24,7 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.motion_file import ClampPath
 from doo_ti.manipulation.equilibria import CLEAR, Clearance, Equilibria, Shapes, States, Tree, joined_states
 from doo_ti.manipulation.model import Model, change_between
-from doo_ti.manipulation.targets import ServoOptions, Targets, all_goals
+from doo_ti.manipulation.targets import ServoOptions, Targets, all_goals, require_free
 from doo_ti.motion.predict import predict
 from doo_ti.rod.material import Material
 from doo_ti.rod.types import POSES, Clamp, Clamps, Configuration, unit_up
@@ -62,7 +62,7 @@ class PlanOptions:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        ServoOptions(free=self.free)
+        require_free("PlanOptions", self.free)
         require_whole("PlanOptions", "seed", self.seed, 0)
         for name in ("reached_mm", "lever_mm", "seconds"):
             if not 0 < getattr(self, name) < 1e6:

@@ -118,6 +118,12 @@ class ServoStatus(IntEnum):
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
+def require_free(name: str, free: tuple[str, ...]) -> None:
+    """Raise InputError unless an options' ``free`` names coordinates of grippers, each once."""
+    if not free or set(free) - set(GRIPPERS) or len(set(free)) < len(free):
+        raise InputError(name, "free", f"{free!r:.60}", f"name some of {', '.join(GRIPPERS)}, each once")
+
+
 @typed
 @dataclass(frozen=True)
 class ServoOptions:
@@ -158,9 +164,7 @@ class ServoOptions:
     memory: float = 15.0
 
     def __post_init__(self) -> None:
-        wrong = [name for name in self.free if name not in GRIPPERS]
-        if wrong or not self.free or len(set(self.free)) < len(self.free):
-            raise InputError("ServoOptions", "free", f"{self.free!r:.60}", f"name some of {', '.join(GRIPPERS)}, each once")
+        require_free("ServoOptions", self.free)
         for name in ("start_box", "end_box"):
             box = getattr(self, name)
             if box is not None and (np.shape(box) != (2, 3) or not (np.less_equal(*box)).all()):

@@ -35,8 +35,6 @@ class DetectionOptions:
     Raises InputError for another method or polarity, numbers that are not positive, and other colours and regions.
     """
 
-    __repr__ = short_repr
-
     method: str = "ridge"
     polarity: str | None = None
     width_px: float | None = None
@@ -107,6 +105,8 @@ class Detection:
     method     of :class:`DetectionOptions`, or "mask", "follow"
     width      (N,) px: the line's width at each point, of masks and where the thread goes on along something wider; else None
     """
+
+    __repr__ = short_repr
 
     points: Annotated[np.ndarray, "N 2"]
     direction: Annotated[np.ndarray, "N 2"]

@@ -19,7 +19,6 @@ from pathlib import Path
 from threading import Lock
 from warnings import catch_warnings, simplefilter
 
-import cv2
 import numpy as np
 
 from doo_ti.io.arrays import CsvTable, read_csv
@@ -74,6 +73,8 @@ def read_image(path: str | os.PathLike[str], camera: Camera | None = None, colou
 
     Raises InputError for a file that is missing or is no image, and for another size than the camera's.
     """
+    import cv2
+
     turned = bool(camera is not None and camera.turned) if turned is None else turned
     flags = (cv2.IMREAD_COLOR if colour else cv2.IMREAD_GRAYSCALE) | cv2.IMREAD_ANYDEPTH
     return _in_bytes(_decoded(Path(path), camera, flags if turned else flags | cv2.IMREAD_IGNORE_ORIENTATION))
@@ -82,6 +83,8 @@ def read_image(path: str | os.PathLike[str], camera: Camera | None = None, colou
 def read_mask(path: str | os.PathLike[str], camera: Camera | None = None) -> np.ndarray | None:
     """(H, W) uint8: how opaque the pixels of an image file are; None where it has no alpha channel, or one that is the same
     everywhere. Raises InputError as :func:`read_image`."""
+    import cv2
+
     path = Path(path)
     content = read_content(path, remedy="name a readable image")
     if not content.startswith(PNG):  # of the formats that are read it alone may be transparent
@@ -100,6 +103,8 @@ def orientation_tags(paths: Iterable[Path]) -> int:
 
 def _decoded(path: Path, camera: Camera | None, flags: int) -> np.ndarray:
     """The image of a file as OpenCV decodes it. Raises InputError."""
+    import cv2
+
     if hasattr(cv2, "setLogLevel"):
         cv2.setLogLevel(0)  # the caller reports on damaged files; OpenCV shall not do so as well
     stored = np.frombuffer(read_content(path, remedy="name a readable image"), dtype=np.uint8)

@@ -175,3 +175,4 @@ def test_what_cannot_be_planned_is_refused():
             d.plan_manipulation(**(given | wrong))
         assert caught.value.field == field
     check_refused("seconds", d.PlanOptions, seconds=0.0)
+    check_refused("PlanOptions: free", d.PlanOptions, free=("x",))

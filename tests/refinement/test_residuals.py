@@ -110,6 +110,7 @@ def moved_residuals(comparison, fit, state, step, scatter):
     (TRUTH, ("bend", "twist"), (None, None), {"bare": ("start_frame", "end_frame")}),
     (TRUTH, ("bend", "twist"), (None, None), {"bare": ("start_frame",)}),
     (TRUTH, ("bend",), (Clamp.POSITION, None), {"bare": ("start_frame", "end_frame")}),
+    (TRUTH, ("bend", "twist"), (None, Clamp.FREE), {"table": 4.0, "uneven": True}),
     (TRUTH, ("bend", "twist"), (None, Clamp.FREE), {"table": 4.0})])
 def test_residuals_follow_the_unknowns(rng, theta, parameters, kinds, fields):
     """J and Z of :class:`doo_ti.refinement.residuals.Comparison` by central differences, with clips of unequal lengths, a

@@ -61,11 +61,12 @@ def test_no_rods_are_no_error(around):
     assert trajectory.positions.shape == (0, 2, 13, 3)
 
 
+@pytest.mark.parametrize("value", [10**400, "3", True], ids=["hundreds of digits", "text", "a flag"])
 @pytest.mark.parametrize("key", ["bend_mm3", "rest_length_mm", "up", "friction"])
-def test_a_number_of_hundreds_of_digits_in_a_file_is_refused(tmp_path, key):
+def test_what_is_no_number_in_a_file_of_theta_is_refused(tmp_path, key, value):
     path = tmp_path / "THETA.json"
     form = {name: np.asarray(value).tolist() for name, value in save_form(hostile_calls.theta()).items()}
-    path.write_text(json.dumps(form | {key: 10**400}))
+    path.write_text(json.dumps(form | {key: value}))
     with pytest.raises(InputError) as caught:
         doo_ti.load_theta(path)
     assert caught.value.field == key in form
