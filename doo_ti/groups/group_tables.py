@@ -101,7 +101,7 @@ def group_tables(group: Group, up: np.ndarray, obstacles, radius, contact: bool,
     holds them.
     """
     bodies = [obstacle for obstacle in obstacles if not isinstance(obstacle, Itself)]
-    itself = next((obstacle for obstacle in obstacles if isinstance(obstacle, Itself)), Itself())
+    itself = [obstacle for obstacle in obstacles if isinstance(obstacle, Itself)] or [Itself()]
     members = []
     for number, parts in enumerate(zip(group.rods, group.each_material, group.clamps, strict=True)):
         try:
@@ -123,7 +123,7 @@ def group_tables(group: Group, up: np.ndarray, obstacles, radius, contact: bool,
         raise InputError("relax_group", "radius", "missing beside obstacles", "give the rods' radius in mm")
     radii = group.radii(1.0 if radius is None else radius)
     require_margin(bodies, radii.max())
-    around = Surroundings.checked("contact", [*bodies, itself], radii.min(axis=1), group.count)
+    around = Surroundings.checked("contact", [*bodies, *itself], radii.min(axis=1), group.count)
     table = contact_table(around, group.count, lengths.shape[1], clamp, np.arange(group.count))
     thicker = group.at_vertices(radii - table.radius[:, None])
     springs = np.zeros((*burden.shape[:2], 4))  # none

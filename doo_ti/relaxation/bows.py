@@ -152,7 +152,7 @@ ARGUMENTS = {
 @cache
 def bow_kernel(has_grid: bool, block: int):
     """The kernel, for grids where ``has_grid``; ``block`` as of :func:`.loop_kernel`."""
-    return loop_kernel("choose_bows", Number(1, 32), ARGUMENTS, BowSearch(has_grid).work, block)
+    return loop_kernel("choose_bows", Number(1, 32), ARGUMENTS, BowSearch(has_grid), block)
 
 
 DOWN, SIDEWAYS, UPRIGHT = (False, 1.0), ((True, 1.0), (True, -1.0)), (False, -1.0)
@@ -240,11 +240,11 @@ def bowed_among(rods: Straight, obstacles: Sequence[Obstacle], beside_others: bo
     chosen = np.full(len(rods.whole), NONE, dtype=np.int32)
     if obstacles:
         kinds, grids = grid_table(obstacles)
-        single = (np.ascontiguousarray(value, dtype=np.float32) for value in (
-            rods.anchor, rods.tangents, rods.axis, rods.lengths, rods.place, rods.free, rods.slope, tries,
-            obstacle_table(obstacles).reshape(-1)))
+        given = {name: getattr(rods, name) for name in ("anchor", "tangents", "axis", "lengths", "place", "free", "slope")}
+        given |= {"tries": tries, "obstacles": obstacle_table(obstacles).reshape(-1)}
+        single = {name: np.ascontiguousarray(value, dtype=np.float32) for name, value in given.items()}
         kernel = bow_kernel(bool((kinds >= GRID).any()), 1 if runtime.start() == "cpu" else 64)
-        kernel(*single, kinds, grids, min(len(chosen), MOST_THREADS), chosen)
+        kernel(**single, kinds=kinds, grids=grids, threads=min(len(chosen), MOST_THREADS), chosen=chosen)
     return rods.bowed(tries[np.where(chosen == NONE, 0, chosen)])
 
 

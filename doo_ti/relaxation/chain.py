@@ -84,7 +84,7 @@ class Chain(PairEnergy):
         self.number, self.isotropic = number, isotropic
         self.memory = Scratch(number, stride)
         self.rod_layout, self.edge_layout = rod, edge or edge_layout(isotropic)
-        self.moves_start, self.touches = False, False
+        self.functions, self.has_coarse, self.moves_start, self.touches = None, False, False, False
         self.width, lanes = number.width, number.lanes()
         self.largest, self.lane, self.with_lane, self.constant = lanes.largest, lanes.lane, lanes.with_lane, lanes.constant
         self.twist_angle = twist_angle_function(number)

@@ -23,7 +23,7 @@ from doo_ti.relaxation.newton import QueueLoop
 from doo_ti.relaxation.vertex_chain import VERTEX, VertexChain
 from doo_ti.rod.types import Status
 from doo_ti.system.arguments import typed
-from doo_ti.system.errors import InputError, require_number, require_whole
+from doo_ti.system.errors import InputError, require_whole
 
 
 @typed
@@ -41,8 +41,6 @@ class Descent:
     largest_move: float = 0.05
 
     def __post_init__(self) -> None:
-        for name in ("tolerance", "largest_move"):
-            require_number("Descent", name, getattr(self, name))
         require_whole("Descent", "max_iterations", self.max_iterations, 1)
         if not self.tolerance > 0:
             raise InputError("Descent", "tolerance", f"{self.tolerance} is not positive", "give a positive number")
@@ -206,5 +204,4 @@ ARGUMENTS = {
 @cache
 def descent_kernel(number: Number, stride: int, block: int):
     """As :func:`.newton.newton_kernel`, for materials of any kind."""
-    loop = DescentLoop(number, stride)
-    return loop_kernel("descent", number, ARGUMENTS, loop.work, block), loop.items
+    return loop_kernel("descent", number, ARGUMENTS, DescentLoop(number, stride), block)

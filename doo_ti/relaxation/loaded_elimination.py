@@ -46,8 +46,7 @@ class LoadedElimination(LooseStart):
                  contacts: RodContacts | None = None):
         super().__init__(number, isotropic, stride, edge_layout(isotropic, external.layout, any_ends),
                          rod_layout(external.start_layout if any_ends else None))
-        self.functions = external.functions(number)
-        self.moves_start = any_ends
+        self.functions, self.has_coarse, self.moves_start = external.functions(number), external.has_coarse, any_ends
         self.is_loaded = self.functions.evaluate is not None
         self.pulls_start = self.functions.evaluate_start is not None
         self.contacts, self.touches = contacts, contacts is not None

@@ -59,18 +59,18 @@ class Loading:
     """Loading of rods into lanes of ``sweep`` (:class:`.Chain`).
 
     ``tables`` is a record of the arrays that host and kernels share: start, rest_length, clamp, material, up, rods, frames,
-    results, and ``numbers`` of the external energy (see :mod:`doo_ti.relaxation.tables`). ``functions`` are that energy's, or
-    None. ``in_millimetres``: lengths stay in mm.
+    results, and ``numbers`` of the external energy (see :mod:`doo_ti.relaxation.tables`). ``in_millimetres``: lengths stay in
+    mm.
     """
 
-    def __init__(self, sweep: chain.Chain, functions=None, in_millimetres: bool = False):
+    def __init__(self, sweep: chain.Chain, in_millimetres: bool = False):
         self.edge, self.isotropic, self.moves_start = sweep.edge, sweep.isotropic, sweep.moves_start
-        self.functions, self.in_millimetres = functions, in_millimetres
+        self.functions, self.in_millimetres = sweep.functions, in_millimetres
         self.touches = sweep.touches
         if self.touches:
             self.contacts = sweep.contacts
-        self.loaded = functions is not None
-        self.loads_start = self.loaded and functions.load_start is not None
+        self.loaded = self.functions is not None
+        self.loads_start = self.loaded and self.functions.load_start is not None
 
     def load(self, tables, head, slot, rod, lengths_known):
         """Row ``rod`` of the rods into lane ``slot``. Lengths that all rods share are loaded once per lane.

@@ -39,9 +39,9 @@ class NewtonTrip:
     active, finished, lengths_known      flags of the lane: it has a rod; that is to be exchanged; edge lengths have been loaded
     """
 
-    def __init__(self, sweep: Elimination, has_coarse: bool):
+    def __init__(self, sweep: Elimination):
         number = sweep.number
-        self.sweep, self.has_coarse, self.touches = sweep, has_coarse, sweep.touches
+        self.sweep, self.has_coarse, self.touches = sweep, sweep.has_coarse, sweep.touches
         lanes = number.lanes()
         self.largest, self.lane, self.with_lane, self.constant = lanes.largest, lanes.lane, lanes.with_lane, lanes.constant
         self.scalar = number.scalar

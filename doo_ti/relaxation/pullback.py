@@ -149,7 +149,8 @@ def run_pullback(solution: Solution, usable: np.ndarray, directions: np.ndarray,
     count, edges = solution.tables.count, solution.tables.edges
     displaced, turned = of.room(count, edges + 1, 3), of.room(count, edges, 3)
     gradient, curvature = np.empty((count, max(1, len(directions)))), of.room(count, edges - 1, 2)
-    arrays = forces, moments, displaced, turned, gradient, curvature
+    arrays = {"pulls": forces, "twists": moments, "displaced": displaced, "turned": turned, "gradient": gradient,
+              "curvature": curvature}
     found = run_at_rest(solution, usable, KERNELS, directions, np.zeros((1, edges - 1, 2)), arrays, 0, count)
     for array in (gradient, curvature, displaced):
         array[~found] = np.nan
