@@ -114,11 +114,11 @@ def run_groups(table: GroupTables, options: Newton, state: GroupState, previous:
     if not len(rows):
         return
     rods = of.rod_rows(rows, rows % len(table.material), rows, rows, rows % len(table.rest))
-    contact, joints = table.contact, JointRest(table.rest)
+    contact = table.contact
     launch(layout_for(len(rows), 64, True), lambda *layout: group_kernel(*layout, contact.has_grid),
            start=table.start.reshape(-1), rest_length=table.rest_length, clamp=table.clamp, material=table.material, rods=rods,
            policy=policy_row(table.up, options, 64), frames=state.frames.reshape(-1), results=state.results,
-           numbers=joints.numbers(), field=joints.field(), **contact.arguments(state.forces, options.gap_tolerance),
+           numbers=table.rest, field=JointRest().field(), **contact.arguments(state.forces, options.gap_tolerance),
            touching=int(table.touching), begins=table.begins, ties=table.ties, borders=table.borders, targets=table.targets,
            free=table.free, burden=table.burden, apart=table.apart, places=state.places, tie_forces=state.tie_forces,
            previous=previous, touches=state.touch, works=state.friction_work)

@@ -105,7 +105,6 @@ def end_loads(solution: Solution) -> EndLoads:
     """
     solution = alone("end_loads", solution)
     table = solution.tables
-    runtime.start()
     nothing = np.zeros((0, 0)), np.zeros((1, table.edges - 1, 2))
     moments = run_sensitivity(solution, solution.converged, *nothing, 0, table.count)[3]
     clamp = table.clamp[table.configuration_index]
@@ -203,7 +202,6 @@ def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist"
     require_whole("sensitivity", "first", first, 0, table.count)
     require_whole("sensitivity", "last", last, first, table.count)
     names, directions, along = parameter_directions(parameters, table.edges, table.up, modes)
-    runtime.start()
     vertices, turns, forces, _, sound = run_sensitivity(solution, at_minima(solution), directions, along, first, last,
                                                         rotations, loads)
     start = table.configuration_index[first:last]
