@@ -1,7 +1,7 @@
 """Newton's method on all groups at once: its kernel and its launch (docs/groups.md)."""
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import taichi as ti
@@ -115,7 +115,7 @@ def run_groups(table: GroupTables, options: Newton, state: GroupState, previous:
         return
     rods = of.rod_rows(rows, rows % len(table.material), rows, rows, rows % len(table.rest))
     contact = table.contact
-    launch(layout_for(len(rows), 64, True), lambda *layout: group_kernel(*layout, contact.has_grid),
+    launch(layout_for(len(rows), 64, True), partial(group_kernel, has_grid=contact.has_grid),
            start=table.start.reshape(-1), rest_length=table.rest_length, clamp=table.clamp, material=table.material, rods=rods,
            policy=policy_row(table.up, options, 64), frames=state.frames.reshape(-1), results=state.results,
            numbers=table.rest, field=JointRest().field(), **contact.arguments(state.forces, options.gap_tolerance),

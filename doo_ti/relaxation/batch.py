@@ -5,6 +5,7 @@ Scratch memory is allocated once per thread and reused, independent of the numbe
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,7 +16,7 @@ from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.external import Nothing
 from doo_ti.relaxation.loading import LANES, TRIPS
 from doo_ti.relaxation.newton_policy import CLOSING_DISTANCE
-from doo_ti.relaxation.tables import Tables, room, whole_start
+from doo_ti.relaxation.tables import Tables, room
 from doo_ti.rod.frames import vertices_from_quaternions
 from doo_ti.rod.types import Solution, Status
 from doo_ti.system import runtime
@@ -72,37 +73,29 @@ def pack_trips(bits: int) -> tuple[int, int]:
 
 @runtime.exclusive
 def _launch_newton(table: Tables, rods, options: newton.Newton, bits: int, frames, results, moving: bool = True) -> None:
-    """One launch over ``rods``, from the starts of the table or from ``frames``."""
-    contact = table.contact
-    # Rods out of reach of all obstacles are relaxed without them.
-    some_far = contact is not None and not contact.itself and not contact.near.all()
-    if some_far and not contact.near.any():
-        contact, table = None, replace(table, contact=None)
-    elif some_far:
-        near = contact.near[rods[:, of.RESULT_ROW]]
-        _launch_newton(replace(table, contact=None), rods[~near], options, bits, frames, results, moving)
-        rods = rods[near]
-    for isotropic, any_ends, part in table.by_kernel(rods):
-        _launch_kernel(table, isotropic, any_ends, part, policy_row(table.up, options, bits, moving), options, bits,
-                       frames, results)
+    """Launches over ``rods``, from the starts of the table or from ``frames``. Rods out of reach of all obstacles are relaxed
+    without them."""
+    near, policy = np.ones(len(rods), dtype=bool), policy_row(table.up, options, bits, moving)
+    if table.contact is not None and not table.contact.itself:
+        near = table.contact.near[rods[:, of.RESULT_ROW]]
+    for reaching, some in of.parted(rods, near):
+        own = table if reaching else replace(table, contact=None)
+        for isotropic, any_ends, part in own.by_kernel(some):
+            _launch_kernel(own, isotropic, any_ends, part, policy, options, bits, frames, results)
 
 
 def _launch_kernel(table: Tables, isotropic: bool, any_ends: bool, rods, policy: np.ndarray, options: newton.Newton,
                    bits: int, frames, results) -> None:
     """:func:`_launch_newton` over rods of one kernel."""
-    contact, more = table.contact, {}
+    contact, more, kind = table.contact, {}, None
     external = Nothing() if table.external is None and any_ends else table.external
-    kind = None if external is None else type(external)
     if external is not None:
-        more = {"numbers": external.numbers(), "field": external.field()}
+        more, kind = {"numbers": external.numbers(), "field": external.field()}, type(external)
+    kernel = partial(newton.newton_kernel, isotropic=isotropic, external=kind, any_ends=any_ends)
     if contact is not None:
         more |= contact.arguments(contact.forces, options.gap_tolerance)
-
-    def kernel(*layout):
-        if contact is None:
-            return newton.newton_kernel(*layout, isotropic, kind, any_ends)
-        return newton.contact_kernel(*layout, isotropic, kind, contact.has_grid, contact.itself)
-
+        kernel = partial(newton.contact_kernel, isotropic=isotropic, external=kind, has_grid=contact.has_grid,
+                         itself=contact.itself)
     launch(layout_for(len(rods), bits, contact is not None and contact.itself), kernel, start=table.start.reshape(-1),
            rest_length=table.rest_length, clamp=table.clamp, material=table.material, rods=rods, policy=policy,
            frames=frames.reshape(-1), results=results, **more)
@@ -124,14 +117,15 @@ def run_descent(table: Tables, options: descent.Descent, bits: int):
     """
     projection = newton.Newton(max_iterations=PROJECTIONS)
     closed, _ = run_newton(table, projection, 64, moving=False)
-    table = table.restarted(closed)
-    start = whole_start(table.start, table.clamp)
-    vertices = vertices_from_quaternions(np.zeros((len(start), 3)), start, table.rest_length)
-    vertices = np.where(table.released[:, None, None], vertices - vertices[:, -1:], vertices)
+    start, outer = closed / np.linalg.norm(closed, axis=-1, keepdims=True), of.outer_edges(table.edges)
+    start[:, outer] = closed[:, outer]  # as clamps have them
+    lengths, index = table.rest_length, table.configuration_index
+    vertices = vertices_from_quaternions(np.zeros((len(start), 3)), start, lengths if len(lengths) == 1 else lengths[index])
+    vertices = np.where(table.released[index, None, None], vertices - vertices[:, -1:], vertices)
     frames = np.full((table.count, table.edges, 4), np.nan)
     results = np.tile(UNTOUCHED, (table.count, 1))
     launch(layout_for(len(table.rods), bits), descent.descent_kernel, vertices=np.ascontiguousarray(vertices),
-           start=np.ascontiguousarray(start), rest_length=table.rest_length, clamp=table.clamp, material=table.material,
+           start=start, rest_length=lengths, clamp=table.clamp, material=table.material,
            up=np.array(table.up, dtype=np.float64), rods=table.rods, tolerance=options.tolerance,
            max_iterations=options.max_iterations, largest_move=options.largest_move, frames=frames, results=results)
     certificate = newton.Newton(tolerance=options.tolerance, max_iterations=1, first_shift=0.0, max_escapes=0)

@@ -13,7 +13,7 @@ its frames after the straight way, each transported from its old tangent to the 
 whole turns.
 """
 
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import taichi as ti
@@ -212,7 +212,7 @@ def _approach(by_frames: bool, before, after, rows, rest_length, radius, more) -
     """(N,) APART, TOUCHING or TURNED, of the N rods of ``rows``, that touch where they come nearer to themselves than two radii
     and ``more``."""
     flags = np.zeros(len(rows), dtype=np.int32)
-    launch(layout_for(len(rows), 64, width=1), lambda *layout: _kernel(*layout, by_frames), before=before.reshape(-1),
+    launch(layout_for(len(rows), 64, width=1), partial(_kernel, by_frames=by_frames), before=before.reshape(-1),
            after=after.reshape(-1), rows=rows, lengths=rest_length.reshape(-1), radius=radius, near=2.0 * radius + more,
            edges=rest_length.shape[1], flags=flags)
     return flags

@@ -1,7 +1,7 @@
 """The kernels behind :mod:`doo_ti.relaxation.sensitivity`, for rods that touch nothing and for those at obstacles."""
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import taichi as ti
@@ -13,7 +13,6 @@ from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.batch import launch, layout_for
 from doo_ti.relaxation.chain import edge_layout
 from doo_ti.relaxation.contact_sensitivity import ContactSensitivity
-from doo_ti.relaxation.contact_table import ContactTable
 from doo_ti.relaxation.elimination import Elimination
 from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, SCRATCH, TABLE1, TABLE2, TABLE3, TABLE4, loop_kernel
 from doo_ti.relaxation.loading import Loading
@@ -22,7 +21,6 @@ from doo_ti.relaxation.parameter_gradient import DIRECTION_COLUMNS, KEPT
 from doo_ti.relaxation.sensitivity_columns import LOADS, SensitivityColumns
 from doo_ti.relaxation.tables import Tables
 from doo_ti.rod.types import Solution
-from doo_ti.system import runtime
 
 MOST_THREADS_ON_A_GPU = 4096
 
@@ -125,31 +123,23 @@ def run_at_rest(solution: Solution, usable: np.ndarray, kernels: tuple, directio
     if kernels[1] is not None and table.contact is not None:
         loose = table.clamp[table.configuration_index[first:last], of.LOOSE] > 0
         touching = loose | (table.contact.forces[first:last] != 0.0).any(axis=(1, 2))
-    for rods, contact in ((~touching, None), (touching, table.contact)):
-        rows = np.flatnonzero(usable[first:last] & rods)
-        _launch(table, first, last, rows, contact, kernels[contact is not None], given, packed and contact is None)
+    for part, contact in ((~touching, None), (touching, table.contact)):
+        rods = table.continued(np.ones(table.count, dtype=bool), first + np.flatnonzero(usable[first:last] & part))
+        if not len(rods):
+            continue
+        rods[:, of.RESULT_ROW] -= first
+        kernel, more = kernels[0], {}
+        if contact is not None:
+            obstacles, radius = (array if len(array) == 1 else array[first:last]
+                                 for array in (contact.obstacles, contact.radius))
+            loads = np.zeros((1, 1, 3)) if table.external is None else point_loads(table)[first:last]
+            kernel = partial(kernels[1], has_grid=contact.has_grid)
+            more = {"obstacles": obstacles, "kinds": contact.kinds, "grids": contact.grids, "radius": radius,
+                    "memory": contact.memory[first:last], "point_loads": loads}
+        layout = layout_for(len(rods), 64, width=None if packed and contact is None else 1, most=MOST_THREADS_ON_A_GPU)
+        launch(layout, kernel, start=table.start.reshape(-1), rest_length=table.rest_length, clamp=table.clamp,
+               material=table.material, up=np.array(table.up, dtype=np.float64), rods=rods, **given, **more)
     return sound != 0
-
-
-@runtime.exclusive
-def _launch(table: Tables, first: int, last: int, rows: np.ndarray, contact: ContactTable | None, kernel_for: Callable,
-            given: dict, packed: bool) -> None:
-    """One launch over the rods ``rows``, counted from ``first``, which touch obstacles where ``contact`` is their table;
-    ``given``: what the kernels are given of all rods."""
-    rods = table.continued(np.ones(table.count, dtype=bool), first + rows)
-    if not len(rods):
-        return
-    rods[:, of.RESULT_ROW] -= first
-    known = ()
-    if contact is not None:
-        known = (contact.has_grid,)
-        obstacles, radius = (array if len(array) == 1 else array[first:last] for array in (contact.obstacles, contact.radius))
-        loads = np.zeros((1, 1, 3)) if table.external is None else point_loads(table)[first:last]
-        given = given | {"obstacles": obstacles, "kinds": contact.kinds, "grids": contact.grids, "radius": radius,
-                         "memory": contact.memory[first:last], "point_loads": loads}
-    layout = layout_for(len(rods), 64, width=None if packed else 1, most=MOST_THREADS_ON_A_GPU)
-    launch(layout, lambda *layout: kernel_for(*layout, *known), start=table.start.reshape(-1), rest_length=table.rest_length,
-           clamp=table.clamp, material=table.material, up=np.array(table.up, dtype=np.float64), rods=rods, **given)
 
 
 def _beyond(table: Tables, first: int, last: int) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import taichi as ti
@@ -225,6 +225,6 @@ def _kernel_of(table: Tables, isotropic: bool, slopes: Slopes | None, moves: boo
     """What makes the kernel of rods of one kind, with obstacles that move if ``moves``."""
     contact = table.contact
     if contact is not None:
-        return lambda *layout: time_contact_kernel(
-            *layout, isotropic, contact.has_grid, contact.rubs, contact.itself, moves)
-    return time_slope_kernel if slopes is not None else lambda *layout: time_kernel(*layout, isotropic)
+        return partial(time_contact_kernel, isotropic=isotropic, has_grid=contact.has_grid, rub=contact.rubs,
+                       itself=contact.itself, moves=moves)
+    return time_slope_kernel if slopes is not None else partial(time_kernel, isotropic=isotropic)
