@@ -35,28 +35,25 @@ class ExternalFunctions(NamedTuple):
               by change and change; symmetric ones as (11, 12, 13, 22, 23, 33).
               Where ``coarse`` is one the rod is far from rest, and K better positive semidefinite than exact.
               None where there is no energy.
-    load_start, evaluate_start  the same of vertex 0, whose energy no edge carries, with the numbers of ``start_layout``:
-              (own, numbers, row, scale), and (own, place) giving (E, γ, K); None where it has none
     """
 
     load: Callable
     evaluate: Callable | None
-    load_start: Callable | None = None
-    evaluate_start: Callable | None = None
 
 
 class External(Protocol):
     """The interface of an external energy, and what a class that derives from it has unless it says otherwise: no energy.
     ``external_index`` gives each rod one of its ``count`` rows.
 
-    layout        of the numbers it needs in scratch per edge
-    start_layout  of vertex 0
-    has_coarse    whether K far from rest differs from that near it
-    vertices      of the rods it is for, None where it is for any number of them
+    layout       of the numbers it needs in scratch per edge
+    at_vertices  whether each edge carries that of the vertex where it ends; that of vertex 0, if it may move, is then the one
+                 of an edge −1 that ends there
+    has_coarse   whether K far from rest differs from that near it
+    vertices     of the rods it is for, None where it is for any number of them
     """
 
     layout: ClassVar[Layout] = Layout()
-    start_layout: ClassVar[Layout] = Layout()
+    at_vertices: ClassVar[bool] = False
     has_coarse: ClassVar[bool] = False
 
     @property
@@ -108,7 +105,7 @@ class Springs(External):
     points: Annotated[np.ndarray, "A V 3", float]
     stiffness: Annotated[np.ndarray, "A V", float]
     layout: ClassVar[Layout] = Layout(point=3, stiffness=1)
-    start_layout: ClassVar[Layout] = layout
+    at_vertices: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         points, stiffness = (np.array(value, dtype=np.float64) for value in (self.points, self.stiffness))
@@ -143,7 +140,7 @@ class Springs(External):
         """On the device: each edge carries the spring of the vertex where it ends."""
         import taichi as ti
 
-        from doo_ti.physics.tuples import dot, minus, scaled
+        from doo_ti.physics.tuples import minus
 
         @ti.func
         def load(own, numbers: ti.template(), row, edge, scale):
@@ -161,19 +158,7 @@ class Springs(External):
             mixed = (k, none, none, none, k, none, none, none, k)
             return energy, gradient, gradient, curvature, mixed, curvature
 
-        @ti.func
-        def load_start(own, numbers: ti.template(), row, scale):
-            own.point = (numbers[row, 0, 0], numbers[row, 0, 1], numbers[row, 0, 2])
-            own.stiffness = numbers[row, 0, 3] * scale
-
-        @ti.func
-        def evaluate_start(own, place):
-            k = own.stiffness
-            d = minus(place, own.point)
-            none = 0.0 * k
-            return 0.5 * k * dot(d, d), scaled(d, k), (k, none, none, k, none, k)
-
-        return ExternalFunctions(load, evaluate, load_start, evaluate_start)
+        return ExternalFunctions(load, evaluate)
 
 
 class Nothing(External):
@@ -202,7 +187,7 @@ class PointLoads(External):
     springs: Springs | None = None
     up: np.ndarray | None = field(default=None, init=False)
     layout: ClassVar[Layout] = Springs.layout + Layout(force=3)
-    start_layout: ClassVar[Layout] = layout
+    at_vertices: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         force, mass = (np.array(value, dtype=np.float64) for value in (self.force, self.mass))
@@ -291,18 +276,7 @@ class PointLoads(External):
             force = own.force
             return (energy - dot(force, end), minus(gradient, force), minus(along, force), curvature, mixed, stiffness)
 
-        @ti.func
-        def load_start(own, numbers: ti.template(), row, scale):
-            springs.load_start(own, numbers, row, scale)
-            own.force = scaled((numbers[row, 0, 4], numbers[row, 0, 5], numbers[row, 0, 6]), scale)
-
-        @ti.func
-        def evaluate_start(own, place):
-            energy, gradient, curvature = springs.evaluate_start(own, place)
-            force = own.force
-            return energy - dot(force, place), minus(gradient, force), curvature
-
-        return ExternalFunctions(load, evaluate, load_start, evaluate_start)
+        return ExternalFunctions(load, evaluate)
 
 
 def check_rows(function: str, loads: PointLoads | Springs | None, rods: int, vertices: int) -> None:
